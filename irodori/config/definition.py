@@ -56,9 +56,7 @@ class Definition:
     def given(self) -> dict[str, Any]:
         """Return the values by the keys of the file, defaults among them; keys that are absent are left out."""
         values = [(field, getattr(self, field.name)) for field in dataclasses.fields(self)]
-        return {
-            field.name.rstrip("_"): value for field, value in values if value is not None or field.metadata.get("null")
-        }
+        return {field.name.rstrip("_"): value for field, value in values if value is not None}
 
     def plain(self) -> dict[str, Any]:
         """Return the keys and values as a file gives them, every default written out and absent keys left out."""

@@ -94,8 +94,9 @@ class Fit(Definition):
     #: Standard deviation of the angle of light or camera, in degrees; enters the standard errors.
     pose_error_deg: float = 0.05
 
-    #: Residual beyond which the loss is linear, in standard deviations (ratio); null for least squares.
-    huber: float | None = field(default=None, metadata={"null": True})
+    #: Relative error that all observations of an object share, of the white reference's reflectance and of the lamp's
+    #: level between the white reference and the object (ratio).
+    level_error: float = 0.014
 
     #: Whether the real refractive index is the one of the object's definition or fitted texel by texel.
     refractive_index: Literal["fixed", "fitted"] = "fixed"

@@ -242,10 +242,6 @@ def accepts(schema: dict) -> str:
         return "one of " + ", ".join(map(str, schema["enum"]))
     if "oneOf" in schema:
         return ", or ".join(accepts(variant) for variant in schema["oneOf"])
-    if isinstance(schema.get("type"), list):
-        return ", or ".join(accepts({**schema, "type": kind}) for kind in schema["type"])
-    if schema.get("type") == "null":
-        return "null"
     text = _TYPE_WORDS.get(schema.get("type", ""), "a value")
     if schema.get("type") == "object" and schema.get("properties"):
         kind = schema["properties"].get("kind", {}).get("const")
@@ -292,7 +288,7 @@ def _found(value) -> str:
 def _hint(value, schema: dict) -> str:
     """Return a word on YAML 1.1, for which 1e4 is text and only 1.0e+4 a number."""
     types = [rules.get("type") for rules in (schema, *schema.get("oneOf", ()))]
-    if not isinstance(value, str) or not any(kind in ("number", "integer", ["number", "null"]) for kind in types):
+    if not isinstance(value, str) or not {"number", "integer"} & set(types):
         return ""
     try:
         number = float(value)

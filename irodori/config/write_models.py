@@ -28,7 +28,7 @@ from typing import Literal, TypeAlias
 
 from irodori.config.definition import Definition
 '''
-_SCALARS = {"string": "str", "number": "float", "integer": "int", "boolean": "bool", "null": "None"}
+_SCALARS = {"string": "str", "number": "float", "integer": "int", "boolean": "bool"}
 _WIDTH = 120
 #: Class of a schema, where it is not the schema's name: an Environment is the light itself, as maps.
 _CLASSES = {"environment": "EnvironmentDefinition"}
@@ -175,8 +175,6 @@ def _field_lines(key: str, kind: str, default: str) -> list[str]:
     mapping = kind.startswith("Mapping")
     if default == _OPTIONAL:
         value = " = None"
-    elif default == "None":
-        value = ' = field(default=None, metadata={"null": True})'
     elif default == "mapping":
         value = " = field(default_factory=dict, hash=False)"
     elif mapping:
@@ -258,8 +256,8 @@ def _yaml(value) -> str:
         return "{" + ", ".join(f"{key}: {_yaml(item)}" for key, item in value.items()) + "}"
     if isinstance(value, list):
         return "[" + ", ".join(map(_yaml, value)) + "]"
-    if value is None or isinstance(value, bool):
-        return {None: "null", True: "true", False: "false"}[value]
+    if isinstance(value, bool):
+        return str(value).lower()
     return re.sub(r"^(\d+)e", r"\1.0e", repr(value)) if isinstance(value, float) else str(value)
 
 

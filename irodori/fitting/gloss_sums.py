@@ -2,8 +2,9 @@
 
 With a texel's own α eliminated (variable projection), its sum of squares at one μ is a parabola in β,
 A - 2 B β + C β²; the parabolas of several texels add, so the joint fit of any number of texels is one-dimensional in
-log μ, and its cost is linear in texels. A texel is packed as rows cosθ_i, gloss, features, response, and weight, the
-inverse of a variance.
+log μ, and its cost is linear in texels. A texel is packed as rows cosθ_i, gloss, features, response, weight, the
+inverse of a variance, and the side of the highlight: by what φ grows where the half-way vector moves in the plane of
+light and camera, -1 to 1.
 """
 
 import math
@@ -20,8 +21,8 @@ from irodori.jit.vector_memory import spread
 from irodori.reflection import lobes as lobe_kernels
 from irodori.reflection.lobes import Lobes
 
-PACKED = 7
-_C, _G, _F0, _F1, _F2, _R, _W = range(PACKED)
+PACKED = 8
+_C, _G, _F0, _F1, _F2, _R, _W, _SIDE = range(PACKED)
 #: Columns of a texel's part in a fit of log β and log μ: the slope of half its sum of squares, downhill; the matrix of
 #: the normal equations; the sum of squares; α, its slopes along log β and log μ, and the inverse of its variance; the
 #: share of its peak at which the texel sees the lobe; Σ w ρ², Σ w, and the observations with weight.
@@ -32,6 +33,9 @@ _C, _G, _F0, _F1, _F2, _R, _W = range(PACKED)
 PARTS = 14
 _GLOSS, _SLOPE, _STEEP, _SHARE, _KNOWN = range(5)
 _ROOM = 5
+_TOP = 1e-9  # sinφ sinθ_H, under which a texel lies at the top of the highlight
+_ALONE = 1e-9  # of the weight of a texel, under which nothing is left of it
+_OPEN = 1e-3  # of a determinant, under which β and μ cannot be told apart
 _CHUNK = 1024  # texels that a thread takes at a time
 
 
@@ -64,6 +68,12 @@ def _pack_chunk(problem, rules, blocks, first, last):
                 blocks[t, _F0 + i, j] = rows[F0 + i, j]
             w = rows[WEIGHT, j]
             blocks[t, _W, j] = w if rules.weighted or not w > 0.0 else w / rows[VARIANCE, j]
+        for j in range(problem.response.shape[1]):
+            angles = problem.geometry[t, j]
+            apart = 2.0 * math.sin(angles[2]) * math.sin(angles[3])
+            # (V - L)·N = 2 sinθ_H times N along that move.
+            side = (math.cos(angles[1]) - math.cos(angles[0])) / apart if apart > _TOP else 0.0
+            blocks[t, _SIDE, j] = min(max(side, -1.0), 1.0)
 
 
 def pack(problem: Problem, rules: Rules) -> Surface:
@@ -191,8 +201,8 @@ def _common_part(surface, gloss):
             c, g, w = blocks[t, _C, j], room[_GLOSS, j], room[_KNOWN, j]
             jb, jm = g + c * part[ALPHA_BY_BETA], room[_SLOPE, j] + c * part[ALPHA_BY_MU]
             light = rules.model_error * (part[ALPHA] * c + g)
-            # Below the peak a lobe falls with φ: the same error of a photograph moves all texels one way.
-            flank = -math.sqrt(0.5 * rules.pose_variance * room[_STEEP, j]) * g
+            # An error of a photograph's pose moves its highlight: to the texels on one side, away from the others.
+            flank = blocks[t, _SIDE, j] * math.sqrt(0.5 * rules.pose_variance * room[_STEEP, j]) * g
             tilt = math.sqrt(rules.pose_variance * max(1.0 - c * c, 0.0)) * part[ALPHA]
             for i, size in enumerate((light, flank, tilt)):
                 common[j, i, 0] += w * size * jb
@@ -207,6 +217,56 @@ def shared_error(surface: Surface, gloss: np.ndarray) -> np.ndarray:
     """
     common = _common_part(surface, np.ascontiguousarray(gloss, dtype=np.float64)).reshape(-1, 2)
     return common.T @ common
+
+
+@njit(cache=True, error_model="numpy")
+def _without_each(surface, gloss):
+    """Return slopes and normal equations of log β and log μ without each photograph, (P, 5); each texel's α follows."""
+    blocks, rules = surface.blocks, surface.rules
+    out, part, room = np.zeros((blocks.shape[2], 5)), np.empty(PARTS), np.empty((_ROOM, blocks.shape[2]))
+    own, total = np.empty(9), np.empty(9)
+    for t in range(blocks.shape[0]):
+        _take_part(blocks[t], surface.lobes, rules, gloss, room, part)
+        if not part[ALPHA_WEIGHT] > 0.0:
+            continue
+        total[:] = 0.0
+        for j in range(blocks.shape[2]):
+            _outer(blocks[t], part[ALPHA], room, j, own)
+            total += own
+        for j in range(blocks.shape[2]):
+            _outer(blocks[t], part[ALPHA], room, j, own)
+            cc, cb, cm, cr, br, mr, bb, bm, mm = total - own
+            if cc > _ALONE * total[0]:  # else a texel's only reading, and it tells nothing without
+                out[j, 0] += br - cr * cb / cc
+                out[j, 1] += mr - cr * cm / cc
+                out[j, 2] += bb - cb * cb / cc
+                out[j, 3] += bm - cb * cm / cc
+                out[j, 4] += mm - cm * cm / cc
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def _outer(block, alpha, room, j, out):
+    """Fill the weighted products of one observation's c, slopes along log β and log μ, and residual."""
+    c, g, s, w = block[_C, j], room[_GLOSS, j], room[_SLOPE, j], room[_KNOWN, j]
+    r = block[_R, j] - alpha * c - g
+    out[0], out[1], out[2], out[3] = w * c * c, w * c * g, w * c * s, w * c * r
+    out[4], out[5], out[6], out[7], out[8] = w * g * r, w * s * r, w * g * g, w * g * s, w * s * s
+
+
+def without_each(surface: Surface, gloss: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return by how much log β and log μ would move without each photograph, (P, 2), and where that is told, (P,) bool.
+
+    One step from the gloss of all photographs. It is not told where without a photograph the two are left open.
+    """
+    sums = _without_each(surface, np.ascontiguousarray(gloss, dtype=np.float64))
+    down0, down1, n00, n01, n11 = sums.T
+    determinant = n00 * n11 - n01 * n01
+    told = determinant > _OPEN * np.maximum(n00 * n11, np.finfo(float).tiny)
+    told &= determinant > _OPEN * determinant.max(initial=0.0)
+    regular = np.where(told, determinant, 1.0)
+    moved = np.column_stack([(n11 * down0 - n01 * down1) / regular, (n00 * down1 - n01 * down0) / regular])
+    return np.where(told[:, None], moved, 0.0), told
 
 
 @njit(cache=True, error_model="numpy")

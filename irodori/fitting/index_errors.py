@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 
 from irodori.fitting import judge
-from irodori.fitting.huber import copy_row, reweigh
 from irodori.fitting.observations import Minimum, every_lane, expect_fitted, load_one
 from irodori.fitting.texel_rows import (
     COSINE,
@@ -18,8 +17,6 @@ from irodori.fitting.texel_rows import (
     GLOSS,
     LOBE,
     RESPONSE,
-    SHARE,
-    TRUST,
     VARIANCE,
     WEIGHT,
     fill_lobe,
@@ -83,7 +80,7 @@ def _add(rows, moved, lobes, found, rules, into):
         row[3] = b * value * (moved.above[j] - gloss) / width
         pose = 0.5 * steepness * (b * row[1]) ** 2 + a * a * (1.0 - c * c)
         v = rows[VARIANCE, j] + rules.pose_variance * (pose + b * b * moved.tilt[j])
-        off = rows[SHARE, j] * (a * c + b * row[1] - rows[RESPONSE, j])
+        off = a * c + b * row[1] - rows[RESPONSE, j]
         chi2 += off * off / v
         for i in range(UNKNOWNS):
             for k in range(UNKNOWNS):
@@ -126,10 +123,6 @@ def _sums(problem, rules, found, sums, first, last):
         used, _ = load_one(problem.response[t], problem.weight[t], problem.noise, rules, rows)
         if rules.weighted:
             expect_fitted(rows, problem, rules, Minimum(a, b, log_mu, 0), every_lane())
-        if rules.huber > 0.0:
-            copy_row(rows, WEIGHT, TRUST)
-            fill_lobe(rows, lobes, log_mu)
-            reweigh(rows, a, b, rules.huber)
         into = sums.normal[t], sums.middle[t]
         chi2 = _add(rows, moved, lobes, (a, b, log_mu, index), rules, into)
         sums.excess[t] = judge.excess_of(chi2, float(max(used - UNKNOWNS, 1)))
@@ -166,6 +159,6 @@ def index_errors(problem, rules, index: np.ndarray, found: np.ndarray) -> np.nda
     inverse = np.linalg.inv(scaled) * scale[:, :, None] * scale[:, None, :]
     covariance = np.einsum("tij,tjk,tlk->til", inverse, middle, inverse) * excess[:, None, None]
     variance = np.einsum("tii->ti", covariance)
-    common = (rules.model_error * found[:, :2]) ** 2
+    common = (rules.level_error * found[:, :2]) ** 2
     variance[:, :2] += np.where(np.isfinite(common), common, 0.0)
     return np.sqrt(np.where(regular[:, None], variance, np.inf))

@@ -27,7 +27,6 @@ from irodori.fitting.texel_rows import (
     folded_mask,
     get,
     put,
-    share_at,
     vectors_of,
 )
 from irodori.fitting.texel_rows import VARIANCE as EXPECTED
@@ -49,11 +48,14 @@ COLUMNS = 9
 _OK, _AT_BOUND, _DIFFUSE_ONLY = int(Status.OK), int(Status.AT_BOUND), int(Status.DIFFUSE_ONLY)
 _UNIDENTIFIABLE, _FEW_STATUS = int(Status.MU_UNIDENTIFIABLE), int(Status.TOO_FEW_OBSERVATIONS)
 _NON_FINITE, _SATURATED, _DARK = int(Status.NON_FINITE), int(Status.SATURATED), int(Status.DARK)
+_CONTRADICTED = int(Status.CONTRADICTED)
 #: Share of its peak at which a lobe must be seen at least, or its height is an extrapolation.
 SEEN = math.exp(-2.0)
 _WITHIN = math.exp(-1.0)  # share of its peak down to which a lobe is a highlight
 SINGULAR = 1e-10
 _TOLD_APART = 1e-6
+_NEAR = 2.0  # standard errors of log μ from a bound, within which the bound decides and not the data
+_MISFIT, _BY_CHANCE = 2.0, 8.0  # χ² up to so often the degrees of freedom, and so much more, is no contradiction
 LEAST_LEFT = 0.05  # of an observation's error that its residual is taken to show at least
 
 
@@ -74,9 +76,9 @@ class Verdict(NamedTuple):
 
 
 class Errors(NamedTuple):
-    """Standard errors of α, β, log μ (infinite where undetermined), sum of squares, whether the lobe is seen.
+    """Standard errors of α, β, log μ (infinite where undetermined), sum of squares, and two findings.
 
-    Numbers, or lanes and a mask.
+    ``seen`` is whether the lobe is, ``fits`` whether the observations allow the model. Numbers, or lanes and masks.
     """
 
     alpha: float
@@ -84,6 +86,7 @@ class Errors(NamedTuple):
     log_mu: float
     squares: float
     seen: bool
+    fits: bool
 
 
 class Normal(NamedTuple):
@@ -152,8 +155,7 @@ def sums_at_minimum(rows, lobes, found, rules, with_variances):
             # Both angles of the rig are off: θ_i by one, φ = |θ_i - θ_r| / 2 by 1/√2 of it.
             pose = 0.5 * steepness * gloss * gloss + a * a * (1.0 - c * c)
             v = get(rows, EXPECTED, j) + rules.pose_variance * pose
-            kept = share_at(rows, j, log_mu) * r  # an outlier counts as far as the loss lets it
-            chi2 = chi2 + select(w > 0.0, kept * kept / v, 0.0)
+            chi2 = chi2 + select(w > 0.0, r * r / v, 0.0)
             wv = w * v
             m0, m1, m2 = m0 + wc * c * wv, m1 + wc * g * wv, m2 + wg * g * wv
             m3, m4, m5 = m3 + wc * s * wv, m4 + wg * s * wv, m5 + ws * s * wv
@@ -188,6 +190,12 @@ def excess_of(chi2, degrees):
 
 
 @uncounted(error_model="numpy")
+def allowed(chi2, degrees, rules):
+    """Return whether observations allow a model: numbers or lanes; always where the camera's noise is not known."""
+    return (chi2 <= _MISFIT * degrees + _BY_CHANCE) | (chi2 < (0.0 if rules.known else np.inf))
+
+
+@uncounted(error_model="numpy")
 def _lone_alpha(normal, middle, excess, a, rules):
     """Return the standard error of α where β and μ are open: of the part of its column that is not theirs.
 
@@ -208,7 +216,7 @@ def _lone_alpha(normal, middle, excess, a, rules):
         told = (on_gloss * normal[1] + on_slope * normal[3]) / normal[0]
     if not 1.0 - told > _TOLD_APART:
         return np.inf
-    own, common = normal[0] * (1.0 - told), rules.model_error * a
+    own, common = normal[0] * (1.0 - told), rules.level_error * a
     return math.sqrt(excess * max(_sandwich(middle, 1.0, -on_gloss, -on_slope), 0.0) / (own * own) + common * common)
 
 
@@ -241,22 +249,23 @@ def scatter(rows, a, b, normal):
 def full_errors(rows, lobes, found, used, rules, with_alpha):
     """Return the standard errors of α, β, log μ of a texel, or of β and log μ alone."""
     squares, chi2, sums, middle, seen = sums_at_minimum(rows, lobes, found, rules, True)
-    excess = excess_of(chi2, float(max(used - (3 if with_alpha else 2), 1)))
+    degrees = float(max(used - (3 if with_alpha else 2), 1))
+    excess, fits = excess_of(chi2, degrees), allowed(chi2, degrees, rules)
     if not (sums[0] > 0.0 and sums[2] > 0.0 and sums[5] > 0.0):
         lone = _lone_alpha(sums, middle, excess, found.alpha, rules) if with_alpha else np.inf
-        return Errors(lone, np.inf, np.inf, squares, seen)
+        return Errors(lone, np.inf, np.inf, squares, seen, fits)
     normal = correlations(sums)
     if not with_alpha:
         r = normal.correlation[2]
         normal = Normal(normal.scale, (0.0, 0.0, r), 1.0 - r * r)
     if not normal.determinant > SINGULAR:
         lone = _lone_alpha(sums, middle, excess, found.alpha, rules) if with_alpha else np.inf
-        return Errors(lone, np.inf, np.inf, squares, seen)
+        return Errors(lone, np.inf, np.inf, squares, seen, fits)
     if not rules.known:
         middle = scatter(rows, found.alpha, found.beta, normal)
         excess = 1.0
     alpha, beta, along = parameter_errors(middle, normal, excess, found, rules)
-    return Errors(alpha if with_alpha else np.inf, beta, along, squares, seen)
+    return Errors(alpha if with_alpha else np.inf, beta, along, squares, seen, fits)
 
 
 @uncounted(error_model="numpy")
@@ -279,7 +288,7 @@ def parameter_errors(middle, normal, excess, found, rules):
     va = _sandwich(scaled, 1.0 - r * r, q * r - p, p * r - q)
     vb = _sandwich(scaled, q * r - p, 1.0 - q * q, p * q - r)
     vt = _sandwich(scaled, p * r - q, p * q - r, 1.0 - p * p)
-    common = rules.model_error * rules.model_error
+    common = rules.level_error * rules.level_error
     return (
         root(upper_of(va * factor, 0.0) * s0 * s0 + common * found.alpha * found.alpha),
         root(upper_of(vb * factor, 0.0) * s1 * s1 + common * found.beta * found.beta),
@@ -289,21 +298,21 @@ def parameter_errors(middle, normal, excess, found, rules):
 
 @uncounted(error_model="numpy")
 def diffuse_errors(rows, a, used, rules):
-    """Return the standard error of α where there is no gloss, and the sum of squares."""
+    """Return the standard error of α where there is no gloss, the sum of squares, and whether that is `allowed`."""
     normal, middle, squares, chi2 = spread(0.0), spread(0.0), spread(0.0), spread(0.0)
     for j in range(vectors_of(rows)):
         c, w = get(rows, COSINE, j), get(rows, WEIGHT, j)
         v = get(rows, EXPECTED, j) + rules.pose_variance * a * a * (1.0 - c * c)
         r = a * c - get(rows, RESPONSE, j)
-        kept = share_at(rows, j, a) * r
         squares = squares + w * r * r
-        chi2 = chi2 + select(w > 0.0, kept * kept / v, 0.0)
+        chi2 = chi2 + select(w > 0.0, r * r / v, 0.0)
         normal = normal + w * c * c
         middle = middle + w * w * v * c * c
     information = folded(normal, a)
-    excess = excess_of(folded(chi2, a), float(max(used - 1, 1)))
+    degrees = float(max(used - 1, 1))
+    excess, fits = excess_of(folded(chi2, a), degrees), allowed(folded(chi2, a), degrees, rules)
     variance = excess * folded(middle, a) / (information * information) if information > 0.0 else np.inf
-    return math.sqrt(variance + (rules.model_error * a) ** 2), folded(squares, a)
+    return math.sqrt(variance + (rules.level_error * a) ** 2), folded(squares, a), fits
 
 
 @uncounted(error_model="numpy")
@@ -366,14 +375,16 @@ def status_of_too_few(used, response, weight, rows, clipped):
 
 
 @uncounted(error_model="numpy")
-def diffuse_status(rows, lobes, clipped, model, diffuse, rules):
-    """Return the status of a texel whose data shows no gloss."""
+def diffuse_status(rows, lobes, clipped, model, diffuse, fits, rules):
+    """Return the status of a texel whose data shows no gloss, and ``fits`` or not."""
     if highlight_clips(rows, lobes, clipped, 0.0, False):
         return _SATURATED
     if model == NOTHING:
         return _DARK
     pinned = diffuse >= rules.high_alpha * (1.0 - 1e-6) or 0.0 < diffuse <= rules.low_alpha * (1.0 + 1e-6)
-    return _AT_BOUND if pinned else _DIFFUSE_ONLY
+    if pinned:
+        return _AT_BOUND
+    return _DIFFUSE_ONLY if fits else _CONTRADICTED
 
 
 @uncounted(error_model="numpy")
@@ -396,7 +407,7 @@ def gloss_status_of(found, errors, rules):
     """Return the status of gloss that does not clip; numbers or lanes.
 
     Where β and μ cannot be told apart, a bound that one of them meets is where the search along their valley ended, and
-    no finding.
+    no finding. A bound of μ within two standard errors is one: a rougher surface than any allowed would look alike.
     """
     a, b, log_mu, _ = found
     edge = (b >= rules.high_beta * (1.0 - 1e-6)) | (log_mu >= rules.high_log_mu - 1e-4)
@@ -407,4 +418,7 @@ def gloss_status_of(found, errors, rules):
     if rules.low_alpha > 0.0:
         edge = edge | (a <= rules.low_alpha * (1.0 + 1e-6))
     known = (errors.beta < _BETA * b) & (errors.log_mu < _MU) & errors.seen
-    return select(edge, float(_AT_BOUND), select(known, float(_OK), float(_UNIDENTIFIABLE)))
+    reach = _NEAR * errors.log_mu
+    edge = edge | (known & ((log_mu + reach >= rules.high_log_mu) | (log_mu - reach <= rules.low_log_mu)))
+    stated = select(errors.fits, float(_OK), float(_CONTRADICTED))
+    return select(edge, float(_AT_BOUND), select(known, stated, float(_UNIDENTIFIABLE)))

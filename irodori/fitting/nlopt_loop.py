@@ -14,7 +14,6 @@ from numba import types
 from numba.extending import intrinsic
 
 from irodori.fitting import judge
-from irodori.fitting.huber import robust
 from irodori.fitting.observations import Evidence, Minimum, box_of, every_lane, expect_fitted, weigh
 from irodori.fitting.shared_geometry import no_shared
 from irodori.fitting.texel_rows import (
@@ -27,7 +26,6 @@ from irodori.fitting.texel_rows import (
     LOBE_SLOPE,
     RESPONSE,
     ROWS,
-    SHARE,
     WEIGHT,
     folded,
     get,
@@ -40,10 +38,10 @@ from irodori.fitting.texels import (
     Task,
     conclude,
     is_noisy,
-    leave_gloss_open,
     load_texel,
     new_sums,
     pack_texel,
+    without_outliers,
     write,
     write_too_few,
 )
@@ -165,7 +163,6 @@ def new_data(problem):
     data = np.zeros(HEADER + ROWS * p)
     data[0] = p
     rows = data[HEADER:].reshape((ROWS, p))
-    rows[SHARE] = 1.0
     return data, Room(rows, new_sums(problem))
 
 
@@ -230,17 +227,9 @@ def _scanned(task, room):
 
 @njit(cache=True, error_model="numpy")
 def finish(t, task, room, evidence, found, out):
-    """Judge the `Minimum` that a solver found, after reweighting if that is asked for, and write the texel."""
-    problem, settled = task.problem, True
-    if task.rules.huber > 0.0:
-        evaluations = found.evaluations + problem.nodes.size
-        fixed, found, settled = robust(room.rows, problem, task.rules)
-        evidence = Evidence(evidence.used, evidence.floor, fixed)
-        scan(room.rows, problem, room.sums, 0.0)
-        found = Minimum(found.alpha, found.beta, found.log_mu, evaluations + found.evaluations)
+    """Judge the `Minimum` that a solver found, without outliers, and write the texel."""
+    evidence, found = without_outliers(task, room, evidence, found)
     write(out, t, conclude(t, task, room, evidence, found), evidence.fixed)
-    if not settled:
-        leave_gloss_open(out, t)
 
 
 @njit(cache=True, error_model="numpy")

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from irodori.fitting.texel_rows import (
+    ASSUMED,
     BEFORE,
     COSINE,
     F0,
@@ -29,7 +30,7 @@ from irodori.fitting.texel_rows import (
     vectors_of,
 )
 from irodori.jit.compilation import njit, uncounted
-from irodori.jit.functions import magnitude, negated, select, upper_of
+from irodori.jit.functions import lower_of, magnitude, negated, select, upper_of
 from irodori.jit.vector_memory import mask_bits, spread
 from irodori.jit.vectors import LANES
 from irodori.reflection import lobes as lobe_kernels
@@ -38,6 +39,7 @@ LEAST_VARIANCE = 1e-8  # of the mean square response: no observation counts ten 
 TINY = 1e-60
 LARGE = 1e30  # a common weight beyond this, or below its inverse, is taken out
 _SAME = 1e-6  # of cosine, features and gloss: what single precision makes of one angle
+_ROUNDS = 4  # towards the diffuse level
 ENOUGH = 4  # geometries that determine three unknowns and can object to them
 
 
@@ -55,8 +57,8 @@ class Rules(NamedTuple):
         Relative error of an observation apart from noise.
     pose_variance : float
         Of one angle of the rig, rad².
-    huber : float
-        Residual in standard deviations beyond which an observation counts for less; 0 for none.
+    level_error : float
+        Relative error that all observations share: of the white reference and of the lamp between it and the object.
     """
 
     low_alpha: float
@@ -69,7 +71,7 @@ class Rules(NamedTuple):
     weighted: bool
     model_error: float
     pose_variance: float
-    huber: float
+    level_error: float
 
 
 class Screened(NamedTuple):
@@ -165,15 +167,39 @@ def in_range(screened):
 
 
 @uncounted(error_model="numpy")
+def _diffuse_level(rows, zero):
+    """Return roughly the α that responses show: the mean, in which none counts for more than twice it.
+
+    One reading of nothing among many hardly lowers it, and a highlight hardly raises it.
+    """
+    level = zero + LARGE
+    for _ in range(_ROUNDS):
+        top, bottom = spread(0.0), spread(TINY)
+        for j in range(vectors_of(rows)):
+            c, w = get(rows, COSINE, j), get(rows, WEIGHT, j)
+            top = top + w * c * lower_of(get(rows, RESPONSE, j), 2.0 * level * c)
+            bottom = bottom + w * c * c
+        level = folded(top, zero) / folded(bottom, zero)
+    return upper_of(level, 0.0)
+
+
+@uncounted(error_model="numpy")
 def expect_noise(rows, noise, rules, screened, zero):
-    """Fill the variances that noise and light give the responses, and the weights; return the expected w r²."""
+    """Fill the variances that noise and light give the responses, and the weights; return the expected w r².
+
+    A reading that lost its light would have next to no variance, and decide the fit: none has less than that of half
+    the diffuse light.
+    """
     power = screened.power / select(screened.total > 0.0, screened.total, 1.0)
     relative = rules.model_error * rules.model_error
     common = TINY + (LEAST_VARIANCE if rules.known else relative) * power
     relative = relative if rules.known else 0.0
+    least = 0.5 * _diffuse_level(rows, zero)
     floor = spread(0.0)
     for j in range(vectors_of(rows)):
-        r, w = get(rows, RESPONSE, j), get(rows, WEIGHT, j)
+        w = get(rows, WEIGHT, j)
+        r = upper_of(get(rows, RESPONSE, j), least * get(rows, COSINE, j))
+        put(rows, ASSUMED, j, r)
         v = common + noise_at(noise, 0, j, zero) + noise_at(noise, 1, j, zero) * upper_of(r, 0.0) + relative * r * r
         put(rows, VARIANCE, j, v)
         if rules.weighted:
@@ -264,12 +290,13 @@ def expect_fitted(rows, problem, rules, found, which):
     lobes, log_mu = problem.lobes, found.log_mu
     constant, relative = lobe_kernels.constants(lobes, log_mu), rules.model_error * rules.model_error
     for j in range(vectors_of(rows)):
-        r, v, w = get(rows, RESPONSE, j), get(rows, VARIANCE, j), get(rows, WEIGHT, j)
+        r, v, w = get(rows, ASSUMED, j), get(rows, VARIANCE, j), get(rows, WEIGHT, j)
         value = lobe_kernels.value(lobes, constant, get(rows, F0, j), get(rows, F1, j), get(rows, F2, j))
         fitted = found.alpha * get(rows, COSINE, j) + found.beta * get(rows, GLOSS, j) * value
         slope = noise_at(problem.noise, 1, j, log_mu)
         u = v + slope * (fitted - upper_of(r, 0.0)) + relative * (fitted * fitted - r * r)
         u = select(which, upper_of(u, LEAST_VARIANCE * v), v)
+        put(rows, ASSUMED, j, select(which, fitted, r))
         put(rows, VARIANCE, j, u)
         put(rows, WEIGHT, j, select(which, w * v / u, w))
 

@@ -22,6 +22,7 @@ _FOREIGN = 4.0  # times the median misfit, beyond which a texel has no part in i
 _ROUNDS = 300  # of expectation and maximisation
 _FIRST, _ANY = 0.1**2, 0.5**2  # variance of log β or log μ at the start, and of gloss that may be any
 _LEAST_FREE = 0.5  # observations by which a texel must be free to differ, to be found foreign
+_LEAST_PHOTOGRAPHS = 4  # whose scatter says anything
 _LEAST_VARYING = 1e-8  # variance of log β or log μ: a hundredth of a per cent
 
 
@@ -133,6 +134,28 @@ def _minimum(surface: Surface, start: np.ndarray) -> np.ndarray | None:
     return place if inside else None
 
 
+def _of_photographs(surface: Surface, place: np.ndarray) -> np.ndarray:
+    """Return the covariance of log β and log μ by the jackknife over photographs.
+
+    What is wrong with a photograph, known or not, is wrong in all its texels: only photographs are independent.
+    """
+    moved, told = sums.without_each(surface, place)
+    count = int(told.sum())
+    if count < _LEAST_PHOTOGRAPHS:
+        return np.zeros((2, 2))
+    apart = moved[told] - moved[told].mean(axis=0)
+    return (count - 1) / count * apart.T @ apart
+
+
+def _larger(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Return the covariance that is as large as the larger of two in every direction."""
+    root = np.linalg.cholesky(one)
+    inverse = np.linalg.inv(root)
+    size, along = np.linalg.eigh(inverse @ other @ inverse.T)
+    axes = root @ along
+    return axes * np.maximum(size, 1.0) @ axes.T
+
+
 def gloss_of_paint(surface: Surface, nodes: np.ndarray) -> PaintGloss | None:
     """Return the gloss that texels of one paint share; None where they show none, or leave it open.
 
@@ -171,7 +194,8 @@ def gloss_of_paint(surface: Surface, nodes: np.ndarray) -> PaintGloss | None:
     inverse = np.linalg.inv(normal.sum(axis=0))
     spread = np.einsum("tij,jk,tkl->il", normal, varying, normal)
     middle = excess * normal.sum(axis=0) + spread + sums.shared_error(surface, place)
-    error = inverse @ middle @ inverse + np.diag([surface.rules.model_error**2, 0.0])
+    error = _larger(inverse @ middle @ inverse, _of_photographs(surface, place))
+    error += np.diag([surface.rules.level_error**2, 0.0])
     known = np.sqrt(error[0, 0]) < MAX_RELATIVE_ERROR["beta"] and np.sqrt(error[1, 1]) < MAX_RELATIVE_ERROR["mu"]
     return PaintGloss(place, error, varying, float(excess), len(surface.blocks)) if known else None
 
@@ -206,7 +230,7 @@ def share(surface: Surface, gloss: PaintGloss) -> Shared:
             alpha=alpha,
             beta=beta,
             mu=mu,
-            alpha_error=np.sqrt(variance + (rules.model_error * alpha) ** 2),
+            alpha_error=np.sqrt(variance + (rules.level_error * alpha) ** 2),
             beta_error=beta * np.sqrt(covariance[:, 0, 0]),
             mu_error=mu * np.sqrt(covariance[:, 1, 1]),
             residual_rms=np.sqrt(part[:, sums.SQUARES] / part[:, sums.TOTAL]),

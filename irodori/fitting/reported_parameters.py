@@ -15,6 +15,7 @@ _NAMES = (
 )  # fmt: skip
 _CHUNK = 16384  # texels that a thread reports before it asks for more
 _IS_OK, _AT_BOUND = int(judge.Status.OK), int(judge.Status.AT_BOUND)
+_CONTRADICTED = int(judge.Status.CONTRADICTED)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -22,7 +23,7 @@ def _report_some(out, stated, gloss, first, last):
     """Fill what a fit states of some texels: NaN where a parameter is not determined."""
     for t in range(first, last):
         status, model, nan = out.status[t], out.model[t], np.nan
-        known = status == _IS_OK
+        known = status == _IS_OK or (status == _CONTRADICTED and model >= judge.GLOSS_ALONE)
         alpha_error, mu = out.table[t, judge.ALPHA_ERROR], math.exp(out.table[t, judge.LOG_MU])
         sure = math.isfinite(alpha_error)
         # α is 0 by choice of the model where it has no error, and not told apart from gloss anywhere else.

@@ -46,8 +46,9 @@ class FitOptions:
         Relative error of an observation apart from the camera's noise: drift of the light, the model itself.
     pose_error_deg : float
         Standard deviation of an angle of light or camera, degrees.
-    huber : float or None
-        Residual, in standard deviations, beyond which the loss is linear.
+    level_error : float
+        Relative error that all observations share: of the white reference's reflectance, and of the lamp's level
+        between the white reference and the object.
     refractive_index : str
         ``fixed``: as given; ``fitted``: each texel's own real part n, within its bounds.
     gloss_by_paint : bool
@@ -64,7 +65,7 @@ class FitOptions:
     weights: str = "noise"
     model_error: float = 0.01
     pose_error_deg: float = 0.05
-    huber: float | None = None
+    level_error: float = 0.014
     refractive_index: str = "fixed"
     gloss_by_paint: bool = True
     bounds: dict | None = None
@@ -77,8 +78,6 @@ class FitOptions:
             if getattr(self, name) not in accepted:
                 raise ValueError(f"fit.{name} {getattr(self, name)!r}; accepted: {', '.join(map(str, accepted))}")
         self._check_lobes()
-        if self.huber is not None and not 0.0 < self.huber < np.inf:
-            raise ValueError(f"fit.huber {self.huber!r}; accepted: a number above 0, or None for least squares")
         for name in _BOUNDS:
             low, high = self.limits(name)
             if not low < high * (0.99 if name == "mu_rad" else 1.0) < np.inf:
@@ -299,7 +298,7 @@ def problem_of(
     rules = Rules(
         *options.limits("alpha"), *options.limits("beta"), float(nodes[-1]), float(nodes[0]), known,
         known and options.weights == "noise", float(options.model_error), pose_variance(options.pose_error_deg),
-        float(options.huber or 0.0),
+        float(options.level_error),
     )  # fmt: skip
     return problem, rules
 

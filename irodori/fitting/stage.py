@@ -12,7 +12,7 @@ from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER
 from irodori.fitting.band_fresnel import BandGloss, band_gloss, uniform, varies
 from irodori.fitting.solvers import FitOptions, FitResult, fit
-from irodori.fitting.texel_rows import COSINE, LOBE, SPOILED, fill_lobe, new_rows, pack_geometry
+from irodori.fitting.texel_rows import COSINE, LOBE, SPOILED, WEIGHT, fill_lobe, new_rows, pack_geometry
 from irodori.jit.chunks import run_chunks
 from irodori.jit.compilation import njit
 from irodori.material.material_file import Status, gloss_maps
@@ -22,6 +22,7 @@ GREEN = 1  # green without the filter, the band of equation (7)
 _RESPONSE_NOISE = 0.01  # where the camera's is not known
 _LEAST_VARIANCE = 1e-12
 _GLOSS_MODEL_ERROR = 0.1
+_FAR, _AN_OUTLIER_IN = 6.0, 8  # standard deviations; observations, of which one may be an outlier
 
 
 _CHUNK = 2048  # texels that a thread takes at a time
@@ -111,18 +112,54 @@ def _expected(given, j, b, gloss, fitted):
 
 
 @njit(cache=True, error_model="numpy")
+def _leave_out(t, given, rows, fitted):
+    """Mark in the row of weights the observations of a texel that count: 1, or 0 for none and for outliers in green.
+
+    An outlier is further than `_FAR` standard deviations from what the others tell; one observation in eight may be.
+    """
+    response, weight, used, b = given.response[t], given.weight[t], 0, min(GREEN, given.response.shape[2] - 1)
+    for j in range(response.shape[0]):
+        fine = weight[j] > 0.0 and math.isfinite(response[j, b]) and rows[SPOILED, j] == 0.0
+        rows[WEIGHT, j] = 1.0 if fine else 0.0
+        used += fine
+    for _ in range(used // _AN_OUTLIER_IN):
+        top, bottom = 0.0, 0.0
+        for j in range(response.shape[0]):
+            if rows[WEIGHT, j] > 0.0:
+                w = weight[j] * rows[COSINE, j] / _expected(given, j, b, fitted[j], max(response[j, b], fitted[j]))
+                top, bottom = top + w * (response[j, b] - fitted[j]), bottom + w * rows[COSINE, j]
+        worst, furthest = -1, _FAR * _FAR
+        for j in range(response.shape[0]):
+            cosine = rows[COSINE, j]
+            if not rows[WEIGHT, j] > 0.0 or not cosine > 0.0:
+                continue
+            w = weight[j] * cosine / _expected(given, j, b, fitted[j], max(response[j, b], fitted[j]))
+            rest = bottom - w * cosine
+            if not rest > 0.0:
+                continue
+            told = (top - w * (response[j, b] - fitted[j])) / rest * cosine + fitted[j]
+            off = (response[j, b] - told) ** 2 / _expected(given, j, b, fitted[j], told)
+            if off > furthest:
+                worst, furthest = j, off
+        if worst < 0:
+            return
+        rows[WEIGHT, worst] = 0.0
+
+
+@njit(cache=True, error_model="numpy")
 def _combine_texel(t, given, rows, fitted, out, variance):
     """Fill the diffuse response of every band of a texel and its variance, (bands,), from its fitted gloss, (P,)."""
     response, weight, noise, ratio = given.response[t], given.weight[t], given.noise, given.ratio
     theta_h = given.geometry[t, :, 2]
     step = 0.5 * math.pi / (ratio.shape[1] - 1)
+    _leave_out(t, given, rows, fitted)
     for b in range(response.shape[1]):
         diffuse = np.nan  # not known in the first of two rounds
         for _ in range(2):
             top, bottom, spread = 0.0, 0.0, 0.0
             for j in range(response.shape[0]):
                 rho, cosine = response[j, b], rows[COSINE, j]
-                if not weight[j] > 0.0 or not math.isfinite(rho) or rows[SPOILED, j] != 0.0:
+                if not rows[WEIGHT, j] > 0.0 or not math.isfinite(rho):
                     continue
                 place = min(max(theta_h[j] / step, 0.0), ratio.shape[1] - 1.0)
                 i = min(int(place), ratio.shape[1] - 2)
@@ -166,7 +203,7 @@ def diffuse_response(
     """Return each texel's response to its diffuse reflectance alone, all observations combined, and its variance.
 
     The fitted gloss is subtracted from every observation and the rest, divided by cosθ_i, is averaged by inverse
-    variance; where the gloss is strong its model error makes an observation count for less.
+    variance, without outliers; where the gloss is strong its model error makes an observation count for less.
 
     Parameters
     ----------

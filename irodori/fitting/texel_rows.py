@@ -21,10 +21,11 @@ from irodori.reflection.fresnel import fresnel
 
 #: cosθ_i; the gloss for a lobe's value of 1, F times its factor; the lobe's features; what is not a number; response,
 #: weight, expected variance, weight times cosine and times response; of the last lobe that was summed the gloss for
-#: β = 1 and its slope along log μ; weights at the last scan, before outliers lose theirs, and what outliers keep.
+#: β = 1 and its slope along log μ; weights at the last scan, and before outliers lose theirs; the response that the
+#: variance was taken at.
 (
     COSINE, GLOSS, F0, F1, F2, SPOILED, RESPONSE, WEIGHT, VARIANCE, WEIGHTED_COSINE, WEIGHTED_RESPONSE, LOBE,
-    LOBE_SLOPE, BEFORE, TRUST, SHARE,
+    LOBE_SLOPE, BEFORE, TRUST, ASSUMED,
 ) = range(16)  # fmt: skip
 ROWS = 16
 _ANGLES = RESPONSE  # θ_i, θ_r, θ_H, φ stand in this row and the next three until the responses do
@@ -105,10 +106,6 @@ noise_at = _by_kind(
     lambda noise, i, j, zero: load(noise, i * noise.shape[1] + j * LANES),
     lambda noise, i, j, zero: noise[i, j],
 )
-share_at = _by_kind(
-    "Return what outliers keep of their residual; eight texels are fitted together where there are none.",
-    "rows, j, zero", lambda rows, j, zero: get(rows, SHARE, j), lambda rows, j, zero: 1.0,
-)  # fmt: skip
 
 
 def _put_number(rows, row, j, value, zero):
@@ -225,7 +222,7 @@ def new_rows(observations):
     width = padded(observations)
     rows = aligned(ROWS * width).reshape((ROWS, width))
     for j in range(width):
-        rows[SHARE, j], rows[BEFORE, j] = 1.0, math.nan
+        rows[BEFORE, j] = math.nan
     return rows
 
 

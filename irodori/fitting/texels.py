@@ -6,7 +6,6 @@ from typing import NamedTuple
 import numpy as np
 
 from irodori.fitting import judge
-from irodori.fitting.huber import robust
 from irodori.fitting.observations import (
     Evidence,
     Minimum,
@@ -19,19 +18,20 @@ from irodori.fitting.observations import (
     weigh,
     weights_changed,
 )
+from irodori.fitting.outliers import least_without, two_least
 from irodori.fitting.shared_geometry import Shared, no_shared, padded_nodes, scan_shared, tabulate
-from irodori.fitting.texel_rows import new_rows, pack_geometry, spread_geometry
+from irodori.fitting.texel_rows import TRUST, WEIGHT, new_rows, pack_geometry, spread_geometry
 from irodori.fitting.varpro import SUMS, minimise, scan
 from irodori.fitting.vectorised_texels import NOISY, SURE, fit_eight, new_eight, write_eight
 from irodori.jit.chunks import run_chunks
 from irodori.jit.compilation import njit, uncounted
 from irodori.jit.vector_memory import aligned
 from irodori.jit.vectors import LANES
-from irodori.material.material_file import Status
 from irodori.reflection.lobes import Lobes
 
 _CHUNK = 8192  # texels that a thread fits before it asks for more
-_OK, _UNIDENTIFIABLE = int(Status.OK), int(Status.MU_UNIDENTIFIABLE)
+_WORTH = 9.0  # what leaving out an outlier takes from χ² at least, in multiples of what is left for a degree of freedom
+_AN_OUTLIER_IN = 8  # observations, at most
 
 
 class Problem(NamedTuple):
@@ -107,7 +107,7 @@ def conclude(t, task, room, evidence, found):
     model = judge.DIFFUSE_ALONE
     if rules.low_alpha == 0.0 and nothing <= best:
         model, best = judge.NOTHING, nothing
-    errors = judge.Errors(np.inf, np.inf, np.inf, 0.0, False)
+    errors = judge.Errors(np.inf, np.inf, np.inf, 0.0, False, True)
     evaluations = found.evaluations
     if found.beta > 0.0:
         both = judge.full_errors(rows, lobes, found, used, rules, True)
@@ -125,8 +125,8 @@ def conclude(t, task, room, evidence, found):
             if judge.information_criterion(alone.squares, used, floor, 2.0 * unknown) < best:
                 model, errors, found = judge.GLOSS_ALONE, alone, other
     if model == judge.NOTHING or model == judge.DIFFUSE_ALONE:
-        status = judge.diffuse_status(rows, lobes, clipped, model, diffuse, rules)
-        diffuse_error, squares = judge.diffuse_errors(rows, diffuse, used, rules)
+        diffuse_error, squares, fits = judge.diffuse_errors(rows, diffuse, used, rules)
+        status = judge.diffuse_status(rows, lobes, clipped, model, diffuse, fits, rules)
         variance = max(squares / (used - 1), floor)
         return judge.Verdict(
             status, model, diffuse, 0.0, 0.0, diffuse_error, np.inf, np.inf, squares, variance, evaluations
@@ -177,21 +177,15 @@ def _fit_texel(t, task, room, loaded, out):
     problem, rules, rows, (used, floor) = task.problem, task.rules, room.rows, loaded
     evidence = Evidence(used, floor, weigh(rows, 0.0))
     found = _search(task, room, evidence.fixed)
-    evaluations, settled = found.evaluations, True
+    evaluations = found.evaluations
     if is_noisy(evidence, rules):
         expect_fitted(rows, problem, rules, found, every_lane())
         evidence = Evidence(used, floor, weigh(rows, 0.0))
         found = _search(task, room, evidence.fixed)
         evaluations += found.evaluations
-    if rules.huber > 0.0:
-        fixed, found, settled = robust(rows, problem, rules)
-        evidence = Evidence(used, floor, fixed)
-        _scan(task, room)
-        evaluations += found.evaluations + problem.nodes.size
     found = Minimum(found.alpha, found.beta, found.log_mu, evaluations)
+    evidence, found = without_outliers(task, room, evidence, found)
     write(out, t, conclude(t, task, room, evidence, found), evidence.fixed)
-    if not settled:
-        leave_gloss_open(out, t)
 
 
 @njit(cache=True, forceinline=True)
@@ -201,10 +195,71 @@ def is_noisy(evidence, rules):
 
 
 @uncounted()
-def leave_gloss_open(out, t):
-    """Take back that the gloss of a texel is determined."""
-    if out.status[t] == _OK:
-        out.status[t] = _UNIDENTIFIABLE
+def _copy_row(rows, source, target):
+    for j in range(rows.shape[1]):
+        rows[target, j] = rows[source, j]
+
+
+@uncounted(error_model="numpy")
+def _chi2(rows, lobes, found, rules):
+    return judge.sums_at_minimum(rows, lobes, found, rules, True)[1]
+
+
+@uncounted(error_model="numpy")
+def _searched_without(j, task, room):
+    """Return the `Minimum` without observation j, and its χ²; the weights are left without it."""
+    rows = room.rows
+    rows[WEIGHT, j] = 0.0
+    found = _search(task, room, weigh(rows, 0.0))
+    return found, _chi2(rows, task.problem.lobes, found, task.rules)
+
+
+@uncounted(error_model="numpy")
+def without_outliers(task, room, evidence, found):
+    """Return the `Evidence` and the `Minimum` without readings that alone deny the model: a shadow, a doubled one.
+
+    Where χ² is not allowed, observations are left out one by one: of the two without which the sum of squares could be
+    least, the one without which χ² is least. Where what is left still denies the model, or an observation is not worth
+    `_WORTH` times what the others leave unexplained on average, none is an outlier and nothing is left out. The rows
+    are left with the weights and the scan's sums of what is returned.
+    """
+    problem, rules, rows = task.problem, task.rules, room.rows
+    lobes, start, used, evaluations = problem.lobes, found, evidence.used, found.evaluations
+    chi2 = _chi2(rows, lobes, found, rules)
+    if judge.allowed(chi2, float(max(used - judge.PARAMETERS, 1)), rules):
+        return evidence, found
+    most = int(max(1, used // _AN_OUTLIER_IN))
+    _copy_row(rows, WEIGHT, TRUST)
+    for _ in range(most):
+        if used - 1 <= judge.PARAMETERS + 1:
+            break
+        used -= 1
+        fixed = weigh(rows, 0.0)
+        _scan(task, room)
+        least_without(rows, problem, fixed, box_of(rules), room.sums)
+        first, second = two_least(rows)
+        weight = rows[WEIGHT, first]
+        found, rest = _searched_without(first, task, room)
+        if second >= 0:
+            rows[WEIGHT, first], other_weight = weight, rows[WEIGHT, second]
+            other, other_rest = _searched_without(second, task, room)
+            if other_rest < rest:
+                found, rest = other, other_rest
+            else:
+                rows[WEIGHT, first], rows[WEIGHT, second] = 0.0, other_weight
+        degrees = float(max(used - judge.PARAMETERS, 1))
+        if not chi2 - rest > _WORTH * max(rest / degrees, 1.0):
+            break
+        chi2 = rest
+        if judge.allowed(rest, degrees, rules):
+            fixed = weigh(rows, 0.0)
+            _scan(task, room)
+            found = Minimum(found.alpha, found.beta, found.log_mu, evaluations + found.evaluations)
+            return Evidence(used, evidence.floor, fixed), found
+    _copy_row(rows, TRUST, WEIGHT)
+    fixed = weigh(rows, 0.0)
+    _scan(task, room)
+    return Evidence(evidence.used, evidence.floor, fixed), start
 
 
 @uncounted()
@@ -244,7 +299,7 @@ def _fit_chunk(problem, rules, shared, out, first, last):
 def _fit_range(task, room, eight, out, first, last):
     """Fit texels eight at a time, and alone those that are not done then."""
     problem, rules, shared = task
-    together = rules.huber == 0.0 and (problem.geometry.shape[0] > 1 or shared.nodes.shape[1] > 0)
+    together = problem.geometry.shape[0] > 1 or shared.nodes.shape[1] > 0
     for batch in range(first, last, LANES):
         done = fit_eight(problem, shared, rules, batch, last, eight) if together else 0
         write_eight(eight.results, done, batch, out)

@@ -497,7 +497,7 @@ def errors_of(room, given, at, found, used, out):
         variance *= excess * scale[i] * scale[i]
         common = 0.0
         if i in (0, 1, 3):
-            common = rules.model_error * (a if i == 0 else b1 if i == 1 else b2)
+            common = rules.level_error * (a if i == 0 else b1 if i == 1 else b2)
         out[i] = math.sqrt(max(variance, 0.0) + common * common)
 
 

@@ -1,8 +1,8 @@
 """Variable projection of eight texels at once, for the ordinary case.
 
 A texel takes this way where one interval of the scan certainly holds the lowest minimum, no other comes near, and the
-data calls for both diffuse light and gloss. Every formula is that of one texel (`irodori.fitting.texels`); where a lane
-meets anything else it is handed back, to be fitted alone.
+data calls for both diffuse light and gloss, and allows them. Every formula is that of one texel
+(`irodori.fitting.texels`); where a lane meets anything else it is handed back, to be fitted alone.
 """
 
 from typing import NamedTuple
@@ -108,7 +108,9 @@ def _judge(rows, lobes, evidence, found, rules, results):
     if not rules.low_beta > 0.0:
         unknown = log(upper_of(used, 1.0))
         plain = plain & (judge.information_criterion(squares, used, floor, 3.0 * unknown) < simpler)
-    status = judge.gloss_status_of(found, judge.Errors(alpha, beta, along, squares, seen), rules)
+    fits = judge.allowed(chi2, upper_of(used - 3.0, 1.0), rules)
+    plain = plain & fits
+    status = judge.gloss_status_of(found, judge.Errors(alpha, beta, along, squares, seen, fits), rules)
     variance = upper_of(squares / (used - judge.PARAMETERS), floor)
     for column, value in (
         (judge.ALPHA, a), (judge.BETA, b), (judge.LOG_MU, log_mu), (judge.ALPHA_ERROR, alpha),

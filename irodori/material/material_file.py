@@ -39,6 +39,7 @@ class Status(IntEnum):
     SATURATED = 6  # the camera clips where the highlight is
     DARK = 7  # no light beyond the noise
     PAINT = 8  # β and μ are mostly those of its paint, which its own observations allow
+    CONTRADICTED = 9  # the observations deny the model that explains them best by more than their errors
 
 
 def gloss_names(component: int) -> tuple[str, str]:

@@ -28,7 +28,6 @@ from irodori.core import store
 from irodori.core.confined_paths import confined
 from irodori.core.errors import InputError
 from irodori.core.yaml_files import read_yaml
-from irodori.fitting.solvers import FitOptions
 from irodori.geometry.mesh_files import read_mesh
 from irodori.geometry.mesh_sources import mesh_files
 from irodori.light.environment_file import Environment
@@ -409,12 +408,3 @@ def test_an_environment_with_a_number_that_is_none_is_refused(tmp_path, name):
     replace(whole, **{name: first_is(getattr(whole, name), np.nan)}).save(path, MADE)
     with pytest.raises(InputError, match=rf"sky\.h5: {name}: found"):
         Environment.load(path)
-
-
-@pytest.mark.parametrize("huber", [0, 0.0, -1.0, float("nan")])
-def test_a_huber_threshold_of_nothing_is_refused_wherever_it_is_given(root, huber):
-    with pytest.raises(ValueError, match=r"fit\.huber .*accepted: a number above 0"):
-        FitOptions(huber=huber)
-    edit(root, "config.yaml", "fit.huber", huber)
-    found = fault(root)
-    assert found.field == "fit.huber"

@@ -157,7 +157,7 @@ def test_standard_errors_cover_the_scatter_of_repeated_measurements():
     alpha, beta, mu = 0.3, 8.0, 0.12
     rng = np.random.default_rng(7)
     truth = np.broadcast_to(model(alpha, beta, mu), (600, len(GEOMETRY)))
-    result = run(truth + 0.03 * rng.normal(size=truth.shape), model_error=1e-4, pose_error_deg=0.0)
+    result = run(truth + 0.03 * rng.normal(size=truth.shape), level_error=0.0, pose_error_deg=0.0)
     assert (result.status == Status.OK).mean() > 0.95
     ok = result.status == Status.OK
     for name, true in (("alpha", alpha), ("beta", beta), ("mu", mu)):

@@ -227,7 +227,6 @@ def test_matt_and_unseen_texels_are_as_with_one_lobe():
             "fit.refractive_index 'fitted' of an object with two",
         ),
         ({"lobes": ("ggx", "ggx"), "solver": "nlopt"}, "fit.solver 'nlopt' of an object with two lobes"),
-        ({"lobes": ("ggx", "ggx"), "huber": 2.0}, "fit.huber 2.0 of an object with two lobes"),
     ],
 )
 def test_what_cannot_be_fitted_is_refused(options, message):

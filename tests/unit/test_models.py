@@ -100,9 +100,7 @@ def test_what_is_no_definition_is_refused(cls, given, message):
         getattr(models, cls).of(given)
 
 
-def test_null_is_kept_where_it_is_a_value_and_left_out_where_a_key_is_absent():
-    config = validate({"make": {}}, "config", "x")
-    assert models.Config.of(config).fit.plain()["huber"] is None
+def test_an_absent_key_is_left_out():
     assert "distance_mm" not in models.RigLight(spectrum="D65").plain()
 
 

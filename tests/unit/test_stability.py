@@ -88,15 +88,14 @@ def all_at_once(noise, seed=0):
 
 
 @pytest.mark.stability(stage="fit", case="all of part D together")
-@pytest.mark.parametrize("huber", [None, 2.0])
 @pytest.mark.parametrize("kind", [np.float32, np.float64])
 @pytest.mark.parametrize("scale", [1e-6, 1e6])
 @pytest.mark.parametrize("noise", [0.0, 0.05])
-def test_every_material_in_every_pose_spoiled_in_every_way_ends_finite_or_flagged(noise, scale, kind, huber):
+def test_every_material_in_every_pose_spoiled_in_every_way_ends_finite_or_flagged(noise, scale, kind):
     names, response, geometry, weight, clipped = all_at_once(noise)
     bounds = {"alpha": (0.0, 2.0 * scale), "beta": (0.0, 1e4 * scale), "mu_rad": (0.005, 1.2)}
     for camera in (None, CAMERA * [scale**2, scale]):
-        options = FitOptions(bounds=bounds, huber=huber)
+        options = FitOptions(bounds=bounds)
         result = fit_texels((scale * response).astype(kind), geometry.astype(kind), weight.astype(kind), N, K, options,
                             noise=camera, clipped=clipped)  # fmt: skip
         # An outlier taken for a lobe at the bound of μ cannot be told from α: both are open, and the status says so.

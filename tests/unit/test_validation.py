@@ -195,12 +195,6 @@ def test_numbers_that_yaml_reads_as_text_are_explained(text, write):
     assert isinstance(yaml.safe_load(write), float)
 
 
-def test_a_number_that_may_be_null():
-    assert validate({"make": {}, "fit": {"huber": None}}, "config", "x")["fit"]["huber"] is None
-    error = refused({"make": {}, "fit": {"huber": "much"}}, "config")
-    assert error.field == "fit.huber" and "a number above 0 up to 1000, or null" in error.accepted
-
-
 def test_a_key_that_is_not_text():
     error = refused(yaml.safe_load("{make: {scenes: []}, on: 1}"), "config")
     assert "True" in error.found and "quotes" in error.accepted

@@ -5,7 +5,7 @@ from irodori.config.validation import suggest
 from irodori.core.errors import InputError
 
 #: Settings of the fit that an object with two lobes must leave as they are.
-SETTINGS_WITH_TWO_LOBES = {"solver": "varpro", "refractive_index": "fixed", "huber": None}
+SETTINGS_WITH_TWO_LOBES = {"solver": "varpro", "refractive_index": "fixed"}
 
 
 def check_lobes(definition: Object, fit: Fit, file) -> None:
@@ -21,8 +21,7 @@ def check_lobes(definition: Object, fit: Fit, file) -> None:
     for key, accepted in SETTINGS_WITH_TWO_LOBES.items():
         found = getattr(fit, key)
         if found != accepted:
-            stated = "null" if accepted is None else accepted
-            raise InputError(file, "lobes", f"two lobes with fit.{key}: {found}", f"one lobe, or fit.{key}: {stated}")
+            raise InputError(file, "lobes", f"two lobes with fit.{key}: {found}", f"one lobe, or fit.{key}: {accepted}")
 
 
 def _check_names(definition: Object, file) -> None:
