@@ -340,7 +340,7 @@ VALUES = st.floats(-1e6, 1e6, width=32) | st.sampled_from([np.nan, np.inf])
     known=st.booleans(),
     scale=st.sampled_from([1e-6, 1.0]),
 )  # fmt: skip
-@settings(deadline=None, max_examples=75)
+@settings(deadline=None, max_examples=150)
 def test_whatever_the_data_the_fit_ends_finite_or_flagged(response, angles, weight, clipped, huber, known, scale):
     noise = np.tile([1e-6, 1e-5], (11, 1)) if known else None
     with np.errstate(invalid="ignore", over="ignore"):
