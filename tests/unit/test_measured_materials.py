@@ -63,6 +63,7 @@ def test_outliers_are_counted_and_left_out():
 
 
 @needs_data
+@pytest.mark.heavy
 @pytest.mark.parametrize("name", materials.MATERIALS)
 def test_measured_materials_are_fitted_to_the_minimum_and_better_than_by_lambert(name):
     for measured in materials.read(name):
