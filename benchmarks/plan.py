@@ -69,7 +69,7 @@ def prepare_all(parts: Parts):
     """Prepare a scene as it is rendered without a plan."""
     gloss = GlossMaps.of(parts.environment.coefficients)
     scene = (parts.objects, light_of(parts.environment), gloss, parts.tracer, "spectral", parts.white)
-    options = {"max_bounces": _BOUNCES, "least_throughput": _LEAST_THROUGHPUT, "half": False, "ambient": True}
+    options = {"max_bounces": _BOUNCES, "least_throughput": _LEAST_THROUGHPUT, "ambient": True}
     return prepare_scene(*scene, lamps=parts.lamp_spectra, **options)
 
 

@@ -47,7 +47,6 @@ VARIANTS = {
     "coefficients": ("coefficients", {}, {}),
     "coefficients, all bounces": ("coefficients", {"least_throughput": 0.0}, {}),
     "coefficients, cut at 1e-2": ("coefficients", {"least_throughput": 1e-2}, {}),
-    "coefficients, single precision": ("coefficients", {"half": False}, {}),
     "coefficients, camera rests": ("coefficients", {}, {"keep_visibility": True}),
     "coefficients, ambient": ("coefficients", {"ambient": True}, {}),
     "spectral, ambient": ("spectral", {"ambient": True}, {}),

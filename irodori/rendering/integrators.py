@@ -234,7 +234,6 @@ class _Interactive(Renderer):
             lamps=lights.spectrum[:, :BANDS],
             max_bounces=self.scene.max_bounces,
             least_throughput=self.options.min_throughput,
-            half=False,
             ambient=ambient,
             reflected=reflected,
         )

@@ -79,7 +79,6 @@ def prepared(parts: Parts, decoded: Decoded | None = None) -> Prepared:
         lamps=parts.lamps,
         max_bounces=parts.max_bounces,
         least_throughput=parts.least_throughput,
-        half=False,
         ambient=parts.ambient,
     )
     if decoded is not None and decoded.maps.sky is not None:

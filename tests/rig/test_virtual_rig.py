@@ -159,6 +159,7 @@ def test_shadow_rays_are_left_out_only_where_nothing_can_shade(definitions, perf
     np.testing.assert_array_equal(short, traced)
 
 
+@pytest.mark.heavy
 def test_cameras_that_share_what_they_see_take_the_same_pictures(definitions, tmp_path):
     camera, faulty = definitions["cameras"]["d5100-comb"], definitions["rigs"]["virtual"]
     subject = uniform(definitions, "tile-plate")

@@ -49,14 +49,14 @@ def refusal(picture, valid=None) -> str:
 @pytest.mark.parametrize(
     ("pitch", "turn_deg", "tilt", "noise", "blur_px", "light", "distortion", "tolerance_px"),
     [
-        pytest.param(90, 180, 0.0, 0.003, 0, None, 0.0, 0.2, id="upside down"),
+        pytest.param(90, 180, 0.0, 0.003, 0, None, 0.0, 0.2, id="upside down", marks=pytest.mark.heavy),
         pytest.param(75, 37, 0.3, 0.003, 0, None, 0.0, 0.2, id="turned and tilted"),
         pytest.param(85, -8, 0.7, 0.003, 0, None, 0.0, 0.2, id="tilted by 45 degrees", marks=pytest.mark.heavy),
         pytest.param(90, 183, 0.2, 0.05, 0, None, 0.0, 0.4, id="noise of 5 percent"),
         pytest.param(90, 3, 0.0, 0.005, 3, None, 0.0, 1.0, id="out of focus", marks=pytest.mark.heavy),
         pytest.param(90, 3, 0.0, 0.003, 0, (0.5, 0.6), 0.0, 0.3, id="uneven light", marks=pytest.mark.heavy),
         pytest.param(95, 3, 0.0, 0.003, 0, None, -0.05, 0.2, id="barrel distortion", marks=pytest.mark.heavy),
-        pytest.param(20, 3, 0.0, 0.003, 0, None, 0.0, 0.2, id="small"),
+        pytest.param(20, 3, 0.0, 0.003, 0, None, 0.0, 0.2, id="small", marks=pytest.mark.heavy),
     ],
 )
 def test_a_chart_is_found_whichever_way_it_lies(
@@ -105,9 +105,8 @@ def test_a_saturated_white_patch_does_not_hide_the_chart():
 
 
 @pytest.mark.stability(stage="calibrate", case="chart of 140 patches without corners")
-@pytest.mark.parametrize(
-    ("pitch", "turn_deg"), [(45, 2.0), pytest.param(33, 207.0, marks=pytest.mark.heavy)], ids=["upright", "upside down"]
-)
+@pytest.mark.heavy
+@pytest.mark.parametrize(("pitch", "turn_deg"), [(45, 2.0), (33, 207.0)], ids=["upright", "upside down"])
 def test_a_chart_of_140_patches_whose_letters_run_across_is_found(pitch, turn_deg):
     spectra = large_chart()
     lying = spectra.reshape(14, 10, -1).swapaxes(0, 1).reshape(140, -1)

@@ -51,6 +51,7 @@ def test_knowing_the_variance_of_a_pixel_goes_well_under_the_bound(noise):
     assert found(FIRST, noise, "local", stated=True)[0] <= 0.97 * found(FIRST, noise, "bound")[0]
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("noise", NOISES)
 @pytest.mark.parametrize("camera", CAMERAS[1:])
 def test_other_cameras_reach_their_bound(camera, noise):
@@ -58,12 +59,14 @@ def test_other_cameras_reach_their_bound(camera, noise):
     assert found(names, noise, "local")[0] <= 1.002 * found(names, noise, "bound")[0]
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("noise", NOISES)
 def test_the_larger_chart_reaches_the_bound(noise):
     names = (CAMERAS[0], "sg", "munsell")
     assert found(names, noise, "local")[0] <= found(names, noise, "bound")[0]
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("noise", NOISES)
 @pytest.mark.parametrize("train", ["classic", "sg"])
 def test_other_materials_are_recovered_better_than_by_the_pseudo_inverse(train, noise):
@@ -81,6 +84,7 @@ def test_other_materials_reach_the_linear_bound_at_little_noise(noise):
     assert found(names, noise, "kernel", 8)[0] >= 1.02 * found(names, noise, "kernel")[0]
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("noise", NOISES[:2])
 @pytest.mark.parametrize("camera", CAMERAS[:2])
 def test_the_larger_chart_reaches_the_bound_on_other_materials(camera, noise):

@@ -172,7 +172,7 @@ def test_standard_errors_cover_the_scatter_of_repeated_measurements():
     n=st.floats(0.05, 4.0),
     k=st.floats(0.0, 8.0),
 )
-@settings(deadline=None, max_examples=80)
+@settings(deadline=None, max_examples=40)
 def test_parameters_stay_within_bounds_whatever_the_data(response, angles, weight, n, k):
     bounds = {"alpha": (0.0, 0.7), "beta": (0.0, 3.0), "mu_rad": (0.02, 0.5)}
     result = run(response, angles, weight, n=n, k=k, bounds=bounds)

@@ -238,7 +238,7 @@ def test_an_eye_exactly_in_the_plane_of_a_flat_shape_sees_what_the_tracer_says(s
     objects, _ = make_objects(placements, [material(0.5, mirror=0.2)] * 2)
     light = constant_light()
     gloss, white = gloss_maps(light), light.upward_white()
-    ready = prepare_scene(objects, light_of(light), gloss, Tracer(placements), "coefficients", white, half=False)
+    ready = prepare_scene(objects, light_of(light), gloss, Tracer(placements), "coefficients", white)
     everything = dataclasses.replace(ready, world=ready.world._replace(bounded=0))
     eye = rotation_xyz(turn) @ np.array([-30.0, -70.0, 0.0])
     definition = {"position_mm": eye, "target_mm": [3.0, 5.0, 4.0], "up": [0.0, 0.0, 1.0], "field_of_view_deg": 90.0}

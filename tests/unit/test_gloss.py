@@ -47,11 +47,11 @@ def looked_up(level, unit):
 def test_blurred_light_is_the_sum_over_the_pixels_at_poles_and_seam_too(place):
     rng = np.random.default_rng(1)
     coefficients = rng.uniform(0, 1, (64, 128, 2)).astype(np.float32)
-    unit = rng.normal(size=(60, 3))
+    unit = rng.normal(size=(20, 3))
     if place is not None:
         coefficients *= 1e-6
         coefficients[place] = [1e3, 10.0]
-        unit[:30] = directions(128, 64)[0][place] + 0.03 * unit[:30]
+        unit[:10] = directions(128, 64)[0][place] + 0.03 * unit[:10]
     unit = np.concatenate([unit / np.linalg.norm(unit, axis=1, keepdims=True), [[0, 0, 1.0], [0, 0, -1.0]]])
     first, levels = prefiltered(coefficients)
     assert first + len(levels) == len(WIDTHS_RAD) and WIDTHS_RAD[first] < 2 * np.pi / 64
@@ -121,7 +121,7 @@ def test_only_the_widths_that_are_asked_for_are_made():
             assert one == pytest.approx(other, rel=5e-3)
 
 
-@pytest.mark.parametrize("size", [(32, 64), (33, 50), (200, 400)])
+@pytest.mark.parametrize("size", [(32, 64), (33, 50), (100, 200)])
 def test_constant_light_stays_constant_when_blurred(size):
     for level in prefiltered(np.full((*size, 1), 3.0, np.float32))[1]:
         assert np.abs(level / 3.0 - 1.0).max() <= 0.01
@@ -161,7 +161,7 @@ def test_the_fitted_lobes_are_the_true_ones_under_the_horizon_too_and_keep_their
     for i, mu in enumerate(lobes.mu):
         for j, theta_r in enumerate(lobes.theta_r):
             # Not the samples of the fit.
-            direction, value, _, solid_angle = lobe_samples(mu, theta_r, (150, 60), name)
+            direction, value, _, solid_angle = lobe_samples(mu, theta_r, (90, 32), name)
             found = rebuilt(lobes, i, j, direction)
             power = (value * solid_angle).sum()
             assert (found * solid_angle).sum() == pytest.approx(power, rel=0.03 if theta_r < 1.3 else 0.08)
@@ -175,7 +175,7 @@ def test_the_fitted_lobes_are_the_true_ones_under_the_horizon_too_and_keep_their
 
 #: Entries that take little time, of smooth and rough lobes, to grazing; none of normal view: there, two lobes
 #: on either side are as good, and rounding says which is taken.
-@pytest.mark.parametrize("entry", [(5, 1), (2, 8), (3, 9), (6, 5), (8, 10), (10, 9)])
+@pytest.mark.parametrize("entry", [(5, 1), (3, 9), (10, 9)])
 @pytest.mark.parametrize("name", names())
 def test_a_table_is_what_its_module_makes(name, entry):
     lobes, (i, j) = fitted_lobes(name), entry
@@ -382,6 +382,7 @@ def test_what_reflects_nothing_gives_nothing(constant):
     assert np.isfinite(gloss_radiance(tables, -up, -up, 1.0, 0.1, (1.5, 0.0))).all()
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize(("name", "lobe"), [("museum", "gaussian"), ("hall", "gaussian"), ("hall", "ggx")])
 def test_the_errors_under_a_photographed_place(name, lobe):
     path = DATA / "environments" / f"{name}.exr"

@@ -163,8 +163,7 @@ def interactive(components, light, n=1.5, k=0.0, lamps=(), size=(41, 41)):
     placements = [Placement(shape, translation_mm=np.array(p)) for shape, p in zip(shapes, places, strict=True)]
     objects, _ = make_objects(placements, materials)
     ready = prepare_scene(objects, light_of(light), gloss_maps(light), Tracer(placements),
-                          "coefficients", ONES, lamps=np.ones((len(lamps), 61)), least_throughput=0.0,
-                          half=False)  # fmt: skip
+                          "coefficients", ONES, lamps=np.ones((len(lamps), 61)), least_throughput=0.0)  # fmt: skip
     seen = {"position_mm": (0.0, -200.0, 0.0), "target_mm": (0.0, 0.0, 0.0), "up": (0.0, 0.0, 1.0),
             "field_of_view_deg": 13.0}  # fmt: skip
     view = make_view(made(View, seen), Size(width=size[0], height=size[1]))

@@ -346,6 +346,7 @@ def test_a_sphere_of_triangles_has_the_texels_of_the_sphere(rings):
     assert np.linalg.norm(normal - direction, axis=-1)[known].max() < 1.5 * bound
 
 
+@pytest.mark.heavy
 def test_a_million_triangles_are_a_mesh_like_any_other():
     rings, segments = 500, 1000
     shape = Shape.from_mesh(make_mesh(*ball(30.0, rings, segments)))

@@ -179,8 +179,9 @@ def still_life(samples, **options):
 
 
 def test_error_bars_tell_how_far_a_picture_is_from_its_limit():
-    limit = still_life(8192, seed=99)
-    for samples in (128, 1024):
+    # The error of the limit is a part of the error that is stated, so that it need not be small.
+    limit = still_life(2048, seed=99)
+    for samples in (128, 512):
         picture = still_life(samples)
         bands = [0, 1, 30]
         error = np.hypot(picture.standard_error, limit.standard_error)[..., bands]
@@ -194,13 +195,13 @@ def test_error_bars_tell_how_far_a_picture_is_from_its_limit():
 
 
 def test_the_error_falls_with_the_samples():
-    coarse, fine = (still_life(samples).standard_error[..., 30] for samples in (32, 2048))
-    assert np.sqrt((fine**2).mean()) <= np.sqrt((coarse**2).mean()) / 8 * 1.3
+    coarse, fine = (still_life(samples).standard_error[..., 30] for samples in (32, 512))
+    assert np.sqrt((fine**2).mean()) <= np.sqrt((coarse**2).mean()) / 4 * 1.3
 
 
 @pytest.mark.heavy
 def test_two_sets_need_fewer_samples_than_eight_and_know_their_error():
-    limit = still_life(8192, seed=9).radiance[..., 30].astype(float)
+    limit = still_life(2048, seed=9).radiance[..., 30].astype(float)
 
     def errors(replicates):
         pictures = [still_life(64, seed=seed, replicates=replicates) for seed in range(4)]

@@ -83,7 +83,7 @@ def half_density(name: str, mu: float, theta: float, phi, azimuth) -> np.ndarray
 
 
 @every_lobe
-@settings(deadline=None, max_examples=200)
+@settings(deadline=None, max_examples=100)
 @given(share=SHARES, theta_i=ANGLES, theta_r=ANGLES, azimuth=AZIMUTHS)
 @example(share=0.0, theta_i=1.5, theta_r=1.5, azimuth=math.pi)
 def test_light_and_view_may_be_exchanged(name, share, theta_i, theta_r, azimuth):
@@ -118,7 +118,7 @@ def _difference(function, order: int, step: float) -> float:
 
 
 @every_lobe
-@settings(deadline=None, max_examples=150)
+@settings(deadline=None, max_examples=100)
 @given(share=SHARES, widths=st.floats(0.0, 4.0), theta_r=st.floats(0.0, 1.4), azimuth=AZIMUTHS)
 @example(share=0.0, widths=0.0, theta_r=0.0, azimuth=0.0)
 @example(share=0.0, widths=1.0, theta_r=1.4, azimuth=math.pi)
@@ -232,7 +232,7 @@ WIDTHS = pytest.mark.parametrize("mu", [0.005, 0.08, 0.5, 1.2])
 
 
 @every_lobe
-@settings(deadline=None, max_examples=200)
+@settings(deadline=None, max_examples=100)
 @given(
     share=SHARES,
     theta=st.floats(0.0, math.pi / 2),
@@ -317,7 +317,7 @@ def _ggx_of_the_papers(alpha, cos_i, cos_r, cos_m, context=np):
     return d, 1 / (1 + slope(cos_i)), 1 / (1 + slope(cos_r)), 1 / (1 + slope(cos_i) + slope(cos_r))
 
 
-@settings(deadline=None, max_examples=200)
+@settings(deadline=None, max_examples=100)
 @given(share=SHARES, theta_i=ANGLES, theta_r=ANGLES, azimuth=AZIMUTHS)
 def test_ggx_is_that_of_the_papers(share, theta_i, theta_r, azimuth):
     mu, seen = roughness("ggx", share), geometry(theta_i, theta_r, azimuth)
@@ -372,7 +372,7 @@ def test_visible_facets_of_ggx_fill_the_view(mu, theta):
 # --- the Gaussian --------------------------------------------------------------------------------------------------
 
 
-@settings(deadline=None, max_examples=200)
+@settings(deadline=None, max_examples=100)
 @given(share=SHARES, theta_i=ANGLES, theta_r=ANGLES, azimuth=AZIMUTHS)
 def test_the_gaussian_is_that_of_equation_5(share, theta_i, theta_r, azimuth):
     mu, seen = roughness("gaussian", share), geometry(theta_i, theta_r, azimuth)
@@ -435,9 +435,9 @@ def test_the_albedo_errs_by_no_more_than_it_says(name):
 @pytest.mark.parametrize("mu", [0.1, 0.5, 1.2])
 def test_albedo_is_the_integral_over_the_light(name, mu):
     theta_r = 0.8
-    step = math.pi / 2 / 2400
-    theta = (np.arange(2400) + 0.5) * step
-    azimuth = (np.arange(600) + 0.5) * math.pi / 600
+    step = math.pi / 2 / 1000
+    theta = (np.arange(1000) + 0.5) * step
+    azimuth = (np.arange(240) + 0.5) * math.pi / 240
     value = evaluate(name, mu, geometry(theta[:, None], theta_r, azimuth[None]))
-    total = 2.0 * (value * np.sin(theta)[:, None]).sum() * step * math.pi / 600 / math.pi
+    total = 2.0 * (value * np.sin(theta)[:, None]).sum() * step / 240
     assert albedo_table(name, mu, math.cos(theta_r)).albedo[0, 0] == pytest.approx(total, rel=1e-4)

@@ -117,7 +117,6 @@ def prepare_scene(
     lamps: np.ndarray = _NO_LAMPS,
     max_bounces: int = 5,
     least_throughput: float = 1e-3,
-    half: bool = True,
     ambient: bool = False,
     quadrature: Quadrature | None = None,
     reflected: int = REFLECTED,
@@ -145,8 +144,6 @@ def prepare_scene(
         Mirror reflections to follow.
     least_throughput : float
         Under which a path ends.
-    half : bool
-        Whether the environment and its blurred light are stored in half precision.
     ambient : bool
         Whether shapes hide light from all sides from each other, and meshes from themselves, see
         `irodori.rendering.interactive.ambient`. In a scene with meshes rays are cast for it, once for the same shapes
@@ -177,7 +174,7 @@ def prepare_scene(
     query = make_query(_COHERENT)
     functions = (tracer.intersect16_address, tracer.occluded16_address, query.ctypes.data)
     scene = objects, light, gloss, tracer, channels, functions
-    world = make_world(*scene, half=half, ambient=ambient, spare=spare_texels)
+    world = make_world(*scene, ambient=ambient, spare=spare_texels)
     limits = PathLimits(
         max_bounces, least_throughput, least_throughput / TAPS, TRACED, 1 + min(max_bounces, _KEPT_REFLECTIONS)
     )

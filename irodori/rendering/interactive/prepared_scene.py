@@ -54,7 +54,7 @@ class PreparedWorld(NamedTuple):
     texture_first: np.ndarray  # (objects,) int64
     texture_stride: np.ndarray  # (objects,) int64
     index: np.ndarray  # type: ignore[assignment]  # n, then k, of each object; hides the method of tuples
-    environment: np.ndarray  # uint16 for half precision
+    environment: np.ndarray
     environment_first: np.ndarray  # (levels,) int64
     environment_side: np.ndarray  # (levels,) int32
     environment_levels: int  # 0 where no light is looked up in it; so the irradiance's side and the gloss' levels
@@ -218,29 +218,19 @@ def levels_by_lobe(objects: Objects, traced: tuple[bool, ...] | None = None, who
     return found
 
 
-def make_gloss(gloss: GlossMaps, channels: Channels, half: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def make_gloss(gloss: GlossMaps, channels: Channels) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the blurred light, flat, with where each level begins and its side."""
     # Texels in the middle of a face are as wide as the maps' rows are high.
     sides = [int(np.ceil(level.shape[0] * 2.0 / np.pi)) for level in gloss.levels]
     first = np.cumsum([0] + [FACES * (side + 2) ** 2 * 2 * channels.light for side in sides])
-    flat, stored = np.zeros(first[-1], np.float16 if half else np.float32), len(channels.stored_from_light)
+    flat, stored = np.zeros(first[-1], np.float32), len(channels.stored_from_light)
     for number, side in enumerate(sides):
         there = flat[first[number] : first[number + 1]].reshape(FACES, side + 2, side + 2, 2, channels.light)
         for place, level in enumerate((number, min(number + 1, len(sides) - 1))):
             for face, found in enumerate(from_equirectangular(gloss.levels[level], side)):
                 there[face, :, :, place, :stored] = found @ channels.stored_from_light.T
             give_back(gloss.levels[level])
-    return flat.view(np.uint16) if half else flat, first[:-1].astype(np.int64), np.array(sides, dtype=np.int32)
-
-
-def _stored_scaled(channels: Channels, scale: np.ndarray) -> Channels:
-    """Return the channels for light that is stored divided by a scale."""
-    return replace(
-        channels,
-        stored_from_light=channels.stored_from_light / scale[:, None],
-        xyz_from_light=channels.xyz_from_light * scale,
-        colour_from_light=channels.colour_from_light * scale,
-    )
+    return flat, first[:-1].astype(np.int64), np.array(sides, dtype=np.int32)
 
 
 def make_query(flags: int) -> np.ndarray:
@@ -261,10 +251,10 @@ def environment_fields(pyramid: CubePyramid) -> dict:
     }
 
 
-def _light_fields(light: Light, gloss: GlossMaps, pyramid: CubePyramid, channels: Channels, half: bool) -> dict:
-    """Return a `PreparedWorld`'s fields that are looked up in light; ``channels`` are those of the scaled pyramid."""
+def _light_fields(light: Light, gloss: GlossMaps, pyramid: CubePyramid, channels: Channels) -> dict:
+    """Return a `PreparedWorld`'s fields that are looked up in light."""
     irradiance, irradiance_side = make_irradiance(light, channels)
-    blurred, gloss_first, gloss_side = make_gloss(gloss, channels, half)
+    blurred, gloss_first, gloss_side = make_gloss(gloss, channels)
     return environment_fields(pyramid) | {
         "irradiance": irradiance,
         "irradiance_side": irradiance_side,
@@ -320,7 +310,6 @@ def make_world(
     channels: Channels,
     functions: tuple[int, int, int],
     *,
-    half: bool,
     ambient: bool,
     spare: int,
 ) -> PreparedWorld:
@@ -333,8 +322,6 @@ def make_world(
     channels : Channels
     functions : (int, int, int)
         Addresses of rtcIntersect16, rtcOccluded16 and of their arguments.
-    half : bool
-        Whether the environment and its blurred light are stored in half precision.
     ambient : bool
         Whether objects hide light from all sides.
     spare : int
@@ -342,9 +329,8 @@ def make_world(
     """
     columns, rows = light.size[0]
     picture = light.pixels[: columns * rows].reshape(rows, columns, light.pixels.shape[1])
-    pyramid = environment_pyramid(picture, channels.stored_from_light, channels.light, half)
-    channels = _stored_scaled(channels, pyramid.scale)
-    fields = _light_fields(light, needed_gloss(gloss, objects), pyramid, channels, half)
+    pyramid = environment_pyramid(picture, channels.stored_from_light, channels.light, half=False)
+    fields = _light_fields(light, needed_gloss(gloss, objects), pyramid, channels)
     fields |= _surface_fields(objects, tracer, channels, spare) | colour_fields(channels)
     reflected = np.stack([channels.reflected(mean) for mean in mean_spectra(objects)])
     reflects = ambient and fields["irradiance_side"] > 0

@@ -273,7 +273,6 @@ def prepare(
         lamps=parts.lamp_spectra,
         max_bounces=model.max_bounces,
         least_throughput=model.least_throughput,
-        half=False,
         ambient=model.ambient,
         quadrature=quadrature,
         spare_texels=spare_texels,

@@ -44,8 +44,7 @@ def prepared(shapes, materials, light, representation="coefficients", *, places=
     objects, _ = make_objects(placements, materials)
     white = light.upward_white() if white is None else white
     maps = gloss_maps(light)
-    scene = objects, light_of(light), maps, Tracer(placements), representation, white
-    return prepare_scene(*scene, half=False, **options)
+    return prepare_scene(objects, light_of(light), maps, Tracer(placements), representation, white, **options)
 
 
 def view_of(position=(0.0, -200.0, 0.0), target=(0.0, 0.0, 0.0), size=(41, 41), fov=13.0, scale=1.0):

@@ -56,6 +56,7 @@ def test_half_the_tolerance_takes_about_four_times_the_paths_and_the_check_agree
         assert 0.3 * document["predicted_delta_e"] < figures["plan"]["measured_delta_e"]["p99"] <= tolerance
 
 
+@pytest.mark.heavy
 def test_views_without_noise_do_not_thin_out_the_one_that_has_it():
     definition = scene_of(4.0)
     alone = plan(definition)
