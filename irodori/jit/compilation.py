@@ -172,7 +172,7 @@ class Kernel(CPUDispatcher):
     def __init__(self, *given, **options) -> None:
         super().__init__(*given, **options)
         given_to_compiler = (
-            self.py_func, self.targetdescr, self.targetoptions, self._compiler.locals, self._compiler.pipeline_class
+            self.py_func, self.targetdescr, self.targetoptions, self._compiler.locals, self._compiler.pipeline_class  # type: ignore[has-type]
         )  # fmt: skip
         self._compiler = _KernelCompiler(*given_to_compiler)
         self._inner_compiler = _InnerCompiler(*given_to_compiler)
