@@ -39,7 +39,7 @@ class _Triangles(NamedTuple):
     facets: np.ndarray  # (n, 3)
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def _edge(ax, ay, bx, by, x, y):
     """Return twice the signed area of a, b, p: the same number with the other sign from b to a."""
     if ax < bx or (ax == bx and ay < by):
@@ -47,7 +47,7 @@ def _edge(ax, ay, bx, by, x, y):
     return -((ax - bx) * (y - by) - (ay - by) * (x - bx))
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def _holds(xy, face, x, y):
     """Return whether a triangle owns a point, and how far inside its nearest edge the point lies, texels."""
     ax, ay, bx, by = xy[face, 0, 0], xy[face, 0, 1], xy[face, 1, 0], xy[face, 1, 1]

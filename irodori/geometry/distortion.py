@@ -48,7 +48,7 @@ def fold_radius(coefficients) -> float:
     return 1.0 / math.sqrt(nearest) if nearest > 1e-12 else math.inf
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def _forward(c, x, y):
     """Return x'', y'' and the Jacobian xx, xy, yx, yy."""
     s = x * x + y * y

@@ -10,7 +10,7 @@ import numpy as np
 from irodori.jit.compilation import njit
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, forceinline=True)
 def _corner_angle(vertices, faces, face, corner):
     """Return the angle of a triangle at one of its corners, rad."""
     a, b, c = faces[face, corner], faces[face, (corner + 1) % 3], faces[face, (corner + 2) % 3]

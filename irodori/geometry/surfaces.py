@@ -60,7 +60,7 @@ def _joined(arrays: list[np.ndarray], *shape: int, dtype=np.float64) -> np.ndarr
 _surface_at = chain("surface_at", "surfaces, index, ray, point, normal, facet", __name__, inline="always")
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, forceinline=True)
 def surface_at(surfaces, index, ray, point, normal, facet):
     """Move a hit point onto its surface, fill its normals, and return its texture coordinates.
 
@@ -83,7 +83,7 @@ def surface_at(surfaces, index, ray, point, normal, facet):
     return _surface_at(surfaces.kind[index], surfaces, index, ray, point, normal, facet)
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, forceinline=True)
 def face_viewer(normal, facet, direction):
     """Return the cosine between the shading normal and the way back to the viewer; not positive seen from behind.
 

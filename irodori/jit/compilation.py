@@ -10,6 +10,7 @@ from contextlib import contextmanager
 
 import numba
 from llvmlite import binding
+from numba import _dynfunc
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Flags, compile_extra
 from numba.core.compiler_lock import global_compiler_lock
@@ -32,7 +33,22 @@ def use_whole_vectors() -> None:
             numba.config.CPU_FEATURES = f"{features.flatten()},-prefer-256-bit"
 
 
-class _SeparateCopies(JITCodeLibrary):
+#: Packages whose compiled functions, kernels apart, are parts of kernels only; bodies of parallel loops are dynamic.
+_NEVER_CALLED_BY_PYTHON = ("numba", "<dynamic>", "irodori")
+
+
+class _Library(JITCodeLibrary):
+    """Compiled code; its declarations of what is defined elsewhere are not handed to the optimiser one by one."""
+
+    def _optimize_functions(self, ll_module) -> None:
+        ll_module.data_layout = self._codegen._data_layout
+        for function in ll_module.functions:
+            if not function.is_declaration:
+                manager, builder = self._codegen._function_pass_manager()
+                manager.run(function, builder)
+
+
+class _SeparateCopies(_Library):
     """Compiled code that calls the copies of other functions that it was compiled with.
 
     numba links them as weak symbols: of all copies that a process holds the one loaded first serves every caller, and
@@ -49,7 +65,7 @@ class _SeparateCopies(JITCodeLibrary):
         super()._optimize_final_module()
 
 
-class _ForLinking(JITCodeLibrary):
+class _ForLinking(_Library):
     """Code that is only ever linked into that of a caller, and optimised and turned into machine code there."""
 
     def _optimize_final_module(self) -> None:
@@ -85,6 +101,48 @@ def _libraries(codegen, kind: type) -> Iterator[None]:
             codegen._library_class = usual
 
 
+@contextmanager
+def _only_linked(context) -> Iterator[None]:
+    """Neither optimise nor turn into machine code, on their own, the parts of a kernel that is compiled meanwhile.
+
+    numba does so with its own functions, and up to three times with the body of a parallel loop: alone, in a wrapper,
+    and in the kernel that it is linked into, the only one that needs it.
+    """
+    usual = context.get_executable
+
+    def executable(library, description, environment):
+        if type(library) is _ForLinking:
+            package, name = description.modname.partition(".")[0], description.qualname.split(".")[-1]
+            if package in _NEVER_CALLED_BY_PYTHON:
+                return _dynfunc.make_function(description.lookup_module(), name, "", 0, environment, (library,))
+            library.__class__ = _SeparateCopies
+        return usual(library, description, environment)
+
+    context.get_executable = executable
+    try:
+        with _libraries(context.codegen(), _ForLinking):
+            yield
+    finally:
+        context.get_executable = usual
+
+
+class _KernelCompiler(_FunctionCompiler):
+    """Compiler of what Python calls: one library of machine code, whatever the function calls."""
+
+    def _compile_core(self, args, return_type):
+        flags = Flags()
+        self.targetdescr.options.parse_as_flags(flags, self.targetoptions)
+        flags.no_cfunc_wrapper = True
+        context = self.targetdescr.target_context
+        library = context.codegen().create_library(self.py_func.__qualname__)
+        library.enable_object_caching()
+        with _only_linked(context):
+            return compile_extra(
+                self.targetdescr.typing_context, context, self.py_func, args, return_type, flags, self.locals, library,
+                self.pipeline_class,
+            )  # fmt: skip
+
+
 class _InnerCompiler(_FunctionCompiler):
     """Compiler of functions that other compiled functions call: no wrappers for Python, no machine code."""
 
@@ -113,9 +171,11 @@ class Kernel(CPUDispatcher):
 
     def __init__(self, *given, **options) -> None:
         super().__init__(*given, **options)
-        self._inner_compiler = _InnerCompiler(
-            self.py_func, self.targetdescr, self.targetoptions, self._compiler.locals, self._compiler.pipeline_class
-        )
+        given_to_compiler = (
+            self.py_func, self.targetdescr, self.targetoptions, self._compiler.locals, self._compiler.pipeline_class  # type: ignore[has-type]
+        )  # fmt: skip
+        self._compiler = _KernelCompiler(*given_to_compiler)
+        self._inner_compiler = _InnerCompiler(*given_to_compiler)
         self._parts: set[tuple] = set()  # argument types for which the function is a part of others only
         self._kept = False
 

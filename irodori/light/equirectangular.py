@@ -11,14 +11,14 @@ from irodori.jit.compilation import njit
 TWO_PI = 2.0 * math.pi
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, forceinline=True)
 def direction_uv(x, y, z):
     """Return equirectangular u, v of a unit direction, both 0..1."""
     u = math.atan2(y, x) / TWO_PI
     return (u if u >= 0.0 else u + 1.0), math.acos(min(max(z, -1.0), 1.0)) / math.pi
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, forceinline=True)
 def _row_and_shift(row, height, width):
     """Return the row that lies at a row's place and the columns to turn: beyond a pole is the opposite meridian."""
     if row < 0:

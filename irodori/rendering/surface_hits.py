@@ -7,7 +7,7 @@ from irodori.jit.compilation import njit
 from irodori.light.equirectangular import StackedPicture
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, forceinline=True)
 def frame(normal):
     """Return two unit vectors perpendicular to a normal (Duff et al. 2017, without a branch at the pole)."""
     sign = math.copysign(1.0, normal[2])
@@ -17,7 +17,7 @@ def frame(normal):
     return tangent, (b, sign + normal[1] ** 2 * a, -normal[1])
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, forceinline=True)
 def _interpolate(picture, u, v, out):
     """Fill the bilinear value of a picture at u, v in 0..1; columns wrap, rows end."""
     pixels, first, width, height = picture
@@ -33,7 +33,7 @@ def _interpolate(picture, u, v, out):
         out[i] = wa * pixels[a, i] + wb * pixels[b, i] + wc * pixels[c, i] + wd * pixels[d, i]
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, forceinline=True)
 def surface(world, index, ray, work):
     """Move a hit point onto its surface; fill its normals and its interpolated texel.
 

@@ -39,7 +39,7 @@ def uv_of_flat(size_x, size_y, x, y):
     return x / size_x + 0.5, 0.5 - y / size_y
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, forceinline=True)
 def onto_plane(surfaces, index, point, normal, facet):
     """Move a point onto the plane of a flat shape and fill its normals; return where it was in the shape's frame."""
     ox, oy, oz = in_frame(surfaces, index, point)
@@ -51,7 +51,7 @@ def onto_plane(surfaces, index, point, normal, facet):
     return ox, oy
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, forceinline=True)
 def surface_at_flat(surfaces, index, ray, point, normal, facet):
     """Do what `irodori.geometry.surfaces.surface_at` does."""
     ox, oy = onto_plane(surfaces, index, point, normal, facet)

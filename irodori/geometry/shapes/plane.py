@@ -47,7 +47,7 @@ RADIUS_MM = 1e12
 IN_PLANE = 0.25 * 2.0**-18
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, forceinline=True)
 def _surface_at(surfaces, index, ray, point, normal, facet):
     onto_plane(surfaces, index, point, normal, facet)
     return 0.5, 0.5

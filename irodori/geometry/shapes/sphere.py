@@ -64,7 +64,7 @@ def uv_of_sphere(x, y, z):
     return (u if u >= 0.0 else u + 1.0), v
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, forceinline=True)
 def _surface_at(surfaces, index, ray, point, normal, facet):
     ox, oy, oz = in_frame(surfaces, index, point)
     x = point[0] - surfaces.translation_mm[index, 0]

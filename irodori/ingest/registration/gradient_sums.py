@@ -19,7 +19,7 @@ TAPS = 6
 _SUMS = 4 + 16 + 5
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, forceinline=True)
 def _cubic(t):
     """Return the weights of the cubic B-spline for the taps -1..2 around a fraction t."""
     s = 1.0 - t
@@ -28,7 +28,7 @@ def _cubic(t):
     return c0, c1, 1.0 - c0 - c1 - c3, c3
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, forceinline=True)
 def _quintic(t):
     """Return the weights of the quintic B-spline and of its derivative for the taps -2..3 around a fraction t."""
     c0, c1, c2, c3 = _cubic(t)
@@ -41,7 +41,7 @@ def _quintic(t):
     return (w0, w1, w2, w3, w4, w5), (-q0, q0 - q1, q1 - q2, q2 - q3, q3 - q4, q4)
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, forceinline=True)
 def _second(t):
     """Return the weights of the quintic's second derivative: second differences of the cubic."""
     c0, c1, c2, c3 = _cubic(t)
@@ -54,7 +54,7 @@ def spline_power() -> tuple[float, float, float]:
     return own, first, second
 
 
-@njit(cache=True, inline="always", fastmath={"contract"})
+@njit(cache=True, forceinline=True, fastmath={"contract"})
 def _row(values, p, w):
     """Return the weighted sum of six pixels of a row of a level in the band where ``p`` lies."""
     four = np.uint64(4)
@@ -66,7 +66,7 @@ def _row(values, p, w):
     return (a + w[4] * values[p]) + (b + w[5] * values[p + four])
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, forceinline=True)
 def _less(a, b):
     # One instruction for eight numbers; min() has more to say about NaN.
     return a if a < b else b

@@ -39,7 +39,7 @@ def halve(source):
     return out
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, forceinline=True)
 def _weight(image, at, valid):
     """Return 1 for a valid and finite pixel, else 0."""
     one = np.uint64(1)
@@ -104,7 +104,7 @@ def pack_halve(image, valid):
     return _pack_halve(*flatten(image), valid)
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, forceinline=True)
 def _energy(level, noise, y, x):
     """Return the squared central differences of all bands over their noise, 0 beside an invalid pixel."""
     left, right, up, down = level[y, x - 1], level[y, x + 1], level[y - 1, x], level[y + 1, x]

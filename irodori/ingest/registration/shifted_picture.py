@@ -9,7 +9,7 @@ from irodori.ingest.registration.band_layout import flatten
 from irodori.jit.compilation import njit
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, forceinline=True)
 def _keys(t):
     """Return the weights of Keys' cubic, a = -1/2, for the taps -1..2 around a fraction t."""
     return (
@@ -31,7 +31,7 @@ def _reached_row(reached, valid, y):
         reached[y, x] = column[x - 1] & column[x] & column[x + 1] & column[x + 2]
 
 
-@njit(cache=True, inline="always", fastmath={"contract"})
+@njit(cache=True, forceinline=True, fastmath={"contract"})
 def _four(image, p, step, w):
     """Return the weighted sum of four pixels of a row in one band."""
     return (
@@ -39,7 +39,7 @@ def _four(image, p, step, w):
     )
 
 
-@njit(cache=True, inline="always", fastmath={"contract"})
+@njit(cache=True, forceinline=True, fastmath={"contract"})
 def _cubic(image, p, step, line, wx, wy):
     """Return one band of the cubic of 4 x 4 pixels, the first of which lies at ``p``; rows are ``line`` apart."""
     top = wy[0] * _four(image, p, step, wx) + wy[1] * _four(image, p + line, step, wx)
@@ -47,7 +47,7 @@ def _cubic(image, p, step, line, wx, wy):
     return top + wy[2] * _four(image, p, step, wx) + wy[3] * _four(image, p + line, step, wx)
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, forceinline=True)
 def _linear(image, p, step, line, tx, ty):
     """Return one band of the linear mean of 2 x 2 pixels, the first of which lies at ``p``."""
     top = (1.0 - tx) * image[p] + tx * image[p + step]

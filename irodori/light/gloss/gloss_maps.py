@@ -155,7 +155,7 @@ class GlossMaps:
         return GlossTables(Lobes.of(lobe), *maps, *fitted_lobes(lobe), *self.points)
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, forceinline=True)
 def _between(ladder, value):
     """Return the entry of a growing ladder below a value and the part of the way to the next; ends are held."""
     last = ladder.size - 2

@@ -34,7 +34,7 @@ class _Surface(NamedTuple):
     k: float
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def _reflected(surface, constant, seen, direction):
     """Return F D G / cosθ_r for light from a unit direction, at one place."""
     (normal, view), (x, y, z) = seen, direction

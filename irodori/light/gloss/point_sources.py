@@ -65,7 +65,7 @@ def _band(pixels, rows: slice) -> tuple[np.ndarray, np.ndarray]:
     return moment[lit] / length[lit, None], power[lit]
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, forceinline=True)
 def place_of(seen, i):
     """Return one of several places."""
     return Seen(seen.normal[i], seen.to_eye[i])

@@ -24,7 +24,7 @@ from irodori.simulation.virtual_rig.sample_reflection import (
 _BLOCK_ROWS = 16
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, forceinline=True)
 def _lookup(table, cosine, band):
     position = min(max(cosine, 0.0), 1.0) * (table.shape[0] - 1)
     node = min(int(position), table.shape[0] - 2)
@@ -32,7 +32,7 @@ def _lookup(table, cosine, band):
     return (1.0 - part) * table[node, band] + part * table[node + 1, band]
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def _response(out, sample, material, setup, point, ci):
     """Fill the responses of one point, lit at the cosine `ci` and seen from its front, in the state's three bands."""
     normal, view, light, power = point.normal, point.back, point.light, point.lamp[0]
@@ -122,7 +122,7 @@ class _Subject(NamedTuple):
     surfaces: Surfaces
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, forceinline=True)
 def _aim(setup, x, y, direction):
     """Fill the direction in which the camera sees a point of the mosaic."""
     m = setup.ideal_from_seen
@@ -136,7 +136,7 @@ def _aim(setup, x, y, direction):
         direction[a] = (axes[a, 0] * px + axes[a, 1] * py + axes[a, 2]) * scale
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, forceinline=True)
 def _may_hit(setup, direction):
     """Whether a ray from the camera meets the sphere about the sample; most of a picture does not."""
     eye = setup.camera_mm
@@ -144,7 +144,7 @@ def _may_hit(setup, direction):
     return eye[0] ** 2 + eye[1] ** 2 + eye[2] ** 2 - along**2 <= setup.reach_mm**2
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, forceinline=True)
 def _is_seen(setup, surfaces, ray, point):
     """Whether a ray from the camera sees the front of the sample; fills its point, its normals and the way back."""
     trace(setup.intersect, setup.scene, ray, setup.camera_mm, point.direction, np.inf)
@@ -157,7 +157,7 @@ def _is_seen(setup, surfaces, ray, point):
     return face_viewer(point.normal, point.facet, point.direction) > 0.0
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, forceinline=True)
 def _face_lamp(setup, point):
     """Fill the way to the lamp and its power at a point; return the cosine with the normal, 0 behind the surface."""
     if math.isinf(setup.light_distance_mm):
@@ -180,7 +180,7 @@ def _face_lamp(setup, point):
     return cosine if front > 0.0 else 0.0
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, forceinline=True)
 def _is_lit(setup, ray, point):
     """Whether nothing stands between a point and the light."""
     for a in range(3):
@@ -189,7 +189,7 @@ def _is_lit(setup, ray, point):
     return not is_blocked(ray)
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, forceinline=True)
 def _material_at(sample, point):
     """Return the material of a point of the surface."""
     column = min(max(int(point.uv[0] * sample.checks[0]), 0), sample.checks[0] - 1)
