@@ -373,6 +373,7 @@ def test_a_picture_without_content_gives_no_answer(level):
         found = register(*noise(np.random.default_rng(seed), level=level))
         assert found.sigma_px == math.inf and math.isnan(found.residual_px)
         assert (found.dx_px, found.dy_px, found.rotation_rad, found.scale) == (0.0, 0.0, 0.0, 1.0)
+        assert found.centre_px == ((WIDTH - 1) / 2, (HEIGHT - 1) / 2)
 
 
 def test_constant_and_invalid_pictures_give_no_answer(leaves):
