@@ -292,6 +292,13 @@ def test_the_renderers_noise_is_that_of_its_own_number_of_paths(noise):
     assert np.sqrt((found**2).mean()) == pytest.approx(np.sqrt((own**2).mean()), rel=0.04)
 
 
+@pytest.mark.parametrize("noise", [measured_noise, expected_noise])
+def test_an_integrator_without_random_numbers_has_no_noise(noise):
+    silent = SimpleNamespace(scene=made(Scene, scene_of({"kind": "interactive"})))
+    with pytest.raises(ValueError, match="accepted: a scene of the integrator reference"):
+        noise(silent, None, [], None, np.ones(61))
+
+
 def test_rows_for_the_noise_lie_evenly_over_the_picture():
     image = Size(width=100, height=60)
     rows = traced_rows(image, 128)  # 1.5 million paths: seven times 128 for each of 100 pixels of a row

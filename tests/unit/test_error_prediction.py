@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import h5py
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -14,6 +15,7 @@ from irodori.calibration.recovery.mappings import LinearMapping
 from irodori.colour.colorimetry import delta_e_reflectance
 from irodori.config.models import BodyShape, ObjectShape
 from irodori.core import store
+from irodori.core.custody import accept
 from irodori.evaluation.error_budget import Measured, substitutes
 from irodori.evaluation.error_prediction import held_out, moved_texels, noisy, sharper, sources
 from irodori.evaluation.known_errors import Known, Photographs, Spread
@@ -130,6 +132,13 @@ def test_shares_are_those_of_inverse_variance(tmp_path):
     assert not found.share[1].any()  # no photograph, and no response
     assert found.tangent[0, 0] == pytest.approx(np.tan(angle[0]))
     assert found.stretch == pytest.approx(0.5 * (1 + 4.0)) and size == (1, 3)
+    # Where a photograph's noise is not known, and the fit takes its light to be exact, its variance counts as one.
+    with h5py.File(path, "a") as file:
+        file["noise_model"][2, 1] = 0.0
+    accept(path)
+    part = Photographs.load([path], response, 0.0).share[0, 0]
+    variance = np.append((noise[:, 1, 0] + noise[:, 1, 1] * 0.5 * cosine)[:2], 1.0)
+    assert part == pytest.approx(cosine**2 / variance / (cosine**2 / variance).sum())
 
 
 def photographed(texture, deviation: float, border: str, fine=9) -> np.ndarray:

@@ -117,6 +117,25 @@ def test_an_environment_of_another_size_keeps_the_scale(tmp_path):
     assert np.allclose(response.mean(axis=(0, 1)), 0.8, rtol=0.01)
 
 
+@pytest.mark.parametrize("demosaic", ["superpixel", "linear"])
+def test_an_environment_of_another_size_has_the_mean_dark_signal_subtracted(tmp_path, demosaic):
+    """Per pixel it is not known where a stitched picture's pixels lay; offset and rate count as means."""
+    table = []
+    shots = [("dark", 0.01, 300), ("dark", 0.03, 500), ("white", 0.02, 400 + 3000)]
+    shots += [("environment", 0.04, 600 + 1500), ("environment", 0.02, 400 + 750)]
+    for number, (role, exposure_s, level) in enumerate(shots):
+        shape = (32, 48) if role == "environment" else (64, 96)
+        mosaic = np.full(shape, BLACK + level, np.uint16)
+        write_any_dng(tmp_path / f"{number}.dng", mosaic, exposure_s=exposure_s, iso=100)
+        table.append(Shot(f"{number}.dng", role, Pose(0.0, 0.0), "out", exposure_s))
+    write_captures(tmp_path / "captures.csv", table)
+    files, options = (tmp_path / "captures.csv", tmp_path), IngestOptions(demosaic=demosaic, register=False)
+    ingest_reference(*files, tmp_path / "r.h5", PROVENANCE, 1.0, options)
+    ingest_raw(*files, "environment", tmp_path / "r.h5", tmp_path / "l.h5", PROVENANCE, options=options)
+    with store.open_file(tmp_path / "l.h5") as file:
+        assert np.allclose(file.read("response"), 0.25, rtol=2e-3)
+
+
 def test_ingest_refuses_what_it_cannot_normalise(tmp_path):
     studio = Studio(tmp_path, seed=16)
     studio.references()
@@ -342,7 +361,8 @@ def test_the_size_of_captures_is_that_of_dark_frames_and_white_whatever_a_chart_
     write_captures(tmp_path / "captures.csv", table)
     files = tmp_path / "captures.csv", tmp_path
     ingest_reference(*files, tmp_path / "r.h5", PROVENANCE, 1.0, SUPERPIXELS)
-    assert Reference.load(tmp_path / "r.h5").size_px == (96, 64)
+    reference = Reference.load(tmp_path / "r.h5")
+    assert reference.size_px == (96, 64) and reference.flat("out").shape == (32, 48, 3)
     arguments = tmp_path / "r.h5", tmp_path / "l.h5", PROVENANCE
     ingest_raw(*files, Pose(0.0, 0.0).name, *arguments, options=SUPERPIXELS)
 
@@ -378,7 +398,8 @@ def test_a_chart_alone_says_nothing_of_the_size_of_captures(tmp_path):
     assert output.exists()
 
 
-def test_the_noise_model_is_that_of_the_photographs_iso(tmp_path):
+@pytest.mark.parametrize("level_dn", [400.0, 0.0])
+def test_the_noise_model_is_that_of_the_photographs_iso(tmp_path, level_dn):
     """Gain and read noise are measured at ISO 100; the model of a photograph at ISO 800 predicts its own scatter."""
     rng = np.random.default_rng(6)
 
@@ -387,10 +408,12 @@ def test_the_noise_model_is_that_of_the_photographs_iso(tmp_path):
         return BLACK + electrons / 2.0 * iso / 100
 
     numbers = [(role, 0.02, 100, expose(level, 100)) for role, level in [("dark", 0)] * 6 + [("white", 4000)] * 4]
-    numbers.append(("object", 0.02, 800, expose(400.0, 800)))
+    numbers.append(("object", 0.02, 800, expose(level_dn, 800)))
     with store.open_file(photographs(tmp_path, numbers, SUPERPIXELS)) as file:
         response, noise = file.read("response").astype(float), file.read("noise_model")
     predicted = np.sqrt(noise[:, 0] + noise[:, 1] * response.mean(axis=(0, 1)))
+    # Of two pixels the green of a superpixel is the mean: half the variance, with light and without.
+    assert np.allclose(noise[[0, 2]], 2.0 * noise[1], rtol=0.02)
     assert np.allclose(response.std(axis=(0, 1)) / predicted, 1.0, atol=0.12)
 
 

@@ -19,6 +19,7 @@ from irodori.evaluation.truth_errors import (
     radiance_delta_e,
 )
 from irodori.export.pictures import write_spectral_exr
+from irodori.light.environment_file import directions
 from irodori.light.placed_lights import unit_luminance
 from irodori.material.material_file import Material, Status
 from irodori.spectra.published import spectrum
@@ -172,6 +173,12 @@ def test_a_recovered_light_is_judged_by_its_picture_and_its_irradiance():
     half = environment_errors("room", replace(truth, basis=truth.basis * 0.5), truth)
     grey = delta_e(lab_from_xyz(np.array([50.0, 50.0, 50.0]), np.full(3, 100.0)), np.array([100.0, 0.0, 0.0]))
     assert half[0].mean == pytest.approx(grey, rel=1e-3) and half[1].mean == pytest.approx(grey, rel=0.01)
+    # Light from above alone: a surface is as bright as the part of the sky that it sees.
+    sky = 0.5 * (1.0 + directions(128, 64)[0][..., 2:])
+    above = replace(truth, irradiance=(sky * truth.irradiance[0, 0]).astype(np.float32))
+    dim = environment_errors("room", replace(above, irradiance=0.5 * above.irradiance), above)[1]
+    seen = [lab_from_xyz(np.tile(y * 100.0 * sky, 3), np.full(3, 100.0)) for y in (1.0, 0.5)]
+    assert dim.mean == pytest.approx(delta_e(*seen).mean(), rel=0.01)
     # The picture alone, and the irradiance alone.
     picture = environment_errors("room", replace(truth, coefficients=truth.coefficients * 0.5), truth)
     assert picture[0].mean == pytest.approx(grey, rel=1e-3) and picture[1].max < 1e-6
