@@ -532,3 +532,17 @@ def test_the_soft_shadows_of_a_mesh_that_is_moved_and_turned_are_the_renderers(t
     assert not agree(before)
     assert found.mean() <= 0.12 and np.percentile(found, 99) <= 0.7, (found.mean(), np.percentile(found, 99))
     assert agree(again)
+
+
+def test_a_mesh_that_is_hidden_throws_no_shadow(torus):
+    with opened(torus.path) as page:
+        state = page.default_state()
+        state["objects"][0]["visible"] = False
+        page.page.evaluate("(s) => Irodori.renderer.castShadows(s).then(() => null)", state)
+        assert page.page.evaluate("(s) => Irodori.renderer.knowsShadows(s)", state)
+        found, _ = page.read_xyz(state, 64, 48)
+        page.page.evaluate("() => { Irodori.renderer.moved.found = null; }")
+        plain, objects = page.read_xyz(state, 64, 48)
+        assert page.messages == []
+    assert (objects >= 0).sum() > 300 and 0 not in objects
+    np.testing.assert_allclose(found, plain, atol=1e-4 * plain.max())
