@@ -13,7 +13,7 @@ from pages import SPHERE, gold, painted, room, sources, write_mesh, write_torus
 from shortcuts import irradiance_map
 from written_pages import SIZE, Written, agree, compared, inside
 
-from irodori.colour.display import make_display, srgb
+from irodori.colour.display import make_display, srgb, standard_display
 from irodori.colour.icc import Profile, write_profile
 from irodori.colour.tone_curves import ParametricCurve
 from irodori.config.models import PrimariesDisplay, ProfileDisplay
@@ -168,6 +168,42 @@ def test_measured_primaries_show_colours_as_pictures_for_that_screen_do(seen):
     device = {"kind": "primaries", **primaries, "tone": {"kind": "gamma", "gamma": 2.4}}
     found = wrong_codes(page, state, make_display(made(PrimariesDisplay, device)))
     assert found.max() <= 2 and found.mean() < 0.3
+
+
+def test_display_p3_shows_colours_as_pictures_for_it_do(seen):
+    _, page = seen
+    state = page.default_state()
+    state["display"] = {"name": "Display P3"}
+    found = wrong_codes(page, state, standard_display("Display P3"))
+    assert found.max() <= 2 and found.mean() < 0.3
+    assert wrong_codes(page, state, srgb()).mean() > 1.0
+    # The browser is told whose codes they are, and again when they are the usual ones.
+    spaces = []
+    for name in ("Display P3", "sRGB"):
+        codes_of(page, {**state, "display": {"name": name}})
+        spaces.append(page.page.evaluate("Irodori.renderer.gl.drawingBufferColorSpace"))
+    assert spaces == ["display-p3", "srgb"]
+
+
+#: Machado, Oliveira and Fernandes (2009), table 1, severity 1.0: what dichromats see, on linear sRGB.
+DICHROMATS = {
+    "protan": [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]],
+    "deutan": [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]],
+    "tritan": [[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602], [0.004733, 0.691367, 0.303900]],
+}
+
+
+@pytest.mark.parametrize("kind", DICHROMATS)
+def test_each_kind_of_colour_deficiency_is_shown_as_published(seen, kind):
+    _, page = seen
+    state = {**page.default_state(), "deficiency": kind}
+    codes = codes_of(page, state)
+    xyz, objects = page.read_xyz(state, codes.shape[1], codes.shape[0])
+    white = np.array(page.page.evaluate("Irodori.renderer.lit.whiteXYZ"))
+    wanted, _ = srgb().encode(srgb().linear_rgb(xyz, white) @ np.array(DICHROMATS[kind]).T)
+    found = np.abs(codes - wanted.astype(int))[inside(objects)]
+    assert found.max() <= 2 and found.mean() < 0.3
+    assert wrong_codes(page, state, srgb()).mean() > 1.0
 
 
 def test_other_profiles_are_refused_in_a_sentence(seen, profile):
@@ -494,5 +530,19 @@ def test_the_soft_shadows_of_a_mesh_that_is_moved_and_turned_are_the_renderers(t
         again = compared(torus, page, page.default_state(), torus.view)
         assert page.messages == []
     assert not agree(before)
-    assert found.mean() <= 0.2 and np.percentile(found, 99) <= 1.0, (found.mean(), np.percentile(found, 99))
+    assert found.mean() <= 0.12 and np.percentile(found, 99) <= 0.7, (found.mean(), np.percentile(found, 99))
     assert agree(again)
+
+
+def test_a_mesh_that_is_hidden_throws_no_shadow(torus):
+    with opened(torus.path) as page:
+        state = page.default_state()
+        state["objects"][0]["visible"] = False
+        page.page.evaluate("(s) => Irodori.renderer.castShadows(s).then(() => null)", state)
+        assert page.page.evaluate("(s) => Irodori.renderer.knowsShadows(s)", state)
+        found, _ = page.read_xyz(state, 64, 48)
+        page.page.evaluate("() => { Irodori.renderer.moved.found = null; }")
+        plain, objects = page.read_xyz(state, 64, 48)
+        assert page.messages == []
+    assert (objects >= 0).sum() > 300 and 0 not in objects
+    np.testing.assert_allclose(found, plain, atol=1e-4 * plain.max())

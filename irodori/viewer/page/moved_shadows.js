@@ -113,7 +113,7 @@ var Irodori = Irodori || {};
   }
 
   function flatNodes(one, clouds) {
-    const local = clouds.map((points) => points.map((p) => back(one.turn, subtract(p, one.at)))), [middle, reach] = middleAndReach(local);
+    const local = clouds.map((points) => points.map((p) => back(one.turn, subtract(p, one.at)))), [middle, reach] = clouds.length ? middleAndReach(local) : [[0, 0], [1, 1]];
     const half = (a) => (one.shape === "disc" ? one.reach : 0.5 * one.size[a]);
     const ends = [0, 1].map((a) => (one.shape === "plane" ? [1 / SIDE - 1, 1 - 1 / SIDE] : [warped((-half(a) - middle[a]) / reach[a]), warped((half(a) - middle[a]) / reach[a])]));
     const density = ends.map(([first, last]) => (SIDE - 1) / (last - first)), place = (a, i) => middle[a] + reach[a] * unwarped(ends[a][0] + i / density[a]);

@@ -41,7 +41,7 @@
         app.controls.button('remove_lamp', () => { app.page.state.light.lamps.splice(i, 1); app.chosenLamp = 0; app.rebuild('#add-lamp'); }, {'aria-label': I.text('remove_lamp') + ' ' + (i + 1)}))));
     });
     group.append(app.controls.button('add_lamp', () => {
-      app.page.state.light.lamps.push({position_mm: [-90 + 60 * lamps.length, -120, 160], size_mm: 60, strength: 1, illuminant: null, on: true, far: false});
+      app.page.state.light.lamps.push({position_mm: [-60 + 30 * lamps.length, 20, 110], size_mm: 60, strength: 1, illuminant: null, on: true, far: false});
       app.chosenLamp = app.page.state.light.lamps.length - 1;
       app.choose('lamp');
       app.rebuild('#add-lamp');

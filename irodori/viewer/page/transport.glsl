@@ -615,36 +615,40 @@ vec3 spread_(Cone cone, int number, int count, out float far) {
 }
 
 Colour lampLight(int object, int lamp, Place place, vec3 view, Surface surface, Hit met) {
-  Colour sum_ = Colour(0.0);
   vec3 start = raised(place, shapeRow(object, 0).w), to = uLamp[lamp].xyz;
   float radius = uLamp[lamp].w, far = 1e30, level = uLampLevel[lamp];
+  Cone cone;
   if (radius >= 0.0) {
     to -= start;
     far = length(to);
     to /= far;
     level /= far * far;
   }
-  if (radius <= 0.0) {
-    if (seesLamp(object, place, Ray(start, to), far, met.triangle)) sum_ = level * sent(object, lamp, place, view, to, surface);
-    return sum_;
+  if (radius > 0.0) {
+    float ratio = min(radius / far, 1.0);
+    vec3 across = normalize(cross(to, abs(to.z) < 0.9 ? vec3(0.0, 0.0, 1.0) : vec3(1.0, 0.0, 0.0)));
+    cone = Cone(to, across, cross(to, across), sqrt(1.0 - ratio * ratio), far);
+    level *= 2.0 / (1.0 + cone.least);
   }
-  vec3 across = normalize(cross(to, abs(to.z) < 0.9 ? vec3(0.0, 0.0, 1.0) : vec3(1.0, 0.0, 0.0)));
-  float ratio = min(radius / far, 1.0);
-  Cone cone = Cone(to, across, cross(to, across), sqrt(1.0 - ratio * ratio), far);
-  level *= 2.0 / (1.0 + cone.least);
-  // Few directions tell whether something hides a part of the ball: within it and on its rim, which an edge crosses.
-  int free = 0;
-  for (int i = 0; i < 2 * FEW; i++) {
-    to = i < FEW ? spread_(cone, i, FEW, far) : inCone(cone, 0.9999, 2.0 * PI * float(i) / float(FEW), far);
-    if (seesLamp(object, place, Ray(start, to), far, met.triangle)) free++;
+  // Few directions within a ball and as many to its rim, which an edge crosses, tell whether something hides a part of it:
+  // then many are asked. All in one loop, since drivers write out what stands in it as often as it stands there.
+  int few = radius > 0.0 ? FEW : 1, asked = radius > 0.0 ? 2 * FEW : 1, free = 0;
+  Colour whole = Colour(0.0), part = Colour(0.0);
+  for (int i = 0; i < asked + MANY; i++) {
+    if (i == asked && (free == 0 || free == asked)) break;
+    if (radius > 0.0) {
+      if (i < FEW) to = spread_(cone, i, FEW, far);
+      else if (i < asked) to = inCone(cone, 0.9999, 2.0 * PI * float(i) / float(FEW), far);
+      else to = spread_(cone, i - asked, MANY, far);
+    }
+    if (!seesLamp(object, place, Ray(start, to), far, met.triangle)) continue;
+    if (i < asked) free++;
+    if (i >= few && i < asked) continue;
+    Colour one = sent(object, lamp, place, view, to, surface);
+    if (i < asked) whole += one;
+    else part += one;
   }
-  if (free == 0) return sum_;
-  int count = free == 2 * FEW ? FEW : MANY;
-  for (int i = 0; i < count; i++) {
-    to = spread_(cone, i, count, far);
-    if (count == FEW || seesLamp(object, place, Ray(start, to), far, met.triangle)) sum_ += sent(object, lamp, place, view, to, surface);
-  }
-  return level / float(count) * sum_;
+  return free == asked ? level / float(few) * whole : level / float(MANY) * part;
 }
 
 Colour shade(int object, Place place, Ray ray, Surface surface, vec3 mirror, Hit met, float through) {

@@ -122,7 +122,7 @@ def add_lamp(visit):
     keys(visit, "Enter")
     at_picture(visit, "lamp")
     keys(visit, "ArrowRight", "PageUp")
-    return lambda page: page["state"]["light"]["lamps"][0]["position_mm"] == pytest.approx([-88, -120, 162])
+    return lambda page: page["state"]["light"]["lamps"][0]["position_mm"] == pytest.approx([-58, 20, 112])
 
 
 def change_lamp(visit):
