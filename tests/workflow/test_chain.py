@@ -13,6 +13,8 @@ from irodori.core.store import open_file
 from irodori.evaluation.registration_errors import summarise
 from irodori.evaluation.result_tables import RegistrationRow, read_rows
 from irodori.export.pictures import read_spectral_exr
+from irodori.material.material_file import Material
+from irodori.report.page import typical_gloss_text
 
 STAGES_AFTER_FIT = {
     "fit_brdf",
@@ -46,6 +48,7 @@ def test_one_command_leaves_pictures_report_and_errors(finished):
     for name in ("tile-plate", "leaf-sphere"):
         found = summarise(read_rows(finished / f"results/{name}/registration.csv", RegistrationRow))
         assert found.by_capture + found.by_chart > 0 and found.by_none == 0
+        assert typical_gloss_text(Material.load(finished / f"results/{name}/material.h5")) in page
         assert f"<td>{name}</td><td>{found.by_capture}</td><td>{found.by_chart}</td>" in page
 
 
