@@ -80,7 +80,7 @@ class Limits:
     repeat: float = 0.08
     pair: float = 1.25
     unfiltered: float = 0.8
-    colour: float = 0.4
+    colour: float = 0.6
     colour_step: float = 0.08
     moved: float = 0.008
     moved_first: float = 0.02
