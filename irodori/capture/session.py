@@ -21,7 +21,7 @@ from irodori.core.atomic_files import file_sha256
 from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER, track
 from irodori.ingest.mosaic import Mosaic, decode
-from irodori.ingest.plausibility import Doubt, Drift, Series, look_at, worth_recalling
+from irodori.ingest.plausibility import Doubt, Drift, Look, Series, delivered_again, look_at, worth_recalling
 
 _TRIES = 3
 #: What is doubted is taken again so often by itself where no person can be asked.
@@ -127,8 +127,14 @@ class Session:
         kept = [shot for shot in self.journal.shots.values() if not shot.taken.accepted]
         for shot in worth_recalling(kept, missing):
             path = self.journal.folder / shot.file
-            series.add(shot, look_at(path, decode(path)))
+            self._add(series, shot, look_at(path, decode(path)))
         return series
+
+    def _add(self, series: Series, shot: Shot, look: Look) -> None:
+        if (frame := series.drift(shot, look)) is not None:
+            self.drift.append(frame)
+            LOGGER.info("%s", frame)
+        series.add(shot, look)
 
     def _take(self, shot: Shot) -> None:
         motorised = self.rig.axes if self.rig is not None else {}
@@ -143,10 +149,9 @@ class Session:
         path = self.journal.folder / shot.file
         temporary = path.with_name(_TEMPORARY + path.name)
         try:
-            taken = self._photograph(shot, path, temporary)
+            taken, digest = self._photograph(shot, path, temporary)
             with storing(path):
                 _sync(temporary)
-                digest = file_sha256(temporary)
                 os.replace(temporary, path)
         except BaseException:
             temporary.unlink(missing_ok=True)
@@ -154,8 +159,11 @@ class Session:
         self.journal.append(replace(shot, taken=taken), digest)
         self.tally.taken += 1
 
-    def _photograph(self, shot: Shot, path: Path, temporary: Path) -> Taken:
-        """Have a photograph stand verified under a temporary name; faults name the file that it was to be."""
+    def _photograph(self, shot: Shot, path: Path, temporary: Path) -> tuple[Taken, str]:
+        """Have a photograph stand verified under a temporary name, and return how it was taken and its hash.
+
+        Faults name the file that it was to be.
+        """
         failed = doubted = 0
         read = {} if self.rig is None else self.rig.position()
         while True:
@@ -175,18 +183,17 @@ class Session:
             # A computed photograph has neither a time of day nor a body.
             real = {} if self.camera.is_virtual else {"at": now, "camera": self._body or look.camera}
             taken = Taken(camera_time=look.time, read_deg=read, **real)
-            doubts = self._series.doubts(shot, look)
+            digest = file_sha256(temporary)
+            same = next((file for file, known in self.journal.sha256.items() if known == digest), None)
+            doubts = self._series.doubts(shot, look) if same is None else [delivered_again(same)]
             if not doubts:
-                if (frame := self._series.drift(shot, look)) is not None:
-                    self.drift.append(frame)
-                    LOGGER.info("%s", frame)
-                self._series.add(shot, look)
-                return taken
+                self._add(self._series, shot, look)
+                return taken, digest
             doubted += 1
             self.tally.doubted += 1
             if reason := self._judged(path, doubts, doubted):
                 self.tally.accepted += 1
-                return replace(taken, accepted=reason)
+                return replace(taken, accepted=reason), digest
 
     def _judged(self, path: Path, doubts: Sequence[Doubt], times: int) -> str:
         """Return why a doubtful photograph is kept, empty where it is to be taken again.

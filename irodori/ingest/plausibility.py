@@ -80,7 +80,7 @@ class Limits:
     repeat: float = 0.08
     pair: float = 1.25
     unfiltered: float = 0.8
-    colour: float = 0.4
+    colour: float = 0.6
     colour_step: float = 0.08
     moved: float = 0.008
     moved_first: float = 0.02
@@ -157,6 +157,11 @@ class Doubt:
 
     kind: str
     words: str
+
+
+def delivered_again(file: str) -> Doubt:
+    """Return the doubt about a photograph that is another one, whose file is named."""
+    return Doubt("identical", f"the very picture of {file}: was it delivered twice?")
 
 
 @dataclass(frozen=True)
@@ -368,7 +373,7 @@ class Series:
         """Yield what the file itself says: size, body, lens, and whether it was delivered before."""
         for shot, seen in self._seen:
             if seen.pixels == look.pixels:
-                yield Doubt("identical", f"the very picture of {shot.file}: was it delivered twice?")
+                yield delivered_again(shot.file)
                 return
         if not self._seen:
             return
@@ -495,9 +500,11 @@ class Series:
 def worth_recalling(kept: Iterable[Shot], missing: Iterable[Shot]) -> list[Shot]:
     """Return those of a session's earlier photographs that the missing ones are to be compared with.
 
-    They are the first of each kind, and those of the captures that are not complete.
+    They are the first of each kind, the drift frames with the views that they repeat, and the captures that are not
+    complete.
     """
-    open_captures, chosen = {shot.capture for shot in missing}, []
+    kept, chosen = list(kept), []
+    open_captures = {shot.capture for shot in (*missing, *(s for s in kept if s.role == DRIFT))}
     kinds: dict[tuple[str, str], int] = defaultdict(int)
     for shot in kept:
         kinds[shot.role, shot.filter] += 1

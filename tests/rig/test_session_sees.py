@@ -153,6 +153,24 @@ def test_where_nobody_is_asked_it_is_taken_again_once_and_then_the_session_stops
     assert_whole(tmp_path, planned[:3])
 
 
+def test_a_file_of_an_earlier_sitting_is_known_too(tmp_path, bench):
+    planned, eye = plate(bench, [{"light_deg": [45.0], "camera_deg": [5.0 * i for i in range(8)]}])
+    hold(tmp_path, planned[:14], eye, AutoOperator(bench.set))
+    old = (tmp_path / planned[9].file).read_bytes()
+
+    class Repeating(Accident):
+        def capture(self, shot, path):
+            super().capture(shot, path)
+            if shot.file == planned[15].file and self.tried.count(shot.file) == 1:
+                path.write_bytes(old)
+
+    again = Repeating(eye.camera, eye.rig, bench, "plate", planned, eye.subject)
+    again.happen("", Mishap())
+    person = Person(bench, [""])
+    hold(tmp_path, planned, again, person)
+    assert len(person.told) == 1 and f"identical: the very picture of {planned[9].file}" in person.told[0]
+
+
 @pytest.mark.parametrize(
     ("role", "mishap", "kind"),
     [
