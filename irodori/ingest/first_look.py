@@ -36,9 +36,7 @@ def check_captures(table, folder, output, roles, size_px=None) -> None:
     for shot in track(shots, "check"):
         path = shot_path(shot, table, folder)
         mosaic = decode(path)
-        of_sensor = shot.role == "room-chart"
-        wanted = wanted if of_sensor else wanted or mosaic.size
-        if not of_sensor and mosaic.size != wanted:
+        if shot.role != "room-chart" and mosaic.size != (wanted := wanted or mosaic.size):
             found = f"a mosaic of {mosaic.size[0]} x {mosaic.size[1]} pixels"
             raise InputError(path, "size", found, f"{wanted[0]} x {wanted[1]} pixels, as its set states")
         settled.append(settle(shot, mosaic, table))
