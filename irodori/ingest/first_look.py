@@ -36,9 +36,11 @@ def check_captures(table, folder, output, roles, size_px=None) -> None:
     for shot in track(shots, "check"):
         path = shot_path(shot, table, folder)
         mosaic = decode(path)
-        if shot.role != "room-chart" and mosaic.size != (wanted := wanted or mosaic.size):
-            found = f"a mosaic of {mosaic.size[0]} x {mosaic.size[1]} pixels"
-            raise InputError(path, "size", found, f"{wanted[0]} x {wanted[1]} pixels, as its set states")
+        if shot.role != "room-chart":
+            wanted = wanted or mosaic.size
+            if mosaic.size != wanted:
+                found = f"a mosaic of {mosaic.size[0]} x {mosaic.size[1]} pixels"
+                raise InputError(path, "size", found, f"{wanted[0]} x {wanted[1]} pixels, as its set states")
         settled.append(settle(shot, mosaic, table))
         hashes[shot.file] = content_sha256(path)
     write_captures(output, settle_set(settled, table), hashes)
