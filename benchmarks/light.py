@@ -5,8 +5,9 @@
 illuminants are photographed, each with all published lamps that are like it (cosine 0.9995) left out of the prior, bare
 and off coloured walls (CIE 224). The error is the mean CIEDE2000 of a ColorChecker under the recovered light, adapted
 to its own white. ``rig-lamp`` is the rig's lamp times the reflectance of the same responses, ``posterior`` knows one
-family of all lamps on surfaces, ``mixture`` is what the light stage does. Timed is a panorama of 6000 x 3000 px, or
-small 512 x 256 px: the draw of its directions, the room's families and every pixel.
+family of all lamps on surfaces, ``mixture`` is what the light stage does without help, ``room-chart`` with a
+ColorChecker under the lamp. Timed is a panorama of 6000 x 3000 px, or small 512 x 256 px: the draw of its directions,
+the light on two charts where there are some, the room's families and every pixel.
 """
 
 from collections.abc import Callable
@@ -26,6 +27,7 @@ from irodori.config.models import Camera
 from irodori.core.threads import use_threads
 from irodori.light.light_prior import LightPrior, light_prior, published_lamps
 from irodori.light.light_recovery import Directions, LightRecovery, ResponseModel, draw_directions
+from irodori.light.room_charts import ChartResponses, recovery_with
 from irodori.simulation.virtual_rig.sensor import band_weights
 from irodori.spectra.published import chart_spectra, spectrum
 from irodori.spectra.published_names import ILLUMINANTS
@@ -35,6 +37,7 @@ LIKE = 0.9995  # cosine of two spectra from which on the one tells the other
 HEIGHTS = {"small": 256, "full": 3000}
 CIE = tuple(name for name in ILLUMINANTS if not name.startswith("ISO"))
 WALLS = tuple(f"TCS{number}" for number in range(0, 99, 16))
+ROOM = ("D65", "LED-B3")  # lamps of the panorama
 CHART, RIG_LIGHT, NOISE = "BabelColor Average", "A", 1e-3
 
 
@@ -86,20 +89,38 @@ def adapted_errors(true: np.ndarray, found: np.ndarray) -> np.ndarray:
     return delta_e(*(lab_from_xyz(xyz, white) for xyz, white in zip(shown, whites, strict=True))).mean()
 
 
-def recovered(seen: Seen, light: np.ndarray, prior: LightPrior | None) -> np.ndarray:
-    """Return a light (61,) as it is recovered from its responses; without a prior, as the rig's lamp on paint."""
-    response = seen.sensitivity @ light
-    if prior is None:
-        return seen.calibration.light * seen.calibration.spectra(response)
-    recovery = LightRecovery.of_room(seen.model, Directions(response[None], np.ones(1)), prior)
-    return recovery.basis @ recovery.weights(response)
-
-
 VARIANTS: dict[str, Callable[[np.ndarray], LightPrior] | None] = {
     "rig-lamp": None,
     "posterior": one_family,
     "mixture": light_prior,
+    "room-chart": light_prior,
 }
+
+
+def chart_under(seen: Seen, lamp: np.ndarray, seed: int = 0, name: str = "chart") -> ChartResponses:
+    """Return what a ColorChecker answers to a lamp, with noise."""
+    chart = chart_spectra(CHART)[1]
+    response = (chart * lamp) @ seen.sensitivity.T
+    noise = NOISE * np.random.default_rng(seed).standard_normal(response.shape)
+    return ChartResponses(name, name, response * (1.0 + noise), chart)
+
+
+def recovered(
+    seen: Seen, light: np.ndarray, prior: LightPrior | None, chart_lamp: np.ndarray | None = None
+) -> np.ndarray:
+    """Return a light (61,) as it is recovered; without a prior, as the rig's lamp on paint.
+
+    The room shows the light alone; where a lamp lights a chart, half of what the room shows is this lamp itself.
+    """
+    response = seen.sensitivity @ light
+    if prior is None:
+        return seen.calibration.light * seen.calibration.spectra(response)
+    if chart_lamp is not None:
+        room = Directions(np.stack([response, seen.sensitivity @ chart_lamp]), np.full(2, 0.5))
+        recovery = recovery_with([chart_under(seen, chart_lamp)], seen.model, room, prior)
+    else:
+        recovery = LightRecovery.of_room(seen.model, Directions(response[None], np.ones(1)), prior)
+    return recovery.basis @ recovery.weights(response)
 
 
 def errors(seen: Seen, variant: str, walls: tuple[str, ...] = (), names: tuple[str, ...] = CIE) -> np.ndarray:
@@ -111,7 +132,8 @@ def errors(seen: Seen, variant: str, walls: tuple[str, ...] = (), names: tuple[s
         lamp = lamp / lamp.mean()
         prior = make_prior and make_prior(unlike(published_lamps(), lamp))
         for column, surface in enumerate(surfaces):
-            row[column] = adapted_errors(lamp * surface, recovered(seen, lamp * surface, prior))
+            found_light = recovered(seen, lamp * surface, prior, lamp if variant == "room-chart" else None)
+            row[column] = adapted_errors(lamp * surface, found_light)
     return found
 
 
@@ -119,18 +141,18 @@ def panorama(seen: Seen, height: int) -> np.ndarray:
     """Return the responses of a room with two lamps and walls of all test colours, (height, 2 height, bands)."""
     rng = np.random.default_rng(1)
     walls = np.stack([spectrum(f"TCS{number}") for number in range(99)])
-    lamps = np.stack([spectrum(name) / spectrum(name).mean() for name in ("D65", "LED-B3")])
+    lamps = np.stack([spectrum(name) / spectrum(name).mean() for name in ROOM])
     share = rng.uniform(size=(512, 1))
     light = (share * lamps[0] + (1.0 - share) * lamps[1]) * walls[rng.integers(99, size=512)]
     response = (light @ seen.sensitivity.T).astype(np.float32)
     return response[rng.integers(512, size=(height, 2 * height))]
 
 
-def recover(seen: Seen, picture: np.ndarray) -> np.ndarray:
+def recover(seen: Seen, picture: np.ndarray, charts: tuple[ChartResponses, ...] = ()) -> np.ndarray:
     """Return the weights of a whole picture as the light stage does, a band of rows at a time."""
     parts = (picture[first : first + 32] for first in range(0, len(picture), 32))
     drawn = draw_directions((part.reshape(-1, part.shape[-1]), 1.0) for part in parts)
-    recovery = LightRecovery.of_room(seen.model, drawn)
+    recovery = recovery_with(charts, seen.model, drawn, light_prior(published_lamps()))
     return np.concatenate([recovery.weights(picture[first : first + 32]) for first in range(0, len(picture), 32)])
 
 
@@ -140,15 +162,18 @@ def main() -> None:
     use_threads(arguments.threads)
     seen = camera()
     picture = panorama(seen, HEIGHTS[arguments.size])
-    seconds = medians_s(
-        {"rig-lamp": partial(seen.calibration.weights, picture), "mixture": partial(recover, seen, picture)},
-        arguments.runs,
-    )
+    charts = tuple(chart_under(seen, spectrum(name)) for name in ROOM)
+    timed = {
+        "rig-lamp": partial(seen.calibration.weights, picture),
+        "mixture": partial(recover, seen, picture),
+        "room-chart": partial(recover, seen, picture, charts),
+    }
+    seconds = medians_s(timed, arguments.runs)
     work, rows = picture.shape[0] * picture.shape[1] / 1e6, []
     for variant in VARIANTS:
         for place, walls in (("", ()), (" walls", WALLS)):
             # The families of a picture cost the same however many there are in the prior.
-            taken = seconds["rig-lamp" if variant == "rig-lamp" else "mixture"]
+            taken = seconds[variant if variant in seconds else "mixture"]
             found = errors(seen, variant, walls)
             metric = f"mean CIEDE2000 of a chart, adapted, {len(CIE)} lamps left out" + (", off walls" if walls else "")
             values = ("light", variant + place, f"{work:.4g}", "megapixels", f"{taken:.4f}", f"{work / taken:.3f}",

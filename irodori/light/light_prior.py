@@ -14,8 +14,10 @@ from irodori.spectra.published_tables import published_table
 
 #: The chart whose patches, their mixtures as paints and their products stand for walls, wood and cloth.
 _CHART = "BabelColor Average"
-#: Standard deviation and correlation length, nm, of what differs from a published lamp, and from a known reflectance.
-_OF_LAMPS, _OF_SURFACES = (0.05, 20.0), (0.1, 80.0)
+#: Standard deviation of what differs from a published lamp.
+_OF_LAMPS = 0.05
+#: Correlation length, nm, of that, and both of what differs from a known reflectance.
+_LENGTH_NM, _OF_SURFACES = 20.0, (0.1, 80.0)
 _ALIKE = 5  # lamps that make a kind: their mixtures and what lies between them
 #: Weight of a lamp itself, of the lamp on coloured surfaces, of its kind, and of any mixture of all lamps.
 _BARE, _COLOURED, _KIND, _ANY = 1.0, 2.0, 1.0, 1.0
@@ -73,7 +75,7 @@ def _alike(moments: np.ndarray, count: int) -> np.ndarray:
     return moments[alike].mean(axis=1)
 
 
-def families_of(lamps: np.ndarray, alike: int = _ALIKE) -> LightPrior:
+def families_of(lamps: np.ndarray, alike: int = _ALIKE, deviation: float = _OF_LAMPS) -> LightPrior:
     """Return the prior that lamps make, each given by the second moment of its spectrum, (lamps, 61, 61).
 
     Parameters
@@ -81,8 +83,10 @@ def families_of(lamps: np.ndarray, alike: int = _ALIKE) -> LightPrior:
     lamps : (n, 61, 61) float64
     alike : int
         Lamps that make a kind.
+    deviation : float
+        Standard deviation of what differs smoothly from a lamp, relative.
     """
-    bare, surfaces = np.ones((SAMPLES, SAMPLES)) + _spread(_OF_LAMPS), _surfaces()
+    bare, surfaces = np.ones((SAMPLES, SAMPLES)) + _spread((deviation, _LENGTH_NM)), _surfaces()
     every = lamps.mean(axis=0)
     moments = (lamps * bare, lamps * surfaces, _alike(lamps, alike) * bare, np.stack([every * bare, every * surfaces]))
     share = np.concatenate(

@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import solve_triangular
 from scipy.optimize import nnls
 
 from irodori.calibration.chart_reading import ChartPhotograph
@@ -26,13 +27,16 @@ from irodori.light.light_recovery import Directions, LightRecovery, ResponseMode
 from irodori.spectra.published import chart_spectra
 
 _NOISE = 2e-3  # of a patch's response, relative: shadows, gloss and noise
-_ROOM_SHARE = 0.8  # of the prior that the room's own lamps have: others may light what the charts do not see
+#: Shares of a room's prior: its own lamps, each published one, any mixture of these, for what the charts do not see.
+_OWN, _PUBLISHED, _ANY = 0.5, 0.02, 0.48
+_OF_OWN_LAMPS = 0.005  # standard deviation of what differs from the room's lamps beside what the charts leave open
 _LEAST_LEFT = 0.1  # of a light's luminance that remains where another is taken from it
 _FLOOR = 0.02  # of a light's mean, below which what is taken from it is noise
 _MAX_INVALID = 0.05  # of a patch's samples, beyond which it is left out
 _LEAST_WHOLE = 0.75  # of a chart's patches
-_MAX_MISFIT = 0.1  # rms of the patches' responses, relative: beyond it the chart is another, or misread
-_MAX_OUTSIDE = 0.1  # rms of a chart's bands that light from the room's directions cannot make, relative
+_VECTORS = 8  # principal vectors of a chart's reflectances: any of the CIE's lamps on it is held by them to 1.1 %
+_MAX_MISFIT = 0.08  # rms of the patches' responses, relative; a chart turned or mirrored is beyond 0.4
+_MAX_OUTSIDE = 0.05  # rms of a chart's bands that light from the room's directions cannot make, relative
 
 
 @dataclass(frozen=True)
@@ -105,14 +109,28 @@ class RoomLight:
         return self.of(self.mean - share * other.mean, self.covariance + share**2 * other.covariance)
 
 
-def light_on(chart: ChartResponses, model: ResponseModel, prior: LightPrior) -> RoomLight:
-    """Return the light on a chart: the posterior mean of a prior's families, and what the patches leave open.
+def require_own_patches(chart: ChartResponses) -> None:
+    """Refuse a chart whose patches answer as no light on their reflectances makes them: another, or read otherwise.
+
+    Whatever the light and the camera, a band answers with a weighted sum of the reflectance over the wavelengths; of
+    paints a few principal vectors hold all of it.
 
     Raises
     ------
     InputError
-        If no light makes the patches answer so: another chart, or one read in another order.
+        Which names the chart.
     """
+    principal = np.linalg.svd(chart.reflectance, full_matrices=False)[0][:, :_VECTORS]
+    missed = chart.response - principal @ (principal.T @ chart.response)
+    misfit = np.linalg.norm(missed) / np.linalg.norm(chart.response)
+    if misfit > _MAX_MISFIT:
+        found = f"patches that answer as no light on them makes them, {misfit:.0%} off"
+        accepted = f"the chart of the definition, the right way up and evenly lit, at most {_MAX_MISFIT:.0%} off"
+        raise InputError(chart.file, f"room_charts.{chart.name}", found, accepted)
+
+
+def light_on(chart: ChartResponses, model: ResponseModel, prior: LightPrior) -> RoomLight:
+    """Return the light on a chart: the posterior mean of a prior's families, and what the patches leave open."""
     bands, patches = len(model.mean), len(chart.reflectance)
     # Band by band, so that the errors of a band's model, common to its patches, are blocks of the diagonal.
     seen = (model.mean[:, None] * chart.reflectance).reshape(bands * patches, -1)
@@ -128,7 +146,7 @@ def light_on(chart: ChartResponses, model: ResponseModel, prior: LightPrior) -> 
             second[own, own] += of_model
         second[of_all, of_all] *= 1.0 + _NOISE**2
         factor = np.linalg.cholesky(second)
-        turned = np.linalg.solve(factor, np.column_stack([answer, cross]))
+        turned = solve_triangular(factor, np.column_stack([answer, cross]), lower=True)
         square = turned[:, 0] @ turned[:, 0] / len(answer)
         logarithm.append(np.log(share) - np.log(np.diag(factor)).sum() - 0.5 * len(answer) * np.log(square))
         means.append(turned[:, 0] @ turned[:, 1:])
@@ -137,19 +155,14 @@ def light_on(chart: ChartResponses, model: ResponseModel, prior: LightPrior) -> 
     shares /= shares.sum()
     mean = shares @ np.array(means)
     apart = np.array(means) - mean
-    misfit = np.linalg.norm(seen @ mean - answer) / np.linalg.norm(answer)
-    if misfit > _MAX_MISFIT:
-        found = f"patches that no light makes answer so, {misfit:.0%} off"
-        accepted = f"the chart of the definition, the right way up, at most {_MAX_MISFIT:.0%} off"
-        raise InputError(chart.file, f"room_charts.{chart.name}", found, accepted)
     return RoomLight.of(mean, np.tensordot(shares, np.array(left), axes=1) + (shares * apart.T) @ apart)
 
 
 def require_in_room(charts: Sequence[ChartResponses], directions: Directions) -> None:
     """Refuse a chart under light that the room's directions do not hold.
 
-    What falls on a chart is a sum of the room's light, so that its patches' mean answers, each band weighted as the
-    others, are a sum of the directions' answers with positive weights off a grey: the lightest patch stands for it.
+    What falls on a chart is a sum of the room's light: the answers of its greyest light patch, which shows that light
+    as it is, are a sum of the directions' answers with positive weights.
 
     Raises
     ------
@@ -172,10 +185,12 @@ def room_prior(lights: Sequence[RoomLight], published: LightPrior) -> LightPrior
     """Return the prior of a room whose charts are lit so: their lamps, and with less weight the published ones."""
     parted = [first.without(second) for first, second in itertools.permutations(lights, 2)]
     lamps = [*lights, *parted]
-    own = families_of(np.stack([lamp.mean[:, None] * lamp.mean + lamp.covariance for lamp in lamps]), len(lamps))
+    moments = np.stack([lamp.mean[:, None] * lamp.mean + lamp.covariance for lamp in lamps])
+    own, known = families_of(moments, len(lamps), _OF_OWN_LAMPS), len(published.share) - published.broad
+    shares = (_OWN, own.share), (_PUBLISHED, published.share[:known]), (_ANY, published.share[known:])
     return LightPrior(
         np.concatenate([own.moment, published.moment]),
-        np.concatenate([_ROOM_SHARE * own.share, (1.0 - _ROOM_SHARE) * published.share]),
+        np.concatenate([part * share / share.sum() for part, share in shares]),
         published.broad,
     )
 
@@ -208,6 +223,8 @@ def recovery_with(
     InputError
         If a chart disagrees with the room or with its reflectances; it names the chart.
     """
+    for chart in charts:
+        require_own_patches(chart)
     require_in_room(charts, directions)
     lights = [light_on(chart, model, prior) for chart in charts]
     if charts:

@@ -34,7 +34,7 @@ from irodori.capture.rig.devices import DeviceError, LimitError
 from irodori.capture.session import Session, take_stock
 from irodori.capture.shot_list import object_shots
 from irodori.capture.stage import Target, capture_camera, capture_environment, capture_object, photograph
-from irodori.config.capture_table import Pose, Shot
+from irodori.config.capture_table import Pose, Shot, read_captures
 from irodori.config.models import Camera, EnvironmentDefinition, Object, Rig
 from irodori.config.parts import PhotographedObject, SceneRadiance
 from irodori.core.errors import InputError
@@ -75,7 +75,10 @@ def test_a_camera_and_an_environment_are_photographed_too(tmp_path):
     }
     aim = Target("room", made(Camera, camera), made(Rig, rig), table=tmp_path / "room/captures.csv")
     capture_environment(made(EnvironmentDefinition, room), aim, tmp_path / "room/session.json", MADE)
-    assert json.loads((tmp_path / "room/session.json").read_text())["session"]["taken"] == 4
+    # The panorama and the two charts, each in two brackets of two.
+    assert json.loads((tmp_path / "room/session.json").read_text())["session"]["taken"] == 12
+    roles = {shot.subject for shot in read_captures(tmp_path / "room/captures.csv")}
+    assert roles == {"environment", "room-chart-desk", "room-chart-window"}
 
 
 def test_a_virtual_session_of_another_definition_begins_anew(tmp_path):

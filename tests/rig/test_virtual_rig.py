@@ -1,6 +1,7 @@
 """The virtual rig photographs what equation (5) says, with the faults that its file switches on and no others."""
 
 import copy
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,15 +12,26 @@ from irodori.calibration.chart import patch_centres
 from irodori.capture.shot_list import camera_shots, object_shots
 from irodori.config.capture_table import Pose, Shot
 from irodori.config.definitions import load_definitions, read_yaml
-from irodori.config.models import Camera, Chart, EnvironmentDefinition, Imperfections, Object, Optics, Rig, VirtualRoom
+from irodori.config.models import (
+    Camera,
+    Chart,
+    EnvironmentDefinition,
+    Imperfections,
+    Object,
+    Optics,
+    PlacedChart,
+    Rig,
+    VirtualRoom,
+)
 from irodori.config.parts import PhotographedObject, SceneRadiance
 from irodori.geometry.pinhole import Pinhole
 from irodori.geometry.rig_frame import rig_from_camera, rig_from_object, to_camera, to_light
 from irodori.ingest.mosaic import decode
+from irodori.light.environment_file import directions
 from irodori.light.omnidirectional import from_panorama
 from irodori.reflection.equation5 import angles_from_directions, reflect
 from irodori.simulation.virtual_rig.bench import Bench
-from irodori.simulation.virtual_rig.classroom import room_coefficients, source_spectra, trace_room
+from irodori.simulation.virtual_rig.classroom import light_on_chart, room_coefficients, source_spectra, trace_room
 from irodori.simulation.virtual_rig.ground_truth import true_material
 from irodori.simulation.virtual_rig.imperfections import Faults
 from irodori.simulation.virtual_rig.samples import Sample
@@ -364,6 +376,27 @@ def test_the_room_is_photographed_as_a_panorama_that_turns_to_the_right(definiti
     ).mean(axis=1)
     assert np.allclose(from_panorama(mosaic[::2, ::2, None])[..., 0], expected, rtol=1e-6)
     assert not np.allclose(mosaic[::2, ::2], expected, rtol=0.1)
+
+
+def test_a_chart_in_the_room_is_lit_by_what_it_faces(definitions):
+    room = made(VirtualRoom, definitions["environments"]["classroom"]["virtual"])
+    light = spectrum("A")
+
+    def on_chart(position_m, facing):
+        return light_on_chart(room, made(PlacedChart, {"position_m": position_m, "facing": facing}), light)
+
+    _, sources = source_spectra(room, light)
+    window, lamps = sources[4:6] / np.linalg.norm(sources[4:6], axis=1, keepdims=True)
+    at_window, at_desk = on_chart([4.0, 0.0, 1.2], [1, 0, 0]), on_chart([0.0, 0.0, 0.75], [0, 0, 1])
+    at_window, at_desk = (one / np.linalg.norm(one) for one in (at_window, at_desk))
+    assert at_window @ window > 0.995 > at_desk @ window
+    assert at_desk @ lamps > at_window @ lamps
+    # All of the room is on one side of a wall or the other: what two faces get is what a sphere does.
+    whole = room_coefficients(replace(room, eye_m=(0.0, 0.0, 1.2)), 400, 200) @ sources
+    vertical, solid_angle = directions(400, 200)
+    expected = np.tensordot(np.abs(vertical[..., 2]) * solid_angle / np.pi, whole, axes=2)
+    both = sum(on_chart([0.0, 0.0, 1.2], [0, 0, side]) for side in (-1, 1))
+    np.testing.assert_allclose(both, expected, rtol=1e-6)
 
 
 def test_stray_light_keeps_the_colour_of_the_picture(definitions):

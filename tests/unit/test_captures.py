@@ -31,13 +31,16 @@ GOOD = "a.dng,object,45,20,0,0,out,0.02"
 
 _FILE = st.text(st.characters(min_codepoint=32, exclude_categories=("Cs", "Cc")), min_size=1, max_size=20)
 _TENTHS = st.integers(-3600, 3600).map(lambda tenths: tenths / 10)
-_SHOT = st.builds(
-    Shot,
-    file=_FILE.filter(lambda text: text.strip() and not text.startswith("/") and ".." not in text.split("/")),
-    role=st.sampled_from(ROLES),
-    pose=st.builds(Pose, _TENTHS, _TENTHS, _TENTHS, _TENTHS),
-    filter=st.sampled_from(FILTERS),
-    exposure_s=st.floats(1e-6, 3600),
+_ANY = {
+    "file": _FILE.filter(lambda text: text.strip() and not text.startswith("/") and ".." not in text.split("/")),
+    "pose": st.builds(Pose, _TENTHS, _TENTHS, _TENTHS, _TENTHS),
+    "filter": st.sampled_from(FILTERS),
+    "exposure_s": st.floats(1e-6, 3600),
+}
+_NAME = st.from_regex("[a-z0-9-]+", fullmatch=True)
+_SHOT = st.one_of(
+    st.builds(Shot, role=st.sampled_from([role for role in ROLES if role != "room-chart"]), **_ANY),
+    st.builds(Shot, role=st.sampled_from(["chart", "room-chart"]), chart=_NAME, **_ANY),
 )
 
 
@@ -63,6 +66,7 @@ def test_a_shot_of_an_object_belongs_to_its_pose_and_any_other_to_its_role():
     pose = Pose(45.0, 0.0)
     assert Shot("a.dng", "object", pose, "out", 0.02).capture == pose.name
     assert Shot("a.dng", "chart", pose, "out", 0.02).capture == "chart"
+    assert Shot("a.dng", "room-chart", pose, "out", 0.02, chart="desk").capture == "room-chart-desk"
 
 
 def test_expand_poses_multiplies_within_a_group_and_keeps_the_order():
@@ -147,6 +151,8 @@ def test_bracket_and_averaged_frames_are_accepted(tmp_path):
     ("row", "column", "found"),
     [
         ("a.dng,objekt,45,20,0,0,out,0.02", "role", "'objekt'"),
+        ("a.dng,room-chart,0,0,0,0,out,0.02", "role", "without a name"),
+        ("a.dng,room-chart-Desk,0,0,0,0,out,0.02", "role", "'room-chart-Desk'"),
         ("a.dng,object,45,20,0,0,off,0.02", "filter", "'off'"),
         ("a.dng,object,high,20,0,0,out,0.02", "light_deg", "'high'"),
         ("a.dng,object,,20,0,0,out,0.02", "light_deg", "''"),

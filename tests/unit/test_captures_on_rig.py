@@ -23,7 +23,11 @@ def studio(root):
     """Return a working directory in which the plate, its camera and the room come from files."""
     for name, rows in {
         "camera": ["chart,45,0,out", "chart,45,0,in", "white,45,0,out", "white,45,0,in"],
-        "room": ["environment,0,0,out", "environment,0,0,in"],
+        "room": [
+            f"{role},0,0,{state}"
+            for role in ("environment", "room-chart-desk", "room-chart-window")
+            for state in ("out", "in")
+        ],
         "plate": ["object,45,20,out", "object,45,20,in", "object,45,0,out", "object,45,0,in", "dark,0,0,out"],
     }.items():
         lines = [",".join(COLUMNS)]
@@ -131,6 +135,11 @@ def test_a_camera_of_a_chart_alone_needs_no_white_but_a_key_for_one(studio):
         ("plate", [("\n3.dng,object,45,0,0,0,in,0.02", "")], f"filter of the capture {POSE}",
          "the filter states out", "out, in, as the chart has in "),
         ("room", [("\n1.dng,environment,0,0,0,0,in,0.02", "")], "filter of the capture environment",
+         "the filter states out", "the filter states out, in"),
+        ("room", [("room-chart-window", "room-chart-door")], "role of 4.dng", "no room_charts.door", "of room_charts"),
+        ("room", [("room-chart-window", "dark")], "role", "no photograph of the role room-chart-window",
+         "each of the room_charts of"),
+        ("room", [("\n5.dng,room-chart-window,0,0,0,0,in,0.02", "")], "filter of the capture room-chart-window",
          "the filter states out", "the filter states out, in"),
         ("camera", [("\n3.dng,white,45,0,0,0,in,0.02", "")], "filter of the capture white",
          "the filter states out", "the filter states out, in"),

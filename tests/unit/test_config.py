@@ -38,7 +38,9 @@ def test_the_repository_s_own_configuration_loads():
         assert captures == sorted(set(captures)) and len(captures) >= 10
         assert definitions.is_virtual("objects", name)
     assert definitions.captures_of("cameras", "d5100-comb") == ["chart"]
-    assert definitions.captures_of("environments", "classroom") == ["environment"]
+    assert definitions.captures_of("environments", "classroom") == [
+        "environment", "room-chart-desk", "room-chart-window"
+    ]  # fmt: skip
 
 
 @pytest.mark.parametrize("name", ["lid", "turntable"])
@@ -333,3 +335,23 @@ def test_questions_about_what_is_not_there():
         definitions.captures_of("object", "tile-plate")
     with pytest.raises(ValueError, match="no 'tile-plat' in objects; did you mean 'tile-plate'"):
         definitions.is_virtual("objects", "tile-plat")
+
+
+# ---- charts in a place
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "field", "found"),
+    [
+        ("virtual.charts.desk", ..., "virtual.charts.desk", "no such key"),
+        ("room_charts.desk", ..., "virtual.charts.desk", "a place without a chart"),
+        ("room_charts.desk.rows", 5, "room_charts.desk.rows", "30 in all"),
+        ("room_charts.desk.find", "edges", "room_charts.desk.centres_px", "no corners"),
+        ("virtual.charts.desk.position_m", [4.6, 0.0, 1.0], "virtual.charts.desk.position_m", "outside the room"),
+        ("virtual.charts.desk.facing", [0.0, 0.0, 0.0], "virtual.charts.desk.facing", "0, 0, 0"),
+    ],
+)
+def test_a_chart_in_a_room_that_is_at_fault_is_named(root, key, value, field, found):
+    edit(root, ROOM_FILE, key, value)
+    error = fault(root)
+    assert error.field == field and found in error.found

@@ -14,7 +14,7 @@ from irodori.core.errors import InputError
 from irodori.evaluation.truth_errors import radiance_delta_e
 from irodori.light.environment_file import Environment
 from irodori.light.light_prior import LightPrior, light_prior, published_lamps
-from irodori.light.light_recovery import Directions, LightRecovery, draw_directions
+from irodori.light.light_recovery import Directions, LightRecovery, ResponseModel, draw_directions
 from irodori.spectra.published import chart_spectra, spectrum
 
 TCS = np.stack([spectrum(f"TCS{i}") for i in range(99)])
@@ -75,9 +75,9 @@ def test_the_other_directions_of_a_room_tell_of_its_lamps(seen):
         light = lamp * TCS[rng.choice(99, 8, replace=False)]
         response = light @ seen.sensitivity.T
         for one, answer in zip(light, response, strict=True):
-            own = LightRecovery.of_room(seen.calibration, one_direction(answer), known)
+            own = LightRecovery.of_room(seen.model, one_direction(answer), known)
             alone.append(adapted_errors(one, own.basis @ own.weights(answer)))
-        room = LightRecovery.of_room(seen.calibration, Directions(response, np.full(8, 1 / 8)), known)
+        room = LightRecovery.of_room(seen.model, Directions(response, np.full(8, 1 / 8)), known)
         together += [adapted_errors(*pair) for pair in zip(light, room.weights(response) @ room.basis.T, strict=True)]
     assert np.mean(together) < np.mean(alone)
 
@@ -91,9 +91,7 @@ def test_the_stated_error_is_the_error_of_lamps_that_the_prior_does_not_know(see
         some = [spectrum(name) / spectrum(name).mean() for name in (CIE[first], CIE[first - 11])[:lamps]]
         true = np.average(some, axis=0, weights=[1.0, 0.6][:lamps])
         response = seen.sensitivity @ true
-        recovery = LightRecovery.of_room(
-            seen.calibration, one_direction(response), light_prior(unlike(published, *some))
-        )
+        recovery = LightRecovery.of_room(seen.model, one_direction(response), light_prior(unlike(published, *some)))
         weights = recovery.weights(response)
         own = recovery.basis @ weights
         drawn = rng.standard_normal((8, len(recovery.errors)))
@@ -207,7 +205,7 @@ def test_the_prior_holds_each_lamp_bare_on_surfaces_among_its_kind_and_any_mixtu
 
 def test_twice_the_light_is_twice_what_is_recovered_and_what_is_not_finite_stays_so(seen, prior):
     response = (seen.sensitivity @ (spectrum("FL11") * TCS[:9]).T).T.astype(np.float32)
-    recovery = LightRecovery.of_room(seen.calibration, Directions(response.astype(float), np.full(9, 1 / 9)), prior)
+    recovery = LightRecovery.of_room(seen.model, Directions(response.astype(float), np.full(9, 1 / 9)), prior)
     weights = recovery.weights(response)
     assert recovery.weights(2.0 * response) == pytest.approx(2.0 * weights, rel=1e-5)
     holes = response.copy()
@@ -220,14 +218,14 @@ def test_twice_the_light_is_twice_what_is_recovered_and_what_is_not_finite_stays
 def test_a_picture_is_recovered_to_the_same_bits_pixel_by_pixel(seen, prior):
     rng = np.random.default_rng(2)
     response = rng.uniform(0.0, 1.0, (5000, 6)).astype(np.float32)
-    recovery = LightRecovery.of_room(seen.calibration, draw_directions([(response, 1.0)]), prior)
+    recovery = LightRecovery.of_room(seen.model, draw_directions([(response, 1.0)]), prior)
     whole = recovery.weights(response)
     np.testing.assert_array_equal(recovery.weights(response[1234:1301]), whole[1234:1301])
 
 
 def test_a_black_room_is_black(seen, prior):
     drawn = draw_directions([(np.zeros((40, 6)), 1.0)] * 2)
-    assert (LightRecovery.of_room(seen.calibration, drawn, prior).weights(np.zeros((3, 6))) == 0.0).all()
+    assert (LightRecovery.of_room(seen.model, drawn, prior).weights(np.zeros((3, 6))) == 0.0).all()
 
 
 def test_directions_are_drawn_by_their_light():
@@ -247,15 +245,15 @@ def test_directions_are_drawn_by_their_light():
 
 def test_the_prior_is_that_of_the_published_lamps_where_none_is_given(seen, prior):
     room = one_direction(seen.sensitivity @ spectrum("FL4"))
-    found, given = LightRecovery.of_room(seen.calibration, room), LightRecovery.of_room(seen.calibration, room, prior)
+    found, given = LightRecovery.of_room(seen.model, room), LightRecovery.of_room(seen.model, room, prior)
     np.testing.assert_array_equal(found.weights(room.response), given.weights(room.response))
 
 
 @pytest.mark.parametrize("lacking", ["band_response", "band_response_covariance"])
-def test_a_calibration_that_does_not_know_its_response_is_refused(seen, prior, lacking):
+def test_a_calibration_that_does_not_know_its_response_is_refused(seen, lacking):
     calibration = replace(seen.calibration, **{lacking: None})
     with pytest.raises(InputError, match=rf"c\.h5.*{lacking}.*no such dataset"):
-        LightRecovery.of_room(calibration, one_direction(np.ones(6)), prior, "c.h5")
+        ResponseModel.of(calibration, "c.h5")
 
 
 def test_a_drawn_light_differs_by_its_errors_alone_and_given_light_has_none(tmp_path):

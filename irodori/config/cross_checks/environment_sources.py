@@ -37,7 +37,7 @@ def check_source(environment: EnvironmentDefinition, root: Path, file) -> None:
             raise InputError(file, key, "no such key", f"this key, because the source is of kind {kind}")
     unused = () if is_photographed(environment) else (*_OF_A_CAMERA, *(() if lights else ("image",)))
     for key in unused:
-        if key in given:
+        if given.get(key):
             found = f"a key that a source of kind {kind} does not use"
             raise InputError(file, key, found, "to leave it out")
     if isinstance(source, RgbSource | SpectralSource) and not is_file(root / source.file):

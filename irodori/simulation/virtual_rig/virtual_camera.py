@@ -146,7 +146,7 @@ class VirtualCamera(CameraDevice):
             response = white_mosaic(self.camera, self.rig, pose, plate, weights)
         elif subject in self._charts:
             response = chart_mosaic(self._charts[subject], self.camera, self.rig, pose, plate, weights)
-        elif subject in self._room_charts and isinstance(self.subject, EnvironmentDefinition):
+        elif isinstance(self.subject, EnvironmentDefinition) and subject in self._room_charts:
             response = room_chart_mosaic(
                 self.subject, self._room_charts[subject], self.camera, self.rig, plate, weights
             )
