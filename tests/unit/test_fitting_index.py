@@ -34,7 +34,9 @@ def test_errors_of_a_fitted_index_and_of_what_hangs_on_it_hold():
     noise = np.tile([4e-6, 8e-5], (len(geometry), 1))
     response = response + np.sqrt(noise[:, 0] + noise[:, 1] * response) * rng.normal(size=response.shape)
     for weights in ("noise", "equal"):
-        options = FitOptions(refractive_index="fitted", weights=weights, model_error=1e-4, level_error=1e-4, pose_error_deg=0.05)
+        options = FitOptions(
+            refractive_index="fitted", weights=weights, model_error=1e-4, level_error=1e-4, pose_error_deg=0.05
+        )
         result = fit(response, geometry, np.ones(response.shape), N, K, options, noise=noise)
         known = np.isfinite(result.index) & stated(result)
         assert known.mean() > 0.5

@@ -84,7 +84,14 @@ def test_error_bars_of_ggx_are_honest(noise):
     alpha, beta, mu = rng.uniform(0.1, 0.8, count), rng.uniform(1.0, 6.0, count), rng.uniform(0.06, 0.3, count)
     clean = responses(["ggx"], alpha, (beta, mu))
     deviation = np.sqrt(1e-6 + 1e-5 * clean)
-    found = run(clean + deviation * rng.normal(size=clean.shape), ("ggx",), noise, model_error=0.0, level_error=0.0, pose_error_deg=0.0)
+    found = run(
+        clean + deviation * rng.normal(size=clean.shape),
+        ("ggx",),
+        noise,
+        model_error=0.0,
+        level_error=0.0,
+        pose_error_deg=0.0,
+    )
     known = found.status == Status.OK
     assert known.mean() > 0.99
     for name, truth in (("alpha", alpha), ("beta", beta), ("mu", mu)):
