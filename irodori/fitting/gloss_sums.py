@@ -214,14 +214,9 @@ def shared_error(surface: Surface, gloss: np.ndarray) -> np.ndarray:
     """Return the variance of the slopes, (2, 2), that errors shared by all texels of a photograph give at one gloss.
 
     Drift of the light and errors of the pose are those of a photograph: averaging over texels does not lower them.
-    Poses are independent; the light drifts slowly, and forgets itself to 1/e over the photographs of an object. Their
-    mean is no part of it: that is the level, see `Rules`.
     """
-    common = _common_part(surface, np.ascontiguousarray(gloss, dtype=np.float64))
-    place, poses = np.arange(len(common)) / len(common), common[:, 1:].reshape(-1, 2)
-    alike = np.exp(-np.abs(place[:, None] - place))
-    light = common[:, 0] - common[:, 0].mean(axis=0)
-    return light.T @ alike @ light + poses.T @ poses
+    common = _common_part(surface, np.ascontiguousarray(gloss, dtype=np.float64)).reshape(-1, 2)
+    return common.T @ common
 
 
 @njit(cache=True, error_model="numpy")

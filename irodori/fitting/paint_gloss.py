@@ -23,7 +23,6 @@ _ROUNDS = 300  # of expectation and maximisation
 _FIRST, _ANY = 0.1**2, 0.5**2  # variance of log β or log μ at the start, and of gloss that may be any
 _LEAST_FREE = 0.5  # observations by which a texel must be free to differ, to be found foreign
 _LEAST_PHOTOGRAPHS = 4  # whose scatter says anything
-_BY_CHANCE = 3.0  # times the variance expected, up to which that of a dozen photographs may be
 _LEAST_VARYING = 1e-8  # variance of log β or log μ: a hundredth of a per cent
 
 
@@ -157,12 +156,12 @@ def _of_photographs(surface: Surface, place: np.ndarray) -> np.ndarray:
 
 
 def _larger(expected: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """Return a covariance, and in directions in which another is larger by more than chance, as large as that."""
+    """Return the covariance that is as large as the larger of two in every direction."""
     root = np.linalg.cholesky(expected)
     inverse = np.linalg.inv(root)
     size, along = np.linalg.eigh(inverse @ seen @ inverse.T)
     axes = root @ along
-    return axes * np.where(size > _BY_CHANCE, size, 1.0) @ axes.T
+    return axes * np.maximum(size, 1.0) @ axes.T
 
 
 def gloss_of_paint(surface: Surface, nodes: np.ndarray) -> PaintGloss | None:
