@@ -98,6 +98,7 @@ _TABLE = {
         "one dark reading": _RIGHT + ", α, gloss and colour",
         "one doubled reading": _RIGHT,
         "clipping at 60 % of the peak, unflagged": "right within the errors or flagged, four times in five",
+        "sittings whose lamp and poses are off": "errors of paints cover the truth",
         "two lobes fitted as one": "flagged contradicted where the readings tell, else α right within the errors",
         "μ above its bound": "flagged at-bound",
         "1 % noise": "no dense scan finds a lower minimum; prediction within the noise",

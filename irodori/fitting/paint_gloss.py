@@ -134,6 +134,14 @@ def _minimum(surface: Surface, start: np.ndarray) -> np.ndarray | None:
     return place if inside else None
 
 
+def _is_told(part: np.ndarray, varying: np.ndarray, excess: float) -> bool:
+    """Return whether texels tell that their gloss varies, by Schwarz's criterion for the three numbers of that."""
+    slope, normal = (one / excess for one in _matrices(part))
+    gain = np.einsum("ti,tij,tj->", slope, _inverse(normal + np.linalg.inv(varying)), slope)
+    cost = np.log(np.linalg.det(np.eye(2) + varying @ normal)).sum()
+    return bool(gain - cost > 3.0 * np.log(len(part)))
+
+
 def _of_photographs(surface: Surface, place: np.ndarray) -> np.ndarray:
     """Return the covariance of log β and log μ by the jackknife over photographs.
 
@@ -147,11 +155,11 @@ def _of_photographs(surface: Surface, place: np.ndarray) -> np.ndarray:
     return (count - 1) / count * apart.T @ apart
 
 
-def _larger(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+def _larger(expected: np.ndarray, seen: np.ndarray) -> np.ndarray:
     """Return the covariance that is as large as the larger of two in every direction."""
-    root = np.linalg.cholesky(one)
+    root = np.linalg.cholesky(expected)
     inverse = np.linalg.inv(root)
-    size, along = np.linalg.eigh(inverse @ other @ inverse.T)
+    size, along = np.linalg.eigh(inverse @ seen @ inverse.T)
     axes = root @ along
     return axes * np.maximum(size, 1.0) @ axes.T
 
@@ -187,6 +195,8 @@ def gloss_of_paint(surface: Surface, nodes: np.ndarray) -> PaintGloss | None:
     part = sums.parts(surface, np.tile(place, (len(surface.blocks), 1)))
     tells = (part[:, sums.BETA_BETA] > 0.0) & (part[:, sums.MU_MU] > 0.0)
     varying, excess = sums.varying(part[tells], _FIRST, _LEAST_VARYING, _ROUNDS)
+    if not _is_told(part[tells], varying, excess):
+        varying = _LEAST_VARYING * np.eye(2)
     observations = part[:, sums.USED].sum()
     if not found[1] / excess > 2.0 * np.log(observations) or not part[:, sums.SEEN].max() >= LEAST_SEEN:
         return None  # Schwarz's criterion for β and μ, and a lobe whose top nobody saw

@@ -166,7 +166,7 @@ def test_expected_errors_are_those_that_the_fit_states(material, weights):
     camera = np.tile([noise.read_variance, noise.shot_variance], (len(POSES), 1))
     result = fit(response, geometry, np.ones_like(response), options=options, noise=camera)
     stated = np.array([result.alpha_error, result.beta_error, result.mu_error])[:, 0] / truth
-    stated[:2] = np.sqrt(stated[:2] ** 2 - options.model_error**2)  # what all photographs share
+    stated[:2] = np.sqrt(stated[:2] ** 2 - options.level_error**2)  # what all photographs share
     seen = observe(texel(), POSES, material, noise, weighting=Weighting(weights, options.model_error))
     # The fit knows a pose error by the slope along φ alone; F and G, and the curvature at the top, are left.
     np.testing.assert_allclose(standard_errors(seen)[0], stated, rtol=0.05)

@@ -14,13 +14,13 @@ def test_a_fitted_index_is_that_of_the_material():
     truth = rng.uniform(1.35, 2.0, 40)
     mu, beta = rng.uniform(0.15, 0.3, 40), rng.uniform(4, 8, 40)
     response = np.stack([model(0.2, b, m, geometry, n=n) for b, m, n in zip(beta, mu, truth, strict=True)])
-    exact = run(response, geometry, refractive_index="fitted", model_error=1e-4, pose_error_deg=0.0)
+    exact = run(response, geometry, refractive_index="fitted", model_error=1e-4, level_error=1e-4, pose_error_deg=0.0)
     known = np.isfinite(exact.index)
     assert known.mean() > 0.9
     np.testing.assert_allclose(exact.index[known], truth[known], atol=2e-3)
     np.testing.assert_allclose(exact.beta[known], beta[known], rtol=1e-2)
     noisy = run(response + 0.003 * rng.normal(size=response.shape), geometry, refractive_index="fitted",
-                weights="equal", model_error=1e-3, pose_error_deg=0.0)  # fmt: skip
+                weights="equal", model_error=1e-3, level_error=1e-3, pose_error_deg=0.0)  # fmt: skip
     known = np.isfinite(noisy.index)
     assert known.any() and (np.abs(noisy.index - truth)[known] <= 4 * noisy.index_error[known]).all()
 
@@ -34,7 +34,9 @@ def test_errors_of_a_fitted_index_and_of_what_hangs_on_it_hold():
     noise = np.tile([4e-6, 8e-5], (len(geometry), 1))
     response = response + np.sqrt(noise[:, 0] + noise[:, 1] * response) * rng.normal(size=response.shape)
     for weights in ("noise", "equal"):
-        options = FitOptions(refractive_index="fitted", weights=weights, model_error=1e-4, pose_error_deg=0.05)
+        options = FitOptions(
+            refractive_index="fitted", weights=weights, model_error=1e-4, level_error=1e-4, pose_error_deg=0.05
+        )
         result = fit(response, geometry, np.ones(response.shape), N, K, options, noise=noise)
         known = np.isfinite(result.index) & stated(result)
         assert known.mean() > 0.5

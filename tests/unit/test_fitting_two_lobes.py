@@ -26,7 +26,7 @@ ANGLES = np.stack([LIGHT, np.abs(CAMERA), np.abs(LIGHT + CAMERA) / 2, np.abs(LIG
 COSINE = np.cos(ANGLES[:, 0])
 NOISE = np.tile([1e-6, 1e-5], (len(ANGLES), 1))
 PAIRS = [("ggx", "ggx"), ("gaussian", "ggx")]
-EXACT = {"model_error": 1e-5, "pose_error_deg": 0.0}
+EXACT = {"model_error": 1e-5, "level_error": 1e-5, "pose_error_deg": 0.0}
 
 
 def gloss(name: str, mu: float) -> np.ndarray:
@@ -84,7 +84,14 @@ def test_error_bars_of_ggx_are_honest(noise):
     alpha, beta, mu = rng.uniform(0.1, 0.8, count), rng.uniform(1.0, 6.0, count), rng.uniform(0.06, 0.3, count)
     clean = responses(["ggx"], alpha, (beta, mu))
     deviation = np.sqrt(1e-6 + 1e-5 * clean)
-    found = run(clean + deviation * rng.normal(size=clean.shape), ("ggx",), noise, model_error=0.0, pose_error_deg=0.0)
+    found = run(
+        clean + deviation * rng.normal(size=clean.shape),
+        ("ggx",),
+        noise,
+        model_error=0.0,
+        level_error=0.0,
+        pose_error_deg=0.0,
+    )
     known = found.status == Status.OK
     assert known.mean() > 0.99
     for name, truth in (("alpha", alpha), ("beta", beta), ("mu", mu)):
@@ -130,7 +137,7 @@ def test_error_bars_of_two_lobes_are_honest(lobes):
     alpha, broad, narrow = two_components(1000, 9)
     clean = responses(lobes, alpha, broad, narrow)
     response = clean + np.sqrt(1e-6 + 1e-5 * clean) * rng.normal(size=clean.shape)
-    found = run(response, lobes, NOISE, model_error=0.0, pose_error_deg=0.0)
+    found = run(response, lobes, NOISE, model_error=0.0, level_error=0.0, pose_error_deg=0.0)
     known = found.status == Status.OK
     assert known.mean() > 0.9
     expected = {"alpha": alpha, "beta": broad[0], "mu": broad[1], "beta_2": narrow[0], "mu_2": narrow[1]}
