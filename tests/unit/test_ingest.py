@@ -206,6 +206,8 @@ def test_bands_stand_in_one_order_whatever_the_order_of_the_lines(tmp_path):
             studio.shoot("object", truth, state, 0.02 if state == "out" else 0.05)
         pictures.append(studio.ingest(pose.name)[0].mean(axis=(0, 1)))
         np.testing.assert_allclose(pictures[-1], np.linspace(0.1, 0.6, 6), rtol=0.02)
+        with store.open_file(folder / "linear.h5") as file:
+            assert file.attribute("filters") == ["out", "in"]
 
 
 def test_a_white_reference_that_does_not_fill_the_picture_is_refused(tmp_path):

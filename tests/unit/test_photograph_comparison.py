@@ -122,10 +122,14 @@ def studio(tmp_path_factory):
     return folder, camera
 
 
-def compared(studio, out: Path, materials, **placed) -> tuple[dict, dict]:
+def compared(studio, out: Path, materials, virtual=True, **placed) -> tuple[dict, dict]:
     """Figures and datasets of a comparison with the rendering of other materials."""
     folder, camera = studio
-    inputs = {"linear": folder / "scene.h5", "calibration": folder / "calibration.h5", "radiance": [folder / "seen.h5"]}
+    inputs = {
+        "linear": folder / "scene.h5",
+        "calibration": folder / "calibration.h5",
+        "radiance": [folder / "seen.h5"] * virtual,
+    }
     inputs |= {"environment": folder / "light.h5", "materials": [folder / f"{name}.h5" for name in materials]}
     outputs = {key: out / f"{key}.png" for key in ("comparison", "photograph", "rendering")}
     outputs |= {"difference": out / "difference.h5", "figures": out / "figures.json"}
@@ -167,6 +171,12 @@ def test_a_photograph_of_the_very_materials_differs_by_noise_alone(studio, tmp_p
     for name in ("comparison", "photograph", "rendering"):
         with Image.open(tmp_path / f"{name}.png") as image:
             assert image.mode in ("RGB", "RGBA")
+
+
+def test_a_photograph_of_a_camera_has_no_paths_in_its_noise(studio, tmp_path):
+    figures, data = compared(studio, tmp_path, ("plate", "red"), virtual=False, samples=16)
+    assert figures["noise_counts"] == ["paths of the rendering", "camera"]
+    assert figures["compared_fraction"] > 0.7 and np.nanmax(data["noise"]) > 0.0
 
 
 def test_a_changed_material_shows_at_its_own_pixels(studio, tmp_path):
