@@ -16,8 +16,8 @@ import numpy as np
 sys.path[:0] = [sys.argv[2]]
 from benchmarks.fit import inputs, scene
 from irodori.fitting.solvers import FitOptions, fit
-found = fit(*inputs(scene(256)[3], "own"), FitOptions())
-np.save(sys.argv[1], np.concatenate([found.alpha, found.beta, found.mu, found.beta_error]))
+found = [fit(*inputs(scene(256)[3], kind), FitOptions()) for kind in ("own", "shared")]
+np.save(sys.argv[1], np.stack([np.concatenate([r.alpha, r.beta, r.mu, r.beta_error]) for r in found]))
 """
 
 
