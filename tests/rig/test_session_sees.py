@@ -191,6 +191,7 @@ def test_the_photographs_of_a_camera_are_looked_at_too(tmp_path, bench, role, mi
     assert len(person.told) == 1 and f"{file}: {kind}" in person.told[0]
 
 
+@pytest.mark.heavy
 def test_none_of_two_hundred_sound_photographs_is_doubted(tmp_path, bench):
     poses = [
         {"light_deg": [45.0, 60.0], "camera_deg": [5.0 * i for i in range(14)], "turn_deg": [0.0, 30.0]},
