@@ -341,7 +341,7 @@ _AROUND = (
 )  # fmt: skip
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(8))
 def test_random_actions_leave_no_error_and_no_number_lost(visit, seed):
     """25 sequences of 8 actions each; the double refuses a state with a number that is not finite."""
     one, draw = visit(), random.Random(seed)
