@@ -11,7 +11,7 @@ from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER
 from irodori.fitting.paint_colours import MOST_CORES, Colours, cores, find_colours, noise_floor
 from irodori.fitting.paint_gloss import PaintGloss
-from irodori.fitting.paints import Optics, Paints, Tile, find_paints, sample, share_by_paint
+from irodori.fitting.paints import BELIEVED, Optics, Paints, Tile, find_paints, sample, share_by_paint
 from irodori.fitting.solvers import FitOptions
 from irodori.fitting.stage import (
     CARRIED,
@@ -34,7 +34,7 @@ def _colours(tiles: list) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]
         with store.open_file(path) as file:
             response, variance, status = (file.read(name) for name in (*_RESPONSE, "status"))
             shape = -1, file.attribute("width", int)
-        told = np.isin(status, (Status.OK, Status.DIFFUSE_ONLY)) & np.isfinite(response).all(axis=1)
+        told = np.isin(status, BELIEVED) & np.isfinite(response).all(axis=1)
         yield (
             response.reshape(*shape, response.shape[1]),
             variance.reshape(*shape, response.shape[1]),

@@ -25,7 +25,8 @@ _LEAST_OF_TILE = 100  # texels of one paint that a tile gives at least, where it
 _SEAM = 5  # texels across a seam, where a picture shows a mixture
 _WORTH = 0.3  # relative standard error of α beyond which a colour is not stated,
 _DARK = 0.01  # where its standard error is more than this
-_BELIEVED = (Status.OK, Status.DIFFUSE_ONLY)
+#: Statuses with a colour: what denies a model of gloss, such as two lobes that are fitted as one, has one as well.
+BELIEVED = (Status.OK, Status.DIFFUSE_ONLY, Status.CONTRADICTED)
 
 
 @dataclass(frozen=True)
@@ -101,7 +102,7 @@ class Tile:
 
 def believed(tile: Tile) -> np.ndarray:
     """Return the texels whose own fit tells their colour, (texels,) bool."""
-    return np.isin(tile.status, _BELIEVED)
+    return np.isin(tile.status, BELIEVED)
 
 
 def seams(paint: np.ndarray) -> np.ndarray:
