@@ -337,7 +337,7 @@ class Series:
 
     def doubts(self, shot: Shot, look: Look) -> list[Doubt]:
         """Return what about a photograph cannot be as it was asked for, the plainest first; empty where it is sound."""
-        found = list(self._of_the_file(look))
+        found = list(self._of_the_file(shot, look))
         if not found:
             found = list(self._of_the_level(shot, look))
         # What is black or blown shows nothing else, and would be doubted for all else too.
@@ -369,15 +369,17 @@ class Series:
     def _kind(self, shot: Shot) -> list[tuple[Shot, Look]]:
         return [(s, seen) for s, seen in self._seen if (s.subject, s.filter) == (shot.subject, shot.filter)]
 
-    def _of_the_file(self, look: Look) -> Iterator[Doubt]:
+    def _of_the_file(self, shot: Shot, look: Look) -> Iterator[Doubt]:
         """Yield what the file itself says: size, body, lens, and whether it was delivered before."""
-        for shot, seen in self._seen:
+        for earlier, seen in self._seen:
             if seen.pixels == look.pixels:
-                yield delivered_again(shot.file)
+                yield delivered_again(earlier.file)
                 return
-        if not self._seen:
+        # A panorama is stitched or unwrapped: it has not the sensor's size, which the charts of its place have.
+        alike = [(s, k) for s, k in self._seen if (s.role == "environment") == (shot.role == "environment")]
+        if not alike:
             return
-        shot, first = self._seen[0]
+        shot, first = alike[0]
         if look.size != first.size:
             (width, height), (as_wide, as_high) = look.size, first.size
             yield Doubt(
