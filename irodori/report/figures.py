@@ -19,7 +19,18 @@ from irodori.reflection.registry import lobe
 from irodori.spectra.grid import WAVELENGTH_NM
 
 _UNSEEN_GREY = 208
-_STATUS_COLOURS = ("#4c9f70", "#e0b050", "#9b6fb0", "#d0d0d0", "#c04040", "#4a90c4", "#f0e442", "#303030", "#a5d6a7")
+_STATUS_COLOURS = (
+    "#4c9f70",
+    "#e0b050",
+    "#9b6fb0",
+    "#d0d0d0",
+    "#c04040",
+    "#4a90c4",
+    "#f0e442",
+    "#303030",
+    "#a5d6a7",
+    "#8d5524",
+)
 
 
 def _finish(figure) -> str:
