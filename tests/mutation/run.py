@@ -93,7 +93,7 @@ LONGEST_S = 2.0
 TOGETHER_S = 8.0  # of the tests that one mutant is put to
 EXAMPLES = 10  # of a property-based test, at most
 PATIENCE_S = 10.0
-QUIET_S = 120.0
+QUIET_S = 40.0
 
 
 @dataclass
@@ -153,10 +153,14 @@ class Runner:
 
     def pytest_runtestloop(self, session) -> bool:
         import cv2
+        import OpenImageIO
 
         if session.testsfailed:
             raise session.Interrupted("tests cannot be collected")
         cv2.setNumThreads(1)
+        # Its threads do not survive a fork, and who reads a picture would wait for them.
+        OpenImageIO.attribute("threads", 1)
+        OpenImageIO.attribute("exr_threads", -1)
         begun = time.process_time()
         self._run_unspoilt(session.items)
         # What was computed once for all is computed anew in every process, by its mutant.

@@ -323,6 +323,7 @@ def test_what_ends_a_command_from_outside_stops_the_rig_in_mid_move(bench, board
 
 def test_saying_where_a_rig_stands_waits_for_no_import_that_only_photographs_or_simulators_need():
     code = "import sys, irodori.capture.command; print(*sys.modules)"
-    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
+    loaded = run.stdout.split()
     assert not {"numpy", "numba", "scipy", "rawpy", "h5py", "jsonschema"} & set(loaded)
     assert not [name for name in loaded if name.startswith(("irodori.simulation", "irodori.ingest"))]

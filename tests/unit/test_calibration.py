@@ -294,12 +294,12 @@ def test_stage_refuses_as_input_error(tmp_path, fault):
 
 @pytest.fixture(scope="module")
 def real_chart():
-    """A decoded photograph of a ColorChecker and its camera's definition with an absolute path."""
+    """A decoded photograph of a ColorChecker and its camera's definition with this chart's measured spectra."""
     photograph = DATA / "raw" / "powershot_s40_chart.crw"
     if not photograph.is_file():
         pytest.skip(f"no real photograph at {photograph}")
     definition = yaml.safe_load((ROOT / "config/cameras/powershot-s40.yaml").read_text())
-    definition["chart"]["spectra"] = str(ROOT / definition["chart"]["spectra"])
+    definition["chart"]["spectra"] = str(DATA / "reflectance" / "colorchecker_classic_24.csv")
     return decode(photograph), definition
 
 

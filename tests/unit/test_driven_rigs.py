@@ -21,6 +21,7 @@ def bench(root):
     for file in (CAMERA_FILE, PLATE_FILE, ROOM_FILE):
         edit(root, file, "virtual", ...)
     edit(root, ROOM_FILE, "exposure_s", ...)
+    edit(root, ROOM_FILE, "room_charts", ...)
     edit(root, CAMERA_FILE, "rig", "gonio-grbl")
     edit(root, CAMERA_FILE, "driver", dict(DRIVER))
     edit(root, CAMERA_FILE, "captures", {"table": "camera/captures.csv"})

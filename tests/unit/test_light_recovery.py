@@ -167,7 +167,7 @@ def test_light_and_its_error_are_the_mean_and_covariance_of_the_mixture_written_
     )
     response = rng.uniform(0.2, 1.0, (directions, 2))
     room = Directions(response, rng.dirichlet(np.ones(directions)))
-    recovery = LightRecovery.of_room(calibration, room, prior)
+    recovery = LightRecovery.of_room(ResponseModel.of(calibration), room, prior)
     weights = recovery.weights(response)
     for own, parts in zip(weights, written_out(prior, model, covariance, room), strict=True):
         mean = sum(share * light for share, light, _ in parts)
