@@ -26,6 +26,7 @@ _MAKE, _MODEL, _TIME, _SERIAL, _LENS = 271, 272, 36867, 42033, 42036
 _LIT, _CLIPPED = 0.02, 0.995
 #: Places whose steps are the highest of a picture; few enough that a small object's outline holds them.
 _STEEPEST = 500
+_QUANTILES = (0.1, 0.25, 0.5, 0.75, 0.9)
 #: Photographs of one filter state from which it is told how far poses change the colour.
 _FEWEST_OF_STATE = 2
 _FEWEST_STEPS, _STEP_PX = 16, 4
@@ -141,11 +142,16 @@ class Look:
 
     @cached_property
     def colour(self) -> np.ndarray:
-        """Median logarithms of red and blue to green over what is lit and whole, (2,); NaN where nothing is."""
+        """Quantiles of the logarithms of red and blue to green over what is lit and whole, (10,); NaN where nothing is.
+
+        A filter shifts all of them. Where another pose lights other parts of an object of several colours, some jump
+        from one colour to the next and others stay. Their distances are root mean squares over the quantiles.
+        """
         bands = self.picture[self.whole & (self.picture.min(axis=2) > _LIT / 4.0)]
         if len(bands) < _FEWEST_STEPS:
-            return np.full(2, np.nan)
-        return np.median(np.log(bands[:, [0, 2]] / bands[:, 1:2]), axis=0)
+            return np.full(2 * len(_QUANTILES), np.nan)
+        ratios = np.log(bands[:, [0, 2]] / bands[:, 1:2])
+        return np.quantile(ratios, _QUANTILES, axis=0).ravel() / math.sqrt(len(_QUANTILES))
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,6 @@
 """A session killed at any moment, and continued: nothing is lost or doubled, and every byte is that of a quiet one."""
 
+import csv
 import random
 from pathlib import Path
 
@@ -11,6 +12,19 @@ from sessions import assert_whole, capture, contents, target
 from irodori.capture.shot_list import object_shots
 from irodori.config.models import Camera, Object
 from irodori.config.parts import PhotographedObject
+
+
+def assert_same(found: dict[str, bytes], expected: dict[str, bytes], when: str) -> None:
+    """Fail unless two sessions left the same.
+
+    Of a photograph that was stored but not yet listed nobody knows where the axes were read: its cells are empty.
+    """
+    found, expected = dict(found), dict(expected)
+    rows, wanted = (list(csv.DictReader(one.pop("captures.csv").decode().splitlines())) for one in (found, expected))
+    assert found == expected, when
+    unread = [dict(row, **{key: "" for key in row if key.endswith("_read_deg")}) for row in wanted]
+    assert all(row in pair for row, *pair in zip(rows, wanted, unread, strict=True)), when
+    assert sum(row != right for row, right in zip(rows, wanted, strict=True)) <= 1, when
 
 
 def kill_and_continue(tmp_path: Path, sessions: Killable, kills: int, seed: int) -> set[int]:
@@ -31,7 +45,7 @@ def kill_and_continue(tmp_path: Path, sessions: Killable, kills: int, seed: int)
         sessions.run(folder, whole_s * (number + rng.random()) / kills)
         stood.add(len(list(folder.glob("*.dng"))))
         capture(folder, sessions.motion)
-        assert contents(folder) == expected, f"kill {number}"
+        assert_same(contents(folder), expected, f"kill {number}")
         assert_whole(folder, planned)
     return stood
 
