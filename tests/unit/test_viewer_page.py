@@ -6,6 +6,7 @@ The browser is Debian's chromium with its renderer in software; without one all 
 import base64
 import json
 import zlib
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from pages import painted, room, sources, write_mesh
 from scenes import fresnel
 from written_pages import SIZE, Written, agree, differences, inside
 
+import irodori.viewer
 from irodori.export.pictures import write_spectral_exr
 from irodori.geometry.rig_frame import look_at, rotation_xyz, rotation_z
 from irodori.rendering.scene_arrays import make_view
@@ -83,6 +85,13 @@ def test_objects_and_camera_are_moved_as_the_scene_says(written, page):
         state["light"]["turn_deg"] = turn
         bands = frame_bands(scene, view, moved, rotation_z(np.radians(turn)))
         assert_every_light_and_observer(written, page, state, bands)
+
+
+def test_lines_of_the_pages_code_are_those_of_a_person():
+    page = Path(irodori.viewer.__file__).parent / "page"
+    for file in (*page.glob("*.js"), *page.glob("*.glsl"), *page.glob("*.css")):
+        longest = max(map(len, file.read_text(encoding="utf-8").splitlines()))
+        assert longest <= 120, f"{file.name}: {longest} characters"
 
 
 MUTATIONS = {

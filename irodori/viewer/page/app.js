@@ -1,4 +1,4 @@
-'use strict';
+"use strict";
 // What the scripts of the page share: the state that is shown, and what the learner has chosen beside it. What the
 // learner does becomes a state (input.js, panel.js and its pages), the renderer draws it (drawing.js), controls and
 // address show it (changes.js). Each script adds the functions that others call.
@@ -10,8 +10,8 @@
     page: null, // {state, compare, probes, ruler, step}, see state.js
     lesson: null,
     controls: new I.Controls(), // of the panel
-    tab: 'lesson',
-    tool: 'view', // what dragging and arrow keys do
+    tab: "lesson",
+    tool: "view", // what dragging and arrow keys do
     chosenObject: 0,
     chosenLamp: 0,
     chosenNote: null,

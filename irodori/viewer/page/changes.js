@@ -1,8 +1,9 @@
-'use strict';
+"use strict";
 // Changes of the state and what follows them: the picture, the controls, the address, and words of what was refused.
 (function (I) {
-  const app = I.app, $ = I.byId;
-  const calm = window.matchMedia('(prefers-reduced-motion: reduce)');
+  const app = I.app,
+    $ = I.byId;
+  const calm = window.matchMedia("(prefers-reduced-motion: reduce)");
 
   function changed() {
     app.redraw();
@@ -16,9 +17,13 @@
   function settle() {
     clearTimeout(app.settling);
     app.settling = null;
-    const at = app.pace.way ? {...app.page, state: {...app.page.state, camera: app.pace.way.to}} : app.page;
+    const at = app.pace.way ? { ...app.page, state: { ...app.page.state, camera: app.pace.way.to } } : app.page;
     const hash = I.pageToHash(at, app.base);
-    history.replaceState(null, '', hash === I.pageToHash(app.base, app.base) ? location.pathname + location.search : '#' + hash);
+    history.replaceState(
+      null,
+      "",
+      hash === I.pageToHash(app.base, app.base) ? location.pathname + location.search : "#" + hash,
+    );
     tellPicture();
     if (app.renderer.knowsShadows(app.page.state)) return;
     app.renderer.castShadows(app.page.state, () => {
@@ -29,9 +34,9 @@
 
   function tellPicture() {
     const words = app.describe();
-    if ($('live').textContent !== words) $('live').textContent = words;
-    $('picture-help').textContent = words + ' ' + I.text('keys_' + app.tool);
-    $('updating').hidden = app.renderer.knowsShadows(app.page.state);
+    if ($("live").textContent !== words) $("live").textContent = words;
+    $("picture-help").textContent = words + " " + I.text("keys_" + app.tool);
+    $("updating").hidden = app.renderer.knowsShadows(app.page.state);
   }
 
   function put(next, smooth) {
@@ -43,7 +48,7 @@
     app.pace.way = null;
     app.probed = [];
     if (smooth && from && !calm.matches) {
-      app.pace.way = {from: I.clone(from), to: I.clone(app.page.state.camera), since: performance.now()};
+      app.pace.way = { from: I.clone(from), to: I.clone(app.page.state.camera), since: performance.now() };
       app.page.state.camera = I.clone(from);
     }
     app.build();
@@ -55,7 +60,7 @@
 
   function goTo(index) {
     tell(() => put(I.pageOfStep(app.lesson.steps[index], index, keptSettings(), app.header), true));
-    $('pages').scrollTop = 0;
+    $("pages").scrollTop = 0;
   }
 
   // A refusal is told in a sentence; any other error is the page's own and is not hidden.
@@ -69,16 +74,24 @@
   }
 
   // A step sets the whole picture but not the learner's screen.
-  const keptSettings = () => ({...I.clone(app.base), state: {...I.clone(app.base.state), display: I.clone(app.page.state.display)}});
+  const keptSettings = () => ({
+    ...I.clone(app.base),
+    state: { ...I.clone(app.base.state), display: I.clone(app.page.state.display) },
+  });
 
   let saying = null;
 
   function say(words) {
-    $('message').textContent = words;
-    $('message').hidden = false;
+    $("message").textContent = words;
+    $("message").hidden = false;
     clearTimeout(saying);
-    saying = setTimeout(() => { $('message').hidden = true; }, Math.max(5000, words.length * 80));
+    saying = setTimeout(
+      () => {
+        $("message").hidden = true;
+      },
+      Math.max(5000, words.length * 80),
+    );
   }
 
-  Object.assign(app, {changed, settle, put, goTo, tell, say});
+  Object.assign(app, { changed, settle, put, goTo, tell, say });
 })(window.Irodori);

@@ -20,7 +20,8 @@ vec3 encoded(vec3 linear) {
   vec3 place = pow(clamp(linear, 0.0, 1.0), vec3(1.0 / 2.4)) * float(last), found;
   for (int c = 0; c < 3; c++) {
     int i = min(int(place[c]), last - 1);
-    found[c] = mix(texelFetch(uCodes, ivec2(i, 0), 0)[c], texelFetch(uCodes, ivec2(i + 1, 0), 0)[c], place[c] - float(i));
+    vec4 low = texelFetch(uCodes, ivec2(i, 0), 0), high = texelFetch(uCodes, ivec2(i + 1, 0), 0);
+    found[c] = mix(low[c], high[c], place[c] - float(i));
   }
   return found;
 }
@@ -43,7 +44,8 @@ float ciede2000(vec3 a, vec3 b) {
   else if (dh < -0.5 * TURN) dh += TURN;
   float h = h1 + h2;
   if (c1 * c2 > 0.0) h = abs(h1 - h2) <= 0.5 * TURN ? 0.5 * h : 0.5 * (h < TURN ? h + TURN : h - TURN);
-  float t = 1.0 - 0.17 * cos(h - radians(30.0)) + 0.24 * cos(2.0 * h) + 0.32 * cos(3.0 * h + radians(6.0)) - 0.2 * cos(4.0 * h - radians(63.0));
+  float t = 1.0 - 0.17 * cos(h - radians(30.0)) + 0.24 * cos(2.0 * h) + 0.32 * cos(3.0 * h + radians(6.0))
+    - 0.2 * cos(4.0 * h - radians(63.0));
   float l = 0.5 * (a.x + b.x) - 50.0, c7 = pow(c, 7.0), hd = (degrees(h) - 275.0) / 25.0;
   float sl = 1.0 + 0.015 * l * l / sqrt(20.0 + l * l), sc = 1.0 + 0.045 * c, sh = 1.0 + 0.015 * c * t;
   float rt = -2.0 * sqrt(c7 / (c7 + 6103515625.0)) * sin(radians(60.0) * exp(-hd * hd));
@@ -52,7 +54,9 @@ float ciede2000(vec3 a, vec3 b) {
 }
 vec3 scaleColour(float x) { // dark blue to yellow, even in lightness
   x = clamp(x, 0.0, 1.0);
-  return clamp(vec3(0.28 + x * (-0.35 + x * (0.35 + x * 0.71)), 0.01 + x * (1.4 - x * 0.5), 0.33 + x * (1.1 + x * (-2.9 + x * 1.6))), 0.0, 1.0);
+  float red = 0.28 + x * (-0.35 + x * (0.35 + x * 0.71)), green = 0.01 + x * (1.4 - x * 0.5);
+  float blue = 0.33 + x * (1.1 + x * (-2.9 + x * 1.6));
+  return clamp(vec3(red, green, blue), 0.0, 1.0);
 }
 
 void main() {
@@ -74,7 +78,10 @@ void main() {
   bool stripe = mod(gl_FragCoord.x + gl_FragCoord.y, 8.0) < 4.0;
   if (uOverlay == 1 && about.z >= 0.0) {
     int status = int(about.z + 0.5);
-    vec3 tint = status == 0 ? vec3(grey) : status == 1 ? vec3(0.2, 0.5, 1.0) : status == 2 ? vec3(1.0, 0.6, 0.0) : vec3(0.8, 0.0, 0.5);
+    vec3 tint = status == 0 ? vec3(grey)
+      : status == 1 ? vec3(0.2, 0.5, 1.0)
+      : status == 2 ? vec3(1.0, 0.6, 0.0)
+      : vec3(0.8, 0.0, 0.5);
     shown = status == 0 ? vec3(grey) : mix(vec3(grey), tint, stripe ? 0.8 : 0.5);
   }
   if (uOverlay == 2 && about.z >= 0.0) shown = scaleColour(about.w / uMostUncertainty);

@@ -1,11 +1,16 @@
-'use strict';
+"use strict";
 // Frames: as often as something changes, at a resolution that keeps 30 of them a second.
 (function (I) {
-  const app = I.app, $ = I.byId, canvas = $('picture'), stage = $('stage');
+  const app = I.app,
+    $ = I.byId,
+    canvas = $("picture"),
+    stage = $("stage");
 
-  const SLOWEST_MS = 33, IDLE_MS = 300, LONGEST_MS = 2000;
+  const SLOWEST_MS = 33,
+    IDLE_MS = 300,
+    LONGEST_MS = 2000;
 
-  const pace = {scale: 1, ms: 0, last: 0, asked: false, dirty: false, moved: 0, shownScale: 0, way: null, frames: 0};
+  const pace = { scale: 1, ms: 0, last: 0, asked: false, dirty: false, moved: 0, shownScale: 0, way: null, frames: 0 };
 
   function request() {
     if (pace.asked) return;
@@ -51,18 +56,24 @@
   const finest = () => Math.min(1, pace.ms ? pace.scale * Math.sqrt(LONGEST_MS / pace.ms) : 1);
 
   function draw(scale) {
-    app.renderer.draw(app.page.state, {compare: app.page.compare, scale});
+    app.renderer.draw(app.page.state, { compare: app.page.compare, scale });
     pace.shownScale = scale;
     pace.frames += 1;
     app.layMarks();
-    if (!$('rate').hidden) {
-      const rate = pace.ms && pace.last ? Math.round(1000 / pace.ms) : '–';
-      $('rate').textContent = I.text('rate', {rate, scale: scale.toFixed(2), width: canvas.width, height: canvas.height});
+    if (!$("rate").hidden) {
+      const rate = pace.ms && pace.last ? Math.round(1000 / pace.ms) : "–";
+      $("rate").textContent = I.text("rate", {
+        rate,
+        scale: scale.toFixed(2),
+        width: canvas.width,
+        height: canvas.height,
+      });
     }
   }
 
   function walk(now) {
-    const t = Math.min(1, (now - pace.way.since) / 700), eased = t * t * (3 - 2 * t);
+    const t = Math.min(1, (now - pace.way.since) / 700),
+      eased = t * t * (3 - 2 * t);
     app.page.state.camera = t < 1 ? I.between(pace.way.from, pace.way.to, eased) : pace.way.to;
     if (t >= 1) pace.way = null;
     redraw();
@@ -70,8 +81,10 @@
   }
 
   function fit() {
-    const box = stage.getBoundingClientRect(), dense = Math.min(2, window.devicePixelRatio || 1);
-    const width = Math.max(1, Math.round(box.width * dense)), height = Math.max(1, Math.round(box.height * dense));
+    const box = stage.getBoundingClientRect(),
+      dense = Math.min(2, window.devicePixelRatio || 1);
+    const width = Math.max(1, Math.round(box.width * dense)),
+      height = Math.max(1, Math.round(box.height * dense));
     if (canvas.width !== width || canvas.height !== height) {
       canvas.width = width;
       canvas.height = height;
@@ -79,5 +92,5 @@
     }
   }
 
-  Object.assign(app, {pace, redraw, fit});
+  Object.assign(app, { pace, redraw, fit });
 })(window.Irodori);

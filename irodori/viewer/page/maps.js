@@ -3,7 +3,8 @@
 var Irodori = Irodori || {};
 
 (function () {
-  const LARGEST = 4096, TRIANGLE = 7;
+  const LARGEST = 4096,
+    TRIANGLE = 7;
   Irodori.TRIANGLE = TRIANGLE; // texels of one in the texture of meshes
 
   // Weights of Lagrange's polynomial through eight numbers, 3 before to 4 after, at a place past 0; see scene_data.py.
@@ -19,11 +20,15 @@ var Irodori = Irodori || {};
 
   // A face of n + 8 texels a side at twice the side with a border of 1.
   function finerFace(face, width) {
-    const n = width - 8, side = 2 * n + 2;
-    const rows = new Float32Array(width * side), out = new Float32Array(side * side);
+    const n = width - 8,
+      side = 2 * n + 2;
+    const rows = new Float32Array(width * side),
+      out = new Float32Array(side * side);
     const taps = [interpolation(0.25), interpolation(0.75)];
     for (let place = 0; place < side; place++) {
-      const coarse = (place - 0.5) / 2 - 0.5, base = Math.floor(coarse), weights = taps[coarse - base < 0.5 ? 0 : 1];
+      const coarse = (place - 0.5) / 2 - 0.5,
+        base = Math.floor(coarse),
+        weights = taps[coarse - base < 0.5 ? 0 : 1];
       for (let row = 0; row < width; row++) {
         let sum = 0;
         for (let i = 0; i < 8; i++) sum += weights[i] * face[row * width + base + 1 + i];
@@ -31,7 +36,9 @@ var Irodori = Irodori || {};
       }
     }
     for (let place = 0; place < side; place++) {
-      const coarse = (place - 0.5) / 2 - 0.5, base = Math.floor(coarse), weights = taps[coarse - base < 0.5 ? 0 : 1];
+      const coarse = (place - 0.5) / 2 - 0.5,
+        base = Math.floor(coarse),
+        weights = taps[coarse - base < 0.5 ? 0 : 1];
       for (let column = 0; column < side; column++) {
         let sum = 0;
         for (let i = 0; i < 8; i++) sum += weights[i] * rows[(base + 1 + i) * side + column];
@@ -42,7 +49,8 @@ var Irodori = Irodori || {};
   }
 
   function onFace(face, u, v) {
-    const axis = face >> 1, unit = [0, 0, 0];
+    const axis = face >> 1,
+      unit = [0, 0, 0];
     unit[axis] = face & 1 ? -1 : 1;
     unit[(axis + 1) % 3] = u;
     unit[(axis + 2) % 3] = v;
@@ -50,30 +58,40 @@ var Irodori = Irodori || {};
   }
 
   function lookUp(map, width, side, unit, reach) {
-    const a = unit.map(Math.abs), axis = a[0] >= a[1] && a[0] >= a[2] ? 0 : a[1] >= a[2] ? 1 : 2;
+    const a = unit.map(Math.abs),
+      axis = a[0] >= a[1] && a[0] >= a[2] ? 0 : a[1] >= a[2] ? 1 : 2;
     const face = 2 * axis + (unit[axis] < 0 ? 1 : 0);
     const place = [1, 2].map((i) => {
-      const p = (unit[(axis + i) % 3] / a[axis] + 1) * side / 2 + 0.5;
+      const p = ((unit[(axis + i) % 3] / a[axis] + 1) * side) / 2 + 0.5;
       return Math.min(Math.max(p, 1 - reach), side + reach);
     });
-    const column = Math.min(Math.floor(place[0]), side), row = Math.min(Math.floor(place[1]), side);
-    const fx = place[0] - column, fy = place[1] - row, at = (face * width + row) * width + column;
-    return (map[at] * (1 - fx) + map[at + 1] * fx) * (1 - fy) + (map[at + width] * (1 - fx) + map[at + width + 1] * fx) * fy;
+    const column = Math.min(Math.floor(place[0]), side),
+      row = Math.min(Math.floor(place[1]), side);
+    const fx = place[0] - column,
+      fy = place[1] - row,
+      at = (face * width + row) * width + column;
+    return (
+      (map[at] * (1 - fx) + map[at + 1] * fx) * (1 - fy) + (map[at + width] * (1 - fx) + map[at + width + 1] * fx) * fy
+    );
   }
 
   // Fill the border of one texel of six faces from what the other faces show there.
   function fillBorders(map, side) {
-    const width = side + 2, place = (i) => 2 * (i - 0.5) / side - 1, found = [];
+    const width = side + 2,
+      place = (i) => (2 * (i - 0.5)) / side - 1,
+      found = [];
     for (let face = 0; face < 6; face++) {
       for (let row = 0; row < width; row++) {
         for (let column = 0; column < width; column++) {
-          const atRow = row === 0 || row === width - 1, atColumn = column === 0 || column === width - 1;
+          const atRow = row === 0 || row === width - 1,
+            atColumn = column === 0 || column === width - 1;
           if (!atRow && !atColumn) continue;
           const unit = onFace(face, place(column), place(row));
           let value = 0;
           if (atRow && atColumn) {
             for (const turn of [1, 2]) {
-              const other = ((face >> 1) + turn) % 3, beside = unit.slice();
+              const other = ((face >> 1) + turn) % 3,
+                beside = unit.slice();
               beside[other] = Math.sign(beside[other]) * Math.abs(unit[face >> 1]);
               value += 0.5 * lookUp(map, width, side, beside, 0);
             }
@@ -91,23 +109,30 @@ var Irodori = Irodori || {};
       const map = new Float32Array(6 * (s + 2) * (s + 2));
       for (let face = 0; face < 6; face++)
         for (let row = 0; row < s; row++)
-          map.set(inner.subarray((face * s + row) * s, (face * s + row + 1) * s), (face * (s + 2) + row + 1) * (s + 2) + 1);
+          map.set(
+            inner.subarray((face * s + row) * s, (face * s + row + 1) * s),
+            (face * (s + 2) + row + 1) * (s + 2) + 1,
+          );
       fillBorders(map, s);
       return map;
     };
-    let inner = Array.from({ length: channels }, (_, c) => plane.subarray(c * 6 * side * side, (c + 1) * 6 * side * side));
+    let inner = Array.from({ length: channels }, (_, c) =>
+      plane.subarray(c * 6 * side * side, (c + 1) * 6 * side * side),
+    );
     const levels = [];
     for (;;) {
       levels.push({ side, channels: inner.map((values) => bordered(values, side)) });
       if (side % 2 || side / 2 < 4) return levels;
-      const half = side / 2, from = side;
+      const half = side / 2,
+        from = side;
       inner = inner.map((values) => {
         const out = new Float32Array(6 * half * half);
         for (let face = 0; face < 6; face++)
           for (let row = 0; row < half; row++)
             for (let column = 0; column < half; column++) {
               const at = (face * from + 2 * row) * from + 2 * column;
-              out[(face * half + row) * half + column] = 0.25 * (values[at] + values[at + 1] + values[at + from] + values[at + from + 1]);
+              out[(face * half + row) * half + column] =
+                0.25 * (values[at] + values[at + 1] + values[at + from] + values[at + from + 1]);
             }
         return out;
       });
@@ -117,7 +142,8 @@ var Irodori = Irodori || {};
 
   // A map with its border, or at half its side with one of 4.
   function level(plane, channels, side) {
-    const width = Math.round(Math.sqrt(plane.length / channels / 6)), size = 6 * width * width;
+    const width = Math.round(Math.sqrt(plane.length / channels / 6)),
+      size = 6 * width * width;
     return {
       side,
       channels: Array.from({ length: channels }, (_, c) => {
@@ -125,7 +151,10 @@ var Irodori = Irodori || {};
         if (width === side + 2) return own;
         const out = new Float32Array(6 * (side + 2) * (side + 2));
         for (let face = 0; face < 6; face++)
-          out.set(finerFace(own.subarray(face * width * width, (face + 1) * width * width), width), face * (side + 2) * (side + 2));
+          out.set(
+            finerFace(own.subarray(face * width * width, (face + 1) * width * width), width),
+            face * (side + 2) * (side + 2),
+          );
         return out;
       }),
     };
@@ -133,8 +162,18 @@ var Irodori = Irodori || {};
 
   // Places of rectangles in an atlas, row by row; [{x, y}], width and height.
   function packed(sizes) {
-    const widest = Math.min(Math.max(512, ...sizes.map((s) => s[0]), Math.ceil(Math.sqrt(sizes.reduce((sum, s) => sum + s[0] * s[1], 0)) * 1.2)), LARGEST);
-    let x = 0, y = 0, high = 0, width = 0;
+    const widest = Math.min(
+      Math.max(
+        512,
+        ...sizes.map((s) => s[0]),
+        Math.ceil(Math.sqrt(sizes.reduce((sum, s) => sum + s[0] * s[1], 0)) * 1.2),
+      ),
+      LARGEST,
+    );
+    let x = 0,
+      y = 0,
+      high = 0,
+      width = 0;
     const places = sizes.map(([w, h]) => {
       if (x + w > widest) [x, y, high] = [0, y + high, 0];
       const place = { x, y };
@@ -143,26 +182,38 @@ var Irodori = Irodori || {};
       width = Math.max(width, x);
       return place;
     });
-    if (width > LARGEST || y + high > LARGEST) throw new Error("The data of this page: found maps larger than a texture; accepted: up to " + LARGEST + " texels a side.");
+    if (width > LARGEST || y + high > LARGEST)
+      throw new Error(
+        "The data of this page: found maps larger than a texture; accepted: up to " + LARGEST + " texels a side.",
+      );
     return { places, width, height: y + high };
   }
 
   // Levels of cube maps in one atlas of groups of four channels; faces in three columns and two rows.
   Irodori.cubeAtlas = function (levels, scale) {
     const { places, width, height } = packed(levels.map((l) => [3 * (l.side + 2), 2 * (l.side + 2)]));
-    const groups = Math.ceil(levels[0].channels.length / 4), out = new Float32Array(groups * width * height * 4);
+    const groups = Math.ceil(levels[0].channels.length / 4),
+      out = new Float32Array(groups * width * height * 4);
     levels.forEach((one, number) => {
-      const w = one.side + 2, { x, y } = places[number];
+      const w = one.side + 2,
+        { x, y } = places[number];
       one.channels.forEach((values, c) => {
         const layer = (c >> 2) * width * height;
         for (let face = 0; face < 6; face++)
           for (let row = 0; row < w; row++) {
             let at = 4 * (layer + (y + Math.floor(face / 3) * w + row) * width + x + (face % 3) * w) + (c & 3);
-            for (let column = 0; column < w; column++, at += 4) out[at] = values[(face * w + row) * w + column] / scale[c];
+            for (let column = 0; column < w; column++, at += 4)
+              out[at] = values[(face * w + row) * w + column] / scale[c];
           }
       });
     });
-    return { data: out, width, height, layers: groups, origins: levels.map((l, i) => [places[i].x, places[i].y, l.side]) };
+    return {
+      data: out,
+      width,
+      height,
+      layers: groups,
+      origins: levels.map((l, i) => [places[i].x, places[i].y, l.side]),
+    };
   };
 
   // Powers of two that bring the largest number of each channel into half precision.
@@ -175,7 +226,9 @@ var Irodori = Irodori || {};
   };
 
   Irodori.lightLevels = function (data, number) {
-    const entry = data.header.light[number], name = "light/" + number + "/", shape = data.shapes[name + "sky"];
+    const entry = data.header.light[number],
+      name = "light/" + number + "/",
+      shape = data.shapes[name + "sky"];
     const k = shape[0];
     return {
       sky: skyLevels(data.planes[name + "sky"], k, shape[2]),
@@ -186,15 +239,20 @@ var Irodori = Irodori || {};
 
   // Materials of all objects with their borders: coefficients, then power and place of two lobes, then what is known.
   Irodori.materialAtlas = function (data, widest) {
-    const objects = data.header.objects, groups = Math.ceil(widest / 4);
+    const objects = data.header.objects,
+      groups = Math.ceil(widest / 4);
     const { places, width, height } = packed(objects.map((o) => [o.texels[1] + 2, o.texels[0] + 2]));
-    const layers = groups + 2, out = new Float32Array(layers * width * height * 4);
+    const layers = groups + 2,
+      out = new Float32Array(layers * width * height * 4);
     let power = 0;
     const plane = (i, name) => data.planes["object/" + i + "/" + name];
-    objects.forEach((o, i) => o.lobes.forEach((_, c) => plane(i, "power/" + c).forEach((x) => (power = Math.max(power, x)))));
+    objects.forEach((o, i) =>
+      o.lobes.forEach((_, c) => plane(i, "power/" + c).forEach((x) => (power = Math.max(power, x)))),
+    );
     const scale = power > 0 ? 1024 / power : 1;
     objects.forEach((o, i) => {
-      const [rows, columns] = o.texels, { x, y } = places[i];
+      const [rows, columns] = o.texels,
+        { x, y } = places[i];
       const put = (layer, channel, values, factor) => {
         for (let r = 0; r < rows + 2; r++)
           for (let c = 0; c < columns + 2; c++) {
@@ -204,7 +262,8 @@ var Irodori = Irodori || {};
           }
       };
       const texels = rows * columns;
-      for (let j = 0; j < o.bases; j++) put(j >> 2, j & 3, plane(i, "reflectance").subarray(j * texels, (j + 1) * texels), 1);
+      for (let j = 0; j < o.bases; j++)
+        put(j >> 2, j & 3, plane(i, "reflectance").subarray(j * texels, (j + 1) * texels), 1);
       o.lobes.forEach((_, c) => {
         put(groups, 2 * c, plane(i, "power/" + c), scale);
         put(groups, 2 * c + 1, plane(i, "place/" + c), 1);
@@ -215,12 +274,15 @@ var Irodori = Irodori || {};
     return { data: out, width, height, layers, places, scale };
   };
 
-  // A tree of boxes over triangles, in the order in which it is passed through; each node knows where to go on beside it.
+  // A tree of boxes over triangles, in the order in which it is passed; each node knows where to go on beside it.
   function tree(triangles, centres, boxes) {
-    const order = Array.from({ length: triangles }, (_, i) => i), nodes = [];
+    const order = Array.from({ length: triangles }, (_, i) => i),
+      nodes = [];
     const build = (first, last) => {
-      const low = [Infinity, Infinity, Infinity], high = [-Infinity, -Infinity, -Infinity];
-      const clow = low.slice(), chigh = high.slice();
+      const low = [Infinity, Infinity, Infinity],
+        high = [-Infinity, -Infinity, -Infinity];
+      const clow = low.slice(),
+        chigh = high.slice();
       for (let i = first; i < last; i++)
         for (let a = 0; a < 3; a++) {
           low[a] = Math.min(low[a], boxes[6 * order[i] + a]);
@@ -229,7 +291,8 @@ var Irodori = Irodori || {};
           chigh[a] = Math.max(chigh[a], centres[3 * order[i] + a]);
         }
       const number = nodes.push({ low, high, skip: 0, leaf: -1 }) - 1;
-      const size = clow.map((x, a) => chigh[a] - x), axis = size.indexOf(Math.max(...size));
+      const size = clow.map((x, a) => chigh[a] - x),
+        axis = size.indexOf(Math.max(...size));
       if (last - first <= 4) nodes[number].leaf = 8 * first + last - first;
       else {
         const cut = 0.5 * (clow[axis] + chigh[axis]);
@@ -254,23 +317,36 @@ var Irodori = Irodori || {};
   Irodori.shadowTexture = function (data) {
     const found = data.header.objects.flatMap((o, i) => {
       if (!o.shadow) return [];
-      const plane = (name) => data.planes["object/" + i + "/shadow/" + name], stride = 1 + o.shadow.layers.length;
-      return [{ object: i, stride, values: plane("values"), corners: plane("corners") || [], parts: plane("parts") || [] }];
+      const plane = (name) => data.planes["object/" + i + "/shadow/" + name],
+        stride = 1 + o.shadow.layers.length;
+      return [
+        { object: i, stride, values: plane("values"), corners: plane("corners") || [], parts: plane("parts") || [] },
+      ];
     });
     if (!found.length) return null;
     const size = (f) => f.values.length / (4 * f.stride - 1);
-    const texels = found.reduce((sum, f) => sum + size(f) * f.stride, 0), places = found.reduce((sum, f) => sum + f.corners.length, 0);
-    const rows = Math.ceil((texels + places / 4) / 2048), out = new Float32Array(4 * 2048 * rows), of = {};
-    if (rows > LARGEST) throw new Error("The data of this page: found " + texels + " nodes of shadows; accepted: as many as fit in a texture.");
-    let texel = 0, corner = 4 * texels;
+    const texels = found.reduce((sum, f) => sum + size(f) * f.stride, 0),
+      places = found.reduce((sum, f) => sum + f.corners.length, 0);
+    const rows = Math.ceil((texels + places / 4) / 2048),
+      out = new Float32Array(4 * 2048 * rows),
+      of = {};
+    if (rows > LARGEST)
+      throw new Error(
+        "The data of this page: found " + texels + " nodes of shadows; accepted: as many as fit in a texture.",
+      );
+    let texel = 0,
+      corner = 4 * texels;
     for (const f of found) {
-      const nodes = size(f), numbers = 4 * f.stride - 1, starts = [];
+      const nodes = size(f),
+        numbers = 4 * f.stride - 1,
+        starts = [];
       for (let n = 0; n < nodes; n++)
-        for (let c = 0; c < numbers; c++) out[4 * (texel + n * f.stride) + c + (c > 2 ? 1 : 0)] = f.values[c * nodes + n];
+        for (let c = 0; c < numbers; c++)
+          out[4 * (texel + n * f.stride) + c + (c > 2 ? 1 : 0)] = f.values[c * nodes + n];
       out.set(f.corners, corner);
       for (const part of f.parts) {
         starts.push(corner);
-        corner += (part + 1) * (part + 2) / 2;
+        corner += ((part + 1) * (part + 2)) / 2;
       }
       of[f.object] = { first: texel, stride: f.stride, starts, parts: f.parts };
       texel += nodes * f.stride;
@@ -280,7 +356,8 @@ var Irodori = Irodori || {};
 
   // Bits of the objects whose stored shadows hold: they and all meshes stand as the scene has them.
   Irodori.shadowed = function (header, state) {
-    const same = (a, b, turn) => a.every((x, i) => Math.abs(turn ? x - b[i] - 360 * Math.round((x - b[i]) / 360) : x - b[i]) < 1e-6);
+    const same = (a, b, turn) =>
+      a.every((x, i) => Math.abs(turn ? x - b[i] - 360 * Math.round((x - b[i]) / 360) : x - b[i]) < 1e-6);
     const stands = header.objects.map((o, i) => {
       const at = state.objects[i];
       return at.visible && same(at.position_mm, o.position_mm, false) && same(at.turn_deg, o.rotation_deg, true);
@@ -296,9 +373,14 @@ var Irodori = Irodori || {};
     data.header.objects.forEach((o, i) => {
       if (o.shape !== "mesh") return;
       const plane = (name) => data.planes["object/" + i + "/mesh/" + name];
-      const faces = plane("faces"), points = plane("vertices"), n = points.length / 3, m = faces.length / 3;
-      const corner = (t, c) => faces[c * m + t], at = (values, vertex, axis) => values[axis * n + vertex];
-      const centres = new Float64Array(3 * m), boxes = new Float64Array(6 * m);
+      const faces = plane("faces"),
+        points = plane("vertices"),
+        n = points.length / 3,
+        m = faces.length / 3;
+      const corner = (t, c) => faces[c * m + t],
+        at = (values, vertex, axis) => values[axis * n + vertex];
+      const centres = new Float64Array(3 * m),
+        boxes = new Float64Array(6 * m);
       for (let t = 0; t < m; t++)
         for (let a = 0; a < 3; a++) {
           const p = [0, 1, 2].map((c) => at(points, corner(t, c), a));
@@ -309,16 +391,26 @@ var Irodori = Irodori || {};
       found.push({ object: i, corner, at, plane, m, ...tree(m, centres, boxes) });
     });
     if (!found.length) return null;
-    const nodes = found.reduce((sum, f) => sum + f.nodes.length, 0), triangles = found.reduce((sum, f) => sum + f.m, 0);
-    const texels = 2 * nodes + TRIANGLE * triangles, rows = Math.ceil(texels / 2048), out = new Float32Array(4 * 2048 * rows);
-    if (rows > LARGEST) throw new Error("The data of this page: found " + triangles + " triangles; accepted: as many as fit in a texture.");
-    let node = 0, triangle = 0;
+    const nodes = found.reduce((sum, f) => sum + f.nodes.length, 0),
+      triangles = found.reduce((sum, f) => sum + f.m, 0);
+    const texels = 2 * nodes + TRIANGLE * triangles,
+      rows = Math.ceil(texels / 2048),
+      out = new Float32Array(4 * 2048 * rows);
+    if (rows > LARGEST)
+      throw new Error(
+        "The data of this page: found " + triangles + " triangles; accepted: as many as fit in a texture.",
+      );
+    let node = 0,
+      triangle = 0;
     const places = {};
     for (const f of found) {
       places[f.object] = { first: node, last: node + f.nodes.length, triangles: 2 * nodes + TRIANGLE * triangle };
       f.nodes.forEach((one, i) => out.set([...one.low, node + one.skip, ...one.high, one.leaf], 8 * (node + i)));
       f.order.forEach((t, place) => {
-        const to = 4 * (2 * nodes + TRIANGLE * (triangle + place)), uv = f.plane("uv"), normals = f.plane("normals"), points = f.plane("vertices");
+        const to = 4 * (2 * nodes + TRIANGLE * (triangle + place)),
+          uv = f.plane("uv"),
+          normals = f.plane("normals"),
+          points = f.plane("vertices");
         const uvs = [0, 1, 2].flatMap((c) => [0, 1].map((a) => f.at(uv, f.corner(t, c), a)));
         for (let c = 0; c < 3; c++)
           for (let a = 0; a < 3; a++) {

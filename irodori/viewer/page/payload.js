@@ -29,7 +29,8 @@ Irodori.SCHEMA_VERSION = 1;
     const writer = stream.writable.getWriter();
     writer.write(bytes).catch(() => 0);
     writer.close().catch(() => 0);
-    const parts = [], reader = stream.readable.getReader();
+    const parts = [],
+      reader = stream.readable.getReader();
     let total = 0;
     try {
       for (;;) {
@@ -63,7 +64,8 @@ Irodori.SCHEMA_VERSION = 1;
       }
     }
     if (!header || !Array.isArray(header.planes)) refuse("no header");
-    if (header.schema_version !== Irodori.SCHEMA_VERSION) refuse("version " + String(header.schema_version).slice(0, 20));
+    if (header.schema_version !== Irodori.SCHEMA_VERSION)
+      refuse("version " + String(header.schema_version).slice(0, 20));
     return [header, 4 + length];
   }
 
@@ -73,13 +75,28 @@ Irodori.SCHEMA_VERSION = 1;
 
   function check(entry) {
     const whole = (n) => Number.isInteger(n) && n >= 0 && n < MOST_BYTES;
-    if (!entry || typeof entry.name !== "string" || !Array.isArray(entry.shape) || !entry.shape.length ||
-        !entry.shape.every(whole)) refuse("a plane without a name or a shape");
-    const channels = entry.shape[0], code = entry.code;
+    if (
+      !entry ||
+      typeof entry.name !== "string" ||
+      !Array.isArray(entry.shape) ||
+      !entry.shape.length ||
+      !entry.shape.every(whole)
+    )
+      refuse("a plane without a name or a shape");
+    const channels = entry.shape[0],
+      code = entry.code;
     const low = code === "linear" || code === "light" ? channels : 0;
-    if (!CODES.includes(code) || !["row", "above"].includes(entry.delta) || !whole(entry.width) || entry.width < 1 ||
-        entry.width > 8 || !isNumbers(entry.low, low) || !isNumbers(entry.step, code === "float" ? 0 : channels) ||
-        !Number.isFinite(entry.floor)) refuse("the plane " + entry.name.slice(0, 40) + " in an unknown code");
+    if (
+      !CODES.includes(code) ||
+      !["row", "above"].includes(entry.delta) ||
+      !whole(entry.width) ||
+      entry.width < 1 ||
+      entry.width > 8 ||
+      !isNumbers(entry.low, low) ||
+      !isNumbers(entry.step, code === "float" ? 0 : channels) ||
+      !Number.isFinite(entry.floor)
+    )
+      refuse("the plane " + entry.name.slice(0, 40) + " in an unknown code");
   }
 
   // Whole numbers of a plane, from their bytes: lowest bytes first.
@@ -106,17 +123,22 @@ Irodori.SCHEMA_VERSION = 1;
   function values(entry, bytes) {
     const count = entry.shape.reduce((a, b) => a * b, 1);
     if (entry.code === "float") {
-      const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength), out = new Float32Array(count);
+      const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength),
+        out = new Float32Array(count);
       for (let i = 0; i < count; i++) out[i] = view.getFloat32(4 * i, true);
       return out;
     }
-    const q = wholeNumbers(entry, bytes, count), channels = entry.shape[0], each = count / (channels || 1);
-    const out = new Float32Array(count), { low, step, floor } = entry;
+    const q = wholeNumbers(entry, bytes, count),
+      channels = entry.shape[0],
+      each = count / (channels || 1);
+    const out = new Float32Array(count),
+      { low, step, floor } = entry;
     for (let channel = 0; channel < channels; channel++) {
       for (let i = 0; i < each; i++) {
         const at = channel * each + i;
         if (entry.code === "linear") out[at] = low[channel] + q[at] * step[channel];
-        else if (entry.code === "log" || channel === 0) q[at] = out[at] = floor * (Math.pow(2, q[at] * step[channel]) - 1);
+        else if (entry.code === "log" || channel === 0)
+          q[at] = out[at] = floor * (Math.pow(2, q[at] * step[channel]) - 1);
         else out[at] = (q[i] + floor) * (low[channel] + q[at] * step[channel]);
       }
     }
@@ -125,8 +147,10 @@ Irodori.SCHEMA_VERSION = 1;
 
   // From base64 to {header, planes: {name: Float32Array}, shapes: {name: [sizes]}}; throws an Error of one sentence.
   Irodori.readPayload = async function (text) {
-    const all = await unfolded(bytesOf(text)), [header, start] = headerOf(all);
-    const planes = {}, shapes = {};
+    const all = await unfolded(bytesOf(text)),
+      [header, start] = headerOf(all);
+    const planes = {},
+      shapes = {};
     let first = start;
     for (const entry of header.planes) {
       check(entry);
@@ -136,7 +160,7 @@ Irodori.SCHEMA_VERSION = 1;
       shapes[entry.name] = entry.shape;
       first += size;
     }
-    if (first !== all.length) refuse((all.length - first) + " bytes after the last plane");
+    if (first !== all.length) refuse(all.length - first + " bytes after the last plane");
     return { header, planes, shapes };
   };
 })();

@@ -1,10 +1,10 @@
-'use strict';
+"use strict";
 // A text chunk in a PNG: the snapshot carries the state that it was taken of.
 window.Irodori = window.Irodori || {};
 (function (I) {
-  const KEYWORD = 'irodori';
+  const KEYWORD = "irodori";
   const MAGIC = [137, 80, 78, 71, 13, 10, 26, 10];
-  const table = Array.from({length: 256}, (_, n) => {
+  const table = Array.from({ length: 256 }, (_, n) => {
     let c = n;
     for (let k = 0; k < 8; k++) c = c & 1 ? 0xedb88320 ^ (c >>> 1) : c >>> 1;
     return c >>> 0;
@@ -18,7 +18,7 @@ window.Irodori = window.Irodori || {};
 
   // Every chunk as [type, first byte of its data, bytes of data].
   function* chunks(bytes) {
-    if (!MAGIC.every((one, i) => bytes[i] === one)) throw new I.Refusal('no_snapshot');
+    if (!MAGIC.every((one, i) => bytes[i] === one)) throw new I.Refusal("no_snapshot");
     const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
     for (let at = 8; at + 12 <= bytes.length;) {
       const length = view.getUint32(at);
@@ -46,12 +46,13 @@ window.Irodori = window.Irodori || {};
 
   I.textOfPng = function (bytes) {
     for (const [type, start, length] of chunks(bytes)) {
-      if (type !== 'tEXt') continue;
+      if (type !== "tEXt") continue;
       const data = bytes.subarray(start, start + length);
-      const text = Array.from(data, (c) => String.fromCharCode(c)).join('');
+      const text = Array.from(data, (c) => String.fromCharCode(c)).join("");
       const sum = new DataView(bytes.buffer, bytes.byteOffset).getUint32(start + length);
-      if (text.startsWith(KEYWORD + '\0') && sum === crc(bytes.subarray(start - 4, start + length))) return text.slice(KEYWORD.length + 1);
+      if (text.startsWith(KEYWORD + "\0") && sum === crc(bytes.subarray(start - 4, start + length)))
+        return text.slice(KEYWORD.length + 1);
     }
-    throw new I.Refusal('no_snapshot');
+    throw new I.Refusal("no_snapshot");
   };
 })(window.Irodori);

@@ -1,7 +1,10 @@
-'use strict';
+"use strict";
 // Probe and ruler: what is known of a point that is pointed at, and the card that tells it.
 (function (I) {
-  const app = I.app, h = I.h, $ = I.byId, canvas = $('picture');
+  const app = I.app,
+    h = I.h,
+    $ = I.byId,
+    canvas = $("picture");
 
   function pixels(x, y) {
     const [width, height] = app.size();
@@ -11,12 +14,12 @@
   function point(x, y) {
     const found = app.renderer.probe(app.page.state, ...pixels(x, y));
     if (!found) {
-      app.say(I.text('nothing_there'));
+      app.say(I.text("nothing_there"));
       return;
     }
-    if (app.tool === 'ruler') {
+    if (app.tool === "ruler") {
       app.page.ruler = [...(app.page.ruler.length === 2 ? [] : app.page.ruler), found.position_mm];
-      if (app.page.ruler.length === 2) app.say(I.text('ruler_reads', {mm: I.distance(...app.page.ruler).toFixed(1)}));
+      if (app.page.ruler.length === 2) app.say(I.text("ruler_reads", { mm: I.distance(...app.page.ruler).toFixed(1) }));
     } else {
       app.page.probes = [...app.page.probes, found.position_mm].slice(-2);
       app.probed = [...app.probed, found].slice(-2);
@@ -41,36 +44,62 @@
   function spectrumWords(one) {
     const at = (nm) => one.reflectance[(nm - 400) / 5].toFixed(2);
     const error = Math.max(...one.sigma);
-    const known = Number.isFinite(error) ? I.text('error_band', {error: (2 * error).toFixed(3)}) : I.text('error_unknown');
-    return I.text('spectrum_words', {short: at(450), middle: at(550), long: at(650)}) + ' ' + known;
+    const known = Number.isFinite(error)
+      ? I.text("error_band", { error: (2 * error).toFixed(3) })
+      : I.text("error_unknown");
+    return I.text("spectrum_words", { short: at(450), middle: at(550), long: at(650) }) + " " + known;
   }
 
   function showCard() {
-    const card = $('card');
+    const card = $("card");
     card.hidden = app.probed.length === 0;
     app.showStage();
     if (card.hidden) return;
-    const figure = (value, digits, unit) => (Number.isFinite(value) ? value.toFixed(digits) + unit : I.text('unknown_value'));
+    const figure = (value, digits, unit) =>
+      Number.isFinite(value) ? value.toFixed(digits) + unit : I.text("unknown_value");
     const rows = app.probed.flatMap((one, i) => {
-      const letter = app.probed.length > 1 ? 'AB'[i] + ' · ' : '';
-      return [h('h3', {}, letter + app.objectWords({name: one.object})),
-        h('p', {}, I.text('status_long_' + one.status)),
-        h('p', {class: 'hint'}, spectrumWords(one)),
-        h('dl', {}, ...[['alpha', one.alpha, 3, ''], ['beta', one.beta, 3, ''], ['mu', one.mu_rad, 3, ' rad']]
-          .flatMap(([key, value, digits, unit]) => [h('dt', {text: key}), h('dd', {}, figure(value, digits, unit))]))];
+      const letter = app.probed.length > 1 ? "AB"[i] + " · " : "";
+      return [
+        h("h3", {}, letter + app.objectWords({ name: one.object })),
+        h("p", {}, I.text("status_long_" + one.status)),
+        h("p", { class: "hint" }, spectrumWords(one)),
+        h(
+          "dl",
+          {},
+          ...[
+            ["alpha", one.alpha, 3, ""],
+            ["beta", one.beta, 3, ""],
+            ["mu", one.mu_rad, 3, " rad"],
+          ].flatMap(([key, value, digits, unit]) => [h("dt", { text: key }), h("dd", {}, figure(value, digits, unit))]),
+        ),
+      ];
     });
-    const curves = app.probed.map((one) => ({values: Array.from(one.reflectance), sigma: Array.from(one.sigma).every(Number.isFinite) ? Array.from(one.sigma) : null}));
+    const curves = app.probed.map((one) => ({
+      values: Array.from(one.reflectance),
+      sigma: Array.from(one.sigma).every(Number.isFinite) ? Array.from(one.sigma) : null,
+    }));
     const top = Math.max(1, ...curves.flatMap((one) => one.values));
-    const clear = app.controls.button('clear', () => {
+    const clear = app.controls.button("clear", () => {
       app.page.probes = [];
       app.probed = [];
       showCard();
       app.changed();
       canvas.focus();
     });
-    card.replaceChildren(h('h2', {text: 'reflectance'}), I.plot(curves, top, app.probed.map(spectrumWords).join(' ')), ...rows, clear);
-    $('live').textContent = app.probed.slice(-1).map((one) => `${app.objectWords({name: one.object})}. ${I.text('status_long_' + one.status)} ${spectrumWords(one)}`).join('');
+    card.replaceChildren(
+      h("h2", { text: "reflectance" }),
+      I.plot(curves, top, app.probed.map(spectrumWords).join(" ")),
+      ...rows,
+      clear,
+    );
+    $("live").textContent = app.probed
+      .slice(-1)
+      .map(
+        (one) =>
+          `${app.objectWords({ name: one.object })}. ${I.text("status_long_" + one.status)} ${spectrumWords(one)}`,
+      )
+      .join("");
   }
 
-  Object.assign(app, {pixels, point, reprobe, showCard});
+  Object.assign(app, { pixels, point, reprobe, showCard });
 })(window.Irodori);

@@ -4,10 +4,14 @@ var Irodori = Irodori || {};
 
 (function () {
   // Directions to a ball of light: few where it is seen whole, many where something hides a part of it.
-  const MOST_LAMPS = 8, FEW = 16, MANY = 512, ROW = 14;
+  const MOST_LAMPS = 8,
+    FEW = 16,
+    MANY = 512,
+    ROW = 14;
   const KINDS = { sphere: 0, plate: 1, disc: 2, plane: 3, mesh: 4 };
-  const OVERLAYS = [null, "status", "uncertainty", "gamut"], MODES = [null, "wipe", "difference", "metamerism"];
-  const radians = (x) => x * Math.PI / 180;
+  const OVERLAYS = [null, "status", "uncertainty", "gamut"],
+    MODES = [null, "wipe", "difference", "metamerism"];
+  const radians = (x) => (x * Math.PI) / 180;
 
   function fail(code, sentence) {
     const error = new Error(sentence);
@@ -16,13 +20,26 @@ var Irodori = Irodori || {};
   }
 
   // World from object, rows, of turns about x, then y, then z.
-  const turned = Irodori.turned = function (degrees) {
-    const [a, b, c] = degrees.map(radians), m = (rows) => rows;
-    const x = m([[1, 0, 0], [0, Math.cos(a), -Math.sin(a)], [0, Math.sin(a), Math.cos(a)]]);
-    const y = m([[Math.cos(b), 0, Math.sin(b)], [0, 1, 0], [-Math.sin(b), 0, Math.cos(b)]]);
-    const z = m([[Math.cos(c), -Math.sin(c), 0], [Math.sin(c), Math.cos(c), 0], [0, 0, 1]]);
+  const turned = (Irodori.turned = function (degrees) {
+    const [a, b, c] = degrees.map(radians),
+      m = (rows) => rows;
+    const x = m([
+      [1, 0, 0],
+      [0, Math.cos(a), -Math.sin(a)],
+      [0, Math.sin(a), Math.cos(a)],
+    ]);
+    const y = m([
+      [Math.cos(b), 0, Math.sin(b)],
+      [0, 1, 0],
+      [-Math.sin(b), 0, Math.cos(b)],
+    ]);
+    const z = m([
+      [Math.cos(c), -Math.sin(c), 0],
+      [Math.sin(c), Math.cos(c), 0],
+      [0, 0, 1],
+    ]);
     return Irodori.product(z, Irodori.product(y, x));
-  };
+  });
 
   // Columns of a matrix of rows, as WebGL wants them.
   const columns = (m) => [0, 1, 2].flatMap((c) => m.map((row) => row[c]));
@@ -52,9 +69,15 @@ var Irodori = Irodori || {};
     }
 
     async prepare() {
-      const gl = this.gl = this.canvas.getContext("webgl2", { antialias: false, alpha: false, preserveDrawingBuffer: true, powerPreference: "high-performance" });
+      const gl = (this.gl = this.canvas.getContext("webgl2", {
+        antialias: false,
+        alpha: false,
+        preserveDrawingBuffer: true,
+        powerPreference: "high-performance",
+      }));
       if (!gl) fail("no-webgl2", "This browser draws no WebGL2; accepted: a browser that does.");
-      if (!gl.getExtension("EXT_color_buffer_float")) fail("no-webgl2", "This browser draws no numbers with a point; accepted: one with EXT_color_buffer_float.");
+      if (!gl.getExtension("EXT_color_buffer_float"))
+        fail("no-webgl2", "This browser draws no numbers with a point; accepted: one with EXT_color_buffer_float.");
       this.parallel = gl.getExtension("KHR_parallel_shader_compile");
       this.targets = {};
       this.lights = [];
@@ -64,7 +87,8 @@ var Irodori = Irodori || {};
       this.lit = null;
       this.coloured = this.data.header.quadrature !== null;
       this.makeMaterials();
-      const shadows = Irodori.shadowTexture(this.data), mesh = Irodori.meshTexture(this.data, shadows);
+      const shadows = Irodori.shadowTexture(this.data),
+        mesh = Irodori.meshTexture(this.data, shadows);
       this.shadows = shadows ? shadows.places : {};
       this.meshes = mesh ? mesh.places : {};
       this.moved = mesh && shadows ? new Irodori.MovedShadows(this.data, mesh, shadows) : null;
@@ -76,18 +100,24 @@ var Irodori = Irodori || {};
       const lights = this.data.header.light.map((_, number) => this.makeLight(number));
       // Rooms of a kind share a program.
       for (const light of lights) {
-        const defines = this.defines(light), same = lights.find((one) => one.program && one.program.defines === defines);
-        light.program = same ? same.program : await this.program("transport", Irodori.sources["transport.glsl"], defines);
+        const defines = this.defines(light),
+          same = lights.find((one) => one.program && one.program.defines === defines);
+        light.program = same
+          ? same.program
+          : await this.program("transport", Irodori.sources["transport.glsl"], defines);
       }
       this.lights = lights;
     }
 
     // A texture of {data, width, height, layers}.
     texture(image, internal, format, type, filter) {
-      const gl = this.gl, target = image.layers ? gl.TEXTURE_2D_ARRAY : gl.TEXTURE_2D, texture = gl.createTexture();
+      const gl = this.gl,
+        target = image.layers ? gl.TEXTURE_2D_ARRAY : gl.TEXTURE_2D,
+        texture = gl.createTexture();
       gl.bindTexture(target, texture);
       gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
-      if (image.layers) gl.texImage3D(target, 0, internal, image.width, image.height, image.layers, 0, format, type, image.data);
+      if (image.layers)
+        gl.texImage3D(target, 0, internal, image.width, image.height, image.layers, 0, format, type, image.data);
       else gl.texImage2D(target, 0, internal, image.width, image.height, 0, format, type, image.data);
       for (const name of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(target, name, filter);
       for (const name of [gl.TEXTURE_WRAP_S, gl.TEXTURE_WRAP_T]) gl.texParameteri(target, name, gl.CLAMP_TO_EDGE);
@@ -105,18 +135,28 @@ var Irodori = Irodori || {};
     }
 
     makeLobes() {
-      const { lobes } = this.data.header, gl = this.gl, tables = lobes.map((_, i) => this.data.shapes["lobe/" + i]);
+      const { lobes } = this.data.header,
+        gl = this.gl,
+        tables = lobes.map((_, i) => this.data.shapes["lobe/" + i]);
       this.parts = 0;
       if (!tables.length || !tables[0]) return;
       this.parts = Math.max(...tables.map((shape) => shape[0]));
-      const each = 17 * 17 * 16, out = new Float32Array(lobes.length * this.parts * each);
+      const each = 17 * 17 * 16,
+        out = new Float32Array(lobes.length * this.parts * each);
       lobes.forEach((_, i) => out.set(this.data.planes["lobe/" + i], i * this.parts * each));
-      this.textures.uRows = this.texture({ data: out, width: 68, height: 17 * this.parts * lobes.length }, gl.RGBA32F, gl.RGBA, gl.FLOAT, gl.NEAREST);
+      this.textures.uRows = this.texture(
+        { data: out, width: 68, height: 17 * this.parts * lobes.length },
+        gl.RGBA32F,
+        gl.RGBA,
+        gl.FLOAT,
+        gl.NEAREST,
+      );
     }
 
     // Maps of the light of an environment.
     makeLight(number) {
-      const entry = this.data.header.light[number], light = { number, textures: {}, sky: [], gloss: [], scale: [1, 1, 1, 1], first: entry.gloss_first, side: 0 };
+      const entry = this.data.header.light[number],
+        light = { number, textures: {}, sky: [], gloss: [], scale: [1, 1, 1, 1], first: entry.gloss_first, side: 0 };
       if (entry.is_dark) return light;
       const levels = Irodori.lightLevels(this.data, number);
       light.scale = Irodori.halfScale([...levels.sky.slice(0, 1), ...levels.irradiance, ...levels.gloss]);
@@ -133,25 +173,49 @@ var Irodori = Irodori || {};
     }
 
     defines(light) {
-      const header = this.data.header, has = (kind) => Number(header.objects.some((o) => o.shape === kind));
+      const header = this.data.header,
+        has = (kind) => Number(header.objects.some((o) => o.shape === kind));
       const k = this.spectra.lights[light.number].basis.length;
       const ggx = header.lobes.map((lobe, i) => (lobe.name === "ggx" ? "(l) == " + i : null)).filter(Boolean);
       const values = {
-        OBJECTS: header.objects.length, K: k, G: Math.ceil(k / 4), KS: this.spectra.widest, BOUNCES: header.max_bounces,
-        AMBIENT: Number(header.ambient), COLOURED: Number(this.coloured), HAS_LIGHT: Number(light.sky.length > 0),
-        SKY_LEVELS: light.sky.length, GLOSS_LEVELS: light.gloss.length, PARTS: this.parts,
-        LOBES: Math.max(header.lobes.length, 1), HAS_MESH: has("mesh"), HAS_DISC: has("disc"), HAS_SHADOWS: Number(Object.keys(this.shadows).length > 0),
-        TRIANGLE: Irodori.TRIANGLE, MOST_LAMPS, FEW, MANY,
+        OBJECTS: header.objects.length,
+        K: k,
+        G: Math.ceil(k / 4),
+        KS: this.spectra.widest,
+        BOUNCES: header.max_bounces,
+        AMBIENT: Number(header.ambient),
+        COLOURED: Number(this.coloured),
+        HAS_LIGHT: Number(light.sky.length > 0),
+        SKY_LEVELS: light.sky.length,
+        GLOSS_LEVELS: light.gloss.length,
+        PARTS: this.parts,
+        LOBES: Math.max(header.lobes.length, 1),
+        HAS_MESH: has("mesh"),
+        HAS_DISC: has("disc"),
+        HAS_SHADOWS: Number(Object.keys(this.shadows).length > 0),
+        TRIANGLE: Irodori.TRIANGLE,
+        MOST_LAMPS,
+        FEW,
+        MANY,
         "GGX(l)": ggx.length ? "(" + ggx.join(" || ") + ")" : "false",
       };
-      return Object.entries(values).map(([name, value]) => "#define " + name + " " + value + "\n").join("");
+      return Object.entries(values)
+        .map(([name, value]) => "#define " + name + " " + value + "\n")
+        .join("");
     }
 
     // Compile and link without waiting in the browser's way, where it can do that beside the page.
     async program(name, source, defines) {
-      const gl = this.gl, start = performance.now(), program = gl.createProgram();
-      const corner = "void main() { gl_Position = vec4(vec2(gl_VertexID == 1 ? 3.0 : -1.0, gl_VertexID == 2 ? 3.0 : -1.0), 0.0, 1.0); }";
-      const shaders = [[gl.VERTEX_SHADER, corner], [gl.FRAGMENT_SHADER, defines + source]].map(([type, text]) => {
+      const gl = this.gl,
+        start = performance.now(),
+        program = gl.createProgram();
+      const corner =
+        "void main() { vec2 corner = vec2(gl_VertexID == 1 ? 3.0 : -1.0, gl_VertexID == 2 ? 3.0 : -1.0);" +
+        " gl_Position = vec4(corner, 0.0, 1.0); }";
+      const shaders = [
+        [gl.VERTEX_SHADER, corner],
+        [gl.FRAGMENT_SHADER, defines + source],
+      ].map(([type, text]) => {
         const shader = gl.createShader(type);
         gl.shaderSource(shader, "#version 300 es\n" + text);
         gl.compileShader(shader);
@@ -159,26 +223,47 @@ var Irodori = Irodori || {};
         return shader;
       });
       gl.linkProgram(program);
-      if (this.parallel) while (!gl.getProgramParameter(program, this.parallel.COMPLETION_STATUS_KHR) && !gl.isContextLost()) await new Promise((go) => setTimeout(go, 4));
+      if (this.parallel)
+        while (!gl.getProgramParameter(program, this.parallel.COMPLETION_STATUS_KHR) && !gl.isContextLost())
+          await new Promise((go) => setTimeout(go, 4));
       if (!gl.getProgramParameter(program, gl.LINK_STATUS) && !gl.isContextLost()) {
         const log = shaders.map((s) => gl.getShaderInfoLog(s)).join(" ") + " " + gl.getProgramInfoLog(program);
         throw new Error("This browser does not make the program " + name + ": " + log.trim());
       }
       const places = new Map();
       this.linked.milliseconds += performance.now() - start;
-      return { program, defines, place: (uniform) => {
-        if (!places.has(uniform)) places.set(uniform, gl.getUniformLocation(program, uniform));
-        return places.get(uniform);
-      } };
+      return {
+        program,
+        defines,
+        place: (uniform) => {
+          if (!places.has(uniform)) places.set(uniform, gl.getUniformLocation(program, uniform));
+          return places.get(uniform);
+        },
+      };
     }
 
     defaultState() {
-      const header = this.data.header, view = header.views[0];
+      const header = this.data.header,
+        view = header.views[0];
       return {
         camera: JSON.parse(JSON.stringify(view.camera)),
-        light: { environment: header.environments[0] || null, turn_deg: 0, illuminant: null, lamps: JSON.parse(JSON.stringify(header.lamps)) },
-        objects: header.objects.map((o) => ({ name: o.name, position_mm: o.position_mm.slice(), turn_deg: o.rotation_deg.slice(), visible: true })),
-        observer: header.observers[0].name, deficiency: null, display: { name: header.displays[0].name }, exposure_ev: 0, overlay: null,
+        light: {
+          environment: header.environments[0] || null,
+          turn_deg: 0,
+          illuminant: null,
+          lamps: JSON.parse(JSON.stringify(header.lamps)),
+        },
+        objects: header.objects.map((o) => ({
+          name: o.name,
+          position_mm: o.position_mm.slice(),
+          turn_deg: o.rotation_deg.slice(),
+          visible: true,
+        })),
+        observer: header.observers[0].name,
+        deficiency: null,
+        display: { name: header.displays[0].name },
+        exposure_ev: 0,
+        overlay: null,
       };
     }
 
@@ -196,18 +281,29 @@ var Irodori = Irodori || {};
 
     // Rows of the scene's shapes where a state puts them.
     shapes(state) {
-      const header = this.data.header, out = new Float32Array(4 * ROW * header.objects.length), cast = this.castFor(state);
+      const header = this.data.header,
+        out = new Float32Array(4 * ROW * header.objects.length),
+        cast = this.castFor(state);
       let hidden = 0;
       header.objects.forEach((o, i) => {
-        const at = state.objects[i] || {}, put = (texel, values) => out.set(values, 4 * (ROW * i + texel));
-        const turn = at.turn_deg ? turned(at.turn_deg) : o.world_from_object, size = o.size_mm.map((x) => x * o.scale);
+        const at = state.objects[i] || {},
+          put = (texel, values) => out.set(values, 4 * (ROW * i + texel));
+        const turn = at.turn_deg ? turned(at.turn_deg) : o.world_from_object,
+          size = o.size_mm.map((x) => x * o.scale);
         put(0, [...(at.position_mm || o.position_mm), o.reach_mm]);
-        for (let c = 0; c < 3; c++) put(1 + c, turn.map((row) => row[c]));
+        for (let c = 0; c < 3; c++)
+          put(
+            1 + c,
+            turn.map((row) => row[c]),
+          );
         put(4, [size[0], size[1], o.shape === "sphere" ? 2 / o.reach_mm : 0, KINDS[o.shape]]);
         const place = this.atlas.places[i];
         put(5, [place.x, place.y, o.texels[1], o.texels[0]]);
         put(6, [this.spectra.objects[i].index[0][0], this.spectra.objects[i].index[1][0], o.mirror, 0]);
-        put(7, [0, 1, 2, 3].map((c) => (c < o.lobes.length ? o.lobes[c] : -1)));
+        put(
+          7,
+          [0, 1, 2, 3].map((c) => (c < o.lobes.length ? o.lobes[c] : -1)),
+        );
         const mesh = this.meshes[i];
         if (mesh) put(8, [mesh.first, mesh.last, mesh.triangles, o.scale]);
         const shadow = this.shadows[i];
@@ -224,7 +320,11 @@ var Irodori = Irodori || {};
     // What rays found of the shadows of meshes for a state that is not the scene's own, null where nothing yet.
     castFor(state) {
       const found = this.moved && this.moved.found;
-      return found && Irodori.shadowed(this.data.header, state) !== this.allShadowed() && found.key === Irodori.MovedShadows.key(state) ? found : null;
+      return found &&
+        Irodori.shadowed(this.data.header, state) !== this.allShadowed() &&
+        found.key === Irodori.MovedShadows.key(state)
+        ? found
+        : null;
     }
 
     allShadowed() {
@@ -243,21 +343,35 @@ var Irodori = Irodori || {};
       const moved = this.moved;
       return moved.cast(JSON.parse(JSON.stringify(state)), () => {
         if (moved !== this.moved) return; // of a context that was lost meanwhile
-        const gl = this.gl, old = this.textures.uMovedShadows, { width, height } = this.moved.shadows;
+        const gl = this.gl,
+          old = this.textures.uMovedShadows,
+          { width, height } = this.moved.shadows;
         if (old) gl.deleteTexture(old.texture);
-        this.textures.uMovedShadows = this.texture({ data: this.moved.found.data, width, height }, gl.RGBA32F, gl.RGBA, gl.FLOAT, gl.NEAREST);
+        this.textures.uMovedShadows = this.texture(
+          { data: this.moved.found.data, width, height },
+          gl.RGBA32F,
+          gl.RGBA,
+          gl.FLOAT,
+          gl.NEAREST,
+        );
         if (shown) shown();
       });
     }
 
     // What depends on spectra, made anew only where light, observer or lamps have other colours.
     colours(state, isRGB) {
-      const part = state.light, lamps = (part.lamps || []).map((l) => [l.illuminant, l.on !== false, l.strength, l.position_mm, l.far]);
+      const part = state.light,
+        lamps = (part.lamps || []).map((l) => [l.illuminant, l.on !== false, l.strength, l.position_mm, l.far]);
       const key = JSON.stringify([part.environment, part.illuminant, state.observer, isRGB, lamps]);
       if (this.lit && this.lit.key === key) return this.lit;
-      const gl = this.gl, spectra = this.spectra, constants = spectra.constants(part, state.observer, isRGB);
-      if (constants.lamps.length > MOST_LAMPS) throw new Error("Lamps: found " + constants.lamps.length + "; accepted: up to " + MOST_LAMPS + ".");
-      const n = spectra.objects.length, KS = spectra.widest, found = { key, constants, whiteXYZ: constants.whiteXYZ };
+      const gl = this.gl,
+        spectra = this.spectra,
+        constants = spectra.constants(part, state.observer, isRGB);
+      if (constants.lamps.length > MOST_LAMPS)
+        throw new Error("Lamps: found " + constants.lamps.length + "; accepted: up to " + MOST_LAMPS + ".");
+      const n = spectra.objects.length,
+        KS = spectra.widest,
+        found = { key, constants, whiteXYZ: constants.whiteXYZ };
       let width, rows, data;
       if (!this.coloured) {
         width = Math.max(constants.basis.length, 1) * KS;
@@ -266,7 +380,8 @@ var Irodori = Irodori || {};
         found.light = new Float32Array(constants.basis.flatMap((b) => constants.xyz(b)));
         found.lamps = new Float32Array(constants.spectra.flatMap((s) => constants.xyz(s).map((x) => x / Math.PI)));
       } else {
-        const channels = spectra.channels(constants), padded = (values) => Array.from({ length: 16 }, (_, i) => values[i] || 0);
+        const channels = spectra.channels(constants),
+          padded = (values) => Array.from({ length: 16 }, (_, i) => values[i] || 0);
         width = 4 * KS + 12;
         rows = n;
         data = new Float32Array(4 * width * rows);
@@ -274,12 +389,17 @@ var Irodori = Irodori || {};
           const put = (column, values) => data.set(padded(values), 4 * (o * width + column));
           object.basis.forEach((s, j) => put(4 * j, channels.surface(s)));
           const [index, absorption] = object.index.map((x) => channels.index(x));
-          put(4 * KS, Array.from({ length: 16 }, (_, i) => index[i] || 1));
+          put(
+            4 * KS,
+            Array.from({ length: 16 }, (_, i) => index[i] || 1),
+          );
           put(4 * KS + 4, absorption);
           put(4 * KS + 8, channels.surface(object.mean));
         });
         found.light = new Float32Array(constants.basis.flatMap((b) => padded(channels.light(b))));
-        found.lamps = new Float32Array(constants.spectra.flatMap((s) => padded(channels.light(s)).map((x) => x / Math.PI)));
+        found.lamps = new Float32Array(
+          constants.spectra.flatMap((s) => padded(channels.light(s)).map((x) => x / Math.PI)),
+        );
         found.back = new Float32Array(channels.xyz.flatMap((row) => padded(row)));
       }
       if (this.textures.uForms) gl.deleteTexture(this.textures.uForms.texture);
@@ -290,26 +410,36 @@ var Irodori = Irodori || {};
 
     // The lamps that are on, as the shader reads them.
     lamps(all) {
-      const lamps = all.filter((lamp) => lamp.on !== false), places = lamps.flatMap((lamp) => {
-        const at = lamp.position_mm, length = Math.hypot(...at) || 1;
-        return lamp.far ? [...at.map((x) => x / length), -1] : [...at, 0.5 * (lamp.size_mm || 0)];
-      });
+      const lamps = all.filter((lamp) => lamp.on !== false),
+        places = lamps.flatMap((lamp) => {
+          const at = lamp.position_mm,
+            length = Math.hypot(...at) || 1;
+          return lamp.far ? [...at.map((x) => x / length), -1] : [...at, 0.5 * (lamp.size_mm || 0)];
+        });
       const levels = lamps.map((lamp) => lamp.strength * (lamp.far ? 1 : 500 * 500));
       return { places: new Float32Array(places), levels: new Float32Array(levels) };
     }
 
     target(name, width, height, single) {
-      const gl = this.gl, old = this.targets[name];
+      const gl = this.gl,
+        old = this.targets[name];
       if (old && old.width === width && old.height === height && old.single === single) return old;
       if (old) {
         old.textures.forEach((t) => gl.deleteTexture(t.texture));
         gl.deleteFramebuffer(old.frame);
       }
-      const frame = gl.createFramebuffer(), internal = single ? gl.RGBA32F : gl.RGBA16F;
+      const frame = gl.createFramebuffer(),
+        internal = single ? gl.RGBA32F : gl.RGBA16F;
       gl.bindFramebuffer(gl.FRAMEBUFFER, frame);
       // Where a ray ends is asked for where numbers are read, and there alone.
       const textures = (single ? [0, 1, 2] : [0, 1]).map((i) => {
-        const made = this.texture({ data: null, width, height }, internal, gl.RGBA, single ? gl.FLOAT : gl.HALF_FLOAT, single || i ? gl.NEAREST : gl.LINEAR);
+        const made = this.texture(
+          { data: null, width, height },
+          internal,
+          gl.RGBA,
+          single ? gl.FLOAT : gl.HALF_FLOAT,
+          single || i ? gl.NEAREST : gl.LINEAR,
+        );
         gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0 + i, gl.TEXTURE_2D, made.texture, 0);
         return made;
       });
@@ -319,26 +449,49 @@ var Irodori = Irodori || {};
 
     // Render a state into a target; `whole` is the picture's size and `first` the target's corner in it.
     render(state, target, whole, first, isRGB, part) {
-      const gl = this.gl, light = this.lights[Math.max(this.data.header.environments.indexOf(state.light.environment), 0)];
-      const program = light.program, colours = this.colours(state, isRGB), shapes = this.shapes(state);
+      const gl = this.gl,
+        light = this.lights[Math.max(this.data.header.environments.indexOf(state.light.environment), 0)];
+      const program = light.program,
+        colours = this.colours(state, isRGB),
+        shapes = this.shapes(state);
       const place = (name) => program.place(name);
       gl.useProgram(program.program);
       gl.bindVertexArray(this.vertices);
       gl.bindFramebuffer(gl.FRAMEBUFFER, target.frame);
       gl.viewport(0, 0, target.width, target.height);
       if (this.textures.uShapes) gl.deleteTexture(this.textures.uShapes.texture);
-      this.textures.uShapes = this.texture({ data: shapes.data, width: ROW, height: this.data.header.objects.length }, gl.RGBA32F, gl.RGBA, gl.FLOAT, gl.NEAREST);
-      const textures = { ...this.textures, ...light.textures }, cast = this.castFor(state);
+      this.textures.uShapes = this.texture(
+        { data: shapes.data, width: ROW, height: this.data.header.objects.length },
+        gl.RGBA32F,
+        gl.RGBA,
+        gl.FLOAT,
+        gl.NEAREST,
+      );
+      const textures = { ...this.textures, ...light.textures },
+        cast = this.castFor(state);
       if (cast) textures.uShadows = this.textures.uMovedShadows;
-      ["uShapes", "uForms", "uMaterials", "uSky", "uIrradiance", "uGloss", "uRows", "uMesh", "uShadows"].forEach((name, unit) => this.setTexture(program, name, textures[name], unit));
-      const { eye, right, up, back } = Irodori.frame(state.camera), opposite = (v) => v.map((x) => -x);
+      ["uShapes", "uForms", "uMaterials", "uSky", "uIrradiance", "uGloss", "uRows", "uMesh", "uShadows"].forEach(
+        (name, unit) => this.setTexture(program, name, textures[name], unit),
+      );
+      const { eye, right, up, back } = Irodori.frame(state.camera),
+        opposite = (v) => v.map((x) => -x);
       gl.uniform3fv(place("uEye"), eye);
       gl.uniformMatrix3fv(place("uWorldFromCamera"), false, [...right, ...opposite(up), ...opposite(back)]);
       gl.uniform3f(place("uFrame"), whole[0] / 2, whole[1] / 2, Irodori.pixel(state.camera, whole[1]));
       gl.uniform1i(place("uParallel"), Number(state.camera.height_mm > 0));
       gl.uniform2f(place("uFirstPixel"), first[0], first[1]);
-      const turn = radians(state.light.turn_deg || 0), c = Math.cos(turn), s = Math.sin(turn);
-      gl.uniformMatrix3fv(place("uLightFromWorld"), false, columns([[c, s, 0], [-s, c, 0], [0, 0, 1]]));
+      const turn = radians(state.light.turn_deg || 0),
+        c = Math.cos(turn),
+        s = Math.sin(turn);
+      gl.uniformMatrix3fv(
+        place("uLightFromWorld"),
+        false,
+        columns([
+          [c, s, 0],
+          [-s, c, 0],
+          [0, 0, 1],
+        ]),
+      );
       gl.uniform1f(place("uLeast"), this.data.header.least_throughput);
       gl.uniform1i(place("uHidden"), shapes.hidden);
       gl.uniform1i(place("uShadowed"), cast ? this.allShadowed() : Irodori.shadowed(this.data.header, state));
@@ -355,7 +508,11 @@ var Irodori = Irodori || {};
         gl.uniform3fv(place("uGlossLevel"), light.gloss.flat());
         gl.uniform1f(place("uGlossFirst"), light.first);
       }
-      if (this.parts) gl.uniform2fv(place("uLadder"), this.data.header.lobes.flatMap((lobe) => lobe.ladder));
+      if (this.parts)
+        gl.uniform2fv(
+          place("uLadder"),
+          this.data.header.lobes.flatMap((lobe) => lobe.ladder),
+        );
       const lamps = this.lamps(state.light.lamps || []);
       gl.uniform1i(place("uLamps"), lamps.levels.length);
       if (lamps.levels.length) {
@@ -386,24 +543,40 @@ var Irodori = Irodori || {};
     shown(state, whiteXYZ) {
       const display = Irodori.screen(state.display || {}, this.data.header.displays);
       const factor = Math.pow(2, state.exposure_ev || 0) / whiteXYZ[1];
-      const adapt = Irodori.adaptation(whiteXYZ.map((x) => x / whiteXYZ[1]), display.white_xyz);
+      const adapt = Irodori.adaptation(
+        whiteXYZ.map((x) => x / whiteXYZ[1]),
+        display.white_xyz,
+      );
       return { display, matrix: Irodori.product(display.rgb_from_xyz, adapt).map((row) => row.map((x) => x * factor)) };
     }
 
     // One frame on the canvas.
     draw(state, options) {
       if (this.lost || !this.lights.length) return;
-      const gl = this.gl, { compare = null, scale = 1 } = options || {}, start = performance.now();
-      const width = Math.max(Math.round(this.canvas.width * scale), 1), height = Math.max(Math.round(this.canvas.height * scale), 1);
-      const whole = [width, height], one = this.target("one", width, height, false);
+      const gl = this.gl,
+        { compare = null, scale = 1 } = options || {},
+        start = performance.now();
+      const width = Math.max(Math.round(this.canvas.width * scale), 1),
+        height = Math.max(Math.round(this.canvas.height * scale), 1);
+      const whole = [width, height],
+        one = this.target("one", width, height, false);
       const mode = compare ? (compare.mode === "rgb" ? 1 : Math.max(MODES.indexOf(compare.mode), 0)) : 0;
-      const at = compare && compare.at !== undefined ? compare.at : 0.5, cut = Math.min(Math.max(Math.ceil(at * width) + 1, 1), width);
+      const at = compare && compare.at !== undefined ? compare.at : 0.5,
+        cut = Math.min(Math.max(Math.ceil(at * width) + 1, 1), width);
       const first = this.render(state, one, whole, [0, 0], false, mode === 1 ? [0, cut] : null);
-      let second = first, two = one;
+      let second = first,
+        two = one;
       if (compare) {
         const other = compare.mode === "rgb" ? state : { ...state, light: { ...state.light, ...compare.other } };
         two = this.target("two", width, height, false);
-        second = this.render(other, two, whole, [0, 0], compare.mode === "rgb", mode === 1 ? [Math.max(cut - 3, 0), width] : null);
+        second = this.render(
+          other,
+          two,
+          whole,
+          [0, 0],
+          compare.mode === "rgb",
+          mode === 1 ? [Math.max(cut - 3, 0), width] : null,
+        );
       }
       this.show(state, [one, two], [first.whiteXYZ, second.whiteXYZ], mode, at);
       this.times.push(performance.now());
@@ -413,11 +586,17 @@ var Irodori = Irodori || {};
     }
 
     show(state, [one, two], whites, mode, at) {
-      const gl = this.gl, program = this.programs.display, place = (name) => program.place(name);
+      const gl = this.gl,
+        program = this.programs.display,
+        place = (name) => program.place(name);
       gl.bindFramebuffer(gl.FRAMEBUFFER, null);
       gl.viewport(0, 0, this.canvas.width, this.canvas.height);
       gl.useProgram(program.program);
-      [["uOne", one.textures[0]], ["uTwo", two.textures[0]], ["uPlace", one.textures[1]]].forEach(([name, texture], unit) => {
+      [
+        ["uOne", one.textures[0]],
+        ["uTwo", two.textures[0]],
+        ["uPlace", one.textures[1]],
+      ].forEach(([name, texture], unit) => {
         gl.activeTexture(gl.TEXTURE0 + unit);
         gl.bindTexture(gl.TEXTURE_2D, texture.texture);
         gl.uniform1i(place(name), unit);
@@ -425,13 +604,21 @@ var Irodori = Irodori || {};
       const key = JSON.stringify(state.display || {});
       if (this.screenKey !== key) {
         if (this.textures.uCodes) gl.deleteTexture(this.textures.uCodes.texture);
-        this.textures.uCodes = this.texture(Irodori.codeTable(Irodori.screen(state.display || {}, this.data.header.displays)), gl.RGBA32F, gl.RGBA, gl.FLOAT, gl.NEAREST);
+        this.textures.uCodes = this.texture(
+          Irodori.codeTable(Irodori.screen(state.display || {}, this.data.header.displays)),
+          gl.RGBA32F,
+          gl.RGBA,
+          gl.FLOAT,
+          gl.NEAREST,
+        );
         this.screenKey = key;
         // Where the browser can, codes of Display P3 are given to it as such; all others as those of the screen.
-        if ("drawingBufferColorSpace" in gl) gl.drawingBufferColorSpace = (state.display || {}).name === "Display P3" ? "display-p3" : "srgb";
+        if ("drawingBufferColorSpace" in gl)
+          gl.drawingBufferColorSpace = (state.display || {}).name === "Display P3" ? "display-p3" : "srgb";
       }
       this.setTexture(program, "uCodes", this.textures.uCodes, 3);
-      const shown = this.shown(state, whites[0]), sRGB = this.data.header.displays[0];
+      const shown = this.shown(state, whites[0]),
+        sRGB = this.data.header.displays[0];
       gl.uniform2f(place("uCanvas"), this.canvas.width, this.canvas.height);
       gl.uniform1i(place("uMode"), mode);
       gl.uniform1i(place("uOverlay"), Math.max(OVERLAYS.indexOf(state.overlay), 0));
@@ -442,7 +629,19 @@ var Irodori = Irodori || {};
       gl.uniformMatrix3fv(place("uSRGBFromDisplay"), false, columns(between));
       gl.uniformMatrix3fv(place("uDisplayFromSRGB"), false, columns(Irodori.inverse(between)));
       const kind = this.data.header.deficiencies.find((d) => d.name === state.deficiency);
-      gl.uniformMatrix3fv(place("uDeficiency"), false, columns(kind ? kind.rgb_from_rgb : [[1, 0, 0], [0, 1, 0], [0, 0, 1]]));
+      gl.uniformMatrix3fv(
+        place("uDeficiency"),
+        false,
+        columns(
+          kind
+            ? kind.rgb_from_rgb
+            : [
+                [1, 0, 0],
+                [0, 1, 0],
+                [0, 0, 1],
+              ],
+        ),
+      );
       gl.uniform3fv(place("uWhite"), whites[0]);
       gl.uniform3fv(place("uWhiteTwo"), whites[1]);
       gl.uniform1f(place("uMostDifference"), 10);
@@ -451,7 +650,9 @@ var Irodori = Irodori || {};
     }
 
     read(state, width, height, first, whole) {
-      const gl = this.gl, target = this.target("read", width, height, true), out = [0, 1, 2].map(() => new Float32Array(4 * width * height));
+      const gl = this.gl,
+        target = this.target("read", width, height, true),
+        out = [0, 1, 2].map(() => new Float32Array(4 * width * height));
       this.render(state, target, whole, first, false, null);
       out.forEach((values, i) => {
         gl.readBuffer(gl.COLOR_ATTACHMENT0 + i);
@@ -467,15 +668,30 @@ var Irodori = Irodori || {};
 
     // What is known of the place under a pixel of the canvas, null where the room is seen.
     probe(state, x, y) {
-      const [[X, Y, Z, number], [u, v], [px, py, pz]] = this.read(state, 1, 1, [Math.floor(x), Math.floor(y)], [this.canvas.width, this.canvas.height]);
+      const [[X, Y, Z, number], [u, v], [px, py, pz]] = this.read(
+        state,
+        1,
+        1,
+        [Math.floor(x), Math.floor(y)],
+        [this.canvas.width, this.canvas.height],
+      );
       if (number < 0) return null;
-      const o = this.data.header.objects[number], [rows, columns_] = o.texels, plane = (name) => this.data.planes["object/" + number + "/" + name];
-      const row = Math.min(Math.max(Math.floor(v * rows), 0), rows - 1), column = Math.min(Math.max(Math.floor(u * columns_), 0), columns_ - 1);
-      const at = row * columns_ + column, basis = this.spectra.objects[number].basis, coefficients = plane("reflectance");
-      const reflectance = Array.from({ length: 61 }, (_, i) => basis.reduce((sum, b, j) => sum + b[i] * coefficients[j * rows * columns_ + at], 0));
-      const sigma = plane("uncertainty")[at], found = { alpha: plane("alpha")[at], beta: null, mu_rad: null };
+      const o = this.data.header.objects[number],
+        [rows, columns_] = o.texels,
+        plane = (name) => this.data.planes["object/" + number + "/" + name];
+      const row = Math.min(Math.max(Math.floor(v * rows), 0), rows - 1),
+        column = Math.min(Math.max(Math.floor(u * columns_), 0), columns_ - 1);
+      const at = row * columns_ + column,
+        basis = this.spectra.objects[number].basis,
+        coefficients = plane("reflectance");
+      const reflectance = Array.from({ length: 61 }, (_, i) =>
+        basis.reduce((sum, b, j) => sum + b[i] * coefficients[j * rows * columns_ + at], 0),
+      );
+      const sigma = plane("uncertainty")[at],
+        found = { alpha: plane("alpha")[at], beta: null, mu_rad: null };
       if (o.lobes.length) {
-        const [first, step] = this.data.header.lobes[o.lobes[0]].ladder, power = plane("power/0")[at];
+        const [first, step] = this.data.header.lobes[o.lobes[0]].ladder,
+          power = plane("power/0")[at];
         found.beta = 0;
         if (power > 0) {
           found.mu_rad = Math.exp(first + step * plane("place/0")[at]);
@@ -483,14 +699,25 @@ var Irodori = Irodori || {};
         }
       }
       return {
-        object: o.name, texel: [row, column], position_mm: [px, py, pz], reflectance,
-        sigma: new Array(61).fill(sigma), ...found, status: ["measured", "paint", "filled", "unknown"][plane("status")[at]], xyz: [X, Y, Z],
+        object: o.name,
+        texel: [row, column],
+        position_mm: [px, py, pz],
+        reflectance,
+        sigma: new Array(61).fill(sigma),
+        ...found,
+        status: ["measured", "paint", "filled", "unknown"][plane("status")[at]],
+        xyz: [X, Y, Z],
       };
     }
 
     figures() {
-      const n = this.times.length, span = n > 1 ? this.times[n - 1] - this.times[0] : 0;
-      return { frames_per_s: span > 0 ? 1000 * (n - 1) / span : 0, scale: this.scale || 1, programs_linked_ms: this.linked.milliseconds };
+      const n = this.times.length,
+        span = n > 1 ? this.times[n - 1] - this.times[0] : 0;
+      return {
+        frames_per_s: span > 0 ? (1000 * (n - 1)) / span : 0,
+        scale: this.scale || 1,
+        programs_linked_ms: this.linked.milliseconds,
+      };
     }
   };
 })();

@@ -1,13 +1,17 @@
-'use strict';
+"use strict";
 // The start: the head of the page, its address, and the data that it opens with.
 (function (I) {
-  const app = I.app, h = I.h, $ = I.byId, canvas = $('picture'), stage = $('stage');
+  const app = I.app,
+    h = I.h,
+    $ = I.byId,
+    canvas = $("picture"),
+    stage = $("stage");
 
   function speak(code) {
     I.setLanguage(code);
-    $('language').value = I.language();
+    $("language").value = I.language();
     if (!app.page) return;
-    $('caption').textContent = app.header.description ?? '';
+    $("caption").textContent = app.header.description ?? "";
     app.showTruthLine();
     app.build();
     app.choose(app.tool);
@@ -16,15 +20,15 @@
     app.settle();
   }
 
-  $('reset').addEventListener('click', () => app.put(I.clone(app.base), true));
-  $('snapshot').addEventListener('click', app.snapshot);
-  $('open').addEventListener('click', () => app.askFile((file) => app.takeFile(file, null)));
-  $('help-open').addEventListener('click', app.help);
-  $('truth-open').addEventListener('click', app.truth);
-  $('language').addEventListener('change', () => speak($('language').value));
+  $("reset").addEventListener("click", () => app.put(I.clone(app.base), true));
+  $("snapshot").addEventListener("click", app.snapshot);
+  $("open").addEventListener("click", () => app.askFile((file) => app.takeFile(file, null)));
+  $("help-open").addEventListener("click", app.help);
+  $("truth-open").addEventListener("click", app.truth);
+  $("language").addEventListener("change", () => speak($("language").value));
 
   function fromAddress(hash) {
-    if (hash === 'selftest') return void app.selftest();
+    if (hash === "selftest") return void app.selftest();
     if (!hash) return void app.put(I.clone(app.base), false);
     app.put(I.clone(app.base), false);
     app.tell(() => app.put(I.hashToPage(hash, app.base, app.header), false));
@@ -32,20 +36,20 @@
 
   // Where nothing can be drawn: the picture as it was rendered, and why.
   function stayStill(error) {
-    document.body.classList.add('still');
-    $('poster').hidden = false;
-    $('truth-open').hidden = true;
-    $('poster-text').textContent = error.code === 'no-webgl2' ? I.text('no_webgl2') : I.sentence(error);
+    document.body.classList.add("still");
+    $("poster").hidden = false;
+    $("truth-open").hidden = true;
+    $("poster-text").textContent = error.code === "no-webgl2" ? I.text("no_webgl2") : I.sentence(error);
   }
 
   async function start() {
     I.setLanguage(I.preferredLanguage());
-    $('language').append(...I.languages().map(([code, name]) => h('option', {value: code, lang: code}, name)));
-    $('language').value = I.language();
+    $("language").append(...I.languages().map(([code, name]) => h("option", { value: code, lang: code }, name)));
+    $("language").value = I.language();
     try {
-      const data = await I.readPayload($('payload').textContent);
+      const data = await I.readPayload($("payload").textContent);
       app.header = data.header;
-      $('payload').remove();
+      $("payload").remove();
       app.renderer = I.renderer = new I.Renderer(canvas, data);
       app.fit();
       await app.renderer.ready;
@@ -54,11 +58,11 @@
       return;
     }
     app.lesson = app.header.lesson ? I.clone(app.header.lesson) : null;
-    if (!app.lesson) app.tab = 'light';
+    if (!app.lesson) app.tab = "light";
     app.base = I.newPage(app.renderer.defaultState());
-    app.renderer.onlost = () => app.say(I.text('context_lost'));
+    app.renderer.onlost = () => app.say(I.text("context_lost"));
     app.renderer.onrestored = () => {
-      $('message').hidden = true;
+      $("message").hidden = true;
       app.redraw();
       app.settle();
     };
@@ -67,14 +71,20 @@
     const asked = location.hash.slice(1);
     speak(I.language());
     fromAddress(asked);
-    window.addEventListener('hashchange', () => fromAddress(location.hash.slice(1)));
+    window.addEventListener("hashchange", () => fromAddress(location.hash.slice(1)));
     new ResizeObserver(app.fit).observe(stage);
-    document.body.dataset.ready = 'yes';
+    document.body.dataset.ready = "yes";
   }
 
   // For tests and for those who look behind the page.
-  I.page = () => I.clone(app.pace.way ? {...app.page, state: {...app.page.state, camera: app.pace.way.to}} : app.page);
-  I.pace = () => ({scale: app.pace.scale, ms: app.pace.ms, frames: app.pace.frames, atRest: app.settling === null && !app.pace.way});
+  I.page = () =>
+    I.clone(app.pace.way ? { ...app.page, state: { ...app.page.state, camera: app.pace.way.to } } : app.page);
+  I.pace = () => ({
+    scale: app.pace.scale,
+    ms: app.pace.ms,
+    frames: app.pace.frames,
+    atRest: app.settling === null && !app.pace.way,
+  });
   I.lesson = () => I.clone(app.lesson);
   start();
 })(window.Irodori);

@@ -1,9 +1,9 @@
-'use strict';
+"use strict";
 // Words of the page in the reader's language, from the tables that stand in the page.
 window.Irodori = window.Irodori || {};
 (function (I) {
-  const tables = JSON.parse(document.getElementById('languages').textContent);
-  let current = 'en';
+  const tables = JSON.parse(document.getElementById("languages").textContent);
+  let current = "en";
 
   I.byId = (id) => document.getElementById(id);
 
@@ -21,23 +21,24 @@ window.Irodori = window.Irodori || {};
 
   I.text = function (key, values) {
     const words = tables[current][key] ?? tables.en[key];
-    if (words === undefined) throw new Error('no words for ' + key);
-    return words.replace(/\{(\w+)\}/g, (_, name) => (values && name in values ? values[name] : '?'));
+    if (words === undefined) throw new Error("no words for " + key);
+    return words.replace(/\{(\w+)\}/g, (_, name) => (values && name in values ? values[name] : "?"));
   };
 
   // Words of a thing that may have its own, or else the name it came with.
-  I.nameOf = (kind, name, label) => tables[current][kind + ':' + name] ?? tables.en[kind + ':' + name] ?? label ?? name;
+  I.nameOf = (kind, name, label) => tables[current][kind + ":" + name] ?? tables.en[kind + ":" + name] ?? label ?? name;
 
   // A text given by language: the reader's, or English, or the first.
-  I.inLanguage = (texts) => texts[current] ?? texts.en ?? Object.values(texts)[0] ?? '';
+  I.inLanguage = (texts) => texts[current] ?? texts.en ?? Object.values(texts)[0] ?? "";
 
   I.sentence = (error) => (error instanceof I.Refusal ? I.text(error.key, error.values) : error.message);
 
   I.setLanguage = function (code) {
-    current = tables[code] ? code : 'en';
+    current = tables[code] ? code : "en";
     document.documentElement.lang = current;
-    for (const one of document.querySelectorAll('[data-text]')) one.textContent = I.text(one.dataset.text);
-    for (const one of document.querySelectorAll('[data-label]')) one.setAttribute('aria-label', I.text(one.dataset.label));
+    for (const one of document.querySelectorAll("[data-text]")) one.textContent = I.text(one.dataset.text);
+    for (const one of document.querySelectorAll("[data-label]"))
+      one.setAttribute("aria-label", I.text(one.dataset.label));
   };
 
   I.preferredLanguage = function () {
@@ -45,6 +46,6 @@ window.Irodori = window.Irodori || {};
       const code = wanted.slice(0, 2).toLowerCase();
       if (tables[code]) return code;
     }
-    return 'en';
+    return "en";
   };
 })(window.Irodori);

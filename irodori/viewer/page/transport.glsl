@@ -358,7 +358,8 @@ float hiddenByDisc(vec3 normal, vec3 centre, mat3 axes, float radius) {
     end = way + half_;
   }
   float root = sqrt(low * high), ratio = sqrt(low / high);
-  float found = primitive_(end, a, -b, -s, k, change, root, ratio) - primitive_(start, a, -b, -s, k, change, root, ratio);
+  float found = primitive_(end, a, -b, -s, k, change, root, ratio)
+    - primitive_(start, a, -b, -s, k, change, root, ratio);
   if (!whole) {
     vec2 p = c.xy + radius * vec2(cos(top + half_), sin(top + half_));
     vec2 q = c.xy + radius * vec2(cos(top - half_), sin(top - half_));
@@ -447,7 +448,8 @@ Colour diffuse(int object, int by, Surface surface, Light light) {
 }
 Colour lampDiffuse(int object, int lamp, Surface surface) {
   Colour out_ = vec3(0.0);
-  for (int j = 0; j < KS; j++) out_ += surface.s[j] * texelFetch(uForms, ivec2(j, OBJECTS * (OBJECTS + 1) + lamp * OBJECTS + object), 0).xyz;
+  int row = OBJECTS * (OBJECTS + 1) + lamp * OBJECTS + object;
+  for (int j = 0; j < KS; j++) out_ += surface.s[j] * texelFetch(uForms, ivec2(j, row), 0).xyz;
   return out_;
 }
 #endif
@@ -474,7 +476,9 @@ float lobeValue(int lobe, float place, vec3 view, vec3 to, vec3 normal, float co
   return min(min(facet * cosI, 1.0) / cosR, facet) * exp(-phi * phi / (mu * mu)) / (mu * mu);
 }
 
-Colour lobeLight(int object, int lobe, float power, float place, vec3 normal, vec3 mirror, float cosine, float through) {
+Colour lobeLight(
+  int object, int lobe, float power, float place, vec3 normal, vec3 mirror, float cosine, float through
+) {
   Colour sum_ = Colour(0.0);
 #if GLOSS_LEVELS > 0
   vec4 index = shapeRow(object, 6);
@@ -509,7 +513,10 @@ Colour lobeLight(int object, int lobe, float power, float place, vec3 normal, ve
       float p = tap[i].y, q = sqrt(max(1.0 - p * p * sine2, 0.0)) - p * cosine;
       vec3 d = p * r + q * n;
       Light found = lookUp(uGloss, uGlossLevel[lower], d);
-      if (level > float(lower)) found = mixed(found, lookUp(uGloss, uGlossLevel[min(lower + 1, GLOSS_LEVELS - 1)], d), level - float(lower));
+      if (level > float(lower)) {
+        int upper = min(lower + 1, GLOSS_LEVELS - 1);
+        found = mixed(found, lookUp(uGloss, uGlossLevel[upper], d), level - float(lower));
+      }
       sum_ += PRODUCT(passed, decoded(found));
     }
   }
@@ -553,9 +560,14 @@ About nodesAbout(int object, Place place, Hit hit) {
     bool last = i + j == parts - 1;
     if (last && f.x + f.y > 1.0) f = vec2(f.x / (f.x + f.y), f.y / (f.x + f.y));
     if (last || f.x + f.y <= 1.0) {
-      return About(ivec4(shadowCorner(here), shadowCorner(here + 1), shadowCorner(above), 0), vec4(1.0 - f.x - f.y, f, 0.0));
+      return About(
+        ivec4(shadowCorner(here), shadowCorner(here + 1), shadowCorner(above), 0), vec4(1.0 - f.x - f.y, f, 0.0)
+      );
     }
-    return About(ivec4(shadowCorner(above + 1), shadowCorner(above), shadowCorner(here + 1), 0), vec4(f.x + f.y - 1.0, 1.0 - f, 0.0));
+    return About(
+      ivec4(shadowCorner(above + 1), shadowCorner(above), shadowCorner(here + 1), 0),
+      vec4(f.x + f.y - 1.0, 1.0 - f, 0.0)
+    );
   }
 #endif
   vec3 offset = (place.point - shapeRow(object, 0).xyz) * turnOf(object);
@@ -587,7 +599,8 @@ Colour sent(int object, int lamp, Place place, vec3 view, vec3 to, Surface surfa
   for (int c = 0; c < 2; c++) {
     float power = surface.gloss[2 * c], cosH;
     if (lobes[c] < 0.0 || power <= 0.0) continue;
-    float value = lobeValue(int(lobes[c]), surface.gloss[2 * c + 1], view, to, place.normal, place.cosine, dot(place.normal, to), cosH);
+    float towards = dot(place.normal, to), shape = surface.gloss[2 * c + 1];
+    float value = lobeValue(int(lobes[c]), shape, view, to, place.normal, place.cosine, towards, cosH);
 #if COLOURED
     sum_ += value * power * PRODUCT(uLampColour[lamp], reflectance(object, cosH));
 #else
@@ -598,10 +611,10 @@ Colour sent(int object, int lamp, Place place, vec3 view, vec3 to, Surface surfa
   return sum_;
 }
 
-// The cone in which a ball is seen: its axis and what stands across it, the cosine at its rim, and the way to its middle.
+// The cone in which a ball is seen: its axis and what stands across it, the cosine at its rim, the way to its middle.
 struct Cone { vec3 axis, across, beside; float least, far; };
 
-// A direction of the cone, and the way to the ball in it; `part` of the cone's solid angle lies about its axis within it.
+// A direction of the cone, and the way to the ball in it; `part` of the cone's solid angle lies within it.
 vec3 inCone(Cone cone, float part, float turn, out float far) {
   float along = 1.0 - part * (1.0 - cone.least), sine = sqrt(max(1.0 - along * along, 0.0));
   far = cone.far * (along - sqrt(max(along * along - cone.least * cone.least, 0.0)));
@@ -630,7 +643,7 @@ Colour lampLight(int object, int lamp, Place place, vec3 view, Surface surface, 
     cone = Cone(to, across, cross(to, across), sqrt(1.0 - ratio * ratio), far);
     level *= 2.0 / (1.0 + cone.least);
   }
-  // Few directions within a ball and as many to its rim, which an edge crosses, tell whether something hides a part of it:
+  // Few directions within a ball and as many to its rim, which an edge crosses, tell whether a part of it is hidden:
   // then many are asked. All in one loop, since drivers write out what stands in it as often as it stands there.
   int few = radius > 0.0 ? FEW : 1, asked = radius > 0.0 ? 2 * FEW : 1, free = 0;
   Colour whole = Colour(0.0), part = Colour(0.0);
@@ -670,7 +683,8 @@ Colour shade(int object, Place place, Ray ray, Surface surface, vec3 mirror, Hit
 #if HAS_SHADOWS
   if (((uShadowed >> object) & 1) == 1) {
     About about = nodesAbout(object, place, met);
-    vec4 rest = shadowMixed(object, about, 0); // what meshes leave of the free directions, of those to other shapes; theirs
+    // What meshes leave of the free directions, of those to other shapes; and theirs.
+    vec4 rest = shadowMixed(object, about, 0);
     seen *= rest.x;
     hidden = rest.y * hidden + rest.z;
     reflected *= rest.y;
@@ -698,7 +712,8 @@ Colour shade(int object, Place place, Ray ray, Surface surface, vec3 mirror, Hit
   for (int c = 0; c < 2; c++) {
     float power = surface.gloss[2 * c];
     if (lobes[c] < 0.0 || power * through <= uLeast / 4.0) continue;
-    sum_ += lobeLight(object, int(lobes[c]), power, surface.gloss[2 * c + 1], place.normal, mirror, place.cosine, through);
+    float shape = surface.gloss[2 * c + 1];
+    sum_ += lobeLight(object, int(lobes[c]), power, shape, place.normal, mirror, place.cosine, through);
   }
 #endif
   return sum_;
@@ -760,7 +775,8 @@ void main() {
   }
 #if COLOURED
   vec3 xyz = vec3(0.0); // what goes out has no index that is not constant
-  for (int axis = 0; axis < 3; axis++) for (int i = 0; i < 4; i++) xyz[axis] += dot(uXYZFromColour[4 * axis + i], sum_[i]);
+  for (int axis = 0; axis < 3; axis++)
+    for (int i = 0; i < 4; i++) xyz[axis] += dot(uXYZFromColour[4 * axis + i], sum_[i]);
   outXYZ.xyz = xyz;
 #else
   outXYZ.xyz = sum_;
