@@ -375,13 +375,14 @@ def status_of_too_few(used, response, weight, rows, clipped):
 
 
 @uncounted(error_model="numpy")
-def diffuse_status(rows, lobes, clipped, model, diffuse, fits, rules):
-    """Return the status of a texel whose data shows no gloss, and ``fits`` or not."""
+def diffuse_status(rows, lobes, clipped, model, diffuse, rules):
+    """Return the status of a texel whose data shows no gloss; ``diffuse`` is α and whether the model fits."""
+    alpha, fits = diffuse
     if highlight_clips(rows, lobes, clipped, 0.0, False):
         return _SATURATED
     if model == NOTHING:
         return _DARK
-    pinned = diffuse >= rules.high_alpha * (1.0 - 1e-6) or 0.0 < diffuse <= rules.low_alpha * (1.0 + 1e-6)
+    pinned = alpha >= rules.high_alpha * (1.0 - 1e-6) or 0.0 < alpha <= rules.low_alpha * (1.0 + 1e-6)
     if pinned:
         return _AT_BOUND
     return _DIFFUSE_ONLY if fits else _CONTRADICTED

@@ -126,7 +126,7 @@ def conclude(t, task, room, evidence, found):
                 model, errors, found = judge.GLOSS_ALONE, alone, other
     if model == judge.NOTHING or model == judge.DIFFUSE_ALONE:
         diffuse_error, squares, fits = judge.diffuse_errors(rows, diffuse, used, rules)
-        status = judge.diffuse_status(rows, lobes, clipped, model, diffuse, fits, rules)
+        status = judge.diffuse_status(rows, lobes, clipped, model, (diffuse, fits), rules)
         variance = max(squares / (used - 1), floor)
         return judge.Verdict(
             status, model, diffuse, 0.0, 0.0, diffuse_error, np.inf, np.inf, squares, variance, evaluations

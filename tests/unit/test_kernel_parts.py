@@ -1,4 +1,4 @@
-"""What a kernel is compiled with, numba's own functions and parallel loops included, still works on its own."""
+"""Parts of compiled kernels: what a kernel is compiled with, numba's own functions and parallel loops included, still works on its own."""
 
 import numba
 import numpy as np

@@ -1,4 +1,4 @@
-"""What may go wrong with one photograph at the bench or in the camera, for practice and for tests.
+"""Mistakes with one photograph at the bench or in the camera, for practice and for tests.
 
 Unlike the imperfections of a sound rig, these are mistakes: a person is expected to see them and to take the photograph
 again.
