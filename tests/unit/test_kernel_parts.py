@@ -1,4 +1,4 @@
-"""Parts of compiled kernels: what a kernel is compiled with, numba's own functions and parallel loops included, still works on its own."""
+"""Parts of a compiled kernel, numba's own functions and parallel loops included, still work on their own."""
 
 import numba
 import numpy as np
