@@ -69,10 +69,9 @@ def order_shots(
 ) -> list[Shot]:
     """Return the shots in the order of least work by hand, then of least travel.
 
-    Dark frames come first, then the white reference, the chart, the objects, the environment, charts
-    in it, scenes. The exposures of
-    one bracket (same subject, pose and filter) follow each other, the shortest first, so that no long exposure leaves
-    its traces in the next picture. The same input gives the same order.
+    Dark frames come first, then the white reference, the chart, the objects, the environment, charts in it, scenes.
+    The exposures of one bracket (same subject, pose and filter) follow each other, the shortest first, so that no long
+    exposure leaves its traces in the next picture. The same input gives the same order.
 
     Parameters
     ----------

@@ -26,9 +26,8 @@ _MAKE, _MODEL, _TIME, _SERIAL, _LENS = 271, 272, 36867, 42033, 42036
 _LIT, _CLIPPED = 0.02, 0.995
 #: Places whose steps are the highest of a picture; few enough that a small object's outline holds them.
 _STEEPEST = 500
+#: Of the colours of a picture.
 _QUANTILES = (0.1, 0.25, 0.5, 0.75, 0.9)
-#: Photographs of one filter state from which it is told how far poses change the colour.
-_FEWEST_OF_STATE = 2
 _FEWEST_STEPS, _STEP_PX = 16, 4
 #: Of each kind so many are looked at again when a session goes on.
 _RECALLED = 3
@@ -60,9 +59,7 @@ class Limits:
     colour : float
         A photograph is of the other filter state where its colour is closer to that by this factor, and
     colour_step : float
-        farther than this from its own, in logarithms of the ratios of bands, and
-    colour_usual : float
-        farther than this times the farthest that two neighbours of its own state were from each other.
+        farther than this from its own, in logarithms of the ratios of bands.
     moved, moved_first : float
         Largest shift between the two photographs of a capture beyond that of earlier pairs, and of the first pair;
         parts of the picture's width.
@@ -87,7 +84,6 @@ class Limits:
     unfiltered: float = 0.8
     colour: float = 0.6
     colour_step: float = 0.08
-    colour_usual: float = 2.0
     moved: float = 0.008
     moved_first: float = 0.02
     moved_px: float = 1.75
@@ -470,21 +466,13 @@ class Series:
                 yield Doubt("light changed", f"{found}: have lamp or aperture changed between the two photographs?")
 
     def _has_other_colour(self, shot: Shot, look: Look) -> bool:
-        """Whether its colour is that of the other filter state, beyond what other poses change in its own.
-
-        Two photographs of its own state at least tell how far poses change the colour.
-        """
-        seen: dict[str, list[np.ndarray]] = {"in": [], "out": []}
-        for s, known in self._seen:
-            if s.subject == shot.subject and np.isfinite(known.colour).all():
-                seen[s.filter].append(known.colour)
-        own, others = seen.pop(shot.filter), *seen.values()
-        if len(own) < _FEWEST_OF_STATE or not others or not np.isfinite(look.colour).all():
-            return False
-        usual = max(min(math.dist(one, two) for two in own if two is not one) for one in own)
-        same, other = (min(math.dist(look.colour, one) for one in some) for some in (own, others))
-        limits = self.limits
-        return same > max(limits.colour_step, limits.colour_usual * usual) and other < limits.colour * same
+        near = {"in": math.inf, "out": math.inf}
+        for s, seen in self._seen:
+            if s.subject == shot.subject:
+                distance = math.dist(seen.colour, look.colour)
+                near[s.filter] = min(near[s.filter], distance if math.isfinite(distance) else math.inf)
+        same, other = near[shot.filter], near["out" if shot.filter == "in" else "in"]
+        return math.isfinite(same) and same > self.limits.colour_step and other < self.limits.colour * same
 
     def _of_the_view(self, shot: Shot, look: Look) -> Iterator[Doubt]:
         """Yield whether it is sharp, and shows its subject where its pair, or the same view, shows it."""

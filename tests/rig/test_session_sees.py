@@ -1,7 +1,9 @@
 """A session that looks at its photographs: what is wrong is said on its shot, what is right is kept."""
 
 import json
+import math
 
+import numpy as np
 import pytest
 from made import made
 from sessions import MADE, assert_whole, definitions
@@ -11,10 +13,11 @@ from irodori.capture.operator import AutoOperator, OperatorAbort
 from irodori.capture.session import Session, take_stock
 from irodori.capture.shot_list import camera_shots, object_shots
 from irodori.capture.stage import Target, capture_object
-from irodori.config.capture_table import FILTERS, read_captures
+from irodori.config.capture_table import FILTERS, Pose, Shot, read_captures
 from irodori.config.models import Camera, Object, Rig
 from irodori.core.errors import InputError
 from irodori.ingest.first_look import check_captures
+from irodori.ingest.plausibility import Look, Series
 from irodori.simulation.virtual_rig.bench import Bench
 from irodori.simulation.virtual_rig.mishaps import Mishap
 from irodori.simulation.virtual_rig.virtual_camera import VirtualCamera
@@ -189,6 +192,37 @@ def test_the_photographs_of_a_camera_are_looked_at_too(tmp_path, bench, role, mi
     person = Person(bench, [""])
     hold(tmp_path, planned, eye, person)
     assert len(person.told) == 1 and f"{file}: {kind}" in person.told[0]
+
+
+def look(picture: np.ndarray, size=(800, 600)) -> Look:
+    """Return a look at a small picture (rows, columns, 3) in which nothing is clipped."""
+    whole = np.ones(picture.shape[:2], bool)
+    return Look(size, str(picture.tobytes()), "", "", "", 0.0, 0.0, math.nan, picture.astype(np.float32), whole)
+
+
+def test_a_pose_that_leaves_one_paint_in_the_dark_is_no_other_filter():
+    """The dark paint covers most of the plate; without it the median colour is where the filter would shift it."""
+    band = np.array([0.9, 1.0, 0.55])
+    dark, bright = np.array([0.02, 0.025, 0.025]), np.array([0.32, 0.4, 0.4]) * band
+    paints = np.where(np.arange(40)[None, :, None] < 22, dark, bright) * np.ones((40, 1, 1))
+    shots = [Shot(f"{pose:.0f}-{state}.dng", "object", Pose(45.0, pose), state, 0.02)
+             for pose in (0.0, 10.0) for state in ("out", "in")]  # fmt: skip
+    series = Series(shots)
+    for shot, filtered in zip(shots[:2], (1.0, 0.6 * band), strict=True):
+        series.add(shot, look(paints * filtered))
+    assert not series.doubts(shots[2], look(0.2 * paints))
+    assert [doubt.kind for doubt in series.doubts(shots[2], look(0.8 * paints * band))] == ["filter"]
+
+
+def test_charts_of_a_place_have_not_the_size_of_its_panorama():
+    picture = np.full((40, 40, 3), 0.4)
+    panorama = Shot("a.dng", "environment", Pose(0.0, 0.0), "out", 0.02)
+    charts = [Shot(f"{i}.dng", "room-chart", Pose(0.0, 0.0), "out", 0.02, chart=f"c{i}") for i in range(2)]
+    series = Series([panorama, *charts])
+    series.add(panorama, look(picture, (2000, 1000)))
+    assert not series.doubts(charts[0], look(0.9 * picture))
+    series.add(charts[0], look(0.9 * picture))
+    assert [d.kind for d in series.doubts(charts[1], look(0.8 * picture, (640, 480)))] == ["size"]
 
 
 @pytest.mark.heavy
