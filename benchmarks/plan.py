@@ -26,7 +26,7 @@ from irodori.light.gloss.gloss_maps import GlossMaps
 from irodori.rendering.interactive.frame_renderer import CollimatedLamp, light_of, prepare_scene, render_frame
 from irodori.rendering.interactive.pixel_rays import render_pixels
 from irodori.rendering.planning.choices import choose
-from irodori.rendering.planning.modelled_scene import Parts, prepare
+from irodori.rendering.planning.modelled_scene import SceneParts, prepare
 from irodori.rendering.planning.planned_check import chosen_pixels, measure
 from irodori.rendering.scene_arrays import make_view
 from irodori.rendering.scene_lights import make_lights, upward_radiance
@@ -40,7 +40,7 @@ SIZES = {
 }
 
 
-def scenes(studio: Studio) -> dict[str, Parts]:
+def scenes(studio: Studio) -> dict[str, SceneParts]:
     """Return the scenes by name."""
     objects, room = studio.objects, studio.environment
     room = Environment(np.asarray(room.coefficients, dtype=np.float32), room.basis, room.irradiance)
@@ -52,20 +52,22 @@ def scenes(studio: Studio) -> dict[str, Parts]:
     lights, _ = make_lights([typed(SceneLight, _LAMP)], 0)
     lamp = lights.rotation[:, :, 2].copy(), lights.spectrum[:, :61].astype(np.float64)
     return {
-        "still-life": Parts(objects, room, studio.tracer, *nobody, white),
-        "matte": Parts(objects._replace(texels=matte, mirror=0 * objects.mirror), room, studio.tracer, *nobody, white),
-        "mirrors": Parts(
+        "still-life": SceneParts(objects, room, studio.tracer, *nobody, white),
+        "matte": SceneParts(
+            objects._replace(texels=matte, mirror=0 * objects.mirror), room, studio.tracer, *nobody, white
+        ),
+        "mirrors": SceneParts(
             objects._replace(texels=mirrors, mirror=np.maximum(objects.mirror, 0.9)),
             room,
             studio.tracer,
             *nobody,
             white,
         ),
-        "one-lamp": Parts(objects, black, studio.tracer, *lamp, upward_radiance(lights)),
+        "one-lamp": SceneParts(objects, black, studio.tracer, *lamp, upward_radiance(lights)),
     }
 
 
-def prepare_all(parts: Parts):
+def prepare_all(parts: SceneParts):
     """Prepare a scene as it is rendered without a plan."""
     gloss = GlossMaps.of(parts.environment.coefficients)
     scene = (parts.objects, light_of(parts.environment), gloss, parts.tracer, "spectral", parts.white)
@@ -73,7 +75,7 @@ def prepare_all(parts: Parts):
     return prepare_scene(*scene, lamps=parts.lamp_spectra, **options)
 
 
-def measure_scene(name: str, parts: Parts, studio: Studio, arguments) -> list[dict]:
+def measure_scene(name: str, parts: SceneParts, studio: Studio, arguments) -> list[dict]:
     """Return the rows of one scene."""
     view = make_view(studio.scene.views["front"], studio.image)
     names = [item.object for item in studio.scene.objects]

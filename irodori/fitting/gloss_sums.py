@@ -39,7 +39,7 @@ _OPEN = 1e-3  # of a determinant, under which β and μ cannot be told apart
 _CHUNK = 1024  # texels that a thread takes at a time
 
 
-class Surface(NamedTuple):
+class SearchedTexels(NamedTuple):
     """Texels whose gloss is searched together.
 
     Parameters
@@ -76,7 +76,7 @@ def _pack_chunk(problem, rules, blocks, first, last):
             blocks[t, _SIDE, j] = min(max(side, -1.0), 1.0)
 
 
-def pack(problem: Problem, rules: Rules) -> Surface:
+def pack(problem: Problem, rules: Rules) -> SearchedTexels:
     """Return the texels of a problem with inverse variances for weights.
 
     Parameters
@@ -86,7 +86,7 @@ def pack(problem: Problem, rules: Rules) -> Surface:
     """
     blocks = np.zeros((len(problem.response), PACKED, problem.noise.shape[1]))
     run_chunks(_pack_chunk, len(blocks), _CHUNK, problem, rules, blocks)
-    return Surface(blocks, problem.lobes, rules)
+    return SearchedTexels(blocks, problem.lobes, rules)
 
 
 @uncounted(error_model="numpy")
@@ -116,7 +116,7 @@ def _sum_chunk(surface, nodes, out, first, last):
             out[t, i, 0], out[t, i, 1], out[t, i, 2] = a, b, c
 
 
-def parabolas(surface: Surface, nodes: np.ndarray) -> np.ndarray:
+def parabolas(surface: SearchedTexels, nodes: np.ndarray) -> np.ndarray:
     """Return A, B, C of every texel at the values of log μ in ``nodes``, (texels, nodes, 3)."""
     out = np.empty((len(surface.blocks), nodes.size, 3))
     run_chunks(_sum_chunk, len(out), _CHUNK, surface, nodes, out)
@@ -175,7 +175,7 @@ def _part_chunk(surface, gloss, out, first, last):
         _take_part(surface.blocks[t], surface.lobes, surface.rules, gloss[t], room, out[t])
 
 
-def parts(surface: Surface, gloss: np.ndarray) -> np.ndarray:
+def parts(surface: SearchedTexels, gloss: np.ndarray) -> np.ndarray:
     """Return what every texel adds to a fit at its log β and log μ, (texels, 2), in the columns above, (texels, PARTS).
 
     A texel without an observation that carries light adds nothing, and has an α of NaN.
@@ -210,7 +210,7 @@ def _common_part(surface, gloss):
     return common
 
 
-def shared_error(surface: Surface, gloss: np.ndarray) -> np.ndarray:
+def shared_error(surface: SearchedTexels, gloss: np.ndarray) -> np.ndarray:
     """Return the variance of the slopes, (2, 2), that errors shared by all texels of a photograph give at one gloss.
 
     Drift of the light and errors of the pose are those of a photograph: averaging over texels does not lower them.
@@ -254,7 +254,7 @@ def _outer(block, alpha, room, j, out):
     out[4], out[5], out[6], out[7], out[8] = w * g * r, w * s * r, w * g * g, w * g * s, w * s * s
 
 
-def without_each(surface: Surface, gloss: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def without_each(surface: SearchedTexels, gloss: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return by how much log β and log μ would move without each photograph, (P, 2), and where that is told, (P,) bool.
 
     One step from the gloss of all photographs. It is not told where without a photograph the two are left open.

@@ -33,7 +33,7 @@ _CHUNK = 1024
 UNKNOWNS = 4  # α, β, log μ, n
 
 
-class Sums(NamedTuple):
+class ErrorSums(NamedTuple):
     """What is summed over the observations of every texel.
 
     Parameters
@@ -147,7 +147,7 @@ def index_errors(problem, rules, index: np.ndarray, found: np.ndarray) -> np.nda
     count = len(index)
     normal, middle = np.zeros((2, count, UNKNOWNS, UNKNOWNS))
     excess = np.ones(count)
-    sums = Sums(normal, middle, excess)
+    sums = ErrorSums(normal, middle, excess)
     run_chunks(_sums, count, _CHUNK, problem, rules, np.column_stack([found, index]), sums)
     diagonal = np.sqrt(np.einsum("tii->ti", normal))
     scale = np.where(diagonal > 0.0, 1.0 / np.where(diagonal > 0.0, diagonal, 1.0), 0.0)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from irodori.fitting import gloss_sums as sums
-from irodori.fitting.gloss_sums import Surface
+from irodori.fitting.gloss_sums import SearchedTexels
 from irodori.fitting.judge import MAX_RELATIVE_ERROR
 from irodori.fitting.judge import SEEN as LEAST_SEEN
 
@@ -52,7 +52,7 @@ class PaintGloss:
 
 
 @dataclass(frozen=True)
-class Shared:
+class TexelGloss:
     """Parameters of texels in the light of their paints, one entry a texel; NaN where nothing is known.
 
     Parameters
@@ -75,12 +75,12 @@ class Shared:
     own: np.ndarray
     agrees: np.ndarray
 
-    def __getitem__(self, chosen) -> "Shared":
+    def __getitem__(self, chosen) -> "TexelGloss":
         """Return the texels chosen."""
-        return Shared(**{one.name: getattr(self, one.name)[chosen] for one in fields(self)})
+        return TexelGloss(**{one.name: getattr(self, one.name)[chosen] for one in fields(self)})
 
     @classmethod
-    def joined(cls, several: list["Shared"]) -> "Shared":
+    def joined(cls, several: list["TexelGloss"]) -> "TexelGloss":
         """Return the texels of several, in their order."""
         if not several:
             nothing = np.empty(0)
@@ -101,7 +101,7 @@ def _inverse(matrix: np.ndarray) -> np.ndarray:
     return np.stack([d, -b, -b, a], axis=-1).reshape(matrix.shape) / (a * d - b * b)[..., None, None]
 
 
-def _start(surface: Surface, nodes: np.ndarray) -> tuple[np.ndarray, float] | None:
+def _start(surface: SearchedTexels, nodes: np.ndarray) -> tuple[np.ndarray, float] | None:
     """Return log β and log μ of the lowest joint parabola and by how much it lies under no gloss; None if none does."""
     _, b, c = sums.parabolas(surface, nodes).sum(axis=0).T
     gain = np.where((b > 0.0) & (c > 0.0), b * b / np.where(c > 0.0, c, 1.0), 0.0)
@@ -112,7 +112,7 @@ def _start(surface: Surface, nodes: np.ndarray) -> tuple[np.ndarray, float] | No
     return np.array([np.log(beta), nodes[best]]), float(gain[best])
 
 
-def _minimum(surface: Surface, start: np.ndarray) -> np.ndarray | None:
+def _minimum(surface: SearchedTexels, start: np.ndarray) -> np.ndarray | None:
     """Return log β and log μ of the joint least sum of squares; None where the search leaves the bounds."""
     rules, place, damping = surface.rules, start, 0.0
     part = sums.parts(surface, np.tile(place, (len(surface.blocks), 1)))
@@ -142,7 +142,7 @@ def _is_told(part: np.ndarray, varying: np.ndarray, excess: float) -> bool:
     return bool(gain - cost > 3.0 * np.log(len(part)))
 
 
-def _of_photographs(surface: Surface, place: np.ndarray) -> np.ndarray:
+def _of_photographs(surface: SearchedTexels, place: np.ndarray) -> np.ndarray:
     """Return the covariance of log β and log μ by the jackknife over photographs.
 
     What is wrong with a photograph, known or not, is wrong in all its texels: only photographs are independent.
@@ -164,12 +164,12 @@ def _larger(expected: np.ndarray, seen: np.ndarray) -> np.ndarray:
     return axes * np.maximum(size, 1.0) @ axes.T
 
 
-def gloss_of_paint(surface: Surface, nodes: np.ndarray) -> PaintGloss | None:
+def gloss_of_paint(surface: SearchedTexels, nodes: np.ndarray) -> PaintGloss | None:
     """Return the gloss that texels of one paint share; None where they show none, or leave it open.
 
     Parameters
     ----------
-    surface : Surface
+    surface : SearchedTexels
         The texels, cores of the paint.
     nodes : (nodes,) float
         log μ that are tried first.
@@ -210,7 +210,7 @@ def gloss_of_paint(surface: Surface, nodes: np.ndarray) -> PaintGloss | None:
     return PaintGloss(place, error, varying, float(excess), len(surface.blocks)) if known else None
 
 
-def share(surface: Surface, gloss: PaintGloss) -> Shared:
+def share(surface: SearchedTexels, gloss: PaintGloss) -> TexelGloss:
     """Return what the texels of a paint have of its gloss and of their own."""
     count, place = len(surface.blocks), gloss.log_gloss
     precision = np.linalg.inv(gloss.varying)
@@ -236,7 +236,7 @@ def share(surface: Surface, gloss: PaintGloss) -> Shared:
         free = np.maximum(used - 1.0, 1.0)
         misfit = part[:, sums.SQUARES] / gloss.excess
         beta, mu = np.exp(own).T
-        return Shared(
+        return TexelGloss(
             alpha=alpha,
             beta=beta,
             mu=mu,

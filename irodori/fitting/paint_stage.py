@@ -11,7 +11,7 @@ from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER
 from irodori.fitting.paint_colours import MOST_CORES, Colours, cores, find_colours, noise_floor
 from irodori.fitting.paint_gloss import PaintGloss
-from irodori.fitting.paints import BELIEVED, Optics, Paints, Tile, find_paints, sample, share_by_paint
+from irodori.fitting.paints import BELIEVED, GlossModel, Paints, Tile, find_paints, sample, share_by_paint
 from irodori.fitting.solvers import FitOptions
 from irodori.fitting.stage import (
     CARRIED,
@@ -74,7 +74,7 @@ def _read_tile(observations, fitted) -> tuple[Tile, dict[str, np.ndarray], dict]
     return Tile(observed, *columns), maps, attributes
 
 
-def _indexed(tile: Tile, optics: Optics) -> Tile:
+def _indexed(tile: Tile, optics: GlossModel) -> Tile:
     """Return the texels with a refractive index where theirs is not known."""
     index = np.where(np.isfinite(tile.index), tile.index, optics.fresnel.n)
     return Tile(tile.observed, index, tile.status, tile.response, tile.variance)
@@ -103,7 +103,7 @@ def share_gloss(
     parts, carried, fitted = [], {}, 0
     for seen, own in zip(observations, tiles, strict=True):
         tile, _, attributes = _read_tile(seen, own)
-        optics = optics or Optics(options, fresnel_of(n, k, calibration, tile.response.shape[1]))
+        optics = optics or GlossModel(options, fresnel_of(n, k, calibration, tile.response.shape[1]))
         samples.append(sample(_indexed(tile, optics), colours, attributes["width"], len(tiles)))
         parts.append(attributes["rows"])
         seconds, fitted = seconds + attributes["fit_seconds"], fitted + attributes["texels_fitted"]
@@ -139,7 +139,7 @@ def _reserve(out: store.Writer, maps: dict[str, np.ndarray], texels: int, lobes:
     return found
 
 
-def _share_tile(tile: Tile, maps: dict[str, np.ndarray], paints: Paints, width: int, optics: Optics) -> int:
+def _share_tile(tile: Tile, maps: dict[str, np.ndarray], paints: Paints, width: int, optics: GlossModel) -> int:
     """Put what a tile's texels have of their paints into its maps; return how many have something."""
     found = share_by_paint(tile, paints, width, optics)
     here, shared, options = found.texel, found.shared, optics.options

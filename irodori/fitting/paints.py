@@ -13,9 +13,9 @@ import numpy as np
 
 from irodori.fitting import gloss_sums
 from irodori.fitting.band_fresnel import BandGloss
-from irodori.fitting.gloss_sums import Surface
+from irodori.fitting.gloss_sums import SearchedTexels
 from irodori.fitting.paint_colours import NEAR, Colours
-from irodori.fitting.paint_gloss import PaintGloss, Shared, gloss_of_paint, share
+from irodori.fitting.paint_gloss import PaintGloss, TexelGloss, gloss_of_paint, share
 from irodori.fitting.solvers import FitOptions, problem_of
 from irodori.fitting.stage import GREEN, Observed, without_gloss
 from irodori.material.material_file import Status
@@ -50,7 +50,7 @@ class Paints:
 
 
 @dataclass(frozen=True)
-class Optics:
+class GlossModel:
     """What the gloss of an object's observations is told with: the options of its fit and its refractive index."""
 
     options: FitOptions
@@ -82,7 +82,7 @@ class Tile:
         index, status, response = self.index[chosen], self.status[chosen], self.response[chosen]
         return Tile(self.observed[chosen], index, status, response, self.variance[chosen])
 
-    def surface(self, optics: Optics) -> Surface:
+    def surface(self, optics: GlossModel) -> SearchedTexels:
         """Return the green observations, packed."""
         seen, k = self.observed, optics.fresnel.k
         problem = problem_of(
@@ -91,7 +91,7 @@ class Tile:
         )  # fmt: skip
         return gloss_sums.pack(*problem)
 
-    def under(self, log_gloss: np.ndarray, optics: Optics) -> tuple[np.ndarray, np.ndarray]:
+    def under(self, log_gloss: np.ndarray, optics: GlossModel) -> tuple[np.ndarray, np.ndarray]:
         """Return diffuse responses and their variance supposing a gloss, log β and log μ."""
         gloss = np.tile(np.exp(log_gloss), (len(self.status), 1))
         options = optics.options
@@ -139,7 +139,7 @@ def by_colour(tile: Tile, colours: Colours) -> np.ndarray:
     return np.where(apart <= 2.0 * NEAR, paint, -1)
 
 
-def assign(tile: Tile, paint: np.ndarray, paints: Paints, optics: Optics, mixed: np.ndarray | bool = False):
+def assign(tile: Tile, paint: np.ndarray, paints: Paints, optics: GlossModel, mixed: np.ndarray | bool = False):
     """Return the paint of each texel, (texels,) int, -1 where no paint explains it.
 
     Texels that their own fit tells the colour of, and that have that of a paint of known gloss, have that paint. The
@@ -166,7 +166,7 @@ def assign(tile: Tile, paint: np.ndarray, paints: Paints, optics: Optics, mixed:
     return paint
 
 
-def find_paints(samples: list[Tile], colours: Colours, optics: Optics) -> Paints:
+def find_paints(samples: list[Tile], colours: Colours, optics: GlossModel) -> Paints:
     """Return the paints of an object with their gloss.
 
     A wide lobe that a texel's own fit has not seen is in its colour. Gloss is therefore searched twice: in texels of
@@ -185,7 +185,7 @@ def find_paints(samples: list[Tile], colours: Colours, optics: Optics) -> Paints
 
 
 def _with_gloss(
-    samples: list[Tile], labels: list[np.ndarray], paints: Paints, numbers: Iterable[int], optics: Optics
+    samples: list[Tile], labels: list[np.ndarray], paints: Paints, numbers: Iterable[int], optics: GlossModel
 ) -> Paints:
     """Return the paints with the gloss of those numbers from the texels with their labels."""
     nodes = replace(optics.options, scan_per_octave=2).nodes()
@@ -210,16 +210,16 @@ class Painted:
         Number of the paint that a texel shares the gloss of, -1 where it has none.
     texel : (shared,) int
         The texels that have one.
-    shared : Shared
+    shared : TexelGloss
         Their parameters.
     """
 
     paint: np.ndarray
     texel: np.ndarray
-    shared: Shared
+    shared: TexelGloss
 
 
-def share_by_paint(tile: Tile, paints: Paints, width: int, optics: Optics) -> Painted:
+def share_by_paint(tile: Tile, paints: Paints, width: int, optics: GlossModel) -> Painted:
     """Return the parameters of a tile's texels in the light of the paints.
 
     Parameters
@@ -247,5 +247,5 @@ def share_by_paint(tile: Tile, paints: Paints, width: int, optics: Optics) -> Pa
         paint[here[good]] = number
         texels.append(here[good])
         columns.append(one[good])
-    shared = Shared.joined(columns)
+    shared = TexelGloss.joined(columns)
     return Painted(paint, np.concatenate([*texels, np.empty(0, dtype=int)]), shared)

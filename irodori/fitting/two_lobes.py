@@ -84,7 +84,7 @@ class TwoTask(NamedTuple):
     two: Output
 
 
-class LobeTable(NamedTuple):
+class ScanTable(NamedTuple):
     """A lobe at the nodes of the scan."""
 
     values: np.ndarray  # (nodes, P)
@@ -107,8 +107,8 @@ class TwoRoom(NamedTuple):
 
     rows: np.ndarray  # (ROWS, P), with the first lobe
     other: np.ndarray  # (ROWS, P), with the second lobe
-    first: LobeTable
-    second: LobeTable  # whose values are times the weights
+    first: ScanTable
+    second: ScanTable  # whose values are times the weights
     grid: np.ndarray  # (nodes, nodes), Φ at pairs of nodes
     taken: np.ndarray  # (nodes, nodes) uint8, dips that were polished
     covariance: Covariance
@@ -652,7 +652,7 @@ def _fit_chunk(given, out, first, last):
 
 @njit(cache=True)
 def _new_table(nodes, width):
-    return LobeTable(aligned(nodes * width).reshape((nodes, width)), np.zeros((3, nodes)))
+    return ScanTable(aligned(nodes * width).reshape((nodes, width)), np.zeros((3, nodes)))
 
 
 @njit(cache=True)

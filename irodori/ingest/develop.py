@@ -10,7 +10,7 @@ from irodori.config.capture_table import Shot, shot_path
 from irodori.core.errors import InputError
 from irodori.ingest.exposure_settings import iso_ratio, relative_exposure_s, settle
 from irodori.ingest.ingest_options import IngestOptions
-from irodori.ingest.merge import ABSENT, Bracket, Planes, merge
+from irodori.ingest.merge import ABSENT, ExposureBracket, PatternPlanes, merge
 from irodori.ingest.mosaic import Mosaic, decode, demosaic
 
 _PEDESTAL = 512  # digital numbers that stand for black in a demosaiced picture
@@ -184,9 +184,9 @@ def develop(reference, shots: list[Shot], table, folder, options: IngestOptions,
     return merge_frames(reference, load_frames(reference, shots, table, folder, options), options, white)
 
 
-def _bracket(reference, frames: list[Frame]) -> Bracket:
+def _bracket(reference, frames: list[Frame]) -> ExposureBracket:
     noise = [reference.noise.at(iso_ratio(f.shot, reference.noise.iso)) for f in frames]
-    return Bracket(
+    return ExposureBracket(
         exposure_dn=np.array([relative_exposure_s(f.shot) * f.mosaic.full_scale for f in frames]),
         dark_s=np.array([_dark_seconds(reference, f.shot) for f in frames]),
         electrons_per_dn=np.array([n[0] for n in noise]),
@@ -194,7 +194,7 @@ def _bracket(reference, frames: list[Frame]) -> Bracket:
     )
 
 
-def _planes(reference, frames: list[Frame], options: IngestOptions, on_sensor: bool) -> Planes:
+def _planes(reference, frames: list[Frame], options: IngestOptions, on_sensor: bool) -> PatternPlanes:
     if options.sample_px == 1:
         pictures = [f.bands for f in frames if f.bands is not None]  # all have them: they were demosaiced
         stack = pictures[0][None] if len(pictures) == 1 else np.stack(pictures)
@@ -204,7 +204,7 @@ def _planes(reference, frames: list[Frame], options: IngestOptions, on_sensor: b
             np.ascontiguousarray(np.array([getattr(f, n) for f in frames]).T[bands]) for n in ("black", "clip")
         )
         absent = (ABSENT,) * 4
-        return Planes(tuple(stack[..., band] for band in bands), bands, black, clip, absent, absent, (0.0, 0.0))
+        return PatternPlanes(tuple(stack[..., band] for band in bands), bands, black, clip, absent, absent, (0.0, 0.0))
     places = frames[0].mosaic.places()
     stack = frames[0].mosaic.values[None] if len(frames) == 1 else np.stack([f.mosaic.values for f in frames])
     samples = tuple(stack[:, row::2, column::2] for row, column, _ in places)
@@ -216,12 +216,12 @@ def _planes(reference, frames: list[Frame], options: IngestOptions, on_sensor: b
     nothing = (ABSENT,) * len(places)
     if dark is None or not on_sensor:
         level = 0.0 if dark is None else np.array([_mean_dark(dark, _dark_seconds(reference, f.shot)) for f in frames])
-        return Planes(samples, bands, black + level, clip, nothing, nothing, (0.0, 0.0))
+        return PatternPlanes(samples, bands, black + level, clip, nothing, nothing, (0.0, 0.0))
     offset, rate = (
         nothing if values is None else tuple(values[row::2, column::2] for row, column, _ in places)
         for values in (dark.offset, dark.rate)
     )
-    return Planes(samples, bands, black, clip, offset, rate, (dark.offset_step_dn, dark.rate_step_dn_per_s))
+    return PatternPlanes(samples, bands, black, clip, offset, rate, (dark.offset_step_dn, dark.rate_step_dn_per_s))
 
 
 def _mean_dark(dark, seconds: float) -> float:
@@ -238,7 +238,7 @@ def _hot(reference, shape, options: IngestOptions) -> np.ndarray:
     return mask if side == 2 else _reached(mask, options)
 
 
-def _noise_model(bracket: Bracket, white, shares: np.ndarray, options: IngestOptions) -> np.ndarray:
+def _noise_model(bracket: ExposureBracket, white, shares: np.ndarray, options: IngestOptions) -> np.ndarray:
     """Return c0 and c1 of each band at the centre of the picture for the exposures merged there, (3, 2).
 
     An exposure counts where it gave at least half of a band's samples; the shortest always does.

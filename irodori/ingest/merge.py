@@ -29,7 +29,7 @@ ABSENT = np.zeros((4, 4), dtype=np.int16)[::2, ::2]
 _TEXTURE = 2.0  # variance of a block over that of its noise; noise alone scatters it by 18 %
 
 
-class Bracket(NamedTuple):
+class ExposureBracket(NamedTuple):
     """Exposures of one filter state, in ascending order, as the merge takes them; each field (K,) float64.
 
     Where the noise of an exposure is unknown, NaN, samples weigh by exposure, which is inverse variance where shot
@@ -44,7 +44,7 @@ class Bracket(NamedTuple):
     read_dn2: np.ndarray
 
 
-class Planes(NamedTuple):
+class PatternPlanes(NamedTuple):
     """Samples of each place of the mosaic's pattern, or of each band after demosaicing."""
 
     samples: tuple  # of (K, height, width) uint16, one array a place; may be strided views
@@ -57,7 +57,7 @@ class Planes(NamedTuple):
 
 
 class _Place(NamedTuple):
-    """Samples of one place, fields as of `Planes`."""
+    """Samples of one place, fields as of `PatternPlanes`."""
 
     samples: np.ndarray  # (K, height, width)
     black: np.ndarray  # (K,)
@@ -329,13 +329,15 @@ def _merge_some(planes, bracket, flat, merged, first, last):
         _block_row(planes, bracket, flat, merged, block)
 
 
-def merge(planes: Planes, bracket: Bracket, white, sample_px: int, out: np.ndarray, clipped: np.ndarray) -> np.ndarray:
+def merge(
+    planes: PatternPlanes, bracket: ExposureBracket, white, sample_px: int, out: np.ndarray, clipped: np.ndarray
+) -> np.ndarray:
     """Merge the exposures of one filter state into responses.
 
     Parameters
     ----------
-    planes : Planes
-    bracket : Bracket
+    planes : PatternPlanes
+    bracket : ExposureBracket
     white : (3, 15) float64 or None
         Coefficients of the flat field, see `irodori.ingest.flat_field`; or (3,) the level that applies to the whole
         picture.

@@ -19,7 +19,7 @@ from irodori.viewer.scene_data import BORDER, HALVED_FROM, LightMaps, decoded_sh
 
 
 @dataclass(frozen=True)
-class Parts:
+class FrameParts:
     """What a scene's frames are made from.
 
     Parameters
@@ -63,7 +63,7 @@ class Decoded:
     planes: dict[str, np.ndarray]
 
 
-def prepared(parts: Parts, decoded: Decoded | None = None) -> Prepared:
+def prepared(parts: FrameParts, decoded: Decoded | None = None) -> Prepared:
     """Return a scene for frames of 61 bands; with what a payload holds of it where given."""
     maps = None if decoded is None else decoded.maps
     gloss = GlossMaps.stored(parts.environment) or GlossMaps.of(parts.environment.coefficients)
@@ -142,7 +142,7 @@ def _joined(name: str, levels: list[np.ndarray], lanes: int) -> dict:
     }
 
 
-def frame_bands(scene: Prepared, view: View, parts: Parts, world_from_light=None) -> np.ndarray:
+def frame_bands(scene: Prepared, view: View, parts: FrameParts, world_from_light=None) -> np.ndarray:
     """Return a frame's radiance, (height, width, 61)."""
     lamps = tuple(CollimatedLamp(direction) for direction in parts.directions)
     return render_frame(scene, view, world_from_light=world_from_light, lamps=lamps, bands=True)

@@ -29,8 +29,8 @@ from irodori.spectra.grid import WAVELENGTH_NM
 from irodori.spectra.published import light
 from irodori.viewer import colours
 from irodori.viewer.lesson import lesson_for_page
-from irodori.viewer.measured import Parts
-from irodori.viewer.payload import Planes, write_payload
+from irodori.viewer.measured import FrameParts
+from irodori.viewer.payload import StoredPlanes, write_payload
 from irodori.viewer.scene_data import (
     add_light,
     add_materials,
@@ -85,17 +85,17 @@ class PageData:
     ----------
     header : dict
         JSON of the payload, see docs/viewer.md.
-    planes : Planes
-    rooms : tuple of Parts
+    planes : StoredPlanes
+    rooms : tuple of FrameParts
         The same scene for the product's own renderer, in each of the page's environments.
     """
 
     header: dict
-    planes: Planes
-    rooms: tuple[Parts, ...]
+    planes: StoredPlanes
+    rooms: tuple[FrameParts, ...]
 
     @property
-    def parts(self) -> Parts:
+    def parts(self) -> FrameParts:
         """The scene in its own environment."""
         return self.rooms[0]
 
@@ -171,7 +171,7 @@ def _lamps(scene: Scene) -> list[dict]:
     return found
 
 
-def _add_quadrature(planes: Planes, number: int, parts: Parts) -> dict:
+def _add_quadrature(planes: StoredPlanes, number: int, parts: FrameParts) -> dict:
     """Add the moments of what paths carry in a room; return the places of the wavelengths that stand for them."""
     spectra = path_spectra(parts.objects, light_of(parts.environment), parts.lamps, parts.max_bounces)
     weights = colour_matching_weights()
@@ -209,7 +209,7 @@ def page_data(sources: SceneSources) -> PageData:
     check_lobes(Lobes(objects.lobes.names))
     lights = make_lights(scene.lights, 0)[0]
     rooms = tuple(
-        Parts(
+        FrameParts(
             objects,
             placements,
             Environment.load(file),
@@ -221,7 +221,7 @@ def page_data(sources: SceneSources) -> PageData:
         )
         for file in sources.environments
     )
-    planes = Planes()
+    planes = StoredPlanes()
     lit = [add_light(planes, i, light_maps(room.environment, objects)) for i, room in enumerate(rooms)]
     entries = [{**a, **b} for a, b in zip(add_materials(planes, objects), add_shapes(planes, placements), strict=True)]
     is_lit = has_ambient(scene) and any(room.environment.coefficients.any() for room in rooms)

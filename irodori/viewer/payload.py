@@ -29,7 +29,7 @@ CODES, DELTAS = ("linear", "log", "light", "float"), ("row", "above")
 
 
 @dataclass(frozen=True)
-class Plane:
+class StoredPlane:
     """A plane as it is stored.
 
     Parameters
@@ -65,17 +65,17 @@ class Plane:
         return math.prod(self.shape) * self.width
 
 
-class Planes:
+class StoredPlanes:
     """Planes that are written one after the other."""
 
     def __init__(self) -> None:
-        self.entries: list[Plane] = []
+        self.entries: list[StoredPlane] = []
         self.content: list[bytes] = []
 
     def add_floats(self, name: str, values: np.ndarray) -> None:
         """Add numbers as single precision."""
         values = np.ascontiguousarray(values, dtype="<f4")
-        self.entries.append(Plane(name, values.shape, "float"))
+        self.entries.append(StoredPlane(name, values.shape, "float"))
         self.content.append(values.tobytes())
 
     def add_linear(self, name: str, values: np.ndarray, bits: int = _BITS) -> None:
@@ -84,12 +84,14 @@ class Planes:
         low, high = flat.min(axis=1), flat.max(axis=1)
         step = np.where(high > low, (high - low) / (2**bits - 1), 1.0)
         q = np.rint((flat - low[:, None]) / step[:, None])
-        self._add(Plane(name, np.shape(values), "linear", low=tuple(low), step=tuple(step)), q)
+        self._add(StoredPlane(name, np.shape(values), "linear", low=tuple(low), step=tuple(step)), q)
 
     def add_integers(self, name: str, values: np.ndarray) -> None:
         """Add whole numbers from 0 on exactly, of any shape."""
         count = len(values)
-        self._add(Plane(name, np.shape(values), "linear", low=(0.0,) * count, step=(1.0,) * count), np.asarray(values))
+        self._add(
+            StoredPlane(name, np.shape(values), "linear", low=(0.0,) * count, step=(1.0,) * count), np.asarray(values)
+        )
 
     def add_log(self, name: str, values: np.ndarray, bits: int = _BITS) -> None:
         """Add channels of numbers from 0 on, finer for small ones."""
@@ -97,7 +99,7 @@ class Planes:
         floor = _FLOOR * flat.max() or 1.0
         octaves = np.log2(flat / floor + 1.0)
         step = octaves.max() / (2**bits - 1) or 1.0
-        plane = Plane(name, np.shape(values), "log", low=(), step=(step,) * len(flat), floor=floor)
+        plane = StoredPlane(name, np.shape(values), "log", low=(), step=(step,) * len(flat), floor=floor)
         self._add(plane, np.rint(octaves / step))
 
     def add_light(self, name: str, values: np.ndarray, basis: np.ndarray) -> None:
@@ -118,10 +120,12 @@ class Planes:
             ratio = np.rint(channel / (level + floor) / step)
             lows.append(float(ratio.min()) * step)
             q.append(ratio - ratio.min())
-        plane = Plane(name, np.shape(values), "light", low=tuple(lows), step=tuple(map(float, steps)), floor=floor)
+        plane = StoredPlane(
+            name, np.shape(values), "light", low=tuple(lows), step=tuple(map(float, steps)), floor=floor
+        )
         self._add(plane, np.stack(q))
 
-    def _add(self, plane: Plane, q: np.ndarray) -> None:
+    def _add(self, plane: StoredPlane, q: np.ndarray) -> None:
         q = np.asarray(q, dtype=np.int64).reshape(plane.shape)
         found = {}
         for delta in DELTAS:
@@ -134,12 +138,12 @@ class Planes:
         delta = min(costs, key=lambda name: costs[name])
         stored = found[delta]
         width = max((int(stored.max(initial=0)).bit_length() + 7) // 8, 1)
-        entry = Plane(plane.name, plane.shape, plane.code, delta, width, plane.low, plane.step, plane.floor)
+        entry = StoredPlane(plane.name, plane.shape, plane.code, delta, width, plane.low, plane.step, plane.floor)
         self.entries.append(entry)
         self.content.append(b"".join(((stored >> (8 * i)) & 255).astype(np.uint8).tobytes() for i in range(width)))
 
 
-def write_payload(header: dict, planes: Planes) -> str:
+def write_payload(header: dict, planes: StoredPlanes) -> str:
     """Return a payload as base64; the header is any JSON, to which version and planes are added."""
     whole = {"schema_version": SCHEMA_VERSION, **header, "planes": [asdict(entry) for entry in planes.entries]}
     return _packed(whole, b"".join(planes.content))
@@ -168,10 +172,10 @@ def _fault(source, found: str, accepted: str = "a payload that irodori wrote", f
     return InputError(source, field, found, accepted)
 
 
-def _plane(source, number: int, entry) -> Plane:
+def _plane(source, number: int, entry) -> StoredPlane:
     """Return an entry of the header as a plane."""
     place = f"planes.{number}"
-    names = {f.name for f in fields(Plane)}
+    names = {f.name for f in fields(StoredPlane)}
     if not isinstance(entry, dict) or set(entry) != names:
         raise _fault(source, "an entry with other fields", ", ".join(sorted(names)), place)
     shape, low, step = (entry[name] for name in ("shape", "low", "step"))
@@ -186,10 +190,10 @@ def _plane(source, number: int, entry) -> Plane:
     needed = {"linear": (shape[0], shape[0]), "log": (0, shape[0]), "light": (shape[0], shape[0]), "float": (0, 0)}
     if (len(low), len(step)) != needed[entry["code"]]:
         raise _fault(source, f"{len(step)} steps of {shape[0]} channels", "one a channel", place)
-    return Plane(**{**entry, "shape": tuple(shape), "low": tuple(low), "step": tuple(step)})
+    return StoredPlane(**{**entry, "shape": tuple(shape), "low": tuple(low), "step": tuple(step)})
 
 
-def _values(plane: Plane, content: memoryview) -> np.ndarray:
+def _values(plane: StoredPlane, content: memoryview) -> np.ndarray:
     """Return the numbers of a plane."""
     if plane.code == "float":
         return np.frombuffer(content, dtype="<f4").reshape(plane.shape)

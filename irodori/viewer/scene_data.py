@@ -22,7 +22,7 @@ from irodori.rendering.interactive.mesh_shadows import COUNT, FIRST, SEEN, SHAPE
 from irodori.rendering.interactive.prepared_scene import needed_gloss
 from irodori.rendering.interactive.round_lobes import gloss_power, ladder, lobe_table, roughness_at, roughness_place
 from irodori.rendering.scene_arrays import Objects, coefficients_of, gloss_of, textures
-from irodori.viewer.payload import Planes
+from irodori.viewer.payload import StoredPlanes
 
 #: Lobes that the page's shader knows; a lobe from elsewhere has no page.
 LOBES = ("gaussian", "ggx")
@@ -143,7 +143,7 @@ def light_maps(environment: Environment, objects: Objects) -> LightMaps:
     return LightMaps(basis, white, sky, irradiance, gloss, sides, number)
 
 
-def add_light(planes: Planes, number: int, maps: LightMaps) -> dict:
+def add_light(planes: StoredPlanes, number: int, maps: LightMaps) -> dict:
     """Add an environment's planes; return what the header says of it."""
     name = f"light/{number}"
     planes.add_floats(f"{name}/basis", maps.basis)
@@ -177,7 +177,7 @@ def check_lobes(lobes: Lobes) -> None:
         raise PlainError(f"the lobe {unknown[0]!r} has no page; accepted: {', '.join(LOBES)}.")
 
 
-def add_materials(planes: Planes, objects: Objects) -> list[dict]:
+def add_materials(planes: StoredPlanes, objects: Objects) -> list[dict]:
     """Add the objects' materials; return what the header says of each."""
     check_lobes(objects.lobes)
     means, entries = mean_spectra(objects), []
@@ -237,7 +237,7 @@ def decoded_objects(objects: Objects, planes: dict[str, np.ndarray], entries: li
     return found
 
 
-def _mesh_planes(planes: Planes, name: str, mesh: Mesh) -> None:
+def _mesh_planes(planes: StoredPlanes, name: str, mesh: Mesh) -> None:
     """Add a mesh: its corners, each once, and the triangles between them."""
     corners = np.concatenate([mesh.vertices_mm[mesh.faces], mesh.normals, mesh.uv], axis=-1).reshape(-1, 8)
     unique, inverse = np.unique(corners.astype(np.float32), axis=0, return_inverse=True)
@@ -257,12 +257,12 @@ def _shadow_shape(grid: np.ndarray, nodes: int) -> tuple[int, ...]:
     return (int(grid[ROWS]), int(grid[COLUMNS])) if grid[COLUMNS] else (1, nodes)
 
 
-def add_shadows(planes: Planes, placements: list[Placement], shadows: MeshShadows | None) -> list[dict | None]:
+def add_shadows(planes: StoredPlanes, placements: list[Placement], shadows: MeshShadows | None) -> list[dict | None]:
     """Add what meshes hide at the nodes of all shapes; return what the header says of each, None where it is nothing.
 
     Parameters
     ----------
-    planes : Planes
+    planes : StoredPlanes
     placements : list of Placement
     shadows : MeshShadows, optional
         None where the scene has no shadows of meshes.
@@ -308,7 +308,7 @@ def decoded_shadows(planes: dict[str, np.ndarray], shadows: MeshShadows) -> Mesh
     return found
 
 
-def add_shapes(planes: Planes, placements: list[Placement]) -> list[dict]:
+def add_shapes(planes: StoredPlanes, placements: list[Placement]) -> list[dict]:
     """Add the meshes among placed shapes; return what the header says of each shape and of where it stands."""
     entries = []
     for i, (placement, reach) in enumerate(zip(placements, reaches(placements), strict=True)):

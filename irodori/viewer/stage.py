@@ -20,7 +20,7 @@ from irodori.rendering.scene_white import shown_white
 from irodori.viewer.browser import OpenPage, browser_command, opened
 from irodori.viewer.measured import (
     Decoded,
-    Parts,
+    FrameParts,
     differences,
     frame_bands,
     mean_and_p99,
@@ -146,13 +146,13 @@ def _turned(degrees: float) -> np.ndarray:
     return rotation_z(np.radians(degrees))
 
 
-def white_of(parts: Parts) -> np.ndarray:
+def white_of(parts: FrameParts) -> np.ndarray:
     """Return the radiance of a perfect diffuser that faces up, (61,), under the light and the scene's lamps."""
     lamps = np.maximum(parts.directions[:, 2], 0.0) @ parts.lamps / np.pi
     return parts.environment.upward_white() + lamps
 
 
-def swapped(data: PageData, name: str, parts: Parts) -> np.ndarray:
+def swapped(data: PageData, name: str, parts: FrameParts) -> np.ndarray:
     """Return the factor on a room's light, (61,), that gives its white an illuminant's spectrum, and its luminance."""
     power = np.array(next(entry["power"] for entry in data.header["illuminants"] if entry["name"] == name))
     white, luminance = parts.environment.upward_white(), colour_matching_weights()[1]

@@ -8,7 +8,7 @@ from raw_studio import SENSOR
 
 from irodori.ingest.develop import empty_response
 from irodori.ingest.flat_field import evaluate_flat
-from irodori.ingest.merge import ABSENT, Bracket, Planes, merge
+from irodori.ingest.merge import ABSENT, ExposureBracket, PatternPlanes, merge
 
 GAIN = SENSOR.electrons_per_dn
 READ_DN2 = (SENSOR.read_noise_e / GAIN) ** 2 + 1 / 12
@@ -29,8 +29,8 @@ def merged(frames, exposures, dark=True, noise=(GAIN, READ_DN2), saturation=0.98
     if dark:
         black = black + SENSOR.dark_current_e_per_s * exposures / GAIN
     samples = tuple(frames[:, r::2, c::2] for r in (0, 1) for c in (0, 1))
-    planes = Planes(samples, np.array([0, 1, 1, 2]), black, clip, (ABSENT,) * 4, (ABSENT,) * 4, (0.0, 0.0))
-    bracket = Bracket(exposures * FULL, exposures, np.full(count, noise[0]), np.full(count, noise[1]))
+    planes = PatternPlanes(samples, np.array([0, 1, 1, 2]), black, clip, (ABSENT,) * 4, (ABSENT,) * 4, (0.0, 0.0))
+    bracket = ExposureBracket(exposures * FULL, exposures, np.full(count, noise[0]), np.full(count, noise[1]))
     height, width = (side // 2 for side in frames.shape[1:])
     out, clipped = empty_response(height, width, 1), np.zeros((height, width), np.bool_)
     shares = merge(planes, bracket, white, 2, out, clipped)

@@ -13,7 +13,7 @@ from irodori.core import store
 from irodori.fitting.band_fresnel import uniform
 from irodori.fitting.paint_colours import cores, find_colours, noise_floor
 from irodori.fitting.paint_stage import share_gloss
-from irodori.fitting.paints import Optics, Tile, believed, find_paints, sample, share_by_paint
+from irodori.fitting.paints import GlossModel, Tile, believed, find_paints, sample, share_by_paint
 from irodori.fitting.solvers import FitOptions, fit
 from irodori.fitting.stage import GREEN, Observed, diffuse_response, fit_brdf
 from irodori.material.fitted_tiles import FittedTiles
@@ -22,8 +22,8 @@ from irodori.reflection.equation5 import angles_from_directions
 
 SIDE, BANDS = 32, 3
 CAMERA = (1e-6, 2e-5)
-OPTICS = Optics(FitOptions(pose_error_deg=0.0, model_error=0.002, level_error=0.0), uniform(N, K, BANDS))
-DEFAULT = Optics(FitOptions(), uniform(N, K, BANDS))
+OPTICS = GlossModel(FitOptions(pose_error_deg=0.0, model_error=0.002, level_error=0.0), uniform(N, K, BANDS))
+DEFAULT = GlossModel(FitOptions(), uniform(N, K, BANDS))
 VERMILION, CREAM = (0.52, 0.19, 0.09), (0.84, 0.66, 0.38)
 
 

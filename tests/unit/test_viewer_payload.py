@@ -14,17 +14,17 @@ from pages import room, sources
 from irodori.core.errors import InputError
 from irodori.light.environment_file import Environment
 from irodori.viewer.page_data import page_data
-from irodori.viewer.payload import LOG_STEP, RATIO_STEP, Planes, read_payload, with_stated_errors, write_payload
+from irodori.viewer.payload import LOG_STEP, RATIO_STEP, StoredPlanes, read_payload, with_stated_errors, write_payload
 from irodori.viewer.scene_data import add_light, decoded_light, light_maps
 
 
-def planes() -> tuple[Planes, dict]:
+def planes() -> tuple[StoredPlanes, dict]:
     rng = np.random.default_rng(3)
     basis = np.linalg.qr(rng.normal(size=(61, 3)))[0].T
     level = np.exp(rng.normal(size=(6, 4, 4)) * 3)
     light = np.stack([level, 0.3 * level * rng.normal(size=level.shape), 0.1 * level])
     given = {"map": rng.normal(size=(2, 5, 7)), "gloss": rng.random((1, 5, 7)) ** 6, "light": light}
-    found = Planes()
+    found = StoredPlanes()
     found.add_linear("map", given["map"])
     found.add_log("gloss", given["gloss"])
     found.add_light("light", light, basis)
@@ -122,7 +122,7 @@ def test_light_is_the_same_whatever_vectors_its_file_is_on(tmp_path):
             light.basis @ basis_from_other,
             light.irradiance @ np.linalg.inv(basis_from_other).T,
         )
-        planes = Planes()
+        planes = StoredPlanes()
         entry = add_light(planes, 0, light_maps(turned, data.parts.objects))
         found = decoded_light(read_payload(write_payload({}, planes))[1], 0, entry)
         for name in ("sky", "irradiance"):

@@ -16,7 +16,7 @@ from irodori.rendering.interactive.channels import reflected_basis
 from irodori.rendering.interactive.frame_renderer import light_of
 from irodori.rendering.interactive.quadrature import COUNTS
 from irodori.rendering.planning.modelled_scene import (
-    Parts,
+    SceneParts,
     beta_of,
     full_model,
     leading_basis,
@@ -34,7 +34,7 @@ _MOST_TRIED = 32
 
 
 def choose(
-    parts: Parts,
+    parts: SceneParts,
     views: list[View],
     names: list[str],
     tolerance: float,
@@ -48,7 +48,7 @@ def choose(
 
     Parameters
     ----------
-    parts : Parts
+    parts : SceneParts
     views : list of View
     names : list of str
         Of the objects.

@@ -73,7 +73,7 @@ class Model:
 
 
 @dataclass(frozen=True)
-class Parts:
+class SceneParts:
     """A scene as files give it, and its lamps.
 
     ``white`` is the radiance that the display shows as white, (61,); colour differences are seen against it.
@@ -87,7 +87,7 @@ class Parts:
     white: np.ndarray
 
 
-def full_model(parts: Parts, max_bounces: int, ambient: bool) -> Model:
+def full_model(parts: SceneParts, max_bounces: int, ambient: bool) -> Model:
     """Return the model that leaves out nothing but what is not there."""
     objects, environment = parts.objects, parts.environment
     count, shines = len(objects.bases), bool(environment.coefficients.any())
@@ -193,7 +193,7 @@ def _light(light: Light, model: Model) -> Light:
     return Light(pixels, np.array([0]), size, basis, irradiance, irradiance_size)
 
 
-def _gloss(parts: Parts, model: Model) -> GlossMaps:
+def _gloss(parts: SceneParts, model: Model) -> GlossMaps:
     """Return the blurred light of a model, on its basis; without levels where nothing is looked up in it."""
     count = model.light_bases
     nothing = PointLights(np.zeros((0, 3)), np.zeros((0, count)))
@@ -235,20 +235,20 @@ def reduced_objects(objects: Objects, model: Model) -> Objects:
     )
 
 
-def solved_nodes(parts: Parts, bounces: int, matrix: np.ndarray, count: int) -> Quadrature:
+def solved_nodes(parts: SceneParts, bounces: int, matrix: np.ndarray, count: int) -> Quadrature:
     """Return the quadrature of a number of wavelengths for a scene."""
     spectra = path_spectra(parts.objects, light_of(parts.environment), parts.lamp_spectra, bounces)
     return solve_quadrature(spectra, matrix, parts.white, counts=(count,))
 
 
 def prepare(
-    parts: Parts, model: Model, matrix: np.ndarray, ladder: Light | None = None, *, spare_texels: int = 0
+    parts: SceneParts, model: Model, matrix: np.ndarray, ladder: Light | None = None, *, spare_texels: int = 0
 ) -> Prepared:
     """Prepare a scene for the frames of a model.
 
     Parameters
     ----------
-    parts : Parts
+    parts : SceneParts
     model : Model
     matrix : (3, 61) float
         XYZ from radiance.
@@ -302,7 +302,7 @@ def objects_rows(objects: Objects) -> int:
     return int(rows[objects.lobe].sum(axis=1).max())
 
 
-def widths_of(parts: Parts, model: Model) -> Widths:
+def widths_of(parts: SceneParts, model: Model) -> Widths:
     """Return how many numbers a model's look-ups take."""
     rows = objects_rows(parts.objects)
     light, lamps, coloured = model.light_bases, len(parts.lamp_spectra), not stays_grey(parts.objects, model)
@@ -317,7 +317,7 @@ def widths_of(parts: Parts, model: Model) -> Widths:
     return Widths(width_of(3 * (light + extra + lamps) + 2), width_of(light), False, light, rows)
 
 
-def memory_mb(parts: Parts, model: Model, widths: Widths) -> float:
+def memory_mb(parts: SceneParts, model: Model, widths: Widths) -> float:
     """Return what a model's maps and textures take, MB."""
     numbers = 0.0
     height = parts.environment.coefficients.shape[0] >> model.environment_halvings

@@ -14,7 +14,7 @@ from irodori.light.environment_file import Environment
 from irodori.rendering.integrators import has_ambient
 from irodori.rendering.interactive.frame_renderer import CollimatedLamp, render_frame
 from irodori.rendering.interactive.pixel_rays import render_pixels
-from irodori.rendering.planning.modelled_scene import Parts, full_model, prepare
+from irodori.rendering.planning.modelled_scene import SceneParts, full_model, prepare
 from irodori.rendering.planning.plan_file import model_of
 from irodori.rendering.planning.planned_check import chosen_pixels, measure, refuse_above
 from irodori.rendering.scene_arrays import Objects, make_view
@@ -22,7 +22,7 @@ from irodori.rendering.scene_lights import BANDS, make_lights
 from irodori.rendering.scene_white import scene_white
 
 
-def parts_of(scene: Scene, objects: Objects, environment: Environment, tracer: Tracer) -> Parts:
+def parts_of(scene: Scene, objects: Objects, environment: Environment, tracer: Tracer) -> SceneParts:
     """Return a scene as the planner wants it.
 
     Raises
@@ -35,11 +35,11 @@ def parts_of(scene: Scene, objects: Objects, environment: Environment, tracer: T
     lights, _ = make_lights(scene.lights, 0)
     towards = lights.rotation[:, :, 2].copy()
     white, _ = scene_white(scene, environment)
-    return Parts(objects, environment, tracer, towards, lights.spectrum[:, :BANDS].astype(np.float64), white)
+    return SceneParts(objects, environment, tracer, towards, lights.spectrum[:, :BANDS].astype(np.float64), white)
 
 
 def render_planned(
-    scene: Scene, view_name: str, parts: Parts, options: Render, plan: dict, check: bool = True
+    scene: Scene, view_name: str, parts: SceneParts, options: Render, plan: dict, check: bool = True
 ) -> tuple[np.ndarray, dict]:
     """Render a view by a plan and check it.
 
@@ -47,7 +47,7 @@ def render_planned(
     ----------
     scene : Scene
     view_name : str
-    parts : Parts
+    parts : SceneParts
     options : Render
     plan : dict
         Content of ``plan.yaml``.

@@ -25,7 +25,7 @@ from irodori.rendering.interactive.prepared_scene import (
 )
 from irodori.rendering.interactive.round_lobes import TAPS
 from irodori.rendering.interactive.shading import FURTHER
-from irodori.rendering.planning.modelled_scene import Model, Parts, coarser, prepare
+from irodori.rendering.planning.modelled_scene import Model, SceneParts, coarser, prepare
 from irodori.rendering.scene_arrays import Light, View, textures
 
 #: In place of a level: a texture that reflects nothing.
@@ -76,7 +76,7 @@ class Probes:
 
     Parameters
     ----------
-    parts : Parts
+    parts : SceneParts
     model : Model
         In full.
     ladder : Light
@@ -89,7 +89,9 @@ class Probes:
         Of their places.
     """
 
-    def __init__(self, parts: Parts, model: Model, ladder: Light, views: list[View], count: int, seed: int) -> None:
+    def __init__(
+        self, parts: SceneParts, model: Model, ladder: Light, views: list[View], count: int, seed: int
+    ) -> None:
         rng = np.random.default_rng(seed)
         rays = [rays_through(view, rng.random((1, 2)) * (view.width, view.height))
                 for view in (views[i % len(views)] for i in range(count))]  # fmt: skip

@@ -8,7 +8,7 @@ import numpy as np
 from irodori.colour.colorimetry import xyz_from_radiance
 from irodori.config.models import PlanOverrides
 from irodori.rendering.interactive.quadrature import Quadrature
-from irodori.rendering.planning.modelled_scene import Model, Parts, look_up_numbers, solved_nodes, widths_of
+from irodori.rendering.planning.modelled_scene import Model, SceneParts, look_up_numbers, solved_nodes, widths_of
 from irodori.rendering.planning.probes import Changes, Probes
 from irodori.rendering.planning.tolerance import bound_of_share, differences
 from irodori.rendering.scene_arrays import Light
@@ -50,7 +50,7 @@ class Decision:
 class ScenePlanner:
     """The state of planning: what is decided, by the plan or ``by_scene``, and what it costs."""
 
-    parts: Parts
+    parts: SceneParts
     probes: Probes
     model: Model
     tolerance: float

@@ -16,7 +16,7 @@ from irodori.config.models import Imperfections
 
 
 @dataclass(frozen=True)
-class Place:
+class SessionPlace:
     """Place of a photograph in its session: its number, and the changes of pose and filter before it."""
 
     number: int
@@ -24,14 +24,14 @@ class Place:
     insertion: int
 
 
-def places(shots: Sequence[Shot]) -> dict[str, Place]:
+def places(shots: Sequence[Shot]) -> dict[str, SessionPlace]:
     """Return the place of every photograph of a session, by file."""
     found, arrival, insertion, before = {}, 0, 0, None
     for number, shot in enumerate(shots):
         if before is not None:
             arrival += (shot.pose, shot.subject) != (before.pose, before.subject)
             insertion += shot.filter != before.filter
-        found[shot.file] = Place(number, arrival, insertion)
+        found[shot.file] = SessionPlace(number, arrival, insertion)
         before = shot
     return found
 

@@ -30,7 +30,7 @@ from irodori.material.material_file import Material
 from irodori.rendering.integrators import render_image
 from irodori.rendering.interactive.frame_renderer import CollimatedLamp, light_of, render_frame
 from irodori.rendering.interactive.pixel_rays import render_pixels, render_rays
-from irodori.rendering.planning.modelled_scene import Model, Parts, full_model, leading_basis, prepare
+from irodori.rendering.planning.modelled_scene import Model, SceneParts, full_model, leading_basis, prepare
 from irodori.rendering.planning.plan_file import model_of, write_plan
 from irodori.rendering.planning.planned_check import ToleranceError, chosen_pixels
 from irodori.rendering.planning.planned_picture import parts_of
@@ -358,7 +358,7 @@ CHANGED = {
 class Probed(NamedTuple):
     """A scene as the planner probes it, and as it is prepared for a picture."""
 
-    parts: Parts
+    parts: SceneParts
     full: Model
     matrix: np.ndarray
     probes: Probes
