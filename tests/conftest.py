@@ -23,9 +23,22 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 
 
 #: Files that take minutes: the workflow's, and those that start programs and wait for them.
-_LONG = ("/workflow/", "test_mutation.py", "test_rig_faults.py", "/viewer_page/", "/test_viewer_")
+_LONG = ("/workflow/", "test_mutation.py", "/viewer_page/", "/test_viewer_")
+#: The file whose first test runs the small project, for which the others that read its results would wait.
+_FIRST = "/workflow/test_chain.py"
 
 
 def pytest_collection_modifyitems(items):
-    """Begin with the files that take minutes, for which the others would wait at the end."""
-    items.sort(key=lambda item: not any(part in item.path.as_posix() for part in _LONG))
+    """Begin with the files that take minutes, for which the others would wait at the end.
+
+    Of these, those that read the results of the small project come after the others, but for the one that runs it.
+    """
+    readers = {item.path for item in items if "finished" in item.fixturenames}
+
+    def turn(item) -> int:
+        path = item.path.as_posix()
+        if not any(part in path for part in _LONG):
+            return 3
+        return 0 if path.endswith(_FIRST) else 2 if item.path in readers else 1
+
+    items.sort(key=turn)

@@ -8,6 +8,7 @@ import sys
 import time
 from pathlib import Path
 
+import patience
 import pytest
 import yaml
 from driven import CAMERA, Studio, project
@@ -305,17 +306,20 @@ def test_what_ends_a_command_from_outside_stops_the_rig_in_mid_move(bench, board
     name, *rest = arguments
     command = [sys.executable, "-m", "irodori.rig", name, "gonio-grbl", *rest]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+
+    def turned(seen: dict) -> float:
+        return seen["high"]["Y"] - seen["low"]["Y"]
+
     with subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True) as running:
-        end = time.monotonic() + 60.0
-        while (seen := board.snapshot())["high"]["Y"] - seen["low"]["Y"] < 5.0:
-            assert time.monotonic() < end and running.poll() is None, running.communicate()
-            time.sleep(0.01)
+        patience.until(lambda: turned(board.snapshot()) >= 5.0 or running.poll() is not None)
+        assert running.poll() is None, running.communicate()
         running.send_signal(number)
-        _, said = running.communicate(timeout=60)
+        patience.wait(running)
+        said = running.stderr.read()
     assert running.returncode == code
     assert said.splitlines() == message
     before = board.snapshot()
-    assert not before["moving"] and before["high"]["Y"] - before["low"]["Y"] < 300.0
+    assert not before["moving"] and turned(before) < 300.0
     assert before["state"].lower() == ("alarm" if name == "home" else "idle")
     time.sleep(0.2)
     assert board.snapshot() == before

@@ -144,7 +144,7 @@ def test_expected_errors_are_the_scatter_of_fits_under_shot_and_read_noise(mater
     alpha, beta, mu = material.parameters()[0]
     mean = reflect(alpha, 1.0, beta, mu, geometry)
     response = rng.poisson(mean / SHOT.shot_variance, size=(repeats, len(POSES))) * SHOT.shot_variance
-    response = response + rng.normal(scale=np.sqrt(SHOT.read_variance), size=response.shape)
+    response = (response + rng.normal(scale=np.sqrt(SHOT.read_variance), size=response.shape)).astype(np.float32)
     camera = np.tile([SHOT.read_variance, SHOT.shot_variance], (len(POSES), 1))
     result = fit(response, geometry, np.ones_like(response), options=FitOptions(weights=weights), noise=camera)
     assert (result.status == Status.OK).all()
@@ -162,7 +162,7 @@ def test_expected_errors_are_those_that_the_fit_states(material, weights):
         ObservationNoise(3e-6, 8e-5, 0.02, 0.08),
     )
     geometry, truth = flat_angles(POSES), material.parameters()[0]
-    response = reflect(truth[0], 1.0, truth[1], truth[2], geometry)[None]
+    response = reflect(truth[0], 1.0, truth[1], truth[2], geometry)[None].astype(np.float32)
     camera = np.tile([noise.read_variance, noise.shot_variance], (len(POSES), 1))
     result = fit(response, geometry, np.ones_like(response), options=options, noise=camera)
     stated = np.array([result.alpha_error, result.beta_error, result.mu_error])[:, 0] / truth

@@ -1,14 +1,16 @@
-"""Every fault of a line and of a controller, in every command: an error of the right family, in time, the rig still."""
+"""Every fault of a line and of a controller, in every command: an error of the right family, in time, the rig still.
+
+On a clock that only waiting moves; the faults of a session over a real line are in `test_session`.
+"""
 
 import collections
 import random
-import time
-from pathlib import Path
 
 import patience
 import pytest
 from made import made
-from motion_rigs import TIMEOUT_S, at_port, definition, failure, start_simulator, wait_until_still
+from motion_rigs import TIMEOUT_S, definition, failure, wait_until_still
+from virtual_time import FaultyBench
 
 from irodori.capture.rig.connect import open_rig, true_position_deg
 from irodori.capture.rig.devices import AlarmError, CommandError, DeadlineError, HeldError, LimitError, LinkError
@@ -54,8 +56,6 @@ COMMANDS = {
 }
 #: Silences that a command and the stop after it may wait for, one after the other.
 SILENCES = 6
-#: For the two cores that the tests share with other programs, s.
-SLACK_S = 0.5
 ROUNDING = 0.02
 
 
@@ -64,7 +64,7 @@ def budget_s(rig, name: str) -> float:
     motion = rig.travel_s({"camera_deg": 0.0, "turn_deg": 0.0}, {"camera_deg": 140.0, "turn_deg": 359.5})
     if name == "home":
         motion = 6.0 * motion if not hasattr(rig, "settings") else homing_s(rig._settings, rig.drives)
-    return 1.25 * motion + SILENCES * TIMEOUT_S + SLACK_S
+    return 1.25 * motion + SILENCES * TIMEOUT_S
 
 
 def check_inside(rig: dict, seen: dict, homing: bool) -> None:
@@ -76,11 +76,10 @@ def check_inside(rig: dict, seen: dict, homing: bool) -> None:
         assert low - ROUNDING <= seen["low"][name] and seen["high"][name] <= end + ROUNDING, seen
 
 
-@pytest.fixture(scope="module", params=["grbl", "ascii"])
-def peer(request):
+@pytest.fixture(params=["grbl", "ascii"])
+def peer(request, monkeypatch) -> tuple[dict, FaultyBench]:
     rig = definition(*PEERS[request.param])
-    with start_simulator(made(Rig, rig)) as simulator:
-        yield at_port(rig, simulator.port), simulator
+    return rig, FaultyBench(made(Rig, rig), monkeypatch)
 
 
 @pytest.mark.stability(
@@ -104,17 +103,15 @@ def test_a_fault_in_a_command_ends_in_time_and_leaves_the_rig_still(peer, fault,
     rig, simulator = peer
     if command == "settings" and rig["motion"]["protocol"] != "grbl":
         pytest.skip("only Grbl has settings to read")
-    simulator.clear()
-    simulator.power()
     with open_rig(made(Rig, rig)) as opened:
         opened.home()
         opened.move({"camera_deg": 20.0, "turn_deg": 60.0})
         simulator.forget()
         moving = command in ("home", "move", "jog")
         simulator.fault(f"move 0.5 {fault}" if moving else f"now {fault}")
-        budget, began = budget_s(opened, command), time.monotonic()
+        budget, began = budget_s(opened, command), simulator.now
         error = failure(lambda: COMMANDS[command](opened))
-        elapsed = time.monotonic() - began
+        elapsed = simulator.now - began
         assert elapsed <= budget, error
         assert error is None or isinstance(error, FAULTS[fault]), repr(error)
         record_property("outcome", f"{fault} | {command} | {type(error).__name__ if error else 'ok'}")
@@ -124,16 +121,15 @@ def test_a_fault_in_a_command_ends_in_time_and_leaves_the_rig_still(peer, fault,
         assert not seen["moving"]
         assert seen["state"].lower() not in ("run", "jog", "home")
         check_inside(rig, seen, homing=command == "home")
-        time.sleep(0.02)
+        simulator.sleep(0.2)
         assert simulator.true_position() == seen["position"]
         simulator.clear()
-        check_truth(opened, simulator)
+        check_truth(opened)
     again(rig, simulator)
 
 
-def check_truth(opened, simulator) -> None:
+def check_truth(opened) -> None:
     """Fail where a rig says that it knows where it stands, and stands elsewhere."""
-    opened.simulator = simulator
     seen = []
     error = failure(lambda: seen.append(opened.status()))
     assert seen or isinstance(error, (LinkError, DeadlineError, CommandError))
@@ -170,16 +166,15 @@ RUNS, BATCHES = 204, 12
 
 @pytest.mark.heavy
 @pytest.mark.parametrize("batch", range(BATCHES))
-def test_random_commands_with_random_faults(batch, record_property):
+def test_random_commands_with_random_faults(batch, monkeypatch, record_property):
     rng = random.Random(20100401 + batch)
     rig = definition(*list(PEERS.values())[batch % len(PEERS)], seed=batch)
     outcomes: collections.Counter = collections.Counter()
     worst = 0.0
-    with start_simulator(made(Rig, rig)) as simulator:
-        there = at_port(rig, simulator.port)
-        for _ in range(RUNS // BATCHES):
-            worst = max(worst, random_run(rng, there, simulator, outcomes))
-        again(there, simulator)
+    simulator = FaultyBench(made(Rig, rig), monkeypatch, batch)
+    for _ in range(RUNS // BATCHES):
+        worst = max(worst, random_run(rng, rig, simulator, outcomes))
+    again(rig, simulator)
     record_property("runs", RUNS // BATCHES)
     record_property("worst_of_budget", round(worst, 3))
     for outcome, count in sorted(outcomes.items()):
@@ -191,7 +186,7 @@ def random_run(rng: random.Random, rig: dict, simulator, outcomes: collections.C
     fault = rng.choice(list(FAULTS))
     when = rng.choice(["now", f"line {rng.randint(1, 6)}", f"move {rng.random():.3f}"])
     worst, homed = 0.0, False
-    patience.until(Path(simulator.port).exists)  # a line that hung up comes back a moment later
+    patience.until(lambda: simulator.faulty.plugged)  # a line that hung up comes back a moment later
     with open_rig(made(Rig, rig)) as opened:
         opened.home()
         homed = True
@@ -208,9 +203,9 @@ def random_run(rng: random.Random, rig: dict, simulator, outcomes: collections.C
                 act = lambda rig, by_deg=by_deg: rig.jog("camera_deg", by_deg)  # noqa: E731
             if name == "home":
                 homed = False
-            budget, began = budget_s(opened, name), time.monotonic()
+            budget, began = budget_s(opened, name), simulator.now
             error = failure(lambda act=act: act(opened))
-            worst = max(worst, (time.monotonic() - began) / budget)
+            worst = max(worst, (simulator.now - began) / budget)
             assert error is None or isinstance(error, (*FAULTS[fault], LimitError, AlarmError)), (when, fault, error)
             outcomes[f"{fault} | {name} | {type(error).__name__ if error else 'ok'}"] += 1
             seen = wait_until_still(simulator) if fault.startswith("hangup") else simulator.snapshot()
@@ -220,5 +215,5 @@ def random_run(rng: random.Random, rig: dict, simulator, outcomes: collections.C
                 break
         assert worst <= 1.0
         simulator.clear()
-        check_truth(opened, simulator)
+        check_truth(opened)
     return worst

@@ -10,9 +10,11 @@ import threading
 import time
 from pathlib import Path
 
+import patience
 import pytest
 import yaml
 from made import made
+from motion_rigs import wait_until_still
 from sessions import (
     MADE,
     ROOT,
@@ -25,6 +27,7 @@ from sessions import (
     shots,
     target,
 )
+from virtual_time import FaultyBench
 
 from irodori.capture import stage
 from irodori.capture.journal import Journal
@@ -152,26 +155,27 @@ def test_whatever_breaks_a_session_off_leaves_the_rig_stopped_and_the_photograph
 
 
 @pytest.mark.parametrize("fault", ["move 0.5 alarm 1", "move 0.5 reset", "move 0.5 hangup 0.5"])
-def test_a_rig_that_fails_in_mid_move_ends_the_session_and_the_next_one_goes_on(tmp_path, fault):
+def test_a_rig_that_fails_in_mid_move_ends_the_session_and_the_next_one_goes_on(tmp_path, monkeypatch, fault):
     planned = [Shot(f"{i}.dng", "object", Pose(45.0, 40.0 * i), "out", 0.02) for i in range(4)]
 
     class Faulty(QuickCamera):
         def capture(self, shot, path):
             super().capture(shot, path)
             if len(self.taken) == 2:
-                opened.simulator.fault(fault)
+                bench.fault(fault)
 
     definition = definitions(motion=True)[2]
     definition["motion"] = {**definition["motion"], "timeout_s": 0.5}
+    bench = FaultyBench(made(Rig, definition), monkeypatch)
     with pytest.raises(DeviceError), open_rig(made(Rig, definition)) as opened:
         try:
             hold(tmp_path, planned, Faulty(), opened)
         finally:
-            end = time.monotonic() + 10.0
-            while opened.simulator.snapshot()["moving"] and time.monotonic() < end:
-                time.sleep(0.02)
-            stands_still(opened)
+            position = wait_until_still(bench)["position"]
+            bench.sleep(0.4)
+            assert bench.true_position() == position
     assert_whole(tmp_path, planned[:2])
+    patience.until(lambda: bench.faulty.plugged)
     with open_rig(made(Rig, definition)) as opened:
         camera = QuickCamera()
         hold(tmp_path, planned, camera, opened)

@@ -34,15 +34,17 @@ def snakemake(
     snakefile: Path = ROOT / "Snakefile",
     cores: int | None = 2,
     search_path: Path | None = None,
+    forked: bool | None = None,
 ) -> subprocess.CompletedProcess:
     """Run Snakemake in a working directory with the repository's Snakefile; some commands need no number of cores.
 
     `search_path` is where Python looks for packages before it looks among the installed ones. What takes long is waited
-    for as long as it gets on. With the repository's own Snakefile it and its jobs are forked, see `planner`.
+    for as long as it gets on. With the repository's own Snakefile, and where `forked` says so, Snakemake and its jobs
+    are forked from a process that has imported the repository's package, see `planner`.
     """
     number = ["--cores", str(cores)] if cores else []
     given = ["--snakefile", str(snakefile), *number, *arguments]
-    if snakefile == ROOT / "Snakefile" and search_path is None:
+    if (snakefile == ROOT / "Snakefile" and search_path is None) if forked is None else forked:
         with tempfile.TemporaryDirectory() as said:
             out, err = Path(said, "out"), Path(said, "err")
             status = _planner().run(folder, given, out, err)

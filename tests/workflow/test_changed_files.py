@@ -8,7 +8,7 @@ from pathlib import Path
 import h5py
 import pytest
 import yaml
-from project import edit, planned, small_project, snakemake
+from project import edit, planned, snakemake
 
 from irodori.core.custody import main, read_record
 from irodori.ingest.mosaic import decode
@@ -21,11 +21,14 @@ OLD = (946684800_000_000_000, 946684800_000_000_000)
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory) -> Path:
+def made(finished, tmp_path_factory) -> Path:
     """Return a project with a chart ingested from a user's own photographs, which the virtual rig took for him."""
-    folder = small_project(tmp_path_factory.mktemp("own") / "project")
-    run = snakemake(folder, f"{SESSION}/captures.csv")
-    assert run.returncode == 0, run.stderr[-4000:]
+    folder, results = tmp_path_factory.mktemp("own") / "project", str(finished / "results")
+
+    def others(of: str, names: list[str]) -> set[str]:
+        return set(names) - {"cameras", "inputs.json"} if of == results else set()
+
+    shutil.copytree(finished, folder, ignore=others, copy_function=shutil.copy2)
     shutil.copytree(folder / SESSION / "captures", folder / "raw", ignore=shutil.ignore_patterns(".*", "*.json"))
     table = folder / "raw/captures.csv"
     with table.open(newline="") as stream:

@@ -59,7 +59,7 @@ def test_another_workflow_uses_it_as_a_module_with_the_repositorys_package(proje
     shutil.copytree(project / "config", outer / "config")
     snakefile = outer / "Snakefile"
     snakefile.write_text(MODULE.format(snakefile=ROOT / "workflow/Snakefile"))
-    found = planned(snakemake(outer, "--dry-run", snakefile=snakefile))
+    found = planned(snakemake(outer, "--dry-run", snakefile=snakefile, forked=True))
     inner = [(rule.removeprefix("irodori_"), names) for rule, names in found if rule != "everything"]
     assert sorted([*inner, ("all", {})], key=str) == jobs
     made = snakemake(outer, TRUTH, snakefile=snakefile, search_path=broken)
@@ -75,7 +75,7 @@ def test_rules_away_from_the_repository_use_the_installed_package(project, jobs,
     (installed / "irodori").symlink_to(ROOT / "irodori")
     run = snakemake(project, "--dry-run", snakefile=snakefile, search_path=installed)
     assert sorted(planned(run), key=str) == jobs
-    run = snakemake(project, "--dry-run", "benchmark", snakefile=snakefile, search_path=installed)
+    run = snakemake(project, "--dry-run", "benchmark", snakefile=snakefile, forked=True)
     said = run.stdout + run.stderr
     assert run.returncode != 0 and "produce benchmark" in said and "Traceback" not in said
 

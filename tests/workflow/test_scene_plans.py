@@ -1,10 +1,7 @@
 """A scene with a tolerance is planned before it is rendered; materials and light are made up here, not photographed."""
 
-import json
-
 import numpy as np
 import pytest
-import yaml
 from project import edit, planned, small_project, snakemake
 from shortcuts import irradiance_map
 
@@ -43,20 +40,3 @@ def test_only_a_scene_with_a_tolerance_is_planned(folder):
     ]
     edit(folder / SCENE, {"tolerance_ciede2000": 2.0})
     assert {rule for rule, _ in planned(snakemake(folder, "--dry-run", *ALONE))} == {"plan_scene", "render_view"}
-
-
-@pytest.mark.heavy
-def test_a_planned_picture_is_checked_and_a_bad_override_leaves_none(folder):
-    edit(folder / SCENE, {"integrator": {"kind": "interactive"}, "tolerance_ciede2000": 2.0})
-    run = snakemake(folder, *ALONE)
-    assert run.returncode == 0, run.stderr[-4000:]
-    results = folder / "results/still-life"
-    figures = json.loads((results / "front.json").read_text())["plan"]
-    plan = yaml.safe_load((results / "plan.yaml").read_text())
-    assert figures["predicted_delta_e"] == plan["predicted_delta_e"] <= 2.0
-    assert figures["measured_delta_e"]["p99"] <= 2.0
-    edit(folder / SCENE, {"plan": {"gloss": [], "mirror": []}, "tolerance_ciede2000": 0.05})
-    run = snakemake(folder, *ALONE)
-    said = run.stdout + run.stderr
-    assert run.returncode != 0 and "tolerated: 0.05" in said and "Traceback" not in said
-    assert not list(results.glob("front.*")) and (results / "plan.yaml").exists()

@@ -1,10 +1,16 @@
-"""An object of two lobes goes through the chain, from its configuration to pictures and their errors."""
+"""An object of two lobes goes through the chain, from its configuration to pictures, planned ones too, and errors.
+
+Camera, light and sphere are those of the finished project; the plate is photographed anew.
+"""
 
 import json
+import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
-from project import edit, small_project, snakemake
+import yaml
+from project import edit, snakemake
 
 from irodori.colour.colorimetry import xyz_from_radiance
 from irodori.evaluation.truth_errors import interior
@@ -29,8 +35,9 @@ def component(material: Material, name: str) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def finished(tmp_path_factory):
-    folder = small_project(tmp_path_factory.mktemp("lobes") / "project")
+def made(finished, tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("lobes") / "project"
+    shutil.copytree(finished, folder, copy_function=shutil.copy2)
     materials = [
         {"spectrum": s, "beta": b1, "mu_rad": m1, "further_gloss": [{"lobe": "ggx", "beta": b2, "mu_rad": m2}]}
         for s, b1, m1, b2, m2 in PAINTS
@@ -59,8 +66,8 @@ def finished(tmp_path_factory):
 
 
 @pytest.mark.heavy
-def test_both_lobes_are_recovered_where_the_data_calls_for_them(finished):
-    found, truth = (Material.load(finished / f"results/tile-plate/{name}.h5") for name in ("material", "truth"))
+def test_both_lobes_are_recovered_where_the_data_calls_for_them(made):
+    found, truth = (Material.load(made / f"results/tile-plate/{name}.h5") for name in ("material", "truth"))
     assert found.lobes == truth.lobes == ("gaussian", "ggx")
     chosen = found.observed & interior(truth)
     second = chosen & (component(found, "beta_2") > 0)
@@ -71,16 +78,30 @@ def test_both_lobes_are_recovered_where_the_data_calls_for_them(finished):
 
 
 @pytest.mark.heavy
-def test_pictures_and_photograph_have_both_lobes(finished):
-    results = finished / "results"
+def test_pictures_and_photograph_have_both_lobes(made):
+    results = made / "results"
     # The path tracer with the true materials, and what was measured: noise of 64 paths and the fit's errors.
     table = json.loads((results / "still-life/photographs/front/comparison.json").read_text())
     assert table["delta_e"]["mean"] < 4.0 and table["compared_fraction"] > 0.8
     # What the interactive integrator leaves out of the full model is predicted and checked.
-    plan = json.loads((results / QUICK / "front.json").read_text())["plan"]
-    assert plan["measured_delta_e"]["p99"] <= 1.0
+    figures = json.loads((results / QUICK / "front.json").read_text())["plan"]
+    plan = yaml.safe_load((results / QUICK / "plan.yaml").read_text())
+    assert figures["predicted_delta_e"] == plan["predicted_delta_e"] <= 1.0
+    assert figures["measured_delta_e"]["p99"] <= 1.0
     matrix = xyz_from_radiance(np.ones(SAMPLES))
     traced, quick = (read_xyz(results / scene / "front.exr", matrix)[..., 1] for scene in ("still-life", QUICK))
     shown = traced > 0.05 * traced.max()
     ratio = quick[shown] / traced[shown]
     assert np.median(np.abs(ratio / np.median(ratio) - 1.0)) < 0.1
+
+
+@pytest.mark.heavy
+def test_a_bad_override_of_the_plan_leaves_no_picture(made, tmp_path):
+    folder = Path(shutil.copytree(made, tmp_path / "copy", copy_function=shutil.copy2))
+    scene = folder / f"config/scenes/{QUICK}.yaml"
+    edit(scene, {"plan": {"gloss": [], "mirror": []}, "tolerance_ciede2000": 0.05})
+    run = snakemake(folder, f"results/{QUICK}/front.png")
+    said = run.stdout + run.stderr
+    assert run.returncode != 0 and "tolerated: 0.05" in said and "Traceback" not in said
+    results = folder / "results" / QUICK
+    assert not list(results.glob("front.*")) and (results / "plan.yaml").exists()

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from irodori.config.capture_table import Shot
 from irodori.core.errors import PlainError
 
 if TYPE_CHECKING:
     from irodori.capture.rig.drives import Drive
+    from irodori.config.capture_table import Shot
     from irodori.simulation.controllers.peer_client import Simulator
 
 ANGLE_TOLERANCE_DEG = 1e-6
@@ -256,7 +256,7 @@ class CameraDevice(ABC):
     is_virtual = False
 
     @abstractmethod
-    def capture(self, shot: Shot, path: Path) -> None:
+    def capture(self, shot: "Shot", path: Path) -> None:
         """Take one photograph and store the RAW file at `path`, whole.
 
         Parameters
@@ -271,7 +271,7 @@ class CameraDevice(ABC):
             If the camera refuses, is busy beyond the deadline, or cannot be set to what the shot wants.
         """
 
-    def prepare(self, shots: Sequence[Shot]) -> None:  # noqa: B027, a camera that takes everything checks nothing
+    def prepare(self, shots: Sequence["Shot"]) -> None:  # noqa: B027, a camera that takes everything checks nothing
         """Refuse shots that the camera will not take as it stands, before anything moves.
 
         Raises

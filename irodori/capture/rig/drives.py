@@ -2,9 +2,12 @@
 
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from irodori.capture.rig.devices import Axis
-from irodori.config.models import Rig
+
+if TYPE_CHECKING:
+    from irodori.config.models import Rig
 
 
 @dataclass(frozen=True)
@@ -52,7 +55,7 @@ class Drive:
         return min(ends), max(ends)
 
 
-def drives_of(rig: Rig) -> dict[str, Drive]:
+def drives_of(rig: "Rig") -> dict[str, Drive]:
     """Return the drives of a rig's definition by the name of their angle.
 
     Parameters

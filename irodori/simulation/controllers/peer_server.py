@@ -22,6 +22,7 @@ import tempfile
 import time
 import tty
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from pathlib import Path
 
 from irodori.simulation.controllers.line_faults import Fault, parse_fault
@@ -30,6 +31,8 @@ from irodori.simulation.controllers.trapezoidal_motion import Stage
 #: Simulated time that passes between two looks at the faults, s.
 _SLICE_S = 5e-3
 _BUSY_WAIT_S, _IDLE_WAIT_S = 1e-3, 2e-2
+#: Time for which a line that hangs up is gone at least, s.
+_SHORTEST_HANGUP_S = 1e-3
 
 
 class Machine(ABC):
@@ -94,74 +97,50 @@ class Machine(ABC):
         """Bring the axes to rest on their ramp and keep what they were to do, as the button at the bench does."""
 
 
-class Server:
-    """One machine behind one pseudo-terminal.
+class FaultyMachine:
+    """A machine at the end of a line, with faults on command; the clock and the line itself are others'.
 
     Parameters
     ----------
     machine : Machine
-    link : path
-        Symbolic link to the pseudo-terminal; it stays the same when the line hangs up and comes back.
     time_scale : float
-        Simulated seconds in a real one.
+        Simulated seconds in one of the clock.
     seed : int
         Of the random bytes of a garbled line.
-    parent : int, optional
-        Process with which the server ends.
+    now : callable
+        Returns the time of the clock, s.
     """
 
-    def __init__(self, machine: Machine, link, time_scale: float, seed: int, parent: int | None = None) -> None:
-        self.machine, self.link, self.scale, self.parent = machine, Path(link), time_scale, parent
+    def __init__(self, machine: Machine, time_scale: float, seed: int, now: Callable[[], float]) -> None:
+        self.machine, self.scale, self._now = machine, time_scale, now
         self._rng = random.Random(seed)
         self._waiting: list[tuple[Fault, int]] = []
         self._lost_out = self._lost_in = self._garble = 0
-        self._stalled_until = self._back_at = 0.0
-        self._master = self._slave = -1
-        self._commands = b""
-        self._plug()
+        self._stalled_until = self._back_at = -math.inf
 
-    def run(self) -> None:
-        """Serve until told to quit, or until the parent is gone."""
-        print(self.link, flush=True)
-        last, inputs, going = time.monotonic(), [0], True
-        while going and (self.parent is None or os.getppid() == self.parent):
-            ready = self._wait(inputs)
-            now = time.monotonic()
-            self._pass((now - last) * self.scale)
-            last = now
-            if self._master in ready:
-                self._take()
-            if 0 in ready:
-                going = self._obey(inputs)
-            self._fire()
-            self._give()
-            if self._master < 0 and now >= self._back_at:
-                self._plug()
+    @property
+    def busy(self) -> bool:
+        """Whether something is about to happen."""
+        return bool(self.machine.moving or self.machine.output or self._waiting)
 
-    def close(self) -> None:
-        """Hang up and remove the symbolic link."""
-        self._unplug()
+    @property
+    def plugged(self) -> bool:
+        """Whether the line is there, and not hung up."""
+        return self._now() >= self._back_at
 
-    def _wait(self, inputs: list[int]) -> list[int]:
-        busy = self.machine.moving or self.machine.output or self._waiting
-        reading = inputs + ([self._master] if self._master >= 0 else [])
-        return select.select(reading, [], [], _BUSY_WAIT_S if busy else _IDLE_WAIT_S)[0]
-
-    def _pass(self, seconds: float) -> None:
+    def advance(self, seconds: float) -> None:
+        """Let time pass, s of the clock, and do the faults whose moment comes."""
+        seconds *= self.scale
         while seconds > 0.0:
             if not self.machine.moving:
                 self.machine.advance(seconds)
                 break
             self.machine.advance(min(seconds, _SLICE_S))
             seconds -= _SLICE_S
-            self._fire()
+            self.fire()
 
-    def _take(self) -> None:
-        """Read what the line brings."""
-        try:
-            data = os.read(self._master, 4096)
-        except OSError:  # nothing there after all
-            return
+    def receive(self, data: bytes) -> None:
+        """Take what the line brings."""
         for byte in data:
             if self._lost_in:
                 self._lost_in -= 1
@@ -169,13 +148,13 @@ class Server:
                 self.machine.receive(byte)
         self.machine.advance(0.0)
 
-    def _give(self) -> None:
-        """Write what the machine says, unless it is stalled; nobody hears it where the line is hung up."""
+    def send(self) -> bytes:
+        """Return what the machine says, unless it is stalled; nobody hears it where the line is hung up."""
         output = self.machine.output
-        if self._master < 0:
+        if not self.plugged:
             output.clear()
-        if not output or time.monotonic() < self._stalled_until:
-            return
+        if not output or self._now() < self._stalled_until:
+            return b""
         lost = min(self._lost_out, len(output))
         self._lost_out -= lost
         del output[:lost]
@@ -183,17 +162,9 @@ class Server:
         output.clear()
         if self._garble and data.strip():
             data, self._garble = self._garbled(data), self._garble - 1
-        with contextlib.suppress(BlockingIOError):  # a UART does not wait for a reader either
-            os.write(self._master, data)
+        return data
 
-    def _garbled(self, data: bytes) -> bytes:
-        first, end, rest = data.lstrip().partition(b"\n")
-        length = len(first.rstrip(b"\r"))
-        for place in {0, *range(self._rng.randrange(3), length, 3)}:
-            first = first[:place] + bytes([self._rng.randrange(128, 256)]) + first[place + 1 :]
-        return first + end + rest
-
-    def _fire(self) -> None:
+    def fire(self) -> None:
         """Do the faults whose moment is there."""
         progress = self.machine.progress if self._waiting else None
         due = [item for item in self._waiting if item[0].due(self.machine.lines - item[1], progress)]
@@ -201,45 +172,21 @@ class Server:
             self._waiting.remove(item)
             self._do(item[0])
 
-    def _do(self, fault: Fault) -> None:
-        if fault.kind == "drop-output":
-            self._lost_out += int(fault.value)
-        elif fault.kind == "drop-input":
-            self._lost_in += int(fault.value)
-        elif fault.kind == "drop-report":
-            self.machine.dropped_reports += int(fault.value)
-        elif fault.kind == "garble":
-            self._garble += 1
-        elif fault.kind == "stall":
-            self._stalled_until = time.monotonic() + fault.value
-        elif fault.kind == "hangup":
-            self._unplug()
-            self._back_at = time.monotonic() + fault.value
-        elif fault.kind == "reset":
-            self.machine.power_up()
-        elif fault.kind == "hold":
-            self.machine.press_hold()
-        else:
-            self.machine.raise_alarm(int(fault.value))
+    def ask_for(self, fault: str) -> None:
+        """Note a fault that is to happen.
 
-    def _obey(self, inputs: list[int]) -> bool:
-        """Answer the commands on standard input; return whether to go on."""
-        got = os.read(0, 4096)
-        if not got:
-            inputs.clear()
-            return self.parent is None
-        *lines, self._commands = (self._commands + got).split(b"\n")
-        for line in lines:
-            word, _, rest = line.decode("utf-8", "replace").strip().partition(" ")
-            if word == "quit":
-                return False
-            print(json.dumps(self._answer(word, rest)), flush=True)
-        return True
+        Raises
+        ------
+        ValueError
+            If there is no such fault.
+        """
+        self._waiting.append((parse_fault(fault), self.machine.lines))
 
-    def _answer(self, word: str, rest: str) -> dict:
+    def answer(self, word: str, rest: str) -> dict:
+        """Return the answer to a command; ``error`` is in that to one that is not understood."""
         if word == "fault":
             try:
-                self._waiting.append((parse_fault(rest), self.machine.lines))
+                self.ask_for(rest)
             except ValueError as error:
                 return {"error": str(error)}
             return {}
@@ -247,7 +194,7 @@ class Server:
             self._waiting.clear()
             self.machine.dropped_reports = 0
             self._lost_out = self._lost_in = self._garble = 0
-            self._stalled_until, self._back_at = 0.0, min(self._back_at, time.monotonic())
+            self._stalled_until, self._back_at = -math.inf, min(self._back_at, self._now())
             return {}
         if word == "pace":
             self.scale = float(rest)
@@ -263,6 +210,33 @@ class Server:
             return self._state()
         return {"error": f"no command {word!r}; commands: fault, clear, state, forget, pace, power, quit"}
 
+    def _garbled(self, data: bytes) -> bytes:
+        first, end, rest = data.lstrip().partition(b"\n")
+        length = len(first.rstrip(b"\r"))
+        for place in {0, *range(self._rng.randrange(3), length, 3)}:
+            first = first[:place] + bytes([self._rng.randrange(128, 256)]) + first[place + 1 :]
+        return first + end + rest
+
+    def _do(self, fault: Fault) -> None:
+        if fault.kind == "drop-output":
+            self._lost_out += int(fault.value)
+        elif fault.kind == "drop-input":
+            self._lost_in += int(fault.value)
+        elif fault.kind == "drop-report":
+            self.machine.dropped_reports += int(fault.value)
+        elif fault.kind == "garble":
+            self._garble += 1
+        elif fault.kind == "stall":
+            self._stalled_until = self._now() + fault.value
+        elif fault.kind == "hangup":
+            self._back_at = self._now() + max(fault.value, _SHORTEST_HANGUP_S)
+        elif fault.kind == "reset":
+            self.machine.power_up()
+        elif fault.kind == "hold":
+            self.machine.press_hold()
+        else:
+            self.machine.raise_alarm(int(fault.value))
+
     def _state(self) -> dict:
         stages, names = self.machine.stages, self.machine.channels
         found = {"state": self.machine.state, "moving": self.machine.moving, "waiting_faults": len(self._waiting)}
@@ -270,6 +244,80 @@ class Server:
             values = [value for stage in stages for value in getattr(stage, key)]
             found[key] = dict(zip(names, values, strict=True))
         return found
+
+
+class Server:
+    """A machine with faults behind a pseudo-terminal.
+
+    Parameters
+    ----------
+    faulty : FaultyMachine
+        On the clock of `time.monotonic`.
+    link : path
+        Symbolic link to the pseudo-terminal; it stays the same when the line hangs up and comes back.
+    parent : int, optional
+        Process with which the server ends.
+    """
+
+    def __init__(self, faulty: FaultyMachine, link, parent: int | None = None) -> None:
+        self.faulty, self.link, self.parent = faulty, Path(link), parent
+        self._master = self._slave = -1
+        self._commands = b""
+        self._plug()
+
+    def run(self) -> None:
+        """Serve until told to quit, or until the parent is gone."""
+        print(self.link, flush=True)
+        last, inputs, going = time.monotonic(), [0], True
+        while going and (self.parent is None or os.getppid() == self.parent):
+            ready = self._wait(inputs)
+            now = time.monotonic()
+            self.faulty.advance(now - last)
+            last = now
+            if self._master in ready:
+                self._take()
+            if 0 in ready:
+                going = self._obey(inputs)
+            self.faulty.fire()
+            self._give()
+
+    def close(self) -> None:
+        """Hang up and remove the symbolic link."""
+        self._unplug()
+
+    def _wait(self, inputs: list[int]) -> list[int]:
+        reading = inputs + ([self._master] if self._master >= 0 else [])
+        return select.select(reading, [], [], _BUSY_WAIT_S if self.faulty.busy else _IDLE_WAIT_S)[0]
+
+    def _take(self) -> None:
+        """Read what the line brings."""
+        with contextlib.suppress(OSError):  # nothing there after all
+            self.faulty.receive(os.read(self._master, 4096))
+
+    def _give(self) -> None:
+        """Write what the machine says; hang up, or come back, where the moment is there."""
+        data = self.faulty.send()
+        if not self.faulty.plugged:
+            self._unplug()
+        elif self._master < 0:
+            self._plug()
+        if data and self._master >= 0:
+            with contextlib.suppress(BlockingIOError):  # a UART does not wait for a reader either
+                os.write(self._master, data)
+
+    def _obey(self, inputs: list[int]) -> bool:
+        """Answer the commands on standard input; return whether to go on."""
+        got = os.read(0, 4096)
+        if not got:
+            inputs.clear()
+            return self.parent is None
+        *lines, self._commands = (self._commands + got).split(b"\n")
+        for line in lines:
+            word, _, rest = line.decode("utf-8", "replace").strip().partition(" ")
+            if word == "quit":
+                return False
+            print(json.dumps(self.faulty.answer(word, rest)), flush=True)
+        return True
 
     def _plug(self) -> None:
         # The server keeps the other end open too: without an opener, reading its own end would fail.
@@ -303,13 +351,12 @@ def serve(machine: Machine, arguments: argparse.Namespace) -> None:
     if not (0.0 < arguments.time_scale < math.inf):
         raise SystemExit(f"--time-scale {arguments.time_scale:g}: accepted: a number above 0")
     with tempfile.TemporaryDirectory(prefix="irodori-") as folder:
-        server = Server(
-            machine, arguments.link or Path(folder) / "port", arguments.time_scale, arguments.seed, arguments.parent
-        )
+        faulty = FaultyMachine(machine, arguments.time_scale, arguments.seed, time.monotonic)
+        server = Server(faulty, arguments.link or Path(folder) / "port", arguments.parent)
         signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
         try:
             for text in arguments.fault:
-                server._waiting.append((parse_fault(text), 0))
+                faulty.ask_for(text)
             server.run()
         except ValueError as error:
             raise SystemExit(str(error)) from None

@@ -75,9 +75,15 @@ class Stage:
 
     def advance(self, seconds: float) -> None:
         """Let time pass, s."""
+        if seconds <= 0.0 or not self.moving:
+            return
         while seconds > 0.0 and self.moving:
             self._step(min(seconds, _STEP_S))
             seconds -= _STEP_S
+        if self.blocks and self._length:
+            part, target = self._done / self._length, self.blocks[0].target
+            self.position = [a + (b - a) * part for a, b in zip(self._start, target, strict=True)]
+        self._note_extremes()
 
     def shift(self, axis: int, position: float) -> None:
         """Put an axis elsewhere than its moves took it, as a mechanical stop does."""
@@ -100,12 +106,13 @@ class Stage:
         self._travelled += way
         if left - way <= 1e-9 and not (self.holding and self.speed == 0.0 and left > 1e-9):
             self.position = list(block.target)
+            self._note_extremes()
             self.blocks.popleft()
             self.speed = 0.0
             if self.blocks:
                 self._begin()
-        else:
-            part = self._done / self._length
-            self.position = [a + (b - a) * part for a, b in zip(self._start, block.target, strict=True)]
+
+    def _note_extremes(self) -> None:
+        """Widen the extremes by where the axes stand: those of a straight way are its ends."""
         self.low = [min(pair) for pair in zip(self.low, self.position, strict=True)]
         self.high = [max(pair) for pair in zip(self.high, self.position, strict=True)]
