@@ -3,12 +3,12 @@
 The formulas here are written out once more, in NumPy and from the papers, and know nothing of the package's kernels.
 """
 
-import dataclasses
 import math
 
 import numpy as np
 import pytest
 import toy_lobe
+from lobe_scenes import beside, surface
 from made import made
 from path_scenes import DARK, deviations, traced
 from scenes import (
@@ -17,7 +17,6 @@ from scenes import (
     constant_light,
     fresnel,
     gloss_maps,
-    material,
     plate,
     smooth_light,
     smooth_sky,
@@ -28,14 +27,9 @@ from irodori.config.models import Size, View
 from irodori.fitting.solvers import FitOptions, fit
 from irodori.geometry.embree import Tracer
 from irodori.geometry.shapes.placement import Placement
-from irodori.material.material_file import Material
-from irodori.reflection.lobe import Lobe
-from irodori.reflection.registry import register
 from irodori.rendering.interactive.frame_renderer import CollimatedLamp, light_of, prepare_scene, render_frame
 from irodori.rendering.interactive.round_lobes import ANGLES, ROUGHNESSES, lobe_table, roughness_at
 from irodori.rendering.scene_arrays import make_objects, make_view
-
-register(Lobe.of_module(toy_lobe))
 
 #: Components (lobe, β, μ) of a surface: one of long tails, sums, and a form that the package has never seen.
 SURFACES = {
@@ -61,29 +55,9 @@ def term(name, mu, cos_i, cos_r, cos_phi, cos_h):
     return scaled / (1 + smith[0] + smith[1]) / cos_r
 
 
-def surface(components, n=1.5, k=0.0, reflectance=0.0) -> Material:
-    """A uniform material of several gloss components."""
-    (_, beta, mu), *further = components
-    one = material(reflectance, beta=beta, mu=mu, n=n, k=k)
-    maps = tuple((np.full(one.beta.shape, b), np.full(one.mu.shape, m)) for _, b, m in further)
-    typical = tuple(value for _, b, m in components for value in (b, m))
-    return dataclasses.replace(one, lobes=tuple(c[0] for c in components), further_gloss=maps, typical_gloss=typical)
-
-
-#: Loops are compiled for the lobes of a scene and for how many a surface has: beside a ball of all three, all scenes
-#: here share one loop of each integrator.
-MIXED = surface([(name, 1.0, 0.1) for name in ("gaussian", "ggx", "toy")])
-
-
-def beside(shape, components, *given):
-    """Return shapes, materials and places of a ball of all lobes out of sight and of a surface in the origin."""
-    scene = [(BALL, MIXED, (0.0, 0.0, -2000.0)), (shape, surface(components, *given), (0.0, 0.0, 0.0))]
-    return [list(column) for column in zip(*scene, strict=True)]
-
-
 def paths(shape, components, light, samples, *given, **view):
     """Return a picture by paths of a surface in the origin; further numbers are those of `surface`."""
-    shapes, materials, places = beside(shape, components, *given)
+    shapes, materials, places = beside(shape, surface(components, *given))
     return traced(shapes, materials, light, samples, places=places, **view)
 
 
@@ -159,7 +133,7 @@ def test_a_surface_sends_as_much_one_way_as_the_other(components):
 
 def interactive(components, light, n=1.5, k=0.0, lamps=(), size=(41, 41)):
     """Radiance of a ball, the same in all bands, by coefficients, whose loops compile fastest."""
-    shapes, materials, places = beside(BALL, components, n, k)
+    shapes, materials, places = beside(BALL, surface(components, n, k))
     placements = [Placement(shape, translation_mm=np.array(p)) for shape, p in zip(shapes, places, strict=True)]
     objects, _ = make_objects(placements, materials)
     ready = prepare_scene(objects, light_of(light), gloss_maps(light), Tracer(placements),

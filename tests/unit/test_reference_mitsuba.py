@@ -10,6 +10,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from lobe_scenes import beside
 from path_scenes import DARK, ball, traced
 from scenes import GOLD_K, GOLD_N, THIRDS, constant_light, material, plate
 
@@ -136,7 +137,8 @@ def test_mitsuba_agrees_on_a_rough_golden_plate(mu):
     view = {"position": (0.0, -110.0, 220.0), "target": (0.0, 0.0, 0.0), "fov": 22.0, "size": (12, 10)}
     panel = {"width_mm": 60.0, "height_mm": 40.0, "rotation_deg": [155.0, 0.0, 0.0], "position_mm": [0.0, 90.0, 180.0]}
     lamp = {"kind": "rectangle", "spectrum": "D65", "radiance": 3.0, **panel}
-    ours = traced([plate(120.0)], [gold], constant_light(SKY[THIRDS]), 4096, lights=[lamp], **view)
+    shapes, materials, places = beside(plate(120.0), gold)
+    ours = traced(shapes, materials, constant_light(SKY[THIRDS]), 4096, places=places, lights=[lamp], **view)
     turn = rotation_xyz(panel["rotation_deg"])
     bsdf = {"type": "roughconductor", "distribution": "ggx", "alpha": mu, "eta": rgb(GOLD_N), "k": rgb(GOLD_K)}
     parts = {

@@ -19,7 +19,7 @@ Everything is linear: samples below zero, which recovery and compression leave, 
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -31,6 +31,9 @@ from irodori.spectra.grid import SAMPLES
 REPRESENTATIONS = ("spectral", "coefficients", "quadrature", "rgb")
 #: Vectors, at most, for the light that objects reflect on each other, beside those of the light.
 REFLECTED = 3
+#: Lanes of the light of ``spectral``, at least: four would make a picture about a twentieth faster, and its loop, which
+#: takes longest of all to compile, would be compiled once more.
+_LEAST_SPECTRAL_LIGHT = 8
 #: Part of what objects reflect on each other that is rounding.
 _ROUNDING = 1e-6
 #: Linear sRGB primaries and D65, for `rgb`: XYZ of 1, 1, 1 is the white of D65 with Y = 1.
@@ -126,9 +129,15 @@ def _by_channel(values: np.ndarray, objects: Objects, light: Light, lamps, xyz_f
     )
 
 
+def spectral_light_width(count: int) -> int:
+    """Return the lanes of stored light of a count of vectors where there are all bands: a power of two from 8."""
+    return max(width_of(count), _LEAST_SPECTRAL_LIGHT)
+
+
 def spectral_channels(objects: Objects, light: Light, lamps: np.ndarray, matrix: np.ndarray) -> Channels:
     """Return the 61 bands."""
-    return _by_channel(np.eye(SAMPLES), objects, light, lamps, matrix, True)
+    bands = _by_channel(np.eye(SAMPLES), objects, light, lamps, matrix, True)
+    return replace(bands, light=spectral_light_width(light.basis.shape[0]))
 
 
 def quadrature_channels(

@@ -10,7 +10,7 @@ from irodori.light.blurred_light import WIDTHS_RAD, first_level, level_height, p
 from irodori.light.environment_file import Environment
 from irodori.light.gloss.gloss_maps import GlossMaps
 from irodori.light.gloss.point_sources import PointLights
-from irodori.rendering.interactive.channels import reflected_basis
+from irodori.rendering.interactive.channels import reflected_basis, spectral_light_width
 from irodori.rendering.interactive.cube_maps import FACES, environment_side
 from irodori.rendering.interactive.frame_renderer import Prepared, light_of, prepare_scene
 from irodori.rendering.interactive.prepared_scene import levels_by_lobe
@@ -307,7 +307,7 @@ def widths_of(parts: SceneParts, model: Model) -> Widths:
     rows = objects_rows(parts.objects)
     light, lamps, coloured = model.light_bases, len(parts.lamp_spectra), not stays_grey(parts.objects, model)
     if model.representation == "spectral":
-        return Widths(width_of(SAMPLES + 2), width_of(light), True, SAMPLES, rows)
+        return Widths(width_of(SAMPLES + 2), spectral_light_width(light), True, SAMPLES, rows)
     if model.representation == "quadrature":
         return Widths(width_of(model.nodes + 2), width_of(light), coloured, model.nodes, rows)
     extra = 0
