@@ -8,7 +8,6 @@ lens as well.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import ndimage, optimize
 
 _REACH = 0.75  # of the pitch: how far from a patch's centre its edges are looked for
 _ACROSS = np.linspace(-0.3, 0.3, 15)  # of the pitch: along the edge, where profiles are averaged
@@ -122,6 +121,8 @@ def even_picture(response: np.ndarray, valid: np.ndarray, window=np.s_[:, :]) ->
     -------
     (height, width, bands) float64
     """
+    from scipy import ndimage  # slow to import
+
     bright = np.array([np.percentile(band[valid > 0], _BRIGHT) if (valid > 0).any() else 0.0
                        for band in np.moveaxis(response, -1, 0)])  # fmt: skip
     scaled = np.where(valid[..., None] > 0, response / np.where(bright > 0, bright, np.inf), 1.0)
@@ -165,6 +166,8 @@ def fit_to_edges(picture: np.ndarray, image_from_grid: np.ndarray, rows: int, co
 
 def _edges_along(picture, fitted: FittedGrid, points, axis: int) -> np.ndarray:
     """Return where the patches begin and end along a grid axis, (patches, 2) in pitches from the centre, or NaN."""
+    from scipy import ndimage  # slow to import
+
     step = np.eye(2)[axis]
     scale = np.median(np.linalg.norm(fitted.image(points + step) - fitted.image(points), axis=1))
     along = np.linspace(-_REACH, _REACH, 2 * max(8, round(_REACH * scale / 0.5)) + 1)
@@ -199,6 +202,8 @@ def _edge(profile: np.ndarray, along: np.ndarray) -> float:
 
 def _fit(fitted: FittedGrid, points, sides, count: int) -> FittedGrid:
     """Return the map and half sides nearest to measured edges, which are given about the present map."""
+    from scipy.optimize import least_squares  # slow to import
+
     parts = []
     for axis, found in enumerate(sides):
         for side in (0, 1):
@@ -224,7 +229,7 @@ def _fit(fitted: FittedGrid, points, sides, count: int) -> FittedGrid:
         return np.append(distances(parameters), parameters[10] / _DISTORTION)
 
     start = np.concatenate([fitted.image_from_grid.ravel()[:8], half, [fitted.distortion]])
-    solved = optimize.least_squares(residual, start, loss="soft_l1", f_scale=0.3, x_scale="jac", max_nfev=50).x
+    solved = least_squares(residual, start, loss="soft_l1", f_scale=0.3, x_scale="jac", max_nfev=50).x
     image_from_grid = np.append(solved[:8], 1.0).reshape(3, 3)
     median = float(np.median(np.abs(distances(solved))))
     return FittedGrid(image_from_grid, float(solved[10]), fitted.size, solved[8:10], count, median)

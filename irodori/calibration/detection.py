@@ -8,7 +8,6 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import ndimage, stats
 
 from irodori.calibration.chart_grid import FittedGrid, even_picture, fit_to_edges, nodes, pitch_px, project
 from irodori.calibration.patch_order import readings, rmse_of_unseen
@@ -161,6 +160,8 @@ def _squares(picture: np.ndarray, stretch: float) -> np.ndarray:
         return np.zeros((0, 4, 2))  # the library would divide by the range
     image = picture[..., :3].astype(np.float32)
     if stretch != 1.0:
+        from scipy import ndimage  # slow to import
+
         image = ndimage.zoom(image, (1.0, stretch, 1.0), order=1)
     height, width = image.shape[:2]
     # The library turns upright pictures clockwise without saying so.
@@ -240,6 +241,8 @@ def _fitted(image_from_grid: np.ndarray, sought: _Sought) -> FittedGrid:
 
 def _oriented(grid: FittedGrid, sought: _Sought) -> FoundChart:
     """Return the chart in the one reading, of two turned by half and two mirrored, that the spectra agree with."""
+    from scipy.stats import spearmanr  # slow to import
+
     rows, columns, spectra = sought.rows, sought.columns, sought.spectra
     centres = grid.image(nodes(rows, columns))
     side = 2.0 * grid.half.min() * pitch_px(centres, rows, columns)
@@ -252,7 +255,7 @@ def _oriented(grid: FittedGrid, sought: _Sought) -> FoundChart:
     errors = {name: float(values.mean()) for name, values in patch_rmse.items()}
     best, second = sorted(errors, key=errors.__getitem__)[:2]
     order = orders[best]
-    rank = stats.spearmanr(_brightness(read["mean"][order]), spectra.mean(axis=1)).statistic
+    rank = spearmanr(_brightness(read["mean"][order]), spectra.mean(axis=1)).statistic
     described = f"spectral RMSE {errors[best]:.3f}, next best reading {errors[second]:.3f}, rank correlation {rank:.2f}"
     if errors[best] > _MAX_RMSE or errors[best] > _MAX_RATIO * errors[second] or not rank > _MIN_RANK_CORRELATION:
         raise _NoChartError(f"patches that do not answer as the measured spectra do ({described})")

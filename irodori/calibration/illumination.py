@@ -10,7 +10,6 @@ nothing.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import ndimage
 
 from irodori.calibration.chart import Located, read_located
 from irodori.calibration.chart_grid import pitch_px
@@ -199,6 +198,8 @@ def _field(xy_all, xy, slopes, weights, degree: int, per_band: bool) -> tuple[np
 
 def _frame_difference(response, valid, located: Located, sample_px: int, field: np.ndarray) -> float:
     """Return by how much the frame's field differs from the patches', rms, or NaN where its gaps cannot be read."""
+    from scipy import ndimage  # slow to import
+
     rows, columns = located.rows, located.columns
     gap_px = pitch_px(located.centres_px, rows, columns) - located.patch_side_px
     if not gap_px >= _MIN_GAP_PX or min(rows, columns) < 3:

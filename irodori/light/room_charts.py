@@ -13,8 +13,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import solve_triangular
-from scipy.optimize import nnls
 
 from irodori.calibration.chart_reading import ChartPhotograph
 from irodori.calibration.recovery.calibration_file import Calibration
@@ -131,6 +129,8 @@ def require_own_patches(chart: ChartResponses) -> None:
 
 def light_on(chart: ChartResponses, model: ResponseModel, prior: LightPrior) -> RoomLight:
     """Return the light on a chart: the posterior mean of a prior's families, and what the patches leave open."""
+    from scipy.linalg import solve_triangular  # slow to import
+
     bands, patches = len(model.mean), len(chart.reflectance)
     # Band by band, so that the errors of a band's model, common to its patches, are blocks of the diagonal.
     seen = (model.mean[:, None] * chart.reflectance).reshape(bands * patches, -1)
@@ -169,6 +169,8 @@ def require_in_room(charts: Sequence[ChartResponses], directions: Directions) ->
     InputError
         Which names the chart.
     """
+    from scipy.optimize import nnls  # slow to import
+
     scale = directions.share @ directions.response
     room = (directions.response / scale).T
     for chart in charts:

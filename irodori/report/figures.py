@@ -2,6 +2,7 @@
 
 import base64
 import io
+from typing import NamedTuple
 
 import matplotlib
 
@@ -33,6 +34,36 @@ _STATUS_COLOURS = (
 )
 
 
+class _Margins(NamedTuple):
+    """Space about the axes of a figure, inches."""
+
+    left: float
+    right: float
+    bottom: float
+    top: float
+    between: float
+
+
+_OF_PLOTS = _Margins(left=0.8, right=0.15, bottom=0.5, top=0.35, between=0.75)
+_OF_MAPS = _Margins(left=0.1, right=0.5, bottom=0.1, top=0.45, between=0.4)
+
+
+def _subplots(rows: int, columns: int, size_in: tuple[float, float], margins: _Margins):
+    """Return a figure and its axes in given margins; matplotlib would draw all of it twice more to find its own."""
+    width, height = size_in
+    across = (width - margins.left - margins.right - (columns - 1) * margins.between) / columns
+    down = (height - margins.bottom - margins.top - (rows - 1) * margins.between) / rows
+    places = {
+        "left": margins.left / width,
+        "right": 1.0 - margins.right / width,
+        "bottom": margins.bottom / height,
+        "top": 1.0 - margins.top / height,
+        "wspace": margins.between / across,
+        "hspace": margins.between / down,
+    }
+    return plt.subplots(rows, columns, figsize=size_in, gridspec_kw=places)
+
+
 def _finish(figure) -> str:
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=90, metadata={"Software": None})
@@ -55,7 +86,7 @@ def material_figure(material: Material, maps: dict[str, np.ndarray], truth: Mate
     ``maps`` holds ``status``, ``residual_rms``, ``reflectance_error`` and ``training_distance``.
     """
     rows = 1 + len(material.lobes)
-    figure, axes = plt.subplots(rows, 5, figsize=(15, 2.8 * rows), layout="constrained")
+    figure, axes = _subplots(rows, 5, (15, 2.8 * rows), _OF_MAPS)
     status = maps["status"]
     axes = axes.ravel()
     for spare in axes[10:]:
@@ -97,7 +128,7 @@ def material_figure(material: Material, maps: dict[str, np.ndarray], truth: Mate
 
 def spectra_figure(material: Material, truth: Material) -> str:
     """Return recovered against true spectra: the median of each true material's texels."""
-    figure, axes = plt.subplots(figsize=(6.5, 3.6), layout="constrained")
+    figure, axes = _subplots(1, 1, (6.5, 3.6), _OF_PLOTS)
     index = truth.coefficients.argmax(axis=-1)
     for m, exact in enumerate(truth.basis.T):
         chosen = (index == m) & material.observed
@@ -121,7 +152,7 @@ def planning_figure(rows) -> str:
         Of one object. Solid lines are medians, dashed ones 95th percentiles.
     """
     labels = {"alpha": "|Δα|", "beta": "|Δβ| / β", "mu": "|Δμ| / μ"}
-    figure, axes = plt.subplots(1, 4, figsize=(13, 3.6), layout="constrained")
+    figure, axes = _subplots(1, 4, (13, 3.6), _OF_PLOTS)
     designs = list(dict.fromkeys(row.design for row in rows))
     for number, design in enumerate(designs):
         colour = f"C{number}"
@@ -154,7 +185,7 @@ def selection_figure(header: list[str], rows: list[list[str]]) -> str:
     time_ns = np.array(columns["evaluation_ns_per_pixel"], dtype=float)
     chosen = np.array(columns["chosen"]) == "1"
     colour_errors = [name for name in header if name.startswith("delta_e") and name.endswith("mean")]
-    figure, axes = plt.subplots(1, 2, figsize=(11, 3.8), layout="constrained")
+    figure, axes = _subplots(1, 2, (11, 3.8), _OF_PLOTS)
     for ax, name, label in zip(
         axes,
         (colour_errors[0], "rmse_mean"),
@@ -186,7 +217,7 @@ def comparison_figure(output, photograph, rendering, difference: np.ndarray, fig
     figures : dict
         ``delta_e`` and ``noise_floor``, summaries.
     """
-    figure, axes = plt.subplots(1, 3, figsize=(15, 4.2), layout="constrained")
+    figure, axes = _subplots(1, 3, (15, 4.2), _OF_MAPS)
     titles = ("photograph", "rendered from the fitted materials")
     for ax, path, title in zip(axes, (photograph, rendering), titles, strict=False):
         ax.imshow(plt.imread(path))
@@ -203,7 +234,7 @@ def comparison_figure(output, photograph, rendering, difference: np.ndarray, fig
 
 def front_figure(rows: list[dict], front: list[str], default: str | None, metric: str) -> str:
     """Return throughput against error of variants of one unit; those on the front are joined, the default is ringed."""
-    figure, axes = plt.subplots(figsize=(7.5, 4.2), layout="constrained")
+    figure, axes = _subplots(1, 1, (7.5, 4.2), _OF_PLOTS)
     places = {r["variant"]: (float(r["throughput"]), float(r["error"])) for r in rows}
     for name, (speed, error) in places.items():
         axes.plot(speed, error, "o", color="#2f6690" if name in front else "#b0b0b0", markersize=5)

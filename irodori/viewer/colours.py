@@ -2,7 +2,6 @@
 
 import warnings
 
-import colour
 import numpy as np
 
 from irodori.colour.colorimetry import colour_matching_weights
@@ -54,6 +53,8 @@ def observers() -> list[dict]:
 
 def daylight() -> list[list[float]]:
     """Return the three components of CIE daylight, (3, 61), for daylight of any colour temperature."""
+    import colour  # slow to import
+
     tables = colour.colorimetry.SDS_BASIS_FUNCTIONS_CIE_ILLUMINANT_D_SERIES
     parts = (tables[name] for name in ("S0", "S1", "S2"))
     return [[float(x) for x in np.interp(WAVELENGTH_NM, part.wavelengths, part.values)] for part in parts]
@@ -61,6 +62,8 @@ def daylight() -> list[list[float]]:
 
 def displays() -> list[dict]:
     """Return the displays of standard primaries: linear RGB of XYZ whose white has Y = 1, and the white."""
+    import colour  # slow to import
+
     found = []
     for name in STANDARD:
         space = colour.RGB_COLOURSPACES[name]
@@ -72,6 +75,8 @@ def displays() -> list[dict]:
 
 def deficiencies() -> list[dict]:
     """Return the dichromats of Machado et al. (2009), as matrices on linear sRGB."""
+    import colour  # slow to import
+
     found = []
     for name, table in DEFICIENCIES.items():
         with warnings.catch_warnings():

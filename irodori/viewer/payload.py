@@ -153,7 +153,7 @@ def _packed(header: dict, planes: bytes | memoryview) -> str:
     """Return a payload of a whole header and the planes that it lists."""
     text = json.dumps(header, ensure_ascii=False, allow_nan=False, separators=(",", ":")).encode()
     stream = b"".join([struct.pack("<I", len(text)), text, planes])
-    return base64.b64encode(zlib.compress(stream, 9)).decode("ascii")
+    return base64.b64encode(zlib.compress(stream)).decode("ascii")
 
 
 def payload_header(text: str, source="payload") -> dict:

@@ -167,7 +167,8 @@ class RigSubject:
 
     def geometry(self, poses: list[Pose]) -> np.ndarray:
         """Return θ_i, θ_r, θ_H, φ of every texel in every pose, (poses, t, 4) rad."""
-        turned = {(pose.tilt_deg, pose.turn_deg): rig_from_object(pose) for pose in poses}
+        turns = {(pose.tilt_deg, pose.turn_deg): pose for pose in poses}  # few, however many the poses
+        turned = {turn: rig_from_object(pose) for turn, pose in turns.items()}
         rotation = np.array([turned[pose.tilt_deg, pose.turn_deg] for pose in poses])
         normal = np.einsum("pij,tj->pti", rotation, self.normal)
         light = np.array([to_light(pose) for pose in poses])[:, None]

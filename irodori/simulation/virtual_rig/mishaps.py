@@ -7,7 +7,6 @@ again.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import gaussian_filter, shift
 
 
 @dataclass(frozen=True)
@@ -52,6 +51,8 @@ class Mishap:
         changed = response * self.lamp + self.ambient
         if not self.blur_px and not any(self.moved_px):
             return changed * self.aperture
+        from scipy.ndimage import gaussian_filter, shift  # slow to import
+
         # Each place of the mosaic has its own colour.
         for row in (0, 1):
             for column in (0, 1):
