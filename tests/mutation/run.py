@@ -61,13 +61,14 @@ ROOMS = {
     "light": (
         ("light",),
         ("unit/test_environment.py", "unit/test_light_sources.py", "unit/test_irradiance.py", "unit/test_gloss.py",
-         "unit/test_mirror_ball.py", "unit/test_light_recovery.py"),
+         "unit/test_mirror_ball.py", "unit/test_light_recovery.py", "unit/test_room_charts.py",
+         "unit/test_sky_sampling.py"),
     ),
     "evaluation": (
         ("evaluation",),
         ("unit/test_report_errors.py", "unit/test_photograph_comparison.py", "unit/test_error_budget.py",
          "unit/test_error_prediction.py", "unit/test_report_registration.py", "unit/test_report_planning.py",
-         "unit/test_report_light.py", "unit/test_imperfection_costs.py"),
+         "unit/test_report_light.py", "unit/test_imperfection_costs.py", "unit/test_gloss_components.py"),
     ),
     "reflection": (
         ("reflection",),
