@@ -292,6 +292,6 @@ def test_an_axis_that_is_pushed_off_its_way_ends_the_move_even_if_it_comes_back(
         later(seconds)
 
     bench.machine.advance = advancing
-    with pytest.raises(AlarmError, match="turn_deg is at .* degrees, off its way"):
+    with pytest.raises(AlarmError, match=r"turn_deg is at .* degrees, off its way"):
         driver.move({"camera_deg": 120.0})
     assert not driver.status().homed
