@@ -5,8 +5,8 @@ the repository. As many mutants of each room are drawn at random, by the seed (t
 commit tries others, with ``--half`` of three rooms only, for before the first mutant all tests of a room are run. Each
 is put into a process of its own, forked from one that has run all tests and loaded all compiled loops: the code of the
 function is replaced where it stands. The process runs the tests that pass over the mutant's statement, the shortest
-first, and ends at the first that fails. Survivors are printed, and how many of each room were noticed; the exit status
-is 1 where fewer than ``--least`` of all were.
+first, and ends at the first that fails. Each mutant is printed, with the test that noticed it or as a survivor, and how
+many of each room were noticed; the exit status is 1 where fewer than ``--least`` of all were.
 
 Only the tests of a room's own files are asked (`ROOMS`), of these only such as take less than `LONGEST_S` once their
 loops are loaded, and as many as take `TOGETHER_S` together: a fault that others alone would notice counts as a
@@ -171,10 +171,9 @@ class Runner:
         passed, room = len(self._baseline.seconds), self.room
         print(f"{room}: {passed} tests without a mutant, {time.process_time() - begun:.0f} s of CPU time", flush=True)
         for number, mutant in enumerate(self.mutants, 1):
-            survived = self._try(mutant)
-            self.noticed.append(not survived)
-            if survived:
-                print(f"  {number} {survived}: {mutant}", flush=True)
+            noticed, how = self._try(mutant)
+            self.noticed.append(noticed)
+            print(f"  {number} {how}: {mutant}", flush=True)
         return True
 
     def _run_unspoilt(self, items) -> None:
@@ -208,13 +207,13 @@ class Runner:
                 yield functools.partial(setattr, function, "__code__", function.__code__)
                 function.__code__ = code
 
-    def _try(self, mutant: Mutant) -> str:
-        """Return how a mutant survived; nothing where a test noticed it."""
+    def _try(self, mutant: Mutant) -> tuple[bool, str]:
+        """Return whether a test noticed a mutant, and in words which one, or how it survived."""
         tests = sorted(self._baseline.over.get((mutant.module, mutant.first), ()))
         path = self.paths[mutant.module]
         found = _found(mutant.module, mutant.function, mutated(mutant, path), path)
         if not tests or found is None:
-            return "no test" if found else "not made"
+            return False, "SURVIVED, for no test passes over it" if found else "SURVIVED, for it cannot be made"
         put = functools.partial(setattr, found[0], "__code__", found[1])
         seconds = self._baseline.seconds
         quick = [name for name in tests if seconds[name] <= LONGEST_S]
@@ -225,7 +224,7 @@ class Runner:
             others = [name for name in long if 0.0 <= self._alone(name, LONGEST_S) <= LONGEST_S]
             quick += others
             found = self._ask(others, put)
-        return "" if found else f"survived {len(quick)} tests"
+        return found is not None, f"noticed by {found}" if found else f"SURVIVED {len(quick)} tests"
 
     def _alone(self, name: str, patience_s: float = PATIENCE_S) -> float:
         """Return how long a test computes in a forked process without a mutant, s; -1 where it fails, or for longer."""
