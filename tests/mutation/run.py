@@ -5,7 +5,7 @@ the repository. As many mutants of each room are drawn at random, by the seed (t
 commit tries others, with ``--half`` of three rooms only, for before the first mutant all tests of a room are run. Each
 is put into a process of its own, forked from one that has run all tests and loaded all compiled loops: the code of the
 function is replaced where it stands. The process runs the tests that pass over the mutant's statement, the shortest
-first, and ends at the first that fails. Each mutant is printed, with the test that noticed it or as a survivor, and how
+first and one case of each before a second, and ends at the first that fails. Each mutant is printed, with the test that noticed it or as a survivor, and how
 many of each room were noticed; the exit status is 1 where fewer than ``--least`` of all were.
 
 Only the tests of a room's own files are asked (`ROOMS`), of these only such as take less than `LONGEST_S` once their
@@ -237,9 +237,15 @@ class Runner:
         return self._alone_s[name]
 
     def _ask(self, tests: Iterable[str], put: Callable[[], None]) -> str | None:
-        """Return the first test that notices a fault, the shortest asked first; None where none does."""
+        """Return the first test that notices a fault; None where none does.
+
+        The shortest are asked first, one case of each before the second of any: cases of one test notice the same.
+        """
         seconds = self._baseline.seconds | {name: s for name, s in self._alone_s.items() if s >= 0.0}
-        left = sorted(tests, key=lambda name: (seconds[name], name))
+        shortest = sorted(tests, key=lambda name: (seconds[name], name))
+        cases: dict[str, Iterator[int]] = defaultdict(itertools.count)
+        case = {name: next(cases[name.partition("[")[0]]) for name in shortest}
+        left = sorted(shortest, key=case.get)
         together = list(itertools.accumulate(seconds[name] for name in left))
         left = left[: 1 + bisect.bisect(together, TOGETHER_S)]
         while left:
