@@ -6,19 +6,21 @@ commit tries others, with ``--half`` of three rooms only, for before the first m
 is put into a process of its own, forked from one that has run all tests and loaded all compiled loops: the code of the
 function is replaced where it stands. The process runs the tests that pass over the mutant's statement, the shortest
 first and one case of each before a second, and ends at the first that fails. Each mutant is printed, with the test that
-noticed it or as a survivor, and how many of each room were noticed; the exit status is 1 where fewer than ``--least`` of
-all were.
+noticed it or as a survivor, and how many of each room were noticed; the exit status is 1 where too few of all were
+(``--least``).
 
 Only the tests of a room's own files are asked (`ROOMS`), of these only such as take less than `LONGEST_S` once their
 loops are loaded, and as many as take `TOGETHER_S` together: a fault that others alone would notice counts as a
 survivor. Times are those of the processor, whoever else uses it. A mutant that never ends is noticed: a test computes
-for ten times as long as it should and for `PATIENCE_S`, or its process does not compute at all for `QUIET_S`.
+for ten times as long as it should and for `PATIENCE_S`, or its process does not compute at all for `QUIET_S`. So a run
+ends; a test that takes `HANGS_S` without a mutant ends it.
 """
 
 import argparse
 import ast
 import bisect
 import builtins
+import faulthandler
 import functools
 import gc
 import importlib
@@ -96,6 +98,7 @@ TOGETHER_S = 8.0  # of the tests that one mutant is put to
 EXAMPLES = 10  # of a property-based test, at most
 PATIENCE_S = 10.0
 QUIET_S = 40.0
+HANGS_S = 1500.0
 
 
 @dataclass
@@ -185,7 +188,10 @@ class Runner:
         for item, following in zip(items, [*items[1:], None], strict=True):
             passed.clear()
             begun = time.process_time()
+            # Where a test hangs without a mutant, its lines are printed and nothing is measured.
+            faulthandler.dump_traceback_later(HANGS_S, exit=True)
             failed = _failed(item, following)
+            faulthandler.cancel_dump_traceback_later()
             seconds = time.process_time() - begun
             if failed:
                 print(f"  not asked, for it fails without a mutant: {item.nodeid}", flush=True)
