@@ -37,7 +37,8 @@ _SYMMETRIC = {
 }  # fmt: skip
 #: A constant above zero and not above this is a tolerance, which is as good half as large again.
 _TOLERANCE = 1e-6
-#: Faults without effect: module, function, kind and text as in `Mutant`, and after a tab the reason.
+#: Faults without effect: module, function, kind and text as in `Mutant`, wherever it stands in the function, and after
+#: a tab the reason.
 _EQUIVALENT = Path(__file__).with_name("equivalent.txt")
 
 

@@ -5,19 +5,22 @@ the repository. As many mutants of each room are drawn at random, by the seed (t
 commit tries others, with ``--half`` of three rooms only, for before the first mutant all tests of a room are run. Each
 is put into a process of its own, forked from one that has run all tests and loaded all compiled loops: the code of the
 function is replaced where it stands. The process runs the tests that pass over the mutant's statement, the shortest
-first, and ends at the first that fails. Survivors are printed, and how many of each room were noticed; the exit status
-is 1 where fewer than ``--least`` of all were.
+first and one case of each before a second, and ends at the first that fails. Each mutant is printed, with the test that
+noticed it or as a survivor, and how many of each room were noticed; the exit status is 1 where too few of all were
+(``--least``).
 
 Only the tests of a room's own files are asked (`ROOMS`), of these only such as take less than `LONGEST_S` once their
 loops are loaded, and as many as take `TOGETHER_S` together: a fault that others alone would notice counts as a
 survivor. Times are those of the processor, whoever else uses it. A mutant that never ends is noticed: a test computes
-for ten times as long as it should and for `PATIENCE_S`, or its process does not compute at all for `QUIET_S`.
+for ten times as long as it should and for `PATIENCE_S`, or its process does not compute at all for `QUIET_S`. So a run
+ends; a test that takes `HANGS_S` without a mutant ends it.
 """
 
 import argparse
 import ast
 import bisect
 import builtins
+import faulthandler
 import functools
 import gc
 import importlib
@@ -61,13 +64,14 @@ ROOMS = {
     "light": (
         ("light",),
         ("unit/test_environment.py", "unit/test_light_sources.py", "unit/test_irradiance.py", "unit/test_gloss.py",
-         "unit/test_mirror_ball.py", "unit/test_light_recovery.py"),
+         "unit/test_mirror_ball.py", "unit/test_light_recovery.py", "unit/test_room_charts.py",
+         "unit/test_sky_sampling.py"),
     ),
     "evaluation": (
         ("evaluation",),
         ("unit/test_report_errors.py", "unit/test_photograph_comparison.py", "unit/test_error_budget.py",
          "unit/test_error_prediction.py", "unit/test_report_registration.py", "unit/test_report_planning.py",
-         "unit/test_report_light.py", "unit/test_imperfection_costs.py"),
+         "unit/test_report_light.py", "unit/test_imperfection_costs.py", "unit/test_gloss_components.py"),
     ),
     "reflection": (
         ("reflection",),
@@ -94,6 +98,7 @@ TOGETHER_S = 8.0  # of the tests that one mutant is put to
 EXAMPLES = 10  # of a property-based test, at most
 PATIENCE_S = 10.0
 QUIET_S = 40.0
+HANGS_S = 1500.0
 
 
 @dataclass
@@ -170,10 +175,9 @@ class Runner:
         passed, room = len(self._baseline.seconds), self.room
         print(f"{room}: {passed} tests without a mutant, {time.process_time() - begun:.0f} s of CPU time", flush=True)
         for number, mutant in enumerate(self.mutants, 1):
-            survived = self._try(mutant)
-            self.noticed.append(not survived)
-            if survived:
-                print(f"  {number} {survived}: {mutant}", flush=True)
+            noticed, how = self._try(mutant)
+            self.noticed.append(noticed)
+            print(f"  {number} {how}: {mutant}", flush=True)
         return True
 
     def _run_unspoilt(self, items) -> None:
@@ -184,7 +188,10 @@ class Runner:
         for item, following in zip(items, [*items[1:], None], strict=True):
             passed.clear()
             begun = time.process_time()
+            # Where a test hangs without a mutant, its lines are printed and nothing is measured.
+            faulthandler.dump_traceback_later(HANGS_S, exit=True)
             failed = _failed(item, following)
+            faulthandler.cancel_dump_traceback_later()
             seconds = time.process_time() - begun
             if failed:
                 print(f"  not asked, for it fails without a mutant: {item.nodeid}", flush=True)
@@ -207,13 +214,13 @@ class Runner:
                 yield functools.partial(setattr, function, "__code__", function.__code__)
                 function.__code__ = code
 
-    def _try(self, mutant: Mutant) -> str:
-        """Return how a mutant survived; nothing where a test noticed it."""
+    def _try(self, mutant: Mutant) -> tuple[bool, str]:
+        """Return whether a test noticed a mutant, and in words which one, or how it survived."""
         tests = sorted(self._baseline.over.get((mutant.module, mutant.first), ()))
         path = self.paths[mutant.module]
         found = _found(mutant.module, mutant.function, mutated(mutant, path), path)
         if not tests or found is None:
-            return "no test" if found else "not made"
+            return False, "SURVIVED, for no test passes over it" if found else "SURVIVED, for it cannot be made"
         put = functools.partial(setattr, found[0], "__code__", found[1])
         seconds = self._baseline.seconds
         quick = [name for name in tests if seconds[name] <= LONGEST_S]
@@ -224,7 +231,7 @@ class Runner:
             others = [name for name in long if 0.0 <= self._alone(name, LONGEST_S) <= LONGEST_S]
             quick += others
             found = self._ask(others, put)
-        return "" if found else f"survived {len(quick)} tests"
+        return found is not None, f"noticed by {found}" if found else f"SURVIVED {len(quick)} tests"
 
     def _alone(self, name: str, patience_s: float = PATIENCE_S) -> float:
         """Return how long a test computes in a forked process without a mutant, s; -1 where it fails, or for longer."""
@@ -237,9 +244,15 @@ class Runner:
         return self._alone_s[name]
 
     def _ask(self, tests: Iterable[str], put: Callable[[], None]) -> str | None:
-        """Return the first test that notices a fault, the shortest asked first; None where none does."""
+        """Return the first test that notices a fault; None where none does.
+
+        The shortest are asked first, one case of each before the second of any: cases of one test notice the same.
+        """
         seconds = self._baseline.seconds | {name: s for name, s in self._alone_s.items() if s >= 0.0}
-        left = sorted(tests, key=lambda name: (seconds[name], name))
+        shortest = sorted(tests, key=lambda name: (seconds[name], name))
+        cases: dict[str, Iterator[int]] = defaultdict(itertools.count)
+        case = {name: next(cases[name.partition("[")[0]]) for name in shortest}
+        left = sorted(shortest, key=case.get)
         together = list(itertools.accumulate(seconds[name] for name in left))
         left = left[: 1 + bisect.bisect(together, TOGETHER_S)]
         while left:

@@ -279,3 +279,19 @@ def test_a_rig_that_does_not_stop_is_told_three_times(monkeypatch):
     bench.pace = 1.0
     bench.sleep(1.0)
     assert driver.status().state == "idle"
+
+
+@pytest.mark.parametrize("pushed", [-1.0, 1.0])
+def test_an_axis_that_is_pushed_off_its_way_ends_the_move_even_if_it_comes_back(pushed, monkeypatch):
+    bench, driver = bench_and_rig(monkeypatch)
+    later, due, left = bench.machine.advance, bench.now + 1.0, [pushed, -pushed]
+
+    def advancing(seconds):
+        if left and bench.now > due + (1.0 if len(left) == 1 else 0.0):
+            bench.machine.stages[TURN].position[0] += left.pop(0)
+        later(seconds)
+
+    bench.machine.advance = advancing
+    with pytest.raises(AlarmError, match=r"turn_deg is at .* degrees, off its way"):
+        driver.move({"camera_deg": 120.0})
+    assert not driver.status().homed

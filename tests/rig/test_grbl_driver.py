@@ -180,9 +180,9 @@ def test_all_disagreements_are_said_at_once_and_written_on_request():
 
 
 def test_what_only_a_person_can_mend_has_no_value_to_be_written():
-    settings = {**FITTING, 100: 5.0, 110: 12000.0}
+    settings = {**FITTING, 10: 2, 13: 1, 20: 0, 100: 5.0, 110: 12000.0}
     found = {d.number: d.wanted for d in disagreements(settings, "V", DRIVES, True)}
-    assert found == {100: None, 110: 24000.0}
+    assert found == {10: 3, 13: 0, 20: 1, 100: None, 110: 24000.0}
 
 
 def test_homing_that_was_switched_off_is_switched_on_before_the_soft_limits():
@@ -237,6 +237,11 @@ def test_settings_made_for_drives_fit_them(homing, units, turns, step, beyond, s
     assert settings[20] == settings[22] == homing
     own = (24, 25, 27, *(first + axis for first in (100, 110, 120, 130) for axis in (0, 1)))
     assert all(round(settings[key], 3) == settings[key] for key in own)  # Grbl keeps three decimals
+    # Rounded so that the drive keeps its own speed, acceleration and reach.
+    pull_off = min(1.0, *(-drive.reach[1] for drive in drives.values()))
+    for index, drive in enumerate(drives.values()):
+        least = (60.0 * drive.speed, drive.acceleration, pull_off - drive.reach[0])
+        assert all(settings[first + index] >= n - 1e-9 for first, n in zip((110, 120, 130), least, strict=True))
     if homing:
         for drive in drives.values():
             low, high = travel_of(settings, "V", drive)

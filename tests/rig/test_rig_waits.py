@@ -602,6 +602,16 @@ def test_homing_that_ends_elsewhere_is_noticed(board):
     assert not driver.status().homed
 
 
+def test_homing_during_which_the_door_was_opened_is_not_done(board):
+    driver, bench = board
+    bench.sent.clear()
+    bench.heard = lambda line: line.replace("<Idle", "<Door:1") if any(b"$H" in one for one in bench.sent) else line
+    with pytest.raises(CommandError, match="not idle but says Door: close the safety door"):
+        driver.home()
+    bench.heard = lambda line: line
+    assert not driver.status().homed
+
+
 @pytest.mark.parametrize(
     ("sizes", "room"), [("15,60", 60), ("15,999", 128), ("15,0", 128), ("15,1k", 128), ("15", 128), ("", 128)]
 )

@@ -108,6 +108,7 @@ def test_lights_of_photographs_scatter_what_is_seen_straight_and_their_poses_onl
         apart = [one[0, 0] - one[-1, 0] for one in whole]
         assert np.std(apart) / np.sqrt(2.0) == pytest.approx(expected, rel=0.2, abs=1e-6)
         assert all(np.ptp(one[: SIDE // 2]) < 1e-5 for one in whole)
+    assert not Photographs(0.0 * share, share, 1.0).gains(0.02, 0.02, rng).any(), "what no photograph saw"
 
 
 def test_shares_are_those_of_inverse_variance(tmp_path):

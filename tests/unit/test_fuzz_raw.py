@@ -2,6 +2,7 @@
 
 import json
 import os
+import struct
 import sys
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from dng_files import write_any_dng
 from raw_studio import DATA, ROOT, dng, random_mosaic
 
 from irodori.ingest.dng_levels import black_level_repeats
+from irodori.ingest.tiff_tags import read_tags
 
 
 def fuzz(source: Path, folder: Path, header: int, count: int, seed: int = 0) -> dict:
@@ -78,3 +80,21 @@ def test_directories_that_point_at_each_other_end(tmp_path):
     # One directory without entries whose next one is itself.
     (tmp_path / "a.dng").write_bytes(b"II*\0" + (8).to_bytes(4, "little") + bytes(2) + (8).to_bytes(4, "little"))
     assert black_level_repeats(tmp_path / "a.dng") == []
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+@pytest.mark.parametrize(
+    ("kind", "content", "read"),
+    [
+        (2, b"Maker A\0", ("Maker A",)), (2, b"Mak\0", ("Mak",)), (2, b"x" * 255 + b"\0", ("x" * 255,)),
+        (2, b"x" * 256 + b"\0", None),  # no camera's name
+        (5, bytes(8), None),  # a fraction
+    ],
+)  # fmt: skip
+def test_a_tag_is_a_text_that_a_camera_writes_or_whole_numbers(tmp_path, order, kind, content, read):
+    number = len(content) if kind == 2 else 1
+    value = content if len(content) <= 4 else struct.pack(order + "I", 26)
+    entry = struct.pack(order + "HHI", 271, kind, number) + value
+    head = (b"II*\0" if order == "<" else b"MM\0*") + struct.pack(order + "IH", 8, 1)
+    (tmp_path / "a.dng").write_bytes(head + entry + bytes(4) + content)
+    assert [tag.values for tag in read_tags(tmp_path / "a.dng", (271,))] == ([] if read is None else [read])

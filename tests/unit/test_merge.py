@@ -147,3 +147,7 @@ def test_the_flat_field_is_divided_out_where_it_lies(exposures):
     plain, _, _ = merged(frames, exposures)
     flat, _, _ = merged(frames, exposures, white=white)
     assert np.allclose(flat * evaluate_flat(white, 32, 48), plain, rtol=1e-5, atol=1e-6)
+    # A level of each band alone is the same all over the picture, also in one that is a single superpixel.
+    for part in (frames, frames[:, :2, :2]):
+        level, _, _ = merged(part, exposures, white=white[:, 0])
+        assert np.allclose(level * white[:, 0], merged(part, exposures)[0], rtol=1e-5, atol=1e-6)

@@ -93,6 +93,14 @@ def test_darkness_alone_tells_read_noise_and_no_gain():
     assert read == pytest.approx(np.hypot(SENSOR.read_noise_e / SENSOR.electrons_per_dn, np.sqrt(1 / 12)), rel=0.02)
 
 
+@pytest.mark.parametrize(("share", "ratio"), [(0.0095, 1.0), (0.012, 1.25)])
+def test_the_light_of_two_frames_is_compared_from_a_hundredth_of_the_range_on(share, ratio):
+    """Below it there is next to none: the first frame is brighter by a quarter all the same."""
+    rise = share * (SENSOR.white_level - SENSOR.black_level)
+    two = [mosaic(SENSOR, np.full((64, 64), SENSOR.black_level + rise / k)) for k in (1.0, 1.25)]
+    assert transfer_points(*two, NO_HOT)[:, 3] == pytest.approx(ratio)
+
+
 @given(gain=st.floats(0.2, 30.0), read=st.floats(0.6, 20.0), drift=st.floats(-0.1, 0.1))
 def test_points_without_scatter_give_the_line_that_they_lie_on(gain, read, drift):
     """The variance of a - r b is read² (1 + r²) + level (1 + r) / gain."""

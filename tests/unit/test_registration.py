@@ -210,7 +210,7 @@ def least_sigma_px(fixed, gains, noise) -> float:
     [
         ((120, 96), (2.3, -1.7, 0.2, 1.004), {}, {}, 0.002),
         ((97, 131), (-3.4, 2.9, -0.5, 0.991), {}, {}, 0.002),
-        ((150, 210), (6.2, -7.4, 0.4, 1.008), {"offsets_px": RGGB}, {"band_offsets_px": RGGB}, 0.002),
+        ((150, 210), (6.2, -7.4, 0.4, 1.008), {"offsets_px": RGGB}, {"band_offsets_px": RGGB}, 0.001),
         ((220, 120), (-5.1, 3.2, -0.4, 0.993), {}, {}, 0.002),
         # All content in one corner, and a start that lies beyond the search.
         ((150, 100), (-5.1, 3.2, -0.4, 0.993), {"around": (115, 75, 15)}, {}, 0.006),

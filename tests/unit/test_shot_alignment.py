@@ -12,7 +12,7 @@ from irodori.ingest.ingest_options import IngestOptions
 from irodori.ingest.shot_alignment import Alignment, align_states, move
 from irodori.ingest.stage import ingest_raw
 
-HEIGHT, WIDTH = 480, 640  # mosaic pixels
+HEIGHT, WIDTH = 320, 432  # mosaic pixels
 SHIFT_PX, ROTATION_RAD, SCALE = np.array([2.3, -1.4]), 0.002, 1.003  # of the filtered picture, superpixels
 POSE = Pose(ANGLE, 0.0).name
 OPTIONS = IngestOptions()
