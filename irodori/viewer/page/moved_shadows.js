@@ -199,7 +199,7 @@ var Irodori = Irodori || {};
     const n = back(one.turn, facet),
       o = scaled(back(one.turn, subtract(origin, one.at)), 1 / one.scale),
       level = dot(o, n);
-    for (let node = tree.first; node < tree.last; ) {
+    for (let node = tree.first; node < tree.last;) {
       const i = 8 * node;
       let top = -level;
       for (let a = 0; a < 3; a++) top += n[a] * texels[n[a] > 0 ? i + 4 + a : i + a];
@@ -482,8 +482,7 @@ var Irodori = Irodori || {};
         texels = this.mesh.data;
       const near = meshes.filter(
         (mesh) =>
-          dot(subtract(mesh.centre, origin), normal) > -1.001 * mesh.radius &&
-          standsAbove(texels, mesh, origin, facet),
+          dot(subtract(mesh.centre, origin), normal) > -1.001 * mesh.radius && standsAbove(texels, mesh, origin, facet),
       );
       if (!near.length) {
         values[LEFT] = values[UNCOVERED] = 1;
