@@ -85,7 +85,7 @@ var Irodori = Irodori || {};
     return x * x + y * y + z * z - along * along <= radius * radius;
   }
 
-  // The nearest triangle of a mesh along a ray, nearer than `most`; as meetMesh of transport.glsl. Returns the distance,
+  // The nearest triangle of a mesh along a ray, nearer than `most`; as in transport.glsl. Returns the distance,
   // 0 where there is none; the normal in the world is left in `normal`.
   function meetMesh(texels, { tree, one }, ray, most, normal) {
     const { turn, at, scale } = one,
@@ -421,8 +421,8 @@ var Irodori = Irodori || {};
       );
     }
 
-    // Cast rays for a state in slices of a few milliseconds, twice: few rays, then as many as the renderer casts; `shown`
-    // is called after each. What was begun for another state is given up; resolves to whether this one was finished.
+    // Cast rays for a state in slices of a few milliseconds, twice: few rays, then as many as the renderer does;
+    // `shown` is called after each. What was begun for another state is given up; resolves to whether this one was finished.
     async cast(state, shown) {
       const key = Irodori.MovedShadows.key(state);
       if (key === this.running) return false;
