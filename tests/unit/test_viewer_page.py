@@ -18,6 +18,7 @@ import irodori.viewer
 from irodori.export.pictures import write_spectral_exr
 from irodori.geometry.rig_frame import look_at, rotation_xyz, rotation_z
 from irodori.rendering.scene_arrays import make_view
+from irodori.viewer import viewer_command
 from irodori.viewer.browser import FLAGS, browser_command, opened
 from irodori.viewer.measured import frame_bands, prepared
 from irodori.viewer.page_data import page_data
@@ -215,7 +216,7 @@ def test_a_probe_tells_what_the_material_says(written, page):
     assert page.page.evaluate("([s]) => Irodori.renderer.probe(s, 1, 1)", [state]) is None
 
 
-def test_a_page_states_its_errors_and_its_own_check_agrees(tmp_path):
+def test_a_page_states_its_errors_and_its_own_check_agrees(tmp_path, capsys):
     given = sources(tmp_path / "files", room())
     errors = export_viewer(given, output=tmp_path / "viewer.html")
     header, _ = read_payload(payload_of(tmp_path / "viewer.html"))
@@ -227,6 +228,14 @@ def test_a_page_states_its_errors_and_its_own_check_agrees(tmp_path):
         assert page.messages == []
     assert len(rows) == len(header["selftest"]) > 4
     assert max(row["mean"] for row in rows) <= 0.1
+    # The command prints the header, with the planes' ranges, long lists told by their length; or says what it misses.
+    assert viewer_command.main(["test", "--inspect", "--output", str(tmp_path / "viewer.html")]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["stated_errors"] == errors and printed["hashes"] == header["hashes"]
+    assert printed["wavelength_nm"] == "61 entries" and printed["units"]["length"] == "mm"
+    assert all(low <= high for low, high in (plane["range"] for plane in printed["planes"]))
+    assert viewer_command.main(["test", "--inspect", "--output", str(tmp_path / "none.html")]) == 2
+    assert capsys.readouterr().err.count("accepted:") == 1
 
 
 def test_a_page_encoded_before_its_picture_states_the_same_and_the_distance_to_the_picture(tmp_path, written):

@@ -18,6 +18,7 @@ from irodori.colour.icc import Profile, write_profile
 from irodori.colour.tone_curves import ParametricCurve
 from irodori.config.models import PrimariesDisplay, ProfileDisplay
 from irodori.geometry.rig_frame import rotation_xyz
+from irodori.geometry.shapes import mesh_shadow_nodes
 from irodori.light.environment_file import Environment, directions
 from irodori.rendering.scene_arrays import make_view
 from irodori.spectra.published import light
@@ -249,8 +250,11 @@ def with_torus(folder, **keys):
 
 @pytest.fixture(scope="module")
 def torus(tmp_path_factory):
+    """The torus with a quarter of the usual nodes, on both sides: the page casts its rays in software here."""
     folder = tmp_path_factory.mktemp("torus")
-    return Written(folder, with_torus(folder))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(mesh_shadow_nodes, "MESH_NODES", mesh_shadow_nodes.MESH_NODES // 4)
+        yield Written(folder, with_torus(folder))
 
 
 def test_meshes_hide_light_from_all_sides_as_in_the_renderer(torus):
@@ -530,7 +534,7 @@ def test_the_soft_shadows_of_a_mesh_that_is_moved_and_turned_are_the_renderers(t
         again = compared(torus, page, page.default_state(), torus.view)
         assert page.messages == []
     assert not agree(before)
-    assert found.mean() <= 0.12 and np.percentile(found, 99) <= 0.7, (found.mean(), np.percentile(found, 99))
+    assert agree(found), (found.mean(), np.percentile(found, 99))
     assert agree(again)
 
 

@@ -1,10 +1,10 @@
 // Shadows of meshes from all sides where something stands elsewhere than in the scene: rays from nodes, as in
-// irodori/rendering/interactive/mesh_shadows.py, on grids of half as many nodes a side and with fewer rays.
+// irodori/rendering/interactive/mesh_shadows.py. What is done for every ray makes no object and no array.
 "use strict";
 var Irodori = Irodori || {};
 
 (function () {
-  const SIDE = 64,
+  const SIDE = 128,
     EQUATOR = 64,
     RISE = 1 / 262144,
     INSET = 0.05,
@@ -12,7 +12,7 @@ var Irodori = Irodori || {};
     ENCLOSED = 0.9,
     FOOT = 0.1,
     LEAST = 0.02;
-  const PASSES = [16, 128],
+  const PASSES = [16, 512],
     SLICE_MS = 12;
   const LEFT = 0,
     UNCOVERED = 1,
@@ -41,82 +41,182 @@ var Irodori = Irodori || {};
         : {
             shape: o.shape,
             reach: o.reach_mm,
-            at: own.position_mm,
-            turn: Irodori.turned(own.turn_deg),
-            size: o.size_mm.map((x) => x * o.scale),
+            at: Float64Array.from(own.position_mm),
+            turn: Irodori.turned(own.turn_deg).map((row) => Float64Array.from(row)),
+            size: Float64Array.from(o.size_mm, (x) => x * o.scale),
             scale: o.scale,
           };
     });
   }
 
-  // Distance along a ray to a shape that is no mesh, 0 where it misses.
-  function distance(one, from, to) {
-    const away = subtract(one.at, from);
-    if (one.shape === "sphere") {
-      const along = dot(away, to),
-        square = one.reach ** 2 - dot(away, away) + along ** 2;
+  // Distance along a ray, origin and direction in one array, to a shape that is no mesh; 0 where it misses.
+  function distance({ shape, reach, at, turn, size }, ray) {
+    const x = at[0] - ray[0],
+      y = at[1] - ray[1],
+      z = at[2] - ray[2];
+    if (shape === "sphere") {
+      const along = x * ray[3] + y * ray[4] + z * ray[5],
+        square = reach * reach - (x * x + y * y + z * z) + along * along;
       if (square < 0) return 0;
       const half = Math.sqrt(square);
       return Math.max(along - half > 0 ? along - half : along + half, 0);
     }
-    const axis = (c) => [one.turn[0][c], one.turn[1][c], one.turn[2][c]],
-      steep = dot(to, axis(2)),
-      t = steep ? dot(away, axis(2)) / steep : 0;
-    if (t <= 0) return 0;
-    const offset = add(scaled(to, t), away, -1),
-      x = dot(offset, axis(0)),
-      y = dot(offset, axis(1));
-    if (one.shape === "plate" && (Math.abs(x) > 0.5 * one.size[0] || Math.abs(y) > 0.5 * one.size[1])) return 0;
-    return one.shape === "disc" && x * x + y * y > one.reach ** 2 ? 0 : t;
+    const steep = ray[3] * turn[0][2] + ray[4] * turn[1][2] + ray[5] * turn[2][2],
+      t = steep ? (x * turn[0][2] + y * turn[1][2] + z * turn[2][2]) / steep : 0;
+    if (t <= 0 || shape === "plane") return Math.max(t, 0);
+    const px = t * ray[3] - x,
+      py = t * ray[4] - y,
+      pz = t * ray[5] - z,
+      u = px * turn[0][0] + py * turn[1][0] + pz * turn[2][0],
+      v = px * turn[0][1] + py * turn[1][1] + pz * turn[2][1];
+    const isOutside =
+      shape === "plate"
+        ? Math.abs(u) > 0.5 * size[0] || Math.abs(v) > 0.5 * size[1]
+        : shape === "disc" && u * u + v * v > reach * reach;
+    return isOutside ? 0 : t;
   }
 
-  // The nearest triangle of a mesh along a ray, nearer than `most`; as meetMesh of transport.glsl.
-  function meetMesh(texels, mesh, one, ray, most) {
-    const o = scaled(back(one.turn, subtract(ray.from, one.at)), 1 / one.scale),
-      d = scaled(back(one.turn, ray.to), 1 / one.scale);
-    const i0 = 1 / (d[0] || 1e-20),
-      i1 = 1 / (d[1] || 1e-20),
-      i2 = 1 / (d[2] || 1e-20);
-    let found = null,
-      t = most,
-      node = mesh.first;
-    while (node < mesh.last) {
+  // Whether a ray may meet a mesh: whether it goes through the sphere about it.
+  function mayMeet({ centre, radius }, ray) {
+    const x = centre[0] - ray[0],
+      y = centre[1] - ray[1],
+      z = centre[2] - ray[2],
+      along = x * ray[3] + y * ray[4] + z * ray[5];
+    return x * x + y * y + z * z - along * along <= radius * radius;
+  }
+
+  // The nearest triangle of a mesh along a ray, nearer than `most`; as in transport.glsl. Returns the distance,
+  // 0 where there is none; the normal in the world is left in `normal`.
+  function meetMesh(texels, { tree, one }, ray, most, normal) {
+    const { turn, at, scale } = one,
+      px = ray[0] - at[0],
+      py = ray[1] - at[1],
+      pz = ray[2] - at[2],
+      by = 1 / scale;
+    const ox = (turn[0][0] * px + turn[1][0] * py + turn[2][0] * pz) * by,
+      oy = (turn[0][1] * px + turn[1][1] * py + turn[2][1] * pz) * by,
+      oz = (turn[0][2] * px + turn[1][2] * py + turn[2][2] * pz) * by;
+    const dx = (turn[0][0] * ray[3] + turn[1][0] * ray[4] + turn[2][0] * ray[5]) * by,
+      dy = (turn[0][1] * ray[3] + turn[1][1] * ray[4] + turn[2][1] * ray[5]) * by,
+      dz = (turn[0][2] * ray[3] + turn[1][2] * ray[4] + turn[2][2] * ray[5]) * by;
+    const ix = 1 / (dx || 1e-20),
+      iy = 1 / (dy || 1e-20),
+      iz = 1 / (dz || 1e-20);
+    let t = most,
+      nearest = -1,
+      node = tree.first;
+    while (node < tree.last) {
       const n = 8 * node,
-        ax = (texels[n] - o[0]) * i0,
-        bx = (texels[n + 4] - o[0]) * i0,
-        ay = (texels[n + 1] - o[1]) * i1,
-        by = (texels[n + 5] - o[1]) * i1;
-      const az = (texels[n + 2] - o[2]) * i2,
-        bz = (texels[n + 6] - o[2]) * i2;
-      const enter = Math.max(Math.min(ax, bx), Math.min(ay, by), Math.min(az, bz), 0),
-        leave = Math.min(Math.max(ax, bx), Math.max(ay, by), Math.max(az, bz), t);
+        ax = (texels[n] - ox) * ix,
+        bx = (texels[n + 4] - ox) * ix,
+        ay = (texels[n + 1] - oy) * iy,
+        by_ = (texels[n + 5] - oy) * iy,
+        az = (texels[n + 2] - oz) * iz,
+        bz = (texels[n + 6] - oz) * iz;
+      let enter = 0,
+        leave = t;
+      if (ax < bx) {
+        if (ax > enter) enter = ax;
+        if (bx < leave) leave = bx;
+      } else {
+        if (bx > enter) enter = bx;
+        if (ax < leave) leave = ax;
+      }
+      if (ay < by_) {
+        if (ay > enter) enter = ay;
+        if (by_ < leave) leave = by_;
+      } else {
+        if (by_ > enter) enter = by_;
+        if (ay < leave) leave = ay;
+      }
+      if (az < bz) {
+        if (az > enter) enter = az;
+        if (bz < leave) leave = bz;
+      } else {
+        if (bz > enter) enter = bz;
+        if (az < leave) leave = az;
+      }
       if (enter > leave * 1.0000004) {
         node = texels[n + 3];
         continue;
       }
       const code = texels[n + 7];
       if (code >= 0) {
-        const first = code >> 3;
-        for (let k = first; k < first + (code & 7); k++) {
-          const at = 4 * (mesh.triangles + Irodori.TRIANGLE * k),
-            p = [texels[at], texels[at + 1], texels[at + 2]];
-          const e = [texels[at + 4] - p[0], texels[at + 5] - p[1], texels[at + 6] - p[2]],
-            f = [texels[at + 8] - p[0], texels[at + 9] - p[1], texels[at + 10] - p[2]];
-          const pv = cross(d, f),
-            det = dot(e, pv);
+        const first = code >> 3,
+          last = first + (code & 7);
+        for (let k = first; k < last; k++) {
+          const i = 4 * (tree.triangles + Irodori.TRIANGLE * k),
+            cx = texels[i],
+            cy = texels[i + 1],
+            cz = texels[i + 2];
+          const ex = texels[i + 4] - cx,
+            ey = texels[i + 5] - cy,
+            ez = texels[i + 6] - cz,
+            fx = texels[i + 8] - cx,
+            fy = texels[i + 9] - cy,
+            fz = texels[i + 10] - cz;
+          const vx = dy * fz - dz * fy,
+            vy = dz * fx - dx * fz,
+            vz = dx * fy - dy * fx,
+            det = ex * vx + ey * vy + ez * vz;
           if (det === 0) continue;
-          const tv = subtract(o, p),
-            u = dot(tv, pv) / det;
+          const sx = ox - cx,
+            sy = oy - cy,
+            sz = oz - cz,
+            u = (sx * vx + sy * vy + sz * vz) / det;
           if (u < 0 || u > 1) continue;
-          const qv = cross(tv, e),
-            v = dot(d, qv) / det,
-            far = dot(f, qv) / det;
-          if (v >= 0 && u + v <= 1 && far > 0 && far < t) [t, found] = [far, [e, f]];
+          const qx = sy * ez - sz * ey,
+            qy = sz * ex - sx * ez,
+            qz = sx * ey - sy * ex,
+            v = (dx * qx + dy * qy + dz * qz) / det;
+          if (v < 0 || u + v > 1) continue;
+          const far = (fx * qx + fy * qy + fz * qz) / det;
+          if (far > 0 && far < t) {
+            t = far;
+            nearest = i;
+          }
         }
       }
       node++;
     }
-    return found && { t, normal: times(one.turn, unit(cross(...found), [0, 0, 1])) };
+    if (nearest < 0) return 0;
+    const ex = texels[nearest + 4] - texels[nearest],
+      ey = texels[nearest + 5] - texels[nearest + 1],
+      ez = texels[nearest + 6] - texels[nearest + 2],
+      fx = texels[nearest + 8] - texels[nearest],
+      fy = texels[nearest + 9] - texels[nearest + 1],
+      fz = texels[nearest + 10] - texels[nearest + 2];
+    const x = ey * fz - ez * fy,
+      y = ez * fx - ex * fz,
+      z = ex * fy - ey * fx,
+      length = Math.sqrt(x * x + y * y + z * z) || 1;
+    for (let a = 0; a < 3; a++) normal[a] = (turn[a][0] * x + turn[a][1] * y + turn[a][2] * z) / length;
+    return t;
+  }
+
+  // Whether a part of a mesh stands above the plane through a node, so that a ray from there may meet it.
+  function standsAbove(texels, { tree, one }, origin, facet) {
+    const n = back(one.turn, facet),
+      o = scaled(back(one.turn, subtract(origin, one.at)), 1 / one.scale),
+      level = dot(o, n);
+    for (let node = tree.first; node < tree.last;) {
+      const i = 8 * node;
+      let top = -level;
+      for (let a = 0; a < 3; a++) top += n[a] * texels[n[a] > 0 ? i + 4 + a : i + a];
+      if (top <= 0) {
+        node = texels[i + 3];
+        continue;
+      }
+      const code = texels[i + 7];
+      if (code >= 0)
+        for (let k = code >> 3; k < (code >> 3) + (code & 7); k++)
+          for (let c = 0; c < 3; c++) {
+            const p = 4 * (tree.triangles + Irodori.TRIANGLE * k + c);
+            if (n[0] * texels[p] + n[1] * texels[p + 1] + n[2] * texels[p + 2] > level) return true;
+          }
+      node++;
+    }
+    return false;
   }
 
   const raised = (point, facet, reach) => add(point, facet, RISE * Math.max(...point.map(Math.abs), reach));
@@ -263,12 +363,15 @@ var Irodori = Irodori || {};
     return { nodes, cells };
   }
 
+  // Of every point of Hammersley, in three numbers: its first, the cosine and sine of the turn that its second is.
   function hammersley(count) {
-    return Array.from({ length: count }, (_, i) => {
+    const found = new Float64Array(3 * count);
+    for (let i = 0; i < count; i++) {
       let mirrored = 0;
       for (let n = i, digit = 0.5; n; n >>= 1, digit *= 0.5) mirrored += digit * (n & 1);
-      return [(i + 0.5) / count, mirrored];
-    });
+      found.set([(i + 0.5) / count, Math.cos(2 * Math.PI * mirrored), Math.sin(2 * Math.PI * mirrored)], 3 * i);
+    }
+    return found;
   }
 
   Irodori.MovedShadows = class {
@@ -318,8 +421,8 @@ var Irodori = Irodori || {};
       );
     }
 
-    // Cast rays for a state in slices of a few milliseconds, twice: few rays, then many; `shown` is called after each.
-    // What was begun for another state is given up; resolves to whether this one was finished.
+    // Cast rays for a state in slices of a few milliseconds, twice: few rays, then as many as the renderer does;
+    // `shown` is called after each. What was begun for another state is given up; resolves to whether this one was finished.
     async cast(state, shown) {
       const key = Irodori.MovedShadows.key(state);
       if (key === this.running) return false;
@@ -333,7 +436,7 @@ var Irodori = Irodori || {};
         const points = this.cloud(mesh.number, mesh.one),
           low = [0, 1, 2].map((a) => points.reduce((x, p) => Math.min(x, p[a]), Infinity)),
           high = [0, 1, 2].map((a) => points.reduce((x, p) => Math.max(x, p[a]), -Infinity));
-        mesh.centre = scaled(add(low, high), 0.5);
+        mesh.centre = Float64Array.from(scaled(add(low, high), 0.5));
         mesh.radius = points.reduce((x, p) => Math.max(x, Math.hypot(...subtract(p, mesh.centre))), 0);
       }
       const others = all.filter((one) => one && one.shape !== "mesh"),
@@ -375,8 +478,12 @@ var Irodori = Irodori || {};
     // The numbers of a node, and whether it lies in the open.
     node({ origin, normal, facet }, number, points, { meshes, others, layers, own }) {
       const values = new Float64Array(LAYERS + 4 * layers.length),
-        count = points.length;
-      const near = meshes.filter((mesh) => dot(subtract(mesh.centre, origin), normal) > -1.001 * mesh.radius);
+        count = points.length / 3,
+        texels = this.mesh.data;
+      const near = meshes.filter(
+        (mesh) =>
+          dot(subtract(mesh.centre, origin), normal) > -1.001 * mesh.radius && standsAbove(texels, mesh, origin, facet),
+      );
       if (!near.length) {
         values[LEFT] = values[UNCOVERED] = 1;
         return { values, open: true };
@@ -386,45 +493,63 @@ var Irodori = Irodori || {};
         b = normal[0] * normal[1] * a;
       const tangent = [1 + sign * normal[0] ** 2 * a, sign * b, -sign * normal[0]],
         other = [b, sign + normal[1] ** 2 * a, -normal[1]];
+      const ray = new Float64Array(6),
+        facing = new Float64Array(3);
+      ray.set(origin);
+      // Every node turns the points in its own way (Roberts' sequence): what is left of the error is noise, not steps.
+      const shift = (number * 0.7548776662466927) % 1,
+        turn = 2 * Math.PI * ((number * 0.5698402909980532) % 1),
+        cosTurn = Math.cos(turn),
+        sinTurn = Math.sin(turn);
+      const [tx, ty, tz] = tangent,
+        [ox, oy, oz] = other,
+        [nx, ny, nz] = normal,
+        [fx, fy, fz] = facet;
       let free = 0,
         inside = 0;
-      for (const point of points) {
-        const u = (point[0] + number * 0.7548776662466927) % 1,
-          turn = 2 * Math.PI * ((point[1] + number * 0.5698402909980532) % 1),
-          far = Math.sqrt(u);
-        let to = add(
-          add(scaled(tangent, far * Math.cos(turn)), other, far * Math.sin(turn)),
-          normal,
-          Math.sqrt(Math.max(1 - u, 0)),
-        );
-        const height = dot(to, facet);
-        if (height < LIFT) to = unit(add(to, facet, LIFT - height), facet);
-        const ray = { from: origin, to };
+      for (let i = 0; i < points.length; i += 3) {
+        let u = points[i] + shift;
+        if (u >= 1) u -= 1;
+        const far = Math.sqrt(u),
+          up = Math.sqrt(1 - u),
+          x = far * (points[i + 1] * cosTurn - points[i + 2] * sinTurn),
+          y = far * (points[i + 2] * cosTurn + points[i + 1] * sinTurn);
+        ray[3] = x * tx + y * ox + up * nx;
+        ray[4] = x * ty + y * oy + up * ny;
+        ray[5] = x * tz + y * oz + up * nz;
+        const height = ray[3] * fx + ray[4] * fy + ray[5] * fz;
+        if (height < LIFT) {
+          for (let a = 0; a < 3; a++) ray[3 + a] += (LIFT - height) * facet[a];
+          const length = Math.hypot(ray[3], ray[4], ray[5]);
+          for (let a = 0; a < 3; a++) ray[3 + a] /= length;
+        }
         let nearest = Infinity,
           shape = null,
-          hit = null,
           which = -1;
-        for (const one of others) {
-          const t = one === own ? 0 : distance(one, origin, to);
-          if (t > 0 && t < nearest) [nearest, shape] = [t, one];
+        for (let n = 0; n < others.length; n++) {
+          const t = others[n] === own ? 0 : distance(others[n], ray);
+          if (t > 0 && t < nearest) {
+            nearest = t;
+            shape = others[n];
+          }
         }
-        const blocked = shape !== null;
-        for (const mesh of near) {
-          const away = subtract(mesh.centre, origin),
-            along = dot(away, to);
-          if (dot(away, away) - along * along > mesh.radius ** 2) continue;
-          const found = meetMesh(this.mesh.data, mesh.tree, mesh.one, ray, nearest);
-          if (found) [nearest, hit, which] = [found.t, found, mesh.number];
+        for (let n = 0; n < near.length; n++) {
+          if (!mayMeet(near[n], ray)) continue;
+          const t = meetMesh(texels, near[n], ray, nearest, facing);
+          if (t > 0) {
+            nearest = t;
+            which = near[n].number;
+          }
         }
-        if (!blocked) free++;
-        if (hit) {
+        if (shape === null) free++;
+        if (which >= 0) {
           values[HIDDEN]++;
-          if (dot(hit.normal, to) < 0) {
+          if (facing[0] * ray[3] + facing[1] * ray[4] + facing[2] * ray[5] < 0) {
             const at = LAYERS + 4 * (layers.includes(which) ? layers.indexOf(which) : layers.length - 1);
             values[at]++;
-            for (const c of [0, 1, 2]) values[at + 1 + c] += hit.normal[c];
+            for (let a = 0; a < 3; a++) values[at + 1 + a] += facing[a];
           } else inside++;
-        } else if (blocked) {
+        } else if (shape !== null) {
           values[UNCOVERED]++;
           if (shape.shape === "sphere" && Math.hypot(...subtract(origin, shape.at)) < shape.reach) inside++;
         } else values[LEFT]++;
