@@ -14,7 +14,7 @@ from pathlib import Path
 
 from irodori.capture.journal import Journal, storing
 from irodori.capture.operator import HandSettings, Operator
-from irodori.capture.rig.devices import NOT_REPORTED, CameraDevice, RigDevice
+from irodori.capture.rig.devices import ANGLE_TOLERANCE_DEG, NOT_REPORTED, CameraDevice, DeviceError, RigDevice
 from irodori.capture.setup_steps import hand_settings, motor_targets
 from irodori.config.capture_table import Shot, Taken
 from irodori.core.atomic_files import file_sha256
@@ -53,6 +53,38 @@ class Tally:
     seconds: float = 0.0
 
 
+class PositionError(DeviceError):
+    """A rig that has lost steps; its photographs may show other places than they are named after."""
+
+
+@dataclass(frozen=True)
+class PositionCheck:
+    """Comparison of the rig's count with its limit switches, after photographs were taken.
+
+    Parameters
+    ----------
+    photographs : int
+        How many were taken since the comparison before, or since the sitting began.
+    lost_deg : dict
+        Axis: how far it stood above the angle that the controller counted, degrees.
+    """
+
+    photographs: int
+    lost_deg: Mapping[str, float]
+
+    def beyond(self, limit_deg: Mapping[str, float]) -> str:
+        """Return in words which axes stood further off than a limit, empty where none did."""
+        off = {name: lost for name, lost in self.lost_deg.items() if abs(lost) > limit_deg[name] + ANGLE_TOLERANCE_DEG}
+        return ", ".join(f"{name} stood {lost:+.3g} degrees off its count" for name, lost in off.items())
+
+    def __str__(self) -> str:
+        return "limit switches found: " + self.beyond(dict.fromkeys(self.lost_deg, -1.0))
+
+    def plain(self) -> dict:
+        """Return it as plain values for a record."""
+        return {"photographs": self.photographs, "lost_deg": dict(self.lost_deg)}
+
+
 class Session:
     """One sitting.
 
@@ -88,12 +120,16 @@ class Session:
         self._series, self._body = Series(()), ""
         #: What the drift frames of this sitting have shown.
         self.drift: list[Drift] = []
+        #: What the rig's limit switches have shown at the end of this sitting.
+        self.position: list[PositionCheck] = []
         if rig is not None:
             # A feed hold is a person's, and so is its end.
             rig.on_hold = operator.confirm
 
     def run(self, planned: Sequence[Shot], label: str) -> Tally:
         """Take what is missing of a plan, in its order; a rig that does not know where it stands is homed first.
+
+        At the end the rig's count is held against its limit switches.
 
         Raises
         ------
@@ -114,12 +150,58 @@ class Session:
             if not self.rig.status().homed:
                 LOGGER.info("%s: homing the rig", label)
                 self.rig.home()
-        self._series = self._recalled(planned, missing)
-        for shot in track(missing, f"capture {label}"):
-            self._take(shot)
+        tries = 0
+        while missing:
+            tries += 1
+            self._series = self._recalled(planned, missing)
+            for shot in track(missing, f"capture {label}"):
+                self._take(shot)
+            self._hold_against_switches(missing, tries)
+            missing = self.journal.missing(planned)
         self.journal.finish(planned)
         self.tally.seconds = time.monotonic() - begun
         return self.tally
+
+    def _hold_against_switches(self, taken: Sequence[Shot], times: int) -> None:
+        """See whether the rig has lost steps; photographs of wrong places are set aside, unless a person keeps them.
+
+        Raises
+        ------
+        PositionError
+            Where no person can be asked and they were taken again already.
+        DeviceError
+            If the rig is at fault, or if the person stops.
+        """
+        if self.rig is None:
+            return
+        placed = [shot.file for shot in taken if motor_targets(shot, self.rig.axes)]
+        if not placed:
+            return
+        if self.rig.cannot_recount:
+            LOGGER.info("lost steps are not looked for: %s", self.rig.cannot_recount)
+            return
+        check = PositionCheck(len(placed), self.rig.recount())
+        self.position.append(check)
+        self._stands = {}
+        LOGGER.info("%s", check)
+        off = check.beyond({name: axis.step_deg for name, axis in self.rig.axes.items()})
+        if not off:
+            return
+        self.tally.doubted += len(placed)
+        found = f"{off}: steps were lost, and {len(placed)} photographs since the rig was homed are in doubt: "
+        found += ", ".join(placed)
+        reason = ""
+        if self._hand.operator.attended:
+            reason = " ".join(self._hand.operator.judge(f"{self.journal.table}: {found}").split())
+        if reason:
+            self.journal.accept(placed, reason)
+            self.tally.accepted += len(placed)
+            return
+        self.journal.drop(placed, "doubtful")
+        self.tally.taken -= len(placed)
+        if not self._hand.operator.attended and times >= _UNATTENDED_TRIES:
+            raise PositionError(f"{found}; they are set aside: look at speed, current and friction, and start again")
+        LOGGER.warning("%s; they are set aside, and taken once more", found)
 
     def _recalled(self, planned: Sequence[Shot], missing: Sequence[Shot]) -> Series:
         """Return what the next photographs are compared with, from those of an earlier sitting."""
