@@ -183,7 +183,7 @@ def photograph(
     kept_record = Path(record) if target.is_virtual else table.with_suffix(".json")
     with claimed(table, folder, owner), ending_in_order():
         if target.is_virtual:
-            _start_over_if_changed(table, provenance)
+            _start_over_if_changed(table, kept_record, provenance)
         journal = Journal(table, folder)
         position = _earlier_checks(kept_record)
         tally = take_stock(journal, planned)
@@ -212,7 +212,7 @@ def photograph(
         return {str(folder / file): sha256 for file, sha256 in journal.sha256.items()}
 
 
-def _start_over_if_changed(table: Path, provenance: Provenance) -> None:
+def _start_over_if_changed(table: Path, record: Path, provenance: Provenance) -> None:
     """Remove a virtual session's photographs where their definition or the code that made them has changed.
 
     Raises
@@ -228,7 +228,7 @@ def _start_over_if_changed(table: Path, provenance: Provenance) -> None:
     with storing(table.parent):
         for path in (
             table,
-            table.with_suffix(".json"),
+            record,
             table.with_name(RETIRED),
             *table.parent.glob(f"*{VirtualCamera.suffix}"),
         ):
