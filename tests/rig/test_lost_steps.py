@@ -89,6 +89,22 @@ def test_another_alarm_ends_it_with_the_soft_limits_on_again(ready):
     assert bench.machine.settings[20] == 1 and not rig.status().homed
 
 
+def test_a_switch_that_chatters_while_the_axis_creeps_is_gone_over(ready):
+    rig, bench = ready()
+    jogs = []
+
+    def chatter(data):
+        jogs.append(data)
+        if data == b"?" and len([line for line in jogs if line.startswith(b"$J")]) == 4 and b"chatter" not in jogs:
+            jogs.append(b"chatter")
+            bench.machine.raise_alarm(1)
+        return data
+
+    bench.on_the_way = chatter
+    assert rig.recount() == {"camera_deg": 0.0, "turn_deg": 0.0}
+    assert b"chatter" in jogs
+
+
 @pytest.mark.parametrize(
     ("protocol", "firmware", "why"),
     [("grbl", FLUIDNC, "FluidNC"), ("ascii", FIRMWARES[0], "does not tell where a limit switch closes")],

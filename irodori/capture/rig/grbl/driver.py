@@ -340,8 +340,10 @@ class GrblRig(ControlledRig):
                 report = self._talk.ask_report()
                 self._talk.command("$X")
                 self._talk.alarm = None
-                # Another switch, which an axis has left on, may chatter.
                 if drive.channel not in report.pins:
+                    # A slow stop costs no steps, and another switch, which its axis stands on, may chatter.
+                    if speed > self._settings[24] / 60.0:
+                        raise
                     continue
             else:
                 report = self._talk.ask_report()
