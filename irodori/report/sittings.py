@@ -1,4 +1,4 @@
-"""What the report says of the rig and the lamp while photographs were taken."""
+"""Summary of rig and lamp while photographs were taken, for the report."""
 
 import json
 from collections.abc import Sequence

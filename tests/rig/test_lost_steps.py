@@ -89,6 +89,21 @@ def test_another_alarm_ends_it_with_the_soft_limits_on_again(ready):
     assert bench.machine.settings[20] == 1 and not rig.status().homed
 
 
+def test_a_byte_lost_from_the_soft_limits_leaves_no_other_setting_changed(ready):
+    rig, bench = ready()
+    before, lost = dict(bench.machine.settings), []
+
+    def without_a_zero(data):
+        if data == b"$20=1\n" and not lost:
+            lost.append(data)
+            return b"$2=1\n"
+        return data
+
+    bench.on_the_way = without_a_zero
+    assert rig.recount() == {"camera_deg": 0.0, "turn_deg": 0.0}
+    assert lost and bench.machine.settings == before
+
+
 def test_a_switch_that_chatters_while_the_axis_creeps_is_gone_over(ready):
     rig, bench = ready()
     jogs = []

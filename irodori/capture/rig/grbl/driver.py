@@ -237,14 +237,25 @@ class GrblRig(ControlledRig):
         ------
         SettingError
             If the firmware has its settings in a file of its own, or if one stands otherwise than written.
+        GarbledError
+            If a byte that was lost on the way has made it another setting; that one is put back.
         CommandError, HeldError, DeadlineError, LinkError
         """
         if self._firmware == FLUIDNC:
             raise SettingError("FluidNC shows its $ settings but does not take them: change its config.yaml")
-        self._homed = False
+        self._homed, before = False, self._settings
         for key, value in wanted.items():
             self._talk.command(f"${key}={value:.10g}")
         self._settings = self.settings()
+        # Without homing Grbl has no soft limits either.
+        own = {*wanted, 20} if 22 in wanted else set(wanted)
+        hit = {key: value for key, value in before.items() if key not in own and self._settings.get(key) != value}
+        for key, value in hit.items():
+            self._talk.command(f"${key}={value:.10g}")
+        if hit:
+            self._settings = self.settings()
+            changed = ", ".join(f"${key}" for key in hit)
+            raise GarbledError(f"a byte was lost on the way and changed {changed}, which was put back; try again")
         for key, value in wanted.items():
             if abs(self._settings.get(key, math.inf) - value) > 5e-4:
                 raise SettingError(f"${key} was set to {value:g} and stands at {self._settings.get(key, 'nothing')}")
@@ -294,11 +305,20 @@ class GrblRig(ControlledRig):
                     found[name] = round(lost, 4) + 0.0
         except BaseException:
             with contextlib.suppress(DeviceError):
-                self.write_settings({20: 1})
+                self._soft_limits_on()
             raise
-        self.write_settings({20: 1})
+        self._soft_limits_on()
         self.home()
         return found
+
+    def _soft_limits_on(self) -> None:
+        for left in reversed(range(_TRIES)):
+            try:
+                self.write_settings({20: 1})
+                return
+            except (GarbledError, DeadlineError, CommandError, SettingError):
+                if not left:
+                    raise
 
     def _closing(self, drive: Drive, home: float, switch: float) -> float:
         """Return the count at which the switch of a drive closes, units."""
