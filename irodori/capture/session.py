@@ -134,7 +134,8 @@ class Session:
         Raises
         ------
         DeviceError
-            If rig, camera or disk is at fault; what was taken before stands in the table.
+            If rig, camera or disk is at fault; what was taken before stands in the table. `PositionError` where the
+            rig has lost steps.
         InputError
             If a photograph is broken or shot otherwise than asked for, `_TRIES` times in a row, or doubtful twice where
             nobody can be asked.
@@ -147,9 +148,7 @@ class Session:
             # A plan that leaves the rig's limits is refused before anything moves.
             for shot in planned:
                 self.rig.check(motor_targets(shot, self.rig.axes))
-            if not self.rig.status().homed:
-                LOGGER.info("%s: homing the rig", label)
-                self.rig.home()
+            self._know_place(self.rig, label)
         tries = 0
         while missing:
             tries += 1
@@ -161,6 +160,34 @@ class Session:
         self.journal.finish(planned)
         self.tally.seconds = time.monotonic() - begun
         return self.tally
+
+    def _know_place(self, rig: RigDevice, label: str) -> None:
+        """Home a rig that does not know where it stands; see of another whether it has lost steps since it was homed.
+
+        Raises
+        ------
+        PositionError
+            If it has, once: it is homed by then. A sitting that was broken off may have taken its photographs so.
+        DeviceError
+        """
+        if not rig.status().homed:
+            LOGGER.info("%s: homing the rig", label)
+            rig.home()
+            return
+        kept = [shot.file for shot in self.journal.shots.values() if motor_targets(shot, rig.axes)]
+        if not kept or rig.cannot_recount:
+            return
+        check = PositionCheck(0, rig.recount())
+        self.position.append(check)
+        if off := self._off(rig, check):
+            found = f"{off}: since it was homed, the rig has lost steps or was moved by hand"
+            todo = "delete those that were taken meanwhile and start again; there are"
+            raise PositionError(f"{found}; it is homed now: {todo} {', '.join(kept)}")
+
+    @staticmethod
+    def _off(rig: RigDevice, check: PositionCheck) -> str:
+        """Return in words which axes stood off by more than their step, empty where none did."""
+        return check.beyond({name: axis.step_deg for name, axis in rig.axes.items()})
 
     def _hold_against_switches(self, taken: Sequence[Shot], times: int) -> None:
         """See whether the rig has lost steps; photographs of wrong places are set aside, unless a person keeps them.
@@ -184,8 +211,7 @@ class Session:
         self.position.append(check)
         self._stands = {}
         LOGGER.info("%s", check)
-        off = check.beyond({name: axis.step_deg for name, axis in self.rig.axes.items()})
-        if not off:
+        if not (off := self._off(self.rig, check)):
             return
         self.tally.doubted += len(placed)
         found = f"{off}: steps were lost, and {len(placed)} photographs since the rig was homed are in doubt: "

@@ -6,7 +6,7 @@ from virtual_time import bench_of, opened, rig_of
 
 from irodori.capture.journal import Journal
 from irodori.capture.operator import AutoOperator
-from irodori.capture.rig.devices import AlarmError, CommandError, LinkError, SettingError
+from irodori.capture.rig.devices import AlarmError, CommandError, DeviceError, LinkError, SettingError
 from irodori.capture.rig.grbl.protocol import FIRMWARES, FLUIDNC
 from irodori.capture.session import PositionError, Session, take_stock
 from irodori.config.capture_table import Pose, Shot, read_captures
@@ -184,6 +184,19 @@ def test_steps_lost_twice_stop_the_sitting_with_the_photographs_in_doubt(tmp_pat
         sitting(tmp_path, rig, Slipping(bench, (2, 5)))
     assert not any((tmp_path / shot.file).exists() for shot in PLANNED)
     sitting(tmp_path, rig, QuickCamera())
+    assert_whole(tmp_path, PLANNED)
+
+
+def test_a_sitting_that_was_broken_off_is_held_against_the_switches_by_the_next(tmp_path, ready):
+    rig, bench = ready()
+    camera = Slipping(bench, (1,))
+    camera.faults = [None, DeviceError("its battery is empty")]
+    with pytest.raises(DeviceError, match="battery"):
+        sitting(tmp_path, rig, camera)
+    with pytest.raises(PositionError, match=r"camera_deg stood -0\.5 .*delete those .* there are 10\.dng$"):
+        sitting(tmp_path, rig, QuickCamera())
+    (tmp_path / "10.dng").unlink()
+    assert sitting(tmp_path, rig, QuickCamera()).tally.taken == 3
     assert_whole(tmp_path, PLANNED)
 
 
