@@ -60,6 +60,7 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     for name, run, text in (
         ("status", _status, "Say where the axes of a rig stand and what its controller says."),
         ("home", _home, "Find the reference position of every axis."),
+        ("recount", _recount, "Home, and say what the axes have lost in steps since they were homed."),
     ):
         command(name, run, text).add_argument("rig", help="name of a file in config/rigs")
     for name, run, text in (
@@ -132,6 +133,13 @@ def _status(options) -> None:
 def _home(options) -> None:
     with _rig(options.rig) as rig:
         rig.home()
+        _print_status(rig)
+
+
+def _recount(options) -> None:
+    with _rig(options.rig) as rig:
+        for name, lost in rig.recount().items():
+            print(f"{name} stood {lost:+.3f} degrees off its count")
         _print_status(rig)
 
 

@@ -310,6 +310,31 @@ class Journal:
                 os.fsync(out.fileno())
         self.shots[shot.file], self.sha256[shot.file] = shot, sha256
 
+    def drop(self, files: Iterable[str], why: str) -> None:
+        """Set photographs aside and take them out of the table, so that they are taken again.
+
+        Raises
+        ------
+        StorageError
+        """
+        # Set aside first: a file without a line would be noted again, a line without its file is dropped.
+        for file in files:
+            self.set_aside(file, why, self.sha256.pop(file))
+            del self.shots[file]
+        self._rewrite()
+
+    def accept(self, files: Iterable[str], reason: str) -> None:
+        """Note why photographs are kept that a session doubts.
+
+        Raises
+        ------
+        StorageError
+        """
+        for file in files:
+            shot = self.shots[file]
+            self.shots[file] = replace(shot, taken=replace(shot.taken, accepted=reason))
+        self._rewrite()
+
     def missing(self, planned: Sequence[Shot]) -> list[Shot]:
         """Return the photographs of a plan that are not there, in its order."""
         return [shot for shot in planned if shot.file not in self.shots]

@@ -5,7 +5,6 @@ every setting that its shot needs, once.
 """
 
 import os
-import secrets
 import select
 import shlex
 import sys
@@ -293,7 +292,7 @@ class FileOperator(Operator):
         self.folder.mkdir(parents=True, exist_ok=True)
         self._asked += 1
         # The second part keeps a late answer to a run that was killed from confirming a step of this one.
-        path = self.folder.absolute() / f"confirm-{self._asked}-{secrets.token_hex(2)}"
+        path = self.folder.absolute() / f"confirm-{self._asked}-{os.urandom(2).hex()}"
         path.unlink(missing_ok=True)
         told = how.format(shlex.quote(str(path)))
         _say(f"{request}. {told}")

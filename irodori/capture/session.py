@@ -14,7 +14,7 @@ from pathlib import Path
 
 from irodori.capture.journal import Journal, storing
 from irodori.capture.operator import HandSettings, Operator
-from irodori.capture.rig.devices import NOT_REPORTED, CameraDevice, RigDevice
+from irodori.capture.rig.devices import ANGLE_TOLERANCE_DEG, NOT_REPORTED, CameraDevice, DeviceError, RigDevice
 from irodori.capture.setup_steps import hand_settings, motor_targets
 from irodori.config.capture_table import Shot, Taken
 from irodori.core.atomic_files import file_sha256
@@ -53,6 +53,38 @@ class Tally:
     seconds: float = 0.0
 
 
+class PositionError(DeviceError):
+    """A rig that has lost steps; its photographs may show other places than they are named after."""
+
+
+@dataclass(frozen=True)
+class PositionCheck:
+    """Comparison of the rig's count with its limit switches, after photographs were taken.
+
+    Parameters
+    ----------
+    photographs : int
+        How many were taken since the comparison before, or since the sitting began.
+    lost_deg : dict
+        Axis: how far it stood above the angle that the controller counted, degrees.
+    """
+
+    photographs: int
+    lost_deg: Mapping[str, float]
+
+    def beyond(self, limit_deg: Mapping[str, float]) -> str:
+        """Return in words which axes stood further off than a limit, empty where none did."""
+        off = {name: lost for name, lost in self.lost_deg.items() if abs(lost) > limit_deg[name] + ANGLE_TOLERANCE_DEG}
+        return ", ".join(f"{name} stood {lost:+.3g} degrees off its count" for name, lost in off.items())
+
+    def __str__(self) -> str:
+        return "limit switches found: " + self.beyond(dict.fromkeys(self.lost_deg, -1.0))
+
+    def plain(self) -> dict:
+        """Return it as plain values for a record."""
+        return {"photographs": self.photographs, "lost_deg": dict(self.lost_deg)}
+
+
 class Session:
     """One sitting.
 
@@ -88,6 +120,8 @@ class Session:
         self._series, self._body = Series(()), ""
         #: What the drift frames of this sitting have shown.
         self.drift: list[Drift] = []
+        #: What the rig's limit switches have shown at the end of this sitting.
+        self.position: list[PositionCheck] = []
         if rig is not None:
             # A feed hold is a person's, and so is its end.
             rig.on_hold = operator.confirm
@@ -95,10 +129,13 @@ class Session:
     def run(self, planned: Sequence[Shot], label: str) -> Tally:
         """Take what is missing of a plan, in its order; a rig that does not know where it stands is homed first.
 
+        At the end the rig's count is held against its limit switches.
+
         Raises
         ------
         DeviceError
-            If rig, camera or disk is at fault; what was taken before stands in the table.
+            If rig, camera or disk is at fault; what was taken before stands in the table. `PositionError` where the
+            rig has lost steps.
         InputError
             If a photograph is broken or shot otherwise than asked for, `_TRIES` times in a row, or doubtful twice where
             nobody can be asked.
@@ -111,15 +148,86 @@ class Session:
             # A plan that leaves the rig's limits is refused before anything moves.
             for shot in planned:
                 self.rig.check(motor_targets(shot, self.rig.axes))
-            if not self.rig.status().homed:
-                LOGGER.info("%s: homing the rig", label)
-                self.rig.home()
-        self._series = self._recalled(planned, missing)
-        for shot in track(missing, f"capture {label}"):
-            self._take(shot)
+            self._know_place(self.rig, label)
+        tries = 0
+        while missing:
+            tries += 1
+            self._series = self._recalled(planned, missing)
+            for shot in track(missing, f"capture {label}"):
+                self._take(shot)
+            self._hold_against_switches(missing, tries)
+            missing = self.journal.missing(planned)
         self.journal.finish(planned)
         self.tally.seconds = time.monotonic() - begun
         return self.tally
+
+    def _know_place(self, rig: RigDevice, label: str) -> None:
+        """Home a rig that does not know where it stands; see of another whether it has lost steps since it was homed.
+
+        Raises
+        ------
+        PositionError
+            If it has, once: it is homed by then. A sitting that was broken off may have taken its photographs so.
+        DeviceError
+        """
+        if not rig.status().homed:
+            LOGGER.info("%s: homing the rig", label)
+            rig.home()
+            return
+        kept = [shot.file for shot in self.journal.shots.values() if motor_targets(shot, rig.axes)]
+        if not kept or rig.cannot_recount:
+            return
+        check = PositionCheck(0, rig.recount())
+        self.position.append(check)
+        if off := self._off(rig, check):
+            found = f"{off}: since it was homed, the rig has lost steps or was moved by hand"
+            todo = "delete those that were taken meanwhile and start again; there are"
+            raise PositionError(f"{found}; it is homed now: {todo} {', '.join(kept)}")
+
+    @staticmethod
+    def _off(rig: RigDevice, check: PositionCheck) -> str:
+        """Return in words which axes stood off by more than their step, empty where none did."""
+        return check.beyond({name: axis.step_deg for name, axis in rig.axes.items()})
+
+    def _hold_against_switches(self, taken: Sequence[Shot], times: int) -> None:
+        """See whether the rig has lost steps; photographs of wrong places are set aside, unless a person keeps them.
+
+        Raises
+        ------
+        PositionError
+            Where no person can be asked and they were taken again already.
+        DeviceError
+            If the rig is at fault, or if the person stops.
+        """
+        if self.rig is None:
+            return
+        placed = [shot.file for shot in taken if motor_targets(shot, self.rig.axes)]
+        if not placed:
+            return
+        if self.rig.cannot_recount:
+            LOGGER.info("lost steps are not looked for: %s", self.rig.cannot_recount)
+            return
+        check = PositionCheck(len(placed), self.rig.recount())
+        self.position.append(check)
+        self._stands = {}
+        LOGGER.info("%s", check)
+        if not (off := self._off(self.rig, check)):
+            return
+        self.tally.doubted += len(placed)
+        found = f"{off}: steps were lost, and {len(placed)} photographs since the rig was homed are in doubt: "
+        found += ", ".join(placed)
+        reason = ""
+        if self._hand.operator.attended:
+            reason = " ".join(self._hand.operator.judge(f"{self.journal.table}: {found}").split())
+        if reason:
+            self.journal.accept(placed, reason)
+            self.tally.accepted += len(placed)
+            return
+        self.journal.drop(placed, "doubtful")
+        self.tally.taken -= len(placed)
+        if not self._hand.operator.attended and times >= _UNATTENDED_TRIES:
+            raise PositionError(f"{found}; they are set aside: look at speed, current and friction, and start again")
+        LOGGER.warning("%s; they are set aside, and taken once more", found)
 
     def _recalled(self, planned: Sequence[Shot], missing: Sequence[Shot]) -> Series:
         """Return what the next photographs are compared with, from those of an earlier sitting."""

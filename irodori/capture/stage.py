@@ -20,6 +20,7 @@ from irodori.config.models import Camera, EnvironmentDefinition, Object, Rig, Sc
 from irodori.config.parts import PhotographedObject, SceneRadiance
 from irodori.core.atomic_files import file_sha256, written_whole
 from irodori.core.confined_paths import confined
+from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER
 from irodori.core.store import Provenance
 from irodori.core.termination import ending_in_order
@@ -179,10 +180,12 @@ def photograph(
     table = Path(target.table)
     folder = table.parent if target.folder is None else Path(target.folder)
     planned, status, drift = target.ordered(shots), {}, list[dict]()
+    kept_record = Path(record) if target.is_virtual else table.with_suffix(".json")
     with claimed(table, folder, owner), ending_in_order():
         if target.is_virtual:
-            _start_over_if_changed(table, provenance)
+            _start_over_if_changed(table, kept_record, provenance)
         journal = Journal(table, folder)
+        position = _earlier_checks(kept_record)
         tally = take_stock(journal, planned)
         missing = journal.missing(planned)
         needs = target.estimate(missing)
@@ -192,6 +195,7 @@ def photograph(
                 session = Session(camera, operator, journal, rig, tally, settle_s=target.settle_s)
                 session.run(planned, target.name)
                 status, drift = camera.status(), [frame.plain() for frame in session.drift]
+                position += [check.plain() for check in session.position]
         journal.finish(planned)
         LOGGER.info("%s: %s", target.name, ", ".join(f"{key} {value:g}" for key, value in vars(tally).items()))
         content = {
@@ -200,12 +204,15 @@ def photograph(
             "session": vars(tally),
             "camera": status,
             "drift": drift,
+            "position": position,
         }
-        _write_record(Path(record), content)
+        # Snakemake deletes its own record before each job; what was photographed at a bench stands beside it.
+        for path in {kept_record, Path(record)}:
+            _write_record(path, content)
         return {str(folder / file): sha256 for file, sha256 in journal.sha256.items()}
 
 
-def _start_over_if_changed(table: Path, provenance: Provenance) -> None:
+def _start_over_if_changed(table: Path, record: Path, provenance: Provenance) -> None:
     """Remove a virtual session's photographs where their definition or the code that made them has changed.
 
     Raises
@@ -219,9 +226,31 @@ def _start_over_if_changed(table: Path, provenance: Provenance) -> None:
     if mark.is_file() and mark.read_text(encoding="utf-8") == wanted:
         return
     with storing(table.parent):
-        for path in (table, table.with_name(RETIRED), *table.parent.glob(f"*{VirtualCamera.suffix}")):
+        for path in (
+            table,
+            record,
+            table.with_name(RETIRED),
+            *table.parent.glob(f"*{VirtualCamera.suffix}"),
+        ):
             path.unlink(missing_ok=True)
         mark.write_text(wanted, encoding="utf-8")
+
+
+def _earlier_checks(record: Path) -> list[dict]:
+    """Return what limit switches have shown at the end of earlier sittings; records of old versions do not tell.
+
+    Raises
+    ------
+    InputError
+        If the record is no JSON.
+    """
+    if not record.is_file():
+        return []
+    try:
+        return json.loads(record.read_text(encoding="utf-8")).get("position", [])
+    except (ValueError, AttributeError):
+        accepted = "the record of a session, or no such file"
+        raise InputError(record, "", "something else than such a record", accepted) from None
 
 
 def _write_record(path: Path, content: Mapping) -> None:

@@ -12,7 +12,7 @@ import re
 from pathlib import Path
 
 from irodori.core.errors import InputError
-from irodori.core.yaml_files import read_yaml
+from irodori.core.yaml_files import read_own_yaml
 from irodori.geometry.shape_blocks import variants
 
 SCHEMA_FOLDER = Path(__file__).resolve().parent / "schemas"
@@ -81,7 +81,7 @@ def load_schema(name: str) -> dict:
 
 @functools.cache
 def _read_schema(file: str) -> dict:
-    return read_yaml(SCHEMA_FOLDER / file)
+    return read_own_yaml(SCHEMA_FOLDER / file)
 
 
 def _inline(node, file: str):

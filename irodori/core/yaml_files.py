@@ -93,6 +93,12 @@ def _refuse_endless(root: yaml.Node) -> None:
     count(root)
 
 
+def read_own_yaml(path) -> dict:
+    """Read a YAML file of the package itself, some ten times faster than `read_yaml`, which guards against others'."""
+    with open(path, "rb") as file:
+        return yaml.load(file, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+
+
 def read_yaml(path) -> dict:
     """Read one YAML file that holds a block of keys.
 

@@ -13,6 +13,7 @@ from irodori.reflection.registry import lobe
 from irodori.report.calibration_part import camera_calibrations
 from irodori.report.figures import material_figure, planning_figure, spectra_figure
 from irodori.report.html_page import data_uri, write_page
+from irodori.report.sittings import sittings
 
 #: What the report says of a camera: attribute of its reference file, and what it is.
 _CAMERA_FIGURES = {
@@ -112,7 +113,7 @@ def write_report(inputs: dict, names: dict, benchmarks, output) -> None:
     ----------
     inputs : dict
         Files: errors, planning, imperfections; lists of budgets, references, registrations, materials, true_materials,
-        environments, calibrations, calibration_errors, selections, pictures, figures, true_pictures,
+        environments, sessions, calibrations, calibration_errors, selections, pictures, figures, true_pictures,
         comparisons, comparison_figures.
     names : dict
         objects, virtual_objects, environments, cameras, views, virtual_views, photographs, in the order of the files;
@@ -140,6 +141,7 @@ def write_report(inputs: dict, names: dict, benchmarks, output) -> None:
         environments=environments(names["environments"], inputs["environments"]),
         imperfections=read_rows(inputs["imperfections"], CostRow),
         plans=_plans(read_rows(inputs["planning"], PlanRow)),
+        sittings=sittings(inputs["sessions"]),
         registrations=registrations(names["objects"], inputs["registrations"]),
         cameras={n: _camera(path) for n, path in zip(names["cameras"], inputs["references"], strict=True)},
         calibrations=camera_calibrations(

@@ -95,6 +95,12 @@ def test_setup_lists_what_disagrees_and_changes_it_on_request(capsys, bench, boa
 
 def test_home_finds_the_reference_position_and_the_board_remembers_it(capsys, board):
     assert run(capsys, "home", "gonio-grbl")[0][0] == "state idle, homed"
+    board.fault("slip 0.5")
+    assert run(capsys, "recount", "gonio-grbl")[0][:3] == [
+        "camera_deg stood -0.500 degrees off its count",
+        "turn_deg stood +0.000 degrees off its count",
+        "state idle, homed",
+    ]
     assert run(capsys, "status", "gonio-grbl")[0][0] == "state idle, homed"
 
 

@@ -84,6 +84,7 @@ def test_an_object_and_its_camera_are_photographed_into_the_folders_that_their_f
     ]
     record = json.loads(Path("photos/jar.json").read_text())
     assert record["camera"]["serial_number"] == "1234567890"
+    assert record["position"] == [{"photographs": 8, "lost_deg": {"camera_deg": 0.0, "turn_deg": 0.0}}]
     assert main(["capture", "--camera", CAMERA]) == 0
     roles = [shot.role for shot in read_captures(f"photographs/{CAMERA}/captures.csv")]
     assert roles == ["dark"] * 2 + ["white"] * 3 + ["chart"] * 2

@@ -281,4 +281,5 @@ def test_faults_are_read_and_nonsense_lists_what_is_accepted():
         "reset",
         "alarm",
         "hold",
+        "slip",
     }

@@ -271,7 +271,7 @@ def test_the_command_that_the_message_names_confirms_and_the_file_goes(monkeypat
 def test_files_from_before_the_question_do_not_count(monkeypatch, tmp_path):
     (tmp_path / "confirm-1").touch()
     (tmp_path / "confirm-1-0000").touch()
-    monkeypatch.setattr("irodori.capture.operator.secrets.token_hex", lambda _: "0000")
+    monkeypatch.setattr("irodori.capture.operator.os.urandom", lambda _: b"\0\0")
     Bystander(monkeypatch, lambda command: None)
     with pytest.raises(DeadlineError, match=r"confirm-1-0000 did not appear in 0\.05 s"):
         FileOperator(tmp_path, deadline_s=0.05, poll_s=0.01).ask(STEP)

@@ -50,6 +50,8 @@ def test_a_session_photographs_all_and_a_second_one_nothing(tmp_path, monkeypatc
     assert_whole(tmp_path, planned)
     record = json.loads((tmp_path / "session.json").read_text())
     assert record["photographs"] == record["session"]["taken"] == len(planned) == 8
+    position = [{"photographs": 8, "lost_deg": {"camera_deg": 0.0, "turn_deg": 0.0}}]
+    assert record["position"] == position
     before = contents(tmp_path)
     times = {path: path.stat().st_mtime_ns for path in tmp_path.glob("*.dng")} | {
         tmp_path / "captures.csv": (tmp_path / "captures.csv").stat().st_mtime_ns
@@ -62,6 +64,7 @@ def test_a_session_photographs_all_and_a_second_one_nothing(tmp_path, monkeypatc
     capture(tmp_path, motion=True)
     record = json.loads((tmp_path / "session.json").read_text())
     assert (record["session"]["taken"], record["session"]["kept"]) == (0, 8)
+    assert record["position"] == position, "what the switches showed stays said"
     assert contents(tmp_path) == before
     assert all(path.stat().st_mtime_ns == then for path, then in times.items())
 

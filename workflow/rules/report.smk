@@ -213,6 +213,7 @@ rule write_report:
         imperfections="results/imperfections.csv",
         budgets=scenes.views("results/{scene}/error_budget/{view}.csv", virtual_only=True),
         references=expand("results/cameras/{camera}/reference.h5", camera=config["cameras"]),
+        sessions=sets.sessions,
         registrations=expand("results/{object}/registration.csv", object=config["objects"]),
         materials=expand("results/{object}/material.h5", object=config["objects"]),
         true_materials=expand("results/{object}/truth.h5", object=sets.virtual("objects")),

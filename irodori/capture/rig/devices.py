@@ -162,6 +162,28 @@ class RigDevice(ABC):
     def home(self) -> None:
         """Find the reference position of every axis. Blocks."""
 
+    def recount(self) -> dict[str, float]:
+        """Hold the controller's count against the limit switches, and home. Blocks.
+
+        Returns
+        -------
+        dict
+            Axis: how far it stood above the angle that the controller counted, degrees; what its motor lost in steps.
+
+        Raises
+        ------
+        CommandError
+            Where `cannot_recount` says why.
+        HeldError, AlarmError, LinkError, DeadlineError
+            A stop was sent.
+        """
+        raise CommandError(self.cannot_recount)
+
+    @property
+    def cannot_recount(self) -> str:
+        """Why the count cannot be held against limit switches, in words; empty where it can."""
+        return "its controller does not tell where a limit switch closes"
+
     @abstractmethod
     def move(self, targets_deg: Mapping[str, float]) -> None:
         """Move axes and wait until they stand there.

@@ -73,6 +73,11 @@ class AsciiMachine(Machine):
             for stage in self.stages:
                 stage.holding = bool(stage.blocks)
 
+    def slip(self, by: float, axis: int = 0) -> None:
+        """Lose steps of an axis; see `Machine.slip`."""
+        self.stages[axis].slip(0, by)
+        self._origin[self.channels[axis]] += by
+
     def raise_alarm(self, code: int) -> None:
         """Stop dead; where the description has words for an alarm, stay in it until homed."""
         for name, stage in self._named():

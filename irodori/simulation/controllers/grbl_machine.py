@@ -92,6 +92,7 @@ class GrblMachine(Machine):
         # Without switches there are no ends either, and the operator has put the axes at zero before switching on.
         self._has_ends = bool(self.settings[22])
         self.stage = Stage(starts if self._has_ends else [0.0 for _ in starts])
+        self._pressed = self._switches()
         self.stages = (self.stage,)
         self.power_up()
 
@@ -117,6 +118,11 @@ class GrblMachine(Machine):
         elif code not in (4, 5):
             self._restart()
 
+    def slip(self, by: float, axis: int = 0) -> None:
+        """Lose steps of an axis; see `Machine.slip`."""
+        self.stage.slip(axis, by)
+        self._origin[axis] += by
+
     def _soft_reset(self) -> None:
         if self.state == "Home" or self.stage.moving:
             self.raise_alarm(6 if self.state == "Home" else 3)
@@ -139,8 +145,11 @@ class GrblMachine(Machine):
             self._say(_LOCKED)
 
     def _stop_dead(self) -> None:
-        """Stop without a ramp: the motors lose steps, so that the count no longer fits the axes."""
-        if self.stage.moving and self.stage.speed:
+        """Stop without a ramp: the motors lose steps, so that the count no longer fits the axes.
+
+        Not from the slow rate of homing, which ends in such a stop as well.
+        """
+        if self.stage.moving and self.stage.speed > self.settings[24] / 60.0 * (1 + 1e-6):
             for axis in range(len(self.letters)):
                 share = self.stage.speed / (self._of(110, axis) / 60.0)
                 self._origin[axis] += self._rng.uniform(-_LOST_AT_SPEED, _LOST_AT_SPEED) * min(1.0, share)
@@ -237,6 +246,8 @@ class GrblMachine(Machine):
             room = PLANNER_BLOCKS - len(self.stage.blocks)
             fields.append(f"Bf:{room},{RX_BUFFER_BYTES - len(self._rx)}")
         fields.append(f"FS:{self.stage.speed * 60:.0f},0")
+        if pressed := "".join(self.letters[axis] for axis in sorted(self._switches())):
+            fields.append(f"Pn:{pressed}")
         if self._reports % 10 == 0:
             fields.append("WCO:" + _join([0.0] * len(self.letters)))
         elif self._reports % 10 == 1:
@@ -451,6 +462,13 @@ class GrblMachine(Machine):
         self._answer()
         self._say("ok")
 
+    def _switches(self) -> set[int]:
+        """Return the axes that press a switch: the one that homing seeks at its end, the other beyond the travel."""
+        if not self._has_ends:
+            return set()
+        ends = enumerate(zip(self.stage.position, self._length, strict=True))
+        return {axis for axis, (place, length) in ends if not -length - 1e-6 <= place < -1e-6}
+
     def _after_homing(self, axis: int) -> float:
         """Return the count of an axis once it has pulled off its switch, units."""
         negative = int(self.settings[23]) >> axis & 1
@@ -466,13 +484,18 @@ class GrblMachine(Machine):
 
     def _meet_stops(self) -> None:
         """Raise the alarm of a limit switch, or stall the motor at the end of the mechanics."""
+        before, self._pressed = self._pressed, self._switches()
         if self.state == "Home" or not self._has_ends:
             return
+        # Grbl looks at any change of its inputs, also where a switch opens; the others at one that closes.
+        changed = self._pressed - before or (before - self._pressed if self.firmware == GRBL else set())
+        if self.settings[21] and changed and self.state != "Alarm":
+            for axis in changed & self._pressed:
+                # The motor stops at the very step.
+                self.stage.shift(axis, max(-self._length[axis] - 2e-6, min(0.0, self.stage.position[axis])))
+            self.raise_alarm(1)
         for axis, length in enumerate(self._length):
             place = self.stage.position[axis]
-            # The switch at the end that homing seeks is pressed at that end, not beyond it.
-            if self.settings[21] and not -length - 1e-6 <= place < -1e-6 and self.stage.moving:
-                self.raise_alarm(1)
             end = min(max(place, -length - _STOP_BEHIND), _STOP_BEHIND)
             if end != place:
                 self.stage.shift(axis, end)

@@ -22,13 +22,14 @@ what
 ``reset``              the controller loses its power for a moment
 ``alarm N``            the controller raises an alarm without cause
 ``hold``               somebody presses the feed hold at the bench
+``slip U``             the motor of the first axis loses steps: it stands U units below its controller's count
 =====================  ==================================================================================
 """
 
 import math
 from dataclasses import dataclass
 
-#: Fault: its argument as "" (none), "count" or "seconds" (may be left out: for ever).
+#: Fault: its argument as "" (none), "count", "number", or "seconds" (may be left out: for ever).
 KINDS = {
     "drop-output": "count",
     "drop-input": "count",
@@ -39,6 +40,7 @@ KINDS = {
     "reset": "",
     "alarm": "count",
     "hold": "",
+    "slip": "number",
 }
 _WHENS = ("now", "line", "move")
 
@@ -76,7 +78,7 @@ def parse_fault(text: str) -> Fault:
     if not words or words[0] not in KINDS:
         raise ValueError(f"no fault {text!r}; faults: {', '.join(KINDS)}, after nothing, now, line N or move F")
     kind, *rest = words
-    if len(rest) > (1 if KINDS[kind] else 0) or (KINDS[kind] == "count" and not rest):
+    if len(rest) > (1 if KINDS[kind] else 0) or (KINDS[kind] in ("count", "number") and not rest):
         raise ValueError(f"{text!r}: {kind} takes {KINDS[kind] or 'nothing'}")
     return Fault(kind, _number(rest[0], text) if rest else math.inf, when, at)
 

@@ -96,6 +96,10 @@ class Machine(ABC):
     def press_hold(self) -> None:
         """Bring the axes to rest on their ramp and keep what they were to do, as the button at the bench does."""
 
+    @abstractmethod
+    def slip(self, by: float, axis: int = 0) -> None:
+        """Put an axis elsewhere, units, without the controller's knowing: its motor has lost steps."""
+
 
 class FaultyMachine:
     """A machine at the end of a line, with faults on command; the clock and the line itself are others'.
@@ -234,6 +238,8 @@ class FaultyMachine:
             self.machine.power_up()
         elif fault.kind == "hold":
             self.machine.press_hold()
+        elif fault.kind == "slip":
+            self.machine.slip(-fault.value)
         else:
             self.machine.raise_alarm(int(fault.value))
 

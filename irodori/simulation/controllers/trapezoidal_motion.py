@@ -89,6 +89,11 @@ class Stage:
         """Put an axis elsewhere than its moves took it, as a mechanical stop does."""
         self.position[axis] = position
 
+    def slip(self, axis: int, by: float) -> None:
+        """Put an axis and all that it is still to do elsewhere, units: steps that its motor did not make."""
+        for places in (self.position, self._start, *(block.target for block in self.blocks)):
+            places[axis] += by
+
     def _begin(self) -> None:
         self._start, self._done = list(self.position), 0.0
         self._length = math.dist(self.position, self.blocks[0].target)

@@ -50,12 +50,19 @@ from irodori.capture.rig.grbl.settings_check import (
     home_position,
     homing_s,
     number,
+    switch_position,
 )
 
 #: How often the controller is asked while it may still be starting, s.
 _KNOCK_S = 0.3
 #: Positions are sent and reported with three decimals.
 _ROUNDING = 1.5e-3
+#: How far beyond its place a switch is looked for that does not close there, degrees.
+_SEARCH_DEG = 5.0
+#: Where no hard limit stops an axis, its way to the switch has so many steps, and the last of them so many squared.
+_STEPS_TO_SWITCH = 4
+#: The alarm of a limit switch, and how often one that is not the axis's own is gone over.
+_HARD_LIMIT, _TRIES = 1, 3
 _SILENT = "it said nothing until it was reset, as after ALARM:1 or ALARM:2 (a limit switch, a target out of travel)"
 _NUMBER = re.compile(r"-?\d{1,9}(?:\.\d{1,6})?", re.ASCII)
 #: The tool word of Grbl's modal state, which our mark is written into, and the largest number it takes.
@@ -230,14 +237,25 @@ class GrblRig(ControlledRig):
         ------
         SettingError
             If the firmware has its settings in a file of its own, or if one stands otherwise than written.
+        GarbledError
+            If a byte that was lost on the way has made it another setting; that one is put back.
         CommandError, HeldError, DeadlineError, LinkError
         """
         if self._firmware == FLUIDNC:
             raise SettingError("FluidNC shows its $ settings but does not take them: change its config.yaml")
-        self._homed = False
+        self._homed, before = False, self._settings
         for key, value in wanted.items():
             self._talk.command(f"${key}={value:.10g}")
         self._settings = self.settings()
+        # Without homing Grbl has no soft limits either.
+        own = {*wanted, 20} if 22 in wanted else set(wanted)
+        hit = {key: value for key, value in before.items() if key not in own and self._settings.get(key) != value}
+        for key, value in hit.items():
+            self._talk.command(f"${key}={value:.10g}")
+        if hit:
+            self._settings = self.settings()
+            changed = ", ".join(f"${key}" for key in hit)
+            raise GarbledError(f"a byte was lost on the way and changed {changed}, which was put back; try again")
         for key, value in wanted.items():
             if abs(self._settings.get(key, math.inf) - value) > 5e-4:
                 raise SettingError(f"${key} was set to {value:g} and stands at {self._settings.get(key, 'nothing')}")
@@ -254,6 +272,103 @@ class GrblRig(ControlledRig):
             self._talk.command("$X")
             self._talk.alarm, self._homed = None, True
             self._write_mark()
+
+    # ---- lost steps
+
+    @property
+    def cannot_recount(self) -> str:
+        """Why the count cannot be held against limit switches, in words; empty where it can."""
+        if not self._homing:
+            return "this rig has no limit switches (motion.homing is false)"
+        return "FluidNC does not let its soft limits be switched off" if self._firmware == FLUIDNC else ""
+
+    def recount(self) -> dict[str, float]:
+        """Hold the controller's count against the limit switches, and home; see `RigDevice.recount`.
+
+        Homing itself does not tell what it corrects. So each axis goes slowly, at the rate at which homing finds the
+        switch, from where homing ended to where the switch closes. Soft limits, which end there, are off meanwhile; a
+        board that keeps them off because the line was lost is refused when it is opened next. With hard limits the
+        alarm stops the axis and the count stays; without, it goes in steps. An axis whose switch does not close is
+        given the `_SEARCH_DEG` for which it was looked for.
+        """
+        if self.cannot_recount:
+            raise CommandError(self.cannot_recount)
+        self._ready()
+        found = {}
+        try:
+            with self._stopping_on_failure():
+                self.write_settings({20: 0})
+                for name, drive in self.drives.items():
+                    home = home_position(self._settings, self._options, drive, self._homes)
+                    switch = switch_position(self._settings, drive, home)
+                    lost = (switch - self._closing(drive, home, switch)) / drive.units_per_deg
+                    found[name] = round(lost, 4) + 0.0
+        except BaseException:
+            with contextlib.suppress(DeviceError):
+                self._soft_limits_on()
+            raise
+        self._soft_limits_on()
+        self.home()
+        return found
+
+    def _soft_limits_on(self) -> None:
+        for left in reversed(range(_TRIES)):
+            try:
+                self.write_settings({20: 1})
+                return
+            except (GarbledError, DeadlineError, CommandError, SettingError):
+                if not left:
+                    raise
+
+    def _closing(self, drive: Drive, home: float, switch: float) -> float:
+        """Return the count at which the switch of a drive closes, units."""
+        ahead = math.copysign(1.0, switch - home)
+        last, slow = switch + ahead * _SEARCH_DEG * abs(drive.units_per_deg), self._settings[24] / 60.0
+        closed = self._until_closed(drive, home, drive.speed)
+        if self._settings[21]:
+            if closed is None:
+                closed = self._until_closed(drive, last, slow)
+            return last if closed is None else closed
+        step, at = (switch - home) / _STEPS_TO_SWITCH, home
+        while closed is not None:
+            at -= step
+            closed = self._until_closed(drive, at, drive.speed)
+        while closed is None:
+            if (at - last) * ahead >= 0.0:
+                return last
+            at += step
+            closed = self._until_closed(drive, at, slow)
+        # Once more in small steps, and from outside: a switch opens elsewhere than it closes.
+        self._until_closed(drive, at - 2.0 * step, slow)
+        places = (at + step * (part / _STEPS_TO_SWITCH**2 - 1.0) for part in range(1, _STEPS_TO_SWITCH**2))
+        return next((place for place in places if self._until_closed(drive, place, slow) is not None), at)
+
+    def _until_closed(self, drive: Drive, target: float, speed: float) -> float | None:
+        """Move a drive to a place, units; return where its switch has closed, None where it has not."""
+        name = drive.axis.name
+        for _ in range(_TRIES):
+            _, places = self._look()
+            way = [(places if other != name else {name: target})[other] - places[other] for other in places]
+            arrival = Deadline(abs(target - places[name]) / speed + self._travel(way) + 2.0 * self._timeout_s)
+            try:
+                self._talk.command(jog_line({drive.channel: target}, speed * 60.0))
+                self._await_arrival([places, {**places, name: target}], arrival)
+            except AlarmError:
+                if self._talk.alarm != _HARD_LIMIT:
+                    raise
+                self._talk.soft_reset()
+                report = self._talk.ask_report()
+                self._talk.command("$X")
+                self._talk.alarm = None
+                if drive.channel not in report.pins:
+                    # A slow stop costs no steps, and another switch, which its axis stands on, may chatter.
+                    if speed > self._settings[24] / 60.0:
+                        raise
+                    continue
+            else:
+                report = self._talk.ask_report()
+            return self._place(report, drive) if drive.channel in report.pins else None
+        raise AlarmError(f"{name}: {_TRIES} times ALARM:1 although its limit switch is open; look at the switches")
 
     # ---- steps of the above
 

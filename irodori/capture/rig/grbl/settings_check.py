@@ -125,6 +125,11 @@ def home_position(
     return settings[27] - settings[number(TRAVEL, drive)] if _homes_down(settings, drive) else -settings[27]
 
 
+def switch_position(settings: Mapping[int, float], drive: Drive, home: float) -> float:
+    """Return where the switch of a drive closes that stands at `home` after homing, controller units."""
+    return home - settings[27] if _homes_down(settings, drive) else home + settings[27]
+
+
 def travel_of(
     settings: Mapping[int, float], options: str, drive: Drive, homes: Mapping[str, float] = NOWHERE
 ) -> tuple[float, float]:

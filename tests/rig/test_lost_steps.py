@@ -1,0 +1,214 @@
+"""Lost steps: what the limit switches say of the controller's count, and what a session makes of it."""
+
+import pytest
+from sessions import QuickCamera, assert_whole
+from virtual_time import bench_of, opened, rig_of
+
+from irodori.capture.journal import Journal
+from irodori.capture.operator import AutoOperator
+from irodori.capture.rig.devices import AlarmError, CommandError, DeviceError, LinkError, SettingError
+from irodori.capture.rig.grbl.protocol import FIRMWARES, FLUIDNC
+from irodori.capture.session import PositionError, Session, take_stock
+from irodori.config.capture_table import Pose, Shot, read_captures
+
+NAMES = ("camera_deg", "turn_deg")
+
+
+@pytest.fixture
+def ready(monkeypatch):
+    """Return a function that homes a rig on a simulated controller, away from its switches."""
+
+    def start(firmware=FIRMWARES[0], **settings):
+        rig = rig_of("grbl")
+        bench = bench_of(rig, monkeypatch, firmware=firmware)
+        bench.machine.settings |= {int(key.removeprefix("S")): value for key, value in settings.items()}
+        driver = opened(rig, bench)
+        driver.home()
+        driver.move({"camera_deg": 50.0, "turn_deg": 100.0})
+        return driver, bench
+
+    return start
+
+
+@pytest.mark.parametrize("lost_deg", [(0.2, -1.2), (-1.0, 3.0)])
+@pytest.mark.parametrize("settings", [{"S21": 1}, {"S21": 0}, {"S23": 1}], ids=["hard limits", "none", "other end"])
+@pytest.mark.parametrize("firmware", [name for name in FIRMWARES if name != FLUIDNC])
+def test_what_the_motors_have_lost_is_measured_and_made_good(ready, firmware, settings, lost_deg):
+    rig, bench = ready(firmware, **settings)
+    for axis, (name, lost) in enumerate(zip(NAMES, lost_deg, strict=True)):
+        bench.machine.slip(lost * rig.drives[name].units_per_deg, axis)
+    found = rig.recount()
+    # Without hard limits the switch is looked for in steps of a 16th of a quarter of the pull-off of one unit.
+    within = {name: 0.02 / abs(rig.drives[name].units_per_deg) for name in NAMES}
+    assert all(abs(found[name] - lost) < within[name] for name, lost in zip(NAMES, lost_deg, strict=True)), found
+    rig.move({"camera_deg": 20.0})
+    true = {name: rig.drives[name].to_deg(bench.machine.stage.position[axis]) for axis, name in enumerate(NAMES)}
+    assert rig.position()["camera_deg"] == pytest.approx(20.0) == pytest.approx(true["camera_deg"], abs=2e-3)
+    assert bench.machine.settings[20] == 1 and rig.status().homed
+
+
+def test_more_than_is_looked_for_is_given_as_five_degrees(ready):
+    rig, bench = ready()
+    bench.machine.slip(12.0 * rig.drives["camera_deg"].units_per_deg)
+    assert rig.recount() == {"camera_deg": 5.0, "turn_deg": 0.0}
+    assert rig.status().homed
+
+
+def test_a_line_that_is_lost_meanwhile_leaves_a_board_that_is_refused(ready):
+    rig, bench = ready()
+    write, gone = bench.write, []
+
+    def lost(data):
+        if gone or data.startswith(b"$J"):
+            gone.append(data)
+            raise LinkError("the line is lost (hung up)")
+        write(data)
+
+    bench.write = lost
+    with pytest.raises(LinkError, match="hung up"):
+        rig.recount()
+    bench.write = write
+    with pytest.raises(SettingError, match=r"soft limits are off in the controller: set \$20=1"):
+        opened(rig_of("grbl"), bench)
+
+
+def test_another_alarm_ends_it_with_the_soft_limits_on_again(ready):
+    rig, bench = ready()
+    bench.machine.settings[21] = rig._settings[21] = 0
+    on_the_way = bench.on_the_way
+
+    def pressed(data):
+        if data.startswith(b"$J"):
+            bench.machine.raise_alarm(3)
+        return data
+
+    bench.on_the_way = pressed
+    with pytest.raises(AlarmError, match="ALARM:3"):
+        rig.recount()
+    bench.on_the_way = on_the_way
+    assert bench.machine.settings[20] == 1 and not rig.status().homed
+
+
+def test_a_byte_lost_from_the_soft_limits_leaves_no_other_setting_changed(ready):
+    rig, bench = ready()
+    before, lost = dict(bench.machine.settings), []
+
+    def without_a_zero(data):
+        if data == b"$20=1\n" and not lost:
+            lost.append(data)
+            return b"$2=1\n"
+        return data
+
+    bench.on_the_way = without_a_zero
+    assert rig.recount() == {"camera_deg": 0.0, "turn_deg": 0.0}
+    assert lost and bench.machine.settings == before
+
+
+def test_a_switch_that_chatters_while_the_axis_creeps_is_gone_over(ready):
+    rig, bench = ready()
+    jogs = []
+
+    def chatter(data):
+        jogs.append(data)
+        if data == b"?" and len([line for line in jogs if line.startswith(b"$J")]) == 4 and b"chatter" not in jogs:
+            jogs.append(b"chatter")
+            bench.machine.raise_alarm(1)
+        return data
+
+    bench.on_the_way = chatter
+    assert rig.recount() == {"camera_deg": 0.0, "turn_deg": 0.0}
+    assert b"chatter" in jogs
+
+
+@pytest.mark.parametrize(
+    ("protocol", "firmware", "why"),
+    [("grbl", FLUIDNC, "FluidNC"), ("ascii", FIRMWARES[0], "does not tell where a limit switch closes")],
+)
+def test_a_controller_that_cannot_tell_is_said_to_be_one(monkeypatch, protocol, firmware, why):
+    rig = rig_of(protocol)
+    driver = opened(rig, bench_of(rig, monkeypatch, firmware=firmware))
+    driver.home()
+    with pytest.raises(CommandError, match=why):
+        driver.recount()
+    assert driver.status().homed
+
+
+# ---- sessions
+
+PLANNED = [Shot(f"{angle:g}.dng", "object", Pose(45.0, angle), "out", 0.02) for angle in (10.0, 40.0, 70.0)]
+
+
+class Slipping(QuickCamera):
+    """Its motor slips by half a degree after the photographs of these numbers."""
+
+    def __init__(self, bench, after) -> None:
+        super().__init__()
+        self.bench, self.after = bench, after
+
+    def capture(self, shot, path):
+        super().capture(shot, path)
+        if len(self.taken) in self.after:
+            self.bench.machine.slip(1.0)
+
+
+def sitting(folder, rig, camera, operator=None):
+    journal = Journal(folder / "captures.csv")
+    tally = take_stock(journal, PLANNED)
+    session = Session(camera, operator or AutoOperator(dict), journal, rig, tally)
+    session.run(PLANNED, "test")
+    return session
+
+
+def test_a_sound_sitting_has_the_figure_and_keeps_its_photographs(tmp_path, ready):
+    rig, bench = ready()
+    session = sitting(tmp_path, rig, Slipping(bench, ()))
+    assert [check.plain() for check in session.position] == [
+        {"photographs": 3, "lost_deg": {"camera_deg": 0.0, "turn_deg": 0.0}}
+    ]
+    assert session.tally.taken == 3 and session.tally.doubted == 0
+
+
+def test_photographs_after_which_steps_are_missing_are_set_aside_and_taken_again(tmp_path, ready, caplog):
+    rig, bench = ready()
+    session = sitting(tmp_path, rig, Slipping(bench, (2,)))
+    assert [check.lost_deg["camera_deg"] for check in session.position] == [-0.5, 0.0]
+    assert "camera_deg stood -0.5 degrees off its count: steps were lost" in caplog.text
+    assert all(shot.file in caplog.text for shot in PLANNED)
+    assert_whole(tmp_path, PLANNED)
+    assert len(list(tmp_path.glob("*-doubtful-*.dng"))) == 3 and session.tally.taken == 3
+
+
+def test_steps_lost_twice_stop_the_sitting_with_the_photographs_in_doubt(tmp_path, ready):
+    rig, bench = ready()
+    with pytest.raises(PositionError, match=r"camera_deg stood -0\.5 .*10\.dng, 40\.dng, 70\.dng; they are set aside"):
+        sitting(tmp_path, rig, Slipping(bench, (2, 5)))
+    assert not any((tmp_path / shot.file).exists() for shot in PLANNED)
+    sitting(tmp_path, rig, QuickCamera())
+    assert_whole(tmp_path, PLANNED)
+
+
+def test_a_sitting_that_was_broken_off_is_held_against_the_switches_by_the_next(tmp_path, ready):
+    rig, bench = ready()
+    camera = Slipping(bench, (1,))
+    camera.faults = [None, DeviceError("its battery is empty")]
+    with pytest.raises(DeviceError, match="battery"):
+        sitting(tmp_path, rig, camera)
+    with pytest.raises(PositionError, match=r"camera_deg stood -0\.5 .*delete those .* there are 10\.dng$"):
+        sitting(tmp_path, rig, QuickCamera())
+    (tmp_path / "10.dng").unlink()
+    assert sitting(tmp_path, rig, QuickCamera()).tally.taken == 3
+    assert_whole(tmp_path, PLANNED)
+
+
+def test_a_person_may_keep_them_with_a_reason(tmp_path, ready):
+    class Person(AutoOperator):
+        attended = True
+
+        def judge(self, doubt):
+            assert "camera_deg stood -0.5 degrees off its count" in doubt and "40.dng" in doubt
+            return "the object is a sphere"
+
+    rig, bench = ready()
+    sitting(tmp_path, rig, Slipping(bench, (2,)), Person(dict))
+    kept = read_captures(tmp_path / "captures.csv", tmp_path)
+    assert {shot.taken.accepted for shot in kept} == {"the object is a sphere"}
