@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from irodori.capture.dialogue import Dialogue
 from irodori.capture.operator import (
     SETTINGS,
     AutoOperator,
@@ -195,13 +196,13 @@ def terminal(monkeypatch):
 @pytest.mark.parametrize("answer", [b"\n", b"y\n", b"Done\n"])
 def test_enter_confirms_on_a_terminal(terminal, answer):
     screen = terminal(answer)
-    PromptOperator().ask(STEP)
+    PromptOperator(Dialogue()).ask(STEP)
     assert str(STEP) in "".join(screen.shown)
 
 
 def test_an_answer_that_is_none_is_asked_for_again(terminal):
     screen = terminal(b"what?\n", b"\xff\xfe\n", b"\n")
-    PromptOperator().ask(STEP)
+    PromptOperator(Dialogue()).ask(STEP)
     assert sum("Enter when done" in text for text in screen.shown) == 3
 
 
@@ -209,33 +210,33 @@ def test_an_answer_that_is_none_is_asked_for_again(terminal):
 def test_the_person_may_stop_the_session(terminal, answer):
     terminal(answer)
     with pytest.raises(OperatorAbort, match=r"stopped by the person at the bench, before: Set the light to 45\.0°"):
-        PromptOperator().ask(STEP)
+        PromptOperator(Dialogue()).ask(STEP)
 
 
 def test_what_was_typed_before_the_question_is_no_answer(terminal):
     screen = terminal(b"q\n")
     os.write(screen.master, b"\n\n")
     with pytest.raises(OperatorAbort):
-        PromptOperator().ask(STEP)
+        PromptOperator(Dialogue()).ask(STEP)
 
 
 def test_nobody_at_the_terminal_ends_at_the_deadline(terminal):
     terminal()
     with pytest.raises(DeadlineError, match=r"nobody answered in 0\.05 s: Set the light"):
-        PromptOperator(deadline_s=0.05).ask(STEP)
+        PromptOperator(Dialogue(deadline_s=0.05)).ask(STEP)
 
 
 def test_an_input_that_is_no_terminal_is_refused_with_a_way_out(monkeypatch):
     with open(os.devnull) as nothing:
         monkeypatch.setattr(sys, "stdin", nothing)
         with pytest.raises(DeviceError, match=r"asked to set the light.*no terminal.*operator: file"):
-            PromptOperator().ask(STEP)
+            PromptOperator(Dialogue()).ask(STEP)
 
 
 def test_without_any_input_it_is_refused_as_well(monkeypatch):
     monkeypatch.setattr(sys, "stdin", None)
     with pytest.raises(DeviceError, match="no terminal"):
-        PromptOperator().ask(STEP)
+        PromptOperator(Dialogue()).ask(STEP)
 
 
 # ---- through a file
@@ -306,10 +307,10 @@ def test_the_virtual_bench_is_set_by_itself():
 
 
 def test_the_configuration_chooses_the_operator(tmp_path):
-    assert isinstance(make_operator("prompt", tmp_path, 5.0), PromptOperator)
-    assert make_operator("file", tmp_path, 5.0).deadline_s == 5.0
-    assert isinstance(make_operator("auto", tmp_path, set_bench=dict), AutoOperator)
+    assert isinstance(make_operator("prompt", tmp_path, Dialogue(5.0)), PromptOperator)
+    assert make_operator("file", tmp_path, Dialogue(5.0)).deadline_s == 5.0
+    assert isinstance(make_operator("auto", tmp_path, Dialogue(), set_bench=dict), AutoOperator)
     with pytest.raises(DeviceError, match="auto is for the virtual rig"):
-        make_operator("auto", tmp_path)
+        make_operator("auto", tmp_path, Dialogue())
     with pytest.raises(ValueError, match=r"no operator 'promt'; did you mean 'prompt'\?"):
-        make_operator("promt", tmp_path)
+        make_operator("promt", tmp_path, Dialogue())
