@@ -105,7 +105,10 @@ def capture(options) -> None:
         folder = Path("results", *(["cameras"] if options.camera else []), options.name, "captures")
         (folder / "session.json").unlink(missing_ok=True)
     dialogue = Dialogue(target.rig.operator_deadline_s)
-    page = served(dialogue, Address(options.address, options.port), target.name) if options.page else nullcontext()
+    where = {name: value for name in ("address", "port") if (value := getattr(options, name)) is not None}
+    if where and not options.page:
+        raise InputError(f"--{next(iter(where))}", "", "no --page that it belongs to", "it together with --page")
+    page = served(dialogue, Address(**where), target.name) if options.page else nullcontext()
     with ending_in_order(), page as server:
         if server is not None:
             print(f"the session's page: {server.url}", file=sys.stderr, flush=True)

@@ -86,11 +86,9 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     sub = command("capture", _of_a_camera("capture"), "Hold a session, or continue one: take what is missing.")
     _add_subject(sub)
     sub.add_argument("--page", action="store_true", help="show the session in a browser, and take answers there too")
-    text = "address of this computer in the network whose browsers are to reach the page (default: %(default)s, none)"
-    sub.add_argument("--address", default="127.0.0.1", help=text)
-    sub.add_argument(
-        "--port", type=int, default=8462, help="of the page; 0 for one that is free (default: %(default)s)"
-    )
+    text = "of the page: an address of this computer in the network that is to reach it; this computer alone if absent"
+    sub.add_argument("--address", help=text)
+    sub.add_argument("--port", type=int, help="of the page; 0 for one that is free, 8462 if absent")
     return parser
 
 

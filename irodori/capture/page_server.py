@@ -16,7 +16,7 @@ import socketserver
 import sys
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -55,24 +55,24 @@ class Address:
 
     Parameters
     ----------
-    host : str
-        An address of this computer in numbers.
+    address : str
+        One of this computer, in numbers.
     port : int
         0 for one that is free.
     """
 
-    host: str = "127.0.0.1"
+    address: str = "127.0.0.1"
     port: int = 8462
 
     def __post_init__(self) -> None:
         accepted = "one address of this computer in numbers, such as 192.168.1.5"
         try:
-            parsed = ipaddress.ip_address(self.host)
+            parsed = ipaddress.ip_address(self.address)
         except ValueError:
-            raise InputError("--address", "", repr(self.host), accepted) from None
+            raise InputError("--address", "", repr(self.address), accepted) from None
         if parsed.is_unspecified or parsed.is_multicast:
             # Requests name the address that they mean; one that stands for all could not be compared with it.
-            raise InputError("--address", "", f"{self.host}, which stands for many", accepted)
+            raise InputError("--address", "", f"{self.address}, which stands for many", accepted)
         if not 0 <= self.port <= 65535:
             raise InputError("--port", "", str(self.port), "0 to 65535")
 
@@ -90,7 +90,7 @@ class PageServer(ThreadingHTTPServer):
 
     Parameters
     ----------
-    address : Address
+    where : Address
     dialogue : Dialogue
     name : str
         Of what is photographed.
@@ -103,22 +103,21 @@ class PageServer(ThreadingHTTPServer):
 
     daemon_threads = True
 
-    def __init__(self, address: Address, dialogue: Dialogue, name: str) -> None:
+    def __init__(self, where: Address, dialogue: Dialogue, name: str) -> None:
         self.dialogue, self.name, self.token = dialogue, name, secrets.token_urlsafe(16)
         self._slots, self._streams = threading.BoundedSemaphore(_MOST_CONNECTIONS), threading.Condition()
         self._open_streams = 0
-        version = ipaddress.ip_address(address.host).version
-        self.address_family = socket.AF_INET6 if version == 6 else socket.AF_INET
+        parsed = ipaddress.ip_address(where.address)
+        self.address_family = socket.AF_INET6 if parsed.version == 6 else socket.AF_INET
         try:
-            super().__init__((address.host, address.port), _Handler)
+            super().__init__((where.address, where.port), _Handler)
         except OSError as error:
-            found = f"{address.host}, port {address.port}: {error.strerror or error}"
+            found = f"{where.address}, port {where.port}: {error.strerror or error}"
             accepted = "an address of this computer, and a port that is free"
             raise InputError("--address, --port", "", found, accepted) from None
         port = self.server_address[1]
-        shown = f"[{address.host}]" if version == 6 else address.host
-        self.hosts = [f"{shown}:{port}"]
-        if ipaddress.ip_address(address.host).is_loopback:
+        self.hosts = [f"[{where.address}]:{port}" if parsed.version == 6 else f"{where.address}:{port}"]
+        if parsed.is_loopback:
             self.hosts.append(f"localhost:{port}")
         self.url = f"http://{self.hosts[0]}/?token={self.token}"
         # Cookies do not tell ports apart.
@@ -144,7 +143,7 @@ class PageServer(ThreadingHTTPServer):
 
     def handle_error(self, request, client_address) -> None:
         """Let go of browsers that went away; all else is a mistake of ours and is said."""
-        if not isinstance(sys.exception() if hasattr(sys, "exception") else sys.exc_info()[1], OSError):
+        if not isinstance(sys.exc_info()[1], OSError):
             super().handle_error(request, client_address)
 
     @contextmanager
@@ -327,7 +326,7 @@ def _plain(view: View, name: str) -> dict:
 
 
 @contextmanager
-def served(dialogue: Dialogue, address: Address, name: str) -> Iterator[PageServer]:
+def served(dialogue: Dialogue, where: Address, name: str) -> Iterator[PageServer]:
     """Serve a dialogue's page for as long as the block runs, and say at its end how it ended.
 
     A stop from the page ends the main thread's work as Ctrl-C does, also where the program ignores that key (a job in
@@ -338,7 +337,7 @@ def served(dialogue: Dialogue, address: Address, name: str) -> Iterator[PageServ
     InputError
         See `PageServer`.
     """
-    server = PageServer(address, dialogue, name)
+    server = PageServer(where, dialogue, name)
     serving = threading.Thread(target=server.serve_forever, name="page", daemon=True)
     in_main = threading.current_thread() is threading.main_thread()
     before = signal.signal(signal.SIGUSR1, signal.default_int_handler) if in_main else None
@@ -365,5 +364,4 @@ def served(dialogue: Dialogue, address: Address, name: str) -> Iterator[PageServ
         server.server_close()
         serving.join()
         if in_main:
-            with suppress(ValueError):
-                signal.signal(signal.SIGUSR1, before)
+            signal.signal(signal.SIGUSR1, before)

@@ -5,12 +5,15 @@ import pty
 import subprocess
 import sys
 import threading
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from sessions import QuickCamera, shots
 
 from irodori.capture.dialogue import Dialogue
+from irodori.capture.journal import Journal
 from irodori.capture.operator import (
     SETTINGS,
     AutoOperator,
@@ -23,6 +26,7 @@ from irodori.capture.operator import (
     make_operator,
 )
 from irodori.capture.rig.devices import DeadlineError, DeviceError
+from irodori.capture.session import Session, take_stock
 from irodori.capture.setup_steps import hand_settings, motor_targets
 from irodori.config.capture_table import FILTERS, SUBJECTS, Pose, Shot
 
@@ -169,7 +173,7 @@ class Terminal:
 
     def write(self, text):
         self.shown.append(text)
-        if "Enter when done" in text and self.lines:
+        if text.endswith(": ") and self.lines:
             os.write(self.master, self.lines.pop(0))
 
     def flush(self):
@@ -224,6 +228,32 @@ def test_nobody_at_the_terminal_ends_at_the_deadline(terminal):
     terminal()
     with pytest.raises(DeadlineError, match=r"nobody answered in 0\.05 s: Set the light"):
         PromptOperator(Dialogue(deadline_s=0.05)).ask(STEP)
+
+
+def test_a_session_is_driven_by_keys(terminal, tmp_path):
+    """What the page has buttons for: a test exposure at a step, a pause typed in mid-exposure, the last one again."""
+    screen = terminal(b"t\n", b"\n", b"l\n", b"\n")
+
+    class Eye(QuickCamera):
+        def capture(self, shot, path):
+            super().capture(replace(shot, file=f"{len(self.taken)}"), path)  # no two are alike
+            if len(self.taken) == 2:
+                os.write(screen.master, b"p\n")
+
+    planned, dialogue, eye = shots(2), Dialogue(), Eye()
+    journal = Journal(tmp_path / "captures.csv")
+    session = Session(eye, PromptOperator(dialogue), journal, None, take_stock(journal, planned), dialogue=dialogue)
+    tally = session.run(planned, "vase")
+    asked = [text for text in screen.shown if text.endswith(": ")]
+    assert [text.split(". ")[-1] for text in asked] == [
+        "Enter when done, t for a test exposure, q to stop: ",
+        "Enter when done, t for a test exposure, q to stop: ",
+        "Enter to go on, l to retake the last, t for a test exposure, q to stop: ",
+        "Enter when done, l to retake the last, t for a test exposure, q to stop: ",
+    ]
+    assert "Test exposure: brightest hundredth at" in "".join(screen.shown) and "\nG |" in "".join(screen.shown)
+    assert (len(eye.taken), tally.taken, tally.retaken) == (4, 3, 1)
+    assert len(list(tmp_path.glob("*-retaken-*.dng"))) == 1 and not list(tmp_path.glob(".part*"))
 
 
 def test_an_input_that_is_no_terminal_is_refused_with_a_way_out(monkeypatch):

@@ -206,6 +206,10 @@ def says(page, words: str) -> None:
     page.get_by_role("heading", level=1).filter(has_text=words).wait_for()
 
 
+def press(page, button: str) -> None:
+    page.get_by_role("button", name=button, exact=True).click()
+
+
 def possible(page) -> list[str]:
     return [b.inner_text() for b in page.locator("nav button:visible").all() if b.is_enabled()]
 
@@ -223,7 +227,7 @@ def test_a_session_is_driven_from_a_phone(sitting, visit):
     # A test exposure is shown and leaves nothing.
     before = contents(sitting.folder)
     sitting.eye.may.release()
-    page.get_by_text("Test exposure").click()
+    press(page, "Test exposure")
     page.get_by_text("Test exposure, not kept").wait_for()
     says(page, "Take the lens cap off")
     assert contents(sitting.folder) == before
@@ -233,10 +237,10 @@ def test_a_session_is_driven_from_a_phone(sitting, visit):
     assert page.evaluate(inked)
 
     # A photograph with its picture; a second browser sees the same, and of two answers one counts.
-    page.get_by_text("Done").click()
+    press(page, "Done")
     says(page, "photograph 1 of 4 is being taken")
     assert possible(page) == ["Pause", "Stop"]
-    page.get_by_text("Pause").click()
+    press(page, "Pause")
     page.get_by_text("As soon as this photograph is stored: pause.").wait_for()
     sitting.eye.may.release()
     says(page, "Paused: nothing moves until you go on")
@@ -252,46 +256,46 @@ def test_a_session_is_driven_from_a_phone(sitting, visit):
 
     # Retake last: both are kept, the table names the newer.
     first = (sitting.folder / sitting.planned[0].file).read_bytes()
-    other.get_by_text("Retake last").click()
+    press(other, "Retake last")
     says(page, "a photograph is taken again")
     sitting.eye.may.release()
     says(page, "Put the comb filter in")
     page.reload()
     says(page, "Put the comb filter in")
-    retired = list(csv.DictReader((sitting.folder / "captures-retired.csv").open()))
+    retired = list(csv.DictReader((sitting.folder / "captures-retired.csv").read_text().splitlines()))
     assert [row["file"].split("-retaken-")[0] for row in retired] == [sitting.planned[0].file.removesuffix(".dng")]
     assert (sitting.folder / retired[0]["file"]).read_bytes() == first
     assert Journal(sitting.folder / "captures.csv").missing(sitting.planned) == sitting.planned[1:]
 
     # What is in doubt is said with its question; a reason keeps it, which nothing else does.
     sitting.eye.again = True
-    page.get_by_text("Done").click()
+    press(page, "Done")
     sitting.eye.may.release()
     says(page, "was it delivered twice?")
     assert possible(page) == ["Keep it", "Retake this", "Test exposure", "Stop"]
-    page.get_by_text("Keep it").click()
+    press(page, "Keep it")
     page.get_by_text("say why it is right").wait_for()
     sitting.eye.may.release()
-    page.get_by_text("Retake this").click()
+    press(page, "Retake this")
 
     # The line is lost and found again.
     says(page, "Take the comb filter out")
     page.context.set_offline(True)
-    page.get_by_text("Done").click()
+    press(page, "Done")
     page.get_by_text("The session was not reached: nothing was done.").wait_for()
     assert sitting.state() is State.STEP
     page.context.set_offline(False)
     sitting.eye.free = True
-    page.get_by_text("Done").click()
+    press(page, "Done")
     says(page, "Put the comb filter in")
-    page.get_by_text("Done").click()
+    press(page, "Done")
 
     # At the end the last one can be taken again; then all browsers hear that it is over.
     says(page, "All 4 photographs are there")
-    page.get_by_text("Retake last").click()
+    press(page, "Retake last")
     patience.until(lambda: len(sitting.eye.taken) == 8)
     says(page, "All 4 photographs are there")
-    other.get_by_text("Finish").click()
+    press(other, "Finish")
     for each in (page, other):
         says(each, "The session is complete.")
         assert possible(each) == [] and not each.locator("#lost").is_visible()
@@ -308,7 +312,7 @@ def test_a_session_that_was_killed_is_gone_on_with_and_its_page_says_that_it_is_
         first.eye.free = True
         page = visit(first.server.url)
         says(page, "Take the lens cap off")
-        page.get_by_text("Done").click()
+        press(page, "Done")
         says(page, "Put the comb filter in")
         first.send(body={"action": "stop"})
         says(page, "stopped by the person at the bench")
@@ -318,9 +322,9 @@ def test_a_session_that_was_killed_is_gone_on_with_and_its_page_says_that_it_is_
         page.goto(second.server.url)
         says(page, "Take the lens cap off and put the object in place, set the light to")
         assert "1 of 2" in page.locator("header").inner_text()
-        page.get_by_text("Done").click()
+        press(page, "Done")
         says(page, "All 2 photographs are there")
-        page.get_by_text("Finish").click()
+        press(page, "Finish")
         patience.until(lambda: second.ended is not None)
     assert second.ended.taken == 1
     assert_whole(tmp_path, planned)
