@@ -243,6 +243,8 @@ class Dialogue:
                 raise Refused(f"{action} is not possible now; possible: {', '.join(possible) or 'nothing'}.")
             if action not in (Action.STOP, Action.PAUSE) and turn != view.turn:
                 raise Refused("The session has gone on since; look at what it says now.")
+            if view.wanted is not None and action is not Action.STOP and view.state is State.WORKING:
+                raise Refused(f"The session will {view.wanted.replace('-', ' ')} first.")
             reason = " ".join(reason.split())
             if action is Action.KEEP and not 0 < len(reason) <= LONGEST_REASON:
                 raise Refused(f"To keep a photograph, say why it is right, in at most {LONGEST_REASON} characters.")
@@ -374,7 +376,7 @@ class Dialogue:
         if on_terminal:
             self._terminal.show(question, end="")
         timed = self.deadline_s is not None and state not in _WITHOUT_DEADLINE
-        limit = time.monotonic() + (self.deadline_s or 0.0)
+        limit, typed = time.monotonic() + (self.deadline_s or 0.0), False
         try:
             while True:
                 with self._changed:
@@ -384,8 +386,12 @@ class Dialogue:
                         break
                 if timed and time.monotonic() >= limit:
                     raise DeadlineError(f"nobody answered in {self.deadline_s:g} s: {words}")
-                if on_terminal and (line := self._terminal.line(_POLL_S)) is not None and not self._typed(line):
-                    self._terminal.show(question, end="")
+                if on_terminal and (line := self._terminal.line(_POLL_S)) is not None:
+                    typed = self._typed(line)
+                    if not typed:
+                        self._terminal.show(question, end="")
+            if on_terminal and not typed:
+                self._terminal.show("answered on the page")
             return self._answer
         finally:
             with self._changed:

@@ -20,7 +20,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from urllib.parse import parse_qs, urlsplit
 
 from irodori.capture.dialogue import LONGEST_REASON, Action, Dialogue, Refused, State, View
 from irodori.core.errors import InputError, PlainError
@@ -102,6 +101,8 @@ class PageServer(ThreadingHTTPServer):
     """
 
     daemon_threads = True
+    #: Two sessions never share a port, which some versions of Python would let them.
+    allow_reuse_port = False
 
     def __init__(self, where: Address, dialogue: Dialogue, name: str) -> None:
         self.dialogue, self.name, self.token = dialogue, name, secrets.token_urlsafe(16)
@@ -173,18 +174,18 @@ class _Handler(BaseHTTPRequestHandler):
         """Answer with the page, its parts, a picture or the news."""
         try:
             self._check_host()
-            address = urlsplit(self.path)
-            given = parse_qs(address.query).get("token", [""])[0] if address.path == "/" else ""
+            path, _, query = self.path.partition("?")
+            given = query.removeprefix("token=") if path == "/" else ""
             self._check_token(given)
-            if address.path in _FILES:
-                name, kind = _FILES[address.path]
+            if path in _FILES:
+                name, kind = _FILES[path]
                 content = importlib.resources.files("irodori.capture").joinpath("page", name).read_bytes()
                 self._answer(HTTPStatus.OK, kind, content, set_cookie=bool(given))
-            elif address.path == "/news":
+            elif path == "/news":
                 self._news()
-            elif (picture := self._picture(address.path)) is not None:
+            elif (picture := self._picture(path)) is not None:
                 self._answer(HTTPStatus.OK, *picture)
-            elif address.path == "/act":
+            elif path == "/act":
                 raise _Refusal(HTTPStatus.METHOD_NOT_ALLOWED, "An action is sent by POST; nothing was done.")
             else:
                 raise _Refusal(HTTPStatus.NOT_FOUND, "There is no such page here.")
@@ -199,7 +200,7 @@ class _Handler(BaseHTTPRequestHandler):
             self._check_token("")
             if self.headers.get_all("Origin") != [f"http://{self.headers['Host']}"]:
                 raise _Refusal(HTTPStatus.FORBIDDEN, "The request comes from another page; nothing was done.")
-            if urlsplit(self.path).path != "/act":
+            if self.path != "/act":
                 raise _Refusal(HTTPStatus.NOT_FOUND, "There is no such action here; nothing was done.")
             action, turn, reason = _parsed(self.headers.get_content_type(), body)
             try:

@@ -158,6 +158,7 @@ class Session:
         there = total - len(missing)
         if shot is None:
             self._dialogue.working("Keep clear: the session goes on.", there, total, 0.0)
+            self._dialogue.between_shots()
             self._dialogue.ask(State.COMPLETE, f"All {total} photographs are there")
             return
         again = shot.file in self.journal.shots
