@@ -25,7 +25,7 @@ from irodori.capture.operator import (
     Step,
     make_operator,
 )
-from irodori.capture.rig.devices import DeadlineError, DeviceError
+from irodori.capture.rig.devices import Axis, DeadlineError, DeviceError, RigDevice, RigStatus
 from irodori.capture.session import Session, take_stock
 from irodori.capture.setup_steps import hand_settings, motor_targets
 from irodori.config.capture_table import FILTERS, SUBJECTS, Pose, Shot
@@ -234,6 +234,21 @@ def test_a_session_is_driven_by_keys(terminal, tmp_path):
     """What the page has buttons for: a test exposure at a step, a pause typed in mid-exposure, the last one again."""
     screen = terminal(b"t\n", b"\n", b"l\n", b"\n")
 
+    class Motor(RigDevice):
+        def __init__(self):
+            self.axes = {"camera_deg": Axis("camera_deg", 0.0, 90.0, 1.0, 10.0, 10.0)}
+
+        def move(self, targets_deg):
+            screen.shown.append("moves: ")
+
+        def status(self):
+            return RigStatus("idle", {"camera_deg": 0.0}, homed=True)
+
+        def home(self):
+            raise AssertionError
+
+        stop = close = resume = home
+
     class Eye(QuickCamera):
         def capture(self, shot, path):
             super().capture(replace(shot, file=f"{len(self.taken)}"), path)  # no two are alike
@@ -242,13 +257,16 @@ def test_a_session_is_driven_by_keys(terminal, tmp_path):
 
     planned, dialogue, eye = shots(2), Dialogue(), Eye()
     journal = Journal(tmp_path / "captures.csv")
-    session = Session(eye, PromptOperator(dialogue), journal, None, take_stock(journal, planned), dialogue=dialogue)
-    tally = session.run(planned, "vase")
-    asked = [text for text in screen.shown if text.endswith(": ")]
-    assert [text.split(". ")[-1] for text in asked] == [
+    tally = take_stock(journal, planned)
+    Session(eye, PromptOperator(dialogue), journal, Motor(), tally, dialogue=dialogue).run(planned, "vase")
+    happened = [text for text in screen.shown if text.endswith(": ")]
+    assert [text.split(". ")[-1] for text in happened] == [
+        "moves: ",
         "Enter when done, t for a test exposure, q to stop: ",
         "Enter when done, t for a test exposure, q to stop: ",
         "Enter to go on, l to retake the last, t for a test exposure, q to stop: ",
+        "moves: ",
+        "moves: ",
         "Enter when done, l to retake the last, t for a test exposure, q to stop: ",
     ]
     assert "Test exposure: brightest hundredth at" in "".join(screen.shown) and "\nG |" in "".join(screen.shown)

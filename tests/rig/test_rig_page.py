@@ -198,8 +198,8 @@ def visit():
     yield open_page
     for context in contexts:
         context.close()
-    # A line that is lost, and an action that came too late, are told by the browser as well.
-    assert [text for text in complaints if "net::ERR" not in text and "409" not in text] == []
+    # A line that is lost, another token and an action that is not possible are told by the browser as well.
+    assert [text for text in complaints if "net::ERR" not in text and "409" not in text and "403" not in text] == []
 
 
 def says(page, words: str) -> None:
@@ -285,6 +285,14 @@ def test_a_session_is_driven_from_a_phone(sitting, visit):
     page.get_by_text("The session was not reached: nothing was done.").wait_for()
     assert sitting.state() is State.STEP
     page.context.set_offline(False)
+    refuse, cut = (lambda route: route.fulfill(status=403)), (lambda route: route.abort())
+    for answer, words in ((refuse, "started anew: open the address"), (cut, "what is shown may be old")):
+        page.route("**/news", answer)
+        page.reload()
+        page.locator("#lost").filter(has_text=words).wait_for()
+        page.unroute("**/news")
+    says(page, "Take the comb filter out")
+    page.locator("#lost").wait_for(state="hidden")
     sitting.eye.free = True
     press(page, "Done")
     says(page, "Put the comb filter in")
