@@ -139,7 +139,7 @@ class Shown:
 
 
 @dataclass(frozen=True)
-class View:
+class SessionView:
     """What there is to be seen of a session at one moment.
 
     Parameters
@@ -198,7 +198,7 @@ class Dialogue:
     #: Takes a test exposure and shows it; None where no camera is at hand.
     on_test: Callable[[], None] | None = None
     _terminal: Terminal = field(default_factory=Terminal)
-    _view: View = field(default_factory=View)
+    _view: SessionView = field(default_factory=SessionView)
     _answer: tuple[Action, str] | None = None
     #: What the session does while it asks for nothing.
     _work: str = ""
@@ -209,12 +209,12 @@ class Dialogue:
     # ---- for those who look on
 
     @property
-    def view(self) -> View:
+    def view(self) -> SessionView:
         """What there is to be seen now."""
         with self._changed:
             return self._view
 
-    def changed_view(self, version: int, wait_s: float) -> View:
+    def changed_view(self, version: int, wait_s: float) -> SessionView:
         """Return what there is to be seen, once it is another version than one known, or after a time (s)."""
         with self._changed:
             self._changed.wait_for(lambda: self._view.version != version, wait_s)
@@ -249,7 +249,8 @@ class Dialogue:
             if action is Action.KEEP and not 0 < len(reason) <= LONGEST_REASON:
                 raise Refused(f"To keep a photograph, say why it is right, in at most {LONGEST_REASON} characters.")
             # While the session works the next photograph comes, which the person has not seen.
-            self._retaken = self._last if action is Action.RETAKE_LAST else ""
+            if action is Action.RETAKE_LAST:
+                self._retaken = self._last
             if view.state is State.WORKING:
                 self._change(wanted=action)
                 if action is Action.STOP:
@@ -305,8 +306,8 @@ class Dialogue:
             if action := next((o.action for o in self.view.offers if line.lower() == o.key), None):
                 with contextlib.suppress(Refused):  # the page was quicker
                     self.act(action, self.view.turn)
-        wanted = self.view.wanted
         with self._changed:
+            wanted = self._view.wanted
             self._change(wanted=None)
         if wanted is Action.PAUSE:
             self.ask(State.PAUSED, "Paused: nothing moves until you go on")

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
-from irodori.capture.dialogue import LONGEST_REASON, Action, Dialogue, Refused, State, View
+from irodori.capture.dialogue import LONGEST_REASON, Action, Dialogue, Refused, SessionView, State
 from irodori.core.errors import InputError, PlainError
 
 #: Longest body of an action, bytes; what is longer is read so far only that the answer arrives.
@@ -302,7 +302,7 @@ def _parsed(kind: str, body: bytes) -> tuple[Action, int | None, str]:
     return action, turn, reason
 
 
-def _plain(view: View, name: str) -> dict:
+def _plain(view: SessionView, name: str) -> dict:
     """Return a view for JSON."""
     shown = view.shown
     return {

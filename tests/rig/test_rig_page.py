@@ -16,7 +16,7 @@ import patience
 import pytest
 from sessions import QuickCamera, assert_whole, contents, shots
 
-from irodori.capture.dialogue import Action, Dialogue, State
+from irodori.capture.dialogue import Action, Dialogue, Refused, RetakeLast, State
 from irodori.capture.journal import Journal
 from irodori.capture.operator import OperatorAbort, PromptOperator
 from irodori.capture.page_server import Address, served
@@ -169,6 +169,26 @@ def test_a_stop_from_the_page_ends_the_photograph_under_way_as_ctrl_c_does(tmp_p
     assert signal.getsignal(signal.SIGUSR1) is signal.SIG_DFL
 
 
+def test_what_is_wanted_while_the_session_works_means_the_photograph_that_was_seen(monkeypatch):
+    monkeypatch.setattr(sys, "stdin", None)
+    dialogue = Dialogue(watched=True)
+    dialogue.stored("a.dng")
+    dialogue.working("Keep clear.", 1, 3, 2.0)
+    dialogue.act(Action.RETAKE_LAST, dialogue.view.turn)
+    with pytest.raises(Refused, match="retake last first"):
+        dialogue.act(Action.PAUSE)
+    # Meanwhile the next one comes, is doubted, taken again and stored.
+    answers = threading.Timer(0.05, lambda: dialogue.act(Action.RETAKE, dialogue.view.turn))
+    answers.start()
+    assert dialogue.ask(State.DOUBT, "b.dng: blown") == ""
+    answers.join()
+    dialogue.stored("b.dng")
+    with pytest.raises(RetakeLast) as wish:
+        dialogue.between_shots()
+    assert wish.value.file == "a.dng"
+    dialogue.between_shots()
+
+
 @pytest.mark.parametrize("host", ["0.0.0.0", "::", "rig.example", "224.0.0.1", "203.0.113.1"])
 def test_an_address_that_is_not_one_of_this_computer_is_refused(host):
     with pytest.raises(InputError, match=r"--address.*accepted: .*address of this computer"), \
@@ -313,7 +333,7 @@ def test_a_session_is_driven_from_a_phone(sitting, visit):
     assert_whole(sitting.folder, sitting.planned)
 
 
-def test_a_session_that_was_killed_is_gone_on_with_and_its_page_says_that_it_is_another(tmp_path, monkeypatch, visit):
+def test_a_session_that_was_stopped_is_gone_on_with(tmp_path, monkeypatch, visit):
     monkeypatch.setattr(sys, "stdin", None)
     planned = shots(2)
     with Sitting(tmp_path, planned) as first:
