@@ -274,7 +274,7 @@ class Session:
         """
         found = "; ".join(f"{doubt.kind}: {doubt.words}" for doubt in doubts)
         if self._hand.operator.attended:
-            reason = self._hand.operator.judge(f"{path}: {found}")
+            reason = self._hand.operator.judge(f"{path.name}: {found}")  # a phone is narrow
             return " ".join(reason.split())
         if times >= _UNATTENDED_TRIES:
             words = "; ".join(doubt.words for doubt in doubts)

@@ -5,6 +5,7 @@ The session runs in a thread; the browser, and those who mean harm, speak to it 
 
 import csv
 import http.client
+import io
 import json
 import signal
 import sys
@@ -12,8 +13,10 @@ import threading
 import time
 from dataclasses import replace
 
+import numpy as np
 import patience
 import pytest
+from PIL import Image
 from sessions import QuickCamera, assert_whole, contents, shots
 
 from irodori.capture.dialogue import Action, Dialogue, Refused, RetakeLast, State
@@ -22,6 +25,8 @@ from irodori.capture.operator import OperatorAbort, PromptOperator
 from irodori.capture.page_server import Address, served
 from irodori.capture.session import Session, take_stock
 from irodori.core.errors import InputError
+from irodori.ingest.mosaic import Mosaic
+from irodori.ingest.preview import preview_of
 from irodori.viewer.browser import browser, browser_command
 
 PHONE = {"width": 390, "height": 844}
@@ -194,6 +199,24 @@ def test_an_address_that_is_not_one_of_this_computer_is_refused(host):
     with pytest.raises(InputError, match=r"--address.*accepted: .*address of this computer"), \
             served(Dialogue(), Address(host, 0), "vase"):  # fmt: skip
         pass
+
+
+def test_a_single_blown_pixel_of_a_large_picture_is_marked_and_counted():
+    values = np.full((400, 4000), 600, dtype=np.uint16)  # three superpixels become one
+    values[:, 2000:] = 600 + 8000
+    values[6, 3001] = 16383
+    black, white = np.full((2, 2), 600.0, np.float32), np.full((2, 2), 16383.0, np.float32)
+    preview = preview_of(Mosaic(values, "RGGB", black, white, 15783.0, 0.02, 100.0, 8.0, 0))
+    marks = np.asarray(Image.open(io.BytesIO(preview.overlay)).convert("RGBA"))
+    picture = np.asarray(Image.open(io.BytesIO(preview.jpeg)))
+    assert marks.shape == (66, 666, 4) and picture.shape == (66, 666, 3)
+    assert np.argwhere((marks[..., 0] > 200) & (marks[..., 3] > 0)).tolist() == [[1, 500]]
+    dark = (marks[..., 2] > 200) & (marks[..., 3] > 0)
+    assert dark[:, :333].all() and not dark[:, 334:].any()
+    # Half the range is 188 of sRGB.
+    assert abs(float(picture[:, 340:490].mean()) - 188.6) < 3.0 and picture[:, :320].max() < 5
+    assert preview.histogram.sum(axis=1) == pytest.approx(1.0) and preview.histogram[1, -1] > 0.0
+    assert preview.histogram[:, 0] == pytest.approx(0.5, abs=0.01) and preview.histogram[0, -1] == 0.0
 
 
 # ---- in a browser
