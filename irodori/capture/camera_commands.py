@@ -3,10 +3,14 @@
 Each takes the options that `irodori.capture.command` has parsed.
 """
 
+import sys
+from contextlib import nullcontext
 from pathlib import Path
 
 from irodori.capture.camera.gphoto_camera import GphotoCamera
+from irodori.capture.dialogue import Dialogue
 from irodori.capture.journal import storing
+from irodori.capture.page_server import Address, served
 from irodori.capture.session import verify
 from irodori.capture.shot_list import camera_shots, object_shots
 from irodori.capture.shot_planner.fisher_information import Weighting
@@ -20,6 +24,7 @@ from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER
 from irodori.core.provenance import code_hash, config_hash
 from irodori.core.store import Provenance
+from irodori.core.termination import ending_in_order
 
 
 def shoot(options) -> None:
@@ -99,8 +104,16 @@ def capture(options) -> None:
         # The workflow looks at the photographs again: its own record says nothing of what is taken now.
         folder = Path("results", *(["cameras"] if options.camera else []), options.name, "captures")
         (folder / "session.json").unlink(missing_ok=True)
-    if definition is None:
-        capture_camera(target, record, made)
-    else:
-        capture_object(definition, target, record, made)
+    dialogue = Dialogue(target.rig.operator_deadline_s)
+    where = {name: value for name in ("address", "port") if (value := getattr(options, name)) is not None}
+    if where and not options.page:
+        raise InputError(f"--{next(iter(where))}", "", "no --page that it belongs to", "it together with --page")
+    page = served(dialogue, Address(**where), target.name) if options.page else nullcontext()
+    with ending_in_order(), page as server:
+        if server is not None:
+            print(f"the session's page: {server.url}", file=sys.stderr, flush=True)
+        if definition is None:
+            capture_camera(target, record, made, dialogue)
+        else:
+            capture_object(definition, target, record, made, dialogue)
     LOGGER.info("%s", record)

@@ -17,6 +17,7 @@ from collections.abc import Callable, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+from irodori.capture.dialogue import Dialogue
 from irodori.capture.operator import PromptOperator
 from irodori.capture.rig.connect import open_rig
 from irodori.capture.rig.devices import LimitError, RigDevice, SettingError
@@ -31,8 +32,8 @@ def main(arguments: Sequence[str] | None = None, prog: str = "python -m irodori.
     """Run one command; return 0, 1 after a fault that was said in one sentence, 130 after Ctrl-C."""
     options = _parser(prog).parse_args(arguments)
     handler = logging.StreamHandler(sys.stderr)
-    # An operator speaks to the person by itself; its words go to the log for those who read a log.
-    handler.addFilter(lambda record: record.module != "operator")
+    # These speak to the person by themselves; their words go to the log for those who read a log.
+    handler.addFilter(lambda record: record.module not in ("operator", "dialogue"))
     logging.getLogger().addHandler(handler)
     LOGGER.setLevel(logging.INFO)
     try:
@@ -83,7 +84,12 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     sub = command("plan", _of_a_camera("plan"), text)
     _add_subject(sub)
     sub.add_argument("--best", type=int, metavar="K", help="choose the K poses that tell most about an object instead")
-    _add_subject(command("capture", _of_a_camera("capture"), "Hold a session, or continue one: take what is missing."))
+    sub = command("capture", _of_a_camera("capture"), "Hold a session, or continue one: take what is missing.")
+    _add_subject(sub)
+    sub.add_argument("--page", action="store_true", help="show the session in a browser, and take answers there too")
+    text = "of the page: an address of this computer in the network that is to reach it; this computer alone if absent"
+    sub.add_argument("--address", help=text)
+    sub.add_argument("--port", type=int, help="of the page; 0 for one that is free, 8462 if absent")
     return parser
 
 
@@ -112,7 +118,7 @@ def _rig(name: str, checked: bool = True):
     if definition.motion is None:
         raise InputError(f"config/rigs/{name}.yaml", "motion", "no such key", "a rig with motors")
     with ending_in_order(), open_rig(definition, checked) as rig:
-        rig.on_hold = PromptOperator(definition.operator_deadline_s).confirm
+        rig.on_hold = PromptOperator(Dialogue(definition.operator_deadline_s)).confirm
         yield rig
 
 

@@ -274,6 +274,16 @@ class Journal:
         self._rewrite()
         return retired
 
+    def make_way(self, file: str) -> None:
+        """Take a photograph out of the table, and its file aside, for a newer one; both are kept as `retire` does."""
+        digest = self.sha256[file]
+        rows, name = self._retired_rows(), _aside(file, "retaken", digest)
+        rows[name] = _cells(replace(self.shots[file], file=name), digest)
+        _write_table(self.retired, rows.values())
+        self.set_aside(file, "retaken", digest)
+        del self.shots[file], self.sha256[file]
+        self._rewrite()
+
     def _hash(self, file: str) -> str:
         path = self._path(file)
         with storing(path):

@@ -5,7 +5,6 @@ every setting that its shot needs, once.
 """
 
 import os
-import select
 import shlex
 import sys
 import time
@@ -14,6 +13,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from irodori.capture.dialogue import AGAIN, LONGEST_REASON, NO, YES, Dialogue, OperatorAbort, State
 from irodori.capture.rig.devices import DeadlineError, DeviceError
 from irodori.config.validation import suggest
 from irodori.core.progress import LOGGER
@@ -38,13 +38,7 @@ _SUBJECT_PHRASES = {
 }
 #: Before the name of a chart, see `irodori.config.capture_table.Shot.subject`.
 _CHARTS = {"chart-": "put the colour chart {} in place", "room-chart-": "point the camera at the colour chart {}"}
-_YES, _NO = ("", "y", "yes", "ok", "done"), ("q", "quit", "a", "abort", "n", "no", "stop")
-_AGAIN, _LONGEST_ANSWER = ("r", "retake", "again"), 200
 _PROGRESS_S, _POLL_S = 60.0, 0.5
-
-
-class OperatorAbort(DeviceError):
-    """The person at the bench answered that the session is to stop."""
 
 
 def _chart_phrase(subject) -> str:
@@ -197,56 +191,29 @@ class HandSettings:
 
 
 class PromptOperator(Operator):
-    """Asks on the terminal; Enter confirms, or takes a photograph again; ``q`` stops the session.
+    """Asks on the terminal and, where there is one, on the page.
 
     Parameters
     ----------
-    deadline_s : float, optional
-        Longest wait for an answer, s.
+    dialogue : Dialogue
     """
 
-    def __init__(self, deadline_s: float | None = None) -> None:
-        self.deadline_s = deadline_s
+    def __init__(self, dialogue: Dialogue) -> None:
+        self.dialogue = dialogue
 
     attended = True
 
+    def ask(self, step: Step) -> None:
+        """Ask, and wait until it is done; the session's other offers stand beside that."""
+        self.dialogue.ask(State.STEP, str(step))
+
     def confirm(self, request: str) -> None:
-        """Ask, and wait for Enter. What was typed before the question does not count."""
-        instead = f"nobody can be asked to {request[:1].lower()}{request[1:]}"
-        question = f"{request}. Enter when done, q to stop: "
-        while self._answer(request, question, instead).lower() not in _YES:
-            pass
+        """Ask for what holds the rig up, and wait for the answer."""
+        self.dialogue.ask(State.HELD, request)
 
     def judge(self, doubt: str) -> str:
-        """Ask; Enter takes the photograph again, ``q`` stops, other words are the reason to keep it."""
-        question = f"{doubt}. Enter to take it again, q to stop, or why it is right: "
-        answer = self._answer(doubt, question, f"nobody can be asked: {doubt}")
-        return "" if answer.lower() in (*_YES, *_AGAIN) else answer
-
-    def _answer(self, request: str, question: str, instead: str) -> str:
-        """Return what a person types; `_NO`, and the end of the input, stop the session."""
-        import termios
-
-        try:
-            source = sys.stdin.fileno()
-            if not os.isatty(source):
-                raise OSError("not a terminal")
-            termios.tcflush(source, termios.TCIFLUSH)
-        except (AttributeError, OSError, ValueError, termios.error):
-            raise DeviceError(
-                f"{instead}: the input is no terminal; start it on a terminal, or give the rig operator: file"
-            ) from None
-        LOGGER.info("asked on the terminal: %s", request)
-        limit = None if self.deadline_s is None else time.monotonic() + self.deadline_s
-        print(question, end="", file=sys.stderr, flush=True)
-        answer = _read_answer(source, limit)
-        if answer is None:
-            print(file=sys.stderr)
-            raise DeadlineError(f"nobody answered in {self.deadline_s:g} s: {request}")
-        text = answer.decode(errors="replace").strip()
-        if answer == b"" or text.lower() in _NO:
-            raise OperatorAbort(f"stopped by the person at the bench, before: {request}")
-        return text
+        """Ask what is to become of a photograph."""
+        return self.dialogue.ask(State.DOUBT, doubt)
 
 
 class FileOperator(Operator):
@@ -283,9 +250,9 @@ class FileOperator(Operator):
         """Name a file; empty it takes the photograph again, ``stop`` ends the session, other words keep it."""
         how = "To take it again: touch {0}; to keep it: echo WHY > {0}; to end: echo stop > {0}"
         answer = self._answer(doubt, how)
-        if answer.lower() in _NO:
+        if answer.lower() in NO:
             raise OperatorAbort(f"stopped by the person at the bench: {doubt}")
-        return "" if answer.lower() in (*_YES, *_AGAIN) else answer
+        return "" if answer.lower() in (*YES, "r", *AGAIN) else answer
 
     def _answer(self, request: str, how: str) -> str:
         """Name a file, wait until it is there, and return what it holds."""
@@ -309,33 +276,49 @@ class FileOperator(Operator):
                 time.sleep(self.poll_s)
             if "{0}" in how and path.stat().st_size == 0:
                 time.sleep(self.poll_s)  # a shell makes the file before it writes what is in it
-            return path.read_bytes()[:_LONGEST_ANSWER].decode(errors="replace").strip()
+            return path.read_bytes()[:LONGEST_REASON].decode(errors="replace").strip()
         finally:
             path.unlink(missing_ok=True)
 
 
 class AutoOperator(Operator):
-    """Sets the virtual rig: calls a function with the settings of the step."""
+    """Sets the virtual rig: calls a function with the settings of the step.
 
-    def __init__(self, set_bench: Callable[[dict[str, float | str]], None]) -> None:
+    Parameters
+    ----------
+    set_bench : callable
+    dialogue : Dialogue, optional
+        Asked for what no function can do where a page shows it; otherwise nobody can be asked.
+    """
+
+    def __init__(self, set_bench: Callable[[dict[str, float | str]], None], dialogue: Dialogue | None = None) -> None:
         self._set_bench = set_bench
+        self._person = PromptOperator(dialogue) if dialogue is not None and dialogue.watched else None
+        if self._person is not None:
+            self.attended = True
 
     def ask(self, step: Step) -> None:
         """Set the bench."""
         self._set_bench(step.new)
 
     def confirm(self, request: str) -> None:
-        """Refuse: what only a person can do has no function."""
-        raise DeviceError(f"nobody can be asked to {request[:1].lower()}{request[1:]}: the rig has operator: auto")
+        """Ask on the page; without one it is refused: what only a person can do has no function."""
+        if self._person is None:
+            raise DeviceError(f"nobody can be asked to {request[:1].lower()}{request[1:]}: the rig has operator: auto")
+        self._person.confirm(request)
+
+    def judge(self, doubt: str) -> str:
+        """Ask on the page; without one nobody can be asked."""
+        return super().judge(doubt) if self._person is None else self._person.judge(doubt)
 
 
 def make_operator(
     kind: str,
     folder: Path,
-    deadline_s: float | None = None,
+    dialogue: Dialogue,
     set_bench: Callable[[dict[str, float | str]], None] | None = None,
 ) -> Operator:
-    """Return the operator that a rig's definition names.
+    """Return the operator that a rig's definition names; where a page is shown, its person takes the place of files.
 
     Parameters
     ----------
@@ -343,8 +326,8 @@ def make_operator(
         ``prompt``, ``file`` or ``auto``.
     folder : path
         Where confirmation files appear.
-    deadline_s : float, optional
-        Longest wait for a person, s.
+    dialogue : Dialogue
+        With the longest wait for a person.
     set_bench : callable, optional
         What sets the virtual rig; only ``auto`` needs it.
 
@@ -355,15 +338,15 @@ def make_operator(
     DeviceError
         For ``auto`` on a rig that a person sets.
     """
-    if kind == "prompt":
-        return PromptOperator(deadline_s)
+    if kind == "prompt" or (kind == "file" and dialogue.watched):
+        return PromptOperator(dialogue)
     if kind == "file":
-        return FileOperator(folder, deadline_s)
+        return FileOperator(folder, dialogue.deadline_s)
     if kind != "auto":
         raise ValueError(f"no operator {kind!r}; {suggest(kind, ('prompt', 'file', 'auto'))}")
     if set_bench is None:
         raise DeviceError("operator: auto is for the virtual rig; this one needs prompt or file")
-    return AutoOperator(set_bench)
+    return AutoOperator(set_bench, dialogue)
 
 
 def _degrees(angle: float) -> str:
@@ -376,10 +359,3 @@ def _degrees(angle: float) -> str:
 def _say(message: str) -> None:
     LOGGER.info("%s", message)
     print(message, file=sys.stderr, flush=True)
-
-
-def _read_answer(source: int, limit: float | None) -> bytes | None:
-    """Return a line from a terminal, empty at its end (Ctrl-D), None where none came before `limit`."""
-    left = None if limit is None else max(0.0, limit - time.monotonic())
-    # A terminal in its usual mode hands out whole lines.
-    return os.read(source, 4096) if select.select([source], [], [], left)[0] else None

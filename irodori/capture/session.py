@@ -7,21 +7,23 @@ breaks the session off, the next one finds whole files and whole lines, and take
 import math
 import os
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
+from irodori.capture.dialogue import Dialogue, RetakeLast, State
 from irodori.capture.journal import Journal, storing
 from irodori.capture.operator import HandSettings, Operator
 from irodori.capture.rig.devices import ANGLE_TOLERANCE_DEG, NOT_REPORTED, CameraDevice, DeviceError, RigDevice
 from irodori.capture.setup_steps import hand_settings, motor_targets
 from irodori.config.capture_table import Shot, Taken
 from irodori.core.atomic_files import file_sha256
-from irodori.core.errors import InputError
+from irodori.core.errors import InputError, PlainError
 from irodori.core.progress import LOGGER, track
 from irodori.ingest.mosaic import Mosaic, decode
 from irodori.ingest.plausibility import Doubt, Drift, Look, Series, delivered_again, look_at, worth_recalling
+from irodori.ingest.preview import preview_of
 
 _TRIES = 3
 #: What is doubted is taken again so often by itself where no person can be asked.
@@ -38,8 +40,8 @@ class Tally:
     """Counts of a session's photographs.
 
     ``kept`` photographs stood in the table before, ``adopted`` ones stood in the folder without a line, ``retired``
-    ones are no longer asked for. ``doubted`` counts what could not be as asked for when it came, ``accepted`` what a
-    person kept of it.
+    ones are no longer asked for, ``retaken`` ones a person wanted again. ``doubted`` counts what could not be as asked
+    for when it came, ``accepted`` what a person kept of it.
     """
 
     taken: int = 0
@@ -47,6 +49,7 @@ class Tally:
     adopted: int = 0
     retired: int = 0
     retries: int = 0
+    retaken: int = 0
     doubted: int = 0
     accepted: int = 0
     operator_steps: int = 0
@@ -100,6 +103,10 @@ class Session:
         Of `take_stock`, to be continued.
     settle_s : float
         Time from the arrival of the motors to the shutter, s; a step by hand in between counts.
+    dialogue : Dialogue, optional
+        Told what is done, and asked between two photographs what the person wants.
+    left_s : callable, optional
+        Time that photographs take, s.
     """
 
     def __init__(
@@ -111,10 +118,13 @@ class Session:
         tally: Tally | None = None,
         *,
         settle_s: float = 0.0,
+        dialogue: Dialogue | None = None,
+        left_s: Callable[[Sequence[Shot]], float] = lambda shots: 0.0,
     ) -> None:
         self.camera, self.journal, self.rig = camera, journal, rig
         self.tally = tally or Tally()
-        self._hand = HandSettings(operator)
+        self._hand, self._left_s = HandSettings(operator), left_s
+        self._dialogue = dialogue or Dialogue()
         self._settle_s, self._settled_at = settle_s, -math.inf
         self._stands: dict[str, float] = {}
         self._series, self._body = Series(()), ""
@@ -154,7 +164,11 @@ class Session:
             tries += 1
             self._series = self._recalled(planned, missing)
             for shot in track(missing, f"capture {label}"):
-                self._take(shot)
+                self._take_in_turn(shot, planned)
+            if self._dialogue.watched:
+                # A command would have ended before the person has seen the last photograph. What is taken again here
+                # is still held against the switches.
+                self._take_in_turn(None, planned)
             self._hold_against_switches(missing, tries)
             missing = self.journal.missing(planned)
         self.journal.finish(planned)
@@ -229,6 +243,54 @@ class Session:
             raise PositionError(f"{found}; they are set aside: look at speed, current and friction, and start again")
         LOGGER.warning("%s; they are set aside, and taken once more", found)
 
+    def _take_in_turn(self, shot: Shot | None, planned: Sequence[Shot]) -> None:
+        """Take a photograph, or where there is none to take end the session, and before it retake what a person wants.
+
+        What was taken stands in the table until the new one is verified.
+        """
+        wanted = [shot]
+        while wanted:
+            try:
+                self._take_or_end(wanted[0], planned)
+            except RetakeLast as wish:
+                last = self.journal.shots[wish.file]
+                self._series.forget(last)
+                self.drift = [frame for frame in self.drift if frame.file != last.file]
+                if wanted[0] is None or wanted[0].file != last.file:
+                    wanted.insert(0, last)
+                continue
+            if done := wanted.pop(0):
+                self._dialogue.stored(done.file)
+
+    def _take_or_end(self, shot: Shot | None, planned: Sequence[Shot]) -> None:
+        missing, total = self.journal.missing(planned), len(planned)
+        there = total - len(missing)
+        if shot is None:
+            self._dialogue.working("Keep clear: the session goes on.", there, total, 0.0)
+            self._dialogue.between_shots()
+            self._dialogue.ask(State.COMPLETE, f"All {total} photographs are there")
+            return
+        again = shot.file in self.journal.shots
+        what = "a photograph is taken again" if again else f"photograph {there + 1} of {total} is being taken"
+        left_s = self._left_s([shot, *missing] if again else missing)
+        self._dialogue.working(f"Keep clear: {what}.", there, total, left_s)
+        self._dialogue.on_test = lambda: self._test_exposure(shot)
+        self._dialogue.between_shots()
+        self._take(shot)
+
+    def _test_exposure(self, shot: Shot) -> None:
+        """Take and show a photograph that is not part of the session, with the settings of one that is."""
+        path = self.journal.folder / f"{_TEMPORARY}test{Path(shot.file).suffix}"
+        try:
+            with storing(path):
+                self.camera.capture(shot, path)
+            mosaic = decode(path)
+            self._dialogue.show("", f"Test exposure: {look_at(path, mosaic)}", preview_of(mosaic))
+        except PlainError as error:
+            self._dialogue.note(f"The test exposure failed: {error}")
+        finally:
+            path.unlink(missing_ok=True)
+
     def _recalled(self, planned: Sequence[Shot], missing: Sequence[Shot]) -> Series:
         """Return what the next photographs are compared with, from those of an earlier sitting."""
         series = Series(planned)
@@ -260,6 +322,9 @@ class Session:
             taken, digest = self._photograph(shot, path, temporary)
             with storing(path):
                 _sync(temporary)
+                if shot.file in self.journal.shots:
+                    self.journal.make_way(shot.file)
+                    self.tally.retaken += 1
                 os.replace(temporary, path)
         except BaseException:
             temporary.unlink(missing_ok=True)
@@ -279,7 +344,7 @@ class Session:
             try:
                 with storing(path):
                     self.camera.capture(shot, temporary)
-                look = look_at(temporary, verify(temporary, shot))
+                look = look_at(temporary, mosaic := verify(temporary, shot))
             except InputError as error:
                 failed += 1
                 fault = InputError(path, error.field, error.found, error.accepted)
@@ -294,6 +359,9 @@ class Session:
             digest = file_sha256(temporary)
             same = next((file for file, known in self.journal.sha256.items() if known == digest), None)
             doubts = self._series.doubts(shot, look) if same is None else [delivered_again(same)]
+            if self._dialogue.watched:
+                finding = "; ".join(doubt.words for doubt in doubts) or f"Sound: {look}"
+                self._dialogue.show(shot.file, finding, preview_of(mosaic))
             if not doubts:
                 self._add(self._series, shot, look)
                 return taken, digest
@@ -315,7 +383,7 @@ class Session:
         """
         found = "; ".join(f"{doubt.kind}: {doubt.words}" for doubt in doubts)
         if self._hand.operator.attended:
-            reason = self._hand.operator.judge(f"{path}: {found}")
+            reason = self._hand.operator.judge(f"{path.name}: {found}")  # a phone is narrow
             return " ".join(reason.split())
         if times >= _UNATTENDED_TRIES:
             words = "; ".join(doubt.words for doubt in doubts)

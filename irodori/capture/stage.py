@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from irodori.capture.camera.gphoto_camera import RAW_SUFFIXES, GphotoCamera
+from irodori.capture.dialogue import Dialogue
 from irodori.capture.journal import RETIRED, Journal, claimed, storing
 from irodori.capture.operator import AutoOperator, Operator, Step, make_operator
 from irodori.capture.rig.connect import open_rig, true_position_deg
@@ -116,7 +117,7 @@ class _VirtualHands(Operator):
 
 @contextmanager
 def _equipment(
-    target: Target, planned: Sequence[Shot], subject: Photographed | None, on_rig: bool
+    target: Target, planned: Sequence[Shot], subject: Photographed | None, on_rig: bool, dialogue: Dialogue
 ) -> Iterator[tuple[RigDevice | None, CameraDevice, Operator]]:
     """Open the rig, the camera and the operator of a session."""
     rig = target.rig
@@ -127,10 +128,10 @@ def _equipment(
             assert target.camera.driver is not None  # `suffix` has refused a camera without
             with GphotoCamera(target.camera.driver) as camera:
                 LOGGER.info("camera: %s", ", ".join(f"{key} {value}" for key, value in camera.status().items()))
-                yield opened, camera, make_operator(rig.operator, folder, rig.operator_deadline_s)
+                yield opened, camera, make_operator(rig.operator, folder, dialogue)
             return
         bench = Bench(motors_deg=lambda: true_position_deg(opened) if opened is not None else {})
-        operator = make_operator(rig.operator, folder, rig.operator_deadline_s, set_bench=bench.set)
+        operator = make_operator(rig.operator, folder, dialogue, set_bench=bench.set)
         if not isinstance(operator, AutoOperator):
             operator = _VirtualHands(operator, bench)
         yield opened, VirtualCamera(target.camera, rig, bench, target.name, planned, subject), operator
@@ -145,6 +146,7 @@ def photograph(
     *,
     owner: str,
     on_rig: bool = True,
+    dialogue: Dialogue | None = None,
 ) -> dict[str, str]:
     """Hold a session, or continue one, and write its record.
 
@@ -166,6 +168,8 @@ def photograph(
         What the folder's photographs belong to, such as ``object jar``.
     on_rig : bool
         Whether it stands on the rig at all.
+    dialogue : Dialogue, optional
+        That of a page; without it there is only the terminal.
 
     Returns
     -------
@@ -181,6 +185,7 @@ def photograph(
     folder = table.parent if target.folder is None else Path(target.folder)
     planned, status, drift = target.ordered(shots), {}, list[dict]()
     kept_record = Path(record) if target.is_virtual else table.with_suffix(".json")
+    dialogue = dialogue or Dialogue(target.rig.operator_deadline_s)
     with claimed(table, folder, owner), ending_in_order():
         if target.is_virtual:
             _start_over_if_changed(table, kept_record, provenance)
@@ -191,8 +196,17 @@ def photograph(
         needs = target.estimate(missing)
         LOGGER.info("%s: %d of %d photographs to take; %s", target.name, len(missing), len(planned), needs)
         if missing:
-            with _equipment(target, planned, subject, on_rig) as (rig, camera, operator):
-                session = Session(camera, operator, journal, rig, tally, settle_s=target.settle_s)
+            with _equipment(target, planned, subject, on_rig, dialogue) as (rig, camera, operator):
+                session = Session(
+                    camera,
+                    operator,
+                    journal,
+                    rig,
+                    tally,
+                    settle_s=target.settle_s,
+                    dialogue=dialogue,
+                    left_s=lambda shots: target.estimate(shots).total_s,
+                )
                 session.run(planned, target.name)
                 status, drift = camera.status(), [frame.plain() for frame in session.drift]
                 position += [check.plain() for check in session.position]
@@ -261,17 +275,22 @@ def _write_record(path: Path, content: Mapping) -> None:
 
 
 def capture_object(
-    definition: Object | PhotographedObject, target: Target, record, provenance: Provenance
+    definition: Object | PhotographedObject,
+    target: Target,
+    record,
+    provenance: Provenance,
+    dialogue: Dialogue | None = None,
 ) -> dict[str, str]:
     """Photograph an object in all its poses, without and with the comb filter; see `photograph`."""
     shots = object_shots(definition, target.camera, target.suffix)
-    return photograph(shots, target, definition, record, provenance, owner=f"object {target.name}")
+    owner = f"object {target.name}"
+    return photograph(shots, target, definition, record, provenance, owner=owner, dialogue=dialogue)
 
 
-def capture_camera(target: Target, record, provenance: Provenance) -> dict[str, str]:
+def capture_camera(target: Target, record, provenance: Provenance, dialogue: Dialogue | None = None) -> dict[str, str]:
     """Photograph dark frames, the white reference and the chart that calibrate a camera; see `photograph`."""
     shots = camera_shots(target.camera, target.suffix)
-    return photograph(shots, target, None, record, provenance, owner=f"camera {target.name}")
+    return photograph(shots, target, None, record, provenance, owner=f"camera {target.name}", dialogue=dialogue)
 
 
 def capture_environment(

@@ -23,7 +23,7 @@ from irodori.ingest.tiff_tags import read_tags
 _SMALL_PX = 256
 _MAKE, _MODEL, _TIME, _SERIAL, _LENS = 271, 272, 36867, 42033, 42036
 #: Lit is what exceeds this share of the range from black to white, and clipped what reaches that one.
-_LIT, _CLIPPED = 0.02, 0.995
+LIT, CLIPPED = 0.02, 0.995
 #: Places whose steps are the highest of a picture; few enough that a small object's outline holds them.
 _STEEPEST = 500
 #: Of the colours of a picture.
@@ -125,6 +125,9 @@ class Look:
     picture: np.ndarray = field(repr=False)
     whole: np.ndarray = field(repr=False)
 
+    def __str__(self) -> str:
+        return f"brightest hundredth at {self.level:.0%} of the range, {self.clipped:.1%} blown, {self.dark:.0%} dark"
+
     @cached_property
     def level(self) -> float:
         """99th percentile of the brightest band, part of the range."""
@@ -143,7 +146,7 @@ class Look:
         A filter shifts all of them. Where another pose lights other parts of an object of several colours, some jump
         from one colour to the next and others stay. Their distances are root mean squares over the quantiles.
         """
-        bands = self.picture[self.whole & (self.picture.min(axis=2) > _LIT / 4.0)]
+        bands = self.picture[self.whole & (self.picture.min(axis=2) > LIT / 4.0)]
         if len(bands) < _FEWEST_STEPS:
             return np.full(2 * len(_QUANTILES), np.nan)
         ratios = np.log(bands[:, [0, 2]] / bands[:, 1:2])
@@ -239,8 +242,8 @@ def _reduced(mosaic: Mosaic) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     for row, column, band in mosaic.places():
         values = np.ascontiguousarray(mosaic.values[row::2, column::2])
         black, full = float(mosaic.black[row, column]), float(mosaic.white[row, column] - mosaic.black[row, column])
-        clipped |= values >= black + _CLIPPED * full
-        dark &= values < black + _LIT * full
+        clipped |= values >= black + CLIPPED * full
+        dark &= values < black + LIT * full
         bands[band].append((_blocks(values, _side(mosaic)) - np.float32(black)) / np.float32(mosaic.full_scale))
     return np.stack([sum(parts) / np.float32(len(parts)) for parts in bands], axis=-1), clipped, dark
 
@@ -272,7 +275,7 @@ def _sharpness(mosaic: Mosaic) -> float:
     count = min(high.size, max(_FEWEST_STEPS, high.size // _STEEPEST))
     places = np.argpartition(high, -count)[-count:]
     # An evenly lit picture has the steps of its noise alone.
-    if np.median(high[places]) < max(_LIT, 0.25 * float(np.percentile(green[::4, ::4], 99.0))):
+    if np.median(high[places]) < max(LIT, 0.25 * float(np.percentile(green[::4, ::4], 99.0))):
         return math.nan
     return float(np.median(steep[places] / high[places]))
 
@@ -329,14 +332,19 @@ class Series:
         for shot in planned:
             self._brackets[shot.capture, shot.filter].append(shot.exposure_s)
         self._seen: list[tuple[Shot, Look]] = []
-        #: By subject: transmittance of the filter, and shift from the picture without it to that with it.
-        self._pairs: dict[str, list[tuple[np.ndarray | None, np.ndarray | None]]] = defaultdict(list)
+        #: By subject: capture, transmittance of the filter, and shift from the picture without it to that with it.
+        self._pairs: dict[str, list[tuple[str, np.ndarray | None, np.ndarray | None]]] = defaultdict(list)
 
     def add(self, shot: Shot, look: Look) -> None:
         """Take a photograph that was found sound among those that the next ones are compared with."""
         if (partner := self._partner(shot)) is not None:
-            self._pairs[shot.subject].append(_compared(*partner, shot, look))
+            self._pairs[shot.subject].append((shot.capture, *_compared(*partner, shot, look)))
         self._seen.append((shot, look))
+
+    def forget(self, shot: Shot) -> None:
+        """Drop a photograph that is to be taken again: the new one need not be like it."""
+        self._seen = [(s, seen) for s, seen in self._seen if s.file != shot.file]
+        self._pairs[shot.subject] = [pair for pair in self._pairs[shot.subject] if pair[0] != shot.capture]
 
     def _partner(self, shot: Shot) -> tuple[Shot, Look] | None:
         """Return the first photograph of the same capture with the other filter."""
@@ -459,7 +467,7 @@ class Series:
         if passed[1] > self.limits.unfiltered:
             other = {"in": "out", "out": "in"}[shot.filter]
             yield Doubt("filter", f"it is as bright as with the filter {other}: is it {shot.filter}?")
-        elif earlier := [known[1] for known, _ in self._pairs[shot.subject] if known is not None]:
+        elif earlier := [known[1] for _, known, _ in self._pairs[shot.subject] if known is not None]:
             factor = passed[1] / float(np.median(earlier))
             if abs(math.log(factor)) > math.log(self.limits.pair):
                 found = f"the filter passes {factor:.2f} times what it passed before"
@@ -495,7 +503,7 @@ class Series:
             shift = _shift_between(seen, look)
         else:
             shift = _compared(earlier, seen, shot, look)[1]
-            known = [by for _, by in self._pairs[shot.subject] if by is not None]
+            known = [by for _, _, by in self._pairs[shot.subject] if by is not None]
             if known:
                 usual = np.median(known, axis=0)
             else:
@@ -533,7 +541,7 @@ def _transmittance(first: Shot, seen: Look, second: Shot, other: Look) -> np.nda
     """Return the second photograph's light beside the first's for equal times, (3,); None where neither is lit."""
     if seen.picture.shape != other.picture.shape:
         return None
-    common = seen.whole & other.whole & (seen.picture[..., 1] > _LIT / 2.0)
+    common = seen.whole & other.whole & (seen.picture[..., 1] > LIT / 2.0)
     sums = [look.picture[common].sum(axis=0) / shot.exposure_s for shot, look in ((first, seen), (second, other))]
     if common.sum() < _FEWEST_STEPS or not (np.array(sums) > 0.0).all():
         return None

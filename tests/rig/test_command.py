@@ -1,11 +1,14 @@
 """``python -m irodori.rig``: what each command says and returns, on the simulated rig."""
 
+import json
 import os
 import re
 import signal
 import subprocess
 import sys
+import threading
 import time
+import urllib.request
 from pathlib import Path
 
 import patience
@@ -170,6 +173,8 @@ def test_what_is_no_angle_is_refused_with_an_example(capsys, board, word):
         (["shoot", "d5100-comb", "a.dng", "--exposure", "0.02"], "d5100-comb.yaml: driver: found no such key"),
         (["plan", "tile-plate", "--best", "2"], "--best: found 2; accepted: "),
         (["plan", "d5100-comb", "--camera", "--best", "6"], "--best: found a camera"),
+        (["capture", "tile-plate", "--port", "0"], "--port: found no --page that it belongs to"),
+        (["capture", "tile-plate", "--page", "--address", "0.0.0.0"], "0.0.0.0, which stands for many; accepted: one"),
     ],
 )
 def test_a_mistake_is_one_sentence(capsys, bench, arguments, said):
@@ -249,6 +254,34 @@ def test_capture_resumes_with_what_is_missing(capsys, monkeypatch):
     _, err = run(capsys, "capture", "tile-plate")
     assert any("5 of 8 photographs to take" in line for line in err)
     assert any("taken 5, kept 3" in line for line in err)
+    folder = Path("results/rig/bench/tile-plate")
+    assert_whole(folder, read_captures(folder / "captures.csv"))
+
+
+def test_capture_shows_a_page_whose_address_the_terminal_says(capsys):
+    """An observer reads the address, waits for the last photograph, and finishes the session on the page."""
+
+    def observe():
+        said = ""
+        while not (found := re.search(r"http://(127\.0\.0\.1:\d+)/\?token=(\S+)", said)):
+            time.sleep(0.05)
+            said += capsys.readouterr().err
+        host, token = found.groups()
+        cookie = {"Cookie": f"irodori-{host.partition(':')[2]}={token}"}
+        with urllib.request.urlopen(urllib.request.Request(f"http://{host}/news", headers=cookie), timeout=60) as news:
+            for line in news:
+                if line.startswith(b"data: {") and (view := json.loads(line[6:]))["state"] == "complete":
+                    break
+        body = json.dumps({"action": "done", "turn": view["turn"]}).encode()
+        headers = {**cookie, "Origin": f"http://{host}", "Content-Type": "application/json"}
+        urllib.request.urlopen(urllib.request.Request(f"http://{host}/act", body, headers), timeout=60).close()
+        seen.append(view)
+
+    seen, observer = [], threading.Thread(target=observe, daemon=True)
+    observer.start()
+    assert main(["capture", "tile-plate", "--page", "--port", "0"]) == 0
+    observer.join(60.0)
+    assert (seen[0]["done"], seen[0]["total"], seen[0]["name"]) == (8, 8, "tile-plate")
     folder = Path("results/rig/bench/tile-plate")
     assert_whole(folder, read_captures(folder / "captures.csv"))
 

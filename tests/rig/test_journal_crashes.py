@@ -1,6 +1,7 @@
 """The table of a session when the process dies: a crash after, or in place of, each single step on the disk."""
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -9,6 +10,8 @@ from sessions import QuickCamera, assert_whole, contents, hold, shots
 from irodori.capture.journal import Journal
 from irodori.capture.operator import AutoOperator
 from irodori.capture.session import Session, take_stock
+from irodori.config.capture_table import read_captures
+from irodori.core.atomic_files import file_sha256
 
 PLAN = shots(4)
 
@@ -99,6 +102,41 @@ def test_a_crash_at_any_step_loses_nothing_and_doubles_nothing(tmp_path, situati
         assert contents(folder) == expected, f"step {step}: {disk.names[step - 1]}"
         assert_whole(folder, planned)
     assert step > 10 and steps >= {"replace", "fsync", "unlink"}
+
+
+@pytest.mark.parametrize("done", [False, True], ids=["before the step", "after the step"])
+def test_a_crash_while_a_photograph_makes_way_for_a_newer_one_loses_neither(tmp_path, done):
+    """The older one stays under some name in every case, and the newer one once it has its own."""
+
+    class Other(QuickCamera):
+        def capture(self, shot, path):
+            super().capture(replace(shot, file=f"{path.parent}{path}{len(self.taken)}"), path)
+
+    planned = shots(2)
+    for step in range(1, 100):
+        folder = tmp_path / f"{step}"
+        folder.mkdir()
+        hold(folder, planned, Other())
+        path, newer = folder / planned[1].file, folder / ".part-newer.dng"
+        old = path.read_bytes()
+        Other().capture(planned[1], newer)
+        new, journal = newer.read_bytes(), Journal(folder / "captures.csv")
+        with pytest.MonkeyPatch.context() as patch:
+            disk = _Disk(patch, step, done)
+            try:
+                journal.make_way(planned[1].file)
+                os.replace(newer, path)
+                journal.append(planned[1], file_sha256(path))
+            except _Crash:
+                pass
+        placed = not newer.exists()
+        hold(folder, planned, Other())
+        kept = [found.read_bytes() for found in folder.glob("*.dng")]
+        assert old in kept and (new in kept) == placed, f"step {step}: {disk.names}"
+        assert read_captures(folder / "captures.csv", folder) == planned
+        if disk.count < step:
+            break
+    assert step > 5 and "-retaken-" in (folder / "captures-retired.csv").read_text()
 
 
 def test_lines_are_on_the_disk_before_the_next_photograph(tmp_path):

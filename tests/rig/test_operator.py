@@ -5,11 +5,15 @@ import pty
 import subprocess
 import sys
 import threading
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from sessions import QuickCamera, shots
 
+from irodori.capture.dialogue import Dialogue
+from irodori.capture.journal import Journal
 from irodori.capture.operator import (
     SETTINGS,
     AutoOperator,
@@ -21,7 +25,8 @@ from irodori.capture.operator import (
     Step,
     make_operator,
 )
-from irodori.capture.rig.devices import DeadlineError, DeviceError
+from irodori.capture.rig.devices import Axis, DeadlineError, DeviceError, RigDevice, RigStatus
+from irodori.capture.session import Session, take_stock
 from irodori.capture.setup_steps import hand_settings, motor_targets
 from irodori.config.capture_table import FILTERS, SUBJECTS, Pose, Shot
 
@@ -168,7 +173,7 @@ class Terminal:
 
     def write(self, text):
         self.shown.append(text)
-        if "Enter when done" in text and self.lines:
+        if text.endswith(": ") and self.lines:
             os.write(self.master, self.lines.pop(0))
 
     def flush(self):
@@ -195,13 +200,13 @@ def terminal(monkeypatch):
 @pytest.mark.parametrize("answer", [b"\n", b"y\n", b"Done\n"])
 def test_enter_confirms_on_a_terminal(terminal, answer):
     screen = terminal(answer)
-    PromptOperator().ask(STEP)
+    PromptOperator(Dialogue()).ask(STEP)
     assert str(STEP) in "".join(screen.shown)
 
 
 def test_an_answer_that_is_none_is_asked_for_again(terminal):
     screen = terminal(b"what?\n", b"\xff\xfe\n", b"\n")
-    PromptOperator().ask(STEP)
+    PromptOperator(Dialogue()).ask(STEP)
     assert sum("Enter when done" in text for text in screen.shown) == 3
 
 
@@ -209,33 +214,77 @@ def test_an_answer_that_is_none_is_asked_for_again(terminal):
 def test_the_person_may_stop_the_session(terminal, answer):
     terminal(answer)
     with pytest.raises(OperatorAbort, match=r"stopped by the person at the bench, before: Set the light to 45\.0°"):
-        PromptOperator().ask(STEP)
+        PromptOperator(Dialogue()).ask(STEP)
 
 
 def test_what_was_typed_before_the_question_is_no_answer(terminal):
     screen = terminal(b"q\n")
     os.write(screen.master, b"\n\n")
     with pytest.raises(OperatorAbort):
-        PromptOperator().ask(STEP)
+        PromptOperator(Dialogue()).ask(STEP)
 
 
 def test_nobody_at_the_terminal_ends_at_the_deadline(terminal):
     terminal()
     with pytest.raises(DeadlineError, match=r"nobody answered in 0\.05 s: Set the light"):
-        PromptOperator(deadline_s=0.05).ask(STEP)
+        PromptOperator(Dialogue(deadline_s=0.05)).ask(STEP)
+
+
+def test_a_session_is_driven_by_keys(terminal, tmp_path):
+    """What the page has buttons for: a test exposure at a step, a pause typed in mid-exposure, the last one again."""
+    screen = terminal(b"t\n", b"\n", b"l\n", b"\n")
+
+    class Motor(RigDevice):
+        def __init__(self):
+            self.axes = {"camera_deg": Axis("camera_deg", 0.0, 90.0, 1.0, 10.0, 10.0)}
+
+        def move(self, targets_deg):
+            screen.shown.append("moves: ")
+
+        def status(self):
+            return RigStatus("idle", {"camera_deg": 0.0}, homed=True)
+
+        def home(self):
+            raise AssertionError
+
+        stop = close = resume = home
+
+    class Eye(QuickCamera):
+        def capture(self, shot, path):
+            super().capture(replace(shot, file=f"{len(self.taken)}"), path)  # no two are alike
+            if len(self.taken) == 2:
+                os.write(screen.master, b"p\n")
+
+    planned, dialogue, eye = shots(2), Dialogue(), Eye()
+    journal = Journal(tmp_path / "captures.csv")
+    tally = take_stock(journal, planned)
+    Session(eye, PromptOperator(dialogue), journal, Motor(), tally, dialogue=dialogue).run(planned, "vase")
+    happened = [text for text in screen.shown if text.endswith(": ")]
+    assert [text.split(". ")[-1] for text in happened] == [
+        "moves: ",
+        "Enter when done, t for a test exposure, q to stop: ",
+        "Enter when done, t for a test exposure, q to stop: ",
+        "Enter to go on, l to retake the last, t for a test exposure, q to stop: ",
+        "moves: ",
+        "moves: ",
+        "Enter when done, l to retake the last, t for a test exposure, q to stop: ",
+    ]
+    assert "Test exposure: brightest hundredth at" in "".join(screen.shown) and "\nG |" in "".join(screen.shown)
+    assert (len(eye.taken), tally.taken, tally.retaken) == (4, 3, 1)
+    assert len(list(tmp_path.glob("*-retaken-*.dng"))) == 1 and not list(tmp_path.glob(".part*"))
 
 
 def test_an_input_that_is_no_terminal_is_refused_with_a_way_out(monkeypatch):
     with open(os.devnull) as nothing:
         monkeypatch.setattr(sys, "stdin", nothing)
         with pytest.raises(DeviceError, match=r"asked to set the light.*no terminal.*operator: file"):
-            PromptOperator().ask(STEP)
+            PromptOperator(Dialogue()).ask(STEP)
 
 
 def test_without_any_input_it_is_refused_as_well(monkeypatch):
     monkeypatch.setattr(sys, "stdin", None)
     with pytest.raises(DeviceError, match="no terminal"):
-        PromptOperator().ask(STEP)
+        PromptOperator(Dialogue()).ask(STEP)
 
 
 # ---- through a file
@@ -306,10 +355,10 @@ def test_the_virtual_bench_is_set_by_itself():
 
 
 def test_the_configuration_chooses_the_operator(tmp_path):
-    assert isinstance(make_operator("prompt", tmp_path, 5.0), PromptOperator)
-    assert make_operator("file", tmp_path, 5.0).deadline_s == 5.0
-    assert isinstance(make_operator("auto", tmp_path, set_bench=dict), AutoOperator)
+    assert isinstance(make_operator("prompt", tmp_path, Dialogue(5.0)), PromptOperator)
+    assert make_operator("file", tmp_path, Dialogue(5.0)).deadline_s == 5.0
+    assert isinstance(make_operator("auto", tmp_path, Dialogue(), set_bench=dict), AutoOperator)
     with pytest.raises(DeviceError, match="auto is for the virtual rig"):
-        make_operator("auto", tmp_path)
+        make_operator("auto", tmp_path, Dialogue())
     with pytest.raises(ValueError, match=r"no operator 'promt'; did you mean 'prompt'\?"):
-        make_operator("promt", tmp_path)
+        make_operator("promt", tmp_path, Dialogue())

@@ -1,0 +1,85 @@
+"""A photograph as it is shown at the rig: a small picture, where it is blown or dark, and its histogram."""
+
+import io
+from dataclasses import dataclass
+
+import numpy as np
+from PIL import Image
+
+from irodori.colour.tone_curves import SRGB
+from irodori.ingest.mosaic import Mosaic
+from irodori.ingest.plausibility import CLIPPED, LIT
+
+#: Width of the small picture, and lines of superpixels that the histogram counts, at most about.
+_WIDTH_PX, _COUNTED_LINES = 900, 150
+_BINS = 64
+_LEVELS = 4096
+_SRGB_OF_LEVEL = (255.0 * SRGB.code(np.linspace(0.0, 1.0, _LEVELS)) + 0.5).astype(np.uint8)
+#: Blown, dark: red and blue, opaque enough to be seen on a phone in a lit room.
+_OVERLAY = [0, 0, 0, 0, 255, 40, 40, 200, 40, 90, 255, 130]
+_BARS = " ▁▂▃▄▅▆▇█"
+
+
+@dataclass(frozen=True)
+class Preview:
+    """A photograph made small.
+
+    Parameters
+    ----------
+    jpeg : bytes
+        Part of the range from black to white of each block, as sRGB, in the sensor's frame.
+    overlay : bytes
+        PNG of the same size: red where a pixel of the block is saturated, blue where nothing of it is lit.
+    histogram : (3, 64) float
+        Red, green, blue: share of the pixels in equal parts of the range from black to white; what is outside is in the
+        first and the last one.
+    """
+
+    jpeg: bytes
+    overlay: bytes
+    histogram: np.ndarray
+
+    def sketch(self) -> str:
+        """Return the histogram for a terminal, a line for each colour; roots of shares, so that few pixels show."""
+        heights = np.sqrt(self.histogram.reshape(3, _BINS // 2, 2).sum(axis=2))
+        steps = np.ceil(heights / max(float(heights.max()), 1e-9) * (len(_BARS) - 1)).astype(int)
+        return "\n".join(f"{name} |{''.join(_BARS[s] for s in row)}|" for name, row in zip("RGB", steps, strict=True))
+
+
+def preview_of(mosaic: Mosaic) -> Preview:
+    """Return a decoded photograph made small."""
+    side = max(1, -(-(mosaic.size[0] // 2) // _WIDTH_PX))
+    rows, columns = mosaic.size[1] // 2 // side, mosaic.size[0] // 2 // side
+    picture, places = np.zeros((rows, columns, 3), dtype=np.float32), np.zeros(3, dtype=np.float32)
+    blown, lit = np.zeros((rows, columns), dtype=bool), np.zeros((rows, columns), dtype=bool)
+    histogram = np.zeros((3, _BINS))
+    thinned = max(1, rows * side // _COUNTED_LINES)
+    for row, column, band in mosaic.places():
+        black, white = float(mosaic.black[row, column]), float(mosaic.white[row, column])
+        values = mosaic.values[row::2, column::2][: rows * side, : columns * side]
+        total, brightest = np.zeros((rows, columns), dtype=np.uint32), np.zeros((rows, columns), dtype=np.uint16)
+        # By the places within a block: reductions over short axes take five times as long.
+        for at in np.ndindex(side, side):
+            part = values[at[0] :: side, at[1] :: side]
+            total += part
+            np.maximum(brightest, part, out=brightest)
+        picture[..., band] += (total / np.float32(side * side) - black) / np.float32(white - black)
+        blown |= brightest >= black + CLIPPED * (white - black)
+        lit |= brightest >= black + LIT * (white - black)
+        counted = (values[::thinned].astype(np.float32) - black) * (_BINS / (white - black))
+        histogram[band] += np.bincount(np.clip(counted, 0, _BINS - 1).astype(np.intp).ravel(), minlength=_BINS)
+        places[band] += 1.0
+    overlay = Image.fromarray(np.where(blown, np.uint8(1), np.where(lit, np.uint8(0), np.uint8(2))), "P")
+    overlay.putpalette(_OVERLAY, "RGBA")
+    codes = np.clip(picture / places * (_LEVELS - 1) + 0.5, 0, _LEVELS - 1).astype(np.intp)
+    return Preview(
+        jpeg=_encoded(Image.fromarray(_SRGB_OF_LEVEL[codes]), "JPEG", quality=85),
+        overlay=_encoded(overlay, "PNG", compress_level=1),
+        histogram=histogram / histogram.sum(axis=1, keepdims=True),
+    )
+
+
+def _encoded(picture: Image.Image, kind: str, **how) -> bytes:
+    out = io.BytesIO()
+    picture.save(out, kind, **how)
+    return out.getvalue()
