@@ -86,11 +86,19 @@ class SetLook:
         The whole set.
     focal : FocalRange, optional
         Of its camera's lens.
+    whites : iterable of (Shot, Look)
+        Photographs of the camera's white reference that were found sound, where they stand in another set.
     """
 
-    def __init__(self, shots: Iterable[Shot], focal: FocalRange | None = None) -> None:
+    def __init__(
+        self, shots: Iterable[Shot], focal: FocalRange | None = None, whites: Iterable[tuple[Shot, Look]] = ()
+    ) -> None:
         self.shots = in_captures(shots)
         self._focal, self._series = focal, Series(self.shots)
+        for shot, look in whites:
+            self._series.add(shot, look)
+        #: Photographs of the white reference that were found sound.
+        self.whites: list[tuple[Shot, Look]] = []
         self._found: list[Doubted] = []
         self._pairs: dict[str, dict[str, tuple[Path, Look]]] = {}
 
@@ -105,6 +113,8 @@ class SetLook:
         self._found += [Doubted(path, doubt) for doubt in doubts]
         if not doubts:
             self._series.add(shot, look)
+            if shot.role == "white":
+                self.whites.append((shot, look))
         if shot.role == "object" and not any(doubt.kind in _TELLS_NO_POSE for doubt in doubts):
             # Of a bracket that in which least clips, and of those the brightest, shows most.
             states = self._pairs.setdefault(shot.capture, {})
