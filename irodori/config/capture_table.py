@@ -55,7 +55,8 @@ class Pose:
     tilt_deg: float = 0.0
     turn_deg: float = 0.0
 
-    @functools.cached_property
+    @property
+    @functools.cache  # formatting is what looking through a large set would spend its time on
     def name(self) -> str:
         """Name in tenths of a degree, such as ``l0450-c0200-t000-r0000``."""
         light, camera, tilt, turn = (round(10 * getattr(self, angle)) for angle in _ANGLES)
