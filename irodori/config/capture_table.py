@@ -56,7 +56,7 @@ class Pose:
     turn_deg: float = 0.0
 
     @property
-    @functools.cache  # formatting is what looking through a large set would spend its time on
+    @functools.cache  # noqa: B019 - poses are few, and a large set asks for their names all the time
     def name(self) -> str:
         """Name in tenths of a degree, such as ``l0450-c0200-t000-r0000``."""
         light, camera, tilt, turn = (round(10 * getattr(self, angle)) for angle in _ANGLES)
