@@ -14,7 +14,9 @@ from irodori.capture.session import Session, take_stock
 from irodori.capture.shot_list import camera_shots, object_shots
 from irodori.command_line import main
 from irodori.config.models import Camera, Object, Rig
+from irodori.ingest.mosaic import decode
 from irodori.simulation.virtual_rig.bench import Bench
+from irodori.simulation.virtual_rig.dng_writer import write_dng
 from irodori.simulation.virtual_rig.virtual_camera import VirtualCamera
 
 SIZE = {"width_px": 240, "height_px": 160, "pixel_pitch_um": 33.0, "principal_point_px": [120.0, 80.0]}
@@ -110,13 +112,23 @@ def test_all_mistakes_are_listed_at_once(project, tmp_path, capsys, monkeypatch)
         assert any(line.startswith(start) and words in line for line in lines), (start, lines)
 
 
-def test_a_broken_file_hides_no_other_fault(project, tmp_path, capsys, monkeypatch):
+def test_a_broken_file_hides_no_other_fault_and_bodies_are_compared_between_sets(
+    project, tmp_path, capsys, monkeypatch
+):
     folder = shutil.copytree(project, tmp_path / "project")
     monkeypatch.chdir(folder)
     for file in ("camera/white-in-50000us-00.dng", "camera/chart-in-50000us.dng"):
         (folder / file).write_bytes((folder / file).read_bytes()[:2000])
+    plate = sorted((folder / "plate").glob("*-out-*.dng"))[0]
+    taken = decode(plate)
+    plate.unlink()
+    write_dng(plate, taken.values, black_level=600, white_level=16383, exposure_s=taken.exposure_s, model="spare")
+    table = folder / "plate/captures.csv"
+    table.write_text("\n".join(line.rpartition(",")[0] for line in table.read_text().splitlines()))  # its old hashes
     status, lines = said(folder, capsys)
     assert status == 1 and [line.split(": ")[1] for line in lines[:-1]] == [
         "camera/white-in-50000us-00.dng",
         "camera/chart-in-50000us.dng",
+        f"plate/{plate.name}",
     ]
+    assert "body: taken with 'Irodori spare', white-out-20000us-00.dng with" in lines[2]
