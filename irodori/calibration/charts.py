@@ -82,9 +82,7 @@ class Charts:
             names, reflectances = chart_spectra(chart.spectra)
             with _naming(name):
                 photograph = ChartPhotograph.load(file, chart, len(names))
-                reading = photograph.read()
-                _check_order(photograph, reflectances, chart)
-                _check_evenness(photograph, reading)
+                reading = read_chart(photograph, reflectances, chart)
             if photograph.filters != (photographs or [photograph])[0].filters:
                 found = ", ".join(photograph.filters)
                 raise InputError(file, "filters", found, ", ".join(photographs[0].filters) + ", as of the first chart")
@@ -180,6 +178,20 @@ def _level(ratios: np.ndarray, patches: int) -> tuple[float, float]:
     middle = float(np.median(ratios))
     spread = 1.4826 * float(np.median(np.abs(ratios - middle)))
     return float(np.exp(middle)), 1.2533 * spread / np.sqrt(patches)
+
+
+def read_chart(photograph: ChartPhotograph, spectra: np.ndarray, chart: Chart) -> ChartReading:
+    """Return the statistics of a chart's patches.
+
+    Raises
+    ------
+    InputError
+        If they stand in another order than the spectra, (patches, 61), or most of them are uneven.
+    """
+    reading = photograph.read()
+    _check_order(photograph, spectra, chart)
+    _check_evenness(photograph, reading)
+    return reading
 
 
 def _check_order(photograph: ChartPhotograph, spectra: np.ndarray, chart: Chart) -> None:

@@ -5,6 +5,7 @@ A table is a CSV with one photograph a line. Angles are in degrees [design, §4]
 
 import csv
 import dataclasses
+import functools
 import itertools
 import math
 import posixpath
@@ -55,6 +56,7 @@ class Pose:
     turn_deg: float = 0.0
 
     @property
+    @functools.cache  # noqa: B019 - poses are few, and a large set asks for their names all the time
     def name(self) -> str:
         """Name in tenths of a degree, such as ``l0450-c0200-t000-r0000``."""
         light, camera, tilt, turn = (round(10 * getattr(self, angle)) for angle in _ANGLES)

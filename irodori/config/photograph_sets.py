@@ -165,6 +165,15 @@ class PhotographSets:
         optics = self.loaded.cameras[self.camera_of(wildcards)].optics
         return [optics.width_px, optics.height_px] if optics else None
 
+    def lens_mm(self, wildcards) -> list[float] | None:
+        """Return focal length and distance of the subject on the rig, mm, where a set's camera states its optics."""
+        if self._set(wildcards)[0] == "environments":
+            return None
+        optics = self.loaded.cameras[self.camera_of(wildcards)].optics
+        if optics is None:
+            return None
+        return [optics.focal_length_mm, self.loaded.rigs[self.rig_of(wildcards)].camera_distance_mm]
+
     def sessions(self, wildcards) -> list[str]:
         """Return the records of the sessions to hold."""
         return [

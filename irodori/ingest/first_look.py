@@ -1,15 +1,16 @@
-"""First check of a set of RAW files: every file is decoded once before any long work."""
+"""First check of a set of RAW files: every file is decoded and looked at once before any long work."""
 
-from irodori.config.capture_table import check_unchanged, read_captures, shot_path, write_captures
+from irodori.config.capture_table import Shot, check_unchanged, read_captures, shot_path, write_captures
 from irodori.core.custody import content_sha256
 from irodori.core.errors import InputError
-from irodori.core.progress import track
+from irodori.core.progress import LOGGER, track
 from irodori.ingest.exposure_settings import settle, settle_set
-from irodori.ingest.mosaic import decode
+from irodori.ingest.mosaic import Mosaic, decode
+from irodori.ingest.set_plausibility import FocalRange, SetLook
 
 
-def check_captures(table, folder, output, roles, size_px=None) -> None:
-    """Decode every RAW file of a set once and write its table with the files' hashes, ISO and f-number.
+def check_captures(table, folder, output, roles, size_px=None, lens_mm=None) -> None:
+    """Decode every RAW file of a set once, look at it, and write the set's table with hashes, ISO and f-number.
 
     Parameters
     ----------
@@ -21,27 +22,51 @@ def check_captures(table, folder, output, roles, size_px=None) -> None:
     size_px : (width, height), optional
         Size of the mosaic that the definition states; otherwise that of the first file counts. Charts in a room are
         held against the camera's reference when they are read in, as what a stitched panorama is made of.
+    lens_mm : (focal length, distance of the subject), optional
+        As the definitions state them, mm; what the files state must agree.
 
     Raises
     ------
     InputError
         If a file is missing, truncated, changed since the table noted its hash, or of another size than stated; if its
         own exposure time, ISO or f-number differ from the table's by more than 5 %, or the last two are known for a
-        part of the set only.
+        part of the set only; or if a photograph cannot be what the table says, see `irodori.ingest.plausibility`. What
+        is merely unlikely is logged.
     """
     shots = [shot for shot in read_captures(table, folder) if shot.role in roles]
     check_unchanged(table, folder, shots)
-    settled, hashes = [], {}
-    wanted = None if size_px is None else tuple(side // 2 * 2 for side in size_px)
-    for shot in track(shots, "check"):
+    settled, hashes, seen = {}, {}, SetLook(shots, FocalRange.of(*lens_mm) if lens_mm else None)
+    size = SetSize(size_px)
+    for shot in track(seen.shots, "check"):
         path = shot_path(shot, table, folder)
         mosaic = decode(path)
-        # A chart in a room fills the sensor, whatever size the panorama of the same set has.
-        if shot.role != "room-chart":
-            wanted = wanted or mosaic.size
-            if mosaic.size != wanted:
-                found = f"a mosaic of {mosaic.size[0]} x {mosaic.size[1]} pixels"
-                raise InputError(path, "size", found, f"{wanted[0]} x {wanted[1]} pixels, as its set states")
-        settled.append(settle(shot, mosaic, table))
+        size.check(shot, path, mosaic)
+        settled[shot.file] = settle(shot, mosaic, table)
         hashes[shot.file] = content_sha256(path)
-    write_captures(output, settle_set(settled, table), hashes)
+        seen.see(shot, path, mosaic)
+    for unlikely in seen.refuse(table):
+        LOGGER.warning("%s: %s: %s", unlikely.path, unlikely.doubt.kind, unlikely.doubt.words)
+    write_captures(output, settle_set([settled[shot.file] for shot in shots], table), hashes)
+
+
+class SetSize:
+    """The size that all mosaics of a set have.
+
+    Parameters
+    ----------
+    size_px : (width, height), optional
+        As a definition states it; that of the first file where absent.
+    """
+
+    def __init__(self, size_px=None) -> None:
+        self._wanted = None if size_px is None else tuple(side // 2 * 2 for side in size_px)
+
+    def check(self, shot: Shot, path, mosaic: Mosaic) -> None:
+        """Refuse a photograph of another size by an InputError; a chart in a room fills the sensor and may have any."""
+        if shot.role == "room-chart":
+            return
+        self._wanted = self._wanted or mosaic.size
+        if mosaic.size != self._wanted:
+            found = f"a mosaic of {mosaic.size[0]} x {mosaic.size[1]} pixels"
+            accepted = f"{self._wanted[0]} x {self._wanted[1]} pixels, as its set states"
+            raise InputError(path, "size", found, accepted)

@@ -47,6 +47,8 @@ class Mosaic:
         Exposure time in s, sensitivity (ISO 12232) and relative aperture as the file states them; 0 where it does not.
     orientation : int
         The file's orientation by LibRaw's code (0 none, 3 half a turn, 5 a quarter counter-clockwise, 6 clockwise).
+    focal_mm : float
+        Focal length of the lens as the file states it, mm; 0 where it does not.
     """
 
     values: np.ndarray
@@ -58,6 +60,7 @@ class Mosaic:
     iso: float
     f_number: float
     orientation: int
+    focal_mm: float = 0.0
 
     @property
     def size(self) -> tuple[int, int]:
@@ -220,6 +223,7 @@ def _mosaic(path: Path, raw) -> Mosaic:
         iso=_stated(other.iso_speed),
         f_number=_stated(other.aperture),
         orientation=int(raw.sizes.flip),
+        focal_mm=_stated(other.focal_length),
     )
 
 

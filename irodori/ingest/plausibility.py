@@ -1,9 +1,10 @@
 """Plausibility of photographs: what a RAW file shows, and whether that can be what was asked for.
 
-A session asks it of every shot as it comes, when the mistake can still be mended. A photograph is compared with those
-that were found sound before it: of the same kind (role and filter), of the same capture with the other filter, and of
-the white reference. Nothing here is a measurement; limits are wide enough for the poses, brackets and highlights of a
-sound session, and what lies beyond them is said and left to a person.
+A session asks it of every shot as it comes, when the mistake can still be mended; `irodori.ingest.set_plausibility`
+asks it of a table whose photographs are all there. A photograph is compared with those that were found sound before it:
+of the same kind (role and filter), of the same capture with the other filter, and of the white reference. Nothing here
+is a measurement; limits are wide enough for the poses, brackets and highlights of a sound session, and what lies beyond
+them is said and left to a person.
 """
 
 import hashlib
@@ -19,8 +20,10 @@ from irodori.config.capture_table import DRIFT, Shot
 from irodori.ingest.mosaic import Mosaic
 from irodori.ingest.tiff_tags import read_tags
 
-#: Width of the small pictures that are compared, blocks of superpixels.
+#: Least width of the small pictures that are compared, blocks of superpixels.
 _SMALL_PX = 256
+#: And of those that are compared with all others of a set.
+_THUMBNAIL_PX = 64
 _MAKE, _MODEL, _TIME, _SERIAL, _LENS = 271, 272, 36867, 42033, 42036
 #: Lit is what exceeds this share of the range from black to white, and clipped what reaches that one.
 LIT, CLIPPED = 0.02, 0.995
@@ -29,6 +32,12 @@ _STEEPEST = 500
 #: Of the colours of a picture.
 _QUANTILES = (0.1, 0.25, 0.5, 0.75, 0.9)
 _FEWEST_STEPS, _STEP_PX = 16, 4
+#: Of so many rows one is hashed: the noise of an eighth of a picture is not met twice.
+_HASHED = 8
+#: What is not lit at most of a photograph that is not black, a share: hot pixels are less than the rest.
+_BLACK = 0.997
+#: Doubts of which no sound photograph is known to be the cause: nothing is made from what they concern.
+CERTAIN = ("identical", "size", "body", "lens", "focal length", "black", "blown", "light", "filter", "order")
 #: Of each kind so many are looked at again when a session goes on.
 _RECALLED = 3
 #: Clipped superpixels, a share, that leave the ratio of background to highlights as it is.
@@ -55,7 +64,7 @@ class Limits:
         Largest relative change of a view that is photographed again.
     pair, unfiltered : float
         Largest factor between the filter's transmittance in this pair of photographs and in earlier ones;
-        transmittance above which there is no filter.
+        transmittance above which there is no filter, where all bands exceed it.
     colour : float
         A photograph is of the other filter state where its colour is closer to that by this factor, and
     colour_step : float
@@ -100,7 +109,7 @@ class Look:
     size : (width, height)
         Mosaic pixels.
     pixels : str
-        Hash of the pixels alone: a file that is delivered again may have other tags.
+        Hash of every eighth row of pixels alone: a file that is delivered again may have other tags.
     camera, lens, time : str
         Maker, model and serial number of the body; lens; the camera's own clock, ISO 8601. Empty where the file does
         not say.
@@ -112,6 +121,8 @@ class Look:
         Red, green, blue of blocks of superpixels, parts of the range from black to white.
     whole : (rows, columns) bool
         Blocks in which nothing is clipped.
+    focal_mm : float
+        Focal length as the file states it, mm; 0 where it does not.
     """
 
     size: tuple[int, int]
@@ -124,6 +135,7 @@ class Look:
     sharpness: float
     picture: np.ndarray = field(repr=False)
     whole: np.ndarray = field(repr=False)
+    focal_mm: float = 0.0
 
     def __str__(self) -> str:
         return f"brightest hundredth at {self.level:.0%} of the range, {self.clipped:.1%} blown, {self.dark:.0%} dark"
@@ -168,6 +180,11 @@ class Doubt:
     kind: str
     words: str
 
+    @property
+    def is_certain(self) -> bool:
+        """Whether no sound photograph is known to raise it."""
+        return self.kind in CERTAIN
+
 
 def delivered_again(file: str) -> Doubt:
     """Return the doubt about a photograph that is another one, whose file is named."""
@@ -203,7 +220,7 @@ class Drift:
         return {"file": self.file, "repeats": self.repeats, "light": round(self.light, 4), "shift_px": shift}
 
 
-def look_at(path, mosaic: Mosaic) -> Look:
+def look_at(path, mosaic: Mosaic, *, thumbnail: bool = False) -> Look:
     """Return what a decoded photograph shows.
 
     Parameters
@@ -211,30 +228,35 @@ def look_at(path, mosaic: Mosaic) -> Look:
     path : path
         Its file, of which the tags are read.
     mosaic : Mosaic
+    thumbnail : bool
+        Whether a picture of 64 to 127 columns will do, and no measure of sharpness: half the time, and little to keep
+        of a large set; neither focus nor place are doubted then.
     """
-    bands, clipped, dark = _reduced(mosaic)
+    side = _side(mosaic, _THUMBNAIL_PX if thumbnail else _SMALL_PX)
+    bands, clipped, dark = _reduced(mosaic, side)
     texts = {tag.number: str(tag.values[0]) for tag in read_tags(path, (_MAKE, _MODEL, _TIME, _SERIAL, _LENS))}
     named = dict.fromkeys(texts[key] for key in (_MAKE, _MODEL, _SERIAL) if texts.get(key))
     day, _, clock = texts.get(_TIME, "").partition(" ")
     return Look(
         size=mosaic.size,
-        pixels=hashlib.blake2b(mosaic.values.tobytes(), digest_size=16).hexdigest(),
+        pixels=hashlib.blake2b(mosaic.values[::_HASHED].tobytes(), digest_size=16).hexdigest(),
         camera=" ".join(named),
         lens=texts.get(_LENS, ""),
         time=f"{day.replace(':', '-')}T{clock}" if clock else "",
         clipped=float(clipped.mean()),
         dark=float(dark.mean()),
-        sharpness=_sharpness(mosaic),
+        sharpness=math.nan if thumbnail else _sharpness(mosaic),
         picture=bands,
-        whole=_blocks(clipped, _side(mosaic)) == 0.0,
+        whole=_blocks(clipped, side) == 0.0,
+        focal_mm=mosaic.focal_mm,
     )
 
 
-def _side(mosaic: Mosaic) -> int:
-    return max(1, mosaic.size[0] // 2 // _SMALL_PX)
+def _side(mosaic: Mosaic, columns: int = _SMALL_PX) -> int:
+    return max(1, mosaic.size[0] // 2 // columns)
 
 
-def _reduced(mosaic: Mosaic) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _reduced(mosaic: Mosaic, side: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the small picture, and which superpixels are clipped and which are not lit."""
     height, width = mosaic.values.shape
     clipped, dark = np.zeros((height // 2, width // 2), dtype=bool), np.ones((height // 2, width // 2), dtype=bool)
@@ -244,7 +266,7 @@ def _reduced(mosaic: Mosaic) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         black, full = float(mosaic.black[row, column]), float(mosaic.white[row, column] - mosaic.black[row, column])
         clipped |= values >= black + CLIPPED * full
         dark &= values < black + LIT * full
-        bands[band].append((_blocks(values, _side(mosaic)) - np.float32(black)) / np.float32(mosaic.full_scale))
+        bands[band].append((_blocks(values, side) - np.float32(black)) / np.float32(mosaic.full_scale))
     return np.stack([sum(parts) / np.float32(len(parts)) for parts in bands], axis=-1), clipped, dark
 
 
@@ -421,7 +443,7 @@ class Series:
             return
         darkest = min((seen.level / s.exposure_s for s, seen in self._kind(shot)), default=0.0)
         white = self._white_rate(shot)
-        if look.level < limits.black * shot.exposure_s / max(times):
+        if look.level < limits.black * shot.exposure_s / max(times) and look.dark > _BLACK:
             yield Doubt("black", "as good as black: is the cap on the lens, or the lamp off?")
         elif rate < limits.to_white * white:
             yield Doubt("dim", f"{rate / white:.1%} as bright as the white reference: is the lamp on?")
@@ -464,7 +486,11 @@ class Series:
 
     def _of_the_pair(self, shot: Shot, passed: np.ndarray) -> Iterator[Doubt]:
         """Compare the filter's transmittance in this capture with that of earlier captures of the role."""
-        if passed[1] > self.limits.unfiltered:
+        brightest = float(passed.max())
+        if brightest > 1.0 / self.limits.unfiltered:
+            found = f"it is {brightest:.1f} times as bright with the filter in as with the filter out"
+            yield Doubt("filter", f"{found}, and no filter adds light: are 'in' and 'out' exchanged?")
+        elif passed.min() > self.limits.unfiltered:
             other = {"in": "out", "out": "in"}[shot.filter]
             yield Doubt("filter", f"it is as bright as with the filter {other}: is it {shot.filter}?")
         elif earlier := [known[1] for _, known, _ in self._pairs[shot.subject] if known is not None]:

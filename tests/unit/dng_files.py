@@ -17,7 +17,7 @@ def _rational(value):
 
 
 def write_any_dng(path, mosaic, *, pattern="RGGB", black=600, white=16383, exposure_s=0.02, iso=0, f_number=0.0,
-                  orientation=1):  # fmt: skip
+                  focal_mm=0.0, orientation=1):  # fmt: skip
     """Write a mosaic with tags that `irodori.simulation.virtual_rig.dng_writer` does not need.
 
     ``black`` is a number or a (rows, columns) array that repeats; ISO stands in an EXIF block, as cameras write it.
@@ -32,6 +32,8 @@ def write_any_dng(path, mosaic, *, pattern="RGGB", black=600, white=16383, expos
     ]  # fmt: skip
     if f_number:
         tags.append((33437, "2I", 1, _rational(f_number), True))
+    if focal_mm:
+        tags.append((37386, "2I", 1, _rational(focal_mm), True))
     if isinstance(black, int):
         tags.append((50714, "H", 1, black, True))
     else:

@@ -84,6 +84,27 @@ def test_what_a_real_rig_needs(studio, file, path, value, field, found):
     assert found in error.found
 
 
+@pytest.mark.parametrize(
+    ("file", "path", "value", "found"),
+    [
+        (PLATE_FILE, "shape.width_mm", 0.09, None),
+        (PLATE_FILE, "shape", {"kind": "plate", "width_mm": 0.09, "height_mm": 0.09}, "0.5 pixels in the picture"),
+        (PLATE_FILE, "shape", {"kind": "sphere", "radius_mm": 900.0}, "a camera at 900 mm would stand"),
+        (PLATE_FILE, "shape", {"kind": "plate", "width_mm": 900, "height_mm": 900}, "of which 2% lies in the frame"),
+        (CAMERA_FILE, "optics.pixel_pitch_um", 0.01, "of which 0% lies in the frame"),
+        (CAMERA_FILE, "optics.focal_length_mm", 0.05, "0.5 pixels in the picture"),
+    ],
+)
+def test_lengths_in_another_unit_are_refused(studio, file, path, value, found):
+    edit(studio, file, path, value)
+    if found is None:  # a thread, a hair: one side alone tells no unit
+        load(studio)
+        return
+    error = fault(studio)
+    assert error.file.endswith(PLATE_FILE) and error.field == "shape"
+    assert found in error.found and "lengths in mm" in error.accepted
+
+
 def refill(studio: Path, name: str, *changes: tuple[str, str]) -> InputError:
     """Return the fault of a table of which parts are replaced."""
     table = studio / name / "captures.csv"
@@ -153,6 +174,8 @@ def test_a_camera_of_a_chart_alone_needs_no_white_but_a_key_for_one(studio):
          "from 0 to below 80 degrees"),
         ("camera", [("white,45,0,0", "white,20,0,30")], "light_deg of 2.dng", "the light at -10 degrees",
          "from 0 to below 80 degrees"),
+        ("plate", [("object,45,20", "object,0.785398,0.349066"), ("object,45,0", "object,0.785398,0")],
+         "light_deg of 0.dng", "0.785398, in radians", "degrees: 0.785398 rad are 45 degrees"),
     ],
 )  # fmt: skip
 def test_tables_of_a_real_rig_agree(studio, name, changes, field, found, accepted):

@@ -63,16 +63,16 @@ def test_check_captures_keeps_the_shots_of_its_own_set(tmp_path):
     assert [shot.role for shot in read_captures(tmp_path / "object.csv")] == ["object"]
 
 
-def own(path, **settings):
+def own(path, level=1500, **settings):
     """A file of one setting."""
-    return write_any_dng(path, np.full((64, 96), 700, np.uint16), **settings)
+    return write_any_dng(path, np.full((64, 96), level, np.uint16), **settings)
 
 
 def set_of(tmp_path, files, table=()):
     """A set whose files have settings, and its table others."""
     shots = []
     for number, settings in enumerate(files):
-        own(tmp_path / f"{number}.dng", **settings)
+        own(tmp_path / f"{number}.dng", 1500 + number, **settings)
         stated = dict(table[number]) if number < len(table) else {}
         shots.append(Shot(f"{number}.dng", "white", Pose(45.0, 0.0), "out", 0.02, **stated))
     write_captures(tmp_path / "captures.csv", shots)
@@ -104,3 +104,15 @@ def test_settings_known_in_part_must_agree(tmp_path):
     assert np.allclose(agreed, [(200, 8.0)] * 3, rtol=1e-3)
     with pytest.raises(InputError, match=r"iso.*2\.dng"):
         set_of(tmp_path, [{"iso": 200}, {"iso": 400}, {}])
+
+
+def test_the_lens_of_the_files_is_that_of_the_definition(tmp_path):
+    shots = [Shot(f"{number}.dng", "white", Pose(45.0, 0.0), "out", 0.02) for number in range(3)]
+    write_captures(tmp_path / "captures.csv", shots)
+    # Makers round; a file without a focal length says nothing.
+    for shot, (number, focal_mm) in zip(shots, enumerate((50.0, 47.0, 0.0)), strict=True):
+        own(tmp_path / shot.file, 1500 + number, focal_mm=focal_mm)
+    asked = (tmp_path / "captures.csv", tmp_path, tmp_path / "checked.csv", ROLES, None)
+    check_captures(*asked, (50.0, 900.0))
+    with pytest.raises(InputError, match=r"0\.dng: focal length: found taken at 50 mm, .*is 85: is it the right lens"):
+        check_captures(*asked, (85.0, 900.0))

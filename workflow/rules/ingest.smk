@@ -20,6 +20,7 @@ rule check_captures:
         folder=sets.folder,
         roles=sets.roles,
         size_px=sets.size_px,
+        lens_mm=sets.lens_mm,
         user_files=ledger.content(sets.own_photographs),
         altered=ledger.altered(sets.photographs_of_session),
         code=code_hash("irodori.ingest.first_look"),

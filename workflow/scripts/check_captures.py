@@ -8,4 +8,5 @@ with run_rule(snakemake):
         snakemake.output.table,
         snakemake.params.roles,
         snakemake.params.size_px,
+        snakemake.params.lens_mm,
     )

@@ -12,6 +12,7 @@ from irodori.config.capture_table import (
     room_chart_capture,
     shot_path,
 )
+from irodori.config.cross_checks.plausible_units import check_degrees
 from irodori.config.models import AxisLimit, Captures, Exposures, PoseGroup, RigLimits
 from irodori.core.errors import InputError, is_file
 
@@ -46,7 +47,8 @@ class Reach:
             raise InputError(file, field, f"{angle:.10g}", accepted)
 
     def check_shots(self, shots: list[Shot], table) -> None:
-        """Refuse photographs outside the limits."""
+        """Refuse photographs outside the limits, or in another unit."""
+        check_degrees(shots, table)
         for shot in shots:
             for axis in _AXES:
                 # Angles of a real rig are read, not set: they need not stand on its steps.

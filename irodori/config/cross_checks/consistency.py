@@ -23,6 +23,7 @@ from irodori.config.cross_checks.lessons import check_lesson
 from irodori.config.cross_checks.named_spectra import check_chart, check_index, check_spectra
 from irodori.config.cross_checks.object_lobes import check_lobes
 from irodori.config.cross_checks.plan_overrides import check_plan
+from irodori.config.cross_checks.plausible_units import check_in_frame
 from irodori.config.cross_checks.rig_motion import check_motion
 from irodori.config.cross_checks.scene_photographs import check_aim, check_photograph
 from irodori.config.loaded import Loaded
@@ -170,6 +171,8 @@ class _Checks:
             found = f"the camera {definition.camera!r} without optics"
             accepted = f"a camera whose file gives optics ({self.file('cameras', definition.camera)})"
             raise InputError(file, "camera", found, accepted)
+        distance_mm, rig_file = self.all.rigs[camera.rig].camera_distance_mm, self.file("rigs", camera.rig)
+        check_in_frame(definition.shape, camera.optics, distance_mm, file, rig_file)
         self._check_keys("objects", name)
         if self._is_taken_here("objects", name):
             self._check_exposures("objects", name)

@@ -1,0 +1,66 @@
+"""The subcommand ``check``: everything that can be known of a project before any long job."""
+
+import argparse
+import os
+import sys
+from collections.abc import Mapping
+from itertools import chain
+from pathlib import Path
+
+from irodori.check.findings import Finding
+from irodori.check.photographs import PhotographCheck
+from irodori.check.scenes import of_scene
+from irodori.config.definitions import load_definitions
+from irodori.config.loaded import Loaded
+from irodori.core.errors import InputError
+from irodori.core.yaml_files import read_yaml
+
+_CONFIG = "config/config.yaml"
+
+
+def main(arguments: list[str] | None = None, prog: str = "irodori check") -> int:
+    """Look at definitions, scenes and photographs, print what is wrong with them, and write nothing.
+
+    Photographs that are still to be taken, as those of the virtual rig, are passed over. The exit status is 1 where
+    there is an error, 0 where there are at most warnings.
+    """
+    parser = argparse.ArgumentParser(prog=prog, description=main.__doc__)
+    parser.add_argument("--directory", default=".", help="where the paths of definitions start, as that of snakemake")
+    parser.add_argument(
+        "config", nargs="*", help=f"configurations on top of {_CONFIG}, as snakemake --configfile has them"
+    )
+    asked = parser.parse_args(arguments)
+    os.chdir(asked.directory)
+    try:
+        loaded = _load(asked.config)
+    except InputError as error:
+        print(Finding(True, str(error)))  # nothing else can be known
+        return 1
+    photographs, errors, warnings = PhotographCheck(loaded), 0, 0
+    scenes = (finding for name in loaded.scenes for finding in of_scene(loaded, name))
+    for finding in chain(scenes, photographs.findings()):
+        print(finding, flush=True)
+        errors, warnings = errors + finding.is_error, warnings + (not finding.is_error)
+    print(f"{photographs.count} photographs looked at: {errors} errors, {warnings} warnings")
+    return 1 if errors else 0
+
+
+def _load(files: list[str]) -> Loaded:
+    names = [*([_CONFIG] if Path(_CONFIG).is_file() else []), *(file for file in files if Path(file) != Path(_CONFIG))]
+    config: dict = {}
+    for name in names:
+        config = _merged(config, read_yaml(Path(name)))
+    return load_definitions(config, Path(), names)
+
+
+def _merged(old: Mapping, new: Mapping) -> dict:
+    """Return a configuration with another on top, as Snakemake merges files: blocks key by key, lists as a whole."""
+    both = dict(old)
+    for key, value in new.items():
+        is_block = isinstance(value, Mapping) and isinstance(both.get(key), Mapping)
+        both[key] = _merged(both[key], value) if is_block else value
+    return both
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,22 @@
+"""Findings of a check: what stops the workflow, and what a person had better look at."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One finding.
+
+    Parameters
+    ----------
+    is_error : bool
+        Whether the workflow would refuse it, now or hours later; otherwise it is a warning.
+    text : str
+        File, field and what is wrong with it, a sentence.
+    """
+
+    is_error: bool
+    text: str
+
+    def __str__(self) -> str:
+        return f"{'error' if self.is_error else 'warning'}: {self.text}"

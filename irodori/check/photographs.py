@@ -1,0 +1,172 @@
+"""Check of all photographs that a configuration names: each is decoded once, and nothing is written."""
+
+import math
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from types import SimpleNamespace
+from typing import NamedTuple
+
+import numpy as np
+
+from irodori.calibration.chart import locate_patches
+from irodori.calibration.chart_reading import ChartPhotograph
+from irodori.calibration.charts import read_chart
+from irodori.calibration.illumination import illumination
+from irodori.check.findings import Finding
+from irodori.config.capture_table import Shot, chart_capture, check_unchanged, read_captures, shot_path
+from irodori.config.cross_checks.captures_on_rig import table_and_folder
+from irodori.config.loaded import Loaded
+from irodori.config.models import Chart
+from irodori.config.photograph_sets import PhotographSets
+from irodori.core.errors import InputError, is_file
+from irodori.core.progress import track
+from irodori.ingest.exposure_settings import relative_exposure_s, settle, settle_set
+from irodori.ingest.first_look import SetSize
+from irodori.ingest.mosaic import Mosaic, decode
+from irodori.ingest.set_plausibility import FocalRange, SetLook
+from irodori.spectra.published import chart_spectra
+
+#: Level from which a superpixel clips, of the range; and the share of those that a photograph may have.
+_CLIPPED, _FEW = 0.98, 1e-3
+_SET_OF = {"cameras": "camera", "objects": "object", "environments": "environment"}
+
+
+class _Set(NamedTuple):
+    """A set of photographs: what it is called, its camera, and where its table and its files are."""
+
+    name: str
+    camera: str
+    table: Path
+    folder: Path
+    roles: tuple[str, ...]
+    size_px: list[int] | None
+    lens_mm: list[float] | None
+
+
+class _Bright(NamedTuple):
+    """A photograph of a bracket, to choose the brightest in which hardly anything clips."""
+
+    shot: Shot
+    mosaic: Mosaic
+    clips: bool
+
+    @classmethod
+    def of(cls, shot: Shot, mosaic: Mosaic) -> "_Bright":
+        return cls(shot, mosaic, float((mosaic.largest >= _CLIPPED).mean()) > _FEW)
+
+    def rank(self) -> tuple[bool, float]:
+        """Return what is largest of the best."""
+        return not self.clips, -self.shot.exposure_s if self.clips else self.shot.exposure_s
+
+
+class PhotographCheck:
+    """Looks at the photographs of a configuration.
+
+    Parameters
+    ----------
+    loaded : Loaded
+    """
+
+    def __init__(self, loaded: Loaded) -> None:
+        self._loaded = loaded
+        self._whites: dict[str, list] = {}
+        #: How many were looked at so far.
+        self.count = 0
+
+    def findings(self) -> Iterator[Finding]:
+        """Yield what is wrong with the photographs that there are; those still to be taken are passed over."""
+        for one in self._sets():
+            yield from self._of_set(one)
+
+    def _sets(self) -> Iterator[_Set]:
+        """Yield the sets that are there, cameras first: other sets are held against their white references."""
+        sets = PhotographSets(self._loaded)
+        for kind, key in _SET_OF.items():
+            for name, definition in getattr(self._loaded, kind).items():
+                if definition.captures is None or self._loaded.is_virtual(kind, name):
+                    continue
+                asked = SimpleNamespace(**{key: name})
+                if is_file(sets.table(asked)):  # a session that is still to come has none
+                    where = Path(sets.table(asked)), Path(sets.folder(asked)), tuple(sets.roles(asked))
+                    yield _Set(f"{key} {name}", sets.camera_of(asked), *where, sets.size_px(asked), sets.lens_mm(asked))
+        for name, scene in self._loaded.scenes.items():
+            for label, placed in scene.photographs.items():
+                optics = self._loaded.cameras[placed.camera].optics
+                if placed.captures is None or optics is None:
+                    continue
+                table, folder = table_and_folder(placed.captures, Path())
+                lens = [optics.focal_length_mm, math.dist(placed.position_mm, placed.target_mm)]
+                size = [optics.width_px, optics.height_px]
+                yield _Set(f"{name}, {label}", placed.camera, table, folder, ("scene",), size, lens)
+
+    def _of_set(self, one: _Set) -> Iterator[Finding]:
+        try:
+            shots = [shot for shot in read_captures(one.table, one.folder) if shot.role in one.roles]
+        except InputError as error:
+            yield Finding(True, str(error))
+            return
+        focal = FocalRange.of(*one.lens_mm) if one.lens_mm else None
+        seen, size = SetLook(shots, focal, self._whites.get(one.camera, ())), SetSize(one.size_px)
+        settled: dict[str, Shot] = {}
+        best: dict[str, _Bright] = {}
+        for shot in track(seen.shots, f"look {one.name}"):
+            path = shot_path(shot, one.table, one.folder)
+            self.count += 1
+            try:
+                check_unchanged(one.table, one.folder, [shot])
+                mosaic = decode(path)
+                size.check(shot, path, mosaic)
+                settled[shot.file] = settle(shot, mosaic, one.table)
+            except InputError as error:
+                yield Finding(True, str(error))
+                continue
+            seen.see(shot, path, mosaic)
+            if shot.role in ("chart", "white") and shot.filter == "out":
+                bright = _Bright.of(settled[shot.file], mosaic)
+                best[shot.subject] = max(bright, best.get(shot.subject, bright), key=_Bright.rank)
+        try:
+            settle_set(list(settled.values()), one.table)
+        except InputError as error:
+            yield Finding(True, str(error))
+        for doubted in seen.doubted():
+            text = f"{doubted.path}: {doubted.doubt.kind}: {doubted.doubt.words}"
+            yield Finding(doubted.doubt.is_certain, text)
+        if "chart" in one.roles:
+            self._whites[one.camera] = seen.whites
+            yield from self._of_charts(one, best)
+
+    def _of_charts(self, one: _Set, best: Mapping[str, _Bright]) -> Iterator[Finding]:
+        """Read the squares of every chart in the light of the white reference, as the calibration will."""
+        camera = self._loaded.cameras[one.camera]
+        for name, chart in {"": camera.chart, **camera.further_charts}.items():
+            photograph = best.get(chart_capture(name))
+            if photograph is None:
+                continue
+            path = shot_path(photograph.shot, one.table, one.folder)
+            try:
+                _read_chart(path, chart, photograph, best.get("white"))
+            except InputError as error:
+                yield Finding(True, str(error))
+
+
+def _read_chart(path, chart: Chart, photograph: _Bright, white: _Bright | None) -> None:
+    """Refuse a chart whose squares do not lie in its patches, or whose patches stand in another order."""
+    names, spectra = chart_spectra(chart.spectra)
+    if len(names) != chart.rows * chart.columns:
+        return  # the definition's own fault, said by the calibration's own check
+    response, valid = _rate(photograph)
+    if white is not None and white.mosaic.size == photograph.mosaic.size:
+        even, lit = _rate(white)
+        valid &= lit & (even > 0.0).all(axis=2)
+        response = np.where(valid[..., None], response / np.where(even > 0.0, even, 1.0), 0.0)
+    located = locate_patches(response, valid, chart, path)
+    light = illumination(response, valid, located, path, 2) if white is None else None
+    whole = ChartPhotograph(path, response, valid, 2, 1.0, ("out",), None, located, light)
+    read_chart(whole, spectra, chart)
+
+
+def _rate(photograph: _Bright) -> tuple[np.ndarray, np.ndarray]:
+    """Return superpixels in full scales per second of relative exposure, and which are valid."""
+    mosaic = photograph.mosaic
+    rate = mosaic.superpixels / np.float32(mosaic.full_scale * relative_exposure_s(photograph.shot))
+    return rate, mosaic.largest < _CLIPPED

@@ -1,0 +1,132 @@
+"""Check of scenes: views that see nothing, and things that float or stand in each other."""
+
+import math
+from collections.abc import Iterator
+from itertools import combinations
+
+import numpy as np
+
+from irodori.check.findings import Finding
+from irodori.config.loaded import Loaded
+from irodori.config.models import Body, OrthographicView, PerspectiveView, PlacedObject, Scene, Size, View
+from irodori.core.errors import InputError
+from irodori.geometry.rig_frame import look_at, rotation_xyz
+from irodori.geometry.shapes.placement import Placement
+from irodori.geometry.shapes.shape import Shape
+
+_POINTS = 400
+#: Parts of a thing's reach: deeper in another one it stands in it, farther from all others it floats. Points stand for
+#: surfaces, of a mesh some tenth of its reach apart.
+_DEEP, _FLOATS, _FLOATS_BY_A_MESH = 0.02, 0.05, 0.15
+
+
+def of_scene(loaded: Loaded, name: str) -> Iterator[Finding]:
+    """Yield what cannot be right about a scene, and what seldom is."""
+    scene = loaded.scenes[name]
+    try:
+        things = _placed(loaded, scene)
+    except InputError as error:
+        yield Finding(True, str(error))
+        return
+    file = f"{loaded.config.definitions}/scenes/{name}.yaml"
+    if not things:
+        return  # light alone
+    for label, view in scene.views.items():
+        if not any(_may_be_seen(thing, view, scene.image) for thing in things.values()):
+            where = f"a view from {_point(view.position_mm)} towards {_point(view.target_mm)}"
+            found = f"{file}: views.{label}: found {where} that sees none of {', '.join(things)}"
+            yield Finding(True, f"{found}; accepted: one that sees something (are all positions in mm?).")
+    yield from _of_places(things, file)
+
+
+def _point(position) -> str:
+    return f"[{', '.join(f'{value:g}' for value in position)}]"
+
+
+def _placed(loaded: Loaded, scene: Scene) -> dict[str, Placement]:
+    def stand(shape: Shape, item: PlacedObject | Body) -> Placement:
+        return Placement(shape, rotation_xyz(item.rotation_deg), np.array(item.position_mm, float), item.scale)
+
+    found = {}
+    for index, item in enumerate(scene.objects):
+        shape = Shape.from_definition(loaded.objects[item.object].shape)
+        found[f"objects[{index}] ({item.object})"] = stand(shape, item)
+    for index, body in enumerate(scene.bodies):
+        found[f"bodies[{index}] ({body.shape.kind})"] = stand(Shape.from_definition(body.shape), body)
+    return found
+
+
+def _may_be_seen(thing: Placement, view: View, image: Size) -> bool:
+    """Whether a ball about a thing reaches into what a view sees; of an endless plane, whether a ray meets it."""
+    axes = look_at(view.position_mm, view.target_mm, view.up)
+    x, y, z = (thing.translation_mm - np.array(view.position_mm)) @ axes
+    wide = image.width / image.height
+    # Half the height of what is seen at unit distance.
+    slope = math.tan(math.radians(view.field_of_view_deg) / 2.0) if isinstance(view, PerspectiveView) else 0.0
+    if thing.shape.is_endless:
+        rays = np.array([[a * slope * wide, b * slope, 1.0] for a in (-1, 0, 1) for b in (-1, 0, 1)]) @ axes.T
+        height = float((np.array(view.position_mm) - thing.translation_mm) @ thing.rotation[:, 2])
+        return bool((rays @ thing.rotation[:, 2] * height < 0.0).any())
+    radius = thing.shape.reach_mm * thing.scale
+    if z + radius <= 0.0:
+        return False
+    if isinstance(view, OrthographicView):
+        half = view.height_mm / 2.0
+        return abs(x) - radius < half * wide and abs(y) - radius < half
+    # Distance from the planes through the eye and the picture's sides.
+    sides = ((abs(x), slope * wide), (abs(y), slope))
+    return all((across - z * side) / math.hypot(1.0, side) < radius for across, side in sides)
+
+
+def _of_places(things: dict[str, Placement], file: str) -> Iterator[Finding]:
+    gaps: dict[str, list[float]] = {label: [] for label in things}
+    floats = dict.fromkeys(things, _FLOATS)
+    for (one, a), (other, b) in combinations(things.items(), 2):
+        if a.shape.is_endless and b.shape.is_endless:
+            continue
+        # Each way, as points of the one stand for it and the other is known whole; an endless one has no points.
+        ways = [_between(x, y) for x, y in ((a, b), (b, a)) if not x.shape.is_endless]
+        gap, depth = min(gap for gap, _ in ways), max(depth for _, depth in ways)
+        for label in (one, other):
+            gaps[label].append(gap)
+            if "mesh" in (a.shape.name, b.shape.name):
+                floats[label] = _FLOATS_BY_A_MESH
+        smaller = min(t.shape.reach_mm * t.scale for t in (a, b) if not t.shape.is_endless)
+        if depth > _DEEP * smaller:
+            yield Finding(False, f"{file}: {one} and {other} stand {depth:.3g} mm in each other")
+    for label, thing in things.items():
+        reach = thing.shape.reach_mm * thing.scale
+        if not thing.shape.is_endless and gaps[label] and min(gaps[label]) > floats[label] * reach:
+            yield Finding(False, f"{file}: {label} floats {min(gaps[label]):.3g} mm from all else")
+
+
+def _between(a: Placement, b: Placement) -> tuple[float, float]:
+    """Return the distance from a thing's surface to another's, and how deep it reaches into or through that, mm."""
+    round_mm = a.shape.reach_mm * a.scale if a.shape.name == "sphere" else 0.0
+    points = a.translation_mm[None] if round_mm else a.points(a.shape.samples(_POINTS)[0])
+    local = (points - b.translation_mm) @ b.rotation
+    if b.shape.name == "sphere":
+        gap = float(np.linalg.norm(local, axis=1).min() - b.shape.reach_mm * b.scale - round_mm)
+        return max(gap, 0.0), max(-gap, 0.0)
+    if b.shape.is_flat:
+        return _from_flat(local, b, round_mm)
+    near = b.points(b.shape.samples(4 * _POINTS)[0])
+    distance = np.linalg.norm(points[:, None] - near[None], axis=2).min()
+    return max(float(distance) - round_mm, 0.0), 0.0
+
+
+def _from_flat(local: np.ndarray, flat: Placement, round_mm: float) -> tuple[float, float]:
+    """Return gap and depth of points of a thing in the axes of a plate, a disc or a plane."""
+    if flat.shape.is_endless:
+        beside = np.zeros(len(local))
+    elif flat.shape.name == "disc":
+        beside = np.hypot(local[:, 0], local[:, 1]) - flat.shape.reach_mm * flat.scale
+    else:
+        halves = np.array(flat.shape.size_mm) * flat.scale / 2.0
+        beside = (np.abs(local[:, :2]) - halves).max(axis=1)
+    height = local[:, 2]
+    gap = float(np.hypot(np.maximum(beside, 0.0), height).min()) - round_mm
+    over = height[beside <= 0.0]
+    # What reaches through has points on both sides; the shorter way out is its depth.
+    depth = min(float((over + round_mm).max()), float((round_mm - over).max())) if over.size else 0.0
+    return max(gap, 0.0), max(depth, 0.0)

@@ -1,0 +1,84 @@
+"""Checks of lengths and angles that only another unit explains: metres for millimetres, radians for degrees."""
+
+import math
+from collections.abc import Iterable
+from typing import Any
+
+from irodori.config.capture_table import Shot
+from irodori.config.models import Optics
+from irodori.core.errors import InputError
+
+_AXES = ("light_deg", "camera_deg", "tilt_deg", "turn_deg")
+#: People set and note angles in such steps, degrees; in radians these are odd numbers, written to three digits or more.
+_STEP_DEG, _ROUNDING_RAD = 0.5, 0.001
+#: Width of an object in the picture, pixels: fewer hold no texel of its own beside its border.
+_FEWEST_PX = 16
+#: Part of an object's outline in the frame: of what lies outside in every pose no photograph tells anything.
+_LEAST_INSIDE = 0.25
+
+
+def check_degrees(shots: Iterable[Shot], table) -> None:
+    """Refuse a table whose angles are all odd numbers of degrees below 2π, and round ones if they were radians.
+
+    Raises
+    ------
+    InputError
+        For the first such angle.
+    """
+    angles = [(shot, axis, abs(getattr(shot.pose, axis))) for shot in shots for axis in _AXES]
+    angles = [(shot, axis, angle) for shot, axis, angle in angles if angle]
+    if not angles or any(angle > 2.0 * math.pi + _ROUNDING_RAD for _, _, angle in angles):
+        return
+    odd = [(shot, axis, angle) for shot, axis, angle in angles if not _is_multiple(angle, 0.1, 1e-6)]
+    rounding = math.degrees(_ROUNDING_RAD) / 2.0
+    if not odd or not all(_is_multiple(math.degrees(angle), _STEP_DEG, rounding) for _, _, angle in angles):
+        return
+    shot, axis, angle = odd[0]
+    meant = round(math.degrees(angle) / _STEP_DEG) * _STEP_DEG
+    found, accepted = f"{angle:g}, in radians by the look of it", f"degrees: {angle:g} rad are {meant:g} degrees"
+    raise InputError(table, f"{axis} of {shot.file}", found, accepted)
+
+
+def _is_multiple(value: float, step: float, tolerance: float) -> bool:
+    return abs(value - round(value / step) * step) <= tolerance
+
+
+def check_in_frame(shape: Any, optics: Optics, distance_mm: float, file, rig_file) -> None:
+    """Refuse an object that the camera stands in, that is a speck in its picture, or lies outside of it.
+
+    A mesh is passed over: its size stands in its file.
+
+    Parameters
+    ----------
+    shape : block of an object's definition
+    optics : Optics
+    distance_mm : float
+        From the camera to the middle of the rig.
+    file, rig_file : path
+        Definitions of the object and of the rig, for the error message.
+
+    Raises
+    ------
+    InputError
+    """
+    radius = getattr(shape, "radius_mm", None)
+    sides = (2.0 * radius,) * 2 if radius else (getattr(shape, "width_mm", 0.0), getattr(shape, "height_mm", 0.0))
+    if not all(sides):
+        return
+    size = f"{sides[0]:g} mm across" if radius else f"{sides[0]:g} x {sides[1]:g} mm"
+    lengths = f"lengths in mm (pixel_pitch_um in micrometres; {rig_file}, camera_distance_mm {distance_mm:g})"
+    if max(sides) / 2.0 >= distance_mm:
+        found = f"a {shape.kind} {size}, in which a camera at {distance_mm:g} mm would stand"
+        raise InputError(file, "shape", found, lengths)
+    px_per_mm = optics.focal_length_mm * 1000.0 / optics.pixel_pitch_um / distance_mm
+    if max(sides) * px_per_mm < _FEWEST_PX:
+        found = f"a {shape.kind} {size}, {max(sides) * px_per_mm:.2g} pixels in the picture"
+        raise InputError(file, "shape", found, f"{_FEWEST_PX} pixels or more: {lengths}")
+    inside = 1.0
+    for side, middle, count in zip(sides, optics.principal_point_px, (optics.width_px, optics.height_px), strict=True):
+        low, high = middle - side / 2.0 * px_per_mm, middle + side / 2.0 * px_per_mm
+        inside *= max(0.0, min(high, count) - max(low, 0.0)) / (high - low)
+    if inside < _LEAST_INSIDE:
+        width, height = (count / px_per_mm for count in (optics.width_px, optics.height_px))
+        found = f"a {shape.kind} {size}, of which {inside:.0%} lies in the frame of {width:.3g} x {height:.3g} mm"
+        raise InputError(file, "shape", found, f"{_LEAST_INSIDE:.0%} or more; {lengths}")

@@ -1,0 +1,134 @@
+"""The command `irodori check` on a project of somebody's own photographs."""
+
+import copy
+import shutil
+
+import pytest
+import yaml
+from made import made
+from sessions import definitions
+
+from irodori.capture.journal import Journal
+from irodori.capture.operator import AutoOperator
+from irodori.capture.session import Session, take_stock
+from irodori.capture.shot_list import camera_shots, object_shots
+from irodori.command_line import main
+from irodori.config.models import Camera, Object, Rig
+from irodori.ingest.mosaic import decode
+from irodori.simulation.virtual_rig.bench import Bench
+from irodori.simulation.virtual_rig.dng_writer import write_dng
+from irodori.simulation.virtual_rig.virtual_camera import VirtualCamera
+
+SIZE = {"width_px": 240, "height_px": 160, "pixel_pitch_um": 33.0, "principal_point_px": [120.0, 80.0]}
+CORNERS = {"first": (-0.5, -0.3), "row_end": (0.5, -0.3), "column_end": (-0.5, 0.3), "last": (0.5, 0.3)}
+LIMITS = {axis: {"min": 0.0, "max": 140.0, "step": 0.1} for axis in ("light_deg", "camera_deg", "tilt_deg", "turn_deg")}
+RIG = {"kind": "files", "limits": LIMITS, "camera_distance_mm": 900.0, "light": {"spectrum": "A"}}
+LAMP = {"spectrum": "D65", "azimuth_deg": -90, "elevation_deg": 45, "irradiance": 1.0}
+LIGHT = {"image": {"width": 16, "height": 8}, "source": {"kind": "lights", "lights": [LAMP]}}
+SCENE = {
+    "environment": "lamp",
+    "image": {"width": 40, "height": 30},
+    "views": {"front": {"position_mm": [0, -330, 190], "target_mm": [0, 0, 20], "field_of_view_deg": 34}},
+    "objects": [{"object": "plate", "position_mm": [0, 0, 0]}],
+    "bodies": [
+        {"shape": {"kind": "sphere", "radius_mm": 20}, "position_mm": [0, 0, 20], "material": {"spectrum": "TCS71"}}
+    ],
+}
+
+
+def write(folder, files: dict) -> None:
+    for name, content in files.items():
+        path = folder / "config" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(yaml.safe_dump(content))
+
+
+@pytest.fixture(scope="module")
+def project(tmp_path_factory):
+    """A folder with a project of files: a camera's chart and white, a plate of one pose, and a scene."""
+    folder = tmp_path_factory.mktemp("project")
+    plate, camera, rig = definitions(poses=[{"light_deg": [45.0], "camera_deg": [20.0]}])
+    camera["optics"] |= SIZE
+    camera |= {"dark_frames": 0, "white_frames": 1, "linearity_exposure_s": []}
+    bench, eye, stand = Bench(), made(Camera, camera), made(Rig, rig)
+    subject = made(Object, plate)
+    for name, planned, what in (
+        ("camera", camera_shots(eye, ".dng"), None),
+        ("plate", object_shots(subject, eye, ".dng"), subject),
+    ):
+        (folder / name).mkdir()
+        journal, device = Journal(folder / name / "captures.csv"), VirtualCamera(eye, stand, bench, name, planned, what)
+        Session(device, AutoOperator(bench.set), journal, None, take_stock(journal, planned)).run(planned, name)
+    # The virtual chart is 90 mm wide; a millimetre is 50 / 900 / 0.066 superpixels.
+    scale = 75.0 * 50.0 / 900.0 / 0.066
+    chart = {"spectra": "BabelColor Average", "rows": 4, "columns": 6, "patch_px": 6}
+    chart["centres_px"] = {name: [59.5 + scale * x, 39.5 + scale * y] for name, (x, y) in CORNERS.items()}
+    own = {"rig": "table", "optics": camera["optics"], "white": {"reflectance_factor": 0.99}, "chart": chart}
+    shape = {"kind": "plate", "width_mm": 90.0, "height_mm": 90.0}
+    write(folder, {
+        "config.yaml": {"definitions": "config", "make": {"scenes": ["desk"]}},
+        "rigs/table.yaml": RIG,
+        "cameras/own.yaml": own | {"captures": {"table": "camera/captures.csv"}},
+        "objects/plate.yaml": {"camera": "own", "shape": shape, "texels": {"width": 16, "height": 16},
+                               "captures": {"table": "plate/captures.csv"}},
+        "environments/lamp.yaml": LIGHT,
+        "scenes/desk.yaml": SCENE,
+    })  # fmt: skip
+    return folder
+
+
+def said(folder, capsys) -> tuple[int, list[str]]:
+    status = main(["check", "--directory", str(folder)])
+    return status, capsys.readouterr().out.splitlines()
+
+
+def test_a_sound_project_has_no_findings(project, capsys, monkeypatch):
+    monkeypatch.chdir(project)
+    assert said(project, capsys) == (0, ["6 photographs looked at: 0 errors, 0 warnings"])
+
+
+def test_all_mistakes_are_listed_at_once(project, tmp_path, capsys, monkeypatch):
+    folder = shutil.copytree(project, tmp_path / "project")
+    monkeypatch.chdir(folder)
+    scene = copy.deepcopy(SCENE)
+    scene["views"]["away"] = SCENE["views"]["front"] | {"target_mm": [0, -600, 190]}
+    scene["bodies"][0]["position_mm"] = [0, 0, 35]
+    scene["bodies"].append(copy.deepcopy(SCENE["bodies"][0]) | {"position_mm": [-30, 30, 12]})
+    camera = yaml.safe_load((folder / "config/cameras/own.yaml").read_text())
+    for corner in camera["chart"]["centres_px"].values():
+        corner[0] += 5.0
+    write(folder, {"scenes/desk.yaml": scene, "cameras/own.yaml": camera})
+    table = folder / "plate/captures.csv"
+    table.write_text(table.read_text().replace(",in,", ",?,").replace(",out,", ",in,").replace(",?,", ",out,"))
+    status, lines = said(folder, capsys)
+    assert status == 1 and lines[-1].endswith("3 errors, 2 warnings")
+    for start, words in (
+        ("error: config/scenes/desk.yaml: views.away", "sees none of objects[0] (plate)"),
+        ("warning: config/scenes/desk.yaml: bodies[0] (sphere)", "floats 8.26 mm from all else"),
+        ("warning: config/scenes/desk.yaml: objects[0] (plate)", "and bodies[1] (sphere) stand 8 mm in each other"),
+        ("error: camera/chart-out-20000us.dng: chart", "of 24 patches with dirt, an edge or a shadow"),
+        ("error: plate/", "no filter adds light"),
+    ):
+        assert any(line.startswith(start) and words in line for line in lines), (start, lines)
+
+
+def test_a_broken_file_hides_no_other_fault_and_bodies_are_compared_between_sets(
+    project, tmp_path, capsys, monkeypatch
+):
+    folder = shutil.copytree(project, tmp_path / "project")
+    monkeypatch.chdir(folder)
+    for file in ("camera/white-in-50000us-00.dng", "camera/chart-in-50000us.dng"):
+        (folder / file).write_bytes((folder / file).read_bytes()[:2000])
+    plate = sorted((folder / "plate").glob("*-out-*.dng"))[0]
+    taken = decode(plate)
+    plate.unlink()
+    write_dng(plate, taken.values, black_level=600, white_level=16383, exposure_s=taken.exposure_s, model="spare")
+    table = folder / "plate/captures.csv"
+    table.write_text("\n".join(line.rpartition(",")[0] for line in table.read_text().splitlines()))  # its old hashes
+    status, lines = said(folder, capsys)
+    assert status == 1 and [line.split(": ")[1] for line in lines[:-1]] == [
+        "camera/white-in-50000us-00.dng",
+        "camera/chart-in-50000us.dng",
+        f"plate/{plate.name}",
+    ]
+    assert "body: taken with 'Irodori spare', white-out-20000us-00.dng with" in lines[2]
