@@ -265,6 +265,15 @@ def test_a_wide_hole_is_tried_in_its_own_direction_and_over_the_seam_where_the_s
     assert (left <= 0).all() if border == "joined" else (left >= 0).all()
 
 
+def test_what_has_no_data_takes_the_colours_of_the_texels_that_are_named():
+    rng, observed = np.random.default_rng(4), np.ones((SIDE, SIDE), bool)
+    observed[5:12, 8:20] = False
+    one = known(patches(rng)[0], observed)
+    estimate, place = one.estimate(), rng.integers(12, SIDE, (SIDE, SIDE, 2))
+    expected = np.where(observed[..., None], spectra(estimate), spectra(estimate)[place[..., 0], place[..., 1]])
+    np.testing.assert_allclose(spectra(moved_texels(one, estimate, place)), expected, atol=1e-6)
+
+
 def test_a_hole_beside_a_single_texel_says_nothing_and_ends():
     observed = np.zeros((SIDE, SIDE), bool)
     observed[3, 4] = True
