@@ -35,6 +35,7 @@ SUBCOMMANDS = {
     "status": Subcommand(_BENCH, "print the position of a rig's axes and the state of its controller"),
     "setup": Subcommand(_BENCH, "list, and change, settings of a controller that contradict its rig's file"),
     "home": Subcommand(_BENCH, "move every axis of a rig to its reference position"),
+    "recount": Subcommand(_BENCH, "home a rig, and say what its axes have lost in steps"),
     "move": Subcommand(_BENCH, "move axes of a rig to angles"),
     "jog": Subcommand(_BENCH, "move axes of a rig by a small angle"),
     "shoot": Subcommand(_BENCH, "take one photograph"),

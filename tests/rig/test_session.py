@@ -179,6 +179,7 @@ def test_a_rig_that_fails_in_mid_move_ends_the_session_and_the_next_one_goes_on(
             assert bench.true_position() == position
     assert_whole(tmp_path, planned[:2])
     patience.until(lambda: bench.faulty.plugged)
+    definition["motion"]["timeout_s"] = 3.0  # only the fault is to be found soon
     with open_rig(made(Rig, definition)) as opened:
         camera = QuickCamera()
         hold(tmp_path, planned, camera, opened)

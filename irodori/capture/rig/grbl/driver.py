@@ -316,7 +316,7 @@ class GrblRig(ControlledRig):
             try:
                 self.write_settings({20: 1})
                 return
-            except (GarbledError, DeadlineError, CommandError, SettingError):
+            except (GarbledError, CommandError, SettingError):
                 if not left:
                     raise
 
