@@ -120,7 +120,7 @@ class PhotographCheck:
             except InputError as error:
                 yield Finding(True, str(error))
                 continue
-            seen.see(shot, path, mosaic)
+            seen.see(settled[shot.file], path, mosaic)
             if shot.role in ("chart", "white") and shot.filter == "out":
                 bright = _Bright.of(settled[shot.file], mosaic)
                 best[shot.subject] = max(bright, best.get(shot.subject, bright), key=_Bright.rank)

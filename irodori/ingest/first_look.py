@@ -43,7 +43,7 @@ def check_captures(table, folder, output, roles, size_px=None, lens_mm=None) -> 
         size.check(shot, path, mosaic)
         settled[shot.file] = settle(shot, mosaic, table)
         hashes[shot.file] = content_sha256(path)
-        seen.see(shot, path, mosaic)
+        seen.see(settled[shot.file], path, mosaic)
     for unlikely in seen.refuse(table):
         LOGGER.warning("%s: %s: %s", unlikely.path, unlikely.doubt.kind, unlikely.doubt.words)
     write_captures(output, settle_set([settled[shot.file] for shot in shots], table), hashes)

@@ -17,6 +17,7 @@ from functools import cached_property
 import numpy as np
 
 from irodori.config.capture_table import DRIFT, Shot
+from irodori.ingest.exposure_settings import relative_exposure_s
 from irodori.ingest.mosaic import Mosaic
 from irodori.ingest.tiff_tags import read_tags
 
@@ -428,7 +429,7 @@ class Series:
 
     def _of_the_level(self, shot: Shot, look: Look) -> Iterator[Doubt]:
         """Yield whether it is as bright as a photograph of its role can be."""
-        limits, rate = self.limits, look.level / shot.exposure_s
+        limits, rate = self.limits, look.level / relative_exposure_s(shot)
         if shot.role == "dark":
             if look.level > limits.capped:
                 yield Doubt("light", f"a dark frame with light at {look.level:.1%} of the range: is the cap on?")
@@ -441,7 +442,7 @@ class Series:
         grazing = max(shot.pose.light_deg - shot.pose.tilt_deg, shot.pose.camera_deg + shot.pose.tilt_deg)
         if grazing > limits.grazing_deg and shot.subject == "object":
             return
-        darkest = min((seen.level / s.exposure_s for s, seen in self._kind(shot)), default=0.0)
+        darkest = min((seen.level / relative_exposure_s(s) for s, seen in self._kind(shot)), default=0.0)
         white = self._white_rate(shot)
         if look.level < limits.black * shot.exposure_s / max(times) and look.dark > _BLACK:
             yield Doubt("black", "as good as black: is the cap on the lens, or the lamp off?")
@@ -456,7 +457,8 @@ class Series:
 
     def _white_rate(self, shot: Shot) -> float:
         """Return the level of the white reference for a second of exposure, 0 where none was seen."""
-        rates = [w.level / s.exposure_s for s, w in self._seen if s.role == "white" and s.filter == shot.filter]
+        whites = [(s, w) for s, w in self._seen if s.role == "white" and s.filter == shot.filter]
+        rates = [w.level / relative_exposure_s(s) for s, w in whites]
         return float(np.median(rates)) if rates else 0.0
 
     def _of_the_light(self, shot: Shot, look: Look) -> Iterator[Doubt]:
@@ -568,7 +570,17 @@ def _transmittance(first: Shot, seen: Look, second: Shot, other: Look) -> np.nda
     if seen.picture.shape != other.picture.shape:
         return None
     common = seen.whole & other.whole & (seen.picture[..., 1] > LIT / 2.0)
-    sums = [look.picture[common].sum(axis=0) / shot.exposure_s for shot, look in ((first, seen), (second, other))]
+    sums = [look.picture[common].sum(axis=0) for look in (seen, other)]
     if common.sum() < _FEWEST_STEPS or not (np.array(sums) > 0.0).all():
         return None
-    return sums[1] / sums[0]
+    return sums[1] / sums[0] / _exposure_ratio(second, first)
+
+
+def _exposure_ratio(one: Shot, other: Shot) -> float:
+    """Return the exposure of a photograph beside another's; ISO and f-number count where both are known."""
+    ratio = one.exposure_s / other.exposure_s
+    if one.iso and other.iso:
+        ratio *= one.iso / other.iso
+    if one.f_number and other.f_number:
+        ratio *= (other.f_number / one.f_number) ** 2
+    return ratio

@@ -103,7 +103,10 @@ class SetLook:
         self._pairs: dict[str, dict[str, tuple[Path, Look]]] = {}
 
     def see(self, shot: Shot, path: Path, mosaic: Mosaic) -> None:
-        """Take the next photograph, in the order of `shots`; what is doubted is no measure for the next ones."""
+        """Take the next photograph, in the order of `shots`, with its ISO and f-number where its file knows them.
+
+        What is doubted is no measure for the next ones.
+        """
         if shot.taken.accepted:
             return
         look = look_at(path, mosaic, thumbnail=True)

@@ -16,6 +16,7 @@ from irodori.config.capture_table import FILTERS, Taken, read_captures, write_ca
 from irodori.config.models import Camera, Object, Rig
 from irodori.core.errors import InputError
 from irodori.ingest.first_look import check_captures
+from irodori.ingest.mosaic import decode
 from irodori.simulation.virtual_rig.bench import Bench
 from irodori.simulation.virtual_rig.dng_writer import write_dng
 from irodori.simulation.virtual_rig.virtual_camera import VirtualCamera
@@ -107,3 +108,20 @@ def test_sound_photographs_pass_and_so_do_those_for_which_the_table_gives_a_reas
     shots[4] = dataclasses.replace(shots[4], taken=Taken(accepted="the same view on purpose"))
     check(folder, shots)
     assert read_captures(folder / "checked.csv")[4].taken.accepted == "the same view on purpose"
+
+
+def test_a_filter_may_be_made_up_for_by_the_aperture(tmp_path, sound):
+    folder = shutil.copytree(sound, tmp_path / "set")
+    shots = read_captures(folder / "captures.csv")
+    for shot in shots:  # behind the filter a sixth of the time, and six times the light through the lens
+        taken = decode(folder / shot.file)
+        time, model = (shot.exposure_s / 6.0 if shot.filter == "in" else shot.exposure_s), "virtual camera"
+        write_dng(folder / shot.file, taken.values, black_level=600, white_level=16383, exposure_s=time, model=model)
+    told = [
+        dataclasses.replace(shot, exposure_s=shot.exposure_s / 6.0, f_number=8.0 / 6.0**0.5)
+        if shot.filter == "in"
+        else dataclasses.replace(shot, f_number=8.0)
+        for shot in shots
+    ]
+    check(folder, told)
+    assert len(read_captures(folder / "checked.csv")) == len(shots)
