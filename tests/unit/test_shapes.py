@@ -123,19 +123,30 @@ def test_the_kernels_that_loops_choose_among_are_those_of_the_interface():
 # --- a shape from outside --------------------------------------------------------------------------------------------
 
 
-def tube(tmp_path, part: str) -> dict:
-    """What `tube_everywhere` finds in a process in which the tube is registered."""
-    output, here = tmp_path / "found.npz", Path(__file__).parent
-    command = [sys.executable, "-W", "error", here / "tube_everywhere.py", output, part]
+def tube(folder: Path, *parts: str) -> dict[str, dict]:
+    """What `tube_everywhere` finds of some parts in a process in which the tube is registered."""
+    output, here = folder / "found.npz", Path(__file__).parent
+    command = [sys.executable, "-W", "error", here / "tube_everywhere.py", output, *parts]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), str(here.parent), str(here)])}
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr[-3000:]
     with np.load(output) as found:
-        return dict(found)
+        return {part: {key.split()[1]: found[key] for key in found if key.startswith(f"{part} ")} for part in parts}
 
 
-def test_a_shape_from_outside_is_traced_exactly(tmp_path):
-    found = tube(tmp_path, "traced")
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory) -> dict[str, dict]:
+    return tube(tmp_path_factory.mktemp("measured"), "traced", "rectified")
+
+
+@pytest.fixture(scope="module")
+def rendered(tmp_path_factory) -> dict[str, dict]:
+    """Both integrators are compiled anew with the tube among the shapes."""
+    return tube(tmp_path_factory.mktemp("rendered"), "reference", "interactive")
+
+
+def test_a_shape_from_outside_is_traced_exactly(measured):
+    found = measured["traced"]
     assert [*found["variants"]] == ["plate", "sphere", "mesh", "tube"]
     hit = found["hit"] == 0
     assert 0.2 < hit.mean() < 0.9
@@ -149,8 +160,8 @@ def test_a_shape_from_outside_is_traced_exactly(tmp_path):
     assert np.exp(2j * np.pi * uv[:, 0]) == pytest.approx((local[:, 0] + 1j * local[:, 1]) / 20.0, abs=1e-5)
 
 
-def test_a_shape_from_outside_is_rectified(tmp_path):
-    found = tube(tmp_path, "rectified")
+def test_a_shape_from_outside_is_rectified(measured):
+    found = measured["rectified"]
     x, y = found["pixel"].T
     expected = np.stack([x / 512, y / 512, (3 * x - 2 * y) / 512], axis=1)
     seen = found["weight"][:, 0] > 0
@@ -158,10 +169,10 @@ def test_a_shape_from_outside_is_rectified(tmp_path):
     assert np.abs(found["response"][seen, 0] - expected[seen]).max() <= 5e-3 / 512
 
 
-@pytest.mark.heavy  # both integrators are compiled anew with the tube among the shapes
+@pytest.mark.heavy
 @pytest.mark.parametrize(("integrator", "tolerance"), [("reference", 0.03), ("interactive", 0.004)])
-def test_a_shape_from_outside_is_rendered(tmp_path, integrator, tolerance):
-    found = tube(tmp_path, integrator)
+def test_a_shape_from_outside_is_rendered(rendered, integrator, tolerance):
+    found = rendered[integrator]
     ray = pixel_rays((0.0, -300.0, 0.0), (0.0, 0.0, 0.0), (32, 32), 8.0)
     a, b = np.sum(ray[..., :2] ** 2, axis=-1), -300.0 * ray[..., 1]
     with np.errstate(invalid="ignore"):

@@ -1,6 +1,6 @@
 """Run by test_shapes in a process of its own: a shape from outside the package through all that asks shapes.
 
-usage: python tube_everywhere.py OUTPUT PART
+usage: python tube_everywhere.py OUTPUT PART ...
 """
 
 import sys
@@ -119,4 +119,5 @@ PARTS = {
 }
 
 if __name__ == "__main__":
-    np.savez(sys.argv[1], **PARTS[sys.argv[2]]())
+    found = {f"{part} {name}": value for part in sys.argv[2:] for name, value in PARTS[part]().items()}
+    np.savez(sys.argv[1], **found)
