@@ -94,7 +94,7 @@
       [I.text("room"), app.header.environments.map((name) => I.nameOf("environment", name)).join(", ")],
       [I.text("made"), app.header.made],
       [I.text("programs_linked"), I.text("ms", { ms: Math.round(app.renderer.figures().programs_linked_ms) })],
-      ...Object.entries(app.header.hashes).map(([name, value]) => [name, [value].flat().join(" ")]),
+      ...Object.entries(app.header.hashes).map(([name, value]) => [I.nameOf("hash", name), [value].flat().join(" ")]),
     ];
     const test = app.controls.button("selftest", () => selftest());
     dialog("about_picture", table(rows), test);
@@ -147,6 +147,7 @@
       I.text("truth_loss", { error: pairOf(loss) }),
       app.header.environments.map((name) => I.nameOf("environment", name)).join(", "),
       app.header.made,
+      I.text("truth_hash", { hash: app.header.hashes.scene.slice(0, 8) }),
     ]
       .filter(Boolean)
       .join(" · ");

@@ -422,7 +422,8 @@ var Irodori = Irodori || {};
     }
 
     // Cast rays for a state in slices of a few milliseconds, twice: few rays, then as many as the renderer does;
-    // `shown` is called after each. What was begun for another state is given up; resolves to whether this one was finished.
+    // `shown` is called after each. What was begun for another state is given up; resolves to whether this one was
+    // finished.
     async cast(state, shown) {
       const key = Irodori.MovedShadows.key(state);
       if (key === this.running) return false;

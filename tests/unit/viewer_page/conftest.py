@@ -6,8 +6,11 @@ from dataclasses import dataclass, field
 import pytest
 from definitions import ROOT, load
 from double_pages import header_of, write_double
+from pages import room, sources
 
-from irodori.viewer.browser import browser_command, client
+from irodori.viewer.browser import FLAGS, browser_command, client
+from irodori.viewer.page_data import page_data
+from irodori.viewer.page_file import write_page
 
 
 @dataclass
@@ -21,11 +24,11 @@ class Visit:
         return self.page.evaluate("Irodori.page()")
 
     def wait_for(self, condition: str) -> None:
-        """Wait until an expression is true in the page: it has ten seconds."""
+        """Wait until an expression is true in the page: it has a minute."""
         held = self.page.evaluate(
             f"async (end) => {{ while (!({condition}) && performance.now() < end)"
             " await new Promise((go) => setTimeout(go, 10)); return !!(" + condition + "); }",
-            self.page.evaluate("performance.now()") + 10_000,
+            self.page.evaluate("performance.now()") + 60_000,
         )
         assert held, condition
 
@@ -62,7 +65,7 @@ def browser():
     command = browser_command()
     if command is None:
         pytest.skip("NO BROWSER: pages are not tested; install Debian's package chromium")
-    chromium = client().chromium.launch(executable_path=command, args=["--no-sandbox", "--headless=new"])
+    chromium = client().chromium.launch(executable_path=command, args=[*FLAGS, "--headless=new"])
     yield chromium
     chromium.close()
 
@@ -79,6 +82,22 @@ def page_file(scene, tmp_path_factory):
 
 
 @pytest.fixture(scope="session")
+def drawn_page_file(tmp_path_factory):
+    """A page of the product's own renderer: two rooms, a lamp, and a lesson that goes through both."""
+    folder = tmp_path_factory.mktemp("drawn")
+    lesson = {"title": {"en": "Two rooms"}, "steps": [
+        {"title": {"en": "Here"}, "text": {"en": "Move it."}, "light": {"illuminant": {"name": "A"}},
+         "compare": {"mode": "wipe", "light": {"illuminant": {"name": "FL11"}}}},
+        {"title": {"en": "Below"}, "text": {"en": "Darker."}, "light": {"environment": "cellar"},
+         "compare": {"mode": "metamerism", "light": {"illuminant": {"name": "D65"}}}},
+    ]}  # fmt: skip
+    data = page_data(sources(folder, room(), lesson=lesson, further=(room(sun=5.0, level=0.2),)))
+    file = folder / "viewer.html"
+    write_page(file, "Two rooms", data.payload({}))
+    return file
+
+
+@pytest.fixture(scope="session")
 def context_of(browser):
     """Return a function that gives the browser's context of some options, in which pages keep nothing."""
     contexts = {}
@@ -87,7 +106,7 @@ def context_of(browser):
         key = json.dumps([script, options], sort_keys=True)
         if key not in contexts:
             contexts[key] = browser.new_context(offline=True, **options)
-            contexts[key].set_default_timeout(10_000)
+            contexts[key].set_default_timeout(60_000)
             if script:
                 contexts[key].add_init_script(script)
         return contexts[key]
@@ -102,15 +121,15 @@ def visit(context_of, page_file):
     """Return a function that opens the page; at the end nothing may have been complained about."""
     visits = []
 
-    def open_page(hash_="", script="", ready=True, **given) -> Visit:
+    def open_page(hash_="", script="", ready=True, file=page_file, **given) -> Visit:
         options = {"viewport": {"width": 1280, "height": 800}, "locale": "en", "reduced_motion": "reduce", **given}
         context = context_of(script, **options)
         opened = Visit(context.new_page())
         visits.append(opened)
         opened.page.on("console", lambda message: opened.complaints.append(message.text))
         opened.page.on("pageerror", lambda error: opened.complaints.append(str(error)))
-        opened.page.on("request", lambda asked: _note_request(asked, opened, page_file))
-        opened.page.goto(page_file.as_uri() + hash_)
+        opened.page.on("request", lambda asked: _note_request(asked, opened, file))
+        opened.page.goto(file.as_uri() + hash_)
         if ready:
             opened.page.wait_for_selector("body[data-ready]")
         return opened

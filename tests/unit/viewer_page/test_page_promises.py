@@ -403,5 +403,9 @@ def test_the_scale_bar_tells_millimetres(visit):
 
 
 def test_the_footer_tells_how_true_the_picture_is(visit):
-    line = visit().page.locator("#truth-line").inner_text()
-    assert "0.040" in line and "0.210" in line and "2026-11-22" in line
+    one = visit("#selftest")
+    line = one.page.locator("#truth-line").inner_text()
+    assert "0.040" in line and "0.210" in line and "2026-11-22" in line and "0123abcd" in line
+    # The address that asks for the page's own check shows its table.
+    one.wait_for("document.querySelector('#dialog td')")
+    assert one.page.locator("#dialog td").all_inner_texts() == ["double", "0.01", "0.1"]
