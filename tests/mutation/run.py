@@ -5,9 +5,9 @@ of the repository. As many mutants of each room are drawn at random, by the seed
 commit tries others, with ``--half`` of three rooms only, for before the first mutant all tests of a room are run. Each
 is put into a process of its own, forked from one that has run all tests and loaded all compiled loops: the code of the
 function is replaced where it stands. The process runs the tests that pass over the mutant's statement, those of files
-with the module's name first, the shortest first and one case of each before a second, and ends at the first that fails. Each mutant is printed, with the test that
-noticed it or as a survivor, and how many of each room were noticed; the exit status is 1 where too few of all were
-(``--least``).
+with the module's name first, the shortest first and one case of each before a second, and ends at the first that fails.
+Each mutant is printed, with the test that noticed it or as a survivor, and how many of each room were noticed; the exit
+status is 1 where too few of all were (``--least``).
 
 Only the tests of a room's own files are asked (`ROOMS`), of these only such as take less than `LONGEST_S` once their
 loops are loaded, and as many as take `TOGETHER_S` together: a fault that others alone would notice counts as a

@@ -594,6 +594,18 @@ def test_settings_that_read_differently_twice_are_garbled(board):
     assert driver.settings()[100] == bench.machine.settings[100]
 
 
+def test_settings_that_come_too_late_are_not_taken_for_the_next_answer(board):
+    driver, bench = board
+    late = []
+    bench.heard = late.append
+    with pytest.raises(DeadlineError):
+        driver.settings()
+    bench.machine.settings[100] *= 2.0
+    bench.heard = lambda line: line
+    bench.machine.output += b"".join(line.encode() + b"\r\n" for line in late)
+    assert driver.settings()[100] == bench.machine.settings[100]
+
+
 def test_homing_that_ends_elsewhere_is_noticed(board):
     driver, bench = board
     bench.machine.settings[27] = 0.5  # pulls off less than it said
@@ -705,6 +717,18 @@ def test_a_resume_of_what_is_stuck_ends_after_the_time_of_the_whole_reach(pair):
     limit = 1.25 * driver.travel_s(low, high) + TIMEOUT_S
     took = spent(bench, driver.resume, DeadlineError, "no rest within .* after a feed hold")
     assert limit <= took < limit + SLACK_S + 2 * TIMEOUT_S
+
+
+def test_a_resume_of_what_was_never_held_waits_for_the_ramp_of_a_hold_and_no_longer(pair):
+    driver, bench = pair
+    place = driver.drives["camera_deg"].to_units(100.0)
+    bench.write(b"G21G90G53G0X%.3f\n" % place if is_grbl(bench) else b"MA CAME %.3f\r" % place)
+    bench.sleep(0.5)
+    bench.machine.output.clear()
+    bench.pace = 0.0
+    # From 40 degrees/s the camera stands after 0.8 s.
+    took = spent(bench, driver.resume, CommandError, "no feed hold to end")
+    assert 1.25 * 0.8 + TIMEOUT_S <= took < 1.25 * 0.8 + TIMEOUT_S + 2 * SLACK_S
 
 
 def test_a_second_hold_ends_a_resume(pair):
