@@ -181,7 +181,8 @@ def test_a_controller_that_falls_silent_is_left_after_its_timeout(pair):
     is_at(driver, 90.0, 0.0)
 
 
-def test_a_rig_that_did_not_hear_its_stop_is_stopped_before_anything_else(pair):
+@pytest.mark.parametrize("asked", ["status", "resume", "settings"])
+def test_a_rig_that_did_not_hear_its_stop_is_stopped_before_anything_else(pair, asked):
     driver, bench = pair
 
     def cut() -> None:
@@ -191,6 +192,13 @@ def test_a_rig_that_did_not_hear_its_stop_is_stopped_before_anything_else(pair):
     spent(bench, lambda: driver.move({"camera_deg": 120.0}), DeadlineError)
     bench.pace, bench.on_the_way, bench.heard = 1.0, lambda data: data, lambda line: line
     assert bench.machine.moving
+    if asked == "settings" and is_grbl(bench):
+        assert driver.settings()[100] == bench.machine.settings[100]
+        assert not bench.machine.moving
+    if asked == "resume":
+        with pytest.raises((CommandError, AlarmError), match=r"no feed hold to end|alarm|locked"):
+            driver.resume()
+        assert not bench.machine.moving
     assert driver.status().state in ("idle", "alarm") and not bench.machine.moving
     assert 0.0 < driver.position()["camera_deg"] < 119.0
 
@@ -821,4 +829,6 @@ def test_a_rig_without_switches_knows_where_it_was_switched_on(protocol, monkeyp
     assert driver.status().homed
     with pytest.raises(CommandError, match="no limit switches"):
         driver.home()
+    with pytest.raises(CommandError, match="limit switch"):
+        driver.recount()
     driver.close()
