@@ -122,6 +122,11 @@ def test_where_homing_ends_and_what_it_leaves_to_travel():
     assert travel_of(settings, "VZ", turn) == (-300.0, 0.0)
     assert travel_of({**settings, 23: 2}, "VZ", turn) == (0.0, 300.0)
     assert travel_of({**settings, 23: 2}, "VZ", camera) == (-200.0, 0.0)
+    # Where an axis is known to stand after homing, its travel begins there.
+    homes = {turn.channel: 7.0}
+    assert home_position(settings, "V", turn, homes) == 7.0 and home_position(settings, "V", camera, homes) == -1.5
+    assert travel_of(settings, "V", turn, homes) == (-293.0, 7.0)
+    assert travel_of({**settings, 23: 2}, "V", turn, homes) == (7.0, 307.0)
     # The switch lies the pull-off beyond where homing ends.
     assert switch_position(settings, turn, -1.5) == 0.0
     assert switch_position({**settings, 23: 2}, turn, -298.5) == -300.0

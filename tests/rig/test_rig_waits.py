@@ -257,13 +257,15 @@ def test_an_alarm_on_the_way_ends_the_move_and_the_trust_in_the_position(pair):
     assert driver.status().homed and driver.status().state == "idle"
 
 
-def test_a_controller_that_loses_its_power_at_rest_is_not_trusted(pair):
+@pytest.mark.parametrize("asked", [True, False])
+def test_a_controller_that_loses_its_power_at_rest_is_not_trusted(pair, asked):
     driver, bench = pair
     driver.move({"camera_deg": 30.0})
     bench.machine.power_up()
-    assert not driver.status().homed
+    assert not (asked and driver.status().homed)
     with pytest.raises(AlarmError, match="home it"):
         driver.move({"camera_deg": 10.0})
+    assert not driver.status().homed
 
 
 def test_switches_that_are_not_found_end_homing_in_time(pair):
