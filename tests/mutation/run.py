@@ -95,7 +95,7 @@ LONG = (
     "test_planned_poses_beat_as_many_others", "test_every_figure_of_the_gloss_table", "seed_gives_the_same_table",
 )  # fmt: skip
 LONGEST_S = 2.0
-TOGETHER_S = 8.0  # of the tests that one mutant is put to
+TOGETHER_S = 16.0  # of the tests that one mutant is put to
 EXAMPLES = 10  # of a property-based test, at most
 PATIENCE_S = 10.0
 QUIET_S = 40.0
@@ -251,7 +251,8 @@ class Runner:
         The shortest are asked first, one case of each before the second of any: cases of one test notice the same.
         Those of a file that is called after the module, or after its folder in the room, come before all others.
         """
-        own = mutant.module.split(".")[2:]
+        folders = "/".join(ROOMS[self.room][0]).split("/")
+        own = [part for part in mutant.module.split(".")[1:] if part not in folders]
         seconds = self._baseline.seconds | {name: s for name, s in self._alone_s.items() if s >= 0.0}
         shortest = sorted(tests, key=lambda name: (seconds[name], name))
         cases: dict[str, Iterator[int]] = defaultdict(itertools.count)

@@ -181,6 +181,17 @@ def test_a_controller_that_falls_silent_is_left_after_its_timeout(pair):
     is_at(driver, 90.0, 0.0)
 
 
+def test_a_stop_of_what_does_not_come_to_rest_ends_in_time(pair):
+    driver, bench = pair
+    place = driver.drives["camera_deg"].to_units(100.0)
+    bench.write(b"G21G90G53G0X%.3f\n" % place if is_grbl(bench) else b"MA CAME %.3f\r" % place)
+    bench.sleep(0.5)
+    bench.machine.output.clear()
+    bench.pace = 0.0
+    # A ramp from 40 degrees/s takes 0.8 s.
+    assert spent(bench, driver.stop) < 3 * (1.25 * 0.8 + TIMEOUT_S)
+
+
 @pytest.mark.parametrize("asked", ["status", "resume", "settings"])
 def test_a_rig_that_did_not_hear_its_stop_is_stopped_before_anything_else(pair, asked):
     driver, bench = pair
