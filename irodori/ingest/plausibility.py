@@ -312,9 +312,8 @@ def _shift_between(first: Look, second: Look) -> np.ndarray | None:
         math.isfinite(first.sharpness) and math.isfinite(second.sharpness)
     ):
         return None
-    outlines = [_outline(look) for look in (first, second)]
-    spectra = [np.fft.rfft2(picture - picture.mean()) for picture in outlines]
-    likeness = np.fft.irfft2(spectra[1] * spectra[0].conj(), outlines[0].shape)
+    spectra = [np.fft.rfft2(_outline(look)) for look in (first, second)]
+    likeness = np.fft.irfft2(spectra[1] * spectra[0].conj(), first.picture.shape[:2])
     peak = np.unravel_index(int(np.argmax(likeness)), likeness.shape)
     found = []
     for axis in (1, 0):

@@ -33,7 +33,7 @@ _TALK = {"LOGGER", "_LOGGER", "logging", "warnings"}
 #: What gives the same with its arguments swapped.
 _SYMMETRIC = {
     "maximum", "minimum", "max", "min", "hypot", "isclose", "allclose", "array_equal", "logical_and", "zip", "clip",
-    "broadcast_shapes", "delta_e", "delta_e_reflectance", "spectral_rmse", "goodness_of_fit",
+    "broadcast_shapes", "suppress", "delta_e", "delta_e_reflectance", "spectral_rmse", "goodness_of_fit",
 }  # fmt: skip
 #: A constant above zero and not above this is a tolerance, which is as good half as large again.
 _TOLERANCE = 1e-6

@@ -23,7 +23,14 @@ from irodori.capture.rig.devices import (
 )
 from irodori.capture.rig.drives import Drive, drives_of
 from irodori.capture.rig.grbl.driver import GrblRig
-from irodori.capture.rig.grbl.settings_check import check_settings, disagreements, home_position, homing_s, travel_of
+from irodori.capture.rig.grbl.settings_check import (
+    check_settings,
+    disagreements,
+    home_position,
+    homing_s,
+    switch_position,
+    travel_of,
+)
 from irodori.capture.rig.serial_link import SerialLink
 from irodori.config.definitions import load_one
 from irodori.config.models import Rig, SimulatorOptions
@@ -115,6 +122,14 @@ def test_where_homing_ends_and_what_it_leaves_to_travel():
     assert travel_of(settings, "VZ", turn) == (-300.0, 0.0)
     assert travel_of({**settings, 23: 2}, "VZ", turn) == (0.0, 300.0)
     assert travel_of({**settings, 23: 2}, "VZ", camera) == (-200.0, 0.0)
+    # Where an axis is known to stand after homing, its travel begins there.
+    homes = {turn.channel: 7.0}
+    assert home_position(settings, "V", turn, homes) == 7.0 and home_position(settings, "V", camera, homes) == -1.5
+    assert travel_of(settings, "V", turn, homes) == (-293.0, 7.0)
+    assert travel_of({**settings, 23: 2}, "V", turn, homes) == (7.0, 307.0)
+    # The switch lies the pull-off beyond where homing ends.
+    assert switch_position(settings, turn, -1.5) == 0.0
+    assert switch_position({**settings, 23: 2}, turn, -298.5) == -300.0
 
 
 @pytest.mark.parametrize(("low", "high"), [(-142.0, -1.0), (-141.0, 0.01)])
@@ -286,11 +301,7 @@ def test_axes_slower_than_their_controller_move_at_their_own_speed():
         assert b"G21G90G94G53G1X-101.000F24000.000\n" in sent
         rig.move({"camera_deg": 0.0, "turn_deg": 359.5})
         # Y goes 179.75 units at 400 units/s, X keeps step with it: along the line 205.7 units in the same time.
-        feed = (
-            float(sent[-1].split(b"F")[1])
-            if b"F" in sent[-1]
-            else float(next(s for s in sent if b"Y" in s).split(b"F")[1])
-        )
+        feed = float(next(s for s in sent if b"Y" in s).split(b"F")[1])
         assert feed == pytest.approx((179.75**2 + 100.0**2) ** 0.5 / (179.75 / 400.0) * 60.0, rel=1e-4)
 
 

@@ -181,7 +181,19 @@ def test_a_controller_that_falls_silent_is_left_after_its_timeout(pair):
     is_at(driver, 90.0, 0.0)
 
 
-def test_a_rig_that_did_not_hear_its_stop_is_stopped_before_anything_else(pair):
+def test_a_stop_of_what_does_not_come_to_rest_ends_in_time(pair):
+    driver, bench = pair
+    place = driver.drives["camera_deg"].to_units(100.0)
+    bench.write(b"G21G90G53G0X%.3f\n" % place if is_grbl(bench) else b"MA CAME %.3f\r" % place)
+    bench.sleep(0.5)
+    bench.machine.output.clear()
+    bench.pace = 0.0
+    # A ramp from 40 degrees/s takes 0.8 s.
+    assert spent(bench, driver.stop) < 3 * (1.25 * 0.8 + TIMEOUT_S)
+
+
+@pytest.mark.parametrize("asked", ["status", "resume", "settings"])
+def test_a_rig_that_did_not_hear_its_stop_is_stopped_before_anything_else(pair, asked):
     driver, bench = pair
 
     def cut() -> None:
@@ -191,6 +203,13 @@ def test_a_rig_that_did_not_hear_its_stop_is_stopped_before_anything_else(pair):
     spent(bench, lambda: driver.move({"camera_deg": 120.0}), DeadlineError)
     bench.pace, bench.on_the_way, bench.heard = 1.0, lambda data: data, lambda line: line
     assert bench.machine.moving
+    if asked == "settings" and is_grbl(bench):
+        assert driver.settings()[100] == bench.machine.settings[100]
+        assert not bench.machine.moving
+    if asked == "resume":
+        with pytest.raises((CommandError, AlarmError), match=r"no feed hold to end|alarm|locked"):
+            driver.resume()
+        assert not bench.machine.moving
     assert driver.status().state in ("idle", "alarm") and not bench.machine.moving
     assert 0.0 < driver.position()["camera_deg"] < 119.0
 
@@ -249,13 +268,15 @@ def test_an_alarm_on_the_way_ends_the_move_and_the_trust_in_the_position(pair):
     assert driver.status().homed and driver.status().state == "idle"
 
 
-def test_a_controller_that_loses_its_power_at_rest_is_not_trusted(pair):
+@pytest.mark.parametrize("asked", [True, False])
+def test_a_controller_that_loses_its_power_at_rest_is_not_trusted(pair, asked):
     driver, bench = pair
     driver.move({"camera_deg": 30.0})
     bench.machine.power_up()
-    assert not driver.status().homed
+    assert not (asked and driver.status().homed)
     with pytest.raises(AlarmError, match="home it"):
         driver.move({"camera_deg": 10.0})
+    assert not driver.status().homed
 
 
 def test_switches_that_are_not_found_end_homing_in_time(pair):
@@ -594,6 +615,18 @@ def test_settings_that_read_differently_twice_are_garbled(board):
     assert driver.settings()[100] == bench.machine.settings[100]
 
 
+def test_settings_that_come_too_late_are_not_taken_for_the_next_answer(board):
+    driver, bench = board
+    late = []
+    bench.heard = late.append
+    with pytest.raises(DeadlineError):
+        driver.settings()
+    bench.machine.settings[100] *= 2.0
+    bench.heard = lambda line: line
+    bench.machine.output += b"".join(line.encode() + b"\r\n" for line in late)
+    assert driver.settings()[100] == bench.machine.settings[100]
+
+
 def test_homing_that_ends_elsewhere_is_noticed(board):
     driver, bench = board
     bench.machine.settings[27] = 0.5  # pulls off less than it said
@@ -707,6 +740,18 @@ def test_a_resume_of_what_is_stuck_ends_after_the_time_of_the_whole_reach(pair):
     assert limit <= took < limit + SLACK_S + 2 * TIMEOUT_S
 
 
+def test_a_resume_of_what_was_never_held_waits_for_the_ramp_of_a_hold_and_no_longer(pair):
+    driver, bench = pair
+    place = driver.drives["camera_deg"].to_units(100.0)
+    bench.write(b"G21G90G53G0X%.3f\n" % place if is_grbl(bench) else b"MA CAME %.3f\r" % place)
+    bench.sleep(0.5)
+    bench.machine.output.clear()
+    bench.pace = 0.0
+    # From 40 degrees/s the camera stands after 0.8 s.
+    took = spent(bench, driver.resume, CommandError, "no feed hold to end")
+    assert 1.25 * 0.8 + TIMEOUT_S <= took < 1.25 * 0.8 + TIMEOUT_S + 2 * SLACK_S
+
+
 def test_a_second_hold_ends_a_resume(pair):
     driver, bench = pair
     under_way(driver, bench, 1.0)
@@ -797,4 +842,6 @@ def test_a_rig_without_switches_knows_where_it_was_switched_on(protocol, monkeyp
     assert driver.status().homed
     with pytest.raises(CommandError, match="no limit switches"):
         driver.home()
+    with pytest.raises(CommandError, match="limit switch"):
+        driver.recount()
     driver.close()

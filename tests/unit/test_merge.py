@@ -112,7 +112,11 @@ def test_samples_at_the_clip_level_are_never_used():
     frames = photograph(np.full((64, 64), 0.3), [0.002, 0.02], rng)
     frames[1, 10:20, 10:20] = SENSOR.white_level  # a flash in the long exposure alone
     frames[:, 40:44, 40:44] = SENSOR.white_level
-    out, clipped, _ = merged(frames, [0.002, 0.02])
+    out, clipped, shares = merged(frames, [0.002, 0.02])
+    # Of each band's samples every exposure gave those that are not clipped: green has two in a superpixel.
+    lost = np.array([[4, 4 + 25], [8, 8 + 50], [4, 4 + 25]]) / np.array([[1024], [2048], [1024]])
+    assert shares == pytest.approx(1.0 - lost)
+    assert merged(frames[1:], [0.02])[2].tolist() == [[1.0]] * 3
     short = (frames[0, 10:20, 10:20].astype(float) - SENSOR.black_level - 0.002 * 2 / GAIN) / (0.002 * FULL)
     assert np.allclose(out[5:10, 5:10, 0], short[::2, ::2], rtol=1e-5)
     expected = np.zeros((32, 32), bool)

@@ -163,6 +163,29 @@ def test_a_channel_s_own_white_level_counts_where_it_can_be_one(tmp_path, monkey
     assert decode(path).white.ravel().tolist() == white
 
 
+@pytest.mark.parametrize(
+    ("colours", "words"),
+    [
+        ([[0, 1], [1, 1]], "found RGGG; accepted: a 2 x 2 pattern"),
+        ([[0, 1], [3, 2], [1, 0], [2, 3]], "a pattern that does not repeat every 2 pixels"),
+        ([[0, 1, 0, 1, 2, 1], [3, 2, 3, 2, 3, 0]], "a pattern that does not repeat every 2 pixels"),
+        ([[0, 1], [7, 2]], r"RG\?B"),
+    ],
+)
+def test_a_mosaic_of_another_pattern_is_refused(tmp_path, monkeypatch, colours, words):
+    path = dng(tmp_path / "a.dng", random_mosaic(np.random.default_rng(4)))
+    imread, side = rawpy.imread, np.shape(colours)
+
+    def other(name):
+        maker = Maker(imread(name), None)
+        maker.raw_color = lambda row, column: colours[row % side[0]][column % side[1]]
+        return maker
+
+    monkeypatch.setattr(rawpy, "imread", other)
+    with pytest.raises(InputError, match=words):
+        decode(path)
+
+
 def test_the_largest_of_each_superpixel_is_the_one_nearest_to_its_white_level(tmp_path):
     values = random_mosaic(np.random.default_rng(5))
     found = decode(dng(tmp_path / "a.dng", values)).largest

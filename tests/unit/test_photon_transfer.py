@@ -128,6 +128,17 @@ def test_points_that_scatter_more_than_their_number_tells_have_larger_errors():
     assert abs(found[1][0] - 2.0) < 4.0 * found[1][1]
 
 
+@pytest.mark.parametrize("points", [3, 5])
+def test_the_stated_error_of_a_few_points_is_their_scatter(points):
+    """Its mean square is the variance of the gains that many draws give, however few points tell of the scatter."""
+    level, one = np.linspace(0.0, 20_000.0, points), np.ones(points)
+    # Their number of pixels alone lets variances scatter by 0.022.
+    scattered = np.random.default_rng(7).normal(2.0 * 9.0 + 2.0 * level / 2.0, 0.1 * (2.0 * 9.0 + level), (400, points))
+    found = [fit_transfer(np.stack([0 * one, 4096 * one, level, one, row], axis=1)) for row in scattered]
+    gain, error = np.array(found)[:, :2].T
+    assert np.mean(error**2) == pytest.approx(np.var(gain), rel=0.3)
+
+
 def test_points_that_determine_nothing_say_so():
     level = np.full(20, 5.0)
     one = np.ones(20)

@@ -100,11 +100,16 @@ def test_the_filtered_bands_lie_on_the_unfiltered_ones(tmp_path, options):
     assert (missed[:, 3:].std(axis=0) > 2 * error[:, 3:].std(axis=0)).all() and "registration" not in plain
 
 
-@pytest.mark.parametrize("sample_px", [1, 2])
-@pytest.mark.parametrize("start", [None, Alignment((2.0, -1.0, 0.0, 1.0), 0.0, 0.01, "capture")])
-def test_pictures_of_either_sampling_are_aligned_in_superpixels_and_moved(monkeypatch, sample_px, start):
+@pytest.fixture
+def small(monkeypatch):
+    """Pictures of a third of the size."""
     monkeypatch.setitem(globals(), "HEIGHT", 192)
     monkeypatch.setitem(globals(), "WIDTH", 256)
+
+
+@pytest.mark.parametrize("sample_px", [1, 2])
+@pytest.mark.parametrize("start", [None, Alignment((2.0, -1.0, 0.0, 1.0), 0.0, 0.01, "capture")])
+def test_pictures_of_either_sampling_are_aligned_in_superpixels_and_moved(small, sample_px, start):
     rng, states = np.random.default_rng(4), []
     for state, bands in (("out", slice(0, 3)), ("in", slice(3, 6))):
         response = paint(*coordinates(state, sample_px=sample_px))[..., bands].astype(np.float32)
@@ -130,7 +135,7 @@ def test_pictures_of_either_sampling_are_aligned_in_superpixels_and_moved(monkey
 
 
 @pytest.mark.stability(stage="ingest", case="picture without content")
-def test_a_capture_without_content_takes_the_charts_transform(tmp_path):
+def test_a_capture_without_content_takes_the_charts_transform(tmp_path, small):
     studio = session(tmp_path, contrast=0.0)
     found = ingest(studio, POSE)
     assert found["registration_source"] == "chart" and found["registration_sigma_px"] > 0.1
@@ -140,7 +145,7 @@ def test_a_capture_without_content_takes_the_charts_transform(tmp_path):
 
 
 @pytest.mark.stability(stage="ingest", case="picture without content")
-def test_without_a_chart_and_without_content_nothing_is_moved_and_the_file_says_so(tmp_path):
+def test_without_a_chart_and_without_content_nothing_is_moved_and_the_file_says_so(tmp_path, small):
     found = ingest(session(tmp_path, contrast=0.0, chart=False), POSE)
     assert found["registration_source"] == "none" and np.array_equal(found["registration"], [0, 0, 0, 1])
     assert found["valid"].all()

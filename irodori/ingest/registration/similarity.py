@@ -183,8 +183,8 @@ class _Pair:
     @property
     def coarsest(self) -> int:
         """The level of the search."""
-        level, shortest = math.ceil(math.log2(max(max(self.shape) / _COARSEST_PX, 1.0))), min(self.shape)
-        return min(level, max(0, int(math.log2(shortest / _SHORTEST_PX))) if shortest > _SHORTEST_PX else 0)
+        level = math.ceil(math.log2(max(max(self.shape) / _COARSEST_PX, 1.0)))
+        return min(level, int(math.log2(max(min(self.shape) / _SHORTEST_PX, 1.0))))
 
     @property
     def finest(self) -> int:
@@ -208,7 +208,7 @@ class _Pair:
         """Return the most coherent fit at the coarsest level from all starting points."""
         n = self.coarsest
         shifts, level = search(self.fixed[n], self.moving[n], float(2**n)), self.level(n, _PLACES[2], False)
-        starts = [(1.0 + 0.0j, d) for d in shifts] + ([] if start is None else [start.complex_parts()])
+        starts = [(complex(1.0), d) for d in shifts] + ([] if start is None else [start.complex_parts()])
         fits = [_settled(level, turn, shift) for turn, shift in starts]
         return max((fit for fit in fits if fit is not None), key=lambda fit: fit.coherence, default=None)
 
@@ -280,7 +280,7 @@ def _sigma_px(level: Level, fit: SimilarityFit) -> float:
     if np.linalg.eigvalsh(white)[0] < _NOISE_RATIO:
         return math.inf
     covariance = np.linalg.inv(information - noise)
-    if np.linalg.eigvalsh(covariance)[-1] > _UNDETERMINED_PX**2:
+    if math.sqrt(np.linalg.eigvalsh(covariance)[-1]) > _UNDETERMINED_PX:
         return math.inf
     # Errors of neighbouring cells hang together where one edge runs through both, so scores are summed over parts
     # before they are squared (the cluster-robust covariance: Liang, Zeger, Biometrika 73(1), 1986). Parts are blocks,

@@ -58,8 +58,8 @@ def make_level(fixed, moving, scale: float, *, shape, count: int, offsets_px, lo
     cell = int(min(32, max(8, min(fixed.shape[:2]) // 6)))
     noise = noise_of(fixed)
     energy = gradient_energy(fixed, noise)
-    some = energy[1:-1, 1:-1][:: max(1, energy.shape[0] // 64)]
-    some = some[some > 0.0]
+    some = energy[1 :: max(1, energy.shape[0] // 64)]
+    some = some[some > 0.0]  # which the border is not
     gate = _GATE * float(np.quantile(some, 0.05)) if some.size else 0.0
     columns = 2 * max(1, fixed.shape[1] // (2 * (cell // 2)))
     cells = columns * max(1, fixed.shape[0] // cell)

@@ -41,7 +41,6 @@ from irodori.capture.rig.grbl.protocol import (
     motion_line,
 )
 from irodori.capture.rig.grbl.settings_check import (
-    RATE,
     STEPS,
     TRAVEL,
     Disagreement,
@@ -545,9 +544,8 @@ class GrblRig(ControlledRig):
         if not moved:
             return "", 0.0
         drives = [self.drives[n] for n in moved]
-        rapid = all(abs(d.speed * 60.0 / self._settings[number(RATE, d)] - 1.0) < 1e-3 for d in drives)
         speed, _ = along([way[n] for n in moved], [d.speed for d in drives], [d.acceleration for d in drives])
-        return motion_line(named, None if rapid else speed * 60.0), self._travel([way[n] for n in self.drives])
+        return motion_line(named, speed * 60.0), self._travel([way[n] for n in self.drives])
 
     def _travel(self, way: list[float]) -> float:
         drives = list(self.drives.values())

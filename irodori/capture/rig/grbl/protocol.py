@@ -191,7 +191,7 @@ def _report(line: str) -> Report:
     return Report(name, int(number) if colon else None, machine, found.get("Pn", ""), homed)
 
 
-def motion_line(targets: dict[str, float], feed: float | None) -> str:
+def motion_line(targets: dict[str, float], feed: float) -> str:
     """Return the line that moves axes in a straight line in machine coordinates, without its end.
 
     It depends on no state of the controller: units, mode and coordinates are part of it.
@@ -200,11 +200,11 @@ def motion_line(targets: dict[str, float], feed: float | None) -> str:
     ----------
     targets : dict
         Letter: machine coordinate, units.
-    feed : float or None
-        Speed along the line, units/min; None moves as fast as the controller's settings allow (``G0``).
+    feed : float
+        Speed along the line, units/min.
     """
     words = "".join(f"{letter}{target:.3f}" for letter, target in targets.items())
-    return f"G21G90G53G0{words}" if feed is None else f"G21G90G94G53G1{words}F{feed:.3f}"
+    return f"G21G90G94G53G1{words}F{feed:.3f}"
 
 
 def jog_line(targets: dict[str, float], feed: float) -> str:
