@@ -7,7 +7,7 @@ import zlib
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from pages import room, sources
 
@@ -58,13 +58,13 @@ def test_small_numbers_of_gloss_keep_their_relative_size():
 
 def damaged(change) -> str:
     written, _ = planes()
-    stream = zlib.decompress(base64.b64decode(write_payload({}, written)))
+    stream = zlib.decompress(base64.b64decode(write_payload({}, written)), wbits=31)
     length = struct.unpack("<I", stream[:4])[0]
     header = json.loads(stream[4 : 4 + length])
     body = change(header) or b""
     text = json.dumps(header).encode()
     whole = struct.pack("<I", len(text)) + text + stream[4 + length :] + body
-    return base64.b64encode(zlib.compress(whole)).decode()
+    return base64.b64encode(zlib.compress(whole, wbits=31)).decode()
 
 
 @pytest.mark.parametrize(
@@ -89,6 +89,7 @@ def test_a_payload_of_another_kind_is_refused_in_one_sentence(change, said):
 @given(at=st.integers(0, 10**9), byte=st.integers(1, 255), keep=st.floats(0, 1))
 def test_damage_anywhere_is_found(at, byte, keep):
     raw = bytearray(base64.b64decode(write_payload({}, planes()[0])))
+    assume(at % len(raw) != 9)  # the system that wrote it, which changes nothing
     raw[at % len(raw)] ^= byte
     for broken in (bytes(raw), bytes(raw[: int(keep * (len(raw) - 1))])):
         with pytest.raises(InputError):

@@ -1,4 +1,4 @@
-// The payload of a page: base64 of a zlib stream with a JSON header and planes; the format is told in payload.py.
+// The payload of a page: base64 of a gzip stream with a JSON header and planes; the format is told in payload.py.
 "use strict";
 var Irodori = Irodori || {};
 Irodori.SCHEMA_VERSION = 1;
@@ -25,7 +25,7 @@ Irodori.SCHEMA_VERSION = 1;
 
   async function unfolded(bytes) {
     // Fed by hand: a stream that is cut short or damaged ends in an error of the reader, whatever the writer does.
-    const stream = new DecompressionStream("deflate");
+    const stream = new DecompressionStream("gzip");
     const writer = stream.writable.getWriter();
     writer.write(bytes).catch(() => 0);
     writer.close().catch(() => 0);

@@ -113,7 +113,8 @@ def test_motion_is_reduced_on_request(visit):
         one.page.locator(".steps li:nth-child(2) button").click()
         one.settled()
     frames = [one.page.evaluate("Irodori.pace().frames - window.drawn") for one in (glide, still)]
-    assert frames[0] > 5 > frames[1]
+    # A machine that is busy draws few frames of a glide; without one there is the last alone, and what settles it.
+    assert frames[0] > frames[1] and frames[1] <= 2
     assert glide.state() == still.state()
 
 
