@@ -31,7 +31,9 @@ class Subcommand(NamedTuple):
 
 
 SUBCOMMANDS = {
-    "check": Subcommand("irodori.check.command", "look at definitions, scenes and photographs before any long job"),
+    "check": Subcommand(
+        "irodori.check.check_command", "look at definitions, scenes and photographs before any long job"
+    ),
     "status": Subcommand(_BENCH, "print the position of a rig's axes and the state of its controller"),
     "setup": Subcommand(_BENCH, "list, and change, settings of a controller that contradict its rig's file"),
     "home": Subcommand(_BENCH, "move every axis of a rig to its reference position"),

@@ -1,1 +1,1 @@
-"""What can be known of a project before any long job."""
+"""Checks of a whole project before any long job."""

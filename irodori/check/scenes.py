@@ -89,7 +89,7 @@ def _of_places(things: dict[str, Placement], file: str) -> Iterator[Finding]:
         gap, depth = min(gap for gap, _ in ways), max(depth for _, depth in ways)
         for label in (one, other):
             gaps[label].append(gap)
-            if "mesh" in (a.shape.name, b.shape.name):
+            if not (a.shape.is_convex and b.shape.is_convex):
                 floats[label] = _FLOATS_BY_A_MESH
         smaller = min(t.shape.reach_mm * t.scale for t in (a, b) if not t.shape.is_endless)
         if depth > _DEEP * smaller:
@@ -102,10 +102,10 @@ def _of_places(things: dict[str, Placement], file: str) -> Iterator[Finding]:
 
 def _between(a: Placement, b: Placement) -> tuple[float, float]:
     """Return the distance from a thing's surface to another's, and how deep it reaches into or through that, mm."""
-    round_mm = a.shape.reach_mm * a.scale if a.shape.name == "sphere" else 0.0
+    round_mm = a.shape.reach_mm * a.scale if _is_ball(a) else 0.0
     points = a.translation_mm[None] if round_mm else a.points(a.shape.samples(_POINTS)[0])
     local = (points - b.translation_mm) @ b.rotation
-    if b.shape.name == "sphere":
+    if _is_ball(b):
         gap = float(np.linalg.norm(local, axis=1).min() - b.shape.reach_mm * b.scale - round_mm)
         return max(gap, 0.0), max(-gap, 0.0)
     if b.shape.is_flat:
@@ -115,15 +115,19 @@ def _between(a: Placement, b: Placement) -> tuple[float, float]:
     return max(float(distance) - round_mm, 0.0), 0.0
 
 
+def _is_ball(thing: Placement) -> bool:
+    return thing.shape.is_convex and thing.shape.is_curved
+
+
 def _from_flat(local: np.ndarray, flat: Placement, round_mm: float) -> tuple[float, float]:
     """Return gap and depth of points of a thing in the axes of a plate, a disc or a plane."""
     if flat.shape.is_endless:
         beside = np.zeros(len(local))
-    elif flat.shape.name == "disc":
-        beside = np.hypot(local[:, 0], local[:, 1]) - flat.shape.reach_mm * flat.scale
     else:
         halves = np.array(flat.shape.size_mm) * flat.scale / 2.0
         beside = (np.abs(local[:, :2]) - halves).max(axis=1)
+        # A disc ends before the corners of its square; no plate reaches further than its own.
+        beside = np.maximum(beside, np.hypot(local[:, 0], local[:, 1]) - flat.shape.reach_mm * flat.scale)
     height = local[:, 2]
     gap = float(np.hypot(np.maximum(beside, 0.0), height).min()) - round_mm
     over = height[beside <= 0.0]

@@ -120,7 +120,7 @@ def test_a_virtual_session_removes_nothing_behind_a_link(tmp_path):
     (tmp_path / "jar").mkdir()
     (tmp_path / "jar/captures").symlink_to(tmp_path / "real")
     with pytest.raises(InputError, match="a link that leads out"):
-        _start_over_if_changed(tmp_path / "jar/captures/captures.csv", MADE)
+        _start_over_if_changed(tmp_path / "jar/captures/captures.csv", tmp_path / "session.json", MADE)
     assert (tmp_path / "real/a.dng").read_bytes() == b"a day's work"
 
 
