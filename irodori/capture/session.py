@@ -253,7 +253,9 @@ class Session:
             try:
                 self._take_or_end(wanted[0], planned)
             except RetakeLast as wish:
-                last = self.journal.shots[wish.file]
+                last = self.journal.shots.get(wish.file)
+                if last is None:
+                    continue  # it was set aside meanwhile, and is taken again as all that is missing
                 self._series.forget(last)
                 self.drift = [frame for frame in self.drift if frame.file != last.file]
                 if wanted[0] is None or wanted[0].file != last.file:

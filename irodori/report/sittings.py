@@ -41,7 +41,7 @@ def sittings(records: Sequence) -> list[Sitting]:
     found = []
     for path in map(Path, records):
         record = json.loads(path.read_text(encoding="utf-8"))
-        checks, drift = record["position"], record["drift"]
+        checks, drift = record.get("position", []), record["drift"]  # records of old versions hold no position
         if not checks and not drift:
             continue
         axes = dict.fromkeys(name for check in checks for name in check["lost_deg"])

@@ -4,6 +4,7 @@ import pytest
 from sessions import QuickCamera, assert_whole
 from virtual_time import bench_of, opened, rig_of
 
+from irodori.capture.dialogue import Action, Dialogue
 from irodori.capture.journal import Journal
 from irodori.capture.operator import AutoOperator
 from irodori.capture.rig.devices import AlarmError, CommandError, DeviceError, LinkError, SettingError
@@ -152,10 +153,10 @@ class Slipping(QuickCamera):
             self.bench.machine.slip(1.0)
 
 
-def sitting(folder, rig, camera, operator=None):
+def sitting(folder, rig, camera, operator=None, dialogue=None):
     journal = Journal(folder / "captures.csv")
     tally = take_stock(journal, PLANNED)
-    session = Session(camera, operator or AutoOperator(dict), journal, rig, tally)
+    session = Session(camera, operator or AutoOperator(dict), journal, rig, tally, dialogue=dialogue)
     session.run(PLANNED, "test")
     return session
 
@@ -199,6 +200,22 @@ def test_a_sitting_that_was_broken_off_is_held_against_the_switches_by_the_next(
     (tmp_path / "10.dng").unlink()
     assert sitting(tmp_path, rig, QuickCamera()).tally.taken == 3
     assert_whole(tmp_path, PLANNED)
+
+
+def test_a_retake_of_a_photograph_that_is_set_aside_meanwhile_is_its_next_one(tmp_path, ready):
+    dialogue = Dialogue()
+
+    class Person(AutoOperator):
+        attended = True
+
+        def judge(self, doubt):
+            dialogue.act(Action.RETAKE_LAST, dialogue.view.turn)
+            return ""
+
+    rig, bench = ready()
+    session = sitting(tmp_path, rig, Slipping(bench, (2,)), Person(dict), dialogue)
+    assert_whole(tmp_path, PLANNED)
+    assert session.tally.taken == 3 and len(session.camera.taken) == 6
 
 
 def test_a_person_may_keep_them_with_a_reason(tmp_path, ready):

@@ -280,7 +280,7 @@ def _sigma_px(level: Level, fit: SimilarityFit) -> float:
     if np.linalg.eigvalsh(white)[0] < _NOISE_RATIO:
         return math.inf
     covariance = np.linalg.inv(information - noise)
-    if math.sqrt(np.linalg.eigvalsh(covariance)[-1]) > _UNDETERMINED_PX:
+    if np.linalg.eigvalsh(covariance)[-1] > _UNDETERMINED_PX**2:
         return math.inf
     # Errors of neighbouring cells hang together where one edge runs through both, so scores are summed over parts
     # before they are squared (the cluster-robust covariance: Liang, Zeger, Biometrika 73(1), 1986). Parts are blocks,
