@@ -181,13 +181,18 @@ def test_a_controller_that_falls_silent_is_left_after_its_timeout(pair):
     is_at(driver, 90.0, 0.0)
 
 
-def test_a_stop_of_what_does_not_come_to_rest_ends_in_time(pair):
-    driver, bench = pair
+def start_and_freeze(driver, bench) -> None:
+    """Send the camera's axis off behind the driver's back, and half a second later let nothing move any more."""
     place = driver.drives["camera_deg"].to_units(100.0)
     bench.write(b"G21G90G53G0X%.3f\n" % place if is_grbl(bench) else b"MA CAME %.3f\r" % place)
     bench.sleep(0.5)
     bench.machine.output.clear()
     bench.pace = 0.0
+
+
+def test_a_stop_of_what_does_not_come_to_rest_ends_in_time(pair):
+    driver, bench = pair
+    start_and_freeze(driver, bench)
     # A ramp from 40 degrees/s takes 0.8 s.
     assert spent(bench, driver.stop) < 3 * (1.25 * 0.8 + TIMEOUT_S)
 
@@ -742,11 +747,7 @@ def test_a_resume_of_what_is_stuck_ends_after_the_time_of_the_whole_reach(pair):
 
 def test_a_resume_of_what_was_never_held_waits_for_the_ramp_of_a_hold_and_no_longer(pair):
     driver, bench = pair
-    place = driver.drives["camera_deg"].to_units(100.0)
-    bench.write(b"G21G90G53G0X%.3f\n" % place if is_grbl(bench) else b"MA CAME %.3f\r" % place)
-    bench.sleep(0.5)
-    bench.machine.output.clear()
-    bench.pace = 0.0
+    start_and_freeze(driver, bench)
     # From 40 degrees/s the camera stands after 0.8 s.
     took = spent(bench, driver.resume, CommandError, "no feed hold to end")
     assert 1.25 * 0.8 + TIMEOUT_S <= took < 1.25 * 0.8 + TIMEOUT_S + 2 * SLACK_S

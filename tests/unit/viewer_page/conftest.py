@@ -61,13 +61,24 @@ class Visit:
 
 
 @pytest.fixture(scope="session")
-def browser():
-    command = browser_command()
+def browser_of():
+    """Return a function that gives a browser, with graphics drawn in software only where a page needs them.
+
+    With them every page of text is laid out by that renderer too, at several times the cost.
+    """
+    command, started = browser_command(), {}
     if command is None:
         pytest.skip("NO BROWSER: pages are not tested; install Debian's package chromium")
-    chromium = client().chromium.launch(executable_path=command, args=[*FLAGS, "--headless=new"])
-    yield chromium
-    chromium.close()
+
+    def found(drawn: bool):
+        if drawn not in started:
+            flags = FLAGS if drawn else ("--no-sandbox",)
+            started[drawn] = client().chromium.launch(executable_path=command, args=[*flags, "--headless=new"])
+        return started[drawn]
+
+    yield found
+    for chromium in started.values():
+        chromium.close()
 
 
 @pytest.fixture(scope="session")
@@ -98,14 +109,14 @@ def drawn_page_file(tmp_path_factory):
 
 
 @pytest.fixture(scope="session")
-def context_of(browser):
+def context_of(browser_of):
     """Return a function that gives the browser's context of some options, in which pages keep nothing."""
     contexts = {}
 
-    def found(script, **options):
-        key = json.dumps([script, options], sort_keys=True)
+    def found(script, drawn=False, **options):
+        key = json.dumps([script, drawn, options], sort_keys=True)
         if key not in contexts:
-            contexts[key] = browser.new_context(offline=True, **options)
+            contexts[key] = browser_of(drawn).new_context(offline=True, **options)
             contexts[key].set_default_timeout(60_000)
             if script:
                 contexts[key].add_init_script(script)
@@ -123,7 +134,7 @@ def visit(context_of, page_file):
 
     def open_page(hash_="", script="", ready=True, file=page_file, **given) -> Visit:
         options = {"viewport": {"width": 1280, "height": 800}, "locale": "en", "reduced_motion": "reduce", **given}
-        context = context_of(script, **options)
+        context = context_of(script, drawn=file != page_file, **options)
         opened = Visit(context.new_page())
         visits.append(opened)
         opened.page.on("console", lambda message: opened.complaints.append(message.text))
