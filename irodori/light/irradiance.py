@@ -98,7 +98,8 @@ def _fill_block(pixels, i, j, moment, power_moment):
 
 
 @njit(cache=True, nogil=True)
-def _fill_blocks(pixels, columns, power, power_moment, moment, first, last):
+def _fill_blocks(pixels, power, power_moment, moment, first, last):
+    columns = -(-pixels.values.shape[1] // _BLOCK)
     for block in range(first, last):
         power[block] = _fill_block(pixels, block // columns, block % columns, moment[block], power_moment[block])
 
@@ -130,7 +131,7 @@ def make_cells(pixels: Pixels) -> Cells:
     rows, columns = -(-height // _BLOCK), -(-width // _BLOCK)
     power, power_moment = np.zeros(rows * columns), np.zeros((rows * columns, 3))
     moment = np.zeros((rows * columns, bases, 3))
-    run_chunks(_fill_blocks, power.size, columns, pixels, columns, power, power_moment, moment)
+    run_chunks(_fill_blocks, power.size, columns, pixels, power, power_moment, moment)
     finest = (
         power.reshape(rows, columns),
         power_moment.reshape(rows, columns, 3),
@@ -227,7 +228,8 @@ def _add_irradiance(cells, pixels, coarse, normal, stack, out):
 
 
 @njit(cache=True, nogil=True)
-def _add_irradiances(cells, pixels, coarse, normals, out, first, last):
+def _add_irradiances(light, normals, out, first, last):
+    cells, pixels, coarse = light
     stack = np.empty(_STACK, dtype=np.int64), np.empty(_STACK, dtype=np.int64)
     for i in range(first, last):
         _add_irradiance(cells, pixels, coarse, (normals[i, 0], normals[i, 1], normals[i, 2]), stack, out[i])
@@ -252,7 +254,8 @@ class Integrator:
         """Return the irradiance, (..., k) float64 in radiance unit times sr, of unit normals (..., 3)."""
         flat = np.ascontiguousarray(np.reshape(normals, (-1, 3)), dtype=np.float64)
         out = np.zeros((len(flat), self.pixels.values.shape[2]))
-        run_chunks(_add_irradiances, len(flat), _NORMALS, self.cells, self.pixels, self._coarse, flat, out)
+        light = self.cells, self.pixels, self._coarse
+        run_chunks(_add_irradiances, len(flat), _NORMALS, light, flat, out)
         return out.reshape(*np.shape(normals)[:-1], out.shape[1])
 
 

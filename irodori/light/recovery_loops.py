@@ -54,7 +54,8 @@ def _shares(square, share, bands):
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def _fill_means(response, share, factor, maps, out, first, last):
+def _fill_means(response, constants, out, first, last):
+    share, factor, maps = constants
     families, bands = factor.shape[:2]
     x = np.zeros((factor.shape[2], _LANES), np.float32)
     parts = np.zeros((maps.shape[1], _LANES), np.float32)
@@ -105,4 +106,4 @@ def mixture_weights(response, share, factor, maps, out) -> None:
     """
     flat = maps.swapaxes(0, 1).reshape(maps.shape[1], -1)
     constants = share.astype(np.float32), _padded(factor), _padded(flat)
-    run_chunks(_fill_means, len(response), _BLOCK, response, *constants, out)
+    run_chunks(_fill_means, len(response), _BLOCK, response, constants, out)

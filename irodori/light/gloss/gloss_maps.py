@@ -255,7 +255,8 @@ def add_gloss_radiance(maps, seen, gloss, index, out):
 
 
 @njit(cache=True, nogil=True)
-def _add_to_places(maps, seen, gloss, index, out, first, last):
+def _add_to_places(maps, seen, surfaces, out, first, last):
+    gloss, index = surfaces  # (n, 2) β and μ in rad; n and k
     for i in range(first, last):
         add_gloss_radiance(maps, place_of(seen, i), (gloss[i, 0], gloss[i, 1]), index, out[i])
 
@@ -281,5 +282,6 @@ def gloss_radiance(maps: GlossTables, normal, view, beta, mu, index: tuple[float
     out = np.zeros((len(gloss), maps.pixels.shape[1]))
     normal, view = (np.ascontiguousarray(v).reshape(-1, 3) for v in (normal, view))
     n, k = index
-    run_chunks(_add_to_places, len(out), _AT_A_TIME, maps, Seen(normal, view), gloss, (float(n), float(k)), out)
+    surfaces = gloss, (float(n), float(k))
+    run_chunks(_add_to_places, len(out), _AT_A_TIME, maps, Seen(normal, view), surfaces, out)
     return out.reshape(*shape, -1)

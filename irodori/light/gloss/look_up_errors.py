@@ -120,13 +120,15 @@ def _add_from_cells(cells, level, surface, seen, i, out):
 
 
 @njit(cache=True, nogil=True)
-def _sum_cells(cells, level, surface, seen, out, first, last):
+def _sum_cells(light, surface, seen, out, first, last):
+    cells, level = light
     for i in range(first, last):
         _add_from_cells(cells, level, surface, seen, i, out[i])
 
 
 @njit(cache=True, nogil=True)
-def _sum_pixels(pixels, parts, surface, seen, out, first, last):
+def _sum_pixels(light, surface, seen, out, first, last):
+    pixels, parts = light
     for i in range(first, last):
         _add_from_pixels(pixels, parts, surface, seen, i, out[i])
 
@@ -150,9 +152,9 @@ def true_gloss(
     # A facet that leans by φ moves light by twice φ.
     surface = _Surface(Lobes.of(lobe), float(mu), min(2.0 * farthest(lobe, mu, _LOST), math.pi), *map(float, index))
     if fine.size:
-        run_chunks(_sum_cells, len(out), 1, cells, int(fine[-1]), surface, seen, out)
+        run_chunks(_sum_cells, len(out), 1, (cells, int(fine[-1])), surface, seen, out)
     else:
-        run_chunks(_sum_pixels, len(out), 1, pixels, parts, surface, seen, out)
+        run_chunks(_sum_pixels, len(out), 1, (pixels, parts), surface, seen, out)
     return out / np.pi
 
 
