@@ -2,7 +2,8 @@
 
 What the definitions say is a prior. The photographs say more by the outline of the object and by its texture, all of
 them together; the most probable values are found by Gauss-Newton steps from coarse to fine, and their covariance is
-that of the last step. What no photograph tells keeps the standard deviation of its prior.
+that of the last step. What no photograph tells keeps the standard deviation of its prior, and what they do not tell
+from what was typed stays exactly as typed: a correction by less than it is known to would harm what was right.
 """
 
 import math
@@ -61,6 +62,11 @@ _OUTLINE_MOST_PX = 0.4  # standard deviation that outlines are granted at most: 
 _OUTLINE_SHARED, _TEXTURE_SHARED = 5.0, 75.0
 _OUTLINED = 0.5  # of the photographs: where so many show the outline, coarse pictures are compared by it alone
 _TOLD = 0.5  # of the prior's standard deviation; what stays above it is not told by the photographs
+_SIGNIFICANT = 2.0  # standard errors of zero within which a correction is none
+#: As `QUANTITIES`: what registration is asked to be good for, 0.1 mm and 0.05 degrees, and what moves the rim of an
+#: object of a hand's size by as much. An outline in the half-dark has a bias that standard errors do not know.
+_ACCURACY = np.array([0.1] * 3 + [0.05] * 3 + [2.0, 0.2] + [0.5] * 2 + [0.05] * 2)
+_FLAT = 1e-6  # that normals differ by at most where an object is flat
 _NUMERIC = np.array([0.01] * 3 + [0.01] * 3 + [0.1, 0.01, 0.1, 0.1, 0.01, 0.01])  # steps of derivatives, as QUANTITIES
 #: What may be wrong with the pose of one photograph.
 _POSE_ANGLES = ("camera_deg", "tilt_deg", "turn_deg")
@@ -73,9 +79,9 @@ class Registered:
     Parameters
     ----------
     correction : Correction
-        Most probable.
+        Most probable where all that is not told from what was typed is as typed: exactly 0 there.
     covariance : (12, 12) float64
-        Of its values.
+        Of the most probable values of all twelve together.
     prior : (12,) float64
         Standard deviations before.
     own_camera_deg : (J,) float64
@@ -107,7 +113,7 @@ class Registered:
 
     @property
     def is_told(self) -> np.ndarray:
-        """Which values the photographs tell, (12,) bool; the others stay at their prior."""
+        """Which values the photographs tell each by itself, (12,) bool."""
         return self.sigma < _TOLD * self.prior
 
 
@@ -148,6 +154,15 @@ class _Problem:
     sigma: np.ndarray
     unknowns: np.ndarray
     block: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=int))  # of the texels
+
+    @property
+    def tells_texture(self) -> bool:
+        """Whether the texture is compared: of flat objects alone.
+
+        On a curved one gloss and shading differ from photograph to photograph within a block of texels, which biases
+        the place that its texture tells.
+        """
+        return bool(np.ptp(self.texels.normal, axis=0).max() < _FLAT)
 
     def seen(self, view: int, points: np.ndarray, values: np.ndarray) -> np.ndarray:
         """Return where points of the object appear in a photograph, superpixels, for given unknowns."""
@@ -210,26 +225,14 @@ def register(
     problem = _Problem(shape, setup, texels, [], sigma, np.zeros(len(sigma)))
     for path in track(linear, "read photographs"):
         problem.views.append(_View(_picture(path, problem)))
-    matrix = np.diag(1.0 / np.maximum(sigma, 1e-12) ** 2)
     reach = _first_reach(problem)
     first = reach
-    while True:
-        last = reach <= _FINEST_REACH
-        reach = max(reach, _FINEST_REACH)
-        spacing = _spacing(problem)
-        blur = max(_FINEST_BLUR, reach / 3.0, _PART_OF_TEXEL * spacing)
-        problem.block = blocks(texels.columns, texels.rows, spacing, blur)[texels.number]
-        for view in range(len(problem.views)):
-            _prepare(problem, view, reach, blur)
-        for _ in range(_LAST_STEPS if last else _STEPS):
-            matrix, right = _equations(problem, reach)
-            step = _solve(matrix, right, sigma)
-            problem.unknowns += step
-            if np.all(np.abs(step) <= _STILL * np.sqrt(_diagonal_of_inverse(matrix, sigma))):
-                break
-        if last:
-            break
+    while reach > _FINEST_REACH:
+        _descend(problem, reach, _STEPS)
         reach /= 2.0
+    matrix = _descend(problem, _FINEST_REACH, _LAST_STEPS)
+    problem.unknowns, problem.sigma = _only_what_is_told(problem.unknowns, matrix, sigma)
+    _descend(problem, _FINEST_REACH, _LAST_STEPS)
     residual, points, suspects = _residuals(problem, max(0.5 * first, 2.0 * _FINEST_REACH))
     covariance = _inverse(matrix, sigma)[:COUNT, :COUNT]
     correction = Correction.of(problem.unknowns[:COUNT])
@@ -244,6 +247,57 @@ def register(
         points,
         suspects,
     )
+
+
+def _descend(problem: _Problem, reach: float, most_steps: int) -> np.ndarray:
+    """Take Gauss-Newton steps of the unknowns that have room at one level, and return the last one's matrix."""
+    spacing = _spacing(problem)
+    blur = max(_FINEST_BLUR, reach / 3.0, _PART_OF_TEXEL * spacing)
+    texels = problem.texels
+    problem.block = blocks(texels.columns, texels.rows, spacing, blur)[texels.number]
+    for view in range(len(problem.views)):
+        _prepare(problem, view, reach, blur)
+    matrix = np.zeros((0, 0))
+    for _ in range(most_steps):
+        matrix, right = _equations(problem, reach)
+        step = _solve(matrix, right, problem.sigma)
+        problem.unknowns += step
+        if np.all(np.abs(step) <= _STILL * np.sqrt(_diagonal_of_inverse(matrix, problem.sigma))):
+            break
+    return matrix
+
+
+def _only_what_is_told(unknowns: np.ndarray, matrix: np.ndarray, sigma: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the unknowns without what the photographs do not tell, and their priors' standard deviations, 0 of those.
+
+    One after the other, the shared unknown that is told least goes back to what was typed and the others are solved
+    again, for two that only their sum is told of are told each when the other is fixed. Then go those that differ from
+    what was typed by less than their standard error, or the method's own, can tell.
+
+    Parameters
+    ----------
+    unknowns : (n,) float
+        Most probable, the 12 shared ones first.
+    matrix : (n, n) float
+        Of the normal equations there, with the prior.
+    sigma : (n,) float
+        Of the prior.
+    """
+    values, room = unknowns.copy(), sigma.copy()
+    while True:
+        free = np.flatnonzero(room[:COUNT] > 0)
+        if not free.size:
+            return values, room
+        error = np.sqrt(_diagonal_of_inverse(matrix, room))[free]
+        told = _TOLD * sigma[free] / error
+        sure = np.abs(values[free]) / np.maximum(_SIGNIFICANT * error, _ACCURACY[free])
+        least = told if told.min() <= 1.0 else sure
+        if least.min() > 1.0:
+            return values, room
+        out = free[np.argmin(least)]
+        room[out] = 0.0
+        values += _solve(matrix, matrix[:, out] * values[out], room)
+        values[out] = 0.0
 
 
 def _texels(shape: Shape, width: int, height: int) -> _Texels:
@@ -361,7 +415,8 @@ def _equations(problem: _Problem, reach: float) -> tuple[np.ndarray, np.ndarray]
             factor = own / (scale**2 * _OUTLINE_SHARED)
             matrix[np.ix_(where, where)] += rows.T @ (factor[:, None] * rows)
             right[where] += rows.T @ (factor * distance)
-    if is_last or np.mean([len(distance) > 0 for distance, _, _ in measured]) < _OUTLINED:
+    outlined = np.mean([len(distance) > 0 for distance, _, _ in measured]) >= _OUTLINED
+    if problem.tells_texture and (is_last or not outlined):
         _add_texture(problem, matrix, right)
     free = problem.sigma > 0
     matrix[free, free] += 1.0 / problem.sigma[free] ** 2
@@ -473,7 +528,7 @@ def _residuals(problem: _Problem, reach: float) -> tuple[np.ndarray, np.ndarray,
         if len(distance):
             weight, _ = _robust(distance, _OUTLINE_FLOOR_PX)
             residual[number] = math.sqrt(np.sum(weight * distance**2) / np.sum(weight))
-        shift = _shift(row, mean, total)
+        shift = _shift(row, mean, total) if problem.tells_texture else np.full(2, np.nan)
         residual[number] = np.fmax(residual[number], np.linalg.norm(shift))
         suspects.append(_suspect(problem, number, distance, found, shift))
     problem.unknowns[COUNT:] = own
@@ -566,7 +621,8 @@ def register_object(
     Notes
     -----
     Datasets: ``/correction`` (12) in the order and units of the attribute ``quantities``, to be added to what was
-    typed; ``/sigma`` (12), standard errors; ``/prior_sigma`` (12); ``/covariance`` (12, 12); ``/own_camera_deg`` (J),
+    typed, 0 of what stays as typed; ``/sigma`` (12), standard errors of the most probable values, each by itself;
+    ``/prior_sigma`` (12); ``/covariance`` (12, 12); ``/own_camera_deg`` (J),
     what each camera angle is off by itself; ``/residual_px`` and ``/residual_mm`` (J), how far a photograph shows the
     object from where the correction puts it, NaN where it shows nothing that could be measured; ``/outline_points``
     (J). ``told`` says which numbers the photographs tell, ``captures`` names them, ``sentence`` says all in words.
@@ -579,12 +635,12 @@ def register_object(
     with store.create(output, provenance) as out:
         for name, values, quantity in (
             ("correction", found.correction.values, "to be added to what was typed"),
-            ("sigma", found.sigma, "standard errors of the correction"),
+            ("sigma", found.sigma, "standard errors of the most probable values"),
             ("prior_sigma", found.prior, "standard deviations of what was typed"),
         ):
             out.write(name, np.array(values), units="see quantities", dims="quantity", quantity=quantity)
         covariance = {"units": "see quantities", "dims": "quantity,quantity_again"}
-        out.write("covariance", found.covariance, **covariance, quantity="covariance of the correction")
+        out.write("covariance", found.covariance, **covariance, quantity="covariance of the most probable values")
         out.write(
             "own_camera_deg", found.own_camera_deg, units="deg", dims="capture", quantity="camera angle beside all"
         )
@@ -619,14 +675,21 @@ def _refuse_far(found: Registered, linear: Sequence, most_px: float) -> None:
 
 def in_words(found: Registered) -> str:
     """Return what photographs say of the place of an object, and what they do not tell, in one sentence."""
-    said, silent = [], []
+    said, confirmed, silent = [], [], []
     for quantity, value, sigma, told in zip(
         QUANTITIES, found.correction.values, found.sigma, found.is_told, strict=True
     ):
-        if told:
-            said.append(f"{quantity.text} {value:+.2f} ± {sigma:.2f} {quantity.unit}")
+        # Where only the others' being as typed lets it be told, its standard error by itself would mislead.
+        error = f"± {sigma:.2f} " if told else ""
+        if value:
+            said.append(f"{quantity.text} {value:+.2f} {error}{quantity.unit}")
+        elif told:
+            confirmed.append(quantity.text)
         else:
             silent.append(quantity.text)
-    known = "; ".join(said) if said else "nothing"
-    stays = f"; not told, so that it stays as typed: {', '.join(silent)}" if silent else ""
-    return f"beside what was typed, the photographs tell: {known}{stays}"
+    parts = [f"beside what was typed, the photographs tell: {'; '.join(said) if said else 'nothing'}"]
+    if confirmed:
+        parts.append(f"as typed, as far as can be told: {', '.join(confirmed)}")
+    if silent:
+        parts.append(f"not told, so that it stays as typed: {', '.join(silent)}")
+    return "; ".join(parts)

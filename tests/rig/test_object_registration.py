@@ -49,14 +49,13 @@ def an_object(definitions, shape, pattern=None, **changes):
     return definition
 
 
-def photographs(folder, definitions, definition, poses, laid_off=(0.0,) * 6, *, lies=None, focal_mm=50.0, centre=0.0):
+def photographs(folder, definitions, definition, poses, laid_off=(0.0,) * 6, *, lies=None, ends=None):
     """Linear files of what the virtual rig sees: the object laid off by three mm and three degrees, with noise.
 
-    ``lies`` are poses that the files state in place of the real ones, by number.
+    ``lies`` are poses that the files state in place of the real ones, and ``ends`` the columns after which the frame
+    ends, both by number.
     """
     camera, rig = copy.deepcopy(definitions["cameras"]["d5100-comb"]), copy.deepcopy(definitions["rigs"]["virtual"])
-    camera["optics"] |= {"focal_length_mm": focal_mm}
-    camera["optics"]["principal_point_px"][0] += centre
     off = {"enabled": True, "translation_mm": list(laid_off[:3]), "rotation_deg": list(laid_off[3:])}
     rig["virtual"]["imperfections"]["laid_off"] = off
     weights = band_weights(made(Camera, camera), spectrum_of_light(rig["light"]["spectrum"]))[:3]
@@ -70,6 +69,7 @@ def photographs(folder, definitions, definition, poses, laid_off=(0.0,) * 6, *, 
         green = 0.5 * (mosaic[::2, 1::2] + mosaic[1::2, ::2])
         response = np.stack([mosaic[::2, ::2], green, mosaic[1::2, 1::2]], axis=-1)
         response = response / weights.sum(axis=1) + rng.normal(0.0, NOISE, response.shape)
+        response = response[:, : (ends or {}).get(number)]
         valid = (response < 1.6).all(axis=2)  # a full well
         stated = (lies or {}).get(number, pose)
         files.append(folder / f"p{number:02d}-{pose.name}.h5")
@@ -89,8 +89,8 @@ def as_typed(definitions, distance_mm=900.0, focal_mm=50.0) -> RigSetup:
     return RigSetup.from_definitions(made(Optics, optics), made(RigGeometry, rig))
 
 
-def found(folder, definitions, definition, poses=POSES, laid_off=(0.0,) * 6, *, setup=None, **pictures) -> Registered:
-    files = photographs(folder, definitions, definition, poses, laid_off, **pictures)
+def found(folder, definitions, definition, poses=POSES, laid_off=(0.0,) * 6, *, setup=None) -> Registered:
+    files = photographs(folder, definitions, definition, poses, laid_off)
     return register(files, made(Object | PhotographedObject, definition), setup or as_typed(definitions), Placing())
 
 
@@ -128,10 +128,10 @@ def made_shape(definition) -> Shape:
     "laid_off, distance_mm, focal_mm",
     [
         ((0.0,) * 6, 900.0, 50.0),
-        ((2.0, 0.0, 0.0, 0.0, 0.0, 0.0), 900.0, 50.0),
-        ((0.0, 0.0, 0.0, 1.0, -1.0, 1.0), 900.0, 50.0),
-        ((0.0,) * 6, 900.0, 52.5),
-        ((0.0,) * 6, 850.0, 50.0),
+        pytest.param((2.0, 0.0, 0.0, 0.0, 0.0, 0.0), 900.0, 50.0, marks=pytest.mark.heavy),
+        pytest.param((0.0, 0.0, 0.0, 1.0, -1.0, 1.0), 900.0, 50.0, marks=pytest.mark.heavy),
+        pytest.param((0.0,) * 6, 900.0, 52.5, marks=pytest.mark.heavy),
+        pytest.param((0.0,) * 6, 850.0, 50.0, marks=pytest.mark.heavy),
         ((-1.2, 1.5, 0.6, 0.6, 0.5, -1.0), 850.0, 52.5),
     ],
     ids=["undisturbed", "2 mm", "1 degree", "focal length", "distance", "jointly"],
@@ -143,7 +143,8 @@ def test_a_painted_plate_is_found_where_it_lies(tmp_path, definitions, laid_off,
     assert np.abs(values[:3] - laid_off[:3]).max() <= 0.1
     assert np.abs(values[3:6] - laid_off[3:]).max() <= 0.05
     assert error_at_object_mm(definitions, setup, result, definition, laid_off) <= 0.1
-    assert (np.abs(values[:6] - laid_off) <= 4.0 * result.sigma[:6]).all()
+    # What is within two standard errors of zero, or the accuracy that is asked for, stays as typed.
+    assert (np.abs(values[:6] - laid_off) <= np.maximum(4.0 * result.sigma[:6], [0.1] * 3 + [0.05] * 3)).all()
     assert np.nanmax(result.residual_px) < 0.5
 
 
@@ -153,8 +154,14 @@ def test_a_uniform_sphere_tells_its_place_and_nothing_of_its_turn(tmp_path, defi
     result = found(tmp_path, definitions, definition, laid_off=laid_off)
     assert np.abs(np.array(result.correction.values[:3]) - laid_off[:3]).max() <= 0.1
     assert result.is_told[:3].all() and not result.is_told[3:6].any()
-    assert (result.sigma[3:6] > 0.9).all() and np.abs(result.correction.values[3:6]).max() < 0.1
+    assert (result.sigma[3:6] > 0.9).all() and result.correction.values[3:] == (0.0,) * 9
     assert not result.is_told[NAMES.index("light_deg")]
+
+
+def test_an_undisturbed_sphere_stays_exactly_where_it_was_typed(tmp_path, definitions):
+    """Its outline lies in the half-dark, which has a bias: what is right must not be made worse by it."""
+    definition = an_object(definitions, SPHERE)
+    assert found(tmp_path, definitions, definition).correction == Correction()
 
 
 def test_texture_alone_tells_the_turns_of_a_plate_larger_than_the_frame(tmp_path, definitions):
@@ -162,11 +169,11 @@ def test_texture_alone_tells_the_turns_of_a_plate_larger_than_the_frame(tmp_path
     wide = {"kind": "plate", "width_mm": 300.0, "height_mm": 300.0}
     definition = an_object(definitions, wide, {"kind": "checks", "columns": 20, "rows": 20})
     poses = [pose for pose in POSES if pose.tilt_deg == 0.0]
-    result = found(tmp_path, definitions, definition, poses, (0.0, 0.0, 0.8, 0.3, -0.3, 0.0))
+    result = found(tmp_path, definitions, definition, poses, (0.0, 0.0, 0.8, 1.2, -1.2, 0.0))
     assert (result.outline_points == 0).all()
     values = np.array(result.correction.values)
     assert abs(values[2] - 0.8) <= max(0.1, 4.0 * result.sigma[2])
-    assert np.abs(values[3:5] - (0.3, -0.3)).max() <= 0.1
+    assert np.abs(values[3:5] - (1.2, -1.2)).max() <= 0.2
 
 
 def test_a_photograph_with_a_wrong_pose_is_named_with_its_angle(tmp_path, definitions):
@@ -185,6 +192,7 @@ def test_a_photograph_with_a_wrong_pose_is_named_with_its_angle(tmp_path, defini
     assert "superpixels" in str(raised.value) and not (tmp_path / "registration.h5").exists()
 
 
+@pytest.mark.heavy
 def test_a_mirror_like_plate_is_found_by_its_outline(tmp_path, definitions):
     definition = an_object(definitions, PLATE, mirror_weight=1.0)
     for material in definition["virtual"]["materials"]:
@@ -196,22 +204,30 @@ def test_a_mirror_like_plate_is_found_by_its_outline(tmp_path, definitions):
     assert off[:3].max() <= 0.1 and off[3:].max() <= 0.05
 
 
+@pytest.mark.heavy
 def test_four_photographs_are_enough_and_say_less(tmp_path, definitions):
     definition, laid_off = an_object(definitions, PLATE), (1.0, -1.5, 0.5, 0.4, -0.3, 0.8)
-    few = found(tmp_path, definitions, definition, [POSES[n] for n in (0, 3, 5, 6)], laid_off)
+    files, setup = photographs(tmp_path, definitions, definition, POSES, laid_off), as_typed(definitions)
+    whole = made(Object | PhotographedObject, definition)
+    few = register([files[n] for n in (0, 3, 5, 6)], whole, setup, Placing())
     off = np.abs(np.array(few.correction.values[:6]) - laid_off)
     assert off[:3].max() <= 0.1 and off[3:].max() <= 0.05
-    (tmp_path / "all").mkdir()
-    every = found(tmp_path / "all", definitions, definition, POSES, laid_off)
+    every = register(files, whole, setup, Placing())
     assert (few.sigma > 0.999 * every.sigma).all()
 
 
 def test_photographs_cut_off_by_the_frame_tell_by_what_they_show(tmp_path, definitions):
     definition, laid_off = an_object(definitions, PLATE), (1.0, -1.0, 0.3, 0.3, -0.2, 0.5)
-    optics = definitions["cameras"]["d5100-comb"]["optics"] | {"principal_point_px": [600.0, 300.0]}
-    rig = {"camera_distance_mm": 900.0, "table_radius_mm": 25.0, "lamp_distance_mm": None}
-    setup = RigSetup.from_definitions(made(Optics, optics), made(RigGeometry, rig))
-    result = found(tmp_path, definitions, definition, laid_off=laid_off, setup=setup, centre=200.0)
+    files = photographs(tmp_path, definitions, definition, POSES, laid_off, ends={0: 262, 1: 262})
+    cut, whole_side = [], 90.0 * 5000.0 / 900.0 / 2.0  # superpixels of the plate, seen from above
+    for path in files:
+        with store.open_file(path) as file:
+            lit = file.read("response")[..., 1] > 5.0 * NOISE
+        if lit[75:225, -1].mean() > 0.5:  # the plate goes on where the frame ends
+            cut.append(path)
+            assert lit.sum() < 0.8 * whole_side**2
+    assert cut == files[:2] and len(cut) == len(files) // 4
+    result = register(files, made(Object | PhotographedObject, definition), as_typed(definitions), Placing())
     off = np.abs(np.array(result.correction.values[:6]) - laid_off)
     assert off[:3].max() <= 0.1 and off[3:].max() <= 0.05
 
