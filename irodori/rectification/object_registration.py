@@ -159,8 +159,7 @@ class _Problem:
     def tells_texture(self) -> bool:
         """Whether the texture is compared: of flat objects alone.
 
-        On a curved one gloss and shading differ from photograph to photograph within a block of texels, which biases
-        the place that its texture tells.
+        On the default run's spheres, which lie as typed, it put a tenth of a degree into the camera angles.
         """
         return bool(np.ptp(self.texels.normal, axis=0).max() < _FLAT)
 
