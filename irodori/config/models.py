@@ -47,6 +47,39 @@ class Ingest(Definition):
 
 
 @dataclass(frozen=True, kw_only=True)
+class Placing(Definition):
+    """How well it is known where an object, its camera and its light stand, before the photographs say more.
+
+    As standard deviations. What has 0 is believed as it was typed.
+    """
+
+    #: Of the object's place on the table along each axis, in mm.
+    translation_mm: float = 2.0
+
+    #: Of the object's turn about each axis of the table, in degrees.
+    rotation_deg: float = 1.0
+
+    #: Of the distance of the camera, in mm.
+    camera_distance_mm: float = 30.0
+
+    #: Of the focal length, in percent.
+    focal_length_percent: float = 3.0
+
+    #: Of the principal point along each side of the picture, in pixels of the sensor.
+    principal_point_px: float = 2.0
+
+    #: Of an error that all camera angles share, and of one of each photograph's own, in degrees.
+    camera_deg: float = 0.05
+
+    #: Of an error that all light angles share, in degrees.
+    light_deg: float = 0.05
+
+    #: Largest distance, root mean square, between where a photograph shows the object and where the others say that it
+    #: lies, in superpixels; above it the photograph is refused.
+    max_residual_px: float = 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
 class Rectify(Definition):
     """From pictures to observations of each texel."""
 
@@ -228,6 +261,10 @@ class Config(Definition):
 
     #: From RAW files to linear bands.
     ingest: Ingest = Ingest()
+
+    #: How well it is known where an object, its camera and its light stand, before the photographs say more; as
+    #: standard deviations. What has 0 is believed as it was typed.
+    place: Placing = Placing()
 
     #: From pictures to observations of each texel.
     rectify: Rectify = Rectify()
@@ -2062,6 +2099,20 @@ class PoseError(Definition):
 
 
 @dataclass(frozen=True, kw_only=True)
+class LaidOff(Definition):
+    """The object does not lie on the table where it is told to, nor turned as it is told to be."""
+
+    #: Whether the rig has this fault (true or false).
+    enabled: bool = False
+
+    #: How far off it lies along x, y and z of the table, in mm.
+    translation_mm: tuple[float, float, float] = (0.8, -0.6, 0.2)
+
+    #: How far it is turned about x, then y, then z of the table, in degrees.
+    rotation_deg: tuple[float, float, float] = (0.2, -0.3, 0.4)
+
+
+@dataclass(frozen=True, kw_only=True)
 class FilterPlate(Definition):
     """The plate of the comb filter moves the picture.
 
@@ -2113,6 +2164,9 @@ class Imperfections(Definition):
 
     #: Light and camera do not stand exactly where they are told to.
     pose_error: PoseError = PoseError()
+
+    #: The object does not lie on the table where it is told to, nor turned as it is told to be.
+    laid_off: LaidOff = LaidOff()
 
     #: The plate of the comb filter moves the picture; a point at p from the centre is seen at shift + magnification *
     #: rotation * p.

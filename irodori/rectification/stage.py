@@ -5,7 +5,7 @@ texel: see `irodori.geometry.lamp` for what the white reference has divided alre
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -18,11 +18,11 @@ from irodori.geometry.atlas import Texels
 from irodori.geometry.embree import Tracer
 from irodori.geometry.lamp import FAR, Lamp
 from irodori.geometry.pinhole import Pinhole, samples_from_superpixels
-from irodori.geometry.rig_frame import rig_from_camera, rig_from_object, to_camera
-from irodori.geometry.shapes.placement import on_table
+from irodori.geometry.rig_frame import rig_from_camera, to_camera
 from irodori.geometry.shapes.shape import Shape
 from irodori.jit.chunks import run_chunks
 from irodori.jit.compilation import njit
+from irodori.rectification.placement_correction import AS_TYPED, Correction
 from irodori.reflection.equation5 import angles_from_directions
 
 if TYPE_CHECKING:
@@ -48,6 +48,8 @@ class RigSetup:
     lamp : Lamp
     white_pose : Pose, optional
         In which the white reference was photographed; needed where the lamp is near.
+    correction : Correction
+        Of the object's place and the angles; pinhole and distance contain their parts of it already.
     """
 
     pinhole: Pinhole
@@ -55,6 +57,7 @@ class RigSetup:
     table_radius_mm: float
     lamp: Lamp = FAR
     white_pose: Pose | None = None
+    correction: Correction = AS_TYPED
 
     @classmethod
     def from_definitions(cls, optics: "Optics", rig: "RigGeometry", white_pose: "RigPose | None" = None) -> "RigSetup":
@@ -83,6 +86,12 @@ class RigSetup:
             lamp,
             None if white_pose is None else Pose(**vars(white_pose)),
         )
+
+    def corrected(self, correction: Correction) -> "RigSetup":
+        """Return the setup of definitions, which has no correction yet, by what the photographs say of it."""
+        distance = correction.camera_distance_mm(self.camera_distance_mm)
+        pinhole = correction.pinhole(self.pinhole)
+        return replace(self, pinhole=pinhole, camera_distance_mm=distance, correction=correction)
 
     def light_gain(self, xy, power) -> np.ndarray:
         """Return the factors that turn responses of a picture into those under each texel's own irradiance, (n,).
@@ -208,12 +217,11 @@ class _Observed(NamedTuple):
 def _observe_file(path, shape: Shape, texels: Texels, setup: RigSetup) -> _Observed:
     """Return responses, geometry, which texels are seen and lit, lie in shadow, and clip, from one capture's file."""
     with store.open_file(path) as file:
-        pose = Pose(*file.attribute("pose_deg"))
-        rotation = rig_from_object(pose)
-        tracer = Tracer(on_table(shape, rotation, setup.table_radius_mm))
-        position, normal, facet = (
-            values[texels.covered] @ rotation.T for values in (texels.position, texels.normal, texels.facet)
-        )
+        pose = setup.correction.pose(Pose(*file.attribute("pose_deg")))
+        placements = setup.correction.placements(shape, pose, setup.table_radius_mm)
+        tracer = Tracer(placements)
+        position = placements[0].points(texels.position[texels.covered])
+        normal, facet = (v[texels.covered] @ placements[0].rotation.T for v in (texels.normal, texels.facet))
         sight = observe(position, normal, tracer, pose, setup, facet)
         visible = sight.visible
         file.require_axes({"response": "row,column,band", "valid": "row,column", "clipped": "row,column"})

@@ -34,7 +34,14 @@ def inputs_by_rule(run) -> dict[str, set[str]]:
 def test_the_mesh_is_an_input_of_every_rule_that_reads_it_and_of_no_other(project):
     used = inputs_by_rule(snakemake(project, "--dry-run", "results/lid/front.png", "results/lid/truth/front.png"))
     reading = {rule for rule, inputs in used.items() if "config/meshes/lid.obj" in inputs}
-    assert reading == {"capture_object", "rectify_object", "render_view", "render_truth", "write_truth"}
+    assert reading == {
+        "capture_object",
+        "register_object",
+        "rectify_object",
+        "render_view",
+        "render_truth",
+        "write_truth",
+    }
 
 
 def test_a_missing_mesh_is_refused_before_anything_runs(project):

@@ -1,6 +1,35 @@
+rule register_object:
+    input:
+        linear=sets.linear_files,
+        user_files=ancient(sets.mesh),
+    output:
+        registration="results/{object}/registration.h5",
+    log:
+        "results/logs/register_object/{object}.log",
+    benchmark:
+        "results/benchmarks/register_object/{object}.tsv"
+    conda:
+        "../../envs/irodori.yaml"
+    threads: 1
+    resources:
+        mem_mb=lambda wildcards, attempt: 2000 * attempt,
+    params:
+        shape=lookup(within=config, dpath="objects/{object}/shape"),
+        texels=lookup(within=config, dpath="objects/{object}/texels"),
+        optics=sets.optics,
+        white_pose=sets.white_pose,
+        rig=sets.rig_geometry,
+        place=lookup(within=config, dpath="place"),
+        user_files=ledger.content(sets.mesh),
+        code=code_hash("irodori.rectification.object_registration"),
+    script:
+        "../scripts/register_object.py"
+
+
 rule rectify_object:
     input:
         linear=sets.linear_files,
+        registration="results/{object}/registration.h5",
         user_files=ancient(sets.mesh),
     output:
         observations="results/{object}/observations/tile-{tile}.h5",

@@ -1,6 +1,7 @@
 from irodori.config.models import Optics, RigPose
 from irodori.config.parts import RigGeometry, TexturedObject
 from irodori.core.run_rule import run_rule
+from irodori.rectification.placement_correction import Correction
 from irodori.rectification.stage import RigSetup, rectify_object
 
 with run_rule(snakemake) as provenance:
@@ -12,7 +13,7 @@ with run_rule(snakemake) as provenance:
             Optics.of(snakemake.params.optics),
             RigGeometry.of(snakemake.params.rig),
             RigPose.of(white) if white else None,
-        ),
+        ).corrected(Correction.load(snakemake.input.registration)),
         snakemake.params.rows,
         snakemake.params.max_angle_deg,
         output=snakemake.output.observations,

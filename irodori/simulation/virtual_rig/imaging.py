@@ -316,7 +316,7 @@ def expose_object(sample, tracer: Tracer, view: RigView, band_weights: np.ndarra
         to_light=np.asarray(view.to_light, dtype=np.float64),
         light_distance_mm=float(view.lamp.distance_mm),
         lamp_cosine=math.cos(view.lamp_radius_rad),
-        reach_mm=1.001 * sample.shape.reach_mm,
+        reach_mm=1.001 * sample.shape.reach_mm + float(np.linalg.norm(tracer.placements[0].translation_mm)),
         offset_mm=sample.shape.ray_offset_mm,
         is_open=_is_open(tracer.placements, np.asarray(view.to_light), view.lamp),
     )

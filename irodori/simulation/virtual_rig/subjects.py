@@ -13,8 +13,15 @@ from irodori.config.models import Camera, Chart, EnvironmentDefinition, Rig
 from irodori.geometry.embree import Tracer
 from irodori.geometry.lamp import Lamp
 from irodori.geometry.pinhole import Pinhole
-from irodori.geometry.rig_frame import flat_incidence_rad, rig_from_camera, rig_from_object, to_camera, to_light
-from irodori.geometry.shapes.placement import on_table
+from irodori.geometry.rig_frame import (
+    flat_incidence_rad,
+    rig_from_camera,
+    rig_from_object,
+    rotation_xyz,
+    to_camera,
+    to_light,
+)
+from irodori.geometry.shapes.placement import Placement, on_table
 from irodori.light.omnidirectional import to_panorama
 from irodori.simulation.virtual_rig.aperture import gather_rows, place_in_cell
 from irodori.simulation.virtual_rig.classroom import light_on_chart, room_coefficients, source_spectra
@@ -60,7 +67,12 @@ def object_mosaic(sample: Sample, camera: Camera, rig: Rig, pose: Pose, ideal_fr
         lamp_radius_rad=math.radians(rig.virtual.light_angular_radius_deg),
         ideal_from_seen=ideal_from_seen,
     )
-    tracer = Tracer(on_table(sample.shape, rotation, rig.table_radius_mm))
+    lies, *table = on_table(sample.shape, rotation, rig.table_radius_mm)
+    off = rig.virtual.imperfections.laid_off
+    if off.enabled:
+        way = rotation @ np.array(off.translation_mm)
+        lies = Placement(sample.shape, rotation @ rotation_xyz(off.rotation_deg), way)
+    tracer = Tracer([lies, *table])
     return expose_object(sample, tracer, view, band_weights)
 
 

@@ -1,0 +1,694 @@
+"""Registration of an object to its photographs: where object, camera and light really stand [design, §9].
+
+What the definitions say is a prior. The photographs say more by the outline of the object and by its texture, all of
+them together; the most probable values are found by Gauss-Newton steps from coarse to fine, and their covariance is
+that of the last step. What no photograph tells keeps the standard deviation of its prior, and what they do not tell
+from what was typed stays exactly as typed: a correction by less than it is known to would harm what was right.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from irodori.config.capture_table import Pose
+from irodori.core import store
+from irodori.core.errors import InputError
+from irodori.core.progress import LOGGER, track
+from irodori.geometry.embree import Tracer
+from irodori.geometry.rig_frame import rig_from_camera, to_camera
+from irodori.geometry.shapes.shape import Shape
+from irodori.rectification.outline_search import edge_distances, find_rim
+from irodori.rectification.placement_correction import CAMERA, COUNT, QUANTITIES, Correction, prior_sigma
+from irodori.rectification.reduced_pictures import Level, Picture
+from irodori.rectification.stage import RigSetup, observe
+from irodori.rectification.texture_agreement import (
+    TextureRows,
+    blocks,
+    matt_weight,
+    mean_texture,
+    picture_slope,
+    texel_values,
+    texture_rows,
+    without_levels,
+)
+
+if TYPE_CHECKING:
+    from irodori.config.models import Object, Placing
+    from irodori.config.parts import TexturedObject
+
+_TEXELS = 3600  # of the object's own, of which the texture is compared
+_FINEST_REACH = 4.0  # samples to either side of an outline, at the end of the search
+_COARSEST_REACH = 40.0
+_PRIOR_SIGMAS = 2.5  # of the prior, seen in the pictures, that the search goes to either side at first
+_PART_OF_OBJECT = 0.35  # of its smaller half side that it may go at most
+_STEPS = 4  # Gauss-Newton steps of a level
+_LAST_STEPS = 8
+#: Blur of the pictures whose textures are compared: at least so many samples, and this part of a texel.
+_FINEST_BLUR, _PART_OF_TEXEL = 1.0, 0.6
+_STILL = 0.02  # standard deviations of the posterior within which a step ends the search
+_LEAST_COSINE = 0.15  # of incidence, under which an outline is too dark
+_LEAST_POINTS = 12
+# Mean square of slopes of the logarithm, a superpixel, in the direction of the least.
+_LEAST_TEXTURE = 1e-5
+_LEAST_MATT = 0.3  # mean weight of the texels of a photograph that is judged by its texture
+#: Standard deviation of a single measurement at least: what pictures of edges and textures are off by systematically.
+_OUTLINE_FLOOR_PX, _TEXTURE_FLOOR = 0.1, 0.01
+_OUTLINE_MOST_PX = 0.4  # standard deviation that outlines are granted at most: what lies further off is an outlier
+#: Neighbouring measurements share their errors: so many count as one. Those of a block of texels and its bands do.
+_OUTLINE_SHARED, _TEXTURE_SHARED = 5.0, 75.0
+_OUTLINED = 0.5  # of the photographs: where so many show the outline, coarse pictures are compared by it alone
+_TOLD = 0.5  # of the prior's standard deviation; what stays above it is not told by the photographs
+_SIGNIFICANT = 2.0  # standard errors of zero within which a correction is none
+#: As `QUANTITIES`: what registration is asked to be good for, 0.1 mm and 0.05 degrees, and what moves the rim of an
+#: object of a hand's size by as much. An outline in the half-dark has a bias that standard errors do not know.
+_ACCURACY = np.array([0.1] * 3 + [0.05] * 3 + [2.0, 0.2] + [0.5] * 2 + [0.05] * 2)
+_FLAT = 1e-6  # that normals differ by at most where an object is flat
+_NUMERIC = np.array([0.01] * 3 + [0.01] * 3 + [0.1, 0.01, 0.1, 0.1, 0.01, 0.01])  # steps of derivatives, as QUANTITIES
+#: What may be wrong with the pose of one photograph.
+_POSE_ANGLES = ("camera_deg", "tilt_deg", "turn_deg")
+
+
+@dataclass(frozen=True)
+class Registered:
+    """What photographs say of the place of an object, its camera and its light.
+
+    Parameters
+    ----------
+    correction : Correction
+        Most probable where all that is not told from what was typed is as typed: exactly 0 there.
+    covariance : (12, 12) float64
+        Of the most probable values of all twelve together.
+    prior : (12,) float64
+        Standard deviations before.
+    own_camera_deg : (J,) float64
+        What each photograph's camera angle is off by itself.
+    residual_px : (J,) float64
+        How far, root mean square, each photograph shows the object from where it is expected by its pose and the
+        correction that all share; superpixels, NaN where it shows nothing that could be measured.
+    mm_per_px : float
+        At the object.
+    outline_points : (J,) int
+        Of which the edge was found.
+    suspects : tuple of J (str, float)
+        What of each photograph's pose explains its residual best, and by how many degrees it would be off.
+    """
+
+    correction: Correction
+    covariance: np.ndarray
+    prior: np.ndarray
+    own_camera_deg: np.ndarray
+    residual_px: np.ndarray
+    mm_per_px: float
+    outline_points: np.ndarray
+    suspects: tuple[tuple[str, float], ...]
+
+    @property
+    def sigma(self) -> np.ndarray:
+        """Standard errors, (12,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def is_told(self) -> np.ndarray:
+        """Which values the photographs tell each by itself, (12,) bool."""
+        return self.sigma < _TOLD * self.prior
+
+
+class _Texels(NamedTuple):
+    """Points of the object whose colours are compared, in its frame."""
+
+    position: np.ndarray  # (n, 3)
+    normal: np.ndarray
+    facet: np.ndarray
+    number: np.ndarray  # (n,) among all of the grid
+    columns: int
+    rows: int
+
+
+_NOTHING = Level(np.zeros((1, 0, 0), np.float32), np.zeros((0, 0), np.float32))
+
+
+@dataclass
+class _View:
+    """One photograph at the present level."""
+
+    picture: Picture
+    level: Level = _NOTHING
+    search: Level = _NOTHING
+    rim: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
+    outward: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
+    weight: np.ndarray = field(default_factory=lambda: np.zeros(0))  # of the texels
+
+
+@dataclass
+class _Problem:
+    """What stays while an object is registered, and the unknowns: the 12 shared ones, then one a photograph."""
+
+    shape: Shape
+    setup: RigSetup
+    texels: _Texels
+    views: list[_View]
+    sigma: np.ndarray
+    unknowns: np.ndarray
+    block: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=int))  # of the texels
+
+    @property
+    def tells_texture(self) -> bool:
+        """Whether the texture is compared: of flat objects alone.
+
+        On the default run's spheres, which lie as typed, it put a tenth of a degree into the camera angles.
+        """
+        return bool(np.ptp(self.texels.normal, axis=0).max() < _FLAT)
+
+    def seen(self, view: int, points: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """Return where points of the object appear in a photograph, superpixels, for given unknowns."""
+        correction, pose = self.standing(view, values)
+        camera = self.setup.corrected(correction)
+        placed = correction.placements(self.shape, pose, 0.0)[0]
+        eye = camera.camera_distance_mm * to_camera(pose)
+        return camera.pinhole.project(placed.points(points), eye, rig_from_camera(pose))
+
+    def shading(self, view: int) -> np.ndarray:
+        """Return the cosine of incidence of every texel times the lamp's power; NaN where the light is behind it."""
+        correction, pose = self.standing(view, self.unknowns)
+        placed = correction.placements(self.shape, pose, 0.0)[0]
+        light, power, _ = self.setup.lamp.seen_from(placed.points(self.texels.position), pose)
+        cosine = np.sum((self.texels.normal @ placed.rotation.T) * light, axis=1)
+        return np.where(cosine > 0.0, cosine * power, np.nan)
+
+    def on_grid(self, values: np.ndarray) -> np.ndarray:
+        """Return values of the texels, (n, m), over their grid, (rows, columns, m); NaN where there is none."""
+        grid = np.full((self.texels.rows * self.texels.columns, values.shape[1]), np.nan)
+        grid[self.texels.number] = values
+        return grid.reshape(self.texels.rows, self.texels.columns, -1)
+
+    def standing(self, view: int, values: np.ndarray) -> tuple[Correction, Pose]:
+        """Return correction and pose of a photograph for given unknowns."""
+        correction = Correction.of(values[:COUNT])
+        return correction, correction.pose(self.views[view].picture.pose, float(values[COUNT + view]))
+
+    def derivative(self, function, view: int) -> np.ndarray:
+        """Return the derivatives of a function of the unknowns by the shared ones, on a new last axis."""
+        parts = []
+        for number, step in enumerate(_NUMERIC):
+            ends = []
+            for sign in (1.0, -1.0):
+                values = self.unknowns.copy()
+                values[number] += sign * step
+                ends.append(function(view, values))
+            parts.append((ends[0] - ends[1]) / (2.0 * step))
+        return np.stack(parts, axis=-1)
+
+
+def register(
+    linear: Sequence, definition: "Object | TexturedObject", setup: RigSetup, placing: "Placing"
+) -> Registered:
+    """Return what photographs say of the place of an object, its camera and its light.
+
+    Parameters
+    ----------
+    linear : sequence of path
+        Linear responses of the captures.
+    definition : Object or TexturedObject
+    setup : RigSetup
+        As typed.
+    placing : Placing
+        How well it is known.
+    """
+    shape = Shape.from_definition(definition.shape)
+    texels = _texels(shape, definition.texels.width, definition.texels.height)
+    sigma = np.concatenate([prior_sigma(placing), np.full(len(linear), placing.camera_deg)])
+    problem = _Problem(shape, setup, texels, [], sigma, np.zeros(len(sigma)))
+    for path in track(linear, "read photographs"):
+        problem.views.append(_View(_picture(path, problem)))
+    reach = _first_reach(problem)
+    first = reach
+    while reach > _FINEST_REACH:
+        _descend(problem, reach, _STEPS)
+        reach /= 2.0
+    matrix = _descend(problem, _FINEST_REACH, _LAST_STEPS)
+    problem.unknowns, problem.sigma = _only_what_is_told(problem.unknowns, matrix, sigma)
+    _descend(problem, _FINEST_REACH, _LAST_STEPS)
+    residual, points, suspects = _residuals(problem, max(0.5 * first, 2.0 * _FINEST_REACH))
+    covariance = _inverse(matrix, sigma)[:COUNT, :COUNT]
+    correction = Correction.of(problem.unknowns[:COUNT])
+    camera = setup.corrected(correction)
+    return Registered(
+        correction,
+        covariance,
+        sigma[:COUNT],
+        problem.unknowns[COUNT:].copy(),
+        residual,
+        2.0 * camera.camera_distance_mm / camera.pinhole.focal_px,
+        points,
+        suspects,
+    )
+
+
+def _descend(problem: _Problem, reach: float, most_steps: int) -> np.ndarray:
+    """Take Gauss-Newton steps of the unknowns that have room at one level, and return the last one's matrix."""
+    spacing = _spacing(problem)
+    blur = max(_FINEST_BLUR, reach / 3.0, _PART_OF_TEXEL * spacing)
+    texels = problem.texels
+    problem.block = blocks(texels.columns, texels.rows, spacing, blur)[texels.number]
+    for view in range(len(problem.views)):
+        _prepare(problem, view, reach, blur)
+    matrix = np.zeros((0, 0))
+    for _ in range(most_steps):
+        matrix, right = _equations(problem, reach)
+        step = _solve(matrix, right, problem.sigma)
+        problem.unknowns += step
+        if np.all(np.abs(step) <= _STILL * np.sqrt(_diagonal_of_inverse(matrix, problem.sigma))):
+            break
+    return matrix
+
+
+def _only_what_is_told(unknowns: np.ndarray, matrix: np.ndarray, sigma: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the unknowns without what the photographs do not tell, and their priors' standard deviations, 0 of those.
+
+    One after the other, the shared unknown that is told least goes back to what was typed and the others are solved
+    again, for two that only their sum is told of are told each when the other is fixed. Then go those that differ from
+    what was typed by less than their standard error, or the method's own, can tell.
+
+    Parameters
+    ----------
+    unknowns : (n,) float
+        Most probable, the 12 shared ones first.
+    matrix : (n, n) float
+        Of the normal equations there, with the prior.
+    sigma : (n,) float
+        Of the prior.
+    """
+    values, room = unknowns.copy(), sigma.copy()
+    while True:
+        free = np.flatnonzero(room[:COUNT] > 0)
+        if not free.size:
+            return values, room
+        error = np.sqrt(_diagonal_of_inverse(matrix, room))[free]
+        told = _TOLD * sigma[free] / error
+        sure = np.abs(values[free]) / np.maximum(_SIGNIFICANT * error, _ACCURACY[free])
+        least = told if told.min() <= 1.0 else sure
+        if least.min() > 1.0:
+            return values, room
+        out = free[np.argmin(least)]
+        room[out] = 0.0
+        values += _solve(matrix, matrix[:, out] * values[out], room)
+        values[out] = 0.0
+
+
+def _texels(shape: Shape, width: int, height: int) -> _Texels:
+    shrink = min(1.0, math.sqrt(_TEXELS / (width * height)))
+    columns, rows = max(2, round(width * shrink)), max(2, round(height * shrink))
+    found = shape.atlas(columns, rows)
+    on = found.covered
+    return _Texels(found.position[on], found.normal[on], found.facet[on], np.flatnonzero(on.ravel()), columns, rows)
+
+
+def _window(problem: _Problem, view: int, margin: float) -> tuple[float, float, float, float]:
+    """Return first and last x and y of the object in a photograph with a margin, superpixels."""
+    xy = problem.seen(view, problem.texels.position, problem.unknowns)
+    xy = xy[np.isfinite(xy).all(axis=1)]
+    if not len(xy):
+        return 0.0, 0.0, 0.0, 0.0
+    (x0, y0), (x1, y1) = xy.min(axis=0) - margin, xy.max(axis=0) + margin
+    return x0, y0, x1, y1
+
+
+def _picture(path, problem: _Problem) -> Picture:
+    """Read what of a photograph may show the object, wherever the prior lets it lie."""
+    with store.open_file(path) as file:
+        pose = Pose(*file.attribute("pose_deg"))
+    empty = np.zeros((0, 0, 1), np.float32)
+    placed = Picture(Path(path), pose, empty, empty[..., 0], 1.0, np.zeros(2), np.zeros(2))
+    problem.views.append(_View(placed))
+    window = _window(problem, len(problem.views) - 1, 2.0 * _COARSEST_REACH)
+    problem.views.pop()
+    return Picture.load(path, window)
+
+
+def _first_reach(problem: _Problem) -> float:
+    """Return how far from its expected place the outline may be, samples: from the prior, bounded by the object."""
+    found, half = [], []
+    chosen = problem.texels.position[:: max(1, len(problem.texels.position) // 50)]
+    for view in range(len(problem.views)):
+        moved = problem.derivative(lambda v, values: problem.seen(v, chosen, values), view)
+        spread = np.sqrt(np.sum((moved * problem.sigma[:COUNT]) ** 2, axis=(1, 2)) / 2.0)
+        scale = problem.views[view].picture.scale
+        found.append(np.nanmedian(spread) * scale)
+        x0, y0, x1, y1 = _window(problem, view, 0.0)
+        half.append(0.5 * max(min(x1 - x0, y1 - y0), 1.0) * scale)
+    most = max(_FINEST_REACH, min(_COARSEST_REACH, _PART_OF_OBJECT * float(np.median(half))))
+    return float(np.clip(_PRIOR_SIGMAS * np.median(found), _FINEST_REACH, most))
+
+
+def _prepare(problem: _Problem, number: int, reach: float, blur: float) -> None:
+    """Find what a photograph shows as things stand: its outline, and the texels whose colours it tells."""
+    view, texels = problem.views[number], problem.texels
+    correction, pose = problem.standing(number, problem.unknowns)
+    camera = problem.setup.corrected(correction)
+    placements = correction.placements(problem.shape, pose, problem.setup.table_radius_mm)
+    tracer, placed = Tracer(placements), placements[0]
+    view.level = view.picture.level(blur)
+    view.search = view.picture.level(0.0 if reach <= 5.0 else reach / 8.0)
+    normal, facet = texels.normal @ placed.rotation.T, texels.facet @ placed.rotation.T
+    sight = observe(placed.points(texels.position), normal, tracer, pose, camera, facet)
+    eye, axes = camera.camera_distance_mm * to_camera(pose), rig_from_camera(pose)
+    rim = find_rim(tracer, camera.pinhole, eye, axes, _window(problem, number, 0.0))
+    view.rim, view.outward = rim.point, rim.outward
+    bright = np.cos(sight.geometry[:, 0]) > _LEAST_COSINE
+    weight = matt_weight(sight.geometry[:, 3]) * (sight.visible & sight.lit & bright)
+    if len(view.rim):
+        from scipy.spatial import cKDTree
+
+        nearest = cKDTree(texels.position).query(view.rim)[1]
+        lit = observe(placed.points(view.rim), normal[nearest], tracer, pose, camera, facet[nearest])
+        bright = lit.lit & (np.cos(lit.geometry[:, 0]) > _LEAST_COSINE)
+        # The table's background spreads over the outline by blur.
+        apart = cKDTree(lit.xy).query(np.nan_to_num(sight.xy))[0] * view.picture.scale
+        weight = np.where(apart > 2.0 * blur + 1.5, weight, 0.0)
+        view.rim, view.outward = view.rim[bright], view.outward[bright]
+    view.weight = weight
+
+
+def _outline(problem: _Problem, number: int, reach: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return how far a photograph's outline lies off, the derivatives of its places, and which points were found.
+
+    Distances are (n,) superpixels, derivatives (n, 12); the last, (m,) bool, counts all points of the rim.
+    """
+    view = problem.views[number]
+    nothing = np.zeros(0), np.zeros((0, COUNT)), np.zeros(len(view.rim), dtype=bool)
+    if not len(view.rim):
+        return nothing
+    xy = problem.seen(number, view.rim, problem.unknowns)
+    distance = edge_distances(view.picture, view.search, xy, view.outward, reach)
+    found = np.isfinite(distance)
+    if found.sum() < _LEAST_POINTS:
+        return nothing
+    rim = view.rim[found]
+    moved = problem.derivative(lambda v, values: problem.seen(v, rim, values), number)
+    return distance[found], np.einsum("ni,nip->np", view.outward[found], moved), found
+
+
+def _robust(values: np.ndarray, floor: float, most: float = math.inf) -> tuple[np.ndarray, float]:
+    """Return weights of measurements that take little notice of outliers (Cauchy's), and their standard deviation."""
+    scale = min(max(1.4826 * float(np.median(np.abs(values))), floor), most) if values.size else floor
+    return 1.0 / (1.0 + (values / (2.0 * scale)) ** 2), scale
+
+
+def _equations(problem: _Problem, reach: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return matrix and right side of the normal equations of a Gauss-Newton step, with the prior."""
+    is_last = reach <= _FINEST_REACH
+    views, size = range(len(problem.views)), len(problem.unknowns)
+    matrix, right = np.zeros((size, size)), np.zeros(size)
+    measured = [_outline(problem, view, reach) for view in views]
+    every = np.concatenate([distance for distance, _, _ in measured])
+    if every.size:
+        weight, scale = _robust(every, _OUTLINE_FLOOR_PX, _OUTLINE_MOST_PX if is_last else math.inf)
+        split = np.split(weight, np.cumsum([len(d) for d, _, _ in measured])[:-1])
+        for view, (distance, change, _), own in zip(views, measured, split, strict=True):
+            rows = change[:, [*range(COUNT), CAMERA]]
+            where = [*range(COUNT), COUNT + view]
+            factor = own / (scale**2 * _OUTLINE_SHARED)
+            matrix[np.ix_(where, where)] += rows.T @ (factor[:, None] * rows)
+            right[where] += rows.T @ (factor * distance)
+    outlined = np.mean([len(distance) > 0 for distance, _, _ in measured]) >= _OUTLINED
+    if problem.tells_texture and (is_last or not outlined):
+        _add_texture(problem, matrix, right)
+    free = problem.sigma > 0
+    matrix[free, free] += 1.0 / problem.sigma[free] ** 2
+    right[free] -= problem.unknowns[free] / problem.sigma[free] ** 2
+    return matrix, right
+
+
+def _textures(problem: _Problem) -> list[TextureRows]:
+    """Return the texture as each photograph shows it."""
+    texels, views = problem.texels, problem.views
+    places = [problem.seen(view, texels.position, problem.unknowns) for view in range(len(views))]
+    values, weights = [], []
+    for number, view in enumerate(views):
+        values.append(texel_values(view.picture, view.level, places[number], problem.shading(number)))
+        weights.append(np.where(np.isfinite(values[-1]).all(axis=1), view.weight, 0.0))
+    values = without_levels(values, weights, problem.block)
+    mean = problem.on_grid(mean_texture(values, weights))
+    found = []
+    for number, place in enumerate(places):
+        moved = problem.derivative(lambda v, unknowns: problem.seen(v, texels.position, unknowns), number)
+        # Behind the shared unknowns, shifts of the photograph by itself.
+        moved = np.concatenate([moved, np.broadcast_to(np.eye(2), (len(place), 2, 2))], axis=2)
+        slope = picture_slope(mean, problem.on_grid(place)).reshape(-1, mean.shape[2], 2)[texels.number]
+        found.append(texture_rows(values[number], slope, moved, weights[number], problem.block))
+    return found
+
+
+def _spacing(problem: _Problem) -> float:
+    """Return the distance of neighbouring texels in the pictures, samples."""
+    found = []
+    for number, view in enumerate(problem.views):
+        place = problem.on_grid(problem.seen(number, problem.texels.position, problem.unknowns)) * view.picture.scale
+        down, across = (np.asarray(one) for one in np.gradient(place, axis=(0, 1)))
+        found.append(np.nanmedian(np.abs(down[..., 0] * across[..., 1] - down[..., 1] * across[..., 0])))
+    return math.sqrt(float(np.median(found)))
+
+
+def _texture_differences(rows: list[TextureRows], weights: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the weighted mean value of each texel, (n, bands), and the sum of its weights, (n,)."""
+    total: np.ndarray = np.sum(weights, axis=0)
+    mean: np.ndarray = np.sum([w[:, None] * row.value for w, row in zip(weights, rows, strict=True)], axis=0)
+    return mean / np.maximum(total, 1e-12)[:, None], total
+
+
+def _add_texture(problem: _Problem, matrix: np.ndarray, right: np.ndarray) -> None:
+    """Add to normal equations what the photographs' textures differ by, the colours of all texels eliminated."""
+    rows = _textures(problem)
+    weights = [row.weight for row in rows]
+    mean, total = _texture_differences(rows, weights)
+    both = np.sum([w > 0 for w in weights], axis=0) > 1
+    if not both.any():
+        return
+    off = [row.value - mean for row in rows]
+    seen = np.concatenate([o[both & (w > 0)].ravel() for o, w in zip(off, weights, strict=True)])
+    scale = _robust(seen, _TEXTURE_FLOOR)[1]
+    weights = [
+        np.where(both, w, 0.0) / (1.0 + np.mean((o / (2.0 * scale)) ** 2, axis=1)) / (scale**2 * _TEXTURE_SHARED)
+        for o, w in zip(off, weights, strict=True)
+    ]
+    mean, total = _texture_differences(rows, weights)
+    used = total > 0
+    bands, size = mean.shape[1], len(right)
+    sums = np.zeros((used.sum(), bands, size))
+    for view, (row, weight) in enumerate(zip(rows, weights, strict=True)):
+        where = [*range(COUNT), COUNT + view]
+        change = row.change[used][..., [*range(COUNT), CAMERA]]
+        weighted = weight[used, None, None] * change
+        matrix[np.ix_(where, where)] += np.einsum("tbp,tbq->pq", weighted, change, optimize=True)
+        right[where] -= np.einsum("tbp,tb->p", weighted, (row.value - mean)[used])
+        sums[..., where] += weighted
+    flat = sums.reshape(-1, size)
+    matrix -= flat.T @ (flat / np.repeat(total[used], bands)[:, None])
+
+
+def _solve(matrix: np.ndarray, right: np.ndarray, sigma: np.ndarray) -> np.ndarray:
+    """Return the step of the unknowns that have room, 0 of the others."""
+    free = sigma > 0
+    step = np.zeros(len(right))
+    scaled = np.outer(sigma[free], sigma[free]) * matrix[np.ix_(free, free)]
+    step[free] = sigma[free] * np.linalg.solve(scaled, sigma[free] * right[free])
+    return step
+
+
+def _inverse(matrix: np.ndarray, sigma: np.ndarray) -> np.ndarray:
+    free = sigma > 0
+    both = np.outer(sigma, sigma)
+    out = np.zeros_like(matrix)
+    out[np.ix_(free, free)] = np.linalg.inv((both * matrix)[np.ix_(free, free)])
+    return both * out
+
+
+def _diagonal_of_inverse(matrix: np.ndarray, sigma: np.ndarray) -> np.ndarray:
+    return np.diag(_inverse(matrix, sigma))
+
+
+def _residuals(problem: _Problem, reach: float) -> tuple[np.ndarray, np.ndarray, tuple[tuple[str, float], ...]]:
+    """Return how far each photograph is from the correction that all share, its outline's points, and what explains it.
+
+    Outlines are looked for further away than they were at the end of the search: one that lies there says so.
+    """
+    problem.unknowns[COUNT:], own = 0.0, problem.unknowns[COUNT:].copy()
+    residual, count = np.full(len(problem.views), np.nan), np.zeros(len(problem.views), dtype=int)
+    rows = _textures(problem)
+    mean, total = _texture_differences(rows, [row.weight for row in rows])
+    suspects = []
+    for number, row in enumerate(rows):
+        distance, _, found = _outline(problem, number, reach)
+        count[number] = len(distance)
+        if len(distance):
+            weight, _ = _robust(distance, _OUTLINE_FLOOR_PX)
+            residual[number] = math.sqrt(np.sum(weight * distance**2) / np.sum(weight))
+        shift = _shift(row, mean, total) if problem.tells_texture else np.full(2, np.nan)
+        residual[number] = np.fmax(residual[number], np.linalg.norm(shift))
+        suspects.append(_suspect(problem, number, distance, found, shift))
+    problem.unknowns[COUNT:] = own
+    return residual, count, tuple(suspects)
+
+
+def _suspect(problem: _Problem, number: int, distance: np.ndarray, found: np.ndarray, shift) -> tuple[str, float]:
+    """Return which angle of a photograph's pose explains best how it differs, and how far that would be off, degrees.
+
+    Parameters
+    ----------
+    problem : _Problem
+    number : int
+        Of the photograph.
+    distance : (n,) float
+        Of its outline, superpixels.
+    found : (m,) bool
+        Of which points of its rim.
+    shift : (2,) float
+        Of its texture, superpixels.
+    """
+    view = problem.views[number]
+    if len(distance):
+        points, outward, off = view.rim[found], view.outward[found], distance
+    else:
+        points, outward = (
+            np.repeat(problem.texels.position, 2, axis=0),
+            np.tile(np.eye(2), (len(problem.texels.number), 1)),
+        )
+        off = np.tile(np.nan_to_num(shift), len(problem.texels.number))
+    picture, best = view.picture, ("", 0.0, -1.0)
+    for angle in _POSE_ANGLES:
+        ends = []
+        for sign in (1.0, -1.0):
+            pose = replace(picture.pose, **{angle: getattr(picture.pose, angle) + 0.1 * sign})
+            view.picture = replace(picture, pose=pose)
+            ends.append(problem.seen(number, points, problem.unknowns))
+        along = np.sum((ends[0] - ends[1]) / 0.2 * outward, axis=1)
+        power = float(along @ along)
+        by = float(along @ off) / max(power, 1e-12)
+        if by * float(along @ off) > best[2]:
+            best = (angle, by, by * float(along @ off))
+    view.picture = picture
+    return best[0], best[1]
+
+
+def _shift(row: TextureRows, mean: np.ndarray, total: np.ndarray) -> np.ndarray:
+    """Return how far a photograph's texture lies beside that of the others, (2,) superpixels; NaN for too little."""
+    others = total - row.weight
+    used = (row.weight > 0) & (others > 1e-6 * row.weight)
+    # In the directions of gloss a texture is another: it tells a place too little to be judged by it.
+    if not used.any() or row.weight[used].mean() < _LEAST_MATT:
+        return np.full(2, np.nan)
+    share = row.weight[used] / others[used]
+    off = (row.value[used] - mean[used]) * (1.0 + share)[:, None]  # from the mean of the others
+    slope = row.change[used][..., COUNT:]
+    weight = row.weight[used, None] / (1.0 + (off / (2.0 * _robust(off.ravel(), _TEXTURE_FLOOR)[1])) ** 2)
+    matrix = np.einsum("tb,tbi,tbk->ik", weight, slope, slope)
+    if np.linalg.eigvalsh(matrix)[0] < _LEAST_TEXTURE * weight.sum():
+        return np.full(2, np.nan)
+    return np.linalg.solve(matrix, -np.einsum("tb,tbi,tb->i", weight, slope, off))
+
+
+def register_object(
+    linear: Sequence,
+    definition: "Object | TexturedObject",
+    setup: RigSetup,
+    placing: "Placing",
+    *,
+    output,
+    provenance: store.Provenance,
+) -> None:
+    """Write where an object, its camera and its light stand by its photographs.
+
+    Parameters
+    ----------
+    linear : sequence of path
+        Linear responses of the captures, each file named after its capture.
+    definition : Object or TexturedObject
+    setup : RigSetup
+        As typed.
+    placing : Placing
+        How well it is known.
+
+    Raises
+    ------
+    InputError
+        If a photograph shows the object elsewhere than its pose and the others say.
+
+    Notes
+    -----
+    Datasets: ``/correction`` (12) in the order and units of the attribute ``quantities``, to be added to what was
+    typed, 0 of what stays as typed; ``/sigma`` (12), standard errors of the most probable values, each by itself;
+    ``/prior_sigma`` (12); ``/covariance`` (12, 12); ``/own_camera_deg`` (J),
+    what each camera angle is off by itself; ``/residual_px`` and ``/residual_mm`` (J), how far a photograph shows the
+    object from where the correction puts it, NaN where it shows nothing that could be measured; ``/outline_points``
+    (J). ``told`` says which numbers the photographs tell, ``captures`` names them, ``sentence`` says all in words.
+    """
+    found = register(linear, definition, setup, placing)
+    names = [Path(path).stem for path in linear]
+    _refuse_far(found, linear, placing.max_residual_px)
+    sentence = in_words(found)
+    LOGGER.info("%s", sentence)
+    with store.create(output, provenance) as out:
+        for name, values, quantity in (
+            ("correction", found.correction.values, "to be added to what was typed"),
+            ("sigma", found.sigma, "standard errors of the most probable values"),
+            ("prior_sigma", found.prior, "standard deviations of what was typed"),
+        ):
+            out.write(name, np.array(values), units="see quantities", dims="quantity", quantity=quantity)
+        covariance = {"units": "see quantities", "dims": "quantity,quantity_again"}
+        out.write("covariance", found.covariance, **covariance, quantity="covariance of the most probable values")
+        out.write(
+            "own_camera_deg", found.own_camera_deg, units="deg", dims="capture", quantity="camera angle beside all"
+        )
+        off = "distance between where a capture shows the object and where it is expected"
+        out.write("residual_px", found.residual_px, units="superpixel", dims="capture", quantity=off)
+        out.write("residual_mm", found.residual_px * found.mm_per_px, units="mm", dims="capture", quantity=off)
+        out.write(
+            "outline_points", found.outline_points, units="1", dims="capture", quantity="points of the outline found"
+        )
+        out.attribute("quantities", [f"{one.name}, {one.unit}" for one in QUANTITIES])
+        out.attribute("told", [bool(told) for told in found.is_told])
+        out.attribute("captures", names)
+        out.attribute("sentence", sentence)
+
+
+def _refuse_far(found: Registered, linear: Sequence, most_px: float) -> None:
+    """Refuse the photograph that shows the object furthest from where it is expected, if that is too far."""
+    if np.isnan(found.residual_px).all():
+        return
+    worst = int(np.nanargmax(found.residual_px))
+    residual = found.residual_px[worst]
+    if residual <= most_px:
+        return
+    angle, off = found.suspects[worst]
+    where = (
+        f"{residual:.2g} superpixels ({residual * found.mm_per_px:.2g} mm) from where its pose and the others put it"
+    )
+    likeliest = f"; likeliest is {angle} off by {off:+.1f}" if angle else ""
+    accepted = f"at most {most_px:g} superpixels (place.max_residual_px), and a pose as it was"
+    raise InputError(linear[worst], "pose_deg", f"the object {where}{likeliest}", accepted)
+
+
+def in_words(found: Registered) -> str:
+    """Return what photographs say of the place of an object, and what they do not tell, in one sentence."""
+    said, confirmed, silent = [], [], []
+    for quantity, value, sigma, told in zip(
+        QUANTITIES, found.correction.values, found.sigma, found.is_told, strict=True
+    ):
+        # Where only the others' being as typed lets it be told, its standard error by itself would mislead.
+        error = f"± {sigma:.2f} " if told else ""
+        if value:
+            said.append(f"{quantity.text} {value:+.2f} {error}{quantity.unit}")
+        elif told:
+            confirmed.append(quantity.text)
+        else:
+            silent.append(quantity.text)
+    parts = [f"beside what was typed, the photographs tell: {'; '.join(said) if said else 'nothing'}"]
+    if confirmed:
+        parts.append(f"as typed, as far as can be told: {', '.join(confirmed)}")
+    if silent:
+        parts.append(f"not told, so that it stays as typed: {', '.join(silent)}")
+    return "; ".join(parts)

@@ -1,0 +1,183 @@
+"""Outline of an object in a photograph: where it is expected, and how far from there the picture has its edge.
+
+As in contour tracking (C. Harris, *Tracking with rigid models*, in Active Vision, 1992): the picture is searched along
+the normals of the expected outline, and what is measured is the distance along them alone.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from irodori.geometry.embree import Tracer
+from irodori.geometry.pinhole import Pinhole
+from irodori.rectification.reduced_pictures import DARK, GREEN, Level, Picture
+
+_GRID = 160  # rays along the longer side of the object, between which the outline is looked for
+_ROUNDS = 12  # of halving the way between a ray that meets the object and one that does not
+_SMOOTH = 1.5  # steps of the grid over which it is told what is outside
+_NEIGHBOURS = 12  # points through which the outline's direction is taken
+_ROUGH = 0.02  # of their extent, which points may be off a smooth curve
+_CHORD = 0.3  # of the object's reach, within which a ray leaves a round object again beside its outline
+_MOST = 200  # points of an outline
+_STEP = 0.5  # samples between readings along a normal
+_INNER, _OUTER = 1.5, 5.0  # samples from an edge between which the two sides' levels are read
+_LEAST_LOG_STEP = 0.25
+_LEAST_SIGMAS = 6.0
+_UNKNOWN_NOISE = 0.01
+
+
+class Rim(NamedTuple):
+    """Points of an outline."""
+
+    point: np.ndarray  # (n, 3) on the object, in its frame, mm
+    outward: np.ndarray  # (n, 2) unit vectors in the picture, x then y
+
+
+def find_rim(tracer: Tracer, pinhole: Pinhole, eye, axes, window) -> Rim:
+    """Return points of the outline of a scene's shape 0 as a camera sees it.
+
+    Parameters
+    ----------
+    tracer : Tracer
+    pinhole : Pinhole
+    eye : (3,) float
+        Centre of projection in the scene, mm.
+    axes : (3, 3) float, scene_from_camera
+    window : (4,) float
+        First x and y and last x and y of the object in the picture, superpixels.
+    """
+    from scipy import ndimage
+
+    x0, y0, x1, y1 = window
+    step = max(1.0, max(x1 - x0, y1 - y0) / _GRID)
+    x, y = np.arange(x0 - 3 * step, x1 + 3.5 * step, step), np.arange(y0 - 3 * step, y1 + 3.5 * step, step)
+    grid = np.stack(np.meshgrid(x, y), axis=-1)
+
+    def met(xy):
+        directions = pinhole.directions(2.0 * (xy + 0.5), axes)
+        seen = np.isfinite(directions[:, 0])
+        directions[~seen] = axes[:, 2]
+        distance, shape = tracer.intersect(np.broadcast_to(eye, directions.shape), directions)
+        return seen & (shape == 0), eye + np.where(shape == 0, distance, 0.0)[:, None] * directions
+
+    inside = met(grid.reshape(-1, 2))[0].reshape(grid.shape[:2])
+    soft = ndimage.gaussian_filter(inside.astype(np.float64), _SMOOTH, mode="nearest")
+    slope = -np.stack(np.gradient(soft)[::-1], axis=-1)
+    pairs = []
+    for axis in (0, 1):
+        one = np.argwhere(np.diff(inside.astype(np.int8), axis=axis) != 0)
+        pairs.append(np.stack([one, one + np.eye(2, dtype=int)[axis]], axis=1))
+    pair = np.concatenate(pairs)
+    if len(pair) < 2 * _NEIGHBOURS:
+        return Rim(np.zeros((0, 3)), np.zeros((0, 2)))
+    away = slope[pair[..., 0], pair[..., 1]].mean(axis=1)
+    first = inside[pair[:, 0, 0], pair[:, 0, 1]]
+    ends = grid[pair[..., 0], pair[..., 1]]
+    on = np.where(first[:, None], ends[:, 0], ends[:, 1])
+    off = np.where(first[:, None], ends[:, 1], ends[:, 0])
+    for _ in range(_ROUNDS):
+        middle = 0.5 * (on + off)
+        hit = met(middle)[0][:, None]
+        on, off = np.where(hit, middle, on), np.where(hit, off, middle)
+    direction, is_smooth = _normals(on, away)
+    on, direction = on[is_smooth], direction[is_smooth]
+    chosen = np.unique(np.linspace(0, len(on) - 1, min(len(on), _MOST)).round().astype(int))
+    on, direction = on[chosen], direction[chosen]
+    hit, point = met(on)
+    point, placed = point[hit], tracer.placements[0]
+    # A round object is met a little before its outline and left a little behind it, which lies halfway.
+    way = point - eye
+    far, towards = eye + 2.0 * way, way / np.linalg.norm(way, axis=1, keepdims=True)
+    back, shape = tracer.intersect(far, -towards)
+    left = far - np.where(shape == 0, back, 0.0)[:, None] * towards
+    through = (shape == 0) & (np.linalg.norm(left - point, axis=1) < _CHORD * placed.shape.reach_mm)
+    point = np.where(through[:, None], 0.5 * (point + left), point)
+    return Rim((point - placed.translation_mm) @ placed.rotation, direction[hit])
+
+
+def _normals(on: np.ndarray, away: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return unit normals of a curve at its points, (n, 2), and where it is smooth, (n,) bool.
+
+    A parabola through the neighbours of each point, for a normal that is off by little would turn round objects.
+
+    Parameters
+    ----------
+    on : (n, 2) float
+        Points on the curve, in no order.
+    away : (n, 2) float
+        Roughly outward.
+    """
+    from scipy.spatial import cKDTree
+
+    about = on[cKDTree(on).query(on, k=_NEIGHBOURS)[1]] - on[:, None]
+    spread, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", about, about))
+    along, across = axes[..., 1], axes[..., 0]
+    u, w = np.einsum("nki,ni->nk", about, along), np.einsum("nki,ni->nk", about, across)
+    design = np.stack([np.ones_like(u), u, u * u], axis=-1)
+    found = np.einsum("nij,nj->ni", np.linalg.pinv(design), w)
+    normal = across - found[:, 1:2] * along
+    normal *= np.sign(np.sum(normal * away, axis=1))[:, None]
+    left = np.abs(np.einsum("nki,ni->nk", design, found) - w).max(axis=1)
+    length = np.linalg.norm(normal, axis=1)
+    is_smooth = (left < _ROUGH * np.sqrt(spread[:, 1])) & (length > 0)
+    return normal / np.maximum(length, 1e-12)[:, None], is_smooth
+
+
+def edge_distances(picture: Picture, level: Level, xy, outward, reach: float) -> np.ndarray:
+    """Return how far out from where an outline is expected its photograph has an edge.
+
+    Of all places within reach that is the one with the largest step of brightness, by ratio; where exactly is told
+    by the area under the profile between the levels of both sides, of which the inner may rise evenly. It therefore
+    depends neither on the height of the step nor on the sharpness of the picture.
+
+    Parameters
+    ----------
+    picture : Picture
+    level : Level
+        Of the picture, in which the step is looked for.
+    xy : (n, 2) float
+        Expected places, superpixels.
+    outward : (n, 2) float
+        Unit normals.
+    reach : float
+        Samples to either side.
+
+    Returns
+    -------
+    (n,) float64, superpixels; NaN where no edge stands out of the noise
+    """
+    offset = np.arange(-reach - _OUTER - 1.0, reach + _OUTER + 1.0 + _STEP / 2, _STEP)
+    place = picture.place(xy)[:, None] + offset[None, :, None] * outward[:, None]
+    count, width = place.shape[:2]
+    band = min(GREEN, len(level.bands) - 1)
+    profile = level.sampled(level.bands[band : band + 1], place.reshape(-1, 2))[:, 0].reshape(count, width)
+    near, far = round(_INNER / _STEP), round(_OUTER / _STEP)
+    candidates = np.arange(far, width - far)
+    inner = np.stack([profile[:, c - far : c - near + 1].mean(axis=1) for c in candidates], axis=1)
+    outer = np.stack([profile[:, c + near : c + far + 1].mean(axis=1) for c in candidates], axis=1)
+    c0, c1 = np.where(np.isfinite(picture.noise), picture.noise, [_UNKNOWN_NOISE**2, 0.0])
+    noise = np.sqrt(c0 + c1 * np.maximum(np.maximum(inner, outer), 0.0))
+    ratio = np.abs(np.log((np.maximum(inner, 0.0) + DARK) / (np.maximum(outer, 0.0) + DARK)))
+    clear = (ratio > _LEAST_LOG_STEP) & (np.abs(inner - outer) > _LEAST_SIGMAS * noise)
+    score = np.where(clear, ratio * (1.0 - 0.5 * (offset[candidates] / (reach + 1.0)) ** 2), -1.0)
+    best = np.argmax(score, axis=1)
+    rows = np.arange(count)
+    centre = candidates[best]
+    window = centre[:, None] + np.arange(-far, far + 1)
+    around, along = profile[rows[:, None], window], np.arange(-far, far + 1) * _STEP
+    inside = along <= -_INNER
+    # The inner side's own slope: a round object darkens or brightens towards its outline.
+    middle = along[inside].mean()
+    lean = (around[:, inside] @ (along[inside] - middle)) / np.sum((along[inside] - middle) ** 2)
+    inner_line = around[:, inside].mean(axis=1)[:, None] + lean[:, None] * (along - middle)
+    outer_level = around[:, along >= _INNER].mean(axis=1)[:, None]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = (around - outer_level) / (inner_line - outer_level)
+        # The area from the first reading on, less that up to the candidate itself: half a reading at both ends.
+        within = (along >= -_INNER - _STEP) & (along <= _INNER + _STEP)
+        weights = np.full(within.sum(), _STEP)
+        weights[[0, -1]] *= 0.5
+        area = share[:, within] @ weights - (_INNER + _STEP)
+    found = offset[centre] + area
+    lost = (score[rows, best] < 0.0) | ~np.isfinite(found) | (np.abs(area) > _INNER + _STEP) | (np.abs(found) > reach)
+    return np.where(lost, np.nan, found / picture.scale)

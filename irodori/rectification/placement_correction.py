@@ -1,0 +1,126 @@
+"""Correction of where an object, its camera and its light stand, beside what their definitions say."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from irodori.config.capture_table import Pose
+from irodori.core import store
+from irodori.geometry.pinhole import Pinhole
+from irodori.geometry.rig_frame import rig_from_object, rotation_xyz
+from irodori.geometry.shapes.placement import Placement, on_table
+from irodori.geometry.shapes.shape import Shape
+
+if TYPE_CHECKING:
+    from irodori.config.models import Placing
+
+
+class Quantity(NamedTuple):
+    """One number of a correction: what it is called, its unit, and what it says in a sentence."""
+
+    name: str
+    unit: str
+    text: str
+
+
+#: The numbers of a correction, in their order: the object on the table, camera and lens, angles of the rig.
+QUANTITIES = (
+    Quantity("x_mm", "mm", "object along the table's x"),
+    Quantity("y_mm", "mm", "object along the table's y"),
+    Quantity("z_mm", "mm", "object above the table"),
+    Quantity("about_x_deg", "deg", "object turned about the table's x"),
+    Quantity("about_y_deg", "deg", "object turned about the table's y"),
+    Quantity("about_z_deg", "deg", "object turned about the table's normal"),
+    Quantity("camera_distance_mm", "mm", "distance of the camera"),
+    Quantity("focal_length_percent", "%", "focal length"),
+    Quantity("principal_x_px", "px", "principal point along the rows"),
+    Quantity("principal_y_px", "px", "principal point along the columns"),
+    Quantity("camera_deg", "deg", "every camera angle"),
+    Quantity("light_deg", "deg", "every light angle"),
+)
+COUNT = len(QUANTITIES)
+#: Place of the camera angle, which each photograph also has an error of its own in.
+CAMERA = [quantity.name for quantity in QUANTITIES].index("camera_deg")
+
+
+@dataclass(frozen=True)
+class Correction:
+    """What is added to the definitions of an object, its camera and its rig.
+
+    The object is turned about the origin of its frame, about x, then y, then z of the table, and then moved along the
+    table's axes; the table's axes are those of the rig at no tilt and no turn.
+
+    Parameters
+    ----------
+    values : sequence of 12 float
+        In the order and the units of `QUANTITIES`.
+    """
+
+    values: tuple[float, ...] = (0.0,) * COUNT
+
+    @classmethod
+    def of(cls, values: Sequence[float] | np.ndarray) -> "Correction":
+        """Return the correction by numbers of any kind."""
+        return cls(tuple(float(value) for value in values))
+
+    @classmethod
+    def load(cls, path) -> "Correction":
+        """Read the correction of a file of `irodori.rectification.object_registration.register_object`.
+
+        Raises
+        ------
+        InputError
+            If the file holds other numbers than these.
+        """
+        with store.open_file(path) as file:
+            file.require_axes({"correction": "quantity"}, quantity=COUNT)
+            return cls.of(file.read_within("correction"))
+
+    @property
+    def table_from_object(self) -> np.ndarray:
+        """The (3, 3) rotation of the object on the table."""
+        return rotation_xyz(self.values[3:6])
+
+    @property
+    def translation_mm(self) -> np.ndarray:
+        """The (3,) way of the object's origin on the table."""
+        return np.array(self.values[:3])
+
+    def pinhole(self, typed: Pinhole) -> Pinhole:
+        """Return the camera with the focal length and the principal point that it has."""
+        _, percent, x, y = self.values[6:10]
+        centre = typed.centre_px[0] + x, typed.centre_px[1] + y
+        return replace(typed, focal_px=typed.focal_px * (1.0 + percent / 100.0), centre_px=centre)
+
+    def camera_distance_mm(self, typed: float) -> float:
+        """Return the distance at which the camera stands."""
+        return typed + self.values[6]
+
+    def pose(self, typed: Pose, own_camera_deg: float = 0.0) -> Pose:
+        """Return the pose that a photograph really has, which may be off by an angle of the camera of its own."""
+        camera, light = self.values[CAMERA], self.values[CAMERA + 1]
+        return replace(typed, light_deg=typed.light_deg + light, camera_deg=typed.camera_deg + camera + own_camera_deg)
+
+    def placements(self, shape: Shape, pose: Pose, table_radius_mm: float) -> list[Placement]:
+        """Return the object as it lies (shape 0) and the table under it (shape 1; absent for radius 0) in the rig."""
+        rotation = rig_from_object(pose)
+        _, *table = on_table(shape, rotation, table_radius_mm)
+        height = rotation @ np.array([0.0, 0.0, self.values[2]])
+        lain = Placement(shape, rotation @ self.table_from_object, rotation @ self.translation_mm)
+        return [lain, *(replace(top, translation_mm=top.translation_mm + height) for top in table)]
+
+
+AS_TYPED = Correction()
+
+
+def prior_sigma(placing: "Placing") -> np.ndarray:
+    """Return the standard deviations of what was typed, (12,) in the order and the units of `QUANTITIES`."""
+    return np.array(
+        [placing.translation_mm] * 3
+        + [placing.rotation_deg] * 3
+        + [placing.camera_distance_mm, placing.focal_length_percent]
+        + [placing.principal_point_px] * 2
+        + [placing.camera_deg, placing.light_deg]
+    )

@@ -1,0 +1,126 @@
+"""Pictures for registration: the part that may show the object, binned to a bounded size, blurred by levels."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from irodori.config.capture_table import Pose
+from irodori.core import store
+
+_BANDS = 3  # of the first filter state: the other's are moved onto it, with an error of their own
+GREEN = 1  # the one band whose samples lie evenly about the middle of a superpixel
+_MOST = 1000  # samples along each side of a picture
+#: Added to responses before their logarithm is taken: what is darker says little.
+DARK = 0.01
+_HALF = 0.5  # of a blurred sample's weight that must come from valid ones
+
+
+@dataclass(frozen=True)
+class Picture:
+    """The responses of one photograph.
+
+    Parameters
+    ----------
+    path : path
+        Linear file.
+    pose : Pose
+        As typed.
+    response : (height, width, 3) float32
+        Responses of the first filter state, 0 where not valid.
+    valid : (height, width) float32
+        1 where all bands are measured, else 0.
+    scale : float
+        Samples along a superpixel.
+    corner : (2,) float64
+        Of the first sample's corner, x then y, in samples of the binned whole picture.
+    noise : (2,) float64
+        c0 and c1 of the variance of a green sample, NaN where not known.
+    """
+
+    path: Path
+    pose: Pose
+    response: np.ndarray
+    valid: np.ndarray
+    scale: float
+    corner: np.ndarray
+    noise: np.ndarray
+
+    @classmethod
+    def load(cls, path, window: tuple[float, float, float, float] | None = None) -> "Picture":
+        """Read the part of a linear file that a window shows.
+
+        Parameters
+        ----------
+        path : path
+        window : (4,) float, optional
+            First x and y and last x and y, superpixels; the whole picture where absent.
+
+        Raises
+        ------
+        InputError
+            If the file is damaged or its datasets do not fit together.
+        """
+        with store.open_file(path) as file:
+            file.require_axes({"response": "row,column,band", "valid": "row,column"})
+            height, width, _ = file.dataset("response").shape
+            density = 2.0 / file.attribute("sample_px")
+            first = np.array([0.0, 0.0]) if window is None else np.floor(np.array(window[:2]) * density)
+            last = np.array([width, height]) if window is None else np.ceil((np.array(window[2:]) + 1.0) * density)
+            (x0, y0), (x1, y1) = np.clip([first, last], 0, [width, height]).astype(int)
+            part = slice(y0, max(y0, y1)), slice(x0, max(x0, x1))
+            response = file.read("response", part)[..., :_BANDS].astype(np.float32)
+            valid = file.read("valid", part).astype(np.float32)
+            pose = Pose(*file.attribute("pose_deg"))
+            noise = file.read("noise_model")[min(GREEN, response.shape[-1] - 1)].astype(np.float64)
+        response *= valid[..., None]
+        bins = max(1, -(-max(valid.shape, default=1) // _MOST))
+        if bins > 1:
+            weight, noise = _binned(valid, bins), noise / bins**2
+            response = _binned(response, bins) / np.maximum(weight, 1e-9)[..., None]
+            valid = (weight >= _HALF * bins**2).astype(np.float32)
+        return cls(Path(path), pose, response, valid, density / bins, np.array([x0, y0]) / bins, noise)
+
+    def place(self, xy) -> np.ndarray:
+        """Turn superpixels into places among the samples, whose centres have integer coordinates; (..., 2), x, y."""
+        return (np.asarray(xy) + 0.5) * self.scale - self.corner - 0.5
+
+    def level(self, sigma: float) -> "Level":
+        """Return the picture blurred by a Gaussian of so many samples."""
+        from scipy import ndimage  # slow to import
+
+        if sigma <= 0.0:
+            return Level(np.ascontiguousarray(np.moveaxis(self.response, -1, 0)), self.valid)
+        weight = ndimage.gaussian_filter(self.valid, sigma, truncate=2.5)
+        known = np.maximum(weight, 1e-6)
+        bands = [
+            ndimage.gaussian_filter(band, sigma, truncate=2.5) / known for band in np.moveaxis(self.response, -1, 0)
+        ]
+        return Level(np.stack(bands), (weight > _HALF).astype(np.float32))
+
+
+@dataclass(frozen=True)
+class Level:
+    """A blurred picture: responses (bands, height, width) float32 and which are known, (height, width) 0 or 1."""
+
+    bands: np.ndarray
+    valid: np.ndarray
+
+    def sampled(self, pictures: np.ndarray, place: np.ndarray) -> np.ndarray:
+        """Return pictures (n, height, width) interpolated at places (points, 2), bilinearly; NaN where not known."""
+        from scipy import ndimage
+
+        rows_columns = place.T[::-1]
+        out = np.stack(
+            [ndimage.map_coordinates(one, rows_columns, order=1, mode="constant", cval=np.nan) for one in pictures], -1
+        )
+        sure = ndimage.map_coordinates(self.valid, rows_columns, order=1, mode="constant", cval=0.0)
+        out[~(sure > 0.999)] = np.nan
+        return out
+
+
+def _binned(values: np.ndarray, bins: int) -> np.ndarray:
+    """Return sums over squares of samples; what is left over at the right and at the bottom is dropped."""
+    height, width = (side // bins for side in values.shape[:2])
+    cut = values[: height * bins, : width * bins]
+    return cut.reshape(height, bins, width, bins, *values.shape[2:]).sum(axis=(1, 3))

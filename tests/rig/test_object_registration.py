@@ -1,0 +1,258 @@
+"""An object is found where it lies: photographs of the virtual rig, laid off by what registration is not told."""
+
+import copy
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from made import made
+
+from irodori.config.capture_table import Pose
+from irodori.config.definitions import load_definitions, read_yaml
+from irodori.config.models import Camera, Object, Optics, Placing, Rig
+from irodori.config.parts import PhotographedObject, RigGeometry
+from irodori.core import store
+from irodori.core.errors import InputError
+from irodori.geometry.shapes.shape import Shape
+from irodori.rectification.object_registration import Registered, register, register_object
+from irodori.rectification.placement_correction import QUANTITIES, Correction
+from irodori.rectification.stage import RigSetup
+from irodori.simulation.virtual_rig.samples import Sample
+from irodori.simulation.virtual_rig.sensor import band_weights
+from irodori.simulation.virtual_rig.subjects import object_mosaic
+from irodori.spectra.published import light as spectrum_of_light
+
+ROOT = Path(__file__).resolve().parents[2]
+PROVENANCE = store.Provenance("test")
+STRAIGHT = np.eye(2, 3)
+NOISE = 0.002  # standard deviation of a response
+POSES = [
+    Pose(45.0, 0.0), Pose(45.0, 10.0), Pose(60.0, 25.0), Pose(65.0, 35.0),
+    Pose(45.0, 5.0, 20.0), Pose(50.0, 15.0, 0.0, 90.0), Pose(45.0, 25.0, 0.0, 180.0), Pose(60.0, 10.0, 10.0, 270.0),
+]  # fmt: skip
+PLATE = {"kind": "plate", "width_mm": 90.0, "height_mm": 90.0}
+SPHERE = {"kind": "sphere", "radius_mm": 30.0}
+NAMES = [quantity.name for quantity in QUANTITIES]
+
+
+@pytest.fixture(scope="module")
+def definitions():
+    return load_definitions(read_yaml(ROOT / "config/config.yaml"), ROOT).plain()
+
+
+def an_object(definitions, shape, pattern=None, **changes):
+    """Return the plate's sixteen paints on a shape, in checks of 4 by 4 where nothing else is said."""
+    definition = copy.deepcopy(definitions["objects"]["tile-plate"])
+    definition |= {"shape": shape, "texels": {"width": 48, "height": 48}} | changes
+    definition["virtual"]["pattern"] = pattern or {"kind": "checks", "columns": 4, "rows": 4}
+    return definition
+
+
+def photographs(folder, definitions, definition, poses, laid_off=(0.0,) * 6, *, lies=None, ends=None):
+    """Linear files of what the virtual rig sees: the object laid off by three mm and three degrees, with noise.
+
+    ``lies`` are poses that the files state in place of the real ones, and ``ends`` the columns after which the frame
+    ends, both by number.
+    """
+    camera, rig = copy.deepcopy(definitions["cameras"]["d5100-comb"]), copy.deepcopy(definitions["rigs"]["virtual"])
+    off = {"enabled": True, "translation_mm": list(laid_off[:3]), "rotation_deg": list(laid_off[3:])}
+    rig["virtual"]["imperfections"]["laid_off"] = off
+    weights = band_weights(made(Camera, camera), spectrum_of_light(rig["light"]["spectrum"]))[:3]
+    sample, rng, files = (
+        Sample.from_definition(made(Object | PhotographedObject, definition)),
+        np.random.default_rng(3),
+        [],
+    )
+    for number, pose in enumerate(poses):
+        mosaic = object_mosaic(sample, made(Camera, camera), made(Rig, rig), pose, STRAIGHT, weights)
+        green = 0.5 * (mosaic[::2, 1::2] + mosaic[1::2, ::2])
+        response = np.stack([mosaic[::2, ::2], green, mosaic[1::2, 1::2]], axis=-1)
+        response = response / weights.sum(axis=1) + rng.normal(0.0, NOISE, response.shape)
+        response = response[:, : (ends or {}).get(number)]
+        valid = (response < 1.6).all(axis=2)  # a full well
+        stated = (lies or {}).get(number, pose)
+        files.append(folder / f"p{number:02d}-{pose.name}.h5")
+        with store.create(files[-1], PROVENANCE) as out:
+            out.write("response", response.astype("f4"), units="1", dims="row,column,band", quantity="response")
+            out.write("valid", valid.view(np.uint8), units="1", dims="row,column", quantity="valid")
+            noise = np.tile([NOISE**2, 0.0], (3, 1))
+            out.write("noise_model", noise, units="1", dims="band,term", quantity="noise")
+            out.attribute("sample_px", 2)
+            out.attribute("pose_deg", [stated.light_deg, stated.camera_deg, stated.tilt_deg, stated.turn_deg])
+    return files
+
+
+def as_typed(definitions, distance_mm=900.0, focal_mm=50.0) -> RigSetup:
+    optics = definitions["cameras"]["d5100-comb"]["optics"] | {"focal_length_mm": focal_mm}
+    rig = {"camera_distance_mm": distance_mm, "table_radius_mm": 25.0, "lamp_distance_mm": None}
+    return RigSetup.from_definitions(made(Optics, optics), made(RigGeometry, rig))
+
+
+def found(folder, definitions, definition, poses=POSES, laid_off=(0.0,) * 6, *, setup=None) -> Registered:
+    files = photographs(folder, definitions, definition, poses, laid_off)
+    return register(files, made(Object | PhotographedObject, definition), setup or as_typed(definitions), Placing())
+
+
+def error_at_object_mm(definitions, setup, registered, definition, laid_off) -> float:
+    """Return how far from their pixels points of the object are expected by the correction, at most, mm at the object.
+
+    The truth is written out: a pinhole 900 mm from the origin, and the object turned and moved as it was laid.
+    """
+    points = (
+        Shape.from_definition(made(Object | PhotographedObject, definition).shape).atlas(7, 7).position.reshape(-1, 3)
+    )
+    true = Correction.of([*laid_off, *[0.0] * 6])
+    camera, worst = setup.corrected(registered.correction), 0.0
+    for pose in POSES:
+        places = []
+        for correction, way in ((registered.correction, camera), (true, as_typed(definitions))):
+            real = correction.pose(pose)
+            world = correction.placements(made_shape(definition), real, 0.0)[0].points(points)
+            angle = math.radians(real.camera_deg)
+            back = np.array([-math.sin(angle), 0.0, math.cos(angle)])
+            right, up = np.array([math.cos(angle), 0.0, math.sin(angle)]), np.array([0.0, 1.0, 0.0])
+            depth = way.camera_distance_mm - world @ back
+            x, y = way.pinhole.focal_px * (world @ right) / depth, way.pinhole.focal_px * (world @ up) / depth
+            places.append(np.stack([x + way.pinhole.centre_px[0], y - way.pinhole.centre_px[1]], axis=1))
+        off = np.linalg.norm(places[0] - places[1], axis=1).max()
+        worst = max(worst, off * 900.0 / as_typed(definitions).pinhole.focal_px)
+    return worst
+
+
+def made_shape(definition) -> Shape:
+    return Shape.from_definition(made(Object | PhotographedObject, definition).shape)
+
+
+@pytest.mark.parametrize(
+    "laid_off, distance_mm, focal_mm",
+    [
+        ((0.0,) * 6, 900.0, 50.0),
+        pytest.param((2.0, 0.0, 0.0, 0.0, 0.0, 0.0), 900.0, 50.0, marks=pytest.mark.heavy),
+        pytest.param((0.0, 0.0, 0.0, 1.0, -1.0, 1.0), 900.0, 50.0, marks=pytest.mark.heavy),
+        pytest.param((0.0,) * 6, 900.0, 52.5, marks=pytest.mark.heavy),
+        pytest.param((0.0,) * 6, 850.0, 50.0, marks=pytest.mark.heavy),
+        ((-1.2, 1.5, 0.6, 0.6, 0.5, -1.0), 850.0, 52.5),
+    ],
+    ids=["undisturbed", "2 mm", "1 degree", "focal length", "distance", "jointly"],
+)
+def test_a_painted_plate_is_found_where_it_lies(tmp_path, definitions, laid_off, distance_mm, focal_mm):
+    definition, setup = an_object(definitions, PLATE), as_typed(definitions, distance_mm, focal_mm)
+    result = found(tmp_path, definitions, definition, laid_off=laid_off, setup=setup)
+    values = np.array(result.correction.values)
+    assert np.abs(values[:3] - laid_off[:3]).max() <= 0.1
+    assert np.abs(values[3:6] - laid_off[3:]).max() <= 0.05
+    assert error_at_object_mm(definitions, setup, result, definition, laid_off) <= 0.1
+    # What is within two standard errors of zero, or the accuracy that is asked for, stays as typed.
+    assert (np.abs(values[:6] - laid_off) <= np.maximum(4.0 * result.sigma[:6], [0.1] * 3 + [0.05] * 3)).all()
+    assert np.nanmax(result.residual_px) < 0.5
+
+
+def test_a_uniform_sphere_tells_its_place_and_nothing_of_its_turn(tmp_path, definitions):
+    definition = an_object(definitions, SPHERE, {"kind": "uniform"})
+    laid_off = (1.5, -1.0, 0.5, 0.0, 0.0, 0.0)
+    result = found(tmp_path, definitions, definition, laid_off=laid_off)
+    assert np.abs(np.array(result.correction.values[:3]) - laid_off[:3]).max() <= 0.1
+    assert result.is_told[:3].all() and not result.is_told[3:6].any()
+    assert (result.sigma[3:6] > 0.9).all() and result.correction.values[3:] == (0.0,) * 9
+    assert not result.is_told[NAMES.index("light_deg")]
+
+
+def test_an_undisturbed_sphere_stays_exactly_where_it_was_typed(tmp_path, definitions):
+    """Its outline lies in the half-dark, which has a bias: what is right must not be made worse by it."""
+    definition = an_object(definitions, SPHERE)
+    assert found(tmp_path, definitions, definition).correction == Correction()
+
+
+def test_texture_alone_tells_the_turns_of_a_plate_larger_than_the_frame(tmp_path, definitions):
+    """Moved in its own plane it shows another part of itself: that is no one's to tell but the outline's."""
+    wide = {"kind": "plate", "width_mm": 300.0, "height_mm": 300.0}
+    definition = an_object(definitions, wide, {"kind": "checks", "columns": 20, "rows": 20})
+    poses = [pose for pose in POSES if pose.tilt_deg == 0.0]
+    result = found(tmp_path, definitions, definition, poses, (0.0, 0.0, 0.8, 1.2, -1.2, 0.0))
+    assert (result.outline_points == 0).all()
+    values = np.array(result.correction.values)
+    assert abs(values[2] - 0.8) <= max(0.1, 4.0 * result.sigma[2])
+    assert np.abs(values[3:5] - (1.2, -1.2)).max() <= 0.2
+
+
+def test_a_photograph_with_a_wrong_pose_is_named_with_its_angle(tmp_path, definitions):
+    definition = an_object(definitions, PLATE)
+    lies = {3: Pose(65.0, 35.0, 0.0, 2.0)}
+    files = photographs(tmp_path, definitions, definition, POSES, lies=lies)
+    with pytest.raises(InputError, match=r"p03-.*turn_deg off by -[12]\.") as raised:
+        register_object(
+            files,
+            made(Object | PhotographedObject, definition),
+            as_typed(definitions),
+            Placing(),
+            output=tmp_path / "registration.h5",
+            provenance=PROVENANCE,
+        )
+    assert "superpixels" in str(raised.value) and not (tmp_path / "registration.h5").exists()
+
+
+@pytest.mark.heavy
+def test_a_mirror_like_plate_is_found_by_its_outline(tmp_path, definitions):
+    definition = an_object(definitions, PLATE, mirror_weight=1.0)
+    for material in definition["virtual"]["materials"]:
+        material |= {"beta": 40.0, "mu_rad": 0.03}
+    poses = [*POSES, Pose(45.0, 45.0), Pose(60.0, 60.0)]
+    laid_off = (1.0, -1.0, 0.3, 0.3, 0.2, 0.5)
+    result = found(tmp_path, definitions, definition, poses, laid_off)
+    off = np.abs(np.array(result.correction.values[:6]) - laid_off)
+    assert off[:3].max() <= 0.1 and off[3:].max() <= 0.05
+
+
+@pytest.mark.heavy
+def test_four_photographs_are_enough_and_say_less(tmp_path, definitions):
+    definition, laid_off = an_object(definitions, PLATE), (1.0, -1.5, 0.5, 0.4, -0.3, 0.8)
+    files, setup = photographs(tmp_path, definitions, definition, POSES, laid_off), as_typed(definitions)
+    whole = made(Object | PhotographedObject, definition)
+    few = register([files[n] for n in (0, 3, 5, 6)], whole, setup, Placing())
+    off = np.abs(np.array(few.correction.values[:6]) - laid_off)
+    assert off[:3].max() <= 0.1 and off[3:].max() <= 0.05
+    every = register(files, whole, setup, Placing())
+    assert (few.sigma > 0.999 * every.sigma).all()
+
+
+def test_photographs_cut_off_by_the_frame_tell_by_what_they_show(tmp_path, definitions):
+    definition, laid_off = an_object(definitions, PLATE), (1.0, -1.0, 0.3, 0.3, -0.2, 0.5)
+    files = photographs(tmp_path, definitions, definition, POSES, laid_off, ends={0: 262, 1: 262})
+    cut, whole_side = [], 90.0 * 5000.0 / 900.0 / 2.0  # superpixels of the plate, seen from above
+    for path in files:
+        with store.open_file(path) as file:
+            lit = file.read("response")[..., 1] > 5.0 * NOISE
+        if lit[75:225, -1].mean() > 0.5:  # the plate goes on where the frame ends
+            cut.append(path)
+            assert lit.sum() < 0.8 * whole_side**2
+    assert cut == files[:2] and len(cut) == len(files) // 4
+    result = register(files, made(Object | PhotographedObject, definition), as_typed(definitions), Placing())
+    off = np.abs(np.array(result.correction.values[:6]) - laid_off)
+    assert off[:3].max() <= 0.1 and off[3:].max() <= 0.05
+
+
+def test_what_is_certain_is_not_moved(tmp_path, definitions):
+    """A correction of what has no room would be a number of its own."""
+    definition = an_object(definitions, PLATE)
+    files = photographs(tmp_path, definitions, definition, POSES[:4], (1.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+    placing = Placing(focal_length_percent=0.0, camera_distance_mm=0.0)
+    result = register(files, made(Object | PhotographedObject, definition), as_typed(definitions), placing)
+    assert result.correction.values[6:8] == (0.0, 0.0) and (result.sigma[6:8] == 0.0).all()
+    assert abs(result.correction.values[0] - 1.0) <= 0.1
+
+
+def test_the_file_gives_back_what_was_found(tmp_path, definitions):
+    definition = an_object(definitions, PLATE)
+    files = photographs(tmp_path, definitions, definition, POSES[:5], (1.0, -0.5, 0.0, 0.0, 0.0, 0.0))
+    whole = made(Object | PhotographedObject, definition)
+    output = tmp_path / "registration.h5"
+    register_object(files, whole, as_typed(definitions), Placing(), output=output, provenance=PROVENANCE)
+    expected = register(files, whole, as_typed(definitions), Placing())
+    assert Correction.load(output) == expected.correction
+    with store.open_file(output) as file:
+        assert file.attribute("captures") == [path.stem for path in files]
+        x, sigma = expected.correction.values[0], expected.sigma[0]
+        assert abs(x - 1.0) <= 0.1
+        assert f"object along the table's x {x:+.2f} ± {sigma:.2f} mm" in file.attribute("sentence")
+        assert file.read("residual_mm").shape == (5,)

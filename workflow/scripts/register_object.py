@@ -1,0 +1,20 @@
+from irodori.config.models import Optics, Placing, RigPose
+from irodori.config.parts import RigGeometry, TexturedObject
+from irodori.core.run_rule import run_rule
+from irodori.rectification.object_registration import register_object
+from irodori.rectification.stage import RigSetup
+
+with run_rule(snakemake) as provenance:
+    white = snakemake.params.white_pose
+    register_object(
+        snakemake.input.linear,
+        TexturedObject.of({"shape": snakemake.params.shape, "texels": snakemake.params.texels}),
+        RigSetup.from_definitions(
+            Optics.of(snakemake.params.optics),
+            RigGeometry.of(snakemake.params.rig),
+            RigPose.of(white) if white else None,
+        ),
+        Placing.of(snakemake.params.place),
+        output=snakemake.output.registration,
+        provenance=provenance,
+    )
