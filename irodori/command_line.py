@@ -34,6 +34,9 @@ SUBCOMMANDS = {
     "check": Subcommand(
         "irodori.check.check_command", "look at definitions, scenes and photographs before any long job"
     ),
+    "preview": Subcommand(
+        "irodori.check.preview_command", "write one page with every photograph, outlines and findings"
+    ),
     "status": Subcommand(_BENCH, "print the position of a rig's axes and the state of its controller"),
     "setup": Subcommand(_BENCH, "list, and change, settings of a controller that contradict its rig's file"),
     "home": Subcommand(_BENCH, "move every axis of a rig to its reference position"),
