@@ -17,8 +17,9 @@ from irodori.core.errors import InputError
 def main(arguments: list[str] | None = None, prog: str = "irodori preview") -> int:
     """Write every photograph of a project small on one HTML page, and what is wrong with it beside it.
 
-    Over each lie the outline of the object in the pose of its table, the patches of a chart, what is blown (red) and what
-    is dark (blue). Photographs that are still to be taken are passed over. The exit status is 1 where there is an error.
+    Over each lie the outline of the object in the pose of its table, the patches of a chart, what is blown (red) and
+    what is dark (blue). Photographs that are still to be taken are passed over. The exit status is 1 where there is an
+    error.
     """
     parser = argparse.ArgumentParser(prog=prog, description=main.__doc__)
     parser.add_argument("--directory", default=".", help="where the paths of definitions start, as that of snakemake")

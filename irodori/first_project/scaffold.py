@@ -1,0 +1,192 @@
+"""Definitions and the capture table of a first project, with what nobody knows yet left as marked gaps."""
+
+import csv
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from irodori.config.capture_table import COLUMNS, Pose
+from irodori.core.atomic_files import written_whole
+from irodori.core.errors import InputError
+from irodori.first_project.questions import GAP
+from irodori.first_project.recognition import CHART, Recognised
+
+_LIMITS = {
+    "light_deg": {"min": 0.0, "max": 125.0, "step": 0.1},
+    "camera_deg": {"min": 0.0, "max": 140.0, "step": 0.1},
+    "tilt_deg": {"min": 0.0, "max": 45.0, "step": 0.1},
+    "turn_deg": {"min": 0.0, "max": 360.0, "step": 0.1},
+}
+_ANGLES = tuple(_LIMITS)
+_LAMP = {"spectrum": "D65", "azimuth_deg": -60.0, "elevation_deg": 45.0, "irradiance": 1.0}
+_TEXELS = {"plate": (128, 128), "sphere": (256, 128), "mesh": (256, 256)}
+
+
+@dataclass
+class Answers:
+    """What a person said; None is a gap.
+
+    Parameters
+    ----------
+    camera_distance_mm, focal_length_mm, pixel_pitch_um, white_reflectance : float
+    lamp : str
+        Name or file of the lamp's spectrum.
+    reference_pose : Pose
+        Of the chart and of the white reference.
+    shape : dict
+        Of the object, as its definition has it.
+    angles : dict of list of float
+        By ``light_deg`` and so on, one for each pose of the object.
+    """
+
+    camera_distance_mm: float | None = None
+    focal_length_mm: float | None = None
+    pixel_pitch_um: float | None = None
+    white_reflectance: float | None = None
+    lamp: str | None = None
+    reference_pose: Pose | None = None
+    shape: dict[str, Any] | None = None
+    angles: dict[str, list[float] | None] = field(default_factory=dict)
+
+
+def project_name(text: str) -> str:
+    """Return a name of small letters, digits and hyphens made of a folder's or a file's."""
+    return re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-") or "first"
+
+
+class Scaffold:
+    """Files of a first project.
+
+    Parameters
+    ----------
+    name : str
+        Of the object, or of the camera where no object was photographed.
+    into : path
+        Folder of definitions.
+    photographs : path
+        Folder of the RAW files.
+    recognised : list of Recognised
+    answers : Answers
+    """
+
+    def __init__(self, name: str, into, photographs, recognised: list[Recognised], answers: Answers) -> None:
+        self.name, self.into, self.photographs = name, Path(into), Path(photographs)
+        self.recognised, self.answers = recognised, answers
+        self.has_object = any(one.role == "object" for one in recognised)
+        self.table = self.into / "captures" / f"{name}.csv"
+
+    @property
+    def configuration(self) -> Path:
+        """The file that says what to make."""
+        return self.into / f"{self.name}.yaml"
+
+    def write(self) -> list[str]:
+        """Write all files and return the gaps: file and field, one a line.
+
+        Raises
+        ------
+        InputError
+            If one of the files is there already; then nothing is written.
+        """
+        files = dict(self._definitions())
+        for path in (*files, self.table):
+            if path.exists():
+                raise InputError(path, "", "a file that is there already", "another --name, or an --into without it")
+        gaps = []
+        for path, content in files.items():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with written_whole(path) as temporary:
+                temporary.write_text(yaml.safe_dump(content, sort_keys=False, allow_unicode=True), encoding="utf-8")
+            gaps += [f"{path}: {field}" for field in _gaps(content)]
+        self.table.parent.mkdir(parents=True, exist_ok=True)
+        rows = [self._row(one) for one in self.recognised]
+        columns = (*COLUMNS, "iso", "f_number")
+        with written_whole(self.table) as temporary, open(temporary, "w", encoding="utf-8", newline="") as out:
+            writer = csv.writer(out, lineterminator="\n")
+            writer.writerow(columns)
+            writer.writerows(rows)
+        for line, row in enumerate(rows, 2):
+            gaps += [
+                f"{self.table}: line {line}, {name}" for name, cell in zip(columns, row, strict=True) if cell == GAP
+            ]
+        return gaps
+
+    def _definitions(self) -> Iterator[tuple[Path, dict[str, Any]]]:
+        said, camera = self.answers, self.name + ("-camera" if self.has_object else "")
+        captures = {"table": str(self.table), "folder": str(self.photographs)}
+        first = self.recognised[0].photograph
+        lens: dict[str, Any] = {}
+        if self.has_object:
+            width, height = first.look.size
+            lens["optics"] = {
+                "focal_length_mm": _known(said.focal_length_mm),
+                "pixel_pitch_um": _known(said.pixel_pitch_um),
+                "width_px": width,
+                "height_px": height,
+                "principal_point_px": [width / 2.0, height / 2.0],
+            }
+        if self.has_object or any(one.role == "white" for one in self.recognised):
+            lens["white"] = {"reflectance_factor": _known(said.white_reflectance)}
+        rig = {
+            "kind": "files",
+            "limits": _LIMITS,
+            "camera_distance_mm": _known(said.camera_distance_mm),
+            "light": {"spectrum": _known(said.lamp)},
+        }
+        yield self.into / "rigs" / f"{self.name}-rig.yaml", rig
+        chart = {"spectra": CHART, "rows": 4, "columns": 6, "find": "chart"}
+        described = {"description": first.look.camera} if first.look.camera else {}
+        eye = {**described, "rig": f"{self.name}-rig", **lens, "captures": captures, "chart": chart}
+        yield self.into / "cameras" / f"{camera}.yaml", eye
+        make: dict[str, Any] = {"scenes": [], "cameras": [camera]}
+        if self.has_object:
+            kind = said.shape["kind"] if said.shape else "plate"
+            texels = dict(zip(("width", "height"), _TEXELS[kind], strict=True))
+            subject = {"camera": camera, "shape": _known(said.shape), "texels": texels, "captures": captures}
+            yield self.into / "objects" / f"{self.name}.yaml", subject
+            lamp = {"image": {"width": 256, "height": 128}, "source": {"kind": "lights", "lights": [_LAMP]}}
+            yield self.into / "environments" / f"{self.name}-lamp.yaml", lamp
+            yield self.into / "scenes" / f"{self.name}-scene.yaml", self._scene()
+            make["scenes"] = [f"{self.name}-scene"]
+        yield self.configuration, {"definitions": str(self.into), "make": make}
+
+    def _scene(self) -> dict[str, Any]:
+        size = [v for v in (self.answers.shape or {}).values() if isinstance(v, float)] or [50.0]
+        far = 5.0 * max(size)
+        front = {"position_mm": [0.0, -0.6 * far, 0.8 * far], "target_mm": [0.0, 0.0, 0.0], "field_of_view_deg": 30.0}
+        return {
+            "environment": f"{self.name}-lamp",
+            "image": {"width": 640, "height": 480},
+            "views": {"front": front},
+            "objects": [{"object": self.name, "position_mm": [0.0, 0.0, 0.0]}],
+        }
+
+    def _row(self, one: Recognised) -> list[Any]:
+        photograph = one.photograph
+        if one.role == "object":
+            said = [self.answers.angles.get(axis) for axis in _ANGLES]
+            angles = [GAP if values is None else values[one.pose] for values in said]
+        elif one.role == "dark":
+            angles = [0.0] * len(_ANGLES)
+        else:
+            pose = self.answers.reference_pose
+            angles = [GAP, GAP, 0.0, 0.0] if pose is None else [getattr(pose, axis) for axis in _ANGLES]
+        settings = [photograph.exposure_s, photograph.iso or "", photograph.f_number or ""]
+        return [photograph.path.name, one.role, *angles, one.filter or GAP, *settings]
+
+
+def _known(value: Any) -> Any:
+    return GAP if value is None else value
+
+
+def _gaps(content: Any, path: str = "") -> Iterator[str]:
+    """Yield the dotted paths of the gaps of a definition."""
+    if content == GAP:
+        yield path
+    elif isinstance(content, Mapping):
+        for key, value in content.items():
+            yield from _gaps(value, f"{path}.{key}" if path else str(key))
