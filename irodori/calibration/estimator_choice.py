@@ -40,7 +40,7 @@ class SelectionRow:
     multiply_adds : int
         A pixel's, see `irodori.calibration.recovery.mappings.Mapping`.
     ns_per_pixel : float
-        Measured; NaN where not. The choice does not look at it.
+        Measured, in double precision; NaN where not. The choice does not look at it.
     left_out : str
         What was left out in turn, of LEFT_OUT.
     """
@@ -259,10 +259,14 @@ def _row(spectra: np.ndarray, key: tuple[str, int], recovered: np.ndarray, light
 
 
 def _evaluation_ns(mapping: Mapping, training: Training, bases: int, stated: bool) -> float:
-    """Return the shortest of three evaluations, ns a pixel, without compilation; told the noise if it is ``stated``."""
-    pixels = np.resize(training.response.astype(np.float32), (_TIMED_PIXELS, training.response.shape[1]))
-    variance = np.broadcast_to(np.float32(training.noise.pixel), pixels.shape).copy() if stated else None
-    out = np.empty((_TIMED_PIXELS, bases), dtype=np.float32)
+    """Return the shortest of three evaluations, ns a pixel, without compilation; told the noise if it is ``stated``.
+
+    In double precision, as the patches are judged: single, in which a material is recovered, would compile every loop
+    once more for these figures alone.
+    """
+    pixels = np.resize(training.response, (_TIMED_PIXELS, training.response.shape[1]))
+    variance = np.broadcast_to(np.float64(training.noise.pixel), pixels.shape).copy() if stated else None
+    out = np.empty((_TIMED_PIXELS, bases))
     mapping.weights(pixels, variance, out)
     best = float("inf")
     for _ in range(3):

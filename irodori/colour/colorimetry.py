@@ -27,19 +27,15 @@ def colour_matching_weights(observer_name: str = _OBSERVER) -> np.ndarray:
     Parameters
     ----------
     observer_name : str
-        Of ``colour.MSDS_CMFS``.
+        Of `irodori.spectra.published_names.OBSERVERS`.
 
     Returns
     -------
     (3, 61) float64, nm
     """
-    if observer_name == _OBSERVER:
-        functions = published_table("observer").at(_FINE_NM)
-    else:
-        from colour import MSDS_CMFS  # slow, and seldom needed
-
-        table = MSDS_CMFS[observer_name]
-        functions = np.stack([np.interp(_FINE_NM, table.wavelengths, c, left=0.0, right=0.0) for c in table.values.T])
+    table = published_table(f"observers/{observer_name}")
+    # Some tables begin at 390 nm: the eye is blind before.
+    functions = np.stack([np.interp(_FINE_NM, table.wavelength_nm, f, left=0.0, right=0.0) for f in table.spectra])
     hat = np.stack([np.interp(_FINE_NM, WAVELENGTH_NM, row) for row in np.eye(SAMPLES)])
     return functions @ hat.T
 
@@ -71,7 +67,7 @@ def xyz_from_reflectance(light_name: str) -> np.ndarray:
     -------
     (3, 61) float64
     """
-    functions = published_table("observer").at(_FINE_NM)
+    functions = published_table(f"observers/{_OBSERVER}").at(_FINE_NM)
     if light_name in ILLUMINANTS:
         power = published_table(f"illuminants/{light_name}").at(_FINE_NM)[0]
     else:

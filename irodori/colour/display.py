@@ -23,6 +23,7 @@ from irodori.config.models import (
     StandardDisplay,
 )
 from irodori.core.errors import InputError
+from irodori.spectra.published_tables import published_matrix
 
 ADAPTATION = "CAT16"
 #: Linear light this far outside 0..1 is rounding.
@@ -170,9 +171,7 @@ def standard_display(name: str) -> Display:
         raise ValueError(f"unknown display {name!r}; accepted: {', '.join(STANDARD)}")
     curve = STANDARD[name]
     if name != "sRGB":
-        import colour  # slow to import
-
-        return _made(name, colour.RGB_COLOURSPACES[name].matrix_RGB_to_XYZ, (curve,) * 3)
+        return _made(name, published_matrix(f"xyz_from_rgb/{name}"), (curve,) * 3)
     from PIL import ImageCms  # slow to import
 
     profile = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()

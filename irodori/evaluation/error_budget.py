@@ -256,7 +256,7 @@ class _Budget:
 
     def add_all(self) -> None:
         """Add everything as measured; what was predicted for the parts adds by squares, pixel by pixel."""
-        values = self._off(self._estimates, self._estimated_light)
+        values = radiance_delta_e(self._true, self._base, self._white)[self._shown]
         self._add("all but the renderer", values, np.sqrt(self._squares), "root of the sum of squares in every pixel")
 
     def add_renderer(self) -> None:

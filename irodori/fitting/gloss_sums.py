@@ -36,7 +36,7 @@ _ROOM = 5
 _TOP = 1e-9  # sinφ sinθ_H, under which a texel lies at the top of the highlight
 _ALONE = 1e-9  # of the weight of a texel, under which nothing is left of it
 _OPEN = 1e-3  # of a determinant, under which β and μ cannot be told apart
-_CHUNK = 1024  # texels that a thread takes at a time
+_CHUNK = 2048  # texels that a thread takes at a time
 
 
 class SearchedTexels(NamedTuple):
@@ -181,10 +181,7 @@ def parts(surface: SearchedTexels, gloss: np.ndarray) -> np.ndarray:
     A texel without an observation that carries light adds nothing, and has an α of NaN.
     """
     out, gloss = np.empty((len(surface.blocks), PARTS)), np.ascontiguousarray(gloss, dtype=np.float64)
-    if len(out) <= 2 * _CHUNK:  # sooner done than handed out
-        _part_chunk(surface, gloss, out, 0, len(out))
-    else:
-        run_chunks(_part_chunk, len(out), _CHUNK, surface, gloss, out)
+    run_chunks(_part_chunk, len(out), _CHUNK, surface, gloss, out)
     return out
 
 

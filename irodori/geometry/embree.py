@@ -12,11 +12,11 @@ from functools import lru_cache
 from importlib.metadata import files
 from typing import TYPE_CHECKING, NamedTuple
 
-import numba
 import numpy as np
 from numba import types
 
 from irodori.jit.c_functions import c_function
+from irodori.jit.chunks import run_chunks
 from irodori.jit.compilation import njit
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ NO_HIT = -1
 # RTCRayHit as 32-bit words: origin 0-2, tnear 3, direction 4-6, time 7, tfar 8, mask 9, id 10, flags 11,
 # Ng 12-14, u 15, v 16, primID 17, geomID 18, instID 19. Twice the room, to align it by hand.
 _WORDS = 64
-_CHUNK = 512
+_CHUNK = 4096  # rays that a thread takes at a time
 
 _BUILD_THREADS = "IRODORI_BUILD_THREADS"  # environment variable, read when the first scene is made
 
@@ -163,11 +163,8 @@ def is_blocked(ray):
     return ray.f[ray.at + 8] < 0.0
 
 
-# The body of a parallel loop is one call: numba frees the arrays of a tuple too early inside the loop itself.
-
-
-@njit(cache=True)
-def _intersect_some(function, scene, rays, hits, first, last):
+@njit(cache=True, nogil=True)
+def _intersect(function, scene, rays, hits, first, last):
     ray = new_ray()
     for r in range(first, last):
         trace(function, scene, ray, rays.origins[r], rays.directions[r], np.inf)
@@ -176,27 +173,12 @@ def _intersect_some(function, scene, rays, hits, first, last):
         hits.distance[r] = hit_distance(ray)
 
 
-@njit(cache=True)
-def _occluded_some(function, scene, origins, directions, far, out):
-    ray = new_ray()
-    for r in range(origins.shape[0]):
-        trace(function, scene, ray, origins[r], directions[r], far[r])
+@njit(cache=True, nogil=True)
+def _occluded(function, scene, segments, out, first, last):
+    (rays, far), ray = segments, new_ray()
+    for r in range(first, last):
+        trace(function, scene, ray, rays.origins[r], rays.directions[r], far[r])
         out[r] = is_blocked(ray)
-
-
-@njit(cache=True, parallel=True, nogil=True)
-def _intersect(function, scene, rays, hits):
-    count = rays.origins.shape[0]
-    for chunk in numba.prange((count + _CHUNK - 1) // _CHUNK):
-        _intersect_some(function, scene, rays, hits, chunk * _CHUNK, min(count, (chunk + 1) * _CHUNK))
-
-
-@njit(cache=True, parallel=True, nogil=True)
-def _occluded(function, scene, origins, directions, far, out):
-    count = origins.shape[0]
-    for chunk in numba.prange((count + _CHUNK - 1) // _CHUNK):
-        a, b = chunk * _CHUNK, min(count, (chunk + 1) * _CHUNK)
-        _occluded_some(function, scene, origins[a:b], directions[a:b], far[a:b], out[a:b])
 
 
 class Primitive(NamedTuple):
@@ -298,7 +280,8 @@ class Tracer:
         distance = np.empty(len(origins))
         shape, triangle = np.empty((2, len(origins)), dtype=np.int32)
         hits = _Hits(distance, shape, triangle)
-        _intersect(self.intersect_address, self.scene, _Rays(origins, directions), hits)
+        rays = _Rays(origins, directions)
+        run_chunks(_intersect, len(origins), _CHUNK, self.intersect_address, self.scene, rays, hits)
         distance[shape == NO_HIT] = np.inf
         for identifier, placement in enumerate(self.placements):
             chosen = shape == identifier
@@ -314,7 +297,8 @@ class Tracer:
         directions = np.require(directions, np.float64, ("C", "W"))
         out = np.empty(len(origins), dtype=np.bool_)
         far = np.broadcast_to(np.asarray(far, dtype=np.float32), len(origins)).copy()
-        _occluded(self.occluded_address, self.scene, origins, directions, far, out)
+        segments = (_Rays(origins, directions), far)
+        run_chunks(_occluded, len(out), _CHUNK, self.occluded_address, self.scene, segments, out)
         return out
 
 

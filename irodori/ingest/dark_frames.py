@@ -2,18 +2,19 @@
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 
 from irodori.config.capture_table import Shot, shot_path
 from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER, track
 from irodori.ingest.mosaic import decode
+from irodori.jit.chunks import run_chunks
 from irodori.jit.compilation import njit
 
 _HOT_SIGMAS = 8.0
 _HOT_CHANCE = 1e-9  # of a sound pixel to show such a variance
 _SAMPLES = 1_000_000  # pixels that suffice for a median
+_ROWS = 64  # that a thread takes at a time
 _STEPS = 32_767
 
 
@@ -58,9 +59,9 @@ def _add_row(values, black, total, squares):
         squares[column] += signal * signal
 
 
-@njit(cache=True, parallel=True, nogil=True)
-def _add(values, black, total, squares):
-    for row in numba.prange(values.shape[0]):
+@njit(cache=True, nogil=True)
+def _add(values, black, total, squares, first, last):
+    for row in range(first, last):
         _add_row(values[row], black[row % 2], total[row], squares[row])
 
 
@@ -157,7 +158,7 @@ def _sum_frames(group: list[Shot], table, folder, sums) -> tuple[np.ndarray, np.
             height, width = before.shape
             found = f"{mosaic.size[0]} x {mosaic.size[1]} pixels"
             raise InputError(path, "size", found, f"{width} x {height}, as the first dark frame")
-        _add(mosaic.values, mosaic.black, total, squares)
+        run_chunks(_add, len(total), _ROWS, mosaic.values, mosaic.black, total, squares)
     assert total is not None and squares is not None  # there is a shot
     return total, squares
 

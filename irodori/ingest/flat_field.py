@@ -6,13 +6,14 @@ noise and dust do not enter the object, and 15 numbers a band replace a picture.
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
+from irodori.jit.chunks import run_chunks
 from irodori.jit.compilation import njit
 
 DEGREE = 4
 POWERS = [(i, j) for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)]  # of x, of y
+_ROWS = 64  # that a thread takes at a time
 _MAX_RESIDUAL = 0.05  # of the mean; pixel noise of a white reference is far below
 
 
@@ -104,9 +105,9 @@ def _sum_row(pictures, valids, x, sums, row):
             squares[band] += float(image[column, band]) ** 2
 
 
-@njit(cache=True, parallel=True, nogil=True)
-def _sum_rows(image, valid, x, sums):
-    for row in numba.prange(valid.shape[0]):
+@njit(cache=True, nogil=True)
+def _sum_rows(image, valid, x, sums, first, last):
+    for row in range(first, last):
         _sum_row(image, valid, x, sums, row)
 
 
@@ -115,5 +116,5 @@ def _row_moments(image, valid):
     height, _, bands = image.shape
     moments, products = np.zeros((height, 2 * DEGREE + 1)), np.zeros((height, bands, DEGREE + 1))
     sums = _RowSums(moments, products, np.zeros((height, bands)), np.zeros(height, dtype=np.int64))
-    _sum_rows(image, valid, axis(image.shape[1]), sums)
+    run_chunks(_sum_rows, height, _ROWS, image, valid, axis(image.shape[1]), sums)
     return sums

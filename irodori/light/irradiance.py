@@ -8,10 +8,10 @@ to the pixel, until what it may err is a small part of the irradiance.
 import math
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from irodori.core.progress import LOGGER
+from irodori.jit.chunks import run_chunks
 from irodori.jit.compilation import njit
 from irodori.light.environment_file import directions
 from irodori.light.equirectangular import look_up
@@ -23,6 +23,7 @@ _TOLERANCE = 2e-4  # power times angular radius of a cut cell that is not divide
 _SPREAD = 0.55  # half the extent of a cell's heights over the horizon, over its angular radius
 _DARKEST = 1e-7  # irradiance over power under which the tolerance sinks no further
 _STACK = 1024
+_NORMALS = 256  # that a thread takes at a time
 _SMALLEST_HEIGHT = 32
 _MIDPOINTS = 1 << 15
 
@@ -96,9 +97,10 @@ def _fill_block(pixels, i, j, moment, power_moment):
     return power
 
 
-@njit(cache=True, parallel=True, nogil=True)
-def _fill_blocks(pixels, columns, power, power_moment, moment):
-    for block in numba.prange(power.size):
+@njit(cache=True, nogil=True)
+def _fill_blocks(pixels, power, power_moment, moment, first, last):
+    columns = -(-pixels.values.shape[1] // _BLOCK)
+    for block in range(first, last):
         power[block] = _fill_block(pixels, block // columns, block % columns, moment[block], power_moment[block])
 
 
@@ -129,7 +131,7 @@ def make_cells(pixels: Pixels) -> Cells:
     rows, columns = -(-height // _BLOCK), -(-width // _BLOCK)
     power, power_moment = np.zeros(rows * columns), np.zeros((rows * columns, 3))
     moment = np.zeros((rows * columns, bases, 3))
-    _fill_blocks(pixels, columns, power, power_moment, moment)
+    run_chunks(_fill_blocks, power.size, columns, pixels, power, power_moment, moment)
     finest = (
         power.reshape(rows, columns),
         power_moment.reshape(rows, columns, 3),
@@ -225,19 +227,12 @@ def _add_irradiance(cells, pixels, coarse, normal, stack, out):
                 out[b] += nx * m[b, 0] + ny * m[b, 1] + nz * m[b, 2]
 
 
-@njit(cache=True)
-def _add_irradiances(cells, pixels, coarse, normals, out):
+@njit(cache=True, nogil=True)
+def _add_irradiances(light, normals, out, first, last):
+    cells, pixels, coarse = light
     stack = np.empty(_STACK, dtype=np.int64), np.empty(_STACK, dtype=np.int64)
-    for i in range(normals.shape[0]):
+    for i in range(first, last):
         _add_irradiance(cells, pixels, coarse, (normals[i, 0], normals[i, 1], normals[i, 2]), stack, out[i])
-
-
-@njit(cache=True, parallel=True, nogil=True)
-def _irradiance(cells, pixels, coarse, normals, out):
-    chunk = 64
-    for part in numba.prange((normals.shape[0] + chunk - 1) // chunk):
-        first, last = part * chunk, min((part + 1) * chunk, normals.shape[0])
-        _add_irradiances(cells, pixels, coarse, normals[first:last], out[first:last])
 
 
 class Integrator:
@@ -259,7 +254,8 @@ class Integrator:
         """Return the irradiance, (..., k) float64 in radiance unit times sr, of unit normals (..., 3)."""
         flat = np.ascontiguousarray(np.reshape(normals, (-1, 3)), dtype=np.float64)
         out = np.zeros((len(flat), self.pixels.values.shape[2]))
-        _irradiance(self.cells, self.pixels, self._coarse, flat, out)
+        light = self.cells, self.pixels, self._coarse
+        run_chunks(_add_irradiances, len(flat), _NORMALS, light, flat, out)
         return out.reshape(*np.shape(normals)[:-1], out.shape[1])
 
 

@@ -6,9 +6,9 @@ over a row into vector instructions. No sum runs over pixels: a pixel's bits do 
 
 import math
 
-import numba
 import numpy as np
 
+from irodori.jit.chunks import run_chunks
 from irodori.jit.compilation import njit
 
 _LANES = 64
@@ -54,13 +54,14 @@ def _shares(square, share, bands):
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def _block(response, share, factor, maps, out):
+def _fill_means(response, constants, out, first, last):
+    share, factor, maps = constants
     families, bands = factor.shape[:2]
     x = np.zeros((factor.shape[2], _LANES), np.float32)
     parts = np.zeros((maps.shape[1], _LANES), np.float32)
     square, total = np.empty((families, _LANES), np.float32), np.empty(_LANES, np.float32)
-    for start in range(0, response.shape[0], _LANES):
-        count = min(_LANES, response.shape[0] - start)
+    for start in range(first, last, _LANES):
+        count = min(_LANES, last - start)
         for b in range(bands):
             for j in range(_LANES):
                 x[b, j] = response[start + j, b] if j < count else np.float32(1.0)
@@ -79,14 +80,6 @@ def _block(response, share, factor, maps, out):
             _combine(parts, maps[k], total)
             for j in range(count):
                 out[start + j, k] = total[j]
-
-
-# Few pixels go through here too: another copy of the loop would differ in the last place.
-@njit(cache=True, parallel=True, nogil=True)
-def _parallel(response, share, factor, maps, out):
-    for block in numba.prange((response.shape[0] + _BLOCK - 1) // _BLOCK):
-        pixels = slice(block * _BLOCK, (block + 1) * _BLOCK)
-        _block(response[pixels], share, factor, maps, out[pixels])
 
 
 def _padded(matrix: np.ndarray) -> np.ndarray:
@@ -113,4 +106,4 @@ def mixture_weights(response, share, factor, maps, out) -> None:
     """
     flat = maps.swapaxes(0, 1).reshape(maps.shape[1], -1)
     constants = share.astype(np.float32), _padded(factor), _padded(flat)
-    _parallel(response, *constants, out)
+    run_chunks(_fill_means, len(response), _BLOCK, response, constants, out)

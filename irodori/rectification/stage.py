@@ -8,7 +8,6 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
-import numba
 import numpy as np
 
 from irodori.config.capture_table import Pose
@@ -22,6 +21,7 @@ from irodori.geometry.pinhole import Pinhole, samples_from_superpixels
 from irodori.geometry.rig_frame import rig_from_camera, rig_from_object, to_camera
 from irodori.geometry.shapes.placement import on_table
 from irodori.geometry.shapes.shape import Shape
+from irodori.jit.chunks import run_chunks
 from irodori.jit.compilation import njit
 from irodori.reflection.equation5 import angles_from_directions
 
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
 #: Of a sample's noise power, what bilinear interpolation leaves on average over the places between samples.
 _INTERPOLATED = 4.0 / 9.0
+_CHUNK = 8192  # texels that a thread takes at a time
 
 
 @dataclass(frozen=True)
@@ -109,16 +110,16 @@ class _Window(NamedTuple):
     corner: np.ndarray  # (2,) row and column at which it begins
 
 
-@njit(cache=True, parallel=True, nogil=True)
-def _sample(window, xy, out, good, clips):
+@njit(cache=True, nogil=True)
+def _sample(window, xy, out, marks, first, last):
     """Interpolate responses bilinearly; a texel is good where all neighbours with weight are inside and valid.
 
     It clips where one of them does. Coordinates are those of the whole picture, so that a texel gets the same bits
     whatever tile it belongs to.
     """
-    response, valid, clipped, corner = window
+    (response, valid, clipped, corner), (good, clips) = window, marks
     height, width, bands = response.shape
-    for t in numba.prange(xy.shape[0]):
+    for t in range(first, last):
         good[t], clips[t] = False, 0
         x, y = xy[t, 0], xy[t, 1]
         if not (x >= 0.0 and y >= 0.0):
@@ -223,7 +224,8 @@ def _observe_file(path, shape: Shape, texels: Texels, setup: RigSetup) -> _Obser
         good, clips = np.empty(len(xy), dtype=np.bool_), np.empty(len(xy), dtype=np.uint8)
         corner = np.array([window[0].start, window[1].start])
         response, valid, clipped = (file.read(name, window) for name in ("response", "valid", "clipped"))
-        _sample(_Window(response, valid, clipped, corner), xy, sampled, good, clips)
+        seen = _Window(response, valid, clipped, corner)
+        run_chunks(_sample, len(xy), _CHUNK, seen, np.ascontiguousarray(xy), sampled, (good, clips))
     # What hides a texel is not its own: without this, the window of a tile would decide what is stored here.
     sampled[~visible], clips[~visible] = 0.0, 0
     gain = np.ones(len(xy))

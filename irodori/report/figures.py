@@ -5,12 +5,10 @@ import io
 from typing import NamedTuple
 
 import matplotlib
-
-matplotlib.use("Agg")
-
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.colors import BoundaryNorm, ListedColormap
+from matplotlib.figure import Figure
+from matplotlib.image import imread
 
 from irodori.colour.colorimetry import delta_e_reflectance, xyz_from_reflectance
 from irodori.colour.display import rgb_from_xyz, srgb
@@ -18,6 +16,9 @@ from irodori.core.atomic_files import written_whole
 from irodori.material.material_file import Material, Status
 from irodori.reflection.registry import lobe
 from irodori.spectra.grid import WAVELENGTH_NM
+
+# Titles stay above their axes: to look whether ticks are in the way, every axis is laid out twice.
+matplotlib.rcParams["axes.titley"] = 1.0
 
 _UNSEEN_GREY = 208
 _STATUS_COLOURS = (
@@ -61,13 +62,13 @@ def _subplots(rows: int, columns: int, size_in: tuple[float, float], margins: _M
         "wspace": margins.between / across,
         "hspace": margins.between / down,
     }
-    return plt.subplots(rows, columns, figsize=size_in, gridspec_kw=places)
+    figure = Figure(figsize=size_in)
+    return figure, figure.subplots(rows, columns, gridspec_kw=places)
 
 
 def _finish(figure) -> str:
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=90, metadata={"Software": None})
-    plt.close(figure)
     return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode()
 
 
@@ -220,7 +221,7 @@ def comparison_figure(output, photograph, rendering, difference: np.ndarray, fig
     figure, axes = _subplots(1, 3, (15, 4.2), _OF_MAPS)
     titles = ("photograph", "rendered from the fitted materials")
     for ax, path, title in zip(axes, (photograph, rendering), titles, strict=False):
-        ax.imshow(plt.imread(path))
+        ax.imshow(imread(path))
         ax.set_title(title, fontsize=9)
         ax.axis("off")
     _map(axes[2], figure, difference, "CIEDE2000", "1")
@@ -229,7 +230,6 @@ def comparison_figure(output, photograph, rendering, difference: np.ndarray, fig
     axes[2].set_title(f"{text}\nnoise alone: mean {noise['mean']:.2f}, 95 % {noise['p95']:.2f}", fontsize=9)
     with written_whole(output) as temporary:
         figure.savefig(temporary, dpi=90, metadata={"Software": None})
-    plt.close(figure)
 
 
 def front_figure(rows: list[dict], front: list[str], default: str | None, metric: str) -> str:

@@ -1,4 +1,4 @@
-"""Names of published spectra, checked without loading colour-science.
+"""Names of published spectra and colour data, checked without loading colour-science.
 
 A test compares them with colour-science, from which the spectra themselves are, see `irodori.spectra.published_tables`.
 """
@@ -48,6 +48,20 @@ CHART_PATCHES = {
     "babel_average": 24,
     "cc_ohta": 24,
 }
+
+#: Colour-matching functions: ``colour.MSDS_CMFS``.
+OBSERVERS = (
+    "CIE 1931 2 Degree Standard Observer",
+    "CIE 1964 10 Degree Standard Observer",
+    "CIE 2015 2 Degree Standard Observer",
+    "CIE 2015 10 Degree Standard Observer",
+)
+
+#: Primaries and whites of displays: ``colour.RGB_COLOURSPACES``.
+DISPLAYS = ("sRGB", "Display P3", "Adobe RGB (1998)")
+
+#: Deficiencies of colour vision: ``colour.blindness.CVD_MATRICES_MACHADO2010``.
+DEFICIENCIES = ("Protanomaly", "Deuteranomaly", "Tritanomaly")
 
 #: Cameras: ``colour.MSDS_CAMERA_SENSITIVITIES``.
 CAMERAS = ("Nikon 5100 (NPL)", "Sigma SDMerill (NPL)")

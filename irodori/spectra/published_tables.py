@@ -37,9 +37,9 @@ def published_table(name: str) -> PublishedTable:
     Parameters
     ----------
     name : str
-        ``observer`` (CIE 1931, 2°), ``test_colours`` (CIE 224:2017), ``light_sources`` (measured lamps),
-        ``srgb_primaries`` (Mallett and Yuksel 2019), or ``illuminants/``, ``charts/`` or ``cameras/`` and a name of
-        `irodori.spectra.published_names`.
+        ``test_colours`` (CIE 224:2017), ``light_sources`` (measured lamps), ``daylight`` (the three components of CIE
+        daylight), ``srgb_primaries`` (Mallett and Yuksel 2019), or ``illuminants/``, ``observers/``, ``charts/`` or
+        ``cameras/`` and a name of `irodori.spectra.published_names`.
 
     Raises
     ------
@@ -49,3 +49,28 @@ def published_table(name: str) -> PublishedTable:
     with h5py.File(TABLES) as file:
         rows = file[name]
         return PublishedTable(rows[0], rows[1:], tuple(rows.attrs["names"].tolist()))
+
+
+@cache
+def published_matrix(name: str) -> np.ndarray:
+    """Return a matrix by its name in the file, not to be written to.
+
+    Parameters
+    ----------
+    name : str
+        ``xyz_from_rgb/`` (of linear RGB, white has Y = 1), ``white_xyz/`` (Y = 1) and a display, or ``rgb_from_rgb/``
+        (linear sRGB as a dichromat sees it, Machado et al. 2009) and a deficiency of `irodori.spectra.published_names`.
+
+    Returns
+    -------
+    (3, 3) float64; (3,) of a white
+
+    Raises
+    ------
+    KeyError
+        If there is no such matrix.
+    """
+    with h5py.File(TABLES) as file:
+        values = file[name][()]
+    values.flags.writeable = False
+    return values

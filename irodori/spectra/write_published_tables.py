@@ -3,6 +3,7 @@
 Run ``python -m irodori.spectra.write_published_tables``.
 """
 
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -13,10 +14,16 @@ from colour.characterisation import SDS_COLOURCHECKERS
 from colour.quality.cfi2017 import load_TCS_CIE2017
 from colour.recovery import MSDS_BASIS_FUNCTIONS_sRGB_MALLETT2019
 
-from irodori.spectra.published_names import CAMERAS, CHART_PATCHES, ILLUMINANTS, TEST_COLOURS
+from irodori.spectra.published_names import (
+    CAMERAS,
+    CHART_PATCHES,
+    DEFICIENCIES,
+    DISPLAYS,
+    ILLUMINANTS,
+    OBSERVERS,
+    TEST_COLOURS,
+)
 from irodori.spectra.published_tables import TABLES, PublishedTable
-
-_OBSERVER = "CIE 1931 2 Degree Standard Observer"
 
 
 def library_tables() -> Iterator[tuple[str, PublishedTable]]:
@@ -30,9 +37,25 @@ def library_tables() -> Iterator[tuple[str, PublishedTable]]:
         yield f"charts/{name}", _table(SDS_COLOURCHECKERS[name], SDS_COLOURCHECKERS[name].values())
     for name in CAMERAS:
         yield f"cameras/{name}", _columns("rgb", colour.MSDS_CAMERA_SENSITIVITIES[name])
-    yield "observer", _columns("xyz", colour.MSDS_CMFS[_OBSERVER])
+    for name in OBSERVERS:
+        yield f"observers/{name}", _columns("xyz", colour.MSDS_CMFS[name])
+    components = colour.colorimetry.SDS_BASIS_FUNCTIONS_CIE_ILLUMINANT_D_SERIES
+    yield "daylight", _table(components, components.values())
     yield "test_colours", _columns(TEST_COLOURS, load_TCS_CIE2017(colour.SpectralShape(380, 780, 5)))
     yield "srgb_primaries", _columns("rgb", MSDS_BASIS_FUNCTIONS_sRGB_MALLETT2019)
+
+
+def library_matrices() -> Iterator[tuple[str, np.ndarray]]:
+    """Yield the name of every matrix in the file, and the matrix as colour-science has it."""
+    for name in DISPLAYS:
+        space = colour.RGB_COLOURSPACES[name]
+        yield f"xyz_from_rgb/{name}", space.matrix_RGB_to_XYZ
+        yield f"white_xyz/{name}", colour.xy_to_XYZ(space.whitepoint)
+    for name in DEFICIENCIES:
+        with warnings.catch_warnings():
+            # Of tritanomaly: that it is an approximation, which a page says too.
+            warnings.simplefilter("ignore", colour.utilities.ColourUsageWarning)
+            yield f"rgb_from_rgb/{name}", colour.matrix_cvd_Machado2009(name, 1.0)
 
 
 def _table(names, distributions) -> PublishedTable:
@@ -54,6 +77,8 @@ def write_published_tables(path: Path = TABLES) -> None:
             rows = np.vstack([table.wavelength_nm, table.spectra])
             dataset = file.create_dataset(name, data=rows, compression="gzip", shuffle=True, track_times=False)
             dataset.attrs["names"] = np.array(table.names, dtype=h5py.string_dtype())
+        for name, matrix in library_matrices():
+            file.create_dataset(name, data=matrix, track_times=False)
 
 
 if __name__ == "__main__":

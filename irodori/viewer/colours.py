@@ -1,13 +1,12 @@
 """Lights, observers and displays that a classroom page offers, as tables."""
 
-import warnings
-
 import numpy as np
 
 from irodori.colour.colorimetry import colour_matching_weights
 from irodori.colour.display import STANDARD
 from irodori.spectra.grid import WAVELENGTH_NM
 from irodori.spectra.published import light
+from irodori.spectra.published_tables import published_matrix, published_table
 
 #: Name in a page, and what it is called there.
 ILLUMINANTS = {
@@ -53,35 +52,24 @@ def observers() -> list[dict]:
 
 def daylight() -> list[list[float]]:
     """Return the three components of CIE daylight, (3, 61), for daylight of any colour temperature."""
-    import colour  # slow to import
-
-    tables = colour.colorimetry.SDS_BASIS_FUNCTIONS_CIE_ILLUMINANT_D_SERIES
-    parts = (tables[name] for name in ("S0", "S1", "S2"))
-    return [[float(x) for x in np.interp(WAVELENGTH_NM, part.wavelengths, part.values)] for part in parts]
+    return published_table("daylight").at(WAVELENGTH_NM).tolist()
 
 
 def displays() -> list[dict]:
     """Return the displays of standard primaries: linear RGB of XYZ whose white has Y = 1, and the white."""
-    import colour  # slow to import
-
-    found = []
-    for name in STANDARD:
-        space = colour.RGB_COLOURSPACES[name]
-        white = colour.xy_to_XYZ(space.whitepoint)
-        matrix = np.linalg.inv(space.matrix_RGB_to_XYZ)
-        found.append({"name": name, "rgb_from_xyz": matrix.tolist(), "white_xyz": [float(x) for x in white]})
-    return found
+    return [
+        {
+            "name": name,
+            "rgb_from_xyz": np.linalg.inv(published_matrix(f"xyz_from_rgb/{name}")).tolist(),
+            "white_xyz": published_matrix(f"white_xyz/{name}").tolist(),
+        }
+        for name in STANDARD
+    ]
 
 
 def deficiencies() -> list[dict]:
     """Return the dichromats of Machado et al. (2009), as matrices on linear sRGB."""
-    import colour  # slow to import
-
-    found = []
-    for name, table in DEFICIENCIES.items():
-        with warnings.catch_warnings():
-            # Of tritanomaly: that it is an approximation, which the page says too.
-            warnings.simplefilter("ignore", colour.utilities.ColourUsageWarning)
-            matrix = colour.matrix_cvd_Machado2009(table, 1.0)
-        found.append({"name": name, "rgb_from_rgb": [[float(x) for x in row] for row in matrix]})
-    return found
+    return [
+        {"name": name, "rgb_from_rgb": published_matrix(f"rgb_from_rgb/{table}").tolist()}
+        for name, table in DEFICIENCIES.items()
+    ]

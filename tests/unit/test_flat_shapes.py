@@ -22,7 +22,7 @@ from irodori.geometry.shapes.disc import Disc, hidden_by_disc
 from irodori.geometry.shapes.placement import Placement
 from irodori.geometry.shapes.plane import Plane, hidden_by_plane
 from irodori.geometry.shapes.shape import Shape
-from irodori.rendering.integrators import render_image
+from irodori.rendering.integrators import make_renderer
 
 FLOOR = Shape.from_definition(made(ObjectShape | BodyShape, {"kind": "plane"}))
 EVERY = [{"kind": "interactive", "ambient": True}, {"kind": "reference", "samples": 64, "seed": 0}]
@@ -34,7 +34,8 @@ def disc(radius_mm):
 
 
 def seen(shapes, materials, places, integrator, light=None, *, position=(0.0, -300.0, 120.0), target=(0.0, 0.0, 10.0),
-         size=(48, 32), fov=20.0, turns=None, lights=(), **options):  # fmt: skip
+         size=(48, 32), fov=20.0, turns=None, lights=(), white=None, **options):  # fmt: skip
+    """Return a picture of 61 bands; with a white, (61,), XYZ where they are as exact."""
     turns = turns or [(0.0, 0.0, 0.0)] * len(shapes)
     scene = {
         "image": {"width": size[0], "height": size[1]},
@@ -48,7 +49,8 @@ def seen(shapes, materials, places, integrator, light=None, *, position=(0.0, -3
         "lights": list(lights),
     }  # fmt: skip
     light = constant_light() if light is None else light
-    return render_image(made(Scene, scene), "v", shapes, materials, light, replace(OPTIONS, **options))[0]
+    options = replace(OPTIONS, **options)
+    return make_renderer(made(Scene, scene), shapes, materials, light, options, white).picture("v")[0]
 
 
 # --- the tracer --------------------------------------------------------------------------------------------------

@@ -100,3 +100,9 @@ def test_a_tag_is_a_text_that_a_camera_writes_or_whole_numbers_or_a_fraction(tmp
     head = (b"II*\0" if order == "<" else b"MM\0*") + struct.pack(order + "IH", 8, 1)
     (tmp_path / "a.dng").write_bytes(head + entry + bytes(4) + content)
     assert [tag.values for tag in read_tags(tmp_path / "a.dng", (271,))] == ([] if read is None else [read])
+
+
+def test_a_value_may_stand_anywhere_in_a_file(tmp_path):
+    entry = struct.pack("<HHII", 330, 3, 4, 0)  # four short numbers from the first byte on
+    (tmp_path / "a.dng").write_bytes(b"II*\0" + struct.pack("<IH", 8, 1) + entry + bytes(4))
+    assert [tag.values for tag in read_tags(tmp_path / "a.dng", (330,))] == [struct.unpack("<4H", b"II*\0\x08\0\0\0")]

@@ -193,6 +193,12 @@ def test_what_is_no_even_surface_is_no_flat():
         fit_flat(even, ~valid)
 
 
+def test_an_even_picture_is_a_flat_field_however_small_and_dim():
+    """Sixteen rows and columns at a thousandth of the range vary by nothing."""
+    even = np.full((16, 16, 3), 1e-3)
+    assert np.allclose(evaluate_flat(fit_flat(even, np.ones((16, 16), bool)), 16, 16), even, rtol=1e-6)
+
+
 def test_bands_stand_in_one_order_whatever_the_order_of_the_lines(tmp_path):
     pose = Pose(ANGLE, 0.0)
     pictures = []

@@ -11,7 +11,7 @@ from definitions import CAMERA_FILE, PLATE_FILE, ROOM_FILE, ROOT, edit, fault, l
 from irodori.core.errors import InputError
 from irodori.spectra import published_names
 from irodori.spectra.published import spectrum
-from irodori.spectra.published_tables import published_table
+from irodori.spectra.published_tables import published_matrix, published_table
 
 DATA = ROOT.parent / "shared" / "data"
 POSE = "l0450-c0000-t000-r0000"
@@ -115,13 +115,15 @@ def test_the_patches_of_a_published_chart_are_counted(root):
 
 
 def test_published_tables_are_those_of_colour_science():
-    from irodori.spectra.write_published_tables import library_tables
+    from irodori.spectra.write_published_tables import library_matrices, library_tables
 
     for name, table in library_tables():
         shipped = published_table(name)
         assert shipped.names == table.names
         np.testing.assert_array_equal(shipped.wavelength_nm, table.wavelength_nm)
         np.testing.assert_array_equal(shipped.spectra, table.spectra)
+    for name, matrix in library_matrices():
+        np.testing.assert_array_equal(published_matrix(name), matrix)
 
 
 def test_a_job_that_needs_published_spectra_does_not_import_colour_science():
@@ -129,9 +131,12 @@ def test_a_job_that_needs_published_spectra_does_not_import_colour_science():
 import sys
 from irodori.colour.colorimetry import delta_e_reflectance
 from irodori.colour.display import standard_display
+from irodori.viewer import colours
 from irodori.spectra.published import camera_sensitivities, chart_spectra, spectrum
 delta_e_reflectance(chart_spectra("PMC")[1], spectrum("TCS3"))
 camera_sensitivities("Nikon 5100 (NPL)")
+standard_display("Display P3")
+colours.observers(), colours.daylight(), colours.displays(), colours.deficiencies()
 standard_display("sRGB").linear_rgb(spectrum("D65")[:3], spectrum("A")[:3])
 print("colour" in sys.modules)
 """

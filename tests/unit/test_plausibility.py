@@ -386,7 +386,11 @@ def seen_set(shares, tmp_path, planned, focal_mm=48.0) -> SetLook:
 COUNT = 18  # poses, one more than how far a slip of names is looked for
 
 
-@pytest.mark.parametrize("mistake", ["none", "shifted", "accepted", "16 apart", "17 apart", "a blown one", "a dim one"])
+@pytest.mark.parametrize(
+    "mistake",
+    ["none", "shifted", "accepted", "16 apart", "17 apart", "a blown one", "a dim one", "in weak light",
+     "a chart of other paints", "another size"],
+)  # fmt: skip
 def test_photographs_with_the_filter_that_show_other_poses_are_named(tmp_path, mistake):
     planned = [shot(camera=float(c), state=s, file=f"{c}-{s}.dng") for s in ("out", "in") for c in range(COUNT)]
     scenes = [paints(seed)[::2, ::2] for seed in range(COUNT)]
@@ -398,11 +402,20 @@ def test_photographs_with_the_filter_that_show_other_poses_are_named(tmp_path, m
         through[4], through[5] = through[5], through[4]
         planned[COUNT + 4] = replace(planned[COUNT + 4], taken=Taken(accepted="so it is"))
         others = [("5-in.dng", "light changed"), ("5-in.dng", "moved")]
+    elif mistake == "in weak light":
+        through[4], through[5] = through[5], through[4]
+        scenes, through, wrong = [0.2 * scene for scene in scenes], [0.2 * scene for scene in through], [4, 5]
+    elif mistake == "a chart of other paints":
+        # What is no object's pose is no measure of poses.
+        planned += [shot("chart", state=state, file=f"chart-{state}.dng") for state in ("out", "in")]
+        through += [0.97 * scenes[3], 0.97 * scenes[17] * FILTER]
+    elif mistake == "another size":
+        through[4], through[5] = through[5], through[4][:, :24]
     elif mistake.endswith("apart"):
         other = int(mistake.split()[0])
         through[0], through[other] = through[other], through[0]
         wrong = [0, 16] if other == 16 else []
-    elif mistake != "none":
+    elif mistake in ("a blown one", "a dim one"):
         # Another exposure, which clips or is dark, shows the next pose: the one that shows most counts.
         times = 0.04 if mistake == "a blown one" else 0.01
         for c in (6, 7):
@@ -419,7 +432,7 @@ def test_photographs_with_the_filter_that_show_other_poses_are_named(tmp_path, m
         words = r"order: found it shows what 5-out.dng shows, and not what 4-out.dng does.*3 more .*\(5-in.dng, 6-in"
         with pytest.raises(InputError, match=words):
             seen.refuse("captures.csv")
-    else:
+    elif mistake != "another size":  # which is refused by itself
         assert wrong or seen.refuse("captures.csv") == found
 
 

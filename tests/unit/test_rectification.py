@@ -526,7 +526,7 @@ def test_a_texel_on_a_sample_does_not_depend_on_the_window_that_is_read():
         out, good, clips = np.zeros((3, 6), dtype=np.float32), np.empty(3, dtype=bool), np.empty(3, dtype=np.uint8)
         window = slice(first, last)
         pictures = (picture[window, window] for picture in (response, valid, clipped))
-        _sample(_Window(*pictures, np.array([first, first])), xy, out, good, clips)
+        _sample(_Window(*pictures, np.array([first, first])), xy, out, (good, clips), 0, len(xy))
         found.append((out.copy(), good.copy(), clips.copy()))
     assert found[0][1].all() and not found[0][2].any()
     np.testing.assert_array_equal(found[0][0][0], response[2, 3])

@@ -339,6 +339,14 @@ def test_predicted_errors_are_those_that_occur():
     assert 0.5 <= math.sqrt(np.mean(np.square(ratios))) <= 2.0
 
 
+def test_a_picture_of_four_samples_is_the_smallest_that_can_be_moved():
+    picture = np.random.default_rng(0).random((2, 2, 3)).astype(np.float32)
+    moved, valid = resample(picture, np.ones((2, 2), bool), STILL)
+    assert np.array_equal(moved, picture) and valid.all()
+    with pytest.raises(ValueError, match="2 x 2 or more"):
+        resample(picture[:1], np.ones((1, 2), bool), STILL)
+
+
 def test_known_places_of_the_bands_may_be_given():
     rng = np.random.default_rng(5)
     truth = random_truth(rng)

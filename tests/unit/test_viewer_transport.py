@@ -282,8 +282,10 @@ def test_shadows_of_meshes_lose_little_in_the_file(torus):
 # ---- lobes and metals
 
 
-def with_lobe(material, lobe: str):
-    return material.__class__(**{**material.__dict__, "lobes": (lobe,)})
+def of_ggx(material):
+    """Return a material whose gloss is GGX, beside a component of no weight: scenes of two share one loop."""
+    gloss = {"beta": 0.0 * material.beta, "further_gloss": ((material.beta, material.mu),)}
+    return replace(material, **gloss, lobes=("gaussian", "ggx"), typical_gloss=2 * material.typical_gloss)
 
 
 LAMP = {"kind": "collimated", "azimuth_deg": -40.0, "elevation_deg": 50.0, "irradiance": 0.8, "spectrum": "FL11"}
@@ -291,9 +293,9 @@ LAMP = {"kind": "collimated", "azimuth_deg": -40.0, "elevation_deg": 50.0, "irra
 
 def test_ggx_shines_in_a_room_as_in_the_renderer(tmp_path):
     """Rows of blurred light of a lobe with long tails, beside those of the other lobe; and a lamp's highlight."""
-    ggx = with_lobe(painted(beta=6.0), "ggx")
-    written = Written(tmp_path, sources(tmp_path / "files", room(), first=ggx, lights=[LAMP]))
-    assert [lobe["name"] for lobe in written.data.header["lobes"]] == ["ggx", "gaussian"]
+    written = Written(tmp_path, sources(tmp_path / "files", room(), first=of_ggx(painted(beta=6.0)), lights=[LAMP]))
+    assert [lobe["name"] for lobe in written.data.header["lobes"]] == ["gaussian", "ggx"]
+    assert [entry["lobes"] for entry in written.data.header["objects"]] == [[1], [0]]
     with opened(written.path) as page:
         found = compared(written, page, page.default_state(), written.view)
         # Where each takes the other's rows, it is seen.

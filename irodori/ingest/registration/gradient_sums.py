@@ -10,13 +10,14 @@ Nyquist, which keeps what superpixels alias down.
 import math
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
+from irodori.jit.chunks import run_chunks
 from irodori.jit.compilation import njit
 
 TAPS = 6
 _SUMS = 4 + 16 + 5
+_ROWS, _CELLS = 64, 256  # that a thread takes at a time
 
 
 @njit(cache=True, forceinline=True)
@@ -72,31 +73,35 @@ def _less(a, b):
     return a if a < b else b
 
 
-@njit(cache=True)
-def _least_along_row(level, y, out):
-    """Fill the least share of valid pixels among the taps -2..3 along a row."""
-    share = level[y, :, 3].copy()
-    for i in range(share.size - 5):
-        a, b = _less(share[i], share[i + 1]), _less(share[i + 2], share[i + 3])
-        out[i + 2] = _less(_less(a, b), _less(share[i + 4], share[i + 5]))
+@njit(cache=True, nogil=True)
+def _least_along_rows(level, along, first, last):
+    """Fill the least share of valid pixels among the taps -2..3 along rows."""
+    for y in range(first, last):
+        share, out = level[y, :, 3].copy(), along[y]
+        for i in range(share.size - 5):
+            a, b = _less(share[i], share[i + 1]), _less(share[i + 2], share[i + 3])
+            out[i + 2] = _less(_less(a, b), _less(share[i + 4], share[i + 5]))
 
 
 @njit(cache=True)
-def _least_of_rows(along, y, out):
+def _least_of_six(along, y, out):
     """Fill the least of six rows, from two above ``y`` to three below it."""
     r0, r1, r2, r3, r4, r5 = along[y - 2], along[y - 1], along[y], along[y + 1], along[y + 2], along[y + 3]
     for i in range(out.size):
         out[i] = _less(_less(_less(r0[i], r1[i]), _less(r2[i], r3[i])), _less(r4[i], r5[i]))
 
 
-@njit(cache=True, parallel=True, nogil=True)
+@njit(cache=True, nogil=True)
+def _least_of_rows(along, least, first, last):
+    for y in range(max(first, 2), min(last, along.shape[0] - 3)):
+        _least_of_six(along, y, least[y])
+
+
 def least_share(level):
     """Return the least share of valid pixels under the spline's 6 x 6 taps around each pixel, (h, w); 0 at borders."""
     along, out = np.zeros(level.shape[:2], dtype=np.float32), np.zeros(level.shape[:2], dtype=np.float32)
-    for y in numba.prange(level.shape[0]):
-        _least_along_row(level, y, along[y])
-    for y in numba.prange(2, level.shape[0] - 3):
-        _least_of_rows(along, y, out[y])
+    run_chunks(_least_along_rows, len(along), _ROWS, level, along)
+    run_chunks(_least_of_rows, len(along), _ROWS, along, out)
     return out
 
 
@@ -165,7 +170,12 @@ def _template_cell(values, least, chosen, fixed, cell):
             curvature[n, c, 0], curvature[n, c, 1], curvature[n, c, 2] = gxx, gxy, gyy
 
 
-@njit(cache=True, parallel=True, nogil=True)
+@njit(cache=True, nogil=True)
+def _template_some(values, least, places, fixed, first, last):
+    for cell in range(first, last):
+        _template_cell(values, least, places, fixed, cell)
+
+
 def template(level, least, places):
     """Return the fixed picture at its places, `Fixed`.
 
@@ -177,12 +187,10 @@ def template(level, least, places):
     places : Places
     """
     cells, quota = places.xy.shape[:2]
-    values = level.ravel()
     gradient = np.zeros((cells, quota, 3, 2), dtype=np.float32)
     curvature = np.zeros((cells, quota, 3, 3), dtype=np.float32)
     fixed = Fixed(gradient, curvature, np.zeros((cells, quota), dtype=np.float32))
-    for cell in numba.prange(cells):
-        _template_cell(values, least, places, fixed, cell)
+    run_chunks(_template_some, cells, _CELLS, level.ravel(), least, places, fixed)
     return fixed
 
 
@@ -241,7 +249,12 @@ def _moments_cell(counts, at_fixed, at_moving, weight, sums, cell):
                     out[1, i, j] += w * moving[n, i, a] * fixed[n, j, a]
 
 
-@njit(cache=True, parallel=True, nogil=True)
+@njit(cache=True, nogil=True)
+def _sample_some(picture, places, fixed, moving, first, last):
+    for cell in range(first, last):
+        _sample_cell(picture, places, fixed, moving, cell)
+
+
 def sample(level, least, affine, places, fixed):
     """Return the moving picture at the images of the places, `Moving`.
 
@@ -259,20 +272,24 @@ def sample(level, least, affine, places, fixed):
     picture = _Picture(level.ravel(), least, affine)
     gradient = np.zeros((cells, quota, 3, 2), dtype=np.float32)
     moving = Moving(gradient, np.zeros((cells, quota), dtype=np.float32))
-    for cell in numba.prange(cells):
-        _sample_cell(picture, places, fixed, moving, cell)
+    run_chunks(_sample_some, cells, _CELLS, picture, places, fixed, moving)
     return moving
 
 
-@njit(cache=True, parallel=True, nogil=True)
+@njit(cache=True, nogil=True)
+def _moments_some(counts, pictures, weight, sums, first, last):
+    fixed, moving = pictures
+    for cell in range(first, last):
+        _moments_cell(counts, fixed, moving, weight, sums, cell)
+
+
 def gradient_moments(counts, fixed, moving, weight):
     """Return the sums of fixed·fixedᵀ and moving·fixedᵀ over the gradients of each cell, (cells, 2, 3, 3) float64.
 
     Places are weighted by ``weight``, (cells, quota) float32, times the share of valid pixels.
     """
     sums = np.zeros((counts.size, 2, 3, 3))
-    for cell in numba.prange(counts.size):
-        _moments_cell(counts, fixed, moving, weight, sums, cell)
+    run_chunks(_moments_some, counts.size, _CELLS, counts, (fixed, moving), weight, sums)
     return sums
 
 
@@ -373,7 +390,13 @@ def _score_cell(chosen, at_fixed, at_moving, expected, scores, cell):
         out[19] += u * u * ayy - 2.0 * u * v * axy + v * v * axx
 
 
-@njit(cache=True, parallel=True, nogil=True)
+@njit(cache=True, nogil=True)
+def _score_some(places, pictures, expected, scores, first, last):
+    fixed, moving = pictures
+    for cell in range(first, last):
+        _score_cell(places, fixed, moving, expected, scores, cell)
+
+
 def score(places, fixed, moving, expected):
     """Return the `Scores` of the cells.
 
@@ -385,6 +408,5 @@ def score(places, fixed, moving, expected):
     expected : Residuals
     """
     scores = Scores(np.zeros((places.counts.size, _SUMS)), np.zeros(moving.valid.shape, dtype=np.float32))
-    for cell in numba.prange(places.counts.size):
-        _score_cell(places, fixed, moving, expected, scores, cell)
+    run_chunks(_score_some, places.counts.size, _CELLS, places, (fixed, moving), expected, scores)
     return scores

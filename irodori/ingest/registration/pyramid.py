@@ -6,13 +6,14 @@ valid pixels of 2 x 2.
 
 import math
 
-import numba
 import numpy as np
 
 from irodori.ingest.registration.band_layout import flatten
+from irodori.jit.chunks import run_chunks
 from irodori.jit.compilation import njit
 
 _LEAST_NOISE = 1e-9
+_ROWS, _CELLS = 64, 256  # that a thread takes at a time
 
 
 @njit(cache=True)
@@ -30,12 +31,16 @@ def _halve_row(out, source, y):
         out[y, x, 3] = np.float32(0.25) * total
 
 
-@njit(cache=True, parallel=True, nogil=True)
+@njit(cache=True, nogil=True)
+def _halve_rows(out, source, first, last):
+    for y in range(first, last):
+        _halve_row(out, source, y)
+
+
 def halve(source):
     """Return the mean of the valid pixels of each 2 x 2, (h, w, 4) to (h // 2, w // 2, 4)."""
     out = np.empty((source.shape[0] // 2, source.shape[1] // 2, 4), dtype=np.float32)
-    for y in numba.prange(out.shape[0]):
-        _halve_row(out, source, y)
+    run_chunks(_halve_rows, len(out), _ROWS, out, source)
     return out
 
 
@@ -59,17 +64,17 @@ def _pack_row(out, image, step, valid, y):
         out[y, x, 3] = weight
 
 
-@njit(cache=True, parallel=True, nogil=True)
-def _pack(image, step, valid):
-    out = np.empty((*valid.shape, 4), dtype=np.float32)
-    for y in numba.prange(out.shape[0]):
+@njit(cache=True, nogil=True)
+def _pack_rows(out, image, step, valid, first, last):
+    for y in range(first, last):
         _pack_row(out, image, step, valid, y)
-    return out
 
 
 def pack(image, valid):
     """Return level 0, (h, w, 4): invalid and non-finite pixels are zero and have no weight."""
-    return _pack(*flatten(image), valid)
+    out = np.empty((*valid.shape, 4), dtype=np.float32)
+    run_chunks(_pack_rows, len(out), _ROWS, out, *flatten(image), valid)
+    return out
 
 
 @njit(cache=True)
@@ -91,17 +96,17 @@ def _pack_halve_row(out, image, step, valid, y):
         out[y, x, 0], out[y, x, 1], out[y, x, 2], out[y, x, 3] = r * share, g * share, b * share, quarter * total
 
 
-@njit(cache=True, parallel=True, nogil=True)
-def _pack_halve(image, step, valid):
-    out = np.empty((valid.shape[0] // 2, valid.shape[1] // 2, 4), dtype=np.float32)
-    for y in numba.prange(out.shape[0]):
+@njit(cache=True, nogil=True)
+def _pack_halve_rows(out, image, step, valid, first, last):
+    for y in range(first, last):
         _pack_halve_row(out, image, step, valid, y)
-    return out
 
 
 def pack_halve(image, valid):
     """Return level 1 without building level 0."""
-    return _pack_halve(*flatten(image), valid)
+    out = np.empty((valid.shape[0] // 2, valid.shape[1] // 2, 4), dtype=np.float32)
+    run_chunks(_pack_halve_rows, len(out), _ROWS, out, *flatten(image), valid)
+    return out
 
 
 @njit(cache=True, forceinline=True)
@@ -116,13 +121,11 @@ def _energy(level, noise, y, x):
     return total * weight * weight
 
 
-@njit(cache=True, parallel=True, nogil=True)
-def _all_energies(level, inverse):
-    out = np.zeros(level.shape[:2], dtype=np.float32)
-    for y in numba.prange(1, level.shape[0] - 1):
+@njit(cache=True, nogil=True)
+def _energies(level, inverse, out, first, last):
+    for y in range(max(first, 1), min(last, level.shape[0] - 1)):
         for x in range(1, level.shape[1] - 1):
             out[y, x] = _energy(level, inverse, y, x)
-    return out
 
 
 def noise_of(level) -> np.ndarray:
@@ -142,7 +145,9 @@ def noise_of(level) -> np.ndarray:
 
 def gradient_energy(level, noise) -> np.ndarray:
     """Return squared gradients in units of the bands' noise, summed over the bands, (h, w) float32; border 0."""
-    return _all_energies(level, (noise**-2.0).astype(np.float32))
+    out = np.zeros(level.shape[:2], dtype=np.float32)
+    run_chunks(_energies, len(out), _ROWS, level, (noise**-2.0).astype(np.float32), out)
+    return out
 
 
 @njit(cache=True)
@@ -194,7 +199,13 @@ def _choose(energy, places, counts, cell, grid, gate):
     counts[cell] = n
 
 
-@njit(cache=True, parallel=True, nogil=True)
+@njit(cache=True, nogil=True)
+def _choose_some(energy, chosen, grid, gate, first, last):
+    places, counts = chosen
+    for cell in range(first, last):
+        _choose(energy, places, counts, cell, grid, gate)
+
+
 def choose(energy, height, width, quota, gate):
     """Return the places of each cell with the largest gradients, all of at least the energy ``gate``.
 
@@ -208,8 +219,8 @@ def choose(energy, height, width, quota, gate):
     rows = max(1, energy.shape[0] // height)
     places = np.zeros((rows * columns, quota, 2), dtype=np.int32)
     counts = np.zeros(rows * columns, dtype=np.int64)
-    for cell in numba.prange(rows * columns):
-        _choose(energy, places, counts, cell, (columns, height, width), gate)
+    grid = (columns, height, width)
+    run_chunks(_choose_some, len(counts), _CELLS, energy, (places, counts), grid, float(gate))
     return places, counts
 
 

@@ -2,11 +2,13 @@
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from irodori.ingest.registration.band_layout import flatten
+from irodori.jit.chunks import run_chunks
 from irodori.jit.compilation import njit
+
+_ROWS = 64  # that a thread takes at a time
 
 
 @njit(cache=True, forceinline=True)
@@ -93,13 +95,15 @@ def _resample_row(moved, picture, reached, affine, y):
         out_valid[y, x] = good
 
 
-@njit(cache=True, parallel=True, nogil=True)
-def _resample(moved, picture, affine):
-    valid = picture.valid
-    reached = np.zeros(valid.shape, dtype=np.bool_)
-    for y in numba.prange(1, valid.shape[0] - 2):
+@njit(cache=True, nogil=True)
+def _reached_rows(reached, valid, first, last):
+    for y in range(max(first, 1), min(last, valid.shape[0] - 2)):
         _reached_row(reached, valid, y)
-    for y in numba.prange(valid.shape[0]):
+
+
+@njit(cache=True, nogil=True)
+def _resample_rows(moved, picture, reached, affine, first, last):
+    for y in range(first, last):
         _resample_row(moved, picture, reached, affine, y)
 
 
@@ -128,7 +132,9 @@ def resample_affine(image, valid, affine, out=None) -> tuple[np.ndarray, np.ndar
     if out.shape != image.shape or not np.may_share_memory(flat_out, out):
         raise ValueError(f"room for {out.shape}, strides {out.strides}; accepted: bands of a contiguous {image.shape}")
     out_valid = np.empty(valid.shape, dtype=np.bool_)
-    _resample(_Picture(flat_out, out_step, out_valid), _Picture(*flatten(image), valid), affine)
+    moved, reached = _Picture(flat_out, out_step, out_valid), np.zeros(valid.shape, dtype=np.bool_)
+    run_chunks(_reached_rows, len(valid), _ROWS, reached, valid)
+    run_chunks(_resample_rows, len(valid), _ROWS, moved, _Picture(*flatten(image), valid), reached, affine)
     return out, out_valid
 
 
@@ -146,10 +152,14 @@ def _marked_row(out, mask, valid, affine, y):
             out[y, x] = mask[max(iy - 2, 0) : iy + 3, max(ix - 2, 0) : ix + 3].any()
 
 
-@njit(cache=True, parallel=True, nogil=True)
+@njit(cache=True, nogil=True)
+def _marked_rows(out, mask, valid, affine, first, last):
+    for y in range(first, last):
+        _marked_row(out, mask, valid, affine, y)
+
+
 def marked_affine(mask, valid, affine):
     """Return where a resampled picture is not valid and within two samples of a marked one, (height, width) bool."""
     out = np.empty(mask.shape, dtype=np.bool_)
-    for y in numba.prange(mask.shape[0]):
-        _marked_row(out, mask, valid, affine, y)
+    run_chunks(_marked_rows, len(mask), _ROWS, out, mask, valid, affine)
     return out

@@ -17,11 +17,11 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from irodori.core import store
 from irodori.core.errors import InputError
+from irodori.jit.chunks import run_chunks
 from irodori.jit.compilation import njit
 from irodori.light.blurred_light import WIDTHS_RAD, prefiltered
 from irodori.light.environment_file import Environment
@@ -33,6 +33,7 @@ from irodori.reflection.lobes import Lobes
 
 #: Up to the first roughness blurred light is looked up; from the second the light is points; both between.
 _SMOOTH, _ROUGH = 0.32, 0.4
+_AT_A_TIME = 64  # places that a thread takes
 
 
 class GlossTables(NamedTuple):
@@ -253,15 +254,11 @@ def add_gloss_radiance(maps, seen, gloss, index, out):
         _add_from_maps(maps, seen, mu, index, (1.0 - rough) * beta / math.pi, out)
 
 
-@njit(cache=True)
-def _add_to(maps, seen, gloss, index, out, i):
-    add_gloss_radiance(maps, place_of(seen, i), (gloss[i, 0], gloss[i, 1]), index, out[i])
-
-
-@njit(cache=True, parallel=True, nogil=True)
-def _gloss_radiance(maps, seen, gloss, index, out):
-    for i in numba.prange(out.shape[0]):
-        _add_to(maps, seen, gloss, index, out, i)
+@njit(cache=True, nogil=True)
+def _add_to_places(maps, seen, surfaces, out, first, last):
+    gloss, index = surfaces  # (n, 2) β and μ in rad; n and k
+    for i in range(first, last):
+        add_gloss_radiance(maps, place_of(seen, i), (gloss[i, 0], gloss[i, 1]), index, out[i])
 
 
 def gloss_radiance(maps: GlossTables, normal, view, beta, mu, index: tuple[float, float]) -> np.ndarray:
@@ -285,5 +282,6 @@ def gloss_radiance(maps: GlossTables, normal, view, beta, mu, index: tuple[float
     out = np.zeros((len(gloss), maps.pixels.shape[1]))
     normal, view = (np.ascontiguousarray(v).reshape(-1, 3) for v in (normal, view))
     n, k = index
-    _gloss_radiance(maps, Seen(normal, view), gloss, (float(n), float(k)), out)
+    surfaces = gloss, (float(n), float(k))
+    run_chunks(_add_to_places, len(out), _AT_A_TIME, maps, Seen(normal, view), surfaces, out)
     return out.reshape(*shape, -1)

@@ -3,9 +3,9 @@
 import math
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
+from irodori.jit.chunks import run_chunks
 from irodori.jit.compilation import njit
 from irodori.light.gloss.gloss_maps import GlossMaps, gloss_radiance
 from irodori.light.gloss.make_lobe_table import farthest
@@ -119,15 +119,17 @@ def _add_from_cells(cells, level, surface, seen, i, out):
             out[b] += shown * (x * cells.moment[j, b, 0] + y * cells.moment[j, b, 1] + z * cells.moment[j, b, 2])
 
 
-@njit(cache=True, parallel=True, nogil=True)
-def _sum_cells(cells, level, surface, seen, out):
-    for i in numba.prange(out.shape[0]):
+@njit(cache=True, nogil=True)
+def _sum_cells(light, surface, seen, out, first, last):
+    cells, level = light
+    for i in range(first, last):
         _add_from_cells(cells, level, surface, seen, i, out[i])
 
 
-@njit(cache=True, parallel=True, nogil=True)
-def _sum_pixels(pixels, parts, surface, seen, out):
-    for i in numba.prange(out.shape[0]):
+@njit(cache=True, nogil=True)
+def _sum_pixels(light, surface, seen, out, first, last):
+    pixels, parts = light
+    for i in range(first, last):
         _add_from_pixels(pixels, parts, surface, seen, i, out[i])
 
 
@@ -150,9 +152,9 @@ def true_gloss(
     # A facet that leans by φ moves light by twice φ.
     surface = _Surface(Lobes.of(lobe), float(mu), min(2.0 * farthest(lobe, mu, _LOST), math.pi), *map(float, index))
     if fine.size:
-        _sum_cells(cells, int(fine[-1]), surface, seen, out)
+        run_chunks(_sum_cells, len(out), 1, (cells, int(fine[-1])), surface, seen, out)
     else:
-        _sum_pixels(pixels, parts, surface, seen, out)
+        run_chunks(_sum_pixels, len(out), 1, (pixels, parts), surface, seen, out)
     return out / np.pi
 
 
