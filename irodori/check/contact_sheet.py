@@ -2,12 +2,13 @@
 
 import base64
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
-from irodori.calibration.chart import patch_centres
+from irodori.calibration.chart import Located, patch_centres
 from irodori.check.findings import Finding
 from irodori.check.photographs import PhotographSet
 from irodori.config.capture_table import Pose, Shot
@@ -22,6 +23,8 @@ from irodori.ingest.mosaic import Mosaic
 from irodori.ingest.preview import preview_of
 from irodori.report.html_page import write_page
 
+#: A hundred photographs of this width make a page that a phone can hold.
+_WIDTH_PX = 480
 #: Side of the square that stands for a chart's patch where the definition does not say, of the patches' distance.
 _PATCH = 0.5
 
@@ -41,6 +44,8 @@ class Picture:
         Data URIs of the small picture, and of what is blown (red) and dark (blue) in it.
     outline : str
         Path of SVG in superpixels, pixels' edges of the object's silhouette; empty where no object is on the table.
+    chart : str, optional
+        Name of the chart that it shows, empty for the camera's first; None where it shows none.
     patches : list of str
         Corners of each patch of a chart, polygons of SVG in superpixels.
     findings : list of Finding
@@ -52,6 +57,7 @@ class Picture:
     picture: str
     overlay: str
     outline: str = ""
+    chart: str | None = None
     patches: list[str] = field(default_factory=list)
     findings: list[Finding] = field(default_factory=list)
 
@@ -72,7 +78,7 @@ class ContactSheet:
 
     def add(self, one: PhotographSet, shot: Shot, path: Path, mosaic: Mosaic) -> None:
         """Take a photograph of a set."""
-        small = preview_of(mosaic)
+        small = preview_of(mosaic, _WIDTH_PX)
         angles = ", ".join(f"{name.removesuffix('_deg')} {angle:g}°" for name, angle in vars(shot.pose).items())
         pose = f" · {angles}" if shot.role == "object" else ""
         picture = Picture(
@@ -85,6 +91,7 @@ class ContactSheet:
         if one.kind == "objects" and shot.subject == "object":
             picture.outline = self._outline(one, shot.pose)
         elif shot.role == "chart":
+            picture.chart = shot.chart
             camera = self._loaded.cameras[one.camera]
             picture.patches = _patches(camera.further_charts[shot.chart] if shot.chart else camera.chart)
         self.sets.setdefault(one.name, []).append(picture)
@@ -101,8 +108,15 @@ class ContactSheet:
             self._outlines[key] = svg_path(silhouette(shape, Pinhole.from_optics(camera.optics), distance_mm, pose))
         return self._outlines[key]
 
-    def write(self, path, findings: list[Finding]) -> None:
-        """Write the page; each finding stands beside its photograph, those of no photograph on top."""
+    def write(self, path, findings: list[Finding], located: Mapping[tuple[str, str], Located]) -> None:
+        """Write the page; each finding stands beside its photograph, those of no photograph on top.
+
+        ``located`` says where the patches of charts were found, by names of set and chart.
+        """
+        for (name, chart), found in located.items():
+            for picture in self.sets.get(name, ()):
+                if picture.chart == chart:
+                    picture.patches = _squares(found.centres_px, found.side_px)
         pictures = {picture.path: picture for group in self.sets.values() for picture in group}
         general = []
         for finding in findings:
@@ -170,11 +184,15 @@ def _runs(edges: np.ndarray):
 
 
 def _patches(chart: Chart) -> list[str]:
-    """Return the squares of a chart that are averaged; none of a chart that is looked for in the photograph."""
+    """Return the squares of a chart where its definition has them; none of a chart that is looked for."""
     if chart.centres_px is None:
         return []
     centres = patch_centres(chart)
-    side = chart.patch_px or _PATCH * float(np.linalg.norm(centres[1] - centres[0]))
+    return _squares(centres, chart.patch_px or _PATCH * float(np.linalg.norm(centres[1] - centres[0])))
+
+
+def _squares(centres: np.ndarray, side: float) -> list[str]:
+    """Return squares about centres in superpixels as polygons of SVG."""
     corners = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]]) * side
     # The centre of a superpixel has integer coordinates, its left edge in the page is that integer.
     return [" ".join(f"{x:.1f},{y:.1f}" for x, y in centre + corners + 0.5) for centre in centres]

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from irodori.calibration.chart import locate_patches
+from irodori.calibration.chart import Located, locate_patches
 from irodori.calibration.chart_reading import ChartPhotograph
 from irodori.calibration.charts import read_chart
 from irodori.calibration.illumination import illumination
@@ -81,6 +81,8 @@ class PhotographCheck:
         self._whites: dict[str, list] = {}
         #: How many were looked at so far.
         self.count = 0
+        #: Where the patches of the charts lie, by name of set and of chart.
+        self.located: dict[tuple[str, str], Located] = {}
 
     def findings(self) -> Iterator[Finding]:
         """Yield what is wrong with the photographs that there are; those still to be taken are passed over."""
@@ -158,16 +160,19 @@ class PhotographCheck:
                 continue
             path = shot_path(photograph.shot, one.table, one.folder)
             try:
-                _read_chart(path, chart, photograph, best.get("white"))
+                whole = _whole_chart(path, chart, photograph, best.get("white"))
+                if whole is not None:
+                    self.located[one.name, name] = whole.located
+                    read_chart(whole, chart_spectra(chart.spectra)[1], chart)
             except InputError as error:
                 yield Finding(True, str(error), path)
 
 
-def _read_chart(path, chart: Chart, photograph: _Bright, white: _Bright | None) -> None:
-    """Refuse a chart whose squares do not lie in its patches, or whose patches stand in another order."""
-    names, spectra = chart_spectra(chart.spectra)
+def _whole_chart(path, chart: Chart, photograph: _Bright, white: _Bright | None) -> ChartPhotograph | None:
+    """Return a chart whose patches were found, None where its spectra are too many or too few."""
+    names, _ = chart_spectra(chart.spectra)
     if len(names) != chart.rows * chart.columns:
-        return  # the definition's own fault, said by the calibration's own check
+        return None  # the definition's own fault, said by the calibration's own check
     response, valid = _rate(photograph)
     if white is not None and white.mosaic.size == photograph.mosaic.size:
         even, lit = _rate(white)
@@ -175,8 +180,7 @@ def _read_chart(path, chart: Chart, photograph: _Bright, white: _Bright | None) 
         response = np.where(valid[..., None], response / np.where(even > 0.0, even, 1.0), 0.0)
     located = locate_patches(response, valid, chart, path)
     light = illumination(response, valid, located, path, 2) if white is None else None
-    whole = ChartPhotograph(path, response, valid, 2, 1.0, ("out",), None, located, light)
-    read_chart(whole, spectra, chart)
+    return ChartPhotograph(path, response, valid, 2, 1.0, ("out",), None, located, light)
 
 
 def _rate(photograph: _Bright) -> tuple[np.ndarray, np.ndarray]:

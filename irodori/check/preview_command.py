@@ -41,7 +41,7 @@ def main(arguments: list[str] | None = None, prog: str = "irodori preview") -> i
     check = PhotographCheck(loaded, sheet.add)
     scenes = (finding for name in loaded.scenes for finding in of_scene(loaded, name))
     findings = list(chain(scenes, check.findings()))
-    sheet.write(output, findings)
+    sheet.write(output, findings, check.located)
     errors = sum(finding.is_error for finding in findings)
     warnings = len(findings) - errors
     print(f"{output}: {check.count} photographs looked at: {errors} errors, {warnings} warnings")

@@ -47,12 +47,16 @@ def _write(asked: argparse.Namespace) -> int:
         looked = f"no ColorChecker of 4 x 6 patches in {len(found)} photographs"
         raise InputError(place, "", looked, "one photograph or more of the whole chart, evenly lit")
     print(_told(recognised, timed))
-    ask = input if sys.stdin.isatty() and not asked.answers else None
+    ask = _typed if sys.stdin.isatty() and not asked.answers else None
     answers = _answers(recognised, given, asked.answers, ask)
     folder = place if place.is_dir() else place.parent
     name = project_name(asked.name or (place.name if place.is_dir() else place.stem))
     scaffold = Scaffold(name, asked.into, folder, recognised, answers)
     gaps = scaffold.write()
+    print("assumed, change what is wrong:")
+    for path, notes in scaffold.assumed().items():
+        for note in notes:
+            print(f"  {path}: {note}")
     print(f"{scaffold.configuration}: {len(gaps)} gaps")
     for gap in gaps[:_SHOWN_GAPS]:
         print(f"  {gap}: write in place of ?")
@@ -60,7 +64,8 @@ def _write(asked: argparse.Namespace) -> int:
         print(f"  and {len(gaps) - _SHOWN_GAPS} more")
     if not gaps:
         load_definitions(read_yaml(scaffold.configuration), Path(), scaffold.configuration)
-        print(f"next: snakemake --cores 2 --configfile={scaffold.configuration}")
+        target = "" if scaffold.has_object else " calibrate"
+        print(f"next: snakemake --cores 2 --configfile={scaffold.configuration}{target}")
     return 1 if gaps else 0
 
 
@@ -84,39 +89,56 @@ def _told(recognised: list[Recognised], timed: bool) -> str:
     return "\n".join(lines)
 
 
+def _typed(words: str) -> str:
+    """Return a line of the terminal, an empty one where it was closed."""
+    try:
+        return input(words)
+    except EOFError:
+        return ""
+
+
 def _answers(recognised: list[Recognised], given, source, ask: Callable[[str], str] | None) -> Answers:
     """Return what a person says, or the files."""
     first = recognised[0].photograph
     used: set[str] = set()
-
-    def put(key: str, words: str, read: Callable[[str], Any]) -> Any | None:
-        used.add(key)
-        return answer(Question(key, words, read), given, source, ask)
-
-    said = Answers(
-        camera_distance_mm=put("camera_distance_mm", "From the object's middle to the lens, mm", positive),
-        lamp=put("lamp", "Spectrum of the lamp: A (incandescent), D65, LED-B3 or another name, or a file", word),
-        reference_pose=put("reference_pose", "Light and camera angle at the chart, degrees", pose_of_references),
-    )
+    assumed: dict[str, str] = {}
     roles = {one.role for one in recognised}
+
+    def put(key: str, words: str, read: Callable[[str], Any], default: str = "") -> Any | None:
+        used.add(key)
+        value = answer(Question(key, words, read, default), given, source, ask)
+        if value is None and default:
+            assumed[key] = default
+            return read(default)
+        return value
+
+    angles = "Light and camera angle at the chart, degrees"
+    distance = "From the object's middle to the lens, mm"
+    said = Answers(
+        camera_distance_mm=put("camera_distance_mm", distance, positive, "" if "object" in roles else "1000"),
+        lamp=put("lamp", "Spectrum of the lamp: A (incandescent), D65, LED-B3 or another name, or a file", word),
+        reference_pose=put("reference_pose", angles, pose_of_references, "45 0"),
+        assumed=assumed,
+    )
     if roles & {"white", "object"}:
-        words = "Reflectance factor of the white reference, such as 0.99"
-        said.white_reflectance = put("white_reflectance", words, positive)
+        words = "Reflectance factor of the white reference"
+        said.white_reflectance = put("white_reflectance", words, positive, "0.99")
     if "object" in roles:
         focal_mm = _one_of(recognised, lambda p: p.look.focal_mm)
         said.focal_length_mm = _stated_or(put, focal_mm, "focal_length_mm", "Focal length of the lens, mm", given)
         pitch = _stated_or(put, first.pitch_um, "pixel_pitch_um", "Distance of the sensor's pixels, micrometres", given)
         said.pixel_pitch_um = pitch
-        said.shape = put("shape", "Shape: plate WIDTH HEIGHT, sphere RADIUS (mm), or mesh FILE", shape)
+        words = "Shape: plate WIDTH HEIGHT, plate SIDE, sphere RADIUS (mm), or mesh FILE"
+        said.shape = put("shape", words, shape)
         poses = 1 + max(one.pose for one in recognised)
-        for axis, what in (
-            ("light_deg", "Light angle"),
-            ("camera_deg", "Camera angle"),
-            ("tilt_deg", "Tilt of the table (0 for none)"),
-            ("turn_deg", "Turn of the table (0 for none)"),
+        for axis, what, default in (
+            ("light_deg", "Light angle", ""),
+            ("camera_deg", "Camera angle", ""),
+            ("tilt_deg", "Tilt of the table", "0"),
+            ("turn_deg", "Turn of the table", "0"),
         ):
             words = f"{what}, degrees: one number, or one for each of the {poses} poses"
-            said.angles[axis] = put(axis, words, numbers(poses))
+            said.angles[axis] = put(axis, words, numbers(poses), default)
     for key in given:
         if key not in used | {"focal_length_mm", "pixel_pitch_um"}:
             raise InputError(source, str(key), "an answer to no question", ", ".join(sorted(used)))

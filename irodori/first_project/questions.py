@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from irodori.config.capture_table import Pose
@@ -27,11 +27,14 @@ class Question:
         What is asked, and an example.
     read : callable from text to a value
         Raises ValueError with what is accepted.
+    assumed : str
+        The answer that stands where nobody gives one; empty for none.
     """
 
     key: str
     words: str
     read: Callable[[str], Any]
+    assumed: str = ""
 
 
 def numbers(count: int) -> Callable[[str], list[float]]:
@@ -83,12 +86,14 @@ def shape(text: str) -> dict[str, Any]:
     if kind in _FILES and rest.strip():
         return {"kind": kind, "file": rest.strip(), "unit": "mm"}
     sizes, keys = rest.replace(",", " ").split(), _SIZES.get(kind, ())
+    if kind == "plate" and len(sizes) == 1:
+        sizes *= 2
     try:
         if keys and len(sizes) == len(keys):
             return {"kind": kind, **{key: positive(size) for key, size in zip(keys, sizes, strict=True)}}
     except ValueError:
         pass
-    raise ValueError("plate WIDTH HEIGHT, sphere RADIUS (mm), or mesh FILE (in mm)")
+    raise ValueError("plate WIDTH HEIGHT, plate SIDE, sphere RADIUS (mm), or mesh FILE (in mm)")
 
 
 def answer(question: Question, given: Mapping[str, Any], source, ask: Callable[[str], str] | None) -> Any | None:
@@ -115,14 +120,15 @@ def answer(question: Question, given: Mapping[str, Any], source, ask: Callable[[
         except ValueError as error:
             raise InputError(source, question.key, repr(given[question.key]), str(error)) from None
     while ask is not None:
-        typed = ask(f"{question.words}\n  {question.key}: ")
+        without = f" (empty: {question.assumed})" if question.assumed else ""
+        typed = ask(f"{question.words}{without}\n  {question.key}: ")
         if not typed.strip():
             return None
         try:
             return question.read(typed)
         except ValueError as error:
             ask_again = f"  not understood; accepted: {error}"
-            question = Question(question.key, ask_again, question.read)
+            question = replace(question, words=ask_again)
     return None
 
 

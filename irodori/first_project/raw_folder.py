@@ -104,6 +104,11 @@ def photographs(place) -> tuple[list[Photograph], bool]:
         if one.look.size != first.look.size:
             told = "{} x {} pixels".format(*one.look.size) + ", and {} x {}".format(*first.look.size)
             raise InputError(one.path, "size", f"{told} in {first.path.name}", "photographs of one size in one folder")
+    return in_order(found)
+
+
+def in_order(found: list[Photograph]) -> tuple[list[Photograph], bool]:
+    """Return photographs as they were taken, by their names where one has no time, and whether the times told it."""
     timed = all(one.look.time for one in found)
     return sorted(found, key=lambda one: (one.look.time if timed else "", one.path.name)), timed
 

@@ -56,17 +56,29 @@ class Recognised:
 def recognise(photographs: list[Photograph]) -> list[Recognised]:
     """Return what each photograph shows, in their order."""
     spectra = chart_spectra(CHART)[1]
-    found = []
+    found: list[Recognised] = []
     for one in photographs:
         role = "dark" if _is_dark(one) else "white" if _is_white(one) else "object"
-        if role == "object" and _has_chart(one, spectra):
-            role = "chart"
+        if role == "object":
+            role = _seen_before(one, found) or ("chart" if _has_chart(one, spectra) else "object")
         found.append(Recognised(one, role, "out" if role == "dark" else ""))
     passed = None
     for role in ("white", "chart"):
         found, seen = _with_filters_of_one_view(found, role)
         passed = seen if passed is None else passed
     return _with_poses(found, passed)
+
+
+def _seen_before(one: Photograph, found: list[Recognised]) -> str:
+    """Return chart or object where an earlier photograph of the same view says which; to look for a chart takes long.
+
+    That a dimmer photograph showed no chart says nothing of a brighter one.
+    """
+    for other in found:
+        tells = other.role == "chart" or (other.role == "object" and other.photograph.look.level >= one.look.level)
+        if tells and _alike(other.photograph, one):
+            return other.role
+    return ""
 
 
 def _is_dark(one: Photograph) -> bool:

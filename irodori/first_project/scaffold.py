@@ -23,6 +23,7 @@ _LIMITS = {
 }
 _ANGLES = tuple(_LIMITS)
 _LAMP = {"spectrum": "D65", "azimuth_deg": -60.0, "elevation_deg": 45.0, "irradiance": 1.0}
+_GLASS = {"n": 1.5, "k": 0.0}
 _TEXELS = {"plate": (128, 128), "sphere": (256, 128), "mesh": (256, 256)}
 
 
@@ -41,6 +42,8 @@ class Answers:
         Of the object, as its definition has it.
     angles : dict of list of float
         By ``light_deg`` and so on, one for each pose of the object.
+    assumed : dict of str
+        What stands in place of answers that nobody gave, by question.
     """
 
     camera_distance_mm: float | None = None
@@ -51,6 +54,7 @@ class Answers:
     reference_pose: Pose | None = None
     shape: dict[str, Any] | None = None
     angles: dict[str, list[float] | None] = field(default_factory=dict)
+    assumed: dict[str, str] = field(default_factory=dict)
 
 
 def project_name(text: str) -> str:
@@ -99,8 +103,11 @@ class Scaffold:
         gaps = []
         for path, content in files.items():
             path.parent.mkdir(parents=True, exist_ok=True)
+            notes = [f"# {words}\n" for words in self.assumed().get(path, ())]
+            told = ["# Assumed by irodori init; change what is wrong:\n", *notes] if notes else []
+            body = yaml.safe_dump(content, sort_keys=False, allow_unicode=True)
             with written_whole(path) as temporary:
-                temporary.write_text(yaml.safe_dump(content, sort_keys=False, allow_unicode=True), encoding="utf-8")
+                temporary.write_text("".join(told) + body, encoding="utf-8")
             gaps += [f"{path}: {field}" for field in _gaps(content)]
         self.table.parent.mkdir(parents=True, exist_ok=True)
         rows = [self._row(one) for one in self.recognised]
@@ -115,8 +122,50 @@ class Scaffold:
             ]
         return gaps
 
+    def assumed(self) -> dict[Path, list[str]]:
+        """Return what neither the photographs nor a person said, by file: field, value and why, one a line."""
+        said = self.answers.assumed
+        rig, camera, subject, environment, scene = self._paths()
+        notes: dict[Path, list[str]] = {rig: ["limits: wide ones, for nothing moves this rig"], camera: []}
+        if "camera_distance_mm" in said:
+            notes[rig].append(f"camera_distance_mm: {said['camera_distance_mm']}, which a chart alone does not need")
+        notes[camera].append(f"chart.spectra: {CHART}, means of many ColorCheckers, for nobody measured this one")
+        if "reference_pose" in said:
+            notes[camera].append(
+                f"light and camera angle of chart and white in {self.table}: {said['reference_pose']} degrees"
+            )
+        if "white_reflectance" in said:
+            notes[camera].append(f"white.reflectance_factor: {said['white_reflectance']}, that of a new reference")
+        if self.has_object:
+            notes[camera].append("optics: the principal point in the picture's middle, and a lens without distortion")
+            notes[subject] = [
+                f"refractive_index: n {_GLASS['n']:g}, that of most varnishes and plastics",
+                "mirror_weight: 0, no mirror images of other things",
+                "texels: a number to begin with",
+                "place: the object's middle is where the axes of the rig meet",
+            ]
+            for axis in ("tilt_deg", "turn_deg"):
+                if axis in said:
+                    notes[subject].append(f"{axis} in {self.table}: {said[axis]}")
+            notes[environment] = ["source: one lamp of spectrum D65 to try the object in, not yours"]
+            notes[scene] = ["views, image: a view from the front, to begin with"]
+        return notes
+
+    def _paths(self) -> tuple[Path, Path, Path, Path, Path]:
+        """Return the files of rig, camera, object, environment and scene."""
+        camera = self.name + ("-camera" if self.has_object else "")
+        return (
+            self.into / "rigs" / f"{self.name}-rig.yaml",
+            self.into / "cameras" / f"{camera}.yaml",
+            self.into / "objects" / f"{self.name}.yaml",
+            self.into / "environments" / f"{self.name}-lamp.yaml",
+            self.into / "scenes" / f"{self.name}-scene.yaml",
+        )
+
     def _definitions(self) -> Iterator[tuple[Path, dict[str, Any]]]:
-        said, camera = self.answers, self.name + ("-camera" if self.has_object else "")
+        said = self.answers
+        rig_file, camera_file, object_file, environment_file, scene_file = self._paths()
+        camera = camera_file.stem
         captures = {"table": str(self.table), "folder": str(self.photographs)}
         first = self.recognised[0].photograph
         lens: dict[str, Any] = {}
@@ -137,21 +186,21 @@ class Scaffold:
             "camera_distance_mm": _known(said.camera_distance_mm),
             "light": {"spectrum": _known(said.lamp)},
         }
-        yield self.into / "rigs" / f"{self.name}-rig.yaml", rig
+        yield rig_file, rig
         chart = {"spectra": CHART, "rows": 4, "columns": 6, "find": "chart"}
         described = {"description": first.look.camera} if first.look.camera else {}
         eye = {**described, "rig": f"{self.name}-rig", **lens, "captures": captures, "chart": chart}
-        yield self.into / "cameras" / f"{camera}.yaml", eye
+        yield camera_file, eye
         make: dict[str, Any] = {"scenes": [], "cameras": [camera]}
         if self.has_object:
             kind = said.shape["kind"] if said.shape else "plate"
             texels = dict(zip(("width", "height"), _TEXELS[kind], strict=True))
-            subject = {"camera": camera, "shape": _known(said.shape), "texels": texels, "captures": captures}
-            yield self.into / "objects" / f"{self.name}.yaml", subject
+            shape = {"shape": _known(said.shape), "texels": texels, "refractive_index": _GLASS}
+            yield object_file, {"camera": camera, **shape, "captures": captures}
             lamp = {"image": {"width": 256, "height": 128}, "source": {"kind": "lights", "lights": [_LAMP]}}
-            yield self.into / "environments" / f"{self.name}-lamp.yaml", lamp
-            yield self.into / "scenes" / f"{self.name}-scene.yaml", self._scene()
-            make["scenes"] = [f"{self.name}-scene"]
+            yield environment_file, lamp
+            yield scene_file, self._scene()
+            make["scenes"] = [scene_file.stem]
         yield self.configuration, {"definitions": str(self.into), "make": make}
 
     def _scene(self) -> dict[str, Any]:
