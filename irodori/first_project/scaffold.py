@@ -224,7 +224,8 @@ class Scaffold:
         else:
             pose = self.answers.reference_pose
             angles = [GAP, GAP, 0.0, 0.0] if pose is None else [getattr(pose, axis) for axis in _ANGLES]
-        settings = [photograph.exposure_s, photograph.iso or "", photograph.f_number or ""]
+        # Decoders state times in single precision: 0.02 s shall not read 0.019999999552965164.
+        settings = [f"{photograph.exposure_s:.6g}", photograph.iso or "", photograph.f_number or ""]
         return [photograph.path.name, one.role, *angles, one.filter or GAP, *settings]
 
 
