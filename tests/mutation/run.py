@@ -97,7 +97,7 @@ LONG = (
 LONGEST_S = 2.0
 TOGETHER_S = 16.0  # of the tests that one mutant is put to
 EXAMPLES = 10  # of a property-based test, at most
-PATIENCE_S = 10.0
+PATIENCE_S = 4.0
 QUIET_S = 40.0
 HANGS_S = 1500.0
 
