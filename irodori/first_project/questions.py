@@ -86,8 +86,8 @@ def shape(text: str) -> dict[str, Any]:
     if kind in _FILES and rest.strip():
         return {"kind": kind, "file": rest.strip(), "unit": "mm"}
     sizes, keys = rest.replace(",", " ").split(), _SIZES.get(kind, ())
-    if kind == "plate" and len(sizes) == 1:
-        sizes *= 2
+    if len(sizes) == 1:
+        sizes *= len(keys)  # one number is every size of the shape: a square's
     try:
         if keys and len(sizes) == len(keys):
             return {"kind": kind, **{key: positive(size) for key, size in zip(keys, sizes, strict=True)}}
