@@ -31,9 +31,11 @@ class Subcommand(NamedTuple):
 
 
 SUBCOMMANDS = {
+    "init": Subcommand("irodori.first_project.init_command", "write a project's files from a folder of photographs"),
     "check": Subcommand(
         "irodori.check.check_command", "look at definitions, scenes and photographs before any long job"
     ),
+    "preview": Subcommand("irodori.check.preview_command", "show all photographs on one page, with what is wrong"),
     "status": Subcommand(_BENCH, "print the position of a rig's axes and the state of its controller"),
     "setup": Subcommand(_BENCH, "list, and change, settings of a controller that contradict its rig's file"),
     "home": Subcommand(_BENCH, "move every axis of a rig to its reference position"),

@@ -32,7 +32,7 @@ def main(arguments: list[str] | None = None, prog: str = "irodori check") -> int
     asked = parser.parse_args(arguments)
     os.chdir(asked.directory)
     try:
-        loaded = _load(asked.config)
+        loaded = load_project(asked.config)
     except InputError as error:
         print(Finding(True, str(error)))  # nothing else can be known
         return 1
@@ -45,7 +45,14 @@ def main(arguments: list[str] | None = None, prog: str = "irodori check") -> int
     return 1 if errors else 0
 
 
-def _load(files: list[str]) -> Loaded:
+def load_project(files: list[str]) -> Loaded:
+    """Load the default configuration, where there is one, with others on top of it, as Snakemake merges them.
+
+    Raises
+    ------
+    InputError
+        For the first fault.
+    """
     names = [*([_CONFIG] if Path(_CONFIG).is_file() else []), *(file for file in files if Path(file) != Path(_CONFIG))]
     config: dict = {}
     for name in names:

@@ -1,14 +1,14 @@
 """Check of all photographs that a configuration names: each is decoded once, and nothing is written."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from types import SimpleNamespace
 from typing import NamedTuple
 
 import numpy as np
 
-from irodori.calibration.chart import locate_patches
+from irodori.calibration.chart import Located, locate_patches
 from irodori.calibration.chart_reading import ChartPhotograph
 from irodori.calibration.charts import read_chart
 from irodori.calibration.illumination import illumination
@@ -31,10 +31,15 @@ _CLIPPED, _FEW = 0.98, 1e-3
 _SET_OF = {"cameras": "camera", "objects": "object", "environments": "environment"}
 
 
-class _Set(NamedTuple):
-    """A set of photographs: what it is called, its camera, and where its table and its files are."""
+class PhotographSet(NamedTuple):
+    """A set of photographs: what it is called, what it shows, its camera, and where its table and its files are.
+
+    ``kind`` is ``cameras``, ``objects``, ``environments`` or ``scenes``, ``subject`` the name of the definition.
+    """
 
     name: str
+    kind: str
+    subject: str
     camera: str
     table: Path
     folder: Path
@@ -65,20 +70,26 @@ class PhotographCheck:
     Parameters
     ----------
     loaded : Loaded
+    decoded : callable (PhotographSet, Shot, path, Mosaic), optional
+        Shown every photograph that could be decoded, when it is looked at.
     """
 
-    def __init__(self, loaded: Loaded) -> None:
-        self._loaded = loaded
+    def __init__(
+        self, loaded: Loaded, decoded: Callable[[PhotographSet, Shot, Path, Mosaic], None] | None = None
+    ) -> None:
+        self._loaded, self._decoded = loaded, decoded
         self._whites: dict[str, list] = {}
         #: How many were looked at so far.
         self.count = 0
+        #: Where the patches of the charts lie, by name of set and of chart.
+        self.located: dict[tuple[str, str], Located] = {}
 
     def findings(self) -> Iterator[Finding]:
         """Yield what is wrong with the photographs that there are; those still to be taken are passed over."""
         for one in self._sets():
             yield from self._of_set(one)
 
-    def _sets(self) -> Iterator[_Set]:
+    def _sets(self) -> Iterator[PhotographSet]:
         """Yield the sets that are there, cameras first: other sets are held against their white references."""
         sets = PhotographSets(self._loaded)
         for kind, key in _SET_OF.items():
@@ -88,7 +99,8 @@ class PhotographCheck:
                 asked = SimpleNamespace(**{key: name})
                 if is_file(sets.table(asked)):  # a session that is still to come has none
                     where = Path(sets.table(asked)), Path(sets.folder(asked)), tuple(sets.roles(asked))
-                    yield _Set(f"{key} {name}", sets.camera_of(asked), *where, sets.size_px(asked), sets.lens_mm(asked))
+                    stated = sets.size_px(asked), sets.lens_mm(asked)
+                    yield PhotographSet(f"{key} {name}", kind, name, sets.camera_of(asked), *where, *stated)
         for name, scene in self._loaded.scenes.items():
             for label, placed in scene.photographs.items():
                 optics = self._loaded.cameras[placed.camera].optics
@@ -97,9 +109,11 @@ class PhotographCheck:
                 table, folder = table_and_folder(placed.captures, Path())
                 lens = [optics.focal_length_mm, math.dist(placed.position_mm, placed.target_mm)]
                 size = [optics.width_px, optics.height_px]
-                yield _Set(f"{name}, {label}", placed.camera, table, folder, ("scene",), size, lens)
+                yield PhotographSet(
+                    f"{name}, {label}", "scenes", name, placed.camera, table, folder, ("scene",), size, lens
+                )
 
-    def _of_set(self, one: _Set) -> Iterator[Finding]:
+    def _of_set(self, one: PhotographSet) -> Iterator[Finding]:
         try:
             shots = [shot for shot in read_captures(one.table, one.folder) if shot.role in one.roles]
         except InputError as error:
@@ -115,10 +129,12 @@ class PhotographCheck:
             try:
                 check_unchanged(one.table, one.folder, [shot])
                 mosaic = decode(path)
+                if self._decoded is not None:
+                    self._decoded(one, shot, path, mosaic)
                 size.check(shot, path, mosaic)
                 settled[shot.file] = settle(shot, mosaic, one.table)
             except InputError as error:
-                yield Finding(True, str(error))
+                yield Finding(True, str(error), path)
                 continue
             seen.see(settled[shot.file], path, mosaic)
             if shot.role in ("chart", "white") and shot.filter == "out":
@@ -130,12 +146,12 @@ class PhotographCheck:
             yield Finding(True, str(error))
         for doubted in seen.doubted():
             text = f"{doubted.path}: {doubted.doubt.kind}: {doubted.doubt.words}"
-            yield Finding(doubted.doubt.is_certain, text)
+            yield Finding(doubted.doubt.is_certain, text, doubted.path)
         if "chart" in one.roles:
             self._whites[one.camera] = seen.whites
             yield from self._of_charts(one, best)
 
-    def _of_charts(self, one: _Set, best: Mapping[str, _Bright]) -> Iterator[Finding]:
+    def _of_charts(self, one: PhotographSet, best: Mapping[str, _Bright]) -> Iterator[Finding]:
         """Read the squares of every chart in the light of the white reference, as the calibration will."""
         camera = self._loaded.cameras[one.camera]
         for name, chart in {"": camera.chart, **camera.further_charts}.items():
@@ -144,16 +160,19 @@ class PhotographCheck:
                 continue
             path = shot_path(photograph.shot, one.table, one.folder)
             try:
-                _read_chart(path, chart, photograph, best.get("white"))
+                whole = _whole_chart(path, chart, photograph, best.get("white"))
+                if whole is not None:
+                    self.located[one.name, name] = whole.located
+                    read_chart(whole, chart_spectra(chart.spectra)[1], chart)
             except InputError as error:
-                yield Finding(True, str(error))
+                yield Finding(True, str(error), path)
 
 
-def _read_chart(path, chart: Chart, photograph: _Bright, white: _Bright | None) -> None:
-    """Refuse a chart whose squares do not lie in its patches, or whose patches stand in another order."""
-    names, spectra = chart_spectra(chart.spectra)
+def _whole_chart(path, chart: Chart, photograph: _Bright, white: _Bright | None) -> ChartPhotograph | None:
+    """Return a chart whose patches were found, None where its spectra are too many or too few."""
+    names, _ = chart_spectra(chart.spectra)
     if len(names) != chart.rows * chart.columns:
-        return  # the definition's own fault, said by the calibration's own check
+        return None  # the definition's own fault, said by the calibration's own check
     response, valid = _rate(photograph)
     if white is not None and white.mosaic.size == photograph.mosaic.size:
         even, lit = _rate(white)
@@ -161,8 +180,7 @@ def _read_chart(path, chart: Chart, photograph: _Bright, white: _Bright | None) 
         response = np.where(valid[..., None], response / np.where(even > 0.0, even, 1.0), 0.0)
     located = locate_patches(response, valid, chart, path)
     light = illumination(response, valid, located, path, 2) if white is None else None
-    whole = ChartPhotograph(path, response, valid, 2, 1.0, ("out",), None, located, light)
-    read_chart(whole, spectra, chart)
+    return ChartPhotograph(path, response, valid, 2, 1.0, ("out",), None, located, light)
 
 
 def _rate(photograph: _Bright) -> tuple[np.ndarray, np.ndarray]:

@@ -46,9 +46,9 @@ class Preview:
         return "\n".join(f"{name} |{''.join(_BARS[s] for s in row)}|" for name, row in zip("RGB", steps, strict=True))
 
 
-def preview_of(mosaic: Mosaic) -> Preview:
-    """Return a decoded photograph made small."""
-    side = max(1, -(-(mosaic.size[0] // 2) // _WIDTH_PX))
+def preview_of(mosaic: Mosaic, width_px: int = _WIDTH_PX) -> Preview:
+    """Return a decoded photograph made small, at most so many samples wide."""
+    side = max(1, -(-(mosaic.size[0] // 2) // width_px))
     rows, columns = mosaic.size[1] // 2 // side, mosaic.size[0] // 2 // side
     picture, places = np.zeros((rows, columns, 3), dtype=np.float32), np.zeros(3, dtype=np.float32)
     blown, lit = np.zeros((rows, columns), dtype=bool), np.zeros((rows, columns), dtype=bool)

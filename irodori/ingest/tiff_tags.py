@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-SHORT, LONG = 3, 4
+SHORT, LONG, RATIONAL = 3, 4, 5
 _ASCII, _IFD = 2, 13
 _SUB_DIRECTORIES, _EXIF = 330, 34665
 _ENTRY_BYTES, _LONGEST_TEXT = 12, 256
@@ -20,7 +20,10 @@ _MOST_DIRECTORIES = 64
 
 @dataclass(frozen=True)
 class Tag:
-    """One entry of a directory: its number, TIFF's code of its kind, and its values (numbers, or one text)."""
+    """One entry of a directory: its number, TIFF's code of its kind, and its values (numbers, or one text).
+
+    A rational number is two values, numerator and denominator.
+    """
 
     number: int
     kind: int
@@ -35,7 +38,7 @@ def read_tags(path, wanted: tuple[int, ...]) -> list[Tag]:
     path : path
         Any file; one that is no TIFF has no tags, and what a damaged one says beyond its end is left out.
     wanted : tuple of int
-        Numbers of tags that hold a few short or long integers, or a text.
+        Numbers of tags that hold a few integers or rational numbers, or a text.
     """
     if Path(path).stat().st_size == 0:
         return []
@@ -66,14 +69,14 @@ def _tags(content, order: str, wanted: tuple[int, ...]) -> Iterator[Tag]:
 
 def _tag(content, order: str, at: int, tag: int) -> Iterator[Tag]:
     kind, number = struct.unpack_from(order + "HI", content, at + 2)
-    size = {_ASCII: 1, SHORT: 2, LONG: 4}.get(kind, 0) * number
+    size = {_ASCII: 1, SHORT: 2, LONG: 4, RATIONAL: 8}.get(kind, 0) * number
     if not 0 < size <= _LONGEST_TEXT:
         return
     value = at + 8 if size <= 4 else sum(_numbers(content, order, at + 8, LONG, 1))
     if kind == _ASCII:
         text = bytes(content[value : value + number]).partition(b"\0")[0].decode("ascii", errors="replace").strip()
         yield Tag(tag, kind, (text,))
-    elif values := _numbers(content, order, value, kind, number):
+    elif values := _numbers(content, order, value, kind, 2 * number if kind == RATIONAL else number):
         yield Tag(tag, kind, tuple(values))
 
 

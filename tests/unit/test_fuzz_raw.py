@@ -89,10 +89,11 @@ def test_directories_that_point_at_each_other_end(tmp_path):
         (2, b"Maker A\0", ("Maker A",)), (2, b"Mak\0", ("Mak",)), (2, b"M", ("M",)),
         (2, b"x" * 255 + b"\0", ("x" * 255,)),
         (2, b"x" * 256 + b"\0", None),  # no camera's name
-        (5, bytes(8), None),  # a fraction
+        (5, bytes(8), (0, 0)),  # a fraction: numerator and denominator
+        (12, bytes(8), None),  # a floating-point number
     ],
 )  # fmt: skip
-def test_a_tag_is_a_text_that_a_camera_writes_or_whole_numbers(tmp_path, order, kind, content, read):
+def test_a_tag_is_a_text_that_a_camera_writes_or_whole_numbers_or_a_fraction(tmp_path, order, kind, content, read):
     number = len(content) if kind == 2 else 1
     value = content.ljust(4, b"\0") if len(content) <= 4 else struct.pack(order + "I", 26)
     entry = struct.pack(order + "HHI", 271, kind, number) + value

@@ -1,0 +1,52 @@
+"""The subcommand ``preview``: one page that shows every photograph of a project before any long job."""
+
+import argparse
+import os
+import sys
+from itertools import chain
+from pathlib import Path
+
+from irodori.check.check_command import load_project
+from irodori.check.contact_sheet import ContactSheet
+from irodori.check.findings import Finding
+from irodori.check.photographs import PhotographCheck
+from irodori.check.scenes import of_scene
+from irodori.core.errors import InputError
+
+
+def main(arguments: list[str] | None = None, prog: str = "irodori preview") -> int:
+    """Write every photograph of a project small on one HTML page, and what is wrong with it beside it.
+
+    Over each lie the outline of the object in the pose of its table, the patches of a chart, what is blown (red) and
+    what is dark (blue). Photographs that are still to be taken are passed over. The exit status is 1 where there is an
+    error.
+    """
+    parser = argparse.ArgumentParser(prog=prog, description=main.__doc__)
+    parser.add_argument("--directory", default=".", help="where the paths of definitions start, as that of snakemake")
+    parser.add_argument(
+        "--configfile", nargs="+", default=[], help="configurations on top of config/config.yaml, as snakemake has them"
+    )
+    parser.add_argument("-o", "--output", default="contact_sheet.html", help="page to write (contact_sheet.html)")
+    asked = parser.parse_args(arguments)
+    output = Path(asked.output).absolute()
+    os.chdir(asked.directory)
+    try:
+        if not output.parent.is_dir():
+            raise InputError(output, "", "a folder that is not there", "a page in a folder that exists")
+        loaded = load_project(asked.configfile)
+    except InputError as error:
+        print(Finding(True, str(error)))
+        return 1
+    sheet = ContactSheet(loaded)
+    check = PhotographCheck(loaded, sheet.add)
+    scenes = (finding for name in loaded.scenes for finding in of_scene(loaded, name))
+    findings = list(chain(scenes, check.findings()))
+    sheet.write(output, findings, check.located)
+    errors = sum(finding.is_error for finding in findings)
+    warnings = len(findings) - errors
+    print(f"{output}: {check.count} photographs looked at: {errors} errors, {warnings} warnings")
+    return 1 if errors else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

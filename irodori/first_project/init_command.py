@@ -1,0 +1,160 @@
+"""The subcommand ``init``: a project from a folder of photographs."""
+
+import argparse
+import sys
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from irodori.config.definitions import load_definitions
+from irodori.core.errors import InputError
+from irodori.core.yaml_files import read_yaml
+from irodori.first_project.questions import Question, answer, numbers, pose_of_references, positive, shape, word
+from irodori.first_project.raw_folder import Photograph, photographs
+from irodori.first_project.recognition import Recognised, recognise
+from irodori.first_project.scaffold import Answers, Scaffold, project_name
+
+_SHOWN_GAPS = 20
+
+
+def main(arguments: list[str] | None = None, prog: str = "irodori init") -> int:
+    """Write camera, rig, object, scene and the table of photographs of a folder of RAW files, or of one chart's.
+
+    What the files and the pictures do not tell is asked on the terminal, or read from a file of answers; an empty
+    answer leaves a gap, marked ?, which irodori check names. Nothing that exists is overwritten. The exit status is 1
+    where gaps are left, 2 where nothing was written.
+    """
+    parser = argparse.ArgumentParser(prog=prog, description=main.__doc__)
+    parser.add_argument("photographs", help="folder of the RAW files, or one photograph of a colour chart")
+    parser.add_argument("--into", default="config", help="folder of definitions to write into (config)")
+    parser.add_argument("--name", help="name of the object; that of the folder where absent")
+    parser.add_argument("--answers", help="YAML file of answers by the names that the questions have")
+    asked = parser.parse_args(arguments)
+    try:
+        return _write(asked)
+    except InputError as error:
+        print(error, file=sys.stderr)
+        return 2
+
+
+def _write(asked: argparse.Namespace) -> int:
+    given = read_yaml(asked.answers) if asked.answers else {}
+    place = Path(asked.photographs)
+    found, timed = photographs(place)
+    recognised = recognise(found)
+    if not any(one.role == "chart" for one in recognised):
+        looked = f"no ColorChecker of 4 x 6 patches in {len(found)} photographs"
+        raise InputError(place, "", looked, "one photograph or more of the whole chart, evenly lit")
+    print(_told(recognised, timed))
+    ask = _typed if sys.stdin.isatty() and not asked.answers else None
+    answers = _answers(recognised, given, asked.answers, ask)
+    folder = place if place.is_dir() else place.parent
+    name = project_name(asked.name or (place.name if place.is_dir() else place.stem))
+    scaffold = Scaffold(name, asked.into, folder, recognised, answers)
+    gaps = scaffold.write()
+    print("assumed, change what is wrong:")
+    for path, notes in scaffold.assumed().items():
+        for note in notes:
+            print(f"  {path}: {note}")
+    print(f"{scaffold.configuration}: {len(gaps)} gaps")
+    for gap in gaps[:_SHOWN_GAPS]:
+        print(f"  {gap}: write in place of ?")
+    if len(gaps) > _SHOWN_GAPS:
+        print(f"  and {len(gaps) - _SHOWN_GAPS} more")
+    if not gaps:
+        load_definitions(read_yaml(scaffold.configuration), Path(), scaffold.configuration)
+        target = "" if scaffold.has_object else " calibrate"
+        print(f"next: snakemake --cores 2 --configfile={scaffold.configuration}{target}")
+    return 1 if gaps else 0
+
+
+def _told(recognised: list[Recognised], timed: bool) -> str:
+    """Return what was recognised, in words."""
+    count = Counter((one.role, one.filter) for one in recognised)
+    poses = 1 + max(one.pose for one in recognised)
+    parts = [f"{number} {role}, filter {state or 'not told'}" for (role, state), number in sorted(count.items())]
+    order = "the camera's clock" if timed else "their names, for not every file states its time"
+    sure = {
+        "chart": "chart: found and proved by its spectra",
+        "white": "white: one even grey surface fills the frame",
+        "dark": "dark: not lit at all",
+        "object": f"object: all others, {poses} poses, told by likeness of photographs that follow each other",
+    }
+    known = [words for role, words in sure.items() if any(one.role == role for one in recognised)]
+    open_ones = [one.photograph.path.name for one in recognised if not one.filter]
+    lines = [f"{len(recognised)} photographs by {order}", *parts, *known]
+    if open_ones:
+        lines.append(f"filter not told, is a photograph missing or out of order?: {', '.join(open_ones[:5])}")
+    return "\n".join(lines)
+
+
+def _typed(words: str) -> str:
+    """Return a line of the terminal, an empty one where it was closed."""
+    try:
+        return input(words)
+    except EOFError:
+        return ""
+
+
+def _answers(recognised: list[Recognised], given, source, ask: Callable[[str], str] | None) -> Answers:
+    """Return what a person says, or the files."""
+    first = recognised[0].photograph
+    used: set[str] = set()
+    assumed: dict[str, str] = {}
+    roles = {one.role for one in recognised}
+
+    def put(key: str, words: str, read: Callable[[str], Any], default: str = "") -> Any | None:
+        used.add(key)
+        value = answer(Question(key, words, read, default), given, source, ask)
+        if value is None and default:
+            assumed[key] = default
+            return read(default)
+        return value
+
+    angles = "Light and camera angle at the chart, degrees"
+    distance = "From the object's middle to the lens, mm"
+    said = Answers(
+        camera_distance_mm=put("camera_distance_mm", distance, positive, "" if "object" in roles else "1000"),
+        lamp=put("lamp", "Spectrum of the lamp: A (incandescent), D65, LED-B3 or another name, or a file", word),
+        reference_pose=put("reference_pose", angles, pose_of_references, "45 0"),
+        assumed=assumed,
+    )
+    if roles & {"white", "object"}:
+        words = "Reflectance factor of the white reference"
+        said.white_reflectance = put("white_reflectance", words, positive, "0.99")
+    if "object" in roles:
+        focal_mm = _one_of(recognised, lambda p: p.look.focal_mm)
+        said.focal_length_mm = _stated_or(put, focal_mm, "focal_length_mm", "Focal length of the lens, mm", given)
+        pitch = _stated_or(put, first.pitch_um, "pixel_pitch_um", "Distance of the sensor's pixels, micrometres", given)
+        said.pixel_pitch_um = pitch
+        words = "Shape: plate WIDTH HEIGHT, plate SIDE, sphere RADIUS (mm), or mesh FILE"
+        said.shape = put("shape", words, shape)
+        poses = 1 + max(one.pose for one in recognised)
+        for axis, what, default in (
+            ("light_deg", "Light angle", ""),
+            ("camera_deg", "Camera angle", ""),
+            ("tilt_deg", "Tilt of the table", "0"),
+            ("turn_deg", "Turn of the table", "0"),
+        ):
+            words = f"{what}, degrees: one number, or one for each of the {poses} poses"
+            said.angles[axis] = put(axis, words, numbers(poses), default)
+    for key in given:
+        if key not in used | {"focal_length_mm", "pixel_pitch_um"}:
+            raise InputError(source, str(key), "an answer to no question", ", ".join(sorted(used)))
+    return said
+
+
+def _stated_or(put, stated: float, key: str, words: str, given) -> float | None:
+    """Return what the files state, unless a written answer says otherwise; ask where they are silent."""
+    return put(key, words, positive) if not stated or key in given else stated
+
+
+def _one_of(recognised: list[Recognised], value: Callable[[Photograph], float]) -> float:
+    """Return what all photographs state alike, 0 where they differ or are silent."""
+    found = {value(one.photograph) for one in recognised if one.role != "dark"}
+    return found.pop() if len(found) == 1 else 0.0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,136 @@
+"""Questions to a person about what photographs cannot tell: distances, lamp, the object, and the poses."""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+from irodori.config.capture_table import Pose
+from irodori.core.errors import InputError
+
+#: What stands in a definition or a table where a person has to write something.
+GAP = "?"
+#: Shapes that are asked for, with the keys of their sizes, and those that a file holds.
+_SIZES = {"plate": ("width_mm", "height_mm"), "sphere": ("radius_mm",)}
+_FILES = ("mesh",)
+
+
+@dataclass(frozen=True)
+class Question:
+    """One question.
+
+    Parameters
+    ----------
+    key : str
+        Its name in a file of answers.
+    words : str
+        What is asked, and an example.
+    read : callable from text to a value
+        Raises ValueError with what is accepted.
+    assumed : str
+        The answer that stands where nobody gives one; empty for none.
+    """
+
+    key: str
+    words: str
+    read: Callable[[str], Any]
+    assumed: str = ""
+
+
+def numbers(count: int) -> Callable[[str], list[float]]:
+    """Return a reader of one number for all of so many, or of one for each."""
+
+    def read(text: str) -> list[float]:
+        try:
+            found = [float(word) for word in text.replace(",", " ").split()]
+        except ValueError:
+            found = []
+        if len(found) not in (1, count) or not all(map(math.isfinite, found)):
+            raise ValueError(f"one number, or {count} in the order of the photographs" if count > 1 else "one number")
+        return found * count if len(found) == 1 else found
+
+    return read
+
+
+def positive(text: str) -> float:
+    """Read a number above 0."""
+    value = numbers(1)(text)[0]
+    if value <= 0.0:
+        raise ValueError("a number above 0")
+    return value
+
+
+def word(text: str) -> str:
+    """Read a name or a path."""
+    if not text.strip():
+        raise ValueError("a name")
+    return text.strip()
+
+
+def pose_of_references(text: str) -> Pose:
+    """Read light and camera angle of the chart and the white reference."""
+    light, camera = _two(text)
+    return Pose(light, camera)
+
+
+def _two(text: str) -> list[float]:
+    parts = text.replace(",", " ").split()
+    if len(parts) != 2:
+        raise ValueError("two angles, of the light and of the camera, such as 45 0")
+    return [numbers(1)(part)[0] for part in parts]
+
+
+def shape(text: str) -> dict[str, Any]:
+    """Read the shape of an object as its definition has it."""
+    kind, _, rest = text.strip().partition(" ")
+    if kind in _FILES and rest.strip():
+        return {"kind": kind, "file": rest.strip(), "unit": "mm"}
+    sizes, keys = rest.replace(",", " ").split(), _SIZES.get(kind, ())
+    if len(sizes) == 1:
+        sizes *= len(keys)  # one number is every size of the shape: a square's
+    try:
+        if keys and len(sizes) == len(keys):
+            return {"kind": kind, **{key: positive(size) for key, size in zip(keys, sizes, strict=True)}}
+    except ValueError:
+        pass
+    raise ValueError("plate WIDTH HEIGHT, plate SIDE, sphere RADIUS (mm), or mesh FILE (in mm)")
+
+
+def answer(question: Question, given: Mapping[str, Any], source, ask: Callable[[str], str] | None) -> Any | None:
+    """Return the answer to a question; None where nobody gives one.
+
+    Parameters
+    ----------
+    question : Question
+    given : mapping
+        Answers written beforehand, by key.
+    source : path
+        Where they stand, for error messages.
+    ask : callable, optional
+        Shows words and returns the line that was typed, empty for no answer.
+
+    Raises
+    ------
+    InputError
+        If a written answer is not accepted. A typed one is asked again.
+    """
+    if question.key in given:
+        try:
+            return question.read(_text(given[question.key]))
+        except ValueError as error:
+            raise InputError(source, question.key, repr(given[question.key]), str(error)) from None
+    while ask is not None:
+        without = f" (empty: {question.assumed})" if question.assumed else ""
+        typed = ask(f"{question.words}{without}\n  {question.key}: ")
+        if not typed.strip():
+            return None
+        try:
+            return question.read(typed)
+        except ValueError as error:
+            ask_again = f"  not understood; accepted: {error}"
+            question = replace(question, words=ask_again)
+    return None
+
+
+def _text(value: Any) -> str:
+    return " ".join(map(str, value)) if isinstance(value, list) else str(value)

@@ -1,0 +1,135 @@
+"""A folder of RAW files, looked at in the order in which they were taken."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from irodori.core.errors import InputError
+from irodori.core.file_kinds import kind_instead_of_raw
+from irodori.core.progress import track
+from irodori.ingest.mosaic import Mosaic, decode
+from irodori.ingest.plausibility import Look, look_at
+from irodori.ingest.tiff_tags import RATIONAL, read_tags
+
+_ACCEPTED = "RAW files of one camera, such as DNG, CR2, NEF or ARW"
+#: What stands beside photographs and is none.
+_BESIDE = (".csv", ".txt", ".xmp", ".yaml", ".yml", ".md", ".pp3", ".json", ".html")
+_PLANE_RESOLUTION, _PLANE_UNIT, _EXIF_WIDTH = 41486, 41488, 40962
+_UNIT_MM = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
+#: The widths of a file's own picture and of its mosaic differ by the sensor's margins.
+_MARGIN = 0.05
+
+
+@dataclass(frozen=True)
+class Photograph:
+    """A RAW file and what it shows.
+
+    Parameters
+    ----------
+    path : path
+    look : Look
+    exposure_s, iso, f_number : float
+        As the file states them; 0 where it does not.
+    pitch_um : float
+        Distance of mosaic pixels as the file states it, micrometres; 0 where it does not.
+    """
+
+    path: Path
+    look: Look
+    exposure_s: float
+    iso: float
+    f_number: float
+    pitch_um: float = 0.0
+
+    @property
+    def rate(self) -> np.ndarray:
+        """Red, green and blue of the small picture for equal exposures, (rows, columns, 3)."""
+        aperture = self.f_number**2 if self.f_number else 1.0
+        return self.look.picture * (aperture / (self.exposure_s * (self.iso / 100.0 if self.iso else 1.0)))
+
+
+def raw_files(place) -> list[Path]:
+    """Return the files of a folder that may be RAW, or the one file itself.
+
+    Raises
+    ------
+    InputError
+        If there is no such folder, or no RAW file in it.
+    """
+    place = Path(place)
+    if place.is_file():
+        found = [place]
+    elif place.is_dir():
+        found = sorted(
+            file
+            for file in place.iterdir()
+            if file.is_file() and not file.name.startswith(".") and file.suffix.lower() not in _BESIDE
+        )
+    else:
+        raise InputError(place, "", "no such folder", f"a folder of {_ACCEPTED}, or one such file")
+    kinds = {file: kind_instead_of_raw(file) for file in found}
+    others = [file for file in found if kinds[file]]
+    # Cameras write a JPEG beside each RAW file: that is passed over.
+    raw = [file for file in found if not kinds[file]]
+    if not raw and others:
+        raise InputError(place, "", f"no RAW file; {others[0].name} is {kinds[others[0]]}", _ACCEPTED)
+    if not raw:
+        raise InputError(place, "", "an empty folder", _ACCEPTED)
+    return raw
+
+
+def photographs(place) -> tuple[list[Photograph], bool]:
+    """Look at all RAW files of a folder, or at one file.
+
+    Returns
+    -------
+    list of Photograph
+        In the order of the cameras' clock, of the file names where a file does not state its time.
+    bool
+        Whether the files' own times gave the order.
+
+    Raises
+    ------
+    InputError
+        If there is none, one cannot be decoded or has no exposure time, or they are of several cameras or sizes.
+    """
+    found = list(_looked_at(raw_files(place)))
+    first = found[0]
+    for one in found[1:]:
+        if one.look.camera != first.look.camera:
+            told = f"{one.look.camera or 'no camera'!r}, and {first.look.camera or 'no camera'!r} in {first.path.name}"
+            raise InputError(one.path, "body", told, "the photographs of one camera in one folder")
+        if one.look.size != first.look.size:
+            told = "{} x {} pixels".format(*one.look.size) + ", and {} x {}".format(*first.look.size)
+            raise InputError(one.path, "size", f"{told} in {first.path.name}", "photographs of one size in one folder")
+    return in_order(found)
+
+
+def in_order(found: list[Photograph]) -> tuple[list[Photograph], bool]:
+    """Return photographs as they were taken, by their names where one has no time, and whether the times told it."""
+    timed = all(one.look.time for one in found)
+    return sorted(found, key=lambda one: (one.look.time if timed else "", one.path.name)), timed
+
+
+def _looked_at(files: list[Path]) -> Iterator[Photograph]:
+    for path in track(files, "look"):
+        mosaic = decode(path)
+        if not mosaic.exposure_s:
+            raise InputError(path, "exposure time", "none", "a RAW file that states its exposure time")
+        look = look_at(path, mosaic, thumbnail=True)
+        yield Photograph(path, look, mosaic.exposure_s, mosaic.iso, mosaic.f_number, _pitch_um(path, mosaic))
+
+
+def _pitch_um(path: Path, mosaic: Mosaic) -> float:
+    """Return the distance of pixels by the resolution of the focal plane; 0 where that is of another picture."""
+    tags = {tag.number: tag for tag in read_tags(path, (_PLANE_RESOLUTION, _PLANE_UNIT, _EXIF_WIDTH))}
+    resolution, unit, width = (tags.get(number) for number in (_PLANE_RESOLUTION, _PLANE_UNIT, _EXIF_WIDTH))
+    if resolution is None or resolution.kind != RATIONAL or unit is None or width is None:
+        return 0.0
+    above, below = (int(value) for value in resolution.values[:2])
+    unit_mm = _UNIT_MM.get(int(unit.values[0]))
+    if not above or not below or unit_mm is None or abs(int(width.values[0]) / mosaic.size[0] - 1.0) > _MARGIN:
+        return 0.0
+    return round(1000.0 * unit_mm * below / above, 3)

@@ -1,0 +1,242 @@
+"""Definitions and the capture table of a first project, with what nobody knows yet left as marked gaps."""
+
+import csv
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from irodori.config.capture_table import COLUMNS, Pose
+from irodori.core.atomic_files import written_whole
+from irodori.core.errors import InputError
+from irodori.first_project.questions import GAP
+from irodori.first_project.recognition import CHART, Recognised
+
+_LIMITS = {
+    "light_deg": {"min": 0.0, "max": 125.0, "step": 0.1},
+    "camera_deg": {"min": 0.0, "max": 140.0, "step": 0.1},
+    "tilt_deg": {"min": 0.0, "max": 45.0, "step": 0.1},
+    "turn_deg": {"min": 0.0, "max": 360.0, "step": 0.1},
+}
+_ANGLES = tuple(_LIMITS)
+_LAMP = {"spectrum": "D65", "azimuth_deg": -60.0, "elevation_deg": 45.0, "irradiance": 1.0}
+_GLASS = {"n": 1.5, "k": 0.0}
+_TEXELS = {"plate": (128, 128), "sphere": (256, 128), "mesh": (256, 256)}
+
+
+@dataclass
+class Answers:
+    """What a person said; None is a gap.
+
+    Parameters
+    ----------
+    camera_distance_mm, focal_length_mm, pixel_pitch_um, white_reflectance : float
+    lamp : str
+        Name or file of the lamp's spectrum.
+    reference_pose : Pose
+        Of the chart and of the white reference.
+    shape : dict
+        Of the object, as its definition has it.
+    angles : dict of list of float
+        By ``light_deg`` and so on, one for each pose of the object.
+    assumed : dict of str
+        What stands in place of answers that nobody gave, by question.
+    """
+
+    camera_distance_mm: float | None = None
+    focal_length_mm: float | None = None
+    pixel_pitch_um: float | None = None
+    white_reflectance: float | None = None
+    lamp: str | None = None
+    reference_pose: Pose | None = None
+    shape: dict[str, Any] | None = None
+    angles: dict[str, list[float] | None] = field(default_factory=dict)
+    assumed: dict[str, str] = field(default_factory=dict)
+
+
+def project_name(text: str) -> str:
+    """Return a name of small letters, digits and hyphens made of a folder's or a file's."""
+    return re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-") or "first"
+
+
+class Scaffold:
+    """Files of a first project.
+
+    Parameters
+    ----------
+    name : str
+        Of the object, or of the camera where no object was photographed.
+    into : path
+        Folder of definitions.
+    photographs : path
+        Folder of the RAW files.
+    recognised : list of Recognised
+    answers : Answers
+    """
+
+    def __init__(self, name: str, into, photographs, recognised: list[Recognised], answers: Answers) -> None:
+        self.name, self.into, self.photographs = name, Path(into), Path(photographs)
+        self.recognised, self.answers = recognised, answers
+        self.has_object = any(one.role == "object" for one in recognised)
+        self.table = self.into / "captures" / f"{name}.csv"
+
+    @property
+    def configuration(self) -> Path:
+        """The file that says what to make."""
+        return self.into / f"{self.name}.yaml"
+
+    def write(self) -> list[str]:
+        """Write all files and return the gaps: file and field, one a line.
+
+        Raises
+        ------
+        InputError
+            If one of the files is there already; then nothing is written.
+        """
+        files = dict(self._definitions())
+        for path in (*files, self.table):
+            if path.exists():
+                raise InputError(path, "", "a file that is there already", "another --name, or an --into without it")
+        gaps = []
+        for path, content in files.items():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            notes = [f"# {words}\n" for words in self.assumed().get(path, ())]
+            told = ["# Assumed by irodori init; change what is wrong:\n", *notes] if notes else []
+            body = yaml.safe_dump(content, sort_keys=False, allow_unicode=True)
+            with written_whole(path) as temporary:
+                temporary.write_text("".join(told) + body, encoding="utf-8")
+            gaps += [f"{path}: {field}" for field in _gaps(content)]
+        self.table.parent.mkdir(parents=True, exist_ok=True)
+        rows = [self._row(one) for one in self.recognised]
+        columns = (*COLUMNS, "iso", "f_number")
+        with written_whole(self.table) as temporary, open(temporary, "w", encoding="utf-8", newline="") as out:
+            writer = csv.writer(out, lineterminator="\n")
+            writer.writerow(columns)
+            writer.writerows(rows)
+        for line, row in enumerate(rows, 2):
+            gaps += [
+                f"{self.table}: line {line}, {name}" for name, cell in zip(columns, row, strict=True) if cell == GAP
+            ]
+        return gaps
+
+    def assumed(self) -> dict[Path, list[str]]:
+        """Return what neither the photographs nor a person said, by file: field, value and why, one a line."""
+        said = self.answers.assumed
+        rig, camera, subject, environment, scene = self._paths()
+        notes: dict[Path, list[str]] = {rig: ["limits: wide ones, for nothing moves this rig"], camera: []}
+        if "camera_distance_mm" in said:
+            notes[rig].append(f"camera_distance_mm: {said['camera_distance_mm']}, which a chart alone does not need")
+        notes[camera].append(f"chart.spectra: {CHART}, means of many ColorCheckers, for nobody measured this one")
+        if "reference_pose" in said:
+            notes[camera].append(
+                f"light and camera angle of chart and white in {self.table}: {said['reference_pose']} degrees"
+            )
+        if "white_reflectance" in said:
+            notes[camera].append(f"white.reflectance_factor: {said['white_reflectance']}, that of a new reference")
+        if self.has_object:
+            notes[camera].append("optics: the principal point in the picture's middle, and a lens without distortion")
+            notes[subject] = [
+                f"refractive_index: n {_GLASS['n']:g}, that of most varnishes and plastics",
+                "mirror_weight: 0, no mirror images of other things",
+                "texels: a number to begin with",
+                "place: the object's middle is where the axes of the rig meet",
+            ]
+            for axis in ("tilt_deg", "turn_deg"):
+                if axis in said:
+                    notes[subject].append(f"{axis} in {self.table}: {said[axis]}")
+            notes[environment] = ["source: one lamp of spectrum D65 to try the object in, not yours"]
+            notes[scene] = ["views, image: a view from the front, to begin with"]
+        return notes
+
+    def _paths(self) -> tuple[Path, Path, Path, Path, Path]:
+        """Return the files of rig, camera, object, environment and scene."""
+        camera = self.name + ("-camera" if self.has_object else "")
+        return (
+            self.into / "rigs" / f"{self.name}-rig.yaml",
+            self.into / "cameras" / f"{camera}.yaml",
+            self.into / "objects" / f"{self.name}.yaml",
+            self.into / "environments" / f"{self.name}-lamp.yaml",
+            self.into / "scenes" / f"{self.name}-scene.yaml",
+        )
+
+    def _definitions(self) -> Iterator[tuple[Path, dict[str, Any]]]:
+        said = self.answers
+        rig_file, camera_file, object_file, environment_file, scene_file = self._paths()
+        camera = camera_file.stem
+        captures = {"table": str(self.table), "folder": str(self.photographs)}
+        first = self.recognised[0].photograph
+        lens: dict[str, Any] = {}
+        if self.has_object:
+            width, height = first.look.size
+            lens["optics"] = {
+                "focal_length_mm": _known(said.focal_length_mm),
+                "pixel_pitch_um": _known(said.pixel_pitch_um),
+                "width_px": width,
+                "height_px": height,
+                "principal_point_px": [width / 2.0, height / 2.0],
+            }
+        if self.has_object or any(one.role == "white" for one in self.recognised):
+            lens["white"] = {"reflectance_factor": _known(said.white_reflectance)}
+        rig = {
+            "kind": "files",
+            "limits": _LIMITS,
+            "camera_distance_mm": _known(said.camera_distance_mm),
+            "light": {"spectrum": _known(said.lamp)},
+        }
+        yield rig_file, rig
+        chart = {"spectra": CHART, "rows": 4, "columns": 6, "find": "chart"}
+        described = {"description": first.look.camera} if first.look.camera else {}
+        eye = {**described, "rig": f"{self.name}-rig", **lens, "captures": captures, "chart": chart}
+        yield camera_file, eye
+        make: dict[str, Any] = {"scenes": [], "cameras": [camera]}
+        if self.has_object:
+            kind = said.shape["kind"] if said.shape else "plate"
+            texels = dict(zip(("width", "height"), _TEXELS[kind], strict=True))
+            shape = {"shape": _known(said.shape), "texels": texels, "refractive_index": _GLASS}
+            yield object_file, {"camera": camera, **shape, "captures": captures}
+            lamp = {"image": {"width": 256, "height": 128}, "source": {"kind": "lights", "lights": [_LAMP]}}
+            yield environment_file, lamp
+            yield scene_file, self._scene()
+            make["scenes"] = [scene_file.stem]
+        yield self.configuration, {"definitions": str(self.into), "make": make}
+
+    def _scene(self) -> dict[str, Any]:
+        size = [v for v in (self.answers.shape or {}).values() if isinstance(v, float)] or [50.0]
+        far = 5.0 * max(size)
+        front = {"position_mm": [0.0, -0.6 * far, 0.8 * far], "target_mm": [0.0, 0.0, 0.0], "field_of_view_deg": 30.0}
+        return {
+            "environment": f"{self.name}-lamp",
+            "image": {"width": 640, "height": 480},
+            "views": {"front": front},
+            "objects": [{"object": self.name, "position_mm": [0.0, 0.0, 0.0]}],
+        }
+
+    def _row(self, one: Recognised) -> list[Any]:
+        photograph = one.photograph
+        if one.role == "object":
+            said = [self.answers.angles.get(axis) for axis in _ANGLES]
+            angles = [GAP if values is None else values[one.pose] for values in said]
+        elif one.role == "dark":
+            angles = [0.0] * len(_ANGLES)
+        else:
+            pose = self.answers.reference_pose
+            angles = [GAP, GAP, 0.0, 0.0] if pose is None else [getattr(pose, axis) for axis in _ANGLES]
+        # Decoders state times in single precision: 0.02 s shall not read 0.019999999552965164.
+        settings = [f"{photograph.exposure_s:.6g}", photograph.iso or "", photograph.f_number or ""]
+        return [photograph.path.name, one.role, *angles, one.filter or GAP, *settings]
+
+
+def _known(value: Any) -> Any:
+    return GAP if value is None else value
+
+
+def _gaps(content: Any, path: str = "") -> Iterator[str]:
+    """Yield the dotted paths of the gaps of a definition."""
+    if content == GAP:
+        yield path
+    elif isinstance(content, Mapping):
+        for key, value in content.items():
+            yield from _gaps(value, f"{path}.{key}" if path else str(key))

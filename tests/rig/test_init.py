@@ -1,0 +1,309 @@
+"""The command `irodori init`: a project of somebody's own photographs from the folder alone."""
+
+import random
+import shutil
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from made import made
+from sessions import definitions
+
+from irodori.capture.journal import Journal
+from irodori.capture.operator import AutoOperator
+from irodori.capture.session import Session, take_stock
+from irodori.capture.shot_list import camera_shots, object_shots
+from irodori.command_line import main
+from irodori.config.capture_table import read_captures
+from irodori.config.definitions import load_definitions
+from irodori.config.models import Camera, Object, Rig
+from irodori.core.errors import InputError
+from irodori.core.yaml_files import read_yaml
+from irodori.first_project import init_command
+from irodori.first_project.questions import numbers, positive, shape
+from irodori.first_project.raw_folder import Photograph, in_order, photographs
+from irodori.first_project.recognition import recognise
+from irodori.ingest.plausibility import Look
+from irodori.simulation.virtual_rig.bench import Bench
+from irodori.simulation.virtual_rig.virtual_camera import VirtualCamera
+
+SIZE = {"width_px": 400, "height_px": 300, "pixel_pitch_um": 19.2, "principal_point_px": [200.0, 150.0]}
+ANSWERS = {
+    "camera_distance_mm": 900, "lamp": "A", "focal_length_mm": 50, "pixel_pitch_um": 19.2, "shape": "plate 90",
+    "light_deg": 45, "camera_deg": [20, 60],
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def taken(tmp_path_factory):
+    """Return a folder of photographs whose names tell the order alone, and by name what each is."""
+    folder = tmp_path_factory.mktemp("photographs") / "My plate"
+    folder.mkdir()
+    plate, camera, rig = definitions(poses=[{"light_deg": [45.0], "camera_deg": [20.0, 60.0]}])
+    plate["exposure_s"] = {"out": [0.02, 0.01], "in": [0.05]}
+    camera["optics"] |= SIZE
+    camera |= {"dark_frames": 1, "white_frames": 1, "linearity_exposure_s": []}
+    bench, eye, stand = Bench(), made(Camera, camera), made(Rig, rig)
+    subject, truth = made(Object, plate), {}
+    for name, planned, what in (
+        ("camera", camera_shots(eye, ".dng"), None),
+        ("plate", object_shots(subject, eye, ".dng"), subject),
+    ):
+        session = tmp_path_factory.mktemp(name)
+        journal, device = Journal(session / "captures.csv"), VirtualCamera(eye, stand, bench, name, planned, what)
+        Session(device, AutoOperator(bench.set), journal, None, take_stock(journal, planned)).run(planned, name)
+        for shot in read_captures(session / "captures.csv"):
+            file = f"IMG {len(truth):04d}.dng"
+            shutil.copy(session / shot.file, folder / file)
+            truth[file] = shot
+    return folder, truth
+
+
+@pytest.fixture(scope="module")
+def looked(taken):
+    """Return the same photographs as the command sees them."""
+    return photographs(taken[0])[0]
+
+
+@pytest.fixture(scope="module")
+def recognised(looked):
+    """Return what they were recognised as."""
+    return recognise(looked)
+
+
+@pytest.fixture
+def seen(taken, looked, recognised, monkeypatch, tmp_path):
+    """Return the folder in which the command runs; it need not look at the photographs again."""
+    monkeypatch.setattr(init_command, "photographs", lambda place: (looked, True))
+    monkeypatch.setattr(init_command, "recognise", lambda found: recognised)
+    monkeypatch.chdir(tmp_path)
+    return taken[0]
+
+
+def init(folder, *more: str) -> int:
+    return main(["init", str(folder), *more])
+
+
+def written(path, content) -> str:
+    path.write_text(yaml.safe_dump(content))
+    return str(path)
+
+
+def patterned(name: str, level: float, seed: int, exposure_s: float = 0.02, **changes) -> Photograph:
+    """Return a photograph of a view that a seed makes, without a file."""
+    green = np.random.default_rng(seed).uniform(0.2, 1.0, (12, 16, 1)).astype(np.float32)
+    picture = level * green * np.array([0.8, 1.0, 0.6], dtype=np.float32)
+    look = Look((32, 24), name, "body", "", "", 0.0, 0.0, np.nan, picture, np.ones((12, 16), dtype=bool))
+    return Photograph(Path(name), replace(look, **changes), exposure_s, 100.0, 8.0)
+
+
+def test_every_photograph_is_told_by_what_it_shows(taken, recognised):
+    _, truth = taken
+    poses: dict[int, set] = {}
+    for one in recognised:
+        real = truth[one.photograph.path.name]
+        assert (one.role, one.filter) == (real.role, "out" if real.role == "dark" else real.filter), real.file
+        if one.role == "object":
+            poses.setdefault(one.pose, set()).add(real.pose)
+    assert sorted(poses) == [0, 1] and all(len(each) == 1 for each in poses.values())
+
+
+def test_few_answers_make_the_table_that_a_person_would_have_written(seen, taken, tmp_path, capsys):
+    folder, truth = taken
+    assert init(folder, "--answers", written(tmp_path / "answers.yaml", ANSWERS)) == 0
+    out = capsys.readouterr().out
+    assert "0 gaps" in out
+    shots = read_captures("config/captures/my-plate.csv", folder)
+    assert len(shots) == len(truth)
+    for shot in shots:
+        real = truth[shot.file]
+        assert shot.exposure_s == pytest.approx(real.exposure_s, rel=1e-3)
+        if real.role != "dark":
+            assert shot.pose == real.pose, shot.file
+    loaded = load_definitions(read_yaml("config/my-plate.yaml"), tmp_path, "config/my-plate.yaml")
+    assert loaded.cameras["my-plate-camera"].optics.width_px == 400
+    assert loaded.objects["my-plate"].shape.height_mm == 90.0
+    # What nobody said is printed, and stands in the file that it concerns.
+    for file, words in (
+        ("cameras/my-plate-camera.yaml", "white.reflectance_factor: 0.99"),
+        ("cameras/my-plate-camera.yaml", "45 0 degrees"),
+        ("objects/my-plate.yaml", "refractive_index: n 1.5"),
+        ("objects/my-plate.yaml", "tilt_deg in config/captures/my-plate.csv: 0"),
+        ("environments/my-plate-lamp.yaml", "D65"),
+    ):
+        notes = [line for line in Path("config", file).read_text().splitlines() if line.startswith("#")]
+        assert any(words in note for note in notes), (file, words)
+        assert any(f"config/{file}: " in line and words in line for line in out.splitlines()), (file, words)
+    before = (tmp_path / "config/my-plate.yaml").read_bytes()
+    assert init(folder, "--answers", "answers.yaml") == 2
+    assert "there already" in capsys.readouterr().err
+    assert (tmp_path / "config/my-plate.yaml").read_bytes() == before
+
+
+def test_what_a_person_says_is_not_called_assumed(seen, taken, tmp_path, capsys):
+    more = {"white_reflectance": 0.9, "reference_pose": [45, 10], "tilt_deg": 5, "turn_deg": 0}
+    assert init(taken[0], "--answers", written(tmp_path / "answers.yaml", ANSWERS | more)) == 0
+    out = capsys.readouterr().out
+    assert "reflectance_factor" not in out and "tilt_deg" not in out and "refractive_index" in out
+    loaded = load_definitions(read_yaml("config/my-plate.yaml"), tmp_path, "config/my-plate.yaml")
+    assert loaded.cameras["my-plate-camera"].white.reflectance_factor == 0.9
+    assert {shot.pose.tilt_deg for shot in read_captures("config/captures/my-plate.csv") if shot.role == "object"} == {
+        5
+    }
+
+
+def test_what_nobody_says_is_a_gap_that_the_check_names(seen, taken, tmp_path, capsys):
+    folder, truth = taken
+    known = {key: value for key, value in ANSWERS.items() if key not in ("camera_distance_mm", "camera_deg")}
+    assert init(folder, "--answers", written(tmp_path / "answers.yaml", known)) == 1
+    objects = sum(shot.role == "object" for shot in truth.values())
+    out = capsys.readouterr().out
+    assert f"{1 + objects} gaps" in out and "rigs/my-plate-rig.yaml: camera_distance_mm" in out
+    rig = tmp_path / "config/rigs/my-plate-rig.yaml"
+    with pytest.raises(InputError, match=r"my-plate-rig.yaml: camera_distance_mm: found .*accepted: a number above 0"):
+        load_definitions(read_yaml("config/my-plate.yaml"), tmp_path, "config/my-plate.yaml")
+    rig.write_text(rig.read_text().replace("'?'", "900"))
+    with pytest.raises(InputError, match=r"my-plate.csv: line \d+, camera_deg: found '\?'; accepted: a finite number"):
+        load_definitions(read_yaml("config/my-plate.yaml"), tmp_path, "config/my-plate.yaml")
+
+
+def test_a_terminal_is_asked_until_it_is_understood(seen, taken, monkeypatch, tmp_path, capsys):
+    lines = {
+        "camera_distance_mm": ["90 cm", "-4", "900"], "lamp": ["A"], "reference_pose": ["45", ""],
+        "white_reflectance": [""], "focal_length_mm": ["50"], "pixel_pitch_um": ["19.2"],
+        "shape": ["cube 3", "plate 90 80"], "light_deg": ["45"], "camera_deg": ["20 60 70", "20 60"],
+        "tilt_deg": [""], "turn_deg": EOFError,
+    }  # fmt: skip
+    shown = []
+
+    def typed(words: str) -> str:
+        shown.append(words)
+        left = lines[words.splitlines()[-1].strip(" :")]
+        if left is EOFError:
+            raise EOFError
+        return left.pop(0)
+
+    monkeypatch.setattr(sys.stdin, "isatty", lambda: True, raising=False)
+    monkeypatch.setattr("builtins.input", typed)
+    assert init(taken[0]) == 0
+    assert not any(left for left in lines.values() if left is not EOFError), "each line was read"
+    assert [words for words in shown if "accepted: a number above 0" in words]
+    assert [words for words in shown if "accepted: one number, or 2 in the order of the photographs" in words]
+    loaded = load_definitions(read_yaml("config/my-plate.yaml"), tmp_path, "config/my-plate.yaml")
+    plate = loaded.objects["my-plate"].shape
+    assert (plate.width_mm, plate.height_mm) == (90.0, 80.0)
+    assert loaded.rigs["my-plate-rig"].camera_distance_mm == 900.0
+    assert "turn_deg in config/captures/my-plate.csv: 0" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("read", "text", "value"),
+    [
+        (numbers(3), "4", [4.0, 4.0, 4.0]),
+        (numbers(3), "1, 2 3", [1.0, 2.0, 3.0]),
+        (numbers(3), "1 2", None),
+        (numbers(1), "nan", None),
+        (positive, "0", None),
+        (shape, "sphere 30", {"kind": "sphere", "radius_mm": 30.0}),
+        (shape, "plate 90", {"kind": "plate", "width_mm": 90.0, "height_mm": 90.0}),
+        (shape, "sphere 30 30", None),
+        (shape, "plate 90 -3", None),
+        (shape, "mesh a lid.obj", {"kind": "mesh", "file": "a lid.obj", "unit": "mm"}),
+        (shape, "mesh", None),
+    ],
+)
+def test_answers_are_read_as_they_are_meant_or_not_at_all(read, text, value):
+    if value is None:
+        with pytest.raises(ValueError, match=r"\w"):
+            read(text)
+    else:
+        assert read(text) == value
+
+
+def test_one_photograph_of_a_chart_makes_a_camera(taken, tmp_path, monkeypatch, capsys):
+    folder, truth = taken
+    monkeypatch.chdir(tmp_path)
+    chart = next(name for name, shot in truth.items() if shot.role == "chart" and shot.filter == "out")
+    assert init(folder / chart, "--name", "eye", "--answers", written(tmp_path / "answers.yaml", {"lamp": "A"})) == 0
+    out = capsys.readouterr().out
+    assert "camera_distance_mm: 1000" in out and "--configfile=config/eye.yaml calibrate" in out
+    loaded = load_definitions(read_yaml("config/eye.yaml"), tmp_path, "config/eye.yaml")
+    assert list(loaded.cameras) == ["eye"] and not loaded.objects
+    assert main(["check", "config/eye.yaml"]) == 0
+    assert main(["preview", "--configfile", "config/eye.yaml"]) == 0
+    page = Path("contact_sheet.html").read_text()
+    assert page.count("<polygon") == 24, "the chart that was found is drawn"
+    # The virtual chart is 90 mm wide, six patches, in the middle of the picture: 15 mm from patch to patch.
+    corners = [[float(c) for c in p.split(",")] for p in page.split('<polygon points="')[1].split('"')[0].split()]
+    middle = np.mean(corners, axis=0)
+    scale = 50.0 / 900.0 / (2.0 * 0.0192)
+    assert np.abs(middle - [100.0 - 37.5 * scale, 75.0 - 22.5 * scale]).max() < 2.0
+
+
+def test_a_pose_without_its_second_photograph_is_left_open(taken, looked, recognised, capsys):
+    _, truth = taken
+    lost = [name for name, shot in truth.items() if shot.role == "object" and shot.filter == "in"][1]
+    found = recognise([one for one in looked if one.path.name != lost])
+    alone = [name for name, shot in truth.items() if shot.capture == truth[lost].capture and name != lost]
+    assert [one.photograph.path.name for one in found if not one.filter] == alone
+
+
+@pytest.fixture
+def no_chart(monkeypatch):
+    monkeypatch.setattr("irodori.first_project.recognition._has_chart", lambda one, spectra: False)
+
+
+def test_photographs_out_of_order_are_told_apart_no_longer(no_chart):
+    pairs = [
+        patterned(f"{view}-{state}", level, view) for view in range(4) for state, level in (("out", 0.8), ("in", 0.2))
+    ]
+    sound = recognise(pairs)
+    assert [(one.pose, one.filter) for one in sound] == [(view, state) for view in range(4) for state in ("out", "in")]
+    mixed = pairs[0:1] + pairs[2:3] + pairs[1:2] + pairs[3:]
+    found = recognise(mixed)
+    assert [one.photograph.path.name for one in found if not one.filter] == ["0-out", "1-out", "0-in", "1-in"]
+    assert [one.filter for one in found[4:]] == ["out", "in"] * 2, "the others are as they were"
+
+
+def test_the_clock_tells_the_order_and_names_do_where_one_is_silent():
+    shots = [patterned(f"{9 - n}.dng", 0.5, n, time=f"2026-05-04T10:15:{n:02d}") for n in range(6)]
+    mixed = random.Random(5).sample(shots, len(shots))
+    assert in_order(mixed) == (shots, True)
+    silent = [replace(mixed[0], look=replace(mixed[0].look, time="")), *mixed[1:]]
+    found, timed = in_order(silent)
+    assert not timed and [one.path.name for one in found] == sorted(one.path.name for one in shots)
+
+
+@pytest.mark.parametrize(
+    ("files", "sentence"),
+    [
+        (None, "no such folder"),
+        ({}, "an empty folder"),
+        ({"a.jpg": b"\xff\xd8\xff\xe0"}, "no RAW file; a.jpg is a JPEG picture"),
+    ],
+)
+def test_a_folder_without_photographs_is_one_sentence(tmp_path, capsys, monkeypatch, files, sentence):
+    monkeypatch.chdir(tmp_path)
+    if files is not None:
+        (tmp_path / "raw").mkdir()
+        for name, content in files.items():
+            (tmp_path / "raw" / name).write_bytes(content)
+    assert init(tmp_path / "raw") == 2
+    said = capsys.readouterr().err
+    assert sentence in said and said.count("\n") == 1 and not (tmp_path / "config").exists()
+
+
+def test_two_cameras_in_one_folder_are_refused(taken, tmp_path, capsys, monkeypatch):
+    folder, truth = taken
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "raw").mkdir()
+    first, second, *_ = truth
+    shutil.copy(folder / first, tmp_path / "raw")
+    content = (folder / second).read_bytes()
+    assert content.count(b"virtual camera\0") == 2
+    (tmp_path / "raw" / second).write_bytes(content.replace(b"virtual camera\0", b"another camera\0"))
+    assert init(tmp_path / "raw") == 2
+    assert f"{second}: body: found" in capsys.readouterr().err

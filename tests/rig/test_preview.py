@@ -1,0 +1,73 @@
+"""The command `irodori preview`: a page of all photographs with outlines and findings."""
+
+import re
+import shutil
+
+import numpy as np
+from made import made
+from sessions import definitions
+from test_check import project, write  # noqa: F401 - the fixture of a project of files
+
+from irodori.check.contact_sheet import silhouette, svg_path
+from irodori.command_line import main
+from irodori.config.capture_table import Pose
+from irodori.config.models import Object, Optics
+from irodori.geometry.pinhole import Pinhole
+from irodori.geometry.shapes.shape import Shape
+from irodori.ingest.mosaic import decode
+
+OPTICS = {"focal_length_mm": 50.0, "pixel_pitch_um": 20.0, "width_px": 400, "height_px": 300,
+          "principal_point_px": [200.0, 150.0]}  # fmt: skip
+
+
+def figure_of(page: str, name: str) -> str:
+    return next(part for part in page.split("<figure")[1:] if f"<b>{name}</b>" in part)
+
+
+def test_a_finding_stands_beside_its_photograph(project, tmp_path, capsys, monkeypatch):  # noqa: F811
+    folder = shutil.copytree(project, tmp_path / "project")
+    monkeypatch.chdir(folder)
+    dark = sorted((folder / "plate").glob("*-in-*.dng"))[0]
+    lit = sorted((folder / "plate").glob("*-out-*.dng"))[0]
+    dark.write_bytes(lit.read_bytes())
+    table = folder / "plate/captures.csv"
+    table.write_text("\n".join(line.rpartition(",")[0] for line in table.read_text().splitlines()))
+    assert main(["preview", "-o", "sheet.html"]) == 1
+    page = (folder / "sheet.html").read_text()
+    assert page.count("<figure") == 6 and 'name="viewport"' in page
+    assert not re.search(r'(src|href)="(?!data:)', page), "the page reads nothing from elsewhere"
+    assert 'class="error"' in figure_of(page, dark.name) and 'class="error"' not in figure_of(page, lit.name)
+    assert "<path" in figure_of(page, lit.name)
+    assert figure_of(page, "chart-out-20000us.dng").count("<polygon") == 24
+
+
+def test_the_outline_is_that_of_the_photographed_object(project):  # noqa: F811
+    plate, camera, _ = definitions()
+    camera["optics"] |= {"width_px": 240, "height_px": 160, "pixel_pitch_um": 33.0, "principal_point_px": [120.0, 80.0]}
+    pose = Pose(45.0, 20.0)
+    shape = Shape.from_definition(made(Object, plate).shape)
+    mask = silhouette(shape, Pinhole.from_optics(made(Optics, camera["optics"])), 900.0, pose)
+    green = decode(sorted((project / "plate").glob("*-out-*.dng"))[0]).superpixels[..., 1]
+    lit = green > 0.08 * np.percentile(green, 90.0)
+    # In mosaic pixels: rows and columns of the plate's outline, at the picture's middle.
+    for seen, said in ((lit[40], mask[40]), (lit[:, 60], mask[:, 60])):
+        seen, said = np.flatnonzero(seen), np.flatnonzero(said)
+        assert abs(2 * (seen[0] - said[0])) <= 2 and abs(2 * (seen[-1] - said[-1])) <= 2
+
+
+def test_the_outline_of_a_ball_before_a_pinhole_is_a_circle():
+    shape = Shape.from_definition(
+        made(Object, {"camera": "c", "shape": {"kind": "sphere", "radius_mm": 30.0},
+                      "texels": {"width": 4, "height": 4}}).shape
+    )  # fmt: skip
+    mask = silhouette(shape, Pinhole.from_optics(made(Optics, OPTICS)), 900.0, Pose(45.0, 30.0))
+    radius = 30.0 / np.sqrt(900.0**2 - 30.0**2) * 2500.0 / 2.0  # superpixels
+    y, x = np.indices(mask.shape)
+    away = np.hypot(x - 99.5, y - 74.5)
+    assert mask[away < radius - 0.5].all() and not mask[away > radius + 0.5].any()
+
+
+def test_the_path_runs_about_what_is_covered():
+    mask = np.zeros((4, 5), dtype=bool)
+    mask[1:3, 1:4] = True
+    assert sorted(re.findall(r"M\d+ \d+[hv]\d+", svg_path(mask))) == ["M1 1h3", "M1 1v2", "M1 3h3", "M4 1v2"]
