@@ -20,7 +20,8 @@ _ROUGH = 0.02  # of their extent, which points may be off a smooth curve
 _CHORD = 0.3  # of the object's reach, within which a ray leaves a round object again beside its outline
 _MOST = 200  # points of an outline
 _STEP = 0.5  # samples between readings along a normal
-_INNER, _OUTER = 1.5, 5.0  # samples from an edge between which the two sides' levels are read
+_READINGS = 4  # of an edge, each about where the one before found it
+_INNER, _OUTER = 2.5, 6.0  # samples from an edge between which the two sides' levels are read
 _LEAST_LOG_STEP = 0.25
 _LEAST_SIGMAS = 6.0
 _UNKNOWN_NOISE = 0.01
@@ -161,10 +162,30 @@ def edge_distances(picture: Picture, level: Level, xy, outward, reach: float) ->
     clear = (ratio > _LEAST_LOG_STEP) & (np.abs(inner - outer) > _LEAST_SIGMAS * noise)
     score = np.where(clear, ratio * (1.0 - 0.5 * (offset[candidates] / (reach + 1.0)) ** 2), -1.0)
     best = np.argmax(score, axis=1)
-    rows = np.arange(count)
     centre = candidates[best]
-    window = centre[:, None] + np.arange(-far, far + 1)
-    around, along = profile[rows[:, None], window], np.arange(-far, far + 1) * _STEP
+    # The greatest ratio lies to the dark side of an edge: read about there, its own blur would tilt the inner line.
+    for _ in range(_READINGS):
+        area = _edge_beside(profile, centre)
+        found = offset[centre] + area
+        centre = np.clip(np.rint((np.nan_to_num(found) - offset[0]) / _STEP), far, width - far - 1).astype(int)
+    strayed = np.abs(found - offset[candidates[best]]) > _INNER + _STEP  # to another edge
+    lost = (score[np.arange(count), best] < 0.0) | ~np.isfinite(found) | strayed | (np.abs(found) > reach)
+    return np.where(lost, np.nan, found / picture.scale)
+
+
+def _edge_beside(profile: np.ndarray, centre: np.ndarray) -> np.ndarray:
+    """Return how far behind samples of profiles their edges lie, (n,) samples of the picture.
+
+    Parameters
+    ----------
+    profile : (n, width) float
+        Readings along the normals, `_STEP` samples apart.
+    centre : (n,) int
+        Of which reading each, at least `_OUTER` samples from both ends.
+    """
+    far = round(_OUTER / _STEP)
+    along = np.arange(-far, far + 1) * _STEP
+    around = np.take_along_axis(profile, centre[:, None] + np.arange(-far, far + 1), axis=1)
     inside = along <= -_INNER
     # The inner side's own slope: a round object darkens or brightens towards its outline.
     middle = along[inside].mean()
@@ -173,11 +194,8 @@ def edge_distances(picture: Picture, level: Level, xy, outward, reach: float) ->
     outer_level = around[:, along >= _INNER].mean(axis=1)[:, None]
     with np.errstate(divide="ignore", invalid="ignore"):
         share = (around - outer_level) / (inner_line - outer_level)
-        # The area from the first reading on, less that up to the candidate itself: half a reading at both ends.
+        # The area from the first reading on, less that up to the centre itself: half a reading at both ends.
         within = (along >= -_INNER - _STEP) & (along <= _INNER + _STEP)
         weights = np.full(within.sum(), _STEP)
         weights[[0, -1]] *= 0.5
-        area = share[:, within] @ weights - (_INNER + _STEP)
-    found = offset[centre] + area
-    lost = (score[rows, best] < 0.0) | ~np.isfinite(found) | (np.abs(area) > _INNER + _STEP) | (np.abs(found) > reach)
-    return np.where(lost, np.nan, found / picture.scale)
+        return share[:, within] @ weights - (_INNER + _STEP)
