@@ -53,6 +53,9 @@ class Placing(Definition):
     As standard deviations. What has 0 is believed as it was typed.
     """
 
+    #: Refine by the photographs where objects lie (rule `register_object`); otherwise they lie as typed.
+    register: bool = False
+
     #: Of the object's place on the table along each axis, in mm.
     translation_mm: float = 2.0
 

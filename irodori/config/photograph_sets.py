@@ -290,6 +290,10 @@ class PhotographSets:
         captures = self.captures["objects"][wildcards.object]
         return [f"results/{wildcards.object}/linear/{capture}.h5" for capture in captures]
 
+    def registration(self, wildcards) -> list[str]:
+        """Return the file that says where an object lies by its photographs; none where that is not asked for."""
+        return [f"results/{wildcards.object}/registration.h5"] if self.loaded.config.place.register else []
+
     def tiles_of(self, name: str) -> list[tuple[int, int]]:
         """Return the texture rows of every tile of an object."""
         texels = self.loaded.objects[name].texels

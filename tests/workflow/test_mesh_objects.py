@@ -9,7 +9,7 @@ def project(tmp_path):
     folder = small_project(tmp_path / "project")
     edit(
         folder / "config/config.yaml",
-        {"make": {"scenes": ["lid"], "cameras": []}},
+        {"make": {"scenes": ["lid"], "cameras": []}, "place.register": True},
     )
     edit(folder / "config/objects/celadon-lid.yaml", {"texels": {"width": 16, "height": 16}})
     return folder

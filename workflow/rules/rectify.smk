@@ -29,7 +29,7 @@ rule register_object:
 rule rectify_object:
     input:
         linear=sets.linear_files,
-        registration="results/{object}/registration.h5",
+        registration=sets.registration,
         user_files=ancient(sets.mesh),
     output:
         observations="results/{object}/observations/tile-{tile}.h5",
