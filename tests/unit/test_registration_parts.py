@@ -185,7 +185,7 @@ def test_an_edge_is_found_where_it_is_whatever_its_height(scale, inner, outer):
 
 @pytest.mark.parametrize("sharpness, within", [(0.5, 0.01), (0.8, 0.02), (1.2, 0.12)])
 def test_blur_moves_no_edge_outward(sharpness, within):
-    """Read where the ratio of both sides is greatest, on the dark side, they were found up to 0.9 samples too far out."""
+    """Read where the ratio of both sides is greatest, on the dark side, they were found up to 0.9 samples outward."""
     xy, out = np.array([[40.0, 40.0]]), np.array([[1.0, 0.0]])
     for at in np.arange(39.0, 42.0, 0.23):
         seen = picture(edge(at, 0.5, 0.02, sharpness))
