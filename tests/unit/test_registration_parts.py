@@ -1,17 +1,27 @@
 """Parts of the registration of objects, each against what can be written down."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from irodori.config.capture_table import Pose
 from irodori.config.models import Placing
+from irodori.config.parts import TexturedObject
 from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.geometry.embree import Tracer
 from irodori.geometry.pinhole import Pinhole
-from irodori.geometry.rig_frame import rig_from_camera, rig_from_object, rotation_x, rotation_y, rotation_z, to_camera
+from irodori.geometry.rig_frame import (
+    rig_from_camera,
+    rig_from_object,
+    rotation_x,
+    rotation_y,
+    rotation_z,
+    to_camera,
+    to_light,
+)
 from irodori.geometry.shapes.placement import on_table
 from irodori.geometry.shapes.plate import Plate
 from irodori.geometry.shapes.sphere import Sphere
@@ -24,10 +34,13 @@ from irodori.rectification.object_registration import (
     _robust,
     _solve,
     in_words,
+    register,
+    register_object,
 )
 from irodori.rectification.outline_search import edge_distances, find_rim
 from irodori.rectification.placement_correction import COUNT, QUANTITIES, Correction, prior_sigma
 from irodori.rectification.reduced_pictures import Picture
+from irodori.rectification.stage import RigSetup
 from irodori.rectification.texture_agreement import (
     blocks,
     matt_weight,
@@ -402,3 +415,62 @@ def test_the_photograph_that_is_furthest_off_is_refused():
         _refuse_far(found, ["a.h5", "b.h5"], 1.0)
     _refuse_far(found, ["a.h5", "b.h5"], 3.0)
     _refuse_far(registered(np.zeros(COUNT), np.ones(COUNT), (math.nan, math.nan)), ["a.h5", "b.h5"], 1.0)
+
+
+# All of it, on a plate whose pictures are drawn by hand.
+
+SMALL = Pinhole(2_400.0, (160.0, 120.0), 320, 240)
+SETUP = RigSetup(SMALL, 900.0, 0.0)
+VIEWS = [Pose(45.0, 0.0), Pose(60.0, 20.0), Pose(45.0, 10.0, 0.0, 90.0), Pose(50.0, 30.0, 0.0, 180.0)]
+PLATE = TexturedObject.of(
+    {"shape": {"kind": "plate", "width_mm": 60.0, "height_mm": 50.0}, "texels": {"width": 24, "height": 20}}
+)
+
+
+def drawn(folder, lies, shown=VIEWS, stated=VIEWS):
+    """Linear files of a matt plate of even checks, seen by rays through four points of every superpixel."""
+    files = []
+    for number, (pose, said) in enumerate(zip(shown, stated, strict=True)):
+        real = lies.pose(pose)
+        placed = lies.placements(Plate(60.0, 50.0), real, 0.0)[0]
+        way = SETUP.corrected(lies)
+        eye, total = way.camera_distance_mm * to_camera(real), 0.0
+        for dx, dy in ((0.5, 0.5), (0.5, 1.5), (1.5, 0.5), (1.5, 1.5)):
+            x, y = np.meshgrid(np.arange(0, 320, 2) + dx, np.arange(0, 240, 2) + dy)
+            rays = way.pinhole.directions(np.stack([x, y], axis=-1), rig_from_camera(real)) @ placed.rotation
+            start = (eye - placed.translation_mm) @ placed.rotation
+            at = start + (-start[2] / rays[..., 2])[..., None] * rays
+            u, v = at[..., 0] / 60.0 + 0.5, at[..., 1] / 50.0 + 0.5
+            on = (u > 0) & (u < 1) & (v > 0) & (v < 1)
+            red, green = 0.35 + 0.2 * np.sin(9.0 * u + 4.0 * v), 0.4 + 0.25 * np.cos(11.0 * v - 3.0 * u)
+            colour = np.stack([red, green, 0.5 * u + 0.2], axis=-1)
+            total = total + 0.25 * np.where(on[..., None], colour, 0.0)
+        cosine = (placed.rotation[:, 2] @ to_light(real)).item()
+        files.append(linear_file(folder / f"{number}.h5", total * cosine, pose=vars(said).values()))
+    return files
+
+
+@pytest.mark.parametrize("lies", [(0.0,) * 6, (1.2, -0.9, 0.0, 0.0, 0.0, 1.5), (-0.8, 1.0, 0.0, 1.2, -1.0, -1.0)])
+def test_a_drawn_plate_is_found_where_it_lies(tmp_path, lies):
+    found = register(drawn(tmp_path, Correction.of([*lies, *[0.0] * 6])), PLATE, SETUP, Placing())
+    # A superpixel is three quarters of a millimetre here.
+    np.testing.assert_allclose(found.correction.values[:2], lies[:2], atol=0.1)
+    np.testing.assert_allclose(found.correction.values[3:6], lies[3:], atol=0.5)
+    assert (found.outline_points > 20).all() and np.nanmax(found.residual_px) < 0.2
+    assert found.mm_per_px == pytest.approx(0.75, rel=0.02) and found.prior.tolist() == prior_sigma(Placing()).tolist()
+
+
+def test_a_drawn_plate_turned_in_one_photograph_is_refused_for_its_turn(tmp_path):
+    shown = [*VIEWS[:3], replace(VIEWS[3], turn_deg=184.0)]
+    files = drawn(tmp_path, Correction(), shown)
+    with pytest.raises(InputError, match=r"3\.h5: pose_deg.*turn_deg off by \+[345]\."):
+        register_object(files, PLATE, SETUP, Placing(), output=tmp_path / "out.h5", provenance=store.Provenance("test"))
+    assert not (tmp_path / "out.h5").exists()
+    register_object(
+        files, PLATE, SETUP, Placing(max_residual_px=100.0), output=tmp_path / "out.h5",
+        provenance=store.Provenance("test"),
+    )  # fmt: skip
+    with store.open_file(tmp_path / "out.h5") as file:
+        px, mm = file.read("residual_px"), file.read("residual_mm")
+        assert np.argmax(px) == 3 and file.attribute("captures") == ["0", "1", "2", "3"]
+        np.testing.assert_allclose(mm / px, 0.75, rtol=0.03)
