@@ -466,11 +466,15 @@ def test_a_drawn_plate_turned_in_one_photograph_is_refused_for_its_turn(tmp_path
     with pytest.raises(InputError, match=r"3\.h5: pose_deg.*turn_deg off by \+[345]\."):
         register_object(files, PLATE, SETUP, Placing(), output=tmp_path / "out.h5", provenance=store.Provenance("test"))
     assert not (tmp_path / "out.h5").exists()
+
+
+def test_the_file_says_how_far_each_photograph_is_off(tmp_path):
+    shown, placing = [*VIEWS[:3], replace(VIEWS[3], turn_deg=184.0)], Placing(max_residual_px=100.0)
+    output = tmp_path / "out.h5"
     register_object(
-        files, PLATE, SETUP, Placing(max_residual_px=100.0), output=tmp_path / "out.h5",
-        provenance=store.Provenance("test"),
-    )  # fmt: skip
-    with store.open_file(tmp_path / "out.h5") as file:
+        drawn(tmp_path, Correction(), shown), PLATE, SETUP, placing, output=output, provenance=store.Provenance("test")
+    )
+    with store.open_file(output) as file:
         px, mm = file.read("residual_px"), file.read("residual_mm")
         assert np.argmax(px) == 3 and file.attribute("captures") == ["0", "1", "2", "3"]
-        np.testing.assert_allclose(mm / px, 0.75, rtol=0.03)
+    np.testing.assert_allclose(mm / px, 0.75, rtol=0.03)
