@@ -583,7 +583,10 @@ class ReferenceIntegrator(Definition):
     kind: Literal["reference"] = "reference"
 
     #: Paths a pixel (count), a multiple of 8; powers of two are spread best.
-    samples: int = 128
+    samples: int = 32
+
+    #: Whether the noise is filtered out of the picture, at the price of a bias that is measured (true or false).
+    denoise: bool = True
 
     #: Seed of the random numbers (count).
     seed: int = 0

@@ -21,7 +21,7 @@ from irodori.core.progress import LOGGER, track
 from irodori.core.yaml_files import read_yaml
 from irodori.evaluation import error_prediction as draws
 from irodori.evaluation.known_errors import Known, colours, with_colours
-from irodori.evaluation.renderer_noise import MORE, Paths, expected_noise, measured_noise, traced_rows
+from irodori.evaluation.renderer_noise import MORE, Paths, expected_noise, measured_noise, touched
 from irodori.evaluation.result_tables import BudgetRow, write_rows
 from irodori.evaluation.truth_errors import interior, radiance_delta_e
 from irodori.geometry.shapes.shape import Shape
@@ -30,7 +30,6 @@ from irodori.light.stage import observers
 from irodori.material.material_file import Material
 from irodori.material.principal_components.basis_count import CompressOptions, analyse
 from irodori.rendering.integrators import render_image, with_planned_samples
-from irodori.rendering.reference.converging_picture import REPLICATES
 from irodori.rendering.scene_white import scene_white
 
 _WIDTH_PX = 96  # of the pictures that are compared
@@ -262,7 +261,7 @@ class _Budget:
     def add_renderer(self) -> None:
         """Add what the scene's integrator is off: of the path tracer its noise, of another its difference to paths."""
         if isinstance(self._pictures.scene.integrator, ReferenceIntegrator):
-            self._add_noise(self._pictures.scene.integrator.samples)
+            self._add_noise(self._pictures.scene.integrator)
             return
         width_px = _WIDTH_PX / _LONG_SHARE
         long, own = (
@@ -275,15 +274,14 @@ class _Budget:
             "renderer: what the integrator leaves out", radiance_delta_e(long, own, self._white)[shown], np.nan, by
         )
 
-    def _add_noise(self, samples: int) -> None:
+    def _add_noise(self, integrator: ReferenceIntegrator) -> None:
         paths = self._pictures.by_paths
-        rows = traced_rows(self._pictures.scene.image, samples)
-        pair = (paths.picture(m, self._true_light, REPLICATES, rows=rows) for m in (self._truths, self._estimates))
-        shown = np.not_equal(*pair).any(axis=-1)
-        values = measured_noise(paths, rows, self._truths, self._true_light, self._white)[shown]
-        predicted = expected_noise(paths, rows, self._estimates, self._estimated_light, self._seen_white)[shown]
-        by = f"two pictures of other random numbers; measured beside {MORE} times the paths"
-        self._add(f"renderer: noise of {samples} paths a pixel", values, predicted, by)
+        shown = touched(paths, self._truths, self._estimates, self._true_light)
+        values = measured_noise(paths, self._truths, self._true_light, self._white)[shown]
+        predicted = expected_noise(paths, self._estimates, self._estimated_light, self._seen_white)[shown]
+        by = f"the two sets of a picture's paths; measured beside {MORE} times the paths"
+        what = "noise and filter" if integrator.denoise else "noise"
+        self._add(f"renderer: {what} of {integrator.samples} paths a pixel", values, predicted, by)
 
 
 def error_budget(

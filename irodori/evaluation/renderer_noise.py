@@ -1,5 +1,7 @@
 """Reference pictures for the error budget, with measured and expected noise."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from irodori.config.models import ReferenceIntegrator, Scene, Size
@@ -8,15 +10,20 @@ from irodori.geometry.shapes.shape import Shape
 from irodori.light.environment_file import Environment
 from irodori.material.material_file import Material
 from irodori.rendering.integrators import with_bodies
-from irodori.rendering.reference.converging_picture import REPLICATES, make_scene, render_rows
+from irodori.rendering.reference.converging_picture import REPLICATES, TracedScene, make_scene, render_rows
+from irodori.rendering.reference.denoising import MARGIN, Halves, filtered_halves, make_guides, squared_error
 from irodori.rendering.reference.random_numbers import Numbers, make_numbers
 from irodori.rendering.reference.sky_sampling import Sky, make_sky
 from irodori.rendering.scene_arrays import make_objects, make_placements, make_view
+from irodori.rendering.single_pixels import sheared_view
 
-#: How many times the scene's paths the picture has that is taken for converged.
-MORE = 4
-_PATHS = 1_500_000  # to trace for the noise, unless a single row takes more
-_SEEDS = (71, 72, 73, 74)
+#: How many times the scene's paths the picture has that is taken for converged; its own noise is taken out.
+MORE = 16
+_PATHS = 1_500_000  # to trace for the noise, unless a single block takes more
+_SIDE = 8  # pixels of a block, without what its filter reads around it
+#: Steps, in x and y, of points that fill a square evenly however many they are (Roberts 2018, by the plastic number).
+_EVEN_STEPS = (0.7548776662466927, 0.5698402909980532)
+_SEEDS = (71, 72, 73)
 _LIGHTS_KEPT = 2  # the measured and the true one, mostly
 
 
@@ -40,10 +47,19 @@ class Paths:
         self._skies = (found + [pair for pair in self._skies if pair[0] is not light])[:_LIGHTS_KEPT]
         return found[0][1]
 
-    def picture(
-        self, materials: list[Material], light: Environment, samples: int, seed: int = 0, image=None, rows=None
-    ) -> np.ndarray:
-        """Return radiance, (rows, width, 61) float32.
+    def _scene(self, materials: list[Material], light: Environment) -> TracedScene:
+        shapes, materials = with_bodies(self.scene, self._shapes, materials)
+        placements = make_placements(self.scene, shapes)
+        objects, _ = make_objects(placements, materials)
+        return make_scene(placements, objects, self._lit(light), self.scene.lights)
+
+    def _numbers_of(self, samples: int, seed: int) -> Numbers:
+        if (samples, seed) not in self._numbers:
+            self._numbers[samples, seed] = make_numbers(samples, seed, REPLICATES)
+        return self._numbers[samples, seed]
+
+    def picture(self, materials: list[Material], light: Environment, samples: int, image=None) -> np.ndarray:
+        """Return radiance, (height, width, 61) float32.
 
         Parameters
         ----------
@@ -51,55 +67,117 @@ class Paths:
         light : Environment
         samples : int
             Paths a pixel, a multiple of 8.
-        seed : int
         image : Size, optional
             In place of the scene's.
-        rows : sequence of int, optional
-            Those to trace, all where absent.
         """
-        scene = self.scene
-        shapes, materials = with_bodies(scene, self._shapes, materials)
-        placements = make_placements(scene, shapes)
-        objects, _ = make_objects(placements, materials)
-        prepared = make_scene(placements, objects, self._lit(light), scene.lights)
-        view = make_view(scene.views[self._view], image or scene.image)
-        if (samples, seed) not in self._numbers:
-            self._numbers[samples, seed] = make_numbers(samples, seed, REPLICATES)
-        numbers = self._numbers[samples, seed]
-        parts = [(0, view.height)] if rows is None else [(row, row + 1) for row in rows]
-        return np.concatenate([render_rows(prepared, view, numbers, part).radiance for part in parts])
+        view = make_view(self.scene.views[self._view], image or self.scene.image)
+        prepared = self._scene(materials, light)
+        return render_rows(prepared, view, self._numbers_of(samples, 0), (0, view.height)).radiance
+
+    def blocks(self, materials: list[Material], light: Environment, samples: int, seed: int, margin: int) -> Halves:
+        """Return blocks of the scene's picture with a margin, one below the other; parameters as of `picture`.
+
+        Each has random numbers of its own. A margin may leave the picture: what is traced there is of the same view.
+        """
+        view = make_view(self.scene.views[self._view], self.scene.image)
+        prepared, numbers = self._scene(materials, light), self._numbers_of(samples, seed)
+        side, found = _SIDE + 2 * margin, []
+        for number, (x, y) in enumerate(block_places(self.scene.image, _samples(self), _margin(self))):
+            block = sheared_view(view, x, y)._replace(width=side, height=side)
+            own = numbers._replace(seed=seed * 1_000_003 + number)
+            found.append(render_rows(prepared, block, own, (0, side)).halves)
+        return Halves(*(np.stack([getattr(block, name) for block in found]) for name in Halves._fields))
 
 
-def traced_rows(image: Size, samples: int) -> np.ndarray:
-    """Return the rows of a picture that its noise is taken from, evenly over it."""
-    count = round(_PATHS / (image.width * samples * (MORE + 3)))
-    count = min(max(count, 1), image.height)
-    return ((np.arange(count) + 0.5) * image.height / count).astype(int)
+def block_places(image: Size, samples: int, margin: int) -> list[tuple[float, float]]:
+    """Return the middles of the blocks, x and y in pixels, that a picture's noise is taken from, evenly over it."""
+    across, down = max(image.width // _SIDE, 1), max(image.height // _SIDE, 1)
+    paths = samples * (2 * (_SIDE + 2 * margin) ** 2 + MORE * _SIDE**2)
+    count = max(round(_PATHS / paths), 1)
+    if count >= across * down:
+        chosen = np.stack(np.divmod(np.arange(across * down), across)[::-1], axis=1)
+    else:
+        steps = np.arange(count)[:, None] * _EVEN_STEPS
+        chosen = ((0.5 + steps) % 1.0 * (across, down)).astype(int)
+    return [((x + 0.5) * image.width / across, (y + 0.5) * image.height / down) for x, y in chosen]
+
+
+def _margin(paths: Paths) -> int:
+    return MARGIN if _integrator(paths).denoise else 0
 
 
 def _samples(paths: Paths) -> int:
+    return _integrator(paths).samples
+
+
+def _integrator(paths: Paths) -> ReferenceIntegrator:
     if not isinstance(paths.scene.integrator, ReferenceIntegrator):
         raise ValueError("noise of an integrator that has none; accepted: a scene of the integrator reference")
-    return paths.scene.integrator.samples
+    return paths.scene.integrator
 
 
-def measured_noise(paths: Paths, rows, materials: list[Material], light: Environment, white: np.ndarray) -> np.ndarray:
-    """Return CIEDE2000 between the scene's number of paths and many more, (rows, width).
+def _inner(values: np.ndarray, margin: int) -> np.ndarray:
+    """Return blocks (blocks, side, side, ...) without their margin, (blocks · 8, 8, ...)."""
+    inner = values[:, margin : margin + _SIDE, margin : margin + _SIDE]
+    return inner.reshape(-1, *inner.shape[2:])
 
-    The noise of the many is taken out: of independent parts, squares add.
+
+def touched(paths: Paths, one: list[Material], other: list[Material], light: Environment) -> np.ndarray:
+    """Return where blocks of two sets of materials differ, (blocks · 8, 8) bool: elsewhere no object is seen."""
+    pair = (_inner(paths.blocks(materials, light, REPLICATES, 0, 0).mean, 0) for materials in (one, other))
+    return np.not_equal(*pair).any(axis=-1)
+
+
+class TracedBlocks(NamedTuple):
+    """Blocks of a picture as the scene's integrator renders it, each array (blocks · 8, 8, 61) radiance."""
+
+    shown: np.ndarray
+    first: np.ndarray  # set of samples, as traced
+    second: np.ndarray
+    filtered: np.ndarray  # (2, ...) both sets after the filter, or as traced where there is none
+
+
+def traced_blocks(paths: Paths, materials: list[Material], light: Environment, seed: int) -> TracedBlocks:
+    """Return blocks of the scene's own number of paths, filtered where the scene is."""
+    margin = _margin(paths)
+    halves = paths.blocks(materials, light, _samples(paths), seed, margin)
+    first, second = (_inner(halves.mean + sign * halves.difference, margin) for sign in (1.0, -1.0))
+    filtered = np.stack([first, second])
+    if margin:
+        rows = (margin, margin + _SIDE)
+        made = []
+        for block in zip(*halves, strict=True):
+            one = Halves(*block)
+            made.append(filtered_halves(one, make_guides(one), rows)[:, :, margin : margin + _SIDE])
+        filtered = np.concatenate(made, axis=1)
+    return TracedBlocks(filtered.mean(axis=0), first, second, filtered)
+
+
+def measured_noise(paths: Paths, materials: list[Material], light: Environment, white: np.ndarray) -> np.ndarray:
+    """Return CIEDE2000 between blocks of the scene's picture and many more paths, (blocks · 8, 8).
+
+    The noise of the many is taken out of all alike: of independent parts, squares add.
     """
-    samples = _samples(paths)
-    few = paths.picture(materials, light, samples, _SEEDS[0], rows=rows)
-    many = paths.picture(materials, light, MORE * samples, _SEEDS[1], rows=rows)
-    return radiance_delta_e(many, few, white) / np.sqrt(1.0 + 1.0 / MORE)
+    few = traced_blocks(paths, materials, light, _SEEDS[0])
+    many = paths.blocks(materials, light, MORE * _samples(paths), _SEEDS[1], 0)
+    mean, half = (_inner(part, 0) for part in (many.mean, many.difference))
+    distance = radiance_delta_e(mean, few.shown, white)
+    own = np.mean(np.square(radiance_delta_e(mean + half, mean - half, white))) / 4.0
+    whole = float(np.mean(np.square(distance)))
+    return distance * np.sqrt(max(1.0 - own / whole, 0.0) if whole > 0.0 else 0.0)
 
 
-def expected_noise(paths: Paths, rows, materials: list[Material], light: Environment, white: np.ndarray) -> np.ndarray:
-    """Return CIEDE2000 that the scene's number of paths leads to, (rows, width), from two pictures of as many.
+def expected_noise(paths: Paths, materials: list[Material], light: Environment, white: np.ndarray) -> np.ndarray:
+    """Return CIEDE2000 that the scene's number of paths leads to, by one picture alone, (blocks · 8, 8).
 
-    Their difference has √2 times the noise of each, and its colour: the standard error that the integrator states of
-    every band does not say how far the bands err together.
+    Of a filtered picture it is the root mean square over all blocks, for single squares scatter by more than
+    themselves, and has the filter's bias in it: `irodori.rendering.reference.denoising.squared_error`. Of another
+    picture it is half the distance of its two sets, whose colour counts: the standard error of every band does not say
+    how far the bands err together.
     """
-    samples = _samples(paths)
-    one, other = (paths.picture(materials, light, samples, seed, rows=rows) for seed in _SEEDS[2:])
-    return radiance_delta_e(one, other, white) / np.sqrt(2.0)
+    one = traced_blocks(paths, materials, light, _SEEDS[2])
+    if not _margin(paths):
+        return radiance_delta_e(one.first, one.second, white) / 2.0
+    squares = squared_error(lambda a, b: radiance_delta_e(a, b, white), one.first, one.second, one.filtered)
+    least = np.square(radiance_delta_e(*one.filtered, white)) / 4.0
+    return np.full(squares.shape, np.sqrt(max(float(squares.mean()), float(least.mean()))))

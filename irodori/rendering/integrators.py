@@ -293,7 +293,6 @@ class _Reference(Renderer):
             FinishedTiles,
             make_scene,
             picture_key,
-            pooled,
             render,
         )
 
@@ -305,7 +304,8 @@ class _Reference(Renderer):
         prepared = prepared._replace(world=prepared.world._replace(lights=moment.lights(prepared.world.lights)))
         view = make_view(scene.views[view_name], scene.image)
         if not self.compiled:
-            render(prepared, view._replace(width=1, height=1), REPLICATES)
+            first = render(prepared, view._replace(width=1, height=1), REPLICATES, halves=scene.integrator.denoise)
+            _finished(first)
             self.compiled = True
         tiles = None
         if tiles_folder is not None:
@@ -320,22 +320,52 @@ class _Reference(Renderer):
             label=f"render {view_name}",
             tiles=tiles,
             error_by_band=False,
+            halves=scene.integrator.denoise,
         )
         seconds = time.perf_counter() - start
+        radiance, errors = _finished(picture)
         if tiles is not None:
             tiles.remove()
         if picture.cut:
             LOGGER.warning("%d paths were cut: the picture is too dark by what they would have brought", picture.cut)
-        error, mean = pooled(picture.standard_error[..., 0]), picture.radiance.mean(axis=-1)
-        relative = np.divide(error, mean, out=np.zeros_like(error), where=mean > 0)
-        return picture.radiance, {
-            "seconds": seconds,
+        return radiance, {
+            "seconds": time.perf_counter() - start,
             "samples": samples,
             "paths_per_second": view.width * view.height * samples / seconds,
             "paths_cut": picture.cut,
-            "relative_standard_error": {
-                "mean": float(relative.mean()),
-                "p95": float(np.percentile(relative, 95)),
-                "max": float(relative.max()),
-            },
+            **errors,
         }
+
+
+def _finished(picture) -> tuple[np.ndarray, dict]:
+    """Return the radiance to show of a path-traced picture, filtered if it has its halves, and its errors."""
+    from irodori.rendering.reference.converging_picture import pooled
+
+    traced = _relative(pooled(picture.standard_error[..., 0]), picture.radiance)
+    if picture.halves is None:
+        return picture.radiance, {"relative_standard_error": traced}
+    from irodori.rendering.reference.denoising import BLOCK_PX, denoise, distance_to_unbiased
+
+    start = time.perf_counter()
+    radiance, error = denoise(picture.halves)
+    distance = distance_to_unbiased(picture.halves, radiance)
+    return radiance, {
+        "relative_standard_error": _relative(error, radiance),
+        "denoised": {
+            "seconds": time.perf_counter() - start,
+            "relative_standard_error_before": traced,
+            "relative_distance_to_unbiased": distance,
+            "block_px": BLOCK_PX,
+        },
+    }
+
+
+def _relative(error: np.ndarray, radiance: np.ndarray) -> dict[str, float]:
+    """Return mean, 95th percentile and maximum of the pixels' errors (height, width) over their mean radiance."""
+    mean = radiance.mean(axis=-1)
+    relative = np.divide(error, mean, out=np.zeros(mean.shape), where=mean > 0)
+    return {
+        "mean": float(relative.mean()),
+        "p95": float(np.percentile(relative, 95)),
+        "max": float(relative.max()),
+    }

@@ -28,7 +28,7 @@ from irodori.evaluation.error_budget import (
 )
 from irodori.evaluation.error_prediction import noisy, other_gloss
 from irodori.evaluation.known_errors import Known, Photographs, Spread
-from irodori.evaluation.renderer_noise import Paths, expected_noise, measured_noise, traced_rows
+from irodori.evaluation.renderer_noise import Paths, block_places, expected_noise, measured_noise, traced_blocks
 from irodori.evaluation.result_tables import BudgetRow, read_rows
 from irodori.evaluation.truth_errors import radiance_delta_e
 from irodori.light.environment_file import Environment
@@ -36,6 +36,8 @@ from irodori.material.material_file import Material
 from irodori.material.principal_components.basis_count import CompressOptions
 from irodori.rendering.integrators import render_image
 from irodori.rendering.planning.plan_file import write_plan
+from irodori.rendering.reference.denoising import Halves
+from irodori.rendering.reference.world import NORMAL, SEEN
 from irodori.rendering.scene_white import scene_white
 from irodori.spectra.published import spectrum
 
@@ -275,36 +277,60 @@ def test_what_an_integrator_leaves_out_is_seen_beside_paths():
 
 
 class Scattering:
-    """Grey pictures whose noise falls with the root of the number of paths."""
+    """Grey pictures whose noise falls with the root of the number of paths, and has no likeness from pixel to pixel."""
 
-    scene = SimpleNamespace(integrator=ReferenceIntegrator(samples=16))
+    def __init__(self, denoise: bool) -> None:
+        self.scene = SimpleNamespace(integrator=ReferenceIntegrator(samples=16, denoise=denoise))
 
-    def picture(self, materials, light, samples, seed=0, rows=None) -> np.ndarray:
-        off = np.random.default_rng(seed).normal(size=(120, 100, 1)) / np.sqrt(samples)
-        return 0.4 * (1.0 + 0.02 * off) * np.ones(61)
+    def blocks(self, materials, light, samples, seed, margin) -> Halves:
+        size = (60, 8 + 2 * margin, 8 + 2 * margin, 1)
+        mean, half = np.random.default_rng(seed).normal(size=(2, *size)) / np.sqrt(samples)
+        seen = np.zeros((*size[:3], SEEN), np.float32)
+        seen[..., NORMAL] = 1.0
+        shape = np.ones(61, np.float32)
+        return Halves((0.4 + 0.008 * mean * shape).astype(np.float32), (0.008 * half * shape).astype(np.float32), seen)
 
 
 @pytest.mark.parametrize("noise", [measured_noise, expected_noise])
 def test_the_renderers_noise_is_that_of_its_own_number_of_paths(noise):
-    white = np.ones(61)
-    own = radiance_delta_e(0.4 * np.ones((120, 100, 61)), Scattering().picture([], None, 16, seed=5), white)
-    found = noise(Scattering(), None, [], None, white)
-    assert np.sqrt((found**2).mean()) == pytest.approx(np.sqrt((own**2).mean()), rel=0.04)
+    white, paths = np.ones(61), Scattering(denoise=False)
+    own = radiance_delta_e(
+        np.full(paths.blocks([], None, 16, 5, 0).mean.shape, 0.4), paths.blocks([], None, 16, 5, 0).mean, white
+    )
+    found = noise(paths, [], None, white)
+    assert np.sqrt((found**2).mean()) == pytest.approx(np.sqrt((own**2).mean()), rel=0.06)
+
+
+def test_the_noise_of_a_filtered_picture_is_what_its_filter_leaves():
+    white, paths = np.ones(61), Scattering(denoise=True)
+    shown = traced_blocks(paths, [], None, 5).shown
+    left = np.sqrt((radiance_delta_e(np.full(shown.shape, 0.4), shown, white) ** 2).mean())
+    as_traced = np.sqrt((measured_noise(Scattering(denoise=False), [], None, white) ** 2).mean())
+    assert left < 0.45 * as_traced
+    # Here a ninth is left, less than the noise of the many paths beside it, of which some stays.
+    for noise in (measured_noise, expected_noise):
+        found = noise(paths, [], None, white)
+        assert 0.5 * left < np.sqrt((found**2).mean()) < 0.3 * as_traced
 
 
 @pytest.mark.parametrize("noise", [measured_noise, expected_noise])
 def test_an_integrator_without_random_numbers_has_no_noise(noise):
     silent = SimpleNamespace(scene=made(Scene, scene_of({"kind": "interactive"})))
     with pytest.raises(ValueError, match="accepted: a scene of the integrator reference"):
-        noise(silent, None, [], None, np.ones(61))
+        noise(silent, [], None, np.ones(61))
 
 
-def test_rows_for_the_noise_lie_evenly_over_the_picture():
-    image = Size(width=100, height=60)
-    rows = traced_rows(image, 128)  # 1.5 million paths: seven times 128 for each of 100 pixels of a row
-    assert list(rows) == [int((n + 0.5) * 60 / 17) for n in range(17)]
-    assert list(traced_rows(image, 8)) == list(range(60))
-    assert list(traced_rows(image, 8192)) == [30]
+def test_blocks_for_the_noise_lie_evenly_over_the_picture():
+    image = Size(width=640, height=480)
+    places = np.array(block_places(image, 32, 7))
+    assert 15 < len(places) < 60 and (places >= 4).all() and (places <= [636, 476]).all()
+    # Each third of the height and of the width has its share.
+    for axis, size in enumerate((640, 480)):
+        counts = np.histogram(places[:, axis], bins=3, range=(0, size))[0]
+        assert counts.min() >= len(places) // 6
+    assert len(block_places(image, 1 << 20, 0)) == 1
+    assert len(block_places(Size(width=16, height=8), 8, 0)) == 2
+    assert block_places(Size(width=5, height=3), 8, 0) == [(2.5, 1.5)]
 
 
 def test_the_table_keeps_its_rows(tmp_path, monkeypatch):

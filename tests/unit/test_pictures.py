@@ -173,6 +173,9 @@ def test_a_view_by_paths_in_files_tells_its_error_and_leaves_no_tiles(tmp_path):
     figures = json.loads((tmp_path / "v.json").read_text())
     assert figures["integrator"] == "reference" and figures["samples"] == 512 and figures["paths_cut"] == 0
     assert 0 < figures["relative_standard_error"]["mean"] <= figures["relative_standard_error"]["max"] < 0.02
+    filtered = figures["denoised"]
+    assert figures["relative_standard_error"]["mean"] <= filtered["relative_standard_error_before"]["mean"] < 0.02
+    assert filtered["relative_distance_to_unbiased"]["max"] < 0.005
     assert not (tmp_path / "v.tiles").exists()
     with pytest.raises(ValueError, match=r"area lights .* accepted: collimated"):
         render(made(Scene, scene | {"integrator": {"kind": "interactive", "ambient": True}}), *arguments)

@@ -21,10 +21,11 @@ from irodori.reflection.lobes import Lobes
 from irodori.reflection.registry import lobe
 from irodori.rendering.compiled_calls import resolved
 from irodori.rendering.reference.band_loops import padded
+from irodori.rendering.reference.denoising import Halves
 from irodori.rendering.reference.random_numbers import Numbers, make_numbers
 from irodori.rendering.reference.row_statistics import Rows, Sampling, render_some_rows
 from irodori.rendering.reference.sky_sampling import Sky, make_sky
-from irodori.rendering.reference.world import Bands, World
+from irodori.rendering.reference.world import SEEN, Bands, World
 from irodori.rendering.scene_arrays import Objects, View
 from irodori.rendering.scene_lights import BANDS, make_lights
 
@@ -46,13 +47,15 @@ class TracedScene(NamedTuple):
 class Picture(NamedTuple):
     """Part of a picture, or all of it.
 
-    ``radiance`` is the mean and ``standard_error`` that of the mean; ``cut`` counts the paths that were ended at
-    `irodori.rendering.reference.paths.LONGEST` surfaces, the one thing by which the mean can be too low.
+    ``radiance`` is the mean and ``standard_error`` that of the mean; ``halves`` has the two sets apart where they are
+    asked for. ``cut`` counts the paths that were ended at `irodori.rendering.reference.paths.LONGEST` surfaces, the one
+    thing by which the mean can be too low.
     """
 
     radiance: np.ndarray  # (rows, width, 61) float32
     standard_error: np.ndarray  # (rows, width, 61) float32
     cut: int
+    halves: Halves | None = None
 
 
 def make_scene(
@@ -82,11 +85,11 @@ def make_scene(
 def render_rows(scene: TracedScene, view: View, numbers: Numbers, rows: tuple[int, int]) -> Picture:
     """Render a band of rows, on as many threads as numba may use; these do not change the result."""
     count = rows[1] - rows[0]
-    image = np.zeros((count, view.width, BANDS), dtype=np.float32)
-    error, cut = np.zeros_like(image), np.zeros(count, dtype=np.int64)
-    arguments = Sampling(scene.world, view, numbers), Rows(rows[0], image, error, cut)
+    image, seen = (np.zeros((count, view.width, size), dtype=np.float32) for size in (BANDS, SEEN))
+    error, difference, cut = np.zeros_like(image), np.zeros_like(image), np.zeros(count, dtype=np.int64)
+    arguments = Sampling(scene.world, view, numbers), Rows(rows[0], image, error, difference, seen, cut)
     run_chunks(resolved(render_some_rows, *arguments, 0, 0), count, 1, *arguments)
-    return Picture(image, error, int(cut.sum()))
+    return Picture(image, error, int(cut.sum()), Halves(image, difference, seen) if numbers.replicates == 2 else None)
 
 
 def check_samples(samples: int, replicates: int = REPLICATES) -> None:
@@ -111,6 +114,7 @@ def render(
     tiles: "FinishedTiles | None" = None,
     error_by_band: bool = True,
     replicates: int = REPLICATES,
+    halves: bool = False,
 ) -> Picture:
     """Render a picture.
 
@@ -133,16 +137,22 @@ def render(
     replicates : int
         Independent sets of the samples, 2 or more. The standard error of a pixel follows Student's law with one degree
         of freedom less: of two sets it says little of a single pixel, see `pooled`.
+    halves : bool
+        Whether the picture is to have its `Halves`, for which it needs twice the memory and two replicates.
 
     Raises
     ------
     ValueError
-        If `samples` is no multiple of ``replicates``.
+        If `samples` is no multiple of ``replicates``, or halves are asked for of other than two.
     """
     check_samples(samples, replicates)
+    if halves and replicates != 2:
+        raise ValueError(f"halves of {replicates} replicates; accepted: 2")
     numbers = make_numbers(samples, seed, replicates)
     radiance = np.empty((view.height, view.width, BANDS), dtype=np.float32)
     error, cut = np.empty((view.height, view.width, BANDS if error_by_band else 1), dtype=np.float32), 0
+    difference = np.empty_like(radiance) if halves else None
+    seen = np.empty((view.height, view.width, SEEN), dtype=np.float32)
     for first in track(range(0, view.height, tile_rows), label):
         rows = (first, min(first + tile_rows, view.height))
         if tiles is None:
@@ -153,7 +163,9 @@ def render(
         spread = part.standard_error
         error[slice(*rows)] = spread if error_by_band else np.sqrt(np.mean(spread**2, axis=-1, keepdims=True))
         cut += part.cut
-    return Picture(radiance, error, cut)
+        if difference is not None and part.halves is not None:
+            difference[slice(*rows)], seen[slice(*rows)] = part.halves.difference, part.halves.seen
+    return Picture(radiance, error, cut, None if difference is None else Halves(radiance, difference, seen))
 
 
 def pooled(error: np.ndarray) -> np.ndarray:
@@ -211,10 +223,14 @@ class FinishedTiles:
         path = self.folder / f"{self.key}-{rows[0]}-{rows[1]}.npz"
         if path.is_file():
             with np.load(path) as kept:
-                return Picture(kept["radiance"], kept["standard_error"], int(kept["cut"]))
+                halves = Halves(*(kept[name] for name in ("radiance", "difference", "seen")))
+                return Picture(halves.mean, kept["standard_error"], int(kept["cut"]), halves)
         part = make()
         with written_whole(path) as temporary:
-            np.savez(temporary, radiance=part.radiance, standard_error=part.standard_error, cut=part.cut)
+            named = {"standard_error": part.standard_error, "cut": np.array(part.cut)}
+            if part.halves is not None:
+                named |= {"difference": part.halves.difference, "seen": part.halves.seen}
+            np.savez(temporary, allow_pickle=False, radiance=part.radiance, **named)
         return part
 
     def remove(self) -> None:

@@ -42,7 +42,7 @@ from irodori.rendering.reference.random_numbers import (
     draw_from,
 )
 from irodori.rendering.reference.sky_sampling import look_at_sky, sample_sky
-from irodori.rendering.reference.world import Branch
+from irodori.rendering.reference.world import ALBEDO, NORMAL, PLACE, SHINE, Branch
 from irodori.rendering.scene_lights import COLLIMATED, density_towards, sample_towards, unobstructed
 from irodori.rendering.surface_hits import surface
 
@@ -54,6 +54,7 @@ _ROULETTE_FROM = 4  # the fifth surface
 #: At the first surface the mirror term is followed beside the others, and not as a choice among them: a lamp in a faint
 #: mirror, drawn seldom, would be a heap of bright dots. One sample in so many does, of a share under one in so many.
 MIRRORED = 4
+_THIRD = 20  # bands of a part of the spectrum, see `ALBEDO`
 # Columns of `Work.gloss`.
 _SHARE, _BETA, _MU, _CONSTANT = 0, 1, 2, 3
 
@@ -356,6 +357,17 @@ def _survives(work, stream):
     return True
 
 
+@uncounted(forceinline=True, fastmath={"reassoc", "contract", "nsz"})
+def _see(work, spectrum, shine):
+    """Add a spectrum and the share of gloss of what a path met first to ``work.seen``."""
+    for part in range(3):
+        total = np.float32(0.0)
+        for band in range(part * _THIRD, (part + 1) * _THIRD):
+            total += spectrum[band]
+        work.seen[ALBEDO + part] += total / _THIRD
+    work.seen[SHINE] += shine
+
+
 @uncounted(forceinline=True)
 def follow(world, ray, work, numbers, stream, seldom):
     """Add the radiance along one path to ``work.total``; return how many of its two branches had to be cut.
@@ -372,11 +384,18 @@ def follow(world, ray, work, numbers, stream, seldom):
         index = hit_shape(ray)
         if index < 0 or index >= objects:
             _meet_light(world, work, index, density)
+            if vertex == 0:
+                _see(work, work.radiance, 0.0)
         else:
             cos_r = _arrive(world, work, ray, index)
             terms = (0.0, 0.0, 0.0, 0.0)
             if cos_r > 0.0:
                 terms = _shares_of_terms(world, work, index, cos_r)
+            if vertex == 0:
+                _see(work, work.diffuse, terms[1] + terms[2])
+                for axis in range(3):
+                    work.seen[NORMAL + axis] += work.normal[axis]
+                    work.seen[PLACE + axis] += work.point[axis]
             if terms[0] + terms[1] + terms[2] > 0.0:
                 own = Stream(numbers, stream, VERTEX + vertex * PER_VERTEX)
                 _leave(world, work, index, work.origin)

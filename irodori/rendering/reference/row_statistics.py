@@ -10,7 +10,7 @@ from irodori.jit.compilation import njit, uncounted
 from irodori.rendering.reference.band_loops import BANDS, PADDED
 from irodori.rendering.reference.paths import MIRRORED, follow
 from irodori.rendering.reference.random_numbers import LENS, PIXEL, Numbers, draw, pixel_key, stream_of
-from irodori.rendering.reference.world import World, new_work
+from irodori.rendering.reference.world import SEEN, World, new_work
 from irodori.rendering.scene_arrays import View
 from irodori.rendering.view_cameras import aim
 
@@ -32,6 +32,8 @@ class Rows(NamedTuple):
     first: int  # row of the picture
     image: np.ndarray  # (rows, width, 61) float32 mean radiance
     error: np.ndarray  # (rows, width, 61) float32 standard error of that mean by the spread of the replicates
+    difference: np.ndarray  # (rows, width, 61) float32 half of what the first set's mean is above the last one's
+    seen: np.ndarray  # (rows, width, SEEN) float32 mean of what the paths met first
     cut: np.ndarray  # (rows,) int64 paths that were cut at `LONGEST` surfaces
 
 
@@ -41,6 +43,7 @@ class _Sums(NamedTuple):
     replicate: np.ndarray  # over the samples of one
     mean: np.ndarray  # over the means of the replicates
     square: np.ndarray  # over their squares
+    difference: np.ndarray  # half the first's mean less half the last's
 
 
 @uncounted(forceinline=True)
@@ -68,6 +71,10 @@ def _render_pixel(sampling, ray, work, x, y, sums):
             value = whole[band] / numbers.samples
             sums.mean[band] += value
             sums.square[band] += value * value
+            if replicate == 0:
+                sums.difference[band] += 0.5 * value
+            if replicate == numbers.replicates - 1:
+                sums.difference[band] -= 0.5 * value
     return cut
 
 
@@ -75,14 +82,19 @@ def _render_pixel(sampling, ray, work, x, y, sums):
 def render_some_rows(sampling, rows, first, last):
     """Fill some of `Rows`, ``first`` to ``last`` counted from the band's first, by a `Sampling`."""
     ray, work = new_ray(), new_work(sampling.world)
-    sums, count = _Sums(np.empty(BANDS), np.empty(BANDS), np.empty(BANDS)), sampling.numbers.replicates
+    sums, count = _Sums(np.empty(BANDS), np.empty(BANDS), np.empty(BANDS), np.empty(BANDS)), sampling.numbers.replicates
     for row in range(first, last):
         for x in range(sampling.camera.width):
             sums.mean[:] = 0.0
             sums.square[:] = 0.0
+            sums.difference[:] = 0.0
+            work.seen[:] = 0.0
             rows.cut[row] += _render_pixel(sampling, ray, work, x, rows.first + row, sums)
+            for column in range(SEEN):
+                rows.seen[row, x, column] = work.seen[column] / (count * sampling.numbers.samples)
             for band in range(BANDS):
                 value = sums.mean[band] / count
+                rows.difference[row, x, band] = sums.difference[band]
                 rows.image[row, x, band] = value
                 spread = max(sums.square[band] / count - value * value, 0.0)
                 rows.error[row, x, band] = math.sqrt(spread / (count - 1))

@@ -14,6 +14,10 @@ from irodori.rendering.reference.sky_sampling import Sky
 from irodori.rendering.scene_arrays import Objects
 from irodori.rendering.scene_lights import PADDED, Lights
 
+#: Columns of `Work.seen`: means over three parts of the spectrum of the diffuse reflectance (of light that is met: of
+#: its radiance), the normal, the place in mm, and the share of gloss and mirror in what is reflected.
+ALBEDO, NORMAL, PLACE, SHINE, SEEN = 0, 3, 6, 9, 10
+
 
 class Bands(NamedTuple):
     """What the materials have a band, padded; the first axis counts the objects."""
@@ -67,6 +71,7 @@ class Work(NamedTuple):
     mixture: np.ndarray
     total: np.ndarray
     kept: Branch
+    seen: np.ndarray  # (SEEN,) sums over a pixel's paths of what they met first
 
 
 @njit(cache=True)
@@ -91,4 +96,5 @@ def new_work(world):
         np.zeros(PADDED, np.float32),
         np.zeros(PADDED, np.float32),
         Branch(np.zeros(3), np.zeros(3), np.zeros(PADDED, np.float32)),
+        np.zeros(SEEN),
     )

@@ -1,0 +1,331 @@
+"""Cross filter that takes the noise out of a path-traced picture, and the error that is left.
+
+A picture has two independent sets of samples. Each pixel of one set becomes the value at its place of a linear function
+of what its paths met first (albedo, normal, place, share of gloss), fitted to the pixels around it (first-order
+regression: Moon et al. 2014, doi 10.1145/2641762; Bitterli et al. 2016, doi 10.1111/cgf.12954). How much a neighbour
+counts is told by the other set, patch against patch, in units of its noise (dual-buffer non-local means: Rousselle et
+al. 2012, doi 10.1145/2366145.2366214): the noise that is filtered has no say in it. All 61 bands have the same weights,
+so that spectra stay what they are.
+
+The filter is biased, which the sets tell too: how far one filtered set is from the other, unfiltered one, less the
+noise of that one, is the filter's whole error.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from irodori.jit.chunks import run_chunks
+from irodori.jit.compilation import njit
+from irodori.rendering.reference.world import ALBEDO, NORMAL, PLACE, SEEN, SHINE
+from irodori.rendering.scene_lights import BANDS
+
+#: Pixels to each side that a pixel is filtered over, and pixels to each side of a patch that is compared.
+RADIUS, PATCH = 5, 2
+#: Rows around those wanted that `filtered_halves` reads.
+MARGIN = RADIUS + PATCH
+_ROWS = 8  # filtered together: patches of neighbouring rows share what they compare
+_SIDE = 2 * RADIUS + 1
+_STRICT = 0.49  # square of the standard deviations by which patches may differ (k = 0.7 of Rousselle et al.)
+_RIDGE = 1e-4  # of the regression's slopes, a part of the weights' sum
+_LEAST_WEIGHT = 1e-4
+_COLUMNS = SEEN + 1
+#: Differences of the normal, of the albedo's cube root and of the share of gloss that count as another surface.
+_SAME_NORMAL, _SAME_ALBEDO, _SAME_SHINE = 0.3, 0.3, 0.2
+_DARK = 1e-3  # of the picture's mean: under it no difference is seen
+_NOISE_SIDE = 7  # pixels, over which the noise of two sets is averaged
+_ERROR_SIDE = 31  # pixels, over which squared errors are averaged: single ones say little, and may be below 0
+_TILE_ROWS = 64
+#: Side of the blocks, in pixels, whose means are compared before and after: little noise is left in them.
+BLOCK_PX = 16
+
+
+class Halves(NamedTuple):
+    """The two independent sets of a picture's samples, by rows, or a band of rows of one."""
+
+    mean: np.ndarray  # (height, width, 61) float32 radiance
+    difference: np.ndarray  # (height, width, 61) float32 half of what the first set is above the second
+    seen: np.ndarray  # (height, width, SEEN) float32, see `irodori.rendering.reference.world.SEEN`
+
+
+class Denoised(NamedTuple):
+    """A filtered picture and what it errs by."""
+
+    radiance: np.ndarray  # (height, width, 61) float32
+    error: np.ndarray  # (height, width) float32 root mean square over the bands and the neighbourhood, noise and bias
+
+
+class Guides(NamedTuple):
+    """What tells the weights of `Halves`."""
+
+    colour: np.ndarray  # (2 sets, 3 parts of the spectrum, height, width) float32, cube roots
+    noise: np.ndarray  # (3, height, width) float32 variance of one set's
+    seen: np.ndarray  # (height, width, SEEN) float32, scaled to about one over the window
+    surface: np.ndarray  # (height, width) bool: whether any path met one; others have no noise to speak of
+
+
+def _averaged(values: np.ndarray, side: int) -> np.ndarray:
+    """Return means over squares of so many pixels to a side about each pixel of a picture (height, width)."""
+    from scipy.ndimage import convolve1d  # slow to import
+
+    # Not `uniform_filter`: beside a sun the rounding of its running sum is more than the dark's values.
+    even = np.full(side, 1.0 / side)
+    return convolve1d(convolve1d(values.astype(np.float64), even, 0, mode="nearest"), even, 1, mode="nearest")
+
+
+def _parts(spectra: np.ndarray) -> np.ndarray:
+    """Return the means of three parts of the spectrum, (3, ...) float32."""
+    thirds = np.array_split(np.arange(spectra.shape[-1]), 3)
+    return np.stack([spectra[..., third].mean(axis=-1, dtype=np.float32) for third in thirds])
+
+
+def make_guides(halves: Halves) -> Guides:
+    """Return the guides of a picture, or of a band of its rows, which then may differ by the picture's mean."""
+    mean, half = _parts(halves.mean), _parts(halves.difference)
+    # As an eye sees it, and noise of like size in dark and light.
+    dark = _DARK * float(mean.mean()) or 1.0
+    colour = np.stack([np.cbrt(np.maximum(mean + sign * half, 0.0) + dark) for sign in (1.0, -1.0)]).astype(np.float32)
+    squares = 0.5 * np.square(colour[0] - colour[1])
+    noise = np.stack([_averaged(part, _NOISE_SIDE) for part in squares])
+    seen = halves.seen.astype(np.float32)
+    surface = np.square(halves.seen[..., NORMAL:PLACE]).sum(axis=-1) > 0.0
+    seen[..., ALBEDO:NORMAL] = np.cbrt(np.maximum(seen[..., ALBEDO:NORMAL], 0.0) + 1e-3)
+    both = surface[:, 1:] & surface[:, :-1]
+    steps = np.linalg.norm(np.diff(seen[..., PLACE:SHINE], axis=1), axis=-1)[both]
+    seen[..., PLACE:SHINE] /= 2.0 * RADIUS * (float(np.median(steps)) if steps.size else 0.0) or 1.0
+    return Guides(colour, noise.astype(np.float32), seen, surface)
+
+
+@njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz"}, error_model="numpy")
+def _compare(guides, which, shift, rows, patches, weights):
+    """Fill the weights (rows, width) of one offset by patches of a set; 0 where it leads out of the picture."""
+    height, width = guides.surface.shape
+    (down, right), (first, last) = shift, rows
+    colour, noise = guides.colour, guides.noise
+    for row in range(first - PATCH, last + PATCH):
+        own = min(max(row, 0), height - 1)
+        other = min(max(row + down, 0), height - 1)
+        line = patches[row - first + PATCH]
+        line[:] = np.float32(0.0)
+        for part in range(3):
+            for x in range(width):
+                there = min(max(x + right, 0), width - 1)
+                step = colour[which, part, own, x] - colour[which, part, other, there]
+                here, at = noise[part, own, x], noise[part, other, there]
+                over = step * step - (here + min(here, at))
+                line[x] += over / (np.float32(1e-12) + np.float32(_STRICT) * (here + at))
+    share = np.float32(1.0 / (3 * (2 * PATCH + 1) ** 2))
+    column = np.empty(width, np.float32)
+    for row in range(first, last):
+        column[:] = np.float32(0.0)
+        for line in range(row - first, row - first + 2 * PATCH + 1):
+            for x in range(width):
+                column[x] += patches[line, x]
+        inside = 0 <= row + down < height
+        for x in range(width):
+            total = np.float32(0.0)
+            for beside in range(x - PATCH, x + PATCH + 1):
+                total += column[min(max(beside, 0), width - 1)]
+            weight = np.float32(0.0)
+            if inside and 0 <= x + right < width:
+                weight = np.exp(-max(total * share, np.float32(0.0)))
+            weights[row - first, x] = weight
+
+
+@njit(cache=True, nogil=True)
+def _likeness(seen, row, x, other, there):
+    """Return by how much a neighbour counts as of the same surface, 0 to 1."""
+    normal, albedo = 0.0, 0.0
+    for axis in range(3):
+        normal += (seen[row, x, NORMAL + axis] - seen[other, there, NORMAL + axis]) ** 2
+        albedo += (seen[row, x, ALBEDO + axis] - seen[other, there, ALBEDO + axis]) ** 2
+    shine = (seen[row, x, SHINE] - seen[other, there, SHINE]) ** 2
+    return math.exp(-normal / _SAME_NORMAL**2 - albedo / _SAME_ALBEDO**2 - shine / _SAME_SHINE**2)
+
+
+@njit(cache=True, nogil=True)
+def _solve(matrix, first, out):
+    """Fill ``out`` with the first column of a positive matrix's inverse; the matrix becomes its Cholesky factor."""
+    for a in range(_COLUMNS):
+        for b in range(a + 1):
+            total = matrix[a, b]
+            for c in range(b):
+                total -= matrix[a, c] * matrix[b, c]
+            matrix[a, b] = math.sqrt(max(total, 1e-12)) if a == b else total / matrix[b, b]
+    for a in range(_COLUMNS):
+        total = 1.0 if a == 0 else 0.0
+        for c in range(a):
+            total -= matrix[a, c] * first[c]
+        first[a] = total / matrix[a, a]
+    for a in range(_COLUMNS - 1, -1, -1):
+        total = first[a]
+        for c in range(a + 1, _COLUMNS):
+            total -= matrix[c, a] * out[c]
+        out[a] = total / matrix[a, a]
+
+
+@njit(cache=True, nogil=True)
+def _regress(guides, row, x, weights, scratch):
+    """Turn the weights (121,) of a pixel's neighbours into those of its regression."""
+    design, matrix, first, solved = scratch
+    matrix[:] = 0.0
+    whole = 0.0
+    for offset in range(_SIDE * _SIDE):
+        weight = weights[offset]
+        if weight < _LEAST_WEIGHT:
+            weights[offset] = 0.0
+            continue
+        other, there = row + offset // _SIDE - RADIUS, x + offset % _SIDE - RADIUS
+        weight *= _likeness(guides.seen, row, x, other, there)
+        weights[offset] = weight
+        design[offset, 0] = 1.0
+        for column in range(SEEN):
+            design[offset, column + 1] = guides.seen[other, there, column] - guides.seen[row, x, column]
+        for a in range(_COLUMNS):
+            scaled = weight * design[offset, a]
+            for b in range(a + 1):
+                matrix[a, b] += scaled * design[offset, b]
+        whole += weight
+    for a in range(1, _COLUMNS):
+        matrix[a, a] += _RIDGE * whole
+    _solve(matrix, first, solved)
+    for offset in range(_SIDE * _SIDE):
+        if weights[offset] > 0.0:
+            total = 0.0
+            for a in range(_COLUMNS):
+                total += solved[a] * design[offset, a]
+            weights[offset] *= total
+
+
+@njit(cache=True, nogil=True)
+def _filter_some_rows(halves, guides, start, filtered, first, last):
+    """Fill ``filtered`` (2 sets, rows, width, 61) in bands of `_ROWS` rows, from the picture's row ``start`` on."""
+    width = guides.surface.shape[1]
+    count = filtered.shape[1]
+    patches = np.empty((_ROWS + 2 * PATCH, width), np.float32)
+    weights = np.empty((_SIDE * _SIDE, _ROWS, width), np.float32)
+    own, total = np.empty(_SIDE * _SIDE), np.empty(BANDS, np.float32)
+    scratch = (
+        np.empty((_SIDE * _SIDE, _COLUMNS)),
+        np.empty((_COLUMNS, _COLUMNS)),
+        np.empty(_COLUMNS),
+        np.empty(_COLUMNS),
+    )
+    for band in range(first, last):
+        top, bottom = start + band * _ROWS, min(start + (band + 1) * _ROWS, start + count)
+        for which in range(2):
+            sign = np.float32(1.0 - 2.0 * which)
+            for offset in range(_SIDE * _SIDE):
+                shift = offset // _SIDE - RADIUS, offset % _SIDE - RADIUS
+                _compare(guides, 1 - which, shift, (top, bottom), patches, weights[offset])
+            for row in range(top, bottom):
+                for x in range(width):
+                    out = filtered[which, row - start, x]
+                    if not guides.surface[row, x]:
+                        for c in range(BANDS):
+                            out[c] = halves.mean[row, x, c] + sign * halves.difference[row, x, c]
+                        continue
+                    for offset in range(_SIDE * _SIDE):
+                        own[offset] = weights[offset, row - top, x]
+                    _regress(guides, row, x, own, scratch)
+                    total[:] = np.float32(0.0)
+                    for offset in range(_SIDE * _SIDE):
+                        weight = np.float32(own[offset])
+                        if weight == 0.0:
+                            continue
+                        other, there = row + offset // _SIDE - RADIUS, x + offset % _SIDE - RADIUS
+                        for c in range(BANDS):
+                            mean, half = halves.mean[other, there, c], halves.difference[other, there, c]
+                            total[c] += weight * (mean + sign * half)
+                    for c in range(BANDS):
+                        # A regression may lead below none at all.
+                        out[c] = max(total[c], np.float32(0.0))
+
+
+def filtered_halves(halves: Halves, guides: Guides, rows: tuple[int, int]) -> np.ndarray:
+    """Return rows of both sets filtered, (2, rows, width, 61) float32, on as many threads as numba may use.
+
+    Parameters
+    ----------
+    halves : Halves
+        With `MARGIN` rows around those wanted, as far as the picture has them.
+    guides : Guides
+        Of the same rows, see `make_guides`.
+    rows : (int, int)
+        First and last but one of those wanted, counted within ``halves``.
+    """
+    count = rows[1] - rows[0]
+    filtered = np.empty((2, count, *halves.mean.shape[1:]), dtype=np.float32)
+    run_chunks(_filter_some_rows, math.ceil(count / _ROWS), 1, halves, guides, rows[0], filtered)
+    return filtered
+
+
+def squared_error(distance, first: np.ndarray, second: np.ndarray, filtered: np.ndarray) -> np.ndarray:
+    """Return the expected squared distance of a filtered picture from the truth, of every pixel; it may be below 0.
+
+    Of a filtered set and the other, unfiltered one only the noise of the latter is not the filter's error; the mean of
+    two filtered sets errs less than each by the square of half their distance.
+
+    Parameters
+    ----------
+    distance : callable
+        Of two pictures, of every pixel.
+    first, second : np.ndarray
+        Both sets as they were traced, (..., 61).
+    filtered : np.ndarray
+        Both sets filtered, (2, ..., 61).
+    """
+    crossed = np.square(distance(filtered[0], second)) + np.square(distance(filtered[1], first))
+    own = np.square(distance(first, second))
+    return 0.5 * crossed - 0.5 * own - 0.25 * np.square(distance(*filtered))
+
+
+def _band_distance(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    return np.sqrt(np.mean(np.square(np.subtract(one, other, dtype=np.float64)), axis=-1))
+
+
+def denoise(halves: Halves) -> Denoised:
+    """Return a filtered picture and its error; work memory is that of a few rows."""
+    guides, (height, width, _) = make_guides(halves), halves.mean.shape
+    radiance, squares, least = np.empty_like(halves.mean), np.empty((height, width)), np.empty((height, width))
+    for first in range(0, height, _TILE_ROWS):
+        rows = (first, min(first + _TILE_ROWS, height))
+        filtered = filtered_halves(halves, guides, rows)
+        part = slice(*rows)
+        radiance[part] = 0.5 * (filtered[0] + filtered[1])
+        mean, half = halves.mean[part], halves.difference[part]
+        squares[part] = squared_error(_band_distance, mean + half, mean - half, filtered)
+        least[part] = np.square(_band_distance(*filtered)) / 4.0
+    # The noise that is left in the sets, if their bias is lost in the noise that they had.
+    squares = np.maximum(_averaged(squares, _ERROR_SIDE), _averaged(least, _ERROR_SIDE))
+    return Denoised(radiance, np.sqrt(squares).astype(np.float32))
+
+
+def distance_to_unbiased(halves: Halves, radiance: np.ndarray) -> dict[str, float]:
+    """Return how far blocks of a filtered picture are from those of the mean of its samples, which is unbiased.
+
+    Blocks have `BLOCK_PX` pixels a side; in their means noise is small and a bias stays.
+
+    Returns
+    -------
+    dict
+        ``mean``, ``p95`` and ``max`` of the relative root mean square over the bands, and ``noise``, the mean of the
+        relative standard error of the blocks before they were filtered: a distance of about its size is no bias.
+    """
+    height, width = (max(size // BLOCK_PX, 1) for size in radiance.shape[:2])
+
+    def blocks(picture: np.ndarray) -> np.ndarray:
+        rows = np.array_split(picture, height)
+        means = [[block.mean(axis=(0, 1), dtype=np.float64) for block in np.array_split(row, width, 1)] for row in rows]
+        return np.array(means)
+
+    unbiased, half = blocks(halves.mean), blocks(halves.difference)
+    level = np.maximum(unbiased.mean(axis=-1), np.finfo(np.float64).tiny)
+    off, noise = _band_distance(blocks(radiance), unbiased) / level, _band_distance(half, 0.0 * half) / level
+    return {
+        "mean": float(off.mean()),
+        "p95": float(np.percentile(off, 95)),
+        "max": float(off.max()),
+        "noise": float(noise.mean()),
+    }
