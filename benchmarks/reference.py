@@ -7,10 +7,10 @@ path, drawn anew for each; ours carries 61 bands.
 
 How the error is matched: each renderer is compared with a converged picture of its own (``--converged`` paths a
 pixel, another seed), by the mean CIEDE2000 over the pixels, white being the same diffuser for both; so neither is
-charged with what the other does differently. The errors of several sample counts, two seeds each, make a line in
-logarithms; on it the samples are read at which the error is ``--target``, and seconds are those samples' (time is
-linear in them, see below). ``converged pictures`` is the mean CIEDE2000 between the two: it tells that the scenes are
-the same.
+charged with what the other does differently. ``reference-filtered`` is compared with the converged picture that is not
+filtered: its bias counts. The errors of several sample counts, two seeds each, make a line in logarithms; on it the
+samples are read at which the error is ``--target``, and seconds are those samples' (time is a constant and a part for
+each sample). ``converged pictures`` is the mean CIEDE2000 between the two: it tells that the scenes are the same.
 
 Mitsuba's kernels are compiled before; seconds are processor time of all threads over their number, the least of the
 runs, which other work on the machine disturbs less than the clock on the wall. Mitsuba's default sampler is
@@ -50,6 +50,7 @@ from irodori.light.environment_file import Environment
 from irodori.light.placed_lights import unit_luminance
 from irodori.material.material_file import Material
 from irodori.rendering.reference.converging_picture import make_scene, render
+from irodori.rendering.reference.denoising import denoise
 from irodori.rendering.scene_arrays import View, make_objects, make_view
 from irodori.spectra.published import spectrum
 
@@ -154,6 +155,18 @@ class Ours:
         return render(self.scene, self.view, samples, seed).radiance @ self.matrix.T
 
 
+class OursFiltered(Ours):
+    """The same with its noise filtered out, as pictures of a scene are; its time does not vanish with the paths."""
+
+    name = "reference-filtered"
+
+    def xyz(self, samples: int, seed: int) -> np.ndarray:
+        """Return a picture, (height, width, 3), white Y = 100."""
+        halves = render(self.scene, self.view, samples, seed, halves=True).halves
+        assert halves is not None
+        return denoise(halves).radiance @ self.matrix.T
+
+
 def view_of(stage: Stage, size: tuple[int, int]) -> View:
     """Return the camera of a stage."""
     eye = {"position_mm": stage.eye_mm, "target_mm": stage.target_mm, "up": (0, 0, 1)}
@@ -232,6 +245,11 @@ class Line(NamedTuple):
     samples: np.ndarray
     errors: np.ndarray
     process_s: float  # a sample
+    fixed_s: float = 0.0  # however many there are
+
+    def seconds_for(self, error: float) -> float:
+        """Return the processor time at which the error is reached."""
+        return self.fixed_s + self.samples_for(error) * self.process_s
 
     def samples_for(self, error: float) -> float:
         """Return the samples at which the error is reached, by a line in logarithms."""
@@ -250,8 +268,9 @@ def line_of(renderer, samples: tuple, truth: np.ndarray, white_xyz: np.ndarray, 
     """Measure a renderer."""
     renderer.xyz(samples[0], 1)  # compile
     errors = [np.mean([mean_error(renderer.xyz(n, seed), truth, white_xyz) for seed in (11, 12)]) for n in samples]
-    process = least_processor_s(lambda: renderer.xyz(samples[-1], 21), runs)
-    return Line(np.array(samples), np.array(errors), process / samples[-1])
+    few, many = (least_processor_s(lambda n=n: renderer.xyz(n, 21), runs) for n in (samples[0], samples[-1]))
+    process = (many - few) / (samples[-1] - samples[0])
+    return Line(np.array(samples), np.array(errors), process, max(few - process * samples[0], 0.0))
 
 
 def compare(name: str, stage: Stage, arguments) -> list[dict]:
@@ -260,7 +279,7 @@ def compare(name: str, stage: Stage, arguments) -> list[dict]:
     white_xyz = xyz_from_radiance(white) @ white
     size = tuple(map(int, arguments.pixels.split("x")))
     pixels = size[0] * size[1]
-    renderers = [(Ours(stage, size, white), OUR_SAMPLES)]
+    renderers = [(Ours(stage, size, white), OUR_SAMPLES), (OursFiltered(stage, size, white), OUR_SAMPLES)]
     for variant in arguments.variants:
         renderers.append((Theirs(variant, arguments.sampler, stage, size, white), THEIR_SAMPLES))
     truths: dict[str, np.ndarray] = {}
@@ -279,8 +298,8 @@ def compare(name: str, stage: Stage, arguments) -> list[dict]:
     rows = []
     for (renderer, _), line in zip(renderers, lines, strict=True):
         samples = line.samples_for(arguments.target)
-        seconds = samples * line.process_s / arguments.threads
-        first = lines[0].samples_for(arguments.target) * lines[0].process_s / arguments.threads
+        seconds = line.seconds_for(arguments.target) / arguments.threads
+        first = lines[0].seconds_for(arguments.target) / arguments.threads
         values = ("render", f"{renderer.name} {name}", f"{pixels * samples:.0f}", "paths", f"{seconds:.4f}",
                   f"{pixels * samples / seconds:.0f}", "mean CIEDE2000", f"{arguments.target:.2f}",
                   f"{own_peak_mb():.0f}", f"reference-spectral {name}", f"{seconds / first:.2f}")  # fmt: skip

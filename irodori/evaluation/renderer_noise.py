@@ -179,5 +179,5 @@ def expected_noise(paths: Paths, materials: list[Material], light: Environment, 
     if not _margin(paths):
         return radiance_delta_e(one.first, one.second, white) / 2.0
     squares = squared_error(lambda a, b: radiance_delta_e(a, b, white), one.first, one.second, one.filtered)
-    least = np.square(radiance_delta_e(*one.filtered, white)) / 4.0
+    least = np.square(radiance_delta_e(one.filtered[0], one.filtered[1], white)) / 4.0
     return np.full(squares.shape, np.sqrt(max(float(squares.mean()), float(least.mean()))))
