@@ -322,6 +322,9 @@ def _plain(view: SessionView, name: str) -> dict:
             "file": shown.file,
             "finding": shown.finding,
             "histogram": shown.preview.histogram.round(5).tolist(),
+            "extent": shown.preview.extent,
+            "outline": shown.outline and shown.outline.path,
+            "outlined": shown.outline and str(shown.outline),
         },
     }
 
