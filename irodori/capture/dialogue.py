@@ -249,7 +249,8 @@ class Dialogue:
                 raise Refused("The session has gone on since; look at what it says now.")
             if view.wanted is not None and action is not Action.STOP and view.state is State.WORKING:
                 raise Refused(f"The session will {view.wanted.replace('-', ' ')} first.")
-            reason = " ".join(reason.split())
+            # Whatever else comes with words, such as the letter that was typed, they are no reason.
+            reason = " ".join(reason.split()) if action is Action.KEEP else ""
             if action is Action.KEEP and not 0 < len(reason) <= LONGEST_REASON:
                 raise Refused(f"To keep a photograph, say why it is right, in at most {LONGEST_REASON} characters.")
             # While the session works the next photograph comes, which the person has not seen.
