@@ -8,7 +8,7 @@ from test_rig_waits import later
 from virtual_time import Bench, bench_of, opened, rig_of
 
 from irodori.capture.rig.devices import DeviceError, LinkError, RigDevice
-from irodori.capture.rig.grbl.protocol import FIRMWARES, FLUIDNC
+from irodori.capture.rig.grbl.protocol import FIRMWARES
 
 TIMEOUT_S = 3.0
 COMMANDS = {
@@ -88,7 +88,7 @@ def outcome(rig: RigDevice, bench: Bench, command: str, act) -> tuple[str, float
 
 @pytest.mark.parametrize(
     ("command", "firmware"),
-    [(name, dialect) for name in COMMANDS for dialect in FIRMWARES if (name, dialect) != ("recount", FLUIDNC)],
+    [(name, dialect) for name in COMMANDS for dialect in FIRMWARES],
 )
 @pytest.mark.parametrize("fault", FAULTS)
 def test_the_person_is_told_the_cause_in_time(monkeypatch, fault, command, firmware):
