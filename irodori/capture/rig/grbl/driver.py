@@ -544,7 +544,7 @@ class GrblRig(ControlledRig):
         self._talk.link.write(RESUME)
 
     def _astray(self, what: str) -> DeviceError:
-        return LinkError(f"{what}; a command was garbled on its way")
+        return LinkError(f"{what}; a command was garbled on its way, or a jog was ended by feed hold")
 
     def _look(self) -> tuple[str, dict[str, float]]:
         report = self._talk.ask_report()
