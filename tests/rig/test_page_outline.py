@@ -73,7 +73,7 @@ def seen(page) -> np.ndarray:
 
 
 def test_the_outline_lies_on_the_edge_of_the_photographed_plate(tmp_path, visit):  # noqa: F811
-    with Sitting(tmp_path) as sitting:
+    with Sitting(tmp_path, focal_length_mm=40.0) as sitting:
         page = visit(sitting.server.url)
         says(page, "set the light to")
         press(page, "Done")

@@ -649,7 +649,7 @@ class GrblRig(ControlledRig):
         feeds, seeks = found["feed_mm_per_min"], found["seek_mm_per_min"]
         homing = {24: min(feeds), 25: min(seeks), 26: max(found["settle_ms"]), 27: max(found["pulloff_mm"])}
         hard, soft = ([on for path, on in self._file_limits.items() if path.endswith(name)] for name in _FLUIDNC_LIMITS)
-        return {**homing, 20: all(soft), 21: any(hard)}
+        return {**homing, 20: float(all(soft)), 21: float(any(hard))}
 
     def _in_file(self, path: str) -> str:
         """Return what FluidNC's own file has under a path, empty where it does not tell."""
