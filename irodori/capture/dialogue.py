@@ -19,6 +19,7 @@ from irodori.core.errors import PlainError
 from irodori.core.progress import LOGGER
 
 if TYPE_CHECKING:
+    from irodori.geometry.projected_outline import Outline
     from irodori.ingest.preview import Preview
 
 _POLL_S = 0.1
@@ -130,12 +131,15 @@ class Shown:
     finding : str
         What was found about it, a sentence.
     preview : Preview
+    outline : Outline, optional
+        Where the object lies by its typed pose; None where there is no object, or nothing is known of the lens.
     """
 
     number: int
     file: str
     finding: str
     preview: "Preview"
+    outline: "Outline | None" = None
 
 
 @dataclass(frozen=True)
@@ -245,7 +249,8 @@ class Dialogue:
                 raise Refused("The session has gone on since; look at what it says now.")
             if view.wanted is not None and action is not Action.STOP and view.state is State.WORKING:
                 raise Refused(f"The session will {view.wanted.replace('-', ' ')} first.")
-            reason = " ".join(reason.split())
+            # Whatever else comes with words, such as the letter that was typed, they are no reason.
+            reason = " ".join(reason.split()) if action is Action.KEEP else ""
             if action is Action.KEEP and not 0 < len(reason) <= LONGEST_REASON:
                 raise Refused(f"To keep a photograph, say why it is right, in at most {LONGEST_REASON} characters.")
             # While the session works the next photograph comes, which the person has not seen.
@@ -323,11 +328,11 @@ class Dialogue:
             self._change(done=done, total=total, left_s=left_s)
             self._set(State.WORKING, words)
 
-    def show(self, file: str, finding: str, preview: "Preview") -> None:
+    def show(self, file: str, finding: str, preview: "Preview", outline: "Outline | None" = None) -> None:
         """Show a photograph; `file` is empty for a test exposure."""
         with self._changed:
             number = self._view.shown.number + 1 if self._view.shown else 1
-            self._change(shown=Shown(number, file, finding, preview), note="")
+            self._change(shown=Shown(number, file, finding, preview, outline), note="")
         if not file and self._terminal.is_there:
             self._terminal.show(f"{finding}\n{preview.sketch()}")
 

@@ -64,7 +64,7 @@ class Address:
     port: int = 8462
 
     def __post_init__(self) -> None:
-        accepted = "one address of this computer in numbers, such as 192.168.1.5"
+        accepted = "one address of this computer in numbers, such as 192.168.1.5 or fd12::5"
         try:
             parsed = ipaddress.ip_address(self.address)
         except ValueError:
@@ -72,6 +72,9 @@ class Address:
         if parsed.is_unspecified or parsed.is_multicast:
             # Requests name the address that they mean; one that stands for all could not be compared with it.
             raise InputError("--address", "", f"{self.address}, which stands for many", accepted)
+        if parsed.version == 6 and (parsed.scope_id or parsed.ipv4_mapped):
+            # No browser takes a zone, and a mapped address is written in one way by some and in another by others.
+            raise InputError("--address", "", f"{self.address}, which browsers do not open", accepted)
         if not 0 <= self.port <= 65535:
             raise InputError("--port", "", str(self.port), "0 to 65535")
 
@@ -117,7 +120,8 @@ class PageServer(ThreadingHTTPServer):
             accepted = "an address of this computer, and a port that is free"
             raise InputError("--address, --port", "", found, accepted) from None
         port = self.server_address[1]
-        self.hosts = [f"[{where.address}]:{port}" if parsed.version == 6 else f"{where.address}:{port}"]
+        # As browsers write it, whatever way it was typed.
+        self.hosts = [f"[{parsed}]:{port}" if parsed.version == 6 else f"{parsed}:{port}"]
         if parsed.is_loopback:
             self.hosts.append(f"localhost:{port}")
         self.url = f"http://{self.hosts[0]}/?token={self.token}"
@@ -322,6 +326,9 @@ def _plain(view: SessionView, name: str) -> dict:
             "file": shown.file,
             "finding": shown.finding,
             "histogram": shown.preview.histogram.round(5).tolist(),
+            "extent": shown.preview.extent,
+            "outline": shown.outline and shown.outline.path,
+            "outlined": shown.outline and str(shown.outline),
         },
     }
 

@@ -21,6 +21,7 @@ from irodori.config.capture_table import Shot, Taken
 from irodori.core.atomic_files import file_sha256
 from irodori.core.errors import InputError, PlainError
 from irodori.core.progress import LOGGER, track
+from irodori.geometry.projected_outline import Outline
 from irodori.ingest.mosaic import Mosaic, decode
 from irodori.ingest.plausibility import Doubt, Drift, Look, Series, delivered_again, look_at, worth_recalling
 from irodori.ingest.preview import preview_of
@@ -107,6 +108,8 @@ class Session:
         Told what is done, and asked between two photographs what the person wants.
     left_s : callable, optional
         Time that photographs take, s.
+    outline_of : callable, optional
+        Where the object lies in a photograph by its typed pose, `Outline`; None where there is none to be drawn.
     """
 
     def __init__(
@@ -120,10 +123,11 @@ class Session:
         settle_s: float = 0.0,
         dialogue: Dialogue | None = None,
         left_s: Callable[[Sequence[Shot]], float] = lambda shots: 0.0,
+        outline_of: Callable[[Shot], Outline | None] = lambda shot: None,
     ) -> None:
         self.camera, self.journal, self.rig = camera, journal, rig
         self.tally = tally or Tally()
-        self._hand, self._left_s = HandSettings(operator), left_s
+        self._hand, self._left_s, self._outline_of = HandSettings(operator), left_s, outline_of
         self._dialogue = dialogue or Dialogue()
         self._settle_s, self._settled_at = settle_s, -math.inf
         self._stands: dict[str, float] = {}
@@ -286,12 +290,27 @@ class Session:
         try:
             with storing(path):
                 self.camera.capture(shot, path)
-            mosaic = decode(path)
-            self._dialogue.show("", f"Test exposure: {look_at(path, mosaic)}", preview_of(mosaic))
+            mosaic, outline = decode(path), self._outline(shot)
+            finding = f"Test exposure: {look_at(path, mosaic)}" + (f"; {outline}" if outline else "")
+            self._show("", finding, mosaic, outline)
         except PlainError as error:
             self._dialogue.note(f"The test exposure failed: {error}")
         finally:
             path.unlink(missing_ok=True)
+
+    def _show(self, file: str, finding: str, mosaic: Mosaic, outline: Outline | None) -> None:
+        """Show a photograph, and the outline where the picture is as large as the definition's."""
+        fits = outline is not None and outline.size == (mosaic.size[0] // 2, mosaic.size[1] // 2)
+        self._dialogue.show(file, finding, preview_of(mosaic), outline if fits else None)
+
+    def _outline(self, shot: Shot) -> Outline | None:
+        """Return where the object lies by its typed pose; a mesh that cannot be read is said once."""
+        try:
+            return self._outline_of(shot)
+        except InputError as error:
+            self._dialogue.note(f"No outline is drawn: {error}")
+            self._outline_of = lambda shot: None
+            return None
 
     def _recalled(self, planned: Sequence[Shot], missing: Sequence[Shot]) -> Series:
         """Return what the next photographs are compared with, from those of an earlier sitting."""
@@ -341,6 +360,8 @@ class Session:
         """
         failed = doubted = 0
         read = {} if self.rig is None else self.rig.position()
+        # Before the shutter: what has been downloaded is shown at once.
+        outline = self._outline(shot) if self._dialogue.watched else None
         while True:
             now = datetime.now(UTC).astimezone().isoformat(timespec="milliseconds")
             try:
@@ -363,7 +384,7 @@ class Session:
             doubts = self._series.doubts(shot, look) if same is None else [delivered_again(same)]
             if self._dialogue.watched:
                 finding = "; ".join(doubt.words for doubt in doubts) or f"Sound: {look}"
-                self._dialogue.show(shot.file, finding, preview_of(mosaic))
+                self._show(shot.file, finding, mosaic, outline)
             if not doubts:
                 self._add(self._series, shot, look)
                 return taken, digest

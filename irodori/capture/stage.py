@@ -1,7 +1,7 @@
 """Capture stage: photograph an object, a camera's references or an environment, on a real or virtual rig."""
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,6 +25,7 @@ from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER
 from irodori.core.store import Provenance
 from irodori.core.termination import ending_in_order
+from irodori.geometry.projected_outline import Outline, ProjectedOutlines
 from irodori.simulation.virtual_rig.bench import Bench
 from irodori.simulation.virtual_rig.virtual_camera import Photographed, VirtualCamera
 
@@ -147,6 +148,7 @@ def photograph(
     owner: str,
     on_rig: bool = True,
     dialogue: Dialogue | None = None,
+    outline_of: Callable[[Shot], Outline | None] = lambda shot: None,
 ) -> dict[str, str]:
     """Hold a session, or continue one, and write its record.
 
@@ -170,6 +172,8 @@ def photograph(
         Whether it stands on the rig at all.
     dialogue : Dialogue, optional
         That of a page; without it there is only the terminal.
+    outline_of : callable, optional
+        See `Session`.
 
     Returns
     -------
@@ -206,6 +210,7 @@ def photograph(
                     settle_s=target.settle_s,
                     dialogue=dialogue,
                     left_s=lambda shots: target.estimate(shots).total_s,
+                    outline_of=outline_of,
                 )
                 session.run(planned, target.name)
                 status, drift = camera.status(), [frame.plain() for frame in session.drift]
@@ -283,8 +288,18 @@ def capture_object(
 ) -> dict[str, str]:
     """Photograph an object in all its poses, without and with the comb filter; see `photograph`."""
     shots = object_shots(definition, target.camera, target.suffix)
-    owner = f"object {target.name}"
-    return photograph(shots, target, definition, record, provenance, owner=owner, dialogue=dialogue)
+    owner, outlines = f"object {target.name}", _outlines(definition, target)
+    return photograph(
+        shots, target, definition, record, provenance, owner=owner, dialogue=dialogue, outline_of=outlines
+    )
+
+
+def _outlines(definition: Object | PhotographedObject, target: Target) -> Callable[[Shot], Outline | None]:
+    """Return where the object lies in its photographs; in those of the white sheet, and without optics, nowhere."""
+    if target.camera.optics is None:
+        return lambda shot: None
+    known = ProjectedOutlines(definition.shape, target.camera.optics, target.rig.camera_distance_mm)
+    return lambda shot: known.of(shot.pose) if shot.subject == "object" else None
 
 
 def capture_camera(target: Target, record, provenance: Provenance, dialogue: Dialogue | None = None) -> dict[str, str]:

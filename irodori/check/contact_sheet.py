@@ -1,7 +1,6 @@
 """The contact sheet: every photograph small, with what the definitions say of it drawn over it, as one HTML page."""
 
 import base64
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,11 +13,7 @@ from irodori.check.photographs import PhotographSet
 from irodori.config.capture_table import Pose, Shot
 from irodori.config.loaded import Loaded
 from irodori.config.models import Chart
-from irodori.geometry.embree import Tracer
-from irodori.geometry.pinhole import Pinhole
-from irodori.geometry.rig_frame import rig_from_camera, rig_from_object, to_camera
-from irodori.geometry.shapes.placement import Placement
-from irodori.geometry.shapes.shape import Shape
+from irodori.geometry.projected_outline import ProjectedOutlines
 from irodori.ingest.mosaic import Mosaic
 from irodori.ingest.preview import preview_of
 from irodori.report.html_page import write_page
@@ -72,8 +67,7 @@ class ContactSheet:
 
     def __init__(self, loaded: Loaded) -> None:
         self._loaded = loaded
-        self._shapes: dict[str, Shape] = {}
-        self._outlines: dict[tuple[str, str], str] = {}
+        self._outlines: dict[str, ProjectedOutlines] = {}
         self.sets: dict[str, list[Picture]] = {}
 
     def add(self, one: PhotographSet, shot: Shot, path: Path, mosaic: Mosaic) -> None:
@@ -97,16 +91,14 @@ class ContactSheet:
         self.sets.setdefault(one.name, []).append(picture)
 
     def _outline(self, one: PhotographSet, pose: Pose) -> str:
-        key = one.subject, pose.name
-        if key not in self._outlines:
-            camera = self._loaded.cameras[one.camera]
-            if camera.optics is None:
-                return ""
-            definition = self._loaded.objects[one.subject]
-            shape = self._shapes.setdefault(one.subject, Shape.from_definition(definition.shape))
+        camera = self._loaded.cameras[one.camera]
+        if camera.optics is None:
+            return ""
+        if one.subject not in self._outlines:
             distance_mm = self._loaded.rigs[camera.rig].camera_distance_mm
-            self._outlines[key] = svg_path(silhouette(shape, Pinhole.from_optics(camera.optics), distance_mm, pose))
-        return self._outlines[key]
+            shape = self._loaded.objects[one.subject].shape
+            self._outlines[one.subject] = ProjectedOutlines(shape, camera.optics, distance_mm)
+        return self._outlines[one.subject].of(pose).path
 
     def write(self, path, findings: list[Finding], located: Mapping[tuple[str, str], Located]) -> None:
         """Write the page; each finding stands beside its photograph, those of no photograph on top.
@@ -125,62 +117,6 @@ class ContactSheet:
             else:
                 general.append(finding)
         write_page(path, "contact_sheet.html.j2", sets=self.sets, general=general)
-
-
-def silhouette(shape: Shape, pinhole: Pinhole, distance_mm: float, pose: Pose) -> np.ndarray:
-    """Return which superpixels' centres an object in a pose covers, (height / 2, width / 2) bool.
-
-    Parameters
-    ----------
-    shape : Shape
-    pinhole : Pinhole
-    distance_mm : float
-        From the origin of the rig to the centre of projection.
-    pose : Pose
-    """
-    rows, columns = pinhole.height_px // 2, pinhole.width_px // 2
-    mask = np.zeros((rows, columns), dtype=bool)
-    axes, eye = rig_from_camera(pose), distance_mm * to_camera(pose)
-    rotation = rig_from_object(pose)
-    # Rays are sent where the ball about the object may be seen.
-    reach = shape.reach_mm * 1.05
-    across = np.stack(np.meshgrid(*[(-reach, 0.0, reach)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-    seen = pinhole.project(across, eye, axes)
-    if not np.isfinite(seen).all() or distance_mm <= math.sqrt(3.0) * reach:
-        low, high = np.zeros(2, dtype=int), np.array([columns, rows])
-    else:
-        low = np.clip(np.floor(seen.min(axis=0)).astype(int), 0, [columns, rows])
-        high = np.clip(np.ceil(seen.max(axis=0)).astype(int) + 1, 0, [columns, rows])
-    if not (low < high).all():
-        return mask
-    x, y = np.meshgrid(np.arange(low[0], high[0]), np.arange(low[1], high[1]))
-    directions = pinhole.directions(np.stack([2.0 * x + 1.0, 2.0 * y + 1.0], axis=-1).reshape(-1, 2), axes)
-    known = np.isfinite(directions[:, 0])
-    hit = np.zeros(len(directions), dtype=bool)
-    tracer = Tracer([Placement(shape, rotation)])
-    origins = np.broadcast_to(eye, directions[known].shape).copy()
-    hit[known] = tracer.occluded(origins, np.ascontiguousarray(directions[known]))
-    mask[low[1] : high[1], low[0] : high[0]] = hit.reshape(x.shape)
-    return mask
-
-
-def svg_path(mask: np.ndarray) -> str:
-    """Return the edges between covered and other superpixels as a path of SVG, superpixel (0, 0) from 0 to 1."""
-    padded = np.pad(mask, 1)
-    parts = []
-    for row, column, length in _runs(padded[1:, 1:-1] != padded[:-1, 1:-1]):
-        parts.append(f"M{column} {row}h{length}")
-    for column, row, length in _runs((padded[1:-1, 1:] != padded[1:-1, :-1]).T):
-        parts.append(f"M{column} {row}v{length}")
-    return "".join(parts)
-
-
-def _runs(edges: np.ndarray):
-    """Yield (line, start, length) of the runs of true values along the lines of an array."""
-    steps = np.diff(np.pad(edges, ((0, 0), (1, 1))).astype(np.int8), axis=1)
-    starts, ends = np.argwhere(steps == 1), np.argwhere(steps == -1)
-    for (line, first), (_, last) in zip(starts.tolist(), ends.tolist(), strict=True):
-        yield line, first, last - first
 
 
 def _patches(chart: Chart) -> list[str]:

@@ -33,11 +33,14 @@ class Preview:
     histogram : (3, 64) float
         Red, green, blue: share of the pixels in equal parts of the range from black to white; what is outside is in the
         first and the last one.
+    extent : (2,) tuple of int
+        Columns and rows of superpixels that it shows, from the first on; those that fill no sample are left out.
     """
 
     jpeg: bytes
     overlay: bytes
     histogram: np.ndarray
+    extent: tuple[int, int]
 
     def sketch(self) -> str:
         """Return the histogram for a terminal, a line for each colour; roots of shares, so that few pixels show."""
@@ -76,6 +79,7 @@ def preview_of(mosaic: Mosaic, width_px: int = _WIDTH_PX) -> Preview:
         jpeg=_encoded(Image.fromarray(_SRGB_OF_LEVEL[codes]), "JPEG", quality=85),
         overlay=_encoded(overlay, "PNG", compress_level=1),
         histogram=histogram / histogram.sum(axis=1, keepdims=True),
+        extent=(columns * side, rows * side),
     )
 
 

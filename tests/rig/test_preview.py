@@ -8,11 +8,11 @@ from made import made
 from sessions import definitions
 from test_check import project, write  # noqa: F401 - the fixture of a project of files
 
-from irodori.check.contact_sheet import silhouette, svg_path
 from irodori.command_line import main
 from irodori.config.capture_table import Pose
 from irodori.config.models import Object, Optics
 from irodori.geometry.pinhole import Pinhole
+from irodori.geometry.projected_outline import silhouette, svg_path
 from irodori.geometry.shapes.shape import Shape
 from irodori.ingest.mosaic import decode
 

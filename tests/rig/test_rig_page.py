@@ -52,8 +52,9 @@ class Watched(QuickCamera):
 class Sitting:
     """A session with its page, in a thread."""
 
-    def __init__(self, folder, planned) -> None:
+    def __init__(self, folder, planned, rig=None, address: str = "127.0.0.1") -> None:
         self.folder, self.planned, self.eye, self.ended = folder, planned, Watched(), None
+        self.rig, self.address = rig, address
         self.dialogue, self.server = Dialogue(), None
         self._up = threading.Event()
         self._thread = threading.Thread(target=self._hold, daemon=True)
@@ -62,11 +63,11 @@ class Sitting:
         journal = Journal(self.folder / "captures.csv")
         tally = take_stock(journal, self.planned)
         try:
-            with served(self.dialogue, Address(port=0), "vase") as self.server:
+            with served(self.dialogue, Address(self.address, 0), "vase") as self.server:
                 self._up.set()
                 operator = PromptOperator(self.dialogue)
                 how = {"dialogue": self.dialogue, "left_s": lambda left: 60.0 * len(left)}
-                self.ended = Session(self.eye, operator, journal, None, tally, **how).run(self.planned, "vase")
+                self.ended = Session(self.eye, operator, journal, self.rig, tally, **how).run(self.planned, "vase")
         except Exception as error:
             self.ended = error
 
@@ -194,7 +195,11 @@ def test_what_is_wanted_while_the_session_works_means_the_photograph_that_was_se
     dialogue.between_shots()
 
 
-@pytest.mark.parametrize("host", ["0.0.0.0", "::", "rig.example", "224.0.0.1", "203.0.113.1"])
+@pytest.mark.parametrize(
+    "host",
+    ["0.0.0.0", "::", "rig.example", "224.0.0.1", "203.0.113.1", "ff02::1", "2001:db8::1", "fe80::1%lo",
+     "::ffff:127.0.0.1", "[::1]"],
+)  # fmt: skip
 def test_an_address_that_is_not_one_of_this_computer_is_refused(host):
     with pytest.raises(InputError, match=r"--address.*accepted: .*address of this computer"), \
             served(Dialogue(), Address(host, 0), "vase"):  # fmt: skip
@@ -229,8 +234,8 @@ def visit():
         pytest.skip("NO BROWSER: pages are not tested; install Debian's package chromium")
     contexts, complaints = [], []
 
-    def open_page(url):
-        contexts.append(browser().new_context(viewport=PHONE))
+    def open_page(url, size=PHONE):
+        contexts.append(browser().new_context(viewport=size))
         page = contexts[-1].new_page()
         page.set_default_timeout(30_000)
         page.on("pageerror", lambda error: complaints.append(str(error)))

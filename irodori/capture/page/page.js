@@ -39,7 +39,14 @@ function drawPhotograph(shown) {
   drawHistogram(shown.histogram);
   for (const [id, source] of [["picture", `/picture/${shown.number}`], ["overlay", `/overlay/${shown.number}`]])
     if (at(id).getAttribute("src") !== source) at(id).src = source;
+  at("outlining").hidden = !shown.outline;
+  showOutline();
+  at("outline").setAttribute("viewBox", `0 0 ${shown.extent[0]} ${shown.extent[1]}`);
+  at("outline").setAttribute("aria-label", shown.outlined || "");
+  for (const path of at("outline").children) path.setAttribute("d", shown.outline || "");
 }
+
+function showOutline() { at("outline").toggleAttribute("hidden", at("outlining").hidden || !at("lines").checked); }
 
 function draw() {
   document.title = `${view.done}/${view.total} ${view.name}`;
@@ -94,3 +101,4 @@ news.onerror = lose;
 setInterval(() => { if (performance.now() - heard > SILENT_MS) lose(); }, 1000);
 for (const button of buttons) button.addEventListener("click", () => act(button.dataset.action));
 at("marks").addEventListener("change", () => { at("overlay").hidden = !at("marks").checked; });
+at("lines").addEventListener("change", showOutline);

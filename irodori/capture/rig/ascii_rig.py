@@ -1,6 +1,7 @@
 """Rig driver for controllers whose text protocol the rig's definition describes."""
 
 import contextlib
+import re
 import time
 from collections.abc import Mapping
 
@@ -22,6 +23,8 @@ from irodori.capture.rig.drives import Drive
 #: Homing: way that it may take, as a multiple of the reach, at the speed of the axis.
 _HOMING_REACH = 3.0
 _STOP_TRIES = 3
+#: How often a question is asked before its answer is missing.
+_QUESTIONS = 3
 
 
 class AsciiRig(ControlledRig):
@@ -215,8 +218,28 @@ class AsciiRig(ControlledRig):
                 raise AlarmError(f"{refusal}; it is in alarm: find the cause, then home it") from None
             raise
 
-    def _ask(self, command: str, **values) -> str:
-        """Send a command and return its reply.
+    def _inquire(self, question: str, drive: Drive) -> re.Match:
+        """Return the answer to a question for an axis, asked again where it is lost or garbled on the way."""
+        asked = 0
+        while True:
+            asked += 1
+            try:
+                line = self._ask(question, self._timeout_s / _QUESTIONS, axis=drive.channel)
+                answer = self._words.match(question, line)
+                if answer.groupdict().get("axis", drive.channel) != drive.channel:
+                    raise GarbledError(f"the controller sent {line!r} when asked for its axis {drive.channel}")
+            except (DeadlineError, GarbledError):
+                if asked == _QUESTIONS:
+                    raise
+                continue
+            # Answers to the questions before may yet come, and are none to the next question.
+            with contextlib.suppress(DeadlineError, GarbledError):
+                for _ in range(asked - 1):
+                    self._link.read_line(self._timeout_s / _QUESTIONS)
+            return answer
+
+    def _ask(self, command: str, timeout_s: float | None = None, **values) -> str:
+        """Send a command and return its reply, which may take so long, s; `timeout_s` of the rig if None.
 
         Raises
         ------
@@ -226,7 +249,7 @@ class AsciiRig(ControlledRig):
         # A reply that came too late for the question before is no reply to this one.
         self._link.discard_input()
         self._link.write(self._words.line(command, **values))
-        deadline = Deadline(self._timeout_s)
+        deadline = Deadline(self._timeout_s if timeout_s is None else timeout_s)
         while not (line := self._link.read_line(deadline.remaining_s).strip()):
             if deadline.passed:
                 raise DeadlineError(f"the controller sent nothing but empty lines for {deadline.seconds:.2g} s")
@@ -240,8 +263,7 @@ class AsciiRig(ControlledRig):
         """Return ``alarm`` where an axis is, else ``run`` where one is, else ``hold``, else ``idle``."""
         found = set()
         for drive in self.drives.values():
-            line = self._ask("status", axis=drive.channel)
-            found.add(self._words.state(self._words.match("status", line)["state"]))
+            found.add(self._words.state(self._inquire("status", drive)["state"]))
             if not self._words.per_axis("status"):
                 break
         return next(state for state in ("alarm", "run", "hold", "idle") if state in found)
@@ -250,12 +272,9 @@ class AsciiRig(ControlledRig):
         """Return where the axes stand, controller units."""
         places = {}
         for name, drive in self.drives.items():
-            line = self._ask("position", axis=drive.channel)
-            found = self._words.match("position", line)
-            if found.groupdict().get("axis", drive.channel) != drive.channel:
-                raise GarbledError(f"the controller sent {line!r} when asked for its axis {drive.channel}")
+            found = self._inquire("position", drive)
             try:
                 places[name] = float(found["position"])
             except ValueError:
-                raise GarbledError(f"the controller sent {line!r}, in which the position is not a number") from None
+                raise GarbledError(f"the controller sent {found[0]!r}, in which the position is not a number") from None
         return places

@@ -13,7 +13,7 @@ _GROUPS = {
     17: "plane",
     **dict.fromkeys((20, 21), "units"),
     **dict.fromkeys((90, 91), "distance"),
-    94: "feed mode",
+    **dict.fromkeys((93, 94), "feed mode"),
     **dict.fromkeys(range(54, 60), "coordinates"),
 }
 _M_CODES = (0, 1, 2, 3, 4, 5, 7, 8, 9, 30)
@@ -37,12 +37,13 @@ class Modes:
     units: int = 21
     distance: int = 90
     coordinates: int = 54
+    feed_mode: int = 94
     feed: float = 0.0
     tool: int = 0
 
     def report(self) -> str:
         """Return the text of ``$G``."""
-        modal = f"G{self.motion} G{self.coordinates} G17 G{self.units} G{self.distance} G94 M5 M9"
+        modal = f"G{self.motion} G{self.coordinates} G17 G{self.units} G{self.distance} G{self.feed_mode} M5 M9"
         return f"[GC:{modal} T{self.tool} F{self.feed:g} S0]"
 
 
@@ -58,6 +59,8 @@ class Move:
         Units/min; None is as fast as can be.
     relative : bool
         Whether `targets` are distances.
+    inverse_time : bool
+        Whether the feed is one over the time of the move, in 1/min.
     dwell_s : float or None
         Time to wait when all moves before are done, s.
     """
@@ -65,6 +68,7 @@ class Move:
     targets: dict[str, float] = field(default_factory=dict)
     feed: float | None = None
     relative: bool = False
+    inverse_time: bool = False
     dwell_s: float | None = None
 
 
@@ -107,7 +111,9 @@ def parse_block(line: str, modes: Modes, letters: str, jog: bool = False) -> Mov
         groups.get("units", modes.units),
         groups.get("distance", modes.distance),
         groups.get("coordinates", modes.coordinates),
-        modes.feed,
+        groups.get("feed mode", modes.feed_mode),
+        # A feed is undefined after a change of its mode, and in each line by inverse time.
+        modes.feed if groups.get("feed mode", modes.feed_mode) == modes.feed_mode == 94 else 0.0,
         modes.tool,
     )
     move = _move(words, groups, new, letters, jog)
@@ -140,7 +146,8 @@ def _take_g(value: float, groups: dict[str, int], jog: bool) -> None:
 def _move(words: dict[str, float], groups: dict[str, int], new: Modes, letters: str, jog: bool) -> Move:
     scale = _MM_PER_INCH if new.units == 20 else 1.0
     axes = {letter: words[letter] * scale for letter in letters if letter in words}
-    feed = words["F"] * scale if "F" in words else None
+    # One over a time has no length in it.
+    feed = words["F"] * (1.0 if new.feed_mode == 93 and not jog else scale) if "F" in words else None
     if jog:
         if not feed:
             raise GcodeError(22)
@@ -163,4 +170,5 @@ def _move(words: dict[str, float], groups: dict[str, int], new: Modes, letters: 
     if axes and new.motion == 1 and not new.feed:
         raise GcodeError(22)
     relative = new.distance == 91 and groups.get("once") != 53
-    return Move(axes, new.feed if new.motion == 1 else None, relative)
+    inverse_time = new.feed_mode == 93
+    return Move(axes, new.feed if new.motion == 1 else None, relative, inverse_time)

@@ -21,7 +21,9 @@ DEFAULTS = {
     **dict.fromkeys((100, 101, 102), 100.0), **dict.fromkeys((110, 111, 112), 1200.0),
     **dict.fromkeys((120, 121, 122), 100.0), **dict.fromkeys((130, 131, 132), 200.0),
 }  # fmt: skip
-_WHOLE = (0, 1, 2, 3, 4, 5, 6, 10, 13, 20, 21, 22, 23, 26, 32)
+_WHOLE = (0, 1, 2, 3, 4, 5, 6, 10, 13, 20, 21, 22, 23, 26, 32, 40, 376)
+#: Settings of grblHAL: whether jogs end at the travel, also without soft limits; which axes are rotary, a bit each.
+_JOG_LIMITED, _ROTARY = 40, 376
 #: What each firmware says when it starts, and to ``$I``; recorded from their sources.
 _BANNERS = {
     GRBL: "Grbl 1.1h ['$' for help]",
@@ -44,7 +46,8 @@ _BUILDS = {
     ],
     FLUIDNC: ["[VER:3.7 FluidNC v3.7.8:]", "[OPT:PHS]", "[MSG: Machine: Default (Test Drive)]"],
 }
-#: Settings that FluidNC keeps in its own file, by their Grbl number, and where they stand in it.
+#: What else is in FluidNC's own file, by its number in Grbl: the limits, which can be changed until it starts anew.
+_LIMITS = {20: "soft_limits", 21: "motor0/hard_limits"}
 _CONFIGURED = {24: "homing/feed_mm_per_min", 25: "homing/seek_mm_per_min", 26: "homing/settle_ms",
                27: "motor0/pulloff_mm"}  # fmt: skip
 _LOCKED = "[MSG:'$H'|'$X' to unlock]"
@@ -84,7 +87,9 @@ class GrblMachine(Machine):
         if firmware not in FIRMWARES:
             raise ValueError(f"no firmware {firmware!r}; accepted: {', '.join(FIRMWARES)}")
         self.firmware, self._is_homed, self._full = firmware, False, False
-        self.settings = {**DEFAULTS, **(settings or {})}
+        own = {_JOG_LIMITED: 0, _ROTARY: 0} if firmware == GRBLHAL else {}
+        self.settings = {**DEFAULTS, **own, **(settings or {})}
+        self._told: dict[tuple[int, int], bool] = {}
         self.letters, self.channels, self._homing_rms = letters, tuple(letters), homing_rms
         self._rng = random.Random(seed)
         self._length = [self._of(130, axis) for axis in range(len(letters))]
@@ -102,6 +107,7 @@ class GrblMachine(Machine):
         """Start as after switching on: the count begins at zero wherever the axes stand."""
         self.stage.clear()
         self._is_homed = False
+        self._told.clear()
         self._origin = list(self.stage.position)
         self.state = "Alarm" if self.settings[22] else "Idle"
         self._restart()
@@ -291,9 +297,7 @@ class GrblMachine(Machine):
                    "$#": [f"[G{n}:{_join([0.0] * len(self.letters))}]" for n in (*range(54, 60), 28, 30, 92)]
                          + ["[TLO:0.000]", f"[PRB:{_join([0.0] * len(self.letters))}:0]"]}  # fmt: skip
         if line == "$X":
-            if self.state == "Alarm":
-                self._say("[MSG:Caution: Unlocked]")
-                self.state = "Idle"
+            self._unlock()
         elif line == "$C":
             self._check_mode()
         elif line == "$SLP":
@@ -302,10 +306,22 @@ class GrblMachine(Machine):
             for answer in answers[line]:
                 self._say(answer)
         elif self.firmware == FLUIDNC and line.startswith("$/"):
-            self._say(f"{line.lower()}={self._configured(line.lower())}")
+            self._in_file(line)
         else:
             self._store(line)
         self._say("ok")
+
+    def _unlock(self) -> None:
+        if self.state != "Alarm":
+            return
+        if self.firmware == GRBLHAL:
+            # Strict hard limits, and homing that is required.
+            if int(self.settings[21]) & 3 == 3 and self._switches():
+                raise GcodeError(45)
+            if int(self.settings[22]) & 4 and not self._is_homed:
+                raise GcodeError(46)
+        self._say("[MSG:Caution: Unlocked]")
+        self.state = "Idle"
 
     def _check_mode(self) -> None:
         if self.state == "Check":
@@ -327,7 +343,7 @@ class GrblMachine(Machine):
             raise GcodeError(3)
         if not 0.0 <= new < math.inf:
             raise GcodeError(4)
-        if self.firmware == FLUIDNC:
+        if self.firmware == FLUIDNC and key not in (10, 13):
             raise GcodeError(162)
         if key == 20 and new and not self.settings[22]:
             raise GcodeError(10)
@@ -340,22 +356,38 @@ class GrblMachine(Machine):
 
     def _listed(self) -> list[str]:
         """Return the lines that print the settings."""
-        hidden = (10, 13, *_CONFIGURED) if self.firmware == FLUIDNC else ()
+        hidden = _CONFIGURED if self.firmware == FLUIDNC else ()
         lines = [f"${number}={self._printed(number)}" for number in sorted(self.settings) if number not in hidden]
         return [*lines, "$70=7", "$300=grblHAL", "$302=192.168.5.1"] if self.firmware == GRBLHAL else lines
 
-    def _configured(self, path: str) -> str:
-        """Return what FluidNC's own file has under a path such as ``$/axes/x/homing/mpos_mm``."""
+    def _in_file(self, line: str) -> None:
+        """Answer a question for FluidNC's own file such as ``$/axes/x/homing/mpos_mm``, or change a limit in it."""
+        path, equals, value = line.lower().partition("=")
         _, _, letter, *rest = path.split("/")
-        if letter.upper() in self.letters and rest == ["homing", "mpos_mm"]:
-            return f"{self._after_homing(self.letters.index(letter.upper())):.3f}"
-        number = next((key for key, name in _CONFIGURED.items() if name == "/".join(rest)), None)
-        if number is None:
+        axis, name = self.letters.find(letter.upper() or "-"), "/".join(rest)
+        number = next((key for key, known in {**_CONFIGURED, **_LIMITS}.items() if known == name), None)
+        if axis < 0 or (number is None and name != "homing/mpos_mm"):
             raise GcodeError(3)
-        return f"{self.settings[number]:.3f}"
+        if equals and number in _LIMITS:
+            self._told[number, axis] = value in ("true", "yes", "1")
+        elif equals:
+            raise GcodeError(3)
+        elif number is None:
+            self._say(f"{path}={self._after_homing(axis):.3f}")
+        else:
+            limit = str(self._limit(number, axis)).lower()
+            self._say(f"{path}={limit if number in _LIMITS else f'{self.settings[number]:.3f}'}")
+
+    def _limit(self, number: int, axis: int) -> bool:
+        """Return whether an axis has a limit, 20 for a soft and 21 for a hard one."""
+        return self._told.get((number, axis), bool(self.settings[number]))
 
     def _printed(self, number: int) -> str:
         value = self.settings[number]
+        if number == 20:
+            value = self._limit(20, 0)
+        elif number == 21:
+            value = value if not self._told else any(self._limit(21, axis) for axis in range(len(self.letters)))
         return str(int(value)) if number in _WHOLE else f"{value:.3f}"
 
     def _of(self, first: int, axis: int) -> float:
@@ -369,8 +401,12 @@ class GrblMachine(Machine):
             self._blocked, self._dwell_s = move, move.dwell_s
             return
         target = self._target(move)
-        outside = self.settings[20] and not all(
-            -self._of(130, axis) - _TRAVEL_SLACK <= place <= _TRAVEL_SLACK for axis, place in enumerate(target)
+        if jog and (self.firmware == FLUIDNC or (self.settings.get(_JOG_LIMITED) and self._is_homed)):
+            target = self._within_travel(target)
+        outside = not all(
+            -self._of(130, axis) - _TRAVEL_SLACK <= place <= _TRAVEL_SLACK
+            for axis, place in enumerate(target)
+            if self._limit(20, axis)
         )
         if outside and jog:
             raise GcodeError(15)
@@ -381,7 +417,7 @@ class GrblMachine(Machine):
             if len(self.stage.blocks) >= PLANNER_BLOCKS:
                 self._blocked = (move, jog)
                 return
-            self._plan(target, move.feed)
+            self._plan(target, move)
             if self.state in ("Idle", "Run", "Jog") and self.stage.blocks:
                 self.state = "Jog" if jog else "Run"
         self._say("ok")
@@ -395,14 +431,28 @@ class GrblMachine(Machine):
             target[axis] = round((value + (target[axis] if move.relative else 0.0)) * steps) / steps
         return target
 
-    def _plan(self, target: list[float], feed: float | None) -> None:
+    def _within_travel(self, target: list[float]) -> list[float]:
+        """Return where a jog ends that is not refused but ends at the travel: grblHAL's as told, FluidNC's always."""
+        for axis, place in enumerate(target):
+            if self._limit(20, axis) or self.firmware == GRBLHAL:
+                target[axis] = min(max(place, -self._of(130, axis)), 0.0)
+        return target
+
+    def _plan(self, target: list[float], move: Move) -> None:
         end = [count + origin for count, origin in zip(target, self._origin, strict=True)]
         way = [b - a for a, b in zip(self.stage.end, end, strict=True)]
         if max(map(abs, way)) < 1e-9:
             return
         axes = range(len(self.letters))
         speed, acceleration = along(way, [self._of(110, a) / 60.0 for a in axes], [self._of(120, a) for a in axes])
-        speed = speed if feed is None else min(speed, feed / 60.0)
+        if move.feed is not None:
+            along_way, rotary = math.hypot(*way), int(self.settings.get(_ROTARY, 0))
+            straight = math.hypot(*(step for axis, step in enumerate(way) if not rotary >> axis & 1))
+            turns = any(rotary >> axis & 1 and abs(step) > 0.0 for axis, step in enumerate(way))
+            feed = move.feed * along_way if move.inverse_time else move.feed
+            if turns and straight and not move.inverse_time:
+                feed *= along_way / straight
+            speed = min(speed, feed / 60.0)
         self.stage.push(Block(end, speed, acceleration))
 
     def _soft_limit(self) -> None:
@@ -489,7 +539,8 @@ class GrblMachine(Machine):
             return
         # Grbl looks at any change of its inputs, also where a switch opens; the others at one that closes.
         changed = self._pressed - before or (before - self._pressed if self.firmware == GRBL else set())
-        if self.settings[21] and changed and self.state != "Alarm":
+        changed = {axis for axis in changed if self._limit(21, axis)}
+        if changed and self.state != "Alarm":
             for axis in changed & self._pressed:
                 # The motor stops at the very step.
                 self.stage.shift(axis, max(-self._length[axis] - 2e-6, min(0.0, self.stage.position[axis])))

@@ -88,7 +88,7 @@ class Conversation:
         elif isinstance(message, Banner):
             self.restarted, self.locked, self.firmware = True, False, message.firmware
         elif isinstance(message, Feedback) and message.kind == "MSG":
-            self.message = message.text
+            self.message = message.text.strip()
         return message
 
     def ask_report(self, timeout_s: float | None = None, question: bytes = STATUS) -> Report:

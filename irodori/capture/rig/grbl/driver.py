@@ -51,6 +51,7 @@ from irodori.capture.rig.grbl.settings_check import (
     number,
     switch_position,
 )
+from irodori.core.progress import LOGGER
 
 #: How often the controller is asked while it may still be starting, s.
 _KNOCK_S = 0.3
@@ -60,6 +61,10 @@ _ROUNDING = 1.5e-3
 _SEARCH_DEG = 5.0
 #: Where no hard limit stops an axis, its way to the switch has so many steps, and the last of them so many squared.
 _STEPS_TO_SWITCH = 4
+#: Settings of grblHAL: what keeps jogs inside the travel, and which axes it takes for rotary ones, a bit each.
+_JOG_LIMITED, _ROTARY = 40, 376
+#: In FluidNC's own file, under each axis: what a search for a switch goes without.
+_FLUIDNC_LIMITS = ("motor0/hard_limits", "soft_limits")
 #: The alarm of a limit switch, and how often one that is not the axis's own is gone over.
 _HARD_LIMIT, _TRIES = 1, 3
 _SILENT = "it said nothing until it was reset, as after ALARM:1 or ALARM:2 (a limit switch, a target out of travel)"
@@ -109,6 +114,7 @@ class GrblRig(ControlledRig):
         super().__init__(drives, timeout_s, homing)
         self._talk, self._is_homing = Conversation(link, timeout_s, flow), False
         self._options, self._mark_found, self._homes = "", 0, dict[str, float]()
+        self._file_limits: dict[str, bool] = {}
         report = self._wake()
         self._settings = self._read_settings()
         if not checked:
@@ -240,7 +246,7 @@ class GrblRig(ControlledRig):
             If a byte that was lost on the way has made it another setting; that one is put back.
         CommandError, HeldError, DeadlineError, LinkError
         """
-        if self._firmware == FLUIDNC:
+        if self._firmware == FLUIDNC and wanted.keys() - {10, 13}:
             raise SettingError("FluidNC shows its $ settings but does not take them: change its config.yaml")
         self._homed, before = False, self._settings
         for key, value in wanted.items():
@@ -277,54 +283,85 @@ class GrblRig(ControlledRig):
     @property
     def cannot_recount(self) -> str:
         """Why the count cannot be held against limit switches, in words; empty where it can."""
-        if not self._homing:
-            return "this rig has no limit switches (motion.homing is false)"
-        return "FluidNC does not let its soft limits be switched off" if self._firmware == FLUIDNC else ""
+        return "" if self._homing else "this rig has no limit switches (motion.homing is false)"
 
     def recount(self) -> dict[str, float]:
         """Hold the controller's count against the limit switches, and home; see `RigDevice.recount`.
 
         Homing itself does not tell what it corrects. So each axis goes slowly, at the rate at which homing finds the
         switch, from where homing ended to where the switch closes. Soft limits, which end there, are off meanwhile; a
-        board that keeps them off because the line was lost is refused when it is opened next. With hard limits the
-        alarm stops the axis and the count stays; without, it goes in steps. An axis whose switch does not close is
-        given the `_SEARCH_DEG` for which it was looked for.
+        board that keeps them off because the line was lost is refused when it is opened next. With Grbl's hard limits
+        the alarm stops the axis and the count stays; without, it goes in steps. So it does with grblHAL and FluidNC,
+        whose hard limits are off meanwhile too: after their alarm they may refuse to go on, or let go of the motors.
+        An axis whose switch does not close is given the `_SEARCH_DEG` for which it was looked for.
         """
         if self.cannot_recount:
             raise CommandError(self.cannot_recount)
+        if self._firmware == FLUIDNC and not self._homed:
+            raise CommandError("FluidNC is homed each time it is opened: its sessions look for lost steps at their end")
         self._ready()
-        found = {}
+        limits, found = self._limits(), dict[str, float]()
         try:
             with self._stopping_on_failure():
-                self.write_settings({20: 0})
+                self._put_limits(dict.fromkeys(limits, 0))
                 for name, drive in self.drives.items():
                     home = home_position(self._settings, self._options, drive, self._homes)
                     switch = switch_position(self._settings, drive, home)
                     lost = (switch - self._closing(drive, home, switch)) / drive.units_per_deg
                     found[name] = round(lost, 4) + 0.0
         except BaseException:
-            with contextlib.suppress(DeviceError):
-                self._soft_limits_on()
+            try:
+                self._put_limits(limits)
+            except DeviceError:
+                left_off = "start the board anew" if self._firmware == FLUIDNC else _assignments(limits)
+                LOGGER.warning("the board was left without its limits: before it moves again, %s", left_off)
             raise
-        self._soft_limits_on()
+        self._put_limits(limits)
         self.home()
         return found
 
-    def _soft_limits_on(self) -> None:
+    def _limits(self) -> dict[int | str, float]:
+        """Return what keeps an axis from its switch, and its values, in the order in which they are put back.
+
+        Soft limits are the last: a board that has them has the others too, and one that has not is refused.
+        """
+        if self._firmware == FLUIDNC:
+            return {path: 1 for name in _FLUIDNC_LIMITS for path, on in self._file_limits.items()
+                    if on and path.endswith(name)}  # fmt: skip
+        others = (21, _JOG_LIMITED) if self._firmware == GRBLHAL else ()
+        return {key: self._settings[key] for key in (*others, 20) if self._settings.get(key)}
+
+    def _put_limits(self, values: Mapping[int | str, float]) -> None:
+        """Set limits, once more where a byte or an answer was lost."""
         for left in reversed(range(_TRIES)):
             try:
-                self.write_settings({20: 1})
+                self._set_limits(values)
                 return
-            except (GarbledError, CommandError, SettingError):
-                if not left:
+            except (GarbledError, CommandError, SettingError, DeadlineError) as error:
+                if not left or not self._in_step:
                     raise
+                if isinstance(error, DeadlineError):
+                    self._halt()  # what is late is not taken for the next answer
+
+    def _set_limits(self, values: Mapping[int | str, float]) -> None:
+        """Set limits, see `_limits`; what FluidNC has in its file changes until it is started anew."""
+        if settings := {key: value for key, value in values.items() if isinstance(key, int)}:
+            self.write_settings(settings)
+        wanted = {key: "true" if value else "false" for key, value in values.items() if isinstance(key, str)}
+        for path, value in wanted.items():
+            self._talk.command(f"${path}={value}")
+        for path, value in wanted.items():
+            if (found := self._in_file(path)) != value:
+                raise GarbledError(f"{path} was set to {value} and stands at {found}: a byte was lost on the way")
+        if wanted:
+            self._settings = self._read_settings()
 
     def _closing(self, drive: Drive, home: float, switch: float) -> float:
         """Return the count at which the switch of a drive closes, units."""
         ahead = math.copysign(1.0, switch - home)
         last, slow = switch + ahead * _SEARCH_DEG * abs(drive.units_per_deg), self._settings[24] / 60.0
         closed = self._until_closed(drive, home, drive.speed)
-        if self._settings[21]:
+        if self._settings[21] and self._firmware == GRBL:
             if closed is None:
                 closed = self._until_closed(drive, last, slow)
             return last if closed is None else closed
@@ -350,7 +387,7 @@ class GrblRig(ControlledRig):
             way = [(places if other != name else {name: target})[other] - places[other] for other in places]
             arrival = Deadline(abs(target - places[name]) / speed + self._travel(way) + 2.0 * self._timeout_s)
             try:
-                self._talk.command(jog_line({drive.channel: target}, speed * 60.0))
+                arrival = self._send(jog_line({drive.channel: target}, speed * 60.0), places, arrival)
                 self._await_arrival([places, {**places, name: target}], arrival)
             except AlarmError:
                 if self._talk.alarm != _HARD_LIMIT:
@@ -507,7 +544,7 @@ class GrblRig(ControlledRig):
         self._talk.link.write(RESUME)
 
     def _astray(self, what: str) -> DeviceError:
-        return LinkError(f"{what}; a command was garbled on its way")
+        return LinkError(f"{what}; a command was garbled on its way, or a jog was ended by feed hold")
 
     def _look(self) -> tuple[str, dict[str, float]]:
         report = self._talk.ask_report()
@@ -545,7 +582,16 @@ class GrblRig(ControlledRig):
             return "", 0.0
         drives = [self.drives[n] for n in moved]
         speed, _ = along([way[n] for n in moved], [d.speed for d in drives], [d.acceleration for d in drives])
+        straight = [way[n] for n in moved if not self._is_rotary(self.drives[n])]
+        if straight:
+            # Of a move of straight and rotary axes grblHAL takes the feed for that of the straight ones.
+            speed *= math.hypot(*straight) / math.hypot(*(way[n] for n in moved))
         return motion_line(named, speed * 60.0), self._travel([way[n] for n in self.drives])
+
+    def _is_rotary(self, drive: Drive) -> bool:
+        """Return whether the controller makes a difference between an axis and a straight one."""
+        mask = int(self._settings.get(_ROTARY, 0)) if self._firmware == GRBLHAL else 0
+        return bool(mask >> LETTERS.index(drive.channel) & 1)
 
     def _travel(self, way: list[float]) -> float:
         drives = list(self.drives.values())
@@ -579,21 +625,41 @@ class GrblRig(ControlledRig):
         )
         if first != second:
             raise GarbledError("the controller's settings read differently twice in a row: the line is garbled")
-        return {**second, **self._configured()} if self._firmware == FLUIDNC and self._homing else second
+        if self._firmware != FLUIDNC:
+            return second
+        # Old versions do not list these two, and report as Grbl does with them.
+        return {10: 1, 13: 0} | second | (self._configured() if self._homing else {})
 
     def _configured(self) -> dict[int, float]:
         """Return what FluidNC has of homing in its own file, as settings of Grbl, and note where homing ends."""
         places = {"mpos_mm": "homing", "feed_mm_per_min": "homing", "seek_mm_per_min": "homing", "settle_ms": "homing"}
         found: dict[str, list[float]] = {name: [] for name in (*places, "pulloff_mm")}
+        self._file_limits = {}
         for drive in self.drives.values():
+            axis = f"/axes/{drive.channel.lower()}"
             for name, values in found.items():
-                path = f"/axes/{drive.channel.lower()}/{places.get(name, 'motor0')}/{name}"
-                said = [m.text for m in self._talk.command(f"${path}") if isinstance(m, TextSetting) and m.name == path]
-                if len(said) != 1 or not _NUMBER.fullmatch(said[0]):
+                path = f"{axis}/{places.get(name, 'motor0')}/{name}"
+                if not _NUMBER.fullmatch(said := self._in_file(path)):
                     raise SettingError(f"{drive.axis.name}: the controller's file lacks {path[1:]}")
-                values.append(float(said[0]))
+                values.append(float(said))
+            for name in _FLUIDNC_LIMITS:
+                self._file_limits[f"{axis}/{name}"] = self._in_file(f"{axis}/{name}") == "true"
             self._homes[drive.channel] = found["mpos_mm"][-1]
-        # The slowest axis decides how long homing may take. FluidNC reports as Grbl does with $10=1 and $13=0.
+        # The slowest axis decides how long homing may take. Its own $20 speaks of the first axis alone, $21 of any.
         feeds, seeks = found["feed_mm_per_min"], found["seek_mm_per_min"]
         homing = {24: min(feeds), 25: min(seeks), 26: max(found["settle_ms"]), 27: max(found["pulloff_mm"])}
-        return {10: 1, 13: 0, **homing}
+        hard, soft = ([on for path, on in self._file_limits.items() if path.endswith(name)] for name in _FLUIDNC_LIMITS)
+        return {**homing, 20: float(all(soft)), 21: float(any(hard))}
+
+    def _in_file(self, path: str) -> str:
+        """Return what FluidNC's own file has under a path, empty where it does not tell."""
+        with contextlib.suppress(CommandError):
+            said = [m.text for m in self._talk.command(f"${path}") if isinstance(m, TextSetting) and m.name == path]
+            if len(said) == 1:
+                return said[0]
+        return ""
+
+
+def _assignments(values: Mapping[int | str, float]) -> str:
+    """Return settings as they are typed."""
+    return ", ".join(f"${key}={value:g}" for key, value in values.items())

@@ -100,7 +100,10 @@ def disagreements(
         wanted_words = "true, but homing is off in the controller: set $22=1" if homing else "false, but $22=1 locks it"
         found.append(Disagreement(22, int(homing), f"motion.homing is {wanted_words}, or change the rig's file"))
     if homing and not settings.get(20, 1):
-        found.append(Disagreement(20, 1, "soft limits are off in the controller: set $20=1"))
+        why = "soft limits are off in the controller: set $20=1, and $21=1 where it has hard limits"
+        if homes:
+            why = "soft limits are off: start the board anew, or set soft_limits: true for each axis in its config.yaml"
+        found.append(Disagreement(20, None if homes else 1, why))
     for drive in drives.values():
         if all(key in settings for key, other in needed.items() if other is drive):
             found += _of_drive(settings, drive)
