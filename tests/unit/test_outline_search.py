@@ -1,0 +1,109 @@
+"""Outlines of objects: where they are expected, and where pictures have their edges."""
+
+import math
+
+import numpy as np
+import pytest
+from drawn_plates import PINHOLE, correction, picture
+
+from irodori.config.capture_table import Pose
+from irodori.geometry.embree import Tracer
+from irodori.geometry.rig_frame import rig_from_camera, to_camera
+from irodori.geometry.shapes.plate import Plate
+from irodori.geometry.shapes.sphere import Sphere
+from irodori.rectification.outline_search import edge_distances, find_rim
+from irodori.rectification.placement_correction import Correction
+
+
+def edge(at, inner=0.5, outer=0.02, sharpness=0.8, size=80):
+    """A picture, bright to the left of a column and dark to the right of it, and blurred a little."""
+    x = np.arange(size) - at
+    step = 0.5 * (1.0 - np.vectorize(math.erf)(x / (sharpness * math.sqrt(2.0))))
+    return np.tile((outer + (inner - outer) * step)[None, :, None], (size, 1, 3))
+
+
+@pytest.mark.parametrize("scale", [1.0, 2.0])
+@pytest.mark.parametrize("inner, outer", [(0.5, 0.02), (0.02, 0.5), (0.05, 0.0)])
+def test_an_edge_is_found_where_it_is_whatever_its_height(scale, inner, outer):
+    seen = picture(edge(41.3, inner, outer), scale=scale)
+    y = np.array([30.0, 35.0, 40.0])
+    samples = np.stack([np.full(3, 40.0), y], axis=1)  # expected 1.3 samples before the edge
+    xy = (samples + 0.5) / scale - 0.5
+    out = np.tile([1.0, 0.0], (3, 1))
+    np.testing.assert_allclose(edge_distances(seen, seen.level(0.0), xy, out, 4.0), 1.3 / scale, atol=0.02)
+    np.testing.assert_allclose(edge_distances(seen, seen.level(0.0), xy, -out, 4.0), -1.3 / scale, atol=0.02)
+
+
+@pytest.mark.parametrize("sharpness, within", [(0.5, 0.01), (0.8, 0.02), (1.2, 0.12)])
+def test_blur_moves_no_edge_outward(sharpness, within):
+    """Read where the ratio of both sides is greatest, on the dark side, they were found up to 0.9 samples outward."""
+    xy, out = np.array([[40.0, 40.0]]), np.array([[1.0, 0.0]])
+    for at in np.arange(39.0, 42.0, 0.23):
+        seen = picture(edge(at, 0.5, 0.02, sharpness))
+        for sign in (1.0, -1.0):
+            found = sign * edge_distances(seen, seen.level(0.0), xy, sign * out, 4.0)[0]
+            assert abs(found - (at - 40.0)) < within
+
+
+def test_no_edge_is_found_where_none_stands_out():
+    xy, out = np.array([[40.0, 40.0]]), np.array([[1.0, 0.0]])
+    for response, noise in (
+        (np.full((80, 80, 3), 0.5), (1e-6, 0.0)),
+        (edge(41.0, 0.5, 0.45), (1e-6, 0.0)),  # too low a step
+        (edge(41.0, 0.10, 0.04), (4e-4, 0.0)),  # less than six standard deviations
+        (edge(41.0, 0.10, 0.04), (0.0, 4e-3)),
+        (edge(41.0, 0.10, 0.04), (math.nan, math.nan)),  # of which nothing is known
+        (edge(55.0), (1e-6, 0.0)),  # out of reach
+    ):
+        seen = picture(response, noise=noise)
+        assert np.isnan(edge_distances(seen, seen.level(0.0), xy, out, 4.0)).all()
+
+
+def test_of_two_edges_the_greater_step_is_taken():
+    response = edge(36.0, 0.5, 0.2) * edge(47.0, 1.0, 0.02)
+    seen = picture(response)
+    xy, out = np.array([[40.0, 40.0]]), np.array([[1.0, 0.0]])
+    np.testing.assert_allclose(edge_distances(seen, seen.level(0.0), xy, out, 8.0), 7.0, atol=0.1)
+
+
+@pytest.mark.parametrize("at", [(0.0, 0.0, 0.0), (4.0, -3.0, 2.0)])
+def test_the_outline_of_a_sphere_is_where_rays_graze_it(at):
+    pose, radius = Pose(45.0, 20.0), 30.0
+    placed = correction(x_mm=at[0], y_mm=at[1], z_mm=at[2]).placements(Sphere(radius), pose, 0.0)
+    eye, axes = 900.0 * to_camera(pose), rig_from_camera(pose)
+    xy = PINHOLE.project(np.array(at), eye, axes)
+    window = (*(xy - 175.0), *(xy + 175.0))
+    rim = find_rim(Tracer(placed), PINHOLE, eye, axes, window)
+    assert len(rim.point) > 100
+    world = rim.point + at
+    to_eye = eye - world
+    to_eye /= np.linalg.norm(to_eye, axis=1, keepdims=True)
+    np.testing.assert_allclose(np.linalg.norm(rim.point, axis=1), radius, rtol=2e-3)
+    assert np.abs(np.sum(to_eye * rim.point / radius, axis=1)).max() < 0.02
+    radial = PINHOLE.project(world, eye, axes) - xy
+    radial /= np.linalg.norm(radial, axis=1, keepdims=True)
+    assert np.sum(radial * rim.outward, axis=1).min() > 0.995
+    np.testing.assert_allclose(np.linalg.norm(rim.outward, axis=1), 1.0, rtol=1e-6)
+
+
+def test_the_outline_of_a_plate_is_its_four_sides_without_the_corners():
+    pose = Pose(45.0, 0.0)
+    placed = Correction().placements(Plate(50.0, 30.0), pose, 0.0)
+    eye, axes = 900.0 * to_camera(pose), rig_from_camera(pose)
+    middle = PINHOLE.project(np.zeros(3), eye, axes)
+    half = np.array([25.0, 15.0]) * PINHOLE.focal_px / 900.0 / 2.0
+    rim = find_rim(Tracer(placed), PINHOLE, eye, axes, (*(middle - half), *(middle + half)))
+    x, y = np.abs(rim.point[:, 0]) / 25.0, np.abs(rim.point[:, 1]) / 15.0
+    np.testing.assert_allclose(np.maximum(x, y), 1.0, atol=3e-3)
+    assert np.minimum(x, y).max() < 1.0 and {(x > y).all(), (x < y).all()} == {False}
+    out = np.where((x > y)[:, None], [[1.0, 0.0]], [[0.0, 1.0]])
+    np.testing.assert_allclose(np.abs(rim.outward), out, atol=0.02)
+    seen = PINHOLE.project(rim.point, eye, axes) - middle
+    assert (np.sum(seen * rim.outward, axis=1) > 0).all()
+
+
+def test_what_is_not_in_the_window_has_no_outline():
+    pose = Pose(45.0, 0.0)
+    eye, axes = 900.0 * to_camera(pose), rig_from_camera(pose)
+    rim = find_rim(Tracer(Correction().placements(Sphere(5.0), pose, 0.0)), PINHOLE, eye, axes, (0.0, 0.0, 20.0, 20.0))
+    assert rim.point.shape == (0, 3) and rim.outward.shape == (0, 2)
