@@ -318,12 +318,17 @@ def _texels(shape: Shape, width: int, height: int) -> _Texels:
 
 
 def _window(problem: _Problem, view: int, margin: float) -> tuple[float, float, float, float]:
-    """Return first and last x and y of the object in a photograph with a margin, superpixels."""
+    """Return first and last x and y of the object in a photograph with a margin, superpixels.
+
+    It goes on beyond the centres of its outermost texels by half a texel.
+    """
     xy = problem.seen(view, problem.texels.position, problem.unknowns)
     xy = xy[np.isfinite(xy).all(axis=1)]
     if not len(xy):
         return 0.0, 0.0, 0.0, 0.0
-    (x0, y0), (x1, y1) = xy.min(axis=0) - margin, xy.max(axis=0) + margin
+    first, last = xy.min(axis=0), xy.max(axis=0)
+    half = (last - first) / (2 * (min(problem.texels.columns, problem.texels.rows) - 1))
+    (x0, y0), (x1, y1) = first - half - margin, last + half + margin
     return x0, y0, x1, y1
 
 

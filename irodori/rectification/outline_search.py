@@ -69,7 +69,7 @@ def find_rim(tracer: Tracer, pinhole: Pinhole, eye, axes, window) -> Rim:
         one = np.argwhere(np.diff(inside.astype(np.int8), axis=axis) != 0)
         pairs.append(np.stack([one, one + np.eye(2, dtype=int)[axis]], axis=1))
     pair = np.concatenate(pairs)
-    if len(pair) < 2 * _NEIGHBOURS:
+    if len(pair) < _NEIGHBOURS:
         return Rim(np.zeros((0, 3)), np.zeros((0, 2)))
     away = slope[pair[..., 0], pair[..., 1]].mean(axis=1)
     first = inside[pair[:, 0, 0], pair[:, 0, 1]]
@@ -148,8 +148,7 @@ def edge_distances(picture: Picture, level: Level, xy, outward, reach: float) ->
     offset = np.arange(-reach - _OUTER - 1.0, reach + _OUTER + 1.0 + _STEP / 2, _STEP)
     place = picture.place(xy)[:, None] + offset[None, :, None] * outward[:, None]
     count, width, _ = place.shape
-    band = min(GREEN, len(level.bands) - 1)
-    profile = level.sampled(level.bands[band : band + 1], place.reshape(-1, 2))[:, 0].reshape(count, width)
+    profile = level.sampled(level.bands[[GREEN]], place.reshape(-1, 2)).reshape(count, width)
     near, far = round(_INNER / _STEP), round(_OUTER / _STEP)
     candidates = np.arange(far, width - far)
     levels = np.lib.stride_tricks.sliding_window_view(profile, far - near + 1, axis=1).mean(axis=-1)

@@ -63,7 +63,7 @@ class Picture:
             part = slice(y0, max(y0, y1)), slice(x0, max(x0, x1))
             response = file.read("response", part)[..., :_BANDS].astype(np.float32)
             valid = file.read("valid", part).astype(np.float32)
-            noise = file.read("noise_model")[min(GREEN, response.shape[-1] - 1)].astype(np.float64)
+            noise = file.read("noise_model")[GREEN].astype(np.float64)
         response *= valid[..., None]
         bins = max(1, -(-max(valid.shape, default=1) // _MOST))
         if bins > 1:

@@ -66,40 +66,75 @@ def test_of_two_edges_the_greater_step_is_taken():
     np.testing.assert_allclose(edge_distances(seen, seen.level(0.0), xy, out, 8.0), 7.0, atol=0.1)
 
 
+def normals_of(curve):
+    """Unit normals of a closed curve's points, to either side."""
+    along = np.roll(curve, -1, axis=0) - np.roll(curve, 1, axis=0)
+    return np.stack([along[:, 1], -along[:, 0]], axis=1) / np.linalg.norm(along, axis=1, keepdims=True)
+
+
 @pytest.mark.parametrize("at", [(0.0, 0.0, 0.0), (4.0, -3.0, 2.0)])
 def test_the_outline_of_a_sphere_is_where_rays_graze_it(at):
     pose, radius = Pose(45.0, 20.0), 30.0
     placed = correction(x_mm=at[0], y_mm=at[1], z_mm=at[2]).placements(Sphere(radius), pose, 0.0)
     eye, axes = 900.0 * to_camera(pose), rig_from_camera(pose)
-    xy = PINHOLE.project(np.array(at), eye, axes)
-    window = (*(xy - 175.0), *(xy + 175.0))
-    rim = find_rim(Tracer(placed), PINHOLE, eye, axes, window)
-    assert len(rim.point) > 100
+    # The circle in which the cone of grazing rays touches it.
+    way = eye - at
+    distance = np.linalg.norm(way)
+    towards, sine = way / distance, radius / distance
+    across = np.cross(towards, [0.0, 1.0, 0.0])
+    across /= np.linalg.norm(across)
+    turn = np.linspace(0.0, 2.0 * math.pi, 2001)[:-1, None]
+    round_it = np.cos(turn) * across + np.sin(turn) * np.cross(towards, across)
+    curve = PINHOLE.project(at + radius * (sine * towards + math.sqrt(1.0 - sine**2) * round_it), eye, axes)
+    rim = find_rim(Tracer(placed), PINHOLE, eye, axes, (*curve.min(axis=0), *curve.max(axis=0)))
     world = rim.point + at
     to_eye = eye - world
     to_eye /= np.linalg.norm(to_eye, axis=1, keepdims=True)
-    np.testing.assert_allclose(np.linalg.norm(rim.point, axis=1), radius, rtol=2e-3)
-    assert np.abs(np.sum(to_eye * rim.point / radius, axis=1)).max() < 0.02
-    radial = PINHOLE.project(world, eye, axes) - xy
-    radial /= np.linalg.norm(radial, axis=1, keepdims=True)
-    assert np.sum(radial * rim.outward, axis=1).min() > 0.995
-    np.testing.assert_allclose(np.linalg.norm(rim.outward, axis=1), 1.0, rtol=1e-6)
+    np.testing.assert_allclose(np.linalg.norm(rim.point, axis=1), radius, rtol=1e-4)
+    assert np.abs(np.sum(to_eye * rim.point / radius, axis=1)).max() < 0.003
+    seen = PINHOLE.project(world, eye, axes)
+    nearest = np.linalg.norm(seen[:, None] - curve, axis=2).argmin(axis=1)
+    assert np.abs(np.sum((seen - curve[nearest]) * rim.outward, axis=1)).max() < 0.01  # superpixels
+    assert np.abs(np.sum(rim.outward * normals_of(curve)[nearest], axis=1)).min() > math.cos(0.003)
+    radial = seen - curve.mean(axis=0)
+    assert np.sum(radial * rim.outward, axis=1).min() > 0.0
+    angle = np.sort(np.degrees(np.arctan2(*radial.T)))
+    assert len(angle) == 200 and np.diff([*angle, angle[0] + 360.0]).max() < 6.0
 
 
-def test_the_outline_of_a_plate_is_its_four_sides_without_the_corners():
-    pose = Pose(45.0, 0.0)
+@pytest.mark.parametrize("pose", [Pose(45.0, 0.0), Pose(45.0, 40.0, 10.0, 25.0)])
+def test_the_outline_of_a_plate_is_its_four_sides_without_the_corners(pose):
     placed = Correction().placements(Plate(50.0, 30.0), pose, 0.0)
     eye, axes = 900.0 * to_camera(pose), rig_from_camera(pose)
-    middle = PINHOLE.project(np.zeros(3), eye, axes)
-    half = np.array([25.0, 15.0]) * PINHOLE.focal_px / 900.0 / 2.0
-    rim = find_rim(Tracer(placed), PINHOLE, eye, axes, (*(middle - half), *(middle + half)))
+    corners = PINHOLE.project(placed[0].corners(), eye, axes)
+    rim = find_rim(Tracer(placed), PINHOLE, eye, axes, (*corners.min(axis=0), *corners.max(axis=0)))
+    assert len(rim.point) == 200
     x, y = np.abs(rim.point[:, 0]) / 25.0, np.abs(rim.point[:, 1]) / 15.0
-    np.testing.assert_allclose(np.maximum(x, y), 1.0, atol=3e-3)
-    assert np.minimum(x, y).max() < 1.0 and {(x > y).all(), (x < y).all()} == {False}
-    out = np.where((x > y)[:, None], [[1.0, 0.0]], [[0.0, 1.0]])
-    np.testing.assert_allclose(np.abs(rim.outward), out, atol=0.02)
-    seen = PINHOLE.project(rim.point, eye, axes) - middle
-    assert (np.sum(seen * rim.outward, axis=1) > 0).all()
+    np.testing.assert_allclose(np.maximum(x, y), 1.0, atol=1e-4)
+    np.testing.assert_allclose(rim.point[:, 2], 0.0, atol=1e-3)
+    assert np.minimum(x, y).max() < 0.99  # a corner has no direction
+    seen, sides = PINHOLE.project(placed[0].points(rim.point), eye, axes), []
+    for first, second in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        along = (second - first) / np.linalg.norm(second - first)
+        out = np.array([-along[1], along[0]])  # rows go down, so that the corners are passed clockwise
+        out = out if (first - corners.mean(axis=0)) @ out > 0.0 else -out
+        own = np.abs((seen - first) @ out) < 0.01
+        np.testing.assert_allclose(rim.outward[own], np.tile(out, (own.sum(), 1)), atol=2e-3)
+        place = np.sort((seen[own] - first) @ along) / np.linalg.norm(second - first)
+        assert place[0] < 0.15 and place[-1] > 0.85 and np.diff(place).max() < 0.1
+        sides.append(own)
+    assert (np.sum(sides, axis=0) == 1).all()
+
+
+def test_what_is_smaller_than_a_few_superpixels_has_no_outline():
+    pose = Pose(45.0, 0.0)
+    eye, axes = 900.0 * to_camera(pose), rig_from_camera(pose)
+    for radius, points in ((0.1, 0), (0.2, 0), (3.0, 60)):
+        tracer = Tracer(Correction().placements(Sphere(radius), pose, 0.0))
+        middle, half = PINHOLE.project(np.zeros(3), eye, axes), radius * 10_000.0 / 900.0 / 2.0
+        rim = find_rim(tracer, PINHOLE, eye, axes, (*(middle - half), *(middle + half)))
+        assert len(rim.point) == len(rim.outward) >= points
+        assert points or not len(rim.point)
 
 
 def test_what_is_not_in_the_window_has_no_outline():

@@ -16,6 +16,7 @@ from irodori.geometry.shapes.plate import Plate
 from irodori.geometry.shapes.sphere import Sphere
 from irodori.rectification.object_registration import (
     _add_texture,
+    _displacement,
     _equations,
     _first_reach,
     _outline,
@@ -116,15 +117,12 @@ def test_texels_are_the_objects_own_or_as_many_as_are_compared():
 
 def test_a_window_holds_the_object_and_a_margin():
     problem = problem_without_pictures(Plate(60.0, 50.0), [Pose(45.0, 0.0), Pose(45.0, 0.0, 0.0, 90.0)])
-    # The outermost texels lie half a texel within the plate; the principal point is at superpixel 79.5, 59.5.
-    half = np.array([30.0 - 1.25, 25.0 - 1.25]) / MM_PER_PX
-    np.testing.assert_allclose(
-        _window(problem, 0, 5.0),
-        [79.5 - half[0] - 5.0, 59.5 - half[1] - 5.0, 79.5 + half[0] + 5.0, 59.5 + half[1] + 5.0],
-    )
-    np.testing.assert_allclose(
-        _window(problem, 1, 0.0), [79.5 - half[1], 59.5 - half[0], 79.5 + half[1], 59.5 + half[0]]
-    )
+    # The principal point is at superpixel 79.5, 59.5. Half a texel counts by the side that has fewer.
+    half, middle = np.array([30.0, 25.0]) / MM_PER_PX, np.array([79.5, 59.5])
+    found = np.array(_window(problem, 0, 5.0))
+    np.testing.assert_allclose(found, [*(middle - half - 5.0), *(middle + half + 5.0)], atol=0.5)
+    found = np.array(_window(problem, 1, 0.0))
+    np.testing.assert_allclose(found, [*(middle - half[::-1]), *(middle + half[::-1])], atol=0.5)
     problem.unknowns[6] = -1000.0  # behind the camera
     assert _window(problem, 0, 5.0) == (0.0, 0.0, 0.0, 0.0)
 
@@ -142,7 +140,7 @@ def test_the_search_begins_as_far_off_as_the_prior_allows_within_the_objects_siz
     assert reach(2.0) == pytest.approx(2.5 * 2.0 / MM_PER_PX * scale, rel=0.01)
     assert reach(0.1) == 4.0
     assert reach(40.0, 2000.0) == 40.0
-    assert reach(40.0, 30.0) == pytest.approx(max(4.0, 0.35 * 15.0 * (23.0 / 24.0) / MM_PER_PX * scale), rel=0.05)
+    assert reach(40.0, 30.0) == pytest.approx(max(4.0, 0.35 * 15.0 / MM_PER_PX * scale), rel=0.02)
 
 
 def test_the_spacing_of_texels_is_that_in_the_picture():
@@ -210,6 +208,17 @@ def test_the_distance_of_an_outline_is_what_lies_between_plate_and_prior_along_t
         np.testing.assert_allclose(distance, outward @ moved / MM_PER_PX, atol=0.02)
         by_xy = np.array([[1.0, 0.0], [0.0, -1.0]] if number == 0 else [[0.0, -1.0], [-1.0, 0.0]])
         np.testing.assert_allclose(change[:, :2], outward @ by_xy.T / MM_PER_PX, atol=0.01)
+
+
+def test_an_object_of_few_texels_has_an_outline_all_round(tmp_path):
+    """Its sides lie far beyond the centres of the outermost texels."""
+    few = TexturedObject.of(
+        {"shape": {"kind": "plate", "width_mm": 60.0, "height_mm": 50.0}, "texels": {"width": 5, "height": 4}}
+    )
+    problem = prepared(_problem(drawn(tmp_path, Correction(), FACING, FACING, contrast=0.0), few, SETUP, Placing()))
+    for view in problem.views:
+        x, y = view.rim[:, 0] / 30.0, view.rim[:, 1] / 25.0
+        assert min((one > 0.99).sum() for one in (x, -x, y, -y)) > 20
 
 
 def test_nothing_is_said_of_an_outline_of_few_points(tmp_path):
@@ -513,6 +522,20 @@ def test_without_an_outline_the_angle_is_told_by_the_textures_shift():
     name, off = _suspect(problem, 0, *nothing, moved[1] - moved[0])
     assert name == "camera_deg or tilt_deg" and off == pytest.approx(2.0, rel=0.05)
     assert _suspect(problem, 0, *nothing, np.full(2, np.nan))[1] == 0.0
+
+
+@pytest.mark.parametrize("matrix", [[[0.0, -0.04], [0.04, 0.0]], [[0.02, 0.0], [0.0, -0.05]], [[0.0, 0.0], [0.0, 0.0]]])
+def test_the_displacement_of_an_outline_is_that_as_a_whole_whatever_single_points_say(matrix):
+    turn = np.linspace(0.0, 2.0 * math.pi, 121)[:-1]
+    outward = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    xy = [300.0, 200.0] + outward * [60.0, 40.0]
+    # It is turned or stretched about its middle, and moved.
+    distance = np.sum(((xy - [300.0, 200.0]) @ np.transpose(matrix) + [0.8, -0.3]) * outward, axis=1)
+    expected = math.sqrt(np.mean(distance**2))
+    assert _displacement(xy, outward, distance) == pytest.approx(expected, rel=1e-4)
+    spoilt = distance.copy()
+    spoilt[10:20] = 7.0  # another edge
+    assert _displacement(xy, outward, spoilt) == pytest.approx(expected, rel=0.05)
 
 
 def test_a_photographs_residual_is_how_far_it_shows_the_object_from_the_others(tmp_path):
