@@ -142,3 +142,50 @@ def test_what_is_not_in_the_window_has_no_outline():
     eye, axes = 900.0 * to_camera(pose), rig_from_camera(pose)
     rim = find_rim(Tracer(Correction().placements(Sphere(5.0), pose, 0.0)), PINHOLE, eye, axes, (0.0, 0.0, 20.0, 20.0))
     assert rim.point.shape == (0, 3) and rim.outward.shape == (0, 2)
+
+
+def found_at(response, reach=4.0, noise=(1e-6, 0.0)):
+    """What is found beside column 40 of a picture."""
+    seen = picture(response, noise=noise)
+    return edge_distances(seen, seen.level(0.0), np.array([[40.0, 40.0]]), np.array([[1.0, 0.0]]), reach)[0]
+
+
+@pytest.mark.parametrize("reach", [4.0, 10.0])
+def test_an_edge_is_found_as_far_as_the_search_goes(reach):
+    for side in (1.0, -1.0):
+        near, beyond = side * (reach - 0.3), side * (reach + 0.4)
+        assert found_at(edge(40.0 + near), reach) == pytest.approx(near, abs=0.03)
+        assert math.isnan(found_at(edge(40.0 + beyond), reach))
+
+
+def test_an_edge_stands_out_by_a_quarter_of_its_logarithm_and_six_standard_deviations():
+    for step, is_seen in ((0.23, False), (0.27, True)):
+        outer = 0.1
+        inner = (outer + 0.01) * math.exp(step) - 0.01
+        assert math.isfinite(found_at(edge(41.0, inner, outer))) == is_seen
+        assert math.isfinite(found_at(edge(41.0, outer, inner))) == is_seen
+    for sigmas, is_seen in ((5.6, False), (6.4, True)):
+        sigma = 0.3 / sigmas
+        assert math.isfinite(found_at(edge(41.0, 0.4, 0.1), noise=(sigma**2, 0.0))) == is_seen
+        # Noise of photons is that of the brighter side.
+        assert math.isfinite(found_at(edge(41.0, 0.4, 0.1), noise=(0.0, sigma**2 / 0.4))) == is_seen
+        assert math.isfinite(found_at(edge(41.0, 0.1, 0.4), noise=(0.0, sigma**2 / 0.4))) == is_seen
+
+
+def test_of_two_like_edges_the_one_nearer_to_where_it_is_expected_is_taken():
+    for first, second, nearer in ((32.0, 45.0, 5.0), (35.0, 48.0, -5.0)):
+        stripe = edge(first, 0.02, 0.5) * edge(second, 1.0, 0.04)  # dark, bright between, dark
+        assert found_at(stripe, 12.0) == pytest.approx(nearer, abs=0.15)
+
+
+@pytest.mark.parametrize("slope", [-0.02, 0.01])
+def test_shading_that_changes_evenly_towards_an_edge_does_not_move_it(slope):
+    """A round object darkens towards its outline."""
+    x = np.arange(80.0)[None, :, None]
+    for at in (39.2, 40.0, 41.7):
+        lit = (edge(at, 1.0, 0.0) * (0.5 + slope * (x - at))) + 0.02
+        assert found_at(lit) == pytest.approx(at - 40.0, abs=0.05)
+
+
+def test_an_edge_at_the_end_of_a_picture_is_not_judged():
+    assert math.isnan(found_at(edge(41.0)[:, :46])) and math.isfinite(found_at(edge(41.0)[:, :56]))
