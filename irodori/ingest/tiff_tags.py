@@ -83,5 +83,5 @@ def _tag(content, order: str, at: int, tag: int) -> Iterator[Tag]:
 def _numbers(content, order: str, at: int, kind: int, count: int) -> list[int]:
     """Return numbers from a place of the file, none where they reach beyond its end."""
     layout = f"{order}{count}{'H' if kind == SHORT else 'I'}"
-    whole = 0 <= at <= len(content) - struct.calcsize(layout)
+    whole = at <= len(content) - struct.calcsize(layout)
     return list(struct.unpack_from(layout, content, at)) if whole else []

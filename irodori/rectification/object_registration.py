@@ -43,8 +43,10 @@ if TYPE_CHECKING:
 _TEXELS = 3600  # of the object's own, of which the texture is compared
 _FINEST_REACH = 4.0  # samples to either side of an outline, at the end of the search
 _COARSEST_REACH = 40.0
+_MARGIN = 80.0  # superpixels about an object in what is read of a photograph
 _PRIOR_SIGMAS = 2.5  # of the prior, seen in the pictures, that the search goes to either side at first
 _PART_OF_OBJECT = 0.35  # of its smaller half side that it may go at most
+_ROUNDS = 6  # in which an outline's displacement and its outliers are found in turn
 _STEPS = 4  # Gauss-Newton steps of a level
 _LAST_STEPS = 8
 #: Blur of the pictures whose textures are compared: at least so many samples, and this part of a texel.
@@ -68,8 +70,9 @@ _SIGNIFICANT = 2.0  # standard errors of zero within which a correction is none
 _ACCURACY = np.array([0.1] * 3 + [0.05] * 3 + [2.0, 0.2] + [0.5] * 2 + [0.05] * 2)
 _FLAT = 1e-6  # that normals differ by at most where an object is flat
 _NUMERIC = np.array([0.01] * 3 + [0.01] * 3 + [0.1, 0.01, 0.1, 0.1, 0.01, 0.01])  # steps of derivatives, as QUANTITIES
-#: What may be wrong with the pose of one photograph.
-_POSE_ANGLES = ("camera_deg", "tilt_deg", "turn_deg")
+#: What may be wrong with the pose of one photograph -> the angle that is tried. Where an object appears is told by the
+#: sum of the camera's angle and the tilt.
+_POSE_ANGLES = {"camera_deg or tilt_deg": "camera_deg", "turn_deg": "turn_deg"}
 
 
 @dataclass(frozen=True)
@@ -128,19 +131,17 @@ class _Texels(NamedTuple):
     rows: int
 
 
-_NOTHING = Level(np.zeros((1, 0, 0), np.float32), np.zeros((0, 0), np.float32))
-
-
 @dataclass
 class _View:
-    """One photograph at the present level."""
+    """One photograph, and what it shows at the present level."""
 
-    picture: Picture
-    level: Level = _NOTHING
-    search: Level = _NOTHING
-    rim: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
-    outward: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
-    weight: np.ndarray = field(default_factory=lambda: np.zeros(0))  # of the texels
+    pose: Pose  # as typed
+    picture: Picture = field(init=False)
+    level: Level = field(init=False)  # for the texture
+    search: Level = field(init=False)  # for the outline
+    rim: np.ndarray = field(init=False)
+    outward: np.ndarray = field(init=False)
+    weight: np.ndarray = field(init=False)  # of the texels
 
 
 @dataclass
@@ -188,7 +189,7 @@ class _Problem:
     def standing(self, view: int, values: np.ndarray) -> tuple[Correction, Pose]:
         """Return correction and pose of a photograph for given unknowns."""
         correction = Correction.of(values[:COUNT])
-        return correction, correction.pose(self.views[view].picture.pose, float(values[COUNT + view]))
+        return correction, correction.pose(self.views[view].pose, float(values[COUNT + view]))
 
     def derivative(self, function, view: int) -> np.ndarray:
         """Return the derivatives of a function of the unknowns by the shared ones, on a new last axis."""
@@ -218,20 +219,16 @@ def register(
     placing : Placing
         How well it is known.
     """
-    shape = Shape.from_definition(definition.shape)
-    texels = _texels(shape, definition.texels.width, definition.texels.height)
-    sigma = np.concatenate([prior_sigma(placing), np.full(len(linear), placing.camera_deg)])
-    problem = _Problem(shape, setup, texels, [], sigma, np.zeros(len(sigma)))
-    for path in track(linear, "read photographs"):
-        problem.views.append(_View(_picture(path, problem)))
-    reach = _first_reach(problem)
-    first = reach
+    problem = _problem(linear, definition, setup, placing)
+    sigma = problem.sigma
+    reach = first = _first_reach(problem)
     while reach > _FINEST_REACH:
         _descend(problem, reach, _STEPS)
         reach /= 2.0
     matrix = _descend(problem, _FINEST_REACH, _LAST_STEPS)
     problem.unknowns, problem.sigma = _only_what_is_told(problem.unknowns, matrix, sigma)
     _descend(problem, _FINEST_REACH, _LAST_STEPS)
+    own, problem.unknowns[COUNT:] = problem.unknowns[COUNT:].copy(), 0.0
     residual, points, suspects = _residuals(problem, max(0.5 * first, 2.0 * _FINEST_REACH))
     covariance = _inverse(matrix, sigma)[:COUNT, :COUNT]
     correction = Correction.of(problem.unknowns[:COUNT])
@@ -240,12 +237,26 @@ def register(
         correction,
         covariance,
         sigma[:COUNT],
-        problem.unknowns[COUNT:].copy(),
+        own,
         residual,
         2.0 * camera.camera_distance_mm / camera.pinhole.focal_px,
         points,
         suspects,
     )
+
+
+def _problem(linear: Sequence, definition: "Object | TexturedObject", setup: RigSetup, placing: "Placing") -> _Problem:
+    """Read what of the photographs may show an object, wherever the prior lets it lie; arguments as of `register`."""
+    shape = Shape.from_definition(definition.shape)
+    texels = _texels(shape, definition.texels.width, definition.texels.height)
+    sigma = np.concatenate([prior_sigma(placing), np.full(len(linear), placing.camera_deg)])
+    problem = _Problem(shape, setup, texels, [], sigma, np.zeros(len(sigma)))
+    for number, path in enumerate(track(linear, "read photographs")):
+        with store.open_file(path) as file:
+            view = _View(Pose(*file.attribute("pose_deg")))
+        problem.views.append(view)
+        view.picture = Picture.load(path, _window(problem, number, _MARGIN))
+    return problem
 
 
 def _descend(problem: _Problem, reach: float, most_steps: int) -> np.ndarray:
@@ -256,7 +267,6 @@ def _descend(problem: _Problem, reach: float, most_steps: int) -> np.ndarray:
     problem.block = blocks(texels.columns, texels.rows, spacing, blur)[texels.number]
     for view in range(len(problem.views)):
         _prepare(problem, view, reach, blur)
-    matrix = np.zeros((0, 0))
     for _ in range(most_steps):
         matrix, right = _equations(problem, reach)
         step = _solve(matrix, right, problem.sigma)
@@ -308,40 +318,32 @@ def _texels(shape: Shape, width: int, height: int) -> _Texels:
 
 
 def _window(problem: _Problem, view: int, margin: float) -> tuple[float, float, float, float]:
-    """Return first and last x and y of the object in a photograph with a margin, superpixels."""
+    """Return first and last x and y of the object in a photograph with a margin, superpixels.
+
+    It goes on beyond the centres of its outermost texels by half a texel.
+    """
     xy = problem.seen(view, problem.texels.position, problem.unknowns)
     xy = xy[np.isfinite(xy).all(axis=1)]
     if not len(xy):
         return 0.0, 0.0, 0.0, 0.0
-    (x0, y0), (x1, y1) = xy.min(axis=0) - margin, xy.max(axis=0) + margin
+    first, last = xy.min(axis=0), xy.max(axis=0)
+    half = (last - first) / (2 * (min(problem.texels.columns, problem.texels.rows) - 1))
+    (x0, y0), (x1, y1) = first - half - margin, last + half + margin
     return x0, y0, x1, y1
-
-
-def _picture(path, problem: _Problem) -> Picture:
-    """Read what of a photograph may show the object, wherever the prior lets it lie."""
-    with store.open_file(path) as file:
-        pose = Pose(*file.attribute("pose_deg"))
-    empty = np.zeros((0, 0, 1), np.float32)
-    placed = Picture(Path(path), pose, empty, empty[..., 0], 1.0, np.zeros(2), np.zeros(2))
-    problem.views.append(_View(placed))
-    window = _window(problem, len(problem.views) - 1, 2.0 * _COARSEST_REACH)
-    problem.views.pop()
-    return Picture.load(path, window)
 
 
 def _first_reach(problem: _Problem) -> float:
     """Return how far from its expected place the outline may be, samples: from the prior, bounded by the object."""
     found, half = [], []
-    chosen = problem.texels.position[:: max(1, len(problem.texels.position) // 50)]
     for view in range(len(problem.views)):
-        moved = problem.derivative(lambda v, values: problem.seen(v, chosen, values), view)
+        moved = problem.derivative(lambda v, values: problem.seen(v, problem.texels.position, values), view)
         spread = np.sqrt(np.sum((moved * problem.sigma[:COUNT]) ** 2, axis=(1, 2)) / 2.0)
         scale = problem.views[view].picture.scale
         found.append(np.nanmedian(spread) * scale)
         x0, y0, x1, y1 = _window(problem, view, 0.0)
-        half.append(0.5 * max(min(x1 - x0, y1 - y0), 1.0) * scale)
-    most = max(_FINEST_REACH, min(_COARSEST_REACH, _PART_OF_OBJECT * float(np.median(half))))
-    return float(np.clip(_PRIOR_SIGMAS * np.median(found), _FINEST_REACH, most))
+        half.append(0.5 * min(x1 - x0, y1 - y0) * scale)
+    part = _PART_OF_OBJECT * float(np.median(half))
+    return max(_FINEST_REACH, min(_PRIOR_SIGMAS * float(np.median(found)), _COARSEST_REACH, part))
 
 
 def _prepare(problem: _Problem, number: int, reach: float, blur: float) -> None:
@@ -352,7 +354,7 @@ def _prepare(problem: _Problem, number: int, reach: float, blur: float) -> None:
     placements = correction.placements(problem.shape, pose, problem.setup.table_radius_mm)
     tracer, placed = Tracer(placements), placements[0]
     view.level = view.picture.level(blur)
-    view.search = view.picture.level(0.0 if reach <= 5.0 else reach / 8.0)
+    view.search = view.picture.level(0.0 if reach <= _FINEST_REACH else reach / 8.0)
     normal, facet = texels.normal @ placed.rotation.T, texels.facet @ placed.rotation.T
     sight = observe(placed.points(texels.position), normal, tracer, pose, camera, facet)
     eye, axes = camera.camera_distance_mm * to_camera(pose), rig_from_camera(pose)
@@ -392,31 +394,34 @@ def _outline(problem: _Problem, number: int, reach: float) -> tuple[np.ndarray, 
     return distance[found], np.einsum("ni,nip->np", view.outward[found], moved), found
 
 
-def _robust(values: np.ndarray, floor: float, most: float = math.inf) -> tuple[np.ndarray, float]:
-    """Return weights of measurements that take little notice of outliers (Cauchy's), and their standard deviation."""
-    scale = min(max(1.4826 * float(np.median(np.abs(values))), floor), most) if values.size else floor
-    return 1.0 / (1.0 + (values / (2.0 * scale)) ** 2), scale
+def _scatter(values: np.ndarray, floor: float, most: float = math.inf) -> float:
+    """Return the standard deviation of measurements about zero, of which outliers know nothing."""
+    return min(max(1.4826 * float(np.median(np.abs(values))), floor), most) if values.size else floor
+
+
+def _cauchy(values: np.ndarray, sigma: float) -> np.ndarray:
+    """Return weights of measurements by which outliers have little say."""
+    return 1.0 / (1.0 + (values / (2.0 * sigma)) ** 2)
 
 
 def _equations(problem: _Problem, reach: float) -> tuple[np.ndarray, np.ndarray]:
     """Return matrix and right side of the normal equations of a Gauss-Newton step, with the prior."""
     is_last = reach <= _FINEST_REACH
-    views, size = range(len(problem.views)), len(problem.unknowns)
+    size = len(problem.unknowns)
     matrix, right = np.zeros((size, size)), np.zeros(size)
-    measured = [_outline(problem, view, reach) for view in views]
+    measured = [_outline(problem, view, reach) for view in range(len(problem.views))]
     every = np.concatenate([distance for distance, _, _ in measured])
     if every.size:
-        weight, scale = _robust(every, _OUTLINE_FLOOR_PX, _OUTLINE_MOST_PX if is_last else math.inf)
-        split = np.split(weight, np.cumsum([len(d) for d, _, _ in measured])[:-1])
-        for view, (distance, change, _), own in zip(views, measured, split, strict=True):
+        scale = _scatter(every, _OUTLINE_FLOOR_PX, _OUTLINE_MOST_PX if is_last else math.inf)
+        for view, (distance, change, _) in enumerate(measured):
             rows = change[:, [*range(COUNT), CAMERA]]
             where = [*range(COUNT), COUNT + view]
-            factor = own / (scale**2 * _OUTLINE_SHARED)
+            factor = _cauchy(distance, scale) / (scale**2 * _OUTLINE_SHARED)
             matrix[np.ix_(where, where)] += rows.T @ (factor[:, None] * rows)
             right[where] += rows.T @ (factor * distance)
     outlined = np.mean([len(distance) > 0 for distance, _, _ in measured]) >= _OUTLINED
     if problem.tells_texture and (is_last or not outlined):
-        _add_texture(problem, matrix, right)
+        _add_texture(_textures(problem), matrix, right)
     free = problem.sigma > 0
     matrix[free, free] += 1.0 / problem.sigma[free] ** 2
     right[free] -= problem.unknowns[free] / problem.sigma[free] ** 2
@@ -453,41 +458,31 @@ def _spacing(problem: _Problem) -> float:
     return math.sqrt(float(np.median(found)))
 
 
-def _texture_differences(rows: list[TextureRows], weights: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Return the weighted mean value of each texel, (n, bands), and the sum of its weights, (n,)."""
-    total: np.ndarray = np.sum(weights, axis=0)
-    mean: np.ndarray = np.sum([w[:, None] * row.value for w, row in zip(weights, rows, strict=True)], axis=0)
-    return mean / np.maximum(total, 1e-12)[:, None], total
-
-
-def _add_texture(problem: _Problem, matrix: np.ndarray, right: np.ndarray) -> None:
+def _add_texture(rows: list[TextureRows], matrix: np.ndarray, right: np.ndarray) -> None:
     """Add to normal equations what the photographs' textures differ by, the colours of all texels eliminated."""
-    rows = _textures(problem)
-    weights = [row.weight for row in rows]
-    mean, total = _texture_differences(rows, weights)
-    both = np.sum([w > 0 for w in weights], axis=0) > 1
+    # Of a texel that one photograph alone shows nothing is compared.
+    both = np.sum([row.weight > 0 for row in rows], axis=0) > 1
     if not both.any():
         return
-    off = [row.value - mean for row in rows]
-    seen = np.concatenate([o[both & (w > 0)].ravel() for o, w in zip(off, weights, strict=True)])
-    scale = _robust(seen, _TEXTURE_FLOOR)[1]
+    rows = [TextureRows(*(part[both] for part in row)) for row in rows]
+    values, weights = [row.value for row in rows], [row.weight for row in rows]
+    mean = mean_texture(values, weights)
+    off = [value - mean for value in values]
+    scale = _scatter(np.concatenate([o[w > 0].ravel() for o, w in zip(off, weights, strict=True)]), _TEXTURE_FLOOR)
     weights = [
-        np.where(both, w, 0.0) / (1.0 + np.mean((o / (2.0 * scale)) ** 2, axis=1)) / (scale**2 * _TEXTURE_SHARED)
+        w * _cauchy(np.sqrt(np.mean(o**2, axis=1)), scale) / (scale**2 * _TEXTURE_SHARED)
         for o, w in zip(off, weights, strict=True)
     ]
-    mean, total = _texture_differences(rows, weights)
-    used = total > 0
-    bands, size = mean.shape[1], len(right)
-    sums = np.zeros((used.sum(), bands, size))
+    mean, total = mean_texture(values, weights), np.sum(weights, axis=0)
+    sums = np.zeros((*mean.shape, len(right)))
     for view, (row, weight) in enumerate(zip(rows, weights, strict=True)):
         where = [*range(COUNT), COUNT + view]
-        change = row.change[used][..., [*range(COUNT), CAMERA]]
-        weighted = weight[used, None, None] * change
+        change = row.change[..., [*range(COUNT), CAMERA]]
+        weighted = weight[:, None, None] * change
         matrix[np.ix_(where, where)] += np.einsum("tbp,tbq->pq", weighted, change, optimize=True)
-        right[where] -= np.einsum("tbp,tb->p", weighted, (row.value - mean)[used])
+        right[where] -= np.einsum("tbp,tb->p", weighted, row.value - mean)
         sums[..., where] += weighted
-    flat = sums.reshape(-1, size)
-    matrix -= flat.T @ (flat / np.repeat(total[used], bands)[:, None])
+    matrix -= np.einsum("tbp,tbq->pq", sums, sums / total[:, None, None], optimize=True)
 
 
 def _solve(matrix: np.ndarray, right: np.ndarray, sigma: np.ndarray) -> np.ndarray:
@@ -516,22 +511,47 @@ def _residuals(problem: _Problem, reach: float) -> tuple[np.ndarray, np.ndarray,
 
     Outlines are looked for further away than they were at the end of the search: one that lies there says so.
     """
-    problem.unknowns[COUNT:], own = 0.0, problem.unknowns[COUNT:].copy()
     residual, count = np.full(len(problem.views), np.nan), np.zeros(len(problem.views), dtype=int)
     rows = _textures(problem)
-    mean, total = _texture_differences(rows, [row.weight for row in rows])
+    weights = [row.weight for row in rows]
+    mean, total = mean_texture([row.value for row in rows], weights), np.sum(weights, axis=0)
     suspects = []
     for number, row in enumerate(rows):
         distance, _, found = _outline(problem, number, reach)
         count[number] = len(distance)
         if len(distance):
-            weight, _ = _robust(distance, _OUTLINE_FLOOR_PX)
-            residual[number] = math.sqrt(np.sum(weight * distance**2) / np.sum(weight))
+            view = problem.views[number]
+            xy = problem.seen(number, view.rim[found], problem.unknowns)
+            residual[number] = _displacement(xy, view.outward[found], distance)
         shift = _shift(row, mean, total) if problem.tells_texture else np.full(2, np.nan)
         residual[number] = np.fmax(residual[number], np.linalg.norm(shift))
         suspects.append(_suspect(problem, number, distance, found, shift))
-    problem.unknowns[COUNT:] = own
     return residual, count, tuple(suspects)
+
+
+def _displacement(xy: np.ndarray, outward: np.ndarray, distance: np.ndarray) -> float:
+    """Return by how much an outline as a whole is moved, turned or stretched along its normals, root mean square.
+
+    Single points at another edge have little say; half of all points are not single ones: of a plate that is moved
+    along one of its sides two sides stay where they were.
+
+    Parameters
+    ----------
+    xy : (n, 2) float
+        Where the outline is expected, superpixels.
+    outward : (n, 2) float
+        Unit normals.
+    distance : (n,) float
+        Of the outline from there, superpixels.
+    """
+    affine = np.concatenate([outward, outward * xy[:, :1], outward * xy[:, 1:]], axis=1)
+    weight, explained = np.ones(len(distance)), distance
+    for _ in range(_ROUNDS):
+        root = np.sqrt(weight)
+        explained = affine @ np.linalg.lstsq(root[:, None] * affine, root * distance, rcond=1e-9)[0]
+        left = distance - explained
+        weight = _cauchy(left, _scatter(left, _OUTLINE_FLOOR_PX))
+    return math.sqrt(np.mean(explained**2))
 
 
 def _suspect(problem: _Problem, number: int, distance: np.ndarray, found: np.ndarray, shift) -> tuple[str, float]:
@@ -558,20 +578,17 @@ def _suspect(problem: _Problem, number: int, distance: np.ndarray, found: np.nda
             np.tile(np.eye(2), (len(problem.texels.number), 1)),
         )
         off = np.tile(np.nan_to_num(shift), len(problem.texels.number))
-    picture, best = view.picture, ("", 0.0, -1.0)
-    for angle in _POSE_ANGLES:
+    typed, explained = view.pose, []
+    for name, angle in _POSE_ANGLES.items():
         ends = []
         for sign in (1.0, -1.0):
-            pose = replace(picture.pose, **{angle: getattr(picture.pose, angle) + 0.1 * sign})
-            view.picture = replace(picture, pose=pose)
+            view.pose = replace(typed, **{angle: getattr(typed, angle) + 0.1 * sign})
             ends.append(problem.seen(number, points, problem.unknowns))
         along = np.sum((ends[0] - ends[1]) / 0.2 * outward, axis=1)
-        power = float(along @ along)
-        by = float(along @ off) / max(power, 1e-12)
-        if by * float(along @ off) > best[2]:
-            best = (angle, by, by * float(along @ off))
-    view.picture = picture
-    return best[0], best[1]
+        by = float(along @ off) / max(float(along @ along), 1e-12)
+        explained.append((float(np.sum((off - by * along) ** 2)), name, by))
+    view.pose = typed
+    return min(explained)[1:]
 
 
 def _shift(row: TextureRows, mean: np.ndarray, total: np.ndarray) -> np.ndarray:
@@ -584,7 +601,7 @@ def _shift(row: TextureRows, mean: np.ndarray, total: np.ndarray) -> np.ndarray:
     share = row.weight[used] / others[used]
     off = (row.value[used] - mean[used]) * (1.0 + share)[:, None]  # from the mean of the others
     slope = row.change[used][..., COUNT:]
-    weight = row.weight[used, None] / (1.0 + (off / (2.0 * _robust(off.ravel(), _TEXTURE_FLOOR)[1])) ** 2)
+    weight = row.weight[used, None] * _cauchy(off, _scatter(off, _TEXTURE_FLOOR))
     matrix = np.einsum("tb,tbi,tbk->ik", weight, slope, slope)
     if np.linalg.eigvalsh(matrix)[0] < _LEAST_TEXTURE * weight.sum():
         return np.full(2, np.nan)
@@ -664,12 +681,10 @@ def _refuse_far(found: Registered, linear: Sequence, most_px: float) -> None:
     if residual <= most_px:
         return
     angle, off = found.suspects[worst]
-    where = (
-        f"{residual:.2g} superpixels ({residual * found.mm_per_px:.2g} mm) from where its pose and the others put it"
-    )
-    likeliest = f"; likeliest is {angle} off by {off:+.1f}" if angle else ""
+    apart = f"{residual:.2g} superpixels ({residual * found.mm_per_px:.2g} mm)"
+    where = f"the object {apart} from where its pose and the others put it; likeliest is {angle} off by {off:+.1f}"
     accepted = f"at most {most_px:g} superpixels (place.max_residual_px), and a pose as it was"
-    raise InputError(linear[worst], "pose_deg", f"the object {where}{likeliest}", accepted)
+    raise InputError(linear[worst], "pose_deg", where, accepted)
 
 
 def in_words(found: Registered) -> str:

@@ -69,7 +69,7 @@ def find_rim(tracer: Tracer, pinhole: Pinhole, eye, axes, window) -> Rim:
         one = np.argwhere(np.diff(inside.astype(np.int8), axis=axis) != 0)
         pairs.append(np.stack([one, one + np.eye(2, dtype=int)[axis]], axis=1))
     pair = np.concatenate(pairs)
-    if len(pair) < 2 * _NEIGHBOURS:
+    if len(pair) < _NEIGHBOURS:
         return Rim(np.zeros((0, 3)), np.zeros((0, 2)))
     away = slope[pair[..., 0], pair[..., 1]].mean(axis=1)
     first = inside[pair[:, 0, 0], pair[:, 0, 1]]
@@ -117,11 +117,9 @@ def _normals(on: np.ndarray, away: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     design = np.stack([np.ones_like(u), u, u * u], axis=-1)
     found = np.einsum("nij,nj->ni", np.linalg.pinv(design), w)
     normal = across - found[:, 1:2] * along
-    normal *= np.sign(np.sum(normal * away, axis=1))[:, None]
+    normal = np.where(np.sum(normal * away, axis=1)[:, None] < 0.0, -normal, normal)
     left = np.abs(np.einsum("nki,ni->nk", design, found) - w).max(axis=1)
-    length = np.linalg.norm(normal, axis=1)
-    is_smooth = (left < _ROUGH * np.sqrt(spread[:, 1])) & (length > 0)
-    return normal / np.maximum(length, 1e-12)[:, None], is_smooth
+    return normal / np.linalg.norm(normal, axis=1, keepdims=True), left < _ROUGH * np.sqrt(spread[:, 1])
 
 
 def edge_distances(picture: Picture, level: Level, xy, outward, reach: float) -> np.ndarray:
@@ -149,13 +147,12 @@ def edge_distances(picture: Picture, level: Level, xy, outward, reach: float) ->
     """
     offset = np.arange(-reach - _OUTER - 1.0, reach + _OUTER + 1.0 + _STEP / 2, _STEP)
     place = picture.place(xy)[:, None] + offset[None, :, None] * outward[:, None]
-    count, width = place.shape[:2]
-    band = min(GREEN, len(level.bands) - 1)
-    profile = level.sampled(level.bands[band : band + 1], place.reshape(-1, 2))[:, 0].reshape(count, width)
+    count, width, _ = place.shape
+    profile = level.sampled(level.bands[[GREEN]], place.reshape(-1, 2)).reshape(count, width)
     near, far = round(_INNER / _STEP), round(_OUTER / _STEP)
     candidates = np.arange(far, width - far)
-    inner = np.stack([profile[:, c - far : c - near + 1].mean(axis=1) for c in candidates], axis=1)
-    outer = np.stack([profile[:, c + near : c + far + 1].mean(axis=1) for c in candidates], axis=1)
+    levels = np.lib.stride_tricks.sliding_window_view(profile, far - near + 1, axis=1).mean(axis=-1)
+    inner, outer = levels[:, : len(candidates)], levels[:, -len(candidates) :]
     c0, c1 = np.where(np.isfinite(picture.noise), picture.noise, [_UNKNOWN_NOISE**2, 0.0])
     noise = np.sqrt(c0 + c1 * np.maximum(np.maximum(inner, outer), 0.0))
     ratio = np.abs(np.log((np.maximum(inner, 0.0) + DARK) / (np.maximum(outer, 0.0) + DARK)))

@@ -1,11 +1,9 @@
 """Pictures for registration: the part that may show the object, binned to a bounded size, blurred by levels."""
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
-from irodori.config.capture_table import Pose
 from irodori.core import store
 
 _BANDS = 3  # of the first filter state: the other's are moved onto it, with an error of their own
@@ -22,10 +20,6 @@ class Picture:
 
     Parameters
     ----------
-    path : path
-        Linear file.
-    pose : Pose
-        As typed.
     response : (height, width, 3) float32
         Responses of the first filter state, 0 where not valid.
     valid : (height, width) float32
@@ -38,8 +32,6 @@ class Picture:
         c0 and c1 of the variance of a green sample, NaN where not known.
     """
 
-    path: Path
-    pose: Pose
     response: np.ndarray
     valid: np.ndarray
     scale: float
@@ -71,15 +63,14 @@ class Picture:
             part = slice(y0, max(y0, y1)), slice(x0, max(x0, x1))
             response = file.read("response", part)[..., :_BANDS].astype(np.float32)
             valid = file.read("valid", part).astype(np.float32)
-            pose = Pose(*file.attribute("pose_deg"))
-            noise = file.read("noise_model")[min(GREEN, response.shape[-1] - 1)].astype(np.float64)
+            noise = file.read("noise_model")[GREEN].astype(np.float64)
         response *= valid[..., None]
         bins = max(1, -(-max(valid.shape, default=1) // _MOST))
         if bins > 1:
             weight, noise = _binned(valid, bins), noise / bins**2
             response = _binned(response, bins) / np.maximum(weight, 1e-9)[..., None]
             valid = (weight >= _HALF * bins**2).astype(np.float32)
-        return cls(Path(path), pose, response, valid, density / bins, np.array([x0, y0]) / bins, noise)
+        return cls(response, valid, density / bins, np.array([x0, y0]) / bins, noise)
 
     def place(self, xy) -> np.ndarray:
         """Turn superpixels into places among the samples, whose centres have integer coordinates; (..., 2), x, y."""

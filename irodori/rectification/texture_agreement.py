@@ -49,16 +49,14 @@ def blocks(columns: int, rows: int, texel_samples: float, blur: float) -> np.nda
 def picture_slope(values: np.ndarray, place: np.ndarray) -> np.ndarray:
     """Return how values on the grid of texels change over a picture, (rows, columns, bands, 2) a superpixel.
 
+    NaN where a neighbour has no value.
+
     Parameters
     ----------
     values : (rows, columns, bands) float
         NaN where there is none.
     place : (rows, columns, 2) float
         Where the texels appear, superpixels.
-
-    Notes
-    -----
-    0 where a neighbour has no value: nothing is told of the slope there.
     """
     down, across = np.gradient(values, axis=(0, 1))
     place_down, place_across = np.gradient(place, axis=(0, 1))
@@ -66,7 +64,7 @@ def picture_slope(values: np.ndarray, place: np.ndarray) -> np.ndarray:
     with np.errstate(divide="ignore", invalid="ignore"):
         x = (across * place_down[..., 1:] - down * place_across[..., 1:]) / determinant[..., None]
         y = (down * place_across[..., :1] - across * place_down[..., :1]) / determinant[..., None]
-    return np.nan_to_num(np.stack([x, y], axis=-1), nan=0.0, posinf=0.0, neginf=0.0)
+    return np.stack([x, y], axis=-1)
 
 
 def texel_values(picture: Picture, level: Level, place, shading) -> np.ndarray:
@@ -94,13 +92,13 @@ def mean_texture(values: list[np.ndarray], weights: list[np.ndarray]) -> np.ndar
         return np.where(total[:, None] > 0.0, summed / total[:, None], np.nan)
 
 
-def _block_means(values: np.ndarray, weight: np.ndarray, block: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the weighted mean of each block, (blocks, ...), 0 of one without weight, and its weight, (blocks,)."""
+def _block_means(values: np.ndarray, weight: np.ndarray, block: np.ndarray) -> np.ndarray:
+    """Return the weighted mean of each block, (blocks, ...), 0 of one without weight."""
     total = np.bincount(block, weight, block.max() + 1)
     sums = np.zeros((len(total), *values.shape[1:]))
     used = weight > 0.0
     np.add.at(sums, block[used], (weight[used] * values[used].T).T)
-    return (sums.T / np.maximum(total, 1e-12)).T, total
+    return (sums.T / np.maximum(total, 1e-12)).T
 
 
 def without_levels(values: list[np.ndarray], weights: list[np.ndarray], block: np.ndarray) -> list[np.ndarray]:
@@ -121,7 +119,7 @@ def without_levels(values: list[np.ndarray], weights: list[np.ndarray], block: n
     level = np.zeros((len(own), totals.shape[1], own[0].shape[1]))
     for _ in range(_ROUNDS):
         mean = np.nan_to_num(mean_texture([v - g[block] for v, g in zip(own, level, strict=True)], weights))
-        level = np.stack([_block_means(v - mean, w, block)[0] for v, w in zip(own, weights, strict=True)])
+        level = np.stack([_block_means(v - mean, w, block) for v, w in zip(own, weights, strict=True)])
         level -= np.einsum("jb,jbc->bc", share, level)
     return [v - g[block] for v, g in zip(own, level, strict=True)]
 
@@ -135,13 +133,14 @@ def texture_rows(values: np.ndarray, slope: np.ndarray, moved: np.ndarray, weigh
         Those of `without_levels`.
     slope : (n, bands, 2) float
         Of the texture that all photographs tell, a superpixel of this one: their own slopes are those of shading and
-        gloss as well.
+        gloss as well. Where it is not finite, the texel says nothing.
     moved : (n, 2, unknowns) float
         How the places of the texels change, superpixels.
     weight : (n,) float
     block : (n,) int
     """
-    change = slope @ moved
-    change = np.where(weight[:, None, None] > 0.0, change - _block_means(change, weight, block)[0][block], 0.0)
+    weight = np.where(np.isfinite(slope).all(axis=(1, 2)), weight, 0.0)
+    change = np.where(weight[:, None, None] > 0.0, slope, 0.0) @ moved
+    change = np.where(weight[:, None, None] > 0.0, change - _block_means(change, weight, block)[block], 0.0)
     count = np.bincount(block, weight > 0.0, block.max() + 1)
     return TextureRows(np.where(count[block] >= _LEAST_BLOCK, weight, 0.0), values, change)

@@ -61,7 +61,11 @@ ROOMS = {
          "unit/test_fuzz_raw.py", "unit/test_dng_levels.py", "unit/test_exposure_settings.py",
          "rig/test_session_sees.py"),
     ),
-    "rectification": (("rectification",), ("unit/test_rectification.py", "unit/test_registration_parts.py")),
+    "rectification": (
+        ("rectification",),
+        ("unit/test_rectification.py", "unit/test_registration_parts.py", "unit/test_registration_steps.py",
+         "unit/test_outline_search.py"),
+    ),
     "light": (
         ("light",),
         ("unit/test_environment.py", "unit/test_light_sources.py", "unit/test_irradiance.py", "unit/test_gloss.py",

@@ -230,29 +230,3 @@ def test_photographs_cut_off_by_the_frame_tell_by_what_they_show(tmp_path, defin
     result = register(files, made(Object | PhotographedObject, definition), as_typed(definitions), Placing())
     off = np.abs(np.array(result.correction.values[:6]) - laid_off)
     assert off[:3].max() <= 0.1 and off[3:].max() <= 0.05
-
-
-def test_what_is_certain_is_not_moved(tmp_path, definitions):
-    """A correction of what has no room would be a number of its own."""
-    definition = an_object(definitions, PLATE)
-    files = photographs(tmp_path, definitions, definition, POSES[:4], (1.0, 0.0, 0.0, 0.0, 0.0, 0.0))
-    placing = Placing(focal_length_percent=0.0, camera_distance_mm=0.0)
-    result = register(files, made(Object | PhotographedObject, definition), as_typed(definitions), placing)
-    assert result.correction.values[6:8] == (0.0, 0.0) and (result.sigma[6:8] == 0.0).all()
-    assert abs(result.correction.values[0] - 1.0) <= 0.1
-
-
-def test_the_file_gives_back_what_was_found(tmp_path, definitions):
-    definition = an_object(definitions, PLATE)
-    files = photographs(tmp_path, definitions, definition, POSES[:5], (1.0, -0.5, 0.0, 0.0, 0.0, 0.0))
-    whole = made(Object | PhotographedObject, definition)
-    output = tmp_path / "registration.h5"
-    register_object(files, whole, as_typed(definitions), Placing(), output=output, provenance=PROVENANCE)
-    expected = register(files, whole, as_typed(definitions), Placing())
-    assert Correction.load(output) == expected.correction
-    with store.open_file(output) as file:
-        assert file.attribute("captures") == [path.stem for path in files]
-        x, sigma = expected.correction.values[0], expected.sigma[0]
-        assert abs(x - 1.0) <= 0.1
-        assert f"object along the table's x {x:+.2f} ± {sigma:.2f} mm" in file.attribute("sentence")
-        assert file.read("residual_mm").shape == (5,)

@@ -118,11 +118,14 @@ def test_the_reference_stores_the_series(tmp_path):
         ingest_reference(studio.table(), tmp_path, tmp_path / "b.h5", store.Provenance("t"), 0.95, SUPERPIXELS)
 
 
-def plain_series(folder, rate, dark_rate=0.0, iso=0.0, spoiled=()):
-    """Write frames of an even light, DN/s, and a dark signal, DN/s at ISO 100, some pixels at a level of their own."""
+def plain_series(folder, rate, dark_rate=0.0, iso=0.0, spoiled=(), offset=0):
+    """Write frames of an even light, DN/s, and a dark signal, DN/s at ISO 100, some pixels at a level of their own.
+
+    The offset, DN, is one that the black level does not tell.
+    """
     shots = []
     for number, exposure_s in enumerate((0.01, 0.02, 0.04)):
-        level = BLACK + (rate + dark_rate * (iso / 100.0 if iso else 1.0)) * exposure_s
+        level = BLACK + offset + (rate + dark_rate * (iso / 100.0 if iso else 1.0)) * exposure_s
         mosaic = np.full((64, 96), round(level), np.uint16)
         for row, column in spoiled:
             mosaic[row, column] = BLACK + 3000
@@ -145,6 +148,8 @@ def test_the_dark_signal_is_no_part_of_the_response(tmp_path, iso):
     with pytest.raises(InputError, match="max_nonlinearity"):
         offset = replace(dark_of(dark_rate), offset=np.full((64, 96), 500, np.int16), offset_step_dn=1.0)
         measure_linearity(shots, tmp_path / "t.csv", tmp_path, offset, 0.02)
+    lifted = plain_series(tmp_path, rate, dark_rate, iso, offset=500)
+    assert measure_linearity(lifted, tmp_path / "t.csv", tmp_path, offset, 0.001).largest < 2e-4
 
 
 def test_hot_pixels_do_not_bend_the_response(tmp_path):

@@ -9,7 +9,7 @@ from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.ingest.develop import Developed
 from irodori.ingest.ingest_options import IngestOptions
-from irodori.ingest.shot_alignment import Alignment, align_states, move
+from irodori.ingest.shot_alignment import Alignment, _superpixels, align_states, move
 from irodori.ingest.stage import ingest_raw
 
 HEIGHT, WIDTH = 320, 432  # mosaic pixels
@@ -198,3 +198,15 @@ def test_clipping_in_the_filtered_shot_moves_with_it(tmp_path):
     far = np.ones(found["valid"].shape, bool)
     far[65:100, 90:120] = False
     assert not found["clipped"][far].any()
+
+
+def test_a_superpixel_of_a_full_picture_is_the_mean_of_its_four_and_valid_where_all_are():
+    image = np.random.default_rng(4).uniform(size=(6, 8, 3)).astype(np.float32)
+    valid = np.ones((6, 8), bool)
+    valid[[0, 3, 4, 5], [1, 2, 6, 7]] = False  # one of each place; two of them in one superpixel
+    found, mask = _superpixels(image, valid, 1)
+    for row in range(3):
+        for column in range(4):
+            four = np.s_[2 * row : 2 * row + 2, 2 * column : 2 * column + 2]
+            assert found[row, column] == pytest.approx(image[four].mean(axis=(0, 1)), rel=1e-6)
+            assert mask[row, column] == valid[four].all()

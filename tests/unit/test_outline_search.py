@@ -1,0 +1,191 @@
+"""Outlines of objects: where they are expected, and where pictures have their edges."""
+
+import math
+
+import numpy as np
+import pytest
+from drawn_plates import PINHOLE, correction, picture
+
+from irodori.config.capture_table import Pose
+from irodori.geometry.embree import Tracer
+from irodori.geometry.rig_frame import rig_from_camera, to_camera
+from irodori.geometry.shapes.plate import Plate
+from irodori.geometry.shapes.sphere import Sphere
+from irodori.rectification.outline_search import edge_distances, find_rim
+from irodori.rectification.placement_correction import Correction
+
+
+def edge(at, inner=0.5, outer=0.02, sharpness=0.8, size=80):
+    """A picture, bright to the left of a column and dark to the right of it, and blurred a little."""
+    x = np.arange(size) - at
+    step = 0.5 * (1.0 - np.vectorize(math.erf)(x / (sharpness * math.sqrt(2.0))))
+    return np.tile((outer + (inner - outer) * step)[None, :, None], (size, 1, 3))
+
+
+@pytest.mark.parametrize("scale", [1.0, 2.0])
+@pytest.mark.parametrize("inner, outer", [(0.5, 0.02), (0.02, 0.5), (0.05, 0.0)])
+def test_an_edge_is_found_where_it_is_whatever_its_height(scale, inner, outer):
+    seen = picture(edge(41.3, inner, outer), scale=scale)
+    y = np.array([30.0, 35.0, 40.0])
+    samples = np.stack([np.full(3, 40.0), y], axis=1)  # expected 1.3 samples before the edge
+    xy = (samples + 0.5) / scale - 0.5
+    out = np.tile([1.0, 0.0], (3, 1))
+    np.testing.assert_allclose(edge_distances(seen, seen.level(0.0), xy, out, 4.0), 1.3 / scale, atol=0.02)
+    np.testing.assert_allclose(edge_distances(seen, seen.level(0.0), xy, -out, 4.0), -1.3 / scale, atol=0.02)
+
+
+@pytest.mark.parametrize("sharpness, within", [(0.5, 0.01), (0.8, 0.02), (1.2, 0.12)])
+def test_blur_moves_no_edge_outward(sharpness, within):
+    """Read where the ratio of both sides is greatest, on the dark side, they were found up to 0.9 samples outward."""
+    xy, out = np.array([[40.0, 40.0]]), np.array([[1.0, 0.0]])
+    for at in np.arange(39.0, 42.0, 0.23):
+        seen = picture(edge(at, 0.5, 0.02, sharpness))
+        for sign in (1.0, -1.0):
+            found = sign * edge_distances(seen, seen.level(0.0), xy, sign * out, 4.0)[0]
+            assert abs(found - (at - 40.0)) < within
+
+
+def test_no_edge_is_found_where_none_stands_out():
+    xy, out = np.array([[40.0, 40.0]]), np.array([[1.0, 0.0]])
+    for response, noise in (
+        (np.full((80, 80, 3), 0.5), (1e-6, 0.0)),
+        (edge(41.0, 0.5, 0.45), (1e-6, 0.0)),  # too low a step
+        (edge(41.0, 0.10, 0.04), (4e-4, 0.0)),  # less than six standard deviations
+        (edge(41.0, 0.10, 0.04), (0.0, 4e-3)),
+        (edge(41.0, 0.10, 0.04), (math.nan, math.nan)),  # of which nothing is known
+        (edge(55.0), (1e-6, 0.0)),  # out of reach
+    ):
+        seen = picture(response, noise=noise)
+        assert np.isnan(edge_distances(seen, seen.level(0.0), xy, out, 4.0)).all()
+
+
+def test_of_two_edges_the_greater_step_is_taken():
+    response = edge(36.0, 0.5, 0.2) * edge(47.0, 1.0, 0.02)
+    seen = picture(response)
+    xy, out = np.array([[40.0, 40.0]]), np.array([[1.0, 0.0]])
+    np.testing.assert_allclose(edge_distances(seen, seen.level(0.0), xy, out, 8.0), 7.0, atol=0.1)
+
+
+def normals_of(curve):
+    """Unit normals of a closed curve's points, to either side."""
+    along = np.roll(curve, -1, axis=0) - np.roll(curve, 1, axis=0)
+    return np.stack([along[:, 1], -along[:, 0]], axis=1) / np.linalg.norm(along, axis=1, keepdims=True)
+
+
+@pytest.mark.parametrize("at", [(0.0, 0.0, 0.0), (4.0, -3.0, 2.0)])
+def test_the_outline_of_a_sphere_is_where_rays_graze_it(at):
+    pose, radius = Pose(45.0, 20.0), 30.0
+    placed = correction(x_mm=at[0], y_mm=at[1], z_mm=at[2]).placements(Sphere(radius), pose, 0.0)
+    eye, axes = 900.0 * to_camera(pose), rig_from_camera(pose)
+    # The circle in which the cone of grazing rays touches it.
+    way = eye - at
+    distance = np.linalg.norm(way)
+    towards, sine = way / distance, radius / distance
+    across = np.cross(towards, [0.0, 1.0, 0.0])
+    across /= np.linalg.norm(across)
+    turn = np.linspace(0.0, 2.0 * math.pi, 2001)[:-1, None]
+    round_it = np.cos(turn) * across + np.sin(turn) * np.cross(towards, across)
+    curve = PINHOLE.project(at + radius * (sine * towards + math.sqrt(1.0 - sine**2) * round_it), eye, axes)
+    rim = find_rim(Tracer(placed), PINHOLE, eye, axes, (*curve.min(axis=0), *curve.max(axis=0)))
+    world = rim.point + at
+    to_eye = eye - world
+    to_eye /= np.linalg.norm(to_eye, axis=1, keepdims=True)
+    np.testing.assert_allclose(np.linalg.norm(rim.point, axis=1), radius, rtol=1e-4)
+    assert np.abs(np.sum(to_eye * rim.point / radius, axis=1)).max() < 0.003
+    seen = PINHOLE.project(world, eye, axes)
+    nearest = np.linalg.norm(seen[:, None] - curve, axis=2).argmin(axis=1)
+    assert np.abs(np.sum((seen - curve[nearest]) * rim.outward, axis=1)).max() < 0.01  # superpixels
+    assert np.abs(np.sum(rim.outward * normals_of(curve)[nearest], axis=1)).min() > math.cos(0.003)
+    radial = seen - curve.mean(axis=0)
+    assert np.sum(radial * rim.outward, axis=1).min() > 0.0
+    angle = np.sort(np.degrees(np.arctan2(*radial.T)))
+    assert len(angle) == 200 and np.diff([*angle, angle[0] + 360.0]).max() < 6.0
+
+
+@pytest.mark.parametrize("pose", [Pose(45.0, 0.0), Pose(45.0, 40.0, 10.0, 25.0)])
+def test_the_outline_of_a_plate_is_its_four_sides_without_the_corners(pose):
+    placed = Correction().placements(Plate(50.0, 30.0), pose, 0.0)
+    eye, axes = 900.0 * to_camera(pose), rig_from_camera(pose)
+    corners = PINHOLE.project(placed[0].corners(), eye, axes)
+    rim = find_rim(Tracer(placed), PINHOLE, eye, axes, (*corners.min(axis=0), *corners.max(axis=0)))
+    assert len(rim.point) == 200
+    x, y = np.abs(rim.point[:, 0]) / 25.0, np.abs(rim.point[:, 1]) / 15.0
+    np.testing.assert_allclose(np.maximum(x, y), 1.0, atol=1e-4)
+    np.testing.assert_allclose(rim.point[:, 2], 0.0, atol=1e-3)
+    assert np.minimum(x, y).max() < 0.99  # a corner has no direction
+    seen, sides = PINHOLE.project(placed[0].points(rim.point), eye, axes), []
+    for first, second in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        along = (second - first) / np.linalg.norm(second - first)
+        out = np.array([-along[1], along[0]])  # rows go down, so that the corners are passed clockwise
+        out = out if (first - corners.mean(axis=0)) @ out > 0.0 else -out
+        own = np.abs((seen - first) @ out) < 0.01
+        np.testing.assert_allclose(rim.outward[own], np.tile(out, (own.sum(), 1)), atol=2e-3)
+        place = np.sort((seen[own] - first) @ along) / np.linalg.norm(second - first)
+        assert place[0] < 0.15 and place[-1] > 0.85 and np.diff(place).max() < 0.1
+        sides.append(own)
+    assert (np.sum(sides, axis=0) == 1).all()
+
+
+def test_what_is_smaller_than_a_few_superpixels_has_no_outline():
+    pose = Pose(45.0, 0.0)
+    eye, axes = 900.0 * to_camera(pose), rig_from_camera(pose)
+    for radius, points in ((0.1, 0), (0.2, 0), (3.0, 60)):
+        tracer = Tracer(Correction().placements(Sphere(radius), pose, 0.0))
+        middle, half = PINHOLE.project(np.zeros(3), eye, axes), radius * 10_000.0 / 900.0 / 2.0
+        rim = find_rim(tracer, PINHOLE, eye, axes, (*(middle - half), *(middle + half)))
+        assert len(rim.point) == len(rim.outward) >= points
+        assert points or not len(rim.point)
+
+
+def test_what_is_not_in_the_window_has_no_outline():
+    pose = Pose(45.0, 0.0)
+    eye, axes = 900.0 * to_camera(pose), rig_from_camera(pose)
+    rim = find_rim(Tracer(Correction().placements(Sphere(5.0), pose, 0.0)), PINHOLE, eye, axes, (0.0, 0.0, 20.0, 20.0))
+    assert rim.point.shape == (0, 3) and rim.outward.shape == (0, 2)
+
+
+def found_at(response, reach=4.0, noise=(1e-6, 0.0)):
+    """What is found beside column 40 of a picture."""
+    seen = picture(response, noise=noise)
+    return edge_distances(seen, seen.level(0.0), np.array([[40.0, 40.0]]), np.array([[1.0, 0.0]]), reach)[0]
+
+
+@pytest.mark.parametrize("reach", [4.0, 10.0])
+def test_an_edge_is_found_as_far_as_the_search_goes(reach):
+    for side in (1.0, -1.0):
+        near, beyond = side * (reach - 0.3), side * (reach + 0.4)
+        assert found_at(edge(40.0 + near), reach) == pytest.approx(near, abs=0.03)
+        assert math.isnan(found_at(edge(40.0 + beyond), reach))
+
+
+def test_an_edge_stands_out_by_a_quarter_of_its_logarithm_and_six_standard_deviations():
+    for step, is_seen in ((0.23, False), (0.27, True)):
+        outer = 0.1
+        inner = (outer + 0.01) * math.exp(step) - 0.01
+        assert math.isfinite(found_at(edge(41.0, inner, outer))) == is_seen
+        assert math.isfinite(found_at(edge(41.0, outer, inner))) == is_seen
+    for sigmas, is_seen in ((5.6, False), (6.4, True)):
+        sigma = 0.3 / sigmas
+        assert math.isfinite(found_at(edge(41.0, 0.4, 0.1), noise=(sigma**2, 0.0))) == is_seen
+        # Noise of photons is that of the brighter side.
+        assert math.isfinite(found_at(edge(41.0, 0.4, 0.1), noise=(0.0, sigma**2 / 0.4))) == is_seen
+        assert math.isfinite(found_at(edge(41.0, 0.1, 0.4), noise=(0.0, sigma**2 / 0.4))) == is_seen
+
+
+def test_of_two_like_edges_the_one_nearer_to_where_it_is_expected_is_taken():
+    for first, second, nearer in ((32.0, 45.0, 5.0), (35.0, 48.0, -5.0)):
+        stripe = edge(first, 0.02, 0.5) * edge(second, 1.0, 0.04)  # dark, bright between, dark
+        assert found_at(stripe, 12.0) == pytest.approx(nearer, abs=0.15)
+
+
+@pytest.mark.parametrize("slope", [-0.02, 0.01])
+def test_shading_that_changes_evenly_towards_an_edge_does_not_move_it(slope):
+    """A round object darkens towards its outline."""
+    x = np.arange(80.0)[None, :, None]
+    for at in (39.2, 40.0, 41.7):
+        lit = (edge(at, 1.0, 0.0) * (0.5 + slope * (x - at))) + 0.02
+        assert found_at(lit) == pytest.approx(at - 40.0, abs=0.05)
+
+
+def test_an_edge_at_the_end_of_a_picture_is_not_judged():
+    assert math.isnan(found_at(edge(41.0)[:, :46])) and math.isfinite(found_at(edge(41.0)[:, :56]))

@@ -1,0 +1,566 @@
+"""Steps of the registration of objects: what each says of pictures that were drawn, or of numbers written down."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from drawn_plates import PLATE, SETUP, VIEWS, correction, drawn, picture
+
+from irodori.config.capture_table import Pose
+from irodori.config.models import Placing
+from irodori.config.parts import TexturedObject
+from irodori.geometry.lamp import Lamp
+from irodori.geometry.rig_frame import rig_from_object, rotation_x, rotation_y, rotation_z, to_light
+from irodori.geometry.shapes.plate import Plate
+from irodori.geometry.shapes.sphere import Sphere
+from irodori.rectification.object_registration import (
+    _add_texture,
+    _displacement,
+    _equations,
+    _first_reach,
+    _outline,
+    _prepare,
+    _Problem,
+    _problem,
+    _residuals,
+    _shift,
+    _spacing,
+    _suspect,
+    _texels,
+    _textures,
+    _View,
+    _window,
+)
+from irodori.rectification.placement_correction import CAMERA, COUNT, Correction, prior_sigma
+from irodori.rectification.texture_agreement import TextureRows, blocks, mean_texture
+
+MM_PER_PX = 2.0 * 900.0 / 2400.0
+
+
+def problem_without_pictures(shape, poses, *, columns=24, rows=20, setup=SETUP, placing=None) -> _Problem:
+    sigma = np.concatenate([prior_sigma(placing or Placing()), np.full(len(poses), 0.3)])
+    return _Problem(shape, setup, _texels(shape, columns, rows), [_View(p) for p in poses], sigma, np.zeros(len(sigma)))
+
+
+def prepared(problem, reach=4.0, blur=2.0) -> _Problem:
+    """What photographs show at a level of the search, as `_descend` has it done."""
+    texels = problem.texels
+    problem.block = blocks(texels.columns, texels.rows, _spacing(problem), blur)[texels.number]
+    for number in range(len(problem.views)):
+        _prepare(problem, number, reach, blur)
+    return problem
+
+
+# Where things are.
+
+
+def test_points_are_seen_where_a_pinhole_by_the_corrected_numbers_puts_them():
+    rng = np.random.default_rng(3)
+    values = rng.uniform(-2.0, 2.0, COUNT + 2)
+    problem = problem_without_pictures(Plate(60.0, 50.0), [Pose(45.0, 0.0), Pose(60.0, 20.0, 10.0, 30.0)])
+    points = rng.uniform(-30.0, 30.0, (40, 3))
+    x, y, z = (math.radians(angle) for angle in values[3:6])
+    lain = points @ (rotation_z(z) @ rotation_y(y) @ rotation_x(x)).T + values[:3]
+    placed = lain @ (rotation_y(math.radians(10.0)) @ rotation_z(math.radians(30.0))).T
+    angle = math.radians(20.0 + values[CAMERA] + values[COUNT + 1])
+    forward, right = (
+        np.array([math.sin(angle), 0.0, -math.cos(angle)]),
+        np.array([math.cos(angle), 0.0, math.sin(angle)]),
+    )
+    ray = placed + (900.0 + values[6]) * forward
+    focal = 2400.0 * (1.0 + values[7] / 100.0) / (ray @ forward)
+    mosaic = np.stack([160.0 + values[8] + focal * (ray @ right), 120.0 + values[9] - focal * ray[:, 1]], axis=1)
+    np.testing.assert_allclose(problem.seen(1, points, values), mosaic / 2.0 - 0.5, atol=1e-9)
+
+
+def test_derivatives_are_what_places_change_by():
+    problem = problem_without_pictures(Plate(60.0, 50.0), VIEWS)
+    problem.unknowns = np.random.default_rng(4).uniform(-1.0, 1.0, COUNT + len(VIEWS))
+    points = problem.texels.position[::7]
+    found = problem.derivative(lambda v, values: problem.seen(v, points, values), 1)
+    for number in range(COUNT):
+        moved = problem.unknowns.copy()
+        moved[number] += 1e-4
+        change = problem.seen(1, points, moved) - problem.seen(1, points, problem.unknowns)
+        np.testing.assert_allclose(found[..., number], change / 1e-4, rtol=1e-3, atol=1e-3)
+
+
+def test_shading_is_the_cosine_of_incidence_times_the_power_of_a_near_lamp():
+    pose = Pose(50.0, 0.0, 10.0, 40.0)
+    near = replace(SETUP, lamp=Lamp(200.0), white_pose=pose)
+    problem = problem_without_pictures(Sphere(30.0), [pose], setup=near)
+    normal = problem.texels.position @ rig_from_object(pose).T / 30.0
+    way = 200.0 * to_light(pose) - 30.0 * normal
+    distance = np.linalg.norm(way, axis=1)
+    expected = np.sum(normal * way, axis=1) / distance * (200.0 / distance) ** 2
+    lit = expected > 0.0
+    assert 0.2 < lit.mean() < 0.6
+    found = problem.shading(0)
+    np.testing.assert_allclose(found[lit], expected[lit], rtol=1e-9)
+    assert np.isnan(found[~lit]).all()
+
+
+def test_texels_are_the_objects_own_or_as_many_as_are_compared():
+    own = _texels(Plate(60.0, 50.0), 24, 20)
+    assert (own.columns, own.rows) == (24, 20) and np.array_equal(own.number, np.arange(480))
+    fine = _texels(Plate(60.0, 30.0), 2000, 1000)
+    assert fine.columns * fine.rows == pytest.approx(3600, rel=0.02) and fine.columns / fine.rows == pytest.approx(
+        2.0, rel=0.02
+    )
+    np.testing.assert_allclose(
+        np.ptp(fine.position, axis=0), [60.0 - 60.0 / fine.columns, 30.0 - 30.0 / fine.rows, 0.0]
+    )
+    # A slope needs two texels along each side.
+    assert (_texels(Plate(60.0, 50.0), 1, 2).columns, _texels(Plate(60.0, 50.0), 2, 1).rows) == (2, 2)
+
+
+def test_a_window_holds_the_object_and_a_margin():
+    problem = problem_without_pictures(Plate(60.0, 50.0), [Pose(45.0, 0.0), Pose(45.0, 0.0, 0.0, 90.0)])
+    # The principal point is at superpixel 79.5, 59.5. Half a texel counts by the side that has fewer.
+    half, middle = np.array([30.0, 25.0]) / MM_PER_PX, np.array([79.5, 59.5])
+    found = np.array(_window(problem, 0, 5.0))
+    np.testing.assert_allclose(found, [*(middle - half - 5.0), *(middle + half + 5.0)], atol=0.5)
+    found = np.array(_window(problem, 1, 0.0))
+    np.testing.assert_allclose(found, [*(middle - half[::-1]), *(middle + half[::-1])], atol=0.5)
+    problem.unknowns[6] = -1000.0  # behind the camera
+    assert _window(problem, 0, 5.0) == (0.0, 0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("scale", [1.0, 2.0])
+def test_the_search_begins_as_far_off_as_the_prior_allows_within_the_objects_size(scale):
+    def reach(mm, size=60.0):
+        alone = {name: 0.0 for name in vars(Placing()) if name != "max_residual_px"} | {"translation_mm": mm}
+        problem = problem_without_pictures(Plate(size, size), [Pose(45.0, 0.0)] * 3, placing=Placing(**alone))
+        for view in problem.views:
+            view.picture = picture(np.zeros((2, 2, 3)), scale=scale)
+        return _first_reach(problem)
+
+    # Two and a half standard deviations; along the optical axis nearly nothing is seen of a displacement.
+    assert reach(2.0) == pytest.approx(2.5 * 2.0 / MM_PER_PX * scale, rel=0.01)
+    assert reach(0.1) == 4.0
+    assert reach(40.0, 2000.0) == 40.0
+    assert reach(40.0, 30.0) == pytest.approx(max(4.0, 0.35 * 15.0 / MM_PER_PX * scale), rel=0.02)
+
+
+def test_the_spacing_of_texels_is_that_in_the_picture():
+    def spacing(pose, scale, width):
+        problem = problem_without_pictures(Plate(width, 50.0), [pose] * 2)
+        for view in problem.views:
+            view.picture = picture(np.zeros((2, 2, 3)), scale=scale)
+        return _spacing(problem)
+
+    for turn in (0.0, 30.0, 90.0):
+        assert spacing(Pose(45.0, 0.0, 0.0, turn), 1.0, 60.0) == pytest.approx(2.5 / MM_PER_PX, rel=0.01)
+        assert spacing(Pose(45.0, 60.0, 0.0, turn), 2.0, 120.0) == pytest.approx(2.0 * 2.5 / MM_PER_PX, rel=0.01)
+
+
+# What photographs show.
+
+
+def test_texels_have_a_say_where_they_are_seen_lit_matt_and_away_from_the_rim(tmp_path):
+    poses = [
+        Pose(45.0, 0.0),
+        Pose(45.0, 40.0),
+        Pose(88.0, 0.0),
+    ]  # matt; in the direction of gloss; lit along the surface
+    problem = prepared(_problem(drawn(tmp_path, Correction(), poses, poses), PLATE, SETUP, Placing()), blur=2.0)
+    matt, gloss, dark = (view.weight for view in problem.views)
+    inward = np.min([30.0, 25.0] - np.abs(problem.texels.position[:, :2]), axis=1) / MM_PER_PX
+    within = inward > 2.0 * 2.0 + 1.5 + 0.3
+    phi = math.radians(45.0 / 2.0)
+    np.testing.assert_allclose(matt[within], (phi / 0.35) ** 2 if phi < 0.35 else 1.0, rtol=1e-6)
+    assert (matt[inward < 2.0 * 2.0 + 1.5 - 0.3] == 0.0).all()
+    assert gloss[within].max() < 0.05 and not dark.any()
+    assert len(problem.views[0].rim) > 50 and len(problem.views[1].rim) > 50 and len(problem.views[2].rim) == 0
+    np.testing.assert_allclose(np.linalg.norm(problem.views[0].outward, axis=1), 1.0)
+    full = prepared(_problem(drawn(tmp_path, Correction(), poses, poses), PLATE, SETUP, Placing()), blur=1.0)
+    assert (full.views[0].weight > 0).sum() > (matt > 0).sum()
+
+
+def test_the_outline_of_a_sphere_is_looked_for_where_it_is_lit():
+    pose = Pose(60.0, 10.0)
+    problem = problem_without_pictures(Sphere(30.0), [pose], columns=48, rows=24)
+    problem.views[0].picture = picture(np.full((120, 160, 3), 0.5))
+    view = prepared(problem).views[0]
+    cosine = view.rim @ to_light(pose) / 30.0
+    assert cosine.min() > 0.15 - 0.07 and cosine.max() > 0.9  # by the normal of the next texel, of 7.5 degrees
+    lit = problem.texels.normal @ to_light(pose)
+    assert not view.weight[lit < 0.14].any() and view.weight[lit > 0.6].any()
+    assert not problem.tells_texture
+
+
+FACING = [Pose(45.0, 0.0), Pose(45.0, 0.0, 0.0, 90.0)]
+
+
+def plain(folder, poses=FACING, **lies) -> _Problem:
+    """A plate without texture that lies elsewhere than it is said to."""
+    files = drawn(folder, correction(**lies), poses, poses, contrast=0.0)
+    return prepared(_problem(files, PLATE, SETUP, Placing()))
+
+
+def test_the_distance_of_an_outline_is_what_lies_between_plate_and_prior_along_the_normals(tmp_path):
+    problem = plain(tmp_path, x_mm=0.6, y_mm=-0.9)
+    for number, moved in ((0, [0.6, 0.9]), (1, [0.9, -0.6])):
+        distance, change, found = _outline(problem, number, 4.0)
+        outward = problem.views[number].outward[found]
+        assert found.sum() > 150
+        np.testing.assert_allclose(distance, outward @ moved / MM_PER_PX, atol=0.02)
+        by_xy = np.array([[1.0, 0.0], [0.0, -1.0]] if number == 0 else [[0.0, -1.0], [-1.0, 0.0]])
+        np.testing.assert_allclose(change[:, :2], outward @ by_xy.T / MM_PER_PX, atol=0.01)
+
+
+def test_an_object_of_few_texels_has_an_outline_all_round(tmp_path):
+    """Its sides lie far beyond the centres of the outermost texels."""
+    few = TexturedObject.of(
+        {"shape": {"kind": "plate", "width_mm": 60.0, "height_mm": 50.0}, "texels": {"width": 5, "height": 4}}
+    )
+    problem = prepared(_problem(drawn(tmp_path, Correction(), FACING, FACING, contrast=0.0), few, SETUP, Placing()))
+    for view in problem.views:
+        x, y = view.rim[:, 0] / 30.0, view.rim[:, 1] / 25.0
+        assert min((one > 0.99).sum() for one in (x, -x, y, -y)) > 20
+
+
+def test_nothing_is_said_of_an_outline_of_few_points(tmp_path):
+    problem = plain(tmp_path)
+    view = problem.views[0]
+    for count in (0, 11, 12):
+        view.rim, view.outward = view.rim[:count], view.outward[:count]
+        distance, change, found = _outline(problem, 0, 4.0)
+        said = count if count >= 12 else 0
+        assert (len(distance), len(change), found.sum(), len(found)) == (said, said, said, count)
+        problem = prepared(problem)
+        view = problem.views[0]
+
+
+def test_the_normal_equations_are_those_of_the_outlines_distances_and_the_prior(tmp_path):
+    problem = plain(tmp_path, x_mm=0.01, y_mm=-0.01, about_z_deg=0.01)
+    problem.unknowns = np.random.default_rng(6).normal(0.0, 0.003, COUNT + 2)
+    matrix, right = _equations(problem, 4.0)
+    cost = np.zeros((2, COUNT + 2))
+    step = 0.02
+
+    def half_square(values):
+        """Half the sum of squares: five points as one of 0.1 superpixels, outliers with less weight, and the prior."""
+        before, problem.unknowns = problem.unknowns, values
+        off = np.concatenate([_outline(problem, number, 4.0)[0] for number in (0, 1)])
+        problem.unknowns = before
+        # Cauchy's, whose derivative is the distance times its weight.
+        outlines = 0.5 * np.sum(0.2**2 * np.log1p((off / 0.2) ** 2)) / (0.1**2 * 5.0)
+        return outlines + 0.5 * np.sum((values / problem.sigma) ** 2)
+
+    for number in range(COUNT + 2):
+        for end, sign in enumerate((1.0, -1.0)):
+            values = problem.unknowns.copy()
+            values[number] += sign * step
+            cost[end, number] = half_square(values)
+    scale = np.sqrt(np.diag(matrix))
+    np.testing.assert_allclose(right / scale, (cost[1] - cost[0]) / (2.0 * step) / scale, rtol=0.03, atol=0.03)
+    slope = []
+    for number in range(COUNT + 2):
+        ends = []
+        for sign in (1.0, -1.0):
+            values = problem.unknowns.copy()
+            values[number] += sign * step
+            moved = replace(problem, unknowns=values)
+            ends.append(_equations(moved, 4.0)[1])
+        slope.append((ends[1] - ends[0]) / (2.0 * step))
+    np.testing.assert_allclose(np.array(slope) / np.outer(scale, scale), matrix / np.outer(scale, scale), atol=0.1)
+    # What has no room has no prior either.
+    fixed = replace(problem, sigma=np.where(np.arange(COUNT + 2) == 3, 0.0, problem.sigma))
+    without = _equations(fixed, 4.0)
+    expected = np.zeros(COUNT + 2)
+    expected[3] = 1.0 / problem.sigma[3] ** 2
+    np.testing.assert_allclose(matrix - without[0], np.diag(expected), atol=1e-9)
+    np.testing.assert_allclose(right - without[1], -expected * problem.unknowns, atol=1e-9)
+
+
+def silenced(problem) -> _Problem:
+    """The same without a say of any texel."""
+    for view in problem.views:
+        view.weight = np.zeros_like(view.weight)
+    return problem
+
+
+def test_textures_are_compared_at_the_end_and_where_there_is_no_outline(tmp_path):
+    files = drawn(tmp_path, Correction(), FACING, FACING)
+    for reach, has_a_say in ((16.0, False), (4.0, True)):
+        problem = prepared(_problem(files, PLATE, SETUP, Placing()), reach)
+        whole = _equations(problem, reach)[0]
+        by_outline = _equations(silenced(problem), reach)[0]
+        assert (not np.array_equal(whole, by_outline)) == has_a_say
+        assert by_outline[0, 0] > 2.0 / problem.sigma[0] ** 2
+    beyond = textured(tmp_path)
+    assert not np.array_equal(_equations(beyond, 16.0)[0], _equations(silenced(beyond), 16.0)[0])
+
+
+def test_the_texture_of_round_objects_is_not_compared():
+    problem = problem_without_pictures(Sphere(30.0), FACING, columns=48, rows=24)
+    response = np.random.default_rng(15).uniform(0.45, 0.55, (120, 160, 3))
+    for view in problem.views:
+        view.picture = picture(response)
+    prepared(problem)
+    for reach in (16.0, 4.0):
+        matrix, right = _equations(problem, reach)
+        np.testing.assert_allclose(matrix, np.diag(1.0 / problem.sigma**2), rtol=1e-12)
+        assert not right.any()
+
+
+# Textures.
+
+LARGE = TexturedObject.of(
+    {"shape": {"kind": "plate", "width_mm": 130.0, "height_mm": 104.0}, "texels": {"width": 60, "height": 48}}
+)
+HALF_TURNED = [Pose(45.0, 0.0), Pose(45.0, 0.0, 0.0, 180.0)]
+
+
+def textured(folder, shown=HALF_TURNED, stated=HALF_TURNED, **lies) -> _Problem:
+    """A plate that reaches beyond the pictures."""
+    files = drawn(folder, correction(**lies), shown, stated, (130.0, 104.0))
+    return prepared(_problem(files, LARGE, SETUP, Placing()), blur=1.0)
+
+
+def test_rows_of_a_texture_are_what_texels_show_and_what_that_changes_by(tmp_path):
+    problem = textured(tmp_path)
+    rows = _textures(problem)
+    assert [row.change.shape for row in rows] == [(60 * 48, 3, COUNT + 2)] * 2
+    # Texels at the rim of what is seen have no slope; of whole blocks the mean is that of their own texels.
+    said = np.all([row.weight > 0 for row in rows], axis=0)
+    count = np.bincount(problem.block)
+    inner = (np.bincount(problem.block, said) == count)[problem.block]
+    assert inner.sum() > 300
+
+    def changed(after, number):
+        by = after[number].value - rows[number].value
+        mean = np.array([np.bincount(problem.block, np.nan_to_num(band), len(count)) for band in by.T])
+        return (by - (mean / np.maximum(count, 1)).T[problem.block])[inner]
+
+    for column, step in ((0, 0.2), (1, 0.2), (5, 0.2), (6, 2.0), (CAMERA, 0.5)):
+        values = problem.unknowns.copy()
+        values[column] += step
+        after = _textures(replace(problem, unknowns=values))
+        for number in (0, 1):
+            expected = rows[number].change[inner][..., column] * step
+            assert np.std(changed(after, number) - expected) < 0.15 * np.std(expected)
+    for axis in (0, 1):  # of a photograph by itself
+        view = problem.views[0]
+        view.picture = replace(view.picture, corner=view.picture.corner - 0.2 * np.eye(2)[axis])
+        after = _textures(problem)
+        view.picture = replace(view.picture, corner=view.picture.corner + 0.2 * np.eye(2)[axis])
+        expected = rows[0].change[inner][..., COUNT + axis] * 0.2
+        assert np.std(changed(after, 0) - expected) < 0.15 * np.std(expected)
+
+
+def rows_of(seed, *, views=3, count=40, size=1e-5, bands=2):
+    """Made-up textures of one colour each texel, but for what a step of the unknowns explains; and that step."""
+    rng = np.random.default_rng(seed)
+    step = size * rng.normal(size=COUNT + views)
+    colour = rng.normal(size=(count, bands))
+    rows = []
+    for view in range(views):
+        change = rng.normal(size=(count, bands, COUNT + 2))
+        by = change[..., :COUNT] @ step[:COUNT] + change[..., CAMERA] * step[COUNT + view]
+        weight = np.where(rng.uniform(size=count) < 0.7, rng.uniform(0.3, 1.0, count), 0.0)
+        rows.append(TextureRows(weight, colour - by, change))
+    return rows, step
+
+
+def test_normal_equations_of_textures_are_those_whose_colours_are_unknowns_too():
+    rows, _ = rows_of(7)
+    size, bands = COUNT + len(rows), 2
+    matrix, right = np.zeros((size, size)), np.zeros(size)
+    _add_texture(rows, matrix, right)
+    lines, values = [], []
+    seen = np.sum([row.weight > 0 for row in rows], axis=0)
+    for view, row in enumerate(rows):
+        for texel in np.flatnonzero((row.weight > 0) & (seen > 1)):
+            for band in range(bands):
+                line = np.zeros(size + 40 * bands)
+                line[:COUNT] = row.change[texel, band, :COUNT]
+                line[COUNT + view] = row.change[texel, band, CAMERA]
+                line[size + texel * bands + band] = -1.0
+                # Measurements of 0.01, of which 75 count as one.
+                root = math.sqrt(row.weight[texel] / (0.01**2 * 75.0))
+                lines.append(root * line)
+                values.append(-root * row.value[texel, band])
+    a = np.array(lines)
+    full, b = a.T @ a, a.T @ np.array(values)
+    used = np.flatnonzero(np.diag(full) > 0)
+    colours = used[used >= size]
+    over = full[:size, colours] @ np.linalg.inv(full[np.ix_(colours, colours)])
+    expected, expected_right = full[:size, :size] - over @ full[colours, :size], b[:size] - over @ b[colours]
+    scale = np.sqrt(np.diag(expected))
+    np.testing.assert_allclose(matrix / np.outer(scale, scale), expected / np.outer(scale, scale), atol=1e-5)
+    np.testing.assert_allclose(right / scale, expected_right / scale, atol=1e-5 * np.abs(expected_right / scale).max())
+
+
+def test_highlights_have_no_say_in_where_a_texture_lies():
+    rows, step = rows_of(8, count=300, size=1e-3)
+    spoilt = rows[0].value.copy()
+    spoilt[::20] += 2.0
+    rows[0] = rows[0]._replace(value=spoilt)
+    matrix, right = np.zeros((COUNT + 3,) * 2), np.zeros(COUNT + 3)
+    _add_texture(rows, matrix, right)
+    ridge = 1e-6 * np.diag(np.diag(matrix))  # the cameras' own angles together are every camera angle
+    found = np.linalg.solve(matrix + ridge, right)
+    free = [number for number in range(COUNT) if number != CAMERA]
+    np.testing.assert_allclose(found[free], step[free], atol=2e-4)
+
+
+def test_what_scatters_more_tells_less():
+    def information(scatter):
+        rows, _ = rows_of(9, count=400)
+        rng = np.random.default_rng(10)
+        rows = [row._replace(value=row.value + scatter * rng.normal(size=row.value.shape)) for row in rows]
+        matrix = np.zeros((COUNT + 3,) * 2)
+        _add_texture(rows, matrix, np.zeros(COUNT + 3))
+        return matrix[0, 0]
+
+    assert information(0.1) / information(0.2) == pytest.approx(4.0, rel=0.02)
+    assert information(0.0) == pytest.approx(information(0.001), rel=0.01)  # as little as 0.01
+
+
+def test_textures_that_no_two_photographs_show_say_nothing():
+    rows, _ = rows_of(11)
+    apart = [row._replace(weight=np.where(np.arange(40) % 3 == view, 1.0, 0.0)) for view, row in enumerate(rows)]
+    matrix, right = np.zeros((COUNT + 3,) * 2), np.zeros(COUNT + 3)
+    _add_texture(apart, matrix, right)
+    assert not matrix.any() and not right.any()
+
+
+# What each photograph is off by.
+
+
+def displaced(by, *, count=200, weight=0.8, slopes=None, only_this=0):
+    """Textures of three photographs, of which the first lies beside the others, (2,) superpixels, and their means."""
+    rng = np.random.default_rng(12)
+    colour = rng.normal(size=(count, 3))
+    slope = rng.normal(0.0, 0.1, (count, 3, 2)) if slopes is None else slopes
+    change = np.concatenate([rng.normal(size=(count, 3, COUNT)), slope], axis=2)
+    weights = [np.full(count, weight), rng.uniform(0.2, 1.0, count), rng.uniform(0.2, 1.0, count)]
+    values = [colour - slope @ by, colour, colour]
+    if only_this:
+        values[0][:only_this] += 100.0
+        for other in (1, 2):
+            weights[other][:only_this] = 0.0
+    rows = [TextureRows(w, v, change) for w, v in zip(weights, values, strict=True)]
+    return rows[0], mean_texture(values, weights), np.sum(weights, axis=0)
+
+
+@pytest.mark.parametrize("by", [(1.5, 0.0), (0.0, -0.7), (-0.4, 2.0)])
+def test_a_photographs_texture_lies_beside_that_of_the_others(by):
+    np.testing.assert_allclose(_shift(*displaced(by)), by, atol=1e-6)
+    # What it shows alone is compared with nothing.
+    np.testing.assert_allclose(_shift(*displaced(by, only_this=90)), by, atol=1e-6)
+    row, mean, total = displaced(by)
+    off = np.where(np.arange(200) % 10 == 0, 3.0, 0.0)[:, None]
+    others = total - row.weight
+    # The highlights of one photograph have their part in the mean of all.
+    share = (row.weight / (row.weight + others))[:, None]
+    found = _shift(row._replace(value=row.value + off), mean + share * off, total)
+    np.testing.assert_allclose(found, by, atol=0.2)
+
+
+def test_a_photograph_is_not_judged_by_a_texture_that_tells_too_little():
+    flat = np.full((200, 3, 2), 1e-3)
+    striped = np.random.default_rng(13).normal(0.0, 0.1, (200, 3, 1)) * [1.0, 0.0]
+    for one in (
+        displaced((0.5, 0.0), slopes=flat),
+        displaced((0.5, 0.0), slopes=striped),  # along the stripes nobody can tell
+        displaced((0.5, 0.0), weight=0.25),  # of the directions of gloss
+        displaced((0.5, 0.0), weight=0.0),
+        displaced((0.5, 0.0), only_this=200),
+    ):
+        assert np.isnan(_shift(*one)).all()
+    row, mean, total = displaced((0.5, 0.0), weight=0.4)
+    # Texels that it does not show are none that it shows in gloss.
+    half = row._replace(weight=np.where(np.arange(200) % 2, 0.4, 0.0))
+    np.testing.assert_allclose(_shift(half, mean, total - row.weight + half.weight)[1], 0.0, atol=0.5)
+    assert np.isfinite(_shift(half, mean, total - row.weight + half.weight)).all()
+
+
+@pytest.mark.parametrize(
+    "angle, named, by",
+    [
+        ("camera_deg", "camera_deg or tilt_deg", 2.0),
+        ("tilt_deg", "camera_deg or tilt_deg", -1.5),
+        ("turn_deg", "turn_deg", 2.5),
+    ],
+)
+def test_the_angle_that_explains_a_photograph_best_is_named(angle, named, by):
+    """Of the camera's angle and the tilt what is seen is their sum."""
+    typed = Pose(45.0, 40.0, 20.0, 30.0)
+    true = replace(typed, **{angle: getattr(typed, angle) + by})
+    problem = problem_without_pictures(Plate(60.0, 50.0), [Pose(45.0, 0.0), typed])
+    view, other = problem.views[1], _View(true)
+    rng = np.random.default_rng(14)
+    view.rim = problem.texels.position[rng.integers(0, 480, 60)]
+    direction = rng.uniform(0.0, 2.0 * math.pi, 60)
+    view.outward = np.stack([np.cos(direction), np.sin(direction)], axis=1)
+    here = problem.seen(1, view.rim, problem.unknowns)
+    problem.views[1] = other
+    there = problem.seen(1, view.rim, problem.unknowns)
+    problem.views[1] = view
+    found = rng.uniform(size=60) < 0.8
+    distance = np.sum((there - here) * view.outward, axis=1)[found]
+    name, off = _suspect(problem, 1, distance, found, np.full(2, np.nan))
+    assert name == named and off == pytest.approx(by, rel=0.1) and view.pose == typed
+
+
+def test_without_an_outline_the_angle_is_told_by_the_textures_shift():
+    """A sphere high above the table: its tilt moves it across the picture as a whole."""
+    pose = Pose(45.0, 0.0)
+    problem = problem_without_pictures(Plate(60.0, 50.0), [pose])
+    problem.unknowns[2] = 100.0
+    middle = np.zeros((1, 3))
+    moved = []
+    for by in (0.0, 2.0):
+        problem.views[0].pose = replace(pose, tilt_deg=by)
+        moved.append(problem.seen(0, middle, problem.unknowns)[0])
+    problem.views[0].pose = pose
+    nothing = np.zeros(0), np.zeros(0, dtype=bool)
+    name, off = _suspect(problem, 0, *nothing, moved[1] - moved[0])
+    assert name == "camera_deg or tilt_deg" and off == pytest.approx(2.0, rel=0.05)
+    assert _suspect(problem, 0, *nothing, np.full(2, np.nan))[1] == 0.0
+
+
+@pytest.mark.parametrize("matrix", [[[0.0, -0.04], [0.04, 0.0]], [[0.02, 0.0], [0.0, -0.05]], [[0.0, 0.0], [0.0, 0.0]]])
+def test_the_displacement_of_an_outline_is_that_as_a_whole_whatever_single_points_say(matrix):
+    turn = np.linspace(0.0, 2.0 * math.pi, 121)[:-1]
+    outward = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    xy = [300.0, 200.0] + outward * [60.0, 40.0]
+    # It is turned or stretched about its middle, and moved.
+    distance = np.sum(((xy - [300.0, 200.0]) @ np.transpose(matrix) + [0.8, -0.3]) * outward, axis=1)
+    expected = math.sqrt(np.mean(distance**2))
+    assert _displacement(xy, outward, distance) == pytest.approx(expected, rel=1e-4)
+    spoilt = distance.copy()
+    spoilt[10:20] = 7.0  # another edge
+    assert _displacement(xy, outward, spoilt) == pytest.approx(expected, rel=0.05)
+
+
+def test_a_photographs_residual_is_how_far_it_shows_the_object_from_the_others(tmp_path):
+    # The third was taken where the plate lay elsewhere: turned in the picture by 90 degrees, as the table is.
+    poses = [Pose(45.0, 0.0), Pose(45.0, 0.0, 0.0, 180.0), Pose(45.0, 0.0, 0.0, 90.0)]
+    files = drawn(tmp_path, Correction(), poses, poses, contrast=0.0)
+    (tmp_path / "moved").mkdir()
+    moved = drawn(tmp_path / "moved", correction(x_mm=3.0), poses[2:], poses[2:], contrast=0.0)
+    problem = prepared(_problem([*files[:2], *moved], PLATE, SETUP, Placing()))
+    residual, points, _ = _residuals(problem, 10.0)
+    assert (points > 100).all()
+    np.testing.assert_allclose(residual[:2], 0.0, atol=0.02)
+    # Of the sides across its way all points are off by 3 mm, of those along it none.
+    view = problem.views[2]
+    across = np.abs(view.outward @ [0.0, 1.0])
+    assert residual[2] == pytest.approx(3.0 / MM_PER_PX * math.sqrt(np.mean(across**2)), rel=0.2)
+
+
+def test_of_a_texture_without_outline_the_residual_is_its_shift(tmp_path):
+    poses = [Pose(45.0, 0.0), Pose(45.0, 0.0, 0.0, 180.0), Pose(45.0, 0.0)]
+    (tmp_path / "moved").mkdir()
+    files = drawn(tmp_path, Correction(), poses, poses, (130.0, 104.0))
+    moved = drawn(tmp_path / "moved", correction(x_mm=0.6, y_mm=0.3), poses[2:], poses[2:], (130.0, 104.0))
+    problem = prepared(_problem([*files[:2], *moved], LARGE, SETUP, Placing()), blur=1.5)
+    residual, points, suspects = _residuals(problem, 10.0)
+    assert not points.any()
+    assert residual[2] == pytest.approx(math.hypot(0.6, 0.3) / MM_PER_PX, rel=0.1)
+    assert residual[:2].max() < 0.6 * residual[2] and len(suspects) == 3
