@@ -2,15 +2,17 @@
 
 import math
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from irodori.colour.colorimetry import delta_e, lab_from_xyz, summary, xyz_from_reflectance
 from irodori.colour.display import Display, srgb
-from irodori.export.export_sources import Item
 from irodori.export.pictures import write_display_picture
 from irodori.material.material_file import Material
+
+if TYPE_CHECKING:
+    from irodori.export.export_sources import Item
 
 #: Longest side of a preview, px.
 _PREVIEW_PX = 512
@@ -29,6 +31,12 @@ class Loss(NamedTuple):
         """Return the figures of differences of any shape; NaN is left out."""
         found = summary(differences)
         return cls(int(found["count"]), found["mean"], found["p95"], found["max"])
+
+    @classmethod
+    def read(cls, figures: dict) -> "Loss":
+        """Return what `figures` has made a file's JSON of."""
+        values = (figures[name] for name in ("mean", "p95", "max"))
+        return cls(figures["count"], *(np.nan if value is None else value for value in values))
 
     @property
     def text(self) -> str:
@@ -66,7 +74,7 @@ def differences(display: Display, ours: np.ndarray, theirs: np.ndarray) -> np.nd
     return delta_e(*labs)
 
 
-def write_diffuse_tiff(item: Item, path, illuminant: str, display: Display) -> Loss:
+def write_diffuse_tiff(item: "Item", path, illuminant: str, display: Display) -> Loss:
     """Write the diffuse colour of an object under a light as a TIFF of 16 bits with the display's profile.
 
     Its description gives the light and the loss, which is that of the codes: what they round, and colours that

@@ -8,7 +8,7 @@ import numpy as np
 from irodori.config.definitions import load_definitions, load_one
 from irodori.config.models import Scene
 from irodori.core.atomic_files import file_sha256
-from irodori.core.errors import InputError, PlainError
+from irodori.core.errors import InputError
 from irodori.core.yaml_files import read_yaml
 from irodori.geometry.shapes.placement import Placement
 from irodori.geometry.shapes.shape import Shape
@@ -107,16 +107,3 @@ def find(name: str) -> Source:
     parts = zip(names, make_placements(scene, shapes), materials, known, strict=True)
     items = [_item(*part) for part in parts]
     return Source(own, _FOLDERS[folder], items, scene, result(Path(f"results/environments/{scene.environment}.h5")))
-
-
-def only_object(source: Source, target: str) -> Item:
-    """Return the object of a source that is one.
-
-    Raises
-    ------
-    PlainError
-        If it is none, with what the target accepts.
-    """
-    if source.kind != "object":
-        raise PlainError(f"--to {target}: found the {source.kind} {source.name!r}; accepted: an object.")
-    return source.items[0]

@@ -8,6 +8,7 @@ both pictures have noise; what Mitsuba's noise alone makes of the figure is told
 import argparse
 import importlib
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -15,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+import irodori
 from irodori.colour.colorimetry import delta_e, lab_from_xyz
 from irodori.export.diffuse_picture import Loss
 from irodori.export.mitsuba_scene import ABOUT, PLUGIN, SCENE
@@ -22,6 +24,7 @@ from irodori.export.pictures import read_xyz
 
 #: Pixels along the side of a square that is averaged, and paths a pixel: rendered in passes, whose memory is the less.
 _SIDE, _PASSES, _EACH = 8, 8, 8
+_MOST_AT_ONCE = 3_000_000  # paths: Mitsuba holds all of a pass in memory
 _VARIANT = "llvm_ad_spectral"
 _LONGEST_S = 3600.0
 
@@ -70,7 +73,12 @@ def compared(ours: np.ndarray, theirs: np.ndarray, white_xyz: np.ndarray) -> dic
 def measure(folder: Path, picture: Path, view: str) -> dict:
     """Return `compared` of an export and our picture, or ``{"not_measured": reason}``."""
     command = [sys.executable, "-m", __name__, str(folder), str(picture), view]
-    done = subprocess.run(command, capture_output=True, text=True, errors="replace", timeout=_LONGEST_S)
+    # The package itself may be installed or not: it is found where this process found it.
+    paths = [str(Path(irodori.__file__).parents[1]), *filter(None, [os.environ.get("PYTHONPATH")])]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(paths)}
+    done = subprocess.run(
+        command, capture_output=True, text=True, errors="replace", timeout=_LONGEST_S, env=environment
+    )
     if done.returncode < 0:  # a library's own words stand before the state that it prints when it ends the process
         said = [line for line in done.stderr.splitlines() if "error" in line.lower()] or ["nothing said"]
         return {"not_measured": f"Mitsuba ended by {signal.Signals(-done.returncode).name}: {said[0].strip()}"}
@@ -88,7 +96,8 @@ def main() -> None:
     given = parser.parse_args()
     about = json.loads((given.folder / ABOUT).read_text(encoding="utf-8"))
     ours = read_xyz(given.picture, np.array(about["xyz_from_radiance"]))
-    theirs = rendered(given.folder, given.view)
+    each = max(1, min(_EACH, _MOST_AT_ONCE // (ours.shape[0] * ours.shape[1])))
+    theirs = rendered(given.folder, given.view, each=each)
     print(json.dumps(compared(ours, theirs, np.array(about["white_xyz"]))))
 
 

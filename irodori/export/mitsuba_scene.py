@@ -1,6 +1,6 @@
 """Scenes for Mitsuba 3: an XML file, the coefficients as NumPy archives, meshes, and a plugin that reads them.
 
-Nothing is refitted: the plugin (`irodori.export.mitsuba_plugins`) evaluates the lobes, the Fresnel reflectance and the
+Nothing is refitted: the plugin (`irodori.export.irodori_mitsuba`) evaluates the lobes, the Fresnel reflectance and the
 spectra of the coefficients themselves. Mitsuba interpolates each spectrum between 61 wavelengths and multiplies then,
 where our renderers multiply at the 61.
 """
@@ -215,7 +215,7 @@ def write_mitsuba(source: Source, folder) -> None:
     _element(sky, "string", name="file", value="sky.npz")
     _element(sky, "float", name="radius", value=radius)
     _add_lights(root, source)
-    shutil.copyfile(Path(__file__).with_name("mitsuba_plugins.py"), folder / PLUGIN)
+    shutil.copyfile(Path(__file__).with_name(PLUGIN), folder / PLUGIN)
     ElementTree.indent(root)
     with written_whole(folder / SCENE) as temporary:
         ElementTree.ElementTree(root).write(temporary, encoding="utf-8", xml_declaration=True)
