@@ -1,9 +1,9 @@
-"""Tables of figures in the README and in docs/benchmarks.md, made from the results of a run and its benchmark.
+"""Tables of figures in the README and in docs, made from the results of a run, its benchmark and its exports.
 
-``python -m benchmarks.published_tables [--results results]`` after ``snakemake --cores 2`` and ``snakemake --cores 2
-benchmark``, at the top of the repository: copies the tables shown to ``docs/figures`` and writes the blocks of both
-documents anew between their marks. Text between two marks is never written by hand: a test compares it with
-``docs/figures``.
+``python -m benchmarks.published_tables [--results results]`` after ``snakemake --cores 2``, ``snakemake --cores 2
+benchmark`` and ``python -m benchmarks.exports``, at the top of the repository: copies the tables shown to
+``docs/figures`` and writes the blocks of the documents anew between their marks. Text between two marks is never
+written by hand: a test compares it with ``docs/figures``.
 """
 
 import argparse
@@ -22,6 +22,7 @@ SOURCES = {
     "errors.csv": "errors.csv",
     "error_budget.csv": "still-life/error_budget/front.csv",
     "speed_error.csv": "benchmark/speed_error.csv",
+    "exports.csv": "benchmark/exports.csv",
 }
 #: Quantities of ``errors.csv`` that are shown, where there are such.
 QUANTITIES = (
@@ -116,9 +117,22 @@ def _times(row: dict) -> str:
     return "reference" if row["variant"] == row["reference"] else _number(str(1 / float(row["ratio"])))
 
 
+def exports_block(folder: Path) -> str:
+    """Return the table of exports; of a comparison that could not be made, the reason."""
+    lines, before = [], ""
+    for row in _rows(folder / "exports.csv"):
+        name, before = "" if row["export"] == before else row["export"], row["export"]
+        figures = [_number(row[key]) if row[key] else "–" for key in ("mean", "p95", "max")]
+        what = row["compared"] if row["mean"] else f"{row['compared']}: {row['count']}"
+        cost = [_number(row[key]) if name else "" for key in ("mb", "cpu_s")]
+        lines.append([f"`{name}`" if name else "", what.replace("|", "/"), *figures, *cost])
+    return _table(("`irodori export`", "compared", "mean", "p95", "max", "MB", "CPU s"), lines)
+
+
 #: Document -> its blocks.
 DOCUMENTS = {
     "README.md": {"figures": figures_block},
+    "docs/exports.md": {"exports": exports_block},
     "docs/benchmarks.md": {"errors": errors_block, "budget": budget_block, "speed": speed_block},
 }
 

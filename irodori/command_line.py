@@ -45,7 +45,7 @@ SUBCOMMANDS = {
     "shoot": Subcommand(_BENCH, "take one photograph"),
     "plan": Subcommand(_BENCH, "list the photographs of a session, or choose the most informative poses"),
     "capture": Subcommand(_BENCH, "start or continue a session: take the photographs that are missing"),
-    "export": Subcommand("irodori.export.material_pictures", "write a material or a light as EXR, TIFF or ENVI"),
+    "export": Subcommand("irodori.export.export_command", "write a scene, an object or a light for other programs"),
     "viewer": Subcommand("irodori.viewer.viewer_command", "write a scene's classroom page, or print what one holds"),
     "filters": Subcommand("irodori.calibration.filters", "rank filters for the second shot of a camera"),
     "verify": Subcommand("irodori.core.custody", "compare every result with its hash and with what it was made from"),

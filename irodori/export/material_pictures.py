@@ -1,15 +1,11 @@
 """Export of materials and environments for other programs, as spectral EXR, TIFF or ENVI.
 
-``python -m irodori.export.material_pictures material.h5 out.exr``.
-
 Spectral EXR in the published layout (Fichet et al. 2021), or TIFF of 32-bit floats with a channel a wavelength, both
 through OpenImageIO, or ENVI, flat numbers with a header, through Spectral Python (OpenImageIO has no writer for it);
 spectra are decoded a band of rows at a time. A material has layers ``T.<λ>nm`` (reflectance) and
 α, β, μ; an environment has ``S0.<λ>nm``, a panorama as other programs have it: clockwise, azimuth 0 in the middle.
 """
 
-import argparse
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -18,7 +14,7 @@ import numpy as np
 from irodori.colour.colorimetry import xyz_from_radiance, xyz_from_reflectance
 from irodori.colour.display import rgb_from_xyz
 from irodori.core import store
-from irodori.core.errors import InputError, PlainError
+from irodori.core.errors import InputError
 from irodori.export.envi import INTERLEAVES, write_envi
 from irodori.export.pictures import layer_names, specification, write_picture_file
 from irodori.light.environment_file import Environment
@@ -108,9 +104,7 @@ def export_environment(source, path, interleave: str = "bsq") -> None:
     """
     environment = Environment.load(source)
     names = ["R", "G", "B", *layer_names("S0")]
-    white = environment.upward_white()
-    matrix = xyz_from_radiance(white) if (white > 0).any() else np.zeros((3, WAVELENGTH_NM.size))
-    to_rgb = rgb_from_xyz(matrix @ white) @ matrix if matrix.any() else matrix
+    to_rgb = _rgb_from_radiance(environment)
 
     def decoded(part: slice) -> np.ndarray:
         return to_panorama(environment.coefficients[part].astype(np.float32)) @ environment.basis.T
@@ -128,11 +122,26 @@ def export_environment(source, path, interleave: str = "bsq") -> None:
     _write(path, environment.coefficients.shape[:2], names, attributes, rows)
 
 
+def light_preview(source) -> np.ndarray:
+    """Return an environment as a panorama in linear sRGB, (height, width, 3); its white is a diffuser that faces up."""
+    environment = Environment.load(source)
+    return to_panorama(environment.coefficients @ (_rgb_from_radiance(environment) @ environment.basis).T)
+
+
+def _rgb_from_radiance(environment: Environment) -> np.ndarray:
+    """Return the matrix from radiance to linear sRGB, (3, 61); zeros where nothing lights a diffuser that faces up."""
+    white = environment.upward_white()
+    if not (white > 0).any():
+        return np.zeros((3, WAVELENGTH_NM.size))
+    matrix = xyz_from_radiance(white)
+    return rgb_from_xyz(matrix @ white) @ matrix
+
+
 def _is_envi(path) -> bool:
     return Path(path).suffix.lower() == ".img"
 
 
-def export(source, path, interleave: str | None = None) -> None:
+def export_picture(source, path, interleave: str | None = None) -> None:
     """Write a material or an environment in the format that the suffix of ``path`` names.
 
     Parameters
@@ -160,22 +169,3 @@ def export(source, path, interleave: str | None = None) -> None:
         export_environment(source, path, interleave)
     else:
         raise InputError(source, "", "neither a material nor an environment", "material.h5 or an environment's file")
-
-
-def main(arguments: list[str] | None = None, prog: str = "python -m irodori.export.material_pictures") -> int:
-    """Run the command; return 0, or 2 after a fault said in one sentence."""
-    parser = argparse.ArgumentParser(prog=prog, description=__doc__.splitlines()[0])
-    parser.add_argument("source", help="material.h5 or an environment's file")
-    parser.add_argument("output", help=f"picture to write, {', '.join(SUFFIXES)}")
-    parser.add_argument("--interleave", help=f"of ENVI (.img): {', '.join(INTERLEAVES)}; the first where absent")
-    given = parser.parse_args(arguments)
-    try:
-        export(given.source, given.output, given.interleave)
-    except PlainError as error:
-        print(error, file=sys.stderr)
-        return 2
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

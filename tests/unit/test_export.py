@@ -8,7 +8,8 @@ from spectral.io import envi
 
 from irodori.core import store
 from irodori.core.errors import InputError
-from irodori.export.material_pictures import export, main
+from irodori.export.export_command import main
+from irodori.export.material_pictures import export_picture
 from irodori.export.pictures import layer_names, read_layers
 from irodori.light.environment_file import Environment
 from irodori.light.light_files import spectral_picture
@@ -39,7 +40,7 @@ def files(tmp_path):
 
 def test_a_material_comes_back_from_a_spectral_exr(files):
     folder, paint, _ = files
-    export(folder / "material.h5", folder / "out.exr")
+    export_picture(folder / "material.h5", folder / "out.exr")
     wavelength, reflectance = read_layers(folder / "out.exr", "T")
     assert np.array_equal(wavelength, WAVELENGTH_NM)
     assert np.allclose(reflectance, paint.spectra(), rtol=1e-6)
@@ -53,7 +54,7 @@ def test_a_material_comes_back_from_a_spectral_exr(files):
 
 def test_an_environment_comes_back_as_the_same_light(files):
     folder, _, light = files
-    export(folder / "light.h5", folder / "out.exr")
+    export_picture(folder / "light.h5", folder / "out.exr")
     picture = spectral_picture(folder / "out.exr")
     expected = light.coefficients @ light.basis.T
     assert np.allclose(picture.weights @ picture.basis.T, expected, rtol=1e-5)
@@ -63,7 +64,7 @@ def test_an_environment_comes_back_as_the_same_light(files):
 @pytest.mark.parametrize("suffix", [".tif", ".tiff"])
 def test_a_tiff_holds_the_same_numbers_and_tells_its_channels(files, suffix):
     folder, paint, _ = files
-    export(folder / "material.h5", folder / f"out{suffix}")
+    export_picture(folder / "material.h5", folder / f"out{suffix}")
     spec, pixels = read(folder / f"out{suffix}")
     assert pixels.shape == (4, 8, 67) and str(spec.format) == "float"
     assert np.allclose(pixels[..., 3:64], paint.spectra(), rtol=1e-6)
@@ -85,7 +86,7 @@ def read_flat(path, shape, interleave):
 @pytest.mark.parametrize("interleave", ["bsq", "bil", "bip"])
 def test_envi_holds_the_spectra_with_their_wavelengths_and_the_maps_beside(files, interleave):
     folder, paint, light = files
-    export(folder / "material.h5", folder / "out.img", interleave)
+    export_picture(folder / "material.h5", folder / "out.img", interleave)
     header = envi.read_envi_header(str(folder / "out.hdr"))
     assert [float(w) for w in header["wavelength"]] == WAVELENGTH_NM.tolist()
     assert header["wavelength units"] == "Nanometers" and header["interleave"] == interleave
@@ -97,21 +98,21 @@ def test_envi_holds_the_spectra_with_their_wavelengths_and_the_maps_beside(files
         assert np.allclose(values, expected, rtol=1e-6, equal_nan=True)
     named = envi.read_envi_header(str(folder / "out-maps.hdr"))
     assert named["band names"] == ["alpha", "beta", "mu"] and "wavelength" not in named
-    export(folder / "light.h5", folder / "light.img", interleave)
+    export_picture(folder / "light.h5", folder / "light.img", interleave)
     opened = envi.open(str(folder / "light.hdr"))
     expected = light.coefficients @ light.basis.T
     assert np.allclose(from_panorama(np.asarray(opened.load())), expected, rtol=1e-5)
     assert opened.bands.centers == WAVELENGTH_NM.tolist() and opened.bands.band_unit == "Nanometers"
-    export(folder / "light.h5", folder / "light.img", interleave)  # again, over what is there
+    export_picture(folder / "light.h5", folder / "light.img", interleave)  # again, over what is there
     assert not [path for path in folder.iterdir() if "part" in path.name]
 
 
 def test_an_interleave_is_one_of_envis_and_for_envi(files, capsys):
     folder, _, _ = files
     with pytest.raises(InputError, match=r"bpi.+bsq, bil, bip"):
-        export(folder / "material.h5", folder / "out.img", "bpi")
+        export_picture(folder / "material.h5", folder / "out.img", "bpi")
     with pytest.raises(InputError, match=r"suffix \.img"):
-        export(folder / "material.h5", folder / "out.exr", "bil")
+        export_picture(folder / "material.h5", folder / "out.exr", "bil")
     assert main([str(folder / "material.h5"), str(folder / "out.img"), "--interleave", "bsl"]) == 2
     assert "bsl" in capsys.readouterr().err
     assert not list(folder.glob("out*"))
@@ -119,7 +120,7 @@ def test_an_interleave_is_one_of_envis_and_for_envi(files, capsys):
 
 def test_a_white_texel_is_white_in_rgb(tmp_path):
     material(1.0).save(tmp_path / "white.h5", store.Provenance("test"))
-    export(tmp_path / "white.h5", tmp_path / "white.exr")
+    export_picture(tmp_path / "white.h5", tmp_path / "white.exr")
     spec, pixels = read(tmp_path / "white.exr")
     rgb = pixels[..., [list(spec.channelnames).index(c) for c in "RGB"]]
     assert np.allclose(rgb, 1.0, atol=0.002)
@@ -128,11 +129,11 @@ def test_a_white_texel_is_white_in_rgb(tmp_path):
 def test_what_cannot_be_exported_is_refused_in_one_sentence(files, capsys):
     folder, _, _ = files
     with pytest.raises(InputError, match=r"'\.png'.*\.exr, \.tif"):
-        export(folder / "material.h5", folder / "out.png")
+        export_picture(folder / "material.h5", folder / "out.png")
     with store.create(folder / "other.h5", store.Provenance("test")) as out:
         out.attribute("x", 1)
     with pytest.raises(InputError, match="neither a material nor an environment"):
-        export(folder / "other.h5", folder / "out.exr")
+        export_picture(folder / "other.h5", folder / "out.exr")
     assert main([str(folder / "none.h5"), str(folder / "out.exr")]) == 2
     assert "no such file" in capsys.readouterr().err
     assert main([str(folder / "light.h5"), str(folder / "out.exr")]) == 0

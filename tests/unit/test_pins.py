@@ -173,5 +173,7 @@ def test_every_third_party_import_of_the_package_is_pinned():
                 names = [node.module]
             for name in names:
                 top = name.split(".")[0]
+                if path.name == "irodori_mitsuba.py" and top in ("mitsuba", "drjit"):
+                    continue  # nothing imports this file: exports hold a copy, which runs within Mitsuba
                 if top != "irodori" and top not in sys.stdlib_module_names:
                     assert modules.get(top, top).lower() in pinned & asked, f"{path.name} imports {top}"

@@ -7,6 +7,7 @@ import numpy as np
 
 from irodori.geometry.atlas import Texels
 from irodori.geometry.embree import Primitive, triangles
+from irodori.geometry.mesh import make_mesh
 from irodori.geometry.shapes.shape import (
     Kernels,
     Shape,
@@ -113,6 +114,20 @@ class Tube(Shape):
         normal = np.stack([np.cos(2 * np.pi * u), np.sin(2 * np.pi * u), np.zeros_like(u)], axis=-1)
         position = self.radius_mm * normal + np.stack([0 * u, 0 * u, (0.5 - v) * self.height_mm], axis=-1)
         return Texels(position, normal, normal, np.ones(u.shape, dtype=bool))
+
+    def facetted(self, reach_mm):
+        angle = np.arange(SIDES + 1) * 2.0 * np.pi / SIDES
+        angle[-1] = 0.0
+        normal = np.stack([np.cos(angle), np.sin(angle), np.zeros(SIDES + 1)], axis=1)
+        below, above = (self.radius_mm * normal + [0.0, 0.0, z] for z in self.height_mm * np.array([-0.5, 0.5]))
+        u = np.arange(SIDES + 1) / SIDES
+        low, high = np.stack([u, np.ones_like(u)], axis=1), np.stack([u, np.zeros_like(u)], axis=1)
+
+        def around(at, over):
+            first = np.stack([at[:-1], at[1:], over[1:]], axis=1)
+            return np.concatenate([first, np.stack([at[:-1], over[1:], over[:-1]], axis=1)])
+
+        return make_mesh(around(below, above), around(low, high), around(normal, normal))
 
     def samples(self, count):
         found = self.atlas(count, 1)

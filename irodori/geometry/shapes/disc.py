@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from irodori.geometry.embree import Primitive, oriented_disc
+from irodori.geometry.mesh import Mesh, make_mesh
 from irodori.geometry.shapes.flat import (
     FlatShape,
     flat_point,
@@ -49,6 +50,8 @@ SCHEMA = {
     }
 }
 
+#: Sides of the polygon that stands for a disc.
+_SIDES = 128
 #: Relative variation of |r|² over the circle under which it counts as constant.
 _CENTRED = 1e-7
 
@@ -183,6 +186,15 @@ class Disc(FlatShape):
     def primitive(self, placement: Placement) -> Primitive:
         """Return Embree's own disc, which is exact."""
         return oriented_disc(placement.translation_mm, placement.rotation[:, 2], self.radius_mm * placement.scale)
+
+    def facetted(self, reach_mm: float) -> Mesh:
+        """Return a polygon of 128 sides, 0.03 % of the radius within the rim at most."""
+        angle = 2.0 * np.pi * np.arange(_SIDES + 1) / _SIDES
+        rim = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        rim[-1] = rim[0]
+        flat = np.stack([np.zeros_like(rim[1:]), rim[:-1], rim[1:]], axis=1)
+        corners = self.radius_mm * np.concatenate([flat, np.zeros((_SIDES, 3, 1))], axis=2)
+        return make_mesh(corners, 0.5 + flat * [0.5, -0.5])
 
     def samples(self, count: int) -> tuple[np.ndarray, np.ndarray]:
         """Return the centre and four points of the rim: there the camera's angles differ most."""

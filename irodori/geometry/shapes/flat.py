@@ -6,6 +6,7 @@ So the texture reads as seen from above.
 import numpy as np
 
 from irodori.geometry.atlas import Texels
+from irodori.geometry.mesh import Mesh, make_mesh
 from irodori.geometry.shapes.placement import Placement
 from irodori.geometry.shapes.shadow_nodes import (
     DENSITY,
@@ -104,6 +105,14 @@ def nodes_about_flat(shadows, own, row, hit):
     return grid_place(column, line, columns, rows, False)
 
 
+def rectangle(half_x: float, half_y: float) -> Mesh:
+    """Return two triangles about the origin that have the whole texture; sizes in mm."""
+    corners = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
+    uv = np.array([[0.0, 1.0], [1.0, 1.0], [1.0, 0.0], [0.0, 0.0]])
+    faces = np.array([[0, 1, 2], [0, 2, 3]])
+    return make_mesh((corners * [half_x, half_y, 0.0])[faces], uv[faces])
+
+
 class FlatShape(Shape):
     """A shape in z = 0 of its frame."""
 
@@ -132,6 +141,10 @@ class FlatShape(Shape):
         position = np.stack([(u - 0.5) * self.size_mm[0], (0.5 - v) * self.size_mm[1], np.zeros_like(u)], axis=-1)
         normal = np.broadcast_to(np.array([0.0, 0.0, 1.0]), position.shape).copy()
         return Texels(position, normal, normal, np.ones(u.shape, dtype=bool))
+
+    def facetted(self, reach_mm: float) -> Mesh:
+        """Return the rectangle of the size."""
+        return rectangle(0.5 * self.size_mm[0], 0.5 * self.size_mm[1])
 
     def curvature_per_mm(self, scale: float) -> float:
         """None."""

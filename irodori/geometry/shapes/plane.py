@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from irodori.geometry.embree import Primitive, oriented_disc
+from irodori.geometry.mesh import Mesh
 from irodori.geometry.shapes import flat
 from irodori.geometry.shapes.flat import (
     FlatShape,
@@ -14,6 +15,7 @@ from irodori.geometry.shapes.flat import (
     frame_axes,
     nodes_about_flat,
     onto_plane,
+    rectangle,
 )
 from irodori.geometry.shapes.placement import Placement
 from irodori.geometry.shapes.shape import Kernels
@@ -43,6 +45,8 @@ SCHEMA = {
 
 #: An endless plane is a disc of this radius: its edge is nearer to the horizon than single precision tells.
 RADIUS_MM = 1e12
+#: Half the side of the square that stands for the plane, over the reach of what stands about it.
+_CUT = 100.0
 #: A height above a plane that is rounding: less than any hit's point rises, so that reflections are not held back.
 IN_PLANE = 0.25 * 2.0**-18
 
@@ -124,6 +128,10 @@ class Plane(FlatShape):
     def primitive(self, placement: Placement) -> Primitive:
         """Return a disc whose edge nobody sees."""
         return oriented_disc(self.frame_origin(placement), placement.rotation[:, 2], RADIUS_MM)
+
+    def facetted(self, reach_mm: float) -> Mesh:
+        """Return a square whose middle is the origin, a hundred times as far to its sides as what stands on it."""
+        return rectangle(_CUT * reach_mm, _CUT * reach_mm)
 
     def samples(self, count: int) -> tuple[np.ndarray, np.ndarray]:
         """Return the origin."""

@@ -168,6 +168,16 @@ class Shape(ABC):
             Of each of the scene's shapes that hide by rays, in the world, mm.
         """
 
+    @abstractmethod
+    def facetted(self, reach_mm: float) -> Mesh:
+        """Return triangles that stand for the shape where nothing else is known, in its frame, mm.
+
+        Parameters
+        ----------
+        reach_mm : float
+            Size of what stands about it, in its own mm: where an endless shape is cut.
+        """
+
     # --- what follows from these, or has one answer for most ------------------------------------------------------
 
     @classmethod

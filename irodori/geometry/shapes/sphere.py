@@ -8,6 +8,7 @@ import numpy as np
 
 from irodori.geometry.atlas import Texels
 from irodori.geometry.embree import Primitive, sphere_point
+from irodori.geometry.mesh import Mesh, make_mesh
 from irodori.geometry.shapes.placement import Placement
 from irodori.geometry.shapes.shadow_nodes import GRID, Nodes, grid_place, grid_size, quadrangles, raised
 from irodori.geometry.shapes.shape import Kernels, Shape, ball_may_be_met, in_frame, texel_centres
@@ -54,6 +55,8 @@ SCHEMA = {
 
 #: Nodes along the equator; there are half as many rows.
 EQUATOR = 128
+#: Columns of the triangles that stand for a sphere.
+_MERIDIANS = 128
 
 
 @njit(cache=True, error_model="numpy")
@@ -221,6 +224,18 @@ class Sphere(Shape):
         theta, azimuth = np.pi * v, 2 * np.pi * u
         normal = np.stack([np.sin(theta) * np.cos(azimuth), np.sin(theta) * np.sin(azimuth), np.cos(theta)], axis=-1)
         return Texels(self.radius_mm * normal, normal, normal, np.ones(u.shape, dtype=bool))
+
+    def facetted(self, reach_mm: float) -> Mesh:
+        """Return triangles between the nodes of a grid of angles, 0.03 % of the radius within the sphere at most."""
+        u, v = np.meshgrid(np.arange(_MERIDIANS + 1) / _MERIDIANS, np.arange(_MERIDIANS // 2 + 1) * 2.0 / _MERIDIANS)
+        azimuth = 2.0 * np.pi * (u % 1.0)  # the last column is the first, to the bit
+        ring = np.where((v > 0.0) & (v < 1.0), np.sin(np.pi * v), 0.0)
+        normal = np.stack([ring * np.cos(azimuth), ring * np.sin(azimuth), np.cos(np.pi * v)], axis=-1)
+        cells = quadrangles(np.arange(u.size).reshape(u.shape))
+        # The corners of a cell come row by row, and v runs down.
+        faces = np.concatenate([cells[:, [0, 2, 3]], cells[:, [0, 3, 1]]])
+        normals = normal.reshape(-1, 3)[faces]
+        return make_mesh(self.radius_mm * normals, np.stack([u.ravel(), v.ravel()], axis=1)[faces], normals)
 
     def samples(self, count: int) -> tuple[np.ndarray, np.ndarray]:
         """Return points spread evenly, on a spiral from pole to pole."""

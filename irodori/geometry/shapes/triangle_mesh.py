@@ -192,6 +192,10 @@ class TriangleMesh(Shape):
         """Return which texels lie in a chart."""
         return rasterise(self.mesh, width, height, self.file) >= 0
 
+    def facetted(self, reach_mm: float) -> Mesh:
+        """Return the mesh."""
+        return self.mesh
+
     def samples(self, count: int) -> tuple[np.ndarray, np.ndarray]:
         """Return points spread evenly over the area."""
         return self.mesh.samples(count)

@@ -1,0 +1,104 @@
+"""Exports of the default scene in every format: loss against our own renderer, size, and processor time.
+
+``python -m benchmarks.exports [--results FOLDER]`` at the top of the repository, after ``snakemake --cores 2``: writes
+``exports.csv`` into the results' folder ``benchmark``, which `benchmarks.published_tables` shows in docs/exports.md.
+Time is that of this process and of those that it starts, after the imports; each export is made once.
+"""
+
+import argparse
+import csv
+import os
+import resource
+import shlex
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from irodori.colour.colorimetry import delta_e_reflectance
+from irodori.core.atomic_files import written_whole
+from irodori.export.diffuse_picture import Loss
+from irodori.export.export_command import command_parser, export_named
+from irodori.export.pictures import read_layers
+from irodori.material.material_file import Material
+
+COLUMNS = ("export", "compared", "count", "mean", "p95", "max", "mb", "cpu_s")
+SCENE, OBJECT = "still-life", "tile-plate"
+CALLS = (
+    f"{SCENE} --to gltf",
+    f"{SCENE} --to mitsuba",
+    f"{OBJECT} --to tiff",
+    f"{OBJECT} --to tiff --illuminant A",
+    f"{OBJECT} --to tiff --illuminant D65 --display 'Adobe RGB (1998)'",
+    f"{OBJECT} --to spectral-exr",
+    f"{OBJECT} --to envi",
+)
+
+
+def processor_s() -> float:
+    """Return the processor time of this process and of those that it has started and that have ended, s."""
+    children = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return time.process_time() + children.ru_utime + children.ru_stime
+
+
+def size_mb(path: Path) -> float:
+    """Return what an export takes on the disk without its preview, MB."""
+    files = list(path.iterdir()) if path.is_dir() else [path]
+    if path.suffix == ".img":
+        files += [path.with_suffix(".hdr"), path.with_name(f"{path.stem}-maps.img")]
+    return sum(file.stat().st_size for file in files if file.is_file()) / 1e6
+
+
+def of_spectra(read: Callable[[], np.ndarray], material: Material) -> Loss:
+    """Return the loss of spectra (h, w, 61) that are read back."""
+    return Loss.of(delta_e_reflectance(material.spectra().astype(np.float64), read())[material.observed])
+
+
+def envi_spectra(path: Path) -> np.ndarray:
+    """Return the spectra of an ENVI file, band after band, (h, w, 61)."""
+    from spectral.io import envi
+
+    return np.asarray(envi.open(str(path.with_suffix(".hdr")), str(path)).load(), dtype=np.float64)
+
+
+def measured(call: str, folder: Path) -> list[dict]:
+    """Make an export in a folder; return its rows."""
+    given = command_parser("export").parse_args(shlex.split(call))
+    path = folder / f"{given.source}-{given.to}"
+    suffix = {"gltf": ".glb", "tiff": ".tif", "spectral-exr": ".exr", "envi": ".img"}.get(given.to, "")
+    start = processor_s()
+    path, losses = export_named(given.source, path.with_suffix(suffix), given)
+    seconds = processor_s() - start
+    if given.to in ("spectral-exr", "envi"):
+        material = Material.load(f"results/{given.source}/material.h5")
+        read = (lambda: read_layers(path, "T")[1]) if given.to == "spectral-exr" else (lambda: envi_spectra(path))
+        losses = {"spectra read back, under D65": of_spectra(read, material)}
+    name = call.replace("--to ", "")
+    rows = []
+    for what, loss in losses.items():
+        figures = loss.figures() if isinstance(loss, Loss) else {"count": loss}
+        cost = {"mb": f"{size_mb(path):.4g}", "cpu_s": f"{seconds:.3g}"}
+        rows.append({"export": name, "compared": what, **figures, **cost})
+    return rows
+
+
+def main() -> None:
+    """Measure and write the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--results", type=Path, default=Path("results"))
+    out = parser.parse_args().results.resolve() / "benchmark" / "exports.csv"
+    os.chdir(out.parents[2])
+    with tempfile.TemporaryDirectory() as folder:
+        rows = [row for call in CALLS for row in measured(call, Path(folder))]
+    out.parent.mkdir(exist_ok=True)
+    with written_whole(out) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.DictWriter(stream, COLUMNS, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+    print(out)
+
+
+if __name__ == "__main__":
+    main()

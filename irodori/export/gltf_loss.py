@@ -1,0 +1,177 @@
+"""The colour differences between a glTF file's materials and the materials they were made from.
+
+The file's numbers and pictures are read back and its reflection evaluated as the specification says
+(`irodori.export.gltf_reflection`). Pairs of directions are others than those of the refit. Differences are CIEDE2000
+for an eye that is adapted to the light, whose white is a perfect diffuser that faces it:
+
+* *lamp*: a single lamp and the eye in directions even over the hemisphere;
+* *highlight*: the same with half vectors about the normal, where the gloss is;
+* *even light*: light of one radiance from everywhere, over all angles of the eye; the mirror term counts here.
+"""
+
+import io
+import json
+import struct
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from irodori.colour.display import srgb
+from irodori.colour.tone_curves import SRGB
+from irodori.core.errors import InputError
+from irodori.export.diffuse_picture import colours_from_bands, differences, diffuse_colours
+from irodori.export.export_sources import Item
+from irodori.export.gltf_refit import Texel, about_highlight, everywhere, fresnel_colours, gloss_reach, rough_terms
+from irodori.export.gltf_reflection import GltfSurface, mirrored, reflected
+from irodori.reflection.equation5 import angles_from_directions
+
+LAMP, HIGHLIGHT, EVEN = "lamp", "highlight", "even light"
+#: Texels, and pairs of directions, that are judged.
+_TEXELS, _PAIRS = 256, 64
+_START = 0.3172  # of the directions' sequence, beside that of the refit
+_EVEN_DEG = (0.0, 20.0, 40.0, 60.0, 75.0)
+_NODES, _TURNS = 48, 48
+
+
+def kinds_of_light() -> tuple[str, ...]:
+    """Return the names of the lights under which materials are judged."""
+    return LAMP, HIGHLIGHT, EVEN
+
+
+class ParsedGltf:
+    """A glTF document and its buffer, as far as the materials of this package's files go.
+
+    Parameters
+    ----------
+    content : dict
+    data : bytes
+    """
+
+    def __init__(self, content: dict, data: bytes) -> None:
+        self.content, self.data = content, data
+        self._pictures: dict[int, np.ndarray] = {}
+
+    @classmethod
+    def load(cls, path) -> "ParsedGltf":
+        """Read a GLB.
+
+        Raises
+        ------
+        InputError
+            If it is none.
+        """
+        content = Path(path).read_bytes()
+        if content[:4] != b"glTF" or len(content) < 28:
+            raise InputError(path, "", "no binary glTF", "a .glb file that irodori wrote")
+        (size,) = struct.unpack("<I", content[12:16])
+        return cls(json.loads(content[20 : 20 + size]), content[28 + size :])
+
+    def texture(self, reference: dict) -> np.ndarray:
+        """Return the picture of a texture's reference, (height, width, channels) float64, codes 0..1."""
+        number = self.content["textures"][reference["index"]]["source"]
+        if number not in self._pictures:
+            view = self.content["bufferViews"][self.content["images"][number]["bufferView"]]
+            part = self.data[view["byteOffset"] : view["byteOffset"] + view["byteLength"]]
+            with Image.open(io.BytesIO(part)) as picture:
+                self._pictures[number] = np.asarray(picture, dtype=np.float64) / 255.0
+        return self._pictures[number]
+
+    def surface(self, number: int, rows: np.ndarray, columns: np.ndarray) -> GltfSurface:
+        """Return a material at texel centres, (c,)."""
+        material = self.content["materials"][number]
+        rough, extensions = material["pbrMetallicRoughness"], material["extensions"]
+        specular = extensions["KHR_materials_specular"]
+        ior = extensions["KHR_materials_ior"]["ior"]
+        base = SRGB.linear(self.texture(rough["baseColorTexture"])[rows, columns])
+        roughness = rough["roughnessFactor"] * self.texture(rough["metallicRoughnessTexture"])[rows, columns, 1]
+        weight = specular["specularFactor"] * self.texture(specular["specularTexture"])[rows, columns, 3]
+        colour = np.array(specular.get("specularColorFactor", [1.0, 1.0, 1.0]))
+        f0 = np.minimum(((ior - 1.0) / (ior + 1.0)) ** 2 * colour, 1.0)
+        coat = extensions.get("KHR_materials_clearcoat", {}).get("clearcoatFactor", 0.0)
+        return GltfSurface.of(base, weight, f0, roughness**2, coat)
+
+
+def _along(surface: GltfSurface) -> GltfSurface:
+    """Return surfaces (c,) with an axis for pairs of directions after the first."""
+    return GltfSurface(surface.base[:, None], surface.weight[:, None], surface.f0, surface.alpha[:, None], surface.coat)
+
+
+def _half_vectors(theta_r: float, scale: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return angles (n, 4) of light from everywhere towards an eye, and the solid angle of each.
+
+    Half vectors lie the closer the nearer they are to the normal, on the scale of an angle in rad.
+    """
+    node, weight = np.polynomial.legendre.leggauss(_NODES)
+    most = np.arcsinh(0.5 * np.pi / scale)
+    t = 0.5 * most * (node + 1.0)
+    phi, step = scale * np.sinh(t), 0.5 * most * weight * scale * np.cosh(t)
+    turn = 2.0 * np.pi * (np.arange(_TURNS) + 0.5) / _TURNS
+    eye = np.array([np.sin(theta_r), 0.0, np.cos(theta_r)])
+    half = np.stack([np.outer(np.sin(phi), np.cos(turn)), np.outer(np.sin(phi), np.sin(turn)),
+                     np.outer(np.cos(phi), np.ones(_TURNS))], axis=-1).reshape(-1, 3)  # fmt: skip
+    cosine = half @ eye
+    light = 2.0 * cosine[:, None] * half - eye
+    solid = (np.sin(phi) * step)[:, None] * np.full(_TURNS, 2.0 * np.pi / _TURNS)
+    solid = solid.ravel() * 4.0 * np.maximum(cosine, 0.0)
+    seen = (light[:, 2] > 1e-6) & (cosine > 1e-6)
+    return angles_from_directions(np.array([0.0, 0.0, 1.0]), light[seen], eye), solid[seen]
+
+
+def judge(item: Item, parsed: ParsedGltf, number: int, illuminant: str) -> dict[str, np.ndarray]:
+    """Return CIEDE2000 between an object's material and one of a glTF file by the kind of light, (texels, pairs) each.
+
+    Parameters
+    ----------
+    item : Item
+    parsed : ParsedGltf
+    number : int
+        Of the material in the file.
+    illuminant : str
+        Of the variant.
+    """
+    material, matrix = item.material, colours_from_bands(illuminant)
+    place = np.flatnonzero(item.observed.ravel())
+    place = place[:: max(1, len(place) // _TEXELS)]
+    rows, columns = np.unravel_index(place, item.observed.shape)
+    gloss = [(name, beta[rows, columns], mu[rows, columns]) for name, beta, mu in material.gloss]
+    texel = Texel(diffuse_colours(material, matrix)[rows, columns], gloss)
+    surface, fresnel = parsed.surface(number, rows, columns), fresnel_colours(material, matrix)
+    found = {}
+    near = about_highlight(gloss_reach(gloss, _PAIRS), _START)
+    for kind, geometry in ((LAMP, everywhere(_PAIRS, _START)[None]), (HIGHLIGHT, near)):
+        seen = ~np.isnan(geometry[..., 0])
+        geometry = np.where(seen[..., None], geometry, 0.1)
+        ours, theirs = rough_terms(texel, fresnel, geometry), reflected(_along(surface), geometry)
+        found[kind] = np.where(seen, differences(srgb(), ours, theirs), np.nan)
+    found[EVEN] = _under_even_light(texel, fresnel, material.mirror, surface)
+    return found
+
+
+def _under_even_light(texel: Texel, fresnel, mirror: float, surface: GltfSurface) -> np.ndarray:
+    """Return CIEDE2000 under light from everywhere, (texels, angles of the eye)."""
+    # Both models are linear in the colour beneath the gloss: one integral serves all texels whose gloss is alike.
+    parameters = [part for _, *pair in texel.gloss for part in pair]
+    table = np.column_stack([*parameters, surface.weight, surface.alpha]).round(5)
+    _, first, which = np.unique(table, axis=0, return_index=True, return_inverse=True)
+    which, columns = which.ravel(), []
+    for theta_r in np.radians(_EVEN_DEG):
+        values = np.empty((2, 2, len(first), 3))  # ours and the file's, over black and over white
+        for kind, at in enumerate(first):
+            gloss = [(name, beta[at : at + 1], mu[at : at + 1]) for name, beta, mu in texel.gloss]
+            alpha = float(surface.alpha[at])
+            widths = [float(mu[0]) for _, beta, mu in gloss if beta[0] > 0.0] + ([alpha] if alpha > 0.0 else [])
+            geometry, solid = _half_vectors(theta_r, max(min(widths, default=0.5), 1e-3))
+            for colour in (0, 1):
+                body = Texel(np.full((1, 3), float(colour)), gloss)
+                own = GltfSurface.of([colour] * 3, surface.weight[at], surface.f0, alpha, surface.coat)
+                values[0, colour, kind] = solid @ rough_terms(body, fresnel, geometry[None])[0] / np.pi
+                values[1, colour, kind] = solid @ reflected(own, geometry) / np.pi
+        over = (texel.diffuse, surface.base)
+        seen = [black[which] + (white - black)[which] * colour
+                for (black, white), colour in zip(values, over, strict=True)]  # fmt: skip
+        angle = np.full(len(which), theta_r)
+        columns.append(
+            differences(srgb(), seen[0] + mirror * fresnel(np.cos(angle)), seen[1] + mirrored(surface, angle))
+        )
+    return np.stack(columns, axis=1)

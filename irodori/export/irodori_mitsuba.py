@@ -1,0 +1,339 @@
+"""Plugins of Mitsuba 3 that read Irodori's coefficients: the BSDF ``irodori_surface``, the emitter ``irodori_sky``.
+
+An export for Mitsuba holds a copy of this file, which needs Mitsuba and NumPy alone. It is imported after a spectral
+variant is chosen, and then the scene is loaded:
+
+    import mitsuba
+    mitsuba.set_variant("llvm_ad_spectral")
+    import irodori_mitsuba
+    picture = mitsuba.render(mitsuba.load_file("scene.xml"))
+
+Spectra are sums of a few vectors with the coefficients of a texel or a pixel, between wavelengths linear and held at
+their ends outside 400 to 700 nm. Importing the file while another variant is chosen raises an ImportError.
+"""
+
+# mypy: ignore-errors
+# Its types are those of a variant, which Mitsuba chooses when it runs.
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+_VARIANTS = ("llvm_ad_spectral", "cuda_ad_spectral")
+if mi.variant() not in _VARIANTS:
+    raise ImportError(f"found Mitsuba's variant {mi.variant()!r}; accepted: {' or '.join(_VARIANTS)}")
+
+_FIRST_NM, _STEP_NM, _LAST = 400.0, 5.0, 60
+_GREEN = 30  # the sample by whose index terms are chosen
+_LEAST_REFLECTANCE = 1e-3
+_TINY = 1e-18
+_LOBES = ("gaussian", "ggx")
+
+
+def _read(props) -> dict[str, np.ndarray]:
+    with np.load(str(mi.file_resolver().resolve(props["file"]))) as file:
+        return {name: file[name] for name in file.files}
+
+
+class _Vectors:
+    """Spectra (m, 61) that are looked up at a ray's wavelengths."""
+
+    def __init__(self, spectra: np.ndarray) -> None:
+        self.count = len(spectra)
+        self.table = mi.Float(np.ascontiguousarray(spectra, dtype=np.float32).ravel())
+
+    def at(self, wavelengths, active=True) -> list:
+        """Return a spectrum for each vector."""
+        found: list[list] = [[] for _ in range(self.count)]
+        for wavelength in wavelengths:
+            place = dr.clip((wavelength - _FIRST_NM) / _STEP_NM, 0.0, float(_LAST))
+            first = dr.minimum(mi.UInt32(place), _LAST - 1)
+            part = place - mi.Float(first)
+            for number, values in enumerate(found):
+                index = first + number * (_LAST + 1)
+                low, high = (dr.gather(mi.Float, self.table, index + i, active) for i in (0, 1))
+                values.append(low + part * (high - low))
+        return [mi.Spectrum(values) for values in found]
+
+
+class _Picture:
+    """Pixels (h, w, m) that are looked up between their centres; columns wrap where asked, rows end."""
+
+    def __init__(self, pixels: np.ndarray, wraps: bool) -> None:
+        self.height, self.width, self.count = pixels.shape
+        self.wraps = wraps
+        self.data = mi.Float(np.ascontiguousarray(pixels, dtype=np.float32).ravel())
+
+    def at(self, u, v, active=True) -> list:
+        """Return the m values at a place, 0..1 each way, v from the top."""
+        if not self.wraps:
+            u = dr.clip(u, 0.5 / self.width, 1.0 - 0.5 / self.width)
+        x, y = u * self.width - 0.5, dr.clip(v * self.height - 0.5, 0.0, self.height - 1.0)
+        left, above = dr.floor(x), dr.floor(y)
+        fx, fy = x - left, y - above
+        column = mi.Int32(left)
+        first = dr.select(column < 0, column + self.width, column)
+        second = column + 1
+        second = dr.select(second >= self.width, second - self.width, second)
+        row = mi.Int32(above)
+        below = dr.minimum(row + 1, self.height - 1)
+        corners = [(row, first, (1 - fx) * (1 - fy)), (row, second, fx * (1 - fy)),
+                   (below, first, (1 - fx) * fy), (below, second, fx * fy)]  # fmt: skip
+        places = [(mi.UInt32((r * self.width + c) * self.count), weight) for r, c, weight in corners]
+        return [
+            sum(weight * dr.gather(mi.Float, self.data, place + i, active) for place, weight in places)
+            for i in range(self.count)
+        ]
+
+
+def _angles(direction):
+    """Return azimuth from +x towards +y and angle from +z of unit directions, both 0..1."""
+    turn = dr.atan2(direction.y, direction.x) / (2.0 * dr.pi)
+    across = dr.sqrt(dr.square(direction.x) + dr.square(direction.y))
+    return dr.select(turn < 0.0, turn + 1.0, turn), dr.atan2(across, direction.z) * dr.inv_pi
+
+
+def fresnel(cosine, n, k):
+    """Return the unpolarised Fresnel reflectance of n + ik in air; numbers or spectra."""
+    c = dr.clip(cosine, 0.0, 1.0)
+    s2 = (1.0 - c) * (1.0 + c)
+    real = n * n - s2 - k * k
+    modulus = dr.sqrt(real * real + 4.0 * dr.square(n * k))
+    a2 = dr.maximum(0.5 * (modulus + real), 0.0)
+    a = dr.sqrt(a2)
+    across = (modulus + c * c - 2.0 * a * c) / dr.maximum(modulus + c * c + 2.0 * a * c, _TINY)
+    along = modulus * c * c + s2 * s2
+    ratio = (along - 2.0 * a * c * s2) / dr.maximum(along + 2.0 * a * c * s2, _TINY)
+    return dr.clip(0.5 * across * (1.0 + ratio), 0.0, 1.0)
+
+
+def _lobe(name: str, mu, cos_i, cos_r, half, cos_h):
+    """Return D G / cosθ_r of a lobe."""
+    cos_phi, sin2_phi = half.z, half.x * half.x + half.y * half.y
+    if name == "gaussian":
+        phi = dr.atan2(dr.sqrt(sin2_phi), cos_phi)
+        facet = 2.0 * cos_phi / dr.maximum(cos_h, _TINY)
+        bounded = dr.minimum(dr.minimum(facet * cos_i, 1.0) / dr.maximum(cos_r, _TINY), facet)
+        return dr.exp(-dr.square(phi / mu)) * bounded
+    m2 = mu * mu
+    ratio = m2 / (m2 * (1.0 - sin2_phi) + sin2_phi)
+    root_i, root_r = (dr.sqrt(c * c + m2 * (1.0 - c * c)) for c in (cos_i, cos_r))
+    return 2.0 * cos_i * ratio * ratio / dr.maximum(cos_r * root_i + cos_i * root_r, _TINY)
+
+
+def _inside(mu):
+    """Return the share of the Gaussian facets' law that lies within a quarter turn."""
+    return 1.0 - dr.exp(-dr.square(0.5 * dr.pi / mu))
+
+
+def _draw(name: str, mu, view, sample):
+    """Return a half vector drawn from a lobe."""
+    if name == "gaussian":
+        phi = mu * dr.sqrt(-dr.log(dr.maximum(1.0 - sample.x * _inside(mu), _TINY)))
+        sine, cosine = dr.sincos(phi)
+        across, along = dr.sincos(2.0 * dr.pi * sample.y)
+        return mi.Vector3f(sine * along, sine * across, cosine)
+    return mi.MicrofacetDistribution(mi.MicrofacetType.GGX, mu, True).sample(view, sample)[0]
+
+
+def _density(name: str, mu, view, half, cos_h):
+    """Return the density of the direction that a view is mirrored to in a half vector of `_draw`, 1/sr."""
+    if name == "gaussian":
+        sine = dr.sqrt(half.x * half.x + half.y * half.y)
+        phi = dr.atan2(sine, half.z)
+        spread = dr.select(sine > 1e-6, phi / dr.maximum(sine, 1e-6), 1.0)
+        return dr.exp(-dr.square(phi / mu)) * spread / (dr.pi * mu * mu * _inside(mu) * 4.0 * cos_h)
+    return mi.MicrofacetDistribution(mi.MicrofacetType.GGX, mu, True).pdf(view, half) / (4.0 * cos_h)
+
+
+class Surface(mi.BSDF):
+    """Diffuse reflection, gloss components and mirror of an object's coefficients (equation 5 of the paper).
+
+    Properties: ``file``, an .npz of this export; ``layout``, how the shape's coordinates lie on the texture: ``mesh``
+    as they are, ``rectangle`` with v from below, ``disk`` with radius and angle; of a ``sphere`` it is the direction of
+    the normal that counts, turned as the file says.
+    """
+
+    def __init__(self, props) -> None:
+        mi.BSDF.__init__(self, props)
+        held = _read(props)
+        self.layout = props.get("layout", "mesh")
+        self.lobes = [str(name) for name in held["lobes"]]
+        unknown = [name for name in self.lobes if name not in _LOBES]
+        if unknown:
+            raise ValueError(f"the lobe {unknown[0]!r}; accepted: {', '.join(_LOBES)}")
+        self.texture = _Picture(held["texels"], bool(held["wraps"]))
+        self.basis = _Vectors(held["basis"])
+        self.index = _Vectors(held["index"])
+        self.green = float(held["index"][0, _GREEN]), float(held["index"][1, _GREEN])
+        self.mirror = float(held["mirror"])
+        self.object_from_world = mi.Matrix3f(np.ascontiguousarray(held["rotation"].T, dtype=np.float32))
+        rough, delta = mi.BSDFFlags.DiffuseReflection, mi.BSDFFlags.DeltaReflection
+        varies = mi.BSDFFlags.SpatiallyVarying | mi.BSDFFlags.FrontSide
+        rough = rough | mi.BSDFFlags.GlossyReflection
+        self.m_components = [rough | varies, delta | varies]
+        self.m_flags = rough | delta | varies
+
+    def _terms(self, si, active):
+        """Return S(λ), β and μ of each component, and the shares of diffuse, of each component, and of the mirror."""
+        u, v = si.uv.x, si.uv.y
+        if self.layout == "sphere":
+            u, v = _angles(self.object_from_world @ si.n)
+        elif self.layout == "rectangle":
+            v = 1.0 - v
+        elif self.layout == "disk":
+            across, along = dr.sincos(2.0 * dr.pi * v)
+            u, v = 0.5 + 0.5 * u * along, 0.5 - 0.5 * u * across
+        texel = self.texture.at(u, v, active)
+        vectors = self.basis.at(si.wavelengths, active)
+        spectrum = sum((c * vector for c, vector in zip(texel, vectors, strict=False)), mi.Spectrum(0.0))
+        pairs = texel[self.basis.count :]
+        betas = [dr.select(mu > 0.0, beta, 0.0) for beta, mu in zip(pairs[::2], pairs[1::2], strict=True)]
+        mus = [dr.select(mu > 0.0, mu, 1.0) for mu in pairs[1::2]]
+        facing = fresnel(mi.Frame3f.cos_theta(si.wi), *self.green)
+        gloss = [
+            b * 4.0 * dr.square(m) * dr.maximum(facing, _LEAST_REFLECTANCE) for b, m in zip(betas, mus, strict=True)
+        ]
+        shares = [dr.maximum(dr.mean(spectrum), 1e-4), *gloss, self.mirror * facing]
+        total = sum(shares)
+        return spectrum, betas, mus, [share / total for share in shares]
+
+    def _rough(self, si, wo, terms, active):
+        """Return the rough terms times cosθ, and the density of ``wo`` without the mirror's."""
+        spectrum, betas, mus, shares = terms
+        cos_i, cos_r = mi.Frame3f.cos_theta(wo), mi.Frame3f.cos_theta(si.wi)
+        active = active & (cos_i > 0.0) & (cos_r > 0.0)
+        half = dr.normalize(si.wi + wo)
+        cos_h = dr.maximum(dr.dot(si.wi, half), _TINY)
+        n, k = self.index.at(si.wavelengths, active)
+        reflectance = fresnel(cos_h, n, k)
+        factor, density = mi.Float(0.0), shares[0] * cos_i * dr.inv_pi
+        for name, beta, mu, share in zip(self.lobes, betas, mus, shares[1:], strict=False):
+            factor += beta * _lobe(name, mu, cos_i, cos_r, half, cos_h)
+            density += dr.select(beta > 0.0, share * _density(name, mu, si.wi, half, cos_h), 0.0)
+        value = (spectrum * cos_i + reflectance * factor) * dr.inv_pi
+        return dr.select(active, value, 0.0), dr.select(active, density, 0.0)
+
+    def eval(self, ctx, si, wo, active=True):
+        """Return the BSDF times the cosine of the light's angle."""
+        return self._rough(si, wo, self._terms(si, active), active)[0]
+
+    def pdf(self, ctx, si, wo, active=True):
+        """Return the density of a direction, 1/sr."""
+        return self._rough(si, wo, self._terms(si, active), active)[1]
+
+    def eval_pdf(self, ctx, si, wo, active=True):
+        """Return both."""
+        return self._rough(si, wo, self._terms(si, active), active)
+
+    def sample(self, ctx, si, sample1, sample2, active=True):
+        """Return a drawn direction and its weight."""
+        terms = self._terms(si, active)
+        _, _, mus, shares = terms
+        cos_r = mi.Frame3f.cos_theta(si.wi)
+        active = active & (cos_r > 0.0)
+        wo = mi.warp.square_to_cosine_hemisphere(sample2)
+        passed = mi.Float(shares[0])
+        for name, mu, share in zip(self.lobes, mus, shares[1:], strict=False):
+            half = _draw(name, mu, si.wi, sample2)
+            chosen = (sample1 >= passed) & (sample1 < passed + share)
+            wo = dr.select(chosen, mi.reflect(si.wi, half), wo)
+            passed = passed + share
+        is_mirror = (sample1 >= passed) & (shares[-1] > 0.0)
+        wo = dr.select(is_mirror, mi.reflect(si.wi), wo)
+        value, density = self._rough(si, wo, terms, active)
+        n, k = self.index.at(si.wavelengths, active)
+        weight = dr.select(is_mirror, self.mirror * fresnel(cos_r, n, k) / dr.maximum(shares[-1], _TINY),
+                           value / dr.maximum(density, _TINY))  # fmt: skip
+        bs = dr.zeros(mi.BSDFSample3f)
+        bs.wo, bs.eta = wo, 1.0
+        bs.pdf = dr.select(is_mirror, shares[-1], density)
+        bs.sampled_type = dr.select(is_mirror, mi.UInt32(+mi.BSDFFlags.DeltaReflection),
+                                    mi.UInt32(+mi.BSDFFlags.GlossyReflection))  # fmt: skip
+        bs.sampled_component = dr.select(is_mirror, mi.UInt32(1), mi.UInt32(0))
+        active = active & (bs.pdf > 0.0) & (mi.Frame3f.cos_theta(wo) > 0.0)
+        return bs, dr.select(active, weight, 0.0)
+
+    def to_string(self) -> str:
+        """Return its name for Mitsuba's log."""
+        return f"irodori_surface[{', '.join(self.lobes)}]"
+
+
+class Sky(mi.Emitter):
+    """Light from all directions: rows from the zenith +z, columns by the azimuth from +x towards +y.
+
+    Properties: ``file``, an .npz of this export; ``radius``, a length beyond which nothing of the scene stands.
+    """
+
+    def __init__(self, props) -> None:
+        mi.Emitter.__init__(self, props)
+        held = _read(props)
+        self.radius = float(props["radius"])
+        coefficients, basis = held["coefficients"].astype(np.float32), held["basis"]
+        self.picture, self.basis = _Picture(coefficients, True), _Vectors(basis)
+        height, width, _ = coefficients.shape
+        self.size = width, height
+        power = np.maximum(coefficients @ basis.sum(axis=1).astype(np.float32), 0.0)
+        # What a pixel sends reaches, by interpolation, into its neighbours.
+        power = np.maximum.reduce([np.roll(power, i, axis=1) for i in (-1, 0, 1)])
+        padded = np.pad(power, ((1, 1), (0, 0)), mode="edge")
+        power = np.maximum.reduce([padded[i : i + height] for i in (0, 1, 2)])
+        edges = np.cos(np.linspace(0.0, np.pi, height + 1))
+        power = power * (edges[:-1] - edges[1:])[:, None]
+        self.drawn = bool(power.any())
+        power = power if self.drawn else np.ones_like(power)
+        # A little for every pixel, so that none whose light is not the largest is missed.
+        self.choice = mi.DiscreteDistribution2D(mi.TensorXf((power + 1e-3 * power.mean()).astype(np.float32)))
+        self.m_flags = +(mi.EmitterFlags.Infinite | mi.EmitterFlags.SpatiallyVarying)
+
+    def _radiance(self, direction, wavelengths, active):
+        u, v = _angles(direction)
+        coefficients, vectors = self.picture.at(u, v, active), self.basis.at(wavelengths, active)
+        return sum((c * vector for c, vector in zip(coefficients, vectors, strict=True)), mi.Spectrum(0.0)), u, v
+
+    def _density(self, u, v, active):
+        width, height = self.size
+        pixel = mi.Point2u(dr.minimum(mi.UInt32(u * width), width - 1), dr.minimum(mi.UInt32(v * height), height - 1))
+        sine = dr.maximum(dr.sin(v * dr.pi), 1e-6)
+        return self.choice.pdf(pixel, active) * (width * height) / (2.0 * dr.square(dr.pi) * sine)
+
+    def eval(self, si, active=True):
+        """Return the radiance of a ray that leaves the scene."""
+        return dr.select(active, self._radiance(-si.wi, si.wavelengths, active)[0], 0.0)
+
+    def sample_direction(self, it, sample, active=True):
+        """Return a direction drawn by the power of the pixels, and its weight."""
+        width, height = self.size
+        pixel, _, rest = self.choice.sample(sample, active)
+        u, v = (mi.Float(pixel.x) + rest.x) / width, (mi.Float(pixel.y) + rest.y) / height
+        sine, cosine = dr.sincos(v * dr.pi)
+        across, along = dr.sincos(2.0 * dr.pi * u)
+        ds = dr.zeros(mi.DirectionSample3f)
+        ds.d = mi.Vector3f(sine * along, sine * across, cosine)
+        ds.dist = mi.Float(2.0 * self.radius)
+        ds.p, ds.n = it.p + ds.d * ds.dist, -ds.d
+        ds.uv, ds.time, ds.delta = mi.Point2f(u, v), it.time, False
+        ds.pdf = self._density(u, v, active)
+        ds.emitter = mi.EmitterPtr(self)
+        value = self._radiance(ds.d, it.wavelengths, active)[0]
+        return ds, dr.select(active & (ds.pdf > 0.0), value / dr.maximum(ds.pdf, _TINY), 0.0)
+
+    def pdf_direction(self, it, ds, active=True):
+        """Return the density with which a direction is drawn, 1/sr."""
+        return dr.select(active, self._density(*_angles(ds.d), active), 0.0)
+
+    def eval_direction(self, it, ds, active=True):
+        """Return the radiance from a direction."""
+        return dr.select(active, self._radiance(ds.d, it.wavelengths, active)[0], 0.0)
+
+    def bbox(self):
+        """Return no box: the light is everywhere."""
+        return mi.ScalarBoundingBox3f()
+
+    def to_string(self) -> str:
+        """Return its name for Mitsuba's log."""
+        return f"irodori_sky[{self.size[0]} x {self.size[1]}]"
+
+
+mi.register_bsdf("irodori_surface", Surface)
+mi.register_emitter("irodori_sky", Sky)

@@ -1,0 +1,176 @@
+"""The command ``irodori export`` with names: files, previews, losses, and what it refuses."""
+
+import argparse
+import json
+
+import numpy as np
+import OpenImageIO as oiio
+import pytest
+import tifffile
+from exported import painted
+from PIL import Image
+from scenes import smooth_sky
+
+from irodori.colour.display import standard_display
+from irodori.core import store
+from irodori.export.export_command import TARGETS, command_parser, export_named, main
+from irodori.export.gltf_loss import ParsedGltf
+from irodori.export.pictures import write_display_picture, write_spectral_exr
+
+OBJECTS = ("tile-plate", "vermilion-sphere", "indigo-sphere", "leaf-sphere")
+#: IEC 61966-2-1, whose white is that of D65.
+SRGB_FROM_XYZ = np.array([[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]])
+
+
+@pytest.fixture
+def project(root, monkeypatch):
+    """The default project with small results; half of the plate is not photographed."""
+    monkeypatch.chdir(root)
+    own = painted(reflectance=0.4, beta=2.0, mu=0.15, mirror=0.3)
+    own.alpha[:, 8:] = np.nan
+    for name in OBJECTS:
+        (root / "results" / name).mkdir(parents=True)
+        own.save(root / "results" / name / "material.h5", store.Provenance("test"))
+    (root / "results/environments").mkdir()
+    smooth_sky(64, 32).save(root / "results/environments/classroom.h5", store.Provenance("test"))
+    return root, own
+
+
+def read(path) -> np.ndarray:
+    source = oiio.ImageInput.open(str(path))
+    pixels = source.read_image(source.spec().format)
+    source.close()
+    return pixels
+
+
+def given(*words) -> argparse.Namespace:
+    return command_parser("export").parse_intermixed_args([str(word) for word in words])
+
+
+def test_a_tiff_of_16_bits_has_its_profile_its_loss_and_the_colours_of_the_standard(project, capsys):
+    root, own = project
+    assert main(["tile-plate", "--to", "tiff"]) == 0
+    path = root / "exports/tile-plate.tif"
+    assert capsys.readouterr().out.startswith("exports/tile-plate.tif\nunder D65: CIEDE2000 mean")
+    codes = read(path)
+    assert codes.dtype == np.uint16 and codes.shape == (8, 16, 3)
+    with tifffile.TiffFile(path) as file:
+        embedded, known = file.pages[0].tags[34675].value, standard_display("sRGB").profile
+        told = file.pages[0].tags["ImageDescription"].value
+    assert embedded[:24] == known[:24] and embedded[36:] == known[36:]  # between them stands when it was made
+    assert "irodori:illuminant D65" in told and "irodori:loss CIEDE2000 mean" in told
+    # Colorimetry of colour-science, the matrix and the curve of the standard as they are printed there.
+    import colour
+
+    wavelength = np.arange(400, 701, 5)
+    d65 = colour.SDS_ILLUMINANTS["D65"]
+    for column in (0, 4):
+        spectrum = own.spectra()[0, column].astype(float)
+        reflectance = colour.SpectralDistribution(dict(zip(wavelength, spectrum, strict=True)))
+        reflectance = reflectance.extrapolate(colour.SpectralShape(360, 780, 5))
+        rgb = SRGB_FROM_XYZ @ colour.sd_to_XYZ(reflectance, illuminant=d65) / 100
+        expected = np.where(rgb <= 0.0031308, 12.92 * rgb, 1.055 * np.maximum(rgb, 0) ** (1 / 2.4) - 0.055)
+        inside = (rgb > 0.0) & (rgb < 1.0)
+        assert np.abs(codes[0, column] / 65535 - expected)[inside].max() < 2e-3
+    # What no photograph shows has the colour of its nearest neighbour.
+    assert (codes[:, 8] == codes[:, 7]).all()
+
+
+def test_a_wide_display_loses_what_rounding_takes_and_srgb_what_it_cannot_show(project):
+    root, _ = project
+    losses = {}
+    for display in ("sRGB", "Adobe RGB (1998)"):
+        words = ("tile-plate", "--to", "tiff", "--illuminant", "A", "--display", display)
+        losses[display] = export_named("tile-plate", root / "a.tif", given(*words))[1]["under A"]
+    assert losses["Adobe RGB (1998)"].largest < 0.05
+    assert losses["sRGB"].mean >= losses["Adobe RGB (1998)"].mean
+    assert losses["sRGB"].compared == 64  # texels that were photographed
+
+
+@pytest.mark.parametrize("to", ["gltf", "tiff", "spectral-exr", "envi"])
+def test_an_object_is_exported_with_a_preview_beside_it(project, to):
+    root, _ = project
+    path, losses = export_named("tile-plate", None, given("tile-plate", "--to", to, "--illuminant", "D65"))
+    assert path.is_file() and losses and path.suffix == TARGETS[to].suffix
+    with Image.open(root / f"{path}.png") as preview:
+        assert preview.size == (16, 8) and preview.info["icc_profile"]
+        assert np.asarray(preview).std() > 5
+    assert not [file for file in (root / "exports").iterdir() if "part" in file.name]
+
+
+def test_a_light_is_exported_by_its_name(project):
+    root, _ = project
+    export_named("classroom", root / "room.exr", given("classroom", "--to", "spectral-exr"))
+    with Image.open(root / "room.exr.png") as preview:
+        assert preview.size == (64, 32)
+
+
+def test_a_scene_has_its_picture_as_preview_and_its_objects_where_they_stand(project):
+    root, own = project
+    profile = standard_display("sRGB").profile
+    (root / "results/still-life").mkdir()
+    picture = np.full((6, 8, 3), 90, np.uint8)
+    write_display_picture(root / "results/still-life/front.png", picture, profile, {})
+    assert main(["still-life", "--to", "gltf", "out/scene.glb", "--illuminant", "D65"]) == 0
+    assert (root / "out/scene.glb.png").read_bytes() == (root / "results/still-life/front.png").read_bytes()
+    content = ParsedGltf.load(root / "out/scene.glb").content
+    placed = {one["name"]: one for one in content["nodes"]}
+    assert placed["tile-plate"]["scale"] == [2.4] * 3 and placed["leaf-sphere"]["translation"] == [46.0, -34.0, 30.1]
+    assert content["meshes"][0]["extras"]["irodori"]["spectra"]["file"] == "results/tile-plate/material.h5"
+    assert len(content["meshes"]) == len(own.spectra().shape) + 1 == len(OBJECTS)
+
+
+def test_a_loss_that_cannot_be_measured_is_told_with_its_reason(project, capsys, monkeypatch):
+    root, _ = project
+    (root / "results/still-life").mkdir()
+    profile = standard_display("sRGB").profile
+    write_display_picture(root / "results/still-life/front.png", np.full((480, 640, 3), 9, np.uint8), profile, {})
+    radiance = np.ones((480, 640, 61), np.float32)
+    write_spectral_exr(root / "results/still-life/front.exr", radiance, radiance[..., :3], {})
+    (root / "mitsuba.py").write_text("raise ImportError('no Mitsuba on this machine')\n")
+    monkeypatch.setenv("PYTHONPATH", str(root), prepend=":")
+    assert main(["still-life", "--to", "mitsuba"]) == 0
+    assert "view front: not measured: ImportError: no Mitsuba on this machine" in capsys.readouterr().out
+    about = json.loads((root / "exports/still-life-mitsuba/about.json").read_text())
+    assert about["loss_ciede2000"] == {"not_measured": "ImportError: no Mitsuba on this machine"}
+    names = {file.name for file in (root / "exports/still-life-mitsuba").iterdir()}
+    assert {"scene.xml", "sky.npz", "irodori_mitsuba.py", "00-tile-plate.npz"} <= names
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["still-life", "--to", "obj"], "--to: found 'obj'; accepted: gltf, mitsuba, tiff, spectral-exr, envi."),
+        (["jar", "--to", "gltf"], "no scene or object 'jar'; accepted: one of: celadon-lid,"),
+        (["bowls/jar", "--to", "gltf"], "no scene or object 'bowls/jar'"),
+        (["still-life", "--to", "tiff"], "--to tiff: found the scene 'still-life'; accepted: object."),
+        (["tile-plate", "--to", "mitsuba"], "--to mitsuba: found the object 'tile-plate'; accepted: scene."),
+        (["classroom", "--to", "gltf"], "--to gltf: found the environment 'classroom'; accepted: scene or object."),
+        (
+            ["celadon-lid", "--to", "gltf"],
+            "material.h5: found no file; accepted: what 'snakemake --cores 2 results",
+        ),
+        (["still-life", "--to", "gltf"], "results/still-life/front.png: found no file; accepted: what 'snakemake"),
+        (["still-life", "--to", "mitsuba"], "results/still-life/front.exr: found no file; accepted: what 'snakemake"),
+        (["tile-plate", "--to", "gltf", "a.obj"], "a.obj: found the suffix '.obj'; accepted: .glb, of --to gltf."),
+        (["tile-plate", "--to", "gltf", "--illuminant", "D6"], "found 'D6'; accepted:"),
+        (["tile-plate", "--to", "tiff", "--illuminant", "A", "D65"], "--illuminant: found 2 lights; accepted: one"),
+        (["tile-plate", "--to", "spectral-exr", "--interleave", "bil"], "with the suffix .img"),
+        (["tile-plate"], "tile-plate: found neither --to nor a file to write; accepted: one of them."),
+    ],
+)
+def test_what_cannot_be_exported_is_refused_in_one_sentence(project, capsys, words, said):
+    root, _ = project
+    assert main(words) == 2
+    out, err = capsys.readouterr()
+    assert said in err and err.count("\n") == 1 and not out
+    exports = root / "exports"
+    assert not exports.exists() or not [file for file in exports.iterdir() if file.suffix in (".glb", ".tif", ".exr")]
+
+
+def test_a_material_that_no_photograph_determines_is_refused(project, capsys):
+    root, own = project
+    own.alpha[:] = np.nan
+    own.save(root / "results/tile-plate/material.h5", store.Provenance("test"))
+    assert main(["tile-plate", "--to", "gltf"]) == 2
+    assert "no texel on the surface with data" in capsys.readouterr().err
