@@ -9,6 +9,7 @@ from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.material.coefficients import read_coefficients, write_coefficients
 from irodori.reflection.registry import DEFAULT_LOBES, lobe, names
+from irodori.spectra.coordinates import write_wavelength
 from irodori.spectra.grid import SAMPLES
 from irodori.spectra.spectral_files import REFLECTANCE
 from irodori.spectra.tables import LEAST_N, MOST_K, MOST_N
@@ -40,6 +41,31 @@ class Status(IntEnum):
     DARK = 7  # no light beyond the noise
     PAINT = 8  # β and μ are mostly those of its paint, which its own observations allow
     CONTRADICTED = 9  # the observations deny the model that explains them best by more than their errors
+
+
+class NloptResult(IntEnum):
+    """Return code of NLopt, as its manual has them."""
+
+    FORCED_STOP = -5
+    ROUNDOFF_LIMITED = -4
+    OUT_OF_MEMORY = -3
+    INVALID_ARGS = -2
+    FAILURE = -1
+    NOT_CALLED = 0
+    SUCCESS = 1
+    STOPVAL_REACHED = 2
+    FTOL_REACHED = 3
+    XTOL_REACHED = 4
+    MAXEVAL_REACHED = 5
+    MAXTIME_REACHED = 6
+
+
+class ChartColour(IntEnum):
+    """Whether the chart has a colour like a texel's."""
+
+    LIKE_THE_CHART = 0
+    UNLIKE_THE_CHART = 1
+    NOT_KNOWN = 2
 
 
 def gloss_names(component: int) -> tuple[str, str]:
@@ -197,7 +223,7 @@ class Material:
                 described = [gloss_maps(self.lobes)[name] for name in gloss_names(component)]
                 pairs = zip(gloss_names(component), (beta, mu), described, strict=True)
                 maps |= {name: (values, *what) for name, values, what in pairs}
-            store.write_maps(out, maps | self.extra, "row,column,component")
+            store.write_maps(out, maps | self.extra, "row,column")
             write_coefficients(
                 out,
                 COEFFICIENTS,
@@ -220,8 +246,8 @@ class Material:
             a basis that is not finite or that no material has, or reflects more than falls on it.
         """
         axes = {
-            COEFFICIENTS: "row,column,basis",
-            "reflectance/basis": "wavelength,basis",
+            COEFFICIENTS: "row,column,component",
+            "reflectance/basis": "wavelength,component",
             "refractive_index/n": "wavelength",
             "refractive_index/k": "wavelength",
         }
@@ -364,7 +390,8 @@ def write_constants(
     typical_gloss: tuple[float, ...],
 ) -> None:
     """Write what a material's file holds beside its maps into an open file; see `Material` and `Material.save`."""
-    out.write("reflectance/basis", basis, units="1", dims="wavelength,basis", quantity="spectral basis")
+    write_wavelength(out)
+    out.write("reflectance/basis", basis, units="1", dims="wavelength,component", quantity="spectral basis")
     names = {"units": "1", "dims": "wavelength", "quantity": "complex refractive index n + ik"}
     for name, values in (("n", n), ("k", k)):
         out.write(f"refractive_index/{name}", values, **names)
