@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 #: Of a sample's noise power, what bilinear interpolation leaves on average over the places between samples.
 _INTERPOLATED = 4.0 / 9.0
 _POSE = tuple(angle.name for angle in fields(Pose))
+_COLOURS = 3
 _CHUNK = 8192  # texels that a thread takes at a time
 
 
@@ -327,7 +328,7 @@ def rectify_object(
     Raises
     ------
     InputError
-        If captures differ in their filter states, the shape is a mesh that is refused, or a near lamp stands within
+        If captures differ in their filter states or have other bands than these, the shape is a mesh that is refused, or a near lamp stands within
         the object.
 
     Notes
@@ -357,6 +358,9 @@ def rectify_object(
         weights.append((found.seen & frontal).astype(np.float32))
         captures.append(found._replace(geometry=found.geometry.astype(np.float32)))
     observed, weight = _Observed(*(np.stack(v, axis=1) for v in zip(*captures, strict=True))), np.stack(weights, axis=1)
+    if (bands := observed.response.shape[2]) != _COLOURS * len(filters):
+        states = f"{len(filters)} filter states and {bands} bands"
+        raise InputError(linear[0], "filters", states, "three bands a filter state")
     unseen = ~(weight > 0).any(axis=1) & texels.covered.ravel()
     if unseen.any():
         LOGGER.info("%d of %d texels have no observation", unseen.sum(), texels.covered.sum())

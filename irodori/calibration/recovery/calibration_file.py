@@ -114,7 +114,8 @@ class Calibration:
     def write(self, out: store.Writer) -> None:
         """Write what `load` reads into an open file."""
         write_wavelength(out)
-        write_bands(out, self.filters)
+        if self.filters:
+            write_bands(out, self.filters)
         out.write("basis", self.basis, units="1", dims="wavelength,component", quantity="spectral basis B'")
         if self.weights_from_response is not None:
             matrix = self.weights_from_response
