@@ -328,8 +328,8 @@ def rectify_object(
     Raises
     ------
     InputError
-        If captures differ in their filter states or have other bands than these, the shape is a mesh that is refused, or a near lamp stands within
-        the object.
+        If captures differ in their filter states or have other bands than these, the shape is a mesh that is refused,
+        or a near lamp stands within the object.
 
     Notes
     -----
