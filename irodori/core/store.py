@@ -19,6 +19,7 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import h5py
 import numpy as np
@@ -61,6 +62,8 @@ _MOST_UNFOLDED = 1 << 16
 #: The name that netCDF gives to a dimension scale that is no variable; the length follows.
 _NO_VARIABLE = "This is a netCDF dimension but not a netCDF variable."
 _SPECTRAL = "wavelength"
+#: Attributes of a dataset that are not HDF5's own.
+_FOR_PEOPLE = ("units", "quantity", "flag_values", "flag_meanings", "decoding")
 _JSON = "json:"  # marks an attribute that holds a list or a dictionary
 
 
@@ -285,11 +288,20 @@ def _whole(path, name: str = "") -> Iterator[None]:
         raise InputError(path, name, f"unreadable data ({reason})", "a complete file") from None
 
 
-class Reader:
-    """An HDF5 file being read; get one from `open_file`."""
+class Layout(NamedTuple):
+    """What a file says of a dataset, without its numbers: shape, type and attributes for people."""
 
-    def __init__(self, path: Path, file: h5py.File) -> None:
+    shape: tuple[int, ...]
+    dtype: np.dtype
+    attributes: dict[str, Any]
+
+
+class Reader:
+    """An HDF5 file being read; get one from `open_file`, or from `open_unread`."""
+
+    def __init__(self, path: Path, file: h5py.File, *, is_verified: bool = True) -> None:
         self.path, self._file = path, file
+        self._is_verified = is_verified
         self._checked: set[str] = set()
 
     def __contains__(self, name: str) -> bool:
@@ -302,8 +314,15 @@ class Reader:
         Raises
         ------
         InputError
-            If the file has no such dataset, or its description is damaged.
+            If the file has no such dataset, its description is damaged, or it is the first of a file that was opened
+            unread and has another content than its hash stands for.
         """
+        if not self._is_verified:
+            custody.verified(self.path)
+            self._is_verified = True
+        return self._described(name)
+
+    def _described(self, name: str) -> h5py.Dataset:
         with _whole(self.path, name):
             # Not get(), which takes a damaged description for an absence.
             found = None
@@ -315,6 +334,32 @@ class Reader:
                 self._check_held(name, found)
                 self._checked.add(name)
             return found
+
+    def layout(self, name: str) -> Layout:
+        """Return what the file says of a dataset.
+
+        Raises
+        ------
+        InputError
+            If the file has no such dataset, or its description is damaged.
+        """
+        found = self._described(name)
+        with _whole(self.path, name):
+            kept = (
+                key for key in ("units", "quantity", "flag_values", "flag_meanings", "decoding") if key in found.attrs
+            )
+            return Layout(found.shape, np.dtype(found.dtype.str), {key: found.attrs[key] for key in kept})
+
+    def maps(self) -> list[str]:
+        """Return the names of the datasets in the file's root that hold numbers, in order."""
+        with _whole(self.path):
+            found = [name for name in self._file if _is_variable(self._file[name])]
+            return [name for name in found if self._file[name].dtype.kind in "fiub"]
+
+    def attributes(self) -> list[str]:
+        """Return the names of the root attributes, in order."""
+        with _whole(self.path):
+            return sorted(self._file.attrs)
 
     def _check_held(self, name: str, dataset: h5py.Dataset) -> None:
         """Refuse a dataset that stands in another file, or declares more than its part of this one can unfold to."""
@@ -432,6 +477,19 @@ def _is_variable(item) -> bool:
 
 
 @contextmanager
+def open_unread(path) -> Iterator[Reader]:
+    """Open a file of this project, whose content is compared with its hash when the first of its numbers is read.
+
+    Raises
+    ------
+    InputError
+        As `open_file`, but for another content than its hash stands for.
+    """
+    with _opened(path) as file:
+        yield Reader(Path(path), file, is_verified=False)
+
+
+@contextmanager
 def open_file(path) -> Iterator[Reader]:
     """Open a file of this project for reading.
 
@@ -441,6 +499,14 @@ def open_file(path) -> Iterator[Reader]:
         If the file is missing, truncated, not HDF5, not ours, of a newer schema version, or has no hash of its content
         or another content than its hash stands for.
     """
+    with _opened(path) as file:
+        custody.verified(path)
+        yield Reader(Path(path), file)
+
+
+@contextmanager
+def _opened(path) -> Iterator[h5py.File]:
+    """Open an HDF5 file that says that it is of this project, of this version or an older one."""
     path = Path(path)
     if not path.is_file():
         raise InputError(path, "", "no such file", "an HDF5 file written by an earlier stage")
@@ -457,8 +523,7 @@ def open_file(path) -> Iterator[Reader]:
             raise InputError(path, "schema_version", repr(found), f"a number up to {SCHEMA_VERSION}")
         if found > SCHEMA_VERSION:
             raise InputError(path, "schema_version", str(found), f"version {SCHEMA_VERSION} or older")
-        custody.verified(path)
-        yield Reader(path, file)
+        yield file
 
 
 def write_maps(writer: Writer, maps: dict, dims: str) -> None:

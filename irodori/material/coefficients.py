@@ -18,7 +18,8 @@ from irodori.core.errors import InputError
 STORAGES = ("half", "single")
 #: The codecs of the configuration and how `irodori.core.store` calls them.
 CODECS = {"gzip": "small", "lzf": "fast"}
-AXES = "row,column,component"
+_COMPONENT = "component"
+AXES = f"row,column,{_COMPONENT}"
 _SUFFIX = "_scale"
 _HALF_TOP = 2.0**15
 _TILE_VALUES = 1 << 20
@@ -121,6 +122,7 @@ def write_coefficients(
     storage: str = "single",
     codec: str = "gzip",
     dims: str = AXES,
+    basis: str = "basis",
 ) -> None:
     """Write coefficients of pixels, NaN where there are none.
 
@@ -136,12 +138,22 @@ def write_coefficients(
     codec : str
         ``gzip`` or ``lzf``.
     dims : str
-        Names of the axes.
+        Names of the axes; the last is ``component`` where the numbers are coefficients on a basis.
+    basis : str
+        Dataset of that basis, (61, k), for who reads the file without this module.
     """
     coefficients = np.asarray(coefficients)
     scale = scale_of(coefficients) if storage == "half" else None
     dataset = reserve_coefficients(
-        out, name, coefficients.shape, quantity=quantity, storage=storage, codec=codec, scale=scale, dims=dims
+        out,
+        name,
+        coefficients.shape,
+        quantity=quantity,
+        storage=storage,
+        codec=codec,
+        scale=scale,
+        dims=dims,
+        basis=basis,
     )
     rows = max(1, _TILE_VALUES // max(int(np.prod(coefficients.shape[1:])), 1))
     for first in range(0, len(coefficients), rows):
@@ -159,6 +171,7 @@ def reserve_coefficients(
     codec: str,
     scale: np.ndarray | None,
     dims: str = AXES,
+    basis: str = "basis",
 ) -> h5py.Dataset:
     """Return a dataset for coefficients to be written in pieces of rows; those of half precision already divided.
 
@@ -182,14 +195,17 @@ def reserve_coefficients(
         quantity=quantity,
         compression=CODECS[codec],
     )
-    dataset.attrs["decoding"] = _decoding(name, dims) if half else "as stored"
+    dataset.attrs["decoding"] = _decoding(name, dims, basis, half)
     return dataset
 
 
-def _decoding(name: str, dims: str) -> str:
-    """Return how numbers of half precision become what they stand for, for whoever reads a file without this module."""
-    last = dims.rpartition(",")[2]
-    return f"value[{dims}] = {name}[{dims}] * {name}{_SUFFIX}[{last}]"
+def _decoding(name: str, dims: str, basis: str, half: bool) -> str:
+    """Return how stored numbers become spectra, for whoever reads a file without this module."""
+    picture, _, last = dims.rpartition(",")
+    stored = f"/{name}[{dims}]" + (f" * /{name}{_SUFFIX}[{last}]" if half else "")
+    if last != _COMPONENT:
+        return f"value[{dims}] = {stored}"
+    return f"spectrum[{picture},wavelength] = sum over {last} of {stored} * /{basis}[wavelength,{last}]"
 
 
 def read_coefficients(file: store.Reader, name: str, rows: slice = slice(None)) -> np.ndarray:

@@ -22,7 +22,11 @@ MAPS = {
     "alpha": ("1", "diffuse weight"),
     "green_response": ("1", "green-band response of S"),
 }
-COEFFICIENTS, QUANTITY = "reflectance/coefficients", "coefficients of the reflectance factor"
+BASIS, COEFFICIENTS, QUANTITY = (
+    "reflectance/basis",
+    "reflectance/coefficients",
+    "coefficients of the reflectance factor",
+)
 _ERROR = "reflectance_error"
 #: The first version of the files that names the lobes; before it there was one, the Gaussian.
 _LOBES_SINCE = 2
@@ -231,6 +235,7 @@ class Material:
                 quantity=QUANTITY,
                 storage=storage,
                 codec=codec,
+                basis=BASIS,
             )
             constants = (self.basis, self.n, self.k, self.mirror)
             write_constants(out, *constants, errors, lobes=self.lobes, typical_gloss=self.typical_gloss)
@@ -247,7 +252,7 @@ class Material:
         """
         axes = {
             COEFFICIENTS: "row,column,component",
-            "reflectance/basis": "wavelength,component",
+            BASIS: "wavelength,component",
             "refractive_index/n": "wavelength",
             "refractive_index/k": "wavelength",
         }
@@ -265,7 +270,7 @@ class Material:
                 mu=file.read("mu"),
                 green_response=file.read("green_response"),
                 coefficients=read_coefficients(file, COEFFICIENTS),
-                basis=file.read_within("reflectance/basis"),
+                basis=file.read_within(BASIS),
                 n=file.read_within("refractive_index/n", LEAST_N, MOST_N),
                 k=file.read_within("refractive_index/k", 0.0, MOST_K),
                 mirror=file.attribute("mirror", (float, int)),
@@ -391,7 +396,7 @@ def write_constants(
 ) -> None:
     """Write what a material's file holds beside its maps into an open file; see `Material` and `Material.save`."""
     write_wavelength(out)
-    out.write("reflectance/basis", basis, units="1", dims="wavelength,component", quantity="spectral basis")
+    out.write(BASIS, basis, units="1", dims="wavelength,component", quantity="spectral basis")
     names = {"units": "1", "dims": "wavelength", "quantity": "complex refractive index n + ik"}
     for name, values in (("n", n), ("k", k)):
         out.write(f"refractive_index/{name}", values, **names)

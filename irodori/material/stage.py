@@ -17,7 +17,7 @@ from irodori.core import store
 from irodori.core.progress import LOGGER
 from irodori.material.coefficients import reserve_coefficients
 from irodori.material.fitted_tiles import FittedTiles, columns
-from irodori.material.material_file import COEFFICIENTS, MAPS, QUANTITY, ChartColour, gloss_maps, write_constants
+from irodori.material.material_file import BASIS, COEFFICIENTS, MAPS, QUANTITY, ChartColour, gloss_maps, write_constants
 from irodori.material.principal_components.basis_count import Compression, CompressOptions, choose
 from irodori.material.principal_components.decomposition import WEIGHTINGS
 from irodori.material.principal_components.repeated_reflection import drift
@@ -156,7 +156,7 @@ def _write_maps(out: store.Writer, reflectance: _Reflectance, compression: Compr
     size, half = (fitted.height, fitted.width), compression.storage == "half"
     shape, scale = (*size, compression.bases), compression.scale if half else None
     coefficients = reserve_coefficients(
-        out, COEFFICIENTS, shape, quantity=QUANTITY, storage=compression.storage, codec=codec, scale=scale
+        out, COEFFICIENTS, shape, quantity=QUANTITY, storage=compression.storage, codec=codec, scale=scale, basis=BASIS
     )
     datasets = {}
     described_maps: dict[str, tuple] = MAPS | gloss_maps(fitted.lobes)
