@@ -33,6 +33,7 @@ from irodori.core.threads import use_threads
 from irodori.material.coefficients import read_coefficients
 from irodori.material.principal_components.basis_count import Compression, CompressOptions, analyse
 from irodori.material.principal_components.repeated_reflection import colour_error
+from irodori.spectra.coordinates import write_wavelength
 from irodori.spectra.published import spectrum
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -52,7 +53,7 @@ PCA = {
     "pca-8-visual": ("spectra", CompressOptions(weighting="visual"), 8),
     "pca-budget-visual": ("spectra", CompressOptions(weighting="visual"), None),
     "pca-4-single": ("spectra", CompressOptions(storage="single"), 4),
-    "pca-4-gzip": ("spectra", CompressOptions(codec="gzip"), 4),
+    "pca-4-lzf": ("spectra", CompressOptions(codec="lzf"), 4),
     "pca-4-from-6": ("bands", CompressOptions(), 4),
     "pca-budget-from-6": ("bands", CompressOptions(), None),
 }
@@ -62,7 +63,7 @@ PEERS = {
     "sklearn-incremental": "import numpy, sklearn.decomposition as d; d.IncrementalPCA(2).partial_fit(numpy.eye(8))",
     "truncated-svd": "import numpy, sklearn.decomposition as d; d.TruncatedSVD(2).fit_transform(numpy.eye(8))",
 }
-DECODED = ("pca-4", "pca-4-single", "pca-4-gzip")
+DECODED = ("pca-4", "pca-4-single", "pca-4-lzf")
 #: What is measured after the reference where no variants are named.
 VARIANTS = {
     "small": ("pca-4", "pca-budget", "pca-budget-visual", "pca-4-from-6", "sklearn-incremental", "decode-pca-4"),
@@ -93,7 +94,8 @@ def make_picture(folder: Path, size: str) -> None:
         names = {"units": "1", "dims": "row,column,band", "quantity": "radiance", "compression": "none"}
         out = whole.reserve("radiance", (height, width, 61), np.float32, **names)
         bands = six.reserve("radiance", (height, width, 6), np.float32, **names)
-        six.write("basis", basis, units="1", dims="wavelength,basis", quantity="basis")
+        write_wavelength(six)
+        six.write("basis", basis, units="1", dims="wavelength,component", quantity="basis")
         column = np.arange(width)
         for row in range(height):
             mix = np.abs((column % patch) / patch - 0.5)[:, None]
@@ -122,7 +124,8 @@ def pca(folder: Path, variant: str) -> Compression:
         with store.create(folder / f"{variant}.h5", PROVENANCE) as out:
             names = {"quantity": "coefficients of the radiance", "codec": options.codec}
             made.write(out, "coefficients", source, source.shape[:2], **names)
-            out.write("basis", made.basis, units="1", dims="wavelength,basis", quantity="basis")
+            write_wavelength(out)
+            out.write("basis", made.basis, units="1", dims="wavelength,component", quantity="basis")
     return made
 
 

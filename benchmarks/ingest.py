@@ -131,7 +131,7 @@ def libraw(folder: Path, arrays: dict, threads: int) -> None:
         list(pool.map(decode, sorted(folder.glob("object-*.dng"))))
     with store.create(folder / "same.h5", PROVENANCE) as out:
         for name, values in arrays.items():
-            dims = ",".join("abc"[: values.ndim])
+            dims = ",".join(f"{name}_{axis}" for axis in range(values.ndim))
             out.write(name, values, units="1", dims=dims, quantity=name, compression="fast")
 
 

@@ -1,8 +1,19 @@
 """Irodori: from RAW photographs of a real object to its picture under any light."""
 
+import importlib
 import os
+from typing import Any
 
 __version__ = "0.1.0"
 
+#: What the package offers by name, and where it is: imported when it is asked for, and unseen by the hashes of rules.
+_OFFERED = {"open_material": "irodori.material.labelled_material"}
+
 # Threads of a loop that wait for one another give the core to other jobs instead of spinning on it.
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _OFFERED:
+        raise AttributeError(f"module 'irodori' has no attribute {name!r}")
+    return getattr(importlib.import_module(_OFFERED[name]), name)

@@ -135,6 +135,7 @@ _TABLE = {
         "newer version": "refused with both versions",
         "damaged data": "refused with the dataset",
         "failure while writing": "no file, no temporary, the earlier file kept",
+        "a picture beyond half precision": "rounded to a part in 2048, or stored whole; no overflow",
     },
     ("F", "render"): {
         "scene of 1 mm": "the picture of 1 m",

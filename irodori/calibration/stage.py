@@ -25,7 +25,6 @@ from irodori.core import store
 from irodori.core.atomic_files import written_whole
 from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER
-from irodori.spectra.grid import WAVELENGTH_NM
 from irodori.spectra.published import light
 
 _MAX_INVALID_SHARE = 0.05  # of a patch, beyond which the report names it
@@ -173,7 +172,6 @@ def _verdicts(spectra, estimate) -> list[dict]:
 
 def _write_calibration(output, calibration: Calibration, errors: dict, numbers: dict, provenance) -> None:
     with store.create(output, provenance) as out:
-        out.write("wavelength", WAVELENGTH_NM, units="nm", dims="wavelength", quantity="wavelength")
         calibration.write(out)
         for way, columns in errors.items():
             out.write(f"{way}/rmse", columns["spectral_rmse"], units="1", dims="patch", quantity="spectral RMSE")

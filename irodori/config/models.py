@@ -164,8 +164,8 @@ class Compress(Definition):
     #: Precision of stored coefficients, 16 bits with a scale for each basis or 32 (no unit).
     storage: Literal["half", "single"] = "half"
 
-    #: How they are packed; bit-shuffled LZ4 in Blosc2, or gzip, which needs no plugin of HDF5 (no unit).
-    codec: Literal["blosc2", "gzip"] = "blosc2"
+    #: How they are packed; gzip, which every program reads, or LZF, which h5py alone reads without a plugin (no unit).
+    codec: Literal["gzip", "lzf"] = "gzip"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -200,8 +200,8 @@ class EnvironmentMaps(Definition):
     #: Precision of stored coefficients, 16 bits with a scale for each basis or 32 (no unit).
     storage: Literal["half", "single"] = "half"
 
-    #: How they are packed; bit-shuffled LZ4 in Blosc2, or gzip, which needs no plugin of HDF5 (no unit).
-    codec: Literal["blosc2", "gzip"] = "blosc2"
+    #: How they are packed; gzip, which every program reads, or LZF, which h5py alone reads without a plugin (no unit).
+    codec: Literal["gzip", "lzf"] = "gzip"
 
     #: Whether light blurred for rough reflection is stored too, for the integrator interactive, with the errors of its
     #: look-up for the report (no unit).
@@ -224,6 +224,10 @@ class Render(Definition):
     #: Rows of the picture between two reports of progress, in pixels; the picture is held whole, memory does not depend
     #: on it.
     tile_rows: int = 60
+
+    #: Precision of the numbers in the spectral EXR, 16 bits or 32 (no unit); a picture that spans more than 16 bits
+    #: hold is written with 32.
+    storage: Literal["half", "single"] = "half"
 
 
 @dataclass(frozen=True, kw_only=True)

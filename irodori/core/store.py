@@ -4,6 +4,10 @@ A file is written under a temporary name in the same folder and renamed when com
 whole. Its head holds the hash of its content, its name and the hashes of what it was made from, and a file whose
 content is another is not opened (`irodori.core.custody`). Root attributes: ``schema_version``, ``rule``,
 ``config_hash``, ``code_hash``, ``created_by``; every dataset has ``units``, ``dims`` and ``quantity`` [design, §6].
+
+Axes are named: an axis has one length in a file, and every axis has an HDF5 dimension scale in the file's root, so that
+h5py, netCDF readers and xarray know it. A scale with values is a coordinate (`Writer.coordinate`); one without is
+what netCDF calls a dimension without a variable, and holds its length alone.
 """
 
 import hashlib
@@ -12,20 +16,23 @@ import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from enum import IntEnum
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import h5py
-import hdf5plugin
 import numpy as np
 
 from irodori import __version__
 from irodori.core import custody
 from irodori.core.atomic_files import written_whole
 from irodori.core.errors import InputError
+from irodori.core.units import VOCABULARY, require_unit
 
-#: 2: materials and fitted tiles name their lobes (attribute ``lobes``).
-SCHEMA_VERSION = 2
+#: 2: materials and fitted tiles name their lobes (attribute ``lobes``). 3: axes have dimension scales, codes are
+#: enumerations, units are UCUM's, blurred light is of half precision, nothing needs a plugin of HDF5.
+SCHEMA_VERSION = 3
 _CHUNK_BYTES = 1 << 20
 #: Chunks held open while a dataset is written in pieces, so that one that two pieces share is packed once.
 _CACHE_BYTES = 16 << 20
@@ -34,20 +41,41 @@ _CACHE_BYTES = 16 << 20
 _FORMAT = "v110"
 #: Elements up to which a dataset is stored inside its header.
 _COMPACT = 64
-#: How a dataset is packed. ``small`` is gzip, which every program reads; ``fast`` is Blosc with LZ4, which packs floats
-#: as well at a fifteenth of the time, for what is large and passes from one stage to the next; ``planes`` is Blosc2
-#: with LZ4 over bit planes, which finds in half-precision numbers what shuffled bytes hide; ``none`` lies in one piece,
-#: for what is streamed at the speed of the disk; it alone
-#: has no checksum.
-_COMPRESSIONS = {
+#: How a dataset is packed, each after its bytes were sorted by significance. ``small`` is gzip, which every program
+#: reads; ``fast`` is LZF, which packs floats nearly as well at half of the time, for what is large and passes from one
+#: stage to the next; ``none`` lies in one piece, for what is streamed at the speed of the disk; it alone has no
+#: checksum.
+_COMPRESSIONS: dict[str, dict] = {
     "small": {"compression": "gzip", "compression_opts": 1, "shuffle": True},
-    "fast": dict(hdf5plugin.Blosc(cname="lz4", clevel=5, shuffle=hdf5plugin.Blosc.SHUFFLE)),
-    "planes": dict(hdf5plugin.Blosc2(cname="lz4", clevel=5, filters=hdf5plugin.Blosc2.BITSHUFFLE)),
+    "fast": {"compression": "lzf", "shuffle": True},
     "none": {},
 }
-#: The most that a chunk unfolds to, as a factor: Blosc2 keeps a megabyte of one value in 32 bytes.
+#: What a file that holds LZF says to programs that cannot read it.
+_LZF_NOTE = (
+    "Datasets with the filter 32000 are packed by LZF, which every h5py reads; another program needs LZF from the HDF "
+    "Group's package hdf5_plugins, or a copy of the file made with h5repack from there."
+)
+#: Plugins by which files of schema versions 1 and 2 were packed.
+_PLUGINS = {32001: "Blosc", 32026: "Blosc2"}
+#: The most that a chunk unfolds to, as a factor, of these plugins: Blosc2 keeps a megabyte of one value in 32 bytes.
 _MOST_UNFOLDED = 1 << 16
+#: The name that netCDF gives to a dimension scale that is no variable; the length follows.
+_NO_VARIABLE = "This is a netCDF dimension but not a netCDF variable."
+_SPECTRAL = "wavelength"
+#: Attributes of a dataset that are not HDF5's own.
+_FOR_PEOPLE = ("units", "quantity", "flag_values", "flag_meanings", "decoding")
 _JSON = "json:"  # marks an attribute that holds a list or a dictionary
+
+
+#: A unit's code, or the enumeration that numbers are codes of.
+Units = str | type[IntEnum]
+
+
+class Mask(IntEnum):
+    """What a mask holds; its quantity says what is asked."""
+
+    NO = 0
+    YES = 1
 
 
 @dataclass(frozen=True)
@@ -79,8 +107,11 @@ class Writer:
 
     def __init__(self, file: h5py.File) -> None:
         self._file = file
+        self._lengths: dict[str, int] = {}
+        self._coordinates: set[str] = set()
+        self._reserved: list[tuple[h5py.Dataset, list[str]]] = []
 
-    def write(self, name: str, values, *, units: str, dims: str, quantity: str, compression: str = "small") -> None:
+    def write(self, name: str, values, *, units: Units, dims: str, quantity: str, compression: str = "small") -> None:
         """Write a whole dataset.
 
         Parameters
@@ -88,19 +119,20 @@ class Writer:
         name : str
             Path inside the file, snake_case.
         values : array_like
-        units : str
-            Unit symbol, ``1`` for a pure number.
+        units : str or IntEnum
+            Code of UCUM, ``1`` for a pure number; of numbers that are codes the enumeration that they are of.
         dims : str
             Names of the axes, separated by commas; empty for a scalar.
         quantity : str
             What the numbers are.
         compression : str
-            ``small`` (gzip), ``fast`` (Blosc with LZ4), ``planes`` (Blosc2 with LZ4 over bit planes) or ``none``.
+            ``small`` (gzip), ``fast`` (LZF) or ``none``.
 
         Raises
         ------
         ValueError
-            For an unknown compression, or names of axes that do not fit the values.
+            For an unknown compression or unit; for axes that do not fit the values, have another length elsewhere in
+            the file, or occur twice.
         """
         values = np.asarray(values)
         dataset = self.reserve(
@@ -109,16 +141,76 @@ class Writer:
         dataset[()] = values
 
     def reserve(
-        self, name: str, shape: tuple, dtype, *, units: str, dims: str, quantity: str, compression: str = "small"
+        self,
+        name: str,
+        shape: tuple,
+        dtype,
+        *,
+        units: Units,
+        dims: str,
+        quantity: str,
+        compression: str = "small",
     ) -> h5py.Dataset:
         """Return a new dataset, to be written in pieces of its first axis; as `write` otherwise."""
         if compression not in _COMPRESSIONS:
             raise ValueError(f"unknown compression {compression!r}; accepted: {', '.join(_COMPRESSIONS)}")
-        if len([d for d in dims.split(",") if d]) != len(shape):
-            raise ValueError(f"{name}: {len(shape)} axes but dims {dims!r}")
-        dataset = self._file.create_dataset(name, shape, dtype, **_layout(shape, np.dtype(dtype), compression))
+        self._note_axes(name, axes := [axis for axis in dims.split(",") if axis], shape)
+        dtype, codes = np.dtype(dtype), {}
+        if isinstance(units, str):
+            require_unit(units)
+        else:
+            dtype = h5py.enum_dtype({code.name: code.value for code in units}, basetype=dtype)
+            meanings = " ".join(code.name.lower() for code in units)
+            codes = {"flag_values": np.array([*units], dtype.str), "flag_meanings": meanings}
+            units = "1"
+        dataset = self._file.create_dataset(name, shape, dtype, **_layout(shape, dtype, compression))
         dataset.attrs.update({"units": units, "dims": dims, "quantity": quantity})
+        dataset.attrs.update(codes)
+        if compression == "fast":
+            self.attribute("packing", _LZF_NOTE)
+        self._reserved.append((dataset, axes))
         return dataset
+
+    def coordinate(self, axis: str, values, *, units: str, quantity: str) -> None:
+        """Write what stands along an axis, numbers or ASCII text; once where several writers of a file do."""
+        if axis in self._coordinates:
+            return
+        values = np.asarray(values)
+        values = values.astype("S") if values.dtype.kind == "U" else values
+        self._coordinates.add(axis)
+        self.write(axis, values, units=units, dims=axis, quantity=quantity)
+
+    def _note_axes(self, name: str, axes: list[str], shape: tuple) -> None:
+        """Refuse axes without a name, twice in a dataset, or with two lengths in the file."""
+        if len(axes) != len(shape) or len(set(axes)) != len(axes):
+            raise ValueError(f"{name}: {len(shape)} axes but dims {','.join(axes)!r}; accepted: one name for each")
+        for axis, length in zip(axes, shape, strict=True):
+            if self._lengths.setdefault(axis, int(length)) != length:
+                raise ValueError(f"{name}: {length} along {axis}; accepted: {self._lengths[axis]}, as elsewhere")
+
+    def attach_scales(self) -> None:
+        """Give every axis its dimension scale; called once, when all is written.
+
+        Raises
+        ------
+        ValueError
+            If an axis is named as a dataset is that does not stand along it, or a spectral one has no wavelengths.
+        """
+        if _SPECTRAL in self._lengths and _SPECTRAL not in self._coordinates:
+            raise ValueError(f"an axis {_SPECTRAL} without its values; accepted: one with a coordinate")
+        for axis, length in self._lengths.items():
+            if axis in self._coordinates:
+                self._file[axis].make_scale(axis)
+                continue
+            if axis in self._file:
+                raise ValueError(f"the axis {axis} has the name of a dataset; accepted: another name, or a coordinate")
+            scale = self._file.create_dataset(axis, (length,), ">f4")
+            scale.attrs.update({"units": "1", "dims": axis, "quantity": f"length of the axis {axis}, without values"})
+            scale.make_scale(f"{_NO_VARIABLE}{length:10d}")
+        for dataset, axes in self._reserved:
+            for number, axis in enumerate(axes):
+                if dataset.name != f"/{axis}":
+                    dataset.dims[number].attach_scale(self._file[axis])
 
     def attribute(self, name: str, value) -> None:
         """Write a root attribute; dictionaries and lists are stored as JSON."""
@@ -178,7 +270,9 @@ def create(path, provenance: Provenance) -> Iterator[Writer]:
                 writer.attribute(key, getattr(provenance, key))
             libraries = {name: version(name) for name in ("numpy", "h5py")}
             writer.attribute("created_by", {"irodori": __version__, **libraries})
+            writer.attribute("units_vocabulary", VOCABULARY)
             yield writer
+            writer.attach_scales()
         custody.write_head(temporary, str(path), inputs)
 
 
@@ -194,11 +288,20 @@ def _whole(path, name: str = "") -> Iterator[None]:
         raise InputError(path, name, f"unreadable data ({reason})", "a complete file") from None
 
 
-class Reader:
-    """An HDF5 file being read; get one from `open_file`."""
+class Layout(NamedTuple):
+    """What a file says of a dataset, without its numbers: shape, type and attributes for people."""
 
-    def __init__(self, path: Path, file: h5py.File) -> None:
+    shape: tuple[int, ...]
+    dtype: np.dtype
+    attributes: dict[str, Any]
+
+
+class Reader:
+    """An HDF5 file being read; get one from `open_file`, or from `open_unread`."""
+
+    def __init__(self, path: Path, file: h5py.File, *, is_verified: bool = True) -> None:
         self.path, self._file = path, file
+        self._is_verified = is_verified
         self._checked: set[str] = set()
 
     def __contains__(self, name: str) -> bool:
@@ -211,8 +314,15 @@ class Reader:
         Raises
         ------
         InputError
-            If the file has no such dataset, or its description is damaged.
+            If the file has no such dataset, its description is damaged, or it is the first of a file that was opened
+            unread and has another content than its hash stands for.
         """
+        if not self._is_verified:
+            custody.verified(self.path)
+            self._is_verified = True
+        return self._described(name)
+
+    def _described(self, name: str) -> h5py.Dataset:
         with _whole(self.path, name):
             # Not get(), which takes a damaged description for an absence.
             found = None
@@ -225,10 +335,43 @@ class Reader:
                 self._checked.add(name)
             return found
 
+    def layout(self, name: str) -> Layout:
+        """Return what the file says of a dataset.
+
+        Raises
+        ------
+        InputError
+            If the file has no such dataset, or its description is damaged.
+        """
+        found = self._described(name)
+        with _whole(self.path, name):
+            kept = (
+                key for key in ("units", "quantity", "flag_values", "flag_meanings", "decoding") if key in found.attrs
+            )
+            return Layout(found.shape, np.dtype(found.dtype.str), {key: found.attrs[key] for key in kept})
+
+    def maps(self) -> list[str]:
+        """Return the names of the datasets in the file's root that hold numbers, in order."""
+        with _whole(self.path):
+            found = [name for name in self._file if _is_variable(self._file[name])]
+            return [name for name in found if self._file[name].dtype.kind in "fiub"]
+
+    def attributes(self) -> list[str]:
+        """Return the names of the root attributes, in order."""
+        with _whole(self.path):
+            return sorted(self._file.attrs)
+
     def _check_held(self, name: str, dataset: h5py.Dataset) -> None:
         """Refuse a dataset that stands in another file, or declares more than its part of this one can unfold to."""
         if dataset.file.filename != self._file.filename or dataset.external or dataset.is_virtual:
             raise InputError(self.path, name, "a dataset that stands in another file", "one that this file holds")
+        filters = dataset.id.get_create_plist()
+        for number in range(filters.get_nfilters()):
+            code = filters.get_filter(number)[0]
+            if not h5py.h5z.filter_avail(code):
+                packed = f"data packed by {_PLUGINS.get(code, f'the filter {code} of HDF5')}"
+                accepted = "a file of this version: run snakemake again, or import the package hdf5plugin beforehand"
+                raise InputError(self.path, name, packed, accepted)
         stored, unfolded = dataset.id.get_storage_size(), _MOST_UNFOLDED if dataset.chunks else 1
         if dataset.nbytes > stored * unfolded:
             found = f"a dataset of {dataset.shape} that declares {dataset.nbytes} bytes and holds {stored}"
@@ -286,7 +429,9 @@ class Reader:
         """
         dataset = self.dataset(name)
         with _whole(self.path, name):
-            return dataset[part]
+            values = dataset[part]
+        # Numbers, whether or not the file has words for them.
+        return values.view(values.dtype.str) if values.dtype.metadata else values
 
     def has_attribute(self, name: str) -> bool:
         """Whether the file has a root attribute."""
@@ -319,8 +464,29 @@ class Reader:
 
     def _names(self) -> list[str]:
         names = []
-        self._file.visititems(lambda name, item: names.append(name) if isinstance(item, h5py.Dataset) else None)
+        self._file.visititems(lambda name, item: names.append(name) if _is_variable(item) else None)
         return names
+
+
+def _is_variable(item) -> bool:
+    """Whether something in a file is a dataset that holds values."""
+    if not isinstance(item, h5py.Dataset):
+        return False
+    named = item.attrs.get("NAME", b"")
+    return not (isinstance(named, bytes) and named.startswith(_NO_VARIABLE.encode()))
+
+
+@contextmanager
+def open_unread(path) -> Iterator[Reader]:
+    """Open a file of this project, whose content is compared with its hash when the first of its numbers is read.
+
+    Raises
+    ------
+    InputError
+        As `open_file`, but for another content than its hash stands for.
+    """
+    with _opened(path) as file:
+        yield Reader(Path(path), file, is_verified=False)
 
 
 @contextmanager
@@ -333,6 +499,14 @@ def open_file(path) -> Iterator[Reader]:
         If the file is missing, truncated, not HDF5, not ours, of a newer schema version, or has no hash of its content
         or another content than its hash stands for.
     """
+    with _opened(path) as file:
+        custody.verified(path)
+        yield Reader(Path(path), file)
+
+
+@contextmanager
+def _opened(path) -> Iterator[h5py.File]:
+    """Open an HDF5 file that says that it is of this project, of this version or an older one."""
     path = Path(path)
     if not path.is_file():
         raise InputError(path, "", "no such file", "an HDF5 file written by an earlier stage")
@@ -349,8 +523,7 @@ def open_file(path) -> Iterator[Reader]:
             raise InputError(path, "schema_version", repr(found), f"a number up to {SCHEMA_VERSION}")
         if found > SCHEMA_VERSION:
             raise InputError(path, "schema_version", str(found), f"version {SCHEMA_VERSION} or older")
-        custody.verified(path)
-        yield Reader(path, file)
+        yield file
 
 
 def write_maps(writer: Writer, maps: dict, dims: str) -> None:

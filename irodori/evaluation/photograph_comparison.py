@@ -27,6 +27,7 @@ from irodori.geometry.pinhole import Pinhole
 from irodori.geometry.rig_frame import look_at
 from irodori.geometry.shapes.shape import Shape
 from irodori.light.environment_file import Environment
+from irodori.material.coefficients import read_coefficients
 from irodori.material.material_file import Material
 from irodori.rendering.photographed_view import HALVES, render_halves
 from irodori.rendering.scene_arrays import make_placements
@@ -187,7 +188,7 @@ def compare_photograph(
     before = None
     if inputs["radiance"]:
         with store.open_file(inputs["radiance"][0]) as file:
-            before = np.stack([ideal.gathered(half) for half in file.read("radiance")])
+            before = np.stack([ideal.gathered(half) for half in read_coefficients(file, "radiance")])
     environment = Environment.load(inputs["environment"])
     materials = [Material.load(path) for path in inputs["materials"]]
     solids = [Shape.from_definition(shape) for shape in shapes]
@@ -238,7 +239,9 @@ def _write(found: Comparison, objects: np.ndarray, outputs: dict, figures: dict,
         pixels = "row,column"
         out.write("delta_e", found.delta_e, units="1", dims=pixels, quantity="CIEDE2000, rendering to photograph")
         out.write("noise", found.noise, units="1", dims=pixels, quantity="CIEDE2000 of noise alone, one draw")
-        out.write("objects", objects.astype(np.uint8), units="1", dims=pixels, quantity="1 where an object is seen")
+        seen = "whether an object is seen"
+        out.write("objects", objects.astype(np.uint8), units=store.Mask, dims=pixels, quantity=seen)
+        out.coordinate("value", ["X", "Y", "Z"], units="1", quantity="tristimulus value")
         for name in ("photograph", "rendering"):
             quantity = "XYZ, Y = 100 for the scene's white"
             out.write(name, getattr(found, name), units="1", dims=f"{pixels},value", quantity=quantity)

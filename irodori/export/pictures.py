@@ -11,6 +11,7 @@ import OpenImageIO as oiio
 
 from irodori.core.atomic_files import written_whole
 from irodori.core.errors import InputError
+from irodori.material.coefficients import require_storage, rounded_to_half
 from irodori.spectra.grid import WAVELENGTH_NM
 
 
@@ -57,8 +58,15 @@ def write_picture_file(path, spec: oiio.ImageSpec, bands: Iterable[np.ndarray]) 
             raise OSError(f"{path}: {output.geterror()}")
 
 
-def write_spectral_exr(path, radiance: np.ndarray, rgb: np.ndarray, attributes: dict[str, str]) -> None:
+def write_spectral_exr(
+    path, radiance: np.ndarray, rgb: np.ndarray, attributes: dict[str, str], *, storage: str = "half"
+) -> None:
     """Write a spectral radiance image (Fichet et al. 2021, *An OpenEXR Layout for Spectral Images*).
+
+    Half precision rounds to one part in 2048 between 6e-5 and 65504. A picture whose largest number is above 65504 or
+    below 1 is multiplied by a power of two, the attribute ``irodori:scale``, which brings it to between 16384 and
+    32768; `picture_bands` divides by it again. One that spans so much that most of it would still be rounded more
+    coarsely is written in single precision.
 
     Parameters
     ----------
@@ -67,11 +75,44 @@ def write_spectral_exr(path, radiance: np.ndarray, rgb: np.ndarray, attributes: 
         Linear sRGB for viewers that know no spectra.
     attributes : dict of str
         Further text attributes.
+    storage : str
+        ``half`` or ``single``.
+
+    Raises
+    ------
+    ValueError
+        For an unknown storage.
     """
+    require_storage(storage)
     names = ["R", "G", "B", *layer_names("S0")]
     own = {"compression": "zip", "spectralLayoutVersion": "1.0", "emissiveUnits": "relative spectral radiance"}
     pixels = np.concatenate([rgb, radiance], axis=-1).astype(np.float32, copy=False)
-    write_picture_file(path, specification(radiance.shape[:2], names, own | attributes), [pixels])
+    scale = _half_scale(pixels) if storage == "half" else None
+    if scale is not None:
+        if scale != 1.0:
+            own[_SCALE] = f"{scale:.17g}"
+            pixels *= np.float32(scale)
+        pixels = rounded_to_half(pixels)
+    kind = "float" if scale is None else "half"
+    write_picture_file(path, specification(radiance.shape[:2], names, own | attributes, kind), [pixels])
+
+
+#: Text attribute of a picture: the power of two by which its numbers were multiplied.
+_SCALE = "irodori:scale"
+_HALF_LARGEST, _HALF_SMALLEST_NORMAL = 65504.0, 2.0**-14
+_HALF_TOP = 15  # the largest number of a picture that is scaled lies under 2 to this power
+_MOST_DOUBLINGS = 126  # single precision holds the scale
+
+
+def _half_scale(pixels: np.ndarray) -> float | None:
+    """Return the power of two that brings a picture into the range of half precision, None where none does."""
+    size = np.abs(pixels)
+    largest = float(size.max(initial=0.0, where=np.isfinite(size)))
+    if largest == 0.0 or 1.0 <= largest <= _HALF_LARGEST:
+        return 1.0
+    scale = math.ldexp(1.0, min(_HALF_TOP - math.frexp(largest)[1], _MOST_DOUBLINGS))
+    typical = float(np.median(size[(size > 0.0) & np.isfinite(size)]))
+    return scale if typical * scale >= _HALF_SMALLEST_NORMAL else None
 
 
 _LAYER = re.compile(r"(S0|T)\.(\d*,?\d+(?:[eE][+-]?\d+)?)(Y|Z|E|P|T|G|M|k|h|da|d|c|m|u|n|p)?(m|Hz)")
@@ -168,12 +209,13 @@ def picture_bands(path, rows: int) -> Iterator[tuple[int, np.ndarray]]:
     Raises
     ------
     InputError
-        If the file cannot be opened or ends early.
+        If the file cannot be opened, ends early, or states a scale that is none.
     """
     source = _open(path, "an HDR or EXR picture")
     try:
         spec = source.spec()
         together = spec.tile_height or rows
+        scale = _stored_scale(spec, path)
         for first in range(0, spec.height, together):
             top, bottom = spec.y + first, spec.y + min(first + together, spec.height)
             if spec.tile_height:
@@ -185,10 +227,26 @@ def picture_bands(path, rows: int) -> Iterator[tuple[int, np.ndarray]]:
                 found = f"a picture that ends within rows {first} to {bottom - spec.y - 1}"
                 raise InputError(path, "", found, f"a whole picture of {spec.height} rows")
             band = band.reshape(bottom - top, spec.width, spec.nchannels)
+            if scale != 1.0:
+                band = band / np.float32(scale)
             for start in range(0, len(band), rows):
                 yield first + start, band[start : start + rows]
     finally:
         source.close()
+
+
+def _stored_scale(spec: oiio.ImageSpec, path) -> float:
+    """Return the power of two by which a picture's numbers were multiplied, 1 where the file states none."""
+    stated = spec.getattribute(_SCALE)
+    if stated is None:
+        return 1.0
+    try:
+        scale = float(stated)
+    except (TypeError, ValueError):
+        scale = math.nan
+    if not (0.0 < scale < math.inf and math.frexp(scale)[0] == 0.5):
+        raise InputError(path, _SCALE, repr(stated), "a power of two")
+    return scale
 
 
 def layers_of(names: list[str], kind: str, path) -> tuple[np.ndarray, list[int]]:

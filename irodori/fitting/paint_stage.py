@@ -15,6 +15,8 @@ from irodori.fitting.paints import BELIEVED, GlossModel, Paints, Tile, find_pain
 from irodori.fitting.solvers import FitOptions
 from irodori.fitting.stage import (
     CARRIED,
+    FITTED_AXES,
+    Model,
     fitted_maps,
     fresnel_of,
     read_observations,
@@ -22,10 +24,10 @@ from irodori.fitting.stage import (
 )
 from irodori.material.fitted_tiles import SPEED
 from irodori.material.material_file import Status
+from irodori.spectra.coordinates import write_bands
 
 _RESPONSE = "diffuse_response", "diffuse_variance"
 _OWN = 0.5  # share of its own in a texel's gloss from which it is called the texel's
-_BOTH = 3  # the model of diffuse light and gloss
 
 
 def _colours(tiles: list) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
@@ -113,6 +115,7 @@ def share_gloss(
     paints = find_paints(samples, colours, optics)
     width, shared = carried["width"], 0
     with store.create(output, provenance) as out:
+        write_bands(out, carried["filters"])
         datasets: dict = {}
         for seen, own, (first, last) in zip(observations, tiles, parts, strict=True):
             tile, maps, _ = _read_tile(seen, own)
@@ -133,7 +136,7 @@ def _reserve(out: store.Writer, maps: dict[str, np.ndarray], texels: int, lobes:
     """Return a dataset for every map of a fit, for all texels of an object."""
     found = {}
     for name, (units, quantity) in fitted_maps(lobes).items():
-        values, dims = maps[name], ",".join(("texel", "band")[: maps[name].ndim])
+        values, dims = maps[name], ",".join(FITTED_AXES[: maps[name].ndim])
         size = (texels, *values.shape[1:])
         found[name] = out.reserve(name, size, values.dtype, units=units, quantity=quantity, dims=dims)
     return found
@@ -147,7 +150,7 @@ def _share_tile(tile: Tile, maps: dict[str, np.ndarray], paints: Paints, width: 
         maps[name][here] = getattr(shared, name)
     own = (maps["status"][here] == Status.OK) & (shared.own >= _OWN)
     maps["status"][here] = np.where(own, Status.OK, Status.PAINT)
-    maps["model"][here] = _BOTH
+    maps["model"][here] = Model.BOTH
     maps["paint"] = found.paint.astype(np.int16)
     some, gloss = tile[here], np.column_stack([shared.beta, shared.mu])
     maps["diffuse_response"][here], maps["diffuse_variance"][here] = without_gloss(
@@ -159,13 +162,18 @@ def _share_tile(tile: Tile, maps: dict[str, np.ndarray], paints: Paints, width: 
 def _write_paints(out: store.Writer, paints: Paints) -> None:
     unknown = np.full((2, 2), np.nan)
     nothing = PaintGloss(unknown[0], unknown, unknown, math.nan, 0)
-    gloss, pairs = [one or nothing for one in paints.gloss], "paint,parameter,other_parameter"
+    gloss, pairs = [one or nothing for one in paints.gloss], "paint_number,parameter,other_parameter"
+    out.coordinate(
+        "paint_number", np.arange(len(gloss)), units="1", quantity="number of the paint, as in the map paint"
+    )
+    for axis in ("parameter", "other_parameter"):
+        out.coordinate(axis, ["log_beta", "log_mu"], units="1", quantity="parameter of the gloss")
     for name, shape, dims, quantity in (
-        ("log_gloss", (2,), "paint,parameter", "logarithms of beta and mu"),
+        ("log_gloss", (2,), "paint_number,parameter", "logarithms of beta and mu"),
         ("error", (2, 2), pairs, "their covariance"),
         ("varying", (2, 2), pairs, "covariance of the texels' about them"),
-        ("excess", (), "paint", "factor of the variance of observations"),
-        ("texels", (), "paint", "texels that the gloss comes from"),
+        ("excess", (), "paint_number", "factor of the variance of observations"),
+        ("texels", (), "paint_number", "texels that the gloss comes from"),
     ):
         values = np.array([getattr(one, name) for one in gloss], dtype=float).reshape(-1, *shape)
         out.write(f"paints/{name}", values, units="1", dims=dims, quantity=quantity)

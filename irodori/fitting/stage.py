@@ -3,6 +3,7 @@
 import math
 import time
 from dataclasses import dataclass
+from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
@@ -10,13 +11,16 @@ import numpy as np
 from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER
+from irodori.core.store import Units
+from irodori.fitting import judge
 from irodori.fitting.band_fresnel import BandGloss, band_gloss, uniform, varies
 from irodori.fitting.solvers import FitOptions, FitResult, fit
 from irodori.fitting.texel_rows import COSINE, LOBE, SPOILED, WEIGHT, fill_lobe, new_rows, pack_geometry
 from irodori.jit.chunks import run_chunks
 from irodori.jit.compilation import njit
-from irodori.material.material_file import Status, gloss_maps
+from irodori.material.material_file import NloptResult, Status, gloss_maps
 from irodori.reflection.lobes import Lobes
+from irodori.spectra.coordinates import write_bands
 
 GREEN = 1  # green without the filter, the band of equation (7)
 _RESPONSE_NOISE = 0.01  # where the camera's is not known
@@ -35,8 +39,19 @@ _AXES = {
     "noise_model": "capture,band,coefficient",
     "texel": "texel",
 }
+#: Axes of the datasets of a fit.
+FITTED_AXES = ("texel_number", "band")
 #: Attributes of a tile that its fit passes on.
 CARRIED = {"rows": list, "width": int, "filters": list}
+
+
+class Model(IntEnum):
+    """Terms of the model that a texel's observations tell."""
+
+    NOTHING = judge.NOTHING
+    DIFFUSE_ALONE = judge.DIFFUSE_ALONE
+    GLOSS_ALONE = judge.GLOSS_ALONE
+    BOTH = judge.BOTH
 
 
 @dataclass(frozen=True)
@@ -283,9 +298,9 @@ def fresnel_of(n, k, calibration, bands: int) -> BandGloss:
     return found
 
 
-def fitted_maps(lobes: tuple[str, ...]) -> dict[str, tuple[str, str]]:
+def fitted_maps(lobes: tuple[str, ...]) -> dict[str, tuple[Units, str]]:
     """Return what a file keeps of a fit with these lobes, one entry a texel: name -> (units, quantity)."""
-    gloss: dict[str, tuple[str, str]] = {}
+    gloss: dict[str, tuple[Units, str]] = {}
     for name, (unit, quantity) in gloss_maps(lobes).items():
         gloss |= {name: (unit, quantity), f"{name}_error": (unit, f"standard error of {name}")}
     return gloss | {
@@ -293,14 +308,14 @@ def fitted_maps(lobes: tuple[str, ...]) -> dict[str, tuple[str, str]]:
         "alpha_error": ("1", "standard error of alpha"),
         "residual_rms": ("1", "root mean square residual in response"),
         "relative_residual": ("1", "residual over root mean square response"),
-        "status": ("1", ", ".join(f"{s.value} {s.name.lower()}" for s in Status)),
-        "model": ("1", "0 nothing, 1 diffuse, 2 gloss, 3 both"),
+        "status": (Status, "outcome of the fit"),
+        "model": (Model, "terms of the model that the observations tell"),
         "refractive_index": ("1", "real refractive index; NaN where fitted and not determined"),
         "refractive_index_error": ("1", "its standard error where it was fitted"),
         "evaluations": ("1", "evaluations of the objective"),
         "paint": ("1", "number of the texel's paint, -1 where not known"),
-        "nlopt_result": ("1", "return code of NLopt, 0 where not called"),
-        "texel": ("1", "1 where a surface lies under the texel's centre"),
+        "nlopt_result": (NloptResult, "return code of NLopt"),
+        "texel": (store.Mask, "whether a surface lies under the texel's centre"),
         "diffuse_response": ("1", "response to the diffuse reflectance alone"),
         "diffuse_variance": ("1", "variance of diffuse_response from the camera's noise"),
     }
@@ -310,7 +325,8 @@ def write_fitted(output, maps: dict, attributes: dict, lobes: tuple[str, ...], p
     """Write a fitted tile: maps by the names of `fitted_maps`, and attributes of the file."""
     described = fitted_maps(lobes)
     with store.create(output, provenance) as out:
-        store.write_maps(out, {name: (maps[name], *described[name]) for name in described}, "texel,band")
+        write_bands(out, attributes["filters"])
+        store.write_maps(out, {name: (maps[name], *described[name]) for name in described}, ",".join(FITTED_AXES))
         for name, value in {**attributes, "lobes": list(lobes)}.items():
             out.attribute(name, value)
 

@@ -111,7 +111,7 @@ def ingest_reference(
     of hot mosaic pixels; ``/white`` (filters, 3, 15) coefficients of x^i y^j over the picture
     [`irodori.ingest.flat_field`],
     full scales per second of relative exposure; ``/gain`` (3, 2) electrons per DN of red, green and blue and their
-    standard errors; ``/linearity`` (n, 2) relative exposure and deviation; ``/registration`` (4). Attributes of the
+    standard errors; ``/linearity`` (n) deviation over relative exposures; ``/registration`` (4). Attributes of the
     noise are NaN where it is not measurable.
     """
     shots, size = _settled_shots(table, folder)
@@ -132,11 +132,12 @@ def ingest_reference(
         if white:
             coefficients = np.stack(list(white.values()))
             quantity = "coefficients of the response rate of a perfect diffuser at normal incidence"
-            out.write("white", coefficients, units="1/s", dims="filter,band,term", quantity=quantity)
+            out.coordinate("filter", list(white), units="1", quantity="state of the filter")
+            out.write("white", coefficients, units="1/s", dims="filter,colour,term", quantity=quantity)
         _write_noise(out, noise)
         if linearity is not None:
-            series = np.stack([linearity.exposure_s, linearity.deviation], axis=1)
-            out.write("linearity", series, units="s,1", dims="exposure,value", quantity="exposure, deviation")
+            out.coordinate("exposure", linearity.exposure_s, units="s", quantity="relative exposure")
+            out.write("linearity", linearity.deviation, units="1", dims="exposure", quantity="deviation")
             out.attribute("max_nonlinearity", linearity.largest)
             out.attribute("linearity_repeatability", linearity.repeatability)
         if alignment is not None:
@@ -165,11 +166,11 @@ def _write_dark(out: store.Writer, dark: Dark | None) -> None:
     if dark is None:
         return
     if dark.offset is not None:
-        out.write("dark_offset", dark.offset, units="step", dims="row,column", quantity="dark signal at no exposure",
+        out.write("dark_offset", dark.offset, units="{step}", dims="row,column", quantity="dark signal at no exposure",
                   compression="fast")  # fmt: skip
-    out.write("dark_rate", dark.rate, units="step", dims="row,column", quantity="dark signal a second",
+    out.write("dark_rate", dark.rate, units="{step}", dims="row,column", quantity="dark signal a second",
               compression="fast")  # fmt: skip
-    out.write("hot_px", dark.hot_px, units="px", dims="pixel,axis", quantity="row and column of hot mosaic pixels")
+    out.write("hot_px", dark.hot_px, units="{px}", dims="pixel,axis", quantity="row and column of hot mosaic pixels")
     out.attribute("dark_offset_step_dn", dark.offset_step_dn)
     out.attribute("dark_rate_step_dn_per_s", dark.rate_step_dn_per_s)
     out.attribute("dark_iso", dark.iso)
@@ -179,7 +180,9 @@ def _write_dark(out: store.Writer, dark: Dark | None) -> None:
 
 def _write_noise(out: store.Writer, noise: PhotonTransfer) -> None:
     gains = np.stack([noise.gain_by_colour, noise.gain_error_by_colour], axis=1)
-    out.write("gain", gains, units="1/DN", dims="band,value", quantity="electrons per DN, standard error")
+    out.coordinate("colour", ["red", "green", "blue"], units="1", quantity="colour of the sensor")
+    out.coordinate("value", ["gain", "standard error"], units="1", quantity="what is stated")
+    out.write("gain", gains, units="{electron}/{DN}", dims="colour,value", quantity="electrons per DN, standard error")
     for name in ("gain_e_per_dn", "gain_error", "read_noise_dn", "read_noise_error", "read_noise_e"):
         out.attribute(name, getattr(noise, name))
     out.attribute("gain_iso", noise.iso)

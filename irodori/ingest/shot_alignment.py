@@ -40,7 +40,10 @@ class Alignment:
 
     def write(self, out: store.Writer) -> None:
         """Write ``/registration`` (4) and its attributes."""
-        out.write("registration", np.array(self.transform), units="superpixel,superpixel,rad,1", dims="parameter",
+        units = ["{superpixel}", "{superpixel}", "rad", "1"]
+        out.coordinate("parameter", ["dx", "dy", "rotation", "scale"], units="1", quantity="what is aligned")
+        out.write("parameter_unit", np.array(units, "S"), units="1", dims="parameter", quantity="its unit")
+        out.write("registration", np.array(self.transform), units="{parameter_unit}", dims="parameter",
                   quantity="dx, dy, rotation, scale from the unfiltered to the filtered picture")  # fmt: skip
         out.attribute("registration_residual_px", self.residual_px)
         out.attribute("registration_sigma_px", self.sigma_px)

@@ -13,6 +13,7 @@ from irodori.ingest.develop import Developed, Frame, empty_response, load_frames
 from irodori.ingest.exposure_settings import filter_states, known_settings, settle_set
 from irodori.ingest.ingest_options import IngestOptions
 from irodori.ingest.shot_alignment import Alignment, align_states, move
+from irodori.spectra.coordinates import write_bands
 
 _BANDS = 3
 _ENVIRONMENT = "environment"
@@ -118,11 +119,13 @@ def _write(
         dims = "row,column"
         out.write("response", response, units=unit, dims=f"{dims},band", quantity="response", compression="fast")
         for name, mask, quantity in (
-            ("valid", valid, "1 where every band is measured"),
-            ("clipped", clipped, "1 where a band clips in every exposure"),
+            ("valid", valid, "whether every band is measured"),
+            ("clipped", clipped, "whether a band clips in every exposure"),
         ):
-            out.write(name, mask.view(np.uint8), units="1", dims=dims, quantity=quantity, compression="fast")
+            out.write(name, mask.view(np.uint8), units=store.Mask, dims=dims, quantity=quantity)
+        write_bands(out, filter_states(shots))
         noise = np.concatenate([state.noise for state in developed])
+        out.coordinate("term", ["c0", "c1"], units="1", quantity="coefficient of the variance")
         out.write("noise_model", noise, units="1", dims="band,term", quantity="variance c0 + c1 rho")
         if alignment is not None:
             alignment.write(out)

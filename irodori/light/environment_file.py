@@ -12,6 +12,7 @@ import numpy as np
 from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.material.coefficients import read_coefficients, write_coefficients
+from irodori.spectra.coordinates import write_wavelength
 from irodori.spectra.grid import SAMPLES
 
 #: What the coefficients of an environment are.
@@ -69,18 +70,27 @@ class Environment:
         """
         with store.create(path, provenance) as out:
             write_coefficients(out, "coefficients", self.coefficients, quantity=QUANTITY, storage=storage, codec=codec)
-            self.write_rest(out, errors, gloss, origin)
+            self.write_rest(out, errors, gloss, origin, storage=storage)
 
-    def write_rest(self, out: store.Writer, errors: dict | None = None, gloss=None, origin: dict | None = None) -> None:
+    def write_rest(
+        self,
+        out: store.Writer,
+        errors: dict | None = None,
+        gloss=None,
+        origin: dict | None = None,
+        *,
+        storage: str = "single",
+    ) -> None:
         """Write all but the coefficients into an open file; see `save`."""
-        out.write("basis", self.basis, units="1", dims="wavelength,basis", quantity="spectral basis of the light")
-        names = {"units": "sr", "dims": "row,column,basis", "quantity": "coefficients of the irradiance map"}
+        write_wavelength(out)
+        out.write("basis", self.basis, units="1", dims="wavelength,component", quantity="spectral basis of the light")
+        names = {"units": "sr", "dims": "theta,azimuth,component", "quantity": "coefficients of the irradiance map"}
         out.write("irradiance", self.irradiance, **names)
         if self.basis_errors is not None:
-            dims, quantity = "error,wavelength,basis", "independent errors of the basis of the light"
+            dims, quantity = "error,wavelength,component", "independent errors of the basis of the light"
             out.write("basis_errors", self.basis_errors, units="1", dims=dims, quantity=quantity)
         if gloss is not None:
-            gloss.write(out)
+            gloss.write(out, storage)
         out.attribute("errors", errors or {})
         out.attribute("origin", origin or {})
 
@@ -93,10 +103,14 @@ class Environment:
         InputError
             If it is none, damaged, its datasets do not fit together, or a number is not finite.
         """
-        axes = {"coefficients": "row,column,basis", "basis": "wavelength,basis", "irradiance": "theta,azimuth,basis"}
+        axes = {
+            "coefficients": "row,column,component",
+            "basis": "wavelength,component",
+            "irradiance": "theta,azimuth,component",
+        }
         with store.open_file(path) as file:
             if "basis_errors" in file:
-                axes["basis_errors"] = "error,wavelength,basis"
+                axes["basis_errors"] = "error,wavelength,component"
             file.require_axes(axes, wavelength=SAMPLES)
             coefficients = read_coefficients(file, "coefficients")
             if not np.isfinite(coefficients).all():

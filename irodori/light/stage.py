@@ -292,6 +292,8 @@ def write_environment(
             coefficients, **vars(irradiance_options), integrate=integrator
         )
         gloss = GlossMaps.of(coefficients) if gloss_lobes else None
+        if gloss is not None and options.storage == "half":
+            gloss = gloss.rounded()
         errors = {
             "delta_e": compression.errors,
             "negative_fraction": compression.negative.fraction,
@@ -303,7 +305,7 @@ def write_environment(
         light = Environment(
             coefficients, compression.basis, irradiance, basis_errors=picture.errors_on(compression.basis)
         )
-        light.write_rest(out, errors, gloss, picture.origin)
+        light.write_rest(out, errors, gloss, picture.origin, storage=options.storage)
     _log(compression, errors)
 
 

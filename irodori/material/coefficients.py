@@ -17,14 +17,16 @@ from irodori.core.errors import InputError
 
 STORAGES = ("half", "single")
 #: The codecs of the configuration and how `irodori.core.store` calls them.
-CODECS = {"blosc2": "planes", "gzip": "small"}
+CODECS = {"gzip": "small", "lzf": "fast"}
+_COMPONENT = "component"
+AXES = f"row,column,{_COMPONENT}"
 _SUFFIX = "_scale"
 _HALF_TOP = 2.0**15
 _TILE_VALUES = 1 << 20
 _CACHED_VALUES = 1 << 16
 
 
-def require_storage(storage: str, codec: str = "blosc2") -> None:
+def require_storage(storage: str, codec: str = "gzip") -> None:
     """Refuse an unknown storage or codec.
 
     Raises
@@ -81,6 +83,13 @@ def rounded_to_half(values: np.ndarray) -> np.ndarray:
         return _converters()[0](np.ascontiguousarray(values, dtype=np.float32).reshape(-1)).reshape(values.shape)
 
 
+def scale_of(coefficients: np.ndarray) -> np.ndarray:
+    """Return `half_scale` of a whole picture, (..., k) float, whose NaN count for nothing."""
+    flat = coefficients.reshape(-1, coefficients.shape[-1])
+    low, high = np.fmin.reduce(flat, axis=0, initial=0.0), np.fmax.reduce(flat, axis=0, initial=0.0)
+    return half_scale(np.maximum(-low.astype(np.float64), high))
+
+
 def to_half(coefficients: np.ndarray, scale: np.ndarray) -> np.ndarray:
     """Return coefficients divided by their scale, rounded to half precision, (..., k) float16; NaN stays NaN."""
     with np.errstate(under="ignore"):
@@ -112,6 +121,8 @@ def write_coefficients(
     quantity: str,
     storage: str = "single",
     codec: str = "gzip",
+    dims: str = AXES,
+    basis: str = "basis",
 ) -> None:
     """Write coefficients of pixels, NaN where there are none.
 
@@ -125,15 +136,24 @@ def write_coefficients(
     storage : str
         ``half`` or ``single``.
     codec : str
-        ``blosc2`` (bit-shuffled LZ4) or ``gzip``.
+        ``gzip`` or ``lzf``.
+    dims : str
+        Names of the axes; the last is ``component`` where the numbers are coefficients on a basis.
+    basis : str
+        Dataset of that basis, (61, k), for who reads the file without this module.
     """
     coefficients = np.asarray(coefficients)
-    scale = None
-    if storage == "half":
-        magnitude = np.abs(coefficients, dtype=np.float64).reshape(-1, coefficients.shape[-1])
-        scale = half_scale(np.fmax.reduce(magnitude, axis=0, initial=0.0))
+    scale = scale_of(coefficients) if storage == "half" else None
     dataset = reserve_coefficients(
-        out, name, coefficients.shape, quantity=quantity, storage=storage, codec=codec, scale=scale
+        out,
+        name,
+        coefficients.shape,
+        quantity=quantity,
+        storage=storage,
+        codec=codec,
+        scale=scale,
+        dims=dims,
+        basis=basis,
     )
     rows = max(1, _TILE_VALUES // max(int(np.prod(coefficients.shape[1:])), 1))
     for first in range(0, len(coefficients), rows):
@@ -142,7 +162,16 @@ def write_coefficients(
 
 
 def reserve_coefficients(
-    out: store.Writer, name: str, shape: tuple, *, quantity: str, storage: str, codec: str, scale: np.ndarray | None
+    out: store.Writer,
+    name: str,
+    shape: tuple,
+    *,
+    quantity: str,
+    storage: str,
+    codec: str,
+    scale: np.ndarray | None,
+    dims: str = AXES,
+    basis: str = "basis",
 ) -> h5py.Dataset:
     """Return a dataset for coefficients to be written in pieces of rows; those of half precision already divided.
 
@@ -155,17 +184,28 @@ def reserve_coefficients(
     require_storage(storage, codec)
     half = storage == "half"
     if half:
-        what = "what the stored coefficients of each basis are multiplied with"
-        out.write(name + _SUFFIX, np.asarray(scale, dtype=np.float32), units="1", dims="basis", quantity=what)
-    return out.reserve(
+        what, last = "what the stored numbers are multiplied with", dims.rpartition(",")[2]
+        out.write(name + _SUFFIX, np.asarray(scale, dtype=np.float32), units="1", dims=last, quantity=what)
+    dataset = out.reserve(
         name,
         shape,
         np.float16 if half else np.float32,
         units="1",
-        dims="row,column,basis",
+        dims=dims,
         quantity=quantity,
         compression=CODECS[codec],
     )
+    dataset.attrs["decoding"] = _decoding(name, dims, basis, half)
+    return dataset
+
+
+def _decoding(name: str, dims: str, basis: str, half: bool) -> str:
+    """Return how stored numbers become spectra, for whoever reads a file without this module."""
+    picture, _, last = dims.rpartition(",")
+    stored = f"/{name}[{dims}]" + (f" * /{name}{_SUFFIX}[{last}]" if half else "")
+    if last != _COMPONENT:
+        return f"value[{dims}] = {stored}"
+    return f"spectrum[{picture},wavelength] = sum over {last} of {stored} * /{basis}[wavelength,{last}]"
 
 
 def read_coefficients(file: store.Reader, name: str, rows: slice = slice(None)) -> np.ndarray:
@@ -180,7 +220,7 @@ def read_coefficients(file: store.Reader, name: str, rows: slice = slice(None)) 
 
     Returns
     -------
-    (height, width, k) float32
+    (height, width, k) float32, or the axes of the dataset: rows are along the first
 
     Raises
     ------

@@ -7,25 +7,25 @@ import numpy as np
 from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER
-from irodori.material.material_file import gloss_maps, gloss_names, read_lobes
+from irodori.material.material_file import NloptResult, Status, gloss_maps, gloss_names, read_lobes
 
 #: What a material's file keeps of the fit beside α, β and μ, whatever the lobes: units and quantity.
-COLUMNS = {
-    "texel": ("1", "1 where a surface lies under the texel's centre"),
+COLUMNS: dict[str, tuple[store.Units, str]] = {
+    "texel": (store.Mask, "whether a surface lies under the texel's centre"),
     "alpha_error": ("1", "standard error of alpha"),
     "residual_rms": ("1", "root mean square residual in response"),
-    "status": ("1", "outcome of the fit"),
+    "status": (Status, "outcome of the fit"),
     "relative_residual": ("1", "root mean square residual over root mean square response"),
     "paint": ("1", "number of the texel's paint, -1 where not known"),
     "evaluations": ("1", "evaluations of the objective"),
-    "nlopt_result": ("1", "return code of NLopt, 0 where not called"),
+    "nlopt_result": (NloptResult, "return code of NLopt"),
 }
 
 #: Attributes of a tile that say how fast it was fitted.
 SPEED = ("fit_seconds", "texels_fitted")
 
 
-def columns(lobes: tuple[str, ...]) -> dict[str, tuple[str, str]]:
+def columns(lobes: tuple[str, ...]) -> dict[str, tuple[store.Units, str]]:
     """Return `COLUMNS` and the standard errors of β and μ of every gloss component: name -> (units, quantity)."""
     errors = {f"{name}_error": (units, f"standard error of {name}") for name, (units, _) in gloss_maps(lobes).items()}
     return COLUMNS | errors

@@ -9,6 +9,7 @@ from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.material.coefficients import read_coefficients, write_coefficients
 from irodori.reflection.registry import DEFAULT_LOBES, lobe, names
+from irodori.spectra.coordinates import write_wavelength
 from irodori.spectra.grid import SAMPLES
 from irodori.spectra.spectral_files import REFLECTANCE
 from irodori.spectra.tables import LEAST_N, MOST_K, MOST_N
@@ -21,7 +22,11 @@ MAPS = {
     "alpha": ("1", "diffuse weight"),
     "green_response": ("1", "green-band response of S"),
 }
-COEFFICIENTS, QUANTITY = "reflectance/coefficients", "coefficients of the reflectance factor"
+BASIS, COEFFICIENTS, QUANTITY = (
+    "reflectance/basis",
+    "reflectance/coefficients",
+    "coefficients of the reflectance factor",
+)
 _ERROR = "reflectance_error"
 #: The first version of the files that names the lobes; before it there was one, the Gaussian.
 _LOBES_SINCE = 2
@@ -40,6 +45,31 @@ class Status(IntEnum):
     DARK = 7  # no light beyond the noise
     PAINT = 8  # β and μ are mostly those of its paint, which its own observations allow
     CONTRADICTED = 9  # the observations deny the model that explains them best by more than their errors
+
+
+class NloptResult(IntEnum):
+    """Return code of NLopt, as its manual has them."""
+
+    FORCED_STOP = -5
+    ROUNDOFF_LIMITED = -4
+    OUT_OF_MEMORY = -3
+    INVALID_ARGS = -2
+    FAILURE = -1
+    NOT_CALLED = 0
+    SUCCESS = 1
+    STOPVAL_REACHED = 2
+    FTOL_REACHED = 3
+    XTOL_REACHED = 4
+    MAXEVAL_REACHED = 5
+    MAXTIME_REACHED = 6
+
+
+class ChartColour(IntEnum):
+    """Whether the chart has a colour like a texel's."""
+
+    LIKE_THE_CHART = 0
+    UNLIKE_THE_CHART = 1
+    NOT_KNOWN = 2
 
 
 def gloss_names(component: int) -> tuple[str, str]:
@@ -197,7 +227,7 @@ class Material:
                 described = [gloss_maps(self.lobes)[name] for name in gloss_names(component)]
                 pairs = zip(gloss_names(component), (beta, mu), described, strict=True)
                 maps |= {name: (values, *what) for name, values, what in pairs}
-            store.write_maps(out, maps | self.extra, "row,column,component")
+            store.write_maps(out, maps | self.extra, "row,column")
             write_coefficients(
                 out,
                 COEFFICIENTS,
@@ -205,6 +235,7 @@ class Material:
                 quantity=QUANTITY,
                 storage=storage,
                 codec=codec,
+                basis=BASIS,
             )
             constants = (self.basis, self.n, self.k, self.mirror)
             write_constants(out, *constants, errors, lobes=self.lobes, typical_gloss=self.typical_gloss)
@@ -220,8 +251,8 @@ class Material:
             a basis that is not finite or that no material has, or reflects more than falls on it.
         """
         axes = {
-            COEFFICIENTS: "row,column,basis",
-            "reflectance/basis": "wavelength,basis",
+            COEFFICIENTS: "row,column,component",
+            BASIS: "wavelength,component",
             "refractive_index/n": "wavelength",
             "refractive_index/k": "wavelength",
         }
@@ -239,7 +270,7 @@ class Material:
                 mu=file.read("mu"),
                 green_response=file.read("green_response"),
                 coefficients=read_coefficients(file, COEFFICIENTS),
-                basis=file.read_within("reflectance/basis"),
+                basis=file.read_within(BASIS),
                 n=file.read_within("refractive_index/n", LEAST_N, MOST_N),
                 k=file.read_within("refractive_index/k", 0.0, MOST_K),
                 mirror=file.attribute("mirror", (float, int)),
@@ -364,7 +395,8 @@ def write_constants(
     typical_gloss: tuple[float, ...],
 ) -> None:
     """Write what a material's file holds beside its maps into an open file; see `Material` and `Material.save`."""
-    out.write("reflectance/basis", basis, units="1", dims="wavelength,basis", quantity="spectral basis")
+    write_wavelength(out)
+    out.write(BASIS, basis, units="1", dims="wavelength,component", quantity="spectral basis")
     names = {"units": "1", "dims": "wavelength", "quantity": "complex refractive index n + ik"}
     for name, values in (("n", n), ("k", k)):
         out.write(f"refractive_index/{name}", values, **names)

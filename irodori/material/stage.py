@@ -17,7 +17,7 @@ from irodori.core import store
 from irodori.core.progress import LOGGER
 from irodori.material.coefficients import reserve_coefficients
 from irodori.material.fitted_tiles import FittedTiles, columns
-from irodori.material.material_file import COEFFICIENTS, MAPS, QUANTITY, gloss_maps, write_constants
+from irodori.material.material_file import BASIS, COEFFICIENTS, MAPS, QUANTITY, ChartColour, gloss_maps, write_constants
 from irodori.material.principal_components.basis_count import Compression, CompressOptions, choose
 from irodori.material.principal_components.decomposition import WEIGHTINGS
 from irodori.material.principal_components.repeated_reflection import drift
@@ -94,7 +94,7 @@ def confidence(calibration: Calibration, response, variance) -> dict[str, tuple]
         noise, where that was measured, and the error that cross-validation on the chart found;
         ``training_distance``: of the response from those of the chart, 1 = what nine tenths of its own patches
         have at most to the nearest other; ``out_of_training``: uint8, 1 where it is above 1, 2 where the
-        response has no direction.
+        response has no direction: `ChartColour`.
     """
     distance = calibration.distance(response)
     noise = np.zeros_like(response) if variance is None else variance
@@ -105,7 +105,7 @@ def confidence(calibration: Calibration, response, variance) -> dict[str, tuple]
     return {
         "reflectance_error": (error.astype(np.float32), "1", quantity),
         "training_distance": (distance.astype(np.float32), "1", "distance from the chart's responses, 1 = its own"),
-        "out_of_training": (outside, "1", "1 where the chart has no colour like it, 2 not known"),
+        "out_of_training": (outside, ChartColour, "whether the chart has a colour like it"),
     }
 
 
@@ -156,10 +156,11 @@ def _write_maps(out: store.Writer, reflectance: _Reflectance, compression: Compr
     size, half = (fitted.height, fitted.width), compression.storage == "half"
     shape, scale = (*size, compression.bases), compression.scale if half else None
     coefficients = reserve_coefficients(
-        out, COEFFICIENTS, shape, quantity=QUANTITY, storage=compression.storage, codec=codec, scale=scale
+        out, COEFFICIENTS, shape, quantity=QUANTITY, storage=compression.storage, codec=codec, scale=scale, basis=BASIS
     )
     datasets = {}
-    described_maps, kept = MAPS | gloss_maps(fitted.lobes), columns(fitted.lobes)
+    described_maps: dict[str, tuple] = MAPS | gloss_maps(fitted.lobes)
+    kept = columns(fitted.lobes)
     own_names = ("alpha", *gloss_maps(fitted.lobes))
     for rows, maps in fitted.read(*own_names, *_RESPONSE, *kept):
         weights, response = reflectance.of(maps), maps["diffuse_response"]

@@ -649,19 +649,24 @@ def register_object(
     sentence = in_words(found)
     LOGGER.info("%s", sentence)
     with store.create(output, provenance) as out:
+        out.coordinate("capture", names, units="1", quantity="name of the capture")
+        units = np.array([one.unit for one in QUANTITIES], "S")
+        for axis in ("quantity", "other_quantity"):
+            out.coordinate(axis, [one.name for one in QUANTITIES], units="1", quantity="what may be corrected")
+            out.write(f"{axis}_unit", units, units="1", dims=axis, quantity="its unit")
         for name, values, quantity in (
             ("correction", found.correction.values, "to be added to what was typed"),
             ("sigma", found.sigma, "standard errors of the most probable values"),
             ("prior_sigma", found.prior, "standard deviations of what was typed"),
         ):
-            out.write(name, np.array(values), units="see quantities", dims="quantity", quantity=quantity)
-        covariance = {"units": "see quantities", "dims": "quantity,quantity_again"}
+            out.write(name, np.array(values), units="{quantity_unit}", dims="quantity", quantity=quantity)
+        covariance = {"units": "{quantity_unit}.{other_quantity_unit}", "dims": "quantity,other_quantity"}
         out.write("covariance", found.covariance, **covariance, quantity="covariance of the most probable values")
         out.write(
             "own_camera_deg", found.own_camera_deg, units="deg", dims="capture", quantity="camera angle beside all"
         )
         off = "distance between where a capture shows the object and where it is expected"
-        out.write("residual_px", found.residual_px, units="superpixel", dims="capture", quantity=off)
+        out.write("residual_px", found.residual_px, units="{superpixel}", dims="capture", quantity=off)
         out.write("residual_mm", found.residual_px * found.mm_per_px, units="mm", dims="capture", quantity=off)
         out.write(
             "outline_points", found.outline_points, units="1", dims="capture", quantity="points of the outline found"

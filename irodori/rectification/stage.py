@@ -5,7 +5,8 @@ texel: see `irodori.geometry.lamp` for what the white reference has divided alre
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -24,6 +25,7 @@ from irodori.jit.chunks import run_chunks
 from irodori.jit.compilation import njit
 from irodori.rectification.placement_correction import AS_TYPED, Correction
 from irodori.reflection.equation5 import angles_from_directions
+from irodori.spectra.coordinates import write_bands
 
 if TYPE_CHECKING:
     from irodori.config.models import Object, Optics, RigPose
@@ -31,6 +33,8 @@ if TYPE_CHECKING:
 
 #: Of a sample's noise power, what bilinear interpolation leaves on average over the places between samples.
 _INTERPOLATED = 4.0 / 9.0
+_POSE = tuple(angle.name for angle in fields(Pose))
+_COLOURS = 3
 _CHUNK = 8192  # texels that a thread takes at a time
 
 
@@ -260,8 +264,8 @@ def _noise_models(linear: list) -> np.ndarray:
     return np.stack(models)
 
 
-def _common_filters(linear: list) -> list[str]:
-    """Return the filter states that all captures share.
+def _poses_and_filters(linear: list) -> tuple[np.ndarray, list[str]]:
+    """Return the pose of every capture, (J, 4) in deg, and the filter states that all share.
 
     Raises
     ------
@@ -269,26 +273,28 @@ def _common_filters(linear: list) -> list[str]:
         If one capture has others: its bands would be mistaken for those of the rest.
     """
     first: list[str] | None = None
+    poses = []
     for path in linear:
         with store.open_file(path) as file:
             filters = file.attribute("filters")
+            poses.append(file.attribute("pose_deg", list))
         if first is not None and first != filters:
             raise InputError(path, "filters", ", ".join(filters), f"{', '.join(first)}, as in the other captures")
         first = filters
     assert first is not None  # there is a capture
-    return first
+    return np.array(poses), first
 
 
 def _maps(observed: _Observed, weight, texels: Texels, near: bool) -> dict:
     """Return what `rectify_object` writes for each texel: name -> (values, units, quantity)."""
-    shadowed = observed.shadowed.astype(np.uint8)
+    shadowed, covered = observed.shadowed.astype(np.uint8), texels.covered.ravel().astype(np.uint8)
     maps = {
         "response": (observed.response, "1", "response, 1 = perfect diffuser at normal incidence"),
         "geometry": (observed.geometry, "rad", "theta_i, theta_r, theta_h, phi"),
         "weight": (weight, "1", "weight in the fit"),
-        "shadowed": (shadowed, "1", "1 where another surface keeps the light away"),
-        "clipped": (observed.clipped, "1", "1 where the picture clips in every exposure"),
-        "texel": (texels.covered.ravel().astype(np.uint8), "1", "1 where a surface lies under the texel's centre"),
+        "shadowed": (shadowed, store.Mask, "whether another surface keeps the light away"),
+        "clipped": (observed.clipped, store.Mask, "whether the picture clips in every exposure"),
+        "texel": (covered, store.Mask, "whether a surface lies under the texel's centre"),
     }
     if near:
         quantity = "irradiance of the white reference in the pixel over that of the texel"
@@ -322,8 +328,8 @@ def rectify_object(
     Raises
     ------
     InputError
-        If captures differ in their filter states, the shape is a mesh that is refused, or a near lamp stands within
-        the object.
+        If captures differ in their filter states or have other bands than these, the shape is a mesh that is refused,
+        or a near lamp stands within the object.
 
     Notes
     -----
@@ -343,7 +349,7 @@ def rectify_object(
         near = f"{setup.lamp.distance_mm:g} mm, within the reach of the object, {shape.reach_mm:.4g} mm"
         raise InputError("rig", "light.distance_mm", near, "a lamp outside the object, or no such key for a far one")
     texels = shape.atlas(width, definition.texels.height, (rows[0], rows[1]))
-    filters = _common_filters(linear)
+    poses_deg, filters = _poses_and_filters(linear)
     limit = np.radians(max_angle_deg)
     captures, weights = [], []
     for path in track(linear, f"rectify rows {rows[0]}-{rows[1]}"):
@@ -352,11 +358,22 @@ def rectify_object(
         weights.append((found.seen & frontal).astype(np.float32))
         captures.append(found._replace(geometry=found.geometry.astype(np.float32)))
     observed, weight = _Observed(*(np.stack(v, axis=1) for v in zip(*captures, strict=True))), np.stack(weights, axis=1)
+    if (bands := observed.response.shape[2]) != _COLOURS * len(filters):
+        states = f"{len(filters)} filter states and {bands} bands"
+        raise InputError(linear[0], "filters", states, "three bands a filter state")
     unseen = ~(weight > 0).any(axis=1) & texels.covered.ravel()
     if unseen.any():
         LOGGER.info("%d of %d texels have no observation", unseen.sum(), texels.covered.sum())
     with store.create(output, provenance) as out:
-        store.write_maps(out, _maps(observed, weight, texels, setup.lamp.is_near), "texel,capture,component")
+        out.coordinate("capture", [Path(path).stem for path in linear], units="1", quantity="name of the capture")
+        for name, values in zip(_POSE, poses_deg.T, strict=True):
+            out.write(name, values, units="deg", dims="capture", quantity="angle of the rig, as typed")
+        out.coordinate("angle", ["theta_i", "theta_r", "theta_h", "phi"], units="1", quantity="symbol of an angle")
+        write_bands(out, filters)
+        out.coordinate("term", ["c0", "c1"], units="1", quantity="coefficient of the variance")
+        for name, (values, units, quantity) in _maps(observed, weight, texels, setup.lamp.is_near).items():
+            dims = ",".join(["texel_number", "capture", "angle" if name == "geometry" else "band"][: values.ndim])
+            out.write(name, values, units=units, dims=dims, quantity=quantity)
         noise = _noise_models(linear)
         out.write("noise_model", noise, units="1", dims="capture,band,term", quantity="variance c0 + c1 rho")
         out.attribute("rows", list(rows))

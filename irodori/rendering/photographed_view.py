@@ -11,8 +11,10 @@ from irodori.geometry.ideal_camera import IdealView
 from irodori.geometry.pinhole import Pinhole
 from irodori.geometry.shapes.shape import Shape
 from irodori.light.environment_file import Environment
+from irodori.material.coefficients import write_coefficients
 from irodori.material.material_file import Material
 from irodori.rendering.integrators import render_image
+from irodori.spectra.coordinates import write_wavelength
 
 #: Mosaic pixels around the sensor that are rendered too: a filter's plate shifts what falls on it.
 MARGIN_PX = 16
@@ -89,7 +91,7 @@ def render_photographed(
     material_files, environment_file : path
         What really stands there, and the light that really falls.
     output : path
-        ``/radiance`` (2, rows, columns, 61) float32: two halves of the paths.
+        ``/radiance`` (2, rows, columns, 61), half precision with its scale: two halves of the paths.
     """
     radiance = render_halves(
         scene,
@@ -102,5 +104,13 @@ def render_photographed(
         seed=placed.seed,
     )
     with store.create(output, provenance) as out:
-        names = {"units": "1", "dims": "half,row,column,wavelength", "quantity": "radiance before the camera"}
-        out.write("radiance", radiance, **names, compression="fast")
+        write_wavelength(out)
+        write_coefficients(
+            out,
+            "radiance",
+            radiance,
+            quantity="radiance before the camera",
+            storage="half",
+            codec="lzf",
+            dims="half,row,column,wavelength",
+        )

@@ -62,7 +62,8 @@ def render_view(
         write_xyz_exr(exr, xyz, _xyz_attributes(white_xyz))
     else:
         xyz = radiance @ matrix.T.astype(np.float32)
-        write_spectral_exr(exr, radiance, srgb().linear_rgb(xyz, white_xyz), srgb().attributes(white_xyz))
+        rgb, attributes = srgb().linear_rgb(xyz, white_xyz), srgb().attributes(white_xyz)
+        write_spectral_exr(exr, radiance, rgb, attributes, storage=options.storage)
     figures |= write_picture(png, xyz, white_xyz, display) | {"display": display.name, "exposure": exposure}
     with written_whole(figures_file) as temporary:
         temporary.write_text(json.dumps(figures, indent=1), encoding="utf-8")

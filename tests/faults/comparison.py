@@ -14,7 +14,6 @@ import json
 from pathlib import Path
 
 import h5py
-import hdf5plugin  # noqa: F401  reads what Blosc has packed
 import numpy as np
 import OpenImageIO as oiio
 

@@ -269,7 +269,7 @@ def material_file(path, change, replaced: str = "alpha"):
 
 def test_a_dataset_that_declares_more_than_its_file_holds_is_refused(tmp_path):
     def huge(out):
-        out.reserve("alpha", (10**6, 10**6), np.float64, units="1", dims="row,column", quantity="alpha")
+        out.reserve("alpha", (10**6, 10**6), np.float64, units="1", dims="many,more", quantity="alpha")
 
     with pytest.raises(InputError, match=r"material\.h5: alpha: found .*declares 8000000000000 bytes"):
         Material.load(material_file(tmp_path / "material.h5", huge))

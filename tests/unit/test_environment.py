@@ -28,6 +28,7 @@ from irodori.light.stage import SURFACES, fill_masked, observers, prepare_enviro
 from irodori.material.principal_components.basis_count import CompressOptions, choose
 from irodori.material.principal_components.decomposition import decompose
 from irodori.material.principal_components.second_moments import second_moments
+from irodori.spectra.coordinates import write_wavelength
 from irodori.spectra.published import spectrum
 
 OBSERVERS = {"light": (xyz_from_radiance(spectrum("A")), xyz_from_radiance(spectrum("A")) @ spectrum("A"))}
@@ -165,12 +166,19 @@ def write_inputs(folder, response, valid, calibration, clipped=None):
         out.write("clipped", clipped, units="1", dims="row,column", quantity="clipped")
         out.attribute("filters", ["out"])
     with store.create(folder / "calibration.h5", store.Provenance("test")) as out:
-        for name in ("basis", "weights_from_response"):
-            out.write(name, getattr(calibration, name), units="1", dims="a,b", quantity=name)
+        write_wavelength(out)
+        for name, dims in (("basis", "wavelength,component"), ("weights_from_response", "band,component")):
+            out.write(name, getattr(calibration, name), units="1", dims=dims, quantity=name)
         out.write("light", calibration.light, units="1", dims="wavelength", quantity="light")
         model = np.linalg.pinv(calibration.weights_from_response.T) @ calibration.basis.T
-        out.write("band_response", model, units="1", dims="a,b", quantity="model")
-        out.write("band_response_covariance", np.zeros((len(model), 61, 61)), units="1", dims="a,b,c", quantity="model")
+        out.write("band_response", model, units="1", dims="band,wavelength", quantity="model")
+        out.write(
+            "band_response_covariance",
+            np.zeros((len(model), 61, 61)),
+            units="1",
+            dims="band,wavelength,other",
+            quantity="model",
+        )
         out.attribute("filters", list(calibration.filters))
 
 

@@ -36,10 +36,13 @@ def write_tile(path, rows, width, seed, *, filters=FILTERS, noise=1e-6, lobes=("
     alpha = np.where(np.isfinite(response[:, 1]), rng.uniform(0.2, 0.8, count), np.nan)
     values = {"diffuse_response": response, "diffuse_variance": np.full_like(response, noise), "alpha": alpha}
     values |= {name: rng.uniform(0.1, 0.5, count).astype(np.float32) for name in gloss_maps(lobes) | columns(lobes)}
+    # Codes are whole numbers.
+    coded = [name for name, (units, _) in columns(lobes).items() if not isinstance(units, str)]
+    values |= {name: rng.integers(0, 2, count).astype(np.int8) for name in coded}
     values["texel"] = np.ones(count, np.uint8)
     with store.create(path, PROVENANCE) as out:
         for name, one in values.items():
-            out.write(name, one, units="1", dims=",".join(["texel", "band"][: one.ndim]), quantity=name)
+            out.write(name, one, units="1", dims=",".join(["texel_number", "band"][: one.ndim]), quantity=name)
         out.attribute("filters", filters)
         out.attribute("lobes", list(lobes))
         out.attribute("rows", list(rows))

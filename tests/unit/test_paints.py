@@ -232,15 +232,15 @@ def write_tile(path, seen: Observed, rows) -> None:
     """Write observations of a tile."""
     with store.create(path, PROVENANCE) as out:
         axes = {
-            "response": "texel,capture,band",
-            "geometry": "texel,capture,angle",
-            "weight": "texel,capture",
-            "clipped": "texel,capture",
+            "response": "texel_number,capture,band",
+            "geometry": "texel_number,capture,angle",
+            "weight": "texel_number,capture",
+            "clipped": "texel_number,capture",
         }
         for name, dims in axes.items():
             out.write(name, getattr(seen, name).astype(np.float32), units="1", dims=dims, quantity=name)
         out.write("noise_model", seen.noise, units="1", dims="capture,band,coefficient", quantity="noise")
-        out.write("texel", np.ones(len(seen.weight), np.uint8), units="1", dims="texel", quantity="texel")
+        out.write("texel", np.ones(len(seen.weight), np.uint8), units="1", dims="texel_number", quantity="texel")
         for name, value in {"rows": rows, "width": SIDE, "filters": ["out"]}.items():
             out.attribute(name, value)
 

@@ -24,15 +24,15 @@ from irodori.spectra.grid import WAVELENGTH_NM
 DISPLAY = {"exposure": "auto", "device": {"kind": "standard", "name": "sRGB"}}
 
 
-def spectral_picture(path, seed=2, size=(24, 32)):
+def spectral_picture(path, seed=2, size=(24, 32), storage="half"):
     rng = np.random.default_rng(seed)
     radiance = rng.gamma(1.0, 1.0, (*size, 61)).astype(np.float32)
-    write_spectral_exr(path, radiance, radiance[..., :3], {"irodori:test": "yes"})
+    write_spectral_exr(path, radiance, radiance[..., :3], {"irodori:test": "yes"}, storage=storage)
     return radiance
 
 
-def test_a_spectral_exr_keeps_every_bit(tmp_path):
-    radiance = spectral_picture(tmp_path / "a.exr")
+def test_a_spectral_exr_in_single_precision_keeps_every_bit(tmp_path):
+    radiance = spectral_picture(tmp_path / "a.exr", storage="single")
     assert np.array_equal(read_spectral_exr(tmp_path / "a.exr"), radiance)
     assert [file.name for file in tmp_path.iterdir()] == ["a.exr"]
 

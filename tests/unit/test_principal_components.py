@@ -19,6 +19,7 @@ from irodori.material.principal_components.pixel_tiles import Tiles
 from irodori.material.principal_components.second_moments import second_moments
 from irodori.material.stage import compress_maps
 from irodori.report.html_page import fragment
+from irodori.spectra.coordinates import write_wavelength
 from irodori.spectra.grid import WAVELENGTH_NM
 from irodori.spectra.published import spectrum
 
@@ -83,9 +84,10 @@ def test_any_source_gives_the_same_basis_in_tiles_of_any_size(tmp_path, kind):
     height, width, _ = values.shape
     with store.create(tmp_path / "p.h5", PROVENANCE) as out:
         names = {"units": "1", "dims": "row,column,wavelength", "quantity": "reflectance"}
+        write_wavelength(out)
         out.write("whole", values, compression="none", **names)
-        out.write("packed", values, compression="planes", **names)
-        out.write("row", values.reshape(1, -1, 61), compression="none", **names)
+        out.write("packed", values, compression="fast", **names)
+        out.write("long", values.reshape(1, -1, 61), compression="none", **(names | {"dims": "one,pixel,wavelength"}))
     mapped = np.memmap(tmp_path / "raw", np.float32, "w+", shape=values.shape)
     mapped[:] = values
     with store.open_file(tmp_path / "p.h5") as file:
@@ -95,7 +97,7 @@ def test_any_source_gives_the_same_basis_in_tiles_of_any_size(tmp_path, kind):
             "memmap": lambda: Tiles(mapped, 100_000),
             "tiles": lambda: [values[:7], values[7:8].reshape(-1, 61), values[8:]],
             "hdf5": lambda: Tiles(file.dataset("whole"), 100_000),
-            "hdf5 long row": lambda: Tiles(file.dataset("row"), 100_000),
+            "hdf5 long row": lambda: Tiles(file.dataset("long"), 100_000),
             "chunked": lambda: Tiles(file.dataset("packed"), 100_000),
             "long row": lambda: Tiles(values.reshape(1, -1, 61), 100_000),
         }[kind]()

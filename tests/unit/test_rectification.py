@@ -81,8 +81,8 @@ def linear_file(path, pose, *, response=None, valid=None, clipped=None, sample_p
     clipped = np.zeros(valid.shape, np.uint8) if clipped is None else clipped
     with store.create(path, PROVENANCE) as out:
         out.write("response", response.astype(np.float32), units="1", dims="row,column,band", quantity="response")
-        out.write("valid", valid, units="1", dims="row,column", quantity="valid")
-        out.write("clipped", clipped, units="1", dims="row,column", quantity="clipped")
+        out.write("valid", valid, units="1", dims="mask_row,mask_column", quantity="valid")
+        out.write("clipped", clipped, units="1", dims="mask_row,mask_column", quantity="clipped")
         noise = np.arange(2.0 * response.shape[-1]).reshape(-1, 2) * pose.light_deg
         out.write("noise_model", noise, units="1", dims="band,term", quantity="noise")
         out.attribute("sample_px", sample_px)
@@ -393,7 +393,7 @@ def test_under_a_near_lamp_a_plate_in_the_whites_place_has_the_cosine_of_its_own
     """The white, a perfect diffuser at its centre, divides the lamp's fall-off and its own cosine in every pixel."""
     shape = (OPTICS["height_px"] // sample_px, OPTICS["width_px"] // sample_px)
     near = setup_of(0.0, 300.0, WHITE)
-    picture = {"response": np.ones((*shape, 2)), "valid": np.ones(shape, np.uint8), "sample_px": sample_px}
+    picture = {"response": np.ones((*shape, 3)), "valid": np.ones(shape, np.uint8), "sample_px": sample_px}
     found = rectify(tmp_path, PLATE, [WHITE], setup=near, **picture)
     position, _ = texels_in_rig(PLATE, WHITE)
     lamp = 300.0 * np.array([math.sin(math.radians(40.0)), 0.0, math.cos(math.radians(40.0))])
@@ -402,7 +402,7 @@ def test_under_a_near_lamp_a_plate_in_the_whites_place_has_the_cosine_of_its_own
     assert np.ptp(cosine) > 0.1 and (found["weight"] == 1).all()
     gain = cosine / math.cos(math.radians(40.0))
     assert found["light_gain"][:, 0] == pytest.approx(gain, rel=1e-6)
-    assert found["response"][:, 0] == pytest.approx(np.stack([gain, gain], axis=1), rel=1e-6)
+    assert found["response"][:, 0] == pytest.approx(np.stack([gain, gain, gain], axis=1), rel=1e-6)
 
 
 def test_under_a_near_lamp_a_raised_texel_is_nearer_to_it_than_the_white(tmp_path):
@@ -451,11 +451,21 @@ def test_captures_of_different_filters_and_masks_of_another_size_are_refused(tmp
 
 
 def test_observations_say_which_rows_of_which_texture_they_are(tmp_path):
-    rectify(tmp_path, PLATE, [Pose(45.0, 0.0), Pose(60.0, 30.0)], rows=(3, 7), filters=("out", "in"))
+    response = np.ones((OPTICS["height_px"] // 2, OPTICS["width_px"] // 2, 6))
+    poses = [Pose(45.0, 0.0), Pose(60.0, 30.0)]
+    rectify(tmp_path, PLATE, poses, rows=(3, 7), filters=("out", "in"), response=response)
     with store.open_file(tmp_path / "obs.h5") as file:
         assert (file.attribute("rows"), file.attribute("width")) == ([3, 7], 24)
         assert file.attribute("filters") == ["out", "in"]
         assert file.read("weight").shape == (4 * 24, 2)
+        assert file.read("capture").tolist() == [pose.name.encode() for pose in poses]
+        assert (file.read("light_deg").tolist(), file.read("camera_deg").tolist()) == ([45.0, 60.0], [0.0, 30.0])
+        assert file.read("band").tolist()[2:4] == [b"out_blue", b"in_red"]
+
+
+def test_bands_that_are_not_three_a_filter_state_are_refused(tmp_path):
+    with pytest.raises(InputError, match=r"filters: found 2 filter states and 3 bands; accepted: three bands a"):
+        rectify(tmp_path, PLATE, [Pose(45.0, 0.0)], filters=("out", "in"))
 
 
 @given(height=st.integers(1, 60), width=st.integers(1, 60), most=st.integers(1, 2000))

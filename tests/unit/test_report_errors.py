@@ -97,7 +97,7 @@ def test_a_pictures_error_is_judged_against_a_white_that_counts_the_scenes_light
     truth = rng.uniform(0.05, 0.4, (6, 8, 61)).astype(np.float32)
     pictures = {"true": truth, "found": truth * rng.uniform(0.9, 1.1, truth.shape[:2])[..., None].astype(np.float32)}
     for name, radiance in pictures.items():
-        write_spectral_exr(tmp_path / f"{name}.exr", radiance, radiance[..., :3], {})
+        write_spectral_exr(tmp_path / f"{name}.exr", radiance, radiance[..., :3], {}, storage="single")
     lamp = {"kind": "collimated", "spectrum": "D65", "azimuth_deg": 0.0, "elevation_deg": 90.0, "irradiance": 4.5}
     found = {}
     for label, lights, exposure in (("dark", [], "auto"), ("lit", [lamp], "auto"), ("exposed", [], 2.0)):

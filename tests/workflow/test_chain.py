@@ -6,10 +6,13 @@ import shutil
 
 import h5py
 import numpy as np
+import xarray as xr
 import yaml
 from project import ROOT, edit, planned, small_project, snakemake
+from written_files import KINDS, PAGE, of_page, of_results, tables
 
 from irodori.core.store import open_file
+from irodori.core.units import require_unit
 from irodori.evaluation.registration_errors import summarise
 from irodori.evaluation.result_tables import RegistrationRow, read_rows
 from irodori.export.pictures import read_spectral_exr
@@ -107,6 +110,38 @@ def test_every_file_says_where_it_came_from(finished):
                 )
             )
         assert not missing, f"{path}: {missing}"
+
+
+def test_every_file_is_read_by_xarray_with_named_axes_and_by_any_h5py(finished):
+    """No program needs a plugin or this package: axes, units and codes are HDF5's and netCDF's own."""
+    of_h5py = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32, h5py.h5z.FILTER_LZF}
+    for path in sorted((finished / "results").rglob("*.h5")):
+        with xr.open_datatree(path, engine="h5netcdf") as tree:
+            variables = [one for group in tree.subtree for one in group.variables.values()]
+            assert variables
+            for one in variables:
+                assert list(one.dims) == [axis for axis in one.attrs["dims"].split(",") if axis], path
+                require_unit(one.attrs["units"])
+        with h5py.File(path) as file:
+            filters = set()
+            file.visititems(
+                lambda name, item, filters=filters: (
+                    filters.update(plist.get_filter(i)[0] for i in range(plist.get_nfilters()))
+                    if isinstance(item, h5py.Dataset) and (plist := item.id.get_create_plist())
+                    else None
+                )
+            )
+            assert filters <= of_h5py, path
+            assert (h5py.h5z.FILTER_LZF in filters) == ("packing" in file.attrs), path
+
+
+def test_the_page_of_files_lists_every_dataset_as_the_files_say(finished):
+    page = of_page(PAGE.read_text(encoding="utf-8")).splitlines()
+    found = of_results(finished / "results")
+    for line in tables(found).splitlines():
+        assert line in page, line
+    unlisted = [title for number, (_, _, title) in enumerate(KINDS) if number not in found]
+    assert unlisted == ["Where the object stood by its photographs"]  # nothing is registered there
 
 
 def test_texels_that_nothing_determines_are_marked_and_not_invented(finished):

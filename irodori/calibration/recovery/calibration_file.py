@@ -7,6 +7,7 @@ import numpy as np
 from irodori.calibration.recovery.mappings import KINDS, LinearMapping, Mapping
 from irodori.core import store
 from irodori.core.errors import InputError
+from irodori.spectra.coordinates import write_bands, write_wavelength
 from irodori.spectra.grid import SAMPLES
 
 _TILE = 1 << 16
@@ -15,13 +16,13 @@ _AXES = {
     "scale": "band",
     "anchors": "anchor,band",
     "levels": "level",
-    "maps": "interval,anchor,band,basis",  # one more than levels: below, between and above them
-    "coefficients": "monomial,basis",
+    "maps": "interval,anchor,band,component",  # one more than levels: below, between and above them
+    "coefficients": "monomial,component",
 }
 _MATRIX = "weights_from_response"
 _RESPONSE_MODEL = ("band_response", "band_response_covariance")
 _OPTIONAL = {"chart_response": "patch,band", "band_response": "band,wavelength",
-             "band_response_covariance": "band,wavelength,wavelength"}  # fmt: skip
+             "band_response_covariance": "band,wavelength,other_wavelength"}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -79,11 +80,11 @@ class Calibration:
             kind = file.attribute("mapping", str) if file.has_attribute("mapping") else LinearMapping.kind
             if kind not in KINDS:
                 raise InputError(path, "mapping", repr(kind), f"one of: {', '.join(KINDS)}")
-            axes = {"basis": "wavelength,basis", "light": "wavelength"}
+            axes = {"basis": "wavelength,component", "light": "wavelength"}
             axes |= {name: dims for name, dims in _OPTIONAL.items() if name in file}
             own = fields(KINDS[kind]) if kind != LinearMapping.kind else ()
             axes |= {f"mapping/{field.name}": _AXES[field.name] for field in own if field.name in _AXES}
-            file.require_axes(axes if own else axes | {_MATRIX: "band,basis"}, wavelength=SAMPLES)
+            file.require_axes(axes if own else axes | {_MATRIX: "band,component"}, wavelength=SAMPLES)
             if not own:
                 values = {"matrix": file.read_within(_MATRIX)}
             else:
@@ -112,11 +113,14 @@ class Calibration:
 
     def write(self, out: store.Writer) -> None:
         """Write what `load` reads into an open file."""
-        out.write("basis", self.basis, units="1", dims="wavelength,basis", quantity="spectral basis B'")
+        write_wavelength(out)
+        if self.filters:
+            write_bands(out, self.filters)
+        out.write("basis", self.basis, units="1", dims="wavelength,component", quantity="spectral basis B'")
         if self.weights_from_response is not None:
             matrix = self.weights_from_response
             out.write(
-                "weights_from_response", matrix, units="1", dims="band,basis", quantity="matrix M of equation (4)"
+                "weights_from_response", matrix, units="1", dims="band,component", quantity="matrix M of equation (4)"
             )
         else:
             for field in fields(self.mapping):

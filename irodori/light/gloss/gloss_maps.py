@@ -28,6 +28,7 @@ from irodori.light.environment_file import Environment
 from irodori.light.equirectangular import StackedPicture, add_interpolated
 from irodori.light.gloss.lobe_table import fitted_lobes
 from irodori.light.gloss.point_sources import PointLights, Seen, add_from_points, place_of, point_lights
+from irodori.material.coefficients import from_half, read_coefficients, scale_of, to_half, write_coefficients
 from irodori.reflection.fresnel import fresnel
 from irodori.reflection.lobes import Lobes
 
@@ -81,21 +82,28 @@ class GlossMaps:
         first, levels = prefiltered(coefficients)
         return cls(first, tuple(levels), point_lights(coefficients))
 
-    def write(self, out) -> None:
-        """Write ``/gloss`` into an open file of `irodori.core.store`."""
+    def rounded(self) -> "GlossMaps":
+        """Return the maps as they come back from a file that holds them in half precision."""
+        scales = [scale_of(level) for level in self.levels]
+        levels = tuple(from_half(to_half(level, s), s) for level, s in zip(self.levels, scales, strict=True))
+        return GlossMaps(self.first, levels, self.points)
+
+    def write(self, out, storage: str = "single") -> None:
+        """Write ``/gloss`` into an open file of `irodori.core.store`; see `irodori.material.coefficients`."""
         widths = WIDTHS_RAD[self.first :]
         out.write("gloss/width", widths, units="rad", dims="level", quantity="width 1/√κ of the blurring lobe")
         for number, level in enumerate(self.levels, start=self.first):
-            out.write(
+            write_coefficients(
+                out,
                 f"gloss/level-{number:02d}",
                 level,
-                units="1",
-                dims="row,column,basis",
                 quantity="coefficients of the radiance blurred by a von Mises-Fisher lobe",
-                compression="fast",
+                storage=storage,
+                codec="lzf",
+                dims=f"theta_{number:02d},azimuth_{number:02d},component",
             )
         names = {"direction": ("1", "point,axis", "centre of power of a part of the sphere"),
-                 "power": ("sr", "point,basis", "coefficients of its radiance times its solid angle")}  # fmt: skip
+                 "power": ("sr", "point,component", "coefficients of its radiance times its solid angle")}  # fmt: skip
         for (name, (units, dims, quantity)), values in zip(names.items(), self.points, strict=True):
             out.write(f"gloss/{name}", values, units=units, dims=dims, quantity=quantity)
 
@@ -136,7 +144,8 @@ class GlossMaps:
                 raise InputError(path, "gloss/width", "other widths", accepted)
             wanted = levels or (first, len(WIDTHS_RAD))
             first = max(first, wanted[0])
-            maps = tuple(file.read(f"gloss/level-{n:02d}") for n in range(first, max(first + 1, wanted[1])))
+            last = max(first + 1, wanted[1])
+            maps = tuple(read_coefficients(file, f"gloss/level-{n:02d}") for n in range(first, last))
             return cls(first, maps, PointLights(file.read("gloss/direction"), file.read("gloss/power")))
 
     def tables(self, lobe: str = "gaussian") -> GlossTables:

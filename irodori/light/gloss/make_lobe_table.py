@@ -201,8 +201,8 @@ def write_table(path, name: str) -> None:
     with store.create(path, store.Provenance("gloss_fit")) as out:
         out.attribute("table", TABLE)
         out.attribute("lobe", name)
-        out.write("mu", MU, units=roughness.unit, dims="mu", quantity=roughness.quantity)
-        out.write("theta_r", THETA_R_RAD, units="rad", dims="theta_r", quantity="view angle")
+        out.coordinate("mu", MU, units=roughness.unit, quantity=roughness.quantity)
+        out.coordinate("theta_r", THETA_R_RAD, units="rad", quantity="view angle")
         for column_name, (units, quantity) in COLUMNS.items():
             kind = np.uint8 if column_name == "width" else np.float32
             column = np.zeros((len(MU), len(THETA_R_RAD), most), dtype=kind)

@@ -44,7 +44,7 @@ class CompressOptions:
     storage : str
         ``half`` or ``single`` precision.
     codec : str
-        ``blosc2`` or ``gzip``.
+        ``gzip`` or ``lzf``.
     """
 
     target_delta_e_mean: float = 0.1
@@ -52,7 +52,7 @@ class CompressOptions:
     align: int = 4
     weighting: str = "nothing"
     storage: str = "half"
-    codec: str = "blosc2"
+    codec: str = "gzip"
 
     def __post_init__(self) -> None:
         require_storage(self.storage, self.codec)

@@ -7,6 +7,7 @@ from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.geometry.ideal_camera import IdealView
 from irodori.geometry.pinhole import Pinhole
+from irodori.material.coefficients import read_coefficients
 
 _BLOCK_ROWS = 32
 
@@ -20,7 +21,7 @@ def scene_radiance(path, optics: Optics) -> np.ndarray:
         If it does not cover the camera's sensor.
     """
     with store.open_file(path) as file:
-        radiance = file.read("radiance").mean(axis=0)
+        radiance = read_coefficients(file, "radiance").mean(axis=0)
     least = IdealView.covering(Pinhole.from_optics(optics), 1)
     if radiance.shape[0] < least.height or radiance.shape[1] < least.width:
         found = f"{radiance.shape[1]} x {radiance.shape[0]} pixels"

@@ -1,0 +1,26 @@
+"""Coordinates of the axes that files of several stages share: wavelength and band."""
+
+from collections.abc import Sequence
+
+from irodori.core.store import Writer
+from irodori.spectra.grid import WAVELENGTH_NM
+
+_COLOURS = ("red", "green", "blue")
+
+
+def write_wavelength(out: Writer) -> None:
+    """Write ``/wavelength`` (61) in nm into an open file that has a spectral axis."""
+    out.coordinate("wavelength", WAVELENGTH_NM, units="nm", quantity="wavelength")
+
+
+def write_bands(out: Writer, filters: Sequence[str]) -> None:
+    """Write ``/band``, the names of the bands, into an open file.
+
+    Parameters
+    ----------
+    out : Writer
+    filters : sequence of str
+        Filter states of the bands in order, three bands each: ``out`` and ``in`` give ``out_red`` to ``in_blue``.
+    """
+    names = [f"{state}_{colour}" for state in filters for colour in _COLOURS]
+    out.coordinate("band", names, units="1", quantity="state of the filter and colour of the sensor")
