@@ -31,7 +31,7 @@ _FENCE = re.compile(r"^(```|~~~).*?^\1", re.MULTILINE | re.DOTALL)
 def on_config(config):
     """Put the rooms of the package into the navigation, and let formulas be typeset."""
     rooms = [{room.title: f"{_PACKAGE}/{room.name}.md"} for room in reference_pages.rooms(ROOT)]
-    config.nav = _replaced(config.nav, _PACKAGE, [f"{_PACKAGE}/index.md", *rooms])
+    config.nav = _replaced(config.nav, _PACKAGE, [{"All rooms": f"{_PACKAGE}/index.md"}, *rooms])
     fences = [{"name": "math", "class": "math", "format": _formula}]
     config.mdx_configs["pymdownx.superfences"] = {"custom_fences": fences}
     return config
@@ -56,6 +56,17 @@ def on_page_markdown(markdown, page, config, files):
         pieces += [_linked(markdown[end : fence.start()], source, uri), fence[0]]
         end = fence.end()
     return "".join([*pieces, _linked(markdown[end:], source, uri)])
+
+
+def on_page_content(html, page, config, files):
+    """Take an empty head of a column for a cell like others, which readers of the page aloud do not announce."""
+    return html.replace("<th></th>", "<td></td>")
+
+
+def on_post_page(output, page, config):
+    """Name the dialogue of the search, for those who hear the page."""
+    dialogue = 'data-md-component="search" role="dialog"'
+    return output.replace(dialogue, f'{dialogue} aria-label="Search"')
 
 
 def _linked(markdown: str, source: str, uri: str) -> str:
@@ -92,4 +103,4 @@ def _formula(source, language, class_name, options, md, **_):
     tex = source.strip()
     if tex not in known:
         raise PluginError(f"formula without MathML, run docs/hooks/write_formulas.mjs: {tex}")
-    return f'<div class="formula">{known[tex]}</div>'
+    return f'<div class="formula" tabindex="0">{known[tex]}</div>'
