@@ -7,10 +7,9 @@ import { dirname, join } from "node:path";
 import { fileURLToPath, pathToFileURL } from "node:url";
 
 const hooks = dirname(fileURLToPath(import.meta.url)), docs = dirname(hooks);
-const folders = (process.env.PATH ?? "").split(":").filter((one) => one.endsWith("node_modules/.bin"));
-const where = [...folders.map((one) => join(dirname(one), "katex")), process.env.KATEX ?? ""];
-const found = where.find((one) => { try { return readFileSync(join(one, "package.json")); } catch { return false; } });
-const katex = createRequire(pathToFileURL(join(found ?? docs, "package.json")))(found ?? "katex");
+// npx puts the folder of the package's commands first on the path; the package lies beside it.
+const packages = dirname(process.env.PATH.split(":").find((one) => one.endsWith("node_modules/.bin")));
+const katex = createRequire(pathToFileURL(join(packages, "katex", "package.json")))("katex");
 
 const formulas = {};
 for (const name of readdirSync(docs, { recursive: true }).sort()) {
