@@ -1,8 +1,8 @@
-"""Tables of figures in the README and in docs, made from the results of a run, its benchmark and its exports.
+"""Tables of figures in both READMEs and in docs, made from the results of a run, its benchmark and its exports.
 
 ``python -m benchmarks.published_tables [--results results]`` after ``snakemake --cores 2``, ``snakemake --cores 2
 benchmark`` and ``python -m benchmarks.exports``, at the top of the repository: copies the tables shown to
-``docs/figures`` and writes the blocks of the documents anew between their marks. Text between two marks is never
+``docs/figures`` and writes the blocks of all documents anew between their marks. Text between two marks is never
 written by hand: a test compares it with ``docs/figures``.
 """
 
@@ -92,25 +92,43 @@ def _speed_line(row: dict) -> list[str]:
             row["error_metric"] if error != "–" else "", f"{float(row['peak_mb']):.0f}"]  # fmt: skip
 
 
-def figures_block(folder: Path) -> str:
+#: What the README's five figures are, and how an error and a ratio are written.
+_ENGLISH = (
+    ("measured on the default scene and on two cores", "CIEDE2000, or a number"),
+    ("colour error of chart patches left out of the calibration", "colour error of the recovered light",
+     "colour error of the picture, on the objects", "texels fitted a second, and that beside NLopt called from Python",
+     "pixels rendered a second, interactive"),
+    "{mean} mean, {p95} at the 95th percentile", "{speed}, {times} times as many",
+)  # fmt: skip
+_JAPANESE = (
+    ("標準のシーンを2コアで測定", "CIEDE2000または数値"),
+    ("較正に使わなかったチャートの色票の色誤差", "復元した光の色誤差", "画像の色誤差(物体の上)",
+     "1秒間に当てはめるテクセル数と、Pythonから呼ぶNLoptとの比", "1秒間に描画する画素数(対話型)"),
+    "平均 {mean}、95パーセンタイル {p95}", "{speed}({times} 倍)",
+)  # fmt: skip
+
+
+def figures_block(folder: Path, words=_ENGLISH) -> str:
     """Return the README's five figures."""
+    head, whats, error, ratio = words
     errors = _rows(folder / "errors.csv")
     speeds = {(r["stage"], r["variant"]): r for r in read_rows(folder / "speed_error.csv")}
-
-    def error(quantity: str) -> str:
-        found = next(r for r in errors if r["quantity"] == quantity and r["light"] != "A")
-        return f"{_number(found['mean'])} mean, {_number(found['p95'])} at the 95th percentile"
-
+    quantities = (
+        "leave-one-patch-out CIEDE2000", "light CIEDE2000", "picture CIEDE2000 to true materials, objects only",
+    )  # fmt: skip
+    found = [next(r for r in errors if r["quantity"] == q and r["light"] != "A") for q in quantities]
     fit, frame = speeds["fit", "varpro"], speeds["render", "interactive-coefficients"]
-    lines = [
-        ["colour error of chart patches left out of the calibration", error("leave-one-patch-out CIEDE2000")],
-        ["colour error of the recovered light", error("light CIEDE2000")],
-        ["colour error of the picture, on the objects", error("picture CIEDE2000 to true materials, objects only")],
-        ["texels fitted a second, and that beside NLopt called from Python",
-         f"{_number(fit['throughput'])}, {_times(fit)} times as many"],
-        ["pixels rendered a second, interactive", _number(frame["throughput"])],
-    ]  # fmt: skip
-    return _table(("measured on the default scene and on two cores", "CIEDE2000, or a number"), lines)
+    values = [
+        *(error.format(mean=_number(r["mean"]), p95=_number(r["p95"])) for r in found),
+        ratio.format(speed=_number(fit["throughput"]), times=_times(fit)),
+        _number(frame["throughput"]),
+    ]
+    return _table(head, list(zip(whats, values, strict=True)))
+
+
+def japanese_figures_block(folder: Path) -> str:
+    """Return the same five figures for the README in Japanese."""
+    return figures_block(folder, _JAPANESE)
 
 
 def _times(row: dict) -> str:
@@ -133,6 +151,7 @@ def exports_block(folder: Path) -> str:
 DOCUMENTS = {
     "README.md": {"figures": figures_block},
     "docs/exports.md": {"exports": exports_block},
+    "README.ja.md": {"figures": japanese_figures_block},
     "docs/benchmarks.md": {"errors": errors_block, "budget": budget_block, "speed": speed_block},
 }
 

@@ -84,6 +84,13 @@ def lab_from_xyz(xyz: np.ndarray, white_xyz: np.ndarray) -> np.ndarray:
     ----------
     xyz : (..., 3) float, any scale
     white_xyz : (3,) float, same scale
+
+    Examples
+    --------
+    A grey of a fifth of the white's luminance is of middling lightness, and has no colour:
+
+    >>> lab_from_xyz([0.2, 0.2, 0.2], [1.0, 1.0, 1.0]).round(1).tolist()
+    [51.8, 0.0, 0.0]
     """
     ratio = np.asarray(xyz, dtype=np.float64) / np.asarray(white_xyz, dtype=np.float64)
     linear = ratio <= (6 / 29) ** 3
@@ -95,7 +102,15 @@ def lab_from_xyz(xyz: np.ndarray, white_xyz: np.ndarray) -> np.ndarray:
 
 
 def delta_e(lab_a: np.ndarray, lab_b: np.ndarray) -> np.ndarray:
-    """Return CIEDE2000 between two (..., 3) arrays of CIELAB; names are those of CIE 142:2001, angles are radians."""
+    """Return CIEDE2000 between two (..., 3) arrays of CIELAB; names are those of CIE 142:2001, angles are radians.
+
+    Examples
+    --------
+    The first pair of colours that Sharma, Wu and Dalal published with the formula:
+
+    >>> float(delta_e([50.0, 2.6772, -79.7751], [50.0, 0.0, -82.7485]).round(4))
+    2.0425
+    """
     (l_1, a_1, b_1), (l_2, a_2, b_2) = (np.moveaxis(np.asarray(lab, dtype=np.float64), -1, 0) for lab in (lab_a, lab_b))
     stretch = 1.5 - 0.5 * _saturation((np.hypot(a_1, b_1) + np.hypot(a_2, b_2)) / 2)
     a_1, a_2 = stretch * a_1, stretch * a_2

@@ -20,6 +20,11 @@ class InputError(PlainError, ValueError):
         What was found there.
     accepted : str
         What would have been right.
+
+    Examples
+    --------
+    >>> print(InputError("config/objects/jar.yaml", "shape.radius_mm", "-3.0", "a number above 0"))
+    config/objects/jar.yaml: shape.radius_mm: found -3.0; accepted: a number above 0.
     """
 
     def __init__(self, file, field: str, found: str, accepted: str) -> None:

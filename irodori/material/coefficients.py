@@ -50,6 +50,11 @@ def half_scale(largest: np.ndarray) -> np.ndarray:
     Returns
     -------
     (k,) float32; 1 where the bound is 0. Division brings the bound to between 16384 and 32768.
+
+    Examples
+    --------
+    >>> half_scale([1.0, 100000.0, 0.0]).tolist()
+    [3.0517578125e-05, 4.0, 1.0]
     """
     largest = np.asarray(largest, dtype=np.float64)
     if not np.isfinite(largest).all():

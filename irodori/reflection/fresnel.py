@@ -58,7 +58,15 @@ def _fill(cosine, n, k, out):
 
 
 def fresnel_array(cosine, n: float, k: float) -> np.ndarray:
-    """Return `fresnel` over an array of cosines, (...) float64."""
+    """Return `fresnel` over an array of cosines, (...) float64.
+
+    Examples
+    --------
+    Glass reflects 4 % of the light that meets it head on, and all of it at grazing incidence:
+
+    >>> fresnel_array([1.0, 0.5, 0.0], 1.5, 0.0).round(3).tolist()
+    [0.04, 0.089, 1.0]
+    """
     cosine = np.asarray(cosine, dtype=np.float64, order="C")
     out = np.empty(cosine.size)
     _fill(cosine.reshape(-1), float(n), float(k), out)

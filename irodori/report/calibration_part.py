@@ -31,10 +31,38 @@ def _calibration(name: str, calibration, errors, selection) -> dict:
     with store.open_file(calibration) as file:
         found = {key: file.attribute(key) for key in _ATTRIBUTES} | {"bases": file.dataset("basis").shape[1]}
         found["left_out"] = {words: _means(file, way) for way, words in _WAYS.items() if f"{way}/rmse" in file}
+    found["guidelines"] = guideline_rows(found.pop("verdicts"))
     rows = _read(selection)
     by_patch = [row for row in rows[1:] if row[rows[0].index("left_out")] == "patch"]
     files = {"selection": rows, "patches": _read(errors), "figure": selection_figure(rows[0], by_patch)}
     return found | files | {"name": name}
+
+
+def guideline_rows(verdicts: list[dict]) -> list[dict]:
+    """Return one row for each guideline, quantity and statistic, with the limits of all levels and the level reached.
+
+    Parameters
+    ----------
+    verdicts : list of dict
+        Attribute of ``calibration.h5``: the fields of `irodori.calibration.verdict.Tolerance`, ``measured`` and
+        ``passes``; the levels of a guideline stand from the strictest on.
+    """
+    groups: dict[tuple, list[dict]] = {}
+    for v in verdicts:
+        groups.setdefault((v["guideline"], v["quantity"], v["metric"], v["statistic"]), []).append(v)
+    return [_guideline_row(levels) for levels in groups.values()]
+
+
+def _guideline_row(levels: list[dict]) -> dict:
+    first = levels[0]
+    sign = "<" if first["strict"] else "≤"
+    reached = next((v["level"] for v in levels if v["passes"]), "none")
+    return {
+        **{key: first[key] for key in ("guideline", "quantity", "metric", "statistic", "measured", "source")},
+        "limits": ", ".join(f"{v['level']} {sign} {v['limit']:g}" for v in levels),
+        "reached": "not measured: no neutral patch" if np.isnan(first["measured"]) else reached,
+        "read_in": "the document" if first["verified"] else "a secondary source, not the document",
+    }
 
 
 def _means(file: store.Reader, way: str) -> dict[str, float]:

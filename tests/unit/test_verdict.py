@@ -5,7 +5,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from irodori.calibration.verdict import TOLERANCES, colour_differences, differences_of_lab, judge
+from irodori.calibration.verdict import (
+    TOLERANCES,
+    colour_differences,
+    differences_of_lab,
+    judge,
+    neutral_differences,
+)
+from irodori.report.calibration_part import guideline_rows
 from irodori.spectra.published import chart_spectra
 
 GREYS = np.linspace(0.05, 0.9, 30)[:, None] * np.ones(61)
@@ -13,10 +20,10 @@ LAB = st.tuples(st.floats(0.0, 100.0), st.floats(-80.0, 80.0), st.floats(-80.0, 
 
 
 def levels_reached(verdicts) -> dict[str, str]:
-    """Return the highest level of each guideline all of whose lines pass, by guideline; ``none`` where none does."""
+    """Return the highest level of each guideline all of whose colour limits are kept; ``none`` where none is."""
     reached = {}
     for guideline in dict.fromkeys(v.tolerance.guideline for v in verdicts):
-        own = [v for v in verdicts if v.tolerance.guideline == guideline]
+        own = [v for v in verdicts if v.tolerance.guideline == guideline and v.tolerance.quantity == "colour accuracy"]
         # Levels stand from the strictest on.
         levels = dict.fromkeys(v.tolerance.level for v in own)
         passed = (level for level in levels if all(v.passes for v in own if v.tolerance.level == level))
@@ -62,6 +69,7 @@ def test_a_perfect_calibration_reaches_the_highest_level_of_every_guideline():
         "FADGI 2023": "4 star",
         "Metamorfoze 1.0": "full",
         "Metamorfoze 2.0": "full",
+        "ISO 19264-1:2021": "level A",
     }
 
 
@@ -85,22 +93,65 @@ def test_one_bad_patch_fails_a_maximum_and_no_mean():
     _, patches = chart_spectra("BabelColor Average")
     estimate = patches.copy()
     estimate[0] = patches[12]
-    rows = {(v.tolerance.guideline, v.tolerance.level, v.tolerance.statistic): v for v in judge(patches, estimate)}
-    assert rows["Metamorfoze 1.0", "full", "mean"].passes and not rows["Metamorfoze 1.0", "full", "max"].passes
-    assert rows["FADGI 2023", "4 star", "p90"].passes
+    rows = by_kind(judge(patches, estimate))
+    assert rows["Metamorfoze 1.0", "full", "CIE 1976", "mean"].passes
+    assert not rows["Metamorfoze 1.0", "full", "CIE 1976", "max"].passes
+    assert not rows["ISO 19264-1:2021", "level C", "largest of the three formulas", "max"].passes
+    assert rows["FADGI 2023", "4 star", "CIEDE2000", "p90"].passes
+    # The patch is brown: what is neutral is as it was.
+    assert rows["ISO 19264-1:2021", "level A", "ΔL*", "max"].measured < 1e-9
+
+
+def by_kind(verdicts) -> dict:
+    return {(v.tolerance.guideline, v.tolerance.level, v.tolerance.metric, v.tolerance.statistic): v for v in verdicts}
 
 
 def test_measured_values_are_those_of_the_tolerances_metric_and_statistic():
     _, patches = chart_spectra("BabelColor Average")
     estimate = patches * np.linspace(0.9, 1.05, 61)
     differences = colour_differences(patches, estimate)
+    largest = [max(of_patch) for of_patch in zip(*differences.values(), strict=True)]
+    values = {**differences, **neutral_differences(patches, estimate), "largest of the three formulas": largest}
     statistics = {"mean": np.mean, "max": np.max, "p90": lambda values: np.percentile(values, 90)}
     for verdict in judge(patches, estimate):
         line = verdict.tolerance
-        assert verdict.measured == pytest.approx(statistics[line.statistic](differences[line.metric]))
+        assert verdict.measured == pytest.approx(statistics[line.statistic](values[line.metric]))
         expected = verdict.measured < line.limit if line.strict else verdict.measured <= line.limit
         assert verdict.passes == expected
         assert (line.metric == "CIE 1976") == (line.guideline == "Metamorfoze 1.0")
+
+
+def test_greys_that_come_back_darker_differ_in_lightness_alone():
+    found = neutral_differences(GREYS, 0.9 * GREYS)
+    assert found["ΔL*"] == pytest.approx(lightness(GREYS) - lightness(0.9 * GREYS), abs=1e-6)
+    assert np.abs(found["Δ(a*, b*)"]).max() < 1e-9
+
+
+def test_a_chart_without_a_neutral_patch_has_no_tone_response_and_reaches_nothing_by_it():
+    colours = np.linspace(0.1, 0.9, 61) * np.linspace(0.3, 1.0, 5)[:, None]
+    rows = guideline_rows(attributes(judge(colours, colours)))
+    of_tone = [row for row in rows if row["quantity"] in ("tone response", "white balance")]
+    assert of_tone and all(np.isnan(row["measured"]) for row in of_tone)
+    assert {row["reached"] for row in of_tone} == {"not measured: no neutral patch"}
+    assert {row["reached"] for row in rows if row not in of_tone} == {"4 star", "full", "level A"}
+
+
+def attributes(verdicts) -> list[dict]:
+    return [{**vars(v.tolerance), "measured": v.measured, "passes": v.passes} for v in verdicts]
+
+
+def test_the_table_has_one_row_for_each_guideline_quantity_and_statistic_with_the_source_of_every_limit():
+    _, patches = chart_spectra("BabelColor Average")
+    # 3 % darker: the white patch loses about 1.2 of lightness.
+    rows = guideline_rows(attributes(judge(patches, 0.97 * patches)))
+    assert len(rows) == len({(v.guideline, v.metric, v.statistic) for v in TOLERANCES})
+    assert {row["guideline"] for row in rows if row["read_in"] == "the document"} == {"FADGI 2016", "Metamorfoze 1.0"}
+    assert all(row["source"] for row in rows)
+    iso = next(row for row in rows if row["guideline"].startswith("ISO") and row["metric"] == "ΔL*")
+    assert iso["limits"] == "level A ≤ 2, level B ≤ 3, level C ≤ 4" and iso["reached"] == "level A"
+    assert iso["read_in"] == "a secondary source, not the document"
+    older = next(row for row in rows if row["guideline"] == "FADGI 2016")
+    assert older["limits"] == "4 star < 2, 3 star < 4, 2 star < 6, 1 star < 10"
 
 
 @pytest.mark.parametrize(

@@ -6,11 +6,14 @@ import shutil
 
 import h5py
 import numpy as np
+import pytest
 import xarray as xr
 import yaml
+from accessibility import violations
 from project import ROOT, edit, planned, small_project, snakemake
 from written_files import KINDS, PAGE, of_page, of_results, tables
 
+from irodori.calibration.verdict import TOLERANCES
 from irodori.core.store import open_file
 from irodori.core.units import require_unit
 from irodori.evaluation.registration_errors import summarise
@@ -18,6 +21,7 @@ from irodori.evaluation.result_tables import RegistrationRow, read_rows
 from irodori.export.pictures import read_spectral_exr
 from irodori.material.material_file import Material
 from irodori.report.page import typical_gloss_text
+from irodori.viewer.browser import browser_command
 
 STAGES_AFTER_FIT = {
     "fit_brdf",
@@ -53,6 +57,21 @@ def test_one_command_leaves_pictures_report_and_errors(finished):
         assert found.by_capture + found.by_chart > 0 and found.by_none == 0
         assert typical_gloss_text(Material.load(finished / f"results/{name}/material.h5")) in page
         assert f"<td>{name}</td><td>{found.by_capture}</td><td>{found.by_chart}</td>" in page
+
+
+@pytest.mark.heavy
+@pytest.mark.skipif(browser_command() is None, reason="NO BROWSER: pages are not tested; install Debian's chromium")
+def test_nothing_in_the_report_bars_anyone(finished):
+    assert violations([finished / "results/report.html"]) == {}
+
+
+def test_the_report_holds_the_calibration_against_every_guideline_with_the_source_of_each_limit(finished):
+    page = (finished / "results/report.html").read_text()
+    for guideline in ("FADGI 2016", "FADGI 2023", "Metamorfoze 1.0", "Metamorfoze 2.0", "ISO 19264-1:2021"):
+        assert page.count(f"<td>{guideline}</td>") == len(
+            {(t.metric, t.statistic) for t in TOLERANCES if t.guideline == guideline}
+        )
+    assert "<td>a secondary source, not the document</td>" in page and "<td>the document</td>" in page
 
 
 def test_reports_and_clusters_name_no_number_of_cores_and_need_none(tmp_path):

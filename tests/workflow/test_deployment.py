@@ -6,11 +6,11 @@ import pytest
 from project import ROOT, planned, small_project, snakemake
 
 TRUTH = "results/leaf-sphere/truth.h5"  # the output of a job without inputs
-#: What the README says, and a rule that asks for all of it.
+#: What the documentation shows, and a rule that asks for all of it.
 MODULE = (
     next(
         block.removeprefix("python\n").replace("path/to/irodori/workflow/Snakefile", "{snakefile}")
-        for block in (ROOT / "README.md").read_text().split("```")
+        for block in (ROOT / "docs/other-workflow.md").read_text().split("```")
         if block.startswith("python\n") and "module irodori" in block
     )
     + """

@@ -1,0 +1,25 @@
+"""What axe-core, a checker of pages for people who see, hear or move otherwise, finds on pages in a browser."""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from irodori.viewer.browser import browser
+
+_PATIENCE_MS = 180_000
+
+
+def violations(paths: Iterable[Path]) -> dict[str, list[str]]:
+    """Return the rules that pages break, each with the first element that does, by page; no page that breaks none."""
+    from axe_playwright_python.sync_playwright import Axe
+
+    context = browser(("--no-sandbox",)).new_context(offline=True, viewport={"width": 1280, "height": 900})
+    context.set_default_timeout(_PATIENCE_MS)
+    page, axe, found = context.new_page(), Axe(), {}
+    try:
+        for path in paths:
+            page.goto(Path(path).resolve().as_uri())
+            broken = axe.run(page).response["violations"]
+            found[str(path)] = [f"{one['id']}: {one['nodes'][0]['html'][:120]}" for one in broken]
+    finally:
+        context.close()
+    return {name: broken for name, broken in found.items() if broken}
