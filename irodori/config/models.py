@@ -592,6 +592,9 @@ class ReferenceIntegrator(Definition):
     #: Whether the noise is filtered out of the picture, at the price of a bias that is measured (true or false).
     denoise: bool = True
 
+    #: Standard error of a pixel over its radiance (share): where one has more, log and report say so.
+    max_relative_standard_error: float = 1.0
+
     #: Seed of the random numbers (count).
     seed: int = 0
 

@@ -324,6 +324,7 @@ class _Reference(Renderer):
         )
         seconds = time.perf_counter() - start
         radiance, errors = _finished(picture)
+        _tell_unsteady(errors, scene.integrator.max_relative_standard_error)
         if tiles is not None:
             tiles.remove()
         if picture.cut:
@@ -342,8 +343,9 @@ def _finished(picture) -> tuple[np.ndarray, dict]:
     from irodori.rendering.reference.converging_picture import pooled
 
     traced = _relative(pooled(picture.standard_error[..., 0]), picture.radiance)
+    counted = {"fireflies": count_fireflies(picture)}
     if picture.halves is None:
-        return picture.radiance, {"relative_standard_error": traced}
+        return picture.radiance, {"relative_standard_error": traced, **counted}
     from irodori.rendering.reference.denoising import BLOCK_PX, denoise, distance_to_unbiased
 
     start = time.perf_counter()
@@ -351,6 +353,7 @@ def _finished(picture) -> tuple[np.ndarray, dict]:
     distance = distance_to_unbiased(picture.halves, radiance)
     return radiance, {
         "relative_standard_error": _relative(error, radiance),
+        **counted,
         "denoised": {
             "seconds": time.perf_counter() - start,
             "relative_standard_error_before": traced,
@@ -358,6 +361,29 @@ def _finished(picture) -> tuple[np.ndarray, dict]:
             "block_px": BLOCK_PX,
         },
     }
+
+
+def _tell_unsteady(errors: dict, most: float) -> None:
+    """Write into the figures, and the log, whether a pixel has a larger relative standard error than is wanted."""
+    largest = errors["relative_standard_error"]["max"]
+    errors["beyond_max_relative_standard_error"] = largest > most
+    if largest > most:
+        LOGGER.warning(
+            "the largest relative standard error of a pixel is %.3g, more than %g (max_relative_standard_error), and "
+            "%d pixels are fireflies: a small bright light is found by few paths; more samples, or a larger or dimmer "
+            "light, help",
+            largest,
+            most,
+            errors["fireflies"],
+        )
+
+
+def count_fireflies(picture) -> int:
+    """Return the number of pixels whose own standard error is more than the median radiance of 7 × 7 about them."""
+    from scipy.ndimage import median_filter  # slow to import
+
+    around = median_filter(picture.radiance.mean(axis=-1), 7, mode="nearest")
+    return int((picture.standard_error[..., 0] > around).sum())
 
 
 def _relative(error: np.ndarray, radiance: np.ndarray) -> dict[str, float]:

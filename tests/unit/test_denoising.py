@@ -4,9 +4,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from made import made
 from path_scenes import ball, traced
-from scenes import constant_light, material, smooth_sky
+from scenes import OPTIONS, constant_light, material, smooth_sky
+from scenes import plate as plate_of
 
+from irodori.config.models import Render, Scene
+from irodori.rendering.integrators import render_image
 from irodori.rendering.reference.denoising import (
     MARGIN,
     Halves,
@@ -145,3 +149,36 @@ def test_a_filtered_picture_is_as_near_to_many_paths_as_four_times_its_paths_are
 def test_halves_of_other_than_two_sets_are_refused():
     with pytest.raises(ValueError, match=r"halves of 8 replicates; accepted: 2"):
         traced([ball(1.0)], [material(0.5)], constant_light(1.0), 8, replicates=8, halves=True)
+
+
+def pictured(light, caplog, **integrator) -> dict:
+    """Figures of two balls on a plate, one of them a mirror, and what was logged of them."""
+    scene = {
+        "image": {"width": 40, "height": 30}, "display": {"exposure": "auto"},
+        "integrator": {"kind": "reference", "samples": 16, **integrator},
+        "objects": [
+            {"object": "plate", "position_mm": [0, 0, 0]},
+            {"object": "matt", "position_mm": [-12, 0, 10]},
+            {"object": "mirror", "position_mm": [12, 0, 10]},
+        ],
+        "views": {"v": {"position_mm": [0, -150.0, 60.0], "target_mm": [0, 0, 6], "field_of_view_deg": 24.0}},
+    }  # fmt: skip
+    materials = [material(0.5), material(0.5), material(mirror=1.0, n=0.5, k=3.0)]
+    caplog.clear()
+    with caplog.at_level("WARNING"):
+        shapes = [plate_of(80.0), ball(10.0), ball(10.0)]
+        return render_image(made(Scene, scene), "v", shapes, materials, light, made(Render, OPTIONS))[1]
+
+
+def test_a_sun_in_a_mirror_that_few_paths_find_is_told(caplog):
+    even = pictured(constant_light(1.0), caplog)
+    assert even["fireflies"] == 0 and not even["beyond_max_relative_standard_error"] and not caplog.records
+    bright = constant_light(1.0)
+    bright.coefficients[12, 40] = 1e6
+    sun = pictured(bright, caplog)
+    assert sun["fireflies"] > 0 and sun["beyond_max_relative_standard_error"]
+    assert "fireflies" in caplog.text and "max_relative_standard_error" in caplog.text
+    accepted = pictured(bright, caplog, max_relative_standard_error=1e9)
+    assert not accepted["beyond_max_relative_standard_error"] and not caplog.records
+    # The mean of the samples, where it is asked for, has the same count: fireflies are looked for before the filter.
+    assert pictured(bright, caplog, denoise=False)["fireflies"] == sun["fireflies"]
