@@ -131,7 +131,7 @@ class Session:
         self._dialogue = dialogue or Dialogue()
         self._settle_s, self._settled_at = settle_s, -math.inf
         self._stands: dict[str, float] = {}
-        self._series, self._body = Series(()), ""
+        self._series, self._body, self._without_outline = Series(()), "", ""
         #: What the drift frames of this sitting have shown.
         self.drift: list[Drift] = []
         #: What the rig's limit switches have shown at the end of this sitting.
@@ -299,17 +299,20 @@ class Session:
             path.unlink(missing_ok=True)
 
     def _show(self, file: str, finding: str, mosaic: Mosaic, outline: Outline | None) -> None:
-        """Show a photograph, and the outline where the picture is as large as the definition's."""
-        fits = outline is not None and outline.size == (mosaic.size[0] // 2, mosaic.size[1] // 2)
-        self._dialogue.show(file, finding, preview_of(mosaic), outline if fits else None)
+        """Show a photograph with its outline; one of another size than the camera's definition says has none."""
+        size, without = (mosaic.size[0] // 2, mosaic.size[1] // 2), self._without_outline
+        if outline is not None and outline.size != size:
+            told = "the picture has {} x {} superpixels, and by the camera's optics {} x {}"
+            without, outline = told.format(*size, *outline.size), None
+        finding = f"{finding}; no outline is drawn: {without}" if without else finding
+        self._dialogue.show(file, finding, preview_of(mosaic), outline)
 
     def _outline(self, shot: Shot) -> Outline | None:
-        """Return where the object lies by its typed pose; a mesh that cannot be read is said once."""
+        """Return where the object lies by its typed pose; a mesh may be one that is made of the photographs."""
         try:
             return self._outline_of(shot)
         except InputError as error:
-            self._dialogue.note(f"No outline is drawn: {error}")
-            self._outline_of = lambda shot: None
+            self._outline_of, self._without_outline = (lambda shot: None), str(error)
             return None
 
     def _recalled(self, planned: Sequence[Shot], missing: Sequence[Shot]) -> Series:

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -71,11 +72,14 @@ class ProjectedOutlines:
     """
 
     def __init__(self, shape: "ObjectShape", optics: "Optics", distance_mm: float) -> None:
-        self._definition = shape
-        self._shape: Shape | None = None
-        self._pinhole, self._distance_mm = Pinhole.from_optics(optics), distance_mm
+        self._definition, self._optics, self._distance_mm = shape, optics, distance_mm
         self._side = max(1, -(-(optics.width_px // 2) // _SAMPLES))
         self._known: dict[str, Outline] = {}
+
+    @cached_property
+    def _seen(self) -> tuple[Shape, Pinhole]:
+        """The shape and the camera; a mesh may be large."""
+        return Shape.from_definition(self._definition), Pinhole.from_optics(self._optics)
 
     def of(self, pose: "Pose") -> Outline:
         """Return the outline in a pose, its edges on those of the samples of a small picture.
@@ -83,13 +87,11 @@ class ProjectedOutlines:
         Raises
         ------
         InputError
-            If the shape is a mesh whose file cannot be read.
+            If the shape is a mesh whose file cannot be read, or the distortion folds inside the picture.
         """
-        if self._shape is None:
-            self._shape = Shape.from_definition(self._definition)
         if pose.name not in self._known:
-            side, size = self._side, (self._pinhole.width_px // 2, self._pinhole.height_px // 2)
-            mask = silhouette(self._shape, self._pinhole, self._distance_mm, pose, side)
+            side, size = self._side, (self._optics.width_px // 2, self._optics.height_px // 2)
+            mask = silhouette(*self._seen, self._distance_mm, pose, side)
             rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
             box = None
             if len(rows):

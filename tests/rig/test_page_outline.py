@@ -9,15 +9,19 @@ import pytest
 from made import made
 from PIL import Image
 from scipy.ndimage import binary_erosion, distance_transform_edt
-from sessions import MADE, definitions
+from sessions import MADE, QuickCamera, assert_whole, definitions, shots
 from test_check import SIZE
 from test_rig_page import press, says, visit  # noqa: F401 - the fixture of a browser
 
 from irodori.capture.dialogue import Dialogue, State
+from irodori.capture.journal import Journal
+from irodori.capture.operator import AutoOperator
 from irodori.capture.page_server import Address, served
+from irodori.capture.session import Session, take_stock
 from irodori.capture.stage import Target, capture_camera, capture_object
 from irodori.config.capture_table import Pose
 from irodori.config.models import Camera, Object, Optics, Rig
+from irodori.core.errors import InputError
 from irodori.geometry.projected_outline import Outline, ProjectedOutlines
 
 POSE = {"light_deg": [45.0], "camera_deg": [20.0], "tilt_deg": [10.0], "turn_deg": [20.0]}
@@ -115,6 +119,28 @@ def test_nothing_is_drawn_where_no_object_stands_or_the_lens_is_unknown(tmp_path
         page.wait_for_function("document.getElementById('picture').naturalWidth === 120")
         assert not page.locator("#outline").is_visible() and not page.locator("#lines").is_visible()
         assert sitting.dialogue.view.shown.outline is None
+
+
+def test_why_no_outline_is_drawn_is_said_and_the_session_goes_on(tmp_path, monkeypatch):
+    def without_mesh(shot):
+        raise InputError("config/objects/vase.yaml", "shape.file", "no such file", "a mesh")
+
+    planned, seen = shots(3), []
+    monkeypatch.setattr(Dialogue, "show", lambda self, *shown: seen.append(shown))
+    other = Outline("M0 0h8", (0, 7, 0, 7), (400, 300))
+    for name, outline_of in (("a", without_mesh), ("b", lambda shot: other), ("c", lambda shot: None)):
+        (tmp_path / name).mkdir()
+        journal = Journal(tmp_path / name / "captures.csv")
+        dialogue = Dialogue(watched=True)
+        dialogue.ask = lambda *_: ""
+        how = {"dialogue": dialogue, "outline_of": outline_of}
+        Session(QuickCamera(), AutoOperator(dict), journal, None, take_stock(journal, planned), **how).run(planned, "x")
+        assert_whole(tmp_path / name, planned)
+    assert [shown[3] for shown in seen] == [None] * 9
+    said = [shown[1] for shown in seen]
+    assert all("; no outline is drawn: config/objects/vase.yaml: shape.file" in text for text in said[:3])
+    assert all("has 16 x 12 superpixels, and by the camera's optics 400 x 300" in text for text in said[3:6])
+    assert not any("outline" in text for text in said[6:])
 
 
 def test_the_outline_of_a_small_picture_is_that_of_the_large_one():

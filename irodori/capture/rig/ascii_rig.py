@@ -80,7 +80,7 @@ class AsciiRig(ControlledRig):
             deadline = Deadline(self.travel_s(start, targets_deg) * (1 + MARGIN) + self._timeout_s)
             self._goal = targets
             for name in targets_deg:
-                self._order("move", axis=self.drives[name].channel, target=targets[name])
+                self._order_motion("move", axis=self.drives[name].channel, target=targets[name])
             self._await_arrival([places, targets], deadline)
             self._last, self._goal = targets, {}
 
@@ -158,7 +158,7 @@ class AsciiRig(ControlledRig):
 
     def _home_once(self) -> None:
         for drive in self.drives.values():
-            self._order("home", axis=drive.channel)
+            self._order_motion("home", axis=drive.channel)
             if not self._words.per_axis("home"):
                 break
         ways = [(high - low) / drive.speed for drive in self.drives.values() for low, high in [drive.reach]]
@@ -208,6 +208,14 @@ class AsciiRig(ControlledRig):
     def _tolerance(self, drive: Drive) -> float:
         """Return how far from a target an axis may come to rest: half of its smallest step."""
         return 0.5 * drive.axis.step_deg * abs(drive.units_per_deg)
+
+    def _order_motion(self, command: str, **values) -> None:
+        """Send a command that moves; once more where it, or its answer, was lost: it ends at the same place."""
+        try:
+            self._order(command, **values)
+        except DeadlineError:
+            if self._look()[0] == "idle":
+                self._order(command, **values)
 
     def _order(self, command: str, **values) -> None:
         """Send a command and wait until it is accepted."""

@@ -3,6 +3,8 @@
 Followed from the firmware's documentation and its order of events: single-byte commands act at once; lines wait in a
 serial buffer of 128 bytes, and are read while the planner has room; a hold stops the reading; homing answers nothing.
 Moves end at rest (the firmware blends the corners of a path, which no pose of the rig needs).
+What grblHAL and FluidNC do otherwise is taken from their sources: machine_limits.c, planner.c and system.c of
+grblHAL/core; RuntimeSetting.cpp, Cartesian.cpp and ProcessSettings.cpp of bdring/FluidNC.
 """
 
 import math
