@@ -13,11 +13,10 @@ from irodori.geometry.pinhole import Pinhole
 from irodori.rectification.reduced_pictures import DARK, GREEN, Level, Picture
 
 _GRID = 160  # rays along the longer side of the object, between which the outline is looked for
-_ROUNDS = 12  # of halving the way between a ray that meets the object and one that does not
+_ROUNDS = 16  # of halving the way between a ray that meets the object and one that does not
 _SMOOTH = 1.5  # steps of the grid over which it is told what is outside
 _NEIGHBOURS = 12  # points through which the outline's direction is taken
 _ROUGH = 0.02  # of their extent, which points may be off a smooth curve
-_CHORD = 0.3  # of the object's reach, within which a ray leaves a round object again beside its outline
 _MOST = 200  # points of an outline
 _STEP = 0.5  # samples between readings along a normal
 _READINGS = 4  # of an edge, each about where the one before found it
@@ -84,16 +83,8 @@ def find_rim(tracer: Tracer, pinhole: Pinhole, eye, axes, window) -> Rim:
     on, direction = on[is_smooth], direction[is_smooth]
     chosen = np.unique(np.linspace(0, len(on) - 1, min(len(on), _MOST)).round().astype(int))
     on, direction = on[chosen], direction[chosen]
-    hit, point = met(on)
-    point, placed = point[hit], tracer.placements[0]
-    # A round object is met a little before its outline and left a little behind it, which lies halfway.
-    way = point - eye
-    far, towards = eye + 2.0 * way, way / np.linalg.norm(way, axis=1, keepdims=True)
-    back, shape = tracer.intersect(far, -towards)
-    left = far - np.where(shape == 0, back, 0.0)[:, None] * towards
-    through = (shape == 0) & (np.linalg.norm(left - point, axis=1) < _CHORD * placed.shape.reach_mm)
-    point = np.where(through[:, None], 0.5 * (point + left), point)
-    return Rim((point - placed.translation_mm) @ placed.rotation, direction[hit])
+    placed = tracer.placements[0]
+    return Rim((met(on)[1] - placed.translation_mm) @ placed.rotation, direction)
 
 
 def _normals(on: np.ndarray, away: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

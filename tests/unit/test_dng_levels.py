@@ -66,7 +66,8 @@ def test_directories_within_a_directory_are_read(tmp_path, order, kind):
     # Two of them are listed elsewhere.
     listed = entry(order, CHILDREN, kind, 2, struct.pack(order + "I", 40))
     places = struct.pack(order + "II", 100, 200)
-    content = ((head(order) + directory(order, listed)).ljust(40, b"\0") + places).ljust(100, b"\0") + child
+    beyond = directory(order, listed, following=2**32 - 1)
+    content = ((head(order) + beyond).ljust(40, b"\0") + places).ljust(100, b"\0") + child
     assert found(tmp_path, content.ljust(200, b"\0") + directory(order, repeat(order, 4, 4))) == [(3, 3), (4, 4)]
     # A place that is written in two bytes is none.
     short = entry(order, CHILDREN, SHORT, 1, struct.pack(order + "H", 40))

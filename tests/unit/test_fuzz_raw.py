@@ -98,7 +98,8 @@ def test_a_tag_is_a_text_that_a_camera_writes_or_whole_numbers_or_a_fraction(tmp
     value = content.ljust(4, b"\0") if len(content) <= 4 else struct.pack(order + "I", 26)
     entry = struct.pack(order + "HHI", 271, kind, number) + value
     head = (b"II*\0" if order == "<" else b"MM\0*") + struct.pack(order + "IH", 8, 1)
-    (tmp_path / "a.dng").write_bytes(head + entry + bytes(4) + content)
+    # The next directory is said to lie beyond the end, and is none.
+    (tmp_path / "a.dng").write_bytes(head + entry + b"\xff" * 4 + content)
     assert [tag.values for tag in read_tags(tmp_path / "a.dng", (271,))] == ([] if read is None else [read])
 
 

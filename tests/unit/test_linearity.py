@@ -7,6 +7,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from raw_studio import BLACK, SIZE, SUPERPIXELS, Studio, dng
+from raw_studio import WHITE as RAW_WHITE
 
 from irodori.config.capture_table import Pose, Shot
 from irodori.core import store
@@ -150,6 +151,13 @@ def test_the_dark_signal_is_no_part_of_the_response(tmp_path, iso):
         measure_linearity(shots, tmp_path / "t.csv", tmp_path, offset, 0.02)
     lifted = plain_series(tmp_path, rate, dark_rate, iso, offset=500)
     assert measure_linearity(lifted, tmp_path / "t.csv", tmp_path, offset, 0.001).largest < 2e-4
+
+
+@pytest.mark.parametrize(("share", "counted"), [(0.0048, 2), (0.0053, 3)])
+def test_an_exposure_counts_from_a_two_hundredth_of_the_range_between_black_and_white_on(tmp_path, share, counted):
+    shots = plain_series(tmp_path, share * (RAW_WHITE - BLACK) / 0.01)
+    found = measure_linearity(shots, tmp_path / "t.csv", tmp_path, None, 0.02)
+    assert len(found.exposure_s) == counted
 
 
 def test_hot_pixels_do_not_bend_the_response(tmp_path):

@@ -1,6 +1,7 @@
 """Photon transfer: gain and read noise against the sensor's truth, whatever the light does between two frames."""
 
 import dataclasses
+import math
 
 import numpy as np
 import pytest
@@ -115,6 +116,15 @@ def test_points_without_scatter_give_the_line_that_they_lie_on(gain, read, drift
     assert more[3] == pytest.approx(found[3] / 10.0, rel=0.01)
 
 
+@pytest.mark.parametrize(("most", "told"), [(60.0, False), (95.0, True)])
+def test_a_gain_is_told_by_levels_that_differ_by_ten_standard_deviations(most, told):
+    level, one = np.linspace(0.0, most, 40), np.ones(40)
+    variance = 2.0 * 25.0 + 2.0 * level / 5.0  # of a mean of about 64, whose root is 8
+    gain, _, read, _ = fit_transfer(np.stack([0.0 * one, 4096.0 * one, level, one, variance], axis=1))
+    assert math.isfinite(gain) == told and (not told or gain == pytest.approx(5.0, rel=1e-6))
+    assert read == pytest.approx(5.0, rel=0.2)
+
+
 def test_points_that_scatter_more_than_their_number_tells_have_larger_errors():
     level, count = np.linspace(0.0, 20_000.0, 400), np.full(400, 256.0)
     off = np.random.default_rng(3).normal(size=400) * np.sqrt(2.0 / 255.0)
@@ -144,6 +154,8 @@ def test_points_that_determine_nothing_say_so():
     one = np.ones(20)
     assert np.isnan(fit_transfer(np.stack([one, 256 * one, level, one, 0 * one], axis=1))).all()
     gain, gain_error, read, read_error = fit_transfer(np.stack([one, 256 * one, level, one, 8.0 * one], axis=1))
+    # Noise of less than a number is noise.
+    assert fit_transfer(np.stack([one, 256 * one, level, one, 0.5 * one], axis=1))[2] == pytest.approx(0.5)
     # Levels that do not differ tell the read noise alone: half of a difference's variance.
     assert np.isnan(gain) and np.isnan(gain_error) and read == pytest.approx(2.0)
     # Of 20 tiles of 256 pixels the variance is known within sqrt(2 / (20 * 255)), the deviation within half of that.

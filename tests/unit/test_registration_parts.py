@@ -156,6 +156,7 @@ def test_blocks_are_squares_of_texels_that_grow_with_the_blur():
     found = blocks(20, 12, 2.0, 1.5).reshape(12, 20)  # 8 x 1.5 / 2 texels
     np.testing.assert_array_equal(np.unique(found[:6, :6]), found[0, 0])
     assert len({found[0, 0], found[0, 6], found[6, 0], found[6, 6]}) == 4
+    assert len(np.unique(found)) == 4 * 2  # those at the right and at the bottom are smaller
     assert len(np.unique(blocks(20, 12, 2.0, 100.0))) == 1 and len(np.unique(blocks(20, 10, 2.0, 0.1))) == 8
 
 

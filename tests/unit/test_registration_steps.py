@@ -5,13 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from drawn_plates import PLATE, SETUP, VIEWS, correction, drawn, picture
+from drawn_plates import PLATE, SETUP, SMALL, VIEWS, correction, drawn, linear_file, picture
 
 from irodori.config.capture_table import Pose
 from irodori.config.models import Placing
 from irodori.config.parts import TexturedObject
 from irodori.geometry.lamp import Lamp
-from irodori.geometry.rig_frame import rig_from_object, rotation_x, rotation_y, rotation_z, to_light
+from irodori.geometry.rig_frame import rig_from_camera, rig_from_object, rotation_x, rotation_y, rotation_z, to_light
 from irodori.geometry.shapes.plate import Plate
 from irodori.geometry.shapes.sphere import Sphere
 from irodori.rectification.object_registration import (
@@ -31,6 +31,7 @@ from irodori.rectification.object_registration import (
     _textures,
     _View,
     _window,
+    register,
 )
 from irodori.rectification.placement_correction import CAMERA, COUNT, Correction, prior_sigma
 from irodori.rectification.texture_agreement import TextureRows, blocks, mean_texture
@@ -129,9 +130,9 @@ def test_a_window_holds_the_object_and_a_margin():
 
 @pytest.mark.parametrize("scale", [1.0, 2.0])
 def test_the_search_begins_as_far_off_as_the_prior_allows_within_the_objects_size(scale):
-    def reach(mm, size=60.0):
+    def reach(mm, width=60.0, height=60.0):
         alone = {name: 0.0 for name in vars(Placing()) if name != "max_residual_px"} | {"translation_mm": mm}
-        problem = problem_without_pictures(Plate(size, size), [Pose(45.0, 0.0)] * 3, placing=Placing(**alone))
+        problem = problem_without_pictures(Plate(width, height), [Pose(45.0, 0.0)] * 3, placing=Placing(**alone))
         for view in problem.views:
             view.picture = picture(np.zeros((2, 2, 3)), scale=scale)
         return _first_reach(problem)
@@ -139,8 +140,9 @@ def test_the_search_begins_as_far_off_as_the_prior_allows_within_the_objects_siz
     # Two and a half standard deviations; along the optical axis nearly nothing is seen of a displacement.
     assert reach(2.0) == pytest.approx(2.5 * 2.0 / MM_PER_PX * scale, rel=0.01)
     assert reach(0.1) == 4.0
-    assert reach(40.0, 2000.0) == 40.0
-    assert reach(40.0, 30.0) == pytest.approx(max(4.0, 0.35 * 15.0 / MM_PER_PX * scale), rel=0.02)
+    assert reach(40.0, 2000.0, 2000.0) == 40.0
+    for width, height in ((30.0, 50.0), (50.0, 30.0)):  # by the side that is narrower
+        assert reach(40.0, width, height) == pytest.approx(max(4.0, 0.35 * 15.0 / MM_PER_PX * scale), rel=0.02)
 
 
 def test_the_spacing_of_texels_is_that_in_the_picture():
@@ -219,6 +221,15 @@ def test_an_object_of_few_texels_has_an_outline_all_round(tmp_path):
     for view in problem.views:
         x, y = view.rim[:, 0] / 30.0, view.rim[:, 1] / 25.0
         assert min((one > 0.99).sum() for one in (x, -x, y, -y)) > 20
+
+
+def test_pictures_are_searched_as_they_are_at_the_end_and_smoothed_before():
+    problem = problem_without_pictures(Plate(60.0, 50.0), [Pose(45.0, 0.0)])
+    response = np.random.default_rng(16).uniform(0.3, 0.7, (120, 160, 3))
+    view = problem.views[0]
+    view.picture = picture(response)
+    np.testing.assert_array_equal(prepared(problem).views[0].search.bands, np.moveaxis(view.picture.response, -1, 0))
+    assert np.std(prepared(problem, reach=16.0).views[0].search.bands) < 0.25 * np.std(response)
 
 
 def test_nothing_is_said_of_an_outline_of_few_points(tmp_path):
@@ -462,7 +473,7 @@ def test_a_photographs_texture_lies_beside_that_of_the_others(by):
 
 
 def test_a_photograph_is_not_judged_by_a_texture_that_tells_too_little():
-    flat = np.full((200, 3, 2), 1e-3)
+    flat = np.random.default_rng(17).normal(0.0, 1e-3, (200, 3, 2))
     striped = np.random.default_rng(13).normal(0.0, 0.1, (200, 3, 1)) * [1.0, 0.0]
     for one in (
         displaced((0.5, 0.0), slopes=flat),
@@ -471,7 +482,7 @@ def test_a_photograph_is_not_judged_by_a_texture_that_tells_too_little():
         displaced((0.5, 0.0), weight=0.0),
         displaced((0.5, 0.0), only_this=200),
     ):
-        assert np.isnan(_shift(*one)).all()
+        np.testing.assert_array_equal(_shift(*one), [math.nan, math.nan], strict=True)
     row, mean, total = displaced((0.5, 0.0), weight=0.4)
     # Texels that it does not show are none that it shows in gloss.
     half = row._replace(weight=np.where(np.arange(200) % 2, 0.4, 0.0))
@@ -552,6 +563,39 @@ def test_a_photographs_residual_is_how_far_it_shows_the_object_from_the_others(t
     view = problem.views[2]
     across = np.abs(view.outward @ [0.0, 1.0])
     assert residual[2] == pytest.approx(3.0 / MM_PER_PX * math.sqrt(np.mean(across**2)), rel=0.2)
+
+
+def silhouette(folder, name, centre_mm):
+    """An evenly bright sphere of 20 mm whose centre lies elsewhere, seen from above."""
+    grid = np.stack(np.meshgrid(np.arange(160.0), np.arange(120.0)), axis=-1)
+    middle = SMALL.project(np.array(centre_mm), np.array([0.0, 0.0, 900.0]), rig_from_camera(Pose(45.0, 0.0)))
+    radius = 20.0 / math.sqrt(900.0**2 - 20.0**2) * 1200.0
+    shown = np.clip(radius - np.linalg.norm(grid - middle, axis=-1) + 0.5, 0.0, 1.0)
+    return linear_file(folder / name, 0.5 * np.repeat(shown[..., None], 3, axis=2), pose=(45.0, 0.0, 0.0, 0.0))
+
+
+def test_a_round_object_is_judged_by_its_outline_alone(tmp_path):
+    ball = TexturedObject.of({"shape": {"kind": "sphere", "radius_mm": 20.0}, "texels": {"width": 48, "height": 24}})
+    files = [silhouette(tmp_path, f"{n}.h5", at) for n, at in enumerate([(0, 0, 0), (0, 0, 0), (3.0, 0, 0)])]
+    problem = prepared(_problem(files, ball, SETUP, Placing()))
+    residual, points, suspects = _residuals(problem, 10.0)
+    assert (points > 50).all() and residual[:2].max() < 0.05
+    # Only the lit part of the outline counts, which lies along the way.
+    across = problem.views[2].outward @ [1.0, 0.0]
+    assert residual[2] == pytest.approx(3.0 / MM_PER_PX * math.sqrt(np.mean(across**2)), rel=0.05)
+    assert suspects[2][0] in ("camera_deg or tilt_deg", "turn_deg")
+
+
+def test_a_photograph_that_shows_the_object_beyond_what_was_searched_is_named_all_the_same(tmp_path):
+    (tmp_path / "moved").mkdir()
+    poses = [Pose(45.0, 0.0), Pose(45.0, 0.0, 0.0, 90.0), Pose(45.0, 0.0, 0.0, 180.0), Pose(45.0, 0.0)]
+    files = drawn(tmp_path, Correction(), poses[:3], poses[:3], contrast=0.0)
+    moved = drawn(tmp_path / "moved", correction(x_mm=4.5), poses[3:], poses[3:], contrast=0.0)
+    sure = {name: 0.02 for name in vars(Placing()) if name != "max_residual_px"}
+    found = register([*files, *moved], PLATE, SETUP, Placing(**sure))
+    # Six superpixels, where four were searched; two of the four sides lie across the way.
+    assert found.residual_px[3] == pytest.approx(6.0 * math.sqrt(0.5), rel=0.2)
+    assert found.residual_px[:3].max() < 0.1 and found.correction.values == (0.0,) * COUNT
 
 
 def test_of_a_texture_without_outline_the_residual_is_its_shift(tmp_path):
