@@ -40,7 +40,7 @@ class Texel(NamedTuple):
 class Refit(NamedTuple):
     """The lobe of a glTF material over a texture."""
 
-    alpha: np.ndarray  # (h, w) roughness², 0 of a mirror
+    alpha: np.ndarray  # (h, w) roughness², 0 of a mirror; where nothing is reflected the usual one
     weight: np.ndarray  # (h, w) 0..1
     base: np.ndarray  # (h, w) factor on the diffuse colour
     coat: float  # weight of the smooth clear coat, 0..1
@@ -198,6 +198,9 @@ def refit(material: Material) -> Refit:
         part = slice(first, first + _AT_ONCE)
         some = Texel(kinds.diffuse[part], [(name, b[part], m[part]) for name, b, m in kinds.gloss])
         alpha[part], weight[part], base[part] = _fitted(some, fresnel, f0, coat, material.mirror)
+    # Between a texel with gloss and one without, viewers interpolate: what has no weight has the usual roughness.
+    weighty = weight > 0.0
+    alpha = np.where(weighty, alpha, np.average(alpha[weighty], weights=count[weighty]) if weighty.any() else 1.0)
     factor = np.divide(base, kinds.diffuse[:, 0], out=np.ones_like(base), where=kinds.diffuse[:, 0] > 0.0)
     alpha, weight, factor = (values[which].reshape(shape) for values in (alpha, weight, factor))
     return Refit(alpha, weight, factor, coat)

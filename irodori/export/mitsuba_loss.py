@@ -76,9 +76,12 @@ def measure(folder: Path, picture: Path, view: str) -> dict:
     # The package itself may be installed or not: it is found where this process found it.
     paths = [str(Path(irodori.__file__).parents[1]), *filter(None, [os.environ.get("PYTHONPATH")])]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(paths)}
-    done = subprocess.run(
-        command, capture_output=True, text=True, errors="replace", timeout=_LONGEST_S, env=environment
-    )
+    try:
+        done = subprocess.run(
+            command, capture_output=True, text=True, errors="replace", timeout=_LONGEST_S, env=environment
+        )
+    except subprocess.TimeoutExpired:
+        return {"not_measured": f"no picture in {_LONGEST_S:.0f} s"}
     if done.returncode < 0:  # a library's own words stand before the state that it prints when it ends the process
         said = [line for line in done.stderr.splitlines() if "error" in line.lower()] or ["nothing said"]
         return {"not_measured": f"Mitsuba ended by {signal.Signals(-done.returncode).name}: {said[0].strip()}"}

@@ -16,7 +16,7 @@ import numpy as np
 from irodori import __version__
 from irodori.colour.colorimetry import colour_matching_weights, xyz_from_radiance
 from irodori.core.atomic_files import written_whole
-from irodori.core.errors import PlainError
+from irodori.core.errors import InputError, PlainError
 from irodori.export.export_sources import Item, Source
 from irodori.geometry.mesh import Mesh
 from irodori.geometry.shapes.placement import reaches
@@ -31,6 +31,8 @@ _SHAPES = {"sphere": ("sphere", "sphere"), "plate": ("rectangle", "rectangle"), 
            "plane": ("rectangle", "rectangle")}  # fmt: skip
 _PLANE = 1e4  # half the side of the square for an endless plane, over the scene's reach
 _SAMPLES = 64
+#: By what Mitsuba divides ∫ L x̄ dλ (its MI_CIE_Y_NORMALIZATION); the integral of its table of ȳ is 0.1 % more.
+_THEIR_Y_NM = 106.7502593994140625
 
 
 def _element(parent, tag: str, kind: str | None = None, name: str | None = None, **attributes):
@@ -170,9 +172,8 @@ def _add_view(root, source: Source, name: str) -> None:
 
 
 def scale_to_xyz(white: np.ndarray) -> float:
-    """Return the factor from the numbers of Mitsuba's XYZ film, ∫ L x̄ dλ / ∫ ȳ dλ, to XYZ whose white has Y = 100."""
-    luminance = colour_matching_weights()[1]
-    return float(100.0 * luminance.sum() / (luminance @ white))
+    """Return the factor from the numbers of Mitsuba's XYZ film to XYZ whose white, (61,) radiance, has Y = 100."""
+    return float(100.0 * _THEIR_Y_NM / (colour_matching_weights()[1] @ white))
 
 
 def write_mitsuba(source: Source, folder) -> None:
@@ -189,11 +190,13 @@ def write_mitsuba(source: Source, folder) -> None:
     PlainError
         If it is no scene: an object has no light.
     InputError
-        If nothing lights the scene.
+        If nothing lights the scene, or a file has the folder's name.
     """
     if source.scene is None:
         raise PlainError(f"--to mitsuba: found the {source.kind} {source.name!r}; accepted: a scene, which has light.")
     folder = Path(folder)
+    if folder.exists() and not folder.is_dir():
+        raise InputError(folder, "", "a file", "the name of a folder, which may be there already")
     folder.mkdir(parents=True, exist_ok=True)
     environment = Environment.load(source.environment)
     white, _ = shown_white(source.scene, environment, source.environment)

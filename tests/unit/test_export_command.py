@@ -1,6 +1,7 @@
 """The command ``irodori export`` with names: files, previews, losses, and what it refuses."""
 
 import argparse
+import csv
 import json
 
 import numpy as np
@@ -14,7 +15,7 @@ from scenes import smooth_sky
 from irodori.colour.display import standard_display
 from irodori.core import store
 from irodori.export.export_command import TARGETS, command_parser, export_named, main
-from irodori.export.gltf_loss import ParsedGltf
+from irodori.export.gltf_loss import EVEN, HIGHLIGHT, LAMP, ParsedGltf
 from irodori.export.pictures import write_display_picture, write_spectral_exr
 
 OBJECTS = ("tile-plate", "vermilion-sphere", "indigo-sphere", "leaf-sphere")
@@ -174,3 +175,23 @@ def test_a_material_that_no_photograph_determines_is_refused(project, capsys):
     own.save(root / "results/tile-plate/material.h5", store.Provenance("test"))
     assert main(["tile-plate", "--to", "gltf"]) == 2
     assert "no texel on the surface with data" in capsys.readouterr().err
+
+
+def test_the_table_of_losses_is_measured_from_the_files_and_shown_with_its_reasons(project, tmp_path):
+    from benchmarks.exports import COLUMNS, measured
+    from benchmarks.published_tables import exports_block
+
+    calls = ("tile-plate --to gltf --illuminant D65", "tile-plate --to spectral-exr", "tile-plate --to envi")
+    rows = [row for call in calls for row in measured(call, tmp_path)]
+    assert [row["compared"] for row in rows[:3]] == [f"tile-plate: {kind}" for kind in (LAMP, HIGHLIGHT, EVEN)]
+    spectral = rows[3:]
+    assert len(spectral) == 2 and all(row["max"] < 1e-4 and row["count"] == 64 for row in spectral)
+    sizes = [(tmp_path / f"tile-plate-{name}").stat().st_size for name in ("gltf.glb", "spectral-exr.exr")]
+    assert [float(rows[at]["mb"]) for at in (0, 3)] == pytest.approx([size / 1e6 for size in sizes], rel=1e-3)
+    rows.append({"export": "still-life mitsuba", "compared": "view front", "count": "not measured: no | LLVM"})
+    with (tmp_path / "exports.csv").open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.DictWriter(stream, COLUMNS)
+        writer.writeheader()
+        writer.writerows(row | {"mb": "1", "cpu_s": "2"} for row in rows)
+    *_, last = exports_block(tmp_path).splitlines()
+    assert last == "| `still-life mitsuba` | view front: not measured: no / LLVM | – | – | – | 1 | 2 |"

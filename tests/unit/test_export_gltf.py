@@ -89,6 +89,12 @@ def test_a_ggx_lobe_comes_back_as_it_is_and_mirrors_become_coat_or_lobe():
     assert mirror.coat == 0.0 and mirror.alpha[0, 0] == 0.0 and mirror.weight[0, 0] == pytest.approx(0.7)
     matt = refit(material(0.3))
     assert matt.coat == 0.0 and matt.weight[0, 0] == 0.0 and matt.base[0, 0] == pytest.approx(1.0, abs=1e-4)
+    # Half of the texels have no gloss: their roughness is that of the others, so that between them no mirror appears.
+    some = material(0.3, beta=1.0, mu=0.2)
+    some.beta[:, :4] = 0.0
+    half = refit(some)
+    assert not half.weight[:, :4].any() and half.weight[:, 4:].all()
+    assert half.alpha[:, :4] == pytest.approx(half.alpha[0, 4])
 
 
 TWO = Material.uniform(0.2, beta=1.0, mu=0.3, lobes=("gaussian", "ggx"), further_gloss=((4.0, 0.06),))

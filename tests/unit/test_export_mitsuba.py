@@ -12,7 +12,7 @@ from functools import cache
 import numpy as np
 import pytest
 from exported import painted, scene_of
-from scenes import GOLD_K, GOLD_N, THIRDS, material, sky, smooth_light
+from scenes import GOLD_K, GOLD_N, THIRDS, constant_light, material, sky, smooth_light
 
 from irodori.core import store
 from irodori.core.errors import InputError, PlainError
@@ -75,7 +75,7 @@ def assert_alike(one: np.ndarray, other: np.ndarray, precise: float) -> None:
     means = [pictures.mean(axis=0) for pictures in (one, other)]
     errors = [pictures.std(axis=0, ddof=1) / np.sqrt(PICTURES) for pictures in (one, other)]
     # The spectra between the 61 wavelengths are not the same to the last digit.
-    combined = np.maximum(np.hypot(*errors), 3e-4 * means[0])
+    combined = np.maximum(np.hypot(*errors), 1e-4 * means[0] + 1e-9)
     assert np.median(combined / np.maximum(means[0], 1.0)) < precise
     z = (means[0] - means[1]) / combined
     assert np.mean(np.minimum(z**2, 30)) < 1.7 and np.abs(z).max() < 9
@@ -139,6 +139,42 @@ def test_all_shapes_lobes_lamps_and_cameras_look_as_ours_do(tmp_path, view):
     folder = tmp_path / "out"
     write_mitsuba(source, folder)
     assert_alike(ours(source, folder, view, 256), theirs(folder, view, 256), 0.03)
+
+
+@pytest.mark.heavy
+def test_even_light_is_white_in_mitsuba_too(tmp_path):
+    """The scale of Mitsuba's film, within 1e-4; a perfect diffuser under even light is as bright as the light."""
+    constant_light().save(tmp_path / "light.h5", store.Provenance("test"))
+    away = {"position_mm": [0.0, 0.0, 200.0], "target_mm": [0.0, 0.0, 400.0], "up": [0.0, 1.0, 0.0],
+            "field_of_view_deg": 20.0}  # fmt: skip
+    below = away | {"target_mm": [0.0, 0.0, 0.0], "field_of_view_deg": 5.0}
+    things = [("plate", material(1.0), (0, 0, 0), (0, 0, 0))]
+    source = scene_of(things, {"away": away, "below": below}, tmp_path / "light.h5")
+    folder = tmp_path / "out"
+    write_mitsuba(source, folder)
+    white = np.array(json.loads((folder / "about.json").read_text())["white_xyz"])
+    for view in ("away", "below"):
+        seen = theirs(folder, view, 256).mean(axis=(0, 1, 2))
+        assert seen[:2] == pytest.approx(white[:2], rel=1e-4) and seen[2] == pytest.approx(white[2], rel=2e-3)
+
+
+@pytest.mark.heavy
+@pytest.mark.parametrize(
+    "own",
+    [
+        material(0.1, beta=1e4, mu=0.005),
+        Material.uniform(0.1, beta=1e4, mu=0.005, lobes=("ggx",)),
+        material(0.2, beta=0.5, mu=1.2),
+        material(0.0, mirror=1.0, n=0.2, k=3.0),
+        material(0.3, beta=1.0, mu=0.1, n=1.0),
+    ],
+    ids=["sharp gaussian", "sharp ggx", "wide", "metal", "no index"],
+)
+def test_extreme_materials_look_as_ours_do(tmp_path, own):
+    source = scene_of([("sphere", own, (0, 0, 0), (0, 0, 0))], {"v": VIEW}, light_file(tmp_path), size=(16, 12))
+    folder = tmp_path / "out"
+    write_mitsuba(source, folder)
+    assert_alike(ours(source, folder, "v", 128), theirs(folder, "v", 256), 0.05)
 
 
 def test_the_loss_tells_a_difference_from_noise():
