@@ -47,6 +47,7 @@ SUBCOMMANDS = {
     "capture": Subcommand(_BENCH, "start or continue a session: take the photographs that are missing"),
     "export": Subcommand("irodori.export.export_command", "write a scene, an object or a light for other programs"),
     "viewer": Subcommand("irodori.viewer.viewer_command", "write a scene's classroom page, or print what one holds"),
+    "crate": Subcommand("irodori.export.crate_command", "describe a finished run as a Workflow Run RO-Crate"),
     "filters": Subcommand("irodori.calibration.filters", "rank filters for the second shot of a camera"),
     "verify": Subcommand("irodori.core.custody", "compare every result with its hash and with what it was made from"),
     "simulate-grbl": Subcommand("irodori.simulation.controllers.grbl_simulator", "simulate a Grbl motion controller"),

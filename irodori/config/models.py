@@ -253,6 +253,22 @@ class ReportOptions(Definition):
 
 
 @dataclass(frozen=True, kw_only=True)
+class Publication(Definition):
+    """What is said of the data where it is published, by `irodori crate`; it changes no result."""
+
+    #: Licence of photographs and results; the address of its text, or its name (no unit). Without it the crate says
+    #: that none was stated.
+    licence: str | None = None
+
+    #: Name of who took the photographs (no unit).
+    photographer: str | None = None
+
+    #: ORCID of that person, four groups of four digits with or without `https://orcid.org/` (no unit); its last digit
+    #: is checked.
+    photographer_orcid: str | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
 class Config(Definition):
     """What to make, and the parameters that every object shares."""
 
@@ -290,6 +306,9 @@ class Config(Definition):
 
     #: What the reports compare.
     report: ReportOptions = ReportOptions()
+
+    #: What is said of the data where it is published, by `irodori crate`; it changes no result.
+    publication: Publication = Publication()
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -342,7 +342,7 @@ class Chain:
         parts = Path(name).parts
         return self._top.joinpath(*parts[1:]) if parts[:1] == (_RESULTS,) else self._top.parent / name
 
-    def _results(self) -> Iterator[Path]:
+    def results(self) -> Iterator[Path]:
         """Yield the files that are results: what has a record, and what must have one."""
         for path in sorted(self.folder.absolute().rglob("*")):
             if path.name.startswith("."):
@@ -354,7 +354,7 @@ class Chain:
 
     def broken(self) -> Iterator[str]:
         """Yield a sentence on each broken link, those of the beginning of the chain first."""
-        for path in self._results():
+        for path in self.results():
             yield from self._broken_before(path)
 
     def _broken_before(self, path: Path) -> Iterator[str]:

@@ -117,7 +117,7 @@ def _write(
     )  # fmt: skip
     with store.create(output, provenance) as out:
         dims = "row,column"
-        out.write("response", response, units=unit, dims=f"{dims},band", quantity="response", compression="fast")
+        out.write("response", response, units=unit, dims=f"{dims},band", quantity="response", compression="none")
         for name, mask, quantity in (
             ("valid", valid, "whether every band is measured"),
             ("clipped", clipped, "whether a band clips in every exposure"),

@@ -70,18 +70,12 @@ class Environment:
         """
         with store.create(path, provenance) as out:
             write_coefficients(out, "coefficients", self.coefficients, quantity=QUANTITY, storage=storage, codec=codec)
-            self.write_rest(out, errors, gloss, origin, storage=storage)
+            if gloss is not None:
+                gloss.write(out, storage)
+            self.write_rest(out, errors, origin)
 
-    def write_rest(
-        self,
-        out: store.Writer,
-        errors: dict | None = None,
-        gloss=None,
-        origin: dict | None = None,
-        *,
-        storage: str = "single",
-    ) -> None:
-        """Write all but the coefficients into an open file; see `save`."""
+    def write_rest(self, out: store.Writer, errors: dict | None = None, origin: dict | None = None) -> None:
+        """Write all but the coefficients and the blurred light into an open file; see `save`."""
         write_wavelength(out)
         out.write("basis", self.basis, units="1", dims="wavelength,component", quantity="spectral basis of the light")
         names = {"units": "sr", "dims": "theta,azimuth,component", "quantity": "coefficients of the irradiance map"}
@@ -89,8 +83,6 @@ class Environment:
         if self.basis_errors is not None:
             dims, quantity = "error,wavelength,component", "independent errors of the basis of the light"
             out.write("basis_errors", self.basis_errors, units="1", dims=dims, quantity=quantity)
-        if gloss is not None:
-            gloss.write(out, storage)
         out.attribute("errors", errors or {})
         out.attribute("origin", origin or {})
 

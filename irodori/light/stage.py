@@ -291,9 +291,7 @@ def write_environment(
         irradiance, of_irradiance = fitted_irradiance_map(
             coefficients, **vars(irradiance_options), integrate=integrator
         )
-        gloss = GlossMaps.of(coefficients) if gloss_lobes else None
-        if gloss is not None and options.storage == "half":
-            gloss = gloss.rounded()
+        gloss = GlossMaps.of(coefficients).write(out, options.storage) if gloss_lobes else None
         errors = {
             "delta_e": compression.errors,
             "negative_fraction": compression.negative.fraction,
@@ -305,7 +303,7 @@ def write_environment(
         light = Environment(
             coefficients, compression.basis, irradiance, basis_errors=picture.errors_on(compression.basis)
         )
-        light.write_rest(out, errors, gloss, picture.origin, storage=options.storage)
+        light.write_rest(out, errors, picture.origin)
     _log(compression, errors)
 
 

@@ -24,6 +24,7 @@ _SUFFIX = "_scale"
 _HALF_TOP = 2.0**15
 _TILE_VALUES = 1 << 20
 _CACHED_VALUES = 1 << 16
+_SIDE_BY_SIDE = 64
 
 
 def require_storage(storage: str, codec: str = "gzip") -> None:
@@ -90,15 +91,21 @@ def rounded_to_half(values: np.ndarray) -> np.ndarray:
 
 def scale_of(coefficients: np.ndarray) -> np.ndarray:
     """Return `half_scale` of a whole picture, (..., k) float, whose NaN count for nothing."""
-    flat = coefficients.reshape(-1, coefficients.shape[-1])
-    low, high = np.fmin.reduce(flat, axis=0, initial=0.0), np.fmax.reduce(flat, axis=0, initial=0.0)
-    return half_scale(np.maximum(-low.astype(np.float64), high))
+    last = coefficients.shape[-1]
+    flat = coefficients.reshape(-1, last)
+    # Many pixels side by side in one row: reduced several numbers at once.
+    whole = len(flat) // _SIDE_BY_SIDE * _SIDE_BY_SIDE
+    largest = np.zeros(last)
+    for part in (flat[:whole].reshape(-1, _SIDE_BY_SIDE * last), flat[whole:]):
+        low, high = (reduce(part, axis=0, initial=0.0).reshape(-1, last) for reduce in (np.fmin.reduce, np.fmax.reduce))
+        largest = np.maximum(largest, np.maximum(-low.min(axis=0).astype(np.float64), high.max(axis=0)))
+    return half_scale(largest)
 
 
 def to_half(coefficients: np.ndarray, scale: np.ndarray) -> np.ndarray:
     """Return coefficients divided by their scale, rounded to half precision, (..., k) float16; NaN stays NaN."""
     with np.errstate(under="ignore"):
-        return rounded_to_half((coefficients * (1.0 / scale)).astype(np.float32))
+        return rounded_to_half((coefficients * (1.0 / scale)).astype(np.float32, copy=False))
 
 
 def from_half(stored: np.ndarray, scale: np.ndarray) -> np.ndarray:
@@ -128,6 +135,7 @@ def write_coefficients(
     codec: str = "gzip",
     dims: str = AXES,
     basis: str = "basis",
+    decoded: np.ndarray | None = None,
 ) -> None:
     """Write coefficients of pixels, NaN where there are none.
 
@@ -146,6 +154,8 @@ def write_coefficients(
         Names of the axes; the last is ``component`` where the numbers are coefficients on a basis.
     basis : str
         Dataset of that basis, (61, k), for who reads the file without this module.
+    decoded : (height, width, k) float32, optional
+        Filled with the coefficients as they come back from storage.
     """
     coefficients = np.asarray(coefficients)
     scale = scale_of(coefficients) if storage == "half" else None
@@ -163,7 +173,10 @@ def write_coefficients(
     rows = max(1, _TILE_VALUES // max(int(np.prod(coefficients.shape[1:])), 1))
     for first in range(0, len(coefficients), rows):
         tile = coefficients[first : first + rows]
-        dataset[first : first + rows] = tile if scale is None else to_half(tile, scale)
+        stored = tile if scale is None else to_half(tile, scale)
+        dataset[first : first + rows] = stored
+        if decoded is not None:
+            decoded[first : first + rows] = stored if scale is None else from_half(stored, scale)
 
 
 def reserve_coefficients(

@@ -38,6 +38,7 @@ from irodori.config.models import (
     PerspectiveView,
     RigPose,
 )
+from irodori.config.orcid import orcid_fault
 from irodori.core.errors import InputError
 from irodori.geometry.mesh_sources import shape_files
 from irodori.spectra.tables import brdf_table
@@ -88,6 +89,7 @@ def check_agreement(loaded: Loaded, root: Path, config_file, file) -> None:
         For the first fault.
     """
     _check_bounds(loaded.config, config_file)
+    _check_orcid(loaded.config, config_file)
     _check_names(loaded, file)
     check_spectra(loaded.config.report, ("report",), root, config_file)
     checks = _Checks(loaded, root, file)
@@ -333,6 +335,12 @@ class _Checks:
 def _require(block: Mapping, key: str, file, kind: str, field: str = "") -> None:
     if key not in block:
         raise InputError(file, field or key, "no such key", f"this key, because the rig is of kind {kind}")
+
+
+def _check_orcid(config: Config, file) -> None:
+    orcid = config.publication.photographer_orcid
+    if orcid is not None and (fault := orcid_fault(orcid)):
+        raise InputError(file, "publication.photographer_orcid", f"{orcid}, {fault}", "an ORCID as orcid.org shows it")
 
 
 def _check_bounds(config: Config, file) -> None:

@@ -28,7 +28,7 @@ from irodori.light.environment_file import Environment
 from irodori.light.equirectangular import StackedPicture, add_interpolated
 from irodori.light.gloss.lobe_table import fitted_lobes
 from irodori.light.gloss.point_sources import PointLights, Seen, add_from_points, place_of, point_lights
-from irodori.material.coefficients import from_half, read_coefficients, scale_of, to_half, write_coefficients
+from irodori.material.coefficients import read_coefficients, write_coefficients
 from irodori.reflection.fresnel import fresnel
 from irodori.reflection.lobes import Lobes
 
@@ -82,17 +82,15 @@ class GlossMaps:
         first, levels = prefiltered(coefficients)
         return cls(first, tuple(levels), point_lights(coefficients))
 
-    def rounded(self) -> "GlossMaps":
-        """Return the maps as they come back from a file that holds them in half precision."""
-        scales = [scale_of(level) for level in self.levels]
-        levels = tuple(from_half(to_half(level, s), s) for level, s in zip(self.levels, scales, strict=True))
-        return GlossMaps(self.first, levels, self.points)
+    def write(self, out, storage: str = "single") -> "GlossMaps":
+        """Write ``/gloss`` into an open file of `irodori.core.store`; return the maps as they come back from it.
 
-    def write(self, out, storage: str = "single") -> None:
-        """Write ``/gloss`` into an open file of `irodori.core.store`; see `irodori.material.coefficients`."""
+        ``storage`` is that of `irodori.material.coefficients`.
+        """
         widths = WIDTHS_RAD[self.first :]
         out.write("gloss/width", widths, units="rad", dims="level", quantity="width 1/√κ of the blurring lobe")
-        for number, level in enumerate(self.levels, start=self.first):
+        levels = tuple(np.empty(level.shape, dtype=np.float32) for level in self.levels)
+        for number, (level, decoded) in enumerate(zip(self.levels, levels, strict=True), start=self.first):
             write_coefficients(
                 out,
                 f"gloss/level-{number:02d}",
@@ -101,11 +99,13 @@ class GlossMaps:
                 storage=storage,
                 codec="lzf",
                 dims=f"theta_{number:02d},azimuth_{number:02d},component",
+                decoded=decoded,
             )
         names = {"direction": ("1", "point,axis", "centre of power of a part of the sphere"),
                  "power": ("sr", "point,component", "coefficients of its radiance times its solid angle")}  # fmt: skip
         for (name, (units, dims, quantity)), values in zip(names.items(), self.points, strict=True):
             out.write(f"gloss/{name}", values, units=units, dims=dims, quantity=quantity)
+        return GlossMaps(self.first, levels, self.points)
 
     @classmethod
     def stored(cls, environment: Environment, levels: tuple[int, int] | None = None) -> "GlossMaps | None":

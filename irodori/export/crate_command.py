@@ -1,0 +1,79 @@
+"""The command ``irodori crate``: describe a finished run as a Workflow Run RO-Crate."""
+
+import argparse
+import json
+import shutil
+import zipfile
+from pathlib import Path
+
+from irodori.core.atomic_files import written_whole
+from irodori.core.errors import InputError, PlainError
+from irodori.export.run_crate import METADATA, RunFiles, run_crate
+
+#: What is packed already gains nothing from being packed again.
+_PACKED = (".h5", ".exr", ".png", ".dng", ".zip")
+
+
+def write_crate(results: Path, output: Path | None) -> Path:
+    """Write the crate of a finished run and return where it is.
+
+    Parameters
+    ----------
+    results : path
+        The folder ``results`` of a project.
+    output : path, optional
+        A new folder, or a file that ends in ``.zip``, which takes copies of all files. Where absent the description is
+        written into the project's folder, and the files stay where they are.
+
+    Raises
+    ------
+    InputError
+        See `irodori.export.run_crate.run_crate`; or if there is something at `output`.
+    OSError
+        If the disk is full or takes nothing.
+    """
+    if output is not None and (output.exists() or output.is_symlink()):
+        raise InputError(output, "", "something that is there already", "a name that is free")
+    metadata, files = run_crate(results)
+    text = json.dumps(metadata, indent=1, ensure_ascii=False) + "\n"
+    if output is None:
+        output = files.project / METADATA
+        with written_whole(output) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+    elif output.suffix == ".zip":
+        _write_zip(output, text, files)
+    else:
+        output.mkdir(parents=True)
+        for name in files.all:
+            (output / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy2(files.project / name, output / name)
+        # Last: a folder with its description is whole.
+        (output / METADATA).write_text(text, encoding="utf-8")
+    return output
+
+
+def _write_zip(output: Path, text: str, files: RunFiles) -> None:
+    with written_whole(output) as temporary, zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr(METADATA, text)
+        for name in files.all:
+            packed = zipfile.ZIP_STORED if name.endswith(_PACKED) else zipfile.ZIP_DEFLATED
+            archive.write(files.project / name, name, packed)
+
+
+def main(arguments: list[str] | None = None, prog: str = "irodori crate") -> int:
+    """Describe a finished run as a Workflow Run RO-Crate: its files with their hashes, its jobs, software and licence.
+
+    Without --output the description is written into the project's folder, as ro-crate-metadata.json.
+    """
+    parser = argparse.ArgumentParser(prog=prog, description=main.__doc__)
+    parser.add_argument("results", nargs="?", type=Path, default=Path("results"), help="the folder of results")
+    parser.add_argument(
+        "--output", type=Path, metavar="PATH", help="a new folder, or a file ending in .zip, that takes copies of all"
+    )
+    asked = parser.parse_args(arguments)
+    try:
+        print(write_crate(asked.results, asked.output))
+    except (PlainError, OSError) as error:
+        print(error)
+        return 1
+    return 0

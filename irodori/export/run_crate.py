@@ -1,0 +1,408 @@
+"""Workflow Run RO-Crate: what a run read, what it made, with which software, when, and under which licence, as JSON-LD.
+
+Profiles: RO-Crate 1.1, Process Run Crate 0.5, Workflow Run Crate 0.5 and Workflow RO-Crate 1.0. Plain dictionaries: the
+graph is a list of them, and the library for crates would add nothing that is wanted here. Files are named by their
+paths from the project's folder; the hashes are those of whole files, as ``sha256sum`` prints them, after every result
+was compared with the hash that its rule noted.
+"""
+
+import base64
+import json
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path, PurePosixPath
+from urllib.parse import quote
+
+from irodori import __version__
+from irodori.config.definitions import KINDS, load_definitions
+from irodori.config.loaded import Loaded
+from irodori.config.orcid import orcid_address
+from irodori.core import custody, store
+from irodori.core.atomic_files import file_sha256
+from irodori.core.errors import InputError
+from irodori.core.yaml_files import read_yaml
+
+METADATA = "ro-crate-metadata.json"
+_CONFIG = "config/config.yaml"
+_SNAKEFILE = "workflow/Snakefile"
+_LEDGER = "inputs.json"
+_RECORDS = ".snakemake/metadata"
+_PROFILES = {
+    "https://w3id.org/ro/wfrun/process/0.5": ("Process Run Crate", "0.5"),
+    "https://w3id.org/ro/wfrun/workflow/0.5": ("Workflow Run Crate", "0.5"),
+    "https://w3id.org/workflowhub/workflow-ro-crate/1.0": ("Workflow RO-Crate", "1.0"),
+}
+_OWN_LICENCE = "https://spdx.org/licenses/BSD-3-Clause"
+_CONTEXT = ["https://w3id.org/ro/crate/1.1/context", {"sha256": "http://schema.org/sha256"}]
+_PARAMETER = "https://bioschemas.org/profiles/FormalParameter/1.0-RELEASE"
+_FORMATS = {
+    ".h5": "application/x-hdf5", ".exr": "image/x-exr", ".png": "image/png", ".tif": "image/tiff", ".html": "text/html",
+    ".csv": "text/csv", ".json": "application/json", ".yaml": "application/yaml", ".dng": "image/x-adobe-dng",
+    ".py": "text/x-python", ".smk": "text/plain", ".rst": "text/x-rst", ".payload": "text/plain", "": "text/plain",
+}  # fmt: skip
+#: Outputs of the workflow that are no steps between: name of the formal parameter, and what it stands for.
+_OUTPUTS = {
+    "pictures": "Pictures of the scenes",
+    "materials": "Materials of the objects",
+    "environments": "Light of the environments",
+    "pages": "Report and classroom pages",
+    "tables": "Tables of figures and errors",
+}
+_BY_SUFFIX = {".exr": "pictures", ".png": "pictures", ".tif": "pictures", ".html": "pages", ".csv": "tables"}
+#: Packages whose versions are told beside those that the results name.
+_TOLD = ("snakemake", "numba", "scipy", "opencv-python", "OpenImageIO", "rawpy", "embreex", "nlopt", "colour-science")
+
+
+@dataclass(frozen=True)
+class Job:
+    """A job of the workflow as Snakemake noted it.
+
+    Parameters
+    ----------
+    rule : str
+    start_s, end_s : float
+        Seconds since 1970, UTC.
+    inputs, outputs : tuple of str
+        Paths from the project's folder.
+    """
+
+    rule: str
+    start_s: float
+    end_s: float
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+
+
+def jobs_of(project: Path) -> list[Job]:
+    """Return the jobs whose outputs lie in a project, in the order in which they began.
+
+    Raises
+    ------
+    InputError
+        If Snakemake's notes are missing, or cannot be read.
+    """
+    folder = project / _RECORDS
+    found: dict[tuple, list] = {}
+    for path in sorted(folder.rglob("*")) if folder.is_dir() else ():
+        if not path.is_file():
+            continue
+        try:
+            # Snakemake parts long names over folders, which begin with @.
+            coded = "".join(part.removeprefix("@") for part in path.relative_to(folder).parts)
+            output = base64.urlsafe_b64decode(coded).decode()
+            note = json.loads(path.read_bytes())
+            key = (note["rule"], float(note["starttime"]), float(note["endtime"]), tuple(sorted(note["input"] or ())))
+        except (ValueError, KeyError, TypeError):
+            raise InputError(path, "", "a note of a job that cannot be read", "those that Snakemake wrote") from None
+        if (project / output).exists():
+            found.setdefault(key, []).append(output)
+    if not found:
+        raise InputError(folder, "", "no notes of jobs", "those of the folder in which snakemake ran")
+    jobs = [Job(rule, start, end, inputs, tuple(sorted(made))) for (rule, start, end, inputs), made in found.items()]
+    return sorted(jobs, key=lambda job: (job.start_s, job.outputs))
+
+
+@dataclass(frozen=True)
+class RunFiles:
+    """Files of a run: path from the project's folder -> SHA-256 of the whole file, 64 hexadecimal digits."""
+
+    project: Path
+    workflow: Mapping[str, str]
+    settings: Mapping[str, str]
+    given: Mapping[str, str]
+    results: Mapping[str, str]
+
+    @property
+    def all(self) -> dict[str, str]:
+        """All of them."""
+        return {**self.workflow, **self.settings, **self.given, **self.results}
+
+
+def collect(results: Path, workflow: Iterable[Path], loaded: Loaded) -> RunFiles:
+    """Find the files of a run, and compare each with the hash that was noted for it.
+
+    Parameters
+    ----------
+    results : path
+        The folder ``results`` of a project.
+    workflow : iterable of path
+        Files of the workflow, in the project's folder.
+    loaded : Loaded
+        Its configuration and definitions.
+
+    Raises
+    ------
+    InputError
+        If a result is not as its rule wrote it, or a file that it was made from is missing or has changed since.
+    """
+    chain = custody.Chain(results)
+    for broken in chain.broken():
+        raise InputError(results, "", broken.rstrip("."), "results whose links all hold; irodori verify lists them")
+    project = results.absolute().parent
+    made = {path.relative_to(project).as_posix(): file_sha256(path) for path in chain.results()}
+    kinds = ((kind, name) for kind in KINDS for name in getattr(loaded, kind))
+    definitions = (f"{loaded.config.definitions}/{kind}/{name}.yaml" for kind, name in kinds)
+    settings = [_CONFIG, *definitions]
+    given = {}
+    for name, sha256 in _ledger(results / _LEDGER).items():
+        if name in made or name in settings:
+            continue
+        path = project / name
+        # The list keeps what was renamed or removed before the last run too.
+        if not path.is_file():
+            continue
+        if file_sha256(path) != sha256:
+            raise InputError(name, "", "another file than the run read", "the one that it read, or a run with this one")
+        given[_inside(path, project)] = sha256
+    return RunFiles(
+        project,
+        {_inside(path, project): file_sha256(path) for path in sorted(workflow)},
+        {name: file_sha256(project / name) for name in settings},
+        given,
+        made,
+    )
+
+
+def _ledger(path: Path) -> dict[str, str]:
+    """Return file -> SHA-256 of the files of the user that the workflow has seen, those that are absent left out."""
+    try:
+        noted = json.loads(path.read_bytes())
+        return {name: line[-1] for name, line in sorted(noted.items()) if len(line[-1]) == len(_NOTHING)}
+    except (OSError, ValueError, TypeError, AttributeError, IndexError):
+        raise InputError(path, "", "no list of the files that were read", "the one that snakemake wrote") from None
+
+
+_NOTHING = "0" * 64
+
+
+def _inside(path: Path, project: Path) -> str:
+    """Return a file's path from the project's folder."""
+    try:
+        return path.absolute().relative_to(project).as_posix()
+    except ValueError:
+        accepted = "files in the project's folder, which a crate is made of"
+        raise InputError(path, "", "a file elsewhere", accepted) from None
+
+
+def _identifier(name: str) -> str:
+    return quote(name)
+
+
+def _time(seconds: float) -> str:
+    return datetime.fromtimestamp(seconds, UTC).isoformat(timespec="milliseconds")
+
+
+def _reference(*identifiers: str):
+    """Return what points to entities: one, or a list."""
+    found = [{"@id": identifier} for identifier in identifiers]
+    return found[0] if len(found) == 1 else found
+
+
+def _pointing(key: str, identifiers: Iterable[str]) -> dict:
+    """Return a property that points to entities, nothing where there are none."""
+    found = list(identifiers)
+    return {key: _reference(*found)} if found else {}
+
+
+def _output_kind(name: str) -> str | None:
+    """Return the name of the formal parameter that a result is of; None of what passes between stages."""
+    path = PurePosixPath(name)
+    if path.name == "material.h5":
+        return "materials"
+    if path.suffix == ".h5":
+        return "environments" if path.parent.name == "environments" else None
+    return _BY_SUFFIX.get(path.suffix)
+
+
+def _versions(files: RunFiles) -> Iterator[tuple[str, str]]:
+    """Yield name and version of the software: what the results name, then what is installed here."""
+    made: dict[str, set[str]] = {}
+    for name in files.results:
+        if name.endswith(".h5"):
+            with store.open_unread(files.project / name) as file:
+                for package, number in file.attribute("created_by", dict).items():
+                    made.setdefault(package, set()).add(str(number))
+    for package in sorted(made.keys() - {"irodori"}):
+        yield package, ", ".join(sorted(made[package]))
+    for package in (package for package in _TOLD if package not in made):
+        try:
+            yield package, version(package)
+        except PackageNotFoundError:
+            continue
+
+
+def describe(files: RunFiles, jobs: list[Job], loaded: Loaded) -> dict:
+    """Return the content of ``ro-crate-metadata.json``.
+
+    Parameters
+    ----------
+    files : RunFiles
+    jobs : list of Job
+    loaded : Loaded
+
+    Returns
+    -------
+    dict
+        JSON-LD: context and graph.
+    """
+    graph: list[dict] = []
+    publication, config = loaded.config.publication, loaded.config
+    person = _person(publication)
+    licence = _licence(publication.licence)
+    software = [
+        {"@id": f"#software-{name}", "@type": "SoftwareApplication", "name": name, "softwareVersion": number}
+        for name, number in _versions(files)
+    ]  # fmt: skip
+    own = {
+        "@id": "#software-irodori", "@type": "SoftwareApplication", "name": "irodori", "softwareVersion": __version__,
+        **_pointing("softwareRequirements", (one["@id"] for one in software)),
+    }  # fmt: skip
+    inputs = {"settings": ("Configuration and definitions", files.settings),
+              "photographs": ("Photographs and measured files", files.given)}  # fmt: skip
+    made = {kind: [name for name in files.results if _output_kind(name) == kind] for kind in _OUTPUTS}
+    outputs = {kind: (title, made[kind]) for kind, title in _OUTPUTS.items()}
+    parameters: list[dict] = []
+    example_of: dict[str, str] = {}
+    for kind, (title, names) in {**inputs, **outputs}.items():
+        if names:
+            identifier = f"#parameter-{kind}"
+            parameters.append({
+                "@id": identifier, "@type": "FormalParameter", "conformsTo": _reference(_PARAMETER), "name": kind,
+                "description": title, "additionalType": "File", "multipleValues": "True", "valueRequired": "True",
+                **_pointing("workExample", map(_identifier, names)),
+            })  # fmt: skip
+            example_of |= dict.fromkeys(names, identifier)
+    known = {one["@id"] for one in parameters}
+    main = {
+        "@id": _SNAKEFILE, "@type": ["File", "SoftwareSourceCode", "ComputationalWorkflow"], "name": "Irodori",
+        "description": "From RAW photographs of a real object to its picture under any light", "version": __version__,
+        "license": _reference(_OWN_LICENCE), "programmingLanguage": _reference("#snakemake"),
+        **_pointing("input", (i for kind in inputs if (i := f"#parameter-{kind}") in known)),
+        **_pointing("output", (i for kind in outputs if (i := f"#parameter-{kind}") in known)),
+        **_content(files, _SNAKEFILE),
+    }  # fmt: skip
+    entities = [_file(files, name, example_of) for name in sorted(files.all) if name != _SNAKEFILE]
+    actions = [*_actions(files, jobs, made, person)]
+    end = max(job.end_s for job in jobs)
+    devices = list(_devices(loaded))
+    root = {
+        "@id": "./", "@type": "Dataset", "conformsTo": [_reference(profile) for profile in _PROFILES],
+        "name": f"Irodori: {', '.join(config.make.scenes or config.make.cameras) or 'a run'}",
+        "description": "Photographs of real objects, their spectral reflectance and gloss, and pictures of them.",
+        "datePublished": _time(end), "license": _reference(licence["@id"]),
+        "mainEntity": _reference(_SNAKEFILE), **_pointing("hasPart", map(_identifier, sorted(files.all))),
+        **_pointing("mentions", (one["@id"] for one in (*actions, *devices))),
+    }  # fmt: skip
+    if person is not None:
+        root["author"] = _reference(person["@id"])
+    descriptor = {
+        "@id": METADATA, "@type": "CreativeWork", "about": _reference("./"),
+        "conformsTo": [_reference("https://w3id.org/ro/crate/1.1"), _reference(list(_PROFILES)[-1])],
+    }  # fmt: skip
+    profiles = (
+        {"@id": address, "@type": "CreativeWork", "name": name, "version": number}
+        for address, (name, number) in _PROFILES.items()
+    )
+    language = {"@id": "#snakemake", "@type": "ComputerLanguage", "name": "Snakemake",
+                "identifier": "https://w3id.org/workflowhub/workflow-ro-crate#snakemake",
+                "url": "https://snakemake.readthedocs.io"}  # fmt: skip
+    own_licence = {"@id": _OWN_LICENCE, "@type": "CreativeWork", "name": "BSD 3-Clause"}
+    graph += [descriptor, root, *profiles, main, language, own_licence, licence, own, *software]
+    graph += [*([person] if person else []), *parameters, *devices, *actions, *entities]
+    return {"@context": _CONTEXT, "@graph": graph}
+
+
+def _content(files: RunFiles, name: str) -> dict[str, str]:
+    kind = _FORMATS.get(PurePosixPath(name).suffix.lower(), "application/octet-stream")
+    size = (files.project / name).stat().st_size
+    return {"encodingFormat": kind, "contentSize": str(size), "sha256": files.all[name]}
+
+
+def _file(files: RunFiles, name: str, example_of: Mapping[str, str]) -> dict:
+    found: dict = {"@id": _identifier(name), "@type": "File", "name": PurePosixPath(name).name}
+    found |= _content(files, name)
+    if name in example_of:
+        found["exampleOfWork"] = _reference(example_of[name])
+    return found
+
+
+def _actions(files: RunFiles, jobs: list[Job], made: Mapping[str, list[str]], person: dict | None) -> Iterator[dict]:
+    """Yield the run as a whole, then its jobs."""
+    agent = {} if person is None else {"agent": _reference(person["@id"])}
+    status = {"actionStatus": "http://schema.org/CompletedActionStatus"}
+    yield {
+        "@id": "#run", "@type": "CreateAction", "name": "The run", "description": "All jobs of the workflow together",
+        "instrument": _reference(_SNAKEFILE), **agent, **status,
+        "startTime": _time(min(job.start_s for job in jobs)), "endTime": _time(max(job.end_s for job in jobs)),
+        **_pointing("object", map(_identifier, (*files.settings, *files.given))),
+        **_pointing("result", (_identifier(name) for names in made.values() for name in names)),
+    }  # fmt: skip
+    known = files.all
+    for number, job in enumerate(jobs):
+        outputs = [name for name in job.outputs if name in known]
+        if outputs:
+            yield {
+                "@id": f"#job-{number}", "@type": "CreateAction", "name": f"{job.rule}: {outputs[0]}",
+                "description": f"A job of the rule {job.rule}", "instrument": _reference("#software-irodori"),
+                **agent, **status, "startTime": _time(job.start_s), "endTime": _time(job.end_s),
+                **_pointing("object", (_identifier(name) for name in job.inputs if name in known)),
+                **_pointing("result", map(_identifier, outputs)),
+            }  # fmt: skip
+
+
+def _person(publication) -> dict | None:
+    if publication.photographer is None and publication.photographer_orcid is None:
+        return None
+    orcid = publication.photographer_orcid
+    identifier = "#photographer" if orcid is None else orcid_address(orcid)
+    return {"@id": identifier, "@type": "Person", "name": publication.photographer or identifier}
+
+
+def _licence(stated: str | None) -> dict:
+    if stated is None:
+        said = "No licence was stated: all rights stay with whom they belong to."
+        return {"@id": "#licence", "@type": "CreativeWork", "name": "No licence stated", "description": said}
+    is_address = stated.startswith(("https://", "http://"))
+    return {"@id": stated if is_address else "#licence", "@type": "CreativeWork", "name": stated, "description": stated}
+
+
+def _devices(loaded: Loaded) -> Iterator[dict]:
+    """Yield the cameras and the rigs, each told by its definition."""
+    for kind in ("cameras", "rigs"):
+        for name, definition in getattr(loaded, kind).items():
+            described = {"description": text} if (text := getattr(definition, "description", None)) else {}
+            file = f"{loaded.config.definitions}/{kind}/{name}.yaml"
+            identifier = f"#{kind.removesuffix('s')}-{name}"
+            of = {"subjectOf": _reference(_identifier(file))}
+            yield {"@id": identifier, "@type": "IndividualProduct", "name": name, **described, **of}
+
+
+def workflow_files(snakefile: Path) -> list[Path]:
+    """Return a Snakefile and the rules, scripts and captions beside it.
+
+    Raises
+    ------
+    InputError
+        If there is no such file.
+    """
+    if not snakefile.is_file():
+        raise InputError(snakefile, "", "no such file", "the workflow's Snakefile, workflow/Snakefile of the project")
+    beside = (snakefile.parent / folder for folder in ("rules", "scripts", "report"))
+    return [snakefile, *(path for folder in beside for path in sorted(folder.glob("*.*")) if path.is_file())]
+
+
+def run_crate(results: Path) -> tuple[dict, RunFiles]:
+    """Return the crate of a finished run, and its files.
+
+    Raises
+    ------
+    InputError
+        If the configuration, the workflow or the notes of the run are missing; see `collect` and `jobs_of`.
+    """
+    project = results.absolute().parent
+    config = read_yaml(project / _CONFIG)
+    loaded = load_definitions(config, project)
+    files = collect(results, workflow_files(project / _SNAKEFILE), loaded)
+    return describe(files, jobs_of(project), loaded), files
