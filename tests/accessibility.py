@@ -1,4 +1,4 @@
-"""What axe-core, a checker of pages for people who see, hear or move otherwise, finds on pages in a browser."""
+"""Barriers on pages for people who see, hear or move otherwise, as axe-core finds them in a browser."""
 
 from collections.abc import Iterable
 from pathlib import Path
