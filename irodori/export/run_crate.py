@@ -21,7 +21,7 @@ from irodori.config.loaded import Loaded
 from irodori.config.orcid import orcid_address
 from irodori.core import custody, store
 from irodori.core.atomic_files import file_sha256
-from irodori.core.errors import InputError
+from irodori.core.errors import InputError, PlainError
 from irodori.core.yaml_files import read_yaml
 
 METADATA = "ro-crate-metadata.json"
@@ -134,12 +134,12 @@ def collect(results: Path, workflow: Iterable[Path], loaded: Loaded) -> RunFiles
 
     Raises
     ------
-    InputError
+    PlainError
         If a result is not as its rule wrote it, or a file that it was made from is missing or has changed since.
     """
     chain = custody.Chain(results)
     for broken in chain.broken():
-        raise InputError(results, "", broken.rstrip("."), "results whose links all hold; irodori verify lists them")
+        raise PlainError(broken)
     project = results.absolute().parent
     made = {path.relative_to(project).as_posix(): file_sha256(path) for path in chain.results()}
     kinds = ((kind, name) for kind in KINDS for name in getattr(loaded, kind))
@@ -279,6 +279,7 @@ def describe(files: RunFiles, jobs: list[Job], loaded: Loaded) -> dict:
         "@id": _SNAKEFILE, "@type": ["File", "SoftwareSourceCode", "ComputationalWorkflow"], "name": "Irodori",
         "description": "From RAW photographs of a real object to its picture under any light", "version": __version__,
         "license": _reference(_OWN_LICENCE), "programmingLanguage": _reference("#snakemake"),
+        "conformsTo": _reference("https://bioschemas.org/profiles/ComputationalWorkflow/1.0-RELEASE"),
         **_pointing("input", (i for kind in inputs if (i := f"#parameter-{kind}") in known)),
         **_pointing("output", (i for kind in outputs if (i := f"#parameter-{kind}") in known)),
         **_content(files, _SNAKEFILE),
