@@ -58,13 +58,16 @@ class Accepted(Exception):
 @pytest.fixture
 def only_parsed(monkeypatch):
     """Let every program end as soon as its own parser has accepted its words."""
-    original = argparse.ArgumentParser.parse_args
 
-    def parse_args(self, args=None, namespace=None):
-        original(self, args, namespace)
-        raise Accepted
+    def ending(original):
+        def parse(self, args=None, namespace=None):
+            original(self, args, namespace)
+            raise Accepted
 
-    monkeypatch.setattr(argparse.ArgumentParser, "parse_args", parse_args)
+        return parse
+
+    for name in ("parse_args", "parse_intermixed_args"):
+        monkeypatch.setattr(argparse.ArgumentParser, name, ending(getattr(argparse.ArgumentParser, name)))
     monkeypatch.chdir(ROOT)
 
 
