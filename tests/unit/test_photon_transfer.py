@@ -159,7 +159,7 @@ def test_points_that_determine_nothing_say_so():
     # Levels that do not differ tell the read noise alone: half of a difference's variance.
     assert np.isnan(gain) and np.isnan(gain_error) and read == pytest.approx(2.0)
     # Of 20 tiles of 256 pixels the variance is known within sqrt(2 / (20 * 255)), the deviation within half of that.
-    assert read_error == pytest.approx(2.0 * 0.5 * np.sqrt(2.0 / (20 * 255)), rel=0.01)
+    assert read_error == pytest.approx(2.0 * 0.5 * np.sqrt(2.0 / (20 * 255)), rel=1e-3)
 
 
 def frames(folder, exposures, iso=0.0, role="white", seed=0):

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -22,7 +23,14 @@ from benchmarks.plate_pictures import (
 from irodori.ingest.registration.band_layout import flatten
 from irodori.ingest.registration.gradient_sums import least_share, template
 from irodori.ingest.registration.pyramid import Pyramid, gradient_energy, noise_of
-from irodori.ingest.registration.similarity import Registration, bayer_offsets_px, meets_marked, register, resample
+from irodori.ingest.registration.similarity import (
+    Registration,
+    _sigma_px,
+    bayer_offsets_px,
+    meets_marked,
+    register,
+    resample,
+)
 from irodori.ingest.registration.similarity_fit import make_level, search
 
 STILL = Registration.identity()
@@ -326,6 +334,37 @@ def test_a_moved_picture_shows_every_place_where_it_went():
     np.testing.assert_allclose(moved[inside], seen(u, v)[inside], atol=2e-3)
     again, _ = resample(seen(x, y), np.ones((height, width), bool), plate)
     assert np.array_equal(again, moved)
+
+
+def predicted_px(pattern, rows=12, columns=24, information=1e4):
+    """The error that is stated where each cell's own score, one unit, has the sign that a pattern gives it."""
+    row, column = np.divmod(np.arange(rows * columns), columns)
+    sums = np.zeros((rows * columns, 25))
+    sums[:, 0] = pattern(row, column)
+    sums[:, 4:20] = information / (rows * columns) * np.eye(4).ravel()
+    weight, geometry = np.full((rows * columns, 1), 1e-6), np.array([1.0, 95.5, 47.5, 80.0])
+    xy = np.stack([8.0 * column, 8.0 * row], axis=-1)[:, None]
+    level = SimpleNamespace(places=SimpleNamespace(counts=row, xy=xy, geometry=geometry), columns=columns, scale=1.0)
+    return _sigma_px(level, SimpleNamespace(sums=sums, weight=weight, noise_share=1e-3))
+
+
+@pytest.mark.parametrize(
+    ("pattern", "parts", "cells"),
+    [
+        (lambda row, column: (-1.0) ** (row // 2 + column // 4), 36, 8),  # six parts along each side
+        (lambda row, column: (-1.0) ** row, 12, 24),
+        (lambda row, column: (-1.0) ** (column // 2), 12, 24),  # a cell has two halves
+        (lambda row, column: np.where(row < 1, 1.0, 0.0), 1, 24),
+    ],
+    ids=["blocks", "rows", "columns", "one row alone"],
+)
+def test_what_parts_of_a_picture_disagree_by_counts_for_the_error(pattern, parts, cells):
+    """Blocks and strips that agree within themselves and not among each other are as many measurements as there are."""
+    by_parts = parts * (cells / 1e4) ** 2 * parts / max(parts - 4, 1)
+    assert predicted_px(pattern) == pytest.approx(math.sqrt(max(by_parts, 4.0 / 1e4)), rel=1e-3)
+    assert predicted_px(lambda row, column: 100.0 * pattern(row, column)) == pytest.approx(
+        100.0 * math.sqrt(by_parts), rel=1e-3
+    )
 
 
 def test_predicted_errors_are_those_that_occur():
