@@ -149,15 +149,14 @@ def _density(name: str, mu, view, half, cos_h):
 class Surface(mi.BSDF):
     """Diffuse reflection, gloss components and mirror of an object's coefficients (equation 5 of the paper).
 
-    Properties: ``file``, an .npz of this export; ``layout``, how the shape's coordinates lie on the texture: ``mesh``
-    as they are, ``rectangle`` with v from below, ``disk`` with radius and angle; of a ``sphere`` it is the direction of
-    the normal that counts, turned as the file says.
+    Properties: ``file``, an .npz of this export. A ball's texture lies by the direction of the normal, turned as the
+    file says; that of other shapes by their texture coordinates, v from the top.
     """
 
     def __init__(self, props) -> None:
         mi.BSDF.__init__(self, props)
         held = _read(props)
-        self.layout = props.get("layout", "mesh")
+        self.is_ball = bool(held["is_ball"])
         self.lobes = [str(name) for name in held["lobes"]]
         unknown = [name for name in self.lobes if name not in _LOBES]
         if unknown:
@@ -177,13 +176,8 @@ class Surface(mi.BSDF):
     def _terms(self, si, active):
         """Return S(λ), β and μ of each component, and the shares of diffuse, of each component, and of the mirror."""
         u, v = si.uv.x, si.uv.y
-        if self.layout == "sphere":
+        if self.is_ball:
             u, v = _angles(self.object_from_world @ si.n)
-        elif self.layout == "rectangle":
-            v = 1.0 - v
-        elif self.layout == "disk":
-            across, along = dr.sincos(2.0 * dr.pi * v)
-            u, v = 0.5 + 0.5 * u * along, 0.5 - 0.5 * u * across
         texel = self.texture.at(u, v, active)
         vectors = self.basis.at(si.wavelengths, active)
         spectrum = sum((c * vector for c, vector in zip(texel, vectors, strict=False)), mi.Spectrum(0.0))

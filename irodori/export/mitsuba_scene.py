@@ -26,11 +26,9 @@ from irodori.rendering.scene_white import shown_white
 from irodori.spectra.grid import WAVELENGTH_NM
 
 PLUGIN, SCENE, ABOUT = "irodori_mitsuba.py", "scene.xml", "about.json"
-#: Shape -> Mitsuba's own shape, and how its coordinates lie on our textures.
-_SHAPES = {"sphere": ("sphere", "sphere"), "plate": ("rectangle", "rectangle"), "disc": ("disk", "disk"),
-           "plane": ("rectangle", "rectangle")}  # fmt: skip
-_PLANE = 1e4  # half the side of the square for an endless plane, over the scene's reach
 _SAMPLES = 64
+#: How much farther than in other exports an endless shape goes.
+_FARTHER = 100.0
 #: By what Mitsuba divides ∫ L x̄ dλ (its MI_CIE_Y_NORMALIZATION); the integral of its table of ȳ is 0.1 % more.
 _THEIR_Y_NM = 106.7502593994140625
 
@@ -85,37 +83,28 @@ def _write_surface(path: Path, item: Item) -> None:
         lobes=np.array(material.lobes),
         wraps=item.placement.shape.wraps,
         rotation=item.placement.rotation,
+        is_ball=item.placement.shape.ball_mm is not None,
     )
 
 
 def _add_item(root, folder: Path, item: Item, number: int, reach_mm: float) -> None:
-    place = item.placement
-    shape = place.shape
-    kind, layout = _SHAPES.get(shape.name, ("ply", "mesh"))
-    stem = f"{number:02d}-{item.name}"
-    own = np.ones(3)
-    if shape.is_endless:
-        own = np.full(3, _PLANE * reach_mm / place.scale)
-    elif kind == "ply":
-        _write_ply(folder / f"{stem}.ply", shape.facetted(reach_mm))
-    else:
-        own = np.array([*shape.size_mm, 2.0]) / 2.0
-    matrix = np.eye(4)
-    matrix[:3, :3] = place.scale * place.rotation * own
-    matrix[:3, 3] = place.translation_mm
-    element = _element(root, "shape", kind, id=stem)
-    if kind == "ply":
+    place, stem = item.placement, f"{number:02d}-{item.name}"
+    radius = place.shape.ball_mm
+    if radius is None:
+        element = _element(root, "shape", "ply", id=stem)
         _element(element, "string", name="filename", value=f"{stem}.ply")
-    if kind == "sphere":
-        # Its texture is turned by the plugin: Mitsuba warns of what rounding makes of a turned sphere.
+        _write_ply(folder / f"{stem}.ply", place.shape.facetted(_FARTHER * reach_mm / place.scale))
+        matrix = np.eye(4)
+        matrix[:3, :3], matrix[:3, 3] = place.scale * place.rotation, place.translation_mm
+        _matrix(element, matrix)
+    else:
+        # The plugin turns its texture: Mitsuba warns of what rounding makes of a turned ball.
+        element = _element(root, "shape", "sphere", id=stem)
         x, y, z = map(float, place.translation_mm)
         _element(element, "point", name="center", x=x, y=y, z=z)
-        _element(element, "float", name="radius", value=float(shape.size_mm[0] * place.scale))
-    else:
-        _matrix(element, matrix)
+        _element(element, "float", name="radius", value=radius * place.scale)
     bsdf = _element(element, "bsdf", "irodori_surface")
     _element(bsdf, "string", name="file", value=f"{stem}.npz")
-    _element(bsdf, "string", name="layout", value=layout)
     _write_surface(folder / f"{stem}.npz", item)
 
 
@@ -205,7 +194,7 @@ def write_mitsuba(source: Source, folder) -> None:
     places = [item.placement.translation_mm for item in source.items]
     radius = 4.0 * (reach + max(float(np.linalg.norm(place)) for place in [*eyes, *places]))
     if any(item.placement.shape.is_endless for item in source.items):
-        radius = 4.0 * _PLANE * reach
+        radius *= 100.0 * _FARTHER
     root = ElementTree.Element("scene", {"version": "3.0.0"})
     integrator = _element(root, "integrator", "path")
     _element(integrator, "integer", name="max_depth", value=-1)

@@ -209,6 +209,14 @@ class Shape(ABC):
         return None
 
     @property
+    def ball_mm(self) -> float | None:
+        """Radius of the ball that the shape is, its texture by azimuth and angle from +z; None of other shapes.
+
+        So programs that have balls of their own need no triangles.
+        """
+        return None
+
+    @property
     def hull_mm(self) -> np.ndarray:
         """Points whose hull holds the shape, (n, 3); asked of what hides by rays."""
         raise NotImplementedError(f"a {self.name} hides by rays and has no hull")

@@ -195,6 +195,11 @@ class Sphere(Shape):
         return self.radius_mm, self.radius_mm
 
     @property
+    def ball_mm(self) -> float:
+        """The radius."""
+        return self.radius_mm
+
+    @property
     def reach_mm(self) -> float:
         """The radius."""
         return self.radius_mm
