@@ -29,9 +29,19 @@ from irodori.spectra.grid import WAVELENGTH_NM
 from irodori.spectra.published import chart_spectra
 from irodori.viewer.browser import browser
 
-PLATE, CAMERA, ROOM, SCENE, VIEW = "tile-plate", "d5100-comb", "classroom", "still-life", "front"
+PLATE, SPHERE, CAMERA, ROOM, SCENE, VIEW = (
+    "tile-plate",
+    "vermilion-sphere",
+    "d5100-comb",
+    "classroom",
+    "still-life",
+    "front",
+)
 #: The pose of the plate's photograph that shows its highlight: light 45 degrees, camera 45 degrees.
 _HIGHLIGHT = "l0450-c0450-t000-r0000"
+_SPHERE_POSES = (
+    "l0350-c0000-t000-r0000", "l0350-c0000-t000-r0900", "l0450-c0250-t000-r0000", "l0450-c0250-t000-r0900",
+)  # fmt: skip
 _BANDS = tuple(f"{colour}, {shot} filter" for shot in ("without", "with") for colour in ("red", "green", "blue"))
 #: Patches of the ColorChecker that are shown: one of each region of colour.
 _PATCHES = (2, 7, 12, 13, 14, 18)
@@ -90,6 +100,51 @@ def chart_fit(results: Path) -> Figure:
         axes.plot(WAVELENGTH_NM, recovered[patch], "--", lw=1.2, color=line.get_color())
     _spectrum(axes, "reflectance factor")
     axes.legend(fontsize=7, title="measured (solid), recovered (dashed)", title_fontsize=7)
+    return figure
+
+
+def photographs(results: Path) -> Figure:
+    """Return four of the virtual rig's photographs of a sphere, red, green and blue as the sensor counted them."""
+    figure = Figure(figsize=(9.0, 1.9), layout="constrained")
+    for axes, pose in zip(figure.subplots(1, 4), _SPHERE_POSES, strict=True):
+        with store.open_file(results / SPHERE / "linear" / f"{pose}.h5") as file:
+            response = file.read("response")[..., :3]
+        # The tone curve of a display; the bands of a camera are not yet its colours.
+        axes.imshow(np.clip(response / np.percentile(response, 99.8), 0.0, 1.0) ** (1 / 2.2))
+        light, camera, _, turn = (float(part[1:]) / 10.0 for part in pose.split("-"))
+        axes.set_title(f"light {light:g}°, camera {camera:g}°, turn {turn:g}°", fontsize=8)
+        axes.axis("off")
+    return figure
+
+
+def rectified(results: Path) -> Figure:
+    """Return what four photographs show of every texel of the plate, in the green band."""
+    with store.open_file(results / PLATE / "observations" / "tile-000.h5") as file:
+        response, weight, geometry = file.read("response")[..., 1], file.read("weight"), file.read("geometry")
+    side = round(len(response) ** 0.5)
+    angles = np.degrees(np.median(geometry[..., :2], axis=0))
+    # Four cameras under the light that stands at 45 degrees over the untilted plate.
+    poses = sorted(np.flatnonzero(np.abs(angles[:, 0] - 45.0) < 3.0), key=lambda pose: angles[pose, 1])
+    figure = Figure(figsize=(9.0, 2.5), layout="constrained")
+    chosen = [poses[0], poses[len(poses) // 3], poses[2 * len(poses) // 3], poses[-1]]
+    for axes, pose in zip(figure.subplots(1, 4), chosen, strict=True):
+        seen = np.where(weight[:, pose] > 0.0, response[:, pose], np.nan).reshape(side, side)
+        axes.imshow(seen, cmap="gray", vmin=0.0, vmax=0.9)
+        axes.set_title(f"camera at {angles[pose, 1]:.0f}°", fontsize=9)
+        axes.axis("off")
+    return figure
+
+
+def light_basis(results: Path) -> Figure:
+    """Return the basis of the room's light, each spectrum times the root mean square of its coefficients."""
+    with store.open_file(results / "environments" / f"{ROOM}.h5") as file:
+        basis, coefficients = file.read("basis"), read_coefficients(file, "coefficients")
+    strength = np.sqrt(np.mean(coefficients.astype(np.float64) ** 2, axis=(0, 1)))
+    figure, axes = _plot()
+    for number, (spectrum, weight) in enumerate(zip(basis.T, strength, strict=True), 1):
+        axes.plot(WAVELENGTH_NM, spectrum * weight / strength[0], lw=1.2, label=f"{number}")
+    _spectrum(axes, "basis spectrum times its usual weight")
+    axes.legend(fontsize=7, ncols=2)
     return figure
 
 
@@ -229,6 +284,9 @@ DRAWN: dict[str, Callable[[Path], Figure]] = {
     "six-bands.png": six_bands,
     "band-response.svg": band_response,
     "chart-fit.svg": chart_fit,
+    "photographs.png": photographs,
+    "rectified.png": rectified,
+    "light-basis.svg": light_basis,
     "one-texel.svg": one_texel,
     "lobes.svg": lobes,
     "plate-maps.png": plate_maps,

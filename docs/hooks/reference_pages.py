@@ -90,7 +90,7 @@ def package_pages(root: Path) -> dict[str, str]:
     found = rooms(root)
     pages = {room.name: _room_page(room, root) for room in found}
     rows = [f"| [`{room.title}`]({room.name}.md) | {_about(room, root)} |" for room in found]
-    head = "# The package\n\nMade from the docstrings. What a name with an underscore in front does is no promise.\n"
+    head = "# The package\n\nMade from the docstrings. Names with an underscore in front are their module's own.\n"
     return {"index": "\n".join([head, "| room | holds |", "|---|---|", *rows, ""]), **pages}
 
 
@@ -108,9 +108,11 @@ def _room_page(room: Room, root: Path) -> str:
             parts += [markdown(about), ""]
             continue
         parts += [f"## {dotted}", "", markdown(about), ""]
-        for node, title in _public(tree):
-            parts += [f"### {title.split('(')[0].split(' ')[-1]}", "", "```python", title, "```", ""]
-            parts += [markdown(ast.get_docstring(node)), ""]
+        for node in _public(tree.body):
+            parts += _entry("###", node.name, node)
+            if isinstance(node, ast.ClassDef):
+                for method in _public(node.body):
+                    parts += _entry("####", f"{node.name}.{method.name}", method)
     return "\n".join(parts)
 
 
@@ -119,12 +121,17 @@ def _parsed(file: Path) -> tuple[ast.Module, str]:
     return tree, ast.get_docstring(tree) or ""
 
 
-def _public(tree: ast.Module) -> Iterator[tuple[ast.FunctionDef | ast.ClassDef, str]]:
-    """Yield the documented public functions and classes of a module, with how each is called."""
-    for node in tree.body:
+def _public(body: list[ast.stmt]) -> Iterator[ast.FunctionDef | ast.ClassDef]:
+    """Yield the documented public functions and classes of a module's or a class's body."""
+    for node in body:
         named = isinstance(node, ast.FunctionDef | ast.ClassDef) and not node.name.startswith("_")
         if named and ast.get_docstring(node):
-            yield node, _signature(node)
+            yield node
+
+
+def _entry(level: str, name: str, node: ast.FunctionDef | ast.ClassDef) -> list[str]:
+    """Return what a page shows of a function, a class or a method: how it is called, and its docstring."""
+    return [f"{level} {name}", "", "```python", _signature(node), "```", "", markdown(ast.get_docstring(node)), ""]
 
 
 def _signature(node: ast.FunctionDef | ast.ClassDef) -> str:
