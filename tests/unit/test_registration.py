@@ -496,6 +496,13 @@ def test_a_picture_without_content_gives_no_answer(level):
         assert found.centre_px == ((WIDTH - 1) / 2, (HEIGHT - 1) / 2)
 
 
+def test_the_identity_moves_nothing():
+    picture = np.random.default_rng(2).uniform(size=(20, 30, 3)).astype(np.float32)
+    moved, valid = resample(picture, np.ones((20, 30), bool), Registration.identity())
+    np.testing.assert_allclose(moved[valid], picture[valid], atol=1e-6)
+    assert valid.all() and Registration.identity().sigma_px == 0.0
+
+
 def test_constant_and_invalid_pictures_give_no_answer(leaves):
     flat = np.full((HEIGHT, WIDTH, 3), 0.4, dtype=np.float32)
     good = np.ones((HEIGHT, WIDTH), dtype=np.uint8)

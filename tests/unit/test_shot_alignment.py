@@ -134,6 +134,20 @@ def test_pictures_of_either_sampling_are_aligned_in_superpixels_and_moved(small,
         assert np.mean(np.argwhere(mask), axis=0) == pytest.approx([row - shift[1], column - shift[0]], abs=1.0)
 
 
+def test_what_another_band_shows_behind_the_filter_tells_where_it_is_by_its_place_in_the_mosaic(small):
+    """Green alone has a pattern, and behind the filter red alone: a quarter of a superpixel from it each way."""
+    rng, states = np.random.default_rng(4), []
+    for state, band, offset in (("out", 1, 0.0), ("in", 0, -0.25)):
+        x, y = coordinates(state, sample_px=2)
+        response = np.full((*x.shape, 3), 0.4)
+        response[..., band] = paint(x + offset, y + offset)[..., 0]
+        response += rng.normal(0.0, 0.002, response.shape)
+        nothing = np.zeros(x.shape, bool)
+        states.append(Developed(response.astype(np.float32), nothing, nothing, np.zeros((3, 2)), "RGGB"))
+    found = align_states(*states, None, IngestOptions(), "captures.csv", "a")
+    assert found.source == "capture" and apart_px(found.transform) < 0.1
+
+
 @pytest.mark.stability(stage="ingest", case="picture without content")
 def test_a_capture_without_content_takes_the_charts_transform(tmp_path, small):
     studio = session(tmp_path, contrast=0.0)
