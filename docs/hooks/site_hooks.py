@@ -9,6 +9,7 @@ import json
 import logging
 import posixpath
 import re
+import sys
 from pathlib import Path
 
 import reference_pages
@@ -17,6 +18,8 @@ from mkdocs.structure.files import File
 
 LOGGER = logging.getLogger("mkdocs.hooks")
 ROOT = Path(__file__).resolve().parents[2]
+# The package of this repository, installed or not: `mkdocs` does not look where it was started.
+sys.path.insert(0, str(ROOT))
 FORMULAS = Path(__file__).with_name("formulas.json")
 #: Documents of the repository outside docs/, and their pages.
 COPIED = {
