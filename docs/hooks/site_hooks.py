@@ -18,8 +18,6 @@ from mkdocs.structure.files import File
 
 LOGGER = logging.getLogger("mkdocs.hooks")
 ROOT = Path(__file__).resolve().parents[2]
-# The package of this repository, installed or not: `mkdocs` does not look where it was started.
-sys.path.insert(0, str(ROOT))
 FORMULAS = Path(__file__).with_name("formulas.json")
 #: Documents of the repository outside docs/, and their pages.
 COPIED = {
@@ -35,6 +33,8 @@ _FENCE = re.compile(r"^(```|~~~).*?^\1", re.MULTILINE | re.DOTALL)
 
 def on_config(config):
     """Put the rooms of the package into the navigation, and let formulas be typeset."""
+    # The package of this repository, installed or not: `mkdocs` does not look where it was started.
+    sys.path.insert(0, str(ROOT))
     rooms = [{room.title: f"{_PACKAGE}/{room.name}.md"} for room in reference_pages.rooms(ROOT)]
     config.nav = _replaced(config.nav, _PACKAGE, [{"All rooms": f"{_PACKAGE}/index.md"}, *rooms])
     fences = [{"name": "math", "class": "math", "format": _formula}]
