@@ -125,8 +125,8 @@ def test_a_loss_that_cannot_be_measured_is_told_with_its_reason(project, capsys,
     root, _ = project
     (root / "results/still-life").mkdir()
     profile = standard_display("sRGB").profile
-    write_display_picture(root / "results/still-life/front.png", np.full((480, 640, 3), 9, np.uint8), profile, {})
-    radiance = np.ones((480, 640, 61), np.float32)
+    write_display_picture(root / "results/still-life/front.png", np.full((48, 64, 3), 9, np.uint8), profile, {})
+    radiance = np.ones((48, 64, 61), np.float32)
     write_spectral_exr(root / "results/still-life/front.exr", radiance, radiance[..., :3], {})
     (root / "mitsuba.py").write_text("raise ImportError('no Mitsuba on this machine')\n")
     monkeypatch.setenv("PYTHONPATH", str(root), prepend=":")
