@@ -71,8 +71,9 @@ def _gltf(source: "Source", path: Path, given: argparse.Namespace) -> Losses:
     from irodori.export.gltf_file import ILLUMINANTS, write_gltf
 
     illuminants = given.illuminant or ILLUMINANTS
+    losses = write_gltf(source, path, illuminants)
     _preview(source, path, illuminants[0])
-    return dict(write_gltf(source, path, illuminants))
+    return dict(losses)
 
 
 def _mitsuba(source: "Source", path: Path, given: argparse.Namespace) -> Losses:
@@ -81,8 +82,8 @@ def _mitsuba(source: "Source", path: Path, given: argparse.Namespace) -> Losses:
 
     assert source.scene is not None
     picture, view = _result(source, "exr"), next(iter(source.scene.views))
-    _preview(source, path)
     write_mitsuba(source, path)
+    _preview(source, path)
     found = measure(path, picture, view)
     add_to_about(path, {"loss_ciede2000": found})
     if "not_measured" in found:
@@ -94,8 +95,8 @@ def _tiff(source: "Source", path: Path, given: argparse.Namespace) -> Losses:
     illuminant, *more = given.illuminant or ["D65"]
     if more:
         raise PlainError(f"--illuminant: found {1 + len(more)} lights; accepted: one, for --to tiff.")
-    _preview(source, path, illuminant)
     loss = write_diffuse_tiff(source.items[0], path, illuminant, standard_display(given.display))
+    _preview(source, path, illuminant)
     return {f"under {illuminant}": loss}
 
 
@@ -145,6 +146,8 @@ def export_named(name: str, output: Path | None, given: argparse.Namespace) -> t
     path = output or Path(f"exports/{source.name}{target.suffix or '-mitsuba'}")
     if target.suffix and path.suffix.lower() != target.suffix:
         raise InputError(path, "", f"the suffix {path.suffix!r}", f"{target.suffix}, of --to {given.to}")
+    if source.kind == "scene":
+        _result(source, "png")  # the preview: missed before the work and not after it
     path.parent.mkdir(parents=True, exist_ok=True)
     return path, target.write(source, path, given)
 
@@ -193,6 +196,9 @@ def main(arguments: list[str] | None = None, prog: str = "python -m irodori.expo
             export_picture(given.source, given.output, given.interleave)
     except PlainError as error:
         print(error, file=sys.stderr)
+        return 2
+    except OSError as error:
+        print(f"{error.filename or given.output}: cannot be written: {error.strerror or error}", file=sys.stderr)
         return 2
     return 0
 

@@ -27,6 +27,8 @@ from irodori.spectra.grid import WAVELENGTH_NM
 
 PLUGIN, SCENE, ABOUT = "irodori_mitsuba.py", "scene.xml", "about.json"
 _SAMPLES = 64
+#: Lobes that the plugin knows.
+LOBES = ("gaussian", "ggx")
 #: How much farther than in other exports an endless shape goes.
 _FARTHER = 100.0
 #: By what Mitsuba divides ∫ L x̄ dλ (its MI_CIE_Y_NORMALIZATION); the integral of its table of ȳ is 0.1 % more.
@@ -177,12 +179,15 @@ def write_mitsuba(source: Source, folder) -> None:
     Raises
     ------
     PlainError
-        If it is no scene: an object has no light.
+        If it is no scene, for an object has no light; or it has a lobe that the plugin does not know.
     InputError
         If nothing lights the scene, or a file has the folder's name.
     """
     if source.scene is None:
         raise PlainError(f"--to mitsuba: found the {source.kind} {source.name!r}; accepted: a scene, which has light.")
+    unknown = [name for item in source.items for name in item.material.lobes if name not in LOBES]
+    if unknown:
+        raise PlainError(f"--to mitsuba: found the lobe {unknown[0]!r}; accepted: {', '.join(LOBES)}.")
     folder = Path(folder)
     if folder.exists() and not folder.is_dir():
         raise InputError(folder, "", "a file", "the name of a folder, which may be there already")

@@ -125,8 +125,8 @@ def test_a_loss_that_cannot_be_measured_is_told_with_its_reason(project, capsys,
     root, _ = project
     (root / "results/still-life").mkdir()
     profile = standard_display("sRGB").profile
-    write_display_picture(root / "results/still-life/front.png", np.full((480, 640, 3), 9, np.uint8), profile, {})
-    radiance = np.ones((480, 640, 61), np.float32)
+    write_display_picture(root / "results/still-life/front.png", np.full((48, 64, 3), 9, np.uint8), profile, {})
+    radiance = np.ones((48, 64, 61), np.float32)
     write_spectral_exr(root / "results/still-life/front.exr", radiance, radiance[..., :3], {})
     (root / "mitsuba.py").write_text("raise ImportError('no Mitsuba on this machine')\n")
     monkeypatch.setenv("PYTHONPATH", str(root), prepend=":")
@@ -152,7 +152,8 @@ def test_a_loss_that_cannot_be_measured_is_told_with_its_reason(project, capsys,
             "material.h5: found no file; accepted: what 'snakemake --cores 2 results",
         ),
         (["still-life", "--to", "gltf"], "results/still-life/front.png: found no file; accepted: what 'snakemake"),
-        (["still-life", "--to", "mitsuba"], "results/still-life/front.exr: found no file; accepted: what 'snakemake"),
+        (["still-life", "--to", "mitsuba"], "results/still-life/front.png: found no file; accepted: what 'snakemake"),
+        (["tile-plate", "--to", "tiff", "config/config.yaml/a.tif"], "config/config.yaml: cannot be written: "),
         (["tile-plate", "--to", "gltf", "a.obj"], "a.obj: found the suffix '.obj'; accepted: .glb, of --to gltf."),
         (["tile-plate", "--to", "gltf", "--illuminant", "D6"], "found 'D6'; accepted:"),
         (["tile-plate", "--to", "tiff", "--illuminant", "A", "D65"], "--illuminant: found 2 lights; accepted: one"),
@@ -167,6 +168,16 @@ def test_what_cannot_be_exported_is_refused_in_one_sentence(project, capsys, wor
     assert said in err and err.count("\n") == 1 and not out
     exports = root / "exports"
     assert not exports.exists() or not [file for file in exports.iterdir() if file.suffix in (".glb", ".tif", ".exr")]
+
+
+def test_a_folder_that_is_a_file_is_refused_before_anything_is_written(project, capsys):
+    root, _ = project
+    (root / "results/still-life").mkdir()
+    for kind in ("png", "exr"):
+        (root / f"results/still-life/front.{kind}").write_bytes(b"")
+    assert main(["still-life", "--to", "mitsuba", "config/config.yaml"]) == 2
+    assert "config/config.yaml: found a file; accepted: the name of a folder" in capsys.readouterr().err
+    assert not (root / "config/config.yaml.png").exists()
 
 
 def test_a_material_that_no_photograph_determines_is_refused(project, capsys):

@@ -12,6 +12,7 @@ from functools import cache
 import numpy as np
 import pytest
 from exported import painted, scene_of
+from lobe_scenes import MIXED
 from scenes import GOLD_K, GOLD_N, THIRDS, constant_light, material, sky, smooth_light
 
 from irodori.core import store
@@ -189,6 +190,13 @@ def test_the_loss_tells_a_difference_from_noise():
 def test_what_mitsuba_cannot_do_is_said_in_place_of_a_figure(tmp_path):
     found = measure(tmp_path, tmp_path / "picture.exr", "v")
     assert set(found) == {"not_measured"} and "about.json" in found["not_measured"]
+
+
+def test_a_lobe_that_the_plugin_does_not_know_is_refused(tmp_path):
+    things = [("plate", MIXED, (0, 0, 0), (0, 0, 0))]
+    with pytest.raises(PlainError, match="found the lobe 'toy'; accepted: gaussian, ggx"):
+        write_mitsuba(scene_of(things, {"v": VIEW}, tmp_path / "light.h5"), tmp_path / "out")
+    assert not (tmp_path / "out").exists()
 
 
 def test_an_object_and_a_scene_without_light_are_refused(tmp_path):
