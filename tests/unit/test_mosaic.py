@@ -1,5 +1,7 @@
 """Decoding RAW files: bit-exact numbers in the sensor's own frame, levels, settings, refusals."""
 
+import math
+
 import numpy as np
 import pytest
 import rawpy
@@ -9,7 +11,7 @@ from hypothesis import strategies as st
 from raw_studio import BLACK, DATA, WHITE, dng, random_mosaic
 
 from irodori.core.errors import InputError
-from irodori.ingest.mosaic import decode, demosaic
+from irodori.ingest.mosaic import _stated, decode, demosaic
 
 
 @pytest.mark.parametrize(
@@ -277,3 +279,8 @@ def test_real_cameras_files_decode(name, size, pattern, black, white):
     # Neighbours of one colour agree: the mosaic is read in its own order.
     green = decoded.superpixels[..., 1]
     assert np.corrcoef(green[:, :-1].ravel(), green[:, 1:].ravel())[0, 1] > 0.95
+
+
+@pytest.mark.parametrize(("said", "taken"), [(0.02, 0.02), (math.inf, 0.0), (math.nan, 0.0), (-1.0, 0.0), (0.0, 0.0)])
+def test_what_a_file_states_is_a_positive_number_or_nothing(said, taken):
+    assert _stated(said) == taken

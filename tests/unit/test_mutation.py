@@ -108,10 +108,10 @@ def test_statements_that_are_marked_say_when_they_are_passed(mutants, tmp_path):
 def test_a_sample_of_mutants_is_put_to_the_tests():
     """Twenty of each of three rooms, others at every commit; those that nobody noticed are printed.
 
-    The three are one half of the rooms or the other. Until all rooms are measured at nine of ten, 42 of 60 must be
-    noticed: CONTRIBUTING.md has the scores.
+    The three are one half of the rooms or the other. Of nine in ten, a sample of 60 has fewer than 45 once in a
+    thousand runs: CONTRIBUTING.md has the scores.
     """
-    command = [sys.executable, "tests/mutation/run.py", "--half", "--sample", "60", "--jobs", "2", "--least", "0.7"]
+    command = [sys.executable, "tests/mutation/run.py", "--half", "--sample", "60", "--jobs", "2", "--least", "0.75"]
     environment = {k: v for k, v in os.environ.items() if not k.startswith("PYTEST_")}
     done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True)
     print(done.stdout)
