@@ -620,8 +620,8 @@ def register_object(
     Notes
     -----
     Datasets: ``/correction`` (12) in the order of ``/quantity`` and the units of ``/quantity_unit``, to be added to
-    what was typed, 0 of what stays as typed; ``/sigma`` (12), standard errors of the most probable values, each by itself;
-    ``/prior_sigma`` (12); ``/covariance`` (12, 12); ``/own_camera_deg`` (J),
+    what was typed, 0 of what stays as typed; ``/sigma`` (12), standard errors of the most probable values, each by
+    itself; ``/prior_sigma`` (12); ``/covariance`` (12, 12); ``/own_camera_deg`` (J),
     what each camera angle is off by itself; ``/residual_px`` and ``/residual_mm`` (J), how far a photograph shows the
     object from where the correction puts it, NaN where it shows nothing that could be measured; ``/outline_points``
     (J). ``told`` says which numbers the photographs tell, ``captures`` names them, ``sentence`` says all in words.
