@@ -636,9 +636,9 @@ def register_object(
 
     Notes
     -----
-    Datasets: ``/correction`` (12) in the order and units of the attribute ``quantities``, to be added to what was
-    typed, 0 of what stays as typed; ``/sigma`` (12), standard errors of the most probable values, each by itself;
-    ``/prior_sigma`` (12); ``/covariance`` (12, 12); ``/own_camera_deg`` (J),
+    Datasets: ``/correction`` (12) in the order of ``/quantity`` and the units of ``/quantity_unit``, to be added to
+    what was typed, 0 of what stays as typed; ``/sigma`` (12), standard errors of the most probable values, each by
+    itself; ``/prior_sigma`` (12); ``/covariance`` (12, 12); ``/own_camera_deg`` (J),
     what each camera angle is off by itself; ``/residual_px`` and ``/residual_mm`` (J), how far a photograph shows the
     object from where the correction puts it, NaN where it shows nothing that could be measured; ``/outline_points``
     (J). ``told`` says which numbers the photographs tell, ``captures`` names them, ``sentence`` says all in words.
@@ -650,7 +650,7 @@ def register_object(
     LOGGER.info("%s", sentence)
     with store.create(output, provenance) as out:
         out.coordinate("capture", names, units="1", quantity="name of the capture")
-        units = np.array([one.unit for one in QUANTITIES], "S")
+        units = np.array(["{px}" if one.unit == "px" else one.unit for one in QUANTITIES], "S")
         for axis in ("quantity", "other_quantity"):
             out.coordinate(axis, [one.name for one in QUANTITIES], units="1", quantity="what may be corrected")
             out.write(f"{axis}_unit", units, units="1", dims=axis, quantity="its unit")

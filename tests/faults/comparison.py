@@ -21,6 +21,8 @@ import OpenImageIO as oiio
 LEFT_OUT = ("logs/", "benchmarks/", "benchmark/", "report.html", "inputs.json")
 #: Attributes of HDF5 files that a clock writes.
 CLOCKED_ATTRIBUTES = {"fit_seconds", "paint_seconds"}
+#: Attributes by which HDF5 ties axes to their scales: places in a file, which `dims` names.
+PLACES = {"DIMENSION_LIST", "REFERENCE_LIST"}
 #: Columns of CSV files that a clock writes.
 CLOCKED_COLUMNS = {"evaluation_ns_per_pixel"}
 #: Keys of JSON files and attributes that a clock or a session's course writes: ``session`` counts what it took, kept
@@ -109,7 +111,7 @@ def _hdf5(path: Path) -> dict:
         if isinstance(item, h5py.Dataset):
             content[name] = _bits(item[()])
         for key, value in item.attrs.items():
-            if key not in CLOCKED_ATTRIBUTES:
+            if key not in CLOCKED_ATTRIBUTES | PLACES:
                 value = value.decode() if isinstance(value, bytes) else value
                 is_json = isinstance(value, str) and value.startswith(_JSON)
                 content[f"{name}@{key}"] = _kept(json.loads(value.removeprefix(_JSON))) if is_json else _bits(value)

@@ -53,7 +53,7 @@ def test_results_that_only_a_clock_tells_apart_are_the_same(tmp_path, expected):
         ({"values": np.array([0.0, np.nan, np.nextafter(1.5, 2)])}, "jar/material.h5: alpha"),
         ({"values": np.array([0.0, np.nan, 1.5], np.float32)}, "jar/material.h5: alpha"),
         ({"note": "y"}, "jar/material.h5: @note"),
-        ({"radiance": np.nextafter(np.float32(0.25), np.float32(1))}, "jar/front.exr: pixels"),
+        ({"radiance": np.nextafter(np.float16(0.25), np.float16(1))}, "jar/front.exr: pixels"),
         ({"mean": "0.50"}, "errors.csv: line 2"),
     ],
 )

@@ -163,6 +163,12 @@ def test_every_third_party_import_of_the_package_is_pinned():
     files = ("requirements.txt", "requirements-rig.txt")
     pinned = {name.lower() for file in files for name in pins(ROOT / file)} | {"llvmlite"}  # numba brings llvmlite
     asked = [*PROJECT["dependencies"], *PROJECT["optional-dependencies"]["camera"]]
+    # What a person adds by choice is tried with the pins of development.
+    optional = bounds(*PROJECT["optional-dependencies"]["xarray"])
+    tried = pins(ROOT / "requirements-dev.txt")
+    assert all(bound.specifier.contains(Version(tried[name])) for name, bound in optional.items())
+    pinned |= {name.lower() for name in optional}
+    asked += PROJECT["optional-dependencies"]["xarray"]
     asked = {name.lower() for name in bounds(*asked)} | {"llvmlite"}
     for path in (ROOT / "irodori").rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text())):

@@ -5,12 +5,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import xarray as xr
 from drawn_plates import NAMES, PINHOLE, PLATE, SETUP, VIEWS, correction, drawn, linear_file, picture
 
 from irodori.config.capture_table import Pose
 from irodori.config.models import Placing
 from irodori.core import store
 from irodori.core.errors import InputError
+from irodori.core.units import require_unit
 from irodori.geometry.rig_frame import (
     rig_from_object,
     rotation_x,
@@ -332,6 +334,14 @@ def test_the_file_says_how_far_each_photograph_is_off(tmp_path):
         px, mm = file.read("residual_px"), file.read("residual_mm")
         assert np.argmax(px) == 3 and file.attribute("captures") == ["0", "1", "2", "3"]
         assert px[:3].max() < 0.5 * px[3]
+    with xr.open_dataset(output, engine="h5netcdf") as opened:
+        # The unit of each number stands beside it, and two numbers' in the covariance.
+        units = dict(zip(opened["quantity"].values.tolist(), opened.quantity_unit.values.tolist(), strict=True))
+        assert units[b"x_mm"] == b"mm" and units[b"about_x_deg"] == b"deg" and units[b"principal_x_px"] == b"{px}"
+        for unit in units.values():
+            require_unit(unit.decode())
+        assert opened.covariance.dims == ("quantity", "other_quantity") and opened.residual_mm.dims == ("capture",)
+        assert opened.residual_mm.attrs["units"] == "mm" and opened.capture.values.tolist() == [b"0", b"1", b"2", b"3"]
     np.testing.assert_allclose(mm / px, 0.75, rtol=0.03)
 
 
