@@ -24,7 +24,7 @@ from irodori.fitting.stage import (
 )
 from irodori.material.fitted_tiles import SPEED
 from irodori.material.material_file import Status
-from irodori.spectra.coordinates import write_bands
+from irodori.spectra.coordinates import require_bands, write_bands
 
 _RESPONSE = "diffuse_response", "diffuse_variance"
 _OWN = 0.5  # share of its own in a texel's gloss from which it is called the texel's
@@ -69,6 +69,7 @@ def _read_tile(observations, fitted) -> tuple[Tile, dict[str, np.ndarray], dict]
         maps = {name: file.read(name) for name in fitted_maps(lobes)}
         attributes = {name: file.attribute(name, kind) for name, kind in CARRIED.items()}
         attributes |= {name: file.attribute(name) for name in SPEED}
+    require_bands(attributes["filters"], maps["diffuse_response"].shape[-1], fitted)
     if len(maps["status"]) != len(observed.response):
         found, accepted = f"{len(maps['status'])} texels", f"{len(observed.response)}, as in {observations}"
         raise InputError(fitted, "status", found, accepted)

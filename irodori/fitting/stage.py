@@ -20,7 +20,7 @@ from irodori.jit.chunks import run_chunks
 from irodori.jit.compilation import njit
 from irodori.material.material_file import NloptResult, Status, gloss_maps
 from irodori.reflection.lobes import Lobes
-from irodori.spectra.coordinates import write_bands
+from irodori.spectra.coordinates import require_bands, write_bands
 
 GREEN = 1  # green without the filter, the band of equation (7)
 _RESPONSE_NOISE = 0.01  # where the camera's is not known
@@ -375,6 +375,7 @@ def fit_brdf(
     with store.open_file(observations) as file:
         texel = file.read("texel")
         carried = {name: file.attribute(name, kind) for name, kind in CARRIED.items()}
+    require_bands(carried["filters"], observed.response.shape[2], observations)
     response, geometry, weight = observed.response, observed.geometry, observed.weight
     clipped, noise = observed.clipped, observed.noise
     fresnel = fresnel_of(n, k, calibration, response.shape[2])

@@ -25,7 +25,7 @@ from irodori.jit.chunks import run_chunks
 from irodori.jit.compilation import njit
 from irodori.rectification.placement_correction import AS_TYPED, Correction
 from irodori.reflection.equation5 import angles_from_directions
-from irodori.spectra.coordinates import write_bands
+from irodori.spectra.coordinates import require_bands, write_bands
 
 if TYPE_CHECKING:
     from irodori.config.models import Object, Optics, RigPose
@@ -34,7 +34,6 @@ if TYPE_CHECKING:
 #: Of a sample's noise power, what bilinear interpolation leaves on average over the places between samples.
 _INTERPOLATED = 4.0 / 9.0
 _POSE = tuple(angle.name for angle in fields(Pose))
-_COLOURS = 3
 _CHUNK = 8192  # texels that a thread takes at a time
 
 
@@ -358,9 +357,7 @@ def rectify_object(
         weights.append((found.seen & frontal).astype(np.float32))
         captures.append(found._replace(geometry=found.geometry.astype(np.float32)))
     observed, weight = _Observed(*(np.stack(v, axis=1) for v in zip(*captures, strict=True))), np.stack(weights, axis=1)
-    if (bands := observed.response.shape[2]) != _COLOURS * len(filters):
-        states = f"{len(filters)} filter states and {bands} bands"
-        raise InputError(linear[0], "filters", states, "three bands a filter state")
+    require_bands(filters, observed.response.shape[2], linear[0])
     unseen = ~(weight > 0).any(axis=1) & texels.covered.ravel()
     if unseen.any():
         LOGGER.info("%d of %d texels have no observation", unseen.sum(), texels.covered.sum())

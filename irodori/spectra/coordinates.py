@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+from irodori.core.errors import InputError
 from irodori.core.store import Writer
 from irodori.spectra.grid import WAVELENGTH_NM
 
@@ -11,6 +12,18 @@ _COLOURS = ("red", "green", "blue")
 def write_wavelength(out: Writer) -> None:
     """Write ``/wavelength`` (61) in nm into an open file that has a spectral axis."""
     out.coordinate("wavelength", WAVELENGTH_NM, units="nm", quantity="wavelength")
+
+
+def require_bands(filters: Sequence[str], bands: int, path) -> None:
+    """Refuse a file of responses whose bands are not three for each of its filter states.
+
+    Raises
+    ------
+    InputError
+    """
+    if bands != len(_COLOURS) * len(filters):
+        found = f"{len(filters)} filter states and {bands} bands"
+        raise InputError(path, "filters", found, "three bands a filter state")
 
 
 def write_bands(out: Writer, filters: Sequence[str]) -> None:
