@@ -25,7 +25,8 @@ def main(repository: Path) -> None:
         raise SystemExit(f"{folder} is the repository's own package")
     modules = [info.name for info in pkgutil.walk_packages(irodori.__path__, "irodori.")]
     for name in modules:
-        if not name.endswith("__main__"):
+        # The last is a plugin that Mitsuba loads, wherever it is installed.
+        if not name.endswith(("__main__", "irodori_mitsuba")):
             importlib.import_module(name)
     listed = subprocess.run(["git", "ls-files", "irodori"], cwd=repository, capture_output=True, text=True, check=True)
     missing = [file for file in listed.stdout.split() if not (folder.parent / file).is_file()]

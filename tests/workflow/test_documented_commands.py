@@ -1,8 +1,9 @@
 """Commands of the documents: each is one that its program's own parser accepts, and targets are those of the workflow.
 
-Only parsed are the commands of this package and its benchmarks, ``pip``, ``pytest`` and ``snakemake`` with their
-options; what Snakemake is to make is planned besides, by a dry run of the small project. The help of every command is
-run where the site is built, the first project's commands in `test_first_project`, the README's two in ``.ci/run``.
+All are parsed. Those that read a finished project are run on one as well; what Snakemake is to make is planned, by a
+dry run of the small project. The help of every command is run where the site is built, the first project's commands in
+`test_first_project`, those of a rig on simulated boards in ``tests/rig/test_command.py``, and the README's two in
+``.ci/run``.
 """
 
 import argparse
@@ -197,6 +198,50 @@ def test_every_target_that_the_documents_name_is_planned(project):
     assert planned(snakemake(project, "--dry-run", *named))
     refused = snakemake(project, "--dry-run", "calibrat")
     assert refused.returncode and "calibrat" in refused.stdout + refused.stderr
+
+
+#: Commands that read a finished project, and what it has in place of a document's own names.
+_ON_RESULTS = ("check", "crate", "export", "preview", "verify", "viewer")
+_IN_PROJECT = {
+    "FILE": "results/tile-plate/material.h5",
+    "MATERIAL": "results/tile-plate/material.h5",
+    "PICTURE": "of-a-file.exr",
+    "NAME": "tile-plate",
+    "SCENE": "still-life",
+    "results/jar/": "results/tile-plate/",
+    "results/my-plate/": "results/tile-plate/",
+    "config/mine.yaml": "config/config.yaml",
+    "config/my-plate.yaml": "config/config.yaml",
+}
+
+
+def runnable() -> list[list[str]]:
+    """Return the words of the documented commands that read a finished project, with names that the small one has."""
+    found = []
+    for command in DOCUMENTED:
+        words = shlex.split(command.removeprefix("python -m "), comments=True)
+        if words[0] != "irodori" or words[1:2] == [] or words[1] not in _ON_RESULTS or words == ["irodori", "export"]:
+            continue  # the last is a command that a sentence names
+        for theirs, ours in _IN_PROJECT.items():
+            words = [word.replace(theirs, ours) for word in words]
+        found.append(words[1:])
+    return found
+
+
+@pytest.mark.heavy
+def test_every_documented_command_on_results_does_its_work(again, monkeypatch, capsys):
+    monkeypatch.chdir(again)
+    commands_run = runnable()
+    assert {words[0] for words in commands_run} == set(_ON_RESULTS) and len(commands_run) >= 15
+    for words in commands_run:
+        before = {path: path.stat().st_mtime_ns for path in again.rglob("*") if path.is_file()}
+        assert irodori_main(words) == 0, (words, capsys.readouterr())
+        written = [path for path in again.rglob("*") if path.is_file() and before.get(path) != path.stat().st_mtime_ns]
+        # What only looks says what it found; the others leave what they were asked for.
+        if words[0] in ("check", "verify") or "--inspect" in words:
+            assert capsys.readouterr().out.strip(), words
+        else:
+            assert [path for path in written if path.stat().st_size], words
 
 
 def test_the_readmes_two_commands_are_those_that_a_new_machine_runs():
