@@ -1484,7 +1484,7 @@ class CameraDriver(Definition):
     #: Name of the camera as libgphoto2 writes it, such as Canon EOS 40D (PTP mode).
     model: str
 
-    #: Port of the camera, such as usb:001,004; found by itself where only one camera of the model is there.
+    #: Port of the camera, such as usb:001,004; detected where only one camera of the model is connected.
     port: str | None = None
 
     #: Sensitivity (ISO speed).
@@ -2041,7 +2041,7 @@ class AsciiProtocol(Definition):
     #: Words of the state for a feed hold, in which axes stand and keep their move.
     hold: tuple[str, ...] = ()
 
-    #: Words of the state for a controller that stopped by itself.
+    #: Words of the state for a controller that has stopped without being told to.
     alarm: tuple[str, ...] = ()
 
     #: Templates of the replies for the simulator; each must fit its regular expression.
