@@ -2,8 +2,8 @@
 
 All are parsed. Those that read a finished project are run on one as well; what Snakemake is to make is planned, by a
 dry run of the small project. The help of every command is run where the site is built, the first project's commands in
-`test_first_project`, those of a rig on simulated boards in ``tests/rig/test_command.py``, ``irodori crate`` in the tests
-of crates, and the README's two in ``.ci/run``.
+`test_first_project`, those of a rig on simulated boards in ``tests/rig/test_command.py``, ``irodori crate`` in the
+tests of crates, and the README's two in ``.ci/run``.
 """
 
 import argparse
