@@ -87,7 +87,7 @@ def test_another_table_is_refused_by_name(tmp_path):
 
 @pytest.mark.heavy
 def test_the_table_is_that_of_a_run_of_its_own(tmp_path):
-    rows = try_hard_cases(tmp_path / "s.csv", 0, ["tests/unit/test_store.py"])
+    rows = try_hard_cases(tmp_path / "s.csv", 0, ["tests/unit/test_store.py", "tests/unit/test_self_describing.py"])
     of_store = [row for row in rows if row["stage"] == "store"]
     assert of_store and all(row["outcome"] == "as expected" and int(row["tests"]) > 0 for row in of_store)
     assert {row["outcome"] for row in rows if row["stage"] != "store"} == {"not tried"}

@@ -223,8 +223,9 @@ class FinishedTiles:
         path = self.folder / f"{self.key}-{rows[0]}-{rows[1]}.npz"
         if path.is_file():
             with np.load(path) as kept:
-                halves = Halves(*(kept[name] for name in ("radiance", "difference", "seen")))
-                return Picture(halves.mean, kept["standard_error"], int(kept["cut"]), halves)
+                radiance, error = kept["radiance"], kept["standard_error"]
+                halves = Halves(radiance, kept["difference"], kept["seen"]) if "seen" in kept else None
+                return Picture(radiance, error, int(kept["cut"]), halves)
         part = make()
         with written_whole(path) as temporary:
             named = {"standard_error": part.standard_error, "cut": np.array(part.cut)}

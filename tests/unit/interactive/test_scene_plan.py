@@ -455,7 +455,7 @@ def test_a_picture_without_spectra_is_read_as_the_xyz_that_it_is(tmp_path):
     write_xyz_exr(tmp_path / "planned.exr", xyz, {"irodori:whiteXYZ": "1 1 1"})
     assert np.array_equal(read_xyz(tmp_path / "planned.exr", matrix), xyz)
     radiance = rng.random((4, 5, 61)).astype(np.float32)
-    write_spectral_exr(tmp_path / "full.exr", radiance, xyz, {})
+    write_spectral_exr(tmp_path / "full.exr", radiance, xyz, {}, storage="single")
     assert np.allclose(read_xyz(tmp_path / "full.exr", matrix), radiance @ matrix.T, rtol=1e-6)
 
 
