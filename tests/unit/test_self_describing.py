@@ -197,7 +197,6 @@ def test_a_picture_that_half_precision_cannot_span_is_stored_whole(tmp_path):
     assert np.array_equal(read_spectral_exr(tmp_path / "a.exr"), radiance)
 
 
-@pytest.mark.filterwarnings("ignore:invalid value")
 def test_what_is_no_number_stays_none_and_nothing_else_becomes_one(tmp_path):
     radiance = np.full((4, 4, 61), 1e7, np.float32)
     radiance[1, 1], radiance[2, 2] = np.nan, np.inf
