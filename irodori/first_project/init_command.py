@@ -57,7 +57,7 @@ def _write(asked: argparse.Namespace) -> int:
     for path, notes in scaffold.assumed().items():
         for note in notes:
             print(f"  {path}: {note}")
-    print(f"{scaffold.configuration}: {len(gaps)} gaps")
+    print(f"{scaffold.configuration}: {len(gaps)} gap{'' if len(gaps) == 1 else 's'}")
     for gap in gaps[:_SHOWN_GAPS]:
         print(f"  {gap}: write in place of ?")
     if len(gaps) > _SHOWN_GAPS:

@@ -158,8 +158,9 @@ def _alike(one: Photograph, other: Photograph) -> bool:
 def _with_poses(found: list[Recognised], passed: np.ndarray | None) -> list[Recognised]:
     """Return all photographs with poses and filters of those of the object.
 
-    Photographs that follow each other show one pose while they look alike and no filter state comes twice with one
-    exposure time. A pose of which one filter state alone is there, beside others with both, is left open.
+    Photographs that follow each other show one pose while they look alike, those of one filter state have the same
+    light, and no filter state comes twice with one exposure time. A pose of which one filter state alone is there,
+    beside others with both, is left open.
     """
     groups: list[list[Recognised]] = []
     for one in (one for one in found if one.role == "object"):
@@ -188,7 +189,16 @@ def _belongs(group: list[Recognised], one: Recognised, passed: np.ndarray | None
         transmittance = ratio if _dimmer(ratio) else 1.0 / ratio
         if not _dimmer(transmittance) or (passed is not None and not _agrees(transmittance, passed, _LIKE_WHITE)):
             return False
-    taken = zip((*group, one), _states([*group, one]), strict=True)
+    members = [*group, one]
+    states = _states(members)
+    first = dict(zip(reversed(states), reversed(members), strict=True))
+    # What dims one photograph of a pose otherwise than the filter dims another is a lamp that was moved.
+    if not all(
+        each is first[state] or _same_light(_ratio(first[state].photograph, each.photograph))
+        for each, state in zip(members, states, strict=True)
+    ):
+        return False
+    taken = zip(members, states, strict=True)
     settings = [(state, round(math.log(each.photograph.exposure_s), 2)) for each, state in taken]
     return len(set(settings)) == len(settings)
 

@@ -97,9 +97,11 @@ class Scaffold:
             If one of the files is there already; then nothing is written.
         """
         files = dict(self._definitions())
-        for path in (*files, self.table):
-            if path.exists():
-                raise InputError(path, "", "a file that is there already", "another --name, or an --into without it")
+        there = [path for path in (*files, self.table) if path.exists()]
+        if there:
+            removed = ", ".join(map(str, there))
+            accepted = f"another --name, another --into, or, to begin anew, these files removed: {removed}"
+            raise InputError(there[0], "", "a file that is there already", accepted)
         gaps = []
         for path, content in files.items():
             path.parent.mkdir(parents=True, exist_ok=True)

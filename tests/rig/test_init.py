@@ -268,6 +268,13 @@ def test_photographs_out_of_order_are_told_apart_no_longer(no_chart):
     assert [one.filter for one in found[4:]] == ["out", "in"] * 2, "the others are as they were"
 
 
+def test_a_lamp_that_was_moved_is_no_filter(no_chart):
+    """The view stays, and the light of the second pose is as much weaker as a filter's could be."""
+    shots = [(level * share, seconds) for level in (0.8, 0.43, 0.9) for share, seconds in ((1.0, 0.02), (0.75, 0.05))]
+    found = recognise([patterned(f"{n}.dng", level, 1, seconds) for n, (level, seconds) in enumerate(shots)])
+    assert [(one.pose, one.filter) for one in found] == [(view, state) for view in range(3) for state in ("out", "in")]
+
+
 def test_the_clock_tells_the_order_and_names_do_where_one_is_silent():
     shots = [patterned(f"{9 - n}.dng", 0.5, n, time=f"2026-05-04T10:15:{n:02d}") for n in range(6)]
     mixed = random.Random(5).sample(shots, len(shots))
