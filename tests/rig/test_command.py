@@ -14,13 +14,17 @@ from pathlib import Path
 import patience
 import pytest
 import yaml
+from documented import of_kind, words_of
 from driven import CAMERA, Studio, project
 from made import made
+from motion_rigs import definition
 from sessions import ROOT, assert_whole
 from simulated_gphoto2 import make_module
 
 from irodori.capture import command, stage
+from irodori.capture.camera.gphoto_camera import GphotoCamera
 from irodori.capture.command import main
+from irodori.capture.operator import AutoOperator
 from irodori.capture.rig.connect import open_rig, start_simulator, true_position_deg
 from irodori.capture.rig.devices import DeviceError
 from irodori.config.capture_table import read_captures
@@ -258,8 +262,8 @@ def test_capture_resumes_with_what_is_missing(capsys, monkeypatch):
     assert_whole(folder, read_captures(folder / "captures.csv"))
 
 
-def test_capture_shows_a_page_whose_address_the_terminal_says(capsys):
-    """An observer reads the address, waits for the last photograph, and finishes the session on the page."""
+def observed(capsys, *words: str) -> dict:
+    """Hold a session with a page, of which an observer reads the address; return what it saw before it finished it."""
 
     def observe():
         said = ""
@@ -279,9 +283,14 @@ def test_capture_shows_a_page_whose_address_the_terminal_says(capsys):
 
     seen, observer = [], threading.Thread(target=observe, daemon=True)
     observer.start()
-    assert main(["capture", "tile-plate", "--page", "--port", "0"]) == 0
+    assert main(list(words)) == 0
     observer.join(60.0)
-    assert (seen[0]["done"], seen[0]["total"], seen[0]["name"]) == (8, 8, "tile-plate")
+    return seen[0]
+
+
+def test_capture_shows_a_page_whose_address_the_terminal_says(capsys):
+    seen = observed(capsys, "capture", "tile-plate", "--page", "--port", "0")
+    assert (seen["done"], seen["total"], seen["name"]) == (8, 8, "tile-plate")
     folder = Path("results/rig/bench/tile-plate")
     assert_whole(folder, read_captures(folder / "captures.csv"))
 
@@ -370,3 +379,55 @@ def test_saying_where_a_rig_stands_waits_for_no_import_that_only_photographs_or_
     loaded = run.stdout.split()
     assert not {"numpy", "numba", "scipy", "rawpy", "h5py", "jsonschema"} & set(loaded)
     assert not [name for name in loaded if name.startswith(("irodori.simulation", "irodori.ingest"))]
+
+
+# ---- what the documents let one type
+
+
+@pytest.fixture
+def studio(monkeypatch):
+    """Put a simulated camera before the bench, which shows what each photograph of a session is of."""
+    studio = Studio()
+    monkeypatch.setitem(sys.modules, "gphoto2", make_module(studio.bench))
+    monkeypatch.setattr(GphotoCamera, "capture", studio.following(GphotoCamera.capture))
+    monkeypatch.setattr(stage, "make_operator", lambda *_, **__: AutoOperator(lambda request: None))
+
+
+def simulate(module: str, *words: str) -> None:
+    """Start a simulated controller as a program, until it has printed its port."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", module, *words], stdout=subprocess.PIPE, env=os.environ | {"PYTHONPATH": str(ROOT)}
+    )
+    try:
+        assert os.path.exists(process.stdout.readline().decode().strip()), "the port that it printed"
+    finally:
+        process.terminate()
+        patience.wait(process)
+        process.stdout.close()
+
+
+@pytest.mark.parametrize("documented", of_kind("bench"))
+def test_a_documented_command_of_the_bench_does_its_work(documented, capsys, board, studio):
+    program, *words = words_of(documented)
+    words = [{"RIG": "gonio-grbl", "OBJECT": "tile-plate"}.get(word, word) for word in words]
+    if program.startswith("irodori.simulation."):
+        Path("config/rigs/NAME.yaml").write_text(yaml.safe_dump(definition("ascii")))
+        simulate(program, *words)
+        return
+    if "--page" in words:
+        seen = observed(capsys, *words, "--port", "0")
+        assert (seen["done"], seen["total"], seen["name"]) == (8, 8, "jar")
+        return
+    if words[0] in ("move", "jog", "recount"):
+        run(capsys, "home", "gonio-grbl")
+    if words[0] == "jog":
+        run(capsys, "move", "gonio-grbl", "turn_deg=10")
+    if words[:2] == ["plan", "jar"] and "--best" in words:
+        words[1] = "tile-plate"  # what its best poses would tell is known of a virtual object
+    out, err = run(capsys, *words)
+    assert out or err
+    if words[0] == "capture":
+        name = "photographs/eos-40d-comb/captures.csv" if "--camera" in words else "photos/jar.csv"
+        assert len(read_captures(name)) >= 7
+    if words[0] == "shoot":
+        assert Path("try.cr2").stat().st_size > 1000

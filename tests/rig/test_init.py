@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from documented import of_kind, words_of
 from made import made
 from sessions import definitions
 
@@ -241,6 +242,22 @@ def test_one_photograph_of_a_chart_makes_a_camera(taken, tmp_path, monkeypatch, 
     middle = np.mean(corners, axis=0)
     scale = 50.0 / 900.0 / (2.0 * 0.0192)
     assert np.abs(middle - [100.0 - 37.5 * scale, 75.0 - 22.5 * scale]).max() < 2.0
+
+
+@pytest.mark.parametrize("command", of_kind("first project"))
+def test_a_documented_command_writes_a_first_project(command, seen, taken, tmp_path, monkeypatch):
+    words = words_of(command)[1:]
+    Path("My plate").symlink_to(taken[0])
+    written(Path("answers.yaml"), ANSWERS)
+    alone = words[1].endswith(".CR2")
+    if alone:
+        monkeypatch.undo()
+        monkeypatch.chdir(tmp_path)
+        chart = next(name for name, shot in taken[1].items() if shot.role == "chart" and shot.filter == "out")
+        shutil.copy(taken[0] / chart, words[1])
+    # What no answer tells is left as gaps, which are said by status 1.
+    assert main(words) == (0 if "--answers" in words else 1)
+    assert Path("config", "eye.yaml" if alone else "my-plate.yaml").is_file()
 
 
 def test_a_pose_without_its_second_photograph_is_left_open(taken, looked, recognised, capsys):

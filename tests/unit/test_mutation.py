@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from documented import of_kind, words_of
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -111,7 +112,8 @@ def test_a_sample_of_mutants_is_put_to_the_tests():
     The three are one half of the rooms or the other. Of nine in ten, a sample of 60 has fewer than 45 once in a
     thousand runs: CONTRIBUTING.md has the scores.
     """
-    command = [sys.executable, "tests/mutation/run.py", "--half", "--sample", "60", "--jobs", "2", "--least", "0.75"]
+    (documented,) = of_kind("mutation")
+    command = [sys.executable, words_of(documented)[1], "--half", "--sample", "60", "--jobs", "2", "--least", "0.75"]
     environment = {k: v for k, v in os.environ.items() if not k.startswith("PYTEST_")}
     done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True)
     print(done.stdout)

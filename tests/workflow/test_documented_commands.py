@@ -1,9 +1,8 @@
-"""Commands of the documents: each is one that its program's own parser accepts, and targets are those of the workflow.
+"""Commands of the documents: each is one that its program's own parser accepts, and each is run by some test.
 
-All are parsed. Those that read a finished project are run on one as well; what Snakemake is to make is planned, by a
-dry run of the small project. The help of every command is run where the site is built, the first project's commands in
-`test_first_project`, those of a rig on simulated boards in ``tests/rig/test_command.py``, ``irodori crate`` in the
-tests of crates, and the README's two in ``.ci/run``.
+`documented` says which kind a command is of, and the file whose test runs that kind. Here are those that read a
+finished project, those of Snakemake, those that install, and the help of what sentences only name. Snakemake's targets
+are planned by dry runs; other tests of this folder and ``.ci/run`` make them.
 """
 
 import argparse
@@ -16,40 +15,15 @@ import shlex
 import shutil
 import sys
 
+import h5py
 import pytest
+from documented import DOCUMENTED, DOCUMENTS, RUN_BY, TO_RUN, commands, kind, of_kind, words_of
 from project import ROOT, planned, small_project, snakemake
 
 from irodori.capture.command import main as bench_main
 from irodori.command_line import main as irodori_main
 
-DOCUMENTS = sorted(
-    [*ROOT.glob("*.md"), ROOT / "config" / "README.md", *(ROOT / "docs").rglob("*.md")], key=lambda path: str(path)
-)
-#: What the documents let one type, by the first word; of other programs nothing is looked at.
-_OWN = ("irodori", "python", "python3", "snakemake", "pip", "pytest")
-_OTHERS = ("sudo", "npx", "pre-commit", "mkdocs", ".", "cd", "git", "python3.11", "ls", "mkdir")
 _STANDS_FOR = {"<lobe>": "gaussian", "RIG": "gonio-grbl", "..": "."}
-_FENCE = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
-_SPAN = re.compile(rf"(?<!`)`((?:{'|'.join(_OWN)}) [^`]+)`(?!`)")
-
-
-def commands(text: str) -> list[str]:
-    """Return the commands of a document: lines of its blocks that open with a program, and code between the words."""
-    found = []
-    for language, block in _FENCE.findall(text):
-        lines = [line.split("  #")[0].strip() for line in block.replace("\\\n", " ").splitlines()]
-        if language in ("bash", "console", "sh"):
-            for part in (part.strip() for line in lines if line for part in line.split("&&")):
-                assert part.split()[0] in (*_OWN, *_OTHERS), f"an unknown program: {part}"
-                found.append(part)
-        elif not language:
-            found += [line for line in lines if line.split()[:1] and line.split()[0] in _OWN]
-    # A sentence that breaks within a command is one command.
-    found += [" ".join(span.split()) for span in _SPAN.findall(_FENCE.sub("", text))]
-    return [command for command in dict.fromkeys(found) if command.split()[0] in _OWN]
-
-
-DOCUMENTED = sorted({command for path in DOCUMENTS for command in commands(path.read_text(encoding="utf-8"))})
 
 
 class Accepted(Exception):
@@ -200,8 +174,24 @@ def test_every_target_that_the_documents_name_is_planned(project):
     assert refused.returncode and "calibrat" in refused.stdout + refused.stderr
 
 
-#: Commands that read a finished project, and what it has in place of a document's own names.
-_ON_RESULTS = ("check", "export", "preview", "verify", "viewer")
+def test_every_documented_command_is_of_a_kind_that_some_test_runs():
+    assert [command for command in TO_RUN if kind(command) not in RUN_BY] == []
+    for name, file in RUN_BY.items():
+        assert of_kind(name), name
+        assert f'of_kind("{name}")' in (ROOT / file).read_text(encoding="utf-8"), name
+    assert kind("irodori exprot still-life") is None
+
+
+@pytest.mark.parametrize("command", of_kind("help"))
+def test_what_a_sentence_only_names_explains_itself(command, capsys):
+    program, *words = (word for word in words_of(command) if word != "--help")
+    with pytest.raises(SystemExit) as ended:
+        (irodori_main if program == "irodori" else bench_main)([*words[:1], "--help"])
+    said = capsys.readouterr().out
+    assert not ended.value.code and said.startswith("usage: ") and all(word in said for word in words)
+
+
+#: What a finished project has in place of a document's own names.
 _IN_PROJECT = {
     "FILE": "results/tile-plate/material.h5",
     "MATERIAL": "results/tile-plate/material.h5",
@@ -218,37 +208,75 @@ _IN_PROJECT = {
 def runnable() -> list[list[str]]:
     """Return the words of the documented commands that read a finished project, with names that the small one has."""
     found = []
-    for command in DOCUMENTED:
-        words = shlex.split(command.removeprefix("python -m "), comments=True)
-        if words[0] != "irodori" or words[1:2] == [] or words[1] not in _ON_RESULTS:
-            continue
-        if words[-1] in ("export", "--accept"):
-            continue  # named in a sentence, without what they take
+    for command in of_kind("results"):
+        words = words_of(command)[1:]
         for theirs, ours in _IN_PROJECT.items():
             words = [word.replace(theirs, ours) for word in words]
-        found.append(words[1:])
+        if words not in found:
+            found.append(words)
     # What has been accepted differs from what it was when later results were made of it.
     return sorted(found, key=lambda words: "--accept" in words)
 
 
 @pytest.mark.heavy
 def test_every_documented_command_on_results_does_its_work(again, monkeypatch, capsys):
+    shutil.copytree(ROOT / "workflow", again / "workflow", ignore=shutil.ignore_patterns("__pycache__"))
     monkeypatch.chdir(again)
-    commands_run = runnable()
-    assert {words[0] for words in commands_run} == set(_ON_RESULTS) and len(commands_run) >= 15
-    for words in commands_run:
+    for words in runnable():
         before = {path: path.stat().st_mtime_ns for path in again.rglob("*") if path.is_file()}
+        capsys.readouterr()
+        if "--accept" in words:
+            with h5py.File(words[-1], "r+") as file:
+                file.attrs["note"] = "by hand"
+            assert irodori_main(["verify"]) == 1
         assert irodori_main(words) == 0, (words, capsys.readouterr())
         written = [path for path in again.rglob("*") if path.is_file() and before.get(path) != path.stat().st_mtime_ns]
         # What only looks says what it found; the others leave what they were asked for.
-        if words[0] in ("check", "verify") or "--inspect" in words:
+        if "--accept" not in words and (words[0] in ("check", "verify") or "--inspect" in words):
             assert capsys.readouterr().out.strip(), words
         else:
             assert [path for path in written if path.stat().st_size], words
 
 
-def test_the_readmes_two_commands_are_those_that_a_new_machine_runs():
+def is_of_targets(words: list[str]) -> bool:
+    """Whether words ask for nothing but cores and targets, which one dry run plans together."""
+    return not [word for word in words[1:] if word.startswith("-") and word != "--cores"]
+
+
+@pytest.mark.heavy
+def test_every_documented_command_of_snakemake_does_what_it_says_or_plans_it(again):
+    """Configurations of one's own are the project's under another name; `test_first_project` has such."""
+    shutil.copytree(ROOT / "profiles", again / "profiles")
+    for name in ("my-plate", "eye"):
+        shutil.copy(again / "config/config.yaml", again / f"config/{name}.yaml")
+    photographs = ROOT.parent / "shared"
+    if photographs.is_dir():
+        (again.parent / "shared").symlink_to(photographs)
+    for command in of_kind("snakemake"):
+        words = [str(again) if word == "FOLDER" else word for word in words_of(command)]
+        if is_of_targets(words) or ("config/real.yaml" in command and not photographs.is_dir()):
+            continue
+        given = [word for word in words[1:] if word not in ("--cores", "2")]
+        if given == ["--configfile"]:  # an option that a sentence names
+            given.append("config/config.yaml")
+        if "--lint" in given:
+            run = snakemake(ROOT, *given, cores=None)
+            assert run.returncode == 0 and "in a good condition" in run.stdout + run.stderr, run.stderr[-4000:]
+        elif "--unlock" in given or "--report" in given:
+            run = snakemake(again, *given)
+            assert run.returncode == 0, run.stderr[-4000:]
+            assert "--unlock" in given or (again / "report.zip").stat().st_size > 1000
+        else:
+            jobs = {rule for rule, _ in planned(snakemake(again, "--dry-run", *given))}
+            expected = {"calibrate": {"calibrate_camera"}, "capture_object": {"capture_object", "fit_brdf"}}
+            assert jobs >= expected.get(given[-1] if "eye" not in command else "", set()), command
+
+
+def test_what_the_documents_install_is_installed_on_a_new_machine():
     script = (ROOT / ".ci/run").read_text(encoding="utf-8").splitlines()
+    for command in of_kind("pip"):
+        lines = (command, command.replace("pip install", "pip install --quiet --dry-run"))
+        assert any(line.strip() in lines for line in script), command
     for file in ("README.md", "README.ja.md"):
         found = commands((ROOT / file).read_text(encoding="utf-8"))
         for command in ("pip install --require-hashes -r requirements.lock", "snakemake --cores 2"):
