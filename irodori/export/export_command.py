@@ -102,9 +102,9 @@ def _tiff(source: "Source", path: Path, given: argparse.Namespace) -> Losses:
 
 def _picture(source: "Source", path: Path, given: argparse.Namespace) -> Losses:
     file = source.environment if source.kind == "environment" else source.items[0].file
-    export_picture(file, path, given.interleave)
+    loss = export_picture(file, path, given.interleave)
     _preview(source, path)
-    return {"spectra": "as they are, as 32-bit floats"}
+    return {"spectra": "as they are, as 32-bit floats"} if loss is None else {"spectra, under D65": loss}
 
 
 _SPECTRAL = ("object", "environment")

@@ -6,14 +6,17 @@ import pytest
 from scenes import material
 from spectral.io import envi
 
+from irodori.colour.colorimetry import delta_e_reflectance
 from irodori.core import store
 from irodori.core.errors import InputError
+from irodori.export.diffuse_picture import Loss
 from irodori.export.export_command import main
 from irodori.export.material_pictures import export_picture
 from irodori.export.pictures import layer_names, read_layers
 from irodori.light.environment_file import Environment
 from irodori.light.light_files import spectral_picture
 from irodori.light.omnidirectional import from_panorama
+from irodori.material.material_file import Material
 from irodori.spectra.grid import WAVELENGTH_NM
 from irodori.spectra.published import spectrum
 
@@ -50,6 +53,24 @@ def test_a_material_comes_back_from_a_spectral_exr(files):
         assert np.allclose(pixels[..., names.index(name)], values, rtol=1e-6, equal_nan=True)
     assert spec.getattribute("spectralLayoutVersion") == "1.0"
     assert [p.name for p in sorted(folder.iterdir())] == ["light.h5", "material.h5", "out.exr"]
+
+
+@pytest.mark.parametrize("suffix", [".exr", ".img"])
+def test_the_file_states_by_how_much_its_spectra_are_off(files, suffix):
+    """The figures are those of what is read back, against the coefficients in double precision."""
+    folder, *_ = files
+    path = folder / f"out{suffix}"
+    export_picture(folder / "material.h5", path)
+    if suffix == ".exr":
+        said, found = read(path)[0].getattribute("irodori:units"), read_layers(path, "T")[1]
+    else:
+        opened = envi.open(str(path.with_suffix(".hdr")), str(path))
+        said, found = opened.metadata["description"], np.asarray(opened.load())
+    stored = Material.load(folder / "material.h5")
+    exact = stored.coefficients.astype(np.float64) @ stored.basis.T
+    off = delta_e_reflectance(exact, found.astype(np.float64))[stored.observed]
+    assert f"under D65 off by {Loss.of(off).text}" in said
+    assert off.max() < 1e-4
 
 
 def test_an_environment_comes_back_as_the_same_light(files):
