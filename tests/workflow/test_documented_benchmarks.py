@@ -61,6 +61,7 @@ _TINY = {
         "errors": functools.partial(_LIGHT.errors, names=_LIGHT.CIE[:1]),
         "medians_s": lambda work, runs: {name: timeit.timeit(once, number=1) for name, once in work.items()},
         "WALLS": _LIGHT.WALLS[:1],
+        "VARIANTS": {name: _LIGHT.VARIANTS[name] for name in ("rig-lamp", "mixture")},
         "published_lamps": lambda: _LIGHT_LAMPS[:6],
     },
     "materials": {"MATERIALS": ("nist_ptfe",)},
