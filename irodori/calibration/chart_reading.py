@@ -9,6 +9,7 @@ from irodori.calibration.illumination import Illumination, illumination
 from irodori.calibration.jitter import Jitter, jitter
 from irodori.calibration.patches import ChartReading, read_means
 from irodori.calibration.training import ResponseNoise
+from irodori.config.capture_table import Pose, flat_incidence_rad
 from irodori.config.models import Chart
 from irodori.core import store
 from irodori.core.errors import InputError
@@ -72,7 +73,7 @@ class ChartPhotograph:
             response, valid = file.read("response"), file.read("valid")
             # Ingestion writes a rate, 1/s, where no white reference has evened the light.
             even = on_rig and file.dataset("response").attrs["units"] == "1"
-            light_deg, _, tilt_deg, _ = file.attribute("pose_deg")
+            pose = Pose(*file.attribute("pose_deg"))
             sample_px = file.attribute("sample_px")
             model = file.read("noise_model") if "noise_model" in file else None
             filters = tuple(file.attribute("filters"))
@@ -80,7 +81,7 @@ class ChartPhotograph:
             model = None
         located = locate_patches(response, valid, chart, path, sample_px)
         light = None if even else illumination(response, valid, located, path, sample_px)
-        cosine = float(np.cos(np.radians(light_deg - tilt_deg)))
+        cosine = float(np.cos(flat_incidence_rad(pose)))
         return cls(path, response, valid, sample_px, cosine, filters, model, located, light)
 
     def read(self) -> ChartReading:

@@ -88,7 +88,9 @@ def plan(options) -> None:
         shots = object_shots(definition, target.camera, target.suffix)
     planned = target.ordered(shots)
     for shot in planned:
-        angles = " ".join(f"{name.removesuffix('_deg')} {value:g}" for name, value in vars(shot.pose).items())
+        # An azimuth is told where there is one.
+        pose = {name: value for name, value in vars(shot.pose).items() if value or name != "light_azimuth_deg"}
+        angles = " ".join(f"{name.removesuffix('_deg')} {value:g}" for name, value in pose.items())
         print(f"{shot.role} {angles} filter {shot.filter} {shot.exposure_s:g} s  {shot.file}")
     print(target.estimate(planned))
 

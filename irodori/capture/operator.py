@@ -19,10 +19,11 @@ from irodori.config.validation import suggest
 from irodori.core.progress import LOGGER
 
 #: The order in which a step names its settings: the subject first, the filter last.
-SETTINGS = ("subject", "light_deg", "camera_deg", "tilt_deg", "turn_deg", "filter")
+SETTINGS = ("subject", "light_deg", "light_azimuth_deg", "camera_deg", "tilt_deg", "turn_deg", "filter")
 
 _ANGLE_PHRASES = {
     "light_deg": "set the light to {}",
+    "light_azimuth_deg": "set the light's azimuth to {}",
     "camera_deg": "set the camera to {}",
     "tilt_deg": "tilt the table to {}",
     "turn_deg": "turn the table to {}",
@@ -38,6 +39,8 @@ _SUBJECT_PHRASES = {
 }
 #: Before the name of a chart, see `irodori.config.capture_table.Shot.subject`.
 _CHARTS = {"chart-": "put the colour chart {} in place", "room-chart-": "point the camera at the colour chart {}"}
+#: Where a setting stands that nobody has named yet: a lamp stands in the rig's plane unless it is moved beside it.
+_AT_FIRST = {"light_azimuth_deg": 0.0}
 _PROGRESS_S, _POLL_S = 60.0, 0.5
 
 
@@ -103,6 +106,7 @@ class Step:
         for name in wanted:
             if name not in SETTINGS:
                 raise ValueError(f"no setting {name!r}; {suggest(name, SETTINGS)}")
+        stands = {**_AT_FIRST, **stands}
         names = [name for name in SETTINGS if name in wanted and stands.get(name) != wanted[name]]
         return cls(tuple(Change(name, stands.get(name), wanted[name]) for name in names))
 

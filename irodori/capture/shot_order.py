@@ -184,7 +184,7 @@ def _blockwise(brackets: dict[tuple, list[Shot]], axes, start, by_hand: bool) ->
 
 
 def _angles(pose) -> tuple[float, ...]:
-    return (pose.light_deg, pose.tilt_deg, pose.turn_deg, pose.camera_deg)
+    return (pose.light_deg, pose.light_azimuth_deg, pose.tilt_deg, pose.turn_deg, pose.camera_deg)
 
 
 def _splits(shots: list[Shot]) -> int:

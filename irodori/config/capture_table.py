@@ -24,7 +24,7 @@ from irodori.core.file_kinds import kind_instead_of_raw
 from irodori.core.text_tables import table_rows
 
 if TYPE_CHECKING:
-    from irodori.config.models import PoseGroup
+    from irodori.config.models import PoseGroup, RigPose
 
 SUBJECTS = ("object", "chart", "white", "dark", "environment", "room-chart", "scene")
 #: What a photograph is for. A drift frame shows the object once more, as an earlier photograph of the session did: what
@@ -37,10 +37,14 @@ FILTERS = ("out", "in")
 COLUMNS = ("file", "role", "light_deg", "camera_deg", "tilt_deg", "turn_deg", "filter", "exposure_s")
 
 _ANGLES = ("light_deg", "camera_deg", "tilt_deg", "turn_deg")
+#: Where the light stands beside the rig's plane of incidence, as under a dome or with a lamp in the hand.
+_AZIMUTH = "light_azimuth_deg"
+#: In place of both angles of the light: from the rig's origin to the lamp, in any one unit.
+_DIRECTION = ("light_x", "light_y", "light_z")
 #: Angles that the controller told at the shot.
 _READ = tuple(f"{angle.removesuffix('_deg')}_read_deg" for angle in _ANGLES)
 #: Columns that a table may do without: the camera's own values, which are checked, and how a session took each.
-EXTRA_COLUMNS = ("iso", "f_number", "taken_at", "camera_time", "camera", *_READ, "accepted", "sha256")
+EXTRA_COLUMNS = (_AZIMUTH, "iso", "f_number", "taken_at", "camera_time", "camera", *_READ, "accepted", "sha256")
 _OPTIONAL = ("tilt_deg", "turn_deg", *EXTRA_COLUMNS)
 #: Roles whose repeated frames are averaged, so that equal exposure times are no mistake.
 _AVERAGED = ("dark", "white", DRIFT)
@@ -48,19 +52,31 @@ _AVERAGED = ("dark", "white", DRIFT)
 
 @dataclasses.dataclass(frozen=True)
 class Pose:
-    """Where light, camera and table stand, in degrees."""
+    """Where light, camera and table stand, in degrees.
+
+    Parameters
+    ----------
+    light_deg, camera_deg : float
+        From +z.
+    tilt_deg, turn_deg : float
+        Of the table.
+    light_azimuth_deg : float
+        From +x towards +y, about z; 0 is the rig's plane of incidence, in which the camera always stands.
+    """
 
     light_deg: float
     camera_deg: float
     tilt_deg: float = 0.0
     turn_deg: float = 0.0
+    light_azimuth_deg: float = 0.0
 
     @property
     @functools.cache  # noqa: B019 - poses are few, and a large set asks for their names all the time
     def name(self) -> str:
-        """Name in tenths of a degree, such as ``l0450-c0200-t000-r0000``."""
+        """Name in tenths of a degree, such as ``l0450-c0200-t000-r0000``, and ``-a0900`` for light beside the plane."""
         light, camera, tilt, turn = (round(10 * getattr(self, angle)) for angle in _ANGLES)
-        return f"l{light:04d}-c{camera:04d}-t{tilt:03d}-r{turn:04d}"
+        azimuth = round(10 * self.light_azimuth_deg) % 3600
+        return f"l{light:04d}-c{camera:04d}-t{tilt:03d}-r{turn:04d}" + (f"-a{azimuth:04d}" if azimuth else "")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -134,6 +150,27 @@ def room_chart_capture(name: str) -> str:
     return f"room-chart-{name}"
 
 
+def flat_incidence_rad(pose: "Pose | RigPose") -> float:
+    """Return θ_i of a flat sample on the table, rad.
+
+    In the rig's plane it is light angle less tilt, negative where the table is tilted beyond the light; elsewhere it is
+    not negative.
+    """
+    if pose.light_azimuth_deg == 0.0:
+        return math.radians(pose.light_deg - pose.tilt_deg)
+    light, azimuth, tilt = map(math.radians, (pose.light_deg, pose.light_azimuth_deg, pose.tilt_deg))
+    cosine = math.sin(light) * math.cos(azimuth) * math.sin(tilt) + math.cos(light) * math.cos(tilt)
+    return math.acos(max(-1.0, min(1.0, cosine)))
+
+
+def light_angles_deg(direction) -> tuple[float, float]:
+    """Return light angle and azimuth of a direction or place from the rig's origin, (x, y, z), degrees."""
+    x, y, z = direction
+    aside = math.hypot(x, y)
+    # Straight above, and in the rig's plane on the light's side, no azimuth is to be told.
+    return math.degrees(math.atan2(aside, z)), math.degrees(math.atan2(y, x)) if aside else 0.0
+
+
 def expand_poses(groups: "Iterable[PoseGroup]") -> list[Pose]:
     """Return every combination of the lists of each group, in order.
 
@@ -153,6 +190,7 @@ def expand_poses(groups: "Iterable[PoseGroup]") -> list[Pose]:
             group.camera_deg,
             group.tilt_deg,
             group.turn_deg,
+            group.light_azimuth_deg,
         ]
         for angles in itertools.product(*lists):
             pose = Pose(*map(float, angles))
@@ -245,15 +283,22 @@ def noted_hashes(path) -> dict[str, str]:
 
 
 def _check_header(header: list[str], path, line: int) -> list[str]:
-    known = (*COLUMNS, *EXTRA_COLUMNS)
+    known = (*COLUMNS, *EXTRA_COLUMNS, *_DIRECTION)
+    by_direction = any(name in header for name in _DIRECTION)
     for name in header:
         if name not in known:
             raise InputError(path, f"line {line}, {name}", f"the unknown column {name!r}", suggest(name, known))
         if header.count(name) > 1:
             raise InputError(path, f"line {line}, {name}", "the column twice", "each column once")
-    for name in COLUMNS:
-        if name not in header and name not in _OPTIONAL:
-            raise InputError(path, f"line {line}, {name}", "no such column", f"the columns {', '.join(COLUMNS)}")
+        if by_direction and name in ("light_deg", _AZIMUTH):
+            found = f"{name} beside {', '.join(_DIRECTION)}"
+            raise InputError(path, f"line {line}, {name}", found, "one way to say where the light stands")
+    needed = [name for name in COLUMNS if name not in _OPTIONAL and not (by_direction and name == "light_deg")]
+    for name in (*needed, *(_DIRECTION if by_direction else ())):
+        if name not in header:
+            wanted = [name for name in COLUMNS if not (by_direction and name == "light_deg")]
+            wanted += _DIRECTION if by_direction else ()
+            raise InputError(path, f"line {line}, {name}", "no such column", f"the columns {', '.join(wanted)}")
     return header
 
 
@@ -274,18 +319,34 @@ class _Shots:
         require_inside(file, self.path, f"line {line}, file")
         role, chart = self._role(line, row)
         state = self._choice(line, row, "filter", FILTERS)
-        pose = Pose(*(self._number(line, angle, row.get(angle, "0")) for angle in _ANGLES))
+        pose = self._pose(line, row)
         exposure = self._number(line, "exposure_s", row["exposure_s"])
         if not 0 < exposure <= 3600:
             raise self._error(line, "exposure_s", row["exposure_s"].strip(), "above 0 and up to 3600 s")
-        for angle in _ANGLES:
-            if abs(getattr(pose, angle)) > 360:
-                raise self._error(line, angle, row[angle].strip(), "an angle from -360 to 360 degrees")
         iso, f_number = (self._optional(line, column, row.get(column, "")) for column in ("iso", "f_number"))
         shot = Shot(file, role, pose, state, exposure, iso, f_number, chart, self._taken(line, row))
         self._check_against_others(line, shot)
         self._check_file(line, shot)
         self.all.append(shot)
+
+    def _pose(self, line: int, row: dict[str, str]) -> Pose:
+        if _DIRECTION[0] in row:
+            light_deg, azimuth_deg = self._direction(line, row)
+            row = {**row, "light_deg": repr(light_deg), _AZIMUTH: repr(azimuth_deg)}
+        angles = [self._number(line, angle, row.get(angle, "0")) for angle in _ANGLES]
+        azimuth = row.get(_AZIMUTH, "")
+        angles.append(self._number(line, _AZIMUTH, azimuth) if azimuth.strip() else 0.0)
+        for name, angle in zip((*_ANGLES, _AZIMUTH), angles, strict=True):
+            if abs(angle) > 360:
+                raise self._error(line, name, row[name].strip(), "an angle from -360 to 360 degrees")
+        return Pose(*angles)
+
+    def _direction(self, line: int, row: dict[str, str]) -> tuple[float, float]:
+        """Return the angles of a lamp's place, degrees; without light (a dark frame) all three may be 0."""
+        x, y, z = (self._number(line, column, row[column]) for column in _DIRECTION)
+        if x == y == z == 0.0 and row["role"].strip() != "dark":
+            raise self._error(line, ", ".join(_DIRECTION), "0, 0, 0", "where the lamp stands, from the rig's origin")
+        return light_angles_deg((x, y, z))
 
     def _taken(self, line: int, row: dict[str, str]) -> Taken:
         texts = {name: row.get(name, "").strip() for name in ("taken_at", "camera_time", "camera", "accepted")}
@@ -381,7 +442,7 @@ def shot_cells(shot: Shot, sha256: str) -> list:
     """Return a photograph's line of a table, in the order of COLUMNS and EXTRA_COLUMNS; unknown values are empty."""
     angles = [getattr(shot.pose, angle) for angle in _ANGLES]
     row = [shot.file, shot.role if shot.role == DRIFT else shot.subject, *angles, shot.filter, shot.exposure_s]
-    return [*row, shot.iso or "", shot.f_number or "", *shot.taken.cells(), sha256]
+    return [*row, shot.pose.light_azimuth_deg or "", shot.iso or "", shot.f_number or "", *shot.taken.cells(), sha256]
 
 
 def write_captures(path, shots, sha256=None) -> None:

@@ -412,6 +412,9 @@ class PoseGroup(Definition):
     #: Turns of the table about its own axis, in degrees.
     turn_deg: tuple[float, ...] = (0.0,)
 
+    #: Azimuths of the light about z, from +x towards +y, in degrees.
+    light_azimuth_deg: tuple[float, ...] = (0.0,)
+
 
 @dataclass(frozen=True, kw_only=True)
 class PosePlan(Definition):
@@ -1462,6 +1465,9 @@ class RigPose(Definition):
     #: Turn of the table about its own axis, in degrees.
     turn_deg: float = 0.0
 
+    #: Azimuth of the light about z, from +x towards +y, in degrees.
+    light_azimuth_deg: float = 0.0
+
 
 @dataclass(frozen=True, kw_only=True)
 class CameraPoses(Definition):
@@ -1922,6 +1928,10 @@ class RigLimits(Definition):
 
     #: Turn of the table about its own axis, in degrees.
     turn_deg: AxisLimit
+
+    #: Azimuth of the light about z, from +x towards +y, in degrees, as under a dome or with a lamp in the hand; where
+    #: absent the light stands in the rig's plane. Not for driven rigs.
+    light_azimuth_deg: AxisLimit | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -28,6 +28,8 @@ __all__ = ["SceneFiles"]
 
 #: Files that a scene may ask for beside the spectral EXR and the PNG of each view.
 _FURTHER_OUTPUTS = {"xyz-exr": "results/{scene}/{view}.xyz.exr", "tiff": "results/{scene}/{view}.tif"}
+# Pixels from which a picture takes long enough to wait for a second core.
+_LARGE_PICTURE_PX = 500_000
 
 
 class SceneFiles:
@@ -149,6 +151,11 @@ class SceneFiles:
             found = f"the scene {wildcards.scene} defines no frames, so there are none to render"
             raise InputError(file, "frames", found, "a turntable, a light_sweep or an illuminant_change")
         return {key: value for key, value in scene.plain().items() if key != "lesson"}
+
+    def threads_of_view(self, wildcards) -> int:
+        """Return the threads of a picture: only a large one is worth waiting until two cores are free at once."""
+        image = self._scene(wildcards).image
+        return 1 if image.width * image.height < _LARGE_PICTURE_PX else 2
 
     def memory_of_frames_mb(self, wildcards) -> int:
         """Return what the pictures of a sequence take, MB: they are joined in memory."""

@@ -7,9 +7,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from irodori.config.capture_table import light_angles_deg
 from irodori.config.definitions import load_definitions
 from irodori.core.errors import InputError
 from irodori.core.yaml_files import read_yaml
+from irodori.first_project.light_places import places_of_poses, read_light_places
 from irodori.first_project.questions import Question, answer, numbers, pose_of_references, positive, shape, word
 from irodori.first_project.raw_folder import Photograph, photographs
 from irodori.first_project.recognition import Recognised, recognise
@@ -29,6 +31,7 @@ def main(arguments: list[str] | None = None, prog: str = "irodori init") -> int:
     parser.add_argument("photographs", help="folder of the RAW files, or one photograph of a colour chart")
     parser.add_argument("--into", default="config", help="folder of definitions to write into (config)")
     parser.add_argument("--name", help="name of the object; that of the folder where absent")
+    parser.add_argument("--lights", help="light-position file (.lp) that says where the lamp of each photograph stood")
     parser.add_argument("--answers", help="YAML file of answers by the names that the questions have")
     asked = parser.parse_args(arguments)
     try:
@@ -48,7 +51,7 @@ def _write(asked: argparse.Namespace) -> int:
         raise InputError(place, "", looked, "one photograph or more of the whole chart, evenly lit")
     print(_told(recognised, timed))
     ask = _typed if sys.stdin.isatty() and not asked.answers else None
-    answers = _answers(recognised, given, asked.answers, ask)
+    answers = _answers(recognised, given, asked, ask)
     folder = place if place.is_dir() else place.parent
     name = project_name(asked.name or (place.name if place.is_dir() else place.stem))
     scaffold = Scaffold(name, asked.into, folder, recognised, answers)
@@ -97,8 +100,11 @@ def _typed(words: str) -> str:
         return ""
 
 
-def _answers(recognised: list[Recognised], given, source, ask: Callable[[str], str] | None) -> Answers:
+def _answers(
+    recognised: list[Recognised], given, asked: argparse.Namespace, ask: Callable[[str], str] | None
+) -> Answers:
     """Return what a person says, or the files."""
+    source = asked.answers
     first = recognised[0].photograph
     used: set[str] = set()
     assumed: dict[str, str] = {}
@@ -131,9 +137,15 @@ def _answers(recognised: list[Recognised], given, source, ask: Callable[[str], s
         words = "Shape: plate WIDTH HEIGHT, plate SIDE, sphere RADIUS (mm), or mesh FILE"
         said.shape = put("shape", words, shape)
         poses = 1 + max(one.pose for one in recognised)
+        if asked.lights:
+            places = places_of_poses(read_light_places(asked.lights), recognised, asked.lights)
+            light_deg, azimuth_deg = zip(*map(light_angles_deg, places), strict=True)
+            said.angles |= {"light_deg": list(light_deg), "light_azimuth_deg": list(azimuth_deg)}
+        else:
+            words = f"Light angle, degrees: one number, or one for each of the {poses} poses"
+            said.angles["light_deg"] = put("light_deg", words, numbers(poses))
         for axis, what, default in (
-            ("light_deg", "Light angle", ""),
-            ("camera_deg", "Camera angle", ""),
+            ("camera_deg", "Camera angle", "0" if asked.lights else ""),
             ("tilt_deg", "Tilt of the table", "0"),
             ("turn_deg", "Turn of the table", "0"),
         ):

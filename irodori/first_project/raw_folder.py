@@ -15,7 +15,7 @@ from irodori.ingest.tiff_tags import RATIONAL, read_tags
 
 _ACCEPTED = "RAW files of one camera, such as DNG, CR2, NEF or ARW"
 #: What stands beside photographs and is none.
-_BESIDE = (".csv", ".txt", ".xmp", ".yaml", ".yml", ".md", ".pp3", ".json", ".html")
+_BESIDE = (".csv", ".txt", ".xmp", ".yaml", ".yml", ".md", ".pp3", ".json", ".html", ".lp")
 _PLANE_RESOLUTION, _PLANE_UNIT, _EXIF_WIDTH = 41486, 41488, 40962
 _UNIT_MM = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
 #: The widths of a file's own picture and of its mosaic differ by the sensor's margins.

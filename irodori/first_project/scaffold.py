@@ -22,6 +22,8 @@ _LIMITS = {
     "turn_deg": {"min": 0.0, "max": 360.0, "step": 0.1},
 }
 _ANGLES = tuple(_LIMITS)
+_AZIMUTH = "light_azimuth_deg"
+_AZIMUTHS = {_AZIMUTH: {"min": -180.0, "max": 180.0, "step": 0.1}}
 _LAMP = {"spectrum": "D65", "azimuth_deg": -60.0, "elevation_deg": 45.0, "irradiance": 1.0}
 _GLASS = {"n": 1.5, "k": 0.0}
 _TEXELS = {"plate": (128, 128), "sphere": (256, 128), "mesh": (256, 256)}
@@ -41,7 +43,8 @@ class Answers:
     shape : dict
         Of the object, as its definition has it.
     angles : dict of list of float
-        By ``light_deg`` and so on, one for each pose of the object.
+        By ``light_deg`` and so on, one for each pose of the object; ``light_azimuth_deg`` only for lamps beside the
+        rig's plane.
     assumed : dict of str
         What stands in place of answers that nobody gave, by question.
     """
@@ -113,7 +116,7 @@ class Scaffold:
             gaps += [f"{path}: {field}" for field in _gaps(content)]
         self.table.parent.mkdir(parents=True, exist_ok=True)
         rows = [self._row(one) for one in self.recognised]
-        columns = (*COLUMNS, "iso", "f_number")
+        columns = (*COLUMNS, "iso", "f_number", *([_AZIMUTH] if _AZIMUTH in self.answers.angles else []))
         with written_whole(self.table) as temporary, open(temporary, "w", encoding="utf-8", newline="") as out:
             writer = csv.writer(out, lineterminator="\n")
             writer.writerow(columns)
@@ -146,7 +149,7 @@ class Scaffold:
                 "texels: a number to begin with",
                 "place: the object's middle is where the axes of the rig meet",
             ]
-            for axis in ("tilt_deg", "turn_deg"):
+            for axis in ("camera_deg", "tilt_deg", "turn_deg"):
                 if axis in said:
                     notes[subject].append(f"{axis} in {self.table}: {said[axis]}")
             notes[environment] = ["source: one lamp of spectrum D65 to try the object in, not yours"]
@@ -184,7 +187,7 @@ class Scaffold:
             lens["white"] = {"reflectance_factor": _known(said.white_reflectance)}
         rig = {
             "kind": "files",
-            "limits": _LIMITS,
+            "limits": _LIMITS | (_AZIMUTHS if _AZIMUTH in said.angles else {}),
             "camera_distance_mm": _known(said.camera_distance_mm),
             "light": {"spectrum": _known(said.lamp)},
         }
@@ -220,7 +223,7 @@ class Scaffold:
         photograph = one.photograph
         if one.role == "object":
             said = [self.answers.angles.get(axis) for axis in _ANGLES]
-            angles = [GAP if values is None else values[one.pose] for values in said]
+            angles = [GAP if values is None else round(values[one.pose], 4) for values in said]
         elif one.role == "dark":
             angles = [0.0] * len(_ANGLES)
         else:
@@ -228,6 +231,8 @@ class Scaffold:
             angles = [GAP, GAP, 0.0, 0.0] if pose is None else [getattr(pose, axis) for axis in _ANGLES]
         # Decoders state times in single precision: 0.02 s shall not read 0.019999999552965164.
         settings = [f"{photograph.exposure_s:.6g}", photograph.iso or "", photograph.f_number or ""]
+        if azimuths := self.answers.angles.get(_AZIMUTH):
+            settings.append(round(azimuths[one.pose], 4) if one.role == "object" else 0.0)
         return [photograph.path.name, one.role, *angles, one.filter or GAP, *settings]
 
 

@@ -1,8 +1,8 @@
 """Rotations and the gonio rig's frame [design, §4].
 
 The rig's plane of incidence is x-z, z up. Light and camera angles are measured from +z, the light toward +x and the
-camera toward -x. The table tilts about y towards the light and turns about its own normal; both axes pass through
-the origin, at which the camera looks.
+camera toward -x; a lamp beside that plane stands at an azimuth about z, from +x towards +y. The table tilts about y
+towards the light and turns about its own normal; both axes pass through the origin, at which the camera looks.
 """
 
 import math
@@ -36,8 +36,8 @@ def rotation_xyz(angles_deg) -> np.ndarray:
 
 def to_light(pose) -> np.ndarray:
     """Return L, the (3,) unit vector to the light of a pose (`irodori.config.capture_table.Pose`)."""
-    angle = math.radians(pose.light_deg)
-    return np.array([math.sin(angle), 0.0, math.cos(angle)])
+    angle, azimuth = math.radians(pose.light_deg), math.radians(pose.light_azimuth_deg)
+    return np.array([math.sin(angle) * math.cos(azimuth), math.sin(angle) * math.sin(azimuth), math.cos(angle)])
 
 
 def to_camera(pose) -> np.ndarray:
@@ -57,11 +57,6 @@ def rig_from_camera(pose) -> np.ndarray:
     right = np.array([math.cos(angle), 0.0, math.sin(angle)])
     forward = -to_camera(pose)
     return np.stack([right, np.cross(forward, right), forward], axis=1)
-
-
-def flat_incidence_rad(pose) -> float:
-    """Return θ_i of a flat sample on the table, rad: light angle minus tilt."""
-    return math.radians(pose.light_deg - pose.tilt_deg)
 
 
 def look_at(position, target, up) -> np.ndarray:

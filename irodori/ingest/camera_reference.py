@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from irodori.config.capture_table import Shot, check_unchanged, read_captures, shot_path
+from irodori.config.capture_table import Shot, check_unchanged, flat_incidence_rad, read_captures, shot_path
 from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER, track
@@ -203,7 +203,7 @@ def _repeats(group: list[Shot]) -> list[list[Shot]]:
 
 def _white(reference: Reference, group: list[Shot], table, folder, reflectance: float, options: IngestOptions):
     """Return the coefficients of a perfect diffuser's response rate from the white reference of one filter state."""
-    cosine = np.cos(np.radians(group[0].pose.light_deg - group[0].pose.tilt_deg))
+    cosine = np.cos(flat_incidence_rad(group[0].pose))
     path = shot_path(group[0], table, folder)
     coefficients = []
     for bracket in _repeats(group):

@@ -16,7 +16,7 @@ from functools import cached_property
 
 import numpy as np
 
-from irodori.config.capture_table import DRIFT, Shot
+from irodori.config.capture_table import DRIFT, Shot, flat_incidence_rad
 from irodori.ingest.exposure_settings import relative_exposure_s
 from irodori.ingest.mosaic import Mosaic
 from irodori.ingest.tiff_tags import read_tags
@@ -438,7 +438,7 @@ class Series:
         if shot.exposure_s <= min(times) and look.clipped > limits.clipped * lit:
             share = look.clipped / max(lit, 1e-6)
             yield Doubt("blown", f"{share:.0%} of what is lit is saturated: look at exposure, aperture and lamp")
-        grazing = max(shot.pose.light_deg - shot.pose.tilt_deg, shot.pose.camera_deg + shot.pose.tilt_deg)
+        grazing = max(math.degrees(flat_incidence_rad(shot.pose)), shot.pose.camera_deg + shot.pose.tilt_deg)
         if grazing > limits.grazing_deg and shot.subject == "object":
             return
         darkest = min((seen.level / relative_exposure_s(s) for s, seen in self._kind(shot)), default=0.0)

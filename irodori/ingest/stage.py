@@ -1,6 +1,6 @@
 """Ingestion stage: RAW files of one capture in, linear responses out."""
 
-from dataclasses import replace
+from dataclasses import astuple, replace
 
 import numpy as np
 
@@ -130,7 +130,7 @@ def _write(
         if alignment is not None:
             alignment.write(out)
         pose = shots[0].pose
-        out.attribute("pose_deg", [pose.light_deg, pose.camera_deg, pose.tilt_deg, pose.turn_deg])
+        out.attribute("pose_deg", list(astuple(pose)))
         out.attribute("filters", filter_states(shots))
         out.attribute("sample_px", options.sample_px)
         out.attribute("demosaic", options.demosaic)

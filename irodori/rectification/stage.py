@@ -5,7 +5,7 @@ texel: see `irodori.geometry.lamp` for what the white reference has divided alre
 """
 
 import math
-from dataclasses import dataclass, fields, replace
+from dataclasses import astuple, dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -276,7 +276,7 @@ def _poses_and_filters(linear: list) -> tuple[np.ndarray, list[str]]:
     for path in linear:
         with store.open_file(path) as file:
             filters = file.attribute("filters")
-            poses.append(file.attribute("pose_deg", list))
+            poses.append(astuple(Pose(*file.attribute("pose_deg"))))
         if first is not None and first != filters:
             raise InputError(path, "filters", ", ".join(filters), f"{', '.join(first)}, as in the other captures")
         first = filters

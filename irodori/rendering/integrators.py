@@ -211,9 +211,9 @@ class _Interactive(Renderer):
             raise ValueError("area lights in a scene of the integrator 'interactive'; accepted: collimated lights")
 
     def make_light(self, moment: Moment):
-        from irodori.light.gloss.gloss_maps import GlossMaps
         from irodori.rendering.interactive.channels import exact_representation
         from irodori.rendering.interactive.frame_renderer import light_of, prepare_scene
+        from irodori.rendering.interactive.prepared_scene import gloss_for
         from irodori.rendering.scene_lights import BANDS, make_lights
 
         start = time.perf_counter()
@@ -227,7 +227,7 @@ class _Interactive(Renderer):
         prepared = prepare_scene(
             self.objects,
             light,
-            GlossMaps.stored(environment) or GlossMaps.of(environment.coefficients),
+            gloss_for(environment, self.objects),
             Tracer(make_placements(self.scene, self.shapes)),
             self.representation,
             np.ones(BANDS) if self.white is None else self.white,  # bands need none

@@ -9,10 +9,9 @@ from irodori.colour.colorimetry import colour_matching_weights, delta_e, lab_fro
 from irodori.geometry.embree import Tracer
 from irodori.geometry.shapes.placement import Placement
 from irodori.light.environment_file import Environment
-from irodori.light.gloss.gloss_maps import GlossMaps
 from irodori.rendering.interactive.cube_maps import face_directions, fill_borders, look_up_cube
 from irodori.rendering.interactive.frame_renderer import CollimatedLamp, Prepared, light_of, prepare_scene, render_frame
-from irodori.rendering.interactive.prepared_scene import padded
+from irodori.rendering.interactive.prepared_scene import gloss_for, padded
 from irodori.rendering.scene_arrays import Objects, View
 from irodori.spectra.grid import SAMPLES
 from irodori.viewer.scene_data import BORDER, HALVED_FROM, LightMaps, decoded_shadows, finer
@@ -66,13 +65,13 @@ class Decoded:
 def prepared(parts: FrameParts, decoded: Decoded | None = None) -> Prepared:
     """Return a scene for frames of 61 bands; with what a payload holds of it where given."""
     maps = None if decoded is None else decoded.maps
-    gloss = GlossMaps.stored(parts.environment) or GlossMaps.of(parts.environment.coefficients)
     # The light's coefficients are then those of the maps, which are on vectors of their own.
     light = parts.environment if maps is None else replace(parts.environment, basis=maps.basis.T)
+    objects = parts.objects if decoded is None else decoded.objects
     found = prepare_scene(
-        parts.objects if decoded is None else decoded.objects,
+        objects,
         light_of(light),
-        gloss,
+        gloss_for(parts.environment, objects),
         Tracer(parts.placements),
         "spectral",
         np.ones(SAMPLES),

@@ -14,12 +14,11 @@ from irodori.geometry.mesh import Mesh
 from irodori.geometry.shapes.placement import Placement, reaches
 from irodori.geometry.shapes.shadow_nodes import COLUMNS, GRID, ROWS
 from irodori.light.environment_file import Environment
-from irodori.light.gloss.gloss_maps import GlossMaps
 from irodori.reflection.lobes import Lobes
 from irodori.rendering.interactive.channels import mean_spectra
 from irodori.rendering.interactive.cube_maps import environment_pyramid, face_directions, from_equirectangular
 from irodori.rendering.interactive.mesh_shadows import COUNT, FIRST, SEEN, SHAPE_NUMBERS, STRIDE, MeshShadows
-from irodori.rendering.interactive.prepared_scene import needed_gloss
+from irodori.rendering.interactive.prepared_scene import gloss_for, needed_gloss
 from irodori.rendering.interactive.round_lobes import gloss_power, ladder, lobe_table, roughness_at, roughness_place
 from irodori.rendering.scene_arrays import Objects, coefficients_of, gloss_of, textures
 from irodori.viewer.payload import StoredPlanes
@@ -129,7 +128,7 @@ def light_maps(environment: Environment, objects: Objects) -> LightMaps:
     irradiance = _cube((environment.irradiance @ principal_from_stored.T).astype(np.float32), rows, 1)
     gloss, sides, number = [], [], 0
     if any(beta.any() for texels in textures(objects) for beta, _ in gloss_of(objects, texels)):
-        maps = needed_gloss(GlossMaps.stored(environment) or GlossMaps.of(environment.coefficients), objects)
+        maps = needed_gloss(gloss_for(environment, objects), objects)
         number = maps.first
         for level_of_file in maps.levels:
             picture = level_of_file @ principal_from_stored.T.astype(np.float32)

@@ -24,9 +24,11 @@ from irodori.config.models import Camera, Object, Rig
 from irodori.core.errors import InputError
 from irodori.core.yaml_files import read_yaml
 from irodori.first_project import init_command
+from irodori.first_project.light_places import places_of_poses, read_light_places
 from irodori.first_project.questions import numbers, positive, shape
 from irodori.first_project.raw_folder import Photograph, in_order, photographs
 from irodori.first_project.recognition import recognise
+from irodori.geometry.rig_frame import to_light
 from irodori.ingest.plausibility import Look
 from irodori.simulation.virtual_rig.bench import Bench
 from irodori.simulation.virtual_rig.virtual_camera import VirtualCamera
@@ -142,6 +144,67 @@ def test_few_answers_make_the_table_that_a_person_would_have_written(seen, taken
     assert init(folder, "--answers", "answers.yaml") == 2
     assert "there already" in capsys.readouterr().err
     assert (tmp_path / "config/my-plate.yaml").read_bytes() == before
+
+
+def light_file(path, places) -> str:
+    lines = [str(len(places)), *(f"{name} {x} {y} {z}" for name, (x, y, z) in places.items())]
+    path.write_text("\n".join(lines) + "\n")
+    return str(path)
+
+
+def test_a_light_position_file_says_where_the_lamp_of_each_pose_stood(seen, taken, recognised, tmp_path):
+    folder = taken[0]
+    of_pose = {0: (0.5, 0.5, 0.5**0.5), 1: (0.0, -300.0, 400.0)}
+    # As programs for domes list them: the JPEG beside a RAW file, a whole path, any of a pose's photographs.
+    first = {one.pose: one.photograph.path.stem for one in reversed(recognised) if one.role == "object"}
+    places = {f"C:\\dome\\{first[pose]}.jpg": xyz for pose, xyz in of_pose.items()}
+    lights = light_file(tmp_path / "dome.lp", places)
+    answers = {key: value for key, value in ANSWERS.items() if key not in ("light_deg", "camera_deg")}
+    assert init(folder, "--lights", lights, "--answers", written(tmp_path / "answers.yaml", answers)) == 0
+    pose_of = {one.photograph.path.name: one.pose for one in recognised}
+    shots = read_captures("config/captures/my-plate.csv", folder)
+    for shot in shots:
+        if shot.role == "object":
+            wanted = np.array(of_pose[pose_of[shot.file]])
+            np.testing.assert_allclose(to_light(shot.pose), wanted / np.linalg.norm(wanted), atol=1e-5)
+            assert shot.pose.camera_deg == 0.0
+        else:
+            assert shot.pose.light_azimuth_deg == 0.0
+    loaded = load_definitions(read_yaml("config/my-plate.yaml"), tmp_path, "config/my-plate.yaml")
+    assert loaded.rigs["my-plate-rig"].limits.light_azimuth_deg.max == 180.0
+    assert "camera_deg" in Path("config/objects/my-plate.yaml").read_text()
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("", "an empty file"),
+        ("2\na.jpg 0 0 1\n", "'2' above 1 photographs"),
+        ("1\na.jpg 0 0 0\n", "'a.jpg 0 0 0'"),
+        ("1\na.jpg 0 one 1\n", "'a.jpg 0 one 1'"),
+        ("1\na.jpg 0 1\n", "'a.jpg 0 1'"),
+        ("1\na.jpg nan 0 1\n", "'a.jpg nan 0 1'"),
+        ("2\na.jpg 0 0 1\nA.JPG 1 0 0\n", "'A.JPG' again"),
+        (b"\xff\xfe1\x00", "can't decode"),
+    ],
+)
+def test_a_light_position_file_with_a_fault_is_refused_by_its_line(tmp_path, text, found):
+    path = tmp_path / "dome.lp"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    with pytest.raises(InputError) as caught:
+        read_light_places(path)
+    assert found in caught.value.found and "dome.lp" in str(caught.value)
+
+
+def test_a_pose_that_no_light_is_listed_for_or_two_are_is_named(recognised, tmp_path):
+    names = {one.photograph.path.name: one.pose for one in recognised if one.role == "object"}
+    listed = {Path(name).stem.lower(): (0.0, pose, 1.0) for name, pose in names.items()}
+    assert places_of_poses(listed, recognised, "dome.lp") == [(0.0, 0, 1.0), (0.0, 1, 1.0)]
+    with pytest.raises(InputError, match=r"dome.lp: found none of IMG"):
+        places_of_poses({}, recognised, "dome.lp")
+    other = Path(next(iter(names))).stem.lower()
+    with pytest.raises(InputError, match="different places for IMG"):
+        places_of_poses(listed | {other: (1.0, 0.0, 1.0)}, recognised, "dome.lp")
 
 
 def test_what_a_person_says_is_not_called_assumed(seen, taken, tmp_path, capsys):

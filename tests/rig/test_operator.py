@@ -123,7 +123,7 @@ def test_what_no_motor_drives_is_set_by_hand():
     axes = ("camera_deg", "turn_deg")
     assert motor_targets(shot("object"), axes) == {"camera_deg": 20.0, "turn_deg": 5.0}
     assert hand_settings(shot("object"), axes) == {
-        "subject": "object", "light_deg": 45.0, "tilt_deg": 10.0, "filter": "in",
+        "subject": "object", "light_deg": 45.0, "light_azimuth_deg": 0.0, "tilt_deg": 10.0, "filter": "in",
     }  # fmt: skip
 
 
@@ -141,7 +141,10 @@ def test_the_first_step_of_a_run_states_everything_once():
     hand = HandSettings(operator)
     wanted = hand_settings(shot("object"), ("camera_deg",))
     hand.set(wanted)
-    assert operator.steps[0].new == wanted and all(change.old is None for change in operator.steps[0].changes)
+    # A lamp that nobody moved beside the rig's plane stands in it.
+    assert {**operator.steps[0].new, "light_azimuth_deg": 0.0} == wanted
+    assert "light_azimuth_deg" not in operator.steps[0].new
+    assert all(change.old is None for change in operator.steps[0].changes)
     assert not hand.set(wanted) and len(operator.steps) == 1
     hand.set(hand_settings(shot("object", filter="out"), ("camera_deg",)))
     assert str(operator.steps[1]) == "Take the comb filter out"

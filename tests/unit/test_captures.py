@@ -1,10 +1,12 @@
 """Tables of photographs: round trip, every fault with its place, nothing but InputError for any bytes."""
 
 import csv
+import math
 import os
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -25,6 +27,7 @@ from irodori.config.capture_table import (
 from irodori.config.models import PoseGroup
 from irodori.core.atomic_files import file_sha256
 from irodori.core.errors import InputError
+from irodori.geometry.rig_frame import to_light
 
 HEADER = ",".join(COLUMNS)
 GOOD = "a.dng,object,45,20,0,0,out,0.02"
@@ -34,7 +37,9 @@ _TENTHS = st.integers(-3600, 3600).map(lambda tenths: tenths / 10)
 _ANY = {
     # Paths that leave the folder are refused.
     "file": _FILE.filter(lambda text: text.strip() and text[0] != "/" and ".." not in text.split("/")),
-    "pose": st.builds(Pose, _TENTHS, _TENTHS, _TENTHS, _TENTHS),
+    "pose": st.builds(
+        Pose, _TENTHS, _TENTHS, _TENTHS, _TENTHS, st.integers(-1799, 1799).map(lambda tenths: tenths / 10)
+    ),
     "filter": st.sampled_from(FILTERS),
     "exposure_s": st.floats(1e-6, 3600),
 }
@@ -61,6 +66,8 @@ def test_pose_name_is_in_tenths_of_a_degree():
     assert Pose(45.0, 20.0).name == "l0450-c0200-t000-r0000"
     assert Pose(125.0, 140.0, 45.0, 359.5).name == "l1250-c1400-t450-r3595"
     assert Pose(0.1 + 0.2, 0.0).name == Pose(0.3, 0.0).name
+    assert Pose(45.0, 0.0, light_azimuth_deg=-90.0).name == "l0450-c0000-t000-r0000-a2700"
+    assert Pose(45.0, 0.0, light_azimuth_deg=360.0).name == Pose(45.0, 0.0).name
 
 
 def test_a_shot_of_an_object_belongs_to_its_pose_and_any_other_to_its_role():
@@ -138,6 +145,38 @@ def test_optional_columns_and_another_order(tmp_path):
     path = write(tmp_path, "exposure_s, filter ,role,file,camera_deg,light_deg,sha256",
                  "0.02, out , chart ,a b.dng,0,45,00ff")  # fmt: skip
     assert read_captures(path) == [Shot("a b.dng", "chart", Pose(45.0, 0.0), "out", 0.02)]
+
+
+def test_a_lamp_beside_the_rigs_plane_has_an_azimuth(tmp_path):
+    path = write(tmp_path, f"{HEADER},light_azimuth_deg", f"{GOOD},-30.5", GOOD.replace("a.dng", "b.dng") + ",")
+    assert [shot.pose.light_azimuth_deg for shot in read_captures(path)] == [-30.5, 0.0]
+
+
+_PLACE = st.tuples(*[st.floats(-2000.0, 2000.0)] * 3).filter(lambda xyz: math.hypot(*xyz) > 1.0)
+
+
+@given(place=_PLACE)
+def test_a_lamps_place_gives_the_direction_to_it(tmp_path_factory, place):
+    cells = ",".join(map(repr, place))
+    lines = ("file,role,light_x,light_y,light_z,camera_deg,filter,exposure_s", f"a.dng,object,{cells},0,out,0.02")
+    (shot,) = read_captures(write(tmp_path_factory.mktemp("place"), *lines))
+    np.testing.assert_allclose(to_light(shot.pose), np.array(place) / math.hypot(*place), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("header", "cells", "field", "found"),
+    [
+        ("light_x,light_y,light_z,light_deg", "1,0,1,45", "line 1, light_deg", "light_deg beside light_x"),
+        ("light_x,light_y", "1,0", "line 1, light_z", "no such column"),
+        ("light_azimuth_deg", "0", "line 1, light_deg", "no such column"),
+        ("light_x,light_y,light_z", "0,0,0", "line 2, light_x, light_y, light_z", "0, 0, 0"),
+        ("light_x,light_y,light_z", "1,high,0", "line 2, light_y", "'high'"),
+        ("light_deg,light_azimuth_deg", "45,400", "line 2, light_azimuth_deg", "400"),
+    ],
+)
+def test_a_light_that_is_said_twice_by_half_or_nowhere_is_refused(tmp_path, header, cells, field, found):
+    error = refused(tmp_path, f"file,role,camera_deg,filter,exposure_s,{header}", f"a.dng,object,0,out,0.02,{cells}")
+    assert error.field == field and found in error.found
 
 
 def test_bracket_and_averaged_frames_are_accepted(tmp_path):

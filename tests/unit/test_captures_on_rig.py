@@ -105,6 +105,25 @@ def test_lengths_in_another_unit_are_refused(studio, file, path, value, found):
     assert found in error.found and "lengths in mm" in error.accepted
 
 
+AROUND = [
+    ("exposure_s\n", "exposure_s,light_azimuth_deg\n"), ("out,0.02", "out,0.02,120"), ("in,0.02", "in,0.02,120"),
+]  # fmt: skip
+
+
+def test_a_lamp_beside_the_plane_needs_a_limit_of_its_azimuth(studio):
+    error = refill(studio, "plate", *AROUND)
+    assert error.field.startswith("light_azimuth_deg of 0.dng") and error.found == "120"
+    assert "copy-stand.yaml has no limits.light_azimuth_deg" in error.accepted
+    edit(studio, "rigs/copy-stand.yaml", "limits.light_azimuth_deg", {"min": -90.0, "max": 90.0, "step": 1.0})
+    error = refill(studio, "plate", *AROUND)
+    assert error.found == "120" and "-90 to 90 degrees" in error.accepted
+    edit(studio, "rigs/copy-stand.yaml", "limits.light_azimuth_deg.max", 180.0)
+    table = studio / "plate" / "captures.csv"
+    for old, new in AROUND:
+        table.write_text(table.read_text().replace(old, new))
+    assert load(studio).captures_of("objects", "tile-plate", studio)[0] == "l0450-c0000-t000-r0000-a1200"
+
+
 def refill(studio: Path, name: str, *changes: tuple[str, str]) -> InputError:
     """Return the fault of a table of which parts are replaced."""
     table = studio / name / "captures.csv"

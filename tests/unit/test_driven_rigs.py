@@ -48,6 +48,12 @@ def test_the_example_of_a_real_rig_is_whole_and_nobody_asks_for_it(root):
     assert load_one("rigs", "gonio-grbl", root).rigs == found.rigs
 
 
+def test_the_lamp_of_a_driven_rig_stays_in_the_plane(bench):
+    edit(bench, "rigs/gonio-grbl.yaml", "limits.light_azimuth_deg", {"min": -90.0, "max": 90.0, "step": 1.0})
+    error = fault(bench)
+    assert error.field == "limits.light_azimuth_deg" and "driven" in error.found
+
+
 def test_a_driven_rig_loads_before_a_photograph_is_taken(bench):
     definitions = load(bench)
     for kind, name in (("objects", "tile-plate"), ("cameras", "d5100-comb")):

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from made import made
 
-from irodori.config.capture_table import Pose
+from irodori.config.capture_table import Pose, flat_incidence_rad
 from irodori.config.models import (
     BodyShape,
     ObjectShape,
@@ -79,7 +79,7 @@ def test_a_flat_sample_sees_light_minus_tilt_and_camera_plus_tilt(pose):
     theta_i, theta_r = math.radians(pose.light_deg - pose.tilt_deg), math.radians(pose.camera_deg + pose.tilt_deg)
     assert normal @ rig_frame.to_light(pose) == pytest.approx(math.cos(theta_i), abs=1e-14)
     assert normal @ rig_frame.to_camera(pose) == pytest.approx(math.cos(theta_r), abs=1e-14)
-    assert rig_frame.flat_incidence_rad(pose) == pytest.approx(theta_i, abs=1e-14)
+    assert flat_incidence_rad(pose) == pytest.approx(theta_i, abs=1e-14)
     assert angle_between(rig_frame.to_light(pose), rig_frame.to_camera(pose)) == pytest.approx(
         math.radians(min(pose.light_deg + pose.camera_deg, 360 - pose.light_deg - pose.camera_deg)), abs=1e-13
     )

@@ -170,3 +170,20 @@ def test_a_small_chain_finds_the_object_on_a_rig_without_faults(chain, tmp_path)
     assert np.median(off) < 4.0
     assert {path.name for path in tmp_path.iterdir()} >= {"reference.h5", "chart.h5", "calibration.h5", "tile.h5",
                                                           "brdf.h5", "material.h5", "camera", "object"}  # fmt: skip
+
+
+def test_a_ball_under_a_dome_of_lamps_is_found_by_a_camera_that_stays_where_it_is(chain, tmp_path):
+    """Ten lamps above the table, of which eight stand beside the plane that all others are in."""
+    ball = Object.of(read_yaml(ROOT / "config/objects/vermilion-sphere.yaml"))
+    small = replace(chain, definition=ball).halved().halved()
+    lamps = PoseGroup(light_deg=(30.0, 55.0), camera_deg=(0.0,), light_azimuth_deg=(0.0, 72.0, 144.0, -144.0, -72.0))
+    definition = replace(ball, texels=Size(width=24, height=12), poses=(lamps,))
+    small = dict(replace(small, definition=definition).variants())["none"]
+    found = run_chain(small, tmp_path)
+    truth = true_material(definition, small.camera, small.rig)
+    seen = found.observed & (np.arange(12) < 5)[:, None]  # well above the equator
+    exact, own = (m.coefficients[seen] @ m.basis.T for m in (truth, found))
+    colour = np.median(delta_e_reflectance(exact, own))
+    assert seen[:5].mean() > 0.8 and colour < 2.0
+    off = (found.alpha / truth.alpha - 1.0)[seen]
+    assert np.median(np.abs(off)) < 0.02

@@ -1,5 +1,6 @@
 """From pictures to texels: the right place, the right angles, nothing from what is unseen, unlit or saturated."""
 
+import dataclasses
 import itertools
 import math
 from pathlib import Path
@@ -12,13 +13,13 @@ from hypothesis import strategies as st
 from lathe import lathe, write_obj
 from made import made
 
-from irodori.config.capture_table import Pose
+from irodori.config.capture_table import Pose, flat_incidence_rad
 from irodori.config.models import BodyShape, Object, ObjectShape, Optics, RigPose
 from irodori.config.parts import RigGeometry, TexturedObject
 from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.geometry.embree import Tracer
-from irodori.geometry.rig_frame import rig_from_object
+from irodori.geometry.rig_frame import rig_from_object, to_light
 from irodori.geometry.shapes.placement import Placement
 from irodori.geometry.shapes.shape import Shape
 from irodori.rectification.stage import RigSetup, _sample, _Window, observe, rectify_object
@@ -86,7 +87,7 @@ def linear_file(path, pose, *, response=None, valid=None, clipped=None, sample_p
         noise = np.arange(2.0 * response.shape[-1]).reshape(-1, 2) * pose.light_deg
         out.write("noise_model", noise, units="1", dims="band,term", quantity="noise")
         out.attribute("sample_px", sample_px)
-        out.attribute("pose_deg", [pose.light_deg, pose.camera_deg, pose.tilt_deg, pose.turn_deg])
+        out.attribute("pose_deg", list(dataclasses.astuple(pose)))
         out.attribute("filters", list(filters))
     return path
 
@@ -140,6 +141,23 @@ def test_angles_at_a_plates_centre_are_those_of_the_rig(light, camera, tilt):
     assert np.abs(geometry[0] - expected).max() <= 1e-9
     centre = [OPTICS["principal_point_px"][0] / 2 - 0.5, OPTICS["principal_point_px"][1] / 2 - 0.5]
     assert np.abs(xy[0] - centre).max() <= 1e-6
+
+
+@pytest.mark.parametrize("definition", [PLATE, SPHERE], ids=["plate", "sphere"])
+def test_a_lamp_that_goes_round_is_an_object_that_turns_back(tmp_path, definition):
+    """Seen from straight above: texels have the angles of the one in the other, and the same ones are lit."""
+    around = rectify(tmp_path, definition, [Pose(50.0, 0.0, light_azimuth_deg=a) for a in (70.0, -135.0)], name="a.h5")
+    turned = rectify(tmp_path, definition, [Pose(50.0, 0.0, 0.0, -a) for a in (70.0, -135.0)], name="b.h5")
+    np.testing.assert_allclose(around["geometry"], turned["geometry"], atol=2e-6)
+    np.testing.assert_array_equal(around["weight"] > 0, turned["weight"] > 0)
+    assert around["weight"].any()
+
+
+@given(light=st.floats(0, 80), azimuth=st.floats(-180, 180), tilt=st.floats(0, 45))
+def test_the_incidence_on_the_table_is_that_of_its_normal(light, azimuth, tilt):
+    pose = Pose(light, 0.0, tilt, light_azimuth_deg=azimuth)
+    normal = rig_from_object(pose)[:, 2]
+    assert math.cos(flat_incidence_rad(pose)) == pytest.approx(float(to_light(pose) @ normal), abs=1e-12)
 
 
 def angle(a, b):

@@ -165,6 +165,13 @@ def test_frames_of_a_scene_without_frames_are_refused(scenes):
         scenes.with_frames(job(scene="still-life"))
 
 
+def test_a_large_picture_gets_a_second_thread(root, scenes):
+    assert scenes.threads_of_view(job(scene="still-life", view="front")) == 1
+    edit(root, "scenes/still-life.yaml", "image", {"width": 1920, "height": 1080})
+    large = SceneFiles(PhotographSets(load(root)))
+    assert large.threads_of_view(job(scene="still-life", view="front")) == 2
+
+
 def test_pictures_are_those_that_scenes_ask_for(root):
     edit(root, "scenes/still-life.yaml", "further_outputs", ["tiff"])
     edit(root, "scenes/still-life.yaml", "frames", {"kind": "turntable", "count": 4})

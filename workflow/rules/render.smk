@@ -45,7 +45,7 @@ rule render_view:
         "results/benchmarks/render_view/{scene}_{view}.tsv"
     conda:
         "../../envs/irodori.yaml"
-    threads: 2
+    threads: scenes.threads_of_view
     resources:
         mem_mb=lambda wildcards, attempt: 3000 * attempt,
     params:
@@ -75,8 +75,6 @@ use rule render_view as render_truth with:
     benchmark:
         "results/benchmarks/render_truth/{scene}_{view}.tsv"
     priority: 20
-    # One core is free long before both are: it renders beside the stages of the chain.
-    threads: 1
     # The plan is that of the measured materials, whose picture is checked: the same light is seen in both.
     params:
         scene=lookup(within=config, dpath="scenes/{scene}"),

@@ -1,25 +1,28 @@
 """Checks of poses and capture tables against the rig's ranges and the camera."""
 
+import math
 from collections.abc import Iterable
 from pathlib import Path
 
 from irodori.config.capture_table import (
     FILTERS,
+    Pose,
     Shot,
     chart_capture,
     expand_poses,
+    flat_incidence_rad,
     read_captures,
     room_chart_capture,
     shot_path,
 )
 from irodori.config.cross_checks.plausible_units import check_degrees
-from irodori.config.models import AxisLimit, Captures, Exposures, PoseGroup, RigLimits
+from irodori.config.models import AxisLimit, Captures, Exposures, PoseGroup, RigLimits, RigPose
 from irodori.core.errors import InputError, is_file
 
 _ANGLE_TOLERANCE_DEG = 1e-6
 #: The chart and the white reference are divided by cosθ_i, which is nothing near 90 degrees.
 _MAX_INCIDENCE_DEG = 80.0
-_AXES = ("light_deg", "camera_deg", "tilt_deg", "turn_deg")
+_AXES = ("light_deg", "camera_deg", "tilt_deg", "turn_deg", "light_azimuth_deg")
 
 
 class Reach:
@@ -37,7 +40,12 @@ class Reach:
 
     def check_angle(self, axis: str, angle: float, file, field: str, step: bool = True) -> None:
         """Refuse an angle outside the limits or, where `step` is set, off the steps."""
-        limit: AxisLimit = getattr(self.limits, axis)
+        limit: AxisLimit | None = getattr(self.limits, axis)
+        if limit is None:
+            if angle != 0.0:
+                accepted = f"0: light in the rig's plane alone, for {self.file} has no limits.{axis}"
+                raise InputError(file, field, f"{angle:.10g}", accepted)
+            return
         low, high, unit = limit.min, limit.max, limit.step
         off = abs((angle - low) - round((angle - low) / unit) * unit)
         inside = low - _ANGLE_TOLERANCE_DEG <= angle <= high + _ANGLE_TOLERANCE_DEG
@@ -71,11 +79,13 @@ def states_of(exposure_s: Exposures | None) -> set[str]:
     return set(exposure_s.given()) if exposure_s else set()
 
 
-def check_incidence(light_deg: float, tilt_deg: float, file, field: str) -> None:
+def check_incidence(pose: Pose | RigPose, file, field: str) -> None:
     """Refuse a pose in which the light does not reach a chart or a white reference from its front."""
-    incidence = light_deg - tilt_deg
+    incidence = math.degrees(flat_incidence_rad(pose))
     if not -_ANGLE_TOLERANCE_DEG <= incidence < _MAX_INCIDENCE_DEG:
-        found = f"light {light_deg:g} less tilt {tilt_deg:g}, the light at {incidence:g} degrees"
+        found = f"light {pose.light_deg:g} less tilt {pose.tilt_deg:g}, the light at {incidence:g} degrees"
+        if pose.light_azimuth_deg:
+            found = f"the light at {incidence:.4g} degrees from the table's normal"
         raise InputError(file, field, found, f"an angle of incidence from 0 to below {_MAX_INCIDENCE_DEG:g} degrees")
 
 
@@ -158,7 +168,7 @@ def check_one_pose(shots: list[Shot], table: Path) -> None:
     """Refuse photographs of the chart or of the white reference in several poses, or in one that light misses."""
     first = shots[0]
     for shot in shots:
-        check_incidence(shot.pose.light_deg, shot.pose.tilt_deg, table, f"light_deg of {shot.file}")
+        check_incidence(shot.pose, table, f"light_deg of {shot.file}")
         for axis in _AXES:
             here, there = getattr(shot.pose, axis), getattr(first.pose, axis)
             if here != there:

@@ -120,6 +120,9 @@ class _Checks:
             if limit.min > limit.max:
                 found = f"{limit.min:g}, above max {limit.max:g}"
                 raise InputError(file, f"limits.{axis}.min", found, "a smallest angle below the largest")
+        if rig.kind == "driven" and rig.limits.light_azimuth_deg is not None:
+            found, accepted = "given for a driven rig", "to leave it out: its lamp stands in the rig's plane"
+            raise InputError(file, "limits.light_azimuth_deg", found, accepted)
         check_motion(rig, file)
         if rig.operator == "auto" and rig.kind != "virtual":
             raise InputError(file, "operator", "auto, for which a virtual rig alone has hands", "prompt or file")
@@ -276,7 +279,7 @@ class _Checks:
         for role, pose in poses.items():
             for axis, angle in pose.given().items():
                 reach.check_angle(axis, angle, file, f"poses.{role}.{axis}")
-            check_incidence(pose.light_deg, pose.tilt_deg, file, f"poses.{role}.light_deg")
+            check_incidence(pose, file, f"poses.{role}.light_deg")
 
     def _check_chart_and_white(self, name: str, camera: Camera, file) -> None:
         """Check the photographs that calibrate a camera of a real rig; what it photographs is divided by its white."""

@@ -8,7 +8,7 @@ from irodori.config.capture_table import Shot
 from irodori.config.models import Optics
 from irodori.core.errors import InputError
 
-_AXES = ("light_deg", "camera_deg", "tilt_deg", "turn_deg")
+_AXES = ("light_deg", "camera_deg", "tilt_deg", "turn_deg", "light_azimuth_deg")
 #: People set and note angles in such steps, degrees; in radians these are odd numbers, written to three digits or more.
 _STEP_DEG, _ROUNDING_RAD = 0.5, 0.001
 #: Width of an object in the picture, pixels: fewer hold no texel of its own beside its border.

@@ -11,6 +11,8 @@ from irodori.geometry.shape_registry import number_of
 from irodori.geometry.shapes.placement import reaches
 from irodori.geometry.shapes.shape_rows import COLUMNS, MIRROR, ROWS, shape_row
 from irodori.geometry.surfaces import Surfaces, make_surfaces
+from irodori.light.blurred_light import WIDTHS_RAD
+from irodori.light.environment_file import Environment
 from irodori.light.gloss.gloss_maps import GlossMaps
 from irodori.reflection.lobes import Lobes
 from irodori.rendering.interactive.channels import Channels, mean_spectra
@@ -192,10 +194,23 @@ def make_irradiance(light: Light, channels: Channels) -> tuple[np.ndarray, int]:
 
 def needed_gloss(gloss: GlossMaps, objects: Objects) -> GlossMaps:
     """Return the maps without the finest ones, narrower than any lobe of the scene's materials at any view angle."""
-    last = len(gloss.levels) - 1
-    finest = min((level for level, _ in levels_by_lobe(objects, whole=True)), default=math.inf)
-    spare = last if finest == math.inf else min(max(math.floor(finest) - gloss.first, 0), last)
+    spare = min(max(_finest_level(objects) - gloss.first, 0), len(gloss.levels) - 1)
     return replace(gloss, first=gloss.first + spare, levels=gloss.levels[spare:])
+
+
+def gloss_for(environment: Environment, objects: Objects) -> GlossMaps:
+    """Return the maps of an environment that a scene's materials need, from its file where that has them.
+
+    The finest maps are most of a file and narrower than most lobes: they are not read then.
+    """
+    levels = _finest_level(objects), len(WIDTHS_RAD)
+    return GlossMaps.stored(environment, levels) or GlossMaps.of(environment.coefficients)
+
+
+def _finest_level(objects: Objects) -> int:
+    """Return the level of the finest map that a scene is looked up in; the coarsest where nothing has gloss."""
+    finest = min((level for level, _ in levels_by_lobe(objects, whole=True)), default=math.inf)
+    return int(min(max(math.floor(finest) if finest < math.inf else len(WIDTHS_RAD), 0), len(WIDTHS_RAD) - 1))
 
 
 def levels_by_lobe(objects: Objects, traced: tuple[bool, ...] | None = None, whole: bool = False) -> list:

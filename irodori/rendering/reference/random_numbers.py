@@ -43,17 +43,36 @@ def make_numbers(samples: int, seed: int, replicates: int) -> Numbers:
     replicates : int
         At least 2.
     """
-    from scipy.stats import qmc  # slow to import
-
     count = samples // replicates
     size = min(count, _LARGEST_SET)
     generator = np.random.default_rng([seed, 0x1D0])
     points = np.empty((replicates, size, DIMENSIONS), dtype=np.uint32)
     for replicate in range(replicates):
         for pair in range(0, DIMENSIONS, 2):
-            sobol = qmc.Sobol(2, bits=32, rng=generator).random_base2(max(size - 1, 0).bit_length())[:size]
-            points[replicate, :, pair : pair + 2] = (generator.permutation(sobol) * 2.0**32).astype(np.uint32)
+            points[replicate, :, pair : pair + 2] = generator.permutation(_scrambled_sobol(size, generator.spawn(1)[0]))
     return Numbers(points, replicates, count, seed)
+
+
+def _scrambled_sobol(count: int, generator: np.random.Generator) -> np.ndarray:
+    """Return points of the first two dimensions of Sobol's sequence, scrambled, (count, 2) uint32 over 2³².
+
+    The points of `scipy.stats.qmc.Sobol`, whose package takes a second to import: each
+    direction number is multiplied with a random matrix of zeros and ones, lower triangular from the most significant
+    bit (Matoušek 1998), and all points are moved by a random digital shift.
+    """
+    directions = np.ones((2, 32), dtype=np.uint64)
+    for column in range(1, 32):  # of the primitive polynomial x + 1; the first dimension is the mirrored number
+        directions[1, column] = directions[1, column - 1] << np.uint64(1) ^ directions[1, column - 1]
+    places = np.arange(32, dtype=np.uint64)
+    directions <<= places[::-1]
+    shift = generator.integers(2, size=(2, 32), dtype=np.uint32) @ (np.uint32(1) << np.arange(32, dtype=np.uint32))
+    matrices = np.tril(generator.integers(2, size=(2, 32, 32), dtype=np.uint32), -1) | np.eye(32, dtype=np.uint32)
+    bits = directions[:, None, :] >> places[::-1, None] & np.uint64(1)  # (dimension, bit from the highest, column)
+    scrambled = np.bitwise_or.reduce((matrices @ bits & np.uint64(1)) << places[::-1, None], axis=1)
+    number = np.arange(count, dtype=np.uint64)
+    gray = number ^ number >> np.uint64(1)
+    chosen = scrambled[:, None, :] * (gray[:, None] >> places & np.uint64(1))
+    return (np.bitwise_xor.reduce(chosen, axis=2).T ^ shift).astype(np.uint32)
 
 
 @uncounted(forceinline=True)

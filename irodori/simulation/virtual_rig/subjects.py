@@ -8,13 +8,12 @@ import math
 
 import numpy as np
 
-from irodori.config.capture_table import Pose
+from irodori.config.capture_table import Pose, flat_incidence_rad
 from irodori.config.models import Camera, Chart, EnvironmentDefinition, Rig
 from irodori.geometry.embree import Tracer
 from irodori.geometry.lamp import Lamp
 from irodori.geometry.pinhole import Pinhole
 from irodori.geometry.rig_frame import (
-    flat_incidence_rad,
     rig_from_camera,
     rig_from_object,
     rotation_xyz,
