@@ -308,10 +308,12 @@ def test_one_photograph_of_a_chart_makes_a_camera(taken, tmp_path, monkeypatch, 
 
 
 @pytest.mark.parametrize("command", of_kind("first project"))
-def test_a_documented_command_writes_a_first_project(command, seen, taken, tmp_path, monkeypatch):
+def test_a_documented_command_writes_a_first_project(command, seen, taken, recognised, tmp_path, monkeypatch):
     words = words_of(command)[1:]
     Path("My plate").symlink_to(taken[0])
     written(Path("answers.yaml"), ANSWERS)
+    shown = {one.photograph.path.name: (0.0, 0.5, 1.0) for one in recognised if one.role == "object"}
+    light_file(Path("dome.lp"), shown)
     alone = words[1].endswith(".CR2")
     if alone:
         monkeypatch.undo()
