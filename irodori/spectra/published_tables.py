@@ -47,8 +47,9 @@ def published_table(name: str) -> PublishedTable:
         If there is no such table.
     """
     with h5py.File(TABLES) as file:
-        rows = file[name]
-        return PublishedTable(rows[0], rows[1:], tuple(rows.attrs["names"].tolist()))
+        table = file[name]
+        names = tuple(table["spectrum"].asstr()[()].tolist())
+        return PublishedTable(table["wavelength"][()], table["value"][()], names)
 
 
 @cache

@@ -25,6 +25,25 @@ from irodori.spectra.published_names import (
 )
 from irodori.spectra.published_tables import TABLES, PublishedTable
 
+#: What the spectra of a table are, by the first part of its name.
+_QUANTITIES = {
+    "illuminants": "relative spectral power",
+    "light_sources": "relative spectral power",
+    "daylight": "component of relative spectral power",
+    "charts": "reflectance factor",
+    "test_colours": "reflectance factor",
+    "cameras": "relative spectral sensitivity",
+    "observers": "colour-matching function",
+    "srgb_primaries": "component of a reflectance factor",
+}
+#: What a kind of matrix turns into what, and its axes.
+_MATRICES: dict[str, tuple[str, ...]] = {
+    "xyz_from_rgb": ("tristimulus values of linear RGB", "tristimulus", "primary"),
+    "white_xyz": ("tristimulus values of the white", "tristimulus"),
+    "rgb_from_rgb": ("linear sRGB as a dichromat sees linear sRGB", "seen", "primary"),
+}
+_LETTERS = {"tristimulus": ("X", "Y", "Z"), "primary": ("R", "G", "B"), "seen": ("R", "G", "B")}
+
 
 def library_tables() -> Iterator[tuple[str, PublishedTable]]:
     """Yield the name of every table in the file, and the table as colour-science has it."""
@@ -71,14 +90,29 @@ def _columns(names, distributions) -> PublishedTable:
 
 
 def write_published_tables(path: Path = TABLES) -> None:
-    """Write the file."""
+    """Write the file: a group for each table and each kind of matrix, every axis with its dimension scale."""
     with h5py.File(path, "w") as file:
         for name, table in library_tables():
-            rows = np.vstack([table.wavelength_nm, table.spectra])
-            dataset = file.create_dataset(name, data=rows, compression="gzip", shuffle=True, track_times=False)
-            dataset.attrs["names"] = np.array(table.names, dtype=h5py.string_dtype())
+            given = {"spectrum": table.names, "wavelength": table.wavelength_nm}
+            _write(file.create_group(name), "value", table.spectra, given, _QUANTITIES.get(name.partition("/")[0], ""))
         for name, matrix in library_matrices():
-            file.create_dataset(name, data=matrix, track_times=False)
+            kind, _, of = name.partition("/")
+            quantity, *axes = _MATRICES[kind]
+            _write(file.require_group(kind), of, matrix, {axis: _LETTERS[axis] for axis in axes}, quantity)
+
+
+def _write(group: h5py.Group, name: str, values: np.ndarray, axes: dict, quantity: str) -> None:
+    """Write a dataset and, where the group has none yet, the scales of its axes."""
+    packed = {"compression": "gzip", "shuffle": True} if values.size > 1000 else {}
+    dataset = group.create_dataset(name, data=values, track_times=False, **packed)
+    dataset.attrs.update({"units": "1", "dims": ",".join(axes), "quantity": quantity})
+    for number, (axis, along) in enumerate(axes.items()):
+        if axis not in group:
+            text = not isinstance(along, np.ndarray)
+            scale = np.array(along, dtype=h5py.string_dtype()) if text else along
+            group.create_dataset(axis, data=scale, track_times=False).make_scale(axis)
+            group[axis].attrs.update({"units": "nm" if axis == "wavelength" else "1", "dims": axis})
+        dataset.dims[number].attach_scale(group[axis])
 
 
 if __name__ == "__main__":

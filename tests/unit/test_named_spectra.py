@@ -4,6 +4,7 @@ import sys
 from pathlib import Path
 from subprocess import run
 
+import h5py
 import numpy as np
 import pytest
 from definitions import CAMERA_FILE, PLATE_FILE, ROOM_FILE, ROOT, edit, fault, load
@@ -11,7 +12,7 @@ from definitions import CAMERA_FILE, PLATE_FILE, ROOM_FILE, ROOT, edit, fault, l
 from irodori.core.errors import InputError
 from irodori.spectra import published_names
 from irodori.spectra.published import spectrum
-from irodori.spectra.published_tables import published_matrix, published_table
+from irodori.spectra.published_tables import TABLES, published_matrix, published_table
 
 DATA = ROOT.parent / "shared" / "data"
 POSE = "l0450-c0000-t000-r0000"
@@ -124,6 +125,21 @@ def test_published_tables_are_those_of_colour_science():
         np.testing.assert_array_equal(shipped.spectra, table.spectra)
     for name, matrix in library_matrices():
         np.testing.assert_array_equal(published_matrix(name), matrix)
+
+
+def test_published_tables_name_their_axes_to_any_reader():
+    xarray = pytest.importorskip("xarray")
+    groups: set[str] = set()
+    with h5py.File(TABLES) as file:
+        file.visititems(lambda name, item: groups.add(item.parent.name) if isinstance(item, h5py.Dataset) else None)
+    assert len(groups) > 70
+    for group in groups:
+        with xarray.open_dataset(TABLES, group=group, engine="h5netcdf") as found:
+            assert {"wavelength", "spectrum"} <= set(found.coords) or {"tristimulus", "seen"} & set(found.coords), group
+            assert set(found.dims) == set(found.coords)
+            assert all(values.attrs["quantity"] and values.attrs["units"] == "1" for values in found.values()), group
+            if "wavelength" in found:
+                assert found.wavelength.attrs["units"] == "nm"
 
 
 def test_a_job_that_needs_published_spectra_does_not_import_colour_science():
