@@ -94,7 +94,7 @@ def write_published_tables(path: Path = TABLES) -> None:
     with h5py.File(path, "w") as file:
         for name, table in library_tables():
             given = {"spectrum": table.names, "wavelength": table.wavelength_nm}
-            _write(file.create_group(name), "value", table.spectra, given, _QUANTITIES.get(name.partition("/")[0], ""))
+            _write(file.create_group(name), "value", table.spectra, given, _QUANTITIES[name.partition("/")[0]])
         for name, matrix in library_matrices():
             kind, _, of = name.partition("/")
             quantity, *axes = _MATRICES[kind]
