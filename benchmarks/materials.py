@@ -7,22 +7,27 @@ attenuation of equation (5); α, β and roughness with the GGX distribution and 
 root mean square of ρ. `irodori.fitting` fits equation (5); a dense scan over roughness with bounded minimisation fits
 GGX. With ``--peer`` scipy's least squares looks from many starts for anything lower.
 
+``--lobes`` shows the lobes that are chosen (`irodori.fitting.lobe_choice`) by one half of the directions, and how all
+candidates describe that half and predict the other, up to 70° of light and view, where the laboratory's outliers begin.
+
 Values above 20 sr⁻¹ are taken for outliers, left out and counted; the figures with them are printed too.
 
-``python -m benchmarks.materials [--peer] [--data FOLDER] [--output materials.csv]``, at the top of the repository.
+``python -m benchmarks.materials [--peer] [--lobes] [--data FOLDER] [--output materials.csv]``, at the repository's top.
 """
 
 import argparse
 import csv
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares, minimize_scalar
 
-from irodori.fitting.solvers import FitOptions, fit
+from irodori.fitting.lobe_choice import Sample, candidates, choose, predicted
+from irodori.fitting.solvers import FitOptions, FitResult, fit
 from irodori.reflection.equation5 import angles_from_directions, reflect
 from irodori.reflection.fresnel import fresnel_array
 from irodori.reflection.lobe_arrays import evaluate
@@ -37,6 +42,7 @@ OUTLIER_PER_SR = 20.0
 _BOUNDS = {"alpha": (0.0, 2.0), "beta": (0.0, 1e6), "mu_rad": (0.005, 1.2)}
 _GGX_ALPHA = (0.003, 1.0)
 _SCAN = 400
+_STEEPEST_DEG = 70.0
 _VISIBLE_UM = (0.4, 0.7)
 
 
@@ -226,10 +232,45 @@ def peer_rows(name: str, folder: Path = DATA) -> list[tuple[str, str, float, flo
     return out
 
 
+def choices(name: str, folder: Path = DATA, seed: int = 0) -> list[dict]:
+    """Return what every candidate for a material's lobes leaves of one half of the directions, and of the other."""
+    out = []
+    for measured in read(name, folder):
+        geometry, response = measured.geometry, measured.response
+        kept = measured.trusted.all(axis=0) & (geometry[:, :2] < np.radians(_STEEPEST_DEG)).all(axis=1)
+        order = np.random.default_rng(seed).permutation(np.flatnonzero(kept))
+        halves = [
+            Sample(
+                response[:, half], np.ones((len(response), len(half))),
+                np.broadcast_to(geometry[half], (len(response), len(half), 4)), np.full((len(half), 2), np.nan), N, K,
+            )
+            for half in (order[::2], order[1::2])
+        ]  # fmt: skip
+        options = FitOptions(weights="equal", bounds=_BOUNDS)
+        chosen, found = choose(halves[0], options, candidates(options))
+        for one in found:
+            own = replace(options, lobes=one.lobes)
+            result = fit(halves[0].response, geometry[order[::2]], halves[0].weight, N, K, own)
+            fitted, held = (_off(half, result, halves[0], own) for half in halves)
+            label = name if len(measured.wavelength_nm) > 1 else f"{name} {measured.wavelength_nm[0]:.0f} nm"
+            out.append({"material": label, "lobes": "+".join(one.lobes), "chosen": one.lobes == chosen,
+                        "behind": one.behind, "behind_error": one.behind_error, "fitted_rms": fitted[0],
+                        "fitted_median": fitted[1], "held_out_rms": held[0], "held_out_median": held[1]})  # fmt: skip
+    return out
+
+
+def _off(sample: Sample, result: FitResult, fitted: Sample, options: FitOptions) -> tuple[float, float]:
+    """Return the rms residual over the rms response, and the median residual over the response."""
+    off = predicted(sample, result, fitted, options) - sample.response
+    relative_rms = float(np.sqrt(np.mean(off**2) / np.mean(sample.response**2)))
+    return relative_rms, float(np.median(np.abs(off) / np.maximum(sample.response, np.finfo(float).tiny)))
+
+
 def main() -> None:
     """Measure and print; write a CSV if asked."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--peer", action="store_true", help="compare the minima with scipy's least squares")
+    parser.add_argument("--lobes", action="store_true", help="show the lobes that are chosen, and what each leaves")
     parser.add_argument("--data", type=Path, default=DATA)
     parser.add_argument("--output", type=Path, help="CSV to write")
     arguments = parser.parse_args()
@@ -250,6 +291,14 @@ def main() -> None:
         for name in MATERIALS:
             for row in peer_rows(name, arguments.data):
                 print("{} {} {:.0f} nm: sum of squares over the peer's {:.6f}".format(*row))
+    if arguments.lobes:
+        for row in (row for name in MATERIALS for row in choices(name, arguments.data)):
+            print(
+                "{material:>22} {lobes:>17} {0:>6} behind {behind:.3f} ± {behind_error:.3f}; rms, median: "
+                "fitted {fitted_rms:.3f} {fitted_median:.3f}, held out {held_out_rms:.3f} {held_out_median:.3f}".format(
+                    "chosen" if row["chosen"] else "", **row
+                )
+            )
     if arguments.output:
         with arguments.output.open("w", newline="", encoding="utf-8") as stream:
             writer = csv.DictWriter(stream, list(rows[0]), lineterminator="\n")
