@@ -10,9 +10,13 @@ GGX. With ``--peer`` scipy's least squares looks from many starts for anything l
 ``--lobes`` shows the lobes that are chosen (`irodori.fitting.lobe_choice`) by one half of the directions, and how all
 candidates describe that half and predict the other, up to 70° of light and view, where the laboratory's outliers begin.
 
+``--halves`` draws surfaces of 16 to 64 photographs, half of them within 25° of the mirror direction, with a camera's
+noise; two disjoint halves of the photographs are fitted, and where both are called OK they are compared.
+
 Values above 20 sr⁻¹ are taken for outliers, left out and counted; the figures with them are printed too.
 
-``python -m benchmarks.materials [--peer] [--lobes] [--data FOLDER] [--output materials.csv]``, at the repository's top.
+``python -m benchmarks.materials [--peer] [--lobes] [--halves] [--data FOLDER] [--output materials.csv]``, at the top
+of the repository.
 """
 
 import argparse
@@ -20,6 +24,7 @@ import csv
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 
@@ -28,6 +33,7 @@ from scipy.optimize import least_squares, minimize_scalar
 
 from irodori.fitting.lobe_choice import Sample, candidates, choose, predicted
 from irodori.fitting.solvers import FitOptions, FitResult, fit
+from irodori.material.material_file import Status
 from irodori.reflection.equation5 import angles_from_directions, reflect
 from irodori.reflection.fresnel import fresnel_array
 from irodori.reflection.lobe_arrays import evaluate
@@ -43,6 +49,8 @@ _BOUNDS = {"alpha": (0.0, 2.0), "beta": (0.0, 1e6), "mu_rad": (0.005, 1.2)}
 _GGX_ALPHA = (0.003, 1.0)
 _SCAN = 400
 _STEEPEST_DEG = 70.0
+_SEEN_TO_DEG, _NEAR_DEG, _CAMERA = 75.0, 25.0, (1e-6, 1e-5)
+_SURFACES, _SEED = 1500, 2
 _VISIBLE_UM = (0.4, 0.7)
 
 
@@ -266,11 +274,44 @@ def _off(sample: Sample, result: FitResult, fitted: Sample, options: FitOptions)
     return relative_rms, float(np.median(np.abs(off) / np.maximum(sample.response, np.finfo(float).tiny)))
 
 
+def halves(name: str, lobe: str, photographs: int, surfaces: int, seed: int, folder: Path = DATA) -> dict[str, float]:
+    """Return the share of surfaces of which both halves of the photographs are OK, and of these the agreeing ones.
+
+    By parameter: halves agree where they differ by less than two standard errors of the difference.
+    """
+    (measured, *_), rng = read(name, folder), np.random.default_rng(seed)
+    kept = measured.trusted.all(axis=0) & (measured.geometry[:, :2] < np.radians(_SEEN_TO_DEG)).all(axis=1)
+    every, near = np.flatnonzero(kept), np.flatnonzero(kept & (measured.geometry[:, 3] < np.radians(_NEAR_DEG)))
+    chosen = np.empty((surfaces, photographs), dtype=int)
+    for row in chosen:
+        row[: photographs // 2] = rng.choice(near, photographs // 2, replace=False)
+        rest = np.setdiff1d(every, row[: photographs // 2])
+        row[photographs // 2 :] = rng.choice(rest, photographs - photographs // 2, replace=False)
+        rng.shuffle(row)
+    clean = measured.response[rng.integers(len(measured.wavelength_nm), size=(surfaces, 1)), chosen]
+    response = clean + np.sqrt(_CAMERA[0] + _CAMERA[1] * np.abs(clean)) * rng.normal(size=clean.shape)
+    noise, options = np.tile(_CAMERA, (photographs // 2, 1)), FitOptions(lobes=(lobe,))
+    one, other = (
+        fit(response[:, half], measured.geometry[chosen[:, half]], np.ones(response[:, half].shape), N, K, options,
+            noise=noise)
+        for half in (slice(0, None, 2), slice(1, None, 2))
+    )  # fmt: skip
+    both = (one.status == Status.OK) & (other.status == Status.OK)
+    out = {"ok": float(both.mean())}
+    for parameter in ("alpha", "beta", "mu"):
+        apart = getattr(one, parameter)[both] - getattr(other, parameter)[both]
+        error = np.hypot(*(getattr(half, f"{parameter}_error")[both] for half in (one, other)))
+        told = np.isfinite(error)
+        out[parameter] = float(np.mean(np.abs(apart[told]) < 2.0 * error[told])) if told.any() else math.nan
+    return out
+
+
 def main() -> None:
     """Measure and print; write a CSV if asked."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--peer", action="store_true", help="compare the minima with scipy's least squares")
     parser.add_argument("--lobes", action="store_true", help="show the lobes that are chosen, and what each leaves")
+    parser.add_argument("--halves", action="store_true", help="compare fits of two halves of the photographs")
     parser.add_argument("--data", type=Path, default=DATA)
     parser.add_argument("--output", type=Path, help="CSV to write")
     arguments = parser.parse_args()
@@ -291,6 +332,11 @@ def main() -> None:
         for name in MATERIALS:
             for row in peer_rows(name, arguments.data):
                 print("{} {} {:.0f} nm: sum of squares over the peer's {:.6f}".format(*row))
+    if arguments.halves:
+        for name, lobe, count in product(CORNELL, ("gaussian", "ggx"), (16, 32, 64)):
+            found = halves(name, lobe, count, _SURFACES, _SEED, arguments.data)
+            text = "{:>22} {:>9} {:>3} photographs: both OK {ok:.3f}; agree α {alpha:.2f}, β {beta:.2f}, μ {mu:.2f}"
+            print(text.format(name, lobe, count, **found))
     if arguments.lobes:
         for row in (row for name in MATERIALS for row in choices(name, arguments.data)):
             print(

@@ -31,7 +31,7 @@ from irodori.reflection.lobes import Lobes
 
 _CHUNK = 8192  # texels that a thread fits before it asks for more
 _WORTH = 9.0  # what leaving out an outlier takes from χ² at least, in multiples of what is left for a degree of freedom
-_AN_OUTLIER_IN = 8  # observations, at most
+_AN_OUTLIER_IN = 12  # observations, at most
 
 
 class Problem(NamedTuple):
@@ -220,7 +220,9 @@ def without_outliers(task, room, evidence, found):
 
     Where χ² is not allowed, observations are left out one by one: of the two without which the sum of squares could be
     least, the one without which χ² is least. Where what is left still denies the model, or an observation is not worth
-    `_WORTH` times what the others leave unexplained on average, none is an outlier and nothing is left out. The rows
+    `_WORTH` times what the others leave unexplained on average, none is an outlier and nothing is left out. The rest
+    must fit as a right model does: what denies the model in several places has readings that fit it once they are
+    few. The rows
     are left with the weights and the scan's sums of what is returned.
     """
     problem, rules, rows = task.problem, task.rules, room.rows
@@ -228,7 +230,7 @@ def without_outliers(task, room, evidence, found):
     chi2 = _chi2(rows, lobes, found, rules)
     if judge.allowed(chi2, float(max(used - judge.PARAMETERS, 1)), rules):
         return evidence, found
-    most = int(max(1, used // _AN_OUTLIER_IN))
+    most = used // _AN_OUTLIER_IN
     _copy_row(rows, WEIGHT, TRUST)
     for _ in range(most):
         if used - 1 <= judge.PARAMETERS + 1:
@@ -251,7 +253,7 @@ def without_outliers(task, room, evidence, found):
         if not chi2 - rest > _WORTH * max(rest / degrees, 1.0):
             break
         chi2 = rest
-        if judge.allowed(rest, degrees, rules):
+        if judge.expected(rest, degrees):
             fixed = weigh(rows, 0.0)
             _scan(task, room)
             found = Minimum(found.alpha, found.beta, found.log_mu, evaluations + found.evaluations)
