@@ -58,8 +58,8 @@ TWICE = 2.0
 SINGULAR = 1e-10
 _TOLD_APART = 1e-6
 _NEAR = 2.0  # standard errors of log μ from a bound, within which the bound decides and not the data
-#: Standard deviations of χ² by which it exceeds the degrees of freedom of one right model in 6, in 20, in 200.
-_ONE_IN_6, _ONE_IN_20, _ONE_IN_200 = 1.0, 2.0, 3.5
+#: Standard deviations of χ² by which it exceeds the degrees of freedom of one right model in 6, in 50, in 200.
+_ONE_IN_6, _ONE_IN_50, _ONE_IN_200 = 1.0, 2.5, 3.5
 LEAST_LEFT = 0.02  # of an observation's error that its residual is taken to show at least
 
 
@@ -208,7 +208,7 @@ def doubtful(chi2, degrees, rules):
 @njit(cache=True, error_model="numpy", forceinline=True)
 def expected(chi2, degrees):
     """Return whether χ² is one that nearly all right models have."""
-    return chi2 <= degrees + _ONE_IN_20 * root(2.0 * degrees)
+    return chi2 <= degrees + _ONE_IN_50 * root(2.0 * degrees)
 
 
 @uncounted(error_model="numpy")
