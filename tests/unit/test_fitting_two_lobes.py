@@ -262,12 +262,15 @@ def test_what_cannot_be_fitted_is_refused(options, message):
     ("lobes", "changed", "message"),
     [
         (["ggxx"], {}, r"lobes\[0\].*did you mean 'ggx'"),
+        (["autos"], {}, r"lobes\[0\].*did you mean 'auto'"),
+        (["auto", "ggx"], {}, "auto beside a lobe.*auto alone"),
         (["gaussian", "ggx"], {"refractive_index": "fitted"}, "two lobes with fit.refractive_index: fitted"),
     ],
 )
 def test_a_definition_is_checked_before_anything_is_fitted(lobes, changed, message):
     loaded = load_definitions(read_yaml(ROOT / "config/config.yaml"), ROOT)
     settings_of_fit, definition = loaded.config.fit, next(iter(loaded.objects.values()))
-    check_lobes(replace(definition, lobes=("gaussian", "ggx")), settings_of_fit, "object.yaml")
+    for fine in (("gaussian", "ggx"), ("auto",)):
+        check_lobes(replace(definition, lobes=fine), settings_of_fit, "object.yaml")
     with pytest.raises(InputError, match=message):
         check_lobes(replace(definition, lobes=tuple(lobes)), replace(settings_of_fit, **changed), "object.yaml")

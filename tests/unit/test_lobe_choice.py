@@ -16,10 +16,11 @@ from irodori.fitting.paint_stage import share_gloss
 from irodori.fitting.solvers import FitOptions
 from irodori.fitting.stage import fit_brdf
 from irodori.material.fitted_tiles import FittedTiles
-from irodori.material.lobe_choices import chosen_lobes, read_choice
+from irodori.material.lobe_choices import LeftOut, chosen_lobes, read_choice
 from irodori.reflection import registry
 from irodori.reflection.fresnel import fresnel_array
 from irodori.reflection.lobe_arrays import evaluate
+from irodori.report import html_page
 
 TEXELS, POSES = 24, slice(0, 60, 2)
 OPTIONS = FitOptions(model_error=0.005)
@@ -133,6 +134,18 @@ def test_two_lobes_that_were_chosen_keep_each_texels_own_gloss(tmp_path):
     own, shared = (next(FittedTiles([path], SIDE, SIDE).read(*names))[1] for path in (files[1][0], files[2]))
     for name in names:
         np.testing.assert_array_equal(own[name], shared[name])
+
+
+@pytest.mark.parametrize("figures", [[], [LeftOut(("gaussian",), 2.5, 0.25, 0.125), LeftOut(("ggx",), 1.25, 0.0, 0.0)]])
+def test_the_report_shows_a_choice_and_no_table_without_one(figures):
+    source = html_page._TEMPLATES.loader.get_source(html_page._TEMPLATES, "objects.html.j2")[0]
+    template = html_page._TEMPLATES.from_string(source.replace('{% include "compression.html.j2" %}', ""))
+    numbers = ("texels_fitted", "fit_seconds", "observed_fraction", "negative_fraction", "reflectance_error_median")
+    errors = dict.fromkeys((*numbers, "out_of_training_fraction"), 1.0)
+    errors |= {"compression": {}, "lobe_choice": [{**vars(one), "lobes": list(one.lobes)} for one in figures]}
+    shown = {"name": "jar", "errors": errors, "stored": "", "maps": "", "spectra": "", "bases": 3, "gloss": ""}
+    page = template.render(objects=[shown | {"lobes": ["ggx"]}])
+    assert ("ggx (in use)" in page, "gaussian</td><td>2.50</td><td>0.250</td><td>0.125" in page) == (bool(figures),) * 2
 
 
 @needs_data
