@@ -58,8 +58,8 @@ TWICE = 2.0
 SINGULAR = 1e-10
 _TOLD_APART = 1e-6
 _NEAR = 2.0  # standard errors of log μ from a bound, within which the bound decides and not the data
-#: Standard deviations of χ² by which it exceeds the degrees of freedom of one right model in 6, in 50, in 200.
-_ONE_IN_6, _ONE_IN_50, _ONE_IN_200 = 1.0, 2.5, 3.5
+#: Standard deviations of χ² by which it exceeds the degrees of freedom of one right model in 6, in 50, in 400.
+_ONE_IN_6, _ONE_IN_50, _ONE_IN_400 = 1.0, 2.5, 4.0
 LEAST_LEFT = 0.02  # of an observation's error that its residual is taken to show at least
 
 
@@ -214,7 +214,7 @@ def expected(chi2, degrees):
 @uncounted(error_model="numpy")
 def allowed(chi2, degrees, rules):
     """Return whether observations allow a model: numbers or lanes; always where the camera's noise is not known."""
-    return (chi2 <= degrees + _ONE_IN_200 * root(2.0 * degrees)) | (chi2 < (0.0 if rules.known else np.inf))
+    return (chi2 <= degrees + _ONE_IN_400 * root(2.0 * degrees)) | (chi2 < (0.0 if rules.known else np.inf))
 
 
 @uncounted(error_model="numpy")
