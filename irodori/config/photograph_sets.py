@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 from irodori.config.capture_table import noted_hashes, read_captures
+from irodori.config.cross_checks.object_lobes import AUTO
 from irodori.config.definition import Definition, as_plain
 from irodori.config.loaded import Loaded
 from irodori.config.models import CapturesSource
@@ -304,7 +305,7 @@ class PhotographSets:
         return self.tiles_of(wildcards.object)[int(wildcards.tile)]
 
     def shares_gloss(self, name: str) -> bool:
-        """Whether the texels of an object share the gloss of their paints; those of two lobes have their own."""
+        """Whether one job finds the paints of an object; texels of two lobes have gloss of their own."""
         return self.loaded.config.fit.gloss_by_paint and len(self.loaded.objects[name].lobes) == 1
 
     def fitted_files(self, name: str) -> list[str]:
@@ -328,8 +329,13 @@ class PhotographSets:
         return self.tile_files(wildcards.object, "observations")
 
     def lobes(self) -> list[str]:
-        """Return the lobes with which the gloss of any object is fitted, sorted."""
+        """Return the lobes with which the gloss of any object is fitted, sorted; ``auto`` stands for any."""
         return sorted({name for definition in self.loaded.objects.values() for name in definition.lobes})
+
+    def lobe_choice(self, wildcards) -> list[str]:
+        """Return the choice of lobes of a job's object; none where its definition names them."""
+        of_object = self.loaded.objects[wildcards.object].lobes
+        return [f"results/{wildcards.object}/lobes.h5"] if AUTO in of_object else []
 
     # ---- places
 

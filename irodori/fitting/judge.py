@@ -3,8 +3,10 @@
 Most is for one texel and for eight, see `irodori.fitting.texel_rows`. The covariance is that of least squares with
 weights that need not be the inverse variances, A⁻¹ (Σ w² v J Jᵀ) A⁻¹ with A = Σ w J Jᵀ. The variance v of an
 observation is that of noise and model error, and what an error of the pose does to it: on a steep flank of the lobe,
-far more than to the response. It is multiplied by χ² over degrees of freedom where that exceeds 1. An error that all
-photographs share, such as the level of the light, leaves no residual: it is added to α and β in full.
+far more than to the response. It is multiplied by χ² over degrees of freedom where that exceeds 1. Where χ² is larger
+than mostly by chance, the model may be off, and where is shown by the residuals: no error is less than the one with
+variances from them. An error that all photographs share, such as the level of the light, leaves no residual: it is
+added to α and β in full.
 """
 
 import math
@@ -24,7 +26,6 @@ from irodori.fitting.texel_rows import (
     SPOILED,
     WEIGHT,
     folded,
-    folded_mask,
     get,
     put,
     vectors_of,
@@ -52,11 +53,14 @@ _CONTRADICTED = int(Status.CONTRADICTED)
 #: Share of its peak at which a lobe must be seen at least, or its height is an extrapolation.
 SEEN = math.exp(-2.0)
 _WITHIN = math.exp(-1.0)  # share of its peak down to which a lobe is a highlight
+#: Observations that must see a lobe so high: one tells its height or its width.
+TWICE = 2.0
 SINGULAR = 1e-10
 _TOLD_APART = 1e-6
 _NEAR = 2.0  # standard errors of log μ from a bound, within which the bound decides and not the data
-_MISFIT, _BY_CHANCE = 2.0, 8.0  # χ² up to so often the degrees of freedom, and so much more, is no contradiction
-LEAST_LEFT = 0.05  # of an observation's error that its residual is taken to show at least
+#: Standard deviations of χ² by which it exceeds the degrees of freedom of one right model in 6, in 50, in 400.
+_ONE_IN_6, _ONE_IN_50, _ONE_IN_400 = 1.0, 2.5, 4.0
+LEAST_LEFT = 0.02  # of an observation's error that its residual is taken to show at least
 
 
 class Verdict(NamedTuple):
@@ -129,13 +133,13 @@ def sums_at_minimum(rows, lobes, found, rules, with_variances):
     normal, middle : tuples of six
         Σ w J Jᵀ and Σ w² v J Jᵀ, J along α, β, log μ.
     seen : bool or mask
-        Whether an observation with weight lies where the lobe is high.
+        Whether observations enough with weight lie where the lobe is high.
     """
     a, b, log_mu, _ = found
     constant, zero = lobe_kernels.constants(lobes, log_mu), spread(0.0)
     n0, n1, n2, n3, n4, n5, squares = zero, zero, zero, zero, zero, zero, zero
     m0, m1, m2, m3, m4, m5, chi2 = zero, zero, zero, zero, zero, zero, zero
-    seen = zero > 0.0
+    seen = zero
     for j in range(vectors_of(rows)):
         f0, f1, f2 = get(rows, F0, j), get(rows, F1, j), get(rows, F2, j)
         c, w, plain = get(rows, COSINE, j), get(rows, WEIGHT, j), get(rows, GLOSS, j)
@@ -147,7 +151,7 @@ def sums_at_minimum(rows, lobes, found, rules, with_variances):
         s, gloss = b * g1, b * g
         r = a * c + gloss - get(rows, RESPONSE, j)
         squares = squares + w * r * r
-        seen = seen | ((w > 0.0) & (plain > 0.0) & (share >= SEEN))
+        seen = seen + select((w > 0.0) & (plain > 0.0) & (share >= SEEN), 1.0, 0.0)
         wc, wg, ws = w * c, w * g, w * s
         n0, n1, n2 = n0 + wc * c, n1 + wc * g, n2 + wg * g
         n3, n4, n5 = n3 + wc * s, n4 + wg * s, n5 + ws * s
@@ -161,7 +165,7 @@ def sums_at_minimum(rows, lobes, found, rules, with_variances):
             m3, m4, m5 = m3 + wc * s * wv, m4 + wg * s * wv, m5 + ws * s * wv
     return (
         folded(squares, log_mu), folded(chi2, log_mu), _folded_six((n0, n1, n2, n3, n4, n5), log_mu),
-        _folded_six((m0, m1, m2, m3, m4, m5), log_mu), folded_mask(seen, log_mu),
+        _folded_six((m0, m1, m2, m3, m4, m5), log_mu), folded(seen, log_mu) >= TWICE,
     )  # fmt: skip
 
 
@@ -179,20 +183,38 @@ def _sandwich(m, i0, i1, i2):
     return i0 * (i0 * m[0] + 2.0 * (i1 * m[1] + i2 * m[3])) + i1 * (i1 * m[2] + 2.0 * i2 * m[4]) + i2 * i2 * m[5]
 
 
+@njit(cache=True, error_model="numpy", forceinline=True)
+def students(degrees):
+    """Return by what Student's distribution widens a variance that the residuals tell.
+
+    The interval which holds 68 % of a normal variable, to 0.3 % for any degrees of freedom.
+    """
+    wider = 1.0 + (0.5 + 0.25 / degrees + 0.087 / (degrees * degrees * degrees)) / degrees
+    return wider * wider
+
+
 @uncounted(error_model="numpy")
 def excess_of(chi2, degrees):
-    """Return by what variances are multiplied: χ² over degrees of freedom where that exceeds 1, with Student's factor.
+    """Return the factor of variances: χ² over degrees of freedom where that exceeds 1, with Student's factor."""
+    return select(chi2 > degrees, chi2 / degrees * students(degrees), 1.0)
 
-    The factor is that of the interval which holds 68 % of a normal variable, to 0.3 % for any degrees of freedom.
-    """
-    student = 1.0 + (0.5 + 0.25 / degrees + 0.087 / (degrees * degrees * degrees)) / degrees
-    return select(chi2 > degrees, chi2 / degrees * student * student, 1.0)
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def doubtful(chi2, degrees, rules):
+    """Return whether χ² is one that few right models have: numbers or lanes; never where noise is not known."""
+    return (chi2 > degrees + _ONE_IN_6 * root(2.0 * degrees)) & (chi2 >= (0.0 if rules.known else np.inf))
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def expected(chi2, degrees):
+    """Return whether χ² is one that nearly all right models have."""
+    return chi2 <= degrees + _ONE_IN_50 * root(2.0 * degrees)
 
 
 @uncounted(error_model="numpy")
 def allowed(chi2, degrees, rules):
     """Return whether observations allow a model: numbers or lanes; always where the camera's noise is not known."""
-    return (chi2 <= _MISFIT * degrees + _BY_CHANCE) | (chi2 < (0.0 if rules.known else np.inf))
+    return (chi2 <= degrees + _ONE_IN_400 * root(2.0 * degrees)) | (chi2 < (0.0 if rules.known else np.inf))
 
 
 @uncounted(error_model="numpy")
@@ -222,7 +244,7 @@ def _lone_alpha(normal, middle, excess, a, rules):
 
 @uncounted(error_model="numpy")
 def scatter(rows, a, b, normal):
-    """Return Σ w² v J Jᵀ where the variances v are not known: those of the residuals, at least the expected ones.
+    """Return Σ w² v J Jᵀ with the variances v of the residuals, at least the expected ones.
 
     A residual is smaller than the error by what the observation decides itself, its leverage h: v = r² / (1 - h)²
     (HC3; MacKinnon and White, J. Econometrics 29, 1985). After `sums_at_minimum`, for one texel or for eight.
@@ -265,6 +287,9 @@ def full_errors(rows, lobes, found, used, rules, with_alpha):
         middle = scatter(rows, found.alpha, found.beta, normal)
         excess = 1.0
     alpha, beta, along = parameter_errors(middle, normal, excess, found, rules)
+    if doubtful(chi2, degrees, rules):
+        own = parameter_errors(scatter(rows, found.alpha, found.beta, normal), normal, students(degrees), found, rules)
+        alpha, beta, along = max(alpha, own[0]), max(beta, own[1]), max(along, own[2])
     return Errors(alpha if with_alpha else np.inf, beta, along, squares, seen, fits)
 
 

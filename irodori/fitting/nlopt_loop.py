@@ -228,8 +228,8 @@ def _scanned(task, room):
 @njit(cache=True, error_model="numpy")
 def finish(t, task, room, evidence, found, out):
     """Judge the `Minimum` that a solver found, without outliers, and write the texel."""
-    evidence, found = without_outliers(task, room, evidence, found)
-    write(out, t, conclude(t, task, room, evidence, found), evidence.fixed)
+    evidence, found, sure = without_outliers(task, room, evidence, found)
+    write(out, t, conclude(t, task, room, evidence, found, sure), evidence.fixed)
 
 
 @njit(cache=True, error_model="numpy")

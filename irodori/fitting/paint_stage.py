@@ -98,39 +98,47 @@ def share_gloss(
     Notes
     -----
     A texel keeps status OK where at least half of its gloss is its own; else it is PAINT. One that no paint explains
-    keeps what its own fit says. Further datasets, for each paint: ``/paints/log_gloss``, log β and log μ, NaN where not
-    known; ``/paints/error``, their covariance; ``/paints/varying``, that of the texels about them; ``/paints/excess``,
-    the factor of the variance of observations; ``/paints/texels``, from how many it comes.
+    keeps what its own fit says, and so do all where there are two lobes. Further datasets of one lobe, for each paint:
+    ``/paints/log_gloss``, log β and log μ, NaN where not known; ``/paints/error``, their covariance;
+    ``/paints/varying``, that of the texels about them; ``/paints/excess``, the factor of the variance of observations;
+    ``/paints/texels``, from how many it comes.
     """
-    colours, samples, optics, seconds = _find_colours(tiles), [], None, 0.0
+    colours = _find_colours(tiles) if len(options.lobes) == 1 else None
+    samples, optics, seconds = [], None, 0.0
     parts, carried, fitted = [], {}, 0
     for seen, own in zip(observations, tiles, strict=True):
         tile, _, attributes = _read_tile(seen, own)
         optics = optics or GlossModel(options, fresnel_of(n, k, calibration, tile.response.shape[1]))
-        samples.append(sample(_indexed(tile, optics), colours, attributes["width"], len(tiles)))
+        if colours:
+            samples.append(sample(_indexed(tile, optics), colours, attributes["width"], len(tiles)))
         parts.append(attributes["rows"])
         seconds, fitted = seconds + attributes["fit_seconds"], fitted + attributes["texels_fitted"]
         carried = attributes
     assert optics is not None  # an object has a tile
     start = time.perf_counter()
-    paints = find_paints(samples, colours, optics)
+    paints = find_paints(samples, colours, optics) if colours else None
     width, shared = carried["width"], 0
     with store.create(output, provenance) as out:
         write_bands(out, carried["filters"])
         datasets: dict = {}
         for seen, own, (first, last) in zip(observations, tiles, parts, strict=True):
             tile, maps, _ = _read_tile(seen, own)
-            shared += _share_tile(_indexed(tile, optics), maps, paints, width, optics)
+            if paints:
+                shared += _share_tile(_indexed(tile, optics), maps, paints, width, optics)
             datasets = datasets or _reserve(out, maps, max(map(max, parts)) * width, options.lobes)
             for name, dataset in datasets.items():
                 dataset[first * width : last * width] = maps[name]
-        _write_paints(out, paints)
+        if paints:
+            _write_paints(out, paints)
         attributes = {**carried, "rows": [min(map(min, parts)), max(map(max, parts))], "parts": parts}
         for name, value in {**attributes, "fit_seconds": seconds, "texels_fitted": fitted}.items():
             out.attribute(name, value)
         out.attribute("paint_seconds", time.perf_counter() - start)
         out.attribute("lobes", list(options.lobes))
-    _log(paints, shared)
+    if paints:
+        _log(paints, shared)
+    else:
+        LOGGER.info("two lobes: every texel keeps gloss of its own")
 
 
 def _reserve(out: store.Writer, maps: dict[str, np.ndarray], texels: int, lobes: tuple[str, ...]) -> dict:

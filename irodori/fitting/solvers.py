@@ -387,7 +387,7 @@ def _fit_two(problem: texels.Problem, rules: Rules, options: FitOptions) -> FitR
     of_second = (found.second == 1) & ~both
     table = found.table
     errors = table[:, two_lobes.ERRORS : two_lobes.ERRORS + two_lobes.PARAMETERS]
-    free = both & np.isin(found.status, [judge.Status.OK, judge.Status.MU_UNIDENTIFIABLE])
+    free = both & np.isin(found.status, [judge.Status.OK, judge.Status.MU_UNIDENTIFIABLE, judge.Status.CONTRADICTED])
 
     def stated(values, known):
         return np.where(free & known, values, np.nan)

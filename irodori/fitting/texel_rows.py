@@ -86,10 +86,6 @@ highest = _by_kind(
     "Return the largest of lanes over all observations of a texel.",
     "total, zero", lambda total, zero: _highest_of(total), lambda total, zero: total,
 )  # fmt: skip
-folded_mask = _by_kind(
-    "Return whether a mask is set for any observation of a texel.",
-    "mask, zero", lambda mask, zero: mask_bits(mask) != 0, lambda mask, zero: mask,
-)  # fmt: skip
 any_of = _by_kind(
     "Return whether something is true of any texel.", "mask", lambda mask: mask, lambda mask: mask_bits(mask) != 0
 )

@@ -32,6 +32,7 @@ from irodori.reflection.lobes import Lobes
 _CHUNK = 8192  # texels that a thread fits before it asks for more
 _WORTH = 9.0  # what leaving out an outlier takes from χ² at least, in multiples of what is left for a degree of freedom
 _AN_OUTLIER_IN = 8  # observations, at most
+_LEAST_READINGS = 12  # of which one can be left out, and the others tell that the model is right
 
 
 class Problem(NamedTuple):
@@ -99,8 +100,11 @@ def new_sums(problem):
 
 
 @uncounted(error_model="numpy")
-def conclude(t, task, room, evidence, found):
-    """Choose the model by BIC, state errors and status; the scan's sums are those of the rows."""
+def conclude(t, task, room, evidence, found, sure):
+    """Choose the model by BIC, state errors and status; the scan's sums are those of the rows.
+
+    What is not ``sure``, see `without_outliers`, is contradicted where it would be right.
+    """
     problem, rules, (rows, sums), (used, floor, fixed) = task.problem, task.rules, room, evidence
     lobes, clipped, unknown = problem.lobes, clipped_of(t, problem), math.log(used)
     diffuse, best, nothing = judge.without_gloss(evidence, rules)
@@ -126,11 +130,13 @@ def conclude(t, task, room, evidence, found):
                 model, errors, found = judge.GLOSS_ALONE, alone, other
     if model == judge.NOTHING or model == judge.DIFFUSE_ALONE:
         diffuse_error, squares, fits = judge.diffuse_errors(rows, diffuse, used, rules)
-        status = judge.diffuse_status(rows, lobes, clipped, model, (diffuse, fits), rules)
+        status = judge.diffuse_status(rows, lobes, clipped, model, (diffuse, fits and sure), rules)
         variance = max(squares / (used - 1), floor)
         return judge.Verdict(
             status, model, diffuse, 0.0, 0.0, diffuse_error, np.inf, np.inf, squares, variance, evaluations
         )
+    if not sure:
+        errors = judge.Errors(errors.alpha, errors.beta, errors.log_mu, errors.squares, errors.seen, False)
     status = judge.gloss_status(rows, lobes, clipped, found, errors, rules)
     variance = max(errors.squares / (used - judge.PARAMETERS), floor)
     return judge.Verdict(
@@ -184,8 +190,8 @@ def _fit_texel(t, task, room, loaded, out):
         found = _search(task, room, evidence.fixed)
         evaluations += found.evaluations
     found = Minimum(found.alpha, found.beta, found.log_mu, evaluations)
-    evidence, found = without_outliers(task, room, evidence, found)
-    write(out, t, conclude(t, task, room, evidence, found), evidence.fixed)
+    evidence, found, sure = without_outliers(task, room, evidence, found)
+    write(out, t, conclude(t, task, room, evidence, found, sure), evidence.fixed)
 
 
 @njit(cache=True, forceinline=True)
@@ -222,12 +228,15 @@ def without_outliers(task, room, evidence, found):
     least, the one without which χ² is least. Where what is left still denies the model, or an observation is not worth
     `_WORTH` times what the others leave unexplained on average, none is an outlier and nothing is left out. The rows
     are left with the weights and the scan's sums of what is returned.
+
+    Also returned is whether the model may be right. Of a wrong one, too, the readings that are left may fit: those of
+    a few, or those that no longer deny it and yet fit worse than with nearly all right models.
     """
     problem, rules, rows = task.problem, task.rules, room.rows
     lobes, start, used, evaluations = problem.lobes, found, evidence.used, found.evaluations
     chi2 = _chi2(rows, lobes, found, rules)
     if judge.allowed(chi2, float(max(used - judge.PARAMETERS, 1)), rules):
-        return evidence, found
+        return evidence, found, True
     most = int(max(1, used // _AN_OUTLIER_IN))
     _copy_row(rows, WEIGHT, TRUST)
     for _ in range(most):
@@ -255,11 +264,12 @@ def without_outliers(task, room, evidence, found):
             fixed = weigh(rows, 0.0)
             _scan(task, room)
             found = Minimum(found.alpha, found.beta, found.log_mu, evaluations + found.evaluations)
-            return Evidence(used, evidence.floor, fixed), found
+            sure = judge.expected(rest, degrees) and evidence.used >= _LEAST_READINGS
+            return Evidence(used, evidence.floor, fixed), found, sure
     _copy_row(rows, TRUST, WEIGHT)
     fixed = weigh(rows, 0.0)
     _scan(task, room)
-    return Evidence(evidence.used, evidence.floor, fixed), start
+    return Evidence(evidence.used, evidence.floor, fixed), start, True
 
 
 @uncounted()

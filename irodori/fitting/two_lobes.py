@@ -58,6 +58,7 @@ _BETA_ERROR, _MU_ERROR = judge.MAX_RELATIVE_ERROR["beta"], judge.MAX_RELATIVE_ER
 _CHUNK = 256
 _OK, _AT_BOUND = int(Status.OK), int(Status.AT_BOUND)
 _UNIDENTIFIABLE, _SATURATED = int(Status.MU_UNIDENTIFIABLE), int(Status.SATURATED)
+_CONTRADICTED = int(Status.CONTRADICTED)
 
 
 class TwoTask(NamedTuple):
@@ -447,9 +448,10 @@ def _spread_of(room, given, constants, found, j):
 def errors_of(room, given, at, found, used, out):
     """Fill the standard errors of the five parameters, infinite where the data does not tell them apart.
 
-    The covariance is the one of `irodori.fitting.judge`; rows hold the lobes at the minimum.
+    Returns whether the observations allow the model. The covariance is the one of `irodori.fitting.judge`; rows hold
+    the lobes at the minimum.
     """
-    normal, middle, inverse, column, scale, product = room.covariance
+    normal, middle, inverse, column, scale, _ = room.covariance
     rows, other, rules, (a, b1, b2, _) = room.rows, room.other, given.rules, found
     constants = lobe_kernels.constants(given.problem.lobes, at[0]), lobe_kernels.constants(given.second, at[1])
     _clear(normal)
@@ -479,31 +481,41 @@ def errors_of(room, given, at, found, used, out):
         for i in range(PARAMETERS):
             normal[0, i], normal[i, 0] = 0.0, 0.0
         normal[0, 0] = 1.0
-    if not _invert(normal, inverse):
-        return
     degrees = float(max(used - PARAMETERS + dark, 1))
-    excess = judge.excess_of(chi2, degrees)
-    if not rules.known:
-        _scatter(room, found)
-        excess = 1.0
+    if not _invert(normal, inverse):
+        return judge.allowed(chi2, degrees, rules)
+    excess = judge.excess_of(chi2, degrees) if rules.known else 0.0
     for i in range(PARAMETERS):
-        for k in range(PARAMETERS):
-            product[k] = 0.0
-            for m in range(PARAMETERS):
-                product[k] += inverse[i, m] * scale[m] * middle[m, k]
-        variance = 0.0
-        for k in range(PARAMETERS):
-            variance += product[k] * scale[k] * inverse[k, i]
-        variance *= excess * scale[i] * scale[i]
+        out[i] = _variance(room, i, excess)
+    if not (rules.known and judge.expected(chi2, degrees)):
+        _scatter(room, found)
+        for i in range(PARAMETERS):
+            out[i] = max(out[i], _variance(room, i, judge.students(degrees) if rules.known else 1.0))
+    for i in range(PARAMETERS):
         common = 0.0
         if i in (0, 1, 3):
             common = rules.level_error * (a if i == 0 else b1 if i == 1 else b2)
-        out[i] = math.sqrt(max(variance, 0.0) + common * common)
+        out[i] = math.sqrt(out[i] + common * common)
+    return judge.allowed(chi2, degrees, rules)
+
+
+@uncounted(error_model="numpy")
+def _variance(room, i, excess):
+    """Return the variance of a parameter by the covariance's parts, with those of observations times ``excess``."""
+    _, middle, inverse, _, scale, product = room.covariance
+    for k in range(PARAMETERS):
+        product[k] = 0.0
+        for m in range(PARAMETERS):
+            product[k] += inverse[i, m] * scale[m] * middle[m, k]
+    total = 0.0
+    for k in range(PARAMETERS):
+        total += product[k] * scale[k] * inverse[k, i]
+    return max(total * excess * scale[i] * scale[i], 0.0)
 
 
 @uncounted(error_model="numpy")
 def _scatter(room, found):
-    """Fill Σ w² v J Jᵀ where the variances are not known: those of the residuals; see `judge.scatter`."""
+    """Fill Σ w² v J Jᵀ with the variances of the residuals; see `judge.scatter`."""
     rows, other, (_, middle, inverse, column, scale, _) = room.rows, room.other, room.covariance
     _clear(middle)
     for j in range(rows.shape[1]):
@@ -525,13 +537,12 @@ def _scatter(room, found):
 
 @uncounted(error_model="numpy")
 def _is_seen(rows, weights, lobes, log_mu):
-    """Return whether an observation with weight lies where a lobe is high."""
-    constant = lobe_kernels.constants(lobes, log_mu)
+    """Return whether observations with weight enough lie where a lobe is high."""
+    constant, seen = lobe_kernels.constants(lobes, log_mu), 0
     for j in range(rows.shape[1]):
         share = lobe_kernels.flank(lobes, constant, rows[F0, j], rows[F1, j], rows[F2, j])[0]
-        if weights[WEIGHT, j] > 0.0 and rows[GLOSS, j] > 0.0 and share >= judge.SEEN:
-            return True
-    return False
+        seen += weights[WEIGHT, j] > 0.0 and rows[GLOSS, j] > 0.0 and share >= judge.SEEN
+    return seen >= judge.TWICE
 
 
 @uncounted(error_model="numpy")
@@ -541,7 +552,7 @@ def is_determined(b, error, log_mu_error, seen):
 
 
 @uncounted(error_model="numpy")
-def _status(t, room, given, row):
+def _status(t, room, given, row, fits):
     """Return the status of a texel with two components, and make errors infinite where one is not determined."""
     rows, other, problem, second, rules = room.rows, room.other, given.problem, given.second, given.rules
     clipped = clipped_of(t, problem)
@@ -566,7 +577,9 @@ def _status(t, room, given, row):
         edge |= row[i] >= rules.high_log_mu - 1e-4 or row[i] <= rules.low_log_mu + 1e-4
     if edge:
         return _AT_BOUND
-    return _OK if one and two else _UNIDENTIFIABLE
+    if not (one and two):
+        return _UNIDENTIFIABLE
+    return _OK if fits else _CONTRADICTED
 
 
 @uncounted(error_model="numpy")
@@ -633,12 +646,12 @@ def _fit_texel(t, given, room, out):
         return
     evaluate(room, given, fixed, t1, t2)
     row = out.table[t]
-    errors_of(room, given, (t1, t2), found, used, row[ERRORS : ERRORS + PARAMETERS])
+    fits = errors_of(room, given, (t1, t2), found, used, row[ERRORS : ERRORS + PARAMETERS])
     row[ALPHA], row[BETA], row[LOG_MU], row[BETA_2], row[LOG_MU_2] = found[0], found[1], t1, found[2], t2
     row[SQUARES], row[POWER] = found[3] / fixed[3], fixed[2] / fixed[3]
     for j in range(rows.shape[1]):
         other[WEIGHT, j] = rows[WEIGHT, j]
-    out.status[t] = _status(t, room, given, row)
+    out.status[t] = _status(t, room, given, row, fits)
     if given.same and t2 > t1:
         for i in (BETA, LOG_MU, ERRORS + BETA, ERRORS + LOG_MU):
             row[i], row[i + 2] = row[i + 2], row[i]

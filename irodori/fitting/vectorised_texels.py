@@ -22,7 +22,7 @@ from irodori.fitting.observations import (
     weights_changed,
 )
 from irodori.fitting.shared_geometry import GROUP, scan_shared_eight
-from irodori.fitting.texel_rows import item, new_rows_of_eight, pack_eight
+from irodori.fitting.texel_rows import any_of, item, new_rows_of_eight, pack_eight
 from irodori.fitting.varpro import DESCENT, RIVAL, SUMS, VALUE, Bracket, interval_minimum, newton, scan, value_nodes
 from irodori.jit.compilation import njit, uncounted
 from irodori.jit.functions import log, lower_of, negated, select, upper_of
@@ -101,6 +101,12 @@ def _judge(rows, lobes, evidence, found, rules, results):
         middle = judge.scatter(rows, a, b, normal)
         excess = spread(1.0)
     alpha, beta, along = judge.parameter_errors(middle, normal, excess, found, rules)
+    doubtful = judge.doubtful(chi2, upper_of(used - 3.0, 1.0), rules)
+    if any_of(doubtful):
+        wider = judge.students(upper_of(used - 3.0, 1.0))
+        own = judge.parameter_errors(judge.scatter(rows, a, b, normal), normal, wider, found, rules)
+        alpha = select(doubtful, upper_of(alpha, own[0]), alpha)
+        beta, along = select(doubtful, upper_of(beta, own[1]), beta), select(doubtful, upper_of(along, own[2]), along)
     _, simpler, nothing = judge.without_gloss(evidence, rules)
     if rules.low_alpha == 0.0:
         simpler = lower_of(simpler, nothing)

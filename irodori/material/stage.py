@@ -4,8 +4,8 @@ Tiles are read three times and never held: for what is known of the whole textur
 spectra, and to write the material's file.
 """
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, field, replace
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from irodori.core import store
 from irodori.core.progress import LOGGER
 from irodori.material.coefficients import reserve_coefficients
 from irodori.material.fitted_tiles import FittedTiles, columns
+from irodori.material.lobe_choices import LeftOut
 from irodori.material.material_file import BASIS, COEFFICIENTS, MAPS, QUANTITY, ChartColour, gloss_maps, write_constants
 from irodori.material.principal_components.basis_count import Compression, CompressOptions, choose
 from irodori.material.principal_components.decomposition import WEIGHTINGS
@@ -118,6 +119,7 @@ def compress_reflectance(
     options: CompressOptions,
     lights: list[str],
     provenance: store.Provenance,
+    lobe_choice: Sequence[LeftOut] = (),
 ) -> None:
     """Write an object's ``material.h5`` from its fitted tiles.
 
@@ -129,6 +131,8 @@ def compress_reflectance(
     options : CompressOptions
     lights : list of str
         Under each of which the colours are compared.
+    lobe_choice : sequence of LeftOut
+        Of the candidates among which photographs chose the object's lobes; none where its definition names them.
     """
     fitted = FittedTiles(tiles, definition.texels.height, definition.texels.width)
     calibration = Calibration.load(calibration_file)
@@ -144,6 +148,7 @@ def compress_reflectance(
             "negative_fraction": compression.negative.fraction,
             "compression": compared,
             **fitted.speed,
+            "lobe_choice": [asdict(one) for one in lobe_choice],
         }
         constants = (compression.basis, n, k, definition.mirror_weight)
         write_constants(out, *constants, errors, lobes=fitted.lobes, typical_gloss=fitted.typical_gloss())

@@ -64,6 +64,7 @@ def _object(name: str, path, truth_file) -> dict:
         "spectra": spectra_figure(material, truth) if truth else None,
         "bases": material.basis.shape[1],
         "gloss": typical_gloss_text(material),
+        "lobes": list(material.lobes),
         "errors": errors,
         "stored": stored,
     }

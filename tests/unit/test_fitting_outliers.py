@@ -9,6 +9,7 @@ from irodori.fitting.band_fresnel import uniform
 from irodori.fitting.solvers import FitOptions, fit
 from irodori.fitting.stage import diffuse_response
 from irodori.material.material_file import Status
+from irodori.reflection.equation5 import reflect
 
 TEXELS = 400
 POSES = np.concatenate([GEOMETRY, in_plane([30, 50, 60, 40], [25, 45, 60, 25])])
@@ -70,7 +71,7 @@ def test_readings_that_clip_unflagged_are_seldom_gloss_that_is_stated_and_wrong(
     (_, beta, _), clean, response = photographed()
     result = fitted(np.minimum(response, 0.6 * clean.max(axis=1, keepdims=True)))
     wrong = stated(result) & (np.abs(result.beta - beta) > 2.0 * result.beta_error)
-    assert wrong.mean() < 0.2
+    assert wrong.mean() < 0.08
 
 
 @pytest.mark.stability(stage="fit", case="two lobes fitted as one")
@@ -79,7 +80,7 @@ def test_two_lobes_that_are_fitted_as_one_are_not_ok_where_the_readings_tell():
     other = model(0.0, beta, np.minimum(5.0 * mu, 1.0), POSES)
     result = fitted(response * (1.0 + other / clean))
     denied, ok = result.status == Status.CONTRADICTED, stated(result)
-    assert denied.mean() > 0.5
+    assert denied.mean() > 0.4 and ok.mean() < 0.4
     assert (np.abs(result.alpha - alpha) < 2.0 * result.alpha_error)[ok].mean() > 0.93
     # What describes it best is stated all the same.
     assert np.isfinite(result.beta[denied]).mean() > 0.9
@@ -94,6 +95,41 @@ def test_a_surface_rougher_than_its_bound_is_not_ok(rougher):
     response = clean * (1 + 0.005 * rng.normal(size=clean.shape))
     result = fitted(response, bounds={"mu_rad": (0.005, 0.3)})
     assert stated(result).mean() < 0.03
+
+
+@pytest.mark.parametrize("spoiled", [(), (0,)], ids=["plain", "one reading off"])
+def test_a_lobe_of_another_form_is_denied_and_its_errors_cover_what_is_left(spoiled):
+    """GGX facets, photographed 48 times, fitted with equation (5)."""
+    rng, (alpha, beta, mu) = np.random.default_rng(61), materials(TEXELS, 61)
+    incidence = rng.uniform(15, 65, (TEXELS, 48))
+    geometry = in_plane(incidence, np.abs(incidence + rng.normal(0, 18, incidence.shape)))
+    a, b, m = (values[:, None] for values in (alpha, beta, mu))
+    clean = reflect(a, 1.0, b, m, geometry, n=N, k=K, lobe="ggx")
+    response = clean * (1 + 0.005 * rng.normal(size=clean.shape))
+    response[:, list(spoiled)] *= 2.0
+    noise, weight = np.tile([1e-6, 1e-5], (48, 1)), np.ones(clean.shape)
+    wrong, right = (
+        fit(response, geometry, weight, N, K, FitOptions(lobes=(name,)), noise=noise) for name in ("gaussian", "ggx")
+    )
+    assert (wrong.status == Status.CONTRADICTED).mean() > 0.45
+    off = np.abs(wrong.alpha - alpha)[stated(wrong)] / wrong.alpha_error[stated(wrong)]
+    assert (off < 2).mean() > 0.8
+    assert stated(right).mean() > 0.97 and (right.status == Status.CONTRADICTED).mean() < 0.01
+
+
+def test_one_reading_on_a_lobe_tells_neither_height_nor_width():
+    """A narrow highlight that one photograph of twelve sees, over diffuse light."""
+    geometry = in_plane(np.r_[45.0, np.linspace(20, 60, 11)], np.r_[46.0, np.linspace(70, 5, 11)])
+    alpha, beta, _ = materials(TEXELS, 62)
+    near = np.sort(geometry[:, 3])
+    mu = 0.5 * near[1]  # the second nearest sees exp(-4)
+    rng = np.random.default_rng(62)
+    clean = model(alpha, beta, np.full(TEXELS, mu), geometry)
+    result = fit(
+        clean * (1 + 0.005 * rng.normal(size=clean.shape)), geometry, np.ones(clean.shape), N, K, FitOptions(),
+        noise=np.tile(CAMERA[:1], (len(geometry), 1)),
+    )  # fmt: skip
+    assert stated(result).mean() < 0.01
 
 
 def test_noise_alone_contradicts_nothing():

@@ -221,6 +221,18 @@ def test_a_component_that_is_not_told_is_no_number():
     assert not (np.isfinite(found.mu) & np.isfinite(found.mu_2) & (found.status == Status.MU_UNIDENTIFIABLE)).any()
 
 
+def test_two_components_that_the_readings_deny_are_not_ok():
+    rng = np.random.default_rng(19)
+    alpha, broad, narrow = two_components(200, 20)
+    clean = responses(("ggx", "ggx"), alpha, broad, narrow)
+    response = clean + np.sqrt(1e-6 + 1e-5 * clean) * rng.normal(size=clean.shape)
+    right, wrong = (run(response, (name, "ggx"), NOISE, model_error=0.005) for name in ("ggx", "gaussian"))
+    assert (right.status == Status.OK).mean() > 0.9 and (right.status == Status.CONTRADICTED).mean() < 0.01
+    assert (wrong.status == Status.OK).mean() < 0.7
+    denied = wrong.status == Status.CONTRADICTED
+    assert denied.mean() > 0.25 and np.isfinite(wrong.beta_2[denied]).all()
+
+
 def test_matt_and_unseen_texels_are_as_with_one_lobe():
     response = np.vstack([responses([], [0.5]), np.zeros((1, 60)), np.full((1, 60), np.nan)])
     two, one = run(response, ("ggx", "ggx")), run(response, ("ggx",))
@@ -250,12 +262,15 @@ def test_what_cannot_be_fitted_is_refused(options, message):
     ("lobes", "changed", "message"),
     [
         (["ggxx"], {}, r"lobes\[0\].*did you mean 'ggx'"),
+        (["autos"], {}, r"lobes\[0\].*did you mean 'auto'"),
+        (["auto", "ggx"], {}, "auto beside a lobe.*auto alone"),
         (["gaussian", "ggx"], {"refractive_index": "fitted"}, "two lobes with fit.refractive_index: fitted"),
     ],
 )
 def test_a_definition_is_checked_before_anything_is_fitted(lobes, changed, message):
     loaded = load_definitions(read_yaml(ROOT / "config/config.yaml"), ROOT)
     settings_of_fit, definition = loaded.config.fit, next(iter(loaded.objects.values()))
-    check_lobes(replace(definition, lobes=("gaussian", "ggx")), settings_of_fit, "object.yaml")
+    for fine in (("gaussian", "ggx"), ("auto",)):
+        check_lobes(replace(definition, lobes=fine), settings_of_fit, "object.yaml")
     with pytest.raises(InputError, match=message):
         check_lobes(replace(definition, lobes=tuple(lobes)), replace(settings_of_fit, **changed), "object.yaml")

@@ -78,3 +78,14 @@ def test_measured_materials_are_fitted_to_the_minimum_and_better_than_by_lambert
         for model in materials.MODELS[1:]:
             off = (fitted[model].predicted - part.response)[0, part.trusted[0]]
             assert np.sum(off**2) <= 1.0001 * materials.peer(part, model, 0, starts=8)
+
+
+@needs_data
+@pytest.mark.parametrize("name", materials.CORNELL[1:])
+def test_halves_of_the_photographs_of_a_measured_paint_are_seldom_called_ok_and_differ(name):
+    found = materials.halves(name, "ggx", 16, 1500, seed=5)
+    for parameter in ("alpha", "beta", "mu"):
+        assert found["ok"] * (1.0 - found[parameter]) < 0.02, parameter
+    # Equation (5) denies these paints, and says so.
+    assert materials.halves(name, "gaussian", 16, 1500, seed=5)["ok"] < 0.02
+    assert materials.halves(name, "gaussian", 64, 300, seed=5)["ok"] < 0.005

@@ -1,6 +1,7 @@
 rule compress_reflectance:
     input:
         tiles=sets.fitted_tiles,
+        lobes=sets.lobe_choice,
         user_files=ancient(sets.tables_of_index),
         calibration=sets.camera_file("results/cameras/{camera}/calibration.h5"),
     output:

@@ -23,6 +23,6 @@ rule prepare_environment:
         room_charts=lookup(within=config, dpath="environments/{environment}/room_charts", default={}),
         lobes=sets.lobes(),
         user_files=ledger.content(sets.files_of_light),
-        code=code_hash("irodori.light.stage"),
+        code=code_hash("irodori.light.stage", "irodori.config.cross_checks.object_lobes"),
     script:
         "../scripts/prepare_environment.py"

@@ -1,6 +1,33 @@
+# One job an object, before its tiles are fitted: all of them have the same lobes.
+rule choose_lobes:
+    input:
+        observations=sets.observed_tiles,
+        user_files=ancient(sets.tables_of_index),
+        calibration=sets.calibration_of_index,
+    output:
+        choice="results/{object}/lobes.h5",
+    log:
+        "results/logs/choose_lobes/{object}.log",
+    benchmark:
+        "results/benchmarks/choose_lobes/{object}.tsv"
+    conda:
+        "../../envs/irodori.yaml"
+    threads: 1
+    resources:
+        mem_mb=lambda wildcards, attempt: 2000 * attempt,
+    params:
+        fit=lookup(within=config, dpath="fit"),
+        refractive_index=lookup(within=config, dpath="objects/{object}/refractive_index"),
+        user_files=ledger.content(sets.tables_of_index),
+        code=code_hash("irodori.fitting.lobe_stage", "irodori.spectra.published"),
+    script:
+        "../scripts/choose_lobes.py"
+
+
 rule fit_brdf:
     input:
         observations="results/{object}/observations/tile-{tile}.h5",
+        lobes=sets.lobe_choice,
         user_files=ancient(sets.tables_of_index),
         calibration=sets.calibration_of_index,
     output:
@@ -20,7 +47,7 @@ rule fit_brdf:
         lobes=lookup(within=config, dpath="objects/{object}/lobes"),
         refractive_index=lookup(within=config, dpath="objects/{object}/refractive_index"),
         user_files=ledger.content(sets.tables_of_index),
-        code=code_hash("irodori.fitting.stage", "irodori.spectra.published"),
+        code=code_hash("irodori.fitting.stage", "irodori.material.lobe_choices", "irodori.spectra.published"),
     script:
         "../scripts/fit_brdf.py"
 
@@ -30,6 +57,7 @@ rule share_gloss:
     input:
         observations=sets.observed_tiles,
         tiles=sets.own_tiles,
+        lobes=sets.lobe_choice,
         user_files=ancient(sets.tables_of_index),
         calibration=sets.calibration_of_index,
     output:
@@ -48,6 +76,6 @@ rule share_gloss:
         lobes=lookup(within=config, dpath="objects/{object}/lobes"),
         refractive_index=lookup(within=config, dpath="objects/{object}/refractive_index"),
         user_files=ledger.content(sets.tables_of_index),
-        code=code_hash("irodori.fitting.paint_stage", "irodori.spectra.published"),
+        code=code_hash("irodori.fitting.paint_stage", "irodori.material.lobe_choices", "irodori.spectra.published"),
     script:
         "../scripts/share_gloss.py"

@@ -1,5 +1,6 @@
 from irodori.config.parts import Surface
 from irodori.core.run_rule import run_rule
+from irodori.material.lobe_choices import read_choice
 from irodori.material.principal_components.basis_count import CompressOptions
 from irodori.material.stage import compress_reflectance
 
@@ -11,5 +12,6 @@ with run_rule(snakemake) as provenance:
         snakemake.output.material,
         options=CompressOptions(**snakemake.params.compress),
         lights=snakemake.params.lights,
+        lobe_choice=read_choice(snakemake.input.lobes),
         provenance=provenance,
     )

@@ -1,13 +1,16 @@
+from irodori.config.cross_checks.object_lobes import AUTO
 from irodori.config.models import Chart, IrradianceMap, Size
 from irodori.config.parts import typed_source
 from irodori.core.run_rule import run_rule
 from irodori.light.stage import make_environment, prepare_environment
 from irodori.material.principal_components.basis_count import CompressOptions
+from irodori.reflection.registry import names
 
 with run_rule(snakemake) as provenance:
     options = dict(snakemake.params.compress)
     irradiance = IrradianceMap.of(options.pop("irradiance"))
-    gloss = snakemake.params.lobes if options.pop("gloss_maps") else ()
+    lobes = names() if AUTO in snakemake.params.lobes else snakemake.params.lobes
+    gloss = lobes if options.pop("gloss_maps") else ()
     common = snakemake.output.environment, CompressOptions(**options), irradiance, provenance
     source = typed_source(snakemake.params.source)
     image = Size.of(snakemake.params.image) if snakemake.params.image else None

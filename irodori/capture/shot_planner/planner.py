@@ -19,6 +19,7 @@ from irodori.capture.shot_planner.fisher_information import (
     standard_errors,
 )
 from irodori.config.capture_table import Pose
+from irodori.config.cross_checks.object_lobes import AUTO
 from irodori.config.models import AxisLimit, Object, PosePlan, Rig, RigLimits, SensorOptions
 from irodori.config.parts import PlannedObject
 from irodori.geometry.rig_frame import to_camera, to_light
@@ -76,10 +77,13 @@ class MaterialRange:
 
     @classmethod
     def from_definition(cls, definition: Object | PlannedObject) -> "MaterialRange":
-        """Return the range of an object's validated definition: ``plan``, ``refractive_index`` and ``lobes``."""
+        """Return the range of an object's validated definition: ``plan``, ``refractive_index`` and ``lobes``.
+
+        Lobes that photographs are to choose are planned for as equation (5)'s.
+        """
         n, k = refractive_index_at(definition.refractive_index)
-        plan = definition.plan
-        return cls(alpha=plan.alpha, beta=plan.beta, mu_rad=plan.mu_rad, n=n, k=k, lobes=definition.lobes)
+        plan, lobes = definition.plan, DEFAULT_LOBES if AUTO in definition.lobes else definition.lobes
+        return cls(alpha=plan.alpha, beta=plan.beta, mu_rad=plan.mu_rad, n=n, k=k, lobes=lobes)
 
     def at(self, unit: np.ndarray) -> Materials:
         """Return the materials at points of the unit cube, (m, 3)."""

@@ -4,6 +4,8 @@ from irodori.config.models import Fit, ModelledMaterial, Object
 from irodori.config.validation import suggest
 from irodori.core.errors import InputError
 
+#: In place of lobes: those that predict left-out photographs best.
+AUTO = "auto"
 #: Settings of the fit that an object with two lobes must leave as they are.
 SETTINGS_WITH_TWO_LOBES = {"solver": "varpro", "refractive_index": "fixed"}
 
@@ -18,6 +20,8 @@ def check_lobes(definition: Object, fit: Fit, file) -> None:
     _check_names(definition, file)
     if len(definition.lobes) == 1:
         return
+    if AUTO in definition.lobes:
+        raise InputError(file, "lobes", f"{AUTO} beside a lobe", f"{AUTO} alone, or one or two lobes")
     for key, accepted in SETTINGS_WITH_TWO_LOBES.items():
         found = getattr(fit, key)
         if found != accepted:
@@ -25,16 +29,21 @@ def check_lobes(definition: Object, fit: Fit, file) -> None:
 
 
 def _check_names(definition: Object, file) -> None:
-    named = {f"lobes[{place}]": name for place, name in enumerate(definition.lobes)}
+    named = {f"lobes[{place}]": name for place, name in enumerate(definition.lobes) if name != AUTO}
     for m, material in enumerate(definition.virtual.materials if definition.virtual else ()):
         if isinstance(material, ModelledMaterial):
             named[f"virtual.materials[{m}].lobe"] = material.lobe
             for c, further in enumerate(material.further_gloss):
                 named[f"virtual.materials[{m}].further_gloss[{c}].lobe"] = further.lobe
-    if set(named.values()) == set(Object.lobes):  # the default, which is registered
+    if set(named.values()) <= set(Object.lobes):  # the default, which is registered
         return
     from irodori.reflection.registry import names  # with the compiler behind it, which most configurations do not need
 
     for place, name in named.items():
         if name not in names():
-            raise InputError(file, place, repr(name), suggest(name, names(), "lobes"))
+            raise InputError(
+                file,
+                place,
+                repr(name),
+                suggest(name, (*names(), AUTO) if place.startswith("lobes") else names(), "lobes"),
+            )

@@ -1,0 +1,159 @@
+"""Choice of an object's lobes by cross-validation over photographs.
+
+With equation (5), with each other lobe, and with sums of two, a sample of texels is fitted to all photographs but some,
+which are then predicted. What is wrong with a photograph is wrong in all its texels, so photographs are left out whole,
+and only photographs count as independent. The simplest candidate whose predictions lie within one standard error of the
+best is taken (Breiman et al., *Classification and Regression Trees*, 1984; here of the difference between the two).
+"""
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from itertools import combinations_with_replacement
+
+import numpy as np
+
+from irodori.config.cross_checks.object_lobes import SETTINGS_WITH_TWO_LOBES
+from irodori.fitting.solvers import MAX_LOBES, FitOptions, FitResult, fit
+from irodori.material.lobe_choices import LeftOut
+from irodori.reflection.fresnel import fresnel_array
+from irodori.reflection.lobe_arrays import evaluate
+from irodori.reflection.registry import DEFAULT_LOBES, names
+
+MOST_TEXELS = 256  # of an object; a choice costs about a millisecond of processor time for each
+ENOUGH_OBSERVATIONS = 8  # of a texel that tells lobes apart, where an object has such texels
+_FOLDS = 8
+_LEAST_VARIANCE = 1e-8  # of a texel's mean square response
+_NORMAL_MEDIAN = 0.6744897501960817  # of the size of a standard normal variable
+
+
+@dataclass(frozen=True)
+class Sample:
+    """Green-band observations of texels, as `irodori.fitting.solvers.fit` takes them.
+
+    Parameters
+    ----------
+    response, weight : (texels, J) float
+    geometry : (texels, J, 4) float
+        θ_i, θ_r, θ_H, φ in rad.
+    noise : (J, 2) float
+        c0 and c1 of a response's variance; NaN where not known.
+    n, k : float
+        Complex refractive index.
+    """
+
+    response: np.ndarray
+    weight: np.ndarray
+    geometry: np.ndarray
+    noise: np.ndarray
+    n: float
+    k: float
+
+
+def candidates(options: FitOptions) -> list[tuple[str, ...]]:
+    """Return all lobes, those of equation (5) first, then all sums of two if the options allow them."""
+    single = sorted(names(), key=lambda name: (name,) != DEFAULT_LOBES)
+    several = all(getattr(options, name) == value for name, value in SETTINGS_WITH_TWO_LOBES.items())
+    most = MAX_LOBES if several else 1
+    return [chosen for count in range(1, most + 1) for chosen in combinations_with_replacement(single, count)]
+
+
+def choose(
+    sample: Sample, options: FitOptions, tried: Iterable[tuple[str, ...]]
+) -> tuple[tuple[str, ...], list[LeftOut]]:
+    """Return the lobes that are taken, and how all candidates predict photographs that were left out.
+
+    Parameters
+    ----------
+    sample : Sample
+    options : FitOptions
+        Whose lobes count for nothing. The refractive index is taken as given.
+    tried : iterable of tuple of str
+        Candidates, the simplest first.
+    """
+    tried = list(tried)
+    errors = [left_out_errors(sample, replace(options, lobes=lobes)) for lobes in tried]
+    deviations = [_deviation(error) for error in errors]
+    scale = max(1.0, min((one for one in deviations if one > 0.0), default=1.0))
+    losses = np.array([_by_photograph(error / scale) for error in errors])
+    mean = losses.mean(axis=1) if losses.shape[1] else np.zeros(len(tried))
+    behind = losses - losses[int(mean.argmin())]
+    count = behind.shape[1]
+    spread = behind.std(axis=1, ddof=1) / math.sqrt(count) if count > 1 else np.zeros(len(tried))
+    found = [
+        LeftOut(lobes, deviation, float(gap), float(scatter))
+        for lobes, deviation, gap, scatter in zip(tried, deviations, mean - mean.min(), spread, strict=True)
+    ]
+    return next(one.lobes for one in found if one.behind <= one.behind_error or one.behind == 0.0), found
+
+
+def _by_photograph(errors: np.ndarray) -> np.ndarray:
+    """Return the mean log(1 + z²) of every photograph that was predicted: no single reading decides."""
+    seen = np.isfinite(errors)
+    total = np.where(seen, np.log1p(np.where(seen, errors, 0.0) ** 2), 0.0).sum(axis=0)
+    return total[seen.any(axis=0)] / seen.sum(axis=0)[seen.any(axis=0)]
+
+
+def _deviation(errors: np.ndarray) -> float:
+    known = np.abs(errors[np.isfinite(errors)])
+    return float(np.median(known)) / _NORMAL_MEDIAN if known.size else math.nan
+
+
+def left_out_errors(sample: Sample, options: FitOptions) -> np.ndarray:
+    """Return every reading's error, predicted from other photographs, in stated standard deviations, (texels, J).
+
+    NaN where a reading has no weight.
+    """
+    fixed = replace(options, refractive_index="fixed")
+    weight, out = np.asarray(sample.weight), np.full(sample.response.shape, np.nan)
+    fold = np.arange(weight.shape[1]) % min(_FOLDS, weight.shape[1])
+    for number in range(fold.max(initial=-1) + 1):
+        here = fold == number
+        kept = np.where(here, 0.0, weight).astype(weight.dtype)
+        result = fit(sample.response, sample.geometry, kept, sample.n, sample.k, fixed, noise=sample.noise)
+        expected = predicted(sample, result, replace(sample, weight=kept), fixed)
+        errors = (sample.response - expected) / np.sqrt(_variance(sample, np.fmax(expected, sample.response), fixed))
+        held = here & (weight > 0.0) & np.isfinite(errors)
+        out[held] = errors[held]
+    return out
+
+
+def _variance(sample: Sample, response: np.ndarray, options: FitOptions) -> np.ndarray:
+    """Return the variance that noise and light give responses; where noise is not known, light alone."""
+    noise = np.nan_to_num(sample.noise.astype(np.float64))
+    power = np.mean(np.where(sample.weight > 0.0, sample.response.astype(np.float64) ** 2, 0.0), axis=1)[:, None]
+    own = noise[:, 0] + noise[:, 1] * np.maximum(response, 0.0) + (options.model_error * response) ** 2
+    return own + _LEAST_VARIANCE * power + np.finfo(float).tiny
+
+
+def predicted(sample: Sample, result: FitResult, fitted: Sample, options: FitOptions) -> np.ndarray:
+    """Return responses, (texels, J), by a fit's gloss and the α that goes with it, whether or not the fit states them.
+
+    Parameters
+    ----------
+    sample, fitted : Sample
+        Whose responses are asked for, and what was fitted, of the same texels.
+    result : FitResult
+    options : FitOptions
+        Of the fit.
+    """
+    cosine, gloss = _terms(fitted, result)
+    seen = fitted.weight > 0.0
+    weight = np.where(seen, fitted.weight, 0.0)
+    if options.weights == "noise" and np.isfinite(fitted.noise).all():
+        weight = weight / _variance(fitted, fitted.response, options)
+    power = (weight * cosine**2).sum(axis=1)
+    rest = np.where(seen, weight * cosine * (fitted.response - gloss), 0.0).sum(axis=1)
+    alpha = rest / np.where(power > 0.0, power, 1.0)
+    cosine, gloss = _terms(sample, result)
+    return np.clip(alpha, *options.limits("alpha"))[:, None] * cosine + gloss
+
+
+def _terms(sample: Sample, result: FitResult) -> tuple[np.ndarray, np.ndarray]:
+    """Return cosθ_i where light and eye are on the outer side, else 0, and the gloss, (texels, J) each."""
+    angles = sample.geometry.astype(np.float64)
+    lit, gloss = (angles[..., :2] < 0.5 * np.pi).all(axis=-1), np.zeros(angles.shape[:2])
+    for component, name in enumerate(result.lobes):
+        beta, mu = result.gloss[:, 2 * component, None], result.gloss[:, 2 * component + 1, None]
+        gloss += beta * evaluate(name, mu, angles)
+    return np.where(lit, np.cos(angles[..., 0]), 0.0), gloss * fresnel_array(np.cos(angles[..., 2]), sample.n, sample.k)

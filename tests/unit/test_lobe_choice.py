@@ -1,0 +1,158 @@
+"""Lobes that photographs choose: those that made them, by what is predicted of photographs left out."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_fitting import K, N
+from test_fitting_two_lobes import ANGLES, COSINE, NOISE, responses, two_components
+from test_measured_materials import needs_data
+from test_paints import OPTICS, PROVENANCE, SIDE, photographed, sphere, write_tile
+
+from benchmarks import materials
+from irodori.fitting.lobe_choice import Sample, candidates, choose, left_out_errors
+from irodori.fitting.lobe_stage import choose_lobes
+from irodori.fitting.paint_stage import share_gloss
+from irodori.fitting.solvers import FitOptions
+from irodori.fitting.stage import fit_brdf
+from irodori.material.fitted_tiles import FittedTiles
+from irodori.material.lobe_choices import LeftOut, chosen_lobes, read_choice
+from irodori.reflection import registry
+from irodori.reflection.fresnel import fresnel_array
+from irodori.reflection.lobe_arrays import evaluate
+from irodori.report import html_page
+
+TEXELS, POSES = 24, slice(0, 60, 2)
+OPTIONS = FitOptions(model_error=0.005)
+ALL = candidates(OPTIONS)
+
+
+def sample_of(clean, seed=2, drift=0.005) -> Sample:
+    """Photographs of texels, each photograph's light off by a common factor."""
+    rng, clean, noise = np.random.default_rng(seed), clean[:, POSES], NOISE[POSES]
+    gain = 1.0 + drift * rng.normal(size=clean.shape[1])
+    response = clean * gain + np.sqrt(noise[:, 0] + noise[:, 1] * clean) * rng.normal(size=clean.shape)
+    angles = np.broadcast_to(ANGLES[POSES], (*clean.shape, 4))
+    return Sample(response.astype(np.float32), np.ones(clean.shape, np.float32), angles.astype(np.float32), noise, N, K)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("lobes", ALL, ids="+".join)
+def test_the_lobes_that_made_the_photographs_are_chosen(lobes, seed):
+    alpha, broad, narrow = two_components(TEXELS, seed)
+    parts = [broad] if len(lobes) == 1 else [(2.0 * broad[0], broad[1]), (3.0 * narrow[0], narrow[1])]
+    chosen, found = choose(sample_of(responses(lobes, alpha, *parts), seed), OPTIONS, ALL)
+    assert chosen == lobes
+    assert min(one.behind for one in found) == 0.0
+    right = next(one for one in found if one.lobes == lobes)
+    assert right.deviation < 1.6
+    assert all(one.deviation > 0.9 * right.deviation for one in found)
+
+
+def test_a_matt_object_takes_the_simplest():
+    chosen, found = choose(sample_of(np.linspace(0.1, 0.8, TEXELS)[:, None] * COSINE), OPTIONS, ALL)
+    assert chosen == ("gaussian",) and all(one.behind < 0.05 for one in found)
+
+
+def test_one_bad_photograph_changes_no_choice():
+    alpha, broad, _ = two_components(TEXELS, 4)
+    for lobes in (("gaussian",), ("ggx",)):
+        clean = responses(lobes, alpha, broad)
+        clean[:, 14] *= 0.3
+        assert choose(sample_of(clean), OPTIONS, ALL)[0] == lobes
+
+
+def test_a_prediction_knows_nothing_of_what_is_left_out_with_it():
+    alpha, broad, _ = two_components(TEXELS, 5)
+    plain = sample_of(responses(["gaussian"], alpha, broad))
+    spoiled = plain.response.copy()
+    spoiled[:, 3] *= 2.0
+    before, after = (left_out_errors(one, OPTIONS) for one in (plain, replace(plain, response=spoiled)))
+    # Of the same fold; the floor of the variance alone knows all readings.
+    np.testing.assert_allclose(before[:, 11], after[:, 11], rtol=1e-4)
+    assert (np.abs(before[:, 12] / after[:, 12] - 1) > 0.01).mean() > 0.9
+    assert (after[:, 3] > before[:, 3]).all()
+
+
+def test_readings_without_weight_are_not_judged():
+    alpha, broad, _ = two_components(TEXELS, 6)
+    plain = sample_of(responses(["gaussian"], alpha, broad))
+    plain.weight[:, 7], plain.response[:, 7] = 0.0, np.nan
+    errors = left_out_errors(plain, OPTIONS)
+    assert np.isnan(errors[:, 7]).all() and np.isfinite(np.delete(errors, 7, axis=1)).all()
+    assert choose(plain, OPTIONS, ALL)[0] == ("gaussian",)
+
+
+def test_nothing_seen_takes_the_simplest():
+    nothing = Sample(np.zeros((0, 8)), np.zeros((0, 8)), np.zeros((0, 8, 4)), NOISE[:8], N, K)
+    chosen, found = choose(nothing, OPTIONS, ALL[:2])
+    assert chosen == ("gaussian",) and np.isnan([one.deviation for one in found]).all()
+
+
+def test_a_lobe_that_registers_takes_part_alone_and_in_sums(monkeypatch):
+    monkeypatch.setitem(registry._LOBES, "bent", replace(registry.lobe("ggx"), name="bent"))
+    found = candidates(OPTIONS)
+    assert found[:3] == [("gaussian",), ("bent",), ("ggx",)]
+    assert set(found[3:]) == {
+        ("gaussian", "gaussian"), ("gaussian", "bent"), ("gaussian", "ggx"), ("bent", "bent"), ("bent", "ggx"),
+        ("ggx", "ggx"),
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("setting", [{"solver": "nlopt"}, {"refractive_index": "fitted"}])
+def test_sums_are_not_tried_where_the_fit_cannot_have_them(setting):
+    assert candidates(replace(OPTIONS, **setting)) == [("gaussian",), ("ggx",)]
+
+
+def ggx_sphere():
+    """A sphere with GGX facets, as `test_paints.photographed` photographs one of equation (5)."""
+    seen = photographed(np.tile((0.5, 0.3, 0.2), (SIDE * SIDE, 1)), 0.0, 0.15, sphere())
+    wide = 3.0 * fresnel_array(np.cos(sphere()[..., 2]), N, K) * evaluate("ggx", 0.2, sphere())
+    return replace(seen, response=seen.response + wide[..., None])
+
+
+def test_the_choice_of_an_object_is_one_for_its_tiles_and_is_kept(tmp_path):
+    seen, files = ggx_sphere(), {"observations": [], "tiles": []}
+    for number, (first, last) in enumerate([(0, 12), (12, SIDE)]):
+        files["observations"].append(tmp_path / f"seen-{number}.h5")
+        write_tile(files["observations"][-1], seen[first * SIDE : last * SIDE], [first, last])
+    choice = tmp_path / "lobes.h5"
+    choose_lobes(files["observations"], choice, OPTICS.options, N, K, provenance=PROVENANCE)
+    assert chosen_lobes(["auto"], [choice]) == ("ggx",)
+    assert [one.lobes for one in read_choice([choice])] == candidates(OPTICS.options)
+    assert next(one for one in read_choice([choice]) if one.lobes == ("ggx",)).deviation < 1.5
+    assert chosen_lobes(["gaussian"], []) == ("gaussian",) and read_choice([]) == []
+
+
+def test_two_lobes_that_were_chosen_keep_each_texels_own_gloss(tmp_path):
+    seen, options = ggx_sphere(), replace(OPTICS.options, lobes=("gaussian", "ggx"))
+    write_tile(tmp_path / "seen.h5", seen, [0, SIDE])
+    fit_brdf(tmp_path / "seen.h5", tmp_path / "own.h5", options, N, K, provenance=PROVENANCE)
+    files = [tmp_path / "seen.h5"], [tmp_path / "own.h5"], tmp_path / "surface.h5"
+    share_gloss(*files, options, N, K, provenance=PROVENANCE)
+    names = ("alpha", "beta", "mu", "beta_2", "mu_2", "status", "paint")
+    own, shared = (next(FittedTiles([path], SIDE, SIDE).read(*names))[1] for path in (files[1][0], files[2]))
+    for name in names:
+        np.testing.assert_array_equal(own[name], shared[name])
+
+
+@pytest.mark.parametrize("figures", [[], [LeftOut(("gaussian",), 2.5, 0.25, 0.125), LeftOut(("ggx",), 1.25, 0.0, 0.0)]])
+def test_the_report_shows_a_choice_and_no_table_without_one(figures):
+    source = html_page._TEMPLATES.loader.get_source(html_page._TEMPLATES, "objects.html.j2")[0]
+    template = html_page._TEMPLATES.from_string(source.replace('{% include "compression.html.j2" %}', ""))
+    numbers = ("texels_fitted", "fit_seconds", "observed_fraction", "negative_fraction", "reflectance_error_median")
+    errors = dict.fromkeys((*numbers, "out_of_training_fraction"), 1.0)
+    errors |= {"compression": {}, "lobe_choice": [{**vars(one), "lobes": list(one.lobes)} for one in figures]}
+    shown = {"name": "jar", "errors": errors, "stored": "", "maps": "", "spectra": "", "bases": 3, "gloss": ""}
+    page = template.render(objects=[shown | {"lobes": ["ggx"]}])
+    assert ("ggx (in use)" in page, "gaussian</td><td>2.50</td><td>0.250</td><td>0.125" in page) == (bool(figures),) * 2
+
+
+@needs_data
+@pytest.mark.parametrize("name", materials.CORNELL[1:])
+def test_lobes_chosen_by_half_of_the_directions_predict_the_other_half_better_than_equation_5(name):
+    found = {row["lobes"]: row for row in materials.choices(name)}
+    chosen = next(row for row in found.values() if row["chosen"])
+    assert chosen["lobes"] != "gaussian"
+    for figure in ("held_out_rms", "held_out_median"):
+        assert chosen[figure] < 0.85 * found["gaussian"][figure]
