@@ -36,8 +36,8 @@ def render_view(
 ) -> None:
     """Render a view from files into an EXR, a PNG and a JSON of figures.
 
-    The EXR holds spectra, or XYZ where a plan does not carry them. Nothing is written of a picture whose check against
-    its plan's tolerance fails.
+    The EXR holds spectra, or XYZ where a plan does not carry them. With ``check`` the figures have the picture's
+    distance to the path-traced one, and nothing is written of a picture that does not keep its plan's tolerance.
     """
     plan = read_yaml(plan_file) if plan_file else None
     display = make_display(scene.display.device)
@@ -54,6 +54,7 @@ def render_view(
         tiles_folder=Path(exr).with_suffix(".tiles"),
         plan=plan,
         check=check,
+        distance=check,
     )
     matrix = xyz_from_radiance(white)
     white_xyz = matrix @ white
