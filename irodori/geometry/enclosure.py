@@ -1,4 +1,4 @@
-"""Whether a placed shape encloses a point: balls, and meshes without a gap."""
+"""Test of a point against a placed shape: balls, and meshes without a gap, enclose it or not."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""What encloses a point, and the refusal of an eye inside a thing."""
+"""Points inside balls and closed meshes, and the refusal of an eye inside a thing."""
 
 from dataclasses import replace
 
