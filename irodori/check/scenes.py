@@ -10,9 +10,11 @@ from irodori.check.findings import Finding
 from irodori.config.loaded import Loaded
 from irodori.config.models import Body, OrthographicView, PerspectiveView, PlacedObject, Scene, Size, View
 from irodori.core.errors import InputError
+from irodori.geometry.enclosure import encloses
 from irodori.geometry.rig_frame import look_at, rotation_xyz
 from irodori.geometry.shapes.placement import Placement
 from irodori.geometry.shapes.shape import Shape
+from irodori.rendering.eyes import eye_inside
 
 _POINTS = 400
 #: Parts of a thing's reach: deeper in another one it stands in it, farther from all others it floats. Points stand for
@@ -36,6 +38,9 @@ def of_scene(loaded: Loaded, name: str) -> Iterator[Finding]:
             where = f"a view from {_point(view.position_mm)} towards {_point(view.target_mm)}"
             found = f"{file}: views.{label}: found {where} that sees none of {', '.join(things)}"
             yield Finding(True, f"{found}; accepted: one that sees something (are all positions in mm?).")
+        for thing, placement in things.items():
+            if isinstance(view, PerspectiveView) and encloses(placement, np.array(view.position_mm)):
+                yield Finding(True, str(InputError(file, *eye_inside(label, thing))))
     yield from _of_places(things, file)
 
 

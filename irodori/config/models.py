@@ -1268,8 +1268,8 @@ class Scene(Definition):
     #: How the picture is computed.
     integrator: Integrator = ReferenceIntegrator()
 
-    #: Colour error that 99 of 100 pixels may have to the full model (CIEDE2000); a plan is made within it. Everything
-    #: is modelled where absent.
+    #: Colour error that 99 of 100 pixels of objects may have to path tracing (CIEDE2000); a plan is made within it.
+    #: Everything is modelled where absent.
     tolerance_ciede2000: float | None = None
 
     #: Decisions taken out of the plan's hands; needs tolerance_ciede2000.

@@ -2,10 +2,11 @@
 
 import time
 from abc import ABC, abstractmethod
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 
+from irodori.colour.colorimetry import xyz_from_radiance
 from irodori.config.models import InteractiveIntegrator, ReferenceIntegrator, Render, Scene
 from irodori.core.progress import LOGGER
 from irodori.geometry.embree import Tracer
@@ -14,6 +15,7 @@ from irodori.light.environment_file import Environment
 from irodori.material.material_file import Material
 from irodori.rendering.frame_state import STILL, Moment, turned_scene
 from irodori.rendering.scene_arrays import make_objects, make_placements, make_view
+from irodori.rendering.scene_white import scene_white
 from irodori.spectra.published import refractive_index, spectrum
 
 #: Options where a configuration gives none.
@@ -33,6 +35,7 @@ def render_image(
     tiles_folder=None,
     plan: dict | None = None,
     check: bool = True,
+    distance: bool = False,
 ) -> tuple[np.ndarray, dict]:
     """Render a view of a scene.
 
@@ -48,14 +51,18 @@ def render_image(
     plan : dict, optional
         What to model, see `irodori.rendering.planning`; everything where absent.
     check : bool
-        Whether a planned picture is checked against the full model.
+        Whether a planned picture is checked: one of the integrator `interactive` against the full model, one of
+        `reference` by ``distance``.
+    distance : bool
+        Whether the picture's distance to the path-traced one is measured, `irodori.rendering.reference.distance`, and a
+        picture refused that does not keep its plan's tolerance.
 
     Returns
     -------
     radiance : (height, width, 61) float32; by a plan without all bands (height, width, 3) XYZ, Y = 100 its white
     figures : dict
         Integrator, seconds, pixels and rays or paths per second, share of filled texels by object; of the `reference`
-        integrator the standard error of the pixels too.
+        integrator the standard error of the pixels too; ``delta_e_to_reference`` where the distance is measured.
 
     Raises
     ------
@@ -66,9 +73,16 @@ def render_image(
     """
     scene = with_planned_samples(scene, plan)
     renderer = make_renderer(scene, shapes, materials, environment, options)
-    if plan is None:
-        return renderer.picture(view_name, tiles_folder=tiles_folder)
-    return _planned(renderer, view_name, plan, check, tiles_folder)
+    if plan is None or renderer.kind == "reference":
+        picture, figures = renderer.picture(view_name, tiles_folder=tiles_folder)
+    else:
+        picture, figures = _planned(renderer, view_name, plan, check)
+    if plan is not None and renderer.kind == "reference":
+        figures["plan"] = {name: plan[name] for name in ("tolerance_ciede2000", "predicted_delta_e")}
+        distance = distance or check
+    if distance:
+        figures["delta_e_to_reference"] = _to_reference(renderer, view_name, picture, plan)
+    return picture, figures
 
 
 def with_planned_samples(scene: Scene, plan: dict | None) -> Scene:
@@ -83,21 +97,35 @@ def has_ambient(scene: Scene) -> bool:
     return not isinstance(scene.integrator, InteractiveIntegrator) or scene.integrator.ambient
 
 
-def _planned(renderer: "Renderer", view_name: str, plan: dict, check: bool, folder) -> tuple[np.ndarray, dict]:
+def _planned(renderer: "Renderer", view_name: str, plan: dict, check: bool) -> tuple[np.ndarray, dict]:
     """Render a view by a plan, see `irodori.rendering.planning`, which is loaded only where it is asked for."""
-    scene, placements = renderer.scene, make_placements(renderer.scene, renderer.shapes)
-    if renderer.kind == "interactive":
-        from irodori.rendering.planning.planned_picture import parts_of, render_planned
+    from irodori.rendering.planning.planned_picture import parts_of, render_planned
 
-        parts = parts_of(scene, renderer.objects, renderer.environment, Tracer(placements))
-        return renderer.described(*render_planned(scene, view_name, parts, renderer.options, plan, check))
-    picture, figures = renderer.picture(view_name, tiles_folder=folder)
-    if check:
-        from irodori.rendering.planning.paths_per_pixel import check_reference
+    scene, tracer = renderer.scene, Tracer(make_placements(renderer.scene, renderer.shapes))
+    parts = parts_of(scene, renderer.objects, renderer.environment, tracer)
+    return renderer.described(*render_planned(scene, view_name, parts, renderer.options, plan, check))
 
-        own = renderer.objects, renderer.environment
-        figures["plan"] = check_reference(scene, view_name, placements, *own, radiance=picture, plan=plan)
-    return picture, figures
+
+def _to_reference(renderer: "Renderer", view_name: str, picture: np.ndarray, plan: dict | None) -> dict:
+    """Return how far a picture, bands or XYZ, is from the path-traced one; refuse it where a plan tolerates less."""
+    from irodori.rendering.reference.converging_picture import make_scene
+    from irodori.rendering.reference.distance import distance_to_reference, object_pixels
+
+    start, scene = time.perf_counter(), renderer.scene
+    placements, view = make_placements(scene, renderer.shapes), make_view(scene.views[view_name], scene.image)
+    traced = make_scene(placements, renderer.objects, renderer.environment, scene.lights)
+    white, _ = scene_white(scene, renderer.environment)
+    matrix = xyz_from_radiance(white)
+    pixels = object_pixels(traced.tracer, view, len(placements))
+    shown = picture[pixels[:, 1], pixels[:, 0]].astype(np.float64)
+    shown = shown if picture.shape[-1] == 3 else shown @ matrix.T
+    found = distance_to_reference(traced, view, pixels, shown, matrix, matrix @ white)
+    LOGGER.info("to reference: CIEDE2000 mean %.3g, p99 %.3g, at %d pixels", found.mean, found.p99, found.count)
+    if plan is not None:
+        from irodori.rendering.planning.planned_check import refuse_far
+
+        refuse_far(found, plan, view_name)
+    return {**asdict(found), "seconds": time.perf_counter() - start}
 
 
 def make_renderer(

@@ -1,4 +1,4 @@
-"""One-pixel views, to render chosen pixels of a large picture."""
+"""One-pixel views, and rays, of chosen points of a large picture."""
 
 import numpy as np
 
@@ -43,6 +43,24 @@ def sheared_view(view: View, x: float, y: float) -> View:
     return view._replace(world_from_camera=np.ascontiguousarray(axes), width=1, height=1)
 
 
-def _from_axis(view: View, x: float, y: float) -> np.ndarray:
-    """Return how far a point of the picture lies from its middle: slopes, or mm of parallel rays, (2,)."""
+def middle_rays(view: View, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return origins and directions, (n, 3) each, of the rays of a view's points through the middle of its lens.
+
+    Parameters
+    ----------
+    view : View
+    places : (n, 2) float
+        In pixels from the upper left corner.
+    """
+    sides, (x, y) = view.world_from_camera[:, :2], np.asarray(places, dtype=np.float64).T
+    across, middle = _from_axis(view, x, y).T @ sides.T, np.broadcast_to(view.position_mm, (x.size, 3))
+    forward = np.broadcast_to(view.world_from_camera[:, 2], (x.size, 3))
+    if view.kind == ORTHOGRAPHIC:
+        return middle + across, forward.copy()
+    away = across + forward
+    return middle.copy(), away / np.linalg.norm(away, axis=1, keepdims=True)
+
+
+def _from_axis(view: View, x, y) -> np.ndarray:
+    """Return how far points of the picture lie from its middle: slopes, or mm of parallel rays, (2, ...)."""
     return np.array([x - 0.5 * view.width, y - 0.5 * view.height]) / view.focal_px

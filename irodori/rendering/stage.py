@@ -16,6 +16,7 @@ from irodori.export.pictures import read_xyz, write_display_picture, write_spect
 from irodori.geometry.shapes.shape import Shape
 from irodori.light.environment_file import Environment
 from irodori.material.material_file import Material
+from irodori.rendering.eyes import refuse_enclosed_eye
 from irodori.rendering.integrators import render_image
 from irodori.rendering.scene_white import scene_white, shown_white
 
@@ -36,24 +37,32 @@ def render_view(
 ) -> None:
     """Render a view from files into an EXR, a PNG and a JSON of figures.
 
-    The EXR holds spectra, or XYZ where a plan does not carry them. Nothing is written of a picture whose check against
-    its plan's tolerance fails.
+    The EXR holds spectra, or XYZ where a plan does not carry them. With ``check`` the figures have the picture's
+    distance to the path-traced one, and nothing is written of a picture that does not keep its plan's tolerance.
+
+    Raises
+    ------
+    InputError
+        If the view's eye is inside a thing, or there is no light to see by.
     """
     plan = read_yaml(plan_file) if plan_file else None
     display = make_display(scene.display.device)
+    placed = [Shape.from_definition(shape) for shape in shapes]
+    refuse_enclosed_eye(scene, view_name, placed)
     materials = [Material.load(path) for path in material_files]
     environment = Environment.load(environment_file)
     white, exposure = shown_white(scene, environment, environment_file)
     radiance, figures = render_image(
         scene,
         view_name,
-        [Shape.from_definition(s) for s in shapes],
+        placed,
         materials,
         environment,
         options,
         tiles_folder=Path(exr).with_suffix(".tiles"),
         plan=plan,
         check=check,
+        distance=check,
     )
     matrix = xyz_from_radiance(white)
     white_xyz = matrix @ white

@@ -95,7 +95,7 @@ def render_planned(
         truth = render_pixels(prepare(parts, full, matrix), view, pixels, side, lamps)
         found = picture[pixels[:, 1], pixels[:, 0]].astype(np.float64)
         measured = measure(found @ matrix.T if bands else found, truth, matrix @ parts.white)
-        of_plan |= {"measured_delta_e": asdict(measured), "seconds_to_check": time.perf_counter() - start}
+        of_plan |= {"delta_e_to_full_model": asdict(measured), "seconds_to_check": time.perf_counter() - start}
         LOGGER.info("plan: predicted %.3g, measured %.3g ΔE2000", plan["predicted_delta_e"], measured.p99)
         refuse_above(measured, plan, view_name)
     return picture, figures

@@ -1,6 +1,7 @@
 """Planning stage: a scene, its materials and its light in; ``plan.yaml`` out."""
 
 from collections.abc import Sequence
+from dataclasses import asdict
 
 from irodori.config.models import ObjectShape, ReferenceIntegrator, Render, Scene
 from irodori.config.placed_names import object_names
@@ -12,7 +13,7 @@ from irodori.light.environment_file import Environment
 from irodori.material.material_file import Material
 from irodori.rendering.integrators import has_ambient, with_bodies
 from irodori.rendering.planning.choices import choose
-from irodori.rendering.planning.plan_file import document_of, write_plan
+from irodori.rendering.planning.plan_file import document_of, rounded, write_plan
 from irodori.rendering.planning.planned_picture import parts_of
 from irodori.rendering.scene_arrays import make_objects, make_placements, make_view
 from irodori.rendering.scene_white import scene_white
@@ -44,7 +45,7 @@ def plan_scene(
     Raises
     ------
     InputError
-        If an override cannot be met, or there is no light to see colours by.
+        If an override cannot be met, there is no light to see colours by, or the integrator cannot keep the tolerance.
     """
     document = plan_of(
         scene_name,
@@ -53,6 +54,7 @@ def plan_scene(
         [Material.load(path) for path in material_files],
         Environment.load(environment_file),
         options,
+        to_reference=True,
     )
     write_plan(output, document)
     LOGGER.info(
@@ -64,9 +66,20 @@ def plan_scene(
 
 
 def plan_of(
-    scene_name: str, scene: Scene, shapes: list, materials: list, environment: Environment, options: Render
+    scene_name: str,
+    scene: Scene,
+    shapes: list,
+    materials: list,
+    environment: Environment,
+    options: Render,
+    *,
+    to_reference: bool = False,
 ) -> dict:
-    """Return the content of the plan of a scene; parameters and errors are those of `plan_scene`."""
+    """Return the content of the plan of a scene; parameters and errors are those of `plan_scene`.
+
+    With ``to_reference`` the distance of the full model of the integrator `interactive` to the path-traced picture is
+    taken off the tolerance before anything is decided; otherwise the tolerance is to the full model alone.
+    """
     if not scene_white(scene, environment)[0].any():
         found = "no light on a surface that faces up at the scene's origin"
         raise InputError(f"scene {scene_name}", "tolerance_ciede2000", found, "a white that colours are seen against")
@@ -81,14 +94,22 @@ def plan_of(
 
         return plan_reference(scene_name, scene, placements, objects, environment, views=views)
     parts = parts_of(scene, objects, environment, Tracer(placements))
+    far = None
+    if to_reference:
+        from irodori.rendering.planning.attainable import refuse_unattainable
+
+        far = refuse_unattainable(scene_name, scene, parts, placements, options.pixel_side)
     planner = choose(
         parts,
         [view.finer(options.pixel_side) for view in views],
         object_names(scene),
-        scene.tolerance_ciede2000,
+        scene.tolerance_ciede2000 - (far.p99 if far else 0.0),
         max_bounces=scene.max_bounces,
         ambient=has_ambient(scene),
         overrides=scene.plan,
         where=f"scene {scene_name}",
     )
-    return document_of(scene_name, planner, options.pixel_side)
+    document = document_of(scene_name, planner, options.pixel_side) | {"tolerance_ciede2000": scene.tolerance_ciede2000}
+    if far:
+        document["full_model_delta_e_to_reference"] = rounded(asdict(far))
+    return document

@@ -84,10 +84,16 @@ def make_scene(
 
 def render_rows(scene: TracedScene, view: View, numbers: Numbers, rows: tuple[int, int]) -> Picture:
     """Render a band of rows, on as many threads as numba may use; these do not change the result."""
-    count = rows[1] - rows[0]
-    image, seen = (np.zeros((count, view.width, size), dtype=np.float32) for size in (BANDS, SEEN))
+    return render_places(scene, view, numbers, np.moveaxis(np.mgrid[slice(*rows), : view.width], 0, -1)[..., ::-1])
+
+
+def render_places(scene: TracedScene, view: View, numbers: Numbers, places: np.ndarray) -> Picture:
+    """Render pixels at their places in a view's picture, (rows, width, 2) column and row, as `render_rows` does."""
+    places = np.ascontiguousarray(places, dtype=np.int64)
+    count, width, _ = places.shape
+    image, seen = (np.zeros((count, width, size), dtype=np.float32) for size in (BANDS, SEEN))
     error, difference, cut = np.zeros_like(image), np.zeros_like(image), np.zeros(count, dtype=np.int64)
-    arguments = Sampling(scene.world, view, numbers), Rows(rows[0], image, error, difference, seen, cut)
+    arguments = Sampling(scene.world, view, numbers), Rows(places, image, error, difference, seen, cut)
     run_chunks(resolved(render_some_rows, *arguments, 0, 0), count, 1, *arguments)
     return Picture(image, error, int(cut.sum()), Halves(image, difference, seen) if numbers.replicates == 2 else None)
 

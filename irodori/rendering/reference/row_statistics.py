@@ -27,9 +27,9 @@ class Sampling(NamedTuple):
 
 
 class Rows(NamedTuple):
-    """A band of a picture's rows to fill."""
+    """Pixels of a picture to fill: a band of its rows, or a column of single ones."""
 
-    first: int  # row of the picture
+    places: np.ndarray  # (rows, width, 2) int64 column and row in the picture
     image: np.ndarray  # (rows, width, 61) float32 mean radiance
     error: np.ndarray  # (rows, width, 61) float32 standard error of that mean by the spread of the replicates
     difference: np.ndarray  # (rows, width, 61) float32 half of what the first set's mean is above the last one's
@@ -80,18 +80,19 @@ def _render_pixel(sampling, ray, work, x, y, sums):
 
 @njit(cache=True, nogil=True)
 def render_some_rows(sampling, rows, first, last):
-    """Fill some of `Rows`, ``first`` to ``last`` counted from the band's first, by a `Sampling`."""
+    """Fill some of `Rows`, ``first`` to ``last``, by a `Sampling`."""
     ray, work = new_ray(), new_work(sampling.world)
     sums, count = _Sums(np.empty(BANDS), np.empty(BANDS), np.empty(BANDS), np.empty(BANDS)), sampling.numbers.replicates
     for row in range(first, last):
-        for x in range(sampling.camera.width):
+        for x in range(rows.places.shape[1]):
             sums.mean[:] = 0.0
             sums.square[:] = 0.0
             sums.difference[:] = 0.0
             work.seen[:] = 0.0
-            rows.cut[row] += _render_pixel(sampling, ray, work, x, rows.first + row, sums)
-            for column in range(SEEN):
-                rows.seen[row, x, column] = work.seen[column] / (count * sampling.numbers.samples)
+            column, line = rows.places[row, x, 0], rows.places[row, x, 1]
+            rows.cut[row] += _render_pixel(sampling, ray, work, column, line, sums)
+            for part in range(SEEN):
+                rows.seen[row, x, part] = work.seen[part] / (count * sampling.numbers.samples)
             for band in range(BANDS):
                 value = sums.mean[band] / count
                 rows.difference[row, x, band] = sums.difference[band]

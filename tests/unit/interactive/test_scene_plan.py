@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import json
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
@@ -114,7 +115,7 @@ def test_a_matte_scene_pays_for_no_mirror_and_no_gloss():
     # Without levels lobes cannot be looked up.
     assert prepared.world.gloss_levels == 0 < prepared.world.environment_levels
     _, figures = picture(matte, room(), document, definition)
-    assert figures["plan"]["measured_delta_e"]["max"] <= document["predicted_delta_e"] + 0.02
+    assert figures["plan"]["delta_e_to_full_model"]["max"] <= document["predicted_delta_e"] + 0.02
     dearer, *_ = planned(shiny, room(), tolerance=0.01)
     assert document["cost"]["numbers_per_pixel"] < 0.5 * document["cost_of_full_model"]["numbers_per_pixel"]
     assert document["cost"]["rays_per_pixel"] < dearer["cost"]["rays_per_pixel"]
@@ -128,7 +129,7 @@ def test_a_scene_of_mirrors_alone_pays_for_no_irradiance_map():
     world = prepare(parts, model, np.ones((3, 61))).world
     assert world.irradiance_side == world.scatters == world.gloss_levels == world.ambient_inputs == 0
     _, figures = picture(mirrors, room(), document, definition)
-    assert figures["plan"]["measured_delta_e"]["p99"] <= document["predicted_delta_e"] + 0.02 <= 1.02
+    assert figures["plan"]["delta_e_to_full_model"]["p99"] <= document["predicted_delta_e"] + 0.02 <= 1.02
 
 
 def test_a_scene_under_one_lamp_looks_no_environment_up_and_keeps_its_highlights():
@@ -140,7 +141,7 @@ def test_a_scene_under_one_lamp_looks_no_environment_up_and_keeps_its_highlights
     world = prepare(parts, model, np.ones((3, 61))).world
     assert world.environment_levels == world.gloss_levels == world.irradiance_side == 0 < world.scatters
     image, figures = picture(shiny, black(), document, definition)
-    assert figures["plan"]["measured_delta_e"]["p99"] <= document["predicted_delta_e"] + 0.02 <= 1.02
+    assert figures["plan"]["delta_e_to_full_model"]["p99"] <= document["predicted_delta_e"] + 0.02 <= 1.02
     dull = [shiny[0], material(GREENISH, mirror=0.4)]
     plain, *_ = planned(dull, black(), lights=[LAMP])
     assert (image[..., 1] - picture(dull, black(), plain, definition)[0][..., 1]).max() > 5.0
@@ -167,10 +168,11 @@ def test_no_scene_errs_by_more_than_its_plan_predicts(data):
     assert document["predicted_delta_e"] <= tolerance
     _, figures = picture(materials, room(), document, definition)
     # What single precision leaves is no part of the prediction.
-    assert figures["plan"]["measured_delta_e"]["p99"] <= document["predicted_delta_e"] + 0.01
+    assert figures["plan"]["delta_e_to_full_model"]["p99"] <= document["predicted_delta_e"] + 0.01
 
 
-MIRRORS = [material(0.3, mirror=1.0, n=0.3, k=3.0), material(GREENISH, mirror=1.0, n=0.3, k=3.0)]
+# Together they reflect less than they receive: light between them ends, in the path-traced picture too.
+MIRRORS = [material(0.04, mirror=0.95, n=0.3, k=3.0), material(0.1 * GREENISH, mirror=0.9, n=0.3, k=3.0)]
 
 
 def test_an_override_that_costs_too_much_is_predicted_and_refused():
@@ -188,8 +190,9 @@ def test_nothing_is_left_of_a_picture_that_is_refused(tmp_path):
         what.save(path, origin)
     shapes = [{"kind": "plate", "width_mm": 90.0, "height_mm": 90.0}, {"kind": "sphere", "radius_mm": 20.0}]
     outputs = {"exr": tmp_path / "v.exr", "png": tmp_path / "v.png", "figures_file": tmp_path / "v.json"}
-    for overrides, whole in (({"mirror": []}, False), ({}, True)):
-        document, _, _, definition = planned(MIRRORS, room(), overrides=overrides)
+    # One ray a pixel is far from the mean over a pixel that path tracing gives where a mirror's outline crosses it.
+    for overrides, tolerance, whole in (({"mirror": []}, 1.0, False), ({}, 0.3, False), ({}, 60.0, True)):
+        document, _, _, definition = planned(MIRRORS, room(), overrides=overrides, tolerance=tolerance)
         write_plan(tmp_path / "plan.yaml", document)
         before = set(tmp_path.iterdir())
         job = partial(
@@ -205,6 +208,8 @@ def test_nothing_is_left_of_a_picture_that_is_refused(tmp_path):
         )
         if whole:
             job()
+            far = json.loads(outputs["figures_file"].read_text())["delta_e_to_reference"]
+            assert 0.3 < far["p99"] < 60.0
             assert all(path.exists() for path in outputs.values())
             continue
         with pytest.raises(ToleranceError):
@@ -417,7 +422,7 @@ def test_an_environment_of_straight_edges_is_halved_no_further_than_its_check_al
     _, figures = render_image(
         made(Scene, definition), "v", [TABLE, JAR], mirrors, light, made(Render, options), plan=document
     )
-    assert figures["plan"]["measured_delta_e"]["p99"] <= document["predicted_delta_e"] + 0.02
+    assert figures["plan"]["delta_e_to_full_model"]["p99"] <= document["predicted_delta_e"] + 0.02
 
 
 def test_a_view_of_parallel_rays_is_predicted_and_checked_as_it_is_rendered():
@@ -427,7 +432,7 @@ def test_a_view_of_parallel_rays_is_predicted_and_checked_as_it_is_rendered():
     # The table and the jar fill most of the picture, and throw rays at each other.
     assert document["cost_of_full_model"]["rays_per_pixel"] > 1.5
     _, figures = picture(shiny, room(), document, definition)
-    assert figures["plan"]["measured_delta_e"]["p99"] <= document["predicted_delta_e"] + 0.02 <= 1.02
+    assert figures["plan"]["delta_e_to_full_model"]["p99"] <= document["predicted_delta_e"] + 0.02 <= 1.02
 
 
 def test_rays_that_all_leave_the_scene_are_planned_for():
@@ -441,7 +446,7 @@ def test_rays_that_all_leave_the_scene_are_planned_for():
         _, figures = render_image(
             made(Scene, definition), "v", [JAR], mirrors, room(), made(Render, OPTIONS), plan=document
         )
-        assert figures["plan"]["measured_delta_e"]["p99"] <= document["predicted_delta_e"] + 0.02 <= 1.02
+        assert figures["plan"]["delta_e_to_full_model"]["p99"] <= document["predicted_delta_e"] + 0.02 <= 1.02
 
 
 def test_a_scene_without_light_has_no_colours_to_tolerate():

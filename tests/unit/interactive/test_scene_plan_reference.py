@@ -8,10 +8,10 @@ from scenes import BALL, material, plate, sky, smooth_light
 from irodori.config.models import Render, Scene, Size, View
 from irodori.config.parts import Staging
 from irodori.rendering.integrators import render_image
-from irodori.rendering.planning.paths_per_pixel import render_pixels
 from irodori.rendering.planning.planned_check import ToleranceError
 from irodori.rendering.planning.stage import plan_of
 from irodori.rendering.reference.converging_picture import make_scene, render
+from irodori.rendering.reference.distance import traced_halves
 from irodori.rendering.scene_arrays import make_objects, make_placements, make_view
 
 OPTIONS = Render(pixel_side=1, min_throughput=1e-3)
@@ -53,7 +53,7 @@ def test_half_the_tolerance_takes_about_four_times_the_paths_and_the_check_agree
         )
         assert figures["samples"] == document["decisions"]["samples"]["value"]
         # Sobol points err by less than the root law says, pilots by luck.
-        assert 0.3 * document["predicted_delta_e"] < figures["plan"]["measured_delta_e"]["p99"] <= tolerance
+        assert 0.3 * document["predicted_delta_e"] < figures["delta_e_to_reference"]["p99"] <= tolerance
 
 
 @pytest.mark.heavy
@@ -91,10 +91,10 @@ def test_single_pixels_converge_to_those_of_the_picture(kind):
     )
     pixels = np.array([[0, 0], [23, 17], [12, 9], [3, 14], [20, 2]])
     whole = render(prepared, view, 2048, seed=5, replicates=8)
-    single = render_pixels(prepared, view, pixels, 2048, 7)
+    single = traced_halves(prepared, view, pixels, 2048, 7).mean(axis=0)
     error = whole.standard_error[pixels[:, 1], pixels[:, 0]]
     # Both have noise; seven standard errors of eight replicates are out of reach of luck.
     assert (np.abs(single - whole.radiance[pixels[:, 1], pixels[:, 0]]) <= 7 * np.sqrt(2) * error + 1e-3).all()
-    # No two pixels share their random numbers.
-    same = render_pixels(prepared, view, np.repeat(pixels[2:3], 2, axis=0), 8, 7)
-    assert not np.array_equal(same[0], same[1])
+    # Another set of random numbers is another picture.
+    one, other = (traced_halves(prepared, view, pixels[2:3], 8, seed) for seed in (7, 8))
+    assert not np.array_equal(one, other) and not np.array_equal(*one)

@@ -1,0 +1,71 @@
+"""Tolerances that the integrator `interactive` cannot keep in a scene, and what would keep them."""
+
+from irodori.colour.colorimetry import xyz_from_radiance
+from irodori.config.models import Scene
+from irodori.core.errors import InputError
+from irodori.geometry.shapes.placement import Placement
+from irodori.rendering.integrators import has_ambient
+from irodori.rendering.interactive.frame_renderer import CollimatedLamp
+from irodori.rendering.interactive.pixel_rays import render_pixels
+from irodori.rendering.planning.modelled_scene import SceneParts, full_model, prepare
+from irodori.rendering.reference.converging_picture import TracedScene, make_scene
+from irodori.rendering.reference.distance import Distance, distance_to_reference, object_pixels
+from irodori.rendering.scene_arrays import View, make_view
+
+
+def refuse_unattainable(
+    scene_name: str, scene: Scene, parts: SceneParts, placements: list[Placement], side: int
+) -> Distance:
+    """Return how far the full model is from the path-traced picture, in the view where the 99th percentile is largest.
+
+    Parameters
+    ----------
+    scene_name : str
+    scene : Scene
+        With ``tolerance_ciede2000``.
+    parts : SceneParts
+        Of the scene.
+    placements : list of Placement
+        Of its objects and bodies.
+    side : int
+        Rays along each side of a pixel.
+
+    Raises
+    ------
+    InputError
+        If that is more than the tolerance; the sentence says what was measured to keep it.
+    """
+    traced = make_scene(placements, parts.objects, parts.environment, scene.lights)
+    views = [make_view(view, scene.image) for view in scene.views.values()]
+    ambient, tolerance = has_ambient(scene), scene.tolerance_ciede2000
+    assert tolerance is not None  # of a scene that is planned
+    found = _of_full_model(scene, parts, traced, views, side, ambient)
+    if found.p99 < tolerance:
+        return found
+    mends = [f"a tolerance above {found.p99:.3g}", "the integrator reference"]
+    if not ambient:
+        other = _of_full_model(scene, parts, traced, views, side, True)
+        if other.p99 < found.p99:
+            mends.insert(1, f"with the integrator's `ambient: true` one above {other.p99:.3g}")
+    raise InputError(
+        f"scene {scene_name}",
+        "tolerance_ciede2000",
+        f"{tolerance:g}, but 99 of 100 pixels of objects that the integrator interactive renders with all that it has "
+        f"are within {found.p99:.3g} ± {found.standard_error_of_p99:.2g} ΔE2000 of path tracing "
+        f"(mean {found.mean:.3g})",
+        ", or ".join(mends),
+    )
+
+
+def _of_full_model(
+    scene: Scene, parts: SceneParts, traced: TracedScene, views: list[View], side: int, ambient: bool
+) -> Distance:
+    """Return the distance of the full model, with or without `ambient`, in the view where it is largest."""
+    matrix = xyz_from_radiance(parts.white)
+    lamps = tuple(CollimatedLamp(towards) for towards in parts.lamp_towards)
+    prepared, found = prepare(parts, full_model(parts, scene.max_bounces, ambient), matrix), []
+    for number, view in enumerate(views):
+        pixels = object_pixels(traced.tracer, view, len(parts.objects.mirror), number)
+        shown = render_pixels(prepared, view, pixels, side, lamps)
+        found.append(distance_to_reference(traced, view, pixels, shown, matrix, matrix @ parts.white))
+    return max(found, key=lambda one: one.p99)

@@ -1,0 +1,171 @@
+"""Colour distance of any picture to a path-traced one of the same scene, the paths' noise taken out.
+
+A few pixels are traced in two independent halves A and B, with the mean M. Noise adds to the squared distance of a
+picture x to each: of M half as much as of A or B. What a figure f of many pixels (their mean, a percentile) has without
+noise is therefore extrapolated from squares,
+
+    f² = 2 f(x, M)² − (f(x, A)² + f(x, B)²) / 2.
+
+Of the root mean square this is the mean of (x − A) · (x − B), which is unbiased whatever the noise. Other figures are
+right to the first order in the noise where that is small beside the distance, and where there is nothing but noise.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from irodori.colour.colorimetry import delta_e, lab_from_xyz
+from irodori.geometry.embree import Tracer
+from irodori.rendering.reference.converging_picture import REPLICATES, TracedScene, render_places
+from irodori.rendering.reference.random_numbers import make_numbers
+from irodori.rendering.scene_arrays import View
+from irodori.rendering.single_pixels import middle_rays
+
+#: Pixels of objects that are traced at most.
+PIXELS = 2000
+#: Paths a pixel at first. They are doubled while their noise is more than `_SHARE` of the distance and more than
+#: `_VISIBLE`, a tenth of what a person can just see, and `_MOST` paths in all are not exceeded.
+_FEWEST, _MOST = 64, 512 * PIXELS
+_SHARE, _VISIBLE = 0.25, 0.1
+#: Not those of pictures, plans and noise.
+_FIRST_SEED = 211
+_TOGETHER = 8192  # pixels looked at for objects
+_DRAWS = 200  # of the pixels, with replacement, for standard errors
+
+
+@dataclass(frozen=True)
+class Distance:
+    """CIEDE2000 between a picture and the path-traced one at pixels that show objects.
+
+    Each figure has its standard error beside it, of the choice of pixels and of the paths' noise together. Figures of
+    no pixel are 0.
+    """
+
+    count: int  # pixels
+    paths: int  # a pixel
+    noise: float  # root mean square CIEDE2000 of the paths' mean to the truth, which is taken out
+    mean: float
+    p95: float
+    p99: float
+    rms: float
+    standard_error_of_mean: float
+    standard_error_of_p95: float
+    standard_error_of_p99: float
+    standard_error_of_rms: float
+
+
+def object_pixels(tracer: Tracer, view: View, objects: int, seed: int = 0, count: int = PIXELS) -> np.ndarray:
+    """Return columns and rows of random pixels whose middle shows an object, (n, 2) int64, each once.
+
+    Parameters
+    ----------
+    tracer : Tracer
+    view : View
+        Of a view with a lens the ray through the lens' middle counts.
+    objects : int
+        Surfaces from this on are lights.
+    seed : int
+    count : int
+        Pixels at most; the picture is searched until they are found.
+    """
+    places = np.random.default_rng([_FIRST_SEED, seed]).permutation(view.width * view.height)
+    found = np.zeros((0, 2), dtype=np.int64)
+    for first in range(0, len(places), _TOGETHER):
+        some = places[first : first + _TOGETHER]
+        pixels = np.stack([some % view.width, some // view.width], axis=1)
+        _, shape = tracer.intersect(*middle_rays(view, pixels + 0.5))
+        found = np.concatenate([found, pixels[(shape >= 0) & (shape < objects)]])
+        if len(found) >= count:
+            break
+    return found[:count]
+
+
+def traced_halves(scene: TracedScene, view: View, pixels: np.ndarray, samples: int, seed: int) -> np.ndarray:
+    """Return both independent halves of chosen pixels' paths, (2, n, 61) float64 radiance.
+
+    Parameters
+    ----------
+    scene : TracedScene
+    view : View
+    pixels : (n, 2) int
+        Column and row; the same pixel twice has the same random numbers.
+    samples : int
+        Paths a pixel, a multiple of 2.
+    seed : int
+    """
+    halves = render_places(scene, view, make_numbers(samples, seed, REPLICATES), pixels[:, None]).halves
+    assert halves is not None  # of two replicates
+    mean, half = halves.mean[:, 0].astype(np.float64), halves.difference[:, 0].astype(np.float64)
+    return np.stack([mean + half, mean - half])
+
+
+def distance_to_halves(shown: np.ndarray, halves: np.ndarray, white_xyz: np.ndarray, paths: int) -> Distance:
+    """Return the distance of pixels to those that were traced, see the head of this module.
+
+    Parameters
+    ----------
+    shown : (n, 3) float
+        XYZ, Y = 100 for white.
+    halves : (2, n, 3) float
+        XYZ of both halves of the paths.
+    white_xyz : (3,) float
+        A pixel that is brighter is compared after all are scaled by the same factor.
+    paths : int
+        A pixel, to be stated.
+    """
+    mean = halves.mean(axis=0)
+    if not len(mean):
+        return Distance(0, paths, *[0.0] * 9)
+    scale = np.maximum(mean[:, 1:2] / 100.0, 1.0)
+    own, middle, first, second = (lab_from_xyz(xyz / scale, white_xyz) for xyz in (shown, mean, *halves))
+    noise = np.sqrt(np.mean(np.square(delta_e(first, second)))) / 2.0
+    distances = np.stack([delta_e(other, own) for other in (middle, first, second)])
+    drawn = np.random.default_rng(_FIRST_SEED).integers(len(mean), size=(_DRAWS, len(mean)))
+    squares, spread = _extrapolated(distances), np.std(_extrapolated(distances[:, drawn]), axis=-1, ddof=1)
+    figures = np.sqrt(np.maximum(squares, 0.0))
+    # What a figure becomes with one standard error of its square more: where there is none, all of it is that error.
+    errors = np.sqrt(np.square(figures) + spread) - figures
+    return Distance(len(mean), paths, float(noise), *map(float, figures), *map(float, errors))
+
+
+def _extrapolated(distances: np.ndarray) -> np.ndarray:
+    """Return squares of the mean, p95, p99 and rms without noise, (4, ...); noise may lead them below 0.
+
+    Parameters
+    ----------
+    distances : (3, ..., n) float
+        To the mean and to both halves.
+    """
+    p95, p99 = np.percentile(distances, (95.0, 99.0), axis=-1)
+    rms = np.sqrt(np.mean(np.square(distances), axis=-1))
+    squares = np.square(np.stack([distances.mean(axis=-1), p95, p99, rms]))
+    return 2.0 * squares[:, 0] - 0.5 * (squares[:, 1] + squares[:, 2])
+
+
+def distance_to_reference(
+    scene: TracedScene, view: View, pixels: np.ndarray, shown: np.ndarray, matrix: np.ndarray, white_xyz: np.ndarray
+) -> Distance:
+    """Trace pixels until the noise that is taken out is small, and return how far a picture is from them.
+
+    Parameters
+    ----------
+    scene : TracedScene
+    view : View
+    pixels : (n, 2) int
+        See `object_pixels`.
+    shown : (n, 3) float
+        XYZ of the picture there.
+    matrix : (3, 61) float
+        XYZ from radiance.
+    white_xyz : (3,) float
+    """
+    if not len(pixels):
+        return distance_to_halves(shown, np.zeros((2, 0, 3)), white_xyz, 0)
+    total, paths = np.zeros((2, len(pixels), 3)), 0
+    while True:
+        samples = max(paths, _FEWEST)
+        total += samples * (traced_halves(scene, view, pixels, samples, _FIRST_SEED + paths) @ matrix.T)
+        paths += samples
+        found = distance_to_halves(shown, total / paths, white_xyz, paths)
+        if 2 * paths * len(pixels) > _MOST or found.noise <= max(_SHARE * found.rms, _VISIBLE):
+            return found
