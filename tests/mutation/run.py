@@ -12,7 +12,7 @@ status is 1 where too few of all were (``--least``).
 Only the tests of a room's own files are asked (`ROOMS`), of these only such as take less than `LONGEST_S` once their
 loops are loaded, and as many as take `TOGETHER_S` together: a fault that others alone would notice counts as a
 survivor. Times are those of the processor, whoever else uses it. A mutant that never ends is noticed: a test computes
-for ten times as long as it should and for `PATIENCE_S`, or its process does not compute at all for `QUIET_S`. So a run
+for ten times as long as it should and for `PATIENCE_S`, or its process hardly computes for `QUIET_S`. So a run
 ends; a test that takes `HANGS_S` without a mutant ends it.
 """
 
@@ -103,6 +103,7 @@ TOGETHER_S = 16.0  # of the tests that one mutant is put to
 EXAMPLES = 10  # of a property-based test, at most
 PATIENCE_S = 4.0
 QUIET_S = 40.0
+QUIET_SHARE = 0.02
 HANGS_S = 1500.0
 
 
@@ -295,15 +296,16 @@ class Runner:
 
 
 def _wait(child: int) -> None:
-    """Wait for a process; end it where it does not compute for `QUIET_S`."""
+    """Wait for a process; end it where it computes for less than `QUIET_SHARE` of `QUIET_S`, as one that polls does."""
     ended, process = os.pidfd_open(child), psutil.Process(child)
-    seen, since = -1.0, time.monotonic()
+    seen, since = 0.0, time.monotonic()
     while not select.select([ended], [], [], 1.0)[0]:
+        if time.monotonic() - since < QUIET_S:
+            continue
         computed = sum(process.cpu_times()[:4])
-        if computed > seen + 0.01:
-            seen, since = computed, time.monotonic()
-        elif time.monotonic() - since > QUIET_S:
+        if computed - seen < QUIET_SHARE * QUIET_S:
             process.kill()
+        seen, since = computed, time.monotonic()
     os.close(ended)
     os.waitpid(child, 0)
 
