@@ -28,7 +28,7 @@ def test_responses_are_the_truth_within_their_noise(tmp_path):
     for state, exposure_s in (("out", 0.02), ("in", 0.05)):
         studio.shoot("object", truth, state, exposure_s)
     response, valid, noise, pose_deg = studio.ingest(pose.name)
-    assert response.shape == truth.shape and (valid == 1).all() and pose_deg == [ANGLE, 0.0, 0.0, 0.0]
+    assert response.shape == truth.shape and (valid == 1).all() and pose_deg == [ANGLE, 0.0, 0.0, 0.0, 0.0]
     error = response - truth
     # Without the flat field the corners would be a third too dark; with it no band leans anywhere.
     height, width = truth.shape[:2]
