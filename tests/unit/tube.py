@@ -71,6 +71,7 @@ class Tube(Shape):
     kernels = Kernels(
         surface_at=_surface_at,
         hides=hides_nothing,
+        distance=None,
         may_be_met=ball_may_be_met,
         point=None,
         texture=None,

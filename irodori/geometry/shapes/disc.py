@@ -21,9 +21,11 @@ from irodori.geometry.shapes.flat import (
     surface_at_flat,
 )
 from irodori.geometry.shapes.placement import Placement
-from irodori.geometry.shapes.shape import Kernels, ball_may_be_met
+from irodori.geometry.shapes.plane import distance_to_plane
+from irodori.geometry.shapes.shape import Kernels
 from irodori.geometry.shapes.shape_rows import RADIUS
 from irodori.jit.compilation import njit
+from irodori.jit.functions import select
 
 if TYPE_CHECKING:
     from irodori.config.models import DiscShape
@@ -145,6 +147,13 @@ def _hides(row, at, x, y, z, normal):
     return hidden_by_disc(normal, (x, y, z), axes, np.float64(row[at + RADIUS])), facing
 
 
+@njit(cache=True, forceinline=True)
+def _distance(row, at, centre, direction, along):
+    distance, radius = distance_to_plane(row, at, centre, direction), row[at + RADIUS]
+    x, y, z = distance * direction[0] - centre[0], distance * direction[1] - centre[1], distance * direction[2] - centre[2]
+    return select((distance >= 0.0) & (x * x + y * y + z * z < radius * radius), distance, np.inf)
+
+
 @dataclass(frozen=True)
 class Disc(FlatShape):
     """A disc about the origin; its texture is that of the square about it.
@@ -162,7 +171,8 @@ class Disc(FlatShape):
     kernels = Kernels(
         surface_at=surface_at_flat,
         hides=_hides,
-        may_be_met=ball_may_be_met,
+        distance=_distance,
+        may_be_met=None,
         point=flat_point,
         texture=flat_texture,
         nodes_about=nodes_about_flat,

@@ -19,9 +19,9 @@ from irodori.geometry.shapes.flat import (
 )
 from irodori.geometry.shapes.placement import Placement
 from irodori.geometry.shapes.shape import Kernels
-from irodori.geometry.shapes.shape_rows import RADIUS, TURN
+from irodori.geometry.shapes.shape_rows import TURN
 from irodori.jit.compilation import njit
-from irodori.jit.functions import magnitude, upper_of
+from irodori.jit.functions import select
 
 if TYPE_CHECKING:
     from irodori.config.models import PlaneShape
@@ -47,8 +47,6 @@ SCHEMA = {
 RADIUS_MM = 1e12
 #: Half the side of the square that stands for the plane, over the reach of what stands about it.
 _CUT = 100.0
-#: A height above a plane that is rounding: less than any hit's point rises, so that reflections are not held back.
-IN_PLANE = 0.25 * 2.0**-18
 
 
 @njit(cache=True, forceinline=True)
@@ -73,20 +71,18 @@ def _hides(row, at, x, y, z, normal):
 
 
 @njit(cache=True, forceinline=True)
-def distance_to_plane(row, at, centre, direction, reach):
-    """Return distances along rays to a shape's plane, and the mask of those that may meet it."""
+def distance_to_plane(row, at, centre, direction):
+    """Return distances along rays to a shape's plane, negative behind them; not a number in the plane."""
     x, y, z = centre
     dx, dy, dz = direction
     nx, ny, nz = row[at + TURN + 2], row[at + TURN + 5], row[at + TURN + 8]
-    height, steepness = x * nx + y * ny + z * nz, dx * nx + dy * ny + dz * nz
-    distance = height / steepness
-    # A ray that starts in the plane, but for rounding, Embree may let meet it: at no distance.
-    return distance, (distance >= 0.0) | (magnitude(height) <= upper_of(reach, row[at + RADIUS]) * IN_PLANE)
+    return (x * nx + y * ny + z * nz) / (dx * nx + dy * ny + dz * nz)
 
 
 @njit(cache=True, forceinline=True)
-def _may_be_met(row, at, centre, direction, along, reach):
-    return distance_to_plane(row, at, centre, direction, reach)[1]
+def _distance(row, at, centre, direction, along):
+    distance = distance_to_plane(row, at, centre, direction)
+    return select((distance >= 0.0) & (distance < RADIUS_MM), distance, np.inf)
 
 
 @dataclass(frozen=True)
@@ -99,7 +95,8 @@ class Plane(FlatShape):
     kernels = Kernels(
         surface_at=_surface_at,
         hides=_hides,
-        may_be_met=_may_be_met,
+        distance=_distance,
+        may_be_met=None,
         point=flat_point,
         texture=flat_texture,
         nodes_about=nodes_about_flat,

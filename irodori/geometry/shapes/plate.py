@@ -16,11 +16,11 @@ from irodori.geometry.shapes.flat import (
     surface_at_flat,
 )
 from irodori.geometry.shapes.placement import Placement
-from irodori.geometry.shapes.plane import IN_PLANE, distance_to_plane
-from irodori.geometry.shapes.shape import SLACK, Kernels
-from irodori.geometry.shapes.shape_rows import HIGH, RADIUS, TURN, WIDE
+from irodori.geometry.shapes.plane import distance_to_plane
+from irodori.geometry.shapes.shape import Kernels
+from irodori.geometry.shapes.shape_rows import HIGH, TURN, WIDE
 from irodori.jit.compilation import njit
-from irodori.jit.functions import magnitude, upper_of
+from irodori.jit.functions import magnitude, select
 
 if TYPE_CHECKING:
     from irodori.config.models import PlateShape
@@ -154,20 +154,16 @@ def _hides(row, at, x, y, z, normal):
 
 
 @njit(cache=True, forceinline=True)
-def _may_be_met(row, at, centre, direction, along, reach):
+def _distance(row, at, centre, direction, along):
     x, y, z = centre
     dx, dy, dz = direction
-    radius = row[at + RADIUS]
-    distance, near = distance_to_plane(row, at, centre, direction, reach)
-    # Where a ray along the plane meets it, is known as well as its height is beside its steepness; a NaN is not known.
-    steepness = dx * row[at + TURN + 2] + dy * row[at + TURN + 5] + dz * row[at + TURN + 8]
-    unknown = magnitude(upper_of(reach, radius) * IN_PLANE / steepness)
-    slack = magnitude(distance) * SLACK + radius * SLACK + unknown
+    distance = distance_to_plane(row, at, centre, direction)
+    within = distance > 0.0  # as Embree has it of triangles: a ray leaves the one that it starts in
     for axis in range(2):
         a, b, c = row[at + TURN + axis], row[at + TURN + axis + 3], row[at + TURN + axis + 6]
         across = (distance * dx - x) * a + (distance * dy - y) * b + (distance * dz - z) * c
-        near = near & ~(magnitude(across) * row[at + WIDE + axis] > 0.5 + slack * row[at + WIDE + axis])
-    return near
+        within = within & (magnitude(across) * row[at + WIDE + axis] <= 0.5)
+    return select(within, distance, np.inf)
 
 
 @dataclass(frozen=True)
@@ -189,7 +185,8 @@ class Plate(FlatShape):
     kernels = Kernels(
         surface_at=surface_at_flat,
         hides=_hides,
-        may_be_met=_may_be_met,
+        distance=_distance,
+        may_be_met=None,
         point=flat_point,
         texture=flat_texture,
         nodes_about=nodes_about_flat,

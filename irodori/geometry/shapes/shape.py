@@ -42,9 +42,12 @@ class Kernels(NamedTuple):
         Share of the cosine-weighted hemisphere about a unit normal that the shape hides, its centre being at x, y, z
         (mm) from the point; and the unit normal of its side that faces the point, zeros where that reflects nothing.
         `hides_nothing` of a shape whose shadow of the ambient light is found by rays, or is left out.
-    may_be_met : (row, at, centre, direction, along, reach) -> mask
-        Whether rays may meet the shape, in lanes: its centre from their origins (mm), their unit directions, how far
-        along them the centre lies, and the size of the origins' coordinates. True where in doubt.
+    distance : (row, at, centre, direction, along) -> distances, or None
+        How far along rays the shape is first met from either side, mm, in lanes: its centre from their origins (mm),
+        their unit directions, and how far along them the centre lies. Infinite where the shape is not met. None of a
+        shape that has no such formula: Embree meets it.
+    may_be_met : (row, at, centre, direction, along) -> mask, or None
+        Whether rays may meet a shape without a formula, true where in doubt; None of the others.
     point : (offset, facing, radius) -> (x, y, z, nx, ny, nz), or None
         Points and normals of lanes from traced points, all from the shape's centre in the world; ``facing`` is the z
         axis of the shape's frame. None where rays are brought to the shape one by one by ``surface_at``.
@@ -56,7 +59,8 @@ class Kernels(NamedTuple):
 
     surface_at: Callable
     hides: Callable
-    may_be_met: Callable
+    distance: Callable | None
+    may_be_met: Callable | None
     point: Callable | None
     texture: Callable | None
     nodes_about: Callable
@@ -280,16 +284,16 @@ def no_nodes(shadows, own, row, hit):
 
 
 #: Bounds of shapes are wider by this part of their size and of the distance.
-SLACK = 1e-4
+_SLACK = 1e-4
 
 
 @njit(cache=True, forceinline=True)
-def ball_may_be_met(row, at, centre, direction, along, reach):
+def ball_may_be_met(row, at, centre, direction, along):
     """Return whether rays may meet the ball of the shape's reach about its centre; one that they leave bounds none."""
     x, y, z = centre
     dx, dy, dz = direction
     radius = row[at + RADIUS]
     px, py, pz = x - along * dx, y - along * dy, z - along * dz
-    bound = radius + (radius + magnitude(along)) * SLACK
+    bound = radius + (radius + magnitude(along)) * _SLACK
     inside = x * x + y * y + z * z < radius * radius * (1.0 + 2e-6)
     return (px * px + py * py + pz * pz <= bound * bound) & ((along > 0.0) | inside)

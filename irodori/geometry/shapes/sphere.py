@@ -11,7 +11,7 @@ from irodori.geometry.embree import Primitive, sphere_point
 from irodori.geometry.mesh import Mesh, make_mesh
 from irodori.geometry.shapes.placement import Placement
 from irodori.geometry.shapes.shadow_nodes import GRID, Nodes, grid_place, grid_size, quadrangles, raised
-from irodori.geometry.shapes.shape import Kernels, Shape, ball_may_be_met, in_frame, texel_centres
+from irodori.geometry.shapes.shape import Kernels, Shape, in_frame, texel_centres
 from irodori.geometry.shapes.shape_rows import RADIUS
 from irodori.jit.compilation import njit
 from irodori.jit.functions import lower_of, magnitude, root, select, upper_of, with_sign
@@ -80,6 +80,19 @@ def _surface_at(surfaces, index, ray, point, normal, facet):
         point[a] = surfaces.translation_mm[index, a] + radius * normal[a]
         facet[a] = normal[a]
     return uv_of_sphere(ox, oy, oz)
+
+
+@njit(cache=True, forceinline=True)
+def _distance(row, at, centre, direction, along):
+    x, y, z = centre
+    dx, dy, dz = direction
+    # By the distance of the ray from the centre: what a small sphere far away is cancels in the usual discriminant.
+    px, py, pz = x - along * dx, y - along * dy, z - along * dz
+    square = row[at + RADIUS] * row[at + RADIUS] - (px * px + py * py + pz * pz)
+    half = root(upper_of(square, 0.0))
+    near, far = along - half, along + half
+    first = select(near >= 0.0, near, far)
+    return select((square >= 0.0) & (first >= 0.0), first, np.inf)
 
 
 @njit(cache=True, forceinline=True)
@@ -178,7 +191,8 @@ class Sphere(Shape):
     kernels = Kernels(
         surface_at=_surface_at,
         hides=_hides,
-        may_be_met=ball_may_be_met,
+        distance=_distance,
+        may_be_met=None,
         point=_point,
         texture=_texture,
         nodes_about=_nodes_about,

@@ -130,6 +130,7 @@ class TriangleMesh(Shape):
     kernels = Kernels(
         surface_at=_surface_at,
         hides=hides_nothing,
+        distance=None,
         may_be_met=ball_may_be_met,
         point=None,
         texture=None,

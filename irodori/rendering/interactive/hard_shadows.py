@@ -7,7 +7,7 @@ from irodori.jit.c_functions import c_function
 from irodori.jit.compilation import uncounted
 from irodori.jit.functions import select, upper_of
 from irodori.jit.vector_memory import load, mask_bits, spread, store
-from irodori.rendering.interactive.packets import FACET, NORMAL, RAYS, raised
+from irodori.rendering.interactive.packets import FACET, NORMAL, RAYS, nearest_shapes, raised
 
 _occluded = c_function(types.void, types.uintp, types.uintp, types.uintp, types.uintp)
 # RTCRay16 begins as RTCRayHit16 does: origin, direction and far end, sixteen words each.
@@ -30,11 +30,18 @@ def light_hits(world, frame, packet, hits, seen):
         front = front + load(hit, (FACET + 2) * RAYS, 16) * lz
         facing = seen & (cosine > 0.0) & (front > 0.0)
         if mask_bits(facing):
-            for axis in range(3):
-                store(f, RAYS + _ORIGIN + axis * RAYS, raised(hit, axis))
-                store(f, RAYS + _DIRECTION + axis * RAYS, spread(frame.lamp_direction[3 * lamp + axis], 16))
-            store(f, RAYS + _FAR, spread(np.float32(np.inf), 16))
-            store(i, 0, select(facing, spread(-1, 16), 0))
-            _occluded(world.occluded, packet.valid, world.scene, packet.rays, world.query)
-            facing = facing & (load(f, RAYS + _FAR, 16) >= 0.0)
+            origin, left = (raised(hit, 0), raised(hit, 1), raised(hit, 2)), facing
+            direction = spread(lx, 16), spread(ly, 16), spread(lz, 16)
+            if world.bounded > 0:
+                distance, _, doubtful = nearest_shapes(world, origin, direction)
+                facing = facing & ~(distance < np.inf)
+                left = facing & doubtful
+            if mask_bits(left):
+                for axis in range(3):
+                    store(f, RAYS + _ORIGIN + axis * RAYS, origin[axis])
+                    store(f, RAYS + _DIRECTION + axis * RAYS, direction[axis])
+                store(f, RAYS + _FAR, spread(np.float32(np.inf), 16))
+                store(i, 0, select(left, spread(-1, 16), 0))
+                _occluded(world.occluded, packet.valid, world.scene, packet.rays, world.query)
+                facing = facing & (load(f, RAYS + _FAR, 16) >= 0.0)
         store(hits.lit, lamp * RAYS, select(facing, upper_of(cosine, 0.0), 0.0))

@@ -1,11 +1,11 @@
-"""Packets of sixteen rays: tracing by Embree, then points, normals and look-up places of the hits."""
+"""Packets of sixteen rays: tracing by formulas and Embree, then points, normals and look-up places of the hits."""
 
 from typing import NamedTuple
 
 import numpy as np
 from numba import types
 
-from irodori.geometry.embree import Ray
+from irodori.geometry.embree import NO_HIT, Ray
 from irodori.geometry.shape_dispatch import chain, lane_chain, lanes_are
 from irodori.geometry.shapes.shape_rows import COLUMNS, HIGH, KIND, RADIUS, ROWS, SHAPE, TURN, WIDE
 from irodori.geometry.surfaces import surface_at
@@ -28,7 +28,10 @@ _ORIGIN, _NEAR, _DIRECTION, _TIME, _FAR, _MASK, _FLAGS, _U, _V, _PRIMITIVE, _GEO
 #: Words of a packet's hit that are kept: distance, u, v, triangle, shape.
 KEPT = 5 * RAYS
 
-_may_be_met = chain("may_be_met", "row, at, centre, direction, along, reach", __name__, forceinline=True)
+_LANES = "row, at, centre, direction, along"
+_distance = chain("distance", _LANES, __name__, forceinline=True)
+_may_be_met = chain("may_be_met", _LANES, __name__, forceinline=True)
+_has_formula = lanes_are(lambda shape: shape.kernels.distance is not None, "has_formula", __name__)
 _point = lane_chain("point", "offset, facing, radius", 6, __name__)
 _texture = lane_chain("texture", "local, wide, high", 2, __name__)
 _are_brought_singly = lanes_are(lambda shape: shape.kernels.point is None, "are_brought_singly", __name__)
@@ -93,47 +96,65 @@ def packet_in(singles, doubles):
 
 @uncounted(forceinline=True)
 def trace_packet(world, packet, paths, base, active):
-    """Let Embree meet the rays of the paths from ``base`` on; ``active`` is a mask."""
+    """Let Embree meet those rays of the paths from ``base`` on that the mask ``active`` chooses."""
     f, i = packet.f, packet.i
     for axis in range(3):
         store(f, RAYS + _ORIGIN + axis * RAYS, load(paths.f, (ORIGIN + axis) * STRIDE + base, 16))
         store(f, RAYS + _DIRECTION + axis * RAYS, load(paths.f, (DIRECTION + axis) * STRIDE + base, 16))
-    store(f, RAYS + _FAR, spread(np.float32(np.inf), 16))
-    store(i, RAYS + _GEOMETRY, spread(-1, 16))
+    store(f, RAYS + _FAR, select(active, np.inf, load(f, RAYS + _FAR, 16)))
+    store(i, RAYS + _GEOMETRY, select(active, -1, load(i, RAYS + _GEOMETRY, 16)))
     store(i, 0, select(active, spread(-1, 16), 0))
     _trace(world.intersect, packet.valid, world.scene, packet.rays, world.query)
 
 
 @uncounted(forceinline=True)
-def may_meet(world, paths, base, active):
-    """Return the mask of the paths that may meet anything, by the bounds of the shapes; Embree decides.
+def nearest_shapes(world, origin, direction):
+    """Return what rays meet by the formulas of shapes, and the mask of those that Embree has to decide.
 
-    Bounds are wider than single precision errs.
+    Returns
+    -------
+    distance : vector of float, mm; infinite where nothing is met
+    shape : vector of int, `NO_HIT` where nothing is met
+    doubtful : mask of the rays that may meet a shape that has no formula
     """
-    ox, oy, oz = (
+    ox, oy, oz = origin
+    dx, dy, dz = direction
+    # Directions are of length 1 but for rounding, which would count where a centre is far.
+    scale = 1.0 / (dx * dx + dy * dy + dz * dz)
+    nearest, met = spread(np.float32(np.inf), 16), spread(NO_HIT, 16)
+    doubtful = scale < 0.0
+    table = world.shape
+    for shape in range(world.bounded):
+        at = shape * SHAPE
+        kind = table[at + KIND]
+        x, y, z = table[at] - ox, table[at + 1] - oy, table[at + 2] - oz
+        along = (x * dx + y * dy + z * dz) * scale
+        if _has_formula(kind):
+            distance = _distance(kind, table, at, (x, y, z), direction, along)
+            closer = distance < nearest
+            nearest, met = select(closer, distance, nearest), select(closer, spread(shape, 16), met)
+        else:
+            doubtful = doubtful | _may_be_met(kind, table, at, (x, y, z), direction, along)
+    return nearest, met, doubtful
+
+
+@uncounted(forceinline=True)
+def meet_by_formula(world, packet, paths, base, active):
+    """Fill what the rays of the paths from ``base`` on meet by formulas; return the mask of those left to Embree."""
+    origin = (
         load(paths.f, ORIGIN * STRIDE + base, 16),
         load(paths.f, (ORIGIN + 1) * STRIDE + base, 16),
         load(paths.f, (ORIGIN + 2) * STRIDE + base, 16),
     )
-    dx, dy, dz = (
+    direction = (
         load(paths.f, DIRECTION * STRIDE + base, 16),
         load(paths.f, (DIRECTION + 1) * STRIDE + base, 16),
         load(paths.f, (DIRECTION + 2) * STRIDE + base, 16),
     )
-    reach = upper_of(magnitude(ox), upper_of(magnitude(oy), magnitude(oz)))
-    found = active & ~active
-    for shape in range(world.bounded):
-        at, table = shape * SHAPE, world.shape
-        x, y, z = table[at] - ox, table[at + 1] - oy, table[at + 2] - oz
-        along = x * dx + y * dy + z * dz
-        found = found | _may_be_met(table[at + KIND], table, at, (x, y, z), (dx, dy, dz), along, reach)
-    return active & found
-
-
-@uncounted(forceinline=True)
-def meet_nothing(packet):
-    """Note that no ray of a packet met anything."""
-    store(packet.i, RAYS + _GEOMETRY, spread(-1, 16))
+    distance, shape, doubtful = nearest_shapes(world, origin, direction)
+    store(packet.f, RAYS + _FAR, distance)
+    store(packet.i, RAYS + _GEOMETRY, shape)
+    return active & doubtful
 
 
 @uncounted(forceinline=True)

@@ -35,7 +35,7 @@ from irodori.rendering.interactive.round_lobes import (
 from irodori.rendering.interactive.shading import FURTHER
 from irodori.rendering.scene_arrays import Light, Objects, gloss_of, textures
 
-#: Objects of a scene whose bounds are asked one by one.
+#: Objects of a scene whose formulas and bounds are asked one by one.
 _MOST_BOUNDED = 12
 
 
@@ -51,7 +51,7 @@ class PreparedWorld(NamedTuple):
     surfaces: Surfaces
     brought_singly: int  # how many of the objects rays are brought to one by one
     scatters: int  # 1 where any surface has a diffuse or a rough term
-    bounded: int  # how many objects' bounds are asked before Embree: all, or none where they are many
+    bounded: int  # how many objects' formulas and bounds are asked before Embree: all, or none where they are many
     texels: np.ndarray
     texture_first: np.ndarray  # (objects,) int64
     texture_stride: np.ndarray  # (objects,) int64

@@ -30,8 +30,7 @@ from irodori.rendering.interactive.packets import (
     TilePaths,
     active_lanes,
     keep_packet,
-    may_meet,
-    meet_nothing,
+    meet_by_formula,
     packet_in,
     place_hits,
     prepare_hits,
@@ -213,11 +212,11 @@ def _meet(job, scratch, base, count, bounce, kept):
     if limits.visibility == RECALLED and bounce < limits.kept_bounces:
         recall_packet(scratch.packet, kept)
     else:
-        hopeful = may_meet(world, scratch.paths, base, active) if world.bounded > 0 else active
-        if mask_bits(hopeful):
-            trace_packet(world, scratch.packet, scratch.paths, base, hopeful)
-        else:
-            meet_nothing(scratch.packet)
+        left = active
+        if world.bounded > 0:
+            left = meet_by_formula(world, scratch.packet, scratch.paths, base, active)
+        if mask_bits(left):
+            trace_packet(world, scratch.packet, scratch.paths, base, left)
         if limits.visibility == STORED and bounce < limits.kept_bounces:
             keep_packet(scratch.packet, kept)
     met = active & (shapes_met(scratch.packet) >= 0)
