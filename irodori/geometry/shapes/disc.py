@@ -150,7 +150,11 @@ def _hides(row, at, x, y, z, normal):
 @njit(cache=True, forceinline=True)
 def _distance(row, at, centre, direction, along):
     distance, radius = distance_to_plane(row, at, centre, direction), row[at + RADIUS]
-    x, y, z = distance * direction[0] - centre[0], distance * direction[1] - centre[1], distance * direction[2] - centre[2]
+    x, y, z = (
+        distance * direction[0] - centre[0],
+        distance * direction[1] - centre[1],
+        distance * direction[2] - centre[2],
+    )
     return select((distance >= 0.0) & (x * x + y * y + z * z < radius * radius), distance, np.inf)
 
 
