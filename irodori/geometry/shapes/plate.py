@@ -158,7 +158,7 @@ def _distance(row, at, centre, direction, along):
     x, y, z = centre
     dx, dy, dz = direction
     distance = distance_to_plane(row, at, centre, direction)
-    within = distance > 0.0  # as Embree has it of triangles: a ray leaves the one that it starts in
+    within = distance >= 0.0
     for axis in range(2):
         a, b, c = row[at + TURN + axis], row[at + TURN + axis + 3], row[at + TURN + axis + 6]
         across = (distance * dx - x) * a + (distance * dy - y) * b + (distance * dz - z) * c

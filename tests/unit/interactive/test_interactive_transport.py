@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from made import made
 from scenes import BALL, OPTIONS, fresnel, material, plate, smooth_light, sphere_hits
 from studio import even_light, levels, picture, prepared, sky_of, spectrum_of, view_of
+from test_mesh_shadows import box
 
 from irodori.colour.colorimetry import xyz_from_radiance
 from irodori.config.models import Render, Scene
@@ -339,8 +340,9 @@ def test_an_eye_that_lies_in_a_plate_sees_what_embree_lets_it_see(eye):
 )
 @settings(deadline=None, max_examples=20)
 def test_bounds_keep_no_ray_from_what_it_meets(turns, eye, far, in_plane):
-    """Every ray that Embree would let meet something is handed to it: far from the origin, and from a plate's plane."""
-    shapes, places = [plate(80.0), BALL, plate(30.0)], [(far, 0, 0), (far - 22, 0, 20), (far + 10, -20, 15)]
+    """Every ray that Embree would let meet a mesh is handed to it: far from the origin, and from a triangle's plane."""
+    shapes = [square_mesh(80.0), box(14.0, True), square_mesh(30.0)]
+    places = [(far, 0, 0), (far - 22, 0, 20), (far + 10, -20, 15)]
     rotations = [rotation_xyz(t) for t in turns]
     if in_plane:
         eye = rotations[0] @ [*eye[:2], 0.0]
