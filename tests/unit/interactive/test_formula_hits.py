@@ -1,4 +1,4 @@
-"""What packets meet by the shapes' formulas, beside what Embree says of the same rays."""
+"""Rays met by the shapes' formulas, beside Embree's answer for the same rays."""
 
 from typing import NamedTuple
 
