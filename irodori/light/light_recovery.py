@@ -169,10 +169,14 @@ class _Families:
         turned = np.einsum("nij,mj->mni", self.factor, response, optimize=True)
         return np.maximum(np.einsum("mni,mni->mn", turned, turned), np.finfo(float).tiny)
 
+    def log_likelihoods(self, response: np.ndarray) -> np.ndarray:
+        """Return the logarithm of the density of responses (m, bands) in every family, up to a constant, (m, n)."""
+        logarithm = np.log(np.einsum("nbb->nb", self.factor)).sum(axis=1)
+        return logarithm - 0.5 * response.shape[1] * np.log(self.squares(response))
+
     def likelihoods(self, response: np.ndarray) -> np.ndarray:
         """Return the density of responses (m, bands) in every family, relative to the largest of each, (m, n)."""
-        logarithm = np.log(np.einsum("nbb->nb", self.factor)).sum(axis=1)
-        logarithm = logarithm - 0.5 * response.shape[1] * np.log(self.squares(response))
+        logarithm = self.log_likelihoods(response)
         return np.exp(logarithm - logarithm.max(axis=1, keepdims=True))
 
     def shares(self, response: np.ndarray) -> np.ndarray:
@@ -191,6 +195,16 @@ class _Families:
         last = np.arange(count - broad, count)
         most = np.argsort(-seen[: last[0]], kind="stable")[: _FAMILIES - broad]
         return self.chosen(np.concatenate([most, last]), shares)
+
+
+def log_densities(prior: LightPrior, model: ResponseModel, directions: Directions) -> np.ndarray:
+    """Return the logarithm of the density that a prior gives the responses in some directions, (n,), up to a constant.
+
+    The constant is common to all priors seen by one camera, so that differences compare them.
+    """
+    families = _Families.seen(prior, model)
+    logarithm = families.log_likelihoods(directions.response) + np.log(families.share)
+    return np.logaddexp.reduce(logarithm, axis=1)
 
 
 def _parted(shares: np.ndarray, likelihoods: np.ndarray) -> np.ndarray:
