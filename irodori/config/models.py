@@ -1898,7 +1898,7 @@ class EnvironmentDefinition(Definition):
 
     #: All lamps of the place where they are known, the name of a CIE illuminant (FL11, D65, LED-B3) or the path of a
     #: measured spectrum each. The light is recovered as theirs on surfaces, in place of any published lamp's; a
-    #: panorama with more than 5 % of other light is refused.
+    #: panorama that other lamps explain far better is refused.
     lamps: tuple[str, ...] = ()
 
     #: The room that the virtual rig photographs; needed where the camera's rig is of kind virtual.

@@ -1,8 +1,7 @@
 """Lamps of a place that its user knows: named as published ones, or given by measured spectra.
 
 They make the prior's families in place of all published lamps. A place with other light than theirs would be recovered
-as their mixture, so that the panorama is asked first: light that the published lamps explain far better than those
-given is not theirs.
+as their mixture, so that the panorama is asked first whether any published lamps explain it far better.
 """
 
 from collections.abc import Sequence
@@ -11,15 +10,15 @@ import numpy as np
 
 from irodori.core.errors import InputError
 from irodori.light.light_prior import LightPrior, light_prior, of_luminance_one
-from irodori.light.light_recovery import Directions, ResponseModel, log_densities
+from irodori.light.light_recovery import Directions, ResponseModel, evidence
 from irodori.spectra.published import light
 from irodori.spectra.spectral_files import SUFFIXES
 
 #: Standard deviation of what differs smoothly from a lamp, relative: of one lamp from the published one of its type,
 #: and of the reading of a field spectroradiometer.
 _OF_TYPE, _OF_MEASURED = 0.05, 0.02
-_ODDS = np.log(1000.0)  # by which published lamps explain a direction better that is not lit by those given
-_MAX_FOREIGN = 0.05  # of a panorama's light
+#: By which published lamps may explain a panorama better; being many they can follow noise that the lamps given cannot.
+_ODDS = np.log(1e4)
 
 
 def is_measured(lamp: str) -> bool:
@@ -52,24 +51,17 @@ def given_prior(spectra: np.ndarray, measured: np.ndarray) -> LightPrior:
     return light_prior(of_luminance_one(spectra), np.where(measured, _OF_MEASURED, _OF_TYPE))
 
 
-def foreign_share(directions: Directions, model: ResponseModel, known: LightPrior, published: LightPrior) -> float:
-    """Return the share of a panorama's light that published lamps explain a thousand times better than known ones."""
-    better = log_densities(published, model, directions) - log_densities(known, model, directions)
-    return float(directions.share[better > _ODDS].sum())
-
-
 def require_lamps_seen(
     lamps: Sequence[str], directions: Directions, model: ResponseModel, known: LightPrior, published: LightPrior, file
 ) -> None:
-    """Refuse lamps that do not make the light of a panorama.
+    """Refuse lamps where the published ones explain a panorama ten thousand times better.
 
     Raises
     ------
     InputError
-        Which names the panorama's file, the lamps and how much of its light is not theirs.
+        Which names the panorama's file and the lamps.
     """
-    foreign = foreign_share(directions, model, known, published)
-    if foreign > _MAX_FOREIGN:
-        found = f"{', '.join(lamps)} for a panorama of which {foreign:.0%} is other light"
-        accepted = f"every lamp of the place, daylight included, at most {_MAX_FOREIGN:.0%} other light; or no lamps"
-        raise InputError(file, "lamps", found, accepted)
+    odds = evidence(published, model, directions) - evidence(known, model, directions)
+    if odds > _ODDS:
+        found = f"{', '.join(lamps)} for a panorama that other lamps explain 10^{odds / np.log(10.0):.0f} times better"
+        raise InputError(file, "lamps", found, "every lamp of the place, daylight included, or no lamps")

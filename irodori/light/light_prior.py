@@ -7,7 +7,7 @@ import numpy as np
 from irodori.calibration.response_model import smooth_covariance
 from irodori.calibration.training import mix_paints
 from irodori.colour.colorimetry import colour_matching_weights
-from irodori.spectra.grid import SAMPLES, WAVELENGTH_NM
+from irodori.spectra.grid import WAVELENGTH_NM
 from irodori.spectra.published import chart_spectra, spectrum
 from irodori.spectra.published_names import ILLUMINANTS
 from irodori.spectra.published_tables import published_table

@@ -183,28 +183,35 @@ class _Families:
         """Return the families' shares in directions of responses (m, bands), (m, n)."""
         return _parted(self.share, self.likelihoods(response))
 
-    def of_room(self, directions: Directions, broad: int) -> "_Families":
-        """Return the families of a room, their shares by expectation and maximisation over its directions."""
+    def room_shares(self, directions: Directions) -> tuple[np.ndarray, np.ndarray]:
+        """Return the families' shares in a room, by expectation and maximisation, and of its light as seen, each (n,)."""
         shares, count = self.share, len(self.share)
         evidence = _EVIDENCE * (directions.different() - 1.0)
         likelihoods = self.likelihoods(directions.response)
         for _ in range(_STEPS):
             seen = directions.share @ _parted(shares, likelihoods)
             shares = (count * self.share + evidence * seen) / (count + evidence)
+        return shares, seen
+
+    def of_room(self, directions: Directions, broad: int) -> "_Families":
+        """Return the families of a room that explain most of it, and those of any light."""
+        (shares, seen), count = self.room_shares(directions), len(self.share)
         # What a lamp seen nowhere else shines like is found among the families that hold any light.
         last = np.arange(count - broad, count)
         most = np.argsort(-seen[: last[0]], kind="stable")[: _FAMILIES - broad]
         return self.chosen(np.concatenate([most, last]), shares)
 
 
-def log_densities(prior: LightPrior, model: ResponseModel, directions: Directions) -> np.ndarray:
-    """Return the logarithm of the density that a prior gives the responses in some directions, (n,), up to a constant.
+def evidence(prior: LightPrior, model: ResponseModel, directions: Directions) -> float:
+    """Return the logarithm of the density that a prior gives a room, its shares found in it, up to a constant.
 
-    The constant is common to all priors seen by one camera, so that differences compare them.
+    Directions count by how many differ in colour. The constant is common to all priors seen by one camera in one room,
+    so that differences compare them.
     """
     families = _Families.seen(prior, model)
-    logarithm = families.log_likelihoods(directions.response) + np.log(families.share)
-    return np.logaddexp.reduce(logarithm, axis=1)
+    shares, _ = families.room_shares(directions)
+    density = np.logaddexp.reduce(families.log_likelihoods(directions.response) + np.log(shares), axis=1)
+    return float(directions.different() * (directions.share @ density))
 
 
 def _parted(shares: np.ndarray, likelihoods: np.ndarray) -> np.ndarray:
