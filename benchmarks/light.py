@@ -8,8 +8,8 @@ to its own white. ``rig-lamp`` is the rig's lamp times the reflectance of the sa
 family of all lamps on surfaces, ``mixture`` is what the light stage does without help, ``room-chart`` with a
 ColorChecker under the lamp, ``named`` with the lamp's published name and ``measured`` with its spectrum. A lamp is not
 quite the published one of its name, nor its reading quite its spectrum: both are off at random, by 5 % over 40 nm, and
-by 2 % over 100 nm with 0.5 % of noise. Timed is a panorama of 6000 x 3000 px, or small 512 x 256 px: the draw of its directions,
-the light on two charts where there are some, the room's families and every pixel.
+by 2 % over 100 nm with 0.5 % of noise. Timed is a panorama of 6000 x 3000 px, or small 512 x 256 px: the draw of its
+directions, the light on two charts where there are some, the room's families and every pixel.
 """
 
 from collections.abc import Callable

@@ -184,7 +184,7 @@ class _Families:
         return _parted(self.share, self.likelihoods(response))
 
     def room_shares(self, directions: Directions) -> tuple[np.ndarray, np.ndarray]:
-        """Return the families' shares in a room, by expectation and maximisation, and of its light as seen, each (n,)."""
+        """Return the families' shares in a room, by expectation and maximisation, and those last seen, each (n,)."""
         shares, count = self.share, len(self.share)
         evidence = _EVIDENCE * (directions.different() - 1.0)
         likelihoods = self.likelihoods(directions.response)

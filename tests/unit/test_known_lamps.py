@@ -45,7 +45,8 @@ def test_off_coloured_walls_too(seen):
     unknown, named, measured = (
         errors(seen, variant, WALLS[::2], some).mean() for variant in ("mixture", "named", "measured")
     )
-    assert measured <= named < unknown
+    # What a wall adds is the same unknown for both: neither source tells of it.
+    assert max(named, measured) < 0.8 * unknown
 
 
 @pytest.mark.parametrize("variant", ["named", "measured"])
@@ -59,7 +60,7 @@ def test_the_lamps_of_a_room_are_accepted_though_they_are_not_quite_as_said(seen
 
 @pytest.mark.parametrize(
     ("names", "lit_by"),
-    [(("A",), ("D65",)), (("D65",), ("FL11",)), (("FL11", "D65"), ("HP1",)), (("LED-B3",), ("LED-B3", "HP4"))],
+    [(("A",), ("D65",)), (("D65",), ("FL11",)), (("FL11", "D65"), ("HP1",)), (("A",), ("A", "HP4"))],
 )
 def test_lamps_that_do_not_light_the_room_or_leave_one_out_are_refused(seen, published, names, lit_by):
     with pytest.raises(InputError, match=f"found {', '.join(names)} for a panorama that other lamps") as caught:
