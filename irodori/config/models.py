@@ -1896,6 +1896,11 @@ class EnvironmentDefinition(Definition):
     #: lamps.
     room_charts: Mapping[str, Chart] = field(default_factory=dict, hash=False)
 
+    #: All lamps of the place where they are known, the name of a CIE illuminant (FL11, D65, LED-B3) or the path of a
+    #: measured spectrum each. The light is recovered as theirs on surfaces, in place of any published lamp's; a
+    #: panorama that other lamps explain far better is refused.
+    lamps: tuple[str, ...] = ()
+
     #: The room that the virtual rig photographs; needed where the camera's rig is of kind virtual.
     virtual: VirtualRoom | None = None
 

@@ -360,7 +360,7 @@ class PhotographSets:
         place = self.loaded.environments[wildcards.environment]
         source = place.source
         picture = [] if self.is_photographed(wildcards) or not hasattr(source, "file") else [source.file]
-        return [*picture, *named_tables(source, place.room_charts)]
+        return [*picture, *named_tables(source, place.room_charts, place.lamps)]
 
     # ---- measurements of the rig and of poses
 

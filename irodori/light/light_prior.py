@@ -7,7 +7,7 @@ import numpy as np
 from irodori.calibration.response_model import smooth_covariance
 from irodori.calibration.training import mix_paints
 from irodori.colour.colorimetry import colour_matching_weights
-from irodori.spectra.grid import SAMPLES, WAVELENGTH_NM
+from irodori.spectra.grid import WAVELENGTH_NM
 from irodori.spectra.published import chart_spectra, spectrum
 from irodori.spectra.published_names import ILLUMINANTS
 from irodori.spectra.published_tables import published_table
@@ -50,6 +50,11 @@ def published_lamps() -> np.ndarray:
     lamps = np.concatenate(
         [np.stack([spectrum(name) for name in ILLUMINANTS]), published_table("light_sources").at(WAVELENGTH_NM)]
     )
+    return of_luminance_one(lamps)
+
+
+def of_luminance_one(lamps: np.ndarray) -> np.ndarray:
+    """Return spectra of lamps, (lamps, 61), each brought to luminance 1."""
     return lamps / (lamps @ colour_matching_weights()[1])[:, None]
 
 
@@ -68,14 +73,13 @@ def _spread(spread: tuple[float, float]) -> np.ndarray:
 
 
 def _alike(moments: np.ndarray, count: int) -> np.ndarray:
-    """Return the mean second moment of every lamp with those most alike, (lamps, 61, 61)."""
+    """Return which lamps are most alike to every one by their second moments, itself the first, (lamps, count)."""
     size = np.sqrt(np.einsum("nij,nij->n", moments, moments))
     flat = moments.reshape(len(moments), -1)
-    alike = np.argsort(-(flat @ flat.T) / (size[:, None] * size), axis=1, kind="stable")[:, :count]
-    return moments[alike].mean(axis=1)
+    return np.argsort(-(flat @ flat.T) / (size[:, None] * size), axis=1, kind="stable")[:, :count]
 
 
-def families_of(lamps: np.ndarray, alike: int = _ALIKE, deviation: float = _OF_LAMPS) -> LightPrior:
+def families_of(lamps: np.ndarray, alike: int = _ALIKE, deviation: float | np.ndarray = _OF_LAMPS) -> LightPrior:
     """Return the prior that lamps make, each given by the second moment of its spectrum, (lamps, 61, 61).
 
     Parameters
@@ -83,12 +87,13 @@ def families_of(lamps: np.ndarray, alike: int = _ALIKE, deviation: float = _OF_L
     lamps : (n, 61, 61) float64
     alike : int
         Lamps that make a kind.
-    deviation : float
+    deviation : float or (n,) float
         Standard deviation of what differs smoothly from a lamp, relative.
     """
-    bare, surfaces = np.ones((SAMPLES, SAMPLES)) + _spread((deviation, _LENGTH_NM)), _surfaces()
-    every = lamps.mean(axis=0)
-    moments = (lamps * bare, lamps * surfaces, _alike(lamps, alike) * bare, np.stack([every * bare, every * surfaces]))
+    variance = np.broadcast_to(np.square(deviation), len(lamps))[:, None, None]
+    bare, surfaces = lamps * (1.0 + variance * smooth_covariance(_LENGTH_NM)), _surfaces()
+    of_any = np.stack([bare.mean(axis=0), lamps.mean(axis=0) * surfaces])
+    moments = (bare, lamps * surfaces, bare[_alike(lamps, alike)].mean(axis=1), of_any)
     share = np.concatenate(
         [
             np.full(len(moment), weight / len(moment))
@@ -98,6 +103,6 @@ def families_of(lamps: np.ndarray, alike: int = _ALIKE, deviation: float = _OF_L
     return LightPrior(np.concatenate(moments), share / share.sum(), len(moments[-1]))
 
 
-def light_prior(lamps: np.ndarray) -> LightPrior:
-    """Return the prior that a list of lamps, (lamps, 61), makes."""
-    return families_of(lamps[:, :, None] * lamps[:, None, :])
+def light_prior(lamps: np.ndarray, deviation: float | np.ndarray = _OF_LAMPS) -> LightPrior:
+    """Return the prior that a list of lamps, (lamps, 61), makes; for the deviation see `families_of`."""
+    return families_of(lamps[:, :, None] * lamps[:, None, :], deviation=deviation)

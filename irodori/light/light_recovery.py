@@ -85,10 +85,13 @@ class Directions:
     ----------
     response : (n, bands) float64
     share : (n,) float64, sum 1
+    lit : bool
+        False of a black picture, whose one direction could be of any colour.
     """
 
     response: np.ndarray
     share: np.ndarray
+    lit: bool = True
 
     def different(self) -> float:
         """Return how many directions differ in colour; one where all are alike."""
@@ -118,7 +121,7 @@ def draw_directions(parts: Iterable[tuple[np.ndarray, np.ndarray | float]], seed
             responses.append(response[chosen].astype(np.float64))
             shares.append(np.full(_DRAWS, total[-1] / _DRAWS))
     if not responses:  # black: any light will do
-        return Directions(np.ones((1, bands)), np.ones(1))
+        return Directions(np.ones((1, bands)), np.ones(1), lit=False)
     share = np.concatenate(shares)
     return Directions(np.concatenate(responses), share / share.sum())
 
@@ -169,28 +172,49 @@ class _Families:
         turned = np.einsum("nij,mj->mni", self.factor, response, optimize=True)
         return np.maximum(np.einsum("mni,mni->mn", turned, turned), np.finfo(float).tiny)
 
+    def log_likelihoods(self, response: np.ndarray) -> np.ndarray:
+        """Return the logarithm of the density of responses (m, bands) in every family, up to a constant, (m, n)."""
+        logarithm = np.log(np.einsum("nbb->nb", self.factor)).sum(axis=1)
+        return logarithm - 0.5 * response.shape[1] * np.log(self.squares(response))
+
     def likelihoods(self, response: np.ndarray) -> np.ndarray:
         """Return the density of responses (m, bands) in every family, relative to the largest of each, (m, n)."""
-        logarithm = np.log(np.einsum("nbb->nb", self.factor)).sum(axis=1)
-        logarithm = logarithm - 0.5 * response.shape[1] * np.log(self.squares(response))
+        logarithm = self.log_likelihoods(response)
         return np.exp(logarithm - logarithm.max(axis=1, keepdims=True))
 
     def shares(self, response: np.ndarray) -> np.ndarray:
         """Return the families' shares in directions of responses (m, bands), (m, n)."""
         return _parted(self.share, self.likelihoods(response))
 
-    def of_room(self, directions: Directions, broad: int) -> "_Families":
-        """Return the families of a room, their shares by expectation and maximisation over its directions."""
+    def room_shares(self, directions: Directions) -> tuple[np.ndarray, np.ndarray]:
+        """Return the families' shares in a room, by expectation and maximisation, and those last seen, each (n,)."""
         shares, count = self.share, len(self.share)
         evidence = _EVIDENCE * (directions.different() - 1.0)
         likelihoods = self.likelihoods(directions.response)
         for _ in range(_STEPS):
             seen = directions.share @ _parted(shares, likelihoods)
             shares = (count * self.share + evidence * seen) / (count + evidence)
+        return shares, seen
+
+    def of_room(self, directions: Directions, broad: int) -> "_Families":
+        """Return the families of a room that explain most of it, and those of any light."""
+        (shares, seen), count = self.room_shares(directions), len(self.share)
         # What a lamp seen nowhere else shines like is found among the families that hold any light.
         last = np.arange(count - broad, count)
         most = np.argsort(-seen[: last[0]], kind="stable")[: _FAMILIES - broad]
         return self.chosen(np.concatenate([most, last]), shares)
+
+
+def evidence(prior: LightPrior, model: ResponseModel, directions: Directions) -> float:
+    """Return the logarithm of the density that a prior gives a room, its shares found in it, up to a constant.
+
+    Directions count by how many differ in colour. The constant is common to all priors seen by one camera in one room,
+    so that differences compare them.
+    """
+    families = _Families.seen(prior, model)
+    shares, _ = families.room_shares(directions)
+    density = np.logaddexp.reduce(families.log_likelihoods(directions.response) + np.log(shares), axis=1)
+    return float(directions.different() * (directions.share @ density))
 
 
 def _parted(shares: np.ndarray, likelihoods: np.ndarray) -> np.ndarray:

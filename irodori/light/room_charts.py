@@ -19,7 +19,6 @@ from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.colour.colorimetry import colour_matching_weights
 from irodori.config.models import Chart
 from irodori.core.errors import InputError
-from irodori.core.progress import LOGGER
 from irodori.light.light_prior import LightPrior, families_of
 from irodori.light.light_recovery import Directions, LightRecovery, ResponseModel
 from irodori.spectra.published import chart_spectra
@@ -230,6 +229,5 @@ def recovery_with(
     require_in_room(charts, directions)
     lights = [light_on(chart, model, prior) for chart in charts]
     if charts:
-        LOGGER.info("lamps told by the charts %s in the room", ", ".join(chart.name for chart in charts))
         model, prior = refined_model(model, charts, lights), room_prior(lights, prior)
     return LightRecovery.of_room(model, directions, prior)

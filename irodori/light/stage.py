@@ -23,6 +23,7 @@ from irodori.light.environment_file import QUANTITY, Environment, directions
 from irodori.light.gloss.gloss_maps import GlossMaps
 from irodori.light.gloss.look_up_errors import gloss_errors
 from irodori.light.irradiance import Integrator, fitted_irradiance_map
+from irodori.light.known_lamps import known_prior, require_lamps_seen, told_by
 from irodori.light.light_files import rgb_picture, spectral_picture
 from irodori.light.light_prior import LightPrior, light_prior, published_lamps
 from irodori.light.light_recovery import Directions, LightRecovery, ResponseModel, draw_directions
@@ -147,6 +148,7 @@ def prepare_environment(
     gloss_lobes: Sequence[str] = (),
     prior: LightPrior | None = None,
     room_charts: Mapping[str, tuple[object, Chart]] | None = None,
+    lamps: Sequence[str] = (),
 ) -> None:
     """Write an environment's file from the linear responses of its omnidirectional picture or of a mirror ball.
 
@@ -165,12 +167,14 @@ def prepare_environment(
         That of the published lamps where absent.
     room_charts : mapping of str to (path, Chart), optional
         Linear file and definition of each chart in the place, by its name.
+    lamps : sequence of str
+        All lamps of the place, published names or paths of measured spectra; any published ones where empty.
 
     Raises
     ------
     InputError
         If a pixel is saturated in every bracket, or masked pixels stand beside each other; if a chart in the place
-        cannot be read or disagrees with the panorama.
+        cannot be read, or it or the lamps disagree with the panorama.
 
     Notes
     -----
@@ -179,9 +183,12 @@ def prepare_environment(
     calibration = Calibration.load(calibration_file)
     charts = read_room_charts(room_charts or {}, calibration)
     model = ResponseModel.of(calibration, calibration_file)
-    known = light_prior(published_lamps()) if prior is None else prior
+    published = light_prior(published_lamps()) if prior is None else prior
+    known = known_prior(lamps) if lamps else published
 
     def recovery_of(drawn: Directions) -> LightRecovery:
+        if lamps:
+            require_lamps_seen(lamps, drawn, model, known, published, linear)
         return recovery_with(charts, model, drawn, known)
 
     if isinstance(source, CapturesSource):
@@ -190,7 +197,9 @@ def prepare_environment(
         raise ValueError("a mirror ball without the size of its picture; accepted: image")
     else:
         picture = _mirror_ball(linear, calibration, source, image, recovery_of)
-    picture.origin["lamps"] = f"charts in the room ({', '.join(room_charts)})" if room_charts else "published lamps"
+    sources = [f"charts in the room ({', '.join(room_charts)})"] if room_charts else []
+    picture.origin["lamps"] = " and ".join([*sources, *([told_by(lamps)] if lamps else [])]) or "published lamps"
+    LOGGER.info("lamps told by %s", picture.origin["lamps"])
     # The colour of the light is judged against the rig's light as white.
     write_environment(
         picture, calibration.light, output, options, irradiance_options, provenance, gloss_lobes=gloss_lobes

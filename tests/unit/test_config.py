@@ -337,7 +337,21 @@ def test_questions_about_what_is_not_there():
         definitions.is_virtual("objects", "tile-plat")
 
 
-# ---- charts in a place
+# ---- lamps and charts in a place
+
+
+@pytest.mark.parametrize(
+    ("lamps", "field", "found"),
+    [
+        (["FL11", "D56"], "lamps[1]", "'D56'"),
+        (["lamp.csv"], "lamps[0]", "no such file"),
+        (["FL11", "FL11"], "lamps", "FL11"),
+    ],
+)
+def test_a_lamp_of_a_room_that_is_at_fault_is_named(root, lamps, field, found):
+    edit(root, ROOM_FILE, "lamps", lamps)
+    error = fault(root)
+    assert error.field == field and found in error.found
 
 
 @pytest.mark.parametrize(

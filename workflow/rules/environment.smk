@@ -21,6 +21,7 @@ rule prepare_environment:
         image=lookup(within=config, dpath="environments/{environment}/image", default=None),
         photographed=sets.is_photographed,
         room_charts=lookup(within=config, dpath="environments/{environment}/room_charts", default={}),
+        lamps=lookup(within=config, dpath="environments/{environment}/lamps", default=[]),
         lobes=sets.lobes(),
         user_files=ledger.content(sets.files_of_light),
         code=code_hash("irodori.light.stage", "irodori.config.cross_checks.object_lobes"),

@@ -22,6 +22,7 @@ with run_rule(snakemake) as provenance:
                 snakemake.params.room_charts.items(), snakemake.input.room_charts, strict=True
             )
         }
-        prepare_environment(*files, *common, source=source, image=image, gloss_lobes=gloss, room_charts=charts)
+        told = {"room_charts": charts, "lamps": snakemake.params.lamps}
+        prepare_environment(*files, *common, source=source, image=image, gloss_lobes=gloss, **told)
     else:
         make_environment(source, image, *common, gloss_lobes=gloss)

@@ -14,7 +14,7 @@ from irodori.config.models import (
 )
 from irodori.core.errors import InputError, is_file
 
-_OF_A_CAMERA = ("camera", "captures", "exposure_s", "room_charts", "virtual")
+_OF_A_CAMERA = ("camera", "captures", "exposure_s", "room_charts", "lamps", "virtual")
 
 
 def is_photographed(environment: EnvironmentDefinition) -> bool:

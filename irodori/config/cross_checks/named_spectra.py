@@ -109,7 +109,7 @@ def _check_places(chart: Chart, file, key: str) -> None:
 def _kind(path: tuple) -> str | None:
     """Return what the value at a path is a spectrum of; None where it is no spectrum."""
     keys = [part for part in path if isinstance(part, str)]
-    if keys[-1] in ("ambient_light", "lights", "illuminants", "from_illuminant"):
+    if keys[-1] in ("ambient_light", "lights", "lamps", "illuminants", "from_illuminant"):
         return "light"
     if keys[-1] == "spectrum":
         return "reflectance" if {"materials", "surfaces", "bodies"} & set(keys) else "light"

@@ -1,0 +1,69 @@
+"""Lamps of a place that its user knows: named as published ones, or given by measured spectra.
+
+They make the prior's families in place of all published lamps. A place with other light than theirs would be recovered
+as their mixture, so that the panorama is asked first whether any published lamps explain it far better.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from irodori.core.errors import InputError
+from irodori.light.light_prior import LightPrior, light_prior, of_luminance_one
+from irodori.light.light_recovery import Directions, ResponseModel, evidence
+from irodori.spectra.published import light
+from irodori.spectra.spectral_files import SUFFIXES
+
+#: Standard deviation of what differs smoothly from a lamp, relative: of one lamp from the published one of its type,
+#: and of the reading of a field spectroradiometer.
+_OF_TYPE, _OF_MEASURED = 0.05, 0.02
+#: By which published lamps may explain a panorama better; being many they can follow noise that the lamps given cannot.
+_ODDS = np.log(1e4)
+
+
+def is_measured(lamp: str) -> bool:
+    """Whether a lamp is given by the file of its spectrum, as against a published name."""
+    return lamp.lower().endswith(SUFFIXES)
+
+
+def told_by(lamps: Sequence[str]) -> str:
+    """Return in words what tells of some lamps: their names, their measured spectra, or both."""
+    kinds = (
+        ("named lamps", [lamp for lamp in lamps if not is_measured(lamp)]),
+        ("measured spectra", [lamp for lamp in lamps if is_measured(lamp)]),
+    )
+    return " and ".join(f"{words} ({', '.join(some)})" for words, some in kinds if some)
+
+
+def known_prior(lamps: Sequence[str]) -> LightPrior:
+    """Return the prior of a place that is lit by some lamps alone, each a published name or the path of a spectrum.
+
+    Raises
+    ------
+    InputError
+        For an unknown name, and for a file that holds no spectrum of a light.
+    """
+    return given_prior(np.stack([light(lamp) for lamp in lamps]), np.array([is_measured(lamp) for lamp in lamps]))
+
+
+def given_prior(spectra: np.ndarray, measured: np.ndarray) -> LightPrior:
+    """Return the prior that lamps make, (lamps, 61), of which some were measured and the others are of that type."""
+    return light_prior(of_luminance_one(spectra), np.where(measured, _OF_MEASURED, _OF_TYPE))
+
+
+def require_lamps_seen(
+    lamps: Sequence[str], directions: Directions, model: ResponseModel, known: LightPrior, published: LightPrior, file
+) -> None:
+    """Refuse lamps where the published ones explain a panorama ten thousand times better; never of a black one.
+
+    Raises
+    ------
+    InputError
+        Which names the panorama's file and the lamps.
+    """
+    if not directions.lit:
+        return
+    odds = evidence(published, model, directions) - evidence(known, model, directions)
+    if odds > _ODDS:
+        found = f"{', '.join(lamps)} for a panorama that other lamps explain 10^{odds / np.log(10.0):.0f} times better"
+        raise InputError(file, "lamps", found, "every lamp of the place, daylight included, or no lamps")
