@@ -9,6 +9,7 @@ import importlib.resources
 import ipaddress
 import json
 import os
+import re
 import secrets
 import signal
 import socket
@@ -20,9 +21,13 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import TYPE_CHECKING
 
-from irodori.capture.dialogue import LONGEST_REASON, Action, Dialogue, Refused, SessionView, State
+from irodori.capture.dialogue import LONGEST_REASON, Action, Dialogue, Refused, SessionView, Shown, State
 from irodori.core.errors import InputError, PlainError
+
+if TYPE_CHECKING:
+    from irodori.ingest.preview import Preview
 
 #: Longest body of an action, bytes; what is longer is read so far only that the answer arrives.
 _LONGEST_BODY, _READ_AT_MOST = 4 * LONGEST_REASON + 200, 1 << 16
@@ -31,6 +36,9 @@ _BEAT_S, _PATIENCE_S = 4.0, 20.0
 _MOST_CONNECTIONS = 32
 #: Time that the pages have for the last news, s.
 _FAREWELL_S = 1.0
+#: Photographs whose pictures are kept for pages that ask late.
+_PICTURES_KEPT = 4
+_PICTURE = re.compile("/(?P<kind>picture|overlay)/(?P<number>[1-9][0-9]{0,8})")
 _FILES = {
     "/": ("page.html", "text/html; charset=utf-8"),
     "/page.js": ("page.js", "text/javascript; charset=utf-8"),
@@ -111,6 +119,7 @@ class PageServer(ThreadingHTTPServer):
         self.dialogue, self.name, self.token = dialogue, name, secrets.token_urlsafe(16)
         self._slots, self._streams = threading.BoundedSemaphore(_MOST_CONNECTIONS), threading.Condition()
         self._open_streams = 0
+        self._told: dict[int, Preview] = {}
         parsed = ipaddress.ip_address(where.address)
         self.address_family = socket.AF_INET6 if parsed.version == 6 else socket.AF_INET
         try:
@@ -150,6 +159,22 @@ class PageServer(ThreadingHTTPServer):
         """Let go of browsers that went away; all else is a mistake of ours and is said."""
         if not isinstance(sys.exc_info()[1], OSError):
             super().handle_error(request, client_address)
+
+    def tell(self, shown: Shown | None) -> None:
+        """Keep the pictures of a photograph of which a page is about to hear.
+
+        A page asks for them once it has heard, and by then the next photograph may be shown. The last few are kept.
+        """
+        with self._streams:
+            if shown is not None:
+                self._told[shown.number] = shown.preview
+            for number in sorted(self._told)[:-_PICTURES_KEPT]:
+                del self._told[number]
+
+    def told(self, number: int) -> "Preview | None":
+        """Return the pictures of a photograph that pages have heard of, None for others and those long gone."""
+        with self._streams:
+            return self._told.get(number)
 
     @contextmanager
     def stream(self) -> Iterator[None]:
@@ -249,13 +274,11 @@ class _Handler(BaseHTTPRequestHandler):
         return self.rfile.read(length)
 
     def _picture(self, path: str) -> tuple[str, bytes] | None:
-        """Return kind and content of the newest picture or its overlay, None for every other path."""
-        if (shown := self.server.dialogue.view.shown) is None:
+        """Return kind and content of a picture that pages were told of, or its overlay; None for every other path."""
+        asked = _PICTURE.fullmatch(path)
+        if asked is None or (preview := self.server.told(int(asked["number"]))) is None:
             return None
-        return {
-            f"/picture/{shown.number}": ("image/jpeg", shown.preview.jpeg),
-            f"/overlay/{shown.number}": ("image/png", shown.preview.overlay),
-        }.get(path)
+        return ("image/jpeg", preview.jpeg) if asked["kind"] == "picture" else ("image/png", preview.overlay)
 
     def _news(self) -> None:
         """Send every change as an event, until the session ends or the browser goes."""
@@ -270,6 +293,7 @@ class _Handler(BaseHTTPRequestHandler):
                     self.wfile.write(b"event: beat\ndata:\n\n")
                 else:
                     version = view.version
+                    self.server.tell(view.shown)
                     self.wfile.write(b"data: " + json.dumps(_plain(view, self.server.name)).encode() + b"\n\n")
                 if view.state is State.ENDED:
                     return

@@ -4,7 +4,9 @@ The orientation tag never turns the data: a camera that looks down sets it at ra
 picture that turns between two shots of one pose fits neither the other nor the camera's optics.
 """
 
+import contextlib
 import math
+import threading
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,6 +26,9 @@ ALGORITHMS = {
     "dcb": rawpy.DemosaicAlgorithm.DCB,
     "dht": rawpy.DemosaicAlgorithm.DHT,
 }
+#: Algorithms of LibRaw that keep a variable of the whole process: two threads in one of them at once spoil each other's
+#: picture, or end the process. Photographs of one job are developed side by side, so these wait for each other.
+_ONE_AT_A_TIME = {"vng": threading.Lock()}
 BAND_LETTERS = "RGB"
 _WHOLE = "a whole RAW file that LibRaw reads"
 _PATTERN_SIDE = 6  # of the X-Trans pattern, the largest that LibRaw knows
@@ -149,20 +154,21 @@ def demosaic(
             raw.raw_image_visible[:height, :width] = np.clip(shifted, 0, 65535)
         if masked_px is not None and len(masked_px):
             _replace_masked(raw.raw_image_visible[:height, :width], masked_px)
-        picture = raw.postprocess(
-            demosaic_algorithm=ALGORITHMS[algorithm],
-            user_black=0,
-            user_cblack=[0, 0, 0, 0],
-            user_sat=65535,
-            no_auto_scale=True,
-            no_auto_bright=True,
-            adjust_maximum_thr=0.0,
-            user_wb=[1.0, 1.0, 1.0, 1.0],
-            output_color=rawpy.ColorSpace.raw,
-            output_bps=16,
-            gamma=(1, 1),
-            user_flip=0,
-        )
+        with _ONE_AT_A_TIME.get(algorithm, contextlib.nullcontext()):
+            picture = raw.postprocess(
+                demosaic_algorithm=ALGORITHMS[algorithm],
+                user_black=0,
+                user_cblack=[0, 0, 0, 0],
+                user_sat=65535,
+                no_auto_scale=True,
+                no_auto_bright=True,
+                adjust_maximum_thr=0.0,
+                user_wb=[1.0, 1.0, 1.0, 1.0],
+                output_color=rawpy.ColorSpace.raw,
+                output_bps=16,
+                gamma=(1, 1),
+                user_flip=0,
+            )
         return picture[:height, :width]
 
     return _read(path, interpolate)

@@ -422,6 +422,27 @@ def test_a_line_without_an_end_and_bytes_that_are_no_text():
             link.read_line(0.1)
 
 
+@pytest.mark.parametrize("call", ["discard_input", "write", "read_line"])
+def test_an_exception_of_a_signal_handler_is_not_taken_for_a_lost_line(monkeypatch, call):
+    """It may come while pyserial computes, and the program that asked for it must meet it as it was raised."""
+
+    class Interrupted(Exception):
+        pass
+
+    def interrupt(*_):
+        raise Interrupted
+
+    with run_simulator("irodori.simulation.controllers.grbl_simulator", []) as simulator:
+        link = SerialLink(simulator.port)
+        try:
+            inner = {"discard_input": "reset_input_buffer", "write": "write", "read_line": "read"}[call]
+            monkeypatch.setattr(link._serial, inner, interrupt)
+            with pytest.raises(Interrupted):
+                getattr(link, call)(*{"write": (b"?",), "read_line": (0.1,)}.get(call, ()))
+        finally:
+            link.close()
+
+
 def test_the_driver_s_constructor_leaves_the_line_to_its_owner():
     with simulate({**grbl_settings(DRIVES, True), 22: 0, 20: 0}) as simulator:
         link = SerialLink(simulator.port)

@@ -16,7 +16,7 @@ import psutil
 import pytest
 from made import made
 from sessions import assert_whole, definitions, shots
-from test_rig_page import Sitting, possible, press, says, sitting, visit  # noqa: F401 - fixtures
+from test_rig_page import Sitting, pictured, possible, press, says, sitting, visit  # noqa: F401 - fixtures
 
 from irodori.capture.dialogue import OFFERS, Action, Dialogue, RetakeLast, State
 from irodori.capture.operator import OperatorAbort
@@ -59,7 +59,7 @@ def test_on_a_small_phone_nothing_is_cut_off_and_axe_finds_nothing_in_any_state(
     press(page, "Pause")
     sitting.eye.may.release()
     says(page, "Paused")
-    page.wait_for_function("document.getElementById('picture').naturalWidth === 16")
+    pictured(page, 16)
     check_page(page)
     press(page, "Go on")
     says(page, "Put the comb filter in")

@@ -11,7 +11,7 @@ from PIL import Image
 from scipy.ndimage import binary_erosion, distance_transform_edt
 from sessions import MADE, QuickCamera, assert_whole, definitions, shots
 from test_check import SIZE
-from test_rig_page import press, says, visit  # noqa: F401 - the fixture of a browser
+from test_rig_page import pictured, press, says, visit  # noqa: F401 - the fixture of a browser
 
 from irodori.capture.dialogue import Dialogue, State
 from irodori.capture.journal import Journal
@@ -89,7 +89,7 @@ def test_the_outline_lies_on_the_edge_of_the_photographed_plate(tmp_path, visit)
         # The filter shifts the picture: what is compared is the photograph without it.
         press(page, "Done")
         says(page, "All 2 photographs are there")
-        page.wait_for_function("document.getElementById('picture').naturalWidth === 120")
+        pictured(page, 120)
         assert "by its pose the object lies from" in page.locator("#outline").get_attribute("aria-label")
         page.locator("#marks").uncheck()
         drawn = seen(page)
@@ -116,7 +116,7 @@ def test_nothing_is_drawn_where_no_object_stands_or_the_lens_is_unknown(tmp_path
         says(page, "white")
         press(page, "Done")
         says(page, "comb filter in")
-        page.wait_for_function("document.getElementById('picture').naturalWidth === 120")
+        pictured(page, 120)
         assert not page.locator("#outline").is_visible() and not page.locator("#lines").is_visible()
         assert sitting.dialogue.view.shown.outline is None
 

@@ -1,5 +1,7 @@
 """Full resolution through LibRaw: linear, unbiased in the dark, masked where a fault or a highlight reaches."""
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 from dng_files import write_any_dng
@@ -72,6 +74,19 @@ def test_a_smooth_scene_has_the_responses_of_its_superpixels(tmp_path, name):
     error = np.where(valid[..., None] > 0, response - truth, 0.0)
     blocks = error.reshape(SIZE[0] // 20, 20, SIZE[1] // 20, 20, 6).mean(axis=(1, 3))
     assert np.abs(blocks).max() < 0.006
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_photographs_developed_side_by_side_are_those_developed_one_by_one(tmp_path, name):
+    """Two threads in LibRaw's VNG at once share a variable: pictures come out spoilt, or the process ends."""
+    rng = np.random.default_rng(85)
+    paths = [tmp_path / f"{i}.dng" for i in range(2)]
+    for path in paths:
+        write_any_dng(path, rng.integers(300, 16000, (128, 256)).astype(np.uint16))
+    alone = [demosaic(path, name) for path in paths]
+    with ThreadPoolExecutor(2) as pool:
+        for first, second in pool.map(lambda _: [demosaic(path, name) for path in paths], range(40)):
+            assert np.array_equal(first, alone[0]) and np.array_equal(second, alone[1])
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -1,6 +1,7 @@
 """Serial connection through pyserial, locked against other processes."""
 
 import errno
+import termios
 
 import serial
 
@@ -75,14 +76,14 @@ class SerialLink(Link):
         self._buffer = b""
         try:
             self._serial.reset_input_buffer()
-        except Exception as error:  # termios.error is neither an OSError nor pyserial's
+        except (serial.SerialException, OSError, termios.error) as error:  # termios.error is none of the others
             raise self._lost(error) from None
 
     def close(self) -> None:
         """Let go of the line and its lock; harmless when repeated, and on a line that is lost."""
         try:
             self._serial.close()
-        except Exception:
+        except (serial.SerialException, OSError, termios.error):
             # A device that was pulled out cannot be closed in order either; its descriptor is gone with it.
             self._serial.is_open = False
 
