@@ -7,15 +7,17 @@ path-traced one at pixels that show objects, noise taken out. The representation
 paths end at the last reflection only, is printed beside it. Peak and resident memory are those of a process that maps
 the light's files, prepares one variant and renders it. Processor time over threads is what a frame takes on idle cores.
 ``spectral`` carries 61 bands and decodes them from the four coefficients at every look-up; ``spectral, stored`` does
-without compression: light and blurred light are kept in 61 bands, too. Full counts the cycles of each stage, in loops
+without compression: light and blurred light are kept in 61 bands, too. ``light maps`` are baked for the light as it
+stands, which does not turn there. Full counts the cycles of each stage, in loops
 that are compiled for it.
 """
 
 import pickle
 import tempfile
+import time
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 
 import numba
@@ -33,6 +35,8 @@ from irodori.light.gloss.gloss_maps import GlossMaps
 from irodori.light.irradiance import fitted_irradiance_map
 from irodori.material.material_file import Material
 from irodori.rendering.interactive.frame_renderer import CollimatedLamp, light_of, prepare_scene, profiled, render_frame
+from irodori.rendering.light_maps import LightMaps
+from irodori.rendering.reference.baking import bake_maps
 from irodori.rendering.reference.converging_picture import TracedScene, make_scene
 from irodori.rendering.reference.distance import Distance, distance_to_reference, object_pixels
 from irodori.rendering.scene_arrays import View, make_objects, make_placements, make_view
@@ -53,6 +57,8 @@ VARIANTS = {
     "coefficients, camera rests": ("coefficients", {}, {"keep_visibility": True}),
     "coefficients, ambient": ("coefficients", {"ambient": True}, {}),
     "spectral, ambient": ("spectral", {"ambient": True}, {}),
+    "coefficients, light maps": ("coefficients", {"baked": True}, {}),
+    "spectral, light maps": ("spectral", {"baked": True}, {}),
     "coefficients, a lamp": ("coefficients", {"lamps": 1}, {}),
     "quadrature": ("quadrature", {}, {}),
     "spectral": ("spectral", {}, {}),
@@ -61,7 +67,12 @@ VARIANTS = {
 }
 #: What is measured where the command line does not say it; every representation compiles loops of its own.
 SIZES = {
-    "small": {"environment": 1000, "width": 320, "height": 240, "variants": ["rgb", "coefficients", "spectral"]},
+    "small": {
+        "environment": 1000,
+        "width": 320,
+        "height": 240,
+        "variants": ["rgb", "coefficients", "coefficients, light maps", "spectral"],
+    },
     "full": {"environment": 6000, "width": 640, "height": 480, "variants": list(VARIANTS)},
 }
 
@@ -117,8 +128,18 @@ class Studio:
         self.white = self.environment.upward_white()
         self.image = Size(width=width, height=height)
 
-    def prepare(self, representation: str, lamps: int = 0, stored: bool = False, **options):
+    @cached_property
+    def maps(self) -> LightMaps:
+        """Light maps of the scene."""
+        began = time.process_time()
+        maps = bake_maps(self.tracer.placements, self.objects, self.environment)
+        made = ", ".join(f"{bake.texels} texels of {bake.paths} paths ({bake.error:.3f})" for bake in maps.bakes)
+        print(f"light maps: {time.process_time() - began:.1f} s of CPU time, compilation included; {made}")
+        return maps
+
+    def prepare(self, representation: str, lamps: int = 0, stored: bool = False, baked: bool = False, **options):
         """Return the scene prepared for a representation; its light decoded before where all bands are ``stored``."""
+        options |= {"maps": self.maps} if baked else {}
         spectra = np.repeat(2.0 * light("LED-B3")[None] / light("LED-B3").mean(), lamps, axis=0)
         environment, gloss = self._in_bands() if stored else (self.environment, self.gloss)
         scene = (self.objects, light_of(environment), gloss, self.tracer, representation, self.white)
@@ -145,13 +166,13 @@ class Studio:
         return scene, view, object_pixels(scene.tracer, view, len(self.tracer.placements))
 
     def frame(self, prepared, number: int, **options) -> np.ndarray:
-        """Return a frame; the light always turns, the camera unless it rests."""
+        """Return a frame; the light turns unless it is baked, the camera unless it rests."""
         turn = 0.0 if options.get("keep_visibility") else number * _STEP_DEG
         view = self.scene.views["front"]
         x, y, z = rotation_xyz([0.0, 0.0, turn]) @ np.asarray(view.position_mm)
         view = make_view(replace(view, position_mm=(x, y, z)), self.image)
         lamps = tuple(CollimatedLamp(np.array(_LAMP_DIRECTION)) for _ in range(prepared.lamps))
-        rotation = rotation_xyz([0.0, 0.0, number * _STEP_DEG])
+        rotation = rotation_xyz([0.0, 0.0, 0.0 if prepared.world.baked_maps else number * _STEP_DEG])
         return render_frame(prepared, view, world_from_light=rotation, lamps=lamps, **options)
 
 
@@ -180,7 +201,7 @@ def _memory_mb(names: Sequence[str], arguments, folder: Path) -> list[tuple[floa
 
 def _error(name: str, image: np.ndarray, reference: np.ndarray, white_xyz: np.ndarray) -> dict:
     """Return CIEDE2000 of a variant to the same transport in 61 bands; a picture under other light has none."""
-    if image.shape[2] != 3 or "lamp" in name or "ambient" in name:
+    if image.shape[2] != 3 or any(word in name for word in ("lamp", "ambient", "maps")):
         return {"mean": float("nan"), "p99": float("nan"), "max": float("nan")}
     return summary(delta_e(lab_from_xyz(reference, white_xyz), lab_from_xyz(image, white_xyz)))
 

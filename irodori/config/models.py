@@ -601,6 +601,10 @@ class InteractiveIntegrator(Definition):
     #: Whether bodies and objects hide light from all sides from each other, meshes from themselves too (true or false).
     ambient: bool = True
 
+    #: Whether the light that falls on spheres, discs and plates is baked by path tracing, with shadows and reflections
+    #: between objects; in place of ambient there (true or false).
+    light_maps: bool = False
+
 
 @dataclass(frozen=True, kw_only=True)
 class ReferenceIntegrator(Definition):

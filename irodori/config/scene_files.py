@@ -13,6 +13,7 @@ from irodori.config.definition import as_plain
 from irodori.config.models import (
     Camera,
     IlluminantChange,
+    InteractiveIntegrator,
     MeasuredDisplay,
     ModelledMaterial,
     ProfileDisplay,
@@ -125,6 +126,16 @@ class SceneFiles:
         """Return the plan of a scene that tolerates an error, as a list; others are rendered in full."""
         tolerant = self._scene(wildcards).tolerance_ciede2000 is not None
         return [f"results/{wildcards.scene}/plan.yaml"] if tolerant else []
+
+    def light_maps(self, pattern: str) -> Callable[[Any], list[str]]:
+        """Return a function from wildcards to the file of a scene's light maps, as a list, empty where it has none."""
+
+        def found(wildcards) -> list[str]:
+            integrator = self._scene(wildcards).integrator
+            has_maps = isinstance(integrator, InteractiveIntegrator) and integrator.light_maps
+            return [pattern.format(scene=wildcards.scene)] if has_maps else []
+
+        return found
 
     def display_file(self, wildcards) -> list[str]:
         """Return the file that says how a scene's display shows colours, as a list; a standard one needs none."""

@@ -33,6 +33,7 @@ def render_image(
     options: Render = DEFAULTS,
     *,
     tiles_folder=None,
+    maps_file=None,
     plan: dict | None = None,
     check: bool = True,
     distance: bool = False,
@@ -48,6 +49,9 @@ def render_image(
     options : Render
     tiles_folder : path, optional
         Where the `reference` integrator keeps finished tiles until the picture is whole.
+    maps_file : path, optional
+        Light maps that were baked of this scene; where the scene's integrator asks for some and there is no file, they
+        are baked here.
     plan : dict, optional
         What to model, see `irodori.rendering.planning`; everything where absent.
     check : bool
@@ -72,7 +76,7 @@ def render_image(
         If a planned picture errs by more than the scene tolerates.
     """
     scene = with_planned_samples(scene, plan)
-    renderer = make_renderer(scene, shapes, materials, environment, options)
+    renderer = make_renderer(scene, shapes, materials, environment, options, maps_file=maps_file)
     if plan is None or renderer.kind == "reference":
         picture, figures = renderer.picture(view_name, tiles_folder=tiles_folder)
     else:
@@ -135,20 +139,26 @@ def make_renderer(
     environment: Environment,
     options: Render = DEFAULTS,
     white: np.ndarray | None = None,
+    *,
+    maps_file=None,
 ) -> "Renderer":
     """Return what renders any view of a scene at any moment; parameters and errors as of `render_image`.
 
     With a ``white``, (61,) radiance, pictures are asked for as XYZ whose white has Y = 100, and are (height, width, 3)
     where the integrator has them cheaper than the 61 bands and as exact.
     """
-    made: type[Renderer] = _Reference if isinstance(scene.integrator, ReferenceIntegrator) else _Interactive
-    return made(scene, shapes, materials, environment, options, white)
+    made: type[Renderer] = _Reference if isinstance(scene.integrator, ReferenceIntegrator) else InteractiveRenderer
+    renderer = made(scene, shapes, materials, environment, options, white)
+    renderer.maps_file = maps_file
+    return renderer
 
 
 class Renderer(ABC):
     """A scene and an integrator, which keeps from picture to picture what does not change; see `make_renderer`."""
 
     kind = ""
+    #: Where light maps of the scene are stored, None where they are not.
+    maps_file = None
 
     def __init__(
         self,
@@ -178,10 +188,15 @@ class Renderer(ABC):
         """
 
     def light(self, moment: Moment):
-        """Return the light of a moment as the integrator wants it: made anew only where its colour has changed."""
-        if not self._lit or self._lit[0] != moment.filter:
-            self._lit = moment.filter, self.make_light(moment)
+        """Return the light of a moment as the integrator wants it: made anew only where that changes it."""
+        key = self.light_key(moment)
+        if not self._lit or self._lit[0] != key:
+            self._lit = key, self.make_light(moment)
         return self._lit[1]
+
+    def light_key(self, moment: Moment) -> tuple:
+        """Return what of a moment the integrator's light depends on: its colour."""
+        return (moment.filter,)
 
     @abstractmethod
     def make_light(self, moment: Moment):
@@ -226,7 +241,7 @@ def with_bodies(scene: Scene, shapes: list[Shape], materials: list[Material]) ->
     return [*shapes, *(Shape.from_definition(body.shape) for body in scene.bodies)], [*materials, *made]
 
 
-class _Interactive(Renderer):
+class InteractiveRenderer(Renderer):
     """By look-ups alone, see `irodori.rendering.interactive`, which is loaded only where it is asked for."""
 
     kind = "interactive"
@@ -235,10 +250,12 @@ class _Interactive(Renderer):
     representation, why = "spectral", "the picture is asked for in all bands"
 
     def check(self) -> None:
+        """Refuse lights that throw soft shadows."""
         if any(light.kind != "collimated" for light in self.scene.lights):
             raise ValueError("area lights in a scene of the integrator 'interactive'; accepted: collimated lights")
 
     def make_light(self, moment: Moment):
+        """Return the scene prepared for the frames of a moment's light."""
         from irodori.rendering.interactive.channels import exact_representation
         from irodori.rendering.interactive.frame_renderer import light_of, prepare_scene
         from irodori.rendering.interactive.prepared_scene import gloss_for
@@ -248,8 +265,10 @@ class _Interactive(Renderer):
         environment = moment.environment(self.environment)
         lights = moment.lights(make_lights(self.scene.lights, 0)[0])
         light, ambient, reflected = light_of(environment), has_ambient(self.scene), 0
+        maps = self.baked() if self.shows_maps(moment) else None
         if self.white is not None:
-            found = exact_representation(self.objects, light, len(lights.kind), ambient)
+            baked = None if maps is None else maps.basis
+            found = exact_representation(self.objects, light, len(lights.kind), ambient, baked)
             self.representation, reflected, self.why = found
         LOGGER.info("representation %s: %s", self.representation, self.why)
         prepared = prepare_scene(
@@ -264,11 +283,43 @@ class _Interactive(Renderer):
             least_throughput=self.options.min_throughput,
             ambient=ambient,
             reflected=reflected,
+            maps=maps,
         )
         self.prepared_s = time.perf_counter() - start
         return prepared
 
+    def light_key(self, moment: Moment) -> tuple:
+        """Return what of a moment the integrator's light depends on: its colour, and whether light maps show it."""
+        return moment.filter, self.shows_maps(moment)
+
+    def shows_maps(self, moment: Moment) -> bool:
+        """Whether a moment is lit by light maps: these are of the scene's own light, from where it comes from."""
+        integrator = self.scene.integrator
+        if not (isinstance(integrator, InteractiveIntegrator) and integrator.light_maps):
+            return False
+        turned = moment.environment_deg or (self.scene.lights and moment.lights_deg)
+        return moment.filter is None and not turned
+
+    def baked(self):
+        """Return the scene's light maps, from their file where there is one.
+
+        Raises
+        ------
+        InputError
+            If the file has maps of something else.
+        """
+        from irodori.rendering.light_maps import LightMaps
+        from irodori.rendering.reference.baking import bake_maps, maps_key
+        from irodori.rendering.reference.converging_picture import make_scene
+
+        placements = make_placements(self.scene, self.shapes)
+        if self.maps_file is None:
+            return bake_maps(placements, self.objects, self.environment, self.scene.lights)
+        key = maps_key(make_scene(placements, self.objects, self.environment, self.scene.lights))
+        return LightMaps.load(self.maps_file, key)
+
     def render(self, view_name, moment, keep, tiles_folder):
+        """Return radiance and figures of a frame."""
         from irodori.rendering.interactive.frame_renderer import CollimatedLamp, render_frame
         from irodori.rendering.scene_lights import make_lights
 
@@ -296,6 +347,7 @@ class _Interactive(Renderer):
             "seconds": seconds,
             "seconds_to_prepare": self.prepared_s,
             "representation": self.representation,
+            "light_maps": self.shows_maps(moment),
             "rays": rays,
             "rays_per_second": rays / seconds,
         }

@@ -11,13 +11,14 @@ from irodori.colour.display import Display, make_display, srgb
 from irodori.config.models import ObjectShape, Render, Scene
 from irodori.core.atomic_files import written_whole
 from irodori.core.progress import LOGGER
+from irodori.core.store import Provenance
 from irodori.core.yaml_files import read_yaml
 from irodori.export.pictures import read_xyz, write_display_picture, write_spectral_exr, write_xyz_exr
 from irodori.geometry.shapes.shape import Shape
 from irodori.light.environment_file import Environment
 from irodori.material.material_file import Material
 from irodori.rendering.eyes import refuse_enclosed_eye
-from irodori.rendering.integrators import render_image
+from irodori.rendering.integrators import InteractiveRenderer, make_renderer, render_image
 from irodori.rendering.scene_white import scene_white, shown_white
 
 
@@ -33,6 +34,7 @@ def render_view(
     figures_file,
     options: Render,
     plan_file=None,
+    maps_file=None,
     check: bool = True,
 ) -> None:
     """Render a view from files into an EXR, a PNG and a JSON of figures.
@@ -60,6 +62,7 @@ def render_view(
         environment,
         options,
         tiles_folder=Path(exr).with_suffix(".tiles"),
+        maps_file=maps_file,
         plan=plan,
         check=check,
         distance=check,
@@ -77,6 +80,27 @@ def render_view(
     with written_whole(figures_file) as temporary:
         temporary.write_text(json.dumps(figures, indent=1), encoding="utf-8")
     LOGGER.info("%.2f s, %.0f pixels/s", figures["seconds"], figures["pixels_per_second"])
+
+
+def bake_light(
+    scene: Scene,
+    shapes: Sequence[ObjectShape],
+    material_files: list,
+    environment_file,
+    *,
+    options: Render,
+    output,
+    provenance: Provenance,
+) -> None:
+    """Bake the light maps of a scene, which all its views share, into a file.
+
+    Parameters are those of `render_view`.
+    """
+    placed = [Shape.from_definition(shape) for shape in shapes]
+    materials = [Material.load(path) for path in material_files]
+    renderer = make_renderer(scene, placed, materials, Environment.load(environment_file), options)
+    assert isinstance(renderer, InteractiveRenderer)  # the workflow asks for maps of these scenes alone
+    renderer.baked().save(output, provenance)
 
 
 def write_picture(path, xyz: np.ndarray, white_xyz: np.ndarray, display: Display, bits: int = 8) -> dict[str, float]:

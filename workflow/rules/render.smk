@@ -24,11 +24,53 @@ rule plan_scene:
         "../scripts/plan_scene.py"
 
 
+# One job a scene: its views share the light that falls on the objects.
+rule bake_light:
+    input:
+        materials=scenes.materials("results/{object}/material.h5"),
+        environment=scenes.environment,
+        user_files=ancient(scenes.files),
+    output:
+        maps="results/{scene}/light-maps.h5",
+    log:
+        "results/logs/bake_light/{scene}.log",
+    benchmark:
+        "results/benchmarks/bake_light/{scene}.tsv"
+    conda:
+        "../../envs/irodori.yaml"
+    threads: 2
+    resources:
+        mem_mb=lambda wildcards, attempt: 3000 * attempt,
+    params:
+        scene=scenes.part("objects", "bodies", "lights", "integrator", "environment", "max_bounces", "image", "views"),
+        shapes=scenes.shapes,
+        render=lookup(within=config, dpath="render"),
+        user_files=ledger.content(scenes.files),
+        code=code_hash("irodori.rendering.stage"),
+    script:
+        "../scripts/bake_light.py"
+
+
+# The same of the true materials, for the report alone.
+use rule bake_light as bake_true_light with:
+    input:
+        materials=scenes.materials("results/{object}/truth.h5"),
+        environment=scenes.environment,
+        user_files=ancient(scenes.files),
+    output:
+        maps="results/{scene}/truth/light-maps.h5",
+    log:
+        "results/logs/bake_true_light/{scene}.log",
+    benchmark:
+        "results/benchmarks/bake_true_light/{scene}.tsv"
+
+
 rule render_view:
     input:
         materials=scenes.materials("results/{object}/material.h5"),
         environment=scenes.environment,
         plan=scenes.plan,
+        light_maps=scenes.light_maps("results/{scene}/light-maps.h5"),
         user_files=ancient(scenes.shown_files),
     output:
         exr="results/{scene}/{view}.exr",
@@ -65,6 +107,7 @@ use rule render_view as render_truth with:
         materials=scenes.materials("results/{object}/truth.h5"),
         environment=scenes.environment,
         plan=scenes.plan,
+        light_maps=scenes.light_maps("results/{scene}/truth/light-maps.h5"),
         user_files=ancient(scenes.shown_files),
     output:
         exr="results/{scene}/truth/{view}.exr",

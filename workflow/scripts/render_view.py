@@ -15,5 +15,6 @@ with run_rule(snakemake):
         figures_file=snakemake.output.figures,
         options=Render.of(snakemake.params.render),
         plan_file=next(iter(snakemake.input.plan), None),
+        maps_file=next(iter(snakemake.input.light_maps), None),
         check=snakemake.params.check,
     )

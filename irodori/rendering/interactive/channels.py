@@ -59,6 +59,8 @@ class Channels:
         What a texel is multiplied with, from the coefficients of the irradiance; 1 / π is in it.
     stored_from_light : (s, k) float64
         The light that is stored, from its coefficients.
+    baked_from_radiance : (count, 61) float64
+        What a texel is multiplied with, from the radiance of a perfect diffuser in its place.
     lamp_light, lamp_colour : (lamps, count) float64
         What texels are multiplied with for a lamp of irradiance E(λ), and the colour of E / π itself.
     index : (objects, 2, count) float64
@@ -80,6 +82,7 @@ class Channels:
     texel_from_weights: tuple[np.ndarray, ...]
     irradiance_from_light: np.ndarray
     stored_from_light: np.ndarray
+    baked_from_radiance: np.ndarray
     lamp_light: np.ndarray
     lamp_colour: np.ndarray
     index: np.ndarray
@@ -119,6 +122,7 @@ def _by_channel(values: np.ndarray, objects: Objects, light: Light, lamps, xyz_f
         texel_from_weights=tuple(values @ b for b in _bases(objects)),
         irradiance_from_light=colour / np.pi,
         stored_from_light=np.eye(basis.shape[1]),
+        baked_from_radiance=values,
         lamp_light=lamp,
         lamp_colour=lamp,
         index=index @ weight.T / weight.sum(axis=1),
@@ -163,6 +167,7 @@ def rgb_channels(objects: Objects, light: Light, lamps: np.ndarray, matrix: np.n
         texel_from_weights=tuple((rgb * white) @ b / of_white[:, None] for b in _bases(objects)),
         irradiance_from_light=rgb @ basis / np.pi,
         stored_from_light=rgb @ basis,
+        baked_from_radiance=rgb,
         lamp_light=lamp,
         lamp_colour=lamp,
         index=np.stack([objects.n, objects.k], axis=1) @ seen.T / seen.sum(axis=1),
@@ -176,18 +181,26 @@ def rgb_channels(objects: Objects, light: Light, lamps: np.ndarray, matrix: np.n
 def reflected_basis(objects: Objects, basis: np.ndarray, most: int = REFLECTED) -> np.ndarray:
     """Return the vectors beside the light's basis that what objects reflect of it needs most, (61, up to ``most``)."""
     spectra = np.concatenate([mean[:, None] * basis for mean in mean_spectra(objects)], axis=1)
+    return further_basis(spectra, basis, most, _ROUNDING)
+
+
+def further_basis(spectra: np.ndarray, basis: np.ndarray, most: int, least: float) -> np.ndarray:
+    """Return the vectors beside a basis (61, k) that spectra (61, n) need most, (61, up to ``most``).
+
+    Of all that the spectra hold, a vector stands for ``least`` or more.
+    """
     rest = spectra - basis @ (np.linalg.pinv(basis) @ spectra)
     left, values, _ = np.linalg.svd(rest, full_matrices=False)
-    return left[:, : min(most, int((values > _ROUNDING * np.linalg.norm(spectra)).sum()))]
+    return left[:, : min(most, int((values > least * np.linalg.norm(spectra)).sum()))]
 
 
 def coefficient_channels(
-    objects: Objects, light: Light, lamps: np.ndarray, matrix: np.ndarray, ambient: bool, most: int = REFLECTED
+    objects: Objects, light: Light, lamps: np.ndarray, matrix: np.ndarray, further: np.ndarray
 ) -> Channels:
     """Return the bilinear forms from coefficients to XYZ: X, Y, Z one after the other, each over the light's basis.
 
-    Where objects throw light on each other (``ambient``) it leaves that basis, and the forms have up to ``most`` more
-    vectors for it: the one place where coefficients err by more than their rounding.
+    Where objects throw light on each other it leaves that basis, and the forms have ``further`` vectors for it, (61,
+    m): the one place where coefficients err by more than their rounding.
 
     Raises
     ------
@@ -201,7 +214,7 @@ def coefficient_channels(
         )
     basis = light.basis.T
     k = basis.shape[1]
-    wide = np.concatenate([basis, reflected_basis(objects, basis, most)], axis=1) if ambient else basis
+    wide = np.concatenate([basis, further], axis=1)
     lit = wide.shape[1]
     # Lamps are further vectors of the light.
     spectra = np.concatenate([wide, lamps.T], axis=1)
@@ -224,6 +237,7 @@ def coefficient_channels(
         ),
         irradiance_from_light=irradiance.reshape(-1, k),
         stored_from_light=np.eye(k),
+        baked_from_radiance=np.tile(np.pad(np.linalg.pinv(wide), ((0, each - lit), (0, 0))), (3, 1)),
         lamp_light=lamp_light.reshape(len(lamps), 3 * each),
         lamp_colour=lamp_colour.reshape(len(lamps), 3 * each),
         index=index,
@@ -234,8 +248,12 @@ def coefficient_channels(
     )
 
 
-def exact_representation(objects: Objects, light: Light, lamps: int, ambient: bool) -> tuple[str, int, str]:
+def exact_representation(
+    objects: Objects, light: Light, lamps: int, ambient: bool, baked: np.ndarray | None = None
+) -> tuple[str, int, str]:
     """Return the cheapest representation whose XYZ are those of the 61 bands within rounding.
+
+    ``baked`` are the spectra that light maps hold, (61, k).
 
     Returns
     -------
@@ -249,6 +267,8 @@ def exact_representation(objects: Objects, light: Light, lamps: int, ambient: bo
         return "spectral", 0, "gloss or a mirror has a refractive index that varies with the wavelength"
     basis = light.basis.T
     reflected = reflected_basis(objects, basis, SAMPLES).shape[1] if ambient else 0
+    if baked is not None:
+        reflected += baked.shape[1]
     numbers = 3 * (basis.shape[1] + reflected + lamps)
     if width_of(numbers + 2) > width_of(SAMPLES + 2):
         return "spectral", 0, f"{numbers} products of light and surface are more than {SAMPLES} bands"

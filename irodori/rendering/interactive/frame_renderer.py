@@ -15,8 +15,10 @@ from irodori.rendering.interactive.channels import (
     REPRESENTATIONS,
     Channels,
     coefficient_channels,
+    further_basis,
     is_grey,
     quadrature_channels,
+    reflected_basis,
     rgb_channels,
     spectral_channels,
 )
@@ -36,6 +38,7 @@ from irodori.rendering.interactive.tile_loop import (
     PathLimits,
     render_tiles,
 )
+from irodori.rendering.light_maps import LEFT_OUT, LightMaps
 from irodori.rendering.scene_arrays import Light, Objects, View
 from irodori.rendering.view_cameras import ORTHOGRAPHIC
 from irodori.spectra.grid import SAMPLES
@@ -121,6 +124,7 @@ def prepare_scene(
     quadrature: Quadrature | None = None,
     reflected: int = REFLECTED,
     spare_texels: int = 0,
+    maps: LightMaps | None = None,
 ) -> Prepared:
     """Prepare a scene for `render_frame`.
 
@@ -154,6 +158,9 @@ def prepare_scene(
         Vectors, at most, on which ``coefficients`` carry the light that objects throw on each other.
     spare_texels : int
         Room beside the objects' texels, for a caller that tries other textures.
+    maps : LightMaps, optional
+        Baked light that falls on the objects, in place of irradiance and ``ambient``. They are of this environment as
+        it is not turned, and of the objects where the tracer has them.
 
     Raises
     ------
@@ -168,19 +175,34 @@ def prepare_scene(
         spectra = path_spectra(objects, light, lamps, max_bounces)
         quadrature = solve_quadrature(spectra, matrix, white)
     if representation == "coefficients":
-        channels = coefficient_channels(objects, light, lamps, matrix, ambient, reflected)
+        channels = coefficient_channels(
+            objects, light, lamps, matrix, _further(objects, light, ambient, reflected, maps)
+        )
     else:
         channels = _channels(representation, objects, light, lamps, matrix=matrix, white=white, quadrature=quadrature)
     query = make_query(_COHERENT)
     functions = (tracer.intersect16_address, tracer.occluded16_address, query.ctypes.data)
     scene = objects, light, gloss, tracer, channels, functions
-    world = make_world(*scene, ambient=ambient, spare=spare_texels)
+    world = make_world(*scene, ambient=ambient, spare=spare_texels, maps=maps)
     limits = PathLimits(
         max_bounces, least_throughput, least_throughput / TAPS, TRACED, 1 + min(max_bounces, _KEPT_REFLECTIONS)
     )
     parts = max(len(lobe_table(name).entries) for name in objects.lobes.names)
     layout = Layout(channels.surface, channels.light, channels.coloured, False, objects.lobe.shape[1], parts)
     return Prepared(representation, world, layout, limits, len(lamps), quadrature, (tracer, query))
+
+
+def _further(objects: Objects, light: Light, ambient: bool, most: int, maps: LightMaps | None) -> np.ndarray:
+    """Return the vectors beside the light's basis that light takes which objects throw on each other, (61, m)."""
+    basis = light.basis.T
+    if maps is None:
+        return reflected_basis(objects, basis, most) if ambient else np.zeros((SAMPLES, 0))
+    found = further_basis(maps.weighted_basis(), basis, most, LEFT_OUT)
+    if not ambient:
+        return found
+    wide = np.concatenate([basis, found], axis=1)
+    own = reflected_basis(objects, basis, most)
+    return np.concatenate([found, further_basis(own, wide, most, LEFT_OUT)], axis=1)
 
 
 def _channels(

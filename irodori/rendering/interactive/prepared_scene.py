@@ -33,6 +33,7 @@ from irodori.rendering.interactive.round_lobes import (
     roughness_place,
 )
 from irodori.rendering.interactive.shading import FURTHER
+from irodori.rendering.light_maps import LightMaps
 from irodori.rendering.scene_arrays import Light, Objects, gloss_of, textures
 
 #: Objects of a scene whose formulas and bounds are asked one by one.
@@ -63,6 +64,10 @@ class PreparedWorld(NamedTuple):
     texels_per_rad: float
     irradiance: np.ndarray
     irradiance_side: int
+    baked: np.ndarray  # the light maps, each with a border of one texel
+    baked_first: np.ndarray  # (objects,) int64
+    baked_size: np.ndarray  # (objects * 2,) columns and rows; 0 where an object has no map
+    baked_maps: int  # 1 where any object has one
     gloss: np.ndarray  # as the environment; at each texel of a level the light of this level and of the next
     gloss_first: np.ndarray  # (levels,) int64
     gloss_side: np.ndarray  # (levels,) int32
@@ -190,6 +195,27 @@ def make_irradiance(light: Light, channels: Channels) -> tuple[np.ndarray, int]:
     side = int(height)
     stored = np.stack([face @ channels.irradiance_from_light.T for face in from_equirectangular(picture, side)])
     return padded(stored, channels.surface), side
+
+
+def make_baked(maps: LightMaps | None, objects: Objects, channels: Channels) -> dict:
+    """Return the fields of a `PreparedWorld` that hold the light maps, for the texels' channels."""
+    count, flat, first = len(objects.bases), [np.zeros(0, np.float32)], [0]
+    size = np.zeros((count, 2), dtype=np.float32)
+    for index, stored in enumerate(maps.maps if maps is not None else ()):
+        if stored.size:
+            assert maps is not None  # what there are maps of
+            light = stored @ (channels.baked_from_radiance @ maps.basis).T.astype(np.float32)
+            room = np.zeros((*light.shape[:2], channels.surface), dtype=np.float32)
+            room[..., : channels.count] = light
+            flat.append(_bordered(room, objects.wraps[index] == 1))
+            size[index] = stored.shape[1], stored.shape[0]
+        first.append(first[-1] + (flat[-1].size if stored.size else 0))
+    return {
+        "baked": np.concatenate(flat),
+        "baked_first": np.array((first[:-1] if maps is not None else [0] * count), dtype=np.int64),
+        "baked_size": size.ravel(),
+        "baked_maps": int(size.any()),
+    }
 
 
 def needed_gloss(gloss: GlossMaps, objects: Objects) -> GlossMaps:
@@ -327,6 +353,7 @@ def make_world(
     *,
     ambient: bool,
     spare: int,
+    maps: LightMaps | None,
 ) -> PreparedWorld:
     """Return the flat scene of a representation.
 
@@ -341,12 +368,15 @@ def make_world(
         Whether objects hide light from all sides.
     spare : int
         Texels to make room for beside the objects' own.
+    maps : LightMaps, optional
+        Baked light that falls on the objects.
     """
     columns, rows = light.size[0]
     picture = light.pixels[: columns * rows].reshape(rows, columns, light.pixels.shape[1])
     pyramid = environment_pyramid(picture, channels.stored_from_light, channels.light, half=False)
     fields = _light_fields(light, needed_gloss(gloss, objects), pyramid, channels)
     fields |= _surface_fields(objects, tracer, channels, spare) | colour_fields(channels)
+    fields |= make_baked(maps, objects, channels)
     reflected = np.stack([channels.reflected(mean) for mean in mean_spectra(objects)])
     reflects = ambient and fields["irradiance_side"] > 0
     shadows = make_mesh_shadows(tracer) if reflects else None

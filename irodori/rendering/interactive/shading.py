@@ -38,6 +38,8 @@ from irodori.rendering.interactive.packets import (
     TEXEL,
     TEXEL_X,
     TEXEL_Y,
+    TEXTURE_U,
+    TEXTURE_V,
     THROUGHPUT,
     WIDTH,
     raised,
@@ -142,6 +144,18 @@ def _lobe_entry(job, hits, ray, component, power, place):
 
 
 @uncounted(forceinline=True)
+def _baked_light(world, hits, ray, shape, like):
+    """Return the light of a hit's place in its object's light map."""
+    columns, rows = world.baked_size[2 * shape], world.baked_size[2 * shape + 1]
+    half = np.float32(0.5)
+    x = min(max(hits.f[TEXTURE_U * RAYS + ray] * columns + half, np.float32(0.0)), columns + half)
+    y = min(max(hits.f[TEXTURE_V * RAYS + ray] * rows + half, np.float32(0.0)), rows + half)
+    column, row, stride = np.int64(x), np.int64(y), np.int64(columns) + 2
+    place = MapPlace(row * stride + column, x - np.float32(column), y - np.float32(row))
+    return bilinear(world.baked, world.baked_first[shape], stride, place, like)
+
+
+@uncounted(forceinline=True)
 def shade_surfaces(job, scratch, base, seen):
     """Add the diffuse light of the hits whose bits are set; look up their lobes. Returns the bits of glossy hits.
 
@@ -162,10 +176,13 @@ def shade_surfaces(job, scratch, base, seen):
         x, y = hits.f[NORMAL_X * RAYS + ray], hits.f[NORMAL_Y * RAYS + ray]
         normal = MapPlace(np.int64(hits.i[NORMAL_CELL * RAYS + ray]), x, y)
         light = zeros_like(texel)
-        if world.irradiance_side > 0:
-            light = bilinear(world.irradiance, 0, world.irradiance_side + 2, normal, texel)
-        if world.ambient_inputs > 0:
-            light = ambient_light(job, hits, ray, light)
+        if world.baked_maps > 0 and world.baked_size[2 * shape] > 0.0:
+            light = _baked_light(world, hits, ray, shape, texel)
+        else:
+            if world.irradiance_side > 0:
+                light = bilinear(world.irradiance, 0, world.irradiance_side + 2, normal, texel)
+            if world.ambient_inputs > 0:
+                light = ambient_light(job, hits, ray, light)
         if gloss_components(layout) > 1:
             like = load(world.further, 0, FURTHER)
             store(sums.gloss, 0, bilinear(world.further, world.further_first[shape], stride, at, like))

@@ -370,14 +370,50 @@ def _see(work, spectrum, shine):
 
 @uncounted(forceinline=True)
 def follow(world, ray, work, numbers, stream, seldom):
-    """Add the radiance along one path to ``work.total``; return how many of its two branches had to be cut.
+    """Add the radiance along one path from the eye to ``work.total``; return how many of its branches had to be cut.
 
     ``seldom`` is as of `_keep_mirror`.
     """
-    objects = world.objects.mirror.size
     for band in range(PADDED):
         work.throughput[band] = np.float32(1.0)
-    density, vertex, cut, kept = -1.0, 0, 0, False
+    return _go_on(world, ray, work, (numbers, stream), seldom, (-1.0, 0))
+
+
+@uncounted(forceinline=True)
+def gather(world, ray, work, numbers, stream):
+    """Add the light that falls on a place along one path to ``work.total``, as a perfect diffuser reflects it.
+
+    ``work`` has the place in its point, normal and facet. Lights of the scene that stand beside its environment are
+    left out where nothing reflects their light on the way. Returns how many paths had to be cut.
+    """
+    index, count, lit = 0, world.lights.kind.size, world.sky.power > 0.0
+    for band in range(PADDED):
+        work.throughput[band] = work.diffuse[band] = np.float32(1.0)
+    for axis in range(3):
+        work.to_eye[axis] = work.normal[axis]
+    for light in range(count):
+        work.share[light] = 0.0
+    work.share[count] = 1.0 if lit else 0.0
+    own = Stream(numbers, stream, VERTEX)
+    for axis in range(3):
+        work.origin[axis] = work.point[axis]
+    if lit:
+        _add_chosen_light(world, ray, work, index, (1.0, 0.0), own)
+    density = _turn(world, work, index, (1.0, 0.0, 0.0, 0.0), own)
+    return _go_on(world, ray, work, (numbers, stream), 0.0, (density, 1)) if density != 0.0 else 0
+
+
+@uncounted(forceinline=True)
+def _go_on(world, ray, work, drawn, seldom, begun):
+    """Follow a path whose next ray stands in ``work``; see `follow`.
+
+    ``drawn`` has the random numbers and the stream of the path, ``begun`` the density by which the ray's direction was
+    drawn, as `_turn` returns it, and how many surfaces the path has met.
+    """
+    objects = world.objects.mirror.size
+    numbers, stream = drawn
+    density, vertex = begun
+    cut, kept = 0, False
     while True:
         goes_on = False
         trace(world.intersect, world.scene, ray, work.origin, work.direction, np.inf)

@@ -1,0 +1,139 @@
+"""Baking of light maps by path tracing.
+
+The size of a map and the number of its paths follow from its errors: both grow until what the map shows at places
+between its texels is as near to path tracing there as is asked for.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from irodori.config.models import SceneLight
+from irodori.core.progress import LOGGER, track
+from irodori.geometry.shapes.placement import Placement
+from irodori.geometry.shapes.shape import Shape
+from irodori.light.environment_file import Environment
+from irodori.rendering.light_maps import LEFT_OUT, Bake, LightMaps, look_up
+from irodori.rendering.reference.converging_picture import TracedScene, make_scene, scene_digest
+from irodori.rendering.reference.incident_light import incident_light, relative_noise
+from irodori.rendering.scene_arrays import Objects
+from irodori.spectra.grid import SAMPLES
+
+#: Root mean square error of a map between its texels, and the noise in its texels, over the mean light on its object.
+MOST_ERROR, MOST_NOISE = 0.02, 0.02
+#: Texels of a map and paths a texel, at first and at most.
+_FEWEST_TEXELS, _MOST_TEXELS = 1 << 10, 1 << 16
+_FEWEST_PATHS, _MOST_PATHS = 64, 4096
+#: Places between texels that a map is judged by, and their seed, which is not that of the maps.
+_JUDGED, _SEED = 512, 307
+
+
+def has_map(shape: Shape) -> bool:
+    """Return whether objects of a shape get a map.
+
+    Endless planes have no texture to hold it. Charts of a mesh's texture end anywhere, and texels as large as a map's
+    would carry light from one side of such an edge to the other.
+    """
+    return not shape.is_endless and shape.triangles is None
+
+
+def maps_key(scene: TracedScene) -> str:
+    """Return a hash of everything that the maps of a scene depend on, this code included."""
+    return scene_digest(scene, __name__).hexdigest()
+
+
+def bake_maps(
+    placements: Sequence[Placement],
+    objects: Objects,
+    environment: Environment,
+    lights: Sequence[SceneLight] = (),
+    *,
+    most_error: float = MOST_ERROR,
+) -> LightMaps:
+    """Bake the light maps of a scene.
+
+    Parameters
+    ----------
+    placements, objects, environment, lights
+        As of `irodori.rendering.reference.converging_picture.make_scene`. Of the lights beside the environment the
+        maps hold what other surfaces reflect; what falls on a surface directly is the integrator's to add.
+    most_error : float
+        Root mean square error between a map's texels, over the mean light on its object, up to which maps grow. A map
+        that has its largest size and errs more is kept, and the log says so.
+    """
+    scene = make_scene(list(placements), objects, environment, lights)
+    spectra, bakes = [], []
+    for index in track(range(len(placements)), "light maps"):
+        found, bake = _bake(scene, index, placements[index], most_error)
+        spectra.append(found)
+        bakes.append(bake)
+        LOGGER.info("light map %d: %d texels, %d paths each, error %.3g of the light", index, *bake[:2], bake.error)
+        if bake.error > most_error:
+            LOGGER.warning("light map %d errs by %.3g of the light, more than %g", index, bake.error, most_error)
+    basis = _basis(spectra)
+    stored = tuple((found @ basis).astype(np.float32) for found in spectra)
+    return LightMaps(stored, basis, maps_key(scene), tuple(bakes))
+
+
+def _basis(spectra: list[np.ndarray]) -> np.ndarray:
+    """Return orthonormal vectors that hold all but `LEFT_OUT` of spectra (..., 61), (61, k)."""
+    squares = sum((flat.T @ flat for flat in (one.reshape(-1, SAMPLES) for one in spectra)), np.zeros((SAMPLES,) * 2))
+    values, vectors = np.linalg.eigh(squares)
+    energy = np.maximum(values[::-1], 0.0)
+    left = np.append(energy[::-1].cumsum()[::-1], 0.0)  # left out with 0, 1, 2, ... vectors
+    count = max(int(np.argmax(left <= LEFT_OUT**2 * left[0])), 1)
+    return np.ascontiguousarray(vectors[:, ::-1][:, :count])
+
+
+def _size(shape: Shape, texels: int) -> tuple[int, int]:
+    """Return columns and rows of a map of about so many texels, as near to square as the shape's texture allows."""
+    width, height = (2.0, 1.0) if shape.wraps else shape.size_mm
+    columns = max(round(float(np.sqrt(texels * width / height))), 4)
+    return columns, max(round(texels / columns), 4)
+
+
+def _bake(scene: TracedScene, index: int, placement: Placement, most_error: float) -> tuple[np.ndarray, Bake]:
+    """Return the spectra of an object's map, (rows, columns, 61) float64, and how good it is."""
+    if not has_map(placement.shape):
+        return np.zeros((0, 0, SAMPLES)), Bake(0, 0, 0.0, 0.0)
+    texels = _FEWEST_TEXELS
+    while True:
+        columns, rows = _size(placement.shape, texels)
+        halves, paths = _traced(scene, index, placement, (columns, rows), np.arange(columns * rows))
+        found = halves.mean(axis=0, dtype=np.float64).reshape(rows, columns, SAMPLES)
+        bake = Bake(columns * rows, paths, relative_noise(halves), _error(scene, index, placement, found))
+        if bake.error <= most_error or 4 * texels > _MOST_TEXELS:
+            return found, bake
+        texels *= 4
+
+
+def _traced(scene: TracedScene, index: int, placement: Placement, size: tuple[int, int], texels: np.ndarray, seed=0):
+    """Return the light at texels of a map of some size by two halves of paths, and how many these are.
+
+    Paths are doubled until their noise is small enough.
+    """
+    atlas = placement.shape.atlas(*size)
+    point = placement.points(atlas.position).reshape(-1, 3)[texels]
+    normal, facet = (side.reshape(-1, 3)[texels] @ placement.rotation.T for side in (atlas.normal, atlas.facet))
+    paths = _FEWEST_PATHS
+    while True:
+        halves = incident_light(scene, index, point, normal, facet, samples=paths, seed=seed)
+        noise = relative_noise(halves)
+        if noise <= MOST_NOISE or paths >= _MOST_PATHS:
+            return halves, paths
+        # The noise falls with the root of the paths, or faster; at most fourfold, so that a guess costs little.
+        while paths < _MOST_PATHS and noise > MOST_NOISE:
+            paths, noise = 2 * paths, noise / np.sqrt(2.0)
+
+
+def _error(scene: TracedScene, index: int, placement: Placement, found: np.ndarray) -> float:
+    """Return how far a map is from path tracing between its texels: root mean square over the mean light."""
+    rows, columns, _ = found.shape
+    size = (round(1.37 * columns), round(1.37 * rows))  # whose texels lie anywhere between those of the map
+    chosen = np.random.default_rng(_SEED).permutation(size[0] * size[1])[:_JUDGED]
+    halves, _ = _traced(scene, index, placement, size, chosen, seed=_SEED)
+    u, v = (chosen % size[0] + 0.5) / size[0], (chosen // size[0] + 0.5) / size[1]
+    shown = look_up(found, u, v, placement.shape.wraps)
+    product = np.mean((shown - halves[0]) * (shown - halves[1]), dtype=np.float64)
+    mean = float(halves.mean(dtype=np.float64))
+    return float(np.sqrt(max(product, 0.0))) / mean if mean > 0.0 else 0.0

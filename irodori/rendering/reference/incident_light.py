@@ -1,0 +1,107 @@
+"""Light that falls on given places of surfaces, by paths: what light maps are baked from [eq. 8].
+
+From each place one direction is drawn towards the environment and one by the cosine, and paths go on from there as
+those of a picture do. What comes back is the radiance of a perfect diffuser at the place, irradiance / π.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from irodori.geometry.embree import new_ray
+from irodori.jit.chunks import run_chunks
+from irodori.jit.compilation import njit
+from irodori.rendering.reference.band_loops import BANDS, PADDED
+from irodori.rendering.reference.converging_picture import TracedScene
+from irodori.rendering.reference.paths import gather
+from irodori.rendering.reference.random_numbers import Numbers, make_numbers, pixel_key, stream_of
+from irodori.rendering.reference.world import new_work
+
+_REPLICATES = 2
+_CHUNK = 64  # places that a thread takes at a time
+
+
+class Places(NamedTuple):
+    """Places of surfaces, raised as far as rays must start above them, and what is found there."""
+
+    point: np.ndarray  # (n, 3) mm
+    normal: np.ndarray  # (n, 3) unit, of shading
+    facet: np.ndarray  # (n, 3) unit, of the surface itself
+    key: np.ndarray  # (n,) int64 whole numbers from 0, by which the random numbers are chosen
+    halves: np.ndarray  # (2, n, 61) float32 irradiance / π by either half of the paths
+    cut: np.ndarray  # (n,) int64 paths that were cut
+
+
+@njit(cache=True, nogil=True)
+def _gather_at_some(world, numbers, places, first, last):
+    """Fill ``halves`` of the places from ``first`` to ``last``."""
+    ray, work, whole = new_ray(), new_work(world), np.empty(BANDS)
+    for place in range(first, last):
+        for replicate in range(_REPLICATES):
+            key = pixel_key(places.key[place], 0, replicate, numbers.seed)
+            whole[:] = 0.0
+            for sample in range(numbers.samples):
+                for axis in range(3):
+                    work.point[axis] = places.point[place, axis]
+                    work.normal[axis] = places.normal[place, axis]
+                    work.facet[axis] = places.facet[place, axis]
+                for band in range(PADDED):
+                    work.total[band] = np.float32(0.0)
+                places.cut[place] += gather(world, ray, work, numbers, stream_of(numbers, key, replicate, sample))
+                for band in range(BANDS):
+                    whole[band] += work.total[band]
+            for band in range(BANDS):
+                places.halves[replicate, place, band] = whole[band] / numbers.samples
+
+
+def incident_light(
+    scene: TracedScene,
+    surface: int,
+    point: np.ndarray,
+    normal: np.ndarray,
+    facet: np.ndarray,
+    *,
+    samples: int,
+    seed: int = 0,
+) -> np.ndarray:
+    """Return the light that falls on places of a surface: what a perfect diffuser there would reflect.
+
+    The scene's own lights are left out where they shine on a place directly, and are there where others reflect them.
+
+    Parameters
+    ----------
+    scene : TracedScene
+    surface : int
+        Which of the scene's surfaces the places lie on.
+    point, normal, facet : (n, 3) float
+        Places in mm, unit normals of shading and of the surface itself.
+    samples : int
+        Paths a place, a multiple of 2.
+    seed : int, from 0
+
+    Returns
+    -------
+    (2, n, 61) float32, irradiance / π by two independent halves of the paths
+    """
+    numbers: Numbers = make_numbers(samples, seed, _REPLICATES)
+    reach = np.abs(point).sum(axis=1, keepdims=True)
+    raised = point + (scene.world.offset_mm[surface] + scene.world.steps * reach) * facet
+    count = len(point)
+    places = Places(
+        np.ascontiguousarray(raised, dtype=np.float64),
+        np.ascontiguousarray(normal, dtype=np.float64),
+        np.ascontiguousarray(facet, dtype=np.float64),
+        # Places of other surfaces have other numbers.
+        surface * (1 << 24) + np.arange(count),
+        np.zeros((_REPLICATES, count, BANDS), dtype=np.float32),
+        np.zeros(count, dtype=np.int64),
+    )
+    run_chunks(_gather_at_some, count, _CHUNK, scene.world, numbers, places)
+    return places.halves
+
+
+def relative_noise(halves: np.ndarray) -> float:
+    """Return the root mean square standard error of the mean of both halves, over the mean light."""
+    mean = float(halves.mean(dtype=np.float64))
+    return math.sqrt(float(np.mean(np.square(halves[0] - halves[1], dtype=np.float64)))) / 2.0 / mean if mean else 0.0
