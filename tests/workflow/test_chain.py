@@ -215,6 +215,28 @@ def test_a_scene_edit_renders_and_nothing_more(again):
     assert rules == {*pictures, "measure_error_budget", "measure_errors", "write_report", "all"}
 
 
+def test_a_scene_with_light_maps_bakes_them_once_for_all_its_views_and_again_when_an_object_moves(again):
+    scene = again / "config/scenes/still-life.yaml"
+    edit(scene, {"integrator": {"kind": "interactive", "light_maps": True}})
+    picture = "results/still-life/front.png"
+    rules = [rule for rule, _ in planned(snakemake(again, "--dry-run", picture))]
+    assert rules == ["bake_light", "render_view"]
+    run = snakemake(again, picture)
+    assert run.returncode == 0, run.stderr[-3000:]
+    figures = json.loads((again / "results/still-life/front.json").read_text())
+    assert figures["light_maps"] and figures["delta_e_to_reference"]["mean"] < 2.0
+    with open_file(again / "results/still-life/light-maps.h5") as file:
+        bakes = file.attribute("bakes", list)
+        assert len(bakes) == len(yaml.safe_load(scene.read_text())["objects"])
+        assert all(bake["texels"] > 0 and bake["error"] < 0.1 for bake in bakes)
+    edit(scene, {"display.exposure": 1.0})
+    assert "bake_light" not in {rule for rule, _ in planned(snakemake(again, "--dry-run", picture))}
+    document = yaml.safe_load(scene.read_text())
+    document["objects"][1]["position_mm"][0] += 1.0
+    scene.write_text(yaml.safe_dump(document, sort_keys=False))
+    assert "bake_light" in {rule for rule, _ in planned(snakemake(again, "--dry-run", picture))}
+
+
 def test_a_library_edit_reruns_the_stages_that_use_it(again, tmp_path):
     code = tmp_path / "code"
     code.mkdir()

@@ -29,6 +29,7 @@ KINDS = (
     (r"environments/[^/]+", "environments/ENVIRONMENT", "Light from all directions"),
     (r".*/photographs/[^/]+/radiance", "SCENE/photographs/NAME/radiance", "What stands before a virtual camera"),
     (r".*/photographs/[^/]+/comparison", "SCENE/photographs/NAME/comparison", "Photograph and rendering, compared"),
+    (r"[^/]+(/truth)?/light-maps", "SCENE/light-maps", "Light that falls on the objects of a scene, baked"),
     (r".*/truth", "OBJECT/truth, environments/ENVIRONMENT/truth", "What the virtual rig photographed"),
 )
 
