@@ -63,6 +63,12 @@ use rule bake_light as bake_true_light with:
         "results/logs/bake_true_light/{scene}.log",
     benchmark:
         "results/benchmarks/bake_true_light/{scene}.tsv"
+    params:
+        scene=scenes.part("objects", "bodies", "lights", "integrator", "environment", "max_bounces", "image", "views"),
+        shapes=scenes.shapes,
+        render=lookup(within=config, dpath="render"),
+        user_files=ledger.content(scenes.files),
+        code=code_hash("irodori.rendering.stage"),
 
 
 rule render_view:
