@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 CERTAIN, CHANCE = 3.0, 0.00135
 _STEEP_DEG = 60.0
 _ROUGHNESSES, _DIRECTIONS, _CHUNK = 97, 12, 1 << 16
+_AT_ONCE = 1 << 18  # texels, so that a large texture is not copied as a whole
 _ROUNDING = 1e-3  # of a perfect white in half precision
 #: Columns of what a texel is judged by.
 ALBEDO, RIM, RIM_COSINE, ERROR, _FOUND = 0, 1, 2, 3, 4
@@ -245,14 +246,16 @@ def energy_of(material: "Material", albedo_error: np.ndarray | None = None) -> E
     albedo_error : (height, width) float, optional
         Standard error of each albedo; 0 where absent.
     """
-    observed = material.observed
-    scale = material.spectrum_scale[observed]
-    gloss = material.typically_filled()
-    beta = np.stack([values[observed] for _, values, _ in gloss], axis=-1)
-    mu = np.stack([values[observed] for _, _, values in gloss], axis=-1)
-    texels = Reflecting(material.coefficients[observed] * scale[:, None], material.basis, beta, mu)
+    energy, rows = Energy(), max(1, _AT_ONCE // material.alpha.shape[1])
     model = AlbedoModel(material.lobes, material.n, material.k, material.mirror)
-    found = model.of(texels, Errors.none(len(beta), len(gloss)))
-    if albedo_error is not None:
-        found[:, ERROR] = np.nan_to_num(albedo_error[observed])
-    return Energy.of(found)
+    for first in range(0, len(material.alpha), rows):
+        part = material.rows(slice(first, first + rows))
+        observed, gloss = part.observed, part.typically_filled()
+        beta = np.stack([values[observed] for _, values, _ in gloss], axis=-1)
+        mu = np.stack([values[observed] for _, _, values in gloss], axis=-1)
+        coefficients = part.coefficients[observed] * part.spectrum_scale[observed][:, None]
+        found = model.of(Reflecting(coefficients, material.basis, beta, mu), Errors.none(len(beta), len(gloss)))
+        if albedo_error is not None:
+            found[:, ERROR] = np.nan_to_num(albedo_error[first : first + rows][observed])
+        energy = energy.joined(Energy.of(found))
+    return energy

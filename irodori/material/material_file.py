@@ -314,6 +314,12 @@ class Material:
         (beta, mu), *further = pairs
         return replace(self, beta=beta, mu=mu, further_gloss=tuple(further))
 
+    def rows(self, part: slice) -> "Material":
+        """Return some rows of the maps as a material of their own; views, nothing is copied."""
+        gloss = [(beta[part], mu[part]) for _, beta, mu in self.gloss]
+        maps = {name: getattr(self, name)[part] for name in (*MAPS, "coefficients")}
+        return replace(self.with_gloss(gloss), **maps)
+
     @property
     def observed(self) -> np.ndarray:
         """Texels with a diffuse reflectance of their own, (height, width) bool."""

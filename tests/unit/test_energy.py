@@ -12,6 +12,7 @@ from scenes import BALL, GOLD_K, GOLD_N, THIRDS, constant_light, fresnel, materi
 from irodori.config.models import Scene
 from irodori.core import store
 from irodori.core.errors import InputError
+from irodori.material import energy
 from irodori.material.energy import ALBEDO, CERTAIN, ERROR, RIM, AlbedoModel, Energy, Errors, Reflecting, energy_of
 from irodori.material.material_file import Material
 from irodori.reflection.albedo import gloss_albedo
@@ -94,10 +95,10 @@ def test_a_ball_in_a_furnace_is_as_bright_as_its_albedo(tmp_path):
 
 def test_what_a_coat_reflects_at_the_rim_is_told_apart():
     """Half the diffuse light under a mirror of glass sends back less than all, but not at the rim."""
-    energy = energy_of(Material.uniform(0.5, mirror=1.0))
-    assert energy.albedo_max == pytest.approx(0.5 + 0.0918, abs=1e-3)  # 0.0918: of even light, glass of index 1.5
-    assert not energy.gains and energy.gain_fraction == 0.0
-    assert energy.rim_fraction == 1.0 and 1.4 < energy.rim_max <= 1.5 and energy.rim_deg > 85.0
+    found = energy_of(Material.uniform(0.5, mirror=1.0))
+    assert found.albedo_max == pytest.approx(0.5 + 0.0918, abs=1e-3)  # 0.0918: of even light, glass of index 1.5
+    assert not found.gains and found.gain_fraction == 0.0
+    assert found.rim_fraction == 1.0 and 1.4 < found.rim_max <= 1.5 and found.rim_deg > 85.0
 
 
 def test_an_error_as_large_as_the_gain_excuses_it():
@@ -119,9 +120,9 @@ def test_texels_that_are_not_known_count_for_nothing_and_gloss_that_is_not_is_th
     one = Material.uniform(0.9)
     few = replace(one, alpha=np.array([[1.0, np.nan], [1.0, 1.0]]), beta=np.array([[np.nan, 9e9], [0.0, 0.0]]),
                   typical_gloss=(20.0, 0.3))  # fmt: skip
-    energy = energy_of(few)
-    assert energy.texels == 3 and energy.certain_fraction == pytest.approx(1 / 3)
-    assert energy.albedo_max == energy_of(Material.uniform(0.9, beta=20.0, mu=0.3)).albedo_max
+    found = energy_of(few)
+    assert found.texels == 3 and found.certain_fraction == pytest.approx(1 / 3)
+    assert found.albedo_max == energy_of(Material.uniform(0.9, beta=20.0, mu=0.3)).albedo_max
     assert Energy.of(np.full((5, 4), np.nan)) == Energy()
 
 
@@ -133,6 +134,20 @@ def test_summaries_of_parts_are_that_of_the_whole():
     whole, parts = Energy.of(found), Energy.of(found[:300]).joined(Energy.of(found[300:]))
     assert parts == Energy(**{name: pytest.approx(value) for name, value in vars(whole).items()})
     assert Energy().joined(Energy()) == Energy()
+
+
+def test_a_texture_is_judged_in_pieces_as_in_one(monkeypatch):
+    rng = np.random.default_rng(5)
+    beta, mu = rng.uniform(0.0, 30.0, (40, 50)), rng.uniform(0.05, 0.5, (40, 50))
+    one = Material.uniform(0.6)
+    maps = {name: np.ones((40, 50)) for name in ("alpha", "green_response")}
+    one = replace(one, **maps, beta=beta, mu=mu, coefficients=np.ones((40, 50, 1), np.float32))
+    error = rng.uniform(0.0, 0.3, (40, 50))
+    whole = energy_of(one, error)
+    monkeypatch.setattr(energy, "_AT_ONCE", 350)
+    pieces = energy_of(one, error)
+    assert 0.1 < whole.certain_fraction < whole.gain_fraction < 0.9
+    assert pieces == Energy(**{name: pytest.approx(value) for name, value in vars(whole).items()})
 
 
 # --- scenes --------------------------------------------------------------------------------------------------------
