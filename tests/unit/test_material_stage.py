@@ -20,6 +20,8 @@ from irodori.material.fitted_tiles import FittedTiles, columns
 from irodori.material.material_file import Material, gloss_maps
 from irodori.material.principal_components.basis_count import CompressOptions
 from irodori.material.stage import compress_reflectance
+from irodori.report.html_page import fragment
+from irodori.report.page import objects
 from irodori.spectra.published import spectrum
 
 PROVENANCE = store.Provenance("test")
@@ -143,6 +145,9 @@ def test_what_texels_send_back_is_mapped_summed_up_and_told(tmp_path, calibratio
     assert np.array_equal(np.isfinite(albedo), found.observed) and (error[found.observed] > 0.0).all()
     largest = np.unravel_index(np.nanargmax(albedo), albedo.shape)
     assert largest == (4, 10) and albedo[largest] > 10.0
+    text = " ".join(fragment("objects.html.j2", objects=objects(["jar"], [tmp_path / "m.h5"], {})).split())
+    assert f"Albedo: at most {stated['albedo_max']:.3f}, above 1 in {stated['gain_fraction']:.2%} of texels" in text
+    assert "mirror weight 0, assumed by its definition and not measured" in text
     # The same from the file as it is rendered from, compressed.
     again = asdict(energy_of(found, error))
     assert again["texels"] == stated["texels"] == 88
