@@ -33,7 +33,7 @@ RUN_BY = {
 _ON_RESULTS = ("check", "crate", "export", "preview", "verify", "viewer")
 _AT_THE_BENCH = ("capture", "home", "jog", "move", "plan", "recount", "setup", "shoot", "status")
 #: Words that name a command in a sentence, without what it takes: its help is what can be run.
-_NAMED = ("export", "init", "verify --accept", "--help", "")
+_NAMED = ("export", "init", "plan", "verify --accept", "--help", "")
 
 
 def commands(text: str) -> list[str]:

@@ -153,6 +153,7 @@ _TABLE = {
         "monochromatic light": "stays in its band",
         "white furnace": "every band within 1e-3",
         "energy": "never created",
+        "gloss that sends back more light than it gets": "refused with object, share, albedo and key",
         "reciprocity": "of reflection and of whole paths",
         "random scenes": "finite, between black and the sky",
     },

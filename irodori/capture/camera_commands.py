@@ -9,22 +9,27 @@ from pathlib import Path
 
 from irodori.capture.camera.gphoto_camera import GphotoCamera
 from irodori.capture.dialogue import Dialogue
+from irodori.capture.followed_plan import by_hand, followed
 from irodori.capture.journal import storing
 from irodori.capture.page_server import Address, served
 from irodori.capture.session import verify
 from irodori.capture.shot_list import camera_shots, object_shots
 from irodori.capture.shot_planner.fisher_information import Weighting
-from irodori.capture.shot_planner.planner import default_noise, plan_best
+from irodori.capture.shot_planner.planner import Plan, default_noise, plan_best
 from irodori.capture.stage import Target, capture_camera, capture_object
-from irodori.config.capture_table import Pose, Shot
-from irodori.config.definition import as_plain
+from irodori.config.capture_table import Pose, Shot, read_captures
+from irodori.config.definition import as_plain, typed
 from irodori.config.definitions import load_one
-from irodori.config.models import Object
+from irodori.config.loaded import Loaded
+from irodori.config.models import Camera, Config, Object, ObjectShape, PosePlan, Rig
+from irodori.config.parts import PlannedObject
 from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER
 from irodori.core.provenance import code_hash, config_hash
 from irodori.core.store import Provenance
 from irodori.core.termination import ending_in_order
+from irodori.first_project.questions import shape as read_shape
+from irodori.geometry.mesh_sources import shape_files
 
 
 def shoot(options) -> None:
@@ -41,10 +46,10 @@ def shoot(options) -> None:
     print(options.file)
 
 
-def _target(options) -> tuple[Target, Object | None]:
+def _target(options, loaded: Loaded | None = None) -> tuple[Target, Object | None]:
     """Return what a session of the named object or camera photographs, and the object's definition."""
     kind = "cameras" if options.camera else "objects"
-    loaded = load_one(kind, options.name)
+    loaded = loaded or load_one(kind, options.name)
     definition = None if options.camera else loaded.objects[options.name]
     camera = loaded.cameras[options.name if definition is None else definition.camera]
     rig, named = loaded.rigs[camera.rig], definition or camera
@@ -58,29 +63,68 @@ def _target(options) -> tuple[Target, Object | None]:
     return target, definition
 
 
-def _as_fitted(definition: Object, target: Target) -> dict:
+def _as_fitted(config: Config, rig: Rig, definition: Object | None = None, camera: Camera | None = None) -> dict:
     """Return noise, weights and largest angle as the configuration's fit will have them."""
-    config = load_one("objects", target.name).config
-    fit, sensor = config.fit, target.camera.virtual.sensor if target.camera.virtual else None
-    exposures_s = definition.exposure_s.out if sensor and definition.exposure_s else ()
+    fit, sensor = config.fit, camera.virtual.sensor if camera and camera.virtual else None
+    exposures_s = definition.exposure_s.out if sensor and definition and definition.exposure_s else ()
     return {
-        "noise": default_noise(target.rig, sensor, exposures_s, fit),
+        "noise": default_noise(rig, sensor, exposures_s, fit),
         "weighting": Weighting(fit.weights, fit.model_error),
         "max_angle_deg": config.rectify.max_angle_deg,
     }
 
 
+def _of_shape(options) -> PlannedObject:
+    """Return what poses are planned for where nothing but a shape is known."""
+    if options.camera:
+        raise InputError("--shape", "", "--camera beside it", "one of them: a camera's photographs need no poses")
+    try:
+        block = typed(ObjectShape, read_shape(options.shape))
+    except ValueError as error:
+        raise InputError("--shape", "", repr(options.shape), str(error)) from None
+    shape_files(block, Path())
+    return PlannedObject(shape=block, refractive_index=Object.refractive_index, plan=PosePlan())
+
+
+def _best(definition: Object | PlannedObject, rig: Rig, count: int | None, fitted: dict) -> Plan:
+    """Return the chosen poses, ``plan.count`` of the object where no number is given."""
+    try:
+        return plan_best(definition, rig, count, **fitted)
+    except ValueError as error:
+        raise InputError("--best", "", str(definition.plan.count if count is None else count), str(error)) from None
+
+
+def _states(camera: Camera) -> set[str]:
+    """Return the filter states of a camera's photographs of its chart, none before they are taken."""
+    if camera.captures is None or not Path(camera.captures.table).is_file():
+        return set()
+    return {shot.filter for shot in read_captures(camera.captures.table) if shot.role == "chart"}
+
+
 def plan(options) -> None:
-    """Print the photographs of an object or a camera in their order, and what they take."""
-    target, definition = _target(options)
-    if options.best is not None:
-        if definition is None:
-            raise InputError("--best", "", "a camera", "an object: a camera's own photographs need no choice of poses")
-        try:
-            best = plan_best(definition, target.rig, options.best, **_as_fitted(definition, target))
-        except ValueError as error:
-            raise InputError("--best", "", str(options.best), str(error)) from None
-        print("\n".join(best.lines()))
+    """Print the photographs of an object or a camera in their order, and what they take.
+
+    Where a person takes them, on a rig of kind files, poses are chosen and printed as a list to follow.
+    """
+    if options.shape is not None:
+        loaded, what = load_one("rigs", options.name), _of_shape(options)
+        rig = by_hand(loaded.rigs[options.name])
+        print("\n".join(followed(_best(what, rig, options.best, _as_fitted(loaded.config, rig)), rig)))
+        return
+    loaded = load_one("cameras" if options.camera else "objects", options.name, photographs=False)
+    definition = None if options.camera else loaded.objects[options.name]
+    if options.best is not None and definition is None:
+        raise InputError("--best", "", "a camera", "an object: a camera's own photographs need no choice of poses")
+    camera = None if definition is None else loaded.cameras[definition.camera]
+    if definition is not None and camera is not None and loaded.rigs[camera.rig].kind == "files":
+        rig = by_hand(loaded.rigs[camera.rig])
+        best = _best(definition, rig, options.best, _as_fitted(loaded.config, rig))
+        print("\n".join(followed(best, rig, _states(camera))))
+        return
+    target, definition = _target(options, loaded)
+    if options.best is not None and definition is not None:
+        fitted = _as_fitted(loaded.config, target.rig, definition, target.camera)
+        print("\n".join(_best(definition, target.rig, options.best, fitted).lines()))
         return
     if definition is None:
         shots = camera_shots(target.camera, target.suffix)

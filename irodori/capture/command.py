@@ -84,6 +84,8 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     sub = command("plan", _of_a_camera("plan"), text)
     _add_subject(sub)
     sub.add_argument("--best", type=int, metavar="K", help="choose the K poses that tell most about an object instead")
+    text = "choose poses for a shape, such as 'plate 90' or 'sphere 30' (mm), where NAME is that of a rig"
+    sub.add_argument("--shape", metavar="SHAPE", help=text)
     sub = command("capture", _of_a_camera("capture"), "Hold a session, or continue one: take what is missing.")
     _add_subject(sub)
     sub.add_argument("--page", action="store_true", help="show the session in a browser, and take answers there too")

@@ -14,6 +14,7 @@ from irodori.geometry.enclosure import encloses
 from irodori.geometry.rig_frame import look_at, rotation_xyz
 from irodori.geometry.shapes.placement import Placement
 from irodori.geometry.shapes.shape import Shape
+from irodori.rendering.energy_gain import body_fault
 from irodori.rendering.eyes import eye_inside
 
 _POINTS = 400
@@ -41,6 +42,10 @@ def of_scene(loaded: Loaded, name: str) -> Iterator[Finding]:
         for thing, placement in things.items():
             if isinstance(view, PerspectiveView) and encloses(placement, np.array(view.position_mm)):
                 yield Finding(True, str(InputError(file, *eye_inside(label, thing))))
+    for index, body in enumerate(scene.bodies):
+        fault = None if scene.allow_energy_gain else body_fault(index, body)
+        if fault is not None:
+            yield Finding(True, str(InputError(file, *fault)))
     yield from _of_places(things, file)
 
 

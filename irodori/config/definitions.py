@@ -66,7 +66,7 @@ def load_definitions(config: dict, root: Path, file=_CONFIG_FILE) -> Loaded:
         raise InputError(source, error.field, error.found, error.accepted) from None
 
 
-def load_one(kind: str, name: str, root: Path = Path(), file=_CONFIG_FILE) -> Loaded:
+def load_one(kind: str, name: str, root: Path = Path(), file=_CONFIG_FILE, *, photographs: bool = True) -> Loaded:
     """Load one definition and what it needs, for the person at the bench; nothing else is asked for.
 
     Parameters
@@ -77,6 +77,8 @@ def load_one(kind: str, name: str, root: Path = Path(), file=_CONFIG_FILE) -> Lo
         Where relative paths start.
     file : path
         The configuration, which says where definitions stand.
+    photographs : bool
+        Whether the tables of photographs that somebody takes have to be there already.
 
     Raises
     ------
@@ -87,10 +89,12 @@ def load_one(kind: str, name: str, root: Path = Path(), file=_CONFIG_FILE) -> Lo
     """
     wanted: dict[str, list[str]] = {"scenes": [], "cameras": []}
     config = {**read_yaml(Path(root) / file), "make": wanted}
-    return _load_definitions(config, Path(root), file, (kind, name))
+    return _load_definitions(config, Path(root), file, (kind, name), photographs)
 
 
-def _load_definitions(given: dict, root: Path, file, also: tuple[str, str] | None = None) -> Loaded:
+def _load_definitions(
+    given: dict, root: Path, file, also: tuple[str, str] | None = None, photographs: bool = True
+) -> Loaded:
     config = Config.of(validate(given, "config", file))
     loader = _Loader(root, Path(config.definitions), file)
     for index, name in enumerate(config.make.scenes):
@@ -100,7 +104,7 @@ def _load_definitions(given: dict, root: Path, file, also: tuple[str, str] | Non
     if also is not None:
         loader.load(*also)
     loaded = Loaded(config=config, **loader.found)
-    check_agreement(loaded, root, file, loader.file)
+    check_agreement(loaded, root, file, loader.file, photographs=photographs)
     return loaded
 
 

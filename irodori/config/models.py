@@ -1269,6 +1269,9 @@ class Scene(Definition):
     #: Mirror reflections that the integrator interactive follows from object to object (count).
     max_bounces: int = 5
 
+    #: Whether materials may send back more light than reaches them (true or false); a scene with one is refused else.
+    allow_energy_gain: bool = False
+
     #: How the picture is computed.
     integrator: Integrator = ReferenceIntegrator()
 

@@ -13,6 +13,7 @@ from irodori.core.yaml_files import read_yaml
 from irodori.geometry.shapes.placement import Placement
 from irodori.geometry.shapes.shape import Shape
 from irodori.material.material_file import Material
+from irodori.rendering.energy_gain import load_materials
 from irodori.rendering.integrators import with_bodies
 from irodori.rendering.scene_arrays import make_placements
 
@@ -88,7 +89,8 @@ def find(name: str) -> Source:
     Raises
     ------
     InputError
-        If there is none of that name, its definition is at fault, or a result is not made yet.
+        If there is none of that name, its definition is at fault, a result is not made yet, or a material of a scene
+        makes light.
     """
     folder, own = kind_of(name)
     if folder == "environments":
@@ -101,7 +103,7 @@ def find(name: str) -> Source:
     scene = loaded.scenes[own]
     files = [result(Path(f"results/{item.object}/material.h5")) for item in scene.objects]
     shapes = [Shape.from_definition(loaded.objects[item.object].shape) for item in scene.objects]
-    shapes, materials = with_bodies(scene, shapes, [Material.load(file) for file in files])
+    shapes, materials = with_bodies(scene, shapes, load_materials(scene, files))
     names = [item.object for item in scene.objects] + [f"body-{i + 1}" for i in range(len(scene.bodies))]
     known: list[Path | None] = [*files, *([None] * len(scene.bodies))]
     parts = zip(names, make_placements(scene, shapes), materials, known, strict=True)

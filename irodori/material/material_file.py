@@ -314,6 +314,12 @@ class Material:
         (beta, mu), *further = pairs
         return replace(self, beta=beta, mu=mu, further_gloss=tuple(further))
 
+    def rows(self, part: slice) -> "Material":
+        """Return some rows of the maps as a material of their own; views, nothing is copied."""
+        gloss = [(beta[part], mu[part]) for _, beta, mu in self.gloss]
+        maps = {name: getattr(self, name)[part] for name in (*MAPS, "coefficients")}
+        return replace(self.with_gloss(gloss), **maps)
+
     @property
     def observed(self) -> np.ndarray:
         """Texels with a diffuse reflectance of their own, (height, width) bool."""
@@ -323,8 +329,11 @@ class Material:
     @property
     def spectrum_scale(self) -> np.ndarray:
         """The factor α / S_G that rendering puts on S(λ), (height, width); 1 where S_G is too dark to divide by."""
-        bright = self.green_response > _DARKEST_GREEN
-        return np.divide(self.alpha, self.green_response, out=np.ones_like(self.alpha), where=bright)
+        return spectrum_scale(self.alpha, self.green_response)
+
+    def typically_filled(self) -> list[tuple[str, np.ndarray, np.ndarray]]:
+        """Lobe, β and μ of every gloss component, the object's typical gloss where it is not known."""
+        return typically_filled(self.lobes, [(beta, mu) for _, beta, mu in self.gloss], self.typical_gloss)
 
     def filled(self, covered: np.ndarray | None = None) -> tuple["Material", float]:
         """Return a copy without gaps, and the share of texels that were filled.
@@ -350,14 +359,7 @@ class Material:
         wrapped = np.concatenate([observed, observed, observed], axis=1)
         row, column = ndimage.distance_transform_edt(~wrapped, return_distances=False, return_indices=True)
         row, column = row[:, width : 2 * width], column[:, width : 2 * width] % width
-        typical = zip(self.typical_gloss[::2], self.typical_gloss[1::2], strict=True)
-        pairs = []
-        for (_, beta, mu), (usual_beta, usual_mu) in zip(self.gloss, typical, strict=True):
-            beta, mu = beta[row, column], mu[row, column]
-            known = np.isfinite(beta) & np.isfinite(mu)
-            # A component that the others of the texel leave nothing to has no roughness, but its weight is known: 0.
-            weighed = known | (beta == 0.0) if self.further_gloss else known
-            pairs.append((np.where(weighed, beta, usual_beta), np.where(known, mu, usual_mu)))
+        pairs = [(beta[row, column], mu[row, column]) for _, beta, mu in self.typically_filled()]
         filled = replace(
             self.with_gloss(pairs),
             alpha=self.alpha[row, column],
@@ -381,6 +383,34 @@ class Material:
     def spectra(self) -> np.ndarray:
         """Return S(λ) of every texel, (height, width, 61)."""
         return self.coefficients @ self.basis.T
+
+
+def spectrum_scale(alpha: np.ndarray, green_response: np.ndarray) -> np.ndarray:
+    """Return α / S_G, 1 where S_G is too dark to divide by."""
+    return np.divide(alpha, green_response, out=np.ones_like(alpha), where=green_response > _DARKEST_GREEN)
+
+
+def typically_filled(lobes, gloss, typical_gloss) -> list[tuple[str, np.ndarray, np.ndarray]]:
+    """Return lobe, β and μ of every gloss component, typical ones where they are not known.
+
+    Of several components one that reflects nothing in a texel, β = 0, stays so.
+
+    Parameters
+    ----------
+    lobes : sequence of str
+    gloss : sequence of (beta, mu)
+        Maps of the components, (...) float each.
+    typical_gloss : sequence of float
+        β and μ of each component.
+    """
+    found = []
+    typical = zip(typical_gloss[::2], typical_gloss[1::2], strict=True)
+    for name, (beta, mu), (usual_beta, usual_mu) in zip(lobes, gloss, typical, strict=True):
+        known = np.isfinite(beta) & np.isfinite(mu)
+        # A component that the others of the texel leave nothing to has no roughness, but its weight is known: 0.
+        weighed = known | (beta == 0.0) if len(lobes) > 1 else known
+        found.append((name, np.where(weighed, beta, usual_beta), np.where(known, mu, usual_mu)))
+    return found
 
 
 def write_constants(

@@ -16,9 +16,21 @@ from irodori.config.parts import Surface
 from irodori.core import store
 from irodori.core.progress import LOGGER
 from irodori.material.coefficients import reserve_coefficients
+from irodori.material.energy import ALBEDO, ERROR, AlbedoModel, Energy, Errors, Reflecting
 from irodori.material.fitted_tiles import FittedTiles, columns
 from irodori.material.lobe_choices import LeftOut
-from irodori.material.material_file import BASIS, COEFFICIENTS, MAPS, QUANTITY, ChartColour, gloss_maps, write_constants
+from irodori.material.material_file import (
+    BASIS,
+    COEFFICIENTS,
+    MAPS,
+    QUANTITY,
+    ChartColour,
+    gloss_maps,
+    gloss_names,
+    spectrum_scale,
+    typically_filled,
+    write_constants,
+)
 from irodori.material.principal_components.basis_count import Compression, CompressOptions, choose
 from irodori.material.principal_components.decomposition import WEIGHTINGS
 from irodori.material.principal_components.repeated_reflection import drift
@@ -27,6 +39,10 @@ from irodori.spectra.published import refractive_index
 
 _GREEN = 1
 _RESPONSE = ("diffuse_response", "diffuse_variance")
+_ALBEDO_MAPS = (
+    ("albedo", ALBEDO, "largest share of light that is sent back, in even light or up to 60 degrees from the normal"),
+    ("albedo_error", ERROR, "standard error of albedo"),
+)
 
 
 @dataclass(frozen=True)
@@ -52,6 +68,32 @@ class _Reflectance:
         return weights
 
 
+@dataclass(frozen=True)
+class _Sent:
+    """What texels send back of the light that reaches them: the model of an object, and its typical gloss."""
+
+    model: AlbedoModel
+    lobes: tuple[str, ...]
+    typical_gloss: tuple[float, ...]
+
+    def of(self, maps: dict, weights: np.ndarray, basis: np.ndarray, reflectance_error: np.ndarray) -> np.ndarray:
+        """Return what `AlbedoModel.of` finds of a tile's texels, NaN where the colour is not known."""
+        alpha, scale = maps["alpha"].ravel(), spectrum_scale(maps["alpha"], maps["diffuse_response"][..., _GREEN])
+        names = [gloss_names(component) for component in range(len(self.lobes))]
+        pairs = typically_filled(self.lobes, [(maps[beta], maps[mu]) for beta, mu in names], self.typical_gloss)
+        beta = np.stack([values.ravel() for _, values, _ in pairs], axis=-1)
+        mu = np.stack([values.ravel() for _, _, values in pairs], axis=-1)
+        coefficients = (weights * scale[..., None]).reshape(-1, weights.shape[-1])
+        relative = np.full(beta.shape, np.nan)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            alpha_error = maps["alpha_error"].ravel() / alpha
+            for component, (b, m) in enumerate(names):
+                of_beta, of_mu = (maps[f"{name}_error"].ravel() / maps[name].ravel() for name in (b, m))
+                relative[:, component] = np.hypot(of_beta, 2.0 * of_mu)
+        errors = Errors(reflectance_error.ravel(), alpha_error, relative)
+        return self.model.of(Reflecting(coefficients, basis, beta, mu), errors)
+
+
 @dataclass
 class _Gathered:
     """Data of the observed texels of all tiles."""
@@ -61,6 +103,7 @@ class _Gathered:
     outside: int = 0
     error: list = field(default_factory=list)
     ratio: list = field(default_factory=list)
+    energy: Energy = field(default_factory=Energy)
 
     def add(self, maps: dict, values: dict, observed: np.ndarray) -> None:
         self.observed += int(observed.sum())
@@ -74,6 +117,7 @@ class _Gathered:
             "out_of_training_fraction": self.outside / max(self.observed, 1),
             "reflectance_error_median": float(np.median(np.concatenate(self.error))),
             "observed_fraction": self.observed / max(self.texels, 1),
+            "energy": asdict(self.energy),
         }
 
 
@@ -141,8 +185,10 @@ def compress_reflectance(
     observers = {name: (matrix := xyz_from_reflectance(name), matrix.sum(axis=1)) for name in lights}
     compression, compared = compress_maps(reflectance, calibration.basis, observers, options)
     n, k = refractive_index(definition.refractive_index)
+    typical_gloss = fitted.typical_gloss()
+    sent = _Sent(AlbedoModel(fitted.lobes, n, k, definition.mirror_weight), fitted.lobes, typical_gloss)
     with store.create(output, provenance) as out:
-        gathered = _write_maps(out, reflectance, compression, options.codec)
+        gathered = _write_maps(out, reflectance, compression, options.codec, sent)
         errors = gathered.errors() | {
             "delta_e": compression.errors,
             "negative_fraction": compression.negative.fraction,
@@ -151,11 +197,13 @@ def compress_reflectance(
             "lobe_choice": [asdict(one) for one in lobe_choice],
         }
         constants = (compression.basis, n, k, definition.mirror_weight)
-        write_constants(out, *constants, errors, lobes=fitted.lobes, typical_gloss=fitted.typical_gloss())
+        write_constants(out, *constants, errors, lobes=fitted.lobes, typical_gloss=typical_gloss)
     _log(compression, gathered, fitted.height * fitted.width)
 
 
-def _write_maps(out: store.Writer, reflectance: _Reflectance, compression: Compression, codec: str) -> _Gathered:
+def _write_maps(
+    out: store.Writer, reflectance: _Reflectance, compression: Compression, codec: str, sent: _Sent
+) -> _Gathered:
     """Write all maps of the material, a tile at a time."""
     fitted, calibration, gathered = reflectance.fitted, reflectance.calibration, _Gathered()
     size, half = (fitted.height, fitted.width), compression.storage == "half"
@@ -175,6 +223,9 @@ def _write_maps(out: store.Writer, reflectance: _Reflectance, compression: Compr
         described = {name: (values, *described_maps[name]) for name, values in own.items()}
         described |= {name: (maps[name], *what) for name, what in kept.items()}
         described |= confidence(calibration, response, reflectance.variance(maps))
+        albedo = sent.of(maps, weights, calibration.basis, described["reflectance_error"][0])
+        for name, column, quantity in _ALBEDO_MAPS:
+            described[name] = (albedo[:, column].astype(np.float32).reshape(weights.shape[:2]), "1", quantity)
         for name, (texels, units, quantity) in described.items():
             if name not in datasets:
                 names = {"units": units, "dims": "row,column", "quantity": quantity}
@@ -182,6 +233,7 @@ def _write_maps(out: store.Writer, reflectance: _Reflectance, compression: Compr
             datasets[name][rows] = texels
         values = {name: one[0] for name, one in described.items()}
         gathered.add(maps, values, np.isfinite(weights).all(axis=-1))
+        gathered.energy = gathered.energy.joined(Energy.of(albedo))
     return gathered
 
 
@@ -226,5 +278,12 @@ def _log(compression: Compression, gathered: _Gathered, texels: int) -> None:
         LOGGER.warning("the colour error stays above its target with all %d bases in this storage", bases)
     ratio = np.percentile(np.concatenate(gathered.ratio), [50, 5, 95])
     LOGGER.info("alpha / S_G: median %.4f, 5 to 95 %% %.4f to %.4f", *ratio)
+    energy = gathered.energy
+    text = "albedo: at most %.3f, above 1 in %.2f %% of texels; at the rim %.2f at %.0f degrees, above 1 in %.1f %%"
+    shares = 100 * energy.gain_fraction, 100 * energy.rim_fraction
+    LOGGER.info(text, energy.albedo_max, shares[0], energy.rim_max, energy.rim_deg, shares[1])
+    if energy.certain_fraction:
+        text = "%.3g %% of texels send back up to %.3g times the light that reaches them, beyond three standard errors"
+        LOGGER.warning(text, 100 * energy.certain_fraction, energy.certain_max)
     for light, error in compression.errors.items():
         LOGGER.info("CIEDE2000 of the compression under %s: mean %.3f p99 %.3f", light, error["mean"], error["p99"])

@@ -6,10 +6,13 @@ from typing import NamedTuple
 import numpy as np
 
 from irodori.jit.compilation import njit
+from irodori.reflection.fresnel import fresnel
 from irodori.reflection.lobes import Lobes, constants, features, value
 from irodori.reflection.registry import lobe
 
 _NODES = 128
+_GLOSS_NODES = 48
+_NO_INDEX = np.empty(0)
 _ROUGHNESSES, _COSINES, _ROUNDING = 25, 17, 1e-12
 
 
@@ -27,26 +30,33 @@ class AlbedoTable(NamedTuple):
 
 
 @njit(cache=True, error_model="numpy")
-def _integral(lobes, mu, cos_r, node, weight):
-    """Return ∫ D G / cosθ_r dω_i / π with φ = μ sinh t; nodes and weights are those of 0..1."""
+def _integrate(lobes, mu, cos_r, rule, index, out):
+    """Fill ``out`` with ∫ D G / cosθ_r dω_i / π and the same of F D G / cosθ_r for each index; φ = μ sinh t.
+
+    ``rule`` has nodes and weights of 0..1, ``index`` n and k.
+    """
+    (node, weight), (n, k) = rule, index
     constant = constants(lobes, math.log(mu))
     sin_r = math.sqrt(max(1.0 - cos_r * cos_r, 0.0))
     # Half vectors further out have light above the horizon nowhere.
     furthest = 0.25 * math.pi + 0.5 * math.acos(min(cos_r, 1.0))
-    most, total = math.asinh(furthest / mu), 0.0
+    most = math.asinh(furthest / mu)
+    out[:] = 0.0
     for i in range(node.size):
         t = most * node[i]
         phi = mu * math.sinh(t)
         sine, cos_phi = math.sin(phi), math.cos(phi)
         # Light is above the horizon, cosθ_i > 0, up to an azimuth from the view; there the lobe has a corner.
-        last, ring = _last_azimuth(cos_r, sin_r, cos_phi, sine), 0.0
+        last = _last_azimuth(cos_r, sin_r, cos_phi, sine)
+        ring = 2.0 * most / math.pi * weight[i] * sine * mu * math.cosh(t) * last
         for j in range(node.size):
             cos_h = cos_phi * cos_r + sine * sin_r * math.cos(last * node[j])
             cos_i = 2.0 * cos_h * cos_phi - cos_r
             factor, f0, f1, f2 = features(lobes, cos_i, cos_r, cos_phi, cos_h, phi)
-            ring += last * weight[j] * factor * value(lobes, constant, f0, f1, f2) * 4.0 * cos_h
-        total += weight[i] * ring * sine * mu * math.cosh(t)
-    return 2.0 * most * total / math.pi
+            part = ring * weight[j] * factor * value(lobes, constant, f0, f1, f2) * 4.0 * cos_h
+            out[0] += part
+            for which in range(n.size):
+                out[1 + which] += part * fresnel(cos_h, n[which], k[which])
 
 
 @njit(cache=True, error_model="numpy")
@@ -60,10 +70,18 @@ def _last_azimuth(cos_r, sin_r, cos_phi, sine):
 
 
 @njit(cache=True)
-def _fill(lobes, mu, cosine, node, weight, out):
+def _fill(lobes, mu, cosine, rule, index, out):
     for i in range(mu.size):
         for j in range(cosine.size):
-            out[i, j] = _integral(lobes, mu[i], cosine[j], node, weight)
+            _integrate(lobes, mu[i], cosine[j], rule, index, out[i, j])
+
+
+def _integrals(name: str, mu: np.ndarray, cosine: np.ndarray, nodes: int, n: np.ndarray, k: np.ndarray) -> np.ndarray:
+    """Return the integrals of `_integrate` with so many nodes each way, (m, c, 1 + indices)."""
+    node, weight = np.polynomial.legendre.leggauss(nodes)
+    out = np.empty((len(mu), len(cosine), 1 + len(n)))
+    _fill(Lobes.of(name), mu, cosine, (0.5 * (node + 1.0), 0.5 * weight), (n, k), out)
+    return out
 
 
 def albedo_table(name: str, mu=None, cosine=None, nodes: int = _NODES) -> AlbedoTable:
@@ -90,9 +108,33 @@ def albedo_table(name: str, mu=None, cosine=None, nodes: int = _NODES) -> Albedo
     if cosine is None:
         cosine = np.cos(np.linspace(0.0, math.acos(0.01), _COSINES))
     cosine = np.atleast_1d(cosine).astype(np.float64)
-    fine, coarse = np.empty((2, len(mu), len(cosine)))
-    for out, count in ((fine, nodes), (coarse, nodes // 2)):
-        node, weight = np.polynomial.legendre.leggauss(count)
-        _fill(Lobes.of(name), mu, cosine, 0.5 * (node + 1.0), 0.5 * weight, out)
+    fine, coarse = (_integrals(name, mu, cosine, n, _NO_INDEX, _NO_INDEX)[..., 0] for n in (nodes, nodes // 2))
     error = np.maximum(np.abs(fine - coarse), _ROUNDING * fine).max(axis=1)
     return AlbedoTable(mu, cosine, fine, error)
+
+
+def gloss_albedo(name: str, mu, cosine, n, k) -> np.ndarray:
+    """Return the albedo of a lobe with its Fresnel reflectance, for β = 1: ∫ F D G / cosθ_r dω_i / π.
+
+    Parameters
+    ----------
+    name : str
+        Of a registered lobe.
+    mu : (m,) float
+        Roughnesses.
+    cosine : (c,) float
+        Cosines of the view's angle, above 0.
+    n, k : (i,) float
+        Complex refractive indices.
+
+    Returns
+    -------
+    (m, c, i) float64
+
+    Raises
+    ------
+    ValueError
+        If there is no lobe of that name.
+    """
+    mu, cosine, n, k = (np.atleast_1d(np.asarray(x, dtype=np.float64)) for x in (mu, cosine, n, k))
+    return _integrals(name, mu, cosine, _GLOSS_NODES, n, k)[..., 1:]

@@ -7,7 +7,7 @@ from dataclasses import asdict, replace
 import numpy as np
 
 from irodori.colour.colorimetry import xyz_from_radiance
-from irodori.config.models import InteractiveIntegrator, ReferenceIntegrator, Render, Scene
+from irodori.config.models import Body, InteractiveIntegrator, ReferenceIntegrator, Render, Scene
 from irodori.core.progress import LOGGER
 from irodori.geometry.embree import Tracer
 from irodori.geometry.shapes.shape import Shape
@@ -233,12 +233,15 @@ class Renderer(ABC):
 
 def with_bodies(scene: Scene, shapes: list[Shape], materials: list[Material]) -> tuple[list[Shape], list[Material]]:
     """Return shapes and materials of a scene's objects, then of its bodies."""
-    made = []
-    for body in scene.bodies:
-        n, k = refractive_index(body.material.refractive_index)
-        own = body.material
-        made.append(Material.uniform(spectrum(own.spectrum), beta=own.beta, mu=own.mu_rad, mirror=own.mirror, n=n, k=k))
+    made = [body_material(body) for body in scene.bodies]
     return [*shapes, *(Shape.from_definition(body.shape) for body in scene.bodies)], [*materials, *made]
+
+
+def body_material(body: Body) -> Material:
+    """Return the material of a scene's body, the same all over it."""
+    own = body.material
+    n, k = refractive_index(own.refractive_index)
+    return Material.uniform(spectrum(own.spectrum), beta=own.beta, mu=own.mu_rad, mirror=own.mirror, n=n, k=k)
 
 
 class InteractiveRenderer(Renderer):

@@ -27,7 +27,7 @@ from irodori.core.provenance import code_hash
 from irodori.geometry.shapes.shape import Shape
 from irodori.light.environment_file import Environment
 from irodori.light.placed_lights import unit_luminance
-from irodori.material.material_file import Material
+from irodori.rendering.energy_gain import load_materials
 from irodori.rendering.frame_state import Moment
 from irodori.rendering.integrators import make_renderer
 from irodori.rendering.scene_white import shown_white
@@ -196,7 +196,7 @@ def render_frames(
         LOGGER.info("%d of %d frames are there from an earlier run", len(moments) - len(missing), len(moments))
     environment = Environment.load(environment_file)
     made = [Shape.from_definition(shape) for shape in shapes]
-    materials = [Material.load(path) for path in material_files]
+    materials = load_materials(scene, material_files)
     white, exposure = shown_white(scene, environment, environment_file)
     if scene.tolerance_ciede2000 is not None:
         LOGGER.info("frames are rendered in full: a plan is made for the scene's own moment")

@@ -16,7 +16,7 @@ from irodori.core.yaml_files import read_yaml
 from irodori.export.pictures import read_xyz, write_display_picture, write_spectral_exr, write_xyz_exr
 from irodori.geometry.shapes.shape import Shape
 from irodori.light.environment_file import Environment
-from irodori.material.material_file import Material
+from irodori.rendering.energy_gain import load_materials
 from irodori.rendering.eyes import refuse_enclosed_eye
 from irodori.rendering.integrators import InteractiveRenderer, make_renderer, render_image
 from irodori.rendering.scene_white import scene_white, shown_white
@@ -45,13 +45,13 @@ def render_view(
     Raises
     ------
     InputError
-        If the view's eye is inside a thing, or there is no light to see by.
+        If the view's eye is inside a thing, a material makes light, or there is no light to see by.
     """
     plan = read_yaml(plan_file) if plan_file else None
     display = make_display(scene.display.device)
     placed = [Shape.from_definition(shape) for shape in shapes]
     refuse_enclosed_eye(scene, view_name, placed)
-    materials = [Material.load(path) for path in material_files]
+    materials = load_materials(scene, material_files)
     environment = Environment.load(environment_file)
     white, exposure = shown_white(scene, environment, environment_file)
     radiance, figures = render_image(

@@ -65,9 +65,15 @@ def _object(name: str, path, truth_file) -> dict:
         "bases": material.basis.shape[1],
         "gloss": typical_gloss_text(material),
         "lobes": list(material.lobes),
+        "mirror": material.mirror,
         "errors": errors,
         "stored": stored,
     }
+
+
+def objects(names: list[str], files: list, truths: dict) -> list[dict]:
+    """Return what ``objects.html.j2`` shows of materials, with the files of true ones by name where they are known."""
+    return [_object(name, path, truths.get(name)) for name, path in zip(names, files, strict=True)]
 
 
 def environments(names: list[str], files: list) -> list[dict]:
@@ -135,10 +141,7 @@ def write_report(inputs: dict, names: dict, benchmarks, output) -> None:
         budgets={
             n: read_rows(path, BudgetRow) for n, path in zip(names["virtual_views"], inputs["budgets"], strict=True)
         },
-        objects=[
-            _object(name, path, truths.get(name))
-            for name, path in zip(names["objects"], inputs["materials"], strict=True)
-        ],
+        objects=objects(names["objects"], inputs["materials"], truths),
         environments=environments(names["environments"], inputs["environments"]),
         imperfections=read_rows(inputs["imperfections"], CostRow),
         plans=_plans(read_rows(inputs["planning"], PlanRow)),

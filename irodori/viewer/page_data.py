@@ -18,6 +18,7 @@ from irodori.geometry.shapes.shape import Shape
 from irodori.light.environment_file import Environment
 from irodori.material.material_file import Material, Status
 from irodori.reflection.lobes import Lobes
+from irodori.rendering.energy_gain import refuse_energy_gain
 from irodori.rendering.integrators import has_ambient, with_bodies
 from irodori.rendering.interactive.channels import is_grey
 from irodori.rendering.interactive.frame_renderer import light_of
@@ -195,7 +196,7 @@ def page_data(sources: SceneSources) -> PageData:
     Raises
     ------
     PlainError
-        If the page cannot show what the scene holds.
+        If the page cannot show what the scene holds, or a material makes light.
     """
     name, scene, material_files = sources.name, sources.scene, sources.materials
     fault = page_fault(scene)
@@ -203,6 +204,7 @@ def page_data(sources: SceneSources) -> PageData:
         field, found, accepted = fault
         raise PlainError(f"The scene {name}: {field}: found {found}; accepted: {accepted}.")
     loaded = [_with_maps(path) for path in material_files]
+    refuse_energy_gain(scene, material_files, [material for material, _ in loaded])
     whole = with_bodies(scene, [Shape.from_definition(s) for s in sources.shapes], [material for material, _ in loaded])
     placements = make_placements(scene, whole[0])
     objects, filled = make_objects(placements, whole[1])

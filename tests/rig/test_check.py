@@ -95,6 +95,7 @@ def test_all_mistakes_are_listed_at_once(project, tmp_path, capsys, monkeypatch)
     scene["views"]["within"] = SCENE["views"]["front"] | {"position_mm": [-29, 30, 13]}
     scene["bodies"][0]["position_mm"] = [0, 0, 35]
     scene["bodies"].append(copy.deepcopy(SCENE["bodies"][0]) | {"position_mm": [-30, 30, 12]})
+    scene["bodies"][1]["material"] |= {"beta": 50.0, "mu_rad": 0.5}
     camera = yaml.safe_load((folder / "config/cameras/own.yaml").read_text())
     for corner in camera["chart"]["centres_px"].values():
         corner[0] += 5.0
@@ -102,10 +103,11 @@ def test_all_mistakes_are_listed_at_once(project, tmp_path, capsys, monkeypatch)
     table = folder / "plate/captures.csv"
     table.write_text(table.read_text().replace(",in,", ",?,").replace(",out,", ",in,").replace(",?,", ",out,"))
     status, lines = said(folder, capsys)
-    assert status == 1 and lines[-1].endswith("4 errors, 2 warnings")
+    assert status == 1 and lines[-1].endswith("5 errors, 2 warnings")
     for start, words in (
         ("error: config/scenes/desk.yaml: views.away", "sees none of objects[0] (plate)"),
         ("error: config/scenes/desk.yaml: views.within.position_mm", "an eye inside bodies[1] (sphere)"),
+        ("error: config/scenes/desk.yaml: bodies[1].material", "allow_energy_gain: true in the scene"),
         ("warning: config/scenes/desk.yaml: bodies[0] (sphere)", "floats 8.26 mm from all else"),
         ("warning: config/scenes/desk.yaml: objects[0] (plate)", "and bodies[1] (sphere) stand 8 mm in each other"),
         ("error: camera/chart-out-20000us.dng: chart", "of 24 patches with dirt, an edge or a shadow"),

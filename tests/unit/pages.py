@@ -113,6 +113,7 @@ def sources(
         "environment": "room",
         "image": {"width": 64, "height": 48},
         "max_bounces": 3,
+        "allow_energy_gain": True,  # gold mirrors under bright paint: what is tried is how they are drawn
         "integrator": {"kind": "interactive", "ambient": ambient},
         "display": {"exposure": "auto", "device": {"kind": "standard", "name": "sRGB"}},
         "views": {"front": {"kind": "perspective", "position_mm": [30.0, -190.0, 120.0], "target_mm": [0.0, 0.0, 10.0],

@@ -1,6 +1,7 @@
 """Fitted tiles become one material: every texel in its place, read tile by tile, or refused."""
 
 import tracemalloc
+from dataclasses import asdict
 
 import h5py
 import numpy as np
@@ -14,10 +15,13 @@ from irodori.config.parts import Surface
 from irodori.core import store
 from irodori.core.custody import accept
 from irodori.core.errors import InputError
+from irodori.material.energy import energy_of
 from irodori.material.fitted_tiles import FittedTiles, columns
 from irodori.material.material_file import Material, gloss_maps
 from irodori.material.principal_components.basis_count import CompressOptions
 from irodori.material.stage import compress_reflectance
+from irodori.report.html_page import fragment
+from irodori.report.page import objects
 from irodori.spectra.published import spectrum
 
 PROVENANCE = store.Provenance("test")
@@ -124,6 +128,30 @@ def test_every_gloss_component_has_its_maps_its_unit_and_its_typical_values(tmp_
         assert [file.dataset(name).attrs["units"] for name in ("mu", "mu_2", "mu_error", "mu_2_error")] == [
             "1", "rad", "1", "rad"
         ]  # fmt: skip
+
+
+def test_what_texels_send_back_is_mapped_summed_up_and_told(tmp_path, calibration, caplog):
+    write_tile(tmp_path / "a.h5", (0, 4), 12, 4)
+    write_tile(tmp_path / "b.h5", (4, 8), 12, 5)
+    with h5py.File(tmp_path / "b.h5", "r+") as file:
+        file["beta"][:], file["mu"][:], file["mu_error"][:] = 0.1, 0.3, 1e-3
+        file["beta"][10], file["mu"][10], file["beta_error"][10] = 300.0, 0.5, 1.0
+    accept(tmp_path / "b.h5")
+    with caplog.at_level("WARNING", "irodori"):
+        found = compress([tmp_path / "a.h5", tmp_path / "b.h5"], calibration, (8, 12), tmp_path / "m.h5")
+    assert "1.14 % of texels send back up to" in caplog.text
+    with store.open_file(tmp_path / "m.h5") as file:
+        albedo, error, stated = file.read("albedo"), file.read("albedo_error"), file.attribute("errors")["energy"]
+    assert np.array_equal(np.isfinite(albedo), found.observed) and (error[found.observed] > 0.0).all()
+    largest = np.unravel_index(np.nanargmax(albedo), albedo.shape)
+    assert largest == (4, 10) and albedo[largest] > 10.0
+    text = " ".join(fragment("objects.html.j2", objects=objects(["jar"], [tmp_path / "m.h5"], {})).split())
+    assert f"Albedo: at most {stated['albedo_max']:.3f}, above 1 in {stated['gain_fraction']:.2%} of texels" in text
+    assert "mirror weight 0, assumed by its definition and not measured" in text
+    # The same from the file as it is rendered from, compressed.
+    again = asdict(energy_of(found, error))
+    assert again["texels"] == stated["texels"] == 88
+    assert again == {name: pytest.approx(value, rel=2e-3) for name, value in stated.items()}
 
 
 def test_a_component_that_most_texels_lack_is_not_typical(tmp_path, calibration):

@@ -33,7 +33,7 @@ INTERACTIVE = {"kind": "interactive", "ambient": True}
 REFERENCE = {"kind": "reference", "samples": 128, "seed": 0}
 EVERY = pytest.mark.parametrize("integrator", [INTERACTIVE, REFERENCE], ids=lambda i: i["kind"])
 SHAPES = [plate(160.0), BALL]
-PAINTS = [material(np.linspace(0.3, 0.8, 61), mirror=0.3, n=0.2, k=3.0), material(np.linspace(0.9, 0.1, 61))]
+PAINTS = [material(np.linspace(0.3, 0.7, 61), mirror=0.3, n=0.2, k=3.0), material(np.linspace(0.9, 0.1, 61))]
 
 
 def room(rolled=0) -> Environment:

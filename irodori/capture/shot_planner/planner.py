@@ -139,6 +139,11 @@ class Plan:
             f"light {light:g}, tilt {tilt:g}, turn {turn:g}: camera {', '.join(cameras)} degrees"
             for (light, tilt, turn), cameras in groups.items()
         ]
+        return out + self.expectations()
+
+    def expectations(self) -> list[str]:
+        """Return what a fit of the photographs is expected to reach, in words."""
+        out = []
         for name, (median, p95) in self.expected.items():
             kind = "absolute" if name == "alpha" else "relative"
             out.append(f"expected standard error of {name}, {kind}: median {median:.2g}, 95th percentile {p95:.2g}")

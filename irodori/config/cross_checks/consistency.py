@@ -4,7 +4,7 @@ import os
 from collections.abc import Mapping
 from pathlib import Path
 
-from irodori.config.capture_table import Shot
+from irodori.config.capture_table import FILTERS, Shot
 from irodori.config.cross_checks.captures_on_rig import (
     Reach,
     by_chart,
@@ -39,7 +39,7 @@ from irodori.config.models import (
     RigPose,
 )
 from irodori.config.orcid import orcid_fault
-from irodori.core.errors import InputError
+from irodori.core.errors import InputError, is_file
 from irodori.geometry.mesh_sources import shape_files
 from irodori.spectra.tables import brdf_table
 
@@ -70,7 +70,7 @@ def _accepted_keys(rig_kind: str, kind: str) -> tuple[str, ...]:
     return needed if "exposure_s" not in needed else (*needed, *_TAKEN_HERE)
 
 
-def check_agreement(loaded: Loaded, root: Path, config_file, file) -> None:
+def check_agreement(loaded: Loaded, root: Path, config_file, file, *, photographs: bool = True) -> None:
     """Check a configuration and its definitions against each other.
 
     Parameters
@@ -82,6 +82,8 @@ def check_agreement(loaded: Loaded, root: Path, config_file, file) -> None:
         Where the configuration came from, for the error message.
     file : callable
         ``file(kind, name)`` is the path of a definition, for the error message.
+    photographs : bool
+        Whether the tables of photographs that somebody takes have to be there already.
 
     Raises
     ------
@@ -92,7 +94,7 @@ def check_agreement(loaded: Loaded, root: Path, config_file, file) -> None:
     _check_orcid(loaded.config, config_file)
     _check_names(loaded, file)
     check_spectra(loaded.config.report, ("report",), root, config_file)
-    checks = _Checks(loaded, root, file)
+    checks = _Checks(loaded, root, file, photographs)
     order = {
         "rigs": checks.rig,
         "cameras": checks.camera,
@@ -109,8 +111,8 @@ def check_agreement(loaded: Loaded, root: Path, config_file, file) -> None:
 class _Checks:
     """One check for each kind of definition."""
 
-    def __init__(self, loaded: Loaded, root: Path, file) -> None:
-        self.all, self.root, self.file = loaded, root, file
+    def __init__(self, loaded: Loaded, root: Path, file, photographs: bool) -> None:
+        self.all, self.root, self.file, self.photographs = loaded, root, file, photographs
         #: Table and chart photographs of each camera of a real rig.
         self.charts: dict[str, tuple[Path, list[Shot]]] = {}
 
@@ -134,6 +136,8 @@ class _Checks:
         if self._is_taken_here("cameras", name):
             self._check_session(camera, file)
             states = states_of(camera.exposure_s)
+        elif self._is_to_come(camera.captures):
+            states = set(FILTERS)
         else:
             self._check_chart_and_white(name, camera, file)
             states = {shot.filter for shot in self.charts[name][1]}
@@ -185,7 +189,7 @@ class _Checks:
             for material in definition.virtual.materials if definition.virtual else ():
                 if isinstance(material, MeasuredMaterial):
                     brdf_table(self.root / material.file)
-        else:
+        elif not (self._is_to_come(definition.captures) or self._is_to_come(camera.captures)):
             table, shots = self._check_photographs("objects", name)
             self._reach(camera).check_shots(shots, table)
         shape_files(definition.shape, self.root)
@@ -250,6 +254,11 @@ class _Checks:
     def _is_taken_here(self, kind: str, name: str) -> bool:
         """Whether the workflow itself takes the photographs, as against reading what somebody took."""
         return "exposure_s" in _NEEDED[self.all.rig_of(kind, name).kind][kind]
+
+    def _is_to_come(self, captures: Captures | None) -> bool:
+        """Whether somebody is still to take photographs, which is no fault where they are only planned."""
+        assert captures is not None  # checked: photographs that others take have a table
+        return not self.photographs and not is_file(table_and_folder(captures, self.root)[0])
 
     def _reach(self, camera: Camera) -> Reach:
         return Reach(self.all.rigs[camera.rig].limits, self.file("rigs", camera.rig))

@@ -10,7 +10,7 @@ from irodori.core.progress import LOGGER
 from irodori.geometry.embree import Tracer
 from irodori.geometry.shapes.shape import Shape
 from irodori.light.environment_file import Environment
-from irodori.material.material_file import Material
+from irodori.rendering.energy_gain import load_materials
 from irodori.rendering.integrators import has_ambient, with_bodies
 from irodori.rendering.planning.choices import choose
 from irodori.rendering.planning.plan_file import document_of, rounded, write_plan
@@ -45,13 +45,14 @@ def plan_scene(
     Raises
     ------
     InputError
-        If an override cannot be met, there is no light to see colours by, or the integrator cannot keep the tolerance.
+        If an override cannot be met, a material makes light, there is no light to see colours by, or the integrator
+        cannot keep the tolerance.
     """
     document = plan_of(
         scene_name,
         scene,
         [Shape.from_definition(shape) for shape in shapes],
-        [Material.load(path) for path in material_files],
+        load_materials(scene, material_files),
         Environment.load(environment_file),
         options,
         to_reference=True,

@@ -1,0 +1,94 @@
+"""A plan of poses in words that a person with a lamp, a camera on a stand and a ruler can follow."""
+
+from collections.abc import Collection, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from irodori.capture.shot_planner.planner import Plan
+from irodori.config.capture_table import Pose
+from irodori.config.models import Rig
+from irodori.geometry.rig_frame import to_camera, to_light
+
+#: Largest angle of lamp and camera that a person is asked for, degrees: lower than that a table is in the way.
+_LOWEST_DEG = 80.0
+#: Angles in the order in which a person sets them, as `irodori init` asks for them.
+_AXES = ("light_deg", "camera_deg", "tilt_deg", "turn_deg")
+#: Filter states, and how each pose is photographed; () where nobody knows yet.
+_TIMES = {
+    ("out",): "once",
+    ("in", "out"): "twice, without the filter and with it",
+    (): "once, or twice where there is a filter, without it and with it",
+}
+
+
+def by_hand(rig: Rig) -> Rig:
+    """Return a rig whose lamp and camera stay ten degrees above the table, as far as its limits let them."""
+    limits = {
+        axis: replace(limit, max=max(limit.min, min(limit.max, _LOWEST_DEG)))
+        for axis, limit in (("light_deg", rig.limits.light_deg), ("camera_deg", rig.limits.camera_deg))
+    }
+    return replace(rig, limits=replace(rig.limits, **limits))
+
+
+def followed(plan: Plan, rig: Rig, states: Collection[str] = ()) -> list[str]:
+    """Return a plan as a numbered list, with places in millimetres beside the angles, and its angles for a table.
+
+    Parameters
+    ----------
+    plan : Plan
+    rig : Rig
+        Its distances of camera and lamp; a lamp without one is placed by the metre.
+    states : collection of str
+        Filter states in which the camera was calibrated; none where that is not known.
+
+    Returns
+    -------
+    list of str
+        Lines; the last are answers to the questions of `irodori init`.
+    """
+    settings = len({_setting(pose) for pose in plan.poses})
+    how = _TIMES[tuple(sorted(states))]
+    lines = [
+        f"{len(plan.poses)} poses: lamp and object are set {settings} times, the camera for every pose.",
+        f"Photograph each {how}.",
+        "The lamp stands to your right and the camera to your left, both turned to the object's middle. Places are",
+        "measured from there, angles from straight above it. Leave focus, aperture and zoom alone, and note the angles",
+        "where they are not those of the list.",
+    ]
+    last = None
+    for number, pose in enumerate(plan.poses, 1):
+        if _setting(pose) != last:
+            last = _setting(pose)
+            lines += ["", *_of_setting(pose, rig)]
+        camera = _place(rig.camera_distance_mm * to_camera(pose))
+        lines.append(f"{number:4}. camera at {pose.camera_deg:g} degrees: {camera}")
+    lines += ["", *plan.expectations(), "", "for irodori init, in the order of the list:"]
+    return lines + [f"{axis}: {' '.join(_numbers(plan.poses, axis))}" for axis in _AXES]
+
+
+def _setting(pose: Pose) -> tuple[float, float, float]:
+    """Return what stays while the camera goes from pose to pose."""
+    return pose.light_deg, pose.tilt_deg, pose.turn_deg
+
+
+def _of_setting(pose: Pose, rig: Rig) -> list[str]:
+    away = rig.light.distance_mm
+    place = _place((away or 1000.0) * to_light(pose))
+    lamp = place if away else f"{place}, for each metre that it stands away"
+    tilt = f"tilted by {pose.tilt_deg:g} degrees towards the lamp" if pose.tilt_deg else "level"
+    turn = f"turned by {pose.turn_deg:g} degrees, counter-clockwise from above" if pose.turn_deg else "not turned"
+    return [f"lamp at {pose.light_deg:g} degrees: {lamp}", f"object {tilt}, {turn}"]
+
+
+def _place(from_middle_mm: np.ndarray) -> str:
+    """Return a place in the rig's plane in words, from the object's middle."""
+    x, z = round(float(from_middle_mm[0])), round(float(from_middle_mm[2]))
+    side = f"{abs(x)} mm to the {'right' if x > 0 else 'left'}" if x else "straight"
+    return f"{side}, {abs(z)} mm {'down' if z < 0 else 'up'}"
+
+
+def _numbers(poses: Sequence[Pose], axis: str) -> list[str]:
+    """Return the angles of an axis, one alone where all are alike."""
+    found = [f"{getattr(pose, axis):g}" for pose in poses]
+    return found[:1] if len(set(found)) == 1 else found
