@@ -19,11 +19,11 @@ import numpy as np
 from benchmarks.table import COLUMNS, arguments_of, median_s, medians_s, peak_mb_of, report, write
 from irodori.calibration.estimator_choice import choose, cross_validate, safest
 from irodori.calibration.estimators import ESTIMATORS, fit
-from irodori.calibration.recovery.posterior import SIZE, Posterior
+from irodori.calibration.recovery.posterior import ERROR_NM, SIZE, Posterior
 from irodori.calibration.training import ResponseNoise, Training
 from irodori.colour.colorimetry import delta_e_reflectance, spectral_rmse
 from irodori.core.threads import use_threads
-from irodori.spectra.grid import TRAPEZOID_NM
+from irodori.spectra.grid import TRAPEZOID_NM, WAVELENGTH_NM
 from irodori.spectra.published import camera_sensitivities, read_spectra, spectrum
 from irodori.spectra.published_names import TEST_COLOURS
 from irodori.spectra.resampling import resample
@@ -164,7 +164,7 @@ def ratios(trial: Trial, noise: float, variant: tuple[str, int], size: float = S
 
     Returns
     -------
-    wavelengths : (n, 61) float
+    wavelengths : (n, 16) float
     rmse, delta_e : (n,) float
     rank : float
         Spearman's rank correlation of the root mean square error and the stated one.
@@ -177,8 +177,9 @@ def ratios(trial: Trial, noise: float, variant: tuple[str, int], size: float = S
     solved = fit(variant[0], training, variant[1])
     stated = Posterior(solved, size).of(seen, variance, stated=True)
     recovered = solved.spectra(seen, variance)
-    rms, rmse = np.sqrt(np.mean(stated.standard_deviation**2, axis=1)), spectral_rmse(truth, recovered)
-    wavelengths = np.abs(truth - recovered) / stated.standard_deviation
+    rms, rmse = stated.rms, spectral_rmse(truth, recovered)
+    at = np.isin(WAVELENGTH_NM, ERROR_NM)
+    wavelengths = np.abs(truth - recovered)[:, at] / stated.standard_deviation
     colour = delta_e_reflectance(truth, recovered, "D65") / stated.delta_e
     return wavelengths, rmse / rms, colour, float(spearmanr(rmse, rms).statistic)
 

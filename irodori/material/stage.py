@@ -10,11 +10,12 @@ from dataclasses import asdict, dataclass, field, replace
 import numpy as np
 
 from irodori.calibration.recovery.calibration_file import Calibration
-from irodori.calibration.recovery.posterior import Posterior
+from irodori.calibration.recovery.posterior import ERROR_NM, Posterior
 from irodori.colour.colorimetry import xyz_from_reflectance
 from irodori.config.models import Object
 from irodori.config.parts import Surface
 from irodori.core import store
+from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER
 from irodori.material.coefficients import reserve_coefficients
 from irodori.material.fitted_tiles import FittedTiles, columns
@@ -24,14 +25,10 @@ from irodori.material.principal_components.basis_count import Compression, Compr
 from irodori.material.principal_components.decomposition import WEIGHTINGS
 from irodori.material.principal_components.repeated_reflection import drift
 from irodori.material.principal_components.second_moments import second_moments
-from irodori.spectra.grid import WAVELENGTH_NM
 from irodori.spectra.published import refractive_index
 
 _GREEN = 1
 _RESPONSE = ("diffuse_response", "diffuse_variance")
-_ERROR_STEP = 4  # samples of the grid, under the correlation length of the errors
-#: Wavelengths, nm, at which a texel's standard deviation is kept.
-ERROR_NM = WAVELENGTH_NM[::_ERROR_STEP]
 
 
 @dataclass(frozen=True)
@@ -96,17 +93,16 @@ def confidence(posterior: Posterior, response, variance) -> dict[str, tuple]:
     Returns
     -------
     dict of (values, units, dims, quantity)
-        ``spectral_error``: standard deviation of the reflectance factor at every fourth wavelength (`ERROR_NM`),
+        ``spectral_error``: standard deviation of the reflectance factor at `ERROR_NM`,
         ``reflectance_error``: its root mean square over all wavelengths, ``delta_e_error``: the CIEDE2000 to the true
         colour under D65 that is not exceeded with a probability of 0.68.
     """
     found = posterior.of(response, variance, stated=variance is not None)
     noise = "" if variance is None else " and the camera's noise"
     of = f"by what chart and bands leave open{noise}"
-    mean = np.sqrt(np.mean(found.standard_deviation**2, axis=-1))
-    spectral = found.standard_deviation[..., ::_ERROR_STEP].astype(np.float16)
+    spectral = found.standard_deviation.astype(np.float16)
     return {
-        "reflectance_error": (mean, "1", "row,column", f"standard deviation of S {of}, rms over wavelengths"),
+        "reflectance_error": (found.rms, "1", "row,column", f"standard deviation of S {of}, rms over wavelengths"),
         "spectral_error": (spectral, "1", "row,column,error_wavelength", f"standard deviation of S {of}"),
         "delta_e_error": (found.delta_e, "1", "row,column", f"standard error in CIEDE2000 under D65 {of}"),
     }
@@ -139,6 +135,9 @@ def compress_reflectance(
     fitted = FittedTiles(tiles, definition.texels.height, definition.texels.width)
     calibration = Calibration.load(calibration_file)
     calibration.require_filters(fitted.filters, fitted.first)
+    if calibration.band_response is None or calibration.band_response_covariance is None:
+        found = "no response model"
+        raise InputError(calibration_file, "band_response", found, "a calibration that this version wrote")
     reflectance = _Reflectance(fitted, calibration, fitted.is_noise_known())
     observers = {name: (matrix := xyz_from_reflectance(name), matrix.sum(axis=1)) for name in lights}
     compression, compared = compress_maps(reflectance, calibration.basis, observers, options)

@@ -31,7 +31,10 @@ _LEVEL, _SLOPE, _NEARBY = 5e-4, 3e-3, 0.1
 #: What the bands miss is multiplied with this, the size that six measured sets ask for on average.
 SIZE = 0.81
 _SLOPE_NM, _NEAR_NM = 50.0, 30.0  # what a slope is over, and how far nearby reaches
-_BATCH = 2048  # responses whose factors of (61, 30) numbers are held at a time
+_STRIDE = 4  # of the grid, between wavelengths at which errors are stated, closer than their correlation length
+#: Wavelengths, nm, at which errors are stated.
+ERROR_NM = WAVELENGTH_NM[::_STRIDE]
+_BATCH = 2048  # responses whose factors of (16, 30) numbers are held at a time
 _STEP = 1e-2  # of CIELAB, in which CIEDE2000 is taken as a quadratic form
 #: 0.6827 of the normal distribution lie below so many of its standard deviations.
 _WITHIN_ONE = 0.4752
@@ -43,13 +46,16 @@ class Uncertainty:
 
     Parameters
     ----------
-    standard_deviation : (..., 61) float32
-        Of the reflectance factor at each wavelength; NaN where the response or its variance is none.
+    standard_deviation : (..., 16) float32
+        Of the reflectance factor at each of `ERROR_NM`; NaN where the response or its variance is none.
+    rms : (...) float32
+        Root mean square of the standard deviation over the wavelengths.
     delta_e : (...) float32
         CIEDE2000 to the true colour under D65 that is not exceeded with a probability of 0.68.
     """
 
     standard_deviation: np.ndarray
+    rms: np.ndarray
     delta_e: np.ndarray
 
 
@@ -69,20 +75,26 @@ class Posterior:
     """
 
     def __init__(self, calibration: Calibration, size: float = SIZE) -> None:
-        if calibration.band_response is None or calibration.band_response_covariance is None:
+        system, open_part = calibration.band_response, calibration.band_response_covariance
+        if system is None or open_part is None:
             raise ValueError("a calibration without a response model; accepted: one that an estimator was fitted for")
         self.calibration = calibration
-        self._basis = calibration.basis.astype(np.float32)
-        self._system = calibration.band_response.astype(np.float32)
-        self._missed = (size * _missed()).astype(np.float32)
+        self._basis = calibration.basis[::_STRIDE].astype(np.float32)
+        missed, xyz = size * _missed(), xyz_from_reflectance("D65")
+        # The size of what is missed is linear between the wavelengths at which errors are stated.
+        self._hat = np.stack([np.interp(WAVELENGTH_NM, ERROR_NM, row) for row in np.eye(len(ERROR_NM))])
+        self._missed = missed[::_STRIDE].astype(np.float32)
+        self._seen, self._coloured = (
+            np.einsum("bw,ew,wr->ebr", rows, self._hat, missed).astype(np.float32) for rows in (system, xyz)
+        )
+        self._xyz_basis = (xyz @ calibration.basis).astype(np.float32)
+        self._white = xyz.sum(axis=1)
         near = smooth_covariance(_NEAR_NM)
-        self._near = (near / near.sum(axis=1, keepdims=True)).T
-        basis, open_part = calibration.basis, calibration.band_response_covariance
-        self._open = np.einsum("wk,bwv,vl->bkl", basis, open_part, basis)
-        self._xyz = xyz_from_reflectance("D65")
+        self._near = (near / near.sum(axis=1, keepdims=True))[::_STRIDE].T
+        self._open = np.einsum("wk,bwv,vl->bkl", calibration.basis, open_part, calibration.basis)
 
     def factor(self, response: np.ndarray, variance: np.ndarray | None = None, stated: bool = False) -> np.ndarray:
-        """Return matrices Z whose Z Zᵀ are the covariances Σ of recovered reflectances.
+        """Return matrices Z whose Z Zᵀ are the covariances Σ of recovered reflectances at `ERROR_NM`.
 
         Parameters
         ----------
@@ -94,40 +106,44 @@ class Posterior:
 
         Returns
         -------
-        (n, 61, 24 + bands) float32; NaN where the response is not finite or its variance not 0 or more
+        (n, 16, 24 + bands) float32; NaN where the response is not finite or its variance not 0 or more
         """
-        response = np.asarray(response, dtype=np.float64)
-        variance = np.zeros_like(response) if variance is None else np.asarray(variance, dtype=np.float64)
-        variance = np.where(variance >= 0.0, variance, np.nan)
-        told = variance if stated else None
-        weights = self.calibration.weights(response, told)
-        slopes = self.calibration.mapping.slopes(response, told).astype(np.float32)
-        spectrum = weights @ self.calibration.basis.T
-        squared = np.mean(spectrum**2, axis=1, keepdims=True)
-        slope = (np.gradient(spectrum, WAVELENGTH_NM, axis=1) * _SLOPE_NM) ** 2
-        size = np.sqrt(_LEVEL * squared + _SLOPE * slope.mean(axis=1, keepdims=True) + _NEARBY * slope @ self._near)
-        missed = size[:, :, None].astype(np.float32) * self._missed
-        unsure = np.stack([np.einsum("nk,kl,nl->n", weights, own, weights) for own in self._open], axis=1)
-        spread = np.sqrt(variance + np.maximum(unsure, 0.0))
-        back = np.swapaxes(slopes, 1, 2)
-        seen = self._basis @ (back @ (self._system @ missed))
-        noise = self._basis @ (back * spread[:, None, :].astype(np.float32))
-        return np.concatenate([missed - seen, noise], axis=2)
+        return self._roots(np.asarray(response, dtype=np.float64), variance, stated)[1]
 
     def of(self, response: np.ndarray, variance: np.ndarray | None = None, stated: bool = False) -> Uncertainty:
         """Return what is unknown of the reflectances of responses (..., bands); see `factor`."""
         response = np.asarray(response, dtype=np.float64)
-        flat = response.reshape(-1, response.shape[-1])
+        flat, shape = response.reshape(-1, response.shape[-1]), response.shape[:-1]
         noise = None if variance is None else np.broadcast_to(variance, response.shape).reshape(flat.shape)
-        deviation, colour = np.empty((len(flat), SAMPLES), np.float32), np.empty(len(flat), np.float32)
+        deviation, colour = np.empty((len(flat), len(ERROR_NM)), np.float32), np.empty(len(flat), np.float32)
         for first in range(0, len(flat), _BATCH):
             part = slice(first, first + _BATCH)
-            own = None if noise is None else noise[part]
-            root = self.factor(flat[part], own, stated)
+            weights, root, xyz_root = self._roots(flat[part], None if noise is None else noise[part], stated)
             deviation[part] = np.sqrt(np.vecdot(root, root))
-            spectrum = self.calibration.spectra(flat[part], own if stated else None)
-            colour[part] = _delta_e(spectrum @ self._xyz.T, self._xyz.astype(np.float32) @ root, self._xyz.sum(axis=1))
-        return Uncertainty(deviation.reshape(*response.shape[:-1], SAMPLES), colour.reshape(response.shape[:-1]))
+            colour[part] = _delta_e(weights @ self._xyz_basis.T, xyz_root, self._white)
+        rms = np.sqrt(deviation**2 @ (self._hat.sum(axis=1) / SAMPLES).astype(np.float32))
+        return Uncertainty(deviation.reshape(*shape, -1), rms.reshape(shape), colour.reshape(shape))
+
+    def _roots(self, response: np.ndarray, variance, stated: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the weights (n, k) of responses and the factors of the covariances of reflectance and of XYZ."""
+        variance = np.zeros_like(response) if variance is None else np.asarray(variance, dtype=np.float64)
+        variance = np.where(variance >= 0.0, variance, np.nan)
+        told = variance if stated else None
+        weights = self.calibration.weights(response, told)
+        back = np.swapaxes(self.calibration.mapping.slopes(response, told), 1, 2).astype(np.float32)
+        spectrum = weights @ self.calibration.basis.T
+        squared = np.mean(spectrum**2, axis=1, keepdims=True)
+        slope = (np.gradient(spectrum, WAVELENGTH_NM, axis=1) * _SLOPE_NM) ** 2
+        size = np.sqrt(_LEVEL * squared + _SLOPE * slope.mean(axis=1, keepdims=True) + _NEARBY * slope @ self._near)
+        size = size.astype(np.float32)
+        unsure = np.stack([np.einsum("nk,kl,nl->n", weights, own, weights) for own in self._open], axis=1)
+        spread = np.sqrt(variance + np.maximum(unsure, 0.0)).astype(np.float32)[:, None, :]
+        seen, coloured = (np.tensordot(size, each, axes=1) for each in (self._seen, self._coloured))
+        roots = []
+        for basis, missed in ((self._basis, size[:, :, None] * self._missed), (self._xyz_basis, coloured)):
+            derivative = basis @ back
+            roots.append(np.concatenate([missed - derivative @ seen, derivative * spread], axis=2))
+        return weights, roots[0], roots[1]
 
 
 def _missed() -> np.ndarray:
