@@ -2,9 +2,10 @@
 
 ``python -m benchmarks.calibrate [--size small] [--runs 7] [--output speed_error.csv]`` applies each estimator to a
 picture of 2 megapixels of six bands, half a megapixel in small; the reference is a bare BLAS product of the same size
-in the same run. ``--table`` prints the errors of every estimator instead, for all sets, cameras and noises. Both read
-the measured spectra of ``../shared/data``. Times exclude compilation, which is reported apart;
-peak memory is that of this process while a variant runs, with the picture and all estimators in it.
+in the same run. The variant ``posterior`` states the errors of a 64th of that picture. ``--table`` prints the errors of
+every estimator instead, for all sets, cameras and noises, and ``--error-bars`` how stated errors hold on sets that are
+left out in turn. All read the measured spectra of ``../shared/data``. Times exclude compilation, which is reported
+apart; peak memory is that of this process while a variant runs, with the picture and all estimators in it.
 """
 
 import sys
@@ -18,11 +19,13 @@ import numpy as np
 from benchmarks.table import COLUMNS, arguments_of, median_s, medians_s, peak_mb_of, report, write
 from irodori.calibration.estimator_choice import choose, cross_validate, safest
 from irodori.calibration.estimators import ESTIMATORS, fit
+from irodori.calibration.recovery.posterior import ERROR_NM, SIZE, Posterior
 from irodori.calibration.training import ResponseNoise, Training
 from irodori.colour.colorimetry import delta_e_reflectance, spectral_rmse
 from irodori.core.threads import use_threads
-from irodori.spectra.grid import TRAPEZOID_NM
+from irodori.spectra.grid import TRAPEZOID_NM, WAVELENGTH_NM
 from irodori.spectra.published import camera_sensitivities, read_spectra, spectrum
+from irodori.spectra.published_names import TEST_COLOURS
 from irodori.spectra.resampling import resample
 from irodori.spectra.tables import wide_table
 
@@ -38,11 +41,26 @@ SETS = {
     "sg": "colorchecker_digital_sg_140.csv",
     "munsell": "munsell_matt_1269.csv",
     "vrhel": "vrhel_170.csv",
+    "esser": "esser_chart.csv",
 }
+#: The 99 test colours of CIE 224:2017, which come with the package.
+CIE = "cie"
+#: Estimators whose error bars are judged, with their bases.
+STATED = (("pinv", 6), ("local", 12), ("broad", 12))
+#: A chart that is trained on and a set that has no part in training, each set once. The SG has the Classic's paints.
+NEVER_SEEN = (*((("classic", name)) for name in ("sg", "munsell", "vrhel", "esser", CIE)), ("esser", "classic"))
 #: `local` told the variance of each pixel, as texels tell it theirs.
 TOLD = "local-told"
 VARIANTS = (*ESTIMATORS, TOLD)
 CAMERAS = ("canon_eos_40d", "nikon_d5100", "sony_ilce-7rm2")
+
+
+@cache
+def reflectances(name: str) -> np.ndarray:
+    """Return the reflectances of a set, (n, 61)."""
+    if name == CIE:
+        return np.array([spectrum(colour) for colour in TEST_COLOURS])
+    return read_spectra(DATA / "reflectance" / SETS[name])[1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +89,7 @@ class Trial:
         sensitivity = camera_sensitivities(str(DATA / f"cameras/{camera}.csv"))
         system = np.concatenate([sensitivity, sensitivity * plate])[:bands] * spectrum(LIGHT) * TRAPEZOID_NM
         system /= system.sum(axis=1, keepdims=True)
-        first, second = (read_spectra(DATA / "reflectance" / SETS[name])[1] for name in (train, test))
+        first, second = reflectances(train), reflectances(test)
         return cls(system, first, second, (second @ system.T).max(axis=0))
 
     def responses(self, noise: float, seed: int) -> tuple[Training, np.ndarray, np.ndarray]:
@@ -110,6 +128,97 @@ def errors(trial: Trial, noise: float, estimator: str, bases: int = 12, stated: 
         delta_e = delta_e_reflectance(trial.test, recovered, "D65")
         found.append((delta_e.mean(), np.percentile(delta_e, 95), spectral_rmse(trial.test, recovered).mean()))
     return np.mean(found, axis=0)
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """How the errors of recovered spectra lie to what is stated of them.
+
+    Parameters
+    ----------
+    wavelengths, rmse, delta_e : (2,) float
+        Shares within one and two standard deviations: of all wavelengths, of root mean square errors, of CIEDE2000.
+    rank : float
+        Spearman's rank correlation of the root mean square error and the stated one.
+    """
+
+    wavelengths: np.ndarray
+    rmse: np.ndarray
+    delta_e: np.ndarray
+    rank: float
+
+
+def ratios(trial: Trial, noise: float, variant: tuple[str, int], size: float = SIZE, most: int | None = None):
+    """Return errors over their stated standard deviations, of a set that an estimator never saw.
+
+    Parameters
+    ----------
+    trial : Trial
+    noise : float
+    variant : (str, int)
+        Estimator and number of bases.
+    size : float
+        See `Posterior`.
+    most : int, optional
+        Spectra of the set, about evenly taken.
+
+    Returns
+    -------
+    wavelengths : (n, 16) float
+    rmse, delta_e : (n,) float
+    rank : float
+        Spearman's rank correlation of the root mean square error and the stated one.
+    """
+    from scipy.stats import spearmanr  # slow to import
+
+    training, seen, variance = trial.responses(noise, SEEDS[0])
+    some = np.s_[:: 1 if most is None else max(1, len(seen) // most)]
+    seen, truth = seen[some], trial.test[some]
+    solved = fit(variant[0], training, variant[1])
+    stated = Posterior(solved, size).of(seen, variance, stated=True)
+    recovered = solved.spectra(seen, variance)
+    rms, rmse = stated.rms, spectral_rmse(truth, recovered)
+    at = np.isin(WAVELENGTH_NM, ERROR_NM)
+    wavelengths = np.abs(truth - recovered)[:, at] / stated.standard_deviation
+    colour = delta_e_reflectance(truth, recovered, "D65") / stated.delta_e
+    return wavelengths, rmse / rms, colour, float(spearmanr(rmse, rms).statistic)
+
+
+def coverage(camera: str, pair: tuple[str, str], noise: float, size: float = SIZE) -> Coverage:
+    """Return how what is stated of the spectra of a set that no estimator saw holds, the mean over three estimators."""
+    found = [ratios(Trial.of(camera, *pair), noise, variant, size) for variant in STATED]
+    shares = np.mean([[[np.mean(r <= k) for k in (1, 2)] for r in one[:3]] for one in found], axis=0)
+    return Coverage(*shares, float(np.mean([one[3] for one in found])))
+
+
+@cache
+def _middle(pair: tuple[str, str], size: float) -> float:
+    """Return the logarithm of the errors that 0.7 of a set keep to, over those stated; the mean of what is stated."""
+    found = [ratios(Trial.of(CAMERAS[0], *pair), 0.001, variant, size, most=60) for variant in STATED]
+    return float(np.mean([np.log(np.quantile(one[which], 0.7)) for one in found for which in (0, 2)]))
+
+
+def size_without(left_out: str | None) -> float:
+    """Return the size (`Posterior`) with which 0.7 of errors are within one σ, on average of all sets but one.
+
+    With the first camera, at 0.1 % noise. Errors have longer tails than a normal distribution: 0.7 within one σ leaves
+    more of them within two.
+    """
+    sizes = (0.65, 0.8, 0.95)
+    pairs = [pair for pair in NEVER_SEEN if pair[1] != left_out]
+    middle = [np.mean([_middle(pair, size) for pair in pairs]) for size in sizes]
+    return float(np.exp(np.polyfit(middle, np.log(sizes), 1)[1]))
+
+
+def print_coverage() -> None:
+    """Print how error bars hold on every set, their size taken from the other sets and the first camera."""
+    for pair in NEVER_SEEN:
+        size = size_without(pair[1])
+        for camera in CAMERAS:
+            for noise in NOISES[:3]:
+                own = coverage(camera, pair, noise, size)
+                shares = "  ".join(f"{one:.2f} {two:.2f}" for one, two in (own.wavelengths, own.rmse, own.delta_e))
+                print(f"{pair[1]:8} {size:.2f} {camera:14} {noise:5.1%}  {shares}  {own.rank:.2f}", flush=True)
 
 
 @cache  # it takes longest, and does not depend on what the estimator is told of the pixels
@@ -187,6 +296,7 @@ def measure(size: str, runs: int) -> list[dict]:
         if variant != "blas":
             error = errors(trial, 0.003, name_of(variant), BASES, variant == TOLD)[0]
         rows.append(row(variant, pixels, median, seconds["blas"], error, peak_mb_of(work[variant])))
+    rows.append(_posterior_row(response[: pixels // 64], runs))
     training = trial.responses(0.003, 0)[0]
 
     def judge() -> None:
@@ -199,10 +309,31 @@ def measure(size: str, runs: int) -> list[dict]:
     return rows
 
 
-def row(variant: str, pixels: int, seconds: float, reference: float, error: float, peak: float) -> dict:
+def _posterior_row(response: np.ndarray, runs: int) -> dict:
+    """Return the line of the errors stated of a picture that `local` recovers; its error is a share within 1 σ."""
+    posterior, product = Posterior(calibration("local")), bare_product(response)
+    variance = np.full(response.shape, 1e-6)
+
+    def state() -> None:
+        posterior.of(response, variance, stated=True)
+
+    seconds = medians_s({"blas": product, "posterior": state}, runs)
+    share = float(coverage(CAMERAS[0], NEVER_SEEN[1], 0.003).delta_e[0])
+    metric = "share within the stated CIEDE2000, Munsell, 0.3 % noise"
+    return row("posterior", len(response), seconds["posterior"], seconds["blas"], share, peak_mb_of(state), metric)
+
+
+def row(
+    variant: str,
+    pixels: int,
+    seconds: float,
+    reference: float,
+    error: float,
+    peak: float,
+    metric: str = "mean CIEDE2000 under D65, Munsell, 0.3 % noise",
+) -> dict:
     """Return a line of the table of speed against error."""
     work = pixels * 6 / 1e6
-    metric = "mean CIEDE2000 under D65, Munsell, 0.3 % noise"
     values = ("calibrate", variant, f"{work:.2f}", "megapixel-bands", f"{seconds:.4f}", f"{work / seconds:.1f}", metric,
               f"{error:.5f}", f"{peak:.0f}", "blas", f"{seconds / reference:.3f}")  # fmt: skip
     return dict(zip(COLUMNS, values, strict=True))
@@ -212,6 +343,9 @@ def main() -> None:
     """Measure and print; write a CSV if asked."""
     parser = arguments_of(__doc__.splitlines()[0])
     parser.add_argument("--table", action="store_true", help="errors of every estimator, set, camera and noise")
+    parser.add_argument(
+        "--error-bars", action="store_true", help="how stated errors hold on every set, left out in turn"
+    )
     arguments = parser.parse_args()
     use_threads(arguments.threads)
     if not DATA.is_dir():
@@ -222,6 +356,9 @@ def main() -> None:
         return
     if arguments.table:
         print_table()
+        return
+    if arguments.error_bars:
+        print_coverage()
         return
     rows = measure(arguments.size, arguments.runs)
     report(rows, arguments.threads, arguments.output)

@@ -13,7 +13,7 @@ directions, the light on two charts where there are some, the room's families an
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -65,12 +65,7 @@ def camera(seed: int = 0) -> Seen:
     response = response / response.sum(axis=1, keepdims=True)
     noise = 1.0 + NOISE * np.random.default_rng(seed).standard_normal((len(chart), len(response)))
     training = Training(chart @ response.T * noise, chart, light)
-    calibration = replace(
-        fit_checked("pinv", training, 6, np.inf),
-        band_response=training.model.mean * training.scale[:, None],
-        band_response_covariance=training.model.covariance * training.scale[:, None, None] ** 2,
-    )
-    return Seen(calibration, response / light)
+    return Seen(fit_checked("pinv", training, 6, np.inf), response / light)
 
 
 def unlike(lamps: np.ndarray, *others: np.ndarray) -> np.ndarray:

@@ -129,6 +129,15 @@ _TABLE = {
         "not finite radiance": "refused with the count",
         "a picture cut short": _SENTENCE,
     },
+    ("L", "light"): {
+        "narrow-band LED": _RIGHT + " with a chart in the room or where measured; otherwise no better than as paint",
+        "low-pressure sodium": _RIGHT + " where named or measured; otherwise its error is stated as large as it is",
+        "laser": _RIGHT + " where named or measured; otherwise its error is stated as large as it is",
+        "two lamps of different kind": "better than as the rig's lamp, better still with a chart in two places",
+        "a lamp outside the frame": "no disagreement with a chart that it lights",
+        "black room": "black",
+        "saturated window": "refused with the count",
+    },
     ("E", "store"): {
         "truncated file": "refused with a sentence",
         "foreign file": "refused with a sentence",

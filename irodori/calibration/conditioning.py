@@ -122,9 +122,16 @@ def noise_amplification(calibration: Calibration) -> float:
     That of the worst band, its noise in units of the band's largest patch; where the estimator is not linear, that of
     the worst patch of the chart.
     """
+    return float(np.sqrt(_gains(calibration).max() / len(calibration.basis)))
+
+
+def _gains(calibration: Calibration) -> np.ndarray:
+    """Return the variance of the spectrum, summed over it, per variance of each band in units of its largest patch.
+
+    (patches, bands) float64, at the responses of the chart.
+    """
     chart = np.asarray(calibration.training, dtype=np.float64)
-    gain = calibration.mapping.gain(chart, None) * calibration.band_scale() ** 2
-    return float(np.sqrt(gain.max() / len(calibration.basis)))
+    return (calibration.mapping.slopes(chart, None) ** 2).sum(axis=2) * calibration.band_scale() ** 2
 
 
 def check_amplification(amplification: float, limit: float, calibration: Calibration) -> None:
@@ -137,8 +144,7 @@ def check_amplification(amplification: float, limit: float, calibration: Calibra
     """
     if amplification <= limit:
         return
-    gain = calibration.mapping.gain(np.asarray(calibration.training, dtype=np.float64), None)
-    band = int(np.argmax((gain * calibration.band_scale() ** 2).max(axis=0)))
+    band = int(np.argmax(_gains(calibration).max(axis=0)))
     raise ValueError(
         f"{calibration.estimator} with {calibration.basis.shape[1]} bases amplifies the noise of "
         f"{_band_name(band, calibration.filters)} {amplification:.3g} times; accepted: up to {limit:.3g} (fewer bases, "

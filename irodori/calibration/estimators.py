@@ -193,13 +193,20 @@ def fit(name: str, training: Training, bases: int, max_condition: float = MAX_CO
 
 def fit_checked(name: str, training: Training, bases: int, max_condition: float = MAX_CONDITION) -> Calibration:
     """Return what `fit` does, of responses that are known to determine a calibration."""
-    if name == "pinv":
-        return calibrate(training.response, training.spectra, bases, training.light, max_condition)
-    basis = spectral_basis(training.spectra, bases)
     with threadpool_limits(1):  # small matrices, and the same sums whatever the threads
-        mapping = fit_mapping(name, training).on_basis(basis)
-    light = np.asarray(training.light, dtype=np.float64)
-    return Calibration(basis, mapping, light, estimator=name, training=training.response)
+        if name == "pinv":
+            found = calibrate(training.response, training.spectra, bases, training.light, max_condition)
+        else:
+            basis = spectral_basis(training.spectra, bases)
+            mapping = fit_mapping(name, training).on_basis(basis)
+            light = np.asarray(training.light, dtype=np.float64)
+            found = Calibration(basis, mapping, light, estimator=name, training=training.response)
+        model, scale = training.model, training.scale
+    return replace(
+        found,
+        band_response=model.mean * scale[:, None],
+        band_response_covariance=model.covariance * scale[:, None, None] ** 2,
+    )
 
 
 def monomials(response: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -40,15 +40,7 @@ def solve(
     bases = _bases_of(settings, training.response.shape[1])
     rows, recovered, by_chart = _judge(training, (settings.estimator, bases), lights, timed, charts)
     chosen = choose(rows, settings.estimator, bases, safest(training))
-    absolute, relative = own_error(training, recovered[chosen])
-    calibration = replace(
-        fit_checked(chosen[0], training, chosen[1], settings.max_condition),
-        filters=filters,
-        band_response=training.model.mean * training.scale[:, None],
-        band_response_covariance=training.model.covariance * training.scale[:, None, None] ** 2,
-        absolute_error=absolute,
-        relative_error=relative,
-    )
+    calibration = replace(fit_checked(chosen[0], training, chosen[1], settings.max_condition), filters=filters)
     numbers = {
         "condition_number": condition_number(training.response),
         "noise_amplification": noise_amplification(calibration),
@@ -87,19 +79,3 @@ def _judge(training: Training, asked: tuple[str, int | str], lights, timed: bool
     if not others:
         LOGGER.warning("no chart can be left out: the others would leave fewer patches than bands or bases")
     return rows, recovered, by_chart
-
-
-def own_error(training: Training, recovered: np.ndarray) -> tuple[float, float]:
-    """Return what `Calibration` keeps of the errors of unseen patches: the absolute and the relative one.
-
-    The mean squared error of a patch is taken as absolute² + relative² times the squared length of its scaled response;
-    both are non-negative least squares over the patches, weighted so that dark ones count as much as bright ones.
-    """
-    from scipy.optimize import nnls  # slow to import
-
-    squared = np.mean((recovered - training.spectra) ** 2, axis=1)
-    length = (training.scaled**2).sum(axis=1)
-    weight = 1.0 / (length + 0.1 * length.mean())
-    found, _ = nnls(np.stack([weight, weight * length], axis=1), weight * squared)
-    absolute, relative = np.sqrt(found).tolist()
-    return absolute, relative

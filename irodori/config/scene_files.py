@@ -127,6 +127,11 @@ class SceneFiles:
         tolerant = self._scene(wildcards).tolerance_ciede2000 is not None
         return [f"results/{wildcards.scene}/plan.yaml"] if tolerant else []
 
+    def baked_of(self, wildcards) -> dict:
+        """Return what of a scene's definition its light maps depend on, and what no scene is without."""
+        keys = ("environment", "objects", "bodies", "lights", "integrator", "allow_energy_gain", "image", "views")
+        return self.part(*keys)(wildcards)
+
     def light_maps(self, pattern: str) -> Callable[[Any], list[str]]:
         """Return a function from wildcards to the file of a scene's light maps, as a list, empty where it has none."""
 

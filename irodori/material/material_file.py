@@ -64,14 +64,6 @@ class NloptResult(IntEnum):
     MAXTIME_REACHED = 6
 
 
-class ChartColour(IntEnum):
-    """Whether the chart has a colour like a texel's."""
-
-    LIKE_THE_CHART = 0
-    UNLIKE_THE_CHART = 1
-    NOT_KNOWN = 2
-
-
 def gloss_names(component: int) -> tuple[str, str]:
     """Return the datasets of β and μ of a gloss component, counted from 0: ``beta``, ``mu``; ``beta_2``, ``mu_2``."""
     return ("beta", "mu") if component == 0 else (f"beta_{component + 1}", f"mu_{component + 1}")

@@ -10,10 +10,12 @@ from dataclasses import asdict, dataclass, field, replace
 import numpy as np
 
 from irodori.calibration.recovery.calibration_file import Calibration
+from irodori.calibration.recovery.posterior import ERROR_NM, Posterior
 from irodori.colour.colorimetry import xyz_from_reflectance
 from irodori.config.models import Object
 from irodori.config.parts import Surface
 from irodori.core import store
+from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER
 from irodori.material.coefficients import reserve_coefficients
 from irodori.material.energy import ALBEDO, ERROR, AlbedoModel, Energy, Errors, Reflecting
@@ -24,7 +26,6 @@ from irodori.material.material_file import (
     COEFFICIENTS,
     MAPS,
     QUANTITY,
-    ChartColour,
     gloss_maps,
     gloss_names,
     spectrum_scale,
@@ -100,33 +101,33 @@ class _Gathered:
 
     observed: int = 0
     texels: int = 0
-    outside: int = 0
     error: list = field(default_factory=list)
+    colour: list = field(default_factory=list)
     ratio: list = field(default_factory=list)
     energy: Energy = field(default_factory=Energy)
 
     def add(self, maps: dict, values: dict, observed: np.ndarray) -> None:
         self.observed += int(observed.sum())
         self.texels += int(maps["texel"].sum())
-        self.outside += int((values["out_of_training"][observed] == 1).sum())
         self.error.append(values["reflectance_error"][observed])
+        self.colour.append(values["delta_e_error"][observed])
         self.ratio.append((values["alpha"][observed] / values["green_response"][observed]).astype(np.float32))
 
     def errors(self) -> dict:
         return {
-            "out_of_training_fraction": self.outside / max(self.observed, 1),
             "reflectance_error_median": float(np.median(np.concatenate(self.error))),
+            "delta_e_error_median": float(np.median(np.concatenate(self.colour))),
             "observed_fraction": self.observed / max(self.texels, 1),
             "energy": asdict(self.energy),
         }
 
 
-def confidence(calibration: Calibration, response, variance) -> dict[str, tuple]:
-    """Return what is known of the reliability of recovered spectra, as maps for ``material.h5``.
+def confidence(posterior: Posterior, response, variance) -> dict[str, tuple]:
+    """Return what is unknown of recovered spectra, as datasets for ``material.h5``.
 
     Parameters
     ----------
-    calibration : Calibration
+    posterior : Posterior
     response : (height, width, bands) float
         Diffuse responses; NaN where there is none.
     variance : (height, width, bands) float or None
@@ -134,23 +135,19 @@ def confidence(calibration: Calibration, response, variance) -> dict[str, tuple]
 
     Returns
     -------
-    dict of (map, units, quantity)
-        ``reflectance_error``: standard deviation of the reflectance factor, rms over the wavelengths, from the camera's
-        noise, where that was measured, and the error that cross-validation on the chart found;
-        ``training_distance``: of the response from those of the chart, 1 = what nine tenths of its own patches
-        have at most to the nearest other; ``out_of_training``: uint8, 1 where it is above 1, 2 where the
-        response has no direction: `ChartColour`.
+    dict of (values, units, dims, quantity)
+        ``spectral_error``: standard deviation of the reflectance factor at `ERROR_NM`,
+        ``reflectance_error``: its root mean square over all wavelengths, ``delta_e_error``: the CIEDE2000 to the true
+        colour under D65 that is not exceeded with a probability of 0.68.
     """
-    distance = calibration.distance(response)
-    noise = np.zeros_like(response) if variance is None else variance
-    error = calibration.standard_deviation(response, noise, stated=variance is not None)
-    outside = np.where(np.isfinite(distance), distance > 1.0, 2).astype(np.uint8)
-    of = "cross-validation alone" if variance is None else "cross-validation and the camera's noise"
-    quantity = f"standard deviation of S by {of}, rms over wavelengths"
+    found = posterior.of(response, variance, stated=variance is not None)
+    noise = "" if variance is None else " and the camera's noise"
+    of = f"by what chart and bands leave open{noise}"
+    spectral = found.standard_deviation.astype(np.float16)
     return {
-        "reflectance_error": (error.astype(np.float32), "1", quantity),
-        "training_distance": (distance.astype(np.float32), "1", "distance from the chart's responses, 1 = its own"),
-        "out_of_training": (outside, ChartColour, "whether the chart has a colour like it"),
+        "reflectance_error": (found.rms, "1", "row,column", f"standard deviation of S {of}, rms over wavelengths"),
+        "spectral_error": (spectral, "1", "row,column,error_wavelength", f"standard deviation of S {of}"),
+        "delta_e_error": (found.delta_e, "1", "row,column", f"standard error in CIEDE2000 under D65 {of}"),
     }
 
 
@@ -181,6 +178,9 @@ def compress_reflectance(
     fitted = FittedTiles(tiles, definition.texels.height, definition.texels.width)
     calibration = Calibration.load(calibration_file)
     calibration.require_filters(fitted.filters, fitted.first)
+    if calibration.band_response is None or calibration.band_response_covariance is None:
+        found = "no response model"
+        raise InputError(calibration_file, "band_response", found, "a calibration that this version wrote")
     reflectance = _Reflectance(fitted, calibration, fitted.is_noise_known())
     observers = {name: (matrix := xyz_from_reflectance(name), matrix.sum(axis=1)) for name in lights}
     compression, compared = compress_maps(reflectance, calibration.basis, observers, options)
@@ -205,12 +205,13 @@ def _write_maps(
     out: store.Writer, reflectance: _Reflectance, compression: Compression, codec: str, sent: _Sent
 ) -> _Gathered:
     """Write all maps of the material, a tile at a time."""
-    fitted, calibration, gathered = reflectance.fitted, reflectance.calibration, _Gathered()
+    fitted, posterior, gathered = reflectance.fitted, Posterior(reflectance.calibration), _Gathered()
     size, half = (fitted.height, fitted.width), compression.storage == "half"
     shape, scale = (*size, compression.bases), compression.scale if half else None
     coefficients = reserve_coefficients(
         out, COEFFICIENTS, shape, quantity=QUANTITY, storage=compression.storage, codec=codec, scale=scale, basis=BASIS
     )
+    out.coordinate("error_wavelength", ERROR_NM, units="nm", quantity="wavelength of a standard deviation")
     datasets = {}
     described_maps: dict[str, tuple] = MAPS | gloss_maps(fitted.lobes)
     kept = columns(fitted.lobes)
@@ -220,16 +221,17 @@ def _write_maps(
         stored = compression.encode(weights.reshape(-1, weights.shape[-1]))
         coefficients[rows] = stored.reshape(*weights.shape[:2], -1)
         own = {name: maps[name] for name in own_names} | {"green_response": response[..., _GREEN]}
-        described = {name: (values, *described_maps[name]) for name, values in own.items()}
-        described |= {name: (maps[name], *what) for name, what in kept.items()}
-        described |= confidence(calibration, response, reflectance.variance(maps))
-        albedo = sent.of(maps, weights, calibration.basis, described["reflectance_error"][0])
+        described = {n: (v, (what := described_maps[n])[0], "row,column", what[1]) for n, v in own.items()}
+        described |= {n: (maps[n], units, "row,column", quantity) for n, (units, quantity) in kept.items()}
+        described |= confidence(posterior, response, reflectance.variance(maps))
+        albedo = sent.of(maps, weights, reflectance.calibration.basis, described["reflectance_error"][0])
         for name, column, quantity in _ALBEDO_MAPS:
-            described[name] = (albedo[:, column].astype(np.float32).reshape(weights.shape[:2]), "1", quantity)
-        for name, (texels, units, quantity) in described.items():
+            texels = albedo[:, column].astype(np.float32).reshape(weights.shape[:2])
+            described[name] = (texels, "1", "row,column", quantity)
+        for name, (texels, units, dims, quantity) in described.items():
             if name not in datasets:
-                names = {"units": units, "dims": "row,column", "quantity": quantity}
-                datasets[name] = out.reserve(name, size, texels.dtype, **names)
+                names = {"units": units, "dims": dims, "quantity": quantity}
+                datasets[name] = out.reserve(name, (*size, *texels.shape[2:]), texels.dtype, **names)
             datasets[name][rows] = texels
         values = {name: one[0] for name, one in described.items()}
         gathered.add(maps, values, np.isfinite(weights).all(axis=-1))

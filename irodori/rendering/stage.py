@@ -97,7 +97,7 @@ def bake_light(
     Parameters are those of `render_view`.
     """
     placed = [Shape.from_definition(shape) for shape in shapes]
-    materials = [Material.load(path) for path in material_files]
+    materials = load_materials(scene, material_files)
     renderer = make_renderer(scene, placed, materials, Environment.load(environment_file), options)
     assert isinstance(renderer, InteractiveRenderer)  # the workflow asks for maps of these scenes alone
     renderer.baked().save(output, provenance)

@@ -84,7 +84,7 @@ def _map(axes, figure, values, title: str, unit: str) -> None:
 def material_figure(material: Material, maps: dict[str, np.ndarray], truth: Material | None) -> str:
     """Return the maps of a fitted object: colour, parameters, outcome, confidence, and ΔE where the truth is known.
 
-    ``maps`` holds ``status``, ``residual_rms``, ``reflectance_error`` and ``training_distance``.
+    ``maps`` holds ``status``, ``residual_rms``, ``reflectance_error`` and ``delta_e_error``.
     """
     rows = 1 + len(material.lobes)
     figure, axes = _subplots(rows, 5, (15, 2.8 * rows), _OF_MAPS)
@@ -118,7 +118,7 @@ def material_figure(material: Material, maps: dict[str, np.ndarray], truth: Mate
         _map(axes[6], figure, difference, "CIEDE2000 under D65", "1")
     unseen = np.where(material.observed, 0.0, np.nan)
     _map(axes[7], figure, maps["reflectance_error"] + unseen, "standard deviation of S", "1")
-    _map(axes[8], figure, maps["training_distance"] + unseen, "distance from the chart's colours", "1")
+    _map(axes[8], figure, maps["delta_e_error"] + unseen, "standard error in CIEDE2000", "1")
     shares = [f"{(status == s.value).mean():6.1%}  {s.name.lower().replace('_', ' ')}" for s in Status]
     axes[9].axis("off")
     for line, (text, colour) in enumerate(zip(shares, _STATUS_COLOURS, strict=True)):

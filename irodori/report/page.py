@@ -56,7 +56,7 @@ def _object(name: str, path, truth_file) -> dict:
     material = Material.load(path)
     truth = Material.load(truth_file) if truth_file else None
     with store.open_file(path) as file:
-        maps = {n: file.read(n) for n in ("status", "residual_rms", "reflectance_error", "training_distance")}
+        maps = {n: file.read(n) for n in ("status", "residual_rms", "reflectance_error", "delta_e_error")}
         errors, stored = file.attribute("errors"), storage_sentence(file, "reflectance/coefficients")
     return {
         "name": name,

@@ -264,6 +264,7 @@ def test_what_stood_to_the_right_of_a_photographs_middle_has_a_smaller_azimuth(t
     assert np.degrees(np.arctan2(y, x)) == pytest.approx(centre_azimuth_deg - 3.5 * 22.5)
 
 
+@pytest.mark.stability(stage="light", case="saturated window")
 def test_stage_refuses_pixels_without_a_valid_bracket(tmp_path):
     valid = np.ones((8, 16), np.uint8)
     valid[3, 4] = 0

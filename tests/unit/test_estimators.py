@@ -1,4 +1,4 @@
-"""Estimators: exposure, units, types and hard charts, for each; their noise, distance and files."""
+"""Estimators: exposure, units, types and hard charts, for each; their uncertainty and files."""
 
 from dataclasses import replace
 
@@ -7,16 +7,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_up_camera import LIGHT, patches, system, training
+from scipy.interpolate import PchipInterpolator
 
 from irodori.calibration.conditioning import check_amplification, check_responses, noise_amplification
 from irodori.calibration.estimators import ESTIMATORS, fit, monomials
 from irodori.calibration.paper_estimator import calibrate
 from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.calibration.recovery.mappings import LinearMapping, LocalMapping, PolynomialMapping
+from irodori.calibration.recovery.posterior import ERROR_NM, Posterior
 from irodori.calibration.response_model import fit_response_model, smooth_covariance, smooth_priors
 from irodori.calibration.training import ResponseNoise, Training, mix_paints
 from irodori.colour.colorimetry import delta_e_reflectance, spectral_rmse
 from irodori.core import store
+from irodori.spectra.grid import WAVELENGTH_NM
 
 NAMES = list(ESTIMATORS)
 PROBES = mix_paints(patches(), limit=60)[:50]
@@ -51,7 +54,8 @@ def test_units_of_the_responses_do_not_matter(solved, name, gain):
     scaled = fit(name, Training(chart.response * gain, chart.spectra, LIGHT, noise), 6)
     response = PROBES @ system().T
     assert np.abs(scaled.spectra(response * gain) - solved[name].spectra(response)).max() <= 1e-6
-    assert np.allclose(scaled.distance(response * gain), solved[name].distance(response), atol=1e-6)
+    own, plain = Posterior(scaled).of(response * gain), Posterior(solved[name]).of(response)
+    assert np.allclose(own.standard_deviation, plain.standard_deviation, rtol=1e-3, atol=1e-6)
     assert noise_amplification(scaled) == pytest.approx(noise_amplification(solved[name]), rel=1e-4)
 
 
@@ -309,53 +313,71 @@ def test_monomials_and_their_slopes_are_those_of_the_compiled_loop():
     assert np.allclose(np.einsum("nfb,nb->nf", slopes, response), values, atol=1e-12)
 
 
-# ---- uncertainty and distance
+# ---- uncertainty
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_standard_deviation_is_that_of_repeated_photographs(solved, name):
-    rng, response = np.random.default_rng(5), PROBES @ system().T
-    variance = (0.002 * rng.uniform(0.5, 1.5, 6)) ** 2
-    runs = response + np.sqrt(variance) * rng.standard_normal((2000, *response.shape))
-    found = solved[name].spectra(runs).std(axis=0)
-    truth = np.sqrt(np.mean(found**2, axis=1))
-    predicted = solved[name].standard_deviation(response, np.broadcast_to(variance, response.shape))
-    assert predicted.shape == (50,)
-    assert np.median(np.abs(predicted / truth - 1.0)) <= 0.05
-    assert np.abs(predicted / truth - 1.0).max() <= 0.25
-    wider = replace(solved[name], relative_error=0.05).standard_deviation(response, variance)
-    unit = np.abs(solved[name].training).max(axis=0)
-    assert np.allclose(wider**2 - predicted**2, 0.05**2 * ((response / unit) ** 2).sum(axis=1))
+def test_noise_goes_into_the_covariance_as_repeated_photographs_scatter(solved, name):
+    rng, response = np.random.default_rng(5), PROBES[::5] @ system().T
+    variance = np.broadcast_to((0.002 * rng.uniform(0.5, 1.5, 6)) ** 2, response.shape)
+    runs = response + np.sqrt(variance) * rng.standard_normal((4000, *response.shape))
+    found = solved[name].spectra(runs).std(axis=0)[:, ::4]
+    posterior = Posterior(solved[name])
+    noisy, quiet = (posterior.of(response, v).standard_deviation for v in (variance, None))
+    stated = np.sqrt(np.maximum(noisy.astype(float) ** 2 - quiet.astype(float) ** 2, 0.0))
+    rms = [np.sqrt(np.mean(values**2, axis=1)) for values in (stated, found)]
+    assert np.abs(rms[0] / rms[1] - 1.0).max() <= 0.1
 
 
-def test_distance_is_one_for_the_lonelier_patches_and_blind_to_exposure(solved):
-    calibration = solved["local"]
-    chart = calibration.training
-    assert np.abs(calibration.distance(chart)).max() <= 1e-7
-    left_out = [np.degrees(np.arccos(np.clip(_cosines(chart)[i][np.arange(24) != i].max(), -1, 1))) for i in range(24)]
-    lone = int(np.argmax(left_out))
-    others = replace(calibration, training=np.delete(chart, lone, axis=0))
-    unit = np.abs(chart).max(axis=0)
-    if np.array_equal(np.abs(others.training).max(axis=0), unit):
-        scale = max(left_out) / np.quantile(_lone(others.training / unit), 0.9)
-        assert others.distance(chart[lone]) == pytest.approx(scale, rel=1e-4)
-    probe = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-    assert calibration.distance(probe) > 1.0
-    assert calibration.distance(1e5 * probe) == pytest.approx(calibration.distance(probe))
-    assert np.isnan(calibration.distance(np.zeros(6)))
+@pytest.mark.parametrize("name", NAMES)
+def test_twice_the_light_gives_twice_the_standard_deviation_and_a_covariance_that_is_its_factor(solved, name):
+    response = PROBES @ system().T
+    variance = np.full(response.shape, 1e-6)
+    posterior = Posterior(solved[name])
+    found, twice = posterior.of(response, variance), posterior.of(2.0 * response, 4.0 * variance)
+    assert np.allclose(twice.standard_deviation, 2.0 * found.standard_deviation, rtol=1e-3)
+    root = posterior.factor(response, variance).astype(float)
+    assert np.allclose((root**2).sum(axis=2), found.standard_deviation.astype(float) ** 2, rtol=1e-4)
 
 
-def _cosines(chart: np.ndarray) -> np.ndarray:
-    unit = chart / np.abs(chart).max(axis=0)
-    unit = unit / np.linalg.norm(unit, axis=1, keepdims=True)
-    return unit @ unit.T
+def whole(root: np.ndarray) -> np.ndarray:
+    """Return factors of covariances (n, 16, r) at all wavelengths, (n, 61, r)."""
+    return PchipInterpolator(ERROR_NM, root.astype(float), axis=1)(WAVELENGTH_NM)
 
 
-def _lone(scaled: np.ndarray) -> list[float]:
-    unit = scaled / np.linalg.norm(scaled, axis=1, keepdims=True)
-    cosines = unit @ unit.T
-    np.fill_diagonal(cosines, -1.0)
-    return [float(np.degrees(np.arccos(np.clip(row.max(), -1, 1)))) for row in cosines]
+def test_what_the_bands_see_is_not_in_the_covariance(solved):
+    # Without noise the responses are explained up to what the chart leaves open of the camera; the spectra are not.
+    root = Posterior(solved["wiener"]).factor(PROBES @ system().T)
+    root = whole(root)
+    seen = np.sqrt(np.mean(np.einsum("bw,nwr->nbr", system(), root) ** 2 * root.shape[2]))
+    narrow = np.eye(61)[10:51:10]  # single wavelengths weigh as much as a band does
+    assert seen <= 0.2 * np.sqrt(np.mean(np.einsum("bw,nwr->nbr", narrow, root) ** 2 * root.shape[2]))
+
+
+def test_the_colour_error_is_the_quantile_of_draws_from_the_covariance(solved):
+    response, rng = PROBES @ system().T, np.random.default_rng(3)
+    variance = np.full(response.shape, 1e-6)
+    posterior = Posterior(solved["wiener"])
+    root = whole(posterior.factor(response, variance))
+    spectra = solved["wiener"].spectra(response)
+    drawn = spectra + np.einsum("nwr,dnr->dnw", root, rng.standard_normal((3000, len(root), root.shape[2])))
+    within = (
+        delta_e_reflectance(np.broadcast_to(spectra, drawn.shape), drawn) <= posterior.of(response, variance).delta_e
+    )
+    assert np.abs(within.mean(axis=0) - 0.683).max() <= 0.05
+
+
+def test_no_number_is_stated_where_there_is_none(solved):
+    response, posterior = PROBES[:3] @ system().T, Posterior(solved["local"])
+    variance = np.full(response.shape, 1e-6)
+    response[1, 2], variance[2, 0] = np.nan, -1e-9
+    found = posterior.of(response, variance, stated=True)
+    assert np.isfinite(found.standard_deviation[0]).all() and np.isfinite(found.delta_e[0])
+    assert np.isnan(found.standard_deviation[1:]).all() and np.isnan(found.delta_e[1:]).all()
+    black = posterior.of(np.zeros((1, 6)), np.full((1, 6), 1e-6))
+    assert np.isfinite(black.delta_e).all() and (black.standard_deviation > 0).all()
+    with pytest.raises(ValueError, match="without a response model"):
+        Posterior(replace(solved["local"], band_response=None))
 
 
 # ---- files
@@ -363,17 +385,16 @@ def _lone(scaled: np.ndarray) -> list[float]:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_calibration_survives_its_file(solved, name, tmp_path):
-    calibration = replace(solved[name], filters=("out", "in"), relative_error=0.02)
+    calibration = replace(solved[name], filters=("out", "in"))
     with store.create(tmp_path / "c.h5", store.Provenance("test")) as out:
         calibration.write(out)
     loaded = Calibration.load(tmp_path / "c.h5")
-    assert (loaded.estimator, loaded.filters, loaded.relative_error) == (name, ("out", "in"), 0.02)
+    assert (loaded.estimator, loaded.filters) == (name, ("out", "in"))
     response = PROBES @ system().T
     variance = np.full(6, 1e-5)
     assert np.array_equal(loaded.weights(response, variance), calibration.weights(response, variance))
-    assert np.array_equal(loaded.standard_deviation(response, variance),
-                          calibration.standard_deviation(response, variance))  # fmt: skip
-    assert np.array_equal(loaded.distance(response), calibration.distance(response))
+    own, written = (Posterior(one).of(response, variance).standard_deviation for one in (loaded, calibration))
+    assert np.array_equal(own, written)
     assert (loaded.weights_from_response is None) == (name in ("local", "kernel", "broad"))
 
 

@@ -1,17 +1,10 @@
 """The figures asked for, on measured spectra: cameras, a filter, charts, and materials that no one trained on."""
 
-from dataclasses import replace
 from functools import lru_cache
 
-import numpy as np
 import pytest
 
-from benchmarks.calibrate import CAMERAS, DATA, NOISES, Trial, errors
-from irodori.calibration.estimator_choice import cross_validate
-from irodori.calibration.estimators import fit
-from irodori.calibration.solution import own_error
-from irodori.calibration.training import ResponseNoise, Training
-from irodori.colour.colorimetry import spectral_rmse
+from benchmarks.calibrate import CAMERAS, CIE, DATA, NEVER_SEEN, NOISES, Trial, coverage, errors, size_without
 
 pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason=f"no measured spectra at {DATA}")
 #: What the best estimator must reach on the first camera, mean CIEDE2000 under D65 at each noise.
@@ -116,18 +109,19 @@ def test_the_choice_keeps_to_the_bound_at_little_noise(test, noise):
     assert found(names, noise, "auto", 0)[0] <= 1.05 * found(names, noise, "bound")[0]
 
 
-@pytest.mark.parametrize("noise", NOISES[:3])
-@pytest.mark.parametrize("name", ["pinv", "wiener", "local", "kernel", "broad"])
-def test_error_bars_hold_on_spectra_never_seen(name, noise):
-    training, seen, variance = trial(*FIRST).responses(noise, 0)
-    if noise == 0.0:
-        training = Training(training.response, training.spectra, training.light, ResponseNoise())
-    _, recovered = cross_validate(training, ("D65",), bases=(8,), estimators=(name,))
-    solved = fit(name, training, 8)
-    absolute, relative = own_error(training, recovered[name, 8])
-    solved = replace(solved, absolute_error=absolute, relative_error=relative)
-    error = spectral_rmse(trial(*FIRST).test, solved.spectra(seen))
-    predicted = solved.standard_deviation(seen, variance)
-    # Cross-validation has one patch less than the calibration, and the chart's patches are unlike each other.
-    assert 0.9 <= np.sqrt(np.mean(predicted**2) / np.mean(error**2)) <= 2.0
-    assert np.mean(error <= 2.0 * predicted) >= 0.93
+@pytest.mark.parametrize("pair", NEVER_SEEN, ids=[test for _, test in NEVER_SEEN])
+def test_error_bars_hold_on_sets_and_a_camera_that_had_no_part_in_them(pair):
+    # Their size is that which the other sets ask for, seen by another camera.
+    found = coverage(CAMERAS[2], pair, 0.001, size_without(pair[1]))
+    if pair[1] == CIE:  # chosen to differ: no other set tells of such colours, and they are stated too narrow
+        assert found.wavelengths[0] < 0.62 and found.wavelengths[1] >= 0.85 and found.delta_e[1] >= 0.9
+        return
+    # The SG's gloss paints are stated too wide: the ColorChecker that was trained on has a fifth of them.
+    assert 0.62 <= found.wavelengths[0] <= (0.82 if pair[1] == "sg" else 0.75)
+    assert 0.62 <= found.delta_e[0] <= 0.8
+    assert found.wavelengths[1] >= 0.92 and found.delta_e[1] >= 0.93
+
+
+def test_stated_errors_tell_which_spectra_are_recovered_worse():
+    found = [coverage(CAMERAS[2], pair, 0.001).rank for pair in NEVER_SEEN]
+    assert sum(rank >= 0.4 for rank in found) >= 4

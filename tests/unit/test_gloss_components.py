@@ -68,7 +68,7 @@ def test_a_report_says_the_lobe_and_the_unit_of_every_component():
 def test_the_maps_of_every_component_are_in_the_figure(monkeypatch):
     titles = []
     monkeypatch.setattr("irodori.report.figures._map", lambda axes, figure, values, *said: titles.append(said))
-    maps = dict.fromkeys(("residual_rms", "reflectance_error", "training_distance"), np.zeros((2, 2)))
+    maps = dict.fromkeys(("residual_rms", "reflectance_error", "delta_e_error"), np.zeros((2, 2)))
     maps["status"] = np.zeros((2, 2), dtype=int)
     own = of(("ggx", "gaussian"), (2.0, 0.4), (5.0, 0.05))
     assert material_figure(own, maps, None).startswith("data:image/png")

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from benchmarks.light import CIE, WALLS, camera, errors, given
+from benchmarks.light import CIE, VARIANTS, WALLS, adapted_errors, camera, errors, given, recovered
 from irodori.core.errors import InputError
 from irodori.light.known_lamps import given_prior, known_prior, require_lamps_seen, told_by
 from irodori.light.light_prior import light_prior, published_lamps
-from irodori.light.light_recovery import Directions, draw_directions
+from irodori.light.light_recovery import Directions, LightRecovery, draw_directions
 from irodori.spectra.grid import WAVELENGTH_NM
 from irodori.spectra.published import spectrum
 
@@ -99,3 +99,30 @@ def test_what_told_of_the_lamps_is_said_in_words():
     assert told_by(["lamp.TI3"]) == "measured spectra (lamp.TI3)"
     with pytest.raises(InputError, match="FL99"):
         known_prior(["FL99"])
+
+
+def stated_error(recovery: LightRecovery, response: np.ndarray) -> float:
+    """Return the mean CIEDE2000 of a ColorChecker that a recovery states of itself, by drawn lights."""
+    weights, rng = recovery.weights(response), np.random.default_rng(1)
+    drawn = np.tensordot(rng.standard_normal((16, len(recovery.errors))), recovery.errors, axes=1)
+    own = recovery.basis @ weights
+    return np.mean([adapted_errors(own, own + error @ weights) for error in drawn])
+
+
+@pytest.mark.parametrize(
+    "nm",
+    [
+        pytest.param(590, marks=pytest.mark.stability(stage="light", case="low-pressure sodium")),
+        pytest.param(530, marks=pytest.mark.stability(stage="light", case="laser")),
+        pytest.param(640, marks=pytest.mark.stability(stage="light", case="laser")),
+    ],
+)
+def test_a_single_line_is_recovered_where_it_is_known_and_otherwise_known_to_be_unsure(seen, published, nm):
+    line = np.where(nm == WAVELENGTH_NM, 61.0, 1e-6)
+    response = seen.sensitivity @ line
+    for variant in ("named", "measured"):
+        known = VARIANTS[variant](given(variant, line)[None])
+        assert adapted_errors(line, recovered(seen, line, known)) <= 1.5
+    blind = LightRecovery.of_room(seen.model, Directions(response[None], np.ones(1)), published)
+    found = blind.basis @ blind.weights(response)
+    assert np.isfinite(found).all() and stated_error(blind, response) >= 0.5 * adapted_errors(line, found)

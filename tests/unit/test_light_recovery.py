@@ -223,6 +223,7 @@ def test_a_picture_is_recovered_to_the_same_bits_pixel_by_pixel(seen, prior):
     np.testing.assert_array_equal(recovery.weights(response[1234:1301]), whole[1234:1301])
 
 
+@pytest.mark.stability(stage="light", case="black room")
 def test_a_black_room_is_black(seen, prior):
     drawn = draw_directions([(np.zeros((40, 6)), 1.0)] * 2)
     assert (LightRecovery.of_room(seen.model, drawn, prior).weights(np.zeros((3, 6))) == 0.0).all()

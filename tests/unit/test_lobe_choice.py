@@ -147,7 +147,7 @@ def test_the_report_shows_a_choice_and_no_table_without_one(figures):
     source = html_page._TEMPLATES.loader.get_source(html_page._TEMPLATES, "objects.html.j2")[0]
     template = html_page._TEMPLATES.from_string(source.replace('{% include "compression.html.j2" %}', ""))
     numbers = ("texels_fitted", "fit_seconds", "observed_fraction", "negative_fraction", "reflectance_error_median")
-    errors = dict.fromkeys((*numbers, "out_of_training_fraction"), 1.0)
+    errors = dict.fromkeys((*numbers, "delta_e_error_median"), 1.0)
     errors |= {"compression": {}, "lobe_choice": [{**vars(one), "lobes": list(one.lobes)} for one in figures]}
     shown = {"name": "jar", "errors": errors, "stored": "", "maps": "", "spectra": "", "bases": 3, "gloss": ""}
     page = template.render(objects=[shown | {"lobes": ["ggx"]}])

@@ -10,6 +10,7 @@ from made import made
 
 from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.calibration.recovery.mappings import LinearMapping
+from irodori.calibration.recovery.posterior import Posterior
 from irodori.config.models import Object
 from irodori.config.parts import Surface
 from irodori.core import store
@@ -59,7 +60,10 @@ def write_tile(path, rows, width, seed, *, filters=FILTERS, noise=1e-6, lobes=("
 def calibration(tmp_path):
     rng = np.random.default_rng(5)
     chart = rng.uniform(0.1, 1, (24, 6))
-    found = Calibration(BASIS, LinearMapping(np.eye(6)), np.ones(61), tuple(FILTERS), training=chart)
+    bells = np.exp(-0.5 * ((np.arange(61) - np.arange(5, 60, 10)[:, None]) / 5.0) ** 2) / 12.5
+    open_part = np.broadcast_to(1e-8 * np.eye(61), (6, 61, 61))
+    found = Calibration(BASIS, LinearMapping(np.eye(6)), np.ones(61), tuple(FILTERS), training=chart,
+                        band_response=bells, band_response_covariance=open_part)  # fmt: skip
     with store.create(tmp_path / "calibration.h5", PROVENANCE) as out:
         found.write(out)
     return tmp_path / "calibration.h5"
@@ -104,7 +108,13 @@ def test_every_texel_of_every_tile_is_in_its_place(tmp_path, calibration, storag
         for name in columns(found.lobes):
             assert np.array_equal(file.read(name), whole[name])
         errors = file.attribute("errors")
-        reliability = file.read("reflectance_error")
+        reliability, spectral, colour = (file.read(f"{name}_error") for name in ("reflectance", "spectral", "delta_e"))
+        assert np.array_equal(file.read("error_wavelength"), np.arange(400.0, 701.0, 20.0))
+    stated = Posterior(Calibration.load(calibration)).of(
+        whole["diffuse_response"], whole["diffuse_variance"], stated=True
+    )
+    assert np.allclose(spectral, stated.standard_deviation, rtol=2e-3, equal_nan=True)
+    assert np.allclose(colour, stated.delta_e, rtol=1e-3, equal_nan=True)
     assert errors["fit_seconds"] == 1.5 and errors["texels_fitted"] == 600
     assert errors["observed_fraction"] == pytest.approx(29 / 30)
     assert errors["compression"]["masked_pixels"] == 20 and errors["compression"]["pixels"] == 600
@@ -172,7 +182,7 @@ def test_noise_that_one_texel_lacks_has_no_part_in_any(tmp_path, calibration):
     assert not FittedTiles([tmp_path / "a.h5", tmp_path / "b.h5"], 8, 10).is_noise_known()
     compress([tmp_path / "a.h5", tmp_path / "b.h5"], calibration, (8, 10), tmp_path / "m.h5")
     with store.open_file(tmp_path / "m.h5") as file:
-        assert "cross-validation alone" in file.dataset("reflectance_error").attrs["quantity"]
+        assert "noise" not in file.dataset("reflectance_error").attrs["quantity"]
 
 
 def test_tiles_that_do_not_make_the_texture_are_refused(tmp_path, calibration):

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.calibration.recovery.mappings import LocalMapping, PolynomialMapping, polynomial_count
 
 
@@ -132,8 +131,6 @@ def test_a_variance_that_is_none_gives_no_number_and_spoils_no_neighbour(fault):
     found = weights(mapping, response, variance)
     assert np.isnan(found[7]).all()
     assert np.array_equal(np.delete(found, 7, axis=0), np.delete(expected, 7, axis=0))
-    calibration = Calibration(np.eye(61)[:, :6], mapping, np.ones(61), estimator="local", training=response)
-    assert np.isnan(calibration.standard_deviation(response, variance, stated=True)[7])
 
 
 def test_no_noise_is_the_lowest_level_and_endless_noise_the_highest():

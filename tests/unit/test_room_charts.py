@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks.light import CHART, adapted_errors, camera, chart_under, errors, unlike
+from benchmarks.light import CHART, adapted_errors, camera, chart_under, errors, recovered, unlike
 from irodori.core.errors import InputError
 from irodori.light.light_prior import light_prior, published_lamps
 from irodori.light.light_recovery import Directions, LightRecovery, ResponseModel
@@ -80,6 +80,7 @@ def test_a_chart_under_a_lamp_that_the_panorama_does_not_show_is_refused_by_its_
     assert caught.value.field == "room_charts.window"
 
 
+@pytest.mark.stability(stage="light", case="a lamp outside the frame")
 def test_a_lamp_that_itself_lies_outside_the_frame_is_no_disagreement(seen):
     lights = WALLS * lamp("FL11")
     room, prior = room_of(seen, lights), prior_without("FL11")
@@ -101,3 +102,25 @@ def test_a_chart_that_is_read_otherwise_than_it_is_is_refused(seen, fault):
     with pytest.raises(InputError, match="the right way up") as caught:
         recovery_with([chart], ResponseModel.of(seen.calibration), room_of(seen, WALLS * lamp("D65")), prior_without())
     assert caught.value.field == "room_charts.desk"
+
+
+@pytest.mark.stability(stage="light", case="two lamps of different kind")
+@pytest.mark.parametrize("names", [("FL11", "D65"), ("LED-RGB1", "A"), ("FL4", "LED-B3")], ids="+".join)
+def test_two_lamps_of_different_kind_are_recovered_on_walls_and_mixed(seen, names):
+    pair = np.stack([lamp(name) for name in names])
+    lights = np.concatenate([pair, [[0.5, 0.5], [0.2, 0.8]] @ pair, *(WALLS * one for one in pair)])
+    room, prior = room_of(seen, lights), prior_without(*names)
+    charts = [chart_under(seen, np.array(share) @ pair, seed) for seed, share in enumerate([(0.8, 0.2), (0.3, 0.7)])]
+    alone, helped = (error(recovery_with(some, seen.model, room, prior), room, lights) for some in ([], charts))
+    as_paint = np.mean([adapted_errors(light, recovered(seen, light, None)) for light in lights])
+    assert helped <= 0.6 and helped < 0.7 * alone and helped < 0.5 * as_paint
+    # Three narrow lines are like no other published lamp.
+    assert alone < as_paint or (names[0] == "LED-RGB1" and alone < as_paint + 0.5)
+
+
+@pytest.mark.stability(stage="light", case="narrow-band LED")
+def test_narrow_lines_are_recovered_with_a_chart_or_what_is_known_of_them(seen):
+    found = {
+        variant: errors(seen, variant, names=("LED-RGB1",)).item() for variant in ("room-chart", "named", "measured")
+    }
+    assert found["room-chart"] <= 0.15 and found["measured"] <= 0.15 and found["named"] <= 0.25

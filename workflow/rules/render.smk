@@ -42,7 +42,7 @@ rule bake_light:
     resources:
         mem_mb=lambda wildcards, attempt: 3000 * attempt,
     params:
-        scene=scenes.part("objects", "bodies", "lights", "integrator", "environment", "max_bounces", "image", "views"),
+        scene=scenes.baked_of,
         shapes=scenes.shapes,
         render=lookup(within=config, dpath="render"),
         user_files=ledger.content(scenes.files),
@@ -64,7 +64,7 @@ use rule bake_light as bake_true_light with:
     benchmark:
         "results/benchmarks/bake_true_light/{scene}.tsv"
     params:
-        scene=scenes.part("objects", "bodies", "lights", "integrator", "environment", "max_bounces", "image", "views"),
+        scene=scenes.baked_of,
         shapes=scenes.shapes,
         render=lookup(within=config, dpath="render"),
         user_files=ledger.content(scenes.files),

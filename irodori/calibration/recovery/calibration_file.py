@@ -10,7 +10,6 @@ from irodori.core.errors import InputError
 from irodori.spectra.coordinates import write_bands, write_wavelength
 from irodori.spectra.grid import SAMPLES
 
-_TILE = 1 << 16
 _UNITS = {"units": "1", "quantity": "parameter of the mapping from responses to weights"}
 _AXES = {
     "scale": "band",
@@ -41,10 +40,7 @@ class Calibration:
     estimator : str
         Name of the estimator.
     training : (m, bands) float, optional
-        Responses of the chart, for `distance`.
-    relative_error, absolute_error : float
-        Root mean square of the reflectance's cross-validation error: in proportion to the length of the scaled
-        response, and whatever it is, for `standard_deviation`.
+        Responses of the chart, for `band_scale`.
     band_response : (bands, 61) float, optional
         Response per unit reflectance at each wavelength, as the chart tells it.
     band_response_covariance : (bands, 61, 61) float, optional
@@ -57,8 +53,6 @@ class Calibration:
     filters: tuple[str, ...] = ()
     estimator: str = "pinv"
     training: np.ndarray | None = None
-    relative_error: float = 0.0
-    absolute_error: float = 0.0
     band_response: np.ndarray | None = None
     band_response_covariance: np.ndarray | None = None
 
@@ -95,10 +89,6 @@ class Calibration:
                     values[field.name] = (
                         file.read_within(name) if in_dataset else file.attribute(field.name, (float, int))
                     )
-            relative, absolute = (
-                file.attribute(n, (float, int)) if file.has_attribute(n) else 0.0
-                for n in ("relative_error", "absolute_error")
-            )
             return cls(
                 file.read_within("basis"),
                 KINDS[kind](**values),
@@ -106,8 +96,6 @@ class Calibration:
                 tuple(file.attribute("filters", list)),
                 file.attribute("estimator", str) if file.has_attribute("estimator") else "pinv",
                 training=file.read_within("chart_response") if "chart_response" in file else None,
-                relative_error=relative,
-                absolute_error=absolute,
                 **{name: file.read_within(name) if name in file else None for name in _RESPONSE_MODEL},
             )
 
@@ -144,8 +132,6 @@ class Calibration:
         out.attribute("filters", list(self.filters))
         out.attribute("estimator", self.estimator)
         out.attribute("mapping", self.mapping.kind)
-        out.attribute("relative_error", float(self.relative_error))
-        out.attribute("absolute_error", float(self.absolute_error))
 
     def require_filters(self, filters, path) -> None:
         """Refuse responses whose bands are not those of the chart.
@@ -191,37 +177,6 @@ class Calibration:
         """Return recovered reflectance spectra of responses, (..., bands) to (..., 61)."""
         return self.weights(response, response_variance) @ self.basis.T
 
-    def standard_deviation(
-        self, response: np.ndarray, response_variance: np.ndarray, stated: bool = False
-    ) -> np.ndarray:
-        """Return the standard deviation of the recovered reflectance, root mean square over wavelengths.
-
-        The noise of the bands, taken as independent, goes through the estimator's derivative; the estimator's own
-        error, as cross-validation on the chart found it, is added in square, a part of it in proportion to the
-        response.
-
-        Parameters
-        ----------
-        response, response_variance : (..., bands) float
-        stated : bool
-            Whether the variance is given to `weights` too.
-
-        Returns
-        -------
-        (...) float64
-        """
-        response = np.asarray(response, dtype=np.float64)
-        flat = response.reshape(-1, response.shape[-1])
-        variance = self._flat_variance(response_variance, response.shape)
-        squared = np.empty(len(flat))
-        for first in range(0, len(flat), _TILE):
-            part = slice(first, first + _TILE)
-            gain = self.mapping.gain(flat[part], variance[part] if stated else None)
-            squared[part] = (gain * variance[part]).sum(axis=1) / len(self.basis)
-        if self.relative_error > 0.0:
-            squared += self.relative_error**2 * ((flat / self.band_scale()) ** 2).sum(axis=1)
-        return np.sqrt(squared + self.absolute_error**2).reshape(response.shape[:-1])
-
     def band_scale(self) -> np.ndarray:
         """Return the largest response of the chart in every band, (bands,); bands are compared in these units.
 
@@ -233,38 +188,3 @@ class Calibration:
         if self.training is None:
             raise ValueError("a calibration without the responses of its chart; accepted: one that the stage wrote")
         return np.abs(self.training).max(axis=0)
-
-    def distance(self, response: np.ndarray) -> np.ndarray:
-        """Return how far responses lie from the chart's, whatever their exposure.
-
-        The angle between directions in response space (bands scaled by the chart's largest response) to the nearest
-        patch, over that which nine tenths of the patches have at most to the nearest other. A short distance does not
-        promise a small error: spectra that differ may answer alike.
-
-        Parameters
-        ----------
-        response : (..., bands) float
-
-        Returns
-        -------
-        (...) float64, 1 = as far as the chart's lonelier patches from all others; NaN where there is no direction
-        """
-        response = np.asarray(response, dtype=np.float64)
-        scale = self.band_scale()
-        known = self.training / scale
-        known = known / np.linalg.norm(known, axis=1, keepdims=True)
-        among = np.linalg.norm(known[:, None] - known[None], axis=2)
-        np.fill_diagonal(among, np.inf)
-        largest = 2.0 * np.arcsin(np.clip(np.quantile(among.min(axis=1), 0.9) / 2.0, 0.0, 1.0))
-        flat = response.reshape(-1, response.shape[-1]) / scale
-        found = np.empty(len(flat))
-        for first in range(0, len(flat), _TILE):
-            part = flat[first : first + _TILE]
-            length = np.linalg.norm(part, axis=1, keepdims=True)
-            # The chord keeps small angles exact where the cosine would lose them.
-            direction = np.divide(part, length, out=np.full_like(part, np.nan), where=length > 0)
-            squared = np.full(len(part), np.inf)
-            for row in known:
-                squared = np.minimum(squared, ((direction - row) ** 2).sum(axis=1))
-            found[first : first + _TILE] = 2.0 * np.arcsin(np.minimum(np.sqrt(squared) / 2.0, 1.0))
-        return (found / largest).reshape(response.shape[:-1])

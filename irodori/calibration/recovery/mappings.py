@@ -26,8 +26,8 @@ class Mapping(Protocol):
     def weights(self, response: np.ndarray, variance: np.ndarray | None, out: np.ndarray) -> None:
         """Fill out (n, k) from responses (n, bands) and, where known, their variances (n, bands)."""
 
-    def gain(self, response: np.ndarray, variance: np.ndarray | None) -> np.ndarray:
-        """Return Σ_k (∂w_k/∂ρ_b)² at responses (n, bands), (n, bands) float64."""
+    def slopes(self, response: np.ndarray, variance: np.ndarray | None) -> np.ndarray:
+        """Return the derivatives ∂w_k/∂ρ_b at responses (n, bands), (n, bands, k) float64."""
 
     def on_basis(self, basis: np.ndarray) -> "Mapping":
         """Return the mapping whose outputs, taken as spectra (61), are brought to an orthonormal basis (61, k)."""
@@ -54,9 +54,9 @@ class LinearMapping:
         for first in range(0, len(response), _TILE):
             np.matmul(response[first : first + _TILE], matrix, out=out[first : first + _TILE])
 
-    def gain(self, response, variance) -> np.ndarray:
+    def slopes(self, response, variance) -> np.ndarray:
         """See `Mapping`."""
-        return np.broadcast_to((self.matrix**2).sum(axis=1), response.shape)
+        return np.broadcast_to(self.matrix, (len(response), *self.matrix.shape))
 
     def on_basis(self, basis):
         """See `Mapping`."""
@@ -68,7 +68,7 @@ class LinearMapping:
 
 
 class _Differences(Mapping, Protocol):
-    """The gain of a mapping that is not linear, by central differences."""
+    """The derivatives of a mapping that is not linear, by central differences."""
 
     scale: np.ndarray
 
@@ -76,11 +76,11 @@ class _Differences(Mapping, Protocol):
     def bases(self) -> int:
         """Number of outputs."""
 
-    def gain(self, response, variance) -> np.ndarray:
+    def slopes(self, response, variance) -> np.ndarray:
         """See `Mapping`."""
         response = np.asarray(response, dtype=np.float64)
         length = np.linalg.norm(response / self.scale, axis=1)
-        gain = np.empty_like(response)
+        slopes = np.empty((*response.shape, self.bases))
         upper, lower = (np.empty((len(response), self.bases)) for _ in range(2))
         for band, scale in enumerate(self.scale):
             step = np.where(length > 0, _STEP * length, _STEP) * scale
@@ -88,8 +88,8 @@ class _Differences(Mapping, Protocol):
                 moved = response.copy()
                 moved[:, band] += sign * step
                 self.weights(moved, variance, out)
-            gain[:, band] = (((upper - lower) / (2.0 * step[:, None])) ** 2).sum(axis=1)
-        return gain
+            slopes[:, band] = (upper - lower) / (2.0 * step[:, None])
+        return slopes
 
 
 @dataclass(frozen=True)

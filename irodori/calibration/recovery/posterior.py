@@ -1,0 +1,193 @@
+"""Posterior covariance of recovered reflectances: what the chart, the bands and the noise leave open in a spectrum.
+
+A camera of six bands does not see most of a spectrum. What it misses is taken as a smooth Gaussian process K whose size
+follows the spectrum that was recovered: one that varies much varies more than the bands show, above all where it is
+steep, and at the ends of the range, which cameras hardly see. An estimator of the derivative J, with the camera's
+response H per unit reflectance, is then off by
+
+    Σ = (1 - J H) K (1 - J H)ᵀ + J (V + U) Jᵀ
+
+where V is the variance of the response and U what the chart leaves open of H. This holds for every estimator, since all
+are homogeneous of degree 1. The constants of K were taken from measured reflectances of several sets;
+`docs/method/calibration.md` says how the statements hold on a set that had no part in that.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from irodori.calibration.recovery.calibration_file import Calibration
+from irodori.calibration.response_model import smooth_covariance
+from irodori.colour.colorimetry import delta_e, lab_from_xyz, xyz_from_reflectance
+from irodori.spectra.grid import SAMPLES, WAVELENGTH_NM
+
+#: Correlation length of what the bands miss, nm.
+_LENGTH_NM = 25.0
+#: At the ends of the range what is missed is so many times larger, and over so many nm.
+_ENDS, _REACH_NM = 1.8, (15.0, 30.0)
+_RANK = 24  # of the covariance; what is beyond has under 1e-3 of the variance
+#: Shares of the variance of what the bands miss in the squared level, in the mean squared slope, and in that nearby.
+_LEVEL, _SLOPE, _NEARBY = 5e-4, 3e-3, 0.1
+#: What the bands miss is multiplied with this, the size that six measured sets ask for on average.
+SIZE = 0.81
+_SLOPE_NM, _NEAR_NM = 50.0, 30.0  # what a slope is over, and how far nearby reaches
+_STRIDE = 4  # of the grid, between wavelengths at which errors are stated, closer than their correlation length
+#: Wavelengths, nm, at which errors are stated.
+ERROR_NM = WAVELENGTH_NM[::_STRIDE]
+_BATCH = 2048  # responses whose factors of (16, 30) numbers are held at a time
+_STEP = 1e-2  # of CIELAB, in which CIEDE2000 is taken as a quadratic form
+#: 0.6827 of the normal distribution lie below so many of its standard deviations.
+_WITHIN_ONE = 0.4752
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """What is unknown of recovered reflectances.
+
+    Parameters
+    ----------
+    standard_deviation : (..., 16) float32
+        Of the reflectance factor at each of `ERROR_NM`; NaN where the response or its variance is none.
+    rms : (...) float32
+        Root mean square of the standard deviation over the wavelengths.
+    delta_e : (...) float32
+        CIEDE2000 to the true colour under D65 that is not exceeded with a probability of 0.68.
+    """
+
+    standard_deviation: np.ndarray
+    rms: np.ndarray
+    delta_e: np.ndarray
+
+
+class Posterior:
+    """Posterior covariance of what a calibration recovers.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    size : float
+        Of what the bands miss.
+
+    Raises
+    ------
+    ValueError
+        If the calibration carries no response model.
+    """
+
+    def __init__(self, calibration: Calibration, size: float = SIZE) -> None:
+        system, open_part = calibration.band_response, calibration.band_response_covariance
+        if system is None or open_part is None:
+            raise ValueError("a calibration without a response model; accepted: one that an estimator was fitted for")
+        self.calibration = calibration
+        self._basis = calibration.basis[::_STRIDE].astype(np.float32)
+        missed, xyz = size * _missed(), xyz_from_reflectance("D65")
+        # The size of what is missed is linear between the wavelengths at which errors are stated.
+        self._hat = np.stack([np.interp(WAVELENGTH_NM, ERROR_NM, row) for row in np.eye(len(ERROR_NM))])
+        self._missed = missed[::_STRIDE].astype(np.float32)
+        self._seen, self._coloured = (
+            np.einsum("bw,ew,wr->ebr", rows, self._hat, missed).astype(np.float32) for rows in (system, xyz)
+        )
+        self._xyz_basis = (xyz @ calibration.basis).astype(np.float32)
+        self._white = xyz.sum(axis=1)
+        near = smooth_covariance(_NEAR_NM)
+        self._near = (near / near.sum(axis=1, keepdims=True))[::_STRIDE].T
+        self._open = np.einsum("wk,bwv,vl->bkl", calibration.basis, open_part, calibration.basis)
+
+    def factor(self, response: np.ndarray, variance: np.ndarray | None = None, stated: bool = False) -> np.ndarray:
+        """Return matrices Z whose Z Zᵀ are the covariances Σ of recovered reflectances at `ERROR_NM`.
+
+        Parameters
+        ----------
+        response : (n, bands) float
+        variance : (n, bands) float, optional
+            Of the response; where absent, there is no noise.
+        stated : bool
+            Whether the calibration is told the variance as it recovers spectra.
+
+        Returns
+        -------
+        (n, 16, 24 + bands) float32; NaN where the response is not finite or its variance not 0 or more
+        """
+        return self._roots(np.asarray(response, dtype=np.float64), variance, stated)[1]
+
+    def of(self, response: np.ndarray, variance: np.ndarray | None = None, stated: bool = False) -> Uncertainty:
+        """Return what is unknown of the reflectances of responses (..., bands); see `factor`."""
+        response = np.asarray(response, dtype=np.float64)
+        flat, shape = response.reshape(-1, response.shape[-1]), response.shape[:-1]
+        noise = None if variance is None else np.broadcast_to(variance, response.shape).reshape(flat.shape)
+        deviation, colour = np.empty((len(flat), len(ERROR_NM)), np.float32), np.empty(len(flat), np.float32)
+        for first in range(0, len(flat), _BATCH):
+            part = slice(first, first + _BATCH)
+            weights, root, xyz_root = self._roots(flat[part], None if noise is None else noise[part], stated)
+            deviation[part] = np.sqrt(np.vecdot(root, root))
+            colour[part] = _delta_e(weights @ self._xyz_basis.T, xyz_root, self._white)
+        rms = np.sqrt(deviation**2 @ (self._hat.sum(axis=1) / SAMPLES).astype(np.float32))
+        return Uncertainty(deviation.reshape(*shape, -1), rms.reshape(shape), colour.reshape(shape))
+
+    def _roots(self, response: np.ndarray, variance, stated: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the weights (n, k) of responses and the factors of the covariances of reflectance and of XYZ."""
+        variance = np.zeros_like(response) if variance is None else np.asarray(variance, dtype=np.float64)
+        variance = np.where(variance >= 0.0, variance, np.nan)
+        told = variance if stated else None
+        weights = self.calibration.weights(response, told)
+        back = np.swapaxes(self.calibration.mapping.slopes(response, told), 1, 2).astype(np.float32)
+        spectrum = weights @ self.calibration.basis.T
+        squared = np.mean(spectrum**2, axis=1, keepdims=True)
+        slope = (np.gradient(spectrum, WAVELENGTH_NM, axis=1) * _SLOPE_NM) ** 2
+        size = np.sqrt(_LEVEL * squared + _SLOPE * slope.mean(axis=1, keepdims=True) + _NEARBY * slope @ self._near)
+        size = size.astype(np.float32)
+        unsure = np.stack([np.einsum("nk,kl,nl->n", weights, own, weights) for own in self._open], axis=1)
+        spread = np.sqrt(variance + np.maximum(unsure, 0.0)).astype(np.float32)[:, None, :]
+        seen, coloured = (np.tensordot(size, each, axes=1) for each in (self._seen, self._coloured))
+        roots = []
+        for basis, missed in ((self._basis, size[:, :, None] * self._missed), (self._xyz_basis, coloured)):
+            derivative = basis @ back
+            roots.append(np.concatenate([missed - derivative @ seen, derivative * spread], axis=2))
+        return weights, roots[0], roots[1]
+
+
+def _missed() -> np.ndarray:
+    """Return a matrix (61, 24) whose product with its transpose is K for a spectrum of unit size."""
+    away = np.abs(WAVELENGTH_NM - WAVELENGTH_NM[[0, -1], None])
+    ends = _ENDS * np.exp(-away / np.array(_REACH_NM)[:, None]).sum(axis=0)
+    smooth = smooth_covariance(_LENGTH_NM)
+    values, vectors = np.linalg.eigh(smooth + ends[:, None] * smooth * ends)
+    return vectors[:, -_RANK:] * np.sqrt(values[-_RANK:])
+
+
+def _delta_e(xyz: np.ndarray, root: np.ndarray, white: np.ndarray) -> np.ndarray:
+    """Return the CIEDE2000 that normal errors of XYZ do not exceed with a probability of 0.68, (n,).
+
+    About a colour the square of CIEDE2000 is a quadratic form of the errors. Its quantile is that of the multiple of a
+    χ² variable of the same mean and variance (Satterthwaite 1946), by the cube root (Wilson and Hilferty 1931).
+
+    Parameters
+    ----------
+    xyz : (n, 3) float
+    root : (n, 3, r) float
+        Matrices whose products with their transposes are the covariances of XYZ.
+    white : (3,) float
+    """
+    lab = lab_from_xyz(xyz, white)
+    form = np.empty((len(lab), 3, 3))
+    steps = _STEP * np.eye(3)
+    for i in range(3):
+        form[:, i, i] = (delta_e(lab, lab + steps[i]) / _STEP) ** 2
+    for i, j in ((0, 1), (0, 2), (1, 2)):
+        both = (delta_e(lab, lab + steps[i] + steps[j]) / _STEP) ** 2
+        form[:, i, j] = form[:, j, i] = 0.5 * (both - form[:, i, i] - form[:, j, j])
+    moved = _lab_slopes(xyz / white) @ (root / white[:, None])
+    product = form @ moved @ np.swapaxes(moved, 1, 2)
+    mean = np.trace(product, axis1=1, axis2=2)
+    square = np.trace(product @ product, axis1=1, axis2=2)
+    relative = np.divide(2.0 * square, 9.0 * mean**2, out=np.zeros_like(mean), where=mean > 0.0)
+    return np.sqrt(mean * (1.0 - relative + _WITHIN_ONE * np.sqrt(relative)) ** 3)
+
+
+def _lab_slopes(ratio: np.ndarray) -> np.ndarray:
+    """Return the derivatives of CIELAB by XYZ over the white, (n, 3, 3), at such ratios (n, 3)."""
+    linear = ratio <= (6 / 29) ** 3
+    x, y, z = np.where(linear, (29 / 6) ** 2 / 3, np.where(linear, 1.0, ratio) ** (-2.0 / 3.0) / 3.0).T
+    none = np.zeros_like(x)
+    rows = [[none, 116.0 * y, none], [500.0 * x, -500.0 * y, none], [none, 200.0 * y, -200.0 * z]]
+    return np.moveaxis(np.array(rows), -1, 0)
