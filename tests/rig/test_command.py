@@ -64,7 +64,7 @@ def board(bench):
     definition = load_one("rigs", "gonio-grbl").rigs["gonio-grbl"]
     with start_simulator(made(Rig, definition)) as simulator:
         change(
-            bench / "config/rigs/gonio-grbl.yaml", lambda rig: rig["motion"].update(port=simulator.port, timeout_s=1.5)
+            bench / "config/rigs/gonio-grbl.yaml", lambda rig: rig["motion"].update(port=simulator.port, timeout_s=20.0)
         )
         yield simulator
 
