@@ -272,19 +272,21 @@ def observed(capsys, *words: str) -> dict:
             said += capsys.readouterr().err
         host, token = found.groups()
         cookie = {"Cookie": f"irodori-{host.partition(':')[2]}={token}"}
-        with urllib.request.urlopen(urllib.request.Request(f"http://{host}/news", headers=cookie), timeout=60) as news:
+        asked = urllib.request.Request(f"http://{host}/news", headers=cookie)
+        with urllib.request.urlopen(asked, timeout=patience.LONG_S) as news:
             for line in news:
                 if line.startswith(b"data: {") and (view := json.loads(line[6:]))["state"] == "complete":
                     break
         body = json.dumps({"action": "done", "turn": view["turn"]}).encode()
         headers = {**cookie, "Origin": f"http://{host}", "Content-Type": "application/json"}
-        urllib.request.urlopen(urllib.request.Request(f"http://{host}/act", body, headers), timeout=60).close()
+        acted = urllib.request.Request(f"http://{host}/act", body, headers)
+        urllib.request.urlopen(acted, timeout=patience.LONG_S).close()
         seen.append(view)
 
     seen, observer = [], threading.Thread(target=observe, daemon=True)
     observer.start()
     assert main(list(words)) == 0
-    observer.join(60.0)
+    observer.join(patience.LONG_S)
     return seen[0]
 
 
