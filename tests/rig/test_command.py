@@ -31,6 +31,7 @@ from irodori.config.capture_table import read_captures
 from irodori.config.definitions import load_one
 from irodori.config.models import Camera, Object, Rig
 from irodori.config.parts import PhotographedObject
+from irodori.core.yaml_files import read_own_yaml
 
 
 @pytest.fixture(autouse=True)
@@ -46,9 +47,9 @@ def bench(tmp_path, monkeypatch):
 
 
 def change(path: Path, action) -> None:
-    content = yaml.safe_load(path.read_text())
+    content = read_own_yaml(path)
     action(content)
-    path.write_text(yaml.safe_dump(content))
+    path.write_text(yaml.dump(content, Dumper=yaml.CSafeDumper))
 
 
 def run(capsys, *arguments: str, code: int = 0) -> tuple[list[str], list[str]]:
