@@ -78,7 +78,7 @@ def project(folder: Path, operator: str = "file", port: str = "simulator") -> Pa
     """Return a working directory with the repository's driven rig, its board simulated, and an object on it."""
     shutil.copytree(ROOT / "config", folder / "config")
     config = folder / "config"
-    edit(config / "rigs/gonio-grbl.yaml", operator=operator, operator_deadline_s=60.0, motion__port=port)
+    edit(config / "rigs/gonio-grbl.yaml", operator=operator, operator_deadline_s=600.0, motion__port=port)
     edit(config / "rigs/gonio-grbl.yaml", motion__simulator={"time_scale": 200.0}, motion__timeout_s=20.0)
     edit(config / "rigs/gonio-grbl.yaml", drift_every=0)
     edit(config / f"cameras/{CAMERA}.yaml", dark_frames=1, white_frames=1, linearity_exposure_s=[0.01])
