@@ -3,9 +3,9 @@
 from collections.abc import Iterable
 from pathlib import Path
 
-from irodori.viewer.browser import browser
+import patience
 
-_PATIENCE_MS = 180_000
+from irodori.viewer.browser import browser
 
 
 def violations(paths: Iterable[Path]) -> dict[str, list[str]]:
@@ -13,7 +13,7 @@ def violations(paths: Iterable[Path]) -> dict[str, list[str]]:
     from axe_playwright_python.sync_playwright import Axe
 
     context = browser(("--no-sandbox",)).new_context(offline=True, viewport={"width": 1280, "height": 900})
-    context.set_default_timeout(_PATIENCE_MS)
+    context.set_default_timeout(patience.LONG_MS)
     page, axe, found = context.new_page(), Axe(), {}
     try:
         for path in paths:

@@ -12,6 +12,8 @@ import psutil
 QUIET_S = 300.0
 #: CPU time that counts as progress, s; a Snakemake that waits for a sleeping job takes none in a minute.
 LEAST_CPU_S = 0.5
+#: What something that answers by itself is given, s and, for a browser, ms: on a quiet machine it takes a moment.
+LONG_S, LONG_MS = 300.0, 300_000.0
 #: A program that has computed for so long never ends, s of CPU time.
 MOST_CPU_S = 3600.0
 
@@ -73,7 +75,7 @@ def run(command: list, quiet_s: float = QUIET_S, **options) -> subprocess.Comple
                 status = wait(process, out, err, quiet_s=quiet_s)
             except HungError as error:
                 raise HungError(f"{error}\n{_end(out)}{_end(err)}") from None
-        return subprocess.CompletedProcess(command, status, out.read_text(), err.read_text())
+        return subprocess.CompletedProcess(command, status, *(path.read_text(errors="replace") for path in (out, err)))
 
 
 def _end(path: Path) -> str:
@@ -93,4 +95,4 @@ def until(condition, failing=lambda: "", polls: int = 6000) -> None:
     raise AssertionError(failing())
 
 
-__all__ = ["HungError", "run", "until", "wait"]
+__all__ = ["LONG_MS", "LONG_S", "HungError", "run", "until", "wait"]

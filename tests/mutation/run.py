@@ -1,8 +1,8 @@
 """Mutation testing: which small faults in the package do its tests notice?
 
-``python tests/mutation/run.py [--sample 60] [--seed TEXT] [--rooms ingest light | --half] [--only TEXT]``, at the top
+``python tests/mutation/run.py [--sample 60] [--seed TEXT] [--rooms ingest light | --third] [--only TEXT]``, at the top
 of the repository. As many mutants of each room are drawn at random, by the seed (the commit where none is given): every
-commit tries others, with ``--half`` of three rooms only, for before the first mutant all tests of a room are run. Each
+commit tries others, with ``--third`` of two rooms only, for before the first mutant all tests of a room are run. Each
 is put into a process of its own, forked from one that has run all tests and loaded all compiled loops: the code of the
 function is replaced where it stands. The process runs the tests that pass over the mutant's statement, those of files
 with the module's name first, the shortest first and one case of each before a second, and ends at the first that fails.
@@ -20,6 +20,7 @@ import argparse
 import ast
 import bisect
 import builtins
+import ctypes
 import faulthandler
 import functools
 import gc
@@ -88,8 +89,8 @@ ROOMS = {
          "rig/test_rig_waits.py", "rig/test_described_rig.py", "rig/test_lost_steps.py"),
     ),
 }  # fmt: skip
-#: Two halves of the rooms: in each a large one, a middling one and a small one.
-HALVES = (("ingest", "capture limits", "reflection"), ("light", "evaluation", "rectification"))
+#: Thirds of the rooms, whose tests and mutants take about as long.
+THIRDS = (("ingest", "reflection"), ("light", "rectification"), ("evaluation", "capture limits"))
 #: Tests of these files that compute for longer than `LONGEST_S`, whatever is loaded: run, they would not be asked.
 LONG = (
     "test_measured_places_become_environments", "test_the_memory_for_an_environment", "test_the_fitted_lobes_are_the",
@@ -105,6 +106,7 @@ PATIENCE_S = 4.0
 QUIET_S = 40.0
 QUIET_SHARE = 0.02
 HANGS_S = 1500.0
+PR_SET_PDEATHSIG = 1  # of linux/prctl.h
 
 
 @dataclass
@@ -182,9 +184,10 @@ class Runner:
         passed, room = len(self._baseline.seconds), self.room
         print(f"{room}: {passed} tests without a mutant, {time.process_time() - begun:.0f} s of CPU time", flush=True)
         for number, mutant in enumerate(self.mutants, 1):
+            begun = _computed_s()
             noticed, how = self._try(mutant)
             self.noticed.append(noticed)
-            print(f"  {number} {how}: {mutant}", flush=True)
+            print(f"  {number} ({_computed_s() - begun:.1f} s) {how}: {mutant}", flush=True)
         return True
 
     def _run_unspoilt(self, items) -> None:
@@ -243,11 +246,9 @@ class Runner:
     def _alone(self, name: str, patience_s: float = PATIENCE_S) -> float:
         """Return how long a test computes in a forked process without a mutant, s; -1 where it fails, or for longer."""
         if name not in self._alone_s:
-            begun = os.times()
+            begun = _computed_s()
             failed = self._forked([name], lambda: None, lambda _: patience_s)
-            ended = os.times()
-            computed = ended.children_user + ended.children_system - begun.children_user - begun.children_system
-            self._alone_s[name] = -1.0 if failed else computed
+            self._alone_s[name] = -1.0 if failed else _computed_s() - begun
         return self._alone_s[name]
 
     def _ask(self, mutant: Mutant, tests: Iterable[str], put: Callable[[], None]) -> str | None:
@@ -275,9 +276,11 @@ class Runner:
 
     def _forked(self, tests: list[str], put: Callable[[], None], patience_s: Callable[[str], float]) -> str | None:
         """Return the first of some tests that fails in a process of its own, or at which that process ends or hangs."""
+        parent = os.getpid()
         with tempfile.TemporaryFile(buffering=0) as file:
             child = os.fork()
             if not child:
+                end_with(parent)
                 _silence()
                 for cache in self._caches:
                     cache.cache_clear()
@@ -295,6 +298,14 @@ class Runner:
             return None if passed else tests[number]
 
 
+def end_with(parent: int) -> None:
+    """Let this process be killed when the one that started it ends, however that ends."""
+    if ctypes.CDLL(None, use_errno=True).prctl(PR_SET_PDEATHSIG, signal.SIGKILL):
+        raise OSError(ctypes.get_errno(), "prctl")
+    if os.getppid() != parent:  # it has ended before
+        os._exit(1)
+
+
 def _wait(child: int) -> None:
     """Wait for a process; end it where it computes for less than `QUIET_SHARE` of `QUIET_S`, as one that polls does."""
     ended, process = os.pidfd_open(child), psutil.Process(child)
@@ -308,6 +319,12 @@ def _wait(child: int) -> None:
         seen, since = computed, time.monotonic()
     os.close(ended)
     os.waitpid(child, 0)
+
+
+def _computed_s() -> float:
+    """Return the CPU time of the processes that this one has waited for, s."""
+    times = os.times()
+    return times.children_user + times.children_system
 
 
 def _silence() -> None:
@@ -367,15 +384,18 @@ def main() -> int:
     parser.add_argument("--seed", default="", help="any text; the commit where absent")
     parser.add_argument("--rooms", nargs="+", default=list(ROOMS), choices=list(ROOMS))
     parser.add_argument("--only", default="", metavar="TEXT", help="of all, only mutants whose printed name holds it")
-    parser.add_argument("--half", action="store_true", help="only one half of all rooms, drawn by the seed")
+    parser.add_argument("--third", action="store_true", help="only two of the six rooms, drawn by the seed")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--least", type=float, default=0.9, help="share of the mutants that must be noticed")
+    parser.add_argument("--parent", type=int, help="process with which the run ends")
     given = parser.parse_args()
+    if given.parent:
+        end_with(given.parent)
     os.chdir(ROOT)
     seed = given.seed or subprocess.run(
         ["git", "rev-parse", "HEAD"], capture_output=True, text=True, check=True
     ).stdout.strip()  # fmt: skip
-    rooms = random.Random(seed).choice(HALVES) if given.half else given.rooms
+    rooms = random.Random(seed).choice(THIRDS) if given.third else given.rooms
     mutants = drawn(list(rooms), given.sample, seed, given.only)
     begun = time.monotonic()
     noticed, tried = 0, 0
@@ -383,13 +403,13 @@ def main() -> int:
     os.environ |= {"CI": "1", "NUMBA_THREADING_LAYER": "workqueue", "NUMBA_NUM_THREADS": "1"}
     os.environ |= {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
     # A process for each room: it loads what that room's tests need, and is small to fork.
-    with ProcessPoolExecutor(given.jobs, multiprocessing.get_context("spawn"), max_tasks_per_child=1) as pool:
+    spawn = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(given.jobs, spawn, end_with, (os.getpid(),), max_tasks_per_child=1) as pool:
         for outcome in pool.map(_try_all, mutants, mutants.values()):
             if outcome is None:
                 return 2
             noticed, tried = noticed + sum(outcome), tried + len(outcome)
-    computed = os.times().children_user + os.times().children_system
-    print(f"all: {_score(noticed, tried)}, in {time.monotonic() - begun:.0f} s, {computed:.0f} s of CPU time")
+    print(f"all: {_score(noticed, tried)}, in {time.monotonic() - begun:.0f} s, {_computed_s():.0f} s of CPU time")
     return int(noticed < given.least * tried)
 
 

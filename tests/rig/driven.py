@@ -17,6 +17,7 @@ from simulated_gphoto2 import Bench
 
 from irodori.config.capture_table import Pose, Shot
 from irodori.config.models import Camera, Rig
+from irodori.core.yaml_files import read_own_yaml
 from irodori.simulation.virtual_rig import bench as virtual
 from irodori.simulation.virtual_rig.virtual_camera import VirtualCamera
 
@@ -63,24 +64,25 @@ class Studio:
 
 def edit(path: Path, **changes) -> None:
     """Set keys of a YAML file; ``a__b`` is b in a."""
-    content = yaml.safe_load(path.read_text())
+    content = read_own_yaml(path)
     for dotted, value in changes.items():
         *parents, last = dotted.split("__")
         block = content
         for parent in parents:
             block = block[parent]
         block[last] = value
-    path.write_text(yaml.safe_dump(content, sort_keys=False))
+    path.write_text(yaml.dump(content, Dumper=yaml.CSafeDumper, sort_keys=False))
 
 
 def project(folder: Path, operator: str = "file", port: str = "simulator") -> Path:
     """Return a working directory with the repository's driven rig, its board simulated, and an object on it."""
     shutil.copytree(ROOT / "config", folder / "config")
     config = folder / "config"
-    edit(config / "rigs/gonio-grbl.yaml", operator=operator, operator_deadline_s=60.0, motion__port=port)
-    edit(config / "rigs/gonio-grbl.yaml", motion__simulator={"time_scale": 200.0}, motion__timeout_s=2.0, drift_every=0)
+    edit(config / "rigs/gonio-grbl.yaml", operator=operator, operator_deadline_s=600.0, motion__port=port)
+    edit(config / "rigs/gonio-grbl.yaml", motion__simulator={"time_scale": 200.0}, motion__timeout_s=20.0)
+    edit(config / "rigs/gonio-grbl.yaml", drift_every=0)
     edit(config / f"cameras/{CAMERA}.yaml", dark_frames=1, white_frames=1, linearity_exposure_s=[0.01])
-    jar = yaml.safe_load((config / "objects/tile-plate.yaml").read_text())
+    jar = read_own_yaml(config / "objects/tile-plate.yaml")
     del jar["virtual"]
     jar |= {"camera": CAMERA, "poses": POSES, "captures": {"table": "photos/jar.csv", "folder": "photos/jar"}}
     (config / f"objects/{OBJECT}.yaml").write_text(yaml.safe_dump(jar))

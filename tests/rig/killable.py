@@ -14,6 +14,7 @@ import threading
 import time
 from pathlib import Path
 
+import patience
 from made import made
 from sessions import MADE, ROOT, definitions, target
 
@@ -39,7 +40,7 @@ class Killable:
     def __exit__(self, *_) -> None:
         self._process.stdin.close()
         self._process.stdout.close()
-        self._process.wait(60)
+        self._process.wait(patience.LONG_S)
 
     def run(self, folder: Path, kill_after_s: float | None = None) -> float:
         """Hold a session; SIGKILL it after a time where one is given. Return how long it ran, s."""

@@ -8,7 +8,9 @@ from irodori.capture.rig.devices import DeviceError
 from irodori.config.validation import validate
 from irodori.simulation.controllers.peer_client import Simulator
 
-TIMEOUT_S = 0.5
+#: How long a rig may be silent: on a clock that only waiting moves, and where its simulator is another process, which
+#: other programs may keep from the processor for seconds.
+TIMEOUT_S, PATIENT_S = 0.5, 20.0
 
 _LIMITS = {
     "light_deg": {"min": 35.0, "max": 125.0, "step": 0.5},
@@ -51,13 +53,15 @@ _ASCII = {
 }
 
 
-def definition(protocol: str, flow: str = "send-response", time_scale: float = 10.0, seed: int = 1) -> dict:
+def definition(
+    protocol: str, flow: str = "send-response", *, time_scale: float = 10.0, seed: int = 1, timeout_s: float = PATIENT_S
+) -> dict:
     """Return the validated definition of a rig with a simulated controller."""
     motion = {
         "protocol": protocol,
         "port": "simulator",
         "flow": flow,
-        "timeout_s": TIMEOUT_S,
+        "timeout_s": timeout_s,
         "axes": copy.deepcopy(_AXES),
         "simulator": {"time_scale": time_scale, "seed": seed},
     }
@@ -101,4 +105,4 @@ def failure(action) -> DeviceError | None:
     return None
 
 
-__all__ = ["TIMEOUT_S", "at_port", "definition", "failure", "start_simulator", "wait_until_still"]
+__all__ = ["PATIENT_S", "TIMEOUT_S", "at_port", "definition", "failure", "start_simulator", "wait_until_still"]

@@ -31,6 +31,7 @@ from irodori.config.capture_table import read_captures
 from irodori.config.definitions import load_one
 from irodori.config.models import Camera, Object, Rig
 from irodori.config.parts import PhotographedObject
+from irodori.core.yaml_files import read_own_yaml
 
 
 @pytest.fixture(autouse=True)
@@ -46,9 +47,9 @@ def bench(tmp_path, monkeypatch):
 
 
 def change(path: Path, action) -> None:
-    content = yaml.safe_load(path.read_text())
+    content = read_own_yaml(path)
     action(content)
-    path.write_text(yaml.safe_dump(content))
+    path.write_text(yaml.dump(content, Dumper=yaml.CSafeDumper))
 
 
 def run(capsys, *arguments: str, code: int = 0) -> tuple[list[str], list[str]]:
@@ -64,7 +65,7 @@ def board(bench):
     definition = load_one("rigs", "gonio-grbl").rigs["gonio-grbl"]
     with start_simulator(made(Rig, definition)) as simulator:
         change(
-            bench / "config/rigs/gonio-grbl.yaml", lambda rig: rig["motion"].update(port=simulator.port, timeout_s=1.5)
+            bench / "config/rigs/gonio-grbl.yaml", lambda rig: rig["motion"].update(port=simulator.port, timeout_s=20.0)
         )
         yield simulator
 
@@ -272,19 +273,21 @@ def observed(capsys, *words: str) -> dict:
             said += capsys.readouterr().err
         host, token = found.groups()
         cookie = {"Cookie": f"irodori-{host.partition(':')[2]}={token}"}
-        with urllib.request.urlopen(urllib.request.Request(f"http://{host}/news", headers=cookie), timeout=60) as news:
+        asked = urllib.request.Request(f"http://{host}/news", headers=cookie)
+        with urllib.request.urlopen(asked, timeout=patience.LONG_S) as news:
             for line in news:
                 if line.startswith(b"data: {") and (view := json.loads(line[6:]))["state"] == "complete":
                     break
         body = json.dumps({"action": "done", "turn": view["turn"]}).encode()
         headers = {**cookie, "Origin": f"http://{host}", "Content-Type": "application/json"}
-        urllib.request.urlopen(urllib.request.Request(f"http://{host}/act", body, headers), timeout=60).close()
+        acted = urllib.request.Request(f"http://{host}/act", body, headers)
+        urllib.request.urlopen(acted, timeout=patience.LONG_S).close()
         seen.append(view)
 
     seen, observer = [], threading.Thread(target=observe, daemon=True)
     observer.start()
     assert main(list(words)) == 0
-    observer.join(60.0)
+    observer.join(patience.LONG_S)
     return seen[0]
 
 

@@ -281,6 +281,28 @@ def test_a_rig_that_does_not_stop_is_told_three_times(monkeypatch):
     assert driver.status().state == "idle"
 
 
+def test_homing_that_the_controller_begins_a_moment_late_is_waited_for(monkeypatch):
+    bench, driver = bench_and_rig(monkeypatch)
+    bench.machine.slip(3.0, CAMERA)
+    sent = []
+
+    def noted(data):
+        sent.append(data)
+        return data
+
+    def ready_at_first(line):
+        """Right after the order to home the controller says that it is ready, as it was before."""
+        return "SS=READY" if line.startswith("SS=") and sent[-2:-1] and sent[-2].startswith(b"HM") else line
+
+    bench.on_the_way, bench.heard = noted, ready_at_first
+    driver.home()
+    assert not bench.machine.moving
+    driver.move({"camera_deg": 40.0})
+    assert bench.machine.stages[CAMERA].position[0] == pytest.approx(
+        driver.drives["camera_deg"].to_units(40.0), abs=0.01
+    )
+
+
 @pytest.mark.parametrize("pushed", [-1.0, 1.0])
 def test_an_axis_that_is_pushed_off_its_way_ends_the_move_even_if_it_comes_back(pushed, monkeypatch):
     bench, driver = bench_and_rig(monkeypatch)

@@ -9,7 +9,7 @@ import serial
 from hypothesis import given
 from hypothesis import strategies as st
 from made import made
-from motion_rigs import TIMEOUT_S, at_port, definition, start_simulator
+from motion_rigs import PATIENT_S, TIMEOUT_S, at_port, definition, start_simulator
 
 from irodori.capture.rig.connect import grbl_settings, open_rig, true_position_deg
 from irodori.capture.rig.devices import (
@@ -140,6 +140,18 @@ def test_a_reach_beyond_either_end_of_the_travel_is_refused(low, high):
     check_settings(settings, "V", DRIVES, homing=True)
     with pytest.raises(SettingError, match="camera_deg: limits"):
         check_settings(settings, "V", {**DRIVES, "camera_deg": replace(drive, axis=axis)}, homing=True)
+
+
+def test_a_travel_that_is_too_short_is_made_as_long_as_the_reach_and_the_switch_stays_where_it_is():
+    """Where the reach ends beyond the switch, no number in the controller helps: somebody has to move the switch."""
+    short = {**FITTING, 130: 100.0}
+    (found,) = disagreements(short, "V", DRIVES, True)
+    assert (found.number, found.wanted) == (130, 141.0)
+    check_settings({**short, found.number: found.wanted}, "V", DRIVES, homing=True)
+    drive = DRIVES["camera_deg"]
+    beyond = {**DRIVES, "camera_deg": replace(drive, axis=replace(drive.axis, min_deg=-2.0))}
+    (found,) = disagreements(FITTING, "V", beyond, True)
+    assert (found.number, found.wanted) == (130, None)
 
 
 @pytest.mark.parametrize(("beyond", "fits"), [(0.0008, True), (0.0012, False)])
@@ -368,7 +380,7 @@ def test_only_a_simulated_rig_knows_where_it_truly_stands():
 
 def test_something_else_on_the_port_is_not_taken_for_grbl():
     with start_simulator(made(Rig, definition("ascii"))) as simulator:
-        there = at_port(RIG, simulator.port)
+        there = at_port(definition("grbl", timeout_s=TIMEOUT_S), simulator.port)
         with pytest.raises((DeadlineError, LinkError)), open_rig(made(Rig, there)):
             pass
 
@@ -404,14 +416,14 @@ def test_a_line_without_an_end_and_bytes_that_are_no_text():
         link.write(b"$G\n")
         simulator.fault("garble")
         link.write(b"$$\n")
-        lines = [link.read_line(1.0) for _ in range(20)]
+        lines = [link.read_line(PATIENT_S) for _ in range(20)]
         assert all(line.isascii() for line in lines)
         link.discard_input()
         with pytest.raises(DeadlineError, match=simulator.port):
             link.read_line(0.05)
         simulator.fault("hangup")
         with pytest.raises(LinkError, match=f"{simulator.port}: the line is lost"):
-            link.read_line(2.0)
+            link.read_line(PATIENT_S)
         with pytest.raises(LinkError):
             link.write(b"?")
         with pytest.raises(LinkError):
@@ -447,7 +459,7 @@ def test_the_driver_s_constructor_leaves_the_line_to_its_owner():
     with simulate({**grbl_settings(DRIVES, True), 22: 0, 20: 0}) as simulator:
         link = SerialLink(simulator.port)
         with pytest.raises(SettingError):
-            GrblRig(link, DRIVES, timeout_s=TIMEOUT_S)
+            GrblRig(link, DRIVES, timeout_s=PATIENT_S)
         link.write(b"?")
         link.close()
 

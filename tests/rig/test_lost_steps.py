@@ -50,6 +50,14 @@ def test_what_the_motors_have_lost_is_measured_and_made_good(ready, firmware, se
     assert bench.machine.settings[20] == 1 and rig.status().homed
 
 
+def test_a_switch_that_opens_elsewhere_than_it_closes_is_read_where_it_closes(ready):
+    rig, bench = ready(S21=0)
+    bench.machine.hysteresis = 0.4  # of a pull-off of one unit
+    assert rig.recount() == pytest.approx({"camera_deg": 0.0, "turn_deg": 0.0}, abs=0.02)
+    bench.machine.slip(0.3)
+    assert rig.recount()["camera_deg"] == pytest.approx(0.3 / rig.drives["camera_deg"].units_per_deg, abs=0.02)
+
+
 def test_more_than_is_looked_for_is_given_as_five_degrees(ready):
     rig, bench = ready()
     bench.machine.slip(12.0 * rig.drives["camera_deg"].units_per_deg)
@@ -176,6 +184,24 @@ def test_a_switch_that_chatters_while_the_axis_creeps_is_gone_over(ready):
     bench.on_the_way = chatter
     assert rig.recount() == {"camera_deg": 0.0, "turn_deg": 0.0}
     assert b"chatter" in jogs
+
+
+def test_another_alarm_while_the_axis_creeps_is_no_chatter(ready):
+    rig, bench = ready()
+    jogs, raised = [], []
+
+    def another(data):
+        jogs.extend([data] * data.startswith(b"$J"))
+        if data == b"?" and len(jogs) == 4 and not raised:
+            raised.append(data)
+            bench.machine.raise_alarm(3)
+        return data
+
+    bench.on_the_way = another
+    with pytest.raises(AlarmError, match="ALARM:3"):
+        rig.recount()
+    assert len(jogs) == 4, "nothing moves after it"
+    assert bench.machine.settings[20] == 1 and not rig.status().homed
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ import sys
 import threading
 from dataclasses import replace
 
+import patience
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -312,7 +313,7 @@ class Bystander:
 def test_the_command_that_the_message_names_confirms_and_the_file_goes(monkeypatch, tmp_path):
     folder, people = tmp_path / "results of today" / "rig", []
     at_the_bench = Bystander(monkeypatch, lambda command: people.append(subprocess.Popen(["sh", "-c", command])))
-    operator = FileOperator(folder, deadline_s=30.0, poll_s=0.01)
+    operator = FileOperator(folder, deadline_s=patience.LONG_S, poll_s=0.01)
     operator.ask(STEP)
     operator.ask(STEP)
     assert [person.wait() for person in people] == [0, 0]
@@ -344,7 +345,7 @@ def test_a_long_wait_is_told_from_time_to_time(monkeypatch, tmp_path):
             threading.Timer(0.02, subprocess.run, [["sh", "-c", command]]).start()
 
     at_the_bench = Bystander(monkeypatch, person)
-    FileOperator(tmp_path, deadline_s=30.0, poll_s=0.005, progress_s=0.02).ask(STEP)
+    FileOperator(tmp_path, deadline_s=patience.LONG_S, poll_s=0.005, progress_s=0.02).ask(STEP)
     assert sum("waiting for" in line for line in at_the_bench.shown) >= 3
 
 

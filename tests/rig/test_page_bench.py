@@ -235,7 +235,7 @@ def sent(server, body: dict, **headers) -> int:
     """Send an action with the session's token; return the status of the answer."""
     host = server.hosts[0]
     usual = {"Host": host, "Origin": f"http://{host}", "Cookie": f"{server.cookie}={server.token}"}
-    asked = http.client.HTTPConnection(*server.server_address[:2], timeout=30)
+    asked = http.client.HTTPConnection(*server.server_address[:2], timeout=patience.LONG_S)
     asked.request("POST", "/act", json.dumps(body), usual | {"Content-Type": "application/json"} | headers)
     try:
         return asked.getresponse().status
@@ -252,14 +252,14 @@ def test_of_many_that_answer_one_question_at_once_one_is_heard(sitting):  # noqa
     gate = threading.Barrier(12)
 
     def answer() -> None:
-        gate.wait(30)
+        gate.wait(patience.LONG_S)
         found.append(sent(sitting.server, body))
 
     clients = [threading.Thread(target=answer) for _ in range(12)]
     for client in clients:
         client.start()
     for client in clients:
-        client.join(60)
+        client.join(patience.LONG_S)
     assert sorted(found) == [200] + 11 * [409]
     sitting.eye.may.release()
     sitting.comes_to(State.STEP)
@@ -337,14 +337,14 @@ def test_what_never_ends_or_says_it_is_huge_is_not_waited_for(sitting):  # noqa:
         "no HTTP": body,
     }
     for what, text in requests.items():
-        with socket.create_connection(sitting.server.server_address[:2], timeout=30) as line:
+        with socket.create_connection(sitting.server.server_address[:2], timeout=patience.LONG_S) as line:
             line.sendall(text.encode())
             line.shutdown(socket.SHUT_WR)
             answer = line.makefile("rb").read(2000)
         assert b"200" not in answer.partition(b"\r\n")[0], what
         assert sitting.dialogue.view == before, what
     # More lines than are taken, all silent: the page that is there still hears, and the terminal still stops.
-    crowd = [socket.create_connection(sitting.server.server_address[:2], timeout=30) for _ in range(40)]
+    crowd = [socket.create_connection(sitting.server.server_address[:2], timeout=patience.LONG_S) for _ in range(40)]
     assert sitting.dialogue.view == before and sitting.eye.taken == []
     for line in crowd:
         line.close()
@@ -397,7 +397,7 @@ def test_whatever_the_page_offers_is_done_by_keys_too(monkeypatch, state, offer,
         person.start()
         ended = {Action.STOP: OperatorAbort, Action.RETAKE_LAST: RetakeLast, Action.TEST: Done, Action.PAUSE: Done}
         if state is State.WORKING:
-            person.join(60)
+            person.join(patience.LONG_S)
             # A line that is written to a terminal comes out at its other end at once, as here.
             monkeypatch.setattr(dialogue, "ask", done)
             with pytest.raises(ended[offer.action]):

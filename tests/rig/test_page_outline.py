@@ -55,7 +55,7 @@ class Sitting:
 
     def __enter__(self):
         self._thread.start()
-        assert self._up.wait(60)
+        assert self._up.wait(patience.LONG_S)
         return self
 
     def __exit__(self, *_) -> None:
@@ -63,7 +63,7 @@ class Sitting:
             if (view := self.dialogue.view).offers and view.state is not State.WORKING:
                 self.dialogue.act(view.offers[0].action, view.turn)
             patience.until(lambda seen=view: self.ended or self.dialogue.view.version != seen.version)
-        self._thread.join(60.0)
+        self._thread.join(patience.LONG_S)
 
 
 @pytest.fixture(autouse=True)

@@ -78,7 +78,7 @@ def check_inside(rig: dict, seen: dict, homing: bool) -> None:
 
 @pytest.fixture(params=["grbl", "ascii"])
 def peer(request, monkeypatch) -> tuple[dict, FaultyBench]:
-    rig = definition(*PEERS[request.param])
+    rig = definition(*PEERS[request.param], timeout_s=TIMEOUT_S)
     return rig, FaultyBench(made(Rig, rig), monkeypatch)
 
 
@@ -168,7 +168,7 @@ RUNS, BATCHES = 204, 12
 @pytest.mark.parametrize("batch", range(BATCHES))
 def test_random_commands_with_random_faults(batch, monkeypatch, record_property):
     rng = random.Random(20100401 + batch)
-    rig = definition(*list(PEERS.values())[batch % len(PEERS)], seed=batch)
+    rig = definition(*list(PEERS.values())[batch % len(PEERS)], seed=batch, timeout_s=TIMEOUT_S)
     outcomes: collections.Counter = collections.Counter()
     worst = 0.0
     simulator = FaultyBench(made(Rig, rig), monkeypatch, batch)

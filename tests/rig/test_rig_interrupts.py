@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 
 import patience
@@ -16,8 +17,10 @@ from irodori.capture.rig.devices import AlarmError, DeviceError
 from irodori.capture.rig.drives import drives_of
 from irodori.config.models import Rig
 
-#: The rig of the program: it is slow, so that a signal meets it in mid-move. Its whole reach takes 3.5 s.
-TIME_SCALE = 0.1
+#: The rig of the program: it is slow, so that a signal meets it in mid-move. Its whole reach takes 10 s.
+TIME_SCALE = 0.04
+#: A rig that has gone so far is under way, controller units.
+UNDER_WAY = 2.0
 PROGRAM = """
 import sys
 sys.path.insert(0, "tests/rig")
@@ -44,21 +47,30 @@ class Interrupted(Exception):
     pass
 
 
+def wait_until_under_way(simulator, before: dict[str, float]) -> None:
+    """Wait until an axis has left the place where it stood."""
+    patience.until(lambda: any(abs(at - before[name]) > UNDER_WAY for name, at in simulator.true_position().items()))
+
+
 def test_an_exception_from_a_signal_handler_stops_the_rig(peer):
     protocol, simulator = peer
     rig = at_port(definition(protocol), simulator.port)
-    rig["motion"]["timeout_s"] = 10.0  # deadlines are of the axes' own speed, and the simulated ones are slowed down
 
     def interrupt(*_):
         raise Interrupted
 
-    before = signal.signal(signal.SIGALRM, interrupt)
+    def interrupt_under_way():
+        wait_until_under_way(simulator, stood)
+        signal.pthread_kill(threading.main_thread().ident, signal.SIGALRM)
+
+    before, interrupter = signal.signal(signal.SIGALRM, interrupt), threading.Thread(target=interrupt_under_way)
     try:
         with open_rig(made(Rig, rig)) as opened:
             opened.home()
             opened.move({"camera_deg": 0.0})
             simulator.pace(TIME_SCALE)
-            signal.setitimer(signal.ITIMER_REAL, 0.5)
+            stood = simulator.true_position()
+            interrupter.start()
             with pytest.raises(Interrupted):
                 opened.move({"camera_deg": 140.0})
             seen = simulator.snapshot()
@@ -69,6 +81,7 @@ def test_an_exception_from_a_signal_handler_stops_the_rig(peer):
             assert simulator.true_position() == seen["position"]
             simulator.pace(10.0)
             opened.move({"camera_deg": 5.0})
+            interrupter.join()
     finally:
         signal.signal(signal.SIGALRM, before)
 
@@ -86,12 +99,11 @@ def test_a_signal_in_mid_move(peer, kill):
         opened.home()
         opened.move({"camera_deg": 0.0})
     simulator.pace(TIME_SCALE)
-    simulator.forget()
+    stood = simulator.true_position()
     command = [sys.executable, "-c", PROGRAM, protocol, simulator.port, "140"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as program:
         assert program.stdout.readline() == "ready\n", program.stderr.read()
-        patience.until(lambda: simulator.snapshot()["moving"])
-        time.sleep(0.3)
+        wait_until_under_way(simulator, stood)
         os.kill(program.pid, kill)
         patience.wait(program)
         seen = simulator.snapshot()
@@ -121,8 +133,7 @@ def test_a_rig_that_still_moves_is_brought_to_rest_when_it_is_opened():
         simulator.pace(TIME_SCALE)
         with open_rig(made(Rig, there)) as opened:
             opened._talk.link.write(b"G21G90G53G0X-140.000\n")
-            time.sleep(0.2)
-            assert simulator.snapshot()["moving"]
+            patience.until(lambda: simulator.snapshot()["moving"])
             opened.close()
         with open_rig(made(Rig, there)) as opened:
             status = opened.status()

@@ -41,7 +41,7 @@ class Watched(QuickCamera):
 
     def capture(self, shot, path):
         if not self.free:
-            assert self.may.acquire(timeout=60)
+            assert self.may.acquire(timeout=patience.LONG_S)
         super().capture(replace(shot, file=f"{len(self.taken)}"), path)  # no two are alike
         if self.again:
             self.again = False
@@ -73,7 +73,7 @@ class Sitting:
 
     def __enter__(self):
         self._thread.start()
-        assert self._up.wait(60)
+        assert self._up.wait(patience.LONG_S)
         return self
 
     def __exit__(self, *_) -> None:
@@ -81,7 +81,7 @@ class Sitting:
         self.eye.may.release()
         if self.ended is None:
             self.dialogue.end("The test ends.")
-        self._thread.join(0.0 if self.ended is None else 60.0)
+        self._thread.join(0.0 if self.ended is None else patience.LONG_S)
 
     def state(self) -> State:
         return self.dialogue.view.state
@@ -94,7 +94,7 @@ class Sitting:
         host, cookie = self.server.hosts[0], f"{self.server.cookie}={self.server.token}"
         usual = {"Host": host, "Origin": f"http://{host}", "Cookie": cookie, "Content-Type": "application/json"}
         given = {name.replace("_", "-"): value for name, value in headers.items()}
-        asked = http.client.HTTPConnection(*self.server.server_address[:2], timeout=30)
+        asked = http.client.HTTPConnection(*self.server.server_address[:2], timeout=patience.LONG_S)
         text = json.dumps({"action": "done", "turn": self.dialogue.view.turn} if body is None else body)
         all_of = {name: value for name, value in (usual | given).items() if value is not None}
         asked.request(method, path, text if method == "POST" else None, all_of)
@@ -169,8 +169,8 @@ def test_a_stop_from_the_page_ends_the_photograph_under_way_as_ctrl_c_does(tmp_p
     with pytest.raises(KeyboardInterrupt), served(dialogue, Address(port=0), "vase"):
         dialogue.working("Keep clear.", 0, 1, 1.0)
         threading.Timer(0.1, dialogue.act, [Action.STOP]).start()
-        time.sleep(60.0)
-    assert time.monotonic() - begun < 30.0
+        time.sleep(patience.LONG_S)
+    assert time.monotonic() - begun < patience.LONG_S
     assert dialogue.view.state is State.ENDED and "stands still" in dialogue.view.words
     assert signal.getsignal(signal.SIGUSR1) is signal.SIG_DFL
 
@@ -237,7 +237,7 @@ def visit():
     def open_page(url, size=PHONE):
         contexts.append(browser().new_context(viewport=size))
         page = contexts[-1].new_page()
-        page.set_default_timeout(30_000)
+        page.set_default_timeout(patience.LONG_MS)
         page.on("pageerror", lambda error: complaints.append(str(error)))
         page.on("console", lambda message: complaints.append(message.text))
         page.goto(url)

@@ -491,6 +491,16 @@ def test_fluidnc_s_settings_stand_in_its_own_file(other):
         opened(rig_of("grbl"), bench)
 
 
+@pytest.mark.parametrize("other", [FLUIDNC], indirect=True)
+def test_an_old_fluidnc_that_does_not_list_what_it_reports_is_taken_to_report_as_grbl_does(other):
+    _, bench = other
+    bench.heard = lambda line: None if line.startswith(("$10=", "$13=")) else line
+    driver = opened(rig_of("grbl"), bench)
+    driver.home()
+    driver.move({"camera_deg": 30.0, "turn_deg": 0.0})
+    is_at(driver, 30.0, 0.0)
+
+
 # What is lost, once, on the way to and from the board.
 LOST = {
     "a question": ("out", b"?"),

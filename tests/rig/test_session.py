@@ -337,7 +337,7 @@ def test_a_session_asks_on_a_terminal_and_q_stops_it(tmp_path):
 
 
 INTERRUPTED = """
-import sys, time
+import sys, threading, time
 from dataclasses import replace
 from irodori.config.models import SimulatorOptions
 from pathlib import Path
@@ -346,7 +346,13 @@ from irodori.capture import stage
 folder = Path(sys.argv[1])
 definition, aim = target(folder, motion=True, poses=[{"light_deg": [45.0], "camera_deg": [0.0, 70.0, 140.0]}])
 slow = SimulatorOptions(time_scale=8.0, seed=0, homing_rms_units=0.0)
-aim = replace(aim, rig=replace(aim.rig, motion=replace(aim.rig.motion, simulator=slow)))
+aim = replace(aim, rig=replace(aim.rig, motion=replace(aim.rig.motion, simulator=slow, timeout_s=60.0)))
+moves = []
+
+def tell(simulator):
+    while not simulator.snapshot()["moving"]:
+        time.sleep(0.01)
+    print("under way", flush=True)
 
 def kept_open(rig):
     opened = real(rig)
@@ -354,7 +360,14 @@ def kept_open(rig):
         def __enter__(self):
             self.rig = opened.__enter__()
             move = self.rig.move
-            self.rig.move = lambda targets: (print("moving", flush=True), move(targets))
+            def noted(targets):
+                print("moving", flush=True)
+                moves.append(targets)
+                if len(moves) == 3:
+                    self.rig.simulator.pace(0.2)  # so that the signal meets it on its way
+                    threading.Thread(target=tell, args=(self.rig.simulator,), daemon=True).start()
+                move(targets)
+            self.rig.move = noted
             return self.rig
         def __exit__(self, kind, error, trace):
             self.rig.stop()
@@ -377,11 +390,11 @@ def test_an_interrupted_session_leaves_the_rig_stopped_and_the_table_whole(tmp_p
     """Ctrl-C, the end of a batch job, and a lost ssh connection, each while the arm swings."""
     with python(tmp_path, INTERRUPTED, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as run:
         # For the second photograph of a pose nothing moves; for the third the arm swings 70 degrees.
-        assert [run.stdout.readline() for _ in range(3)] == ["moving\n"] * 3, run.stderr.read()
-        time.sleep(0.1)
+        said = [run.stdout.readline() for _ in range(4)]
+        assert said == ["moving\n"] * 3 + ["under way\n"], run.stderr.read()
         run.send_signal(number)
         said = run.stdout.read()
-        run.wait(60)
+        patience.wait(run)
     after = [line.split() for line in said.splitlines() if line.startswith("after")]
     assert len(after) == 5, said
     assert len({(moving, place) for _, _, moving, place in after}) == 1 and after[0][2] == "False"

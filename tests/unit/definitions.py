@@ -35,7 +35,8 @@ def put(definition: dict, path: str, value) -> dict:
 def edit(root: Path, file: str, path: str, value) -> None:
     """Change one key of a file as `put` does."""
     target = root / "config" / file
-    target.write_text(yaml.safe_dump(put(read_yaml(target), path, value)), encoding="utf-8")
+    changed = put(read_yaml(target), path, value)
+    target.write_text(yaml.dump(changed, Dumper=yaml.CSafeDumper), encoding="utf-8")
 
 
 def leaf_paths(value, path=()):

@@ -2,11 +2,11 @@
 
 import json
 import shutil
-import subprocess
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import patience
 import pytest
 from lathe import LID_MM, lathe
 from made import made
@@ -77,6 +77,6 @@ def validated(path) -> dict:
     if not (TOOLS / "node_modules/gltf-validator").is_dir():
         pytest.skip("gltf-validator is not installed: npm ci --prefix tests/exports")
     command = ["node", str(TOOLS / "validate.mjs"), str(path)]
-    run = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    run = patience.run(command)
     assert run.returncode == 0, run.stderr
     return json.loads(run.stdout)

@@ -5,11 +5,11 @@ pictures, whose spread is their error, as XYZ of Y = 100 for white.
 """
 
 import json
-import subprocess
 import sys
 from functools import cache
 
 import numpy as np
+import patience
 import pytest
 from exported import painted, scene_of
 from lobe_scenes import MIXED
@@ -45,7 +45,7 @@ numpy.save(sys.argv[2], rendered(Path(sys.argv[1]), sys.argv[3], int(sys.argv[4]
 @cache
 def why_mitsuba_fails() -> str:
     """Return why a scene of Mitsuba's own plugins cannot be rendered here; empty where it can."""
-    run = subprocess.run([sys.executable, "-c", _STOCK], capture_output=True, text=True, errors="replace", timeout=300)
+    run = patience.run([sys.executable, "-c", _STOCK])
     said = run.stderr.strip().splitlines() or [f"status {run.returncode}"]
     return f"Mitsuba's llvm_ad_spectral does not run here: {said[-1]}" if run.returncode else ""
 
@@ -55,7 +55,7 @@ def theirs(folder, view: str, samples: int) -> np.ndarray:
         pytest.skip(reason)
     out = folder / "pictures.npy"
     arguments = [str(folder), str(out), view, str(PICTURES), str(samples)]
-    run = subprocess.run([sys.executable, "-c", _OURS, *arguments], capture_output=True, text=True, timeout=600)
+    run = patience.run([sys.executable, "-c", _OURS, *arguments])
     assert run.returncode == 0, run.stderr
     assert "WARN" not in run.stderr + run.stdout
     return np.load(out)

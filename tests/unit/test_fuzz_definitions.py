@@ -62,7 +62,7 @@ def test_any_value_in_any_place_of_any_file_loads_or_is_refused(root, data, file
         block[last] = odd
     else:
         del block[last]
-    with_content(root, file, yaml.safe_dump(content, allow_unicode=True).encode())
+    with_content(root, file, yaml.dump(content, Dumper=yaml.CSafeDumper, allow_unicode=True).encode())
 
 
 @pytest.mark.stability(stage="fuzzing", case="configuration")

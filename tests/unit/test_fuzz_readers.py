@@ -3,10 +3,10 @@
 import json
 import os
 import random
-import subprocess
 import sys
 from pathlib import Path
 
+import patience
 import pytest
 from reader_fuzzer import LONGEST_S, ROOT
 
@@ -14,8 +14,6 @@ from reader_fuzzer import LONGEST_S, ROOT
 _READERS = {"text": 15, "pictures": 6, "meshes": 4, "HDF5": 3}
 _ORDINARY, _HEAVY = 12, 400
 _MOST_MB = 1000.0
-#: For a process that reads thousands of files in a minute on a quiet machine.
-_DEADLINE_S = 1800.0
 
 
 def read_damaged(folder, group: str, count: int) -> None:
@@ -23,7 +21,7 @@ def read_damaged(folder, group: str, count: int) -> None:
     seed = 0 if os.environ.get("CI") else random.randrange(2**31)
     command = [sys.executable, Path(__file__).with_name("reader_fuzzer.py"), group, folder, count, seed]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(map(str, (ROOT, ROOT / "tests")))}
-    run = subprocess.run(map(str, command), capture_output=True, text=True, timeout=_DEADLINE_S, env=environment)
+    run = patience.run(list(map(str, command)), env=environment)
     assert run.returncode == 0, f"seed {seed}, {folder}: {run.stderr[-2000:]}"
     found = json.loads(run.stdout)
     assert len(found) == _READERS[group]

@@ -1,6 +1,8 @@
 """Decoding RAW files: bit-exact numbers in the sensor's own frame, levels, settings, refusals."""
 
+import errno
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from raw_studio import BLACK, DATA, WHITE, dng, random_mosaic
 
-from irodori.core.errors import InputError
+from irodori.core.errors import InputError, PlainError
 from irodori.ingest.mosaic import _stated, decode, demosaic
 
 
@@ -26,6 +28,21 @@ def test_dng_decodes_bit_exactly(tmp_path, height, width, black, white):
         colours = file.color_desc.decode()
         pattern = [[colours[c] for c in row] for row in file.raw_colors_visible[:2, :2]]
         assert pattern == [["R", "G"], ["G", "B"]]
+
+
+def test_a_disk_that_takes_no_dng_leaves_nobody_a_view_of_what_was_to_be_written(tmp_path, monkeypatch):
+    """A view that an error's frames hold on to crashes Python 3.12 once the buffer behind it is collected."""
+    views = []
+
+    def full(path, data):
+        views.append(data)
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(PlainError, match="No space left"):
+        dng(tmp_path / "a.dng", random_mosaic(np.random.default_rng(1), 64, 96))
+    with pytest.raises(ValueError, match="released"):
+        len(views[0])
 
 
 def test_a_last_row_and_column_that_no_superpixel_holds_are_left_out(tmp_path):

@@ -54,7 +54,7 @@ class Planner:
         """End the process."""
         self._server.stdin.close()
         self._server.stdout.close()
-        self._server.wait(60)
+        self._server.wait(patience.LONG_S)
 
 
 def main() -> None:

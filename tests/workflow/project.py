@@ -13,19 +13,21 @@ import patience
 import yaml
 from planner import Planner
 
+from irodori.core.yaml_files import read_own_yaml
+
 ROOT = Path(__file__).resolve().parents[2]
 
 
 def edit(path: Path, changes: dict) -> None:
     """Set dotted keys of a YAML file."""
-    document = yaml.safe_load(path.read_text())
+    document = read_own_yaml(path)
     for key, value in changes.items():
         *parents, last = key.split(".")
         block = document
         for parent in parents:
             block = block[parent]
         block[last] = value
-    path.write_text(yaml.safe_dump(document, sort_keys=False))
+    path.write_text(yaml.dump(document, Dumper=yaml.CSafeDumper, sort_keys=False))
 
 
 def snakemake(

@@ -78,6 +78,11 @@ class GrblMachine(Machine):
         Repeatability of the switches, standard deviation, units.
     firmware : str
         One of `FIRMWARES`; grblHAL and FluidNC answer in every alarm, and grblHAL keeps account of its homing.
+
+    Attributes
+    ----------
+    hysteresis : float
+        How far from where it closes a limit switch opens again, units.
     """
 
     state = "Idle"
@@ -99,6 +104,7 @@ class GrblMachine(Machine):
         # Without switches there are no ends either, and the operator has put the axes at zero before switching on.
         self._has_ends = bool(self.settings[22])
         self.stage = Stage(starts if self._has_ends else [0.0 for _ in starts])
+        self.hysteresis, self._pressed = 0.0, set[int]()
         self._pressed = self._switches()
         self.stages = (self.stage,)
         self.power_up()
@@ -519,7 +525,12 @@ class GrblMachine(Machine):
         if not self._has_ends:
             return set()
         ends = enumerate(zip(self.stage.position, self._length, strict=True))
-        return {axis for axis, (place, length) in ends if not -length - 1e-6 <= place < -1e-6}
+        back = dict.fromkeys(self._pressed, self.hysteresis)
+        return {
+            axis
+            for axis, (place, length) in ends
+            if not back.get(axis, 0.0) - length - 1e-6 <= place < -back.get(axis, 0.0) - 1e-6
+        }
 
     def _after_homing(self, axis: int) -> float:
         """Return the count of an axis once it has pulled off its switch, units."""

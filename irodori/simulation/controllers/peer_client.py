@@ -15,7 +15,8 @@ from pathlib import Path
 from irodori.capture.rig.deadline import Deadline
 from irodori.capture.rig.devices import DeviceError
 
-_START_S, _ANSWER_S, _END_S = 20.0, 5.0, 2.0
+# Long: on a host that others share a start takes many seconds. A process that has ended is noticed at once.
+_START_S, _ANSWER_S, _END_S = 300.0, 60.0, 2.0
 _ROOT = Path(__file__).resolve().parents[3]
 
 

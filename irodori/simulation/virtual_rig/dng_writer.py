@@ -68,5 +68,7 @@ def write_dng(
     # In memory first: numpy writes to files by itself, and does not say that it was a full disk that stopped it.
     content = io.BytesIO()
     tifffile.imwrite(content, mosaic, photometric=_CFA_PHOTOMETRIC, extratags=tags, metadata=None, subfiletype=0)
-    with written_whole(path) as temporary:
-        temporary.write_bytes(content.getbuffer())
+    # The view is released before an error of the disk leaves here: where the error's frames still hold one, collecting
+    # the buffer crashes Python 3.12, and 3.13 complains.
+    with written_whole(path) as temporary, content.getbuffer() as written:
+        temporary.write_bytes(written)

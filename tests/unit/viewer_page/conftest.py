@@ -3,6 +3,7 @@
 import json
 from dataclasses import dataclass, field
 
+import patience
 import pytest
 from definitions import ROOT, load
 from double_pages import header_of, write_double
@@ -24,11 +25,11 @@ class Visit:
         return self.page.evaluate("Irodori.page()")
 
     def wait_for(self, condition: str) -> None:
-        """Wait until an expression is true in the page: it has a minute."""
+        """Wait until an expression is true in the page: it has minutes, of which it needs none."""
         held = self.page.evaluate(
             f"async (end) => {{ while (!({condition}) && performance.now() < end)"
             " await new Promise((go) => setTimeout(go, 10)); return !!(" + condition + "); }",
-            self.page.evaluate("performance.now()") + 60_000,
+            self.page.evaluate("performance.now()") + patience.LONG_MS,
         )
         assert held, condition
 
@@ -117,7 +118,7 @@ def context_of(browser_of):
         key = json.dumps([script, drawn, options], sort_keys=True)
         if key not in contexts:
             contexts[key] = browser_of(drawn).new_context(offline=True, **options)
-            contexts[key].set_default_timeout(60_000)
+            contexts[key].set_default_timeout(patience.LONG_MS)
             if script:
                 contexts[key].add_init_script(script)
         return contexts[key]

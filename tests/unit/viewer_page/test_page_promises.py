@@ -340,9 +340,9 @@ def test_a_picture_given_to_a_step_is_shown_and_exported_with_the_lesson(visit, 
     page.on("download", lambda found: downloads.append(found))
     page.get_by_role("button", name="Export").click()
     one.says("red-tube-2.png")
-    for _ in range(100):
+    for _ in range(6000):
         if len(downloads) < 3:
-            page.wait_for_timeout(50)
+            page.wait_for_timeout(10)
     files = {found.suggested_filename: found.path().read_bytes() for found in downloads}
     steps = yaml.safe_load(files.pop("still-life-lesson.yaml"))["lesson"]["steps"]
     assert [step.get("picture") for step in steps[1:3]] == ["red-tube.png", "red-tube-2.png"]

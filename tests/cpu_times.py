@@ -1,0 +1,61 @@
+"""CPU time of tests, whoever else uses the processor: printed by file and by test where ``--durations=N`` is given.
+
+Time counts that a test's process computes and that of the processes that it has started, those that go on included:
+of fixtures, of the test and of cleaning up. What is computed between tests, by a thread or by a child that was started
+for others, falls to the next.
+"""
+
+import os
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+_NAME = "cpu_s"
+_TICK_S = 1.0 / os.sysconf("SC_CLK_TCK")
+
+
+def _tree_s(process: int | str = "self") -> float:
+    """Return the CPU time of a process, of its descendants and of those that have been waited for, s."""
+    try:
+        fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+        # Those of each thread: a child belongs to the thread that has started it.
+        listed = [path.read_text().split() for path in Path(f"/proc/{process}/task").glob("*/children")]
+    except OSError:  # it has ended meanwhile
+        return 0.0
+    return _TICK_S * sum(map(int, fields[11:15])) + sum(_tree_s(child) for found in listed for child in found)
+
+
+class CpuTimes:
+    """What tests have computed: noted where they run, summed and printed where their reports arrive."""
+
+    def __init__(self) -> None:
+        self._last_s = _tree_s()
+        self._of: dict[str, Counter[str]] = {"file": Counter(), "test": Counter()}
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_makereport(self):
+        report = yield
+        now_s = _tree_s()
+        # Less than before where a process has ended that nobody waited for.
+        report.user_properties.append((_NAME, max(now_s - self._last_s, 0.0)))
+        self._last_s = now_s
+        return report
+
+    def pytest_runtest_logreport(self, report) -> None:
+        seconds = sum(value for name, value in report.user_properties if name == _NAME)
+        self._of["file"][report.nodeid.partition("::")[0]] += seconds
+        self._of["test"][report.nodeid] += seconds
+
+    def pytest_terminal_summary(self, terminalreporter) -> None:
+        most = terminalreporter.config.getoption("durations")
+        if not most:
+            return
+        for kind, found in self._of.items():
+            terminalreporter.section(f"most CPU time of a {kind}, s; of all {found.total():.0f}")
+            for name, seconds in found.most_common(most):
+                terminalreporter.write_line(f"{seconds:8.1f} {name}")
+
+
+def pytest_configure(config):
+    config.pluginmanager.register(CpuTimes(), "cpu times of tests")
