@@ -33,7 +33,7 @@ from irodori.config.models import (
 
 @dataclass(frozen=True, kw_only=True)
 class PhotographedObject(Definition):
-    """What a photograph of an object depends on."""
+    """Parts of an object's definition that its photographs depend on."""
 
     shape: ObjectShape
     refractive_index: RefractiveIndex
@@ -45,7 +45,7 @@ class PhotographedObject(Definition):
 
 @dataclass(frozen=True, kw_only=True)
 class TexturedObject(Definition):
-    """What the observations of an object's texels depend on."""
+    """Parts of an object's definition that the observations of its texels depend on."""
 
     shape: ObjectShape
     texels: Size
@@ -53,7 +53,7 @@ class TexturedObject(Definition):
 
 @dataclass(frozen=True, kw_only=True)
 class Surface(Definition):
-    """What an object's maps need beside what was fitted."""
+    """Parts of an object's definition that its maps need beside the fitted parameters."""
 
     texels: Size
     refractive_index: RefractiveIndex
@@ -62,7 +62,7 @@ class Surface(Definition):
 
 @dataclass(frozen=True, kw_only=True)
 class PlannedObject(Definition):
-    """What poses are planned for."""
+    """Parts of an object's definition that the planning of poses depends on."""
 
     shape: ObjectShape
     refractive_index: RefractiveIndex
@@ -104,7 +104,7 @@ class Subject(Definition):
 
 @dataclass(frozen=True, kw_only=True)
 class CalibratedCamera(Definition):
-    """What a camera's calibration depends on."""
+    """Parts of a camera's definition that its calibration depends on."""
 
     chart: Chart
     further_charts: Mapping[str, Chart] = field(default_factory=dict, hash=False)
@@ -138,7 +138,7 @@ class SceneRadiance(Definition):
 
 @dataclass(frozen=True, kw_only=True)
 class Staging(Definition):
-    """What stands in a scene, and its display: all but its views and its environment."""
+    """Contents of a scene and its display: all of its definition but views and environment."""
 
     objects: tuple[PlacedObject, ...] = ()
     bodies: tuple[Body, ...] = ()

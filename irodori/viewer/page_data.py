@@ -79,7 +79,7 @@ class SceneSources:
 
 @dataclass(frozen=True)
 class PageData:
-    """What a page is written from.
+    """Data that a page is written from.
 
     Parameters
     ----------

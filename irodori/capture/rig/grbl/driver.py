@@ -282,7 +282,7 @@ class GrblRig(ControlledRig):
 
     @property
     def cannot_recount(self) -> str:
-        """Why the count cannot be held against limit switches, in words; empty where it can."""
+        """Reason why the count cannot be held against limit switches, in words; empty where it can."""
         return "" if self._homing else "this rig has no limit switches (motion.homing is false)"
 
     def recount(self) -> dict[str, float]:
