@@ -70,7 +70,7 @@ class _NoChartError(ValueError):
 
 @dataclass(frozen=True)
 class _Sought:
-    """What a chart is looked for in and by.
+    """Search for a chart: its photograph, and the colours and layout that are expected.
 
     ``rows`` and ``columns`` are those of the chart as it lies, its long side across; ``places``, (patches,) int, is the
     number of each patch among them in the order of the spectra.
@@ -87,7 +87,7 @@ class _Sought:
 
     @classmethod
     def of(cls, response, valid, spectra, file, layout: tuple[int, int]) -> "_Sought":
-        """Return what a chart of some layout is looked for in and by, see `find_chart`."""
+        """Return the search for a chart of some layout, see `find_chart`."""
         rows, columns = min(layout), max(layout)
         number = np.arange(rows * columns).reshape(rows, columns)
         # Letters of an SG run along its long side: spectra in their order go down the columns.
@@ -97,7 +97,7 @@ class _Sought:
 
     @property
     def advice(self) -> str:
-        """What is accepted in place of what was found."""
+        """Advice to the user on what is accepted in place of what was found."""
         return _ADVICE.format(self.rows, self.columns)
 
 

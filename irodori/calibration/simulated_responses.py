@@ -1,4 +1,4 @@
-"""Simulated responses of a camera of known sensitivities, with noise [eq. 1]."""
+"""Weights from reflectances to responses of a camera of known sensitivities, as a simulation takes them [eq. 1]."""
 
 import numpy as np
 
@@ -53,51 +53,9 @@ def band_weights(
     return np.divide(weights, scale, out=np.zeros_like(weights), where=scale > _DARK * brightest)
 
 
-def responses(
-    reflectance: np.ndarray,
-    sensitivities: np.ndarray,
-    light: np.ndarray,
-    transmittance: np.ndarray | None = None,
-    *,
-    noise: float = 0.0,
-    exposure: str = "per_band",
-    seed: int = 0,
-) -> np.ndarray:
-    """Return simulated responses of reflectances, divided by those of a perfect diffuser.
-
-    Parameters
-    ----------
-    reflectance : (..., 61) float
-    sensitivities, light, transmittance, exposure : as of `band_weights`
-    noise : float
-        Standard deviation of a response as a fraction of the sensor's full scale, the same for dark and bright ones:
-        read noise and quantisation are so, photon noise is smaller in the dark.
-    seed : int
-        Of the noise.
-
-    Returns
-    -------
-    (..., 3 or 6) float64, ρ; 1 = perfect diffuser; bands without the filter, then those with it
-
-    Raises
-    ------
-    ValueError
-        As `band_weights`, for noise below 0, and for a band that sees nothing.
-    """
-    if not (np.isfinite(noise) and noise >= 0.0):
-        raise ValueError(f"noise of {noise}; accepted: a fraction of full scale from 0")
-    weights = band_weights(sensitivities, light, transmittance, exposure)
-    white = weights.sum(axis=1)
-    if not (white > 0.0).all():
-        raise ValueError(f"band {int(np.argmin(white))} sees nothing of the light; accepted: a filter that passes some")
-    exact = _checked(reflectance, "reflectance", None) @ weights.T
-    drawn = exact + noise * np.random.default_rng(seed).standard_normal(exact.shape) if noise else exact
-    return drawn / white
-
-
-def _checked(values, name: str, dimensions: int | None) -> np.ndarray:
+def _checked(values, name: str, dimensions: int) -> np.ndarray:
     values = np.asarray(values, dtype=np.float64)
-    if values.shape[-1:] != (SAMPLES,) or (dimensions is not None and values.ndim != dimensions):
+    if values.shape[-1:] != (SAMPLES,) or values.ndim != dimensions:
         raise ValueError(f"{name} of shape {values.shape}; accepted: {SAMPLES} wavelengths on the last axis")
     if not np.isfinite(values).all() or (values < -0.01 * np.abs(values).max()).any():
         raise ValueError(f"{name} that are negative or not finite; accepted: finite values from 0")

@@ -91,7 +91,7 @@ class ToleranceCheck:
 
 @dataclass(frozen=True)
 class _Guideline:
-    """What the limits of one guideline have in common, and its levels from the strictest on."""
+    """Common part of the limits of one guideline, and its levels from the strictest on."""
 
     name: str
     levels: tuple[str, ...]

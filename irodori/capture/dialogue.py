@@ -51,7 +51,7 @@ class RetakeLast(Exception):
 
 
 class Action(StrEnum):
-    """What a person can do."""
+    """Actions of a person at the bench."""
 
     DONE = "done"
     RETAKE = "retake"
@@ -63,7 +63,7 @@ class Action(StrEnum):
 
 
 class State(StrEnum):
-    """What a session does, or waits for."""
+    """States of a session: its activity, or the answer that it waits for."""
 
     WORKING = "working"
     STEP = "step"
@@ -144,7 +144,7 @@ class Shown:
 
 @dataclass(frozen=True)
 class SessionView:
-    """What there is to be seen of a session at one moment.
+    """Snapshot of a session for the terminal and the page.
 
     Parameters
     ----------
@@ -214,7 +214,7 @@ class Dialogue:
 
     @property
     def view(self) -> SessionView:
-        """What there is to be seen now."""
+        """Snapshot of the session as it is now."""
         with self._changed:
             return self._view
 

@@ -173,12 +173,7 @@ class HandSettings:
 
     def __init__(self, operator: Operator) -> None:
         self.operator = operator
-        self._stands: dict[str, float | str] = {}
-
-    @property
-    def stands(self) -> dict[str, float | str]:
-        """Confirmed settings by name; what is not there is unknown."""
-        return dict(self._stands)
+        self._stands: dict[str, float | str] = {}  # confirmed; what is not there is unknown
 
     def set(self, wanted: Mapping[str, float | str]) -> Step:
         """Have the wanted settings stand, and return the step that was asked for, false where none was needed.

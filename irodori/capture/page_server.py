@@ -58,7 +58,7 @@ _HEADERS = {
 
 @dataclass(frozen=True)
 class Address:
-    """Where the page is served.
+    """Address at which the page is served.
 
     Parameters
     ----------

@@ -52,7 +52,7 @@ _AVERAGED = ("dark", "white", DRIFT)
 
 @dataclasses.dataclass(frozen=True)
 class Pose:
-    """Where light, camera and table stand, in degrees.
+    """Angles of light, camera and table, degrees.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ class Pose:
 
 @dataclasses.dataclass(frozen=True)
 class Taken:
-    """How a session took a photograph; empty where nobody noted it, as for a computed one.
+    """Circumstances under which a session took a photograph; empty where not noted, as for a computed one.
 
     Parameters
     ----------
@@ -129,7 +129,7 @@ class Shot:
 
     @property
     def subject(self) -> str:
-        """What stands before the lens: of SUBJECTS, with the chart's name where it has one (``chart-sg``)."""
+        """Subject before the lens: one of SUBJECTS, with the chart's name where it has one (``chart-sg``)."""
         if self.role == DRIFT:
             return "object"
         return f"{self.role}-{self.chart}" if self.chart else self.role

@@ -22,9 +22,29 @@ def field_name(key: str) -> str:
     return f"{key}_" if iskeyword(key) else key
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@dataclasses.dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class Definition:
-    """Base of the blocks of a definition; a key that may be absent and is holds None."""
+    """Base of the blocks of a definition; a key that may be absent and is holds None.
+
+    Comparison, hash and text stand here once: made for each of a hundred classes, they would cost every job of a run
+    half of the time that the import of `irodori.config.models` takes.
+    """
+
+    def _values(self) -> tuple:
+        return tuple(getattr(self, field.name) for field in dataclasses.fields(self))
+
+    def __eq__(self, other: object) -> bool:
+        """Return whether another is of the same class and has the same values."""
+        return self._values() == other._values() if type(other) is type(self) else NotImplemented
+
+    def __hash__(self) -> int:
+        """Return a hash of the values."""
+        return hash(self._values())
+
+    def __repr__(self) -> str:
+        """Return the class with its values by name."""
+        named = (f"{field.name}={getattr(self, field.name)!r}" for field in dataclasses.fields(self))
+        return f"{type(self).__qualname__}({', '.join(named)})"
 
     @classmethod
     def of(cls, given: Mapping[str, Any]) -> Self:
@@ -122,7 +142,9 @@ def _outside_class(title: str, schema: str) -> Any:
             others.append((field_name(key), Any, dataclasses.field(default=rules.get("const", rules.get("default")))))
         else:
             needed.append((field_name(key), Any))
-    return dataclasses.make_dataclass(title, [*needed, *others], bases=(Definition,), frozen=True, kw_only=True)
+    return dataclasses.make_dataclass(
+        title, [*needed, *others], bases=(Definition,), frozen=True, kw_only=True, repr=False, eq=False
+    )
 
 
 def _variant(value: Any, parts: tuple[Any, ...]) -> Any:

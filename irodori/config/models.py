@@ -10,7 +10,7 @@ from typing import Literal, TypeAlias
 from irodori.config.definition import Definition
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class Make(Definition):
     """What a run makes."""
 
@@ -21,7 +21,7 @@ class Make(Definition):
     cameras: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class Ingest(Definition):
     """From RAW files to linear bands."""
 
@@ -46,7 +46,7 @@ class Ingest(Definition):
     captures_per_job: int = 8
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class Placing(Definition):
     """How well it is known where an object, its camera and its light stand, before the photographs say more.
 
@@ -82,7 +82,7 @@ class Placing(Definition):
     max_residual_px: float = 1.0
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class Rectify(Definition):
     """From pictures to observations of each texel."""
 
@@ -93,7 +93,7 @@ class Rectify(Definition):
     max_angle_deg: float = 80.0
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class FitBounds(Definition):
     """Smallest and largest value of each parameter."""
 
@@ -111,7 +111,7 @@ class FitBounds(Definition):
     n: tuple[float, float] = (1.2, 2.5)
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class Fit(Definition):
     """From observations to diffuse weight, gloss weight and roughness of each texel."""
 
@@ -144,7 +144,7 @@ class Fit(Definition):
     bounds: FitBounds = FitBounds()
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class Compress(Definition):
     """Compression of the reflectance maps."""
 
@@ -168,7 +168,7 @@ class Compress(Definition):
     codec: Literal["gzip", "lzf"] = "gzip"
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class IrradianceMap(Definition):
     """The irradiance map, which is as fine as its light needs."""
 
@@ -180,7 +180,7 @@ class IrradianceMap(Definition):
     max_height: int = 512
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class EnvironmentMaps(Definition):
     """Compression of the environment and its prepared maps."""
 
@@ -211,7 +211,7 @@ class EnvironmentMaps(Definition):
     irradiance: IrradianceMap = IrradianceMap()
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class Render(Definition):
     """From scene to picture."""
 
@@ -230,7 +230,7 @@ class Render(Definition):
     storage: Literal["half", "single"] = "half"
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class Planning(Definition):
     """Fit error against the number of poses, simulated for every plate."""
 
@@ -241,7 +241,7 @@ class Planning(Definition):
     materials: int = 2000
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class ReportOptions(Definition):
     """What the reports compare."""
 
@@ -252,7 +252,7 @@ class ReportOptions(Definition):
     planning: Planning = Planning()
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class Publication(Definition):
     """What is said of the data where it is published, by `irodori crate`; it changes no result."""
 
@@ -268,7 +268,7 @@ class Publication(Definition):
     photographer_orcid: str | None = None
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class Config(Definition):
     """What to make, and the parameters that every object shares."""
 
@@ -311,7 +311,7 @@ class Config(Definition):
     publication: Publication = Publication()
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class PlateShape(Definition):
     """A flat rectangle on the table, its centre at the origin of the rig."""
 
@@ -325,7 +325,7 @@ class PlateShape(Definition):
     height_mm: float
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class SphereShape(Definition):
     """A sphere, its centre at the origin of the rig."""
 
@@ -336,7 +336,7 @@ class SphereShape(Definition):
     radius_mm: float
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class MeshShape(Definition):
     """Triangles with UV coordinates, standing with their lowest point on the table."""
 
@@ -363,7 +363,7 @@ class MeshShape(Definition):
 ObjectShape: TypeAlias = PlateShape | SphereShape | MeshShape
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class Size(Definition):
     """Size of the object's maps, in texels; on a sphere longitude by latitude, on a mesh its UV atlas."""
 
@@ -374,7 +374,7 @@ class Size(Definition):
     height: int
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class ConstantIndex(Definition):
     """Complex refractive index n + ik of the surface."""
 
@@ -385,7 +385,7 @@ class ConstantIndex(Definition):
     k: float
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class IndexTable(Definition):
     """Complex refractive index n + ik of the surface."""
 
@@ -396,7 +396,7 @@ class IndexTable(Definition):
 RefractiveIndex: TypeAlias = ConstantIndex | IndexTable
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class PoseGroup(Definition):
     """One group of poses."""
 
@@ -416,7 +416,7 @@ class PoseGroup(Definition):
     light_azimuth_deg: tuple[float, ...] = (0.0,)
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class PosePlan(Definition):
     """What poses are planned for; the photographs themselves do not depend on it."""
 
@@ -436,7 +436,7 @@ class PosePlan(Definition):
     max_manual: int = 3
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class Exposures(Definition):
     """Exposure times for each state of the comb filter, in seconds. Several times make a bracket."""
 
@@ -447,7 +447,7 @@ class Exposures(Definition):
     in_: tuple[float, ...] | None = None
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class Captures(Definition):
     """The photographs of a real rig; needed where the rig is of kind files or driven."""
 
@@ -461,7 +461,7 @@ class Captures(Definition):
     published: str | None = None
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class UniformPattern(Definition):
     """The first material everywhere."""
 
@@ -469,7 +469,7 @@ class UniformPattern(Definition):
     kind: Literal["uniform"] = "uniform"
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class ChecksPattern(Definition):
     """Rectangles of equal size that take the materials in turn."""
 
@@ -486,7 +486,7 @@ class ChecksPattern(Definition):
 MaterialPattern: TypeAlias = UniformPattern | ChecksPattern
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class FurtherGloss(Definition):
     """One gloss component."""
 
@@ -500,7 +500,7 @@ class FurtherGloss(Definition):
     mu_rad: float
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class ModelledMaterial(Definition):
     """Diffuse reflection and gloss of a registered lobe."""
 
@@ -523,7 +523,7 @@ class ModelledMaterial(Definition):
     further_gloss: tuple[FurtherGloss, ...] = ()
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class MeasuredMaterial(Definition):
     """A table of measured reflection, diffuse and gloss together."""
 
@@ -537,7 +537,7 @@ class MeasuredMaterial(Definition):
 TrueMaterial: TypeAlias = ModelledMaterial | MeasuredMaterial
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class VirtualObject(Definition):
     """What the virtual rig shows to its camera; needed where the rig is of kind virtual."""
 
@@ -548,7 +548,7 @@ class VirtualObject(Definition):
     materials: tuple[TrueMaterial, ...]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class Object(Definition):
     """One object, what it is and how it is photographed."""
 
@@ -591,7 +591,7 @@ class Object(Definition):
     virtual: VirtualObject | None = None
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class InteractiveIntegrator(Definition):
     """Look-ups in irradiance and blurred light, mirror reflections, hard shadows; nothing is sampled."""
 
@@ -606,7 +606,7 @@ class InteractiveIntegrator(Definition):
     light_maps: bool = False
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class ReferenceIntegrator(Definition):
     """Paths that carry all bands and converge to the rendering equation; max_bounces is not read."""
 
@@ -629,7 +629,7 @@ class ReferenceIntegrator(Definition):
 Integrator: TypeAlias = InteractiveIntegrator | ReferenceIntegrator
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class PlanOverrides(Definition):
     """Decisions taken out of the plan's hands; needs tolerance_ciede2000."""
 
@@ -664,7 +664,7 @@ class PlanOverrides(Definition):
     samples: int | None = None
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class DiscShape(Definition):
     """A flat disc that faces +z before it is turned, and is black behind."""
 
@@ -675,7 +675,7 @@ class DiscShape(Definition):
     radius_mm: float
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class PlaneShape(Definition):
     """An endless plane, a floor unless it is turned; it faces +z before, and is black behind."""
 
@@ -686,7 +686,7 @@ class PlaneShape(Definition):
 BodyShape: TypeAlias = DiscShape | PlaneShape | PlateShape | SphereShape
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class BodyMaterial(Definition):
     """Parameters of equation (5), the same all over the body."""
 
@@ -706,7 +706,7 @@ class BodyMaterial(Definition):
     refractive_index: RefractiveIndex = ConstantIndex(n=1.5, k=0.0)
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class Body(Definition):
     """One body in its place."""
 
@@ -726,7 +726,7 @@ class Body(Definition):
     material: BodyMaterial
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class CollimatedLight(Definition):
     """Parallel light from far away, with hard shadows."""
 
@@ -746,7 +746,7 @@ class CollimatedLight(Definition):
     irradiance: float
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class RectangleLight(Definition):
     """A rectangle that shines along +z before it is turned, and is black behind."""
 
@@ -772,7 +772,7 @@ class RectangleLight(Definition):
     radiance: float
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class SphereLight(Definition):
     """A sphere that shines all around."""
 
@@ -795,7 +795,7 @@ class SphereLight(Definition):
 SceneLight: TypeAlias = CollimatedLight | RectangleLight | SphereLight
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class StandardDisplay(Definition):
     """A display that follows a standard."""
 
@@ -806,7 +806,7 @@ class StandardDisplay(Definition):
     name: Literal["sRGB", "Display P3", "Adobe RGB (1998)"]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class SrgbTone(Definition):
     """The curve of sRGB, IEC 61966-2-1."""
 
@@ -814,7 +814,7 @@ class SrgbTone(Definition):
     kind: Literal["srgb"] = "srgb"
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class GammaTone(Definition):
     """A power."""
 
@@ -828,7 +828,7 @@ class GammaTone(Definition):
 ToneCurve: TypeAlias = SrgbTone | GammaTone
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class PrimariesDisplay(Definition):
     """A display of stated primaries, white and tone curve."""
 
@@ -851,7 +851,7 @@ class PrimariesDisplay(Definition):
     tone: ToneCurve = SrgbTone()
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class MeasuredDisplay(Definition):
     """A display of which patches were measured."""
 
@@ -862,7 +862,7 @@ class MeasuredDisplay(Definition):
     file: str
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class ProfileDisplay(Definition):
     """A display that an ICC profile describes."""
 
@@ -876,7 +876,7 @@ class ProfileDisplay(Definition):
 DisplayDevice: TypeAlias = StandardDisplay | PrimariesDisplay | MeasuredDisplay | ProfileDisplay
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class DisplayOptions(Definition):
     """How radiance becomes the displayed picture."""
 
@@ -887,7 +887,7 @@ class DisplayOptions(Definition):
     device: DisplayDevice = StandardDisplay(name="sRGB")
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class Turntable(Definition):
     """One whole turn about a vertical axis, in equal steps."""
 
@@ -907,7 +907,7 @@ class Turntable(Definition):
     frames_per_second: float = 10.0
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class LightSweep(Definition):
     """Light that turns about the vertical axis through the scene's origin."""
 
@@ -930,7 +930,7 @@ class LightSweep(Definition):
     frames_per_second: float = 10.0
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class IlluminantChange(Definition):
     """All light is multiplied by a spectrum over another, both of one luminance."""
 
@@ -956,7 +956,7 @@ class IlluminantChange(Definition):
 Frames: TypeAlias = Turntable | LightSweep | IlluminantChange
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class LessonCamera(Definition):
     """Where the eye stands instead of a view."""
 
@@ -982,7 +982,7 @@ class LessonCamera(Definition):
     height_mm: float = 0.0
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class NamedIlluminant(Definition):
     """A published illuminant."""
 
@@ -990,7 +990,7 @@ class NamedIlluminant(Definition):
     name: str
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class TemperatureIlluminant(Definition):
     """Daylight or a black body of a colour temperature."""
 
@@ -998,7 +998,7 @@ class TemperatureIlluminant(Definition):
     cct_K: float
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class DrawnIlluminant(Definition):
     """A spectrum in numbers."""
 
@@ -1012,7 +1012,7 @@ class DrawnIlluminant(Definition):
 LessonIlluminant: TypeAlias = NamedIlluminant | TemperatureIlluminant | DrawnIlluminant
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class LessonLamp(Definition):
     """One round lamp."""
 
@@ -1029,7 +1029,7 @@ class LessonLamp(Definition):
     illuminant: LessonIlluminant | None = None
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class LessonLight(Definition):
     """The light of the step."""
 
@@ -1046,7 +1046,7 @@ class LessonLight(Definition):
     lamps: tuple[LessonLamp, ...] = ()
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class LessonPose(Definition):
     """One object in its place."""
 
@@ -1063,7 +1063,7 @@ class LessonPose(Definition):
     visible: bool = True
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class LessonComparison(Definition):
     """What the picture is compared with; nothing where absent."""
 
@@ -1078,7 +1078,7 @@ class LessonComparison(Definition):
     light: LessonLight = LessonLight()
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class LessonNote(Definition):
     """One note."""
 
@@ -1089,7 +1089,7 @@ class LessonNote(Definition):
     text: Mapping[str, str] = field(hash=False)
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class LessonStep(Definition):
     """One step."""
 
@@ -1133,7 +1133,7 @@ class LessonStep(Definition):
     notes: tuple[LessonNote, ...] = ()
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class Lesson(Definition):
     """Guided steps that the classroom page shows beside the scene; none where this is left out."""
 
@@ -1144,7 +1144,7 @@ class Lesson(Definition):
     steps: tuple[LessonStep, ...]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class Lens(Definition):
     """A thin lens in the eye's place, for the integrator reference; without it all is in focus."""
 
@@ -1155,7 +1155,7 @@ class Lens(Definition):
     focus_mm: float
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class PerspectiveView(Definition):
     """Everything is seen from one point, or through a lens about it."""
 
@@ -1178,7 +1178,7 @@ class PerspectiveView(Definition):
     lens: Lens | None = None
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class OrthographicView(Definition):
     """Parallel rays: sizes do not change with the distance."""
 
@@ -1201,7 +1201,7 @@ class OrthographicView(Definition):
 View: TypeAlias = PerspectiveView | OrthographicView
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class ScenePhotograph(Definition):
     """One photograph, taken with the lens and the focal length of the camera's file."""
 
@@ -1236,7 +1236,7 @@ class ScenePhotograph(Definition):
     scale: Literal["auto"] | float = 1.0
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class PlacedObject(Definition):
     """One object in its place."""
 
@@ -1253,7 +1253,7 @@ class PlacedObject(Definition):
     rotation_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class Scene(Definition):
     """One scene, objects in an environment seen from one side or several. World frame right-handed, z up, mm."""
 
@@ -1311,7 +1311,7 @@ class Scene(Definition):
     objects: tuple[PlacedObject, ...]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class Distortion(Definition):
     """Distortion of the lens in the coefficients of OpenCV, over coordinates at unit distance.
 
@@ -1343,7 +1343,7 @@ class Distortion(Definition):
     k6: float = 0.0
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class Optics(Definition):
     """Geometry of the picture; needed where the camera photographs objects."""
 
@@ -1367,7 +1367,7 @@ class Optics(Definition):
     distortion: Distortion | None = None
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class WhiteReference(Definition):
     """The white reference photographed in place of the object.
 
@@ -1378,7 +1378,7 @@ class WhiteReference(Definition):
     reflectance_factor: float | str
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class ChartCorners(Definition):
     """Centres of the four corner patches, x then y, in superpixels of 2 x 2 mosaic pixels.
 
@@ -1398,7 +1398,7 @@ class ChartCorners(Definition):
     last: tuple[float, float]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class Chart(Definition):
     """The colour chart that calibrates the camera; where there are several, the first."""
 
@@ -1426,7 +1426,7 @@ class Chart(Definition):
     patch_px: int | None = None
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class CalibrationOptions(Definition):
     """How spectra are recovered from responses."""
 
@@ -1457,7 +1457,7 @@ class CalibrationOptions(Definition):
     max_leave_one_out_error: float = 10.0
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class RigPose(Definition):
     """Pose for the colour chart."""
 
@@ -1477,7 +1477,7 @@ class RigPose(Definition):
     light_azimuth_deg: float = 0.0
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class CameraPoses(Definition):
     """Where the rig stands for the camera's own photographs; the light falls on the sample at 0 to below 80 degrees."""
 
@@ -1488,7 +1488,7 @@ class CameraPoses(Definition):
     white: RigPose | None = None
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class CameraDriver(Definition):
     """How the real camera is driven at the bench; none where absent."""
 
@@ -1520,7 +1520,7 @@ class CameraDriver(Definition):
     retries: int = 5
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class Passband(Definition):
     """One passband."""
 
@@ -1534,7 +1534,7 @@ class Passband(Definition):
     peak: float
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class CombFilter(Definition):
     """The comb filter that splits red, green and blue into six bands."""
 
@@ -1545,7 +1545,7 @@ class CombFilter(Definition):
     floor: float = 0.0
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class SensorOptions(Definition):
     """The sensor and its noise."""
 
@@ -1571,7 +1571,7 @@ class SensorOptions(Definition):
     base_exposure_s: float
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class VirtualCameraOptions(Definition):
     """The camera inside the virtual rig; needed where the rig is of kind virtual."""
 
@@ -1594,7 +1594,7 @@ class VirtualCameraOptions(Definition):
     chart_width_mm: float
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class Camera(Definition):
     """One camera, how it is built and how it is calibrated."""
 
@@ -1648,7 +1648,7 @@ class Camera(Definition):
     virtual: VirtualCameraOptions | None = None
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class CapturesSource(Definition):
     """Photographs of every direction, longitude by latitude; clockwise, the zenith on top."""
 
@@ -1659,7 +1659,7 @@ class CapturesSource(Definition):
     centre_azimuth_deg: float = 0.0
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class MirrorBallSource(Definition):
     """Photographs of a mirror ball by a camera far away."""
 
@@ -1688,7 +1688,7 @@ class MirrorBallSource(Definition):
     reflectance_factor: float | str | None = None
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class RgbSource(Definition):
     """A panorama of high dynamic range, EXR or Radiance HDR, in linear sRGB."""
 
@@ -1705,7 +1705,7 @@ class RgbSource(Definition):
     centre_azimuth_deg: float = 0.0
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class SpectralSource(Definition):
     """A spectral EXR panorama in the published layout, of any wavelengths."""
 
@@ -1722,7 +1722,7 @@ class SpectralSource(Definition):
     centre_azimuth_deg: float = 0.0
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class PlacedLight(Definition):
     """One light, a disc; either radiance or irradiance is given."""
 
@@ -1745,7 +1745,7 @@ class PlacedLight(Definition):
     irradiance: float | None = None
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class LightsSource(Definition):
     """Lights of known spectrum placed in directions; all else is dark."""
 
@@ -1759,7 +1759,7 @@ class LightsSource(Definition):
 EnvironmentSource: TypeAlias = CapturesSource | MirrorBallSource | RgbSource | SpectralSource | LightsSource
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class RoomSize(Definition):
     """Inside of the room, in m."""
 
@@ -1773,7 +1773,7 @@ class RoomSize(Definition):
     height: float
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class RoomSurface(Definition):
     """One surface, lit by ambient_light."""
 
@@ -1784,7 +1784,7 @@ class RoomSurface(Definition):
     irradiance: float
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class RoomSurfaces(Definition):
     """What the room is covered with. Radiances are relative to a perfect diffuser under the rig's light."""
 
@@ -1801,7 +1801,7 @@ class RoomSurfaces(Definition):
     board: RoomSurface
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class RoomWindow(Definition):
     """The wall of windows."""
 
@@ -1815,7 +1815,7 @@ class RoomWindow(Definition):
     columns: int
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class PlacedChart(Definition):
     """One chart's place."""
 
@@ -1826,7 +1826,7 @@ class PlacedChart(Definition):
     facing: tuple[float, float, float] = (0.0, 0.0, 1.0)
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class RoomLamps(Definition):
     """The panels in the ceiling."""
 
@@ -1849,7 +1849,7 @@ class RoomLamps(Definition):
     depth_m: float
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class VirtualRoom(Definition):
     """The room that the virtual rig photographs; needed where the camera's rig is of kind virtual."""
 
@@ -1875,7 +1875,7 @@ class VirtualRoom(Definition):
     lamps: RoomLamps
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class EnvironmentDefinition(Definition):
     """One environment, the light that comes from every direction of a place."""
 
@@ -1912,7 +1912,7 @@ class EnvironmentDefinition(Definition):
     virtual: VirtualRoom | None = None
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class AxisLimit(Definition):
     """Light angle from +z toward +x, in degrees."""
 
@@ -1926,7 +1926,7 @@ class AxisLimit(Definition):
     step: float
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class RigLimits(Definition):
     """What each axis can reach, in degrees."""
 
@@ -1947,7 +1947,7 @@ class RigLimits(Definition):
     light_azimuth_deg: AxisLimit | None = None
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class RigLight(Definition):
     """The lamp."""
 
@@ -1959,7 +1959,7 @@ class RigLight(Definition):
     distance_mm: float | None = None
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class Motor(Definition):
     """One motorised axis; its reach and step are those of limits."""
 
@@ -1979,7 +1979,7 @@ class Motor(Definition):
     acceleration_deg_per_s2: float
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class Axes(Definition):
     """The motorised axes by the name of their angle."""
 
@@ -1996,7 +1996,7 @@ class Axes(Definition):
     tilt_deg: Motor | None = None
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class SimulatorOptions(Definition):
     """The simulated controller of the port simulator."""
 
@@ -2010,7 +2010,7 @@ class SimulatorOptions(Definition):
     homing_rms_units: float = 0.0
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class AsciiReplies(Definition):
     """Regular expressions (Python) of whole lines."""
 
@@ -2027,7 +2027,7 @@ class AsciiReplies(Definition):
     refused: str | None = None
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class AsciiProtocol(Definition):
     """The controller's own commands and replies; needed for the protocol ascii, refused for grbl."""
 
@@ -2071,7 +2071,7 @@ class AsciiProtocol(Definition):
     simulated_replies: AsciiReplies
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class Motion(Definition):
     """The controller that moves the motorised axes; axes that it does not name are set by hand."""
 
@@ -2106,7 +2106,7 @@ class Motion(Definition):
     ascii: AsciiProtocol | None = None
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class LightDrift(Definition):
     """The lamp's power changes from photograph to photograph."""
 
@@ -2120,7 +2120,7 @@ class LightDrift(Definition):
     correlation_shots: float = 60.0
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class Vignetting(Definition):
     """The picture darkens toward its corners."""
 
@@ -2131,7 +2131,7 @@ class Vignetting(Definition):
     corner_loss: float = 0.08
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class StrayLight(Definition):
     """A part of the light spreads over the whole picture."""
 
@@ -2142,7 +2142,7 @@ class StrayLight(Definition):
     fraction: float = 0.002
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class PoseError(Definition):
     """Light and camera do not stand exactly where they are told to."""
 
@@ -2153,7 +2153,7 @@ class PoseError(Definition):
     rms_deg: float = 0.05
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class LaidOff(Definition):
     """The object does not lie on the table where it is told to, nor turned as it is told to be."""
 
@@ -2167,7 +2167,7 @@ class LaidOff(Definition):
     rotation_deg: tuple[float, float, float] = (0.2, -0.3, 0.4)
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class FilterPlate(Definition):
     """The plate of the comb filter moves the picture.
 
@@ -2190,7 +2190,7 @@ class FilterPlate(Definition):
     rotation_deg: float = 0.03
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class HotPixels(Definition):
     """Some pixels of the sensor have a large dark current."""
 
@@ -2204,7 +2204,7 @@ class HotPixels(Definition):
     mean_rate_e_per_s: float = 50000.0
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class Imperfections(Definition):
     """Faults of the rig, each with its switch."""
 
@@ -2231,7 +2231,7 @@ class Imperfections(Definition):
     hot_pixels: HotPixels = HotPixels()
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class VirtualRig(Definition):
     """The virtual rig and its faults; needed for the kind virtual, refused for the others."""
 
@@ -2245,7 +2245,7 @@ class VirtualRig(Definition):
     imperfections: Imperfections = Imperfections()
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class Rig(Definition):
     """One rig, where light, camera and table can stand. Plane of incidence x-z, angles from +z."""
 

@@ -31,9 +31,9 @@ from irodori.config.models import (
 )
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class PhotographedObject(Definition):
-    """What a photograph of an object depends on."""
+    """Parts of an object's definition that its photographs depend on."""
 
     shape: ObjectShape
     refractive_index: RefractiveIndex
@@ -43,26 +43,26 @@ class PhotographedObject(Definition):
     virtual: VirtualObject | None = None
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class TexturedObject(Definition):
-    """What the observations of an object's texels depend on."""
+    """Parts of an object's definition that the observations of its texels depend on."""
 
     shape: ObjectShape
     texels: Size
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class Surface(Definition):
-    """What an object's maps need beside what was fitted."""
+    """Parts of an object's definition that its maps need beside the fitted parameters."""
 
     texels: Size
     refractive_index: RefractiveIndex
     mirror_weight: float
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class PlannedObject(Definition):
-    """What poses are planned for."""
+    """Parts of an object's definition that the planning of poses depends on."""
 
     shape: ObjectShape
     refractive_index: RefractiveIndex
@@ -70,7 +70,7 @@ class PlannedObject(Definition):
     lobes: tuple[str, ...] = Object.lobes
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class PlannedPlate(Definition):
     """A plate, its rig and its camera's sensor (None of a real one), for the simulation of poses.
 
@@ -84,7 +84,7 @@ class PlannedPlate(Definition):
     shots_per_pose: int = 1
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class ImperfectObject(Definition):
     """A virtual object with its camera and its rig, on which the rig's faults are measured."""
 
@@ -94,7 +94,7 @@ class ImperfectObject(Definition):
     rig: Rig
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class Subject(Definition):
     """An object of a scene: its shape, and the side of a sample of its photographs on it, mm."""
 
@@ -102,16 +102,16 @@ class Subject(Definition):
     sample_mm: float
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class CalibratedCamera(Definition):
-    """What a camera's calibration depends on."""
+    """Parts of a camera's definition that its calibration depends on."""
 
     chart: Chart
     further_charts: Mapping[str, Chart] = field(default_factory=dict, hash=False)
     calibration: CalibrationOptions = field(default_factory=CalibrationOptions)
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class RigGeometry(Definition):
     """Distances of a rig, mm: to the camera's entrance pupil, of the lamp (None if far), half the table's side."""
 
@@ -129,16 +129,16 @@ class RigGeometry(Definition):
         )
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class SceneRadiance(Definition):
     """The file of what a virtual camera sees of a scene."""
 
     radiance: str
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class Staging(Definition):
-    """What stands in a scene, and its display: all but its views and its environment."""
+    """Contents of a scene and its display: all of its definition but views and environment."""
 
     objects: tuple[PlacedObject, ...] = ()
     bodies: tuple[Body, ...] = ()

@@ -153,7 +153,11 @@ def _quoted(value) -> str:
 
 
 def _class_text(name: str, what: _Class) -> str:
-    lines = ["@dataclass(frozen=True, kw_only=True)", f"class {name}(Definition):", *_doc(what.about)]
+    lines = [
+        "@dataclass(frozen=True, kw_only=True, repr=False, eq=False)",
+        f"class {name}(Definition):",
+        *_doc(what.about),
+    ]
     for key, (kind, default, about) in what.fields.items():
         lines += ["", *_wrapped(about, "    #: "), *_field_lines(key, kind, default)]
     return "\n".join(lines) + "\n"

@@ -24,7 +24,7 @@ class ImportStatement(NamedTuple):
 
 
 class Source(NamedTuple):
-    """What a file imports wherever it runs, and the hash of its syntax tree without docstrings and comments."""
+    """Imports of a source file, and the hash of its syntax tree without docstrings and comments."""
 
     imports: tuple[ImportStatement, ...]
     code: str

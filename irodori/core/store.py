@@ -72,7 +72,7 @@ Units = str | type[IntEnum]
 
 
 class Mask(IntEnum):
-    """What a mask holds; its quantity says what is asked."""
+    """Values of a mask; the quantity of a dataset says which question they answer."""
 
     NO = 0
     YES = 1
@@ -289,7 +289,7 @@ def _whole(path, name: str = "") -> Iterator[None]:
 
 
 class Layout(NamedTuple):
-    """What a file says of a dataset, without its numbers: shape, type and attributes for people."""
+    """Description of a dataset in a file without its numbers: shape, type and attributes for people."""
 
     shape: tuple[int, ...]
     dtype: np.dtype

@@ -34,7 +34,7 @@ class Item(NamedTuple):
 
 
 class Source(NamedTuple):
-    """What is to be exported."""
+    """Definition and results of what is to be exported."""
 
     name: str
     kind: str  # one of the values of `_FOLDERS`

@@ -31,7 +31,7 @@ _HIGHEST = np.radians(89.0)
 
 
 class Texel(NamedTuple):
-    """What reflects at some places of a material; the first axis counts them."""
+    """Reflection parameters at some places of a material; the first axis counts the places."""
 
     diffuse: np.ndarray  # (c, n) reflectance factor in any linear bands or colours
     gloss: list[tuple[str, np.ndarray, np.ndarray]]  # lobe, β (c,) and μ (c,) of each component

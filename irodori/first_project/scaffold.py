@@ -31,7 +31,7 @@ _TEXELS = {"plate": (128, 128), "sphere": (256, 128), "mesh": (256, 256)}
 
 @dataclass
 class Answers:
-    """What a person said; None is a gap.
+    """Answers of the user; None is a gap.
 
     Parameters
     ----------

@@ -34,7 +34,7 @@ UNKNOWNS = 4  # α, β, log μ, n
 
 
 class ErrorSums(NamedTuple):
-    """What is summed over the observations of every texel.
+    """Sums over the observations of every texel.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ class ErrorSums(NamedTuple):
 
 
 class Moved(NamedTuple):
-    """What changes with n and with the angles of the observations of a texel, (P,) float64 each.
+    """Factors that change with n and with the angles of the observations of a texel, (P,) float64 each.
 
     Parameters
     ----------

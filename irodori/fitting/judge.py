@@ -64,7 +64,7 @@ LEAST_LEFT = 0.02  # of an observation's error that its residual is taken to sho
 
 
 class Verdict(NamedTuple):
-    """What is said about a texel; see the columns."""
+    """Assessment of a texel; see the columns."""
 
     status: int
     model: int

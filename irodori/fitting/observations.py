@@ -44,7 +44,7 @@ ENOUGH = 4  # geometries that determine three unknowns and can object to them
 
 
 class Rules(NamedTuple):
-    """What is allowed, and what is known about the scatter of an observation; numbers only.
+    """Bounds of the parameters and known scatter of the observations; numbers only.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ class Screened(NamedTuple):
 
 
 class Evidence(NamedTuple):
-    """What the weighted observations of one texel, or of each of eight, amount to without a lobe.
+    """Weighted sums over the observations of one texel, or of each of eight, without a lobe.
 
     Parameters
     ----------

@@ -51,7 +51,7 @@ class Paints:
 
 @dataclass(frozen=True)
 class GlossModel:
-    """What the gloss of an object's observations is told with: the options of its fit and its refractive index."""
+    """Model by which an object's gloss is fitted: the options of its fit and its refractive index."""
 
     options: FitOptions
     fresnel: BandGloss
@@ -202,7 +202,7 @@ def _with_gloss(
 
 @dataclass(frozen=True)
 class Painted:
-    """What a tile's texels have of their paints.
+    """Parameters that a tile's texels take over from their paints.
 
     Parameters
     ----------

@@ -22,7 +22,7 @@ _eight_times_nodes = lanes_times_tables(GROUP)
 
 
 class Shared(NamedTuple):
-    """What one geometry gives for all texels; empty where texels have geometries of their own.
+    """Tables of one geometry that all texels share; empty where texels have geometries of their own.
 
     Parameters
     ----------

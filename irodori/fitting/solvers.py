@@ -31,7 +31,7 @@ _CHOICES = {"weights": ("noise", "equal"), "refractive_index": ("fixed", "fitted
 
 @dataclass(frozen=True)
 class FitOptions:
-    """How to fit.
+    """Options of the fit.
 
     Parameters
     ----------

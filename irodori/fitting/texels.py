@@ -36,7 +36,7 @@ _LEAST_READINGS = 12  # of which one can be left out, and the others tell that t
 
 
 class Problem(NamedTuple):
-    """What a fit is given.
+    """Input of a fit.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ class Problem(NamedTuple):
 
 
 class Output(NamedTuple):
-    """What the loop fills: see the columns of `irodori.fitting.judge`."""
+    """Arrays that the loop fills: see the columns of `irodori.fitting.judge`."""
 
     table: np.ndarray  # (texels, COLUMNS)
     status: np.ndarray  # (texels,) int8
@@ -78,7 +78,7 @@ class Output(NamedTuple):
 
 
 class Task(NamedTuple):
-    """What is fitted and how, for the loops that fit one texel."""
+    """Data and settings of the loops that fit one texel."""
 
     problem: Problem
     rules: Rules

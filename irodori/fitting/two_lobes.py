@@ -62,7 +62,7 @@ _CONTRADICTED = int(Status.CONTRADICTED)
 
 
 class TwoTask(NamedTuple):
-    """What a fit of two components is given.
+    """Input of a fit of two components.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ class TwoRoom(NamedTuple):
 
 
 class TwoOutput(NamedTuple):
-    """What is found beside the fits of one component.
+    """Results of a fit of two components, beside those of one.
 
     Parameters
     ----------

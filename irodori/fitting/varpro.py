@@ -50,7 +50,7 @@ SUMS = 10
 
 
 class Bracket(NamedTuple):
-    """Where Newton's method searches log μ of one texel, or of each of eight.
+    """Interval in which Newton's method searches log μ of one texel, or of each of eight.
 
     Parameters
     ----------

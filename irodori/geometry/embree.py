@@ -106,7 +106,7 @@ class _Rays(NamedTuple):
 
 
 class _Hits(NamedTuple):
-    """What rays met."""
+    """Hits of rays."""
 
     distance: np.ndarray  # (n,) mm
     shape: np.ndarray  # (n,) int32, identifier of the shape
@@ -182,7 +182,7 @@ def _occluded(function, scene, segments, out, first, last):
 
 
 class Primitive(NamedTuple):
-    """What Embree traces: a type of geometry and its buffers, each with its type, format, items and their dtype."""
+    """Geometry as Embree takes it: its type and its buffers, each with type, format, items and their dtype."""
 
     kind: int
     buffers: tuple[tuple[int, int, np.ndarray, str], ...]

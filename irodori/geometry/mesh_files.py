@@ -130,7 +130,7 @@ def _is_gltf(path) -> bool:
 
 
 class _OwnBuffers:
-    """What trimesh may open beside a mesh's file: the buffers that were checked; no picture and no material library."""
+    """Resolver of files that a mesh's file names: the checked buffers alone, no picture and no material library."""
 
     def __init__(self, files: list[str]) -> None:
         self._folder, self._files = Path(files[0]).parent, files

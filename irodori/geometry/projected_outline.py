@@ -23,7 +23,7 @@ _SAMPLES = 900
 
 @dataclass(frozen=True)
 class Outline:
-    """Where an object lies in a photograph if everything stands as typed.
+    """Outline of an object in a photograph if everything stands as the definitions say.
 
     Parameters
     ----------

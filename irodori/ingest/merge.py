@@ -75,7 +75,7 @@ class _Flat(NamedTuple):
 
 
 class _Merged(NamedTuple):
-    """What a merge fills."""
+    """Arrays that a merge fills."""
 
     out: np.ndarray  # (height, width, 3) float32 responses, 0 where clipped
     clipped: np.ndarray  # (height, width) bool
@@ -92,7 +92,7 @@ class _Rows(NamedTuple):
 
 
 class _Weighing(NamedTuple):
-    """What the blocks of a row decide about their samples, (blocks, K)."""
+    """Decisions of the blocks of a row about their samples, (blocks, K)."""
 
     weights: np.ndarray
     predicted: np.ndarray  # levels, DN above black and dark; NaN where nothing predicts

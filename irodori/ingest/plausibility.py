@@ -47,7 +47,7 @@ _FEW = 1e-3
 
 @dataclass(frozen=True)
 class Limits:
-    """How far a photograph may be from what its session leads to expect; shares and ratios.
+    """Limits of a photograph's difference from what its session leads to expect; shares and ratios.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ class Limits:
 
 @dataclass(frozen=True)
 class Look:
-    """What one photograph shows.
+    """Measurements of one photograph.
 
     Parameters
     ----------
@@ -194,7 +194,7 @@ def delivered_again(file: str) -> Doubt:
 
 @dataclass(frozen=True)
 class Drift:
-    """What a drift frame shows beside the photograph that it repeats.
+    """Differences between a drift frame and the photograph that it repeats.
 
     Parameters
     ----------

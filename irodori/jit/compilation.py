@@ -218,7 +218,7 @@ class Kernel(CPUDispatcher):
 
 
 class _Part:
-    """What stands for the address of a function that has none."""
+    """Stand-in for the address of a function that has none."""
 
 
 def njit(function=None, *, cache=False, boundscheck=None, **options):

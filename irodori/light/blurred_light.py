@@ -9,7 +9,6 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numba
 import numpy as np
-from scipy import fft, sparse
 
 from irodori.light.environment_file import directions
 
@@ -38,6 +37,8 @@ def first_level(height: int, width: int) -> int:
 
 def _row_series(coefficients: np.ndarray, terms: int) -> np.ndarray:
     """Return the Fourier series along every row of the power of the pixels, (height, terms, k) complex64."""
+    from scipy import fft  # slow to import, and whoever reads stored levels blurs nothing
+
     height, width, bases = coefficients.shape
     solid_angle = directions(1, height)[1][:, 0] / width
     order = np.arange(terms)
@@ -73,6 +74,8 @@ def _divided(series: np.ndarray, parts: int) -> tuple[np.ndarray, np.ndarray]:
 
 def _thinned(series: np.ndarray, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return half the rows and their angles; the power of each is shared by the two nearest: its place is kept."""
+    from scipy import sparse  # slow to import
+
     height, terms, bases = series.shape
     rows = height // 2
     place = theta / np.pi * rows - 0.5
@@ -114,6 +117,8 @@ def _bessel_series(meridian: np.ndarray, parallel: np.ndarray, terms: int) -> np
 
 def _level(series: np.ndarray, source: np.ndarray, width_rad: float, pool: ThreadPoolExecutor) -> np.ndarray:
     """Return the map of one width, (h, 2 h, k) float32, from rows at polar angles ``source`` (rad)."""
+    from scipy import fft  # slow to import
+
     height = level_height(width_rad)
     kappa = _concentration(width_rad, np.pi / height)
     scale = kappa / (2 * np.pi * -np.expm1(-2 * kappa))

@@ -33,7 +33,7 @@ _ERRORS = 24  # independent errors that are kept at most
 
 @dataclass(frozen=True)
 class ResponseModel:
-    """What a camera answers per unit radiance, and how well that is known.
+    """Response of a camera per unit radiance, and its uncertainty.
 
     Parameters
     ----------

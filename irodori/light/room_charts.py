@@ -38,7 +38,7 @@ _MAX_OUTSIDE = 0.05  # rms of a chart's bands that light from the room's directi
 
 @dataclass(frozen=True)
 class ChartResponses:
-    """What a chart in a room answered.
+    """Responses of the camera to a chart in a room.
 
     Parameters
     ----------

@@ -113,7 +113,7 @@ def open_material(path) -> "xarray.Dataset":
         raise MissingPackageError(wanted) from None
 
     class Lazy(BackendArray):
-        """What xarray asks for parts of a file's numbers."""
+        """Array through which xarray reads parts of a file's numbers when it needs them."""
 
         def __init__(self, source: _Map | _Spectra) -> None:
             self.shape, self.dtype, self._source = source.shape, source.dtype, source

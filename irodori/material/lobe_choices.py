@@ -15,7 +15,7 @@ _FIGURES = {
 
 @dataclass(frozen=True)
 class LeftOut:
-    """How well photographs that were left out are predicted with some lobes.
+    """Prediction error of left-out photographs with some lobes.
 
     Parameters
     ----------

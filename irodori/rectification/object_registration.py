@@ -77,7 +77,7 @@ _POSE_ANGLES = {"camera_deg or tilt_deg": "camera_deg", "turn_deg": "turn_deg"}
 
 @dataclass(frozen=True)
 class Registered:
-    """What photographs say of the place of an object, its camera and its light.
+    """Place of an object, its camera and its light as the photographs tell it.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ class Registered:
 
     @property
     def is_told(self) -> np.ndarray:
-        """Which values the photographs tell each by itself, (12,) bool."""
+        """Mask of the values that the photographs determine each by itself, (12,) bool."""
         return self.sigma < _TOLD * self.prior
 
 
@@ -146,7 +146,7 @@ class _View:
 
 @dataclass
 class _Problem:
-    """What stays while an object is registered, and the unknowns: the 12 shared ones, then one a photograph."""
+    """Constants of an object's registration, and the unknowns: the 12 shared ones, then one a photograph."""
 
     shape: Shape
     setup: RigSetup

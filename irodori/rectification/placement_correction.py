@@ -47,7 +47,7 @@ CAMERA = [quantity.name for quantity in QUANTITIES].index("camera_deg")
 
 @dataclass(frozen=True)
 class Correction:
-    """What is added to the definitions of an object, its camera and its rig.
+    """Corrections added to the definitions of an object, its camera and its rig.
 
     The object is turned about the origin of its frame, about x, then y, then z of the table, and then moved along the
     table's axes; the table's axes are those of the rig at no tilt and no turn.

@@ -76,11 +76,6 @@ class OpenPage:
         if not self.page.evaluate(loop, _PATIENCE_MS):
             raise PlainError(f"The page was not ready within {_PATIENCE_MS / 1000:g} s; waited for {condition}.")
 
-    def said(self) -> str:
-        """Return what the page says in place of a picture, once it does."""
-        self.wait_for(_SAID)
-        return self.page.evaluate(_SAID)
-
     def milliseconds(self) -> dict[str, float]:
         """Return how long the page took to its first frame, and how long its programs took to link."""
         found = self.page.evaluate("[performance.now(), Irodori.renderer.figures().programs_linked_ms]")

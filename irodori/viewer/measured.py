@@ -19,7 +19,7 @@ from irodori.viewer.scene_data import BORDER, HALVED_FROM, LightMaps, decoded_sh
 
 @dataclass(frozen=True)
 class FrameParts:
-    """What a scene's frames are made from.
+    """Parts that a scene's frames are made from.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ class FrameParts:
 
 @dataclass(frozen=True)
 class Decoded:
-    """What a payload holds of a scene.
+    """Scene as decoded from a payload.
 
     Parameters
     ----------

@@ -80,7 +80,7 @@ class SceneSources:
 
 @dataclass(frozen=True)
 class PageData:
-    """What a page is written from.
+    """Data that a page is written from.
 
     Parameters
     ----------

@@ -65,7 +65,7 @@ class StoredPlane:
 
     @property
     def bytes(self) -> int:
-        """How many bytes the plane takes in the stream."""
+        """Number of bytes that the plane takes in the stream."""
         return math.prod(self.shape) * self.width
 
 

@@ -351,13 +351,6 @@ def test_a_rig_without_switches_counts_from_where_it_was_switched_on():
             opened.move({"camera_deg": 31.0})
 
 
-def test_the_operator_s_word_unlocks():
-    with start_simulator(made(Rig, RIG)) as simulator, open_rig(made(Rig, at_port(RIG, simulator.port))) as rig:
-        assert rig.status().state == "alarm"
-        rig.unlock()
-        assert rig.status().homed and rig.status().state == "idle"
-
-
 def test_switches_that_do_not_repeat_shift_the_true_position_and_not_the_reported_one():
     rig = definition("grbl")
     rig["motion"]["simulator"]["homing_rms_units"] = 0.05

@@ -78,13 +78,27 @@ def test_no_two_modules_share_a_name_and_rooms_hold_nothing_but_modules():
     assert {file.name for file in (ROOT / "irodori").glob("*.py")} <= {"__init__.py", "__main__.py", "command_line.py"}
 
 
+QUESTIONS = ("What", "How", "Which", "Where", "When", "Who", "Why")
+
+
+def opens_with(text: str | None, words: tuple[str, ...]) -> bool:
+    return re.match(rf"({'|'.join(words)})\b", text or "") is not None
+
+
 def test_no_docstring_of_a_module_opens_with_a_question_word():
     files = [file for room in ("irodori", "benchmarks", "tests") for file in sorted((ROOT / room).rglob("*.py"))]
     for file in files:
         text = ast.get_docstring(ast.parse(file.read_text()))
         assert text or file.is_relative_to(ROOT / "tests"), f"{file}: no docstring"
-        first = re.match(r"\w+", text or "")
-        assert first is None or first[0] not in ("What", "How", "Which", "Where", "When", "Whether", "Who"), file
+        assert not opens_with(text, (*QUESTIONS, "Whether")), file
+
+
+def test_no_docstring_of_the_package_opens_with_a_question_word():
+    """A property that is true or false may open with Whether; dataclasses of the schemas have the schemas' words."""
+    for file in sorted((ROOT / "irodori").rglob("*.py")):
+        for node in ast.walk(ast.parse(file.read_text())):
+            if isinstance(node, ast.ClassDef | ast.FunctionDef) and file.name != "models.py":
+                assert not opens_with(ast.get_docstring(node), QUESTIONS), f"{file}: {node.name}"
 
 
 def test_documents_name_only_modules_and_files_that_are_there():

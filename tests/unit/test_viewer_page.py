@@ -255,7 +255,8 @@ def test_a_page_encoded_before_its_picture_states_the_same_and_the_distance_to_t
 
 def test_without_webgl2_the_page_says_so(written):
     with opened(written.path, flags=(*FLAGS, "--disable-3d-apis"), wait=False) as page:
-        assert "WebGL 2" in page.said()
+        page.wait_for("!document.getElementById('poster').hidden")
+        assert "WebGL 2" in page.page.evaluate("document.getElementById('poster-text').textContent")
 
 
 def test_highlights_of_ggx_are_those_of_its_formula(tmp_path):

@@ -181,7 +181,7 @@ class RigDevice(ABC):
 
     @property
     def cannot_recount(self) -> str:
-        """Why the count cannot be held against limit switches, in words; empty where it can."""
+        """Reason why the count cannot be held against limit switches, in words; empty where it can."""
         return "its controller does not tell where a limit switch closes"
 
     @abstractmethod

@@ -66,7 +66,7 @@ class MaterialRange:
 
     @property
     def parameters(self) -> int:
-        """How many parameters a texel's fit has: α, and β and μ of each component."""
+        """Number of parameters of a texel's fit: α, and β and μ of each component."""
         return 1 + 2 * len(self.lobes)
 
     def __post_init__(self) -> None:

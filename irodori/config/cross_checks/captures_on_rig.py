@@ -26,7 +26,7 @@ _AXES = ("light_deg", "camera_deg", "tilt_deg", "turn_deg", "light_azimuth_deg")
 
 
 class Reach:
-    """What a rig can reach.
+    """Range of angles that a rig can reach.
 
     Parameters
     ----------

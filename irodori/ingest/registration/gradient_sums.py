@@ -131,7 +131,7 @@ class Moving(NamedTuple):
 
 
 class Residuals(NamedTuple):
-    """What is expected of the gradients' residuals."""
+    """Expected statistics of the gradients' residuals."""
 
     colour: np.ndarray  # (cells, 3, 3) map from fixed to moving gradients
     sigma: np.ndarray  # (3,) standard deviation in each band

@@ -25,7 +25,7 @@ _INDEX = (1.5, 0.0)
 
 
 class _Surface(NamedTuple):
-    """What reflects, for compiled loops."""
+    """Reflection parameters of a surface, for compiled loops."""
 
     lobes: Lobes  # one
     mu: float

@@ -56,7 +56,7 @@ def grid_cells(scale: float, low: float, high: float, count: int) -> tuple[np.nd
 
 
 class Extent(NamedTuple):
-    """How far the facets of a lobe lie from the normal, rad; for the Gaussian lobe both are its roughness."""
+    """Spread of a lobe's facets about the normal, rad; for the Gaussian lobe both are its roughness."""
 
     core: float  # φ at which D has fallen to 1/e
     tail: float  # the roughness of the Gaussian that has lost as much at the end of the samples

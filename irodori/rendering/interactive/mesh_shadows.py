@@ -40,7 +40,7 @@ _CHUNK = 256
 
 
 class MeshShadows(NamedTuple):
-    """What the kernel reads of the meshes' shadows, flat."""
+    """Shadows of the meshes as the kernel reads them, flat."""
 
     numbers: np.ndarray  # (objects * SHAPE_NUMBERS,) int64
     grid: np.ndarray  # (objects * GRID,) float64
@@ -158,7 +158,7 @@ class _Rays(NamedTuple):
 
 
 class _Casting(NamedTuple):
-    """What rays are cast at from a shape's nodes, and in which directions."""
+    """Scene at which rays are cast from a shape's nodes, and the rays' directions."""
 
     rays: _Rays
     bounds: Bounds

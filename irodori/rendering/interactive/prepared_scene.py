@@ -41,7 +41,7 @@ _MOST_BOUNDED = 12
 
 
 class PreparedWorld(NamedTuple):
-    """What the kernel reads of a scene; flat float32 unless said otherwise."""
+    """Scene as the kernel reads it; flat float32 unless said otherwise."""
 
     shape: np.ndarray  # (objects * SHAPE,)
     objects: int
@@ -91,7 +91,7 @@ class PreparedWorld(NamedTuple):
 
 
 class FrameView(NamedTuple):
-    """What changes from frame to frame."""
+    """Values that change from frame to frame."""
 
     position_mm: np.ndarray  # (3,)
     world_from_camera: np.ndarray  # (9,)

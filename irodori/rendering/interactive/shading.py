@@ -60,7 +60,7 @@ FURTHER = 8
 
 
 class Sums(NamedTuple):
-    """What a tile's pixels have gathered; pixel ``slot`` begins at ``slot`` times the lanes."""
+    """Light gathered by a tile's pixels; pixel ``slot`` begins at ``slot`` times the lanes."""
 
     colour: np.ndarray  # (PATHS * surface lanes,) float32
     light: np.ndarray  # (PATHS * light lanes,) float32, light as it is stored; not used where paths are coloured

@@ -78,7 +78,7 @@ LISTED = 8
 
 
 class PathLimits(NamedTuple):
-    """How far to follow paths."""
+    """Limits up to which paths are followed."""
 
     max_bounces: int
     least_throughput: float  # of a path that goes on
@@ -88,7 +88,7 @@ class PathLimits(NamedTuple):
 
 
 class Job(NamedTuple):
-    """What to render: a scene, as it is seen in one frame."""
+    """Input of one frame: a scene as it is seen then."""
 
     world: "PreparedWorld"
     frame: "FrameView"
@@ -97,7 +97,7 @@ class Job(NamedTuple):
 
 
 class FrameBuffers(NamedTuple):
-    """What a frame fills; arrays are flat."""
+    """Arrays that a frame fills, flat."""
 
     image: np.ndarray  # (height * width * channels,) float32
     channels: int

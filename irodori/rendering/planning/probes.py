@@ -34,7 +34,7 @@ BLACK = -1
 
 @dataclass(frozen=True)
 class Changes:
-    """What a picture is computed without, or more coarsely; by default nothing.
+    """Terms that a picture is computed without, or more coarsely; by default none.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ class Changes:
 
 @dataclass(frozen=True)
 class Texture:
-    """Where an object's texels stand in the prepared scene; of a level that is not yet made ``first`` is -1."""
+    """Place of an object's texels in the prepared scene; of a level that is not yet made ``first`` is -1."""
 
     rows: int
     columns: int

@@ -57,7 +57,7 @@ class Denoised(NamedTuple):
 
 
 class Guides(NamedTuple):
-    """What tells the weights of `Halves`."""
+    """Features that determine the weights of `Halves`."""
 
     colour: np.ndarray  # (2 sets, 3 parts of the spectrum, height, width) float32, cube roots
     noise: np.ndarray  # (3, height, width) float32 variance of one set's

@@ -20,7 +20,7 @@ ALBEDO, NORMAL, PLACE, SHINE, SEEN = 0, 3, 6, 9, 10
 
 
 class Bands(NamedTuple):
-    """What the materials have a band, padded; the first axis counts the objects."""
+    """Values of the materials in each band, padded; the first axis counts the objects."""
 
     basis: np.ndarray  # (objects, k, 64) float32
     n: np.ndarray  # (objects, 64) float32
@@ -28,7 +28,7 @@ class Bands(NamedTuple):
 
 
 class World(NamedTuple):
-    """What paths travel in; surface i is object i, and those of lights follow."""
+    """Scene as paths travel through it; surface i is object i, and those of lights follow."""
 
     surfaces: Surfaces
     objects: Objects

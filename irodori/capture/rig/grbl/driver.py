@@ -265,24 +265,11 @@ class GrblRig(ControlledRig):
             if abs(self._settings.get(key, math.inf) - value) > 5e-4:
                 raise SettingError(f"${key} was set to {value:g} and stands at {self._settings.get(key, 'nothing')}")
 
-    def unlock(self) -> None:
-        """Declare that the controller's position is right although it is locked (``$X``): the operator's word for it.
-
-        Raises
-        ------
-        CommandError, DeadlineError, LinkError
-        """
-        with self._stopping_on_failure():
-            self._halt()
-            self._talk.command("$X")
-            self._talk.alarm, self._homed = None, True
-            self._write_mark()
-
     # ---- lost steps
 
     @property
     def cannot_recount(self) -> str:
-        """Why the count cannot be held against limit switches, in words; empty where it can."""
+        """Reason why the count cannot be held against limit switches, in words; empty where it can."""
         return "" if self._homing else "this rig has no limit switches (motion.homing is false)"
 
     def recount(self) -> dict[str, float]:
