@@ -42,7 +42,7 @@ _WITHIN_ONE = 0.4752
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """What is unknown of recovered reflectances.
+    """Errors of recovered reflectances.
 
     Parameters
     ----------
