@@ -20,10 +20,11 @@ from irodori import __version__
 from irodori.colour.colorimetry import xyz_from_reflectance
 from irodori.colour.tone_curves import SRGB
 from irodori.core.atomic_files import written_whole
-from irodori.export.diffuse_picture import Loss, colours_from_bands, diffuse_colours
+from irodori.export.diffuse_picture import colours_from_bands, diffuse_colours
 from irodori.export.export_sources import Item, Source
 from irodori.export.gltf_loss import ParsedGltf, judge, kinds_of_light
 from irodori.export.gltf_refit import Refit, fresnel_colours, refit
+from irodori.export.loss import Loss
 from irodori.geometry.mesh import Mesh
 from irodori.geometry.rig_frame import look_at
 from irodori.geometry.shapes.placement import reaches

@@ -20,10 +20,11 @@ from PIL import Image
 from irodori.colour.display import srgb
 from irodori.colour.tone_curves import SRGB
 from irodori.core.errors import InputError
-from irodori.export.diffuse_picture import colours_from_bands, differences, diffuse_colours
+from irodori.export.diffuse_picture import colours_from_bands, diffuse_colours
 from irodori.export.export_sources import Item
 from irodori.export.gltf_refit import Texel, about_highlight, everywhere, fresnel_colours, gloss_reach, rough_terms
 from irodori.export.gltf_reflection import GltfSurface, mirrored, reflected
+from irodori.export.loss import differences
 from irodori.reflection.equation5 import angles_from_directions
 
 LAMP, HIGHLIGHT, EVEN = "lamp", "highlight", "even light"
