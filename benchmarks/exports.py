@@ -99,7 +99,7 @@ def measured(call: str, folder: Path) -> list[dict]:
         else:
             material = Material.load(f"results/{given.source}/material.h5")
             losses = {"spectra read back, under D65": of_spectra(read, material)}
-    return _rows(f"irodori export {call}", losses, path, seconds)
+    return _rows(call.replace("--to ", ""), losses, path, seconds)
 
 
 def pictures(folder: Path) -> list[dict]:

@@ -145,7 +145,7 @@ def exports_block(folder: Path) -> str:
         what = row["compared"] if row["mean"] else f"{row['compared']}: {row['count']}"
         cost = [_number(row[key]) if name and row[key] else "" for key in ("mb", "cpu_s")]
         lines.append([f"`{name}`" if name else "", what.replace("|", "/"), *figures, *cost])
-    return _table(("command or file", "compared", "mean", "p95", "max", "MB", "CPU s"), lines)
+    return _table(("`irodori export`, or file", "compared", "mean", "p95", "max", "MB", "CPU s"), lines)
 
 
 #: Document -> its blocks.
