@@ -1,4 +1,4 @@
-"""Exports of the default scene in every format: loss against our own renderer, size, and processor time.
+"""Exports and pictures of the default scene in every format: loss, size, and processor time.
 
 ``python -m benchmarks.exports [--results FOLDER]`` at the top of the repository, after ``snakemake --cores 2``: writes
 ``exports.csv`` into the results' folder ``benchmark``, which `benchmarks.published_tables` shows in docs/exports.md.
@@ -17,15 +17,20 @@ from pathlib import Path
 
 import numpy as np
 
-from irodori.colour.colorimetry import delta_e_reflectance
+from irodori.colour.colorimetry import delta_e, delta_e_reflectance, lab_from_xyz, xyz_from_radiance
+from irodori.config.definitions import load_definitions
 from irodori.core.atomic_files import written_whole
-from irodori.export.diffuse_picture import Loss
+from irodori.core.yaml_files import read_yaml
 from irodori.export.export_command import command_parser, export_named
-from irodori.export.pictures import read_layers
+from irodori.export.loss import Loss, Losses
+from irodori.export.pictures import read_layers, stated_loss
+from irodori.light.environment_file import Environment
+from irodori.light.omnidirectional import to_panorama
 from irodori.material.material_file import Material
+from irodori.rendering.stage import write_tiff, write_xyz
 
 COLUMNS = ("export", "compared", "count", "mean", "p95", "max", "mb", "cpu_s")
-SCENE, OBJECT = "still-life", "tile-plate"
+SCENE, OBJECT, LIGHT, VIEW = "still-life", "tile-plate", "classroom", "front"
 CALLS = (
     f"{SCENE} --to gltf",
     f"{SCENE} --to mitsuba",
@@ -34,7 +39,12 @@ CALLS = (
     f"{OBJECT} --to tiff --illuminant D65 --display 'Adobe RGB (1998)'",
     f"{OBJECT} --to spectral-exr",
     f"{OBJECT} --to envi",
+    f"{LIGHT} --to spectral-exr",
+    f"{LIGHT} --to envi",
 )
+#: Pictures of a view that a run makes on request, and what makes them.
+ON_REQUEST = {"tif": write_tiff, "xyz.exr": write_xyz}
+_PICTURE = "every pixel"
 
 
 def processor_s() -> float:
@@ -56,6 +66,15 @@ def of_spectra(read: Callable[[], np.ndarray], material: Material) -> Loss:
     return Loss.of(delta_e_reflectance(material.spectra().astype(np.float64), read())[material.observed])
 
 
+def of_light(read: Callable[[], np.ndarray], light: Environment) -> Loss:
+    """Return the loss of a panorama's radiance (h, w, 61) that is read back; white is a diffuser that faces up."""
+    white = light.upward_white()
+    matrix = xyz_from_radiance(white)
+    exact = to_panorama(light.coefficients.astype(np.float64)) @ light.basis.T
+    labs = (lab_from_xyz(radiance @ matrix.T, matrix @ white) for radiance in (exact, read().astype(np.float64)))
+    return Loss.of(delta_e(*labs))
+
+
 def envi_spectra(path: Path) -> np.ndarray:
     """Return the spectra of an ENVI file, band after band, (h, w, 61)."""
     from spectral.io import envi
@@ -72,16 +91,40 @@ def measured(call: str, folder: Path) -> list[dict]:
     path, losses = export_named(given.source, path.with_suffix(suffix), given)
     seconds = processor_s() - start
     if given.to in ("spectral-exr", "envi"):
-        material = Material.load(f"results/{given.source}/material.h5")
-        read = (lambda: read_layers(path, "T")[1]) if given.to == "spectral-exr" else (lambda: envi_spectra(path))
-        losses = {"spectra read back, under D65": of_spectra(read, material)}
-    name = call.replace("--to ", "")
+        layers = "S0" if given.source == LIGHT else "T"
+        read = (lambda: read_layers(path, layers)[1]) if given.to == "spectral-exr" else (lambda: envi_spectra(path))
+        if given.source == LIGHT:
+            light = Environment.load(f"results/environments/{LIGHT}.h5")
+            losses = {"light of every direction, read back": of_light(read, light)}
+        else:
+            material = Material.load(f"results/{given.source}/material.h5")
+            losses = {"spectra read back, under D65": of_spectra(read, material)}
+    return _rows(call.replace("--to ", ""), losses, path, seconds)
+
+
+def pictures(folder: Path) -> list[dict]:
+    """Return the rows of the pictures of a view: those of a run, and those that it makes on request."""
+    run = Path(f"results/{SCENE}")
     rows = []
+    for kind in ("exr", "png"):
+        path = run / f"{VIEW}.{kind}"
+        rows += _rows(str(path), {_PICTURE: Loss.parse(stated_loss(path) or "")}, path, None)
+    scene = load_definitions(read_yaml("config/config.yaml") | {"make": {"scenes": [SCENE]}}, Path()).scenes[SCENE]
+    for kind, write in ON_REQUEST.items():
+        path, start = folder / f"{VIEW}.{kind}", processor_s()
+        write(scene, run / f"{VIEW}.exr", f"results/environments/{scene.environment}.h5", path)
+        seconds = processor_s() - start
+        rows += _rows(f"{run}/{VIEW}.{kind}", {_PICTURE: Loss.parse(stated_loss(path) or "")}, path, seconds)
+    return rows
+
+
+def _rows(export: str, losses: Losses, path: Path, seconds: float | None) -> list[dict]:
+    cost = {"mb": f"{size_mb(path):.4g}", "cpu_s": "" if seconds is None else f"{seconds:.3g}"}
+    found = []
     for what, loss in losses.items():
         figures = loss.figures() if isinstance(loss, Loss) else {"count": loss}
-        cost = {"mb": f"{size_mb(path):.4g}", "cpu_s": f"{seconds:.3g}"}
-        rows.append({"export": name, "compared": what, **figures, **cost})
-    return rows
+        found.append({"export": export, "compared": what, **figures, **cost})
+    return found
 
 
 def main() -> None:
@@ -91,7 +134,7 @@ def main() -> None:
     out = parser.parse_args().results.resolve() / "benchmark" / "exports.csv"
     os.chdir(out.parents[2])
     with tempfile.TemporaryDirectory() as folder:
-        rows = [row for call in CALLS for row in measured(call, Path(folder))]
+        rows = [row for call in CALLS for row in measured(call, Path(folder))] + pictures(Path(folder))
     out.parent.mkdir(exist_ok=True)
     with written_whole(out) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.DictWriter(stream, COLUMNS, lineterminator="\n")

@@ -143,9 +143,9 @@ def exports_block(folder: Path) -> str:
         name, before = "" if row["export"] == before else row["export"], row["export"]
         figures = [_number(row[key]) if row[key] else "–" for key in ("mean", "p95", "max")]
         what = row["compared"] if row["mean"] else f"{row['compared']}: {row['count']}"
-        cost = [_number(row[key]) if name else "" for key in ("mb", "cpu_s")]
+        cost = [_number(row[key]) if name and row[key] else "" for key in ("mb", "cpu_s")]
         lines.append([f"`{name}`" if name else "", what.replace("|", "/"), *figures, *cost])
-    return _table(("`irodori export`", "compared", "mean", "p95", "max", "MB", "CPU s"), lines)
+    return _table(("`irodori export`, or file", "compared", "mean", "p95", "max", "MB", "CPU s"), lines)
 
 
 #: Document -> its blocks.

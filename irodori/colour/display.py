@@ -98,6 +98,11 @@ class Display:
         top = 2**bits - 1
         return np.rint(codes * top).astype(np.uint16 if bits > 8 else np.uint8), gamut(linear)
 
+    def decode(self, codes: np.ndarray) -> np.ndarray:
+        """Return linear RGB, (..., 3) float64, of code values (..., 3) uint8 or uint16."""
+        levels = np.arange(np.iinfo(codes.dtype).max + 1) / np.iinfo(codes.dtype).max
+        return np.stack([curve.linear(levels)[codes[..., i]] for i, curve in enumerate(self.curves)], axis=-1)
+
     def attributes(self, white_xyz: np.ndarray) -> dict[str, str]:
         """Return what a picture's file says of its adaptation to this display."""
         return {

@@ -56,25 +56,25 @@ class Placing(Definition):
     #: Refine by the photographs where objects lie (rule `register_object`); otherwise they lie as typed.
     register: bool = False
 
-    #: Of the object's place on the table along each axis, in mm.
+    #: Standard deviation of the object's place on the table along each axis, in mm.
     translation_mm: float = 2.0
 
-    #: Of the object's turn about each axis of the table, in degrees.
+    #: Standard deviation of the object's turn about each axis of the table, in degrees.
     rotation_deg: float = 1.0
 
-    #: Of the distance of the camera, in mm.
+    #: Standard deviation of the distance of the camera, in mm.
     camera_distance_mm: float = 30.0
 
-    #: Of the focal length, in percent.
+    #: Standard deviation of the focal length, in percent.
     focal_length_percent: float = 3.0
 
-    #: Of the principal point along each side of the picture, in pixels of the sensor.
+    #: Standard deviation of the principal point along each side of the picture, in pixels of the sensor.
     principal_point_px: float = 2.0
 
-    #: Of an error that all camera angles share, and of one of each photograph's own, in degrees.
+    #: Standard deviation of an error that all camera angles share, and of each photograph's own error, in degrees.
     camera_deg: float = 0.05
 
-    #: Of an error that all light angles share, in degrees.
+    #: Standard deviation of an error that all light angles share, in degrees.
     light_deg: float = 0.05
 
     #: Largest distance, root mean square, between where a photograph shows the object and where the others say that it
@@ -457,7 +457,7 @@ class Captures(Definition):
     #: Folder of the RAW files that the table names; the table's own folder where absent.
     folder: str | None = None
 
-    #: Where the photographs can be fetched and on what terms; said where one of them is not there.
+    #: Where the photographs can be fetched and on what terms; shown if one of them is missing.
     published: str | None = None
 
 
@@ -853,9 +853,9 @@ class PrimariesDisplay(Definition):
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class MeasuredDisplay(Definition):
-    """A display of which patches were measured."""
+    """A display that was measured on some patches of colour."""
 
-    #: A display of which patches were measured.
+    #: A display that was measured on some patches of colour.
     kind: Literal["measured"] = "measured"
 
     #: Path of a CSV with the columns red, green, blue, X, Y, Z, or of Argyll's .ti3.
@@ -2017,10 +2017,10 @@ class AsciiReplies(Definition):
     #: Reply to a home, move or stop that is obeyed.
     accepted: str
 
-    #: With the group position, and axis where it is told.
+    #: Reply with the group position, and the group axis if it names one.
     position: str
 
-    #: With the group state.
+    #: Reply with the group state.
     status: str
 
     #: Reply to what is refused, with the group message.
@@ -2064,7 +2064,7 @@ class AsciiProtocol(Definition):
     #: Words of the state for a feed hold, in which axes stand and keep their move.
     hold: tuple[str, ...] = ()
 
-    #: Words of the state for a controller that has stopped without being told to.
+    #: Words of the state for a controller that has stopped without a command.
     alarm: tuple[str, ...] = ()
 
     #: Templates of the replies for the simulator; each must fit its regular expression.
@@ -2144,7 +2144,7 @@ class StrayLight(Definition):
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class PoseError(Definition):
-    """Light and camera do not stand exactly where they are told to."""
+    """Light and camera do not stand exactly where they were sent."""
 
     #: Whether the rig has this fault (true or false).
     enabled: bool = True
@@ -2155,7 +2155,7 @@ class PoseError(Definition):
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class LaidOff(Definition):
-    """The object does not lie on the table where it is told to, nor turned as it is told to be."""
+    """The object does not lie exactly where its definition says, nor with the turn that it says."""
 
     #: Whether the rig has this fault (true or false).
     enabled: bool = False
@@ -2217,10 +2217,10 @@ class Imperfections(Definition):
     #: A part of the light spreads over the whole picture.
     stray_light: StrayLight = StrayLight()
 
-    #: Light and camera do not stand exactly where they are told to.
+    #: Light and camera do not stand exactly where they were sent.
     pose_error: PoseError = PoseError()
 
-    #: The object does not lie on the table where it is told to, nor turned as it is told to be.
+    #: The object does not lie exactly where its definition says, nor with the turn that it says.
     laid_off: LaidOff = LaidOff()
 
     #: The plate of the comb filter moves the picture; a point at p from the centre is seen at shift + magnification *

@@ -1,13 +1,13 @@
 """Pictures of a material's diffuse colour over its texture, under a light that one chooses."""
 
-import math
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from irodori.colour.colorimetry import delta_e, lab_from_xyz, summary, xyz_from_reflectance
+from irodori.colour.colorimetry import xyz_from_reflectance
 from irodori.colour.display import Display, srgb
+from irodori.export.loss import LOSS, Loss, differences
 from irodori.export.pictures import write_display_picture
 from irodori.material.material_file import Material
 
@@ -16,40 +16,6 @@ if TYPE_CHECKING:
 
 #: Longest side of a preview, px.
 _PREVIEW_PX = 512
-
-
-class Loss(NamedTuple):
-    """Colour differences of an export against our own renderer, CIEDE2000."""
-
-    compared: int
-    mean: float
-    p95: float
-    largest: float
-
-    @classmethod
-    def of(cls, differences: np.ndarray) -> "Loss":
-        """Return the figures of differences of any shape; NaN is left out."""
-        found = summary(differences)
-        return cls(int(found["count"]), found["mean"], found["p95"], found["max"])
-
-    @classmethod
-    def read(cls, figures: dict) -> "Loss":
-        """Return what `figures` has made a file's JSON of."""
-        values = (figures[name] for name in ("mean", "p95", "max"))
-        return cls(figures["count"], *(np.nan if value is None else value for value in values))
-
-    @property
-    def text(self) -> str:
-        """The figures in words, for a file's description."""
-        return f"CIEDE2000 mean {self.mean:.3g}, p95 {self.p95:.3g}, max {self.largest:.3g}, of {self.compared}"
-
-    def figures(self) -> dict:
-        """Return the figures for a file in JSON."""
-        return {"count": self.compared, "mean": _short(self.mean), "p95": _short(self.p95), "max": _short(self.largest)}
-
-
-def _short(value: float) -> float | None:
-    return float(f"{value:.4g}") if math.isfinite(value) else None
 
 
 def colours_from_bands(illuminant: str, display: Display | None = None) -> np.ndarray:
@@ -66,12 +32,6 @@ def diffuse_colours(material: Material, matrix: np.ndarray) -> np.ndarray:
     """Return α S / S_G in linear colours, (height, width, n) float64; ``matrix`` (n, 61) is that of the colours."""
     colours = material.coefficients.astype(np.float64) @ (material.basis.T @ matrix.T)
     return colours * material.spectrum_scale[..., None]
-
-
-def differences(display: Display, ours: np.ndarray, theirs: np.ndarray) -> np.ndarray:
-    """Return CIEDE2000 between linear RGB of one display, (..., 3) to (...), for an eye adapted to its white."""
-    labs = [lab_from_xyz(rgb @ display.xyz_from_rgb.T, display.white_xyz) for rgb in (ours, theirs)]
-    return delta_e(*labs)
 
 
 def write_diffuse_tiff(item: "Item", path, illuminant: str, display: Display) -> Loss:
@@ -95,12 +55,11 @@ def write_diffuse_tiff(item: "Item", path, illuminant: str, display: Display) ->
     """
     linear = diffuse_colours(item.material, colours_from_bands(illuminant, display))
     codes, gamut = display.encode(linear, 16)
-    shown = np.stack([curve.linear(codes[..., i] / 65535.0) for i, curve in enumerate(display.curves)], axis=-1)
-    loss = Loss.of(differences(display, linear, shown)[item.observed])
+    loss = Loss.of(differences(display, linear, display.decode(codes))[item.observed])
     attributes = {
         "irodori:quantity": "diffuse colour",
         "irodori:illuminant": illuminant,
-        "irodori:loss": loss.text,
+        LOSS: loss.text,
         "irodori:outOfGamut": f"{gamut.outside} of {gamut.pixels} texels",
         "irodori:material": f"sha256 {item.sha256}",
     }

@@ -11,7 +11,6 @@ from irodori.colour.display import STANDARD, standard_display
 from irodori.core.atomic_files import written_whole
 from irodori.core.errors import InputError, PlainError
 from irodori.export.diffuse_picture import (
-    Loss,
     colours_from_bands,
     diffuse_colours,
     preview_of,
@@ -19,13 +18,11 @@ from irodori.export.diffuse_picture import (
     write_preview,
 )
 from irodori.export.envi import INTERLEAVES
-from irodori.export.material_pictures import SUFFIXES, export_picture, light_preview
+from irodori.export.loss import Loss, Losses
+from irodori.export.material_pictures import SUFFIXES, export_picture, stored_preview
 
 if TYPE_CHECKING:
     from irodori.export.export_sources import Source
-
-#: What is compared -> its loss, or why there is no figure.
-Losses = dict[str, Loss | str]
 
 
 class Target(NamedTuple):
@@ -64,7 +61,7 @@ def _preview(source: "Source", path: Path, illuminant: str = "D65") -> None:
     elif source.kind == "object":
         write_preview(preview_of(path), diffuse_colours(source.items[0].material, colours_from_bands(illuminant)))
     else:
-        write_preview(preview_of(path), light_preview(source.environment))
+        write_preview(preview_of(path), stored_preview(source.environment))
 
 
 def _gltf(source: "Source", path: Path, given: argparse.Namespace) -> Losses:
@@ -102,9 +99,9 @@ def _tiff(source: "Source", path: Path, given: argparse.Namespace) -> Losses:
 
 def _picture(source: "Source", path: Path, given: argparse.Namespace) -> Losses:
     file = source.environment if source.kind == "environment" else source.items[0].file
-    loss = export_picture(file, path, given.interleave)
+    losses = export_picture(file, path, given.interleave)
     _preview(source, path)
-    return {"spectra": "as they are, as 32-bit floats"} if loss is None else {"spectra, under D65": loss}
+    return losses
 
 
 _SPECTRAL = ("object", "environment")
@@ -189,11 +186,12 @@ def main(arguments: list[str] | None = None, prog: str = "python -m irodori.expo
     try:
         if given.to is not None:
             path, losses = export_named(given.source, given.output, given)
-            print(path, *(f"{what}: {getattr(loss, 'text', loss)}" for what, loss in losses.items()), sep="\n")
         elif given.output is None:
             raise PlainError(f"{given.source}: found neither --to nor a file to write; accepted: one of them.")
         else:
-            export_picture(given.source, given.output, given.interleave)
+            path, losses = given.output, export_picture(given.source, given.output, given.interleave)
+            write_preview(preview_of(path), stored_preview(given.source))
+        print(path, *(f"{what}: {getattr(loss, 'text', loss)}" for what, loss in losses.items()), sep="\n")
     except PlainError as error:
         print(error, file=sys.stderr)
         return 2

@@ -1,15 +1,18 @@
 """glTF 2.0 files (GLB) of an object or a scene: shapes, textures, one variant of the material for each light.
 
 The rough gloss is one GGX lobe (`irodori.export.gltf_refit`); the mirror term is the extension for a clear coat. What
-glTF has no place for stands under ``extras``: the spectra's basis, the material's file with its hash, and the loss.
+glTF has no place for stands under ``extras``: the diffuse spectra of every texel, the material's file with its hash,
+and the loss.
 Lengths are metres and y is up, as glTF asks; the objects themselves stay in mm under a node that turns and scales.
 Light is left out: glTF has no spectral light, and viewers bring their own.
 """
 
+import base64
 import hashlib
 import io
 import json
 import struct
+import zlib
 from collections.abc import Sequence
 
 import numpy as np
@@ -20,13 +23,15 @@ from irodori import __version__
 from irodori.colour.colorimetry import xyz_from_reflectance
 from irodori.colour.tone_curves import SRGB
 from irodori.core.atomic_files import written_whole
-from irodori.export.diffuse_picture import Loss, colours_from_bands, diffuse_colours
+from irodori.export.diffuse_picture import colours_from_bands, diffuse_colours
 from irodori.export.export_sources import Item, Source
-from irodori.export.gltf_loss import ParsedGltf, judge, kinds_of_light
+from irodori.export.gltf_loss import SPECTRA, ZLIB_URI, ParsedGltf, judge, judge_spectra, kinds_of_light
 from irodori.export.gltf_refit import Refit, fresnel_colours, refit
+from irodori.export.loss import Loss
 from irodori.geometry.mesh import Mesh
 from irodori.geometry.rig_frame import look_at
 from irodori.geometry.shapes.placement import reaches
+from irodori.material.coefficients import rounded_to_half, scale_of
 from irodori.spectra.grid import WAVELENGTH_NM
 
 #: Lights of the variants where none are asked for; the first is what a viewer without variants shows.
@@ -182,14 +187,28 @@ def _eight_bits(values: np.ndarray, most: float) -> np.ndarray:
 
 
 def _spectra(item: Item) -> dict:
-    """Return what tells the spectra of an object: S(λ) is the basis times the coefficients of the named file."""
-    basis = [[float(f"{value:.6g}") for value in vector] for vector in item.material.basis.T]
-    known = {"file": item.file, "sha256": item.sha256, "dataset": "reflectance/coefficients"} if item.file else {}
+    """Return the diffuse reflectance of an object in every texel, as far as JSON can hold it.
+
+    The coefficients are half-precision numbers, packed by zlib, as a data URI: programs that edit a glTF file keep
+    ``extras``, but drop a part of the buffer that no part of glTF refers to.
+    """
+    basis = np.array([[float(f"{value:.6g}") for value in vector] for vector in item.material.basis.T])
+    coefficients = (item.material.coefficients * item.material.spectrum_scale[..., None]).astype(np.float32)
+    scale = scale_of(coefficients)
+    packed = zlib.compress(rounded_to_half(coefficients / scale).astype("<f2").tobytes(), 9)
+    known = {"file": item.file, "sha256": item.sha256} if item.file else {}
     return {
-        "quantity": "reflectance factor: sum over the basis of coefficient times vector",
+        "quantity": "diffuse reflectance factor: the sum over the basis of coefficient times scale times vector",
         "wavelength_nm": {"first": float(WAVELENGTH_NM[0]), "last": float(WAVELENGTH_NM[-1]), "count": 61},
-        "basis": basis,
-        "mean_coefficients": item.material.coefficients.mean(axis=(0, 1), dtype=np.float64).round(6).tolist(),
+        "basis": basis.tolist(),
+        "coefficients": {
+            "uri": ZLIB_URI + base64.b64encode(packed).decode("ascii"),
+            "type": "little-endian half-precision numbers, packed by zlib",
+            "shape": list(coefficients.shape),
+            "axes": ["row of the texture from the top", "column from the left", "vector of the basis"],
+            "scale": scale.tolist(),
+        },
+        "mean_coefficients": coefficients.mean(axis=(0, 1), dtype=np.float64).round(6).tolist(),
         **known,
     }
 
@@ -261,7 +280,8 @@ def write_gltf(source: Source, path, illuminants: Sequence[str] = ILLUMINANTS) -
     Returns
     -------
     dict of str to Loss
-        ``OBJECT: KIND OF LIGHT`` to the loss over all variants, see `irodori.export.gltf_loss`.
+        ``OBJECT: KIND OF LIGHT`` to the loss over all variants, and ``OBJECT: SPECTRA`` to that of the spectra under
+        ``extras``, see `irodori.export.gltf_loss`.
     """
     for name in illuminants:
         xyz_from_reflectance(name)  # refuses an unknown light before any work
@@ -292,8 +312,9 @@ def write_gltf(source: Source, path, illuminants: Sequence[str] = ILLUMINANTS) -
         for kind in kinds_of_light():
             loss = Loss.of(np.concatenate([one[kind].ravel() for one in judged]))
             losses[f"{item.name}: {kind}"] = loss
+        losses[f"{item.name}: {SPECTRA}"] = judge_spectra(item, parsed.spectra(number))
         entry["extras"]["irodori"]["loss_ciede2000"] = {
-            kind: losses[f"{item.name}: {kind}"].figures() for kind in kinds_of_light()
+            kind: losses[f"{item.name}: {kind}"].figures() for kind in (*kinds_of_light(), SPECTRA)
         }
     with written_whole(path) as temporary:
         temporary.write_bytes(_glb(content, bytes(document.buffer.data)))

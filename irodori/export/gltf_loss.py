@@ -6,27 +6,35 @@ for an eye that is adapted to the light, whose white is a perfect diffuser that 
 
 * *lamp*: a single lamp and the eye in directions even over the hemisphere;
 * *highlight*: the same with half vectors about the normal, where the gloss is;
-* *even light*: light of one radiance from everywhere, over all angles of the eye; the mirror term counts here.
+* *even light*: light of one radiance from everywhere, over all angles of the eye; the mirror term counts here;
+* *spectra under D65*: the diffuse spectra under ``extras``, as colours under that light.
 """
 
+import base64
 import io
 import json
 import struct
+import zlib
 from pathlib import Path
 
 import numpy as np
 from PIL import Image
 
+from irodori.colour.colorimetry import xyz_from_reflectance
 from irodori.colour.display import srgb
 from irodori.colour.tone_curves import SRGB
 from irodori.core.errors import InputError
-from irodori.export.diffuse_picture import colours_from_bands, differences, diffuse_colours
+from irodori.export.diffuse_picture import colours_from_bands, diffuse_colours
 from irodori.export.export_sources import Item
 from irodori.export.gltf_refit import Texel, about_highlight, everywhere, fresnel_colours, gloss_reach, rough_terms
 from irodori.export.gltf_reflection import GltfSurface, mirrored, reflected
+from irodori.export.loss import Loss, differences, stored_loss
 from irodori.reflection.equation5 import angles_from_directions
 
 LAMP, HIGHLIGHT, EVEN = "lamp", "highlight", "even light"
+#: The spectra of the diffuse colour under ``extras``, seen under D65.
+SPECTRA = "spectra under D65"
+ZLIB_URI = "data:application/zlib;base64,"
 #: Texels, and pairs of directions, that are judged.
 _TEXELS, _PAIRS = 256, 64
 _START = 0.3172  # of the directions' sequence, beside that of the refit
@@ -76,6 +84,14 @@ class ParsedGltf:
             with Image.open(io.BytesIO(part)) as picture:
                 self._pictures[number] = np.asarray(picture, dtype=np.float64) / 255.0
         return self._pictures[number]
+
+    def spectra(self, number: int) -> np.ndarray:
+        """Return the diffuse reflectance factor of a mesh from its ``extras``, (height, width, 61) float64."""
+        stored = self.content["meshes"][number]["extras"]["irodori"]["spectra"]
+        packed = stored["coefficients"]
+        numbers = np.frombuffer(zlib.decompress(base64.b64decode(packed["uri"].removeprefix(ZLIB_URI))), "<f2")
+        coefficients = numbers.reshape(packed["shape"]).astype(np.float64) * np.array(packed["scale"])
+        return coefficients @ np.array(stored["basis"])
 
     def surface(self, number: int, rows: np.ndarray, columns: np.ndarray) -> GltfSurface:
         """Return a material at texel centres, (c,)."""
@@ -146,6 +162,18 @@ def judge(item: Item, parsed: ParsedGltf, number: int, illuminant: str) -> dict[
         found[kind] = np.where(seen, differences(srgb(), ours, theirs), np.nan)
     found[EVEN] = _under_even_light(texel, fresnel, material.mirror, surface)
     return found
+
+
+def judge_spectra(item: Item, spectra: np.ndarray) -> Loss:
+    """Return the loss of diffuse spectra (height, width, 61) of a file, over the texels with data of their own."""
+    material, matrix = item.material, xyz_from_reflectance("D65")
+    scale = np.where(item.observed, material.spectrum_scale, np.nan)
+
+    def exact(part: slice) -> np.ndarray:
+        coefficients = material.coefficients[part].astype(np.float64) * scale[part, :, None]
+        return coefficients @ material.basis.astype(np.float64).T
+
+    return stored_loss(matrix, matrix.sum(axis=1), exact, spectra.__getitem__, len(spectra))
 
 
 def _under_even_light(texel: Texel, fresnel, mirror: float, surface: GltfSurface) -> np.ndarray:

@@ -11,12 +11,13 @@ from pathlib import Path
 
 import numpy as np
 
-from irodori.colour.colorimetry import delta_e_reflectance, xyz_from_radiance, xyz_from_reflectance
+from irodori.colour.colorimetry import xyz_from_radiance, xyz_from_reflectance
 from irodori.colour.display import rgb_from_xyz
 from irodori.core import store
 from irodori.core.errors import InputError
-from irodori.export.diffuse_picture import Loss
+from irodori.export.diffuse_picture import colours_from_bands, diffuse_colours
 from irodori.export.envi import INTERLEAVES, write_envi
+from irodori.export.loss import LOSS, Loss, Losses, stored_loss
 from irodori.export.pictures import layer_names, specification, write_picture_file
 from irodori.light.environment_file import Environment
 from irodori.light.omnidirectional import to_panorama
@@ -36,13 +37,14 @@ def _write(path, size: tuple[int, int], names: list[str], attributes: dict, rows
     write_picture_file(path, spec, (rows(part).astype(np.float32, copy=False) for part in parts))
 
 
-def _attributes(units: str, names: list[str]) -> dict:
+def _attributes(units: str, names: list[str], loss: str) -> dict:
     return {
         "spectralLayoutVersion": "1.0",
         "irodori:units": units,
         "irodori:channels": " ".join(names),
-        # TIFF has no names of channels: the description tells them in order.
-        "ImageDescription": f"channels: {' '.join(names)}; {units}",
+        LOSS: loss,
+        # TIFF has no names of channels: the description lists them in order.
+        "ImageDescription": f"channels: {' '.join(names)}; {units}; {LOSS} {loss}",
     }
 
 
@@ -83,35 +85,35 @@ def export_material(source, path, interleave: str = "bsq") -> Loss:
         spectra = decoded(part)
         return np.concatenate([spectra @ to_rgb.T, spectra, maps(part)], axis=-1)
 
-    loss = _loss_of(material, decoded)
-    reflectance = f"reflectance factor, 1 = perfect diffuser; under D65 off by {loss.text}"
+    exact_basis = material.basis.astype(np.float64)
+
+    def exact(part: slice) -> np.ndarray:
+        spectra = material.coefficients[part].astype(np.float64) @ exact_basis.T
+        return np.where(material.observed[part, :, None], spectra, np.nan)
+
+    def stored(part: slice) -> np.ndarray:
+        return decoded(part).astype(np.float32)
+
+    loss = stored_loss(to_xyz, to_xyz.sum(axis=1), exact, stored, len(material.coefficients))
+    stated = f"{loss.text}, spectra under D65"
+    reflectance = "reflectance factor, 1 = perfect diffuser"
     units_of = {
         name: "a ratio" if units == "1" else f"in {units}" for name, (units, _) in gloss_maps(material.lobes).items()
     }
     ratios = ", ".join(["alpha is a ratio", *(f"{name} is {unit}" for name, unit in units_of.items())])
     if _is_envi(path):
         size, beside = material.alpha.shape, Path(path).with_name(f"{Path(path).stem}-maps.img")
-        write_envi(path, size, _ENVI_BANDS, decoded, interleave=interleave, units=reflectance)
+        write_envi(path, size, _ENVI_BANDS, decoded, interleave=interleave, units=f"{reflectance}; {LOSS} {stated}")
         write_envi(beside, size, own, maps, interleave=interleave, units=ratios)
         return loss
-    units = f"{reflectance}; {ratios}"
-    _write(path, material.alpha.shape, names, _attributes(units, names), rows)
+    _write(path, material.alpha.shape, names, _attributes(f"{reflectance}; {ratios}", names, stated), rows)
     return loss
 
 
-def _loss_of(material: Material, decoded: Callable[[slice], np.ndarray]) -> Loss:
-    """Return how far the spectra of texels on the surface are off as numbers of 32 bits, a band of rows at a time."""
-    differences = []
-    for first in range(0, len(material.coefficients), _ROWS):
-        part = slice(first, first + _ROWS)
-        exact = material.coefficients[part].astype(np.float64) @ material.basis.astype(np.float64).T
-        written = decoded(part).astype(np.float32).astype(np.float64)
-        differences.append(delta_e_reflectance(exact, written)[material.observed[part]])
-    return Loss.of(np.concatenate(differences))
-
-
-def export_environment(source, path, interleave: str = "bsq") -> None:
+def export_environment(source, path, interleave: str = "bsq") -> Loss | str:
     """Write an environment's radiance as a panorama.
+
+    Numbers of 32 bits lose little of the light's own; the description in the file states by how much.
 
     Parameters
     ----------
@@ -122,6 +124,12 @@ def export_environment(source, path, interleave: str = "bsq") -> None:
         ENVI.
     interleave : str
         Of ENVI, see `irodori.export.envi.write_envi`.
+
+    Returns
+    -------
+    Loss or str
+        Of the light of every pixel as it is written, against the light in double precision; white is a perfect diffuser
+        that faces up. The reason where nothing lights such a diffuser.
     """
     environment = Environment.load(source)
     names = ["R", "G", "B", *layer_names("S0")]
@@ -134,17 +142,42 @@ def export_environment(source, path, interleave: str = "bsq") -> None:
         spectra = decoded(part)
         return np.concatenate([spectra @ to_rgb.T, spectra], axis=-1)
 
+    loss = _loss_of_light(environment, decoded)
+    stated = f"{loss.text}, white is a diffuser that faces up" if isinstance(loss, Loss) else loss
     units = "relative spectral radiance"
     if _is_envi(path):
         size = environment.coefficients.shape[:2]
-        write_envi(path, size, _ENVI_BANDS, decoded, interleave=interleave, units=units)
-        return
-    attributes = _attributes(units, names) | {"emissiveUnits": units}
+        write_envi(path, size, _ENVI_BANDS, decoded, interleave=interleave, units=f"{units}; {LOSS} {stated}")
+        return loss
+    attributes = _attributes(units, names, stated) | {"emissiveUnits": units}
     _write(path, environment.coefficients.shape[:2], names, attributes, rows)
+    return loss
 
 
-def light_preview(source) -> np.ndarray:
-    """Return an environment as a panorama in linear sRGB, (height, width, 3); its white is a diffuser that faces up."""
+def _loss_of_light(environment: Environment, decoded: Callable[[slice], np.ndarray]) -> Loss | str:
+    """Return how far a panorama's numbers of 32 bits are off, or why there is no figure."""
+    white = environment.upward_white()
+    if not (white > 0).any():
+        return "not measured: nothing lights a diffuser that faces up, which counts as white"
+    matrix, basis = xyz_from_radiance(white), environment.basis.astype(np.float64)
+
+    def exact(part: slice) -> np.ndarray:
+        return to_panorama(environment.coefficients[part].astype(np.float64)) @ basis.T
+
+    def stored(part: slice) -> np.ndarray:
+        return decoded(part).astype(np.float32)
+
+    return stored_loss(matrix, matrix @ white, exact, stored, len(environment.coefficients))
+
+
+def stored_preview(source) -> np.ndarray:
+    """Return a material's or an environment's file as a picture in linear sRGB, (height, width, 3).
+
+    A material is shown by its diffuse colour under D65, NaN where nothing determined it; an environment as a panorama,
+    whose white is a diffuser that faces up.
+    """
+    if _is_material(source):
+        return diffuse_colours(Material.load(source), colours_from_bands("D65"))
     environment = Environment.load(source)
     return to_panorama(environment.coefficients @ (_rgb_from_radiance(environment) @ environment.basis).T)
 
@@ -162,7 +195,7 @@ def _is_envi(path) -> bool:
     return Path(path).suffix.lower() == ".img"
 
 
-def export_picture(source, path, interleave: str | None = None) -> Loss | None:
+def export_picture(source, path, interleave: str | None = None) -> Losses:
     """Write a material or an environment in the format that the suffix of ``path`` names.
 
     Parameters
@@ -173,8 +206,8 @@ def export_picture(source, path, interleave: str | None = None) -> Loss | None:
 
     Returns
     -------
-    Loss or None
-        See `export_material`; None for an environment, whose colours no one light and observer tells.
+    Losses
+        One entry, see `export_material` and `export_environment`.
 
     Raises
     ------
@@ -187,11 +220,15 @@ def export_picture(source, path, interleave: str | None = None) -> Loss | None:
     interleave = interleave or INTERLEAVES[0]
     if Path(path).suffix.lower() not in SUFFIXES:
         raise InputError(path, "", f"the suffix {Path(path).suffix!r}", f"one of {', '.join(SUFFIXES)}")
+    if _is_material(source):
+        return {"spectra, under D65": export_material(source, path, interleave)}
+    return {"light of every direction": export_environment(source, path, interleave)}
+
+
+def _is_material(source) -> bool:
+    """Return whether a file is a material's, or else a light's; refuse one that is neither."""
     with store.open_file(source) as file:
         is_material, is_environment = "reflectance/coefficients" in file, "irradiance" in file
-    if is_material:
-        return export_material(source, path, interleave)
-    if not is_environment:
+    if not (is_material or is_environment):
         raise InputError(source, "", "neither a material nor an environment", "material.h5 or an environment's file")
-    export_environment(source, path, interleave)
-    return None
+    return is_material

@@ -18,7 +18,7 @@ import numpy as np
 
 import irodori
 from irodori.colour.colorimetry import delta_e, lab_from_xyz
-from irodori.export.diffuse_picture import Loss
+from irodori.export.loss import Loss
 from irodori.export.mitsuba_scene import ABOUT, PLUGIN, SCENE
 from irodori.export.pictures import read_xyz
 

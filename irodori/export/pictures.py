@@ -9,8 +9,10 @@ from typing import NamedTuple
 import numpy as np
 import OpenImageIO as oiio
 
+from irodori.colour.colorimetry import xyz_from_radiance
 from irodori.core.atomic_files import written_whole
 from irodori.core.errors import InputError
+from irodori.export.loss import LOSS, stored_loss
 from irodori.material.coefficients import require_storage, rounded_to_half
 from irodori.spectra.grid import WAVELENGTH_NM
 
@@ -59,7 +61,13 @@ def write_picture_file(path, spec: oiio.ImageSpec, bands: Iterable[np.ndarray]) 
 
 
 def write_spectral_exr(
-    path, radiance: np.ndarray, rgb: np.ndarray, attributes: dict[str, str], *, storage: str = "half"
+    path,
+    radiance: np.ndarray,
+    rgb: np.ndarray,
+    attributes: dict[str, str],
+    *,
+    storage: str = "half",
+    white: np.ndarray | None = None,
 ) -> None:
     """Write a spectral radiance image (Fichet et al. 2021, *An OpenEXR Layout for Spectral Images*).
 
@@ -77,6 +85,9 @@ def write_spectral_exr(
         Further text attributes.
     storage : str
         ``half`` or ``single``.
+    white : (61,) float, optional
+        Radiance of the scene's white. With it the attribute ``irodori:loss`` states how far the colours of the stored
+        numbers are from those of ``radiance``.
 
     Raises
     ------
@@ -93,6 +104,13 @@ def write_spectral_exr(
             own[_SCALE] = f"{scale:.17g}"
             pixels *= np.float32(scale)
         pixels = rounded_to_half(pixels)
+    if white is not None:
+        matrix, divisor = xyz_from_radiance(white), np.float32(scale or 1.0)
+
+        def stored(part: slice) -> np.ndarray:
+            return pixels[part, :, 3:].astype(np.float32) / divisor
+
+        own[LOSS] = stored_loss(matrix, matrix @ white, radiance.__getitem__, stored, len(radiance)).text
     kind = "float" if scale is None else "half"
     write_picture_file(path, specification(radiance.shape[:2], names, own | attributes, kind), [pixels])
 
@@ -127,6 +145,8 @@ _LONGEST_REASON = 200
 _PRIMARIES = 8
 #: A side, in pixels.
 _LONGEST_SIDE = 1 << 17
+#: Rows whose spectra are converted together.
+_ROWS = 32
 #: What is read at once, rows or whole rows of tiles.
 _MOST_TOGETHER_BYTES = 1 << 31
 
@@ -195,6 +215,23 @@ def picture_header(path) -> Header:
         found = "something else than eight numbers"
         raise InputError(path, "chromaticities", found, "x and y of red, green, blue and white")
     return Header((spec.height, spec.width), list(spec.channelnames), str(spec.format), shown, chromaticities)
+
+
+def stated_loss(path) -> str | None:
+    """Return the loss that a picture's file states in its attributes or its description, None where it states none.
+
+    Raises
+    ------
+    InputError
+        If OpenImageIO cannot open it.
+    """
+    source = _open(path, "a picture")
+    spec = source.spec()
+    source.close()
+    listed = dict(
+        part.split(" ", 1) for part in spec.get_string_attribute("ImageDescription").split("; ") if " " in part
+    )
+    return spec.getattribute(LOSS) or listed.get(LOSS)
 
 
 def picture_bands(path, rows: int) -> Iterator[tuple[int, np.ndarray]]:
@@ -304,12 +341,19 @@ def read_spectral_exr(path) -> np.ndarray:
     InputError
         If the file is missing, truncated, or lacks a wavelength; `read_layers` reads files of other wavelengths.
     """
-    wavelength_nm, pixels = read_layers(path, "S0")
-    available = {round(float(w), 3): index for index, w in enumerate(wavelength_nm)}
+    header = picture_header(path)
+    channels = _grid_channels(header, path)
+    return np.concatenate([band[..., channels] for _, band in picture_bands(path, header.size[0])])
+
+
+def _grid_channels(header: Header, path) -> list[int]:
+    """Return the numbers of the S0 layers at the 61 wavelengths among the channels of a picture."""
+    wavelength_nm, channels = layers_of(header.channels, "S0", path)
+    available = dict(zip((round(float(w), 3) for w in wavelength_nm), channels, strict=True))
     missing = [w for w in WAVELENGTH_NM if round(float(w), 3) not in available]
     if missing:
         raise InputError(path, "channels", f"no layer for {missing[0]:g} nm", "layers S0.400nm to S0.700nm, step 5")
-    return pixels[..., [available[round(float(w), 3)] for w in WAVELENGTH_NM]]
+    return [available[round(float(w), 3)] for w in WAVELENGTH_NM]
 
 
 def write_xyz_exr(path, xyz: np.ndarray, attributes: dict[str, str]) -> None:
@@ -344,8 +388,9 @@ def read_xyz(path, matrix: np.ndarray) -> np.ndarray:
     header = picture_header(path)
     if {"X", "Y", "Z"} <= set(header.channels):
         channels = [header.channels.index(name) for name in "XYZ"]
-        return np.concatenate([band[..., channels] for _, band in picture_bands(path, header.size[0])])
-    return read_spectral_exr(path) @ matrix.T
+        return np.concatenate([band[..., channels] for _, band in picture_bands(path, _ROWS)])
+    channels = _grid_channels(header, path)
+    return np.concatenate([band[..., channels] @ matrix.T for _, band in picture_bands(path, _ROWS)])
 
 
 def write_display_picture(path, pixels: np.ndarray, profile: bytes, attributes: dict[str, str]) -> None:

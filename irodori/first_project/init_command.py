@@ -23,9 +23,9 @@ _SHOWN_GAPS = 20
 def main(arguments: list[str] | None = None, prog: str = "irodori init") -> int:
     """Write camera, rig, object, scene and the table of photographs of a folder of RAW files, or of one chart's.
 
-    What the files and the pictures do not tell is asked on the terminal, or read from a file of answers; an empty
-    answer leaves a gap, marked ?, which irodori check names. Nothing that exists is overwritten. The exit status is 1
-    where gaps are left, 2 where nothing was written.
+    What cannot be found in the files and pictures is asked on the terminal, or read from a file of answers. An empty
+    answer leaves a gap, marked ?, and irodori check lists these. Existing files are never overwritten. The exit status
+    is 1 if gaps are left, and 2 if nothing was written.
     """
     parser = argparse.ArgumentParser(prog=prog, description=main.__doc__)
     parser.add_argument("photographs", help="folder of the RAW files, or one photograph of a colour chart")
@@ -56,13 +56,13 @@ def _write(asked: argparse.Namespace) -> int:
     name = project_name(asked.name or (place.name if place.is_dir() else place.stem))
     scaffold = Scaffold(name, asked.into, folder, recognised, answers)
     gaps = scaffold.write()
-    print("assumed, change what is wrong:")
+    print("assumed; please correct what is wrong:")
     for path, notes in scaffold.assumed().items():
         for note in notes:
             print(f"  {path}: {note}")
     print(f"{scaffold.configuration}: {len(gaps)} gap{'' if len(gaps) == 1 else 's'}")
     for gap in gaps[:_SHOWN_GAPS]:
-        print(f"  {gap}: write in place of ?")
+        print(f"  {gap}: replace ? by the value")
     if len(gaps) > _SHOWN_GAPS:
         print(f"  and {len(gaps) - _SHOWN_GAPS} more")
     if not gaps:
@@ -76,19 +76,19 @@ def _told(recognised: list[Recognised], timed: bool) -> str:
     """Return what was recognised, in words."""
     count = Counter((one.role, one.filter) for one in recognised)
     poses = 1 + max(one.pose for one in recognised)
-    parts = [f"{number} {role}, filter {state or 'not told'}" for (role, state), number in sorted(count.items())]
-    order = "the camera's clock" if timed else "their names, for not every file states its time"
+    parts = [f"{number} {role}, filter {state or 'unknown'}" for (role, state), number in sorted(count.items())]
+    order = "the camera's clock" if timed else "their names, because not every file states its time"
     sure = {
-        "chart": "chart: found and proved by its spectra",
+        "chart": "chart: found, and its colours fit the known spectra",
         "white": "white: one even grey surface fills the frame",
-        "dark": "dark: not lit at all",
-        "object": f"object: all others, {poses} poses, told by likeness of photographs that follow each other",
+        "dark": "dark: no light at all",
+        "object": f"object: all others; successive photographs that look alike are one pose, which gives {poses} poses",
     }
     known = [words for role, words in sure.items() if any(one.role == role for one in recognised)]
     open_ones = [one.photograph.path.name for one in recognised if not one.filter]
-    lines = [f"{len(recognised)} photographs by {order}", *parts, *known]
+    lines = [f"{len(recognised)} photographs, in the order of {order}", *parts, *known]
     if open_ones:
-        lines.append(f"filter not told, is a photograph missing or out of order?: {', '.join(open_ones[:5])}")
+        lines.append(f"filter unknown; is a photograph missing or out of order? {', '.join(open_ones[:5])}")
     return "\n".join(lines)
 
 

@@ -109,7 +109,7 @@ class Scaffold:
         for path, content in files.items():
             path.parent.mkdir(parents=True, exist_ok=True)
             notes = [f"# {words}\n" for words in self.assumed().get(path, ())]
-            told = ["# Assumed by irodori init; change what is wrong:\n", *notes] if notes else []
+            told = ["# Assumed by irodori init; please correct what is wrong:\n", *notes] if notes else []
             body = yaml.safe_dump(content, sort_keys=False, allow_unicode=True)
             with written_whole(path) as temporary:
                 temporary.write_text("".join(told) + body, encoding="utf-8")
@@ -131,10 +131,12 @@ class Scaffold:
         """Return what neither the photographs nor a person said, by file: field, value and why, one a line."""
         said = self.answers.assumed
         rig, camera, subject, environment, scene = self._paths()
-        notes: dict[Path, list[str]] = {rig: ["limits: wide ones, for nothing moves this rig"], camera: []}
+        notes: dict[Path, list[str]] = {rig: ["limits: wide ones, because no motor moves this rig"], camera: []}
         if "camera_distance_mm" in said:
             notes[rig].append(f"camera_distance_mm: {said['camera_distance_mm']}, which a chart alone does not need")
-        notes[camera].append(f"chart.spectra: {CHART}, means of many ColorCheckers, for nobody measured this one")
+        notes[camera].append(
+            f"chart.spectra: {CHART}, the mean of many ColorCheckers, because this one was not measured"
+        )
         if "reference_pose" in said:
             notes[camera].append(
                 f"light and camera angle of chart and white in {self.table}: {said['reference_pose']} degrees"
@@ -142,18 +144,20 @@ class Scaffold:
         if "white_reflectance" in said:
             notes[camera].append(f"white.reflectance_factor: {said['white_reflectance']}, that of a new reference")
         if self.has_object:
-            notes[camera].append("optics: the principal point in the picture's middle, and a lens without distortion")
+            notes[camera].append("optics: the lens points at the middle of the picture and has no distortion")
             notes[subject] = [
-                f"refractive_index: n {_GLASS['n']:g}, that of most varnishes and plastics",
+                f"refractive_index: n {_GLASS['n']:g}, as most varnishes and plastics have",
                 "mirror_weight: 0, no mirror images of other things",
-                "texels: a number to begin with",
+                "texels: a number to start with",
                 "place: the object's middle is where the axes of the rig meet",
             ]
             for axis in ("camera_deg", "tilt_deg", "turn_deg"):
                 if axis in said:
                     notes[subject].append(f"{axis} in {self.table}: {said[axis]}")
-            notes[environment] = ["source: one lamp of spectrum D65 to try the object in, not yours"]
-            notes[scene] = ["views, image: a view from the front, to begin with"]
+            notes[environment] = [
+                "source: one lamp with the spectrum D65 to show the object in, not the lamp of your photographs"
+            ]
+            notes[scene] = ["views, image: one view from the front, to start with"]
         return notes
 
     def _paths(self) -> tuple[Path, Path, Path, Path, Path]:

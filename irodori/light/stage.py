@@ -199,7 +199,7 @@ def prepare_environment(
         picture = _mirror_ball(linear, calibration, source, image, recovery_of)
     sources = [f"charts in the room ({', '.join(room_charts)})"] if room_charts else []
     picture.origin["lamps"] = " and ".join([*sources, *([told_by(lamps)] if lamps else [])]) or "published lamps"
-    LOGGER.info("lamps told by %s", picture.origin["lamps"])
+    LOGGER.info("source of the lamps' spectra: %s", picture.origin["lamps"])
     # The colour of the light is judged against the rig's light as white.
     write_environment(
         picture, calibration.light, output, options, irradiance_options, provenance, gloss_lobes=gloss_lobes

@@ -37,6 +37,8 @@ from irodori.spectra.grid import WAVELENGTH_NM
 #: An illuminant must have this part of its peak everywhere to be divided by.
 _LEAST_POWER = 1e-4
 _KEY = "key.txt"
+#: Every so many pixels of a frame its loss is measured, which takes a fifth of a second of a whole picture.
+_JUDGED_STEP = 4
 
 
 def make_moments(frames: Frames) -> list[tuple[dict, Moment]]:
@@ -216,7 +218,7 @@ def render_frames(
             xyz = picture * np.float32(matrix[1].sum() / matrix_of_white[1].sum())
         else:
             xyz = picture @ matrix.T.astype(np.float32)
-        figures |= write_picture(kept.picture(number), xyz, matrix @ seen, display)
+        figures |= write_picture(kept.picture(number), xyz, matrix @ seen, display, judged_step=_JUDGED_STEP)
         kept.finish(number, shown | figures | {"seconds_in_all": time.perf_counter() - start})
     numbers = range(len(moments))
     write_animation(animation, [kept.picture(n) for n in numbers], frames.frames_per_second)

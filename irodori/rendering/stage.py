@@ -13,6 +13,7 @@ from irodori.core.atomic_files import written_whole
 from irodori.core.progress import LOGGER
 from irodori.core.store import Provenance
 from irodori.core.yaml_files import read_yaml
+from irodori.export.loss import LOSS, display_loss, stored_loss
 from irodori.export.pictures import read_xyz, write_display_picture, write_spectral_exr, write_xyz_exr
 from irodori.geometry.shapes.shape import Shape
 from irodori.light.environment_file import Environment
@@ -71,11 +72,11 @@ def render_view(
     white_xyz = matrix @ white
     if radiance.shape[-1] == 3:
         xyz = radiance  # of a plan that does not carry all bands
-        write_xyz_exr(exr, xyz, _xyz_attributes(white_xyz))
+        write_xyz_exr(exr, xyz, _xyz_attributes(xyz, white_xyz))
     else:
         xyz = radiance @ matrix.T.astype(np.float32)
         rgb, attributes = srgb().linear_rgb(xyz, white_xyz), srgb().attributes(white_xyz)
-        write_spectral_exr(exr, radiance, rgb, attributes, storage=options.storage)
+        write_spectral_exr(exr, radiance, rgb, attributes, storage=options.storage, white=white)
     figures |= write_picture(png, xyz, white_xyz, display) | {"display": display.name, "exposure": exposure}
     with written_whole(figures_file) as temporary:
         temporary.write_text(json.dumps(figures, indent=1), encoding="utf-8")
@@ -103,10 +104,19 @@ def bake_light(
     renderer.baked().save(output, provenance)
 
 
-def write_picture(path, xyz: np.ndarray, white_xyz: np.ndarray, display: Display, bits: int = 8) -> dict[str, float]:
-    """Write XYZ (height, width, 3) as a picture for a display; return, and log, what that display cannot show."""
-    pixels, gamut = display.encode(display.linear_rgb(xyz, white_xyz), bits)
-    write_display_picture(path, pixels, display.profile, display.attributes(white_xyz))
+def write_picture(
+    path, xyz: np.ndarray, white_xyz: np.ndarray, display: Display, bits: int = 8, judged_step: int = 1
+) -> dict[str, float]:
+    """Write XYZ (height, width, 3) as a picture for a display; return, and log, what that display cannot show.
+
+    The file states its loss, that is what the code values round and colours outside the display's gamut, measured on
+    every ``judged_step``-th pixel of every so many rows.
+    """
+    linear = display.linear_rgb(xyz, white_xyz)
+    pixels, gamut = display.encode(linear, bits)
+    judged = np.s_[::judged_step, ::judged_step]
+    attributes = {LOSS: display_loss(display, linear[judged], pixels[judged]).text} | display.attributes(white_xyz)
+    write_display_picture(path, pixels, display.profile, attributes)
     figures = gamut.figures()
     text = "%s: %.2f %% of pixels outside the gamut of %s, set to its edge (%.2f %% under 0, %.2f %% over 1)"
     shares = [100 * figures[f"out_of_gamut_{side}fraction"] for side in ("", "below_", "above_")]
@@ -126,13 +136,16 @@ def write_xyz(scene: Scene, exr, environment_file, output) -> None:
     output : path
     """
     xyz, white_xyz = _view_xyz(scene, exr, environment_file)
-    write_xyz_exr(output, xyz, _xyz_attributes(white_xyz))
+    write_xyz_exr(output, xyz, _xyz_attributes(xyz, white_xyz))
 
 
-def _xyz_attributes(white_xyz: np.ndarray) -> dict[str, str]:
+def _xyz_attributes(xyz: np.ndarray, white_xyz: np.ndarray) -> dict[str, str]:
+    loss = stored_loss(
+        np.eye(3), white_xyz, xyz.__getitem__, lambda part: xyz[part].astype(np.float32, copy=False), len(xyz)
+    )
     listed = " ".join(f"{value:.6g}" for value in white_xyz)
     observer = {"irodori:observer": "CIE 1931 2 degrees", "irodori:chromaticAdaptation": "none"}
-    return observer | {"irodori:whiteXYZ": listed}
+    return observer | {"irodori:whiteXYZ": listed, LOSS: loss.text}
 
 
 def write_tiff(scene: Scene, exr, environment_file, output) -> None:
@@ -142,7 +155,7 @@ def write_tiff(scene: Scene, exr, environment_file, output) -> None:
 
 
 def _view_xyz(scene: Scene, exr, environment_file) -> tuple[np.ndarray, np.ndarray]:
-    """Return the XYZ of a view's EXR, (height, width, 3) float32, and of its white."""
+    """Return the XYZ of a view's EXR, (height, width, 3), and of its white."""
     white, _ = scene_white(scene, Environment.load(environment_file))
     matrix = xyz_from_radiance(white)
-    return read_xyz(exr, matrix.astype(np.float32)), matrix @ white
+    return read_xyz(exr, matrix), matrix @ white

@@ -1,16 +1,19 @@
 """Materials and environments in files of other programs: what was written is what is read."""
 
+from dataclasses import replace
+
 import numpy as np
 import OpenImageIO as oiio
 import pytest
+from PIL import Image
 from scenes import material
 from spectral.io import envi
 
-from irodori.colour.colorimetry import delta_e_reflectance
+from irodori.colour.colorimetry import delta_e, delta_e_reflectance, lab_from_xyz, xyz_from_radiance
 from irodori.core import store
 from irodori.core.errors import InputError
-from irodori.export.diffuse_picture import Loss
 from irodori.export.export_command import main
+from irodori.export.loss import Loss
 from irodori.export.material_pictures import export_picture
 from irodori.export.pictures import layer_names, read_layers
 from irodori.light.environment_file import Environment
@@ -55,22 +58,51 @@ def test_a_material_comes_back_from_a_spectral_exr(files):
     assert [p.name for p in sorted(folder.iterdir())] == ["light.h5", "material.h5", "out.exr"]
 
 
-@pytest.mark.parametrize("suffix", [".exr", ".img"])
-def test_the_file_states_by_how_much_its_spectra_are_off(files, suffix):
+def stated_and_read(path, layers):
+    """What a file states of its loss, and its spectra as other programs read them."""
+    if path.suffix == ".img":
+        opened = envi.open(str(path.with_suffix(".hdr")), str(path))
+        return opened.metadata["description"], np.asarray(opened.load())
+    spec, pixels = read(path)
+    if path.suffix == ".tif":
+        return spec.getattribute("ImageDescription"), pixels[..., 3:64]
+    return f"irodori:loss {spec.getattribute('irodori:loss')}", read_layers(path, layers)[1]
+
+
+@pytest.mark.parametrize("suffix", [".exr", ".tif", ".img"])
+def test_the_file_of_a_material_states_by_how_much_its_spectra_are_off(files, suffix):
     """The figures are those of what is read back, against the coefficients in double precision."""
     folder, *_ = files
-    path = folder / f"out{suffix}"
-    export_picture(folder / "material.h5", path)
-    if suffix == ".exr":
-        said, found = read(path)[0].getattribute("irodori:units"), read_layers(path, "T")[1]
-    else:
-        opened = envi.open(str(path.with_suffix(".hdr")), str(path))
-        said, found = opened.metadata["description"], np.asarray(opened.load())
+    losses = export_picture(folder / "material.h5", folder / f"out{suffix}")
+    stated, found = stated_and_read(folder / f"out{suffix}", "T")
     stored = Material.load(folder / "material.h5")
     exact = stored.coefficients.astype(np.float64) @ stored.basis.T
     off = delta_e_reflectance(exact, found.astype(np.float64))[stored.observed]
-    assert f"under D65 off by {Loss.of(off).text}" in said
-    assert off.max() < 1e-4
+    assert f"irodori:loss {Loss.of(off).text}, spectra under D65" in stated
+    assert losses == {"spectra, under D65": Loss.of(off)} and 0.0 < off.max() < 1e-4
+
+
+@pytest.mark.parametrize("suffix", [".exr", ".tif", ".img"])
+def test_the_file_of_a_light_states_by_how_much_its_colours_are_off(files, suffix):
+    """White is a perfect diffuser that faces up, whose light is the irradiance map's at its pole over pi."""
+    folder, _, light = files
+    losses = export_picture(folder / "light.h5", folder / f"out{suffix}")
+    stated, found = stated_and_read(folder / f"out{suffix}", "S0")
+    white = light.basis.sum(axis=1) / np.pi
+    matrix = xyz_from_radiance(white)
+    exact = light.coefficients.astype(np.float64) @ light.basis.T
+    labs = [lab_from_xyz(one @ matrix.T, matrix @ white) for one in (exact, from_panorama(found.astype(np.float64)))]
+    off = Loss.of(delta_e(*labs))
+    assert losses["light of every direction"].text == off.text
+    assert f"irodori:loss {off.text}, white is a diffuser that faces up" in stated
+    assert 0.0 < off.largest < 1e-3
+
+
+def test_the_file_of_a_light_that_reaches_no_diffuser_says_that_it_has_no_figure(files):
+    folder, _, light = files
+    replace(light, irradiance=np.zeros_like(light.irradiance)).save(folder / "below.h5", store.Provenance("test"))
+    export_picture(folder / "below.h5", folder / "below.exr")
+    assert stated_and_read(folder / "below.exr", "S0")[0].startswith("irodori:loss not measured: nothing lights a diff")
 
 
 def test_an_environment_comes_back_as_the_same_light(files):
@@ -157,5 +189,12 @@ def test_what_cannot_be_exported_is_refused_in_one_sentence(files, capsys):
         export_picture(folder / "other.h5", folder / "out.exr")
     assert main([str(folder / "none.h5"), str(folder / "out.exr")]) == 2
     assert "no such file" in capsys.readouterr().err
-    assert main([str(folder / "light.h5"), str(folder / "out.exr")]) == 0
-    assert (folder / "out.exr").is_file()
+
+
+@pytest.mark.parametrize("name", ["material.h5", "light.h5"])
+def test_a_file_without_to_is_exported_with_its_loss_and_a_preview(files, capsys, name):
+    folder, *_ = files
+    assert main([str(folder / name), str(folder / "out.exr")]) == 0
+    assert "CIEDE2000 mean" in capsys.readouterr().out
+    with Image.open(folder / "out.exr.png") as preview:
+        assert preview.size == ((8, 4) if name == "material.h5" else (140, 70)) and np.asarray(preview).std() > 5

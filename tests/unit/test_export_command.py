@@ -12,11 +12,14 @@ from exported import painted
 from PIL import Image
 from scenes import smooth_sky
 
+from irodori.colour.colorimetry import xyz_from_radiance
 from irodori.colour.display import standard_display
 from irodori.core import store
 from irodori.export.export_command import TARGETS, command_parser, export_named, main
-from irodori.export.gltf_loss import EVEN, HIGHLIGHT, LAMP, ParsedGltf
-from irodori.export.pictures import write_display_picture, write_spectral_exr
+from irodori.export.gltf_loss import EVEN, HIGHLIGHT, LAMP, SPECTRA, ParsedGltf
+from irodori.export.loss import Loss
+from irodori.export.pictures import stated_loss, write_display_picture, write_spectral_exr
+from irodori.rendering.stage import write_picture
 
 OBJECTS = ("tile-plate", "vermilion-sphere", "indigo-sphere", "leaf-sphere")
 #: IEC 61966-2-1, whose white is that of D65.
@@ -105,6 +108,25 @@ def test_a_light_is_exported_by_its_name(project):
     export_named("classroom", root / "room.exr", given("classroom", "--to", "spectral-exr"))
     with Image.open(root / "room.exr.png") as preview:
         assert preview.size == (64, 32)
+    assert Loss.parse(stated_loss(root / "room.exr")).compared == 64 * 32
+
+
+def test_every_picture_of_a_view_has_its_row_in_the_table_of_losses(project, tmp_path):
+    from benchmarks.exports import pictures
+
+    root, _ = project
+    (root / "results/still-life").mkdir()
+    radiance = np.random.default_rng(5).uniform(0.1, 1.0, (48, 64, 61)).astype(np.float32)
+    view, white = root / "results/still-life/front", np.ones(61)
+    write_spectral_exr(view.with_suffix(".exr"), radiance, radiance[..., :3], {}, white=white)
+    matrix = xyz_from_radiance(white)
+    write_picture(view.with_suffix(".png"), radiance @ matrix.T, matrix @ white, standard_display("sRGB"))
+    rows = pictures(tmp_path)
+    assert [row["export"] for row in rows] == [
+        f"results/still-life/front.{kind}" for kind in ("exr", "png", "tif", "xyz.exr")
+    ]
+    spectral, eight_bits, sixteen_bits, xyz = (row["mean"] for row in rows)
+    assert eight_bits > sixteen_bits and spectral > xyz > 0.0 and all(row["count"] == 3072 for row in rows)
 
 
 def test_a_scene_has_its_picture_as_preview_and_its_objects_where_they_stand(project):
@@ -193,13 +215,14 @@ def test_the_table_of_losses_is_measured_from_the_files_and_shown_with_its_reaso
     from benchmarks.exports import COLUMNS, measured
     from benchmarks.published_tables import exports_block
 
-    calls = ("tile-plate --to gltf --illuminant D65", "tile-plate --to spectral-exr", "tile-plate --to envi")
+    calls = ("tile-plate --to gltf --illuminant D65", "tile-plate --to spectral-exr", "tile-plate --to envi",
+             "classroom --to spectral-exr", "classroom --to envi")  # fmt: skip
     rows = [row for call in calls for row in measured(call, tmp_path)]
-    assert [row["compared"] for row in rows[:3]] == [f"tile-plate: {kind}" for kind in (LAMP, HIGHLIGHT, EVEN)]
-    spectral = rows[3:]
-    assert len(spectral) == 2 and all(row["max"] < 1e-4 and row["count"] == 64 for row in spectral)
+    assert [row["compared"] for row in rows[:4]] == [f"tile-plate: {kind}" for kind in (LAMP, HIGHLIGHT, EVEN, SPECTRA)]
+    spectral = rows[4:]
+    assert [row["count"] for row in spectral] == [64, 64, 2048, 2048] and all(row["max"] < 1e-3 for row in spectral)
     sizes = [(tmp_path / f"tile-plate-{name}").stat().st_size for name in ("gltf.glb", "spectral-exr.exr")]
-    assert [float(rows[at]["mb"]) for at in (0, 3)] == pytest.approx([size / 1e6 for size in sizes], rel=1e-3)
+    assert [float(rows[at]["mb"]) for at in (0, 4)] == pytest.approx([size / 1e6 for size in sizes], rel=1e-3)
     rows.append({"export": "still-life mitsuba", "compared": "view front", "count": "not measured: no | LLVM"})
     with (tmp_path / "exports.csv").open("w", newline="", encoding="utf-8") as stream:
         writer = csv.DictWriter(stream, COLUMNS)

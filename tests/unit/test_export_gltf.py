@@ -2,6 +2,8 @@
 
 import dataclasses
 import itertools
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ import trimesh
 from exported import alone, item, painted, scene_of, shape, validated
 from scenes import GOLD_K, GOLD_N, THIRDS, constant_light, material
 
+from irodori.colour.colorimetry import delta_e_reflectance
 from irodori.core import store
 from irodori.core.errors import PlainError
 from irodori.export.gltf_file import EXTENSIONS, write_gltf
@@ -16,12 +19,14 @@ from irodori.export.gltf_loss import EVEN, HIGHLIGHT, LAMP, ParsedGltf, judge
 from irodori.export.gltf_refit import Texel as Reflecting
 from irodori.export.gltf_refit import about_highlight, everywhere, fresnel_colours, refit, rough_terms
 from irodori.export.gltf_reflection import GltfSurface, facets, mirrored, reflected
+from irodori.export.loss import Loss
 from irodori.geometry.atlas import mesh_texels, rasterise
 from irodori.material.material_file import Material
 from irodori.reflection.equation5 import angles_from_directions
 from irodori.reflection.lobe_arrays import evaluate
 from irodori.spectra.grid import WAVELENGTH_NM
 
+EXPORTS = Path(__file__).resolve().parents[2] / "docs/exports.md"
 KINDS = ["plate", "sphere", "disc", "mesh", "plane"]
 GLOSSY = {"reflectance": 0.4, "beta": 2.0, "mu": 0.15}
 GREY = np.full((1, 61), 1.0 / 61.0)
@@ -176,7 +181,8 @@ def test_the_file_holds_the_basis_the_loss_that_it_has_and_the_colours_of_every_
     spectra = told["spectra"]
     assert np.array(spectra["basis"]).shape == (2, WAVELENGTH_NM.size)
     mean = np.array(spectra["mean_coefficients"]) @ np.array(spectra["basis"])
-    assert mean == pytest.approx(own.spectra().mean(axis=(0, 1)), rel=1e-4)
+    diffuse = own.spectra() * own.spectrum_scale[..., None]
+    assert mean == pytest.approx(diffuse.mean(axis=(0, 1)), rel=1e-4)
     again = [judge(item("plate", own), parsed, number, light) for number, light in enumerate(("D65", "A"))]
     for kind in (LAMP, HIGHLIGHT, EVEN):
         values = np.concatenate([one[kind].ravel() for one in again])
@@ -185,6 +191,34 @@ def test_the_file_holds_the_basis_the_loss_that_it_has_and_the_colours_of_every_
     # Each light's colours belong to its own variant.
     wrong = judge(item("plate", own), parsed, 0, "A")
     assert np.nanmean(wrong[LAMP]) > 2 * np.nanmean(again[1][LAMP])
+
+
+def test_the_extras_hold_the_spectrum_of_every_texel_and_their_loss(tmp_path):
+    """A file that another program has read and written again; the numbers are unpacked as docs/exports.md says."""
+    own, path = painted(**GLOSSY), tmp_path / "plate.glb"
+    own.alpha[:, ::2] *= 0.53  # the colour that is rendered is α S / S_G, and not S
+    losses = write_gltf(alone("plate", own), path, ("D65",))
+    trimesh.load(path).export(tmp_path / "again.glb")
+    for file in (path, tmp_path / "again.glb"):
+        stored = reflectance_of(file, "plate")
+        exact = own.alpha[..., None] * own.spectra() / own.green_response[..., None]
+        assert np.abs(stored - exact).max() < exact.max() / 1024 and stored.shape == (8, 16, 61)
+    found = Loss.of(delta_e_reflectance(exact, stored))
+    assert losses["plate: spectra under D65"].text == found.text and 0.0 < found.largest < 0.05
+    written = ParsedGltf.load(path).content["meshes"][0]["extras"]["irodori"]["loss_ciede2000"]["spectra under D65"]
+    assert written == found.figures()
+
+
+def reflectance_of(file, name):
+    """Run the example of docs/exports.md on another file."""
+    (example,) = [
+        block
+        for block in re.findall(r"```python\n(.*?)```", EXPORTS.read_text(encoding="utf-8"), re.S)
+        if "trimesh" in block
+    ]
+    found: dict = {}
+    exec(example.replace("exports/still-life.glb", str(file)).replace("tile-plate", name), found)
+    return found["reflectance"]
 
 
 def test_the_loss_is_that_of_the_file(tmp_path):

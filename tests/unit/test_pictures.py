@@ -11,12 +11,20 @@ from made import made
 from PIL import Image
 from scenes import DATA, OPTIONS, constant_light, material
 
+from irodori.colour.colorimetry import delta_e, lab_from_xyz, xyz_from_radiance
 from irodori.colour.display import srgb
 from irodori.config.models import ObjectShape, Render, Scene
 from irodori.core import store
 from irodori.core.errors import InputError
-from irodori.export.pictures import layer_names, read_spectral_exr, write_display_picture, write_spectral_exr
-from irodori.rendering.stage import render_view, write_tiff, write_xyz
+from irodori.export.loss import Loss
+from irodori.export.pictures import (
+    layer_names,
+    read_spectral_exr,
+    stated_loss,
+    write_display_picture,
+    write_spectral_exr,
+)
+from irodori.rendering.stage import render_view, write_picture, write_tiff, write_xyz
 from irodori.report.html_page import fragment
 from irodori.report.page import rendered_views
 from irodori.spectra.grid import WAVELENGTH_NM
@@ -47,6 +55,45 @@ def test_layers_are_named_as_the_published_layout_says(tmp_path):
     assert sorted(names) == sorted(["R", "G", "B", *expected])
     assert spec.getattribute("spectralLayoutVersion") == "1.0" and spec.getattribute("emissiveUnits")
     assert spec.getattribute("irodori:test") == "yes"
+
+
+@pytest.mark.parametrize(("storage", "brightest"), [("half", 1.0), ("half", 1e6), ("single", 1.0)])
+def test_a_spectral_exr_states_the_loss_of_its_numbers(tmp_path, storage, brightest):
+    """The figures are those of what is read back; of a picture that is scaled into the range of half precision too."""
+    radiance = (brightest * np.random.default_rng(3).uniform(0.0, 1.0, (70, 9, 61))).astype(np.float32)
+    white = brightest * np.linspace(0.5, 1.5, 61)
+    write_spectral_exr(tmp_path / "a.exr", radiance, radiance[..., :3], {}, storage=storage, white=white)
+    matrix = xyz_from_radiance(white)
+    pictures = (radiance.astype(np.float64), read_spectral_exr(tmp_path / "a.exr").astype(np.float64))
+    off = Loss.of(delta_e(*(lab_from_xyz(one @ matrix.T, matrix @ white) for one in pictures)))
+    assert stated_loss(tmp_path / "a.exr") == off.text
+    assert off.compared == 630 and (off.largest < 0.1 if storage == "half" else off.largest == 0.0)
+    assert storage == "single" or off.largest > 1e-4
+
+
+@pytest.mark.parametrize(("suffix", "bits"), [(".png", 8), (".tif", 16)])
+def test_a_picture_for_a_display_states_what_rounding_and_the_gamut_take(tmp_path, suffix, bits):
+    display, white = srgb(), np.array([95.0, 100.0, 109.0])
+    inside = np.random.default_rng(4).uniform(0.0, 1.0, (40, 30, 3))
+    for name, linear in (("inside", inside), ("outside", inside * [3.0, 1.0, 0.5])):
+        xyz = (linear @ np.linalg.inv(display._rgb_from_xyz(white)[0]).T).astype(np.float64)
+        path = tmp_path / f"{name}{suffix}"
+        write_picture(path, xyz, white, display, bits)
+        # The standard's curve, written out.
+        code = oiio_pixels(path) / (2**bits - 1)
+        shown = np.where(code <= 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4)
+        exact = display.linear_rgb(xyz, white)
+        labs = [lab_from_xyz(one @ display.xyz_from_rgb.T, display.white_xyz) for one in (exact, shown)]
+        off = Loss.of(delta_e(*labs))
+        assert stated_loss(path) == off.text
+        assert off.mean > 3.0 if name == "outside" else off.mean < (0.5 if bits == 8 else 0.002)
+
+
+def oiio_pixels(path):
+    source = oiio.ImageInput.open(str(path))
+    pixels = source.read_image(source.spec().format).astype(np.float64)
+    source.close()
+    return pixels
 
 
 @pytest.mark.stability(stage="environment", case="a picture cut short")
@@ -140,6 +187,9 @@ def _check_further_outputs(scene, folder, pixels):
     source = oiio.ImageInput.open(str(folder / "v.xyz.exr"))
     xyz, white = source.read_image("float"), source.spec().getattribute("irodori:whiteXYZ")
     source.close()
+    # Half precision in the spectra, 8 bits in the PNG, 32 bits in the XYZ.
+    means = [float(stated_loss(folder / name).split()[2][:-1]) for name in ("v.exr", "v.png", "v.xyz.exr")]
+    assert 0.0 < means[0] < 0.02 and 0.02 < means[1] < 0.5 and means[2] < 1e-4
     assert xyz[15, 15] == pytest.approx(0.2 * np.array(list(map(float, white.split()))), rel=0.01)
     write_tiff(made(Scene, scene), folder / "v.exr", folder / "e.h5", folder / "v.tif")
     source = oiio.ImageInput.open(str(folder / "v.tif"))
