@@ -47,7 +47,7 @@ class Errors(NamedTuple):
 
 
 class Reflecting(NamedTuple):
-    """What texels reflect."""
+    """Colour and gloss of texels."""
 
     coefficients: np.ndarray  # (texels, r) of α S / S_G
     basis: np.ndarray  # (61, r)
@@ -163,7 +163,7 @@ class AlbedoModel:
 
 @dataclass(frozen=True)
 class Energy:
-    """What texels of an object send back of the light that reaches them.
+    """Light that the texels of an object send back, over what reaches them.
 
     Parameters
     ----------

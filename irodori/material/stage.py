@@ -71,7 +71,7 @@ class _Reflectance:
 
 @dataclass(frozen=True)
 class _Sent:
-    """What texels send back of the light that reaches them: the model of an object, and its typical gloss."""
+    """Light that texels send back, over what reaches them: the model of an object, and its typical gloss."""
 
     model: AlbedoModel
     lobes: tuple[str, ...]

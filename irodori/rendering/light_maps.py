@@ -21,7 +21,7 @@ LEFT_OUT = 1e-3
 
 
 class Bake(NamedTuple):
-    """How far a map is from path tracing; shares of the mean light on the object."""
+    """Size and errors of a map; errors are shares of the mean light on the object."""
 
     texels: int
     paths: int  # a texel

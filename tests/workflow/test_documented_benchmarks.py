@@ -77,6 +77,10 @@ _SIZED = ("compress", "environment", "fit", "light", "plan", "reference", "rende
 _MEASURED = ROOT.parent / "shared" / "data"
 
 
+#: Options with which a benchmark prints a table of its own, and writes none.
+_PRINTED = {"--table", "--error-bars"}
+
+
 @pytest.mark.heavy
 @pytest.mark.parametrize("name", _TINY)
 def test_a_documented_benchmark_measures(name, tmp_path, monkeypatch, capsys):
@@ -88,15 +92,18 @@ def test_a_documented_benchmark_measures(name, tmp_path, monkeypatch, capsys):
     if name == "render":
         monkeypatch.setattr(module, "printed_by", in_this_process(monkeypatch, capsys))
     output = tmp_path / "table.csv"
-    words = max((words_of(c)[1:] for c in of_kind("benchmark") if words_of(c)[0] == f"benchmarks.{name}"), key=len)
-    if name in _SIZED:
-        words = [*words, "--size", "small", "--runs", "5", *_ADDED.get(name, [])]
-    if "--table" not in words:
-        words = ["--output", str(output), *words]
-    monkeypatch.setattr("sys.argv", [name, *words])
-    module.main()
-    assert len(capsys.readouterr().out.splitlines()) > 2
-    assert "--table" in words or len(output.read_text().splitlines()) > 1
+    documented = [words_of(c)[1:] for c in of_kind("benchmark") if words_of(c)[0] == f"benchmarks.{name}"]
+    printing = [words for words in documented if _PRINTED & set(words)]
+    others = [words for words in documented if words not in printing]
+    for words in [*printing, *([max(others, key=len)] if others else [])]:
+        if words not in printing:
+            words = ["--output", str(output), *words]
+        if name in _SIZED:
+            words = [*words, "--size", "small", "--runs", "5", *_ADDED.get(name, [])]
+        monkeypatch.setattr("sys.argv", [name, *words])
+        module.main()
+        assert len(capsys.readouterr().out.splitlines()) > 2
+        assert _PRINTED & set(words) or len(output.read_text().splitlines()) > 1
 
 
 @pytest.mark.heavy
@@ -148,7 +155,9 @@ def test_the_documented_tables_and_figures_are_made_of_a_finished_run(again, tmp
     monkeypatch.setattr("sys.argv", ["exports", "--results", str(again / "results")])
     monkeypatch.chdir(again)
     exports.main()
-    assert len((again / "results/benchmark/exports.csv").read_text().splitlines()) == 3
+    measured = (again / "results/benchmark/exports.csv").read_text().splitlines()
+    pictures = [f"results/still-life/front.{kind}" for kind in ("exr", "png", "tif", "xyz.exr")]
+    assert sorted({line.split(",")[0] for line in measured[1:]}) == [*pictures, "tile-plate envi", "tile-plate tiff"]
     for name, place in published_tables.SOURCES.items():
         (tmp_path / "results" / place).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(published_tables.FIGURES / name, tmp_path / "results" / place)

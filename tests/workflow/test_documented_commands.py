@@ -200,8 +200,9 @@ _IN_PROJECT = {
     "SCENE": "still-life",
     "results/jar/": "results/tile-plate/",
     "results/my-plate/": "results/tile-plate/",
+    "my-plate": "tile-plate",
     "config/mine.yaml": "config/config.yaml",
-    "config/my-plate.yaml": "config/config.yaml",
+    "config/tile-plate.yaml": "config/config.yaml",  # as my-plate was renamed above
 }
 
 
