@@ -12,7 +12,7 @@ import psutil
 QUIET_S = 300.0
 #: CPU time that counts as progress, s; a Snakemake that waits for a sleeping job takes none in a minute.
 LEAST_CPU_S = 0.5
-#: What something that answers by itself is given, s and, for a browser, ms: on a quiet machine it takes a moment.
+#: What something that answers on its own is given, s and, for a browser, ms: on a quiet machine it takes a moment.
 LONG_S, LONG_MS = 300.0, 300_000.0
 #: A program that has computed for so long never ends, s of CPU time.
 MOST_CPU_S = 3600.0

@@ -21,7 +21,7 @@ def band_weights(
     transmittance : (61,) float or None
         Of the filter before the lens in a second shot; without it there is one shot of three bands.
     exposure : str
-        What puts a perfect diffuser at full scale. ``per_band``: every band by itself, as if each were exposed alone
+        What puts a perfect diffuser at full scale. ``per_band``: every band on its own, as if each were exposed alone
         (the ideal that tables of noise against error assume); ``per_shot``: the brightest band of each shot, the second
         being exposed longer by what the filter takes away; ``same_time``: the brightest band of the first shot, the
         second having the same exposure time.

@@ -27,7 +27,7 @@ from irodori.ingest.plausibility import Doubt, Drift, Look, Series, delivered_ag
 from irodori.ingest.preview import preview_of
 
 _TRIES = 3
-#: What is doubted is taken again so often by itself where no person can be asked.
+#: What is doubted is taken again so often on its own where no person can be asked.
 _UNATTENDED_TRIES = 2
 #: Cameras round what they write into their files.
 _TOLERANCE = 0.05

@@ -88,7 +88,7 @@ class Registered:
     prior : (12,) float64
         Standard deviations before.
     own_camera_deg : (J,) float64
-        What each photograph's camera angle is off by itself.
+        What each photograph's camera angle is off on its own.
     residual_px : (J,) float64
         How far, root mean square, each photograph shows the object from where it is expected by its pose and the
         correction that all share; superpixels, NaN where it shows nothing that could be measured.
@@ -116,7 +116,7 @@ class Registered:
 
     @property
     def is_told(self) -> np.ndarray:
-        """Mask of the values that the photographs determine each by itself, (12,) bool."""
+        """Mask of the values that the photographs determine each on its own, (12,) bool."""
         return self.sigma < _TOLD * self.prior
 
 
@@ -441,7 +441,7 @@ def _textures(problem: _Problem) -> list[TextureRows]:
     found = []
     for number, place in enumerate(places):
         moved = problem.derivative(lambda v, unknowns: problem.seen(v, texels.position, unknowns), number)
-        # Behind the shared unknowns, shifts of the photograph by itself.
+        # Behind the shared unknowns, shifts of the photograph on its own.
         moved = np.concatenate([moved, np.broadcast_to(np.eye(2), (len(place), 2, 2))], axis=2)
         slope = picture_slope(mean, problem.on_grid(place)).reshape(-1, mean.shape[2], 2)[texels.number]
         found.append(texture_rows(values[number], slope, moved, weights[number], problem.block))
@@ -639,7 +639,7 @@ def register_object(
     Datasets: ``/correction`` (12) in the order of ``/quantity`` and the units of ``/quantity_unit``, to be added to
     what was typed, 0 of what stays as typed; ``/sigma`` (12), standard errors of the most probable values, each by
     itself; ``/prior_sigma`` (12); ``/covariance`` (12, 12); ``/own_camera_deg`` (J),
-    what each camera angle is off by itself; ``/residual_px`` and ``/residual_mm`` (J), how far a photograph shows the
+    what each camera angle is off on its own; ``/residual_px`` and ``/residual_mm`` (J), how far a photograph shows the
     object from where the correction puts it, NaN where it shows nothing that could be measured; ``/outline_points``
     (J). ``told`` says which numbers the photographs tell, ``captures`` names them, ``sentence`` says all in words.
     """
@@ -698,7 +698,7 @@ def in_words(found: Registered) -> str:
     for quantity, value, sigma, told in zip(
         QUANTITIES, found.correction.values, found.sigma, found.is_told, strict=True
     ):
-        # Where only the others' being as typed lets it be told, its standard error by itself would mislead.
+        # Where only the others' being as typed lets it be told, its standard error on its own would mislead.
         error = f"± {sigma:.2f} " if told else ""
         if value:
             said.append(f"{quantity.text} {value:+.2f} {error}{quantity.unit}")

@@ -66,7 +66,7 @@ def _kill_once(chain: Path, expected: Path, victim: str, choice: random.Random, 
     wrong = judge(chain, expected, partial=True)
     row = {"case": f"kill {victim}", "moment_s": moment_s, "at_work": rules, "good": not wrong}
     if was_over:
-        # Only beside the workers of a Snakemake that was killed alone may a run stop by itself: they hold a session.
+        # Only beside the workers of a Snakemake that was killed alone may a run stop on its own: they hold a session.
         outlived = wait_for_workers(chain) if orphans else 0
         row |= {"case": "run beside orphans", "good": bool(orphans) and not wrong}
         return row | {"outcome": wrong or f"stops, {outlived} of them still at work: {last_fault(said)}"}

@@ -75,7 +75,7 @@ FAULTS = {
     ),
     "autofocus on": (
         lambda b: refuse(b, focusmode="One Shot"),
-        {"prepare": "focuses by itself", "shoot": "focuses by itself (focusmode One Shot)", "status": None},
+        {"prepare": "focuses on its own", "shoot": "focuses on its own (focusmode One Shot)", "status": None},
         1.0,
     ),
     "card full": (

@@ -218,7 +218,7 @@ def test_an_alarm_at_rest_is_a_state_that_costs_the_trust(monkeypatch):
     bench.machine.raise_alarm(1)
     status = driver.status()
     assert status.state == "alarm" and not status.homed
-    with pytest.raises(AlarmError, match="in alarm: it stopped by itself"):
+    with pytest.raises(AlarmError, match="in alarm: it stopped on its own"):
         driver.move({"camera_deg": 5.0})
 
 

@@ -72,7 +72,7 @@ FAULTS = {
     "unplugged": unplug,
     "silent for ever": silence,
 }
-#: What a controller says by itself, and is passed on within a second.
+#: What a controller says on its own, and is passed on within a second.
 SAID_BY_ITSELF = ("limit switch", "soft limit", "reset button", "another program's reset", "alarm", "power lost")
 
 

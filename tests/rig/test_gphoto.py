@@ -310,7 +310,7 @@ def test_a_dead_line_is_said_to_be_one(bench, tmp_path):
 @pytest.mark.parametrize(
     ("values", "stores", "said"),
     [
-        ({"focusmode": "AI Servo"}, [], r"focuses by itself \(focusmode AI Servo\): switch the lens to manual"),
+        ({"focusmode": "AI Servo"}, [], r"focuses on its own \(focusmode AI Servo\): switch the lens to manual"),
         ({"focusmode": "Manual"}, [], "may not find focus, or its card may be full"),
         ({}, [CameraStorageInformation(128 | 256, "/store_1", 12, 0)], "no room on its card /store_1"),
     ],

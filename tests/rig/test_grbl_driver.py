@@ -345,7 +345,7 @@ def test_a_rig_without_switches_counts_from_where_it_was_switched_on():
         opened.move({"camera_deg": 30.0, "turn_deg": 90.0})
         assert true_position_deg(opened) == pytest.approx({"camera_deg": 30.0, "turn_deg": 90.0}, abs=0.005)
         simulator.power()
-        with pytest.raises(AlarmError, match="started anew"):
+        with pytest.raises(AlarmError, match="restarted"):
             opened.move({"camera_deg": 31.0})
         with pytest.raises(AlarmError, match="does not know where it stands"):
             opened.move({"camera_deg": 31.0})

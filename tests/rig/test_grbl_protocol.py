@@ -271,7 +271,7 @@ def test_what_is_said_before_the_ok_is_the_answer():
     [
         ("error:22", CommandError, "refused 'G1X1': error:22 "),
         ("ALARM:1", AlarmError, "stopped during 'G1X1': ALARM:1 .*home it"),
-        ("Grbl 1.1h ['$' for help]", AlarmError, "started anew by itself"),
+        ("Grbl 1.1h ['$' for help]", AlarmError, "restarted on its own"),
         ("nonsense", GarbledError, "'nonsense'"),
     ],
 )

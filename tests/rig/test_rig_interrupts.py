@@ -148,7 +148,7 @@ def test_what_happens_behind_the_driver_s_back_is_noticed():
         opened.home()
         simulator.power()
         status = opened.status()
-        assert not status.homed and "started anew" in status.message
+        assert not status.homed and "restarted" in status.message
         with pytest.raises(AlarmError, match="home"):
             opened.move({"camera_deg": 3.0})
         simulator.fault("alarm 1")

@@ -359,7 +359,7 @@ def test_a_session_is_driven_from_a_phone(sitting, visit):
     assert sitting.state() is State.STEP
     page.context.set_offline(False)
     refuse, cut = (lambda route: route.fulfill(status=403)), (lambda route: route.abort())
-    for answer, words in ((refuse, "started anew: open the address"), (cut, "what is shown may be old")):
+    for answer, words in ((refuse, "restarted: open the address"), (cut, "what is shown may be old")):
         page.route("**/news", answer)
         page.reload()
         page.locator("#lost").filter(has_text=words).wait_for()

@@ -602,7 +602,7 @@ def test_a_board_s_alarm_and_its_inputs_stand_in_the_status(board):
     assert status.message.startswith("ALARM:1 (a limit switch was hit") and status.message.endswith("active inputs: XP")
     bench.machine.power_up()
     status = driver.status()
-    assert "started anew by itself" in status.message and not status.homed
+    assert "restarted on its own" in status.message and not status.homed
     bench.heard = lambda line: line
     driver.home()
     assert driver.status().homed and driver.status().message == ""

@@ -183,7 +183,7 @@ def test_measured_filters_are_ranked_for_a_measured_camera():
         noise: rank_filters(camera, filters, light("A"), training, test, noise, exposure="per_band")
         for noise in (0.001, 0.003)
     }
-    # Every band by itself at full scale, MIDOPT_NF550 is the best at 0.3 %; at 0.1 % a gel is before it in the mean.
+    # Every band on its own at full scale, MIDOPT_NF550 is the best at 0.3 %; at 0.1 % a gel is before it in the mean.
     assert at[0.003][0].name == "MIDOPT_NF550"
     assert "MIDOPT_NF550" in [s.name for s in at[0.001][:3]]
     assert min(at[0.001], key=lambda s: s.delta_e_p95).name == "MIDOPT_NF550"

@@ -433,7 +433,7 @@ def test_photographs_with_the_filter_that_show_other_poses_are_named(tmp_path, m
         words = r"order: found it shows what 5-out.dng shows, and not what 4-out.dng does.*3 more .*\(5-in.dng, 6-in"
         with pytest.raises(InputError, match=words):
             seen.refuse("captures.csv")
-    elif mistake != "another size":  # which is refused by itself
+    elif mistake != "another size":  # which is refused on its own
         assert wrong or seen.refuse("captures.csv") == found
 
 

@@ -353,7 +353,7 @@ def test_rows_of_a_texture_are_what_texels_show_and_what_that_changes_by(tmp_pat
         for number in (0, 1):
             expected = rows[number].change[inner][..., column] * step
             assert np.std(changed(after, number) - expected) < 0.15 * np.std(expected)
-    for axis in (0, 1):  # of a photograph by itself
+    for axis in (0, 1):  # of a photograph on its own
         view = problem.views[0]
         view.picture = replace(view.picture, corner=view.picture.corner - 0.2 * np.eye(2)[axis])
         after = _textures(problem)

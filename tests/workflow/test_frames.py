@@ -29,7 +29,7 @@ def test_only_a_scene_that_defines_frames_has_them_and_one_job_makes_them(tmp_pa
     jobs = [job for job in planned(snakemake(folder, "--dry-run")) if job[0] == "render_frames"]
     assert jobs == [("render_frames", {"scene": "still-life", "view": "front"})]
 
-    # The rule by itself, on materials and light that are there.
+    # The rule on its own, on materials and light that are there.
     provenance = store.Provenance("test")
     scene = yaml.safe_load((folder / "config/scenes/still-life.yaml").read_text())
     for number, name in enumerate(item["object"] for item in scene["objects"]):

@@ -195,7 +195,7 @@ class GphotoCamera(CameraDevice):
         """Yield what keeps the shutter from falling, as far as the camera tells: autofocus, a card without room."""
         focus = self._read(_FOCUS, end)
         if focus != NOT_REPORTED and not re.search(r"manual|\bmf\b", focus, re.IGNORECASE):
-            yield f"it focuses by itself (focusmode {focus}): switch the lens to manual focus"
+            yield f"it focuses on its own (focusmode {focus}): switch the lens to manual focus"
         # Where the file goes into the camera's memory, the card may be full or missing.
         if not self._line.names.intersection(self.widgets.get("capture_target", ())):
             gp = self._gp
@@ -274,7 +274,7 @@ class GphotoCamera(CameraDevice):
         return data
 
     def _delete(self, folder: str, name: str, end: float) -> None:
-        """Delete a file on the camera; one in its memory may be gone by itself."""
+        """Delete a file on the camera; one in its memory may be gone on its own."""
         try:
             self._line.ask(end, "file_delete", folder, name)
         except self._gp.GPhoto2Error as error:

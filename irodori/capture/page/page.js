@@ -95,7 +95,7 @@ function lose() {
   if (view && view.state === "ended") return;
   at("lost").hidden = false;
   if (news.readyState === EventSource.CLOSED)
-    at("lost").textContent = "The session was started anew: open the address that its terminal shows.";
+    at("lost").textContent = "The session was restarted: open the address that its terminal shows.";
 }
 news.onerror = lose;
 setInterval(() => { if (performance.now() - heard > SILENT_MS) lose(); }, 1000);

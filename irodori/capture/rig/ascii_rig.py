@@ -187,7 +187,7 @@ class AsciiRig(ControlledRig):
     def _look(self) -> tuple[str, dict[str, float]]:
         state, places = self._states(), self._places()
         if state == "alarm":
-            raise AlarmError("the controller is in alarm: it stopped by itself; find the cause, then home it")
+            raise AlarmError("the controller is in alarm: it stopped on its own; find the cause, then home it")
         return state, places
 
     def _check_places(self, places: Mapping[str, float]) -> None:
@@ -195,7 +195,7 @@ class AsciiRig(ControlledRig):
             now, before = (self.drives[name].to_deg(at[name]) for at in (places, self._last))
             raise AlarmError(
                 f"{name} is at {now:.6g} degrees and was left at {before:.6g}: "
-                "its controller has started anew or was moved by hand; home it first"
+                "its controller has restarted or was moved by hand; home it first"
             )
 
     def _strayed(self, places: Mapping[str, float]) -> str:

@@ -45,7 +45,7 @@ class DeadlineError(DeviceError):
 
 
 class AlarmError(DeviceError):
-    """A controller stopped by itself and may have lost its position: home it before anything else."""
+    """A controller stopped on its own and may have lost its position: home it before anything else."""
 
 
 class CommandError(DeviceError):
@@ -201,7 +201,7 @@ class RigDevice(ABC):
 
     @abstractmethod
     def resume(self) -> None:
-        """End a feed hold (the state ``hold``), and wait until the rig is idle; `move` does so by itself.
+        """End a feed hold (the state ``hold``), and wait until the rig is idle; `move` does so on its own.
 
         The wait ends at a deadline, the time of the whole reach. Opening a rig ends a hold too, but gives up the move.
 

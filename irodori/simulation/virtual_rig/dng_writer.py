@@ -65,7 +65,7 @@ def write_dng(
         tags.append((33437, "2I", 1, _rational(f_number), True))  # FNumber
     if iso:
         tags.append((34855, "H", 1, round(iso), True))  # ISOSpeedRatings
-    # In memory first: numpy writes to files by itself, and does not say that it was a full disk that stopped it.
+    # In memory first: numpy writes to files on its own, and does not say that it was a full disk that stopped it.
     content = io.BytesIO()
     tifffile.imwrite(content, mosaic, photometric=_CFA_PHOTOMETRIC, extratags=tags, metadata=None, subfiletype=0)
     # The view is released before an error of the disk leaves here: where the error's frames still hold one, collecting

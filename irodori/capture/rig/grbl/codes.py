@@ -40,7 +40,7 @@ ERRORS = {
     38: "the tool number is too large",
 }
 
-#: ``ALARM:N``, which the controller sends by itself.
+#: ``ALARM:N``, which the controller sends on its own.
 ALARMS = {
     1: "a limit switch was hit; the position is probably lost",
     2: "the target is beyond the machine's travel (soft limit); the position is kept",

@@ -30,7 +30,7 @@ _QUESTIONS, _AGAIN_S = 3, 0.5
 #: How often a controller that is homing is asked whether it still is, s.
 _HOMING_POLL_S = 1.0
 HOW_TO_CLEAR = "find the cause, then home it"
-RESTARTED = "the controller has started anew by itself, and its position is lost: home it before anything else"
+RESTARTED = "the controller has restarted on its own, and its position is lost: home it before anything else"
 
 
 class Conversation:
@@ -51,7 +51,7 @@ class Conversation:
     locked : bool
         Whether an alarm was heard since the last reset: after some, Grbl answers nothing until it is reset.
     restarted : bool
-        Whether the controller started anew without being told to.
+        Whether the controller restarted without being told to.
     firmware : str
         As the last banner named it.
     message : str
@@ -312,7 +312,7 @@ class Conversation:
 
     @staticmethod
     def _stopped(code: int) -> AlarmError:
-        return AlarmError(f"the controller stopped by itself: {alarm_text(code)}; {HOW_TO_CLEAR}")
+        return AlarmError(f"the controller stopped on its own: {alarm_text(code)}; {HOW_TO_CLEAR}")
 
     @staticmethod
     def _refuse(line: str, message: Message) -> None:

@@ -331,7 +331,7 @@ class GrblRig(ControlledRig):
                     self._halt()  # what is late is not taken for the next answer
 
     def _set_limits(self, values: Mapping[int | str, float]) -> None:
-        """Set limits, see `_limits`; what FluidNC has in its file changes until it is started anew."""
+        """Set limits, see `_limits`; what FluidNC has in its file changes until it is restarted."""
         if settings := {key: value for key, value in values.items() if isinstance(key, int)}:
             self.write_settings(settings)
         wanted = {key: "true" if value else "false" for key, value in values.items() if isinstance(key, str)}
@@ -555,7 +555,7 @@ class GrblRig(ControlledRig):
             raise AlarmError(RESTARTED)
         if self._talk.alarm is not None and (report is None or report.state == "Alarm"):
             self._homed = False
-            raise AlarmError(f"the controller stopped by itself: {alarm_text(self._talk.alarm)}; {HOW_TO_CLEAR}")
+            raise AlarmError(f"the controller stopped on its own: {alarm_text(self._talk.alarm)}; {HOW_TO_CLEAR}")
         if report is not None and report.state == "Alarm":
             self._homed = False
             raise AlarmError("the controller is locked, as it is after switching on or an alarm: home it first")

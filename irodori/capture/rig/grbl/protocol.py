@@ -81,7 +81,7 @@ class Error:
 
 @dataclass(frozen=True)
 class Alarm:
-    """``ALARM:N``: the controller stopped by itself."""
+    """``ALARM:N``: the controller stopped on its own."""
 
     code: int
 
