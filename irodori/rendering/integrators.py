@@ -101,6 +101,11 @@ def has_ambient(scene: Scene) -> bool:
     return not isinstance(scene.integrator, InteractiveIntegrator) or scene.integrator.ambient
 
 
+def has_light_maps(scene: Scene) -> bool:
+    """Whether a scene of the integrator `interactive` is lit by light maps."""
+    return isinstance(scene.integrator, InteractiveIntegrator) and scene.integrator.light_maps
+
+
 def _planned(renderer: "Renderer", view_name: str, plan: dict, check: bool) -> tuple[np.ndarray, dict]:
     """Render a view by a plan, see `irodori.rendering.planning`, which is loaded only where it is asked for."""
     from irodori.rendering.planning.planned_picture import parts_of, render_planned
@@ -188,15 +193,10 @@ class Renderer(ABC):
         """
 
     def light(self, moment: Moment):
-        """Return the light of a moment as the integrator wants it: made anew only where that changes it."""
-        key = self.light_key(moment)
-        if not self._lit or self._lit[0] != key:
-            self._lit = key, self.make_light(moment)
+        """Return the light of a moment as the integrator wants it: made anew only where its colour has changed."""
+        if not self._lit or self._lit[0] != moment.filter:
+            self._lit = moment.filter, self.make_light(moment)
         return self._lit[1]
-
-    def light_key(self, moment: Moment) -> tuple:
-        """Return what of a moment the integrator's light depends on: its colour."""
-        return (moment.filter,)
 
     @abstractmethod
     def make_light(self, moment: Moment):
@@ -268,7 +268,7 @@ class InteractiveRenderer(Renderer):
         environment = moment.environment(self.environment)
         lights = moment.lights(make_lights(self.scene.lights, 0)[0])
         light, ambient, reflected = light_of(environment), has_ambient(self.scene), 0
-        maps = self.baked() if self.shows_maps(moment) else None
+        maps = self.baked() if has_light_maps(self.scene) else None
         if self.white is not None:
             baked = None if maps is None else maps.basis
             found = exact_representation(self.objects, light, len(lights.kind), ambient, baked)
@@ -290,18 +290,6 @@ class InteractiveRenderer(Renderer):
         )
         self.prepared_s = time.perf_counter() - start
         return prepared
-
-    def light_key(self, moment: Moment) -> tuple:
-        """Return what of a moment the integrator's light depends on: its colour, and whether light maps show it."""
-        return moment.filter, self.shows_maps(moment)
-
-    def shows_maps(self, moment: Moment) -> bool:
-        """Whether a moment is lit by light maps: these are of the scene's own light, from where it comes from."""
-        integrator = self.scene.integrator
-        if not (isinstance(integrator, InteractiveIntegrator) and integrator.light_maps):
-            return False
-        turned = moment.environment_deg or (self.scene.lights and moment.lights_deg)
-        return moment.filter is None and not turned
 
     def baked(self):
         """Return the scene's light maps, from their file where there is one.
@@ -328,6 +316,10 @@ class InteractiveRenderer(Renderer):
 
         # Its objects cannot be turned without preparing them anew, all else can.
         moment = moment.seen_from("objects")
+        if has_light_maps(self.scene):
+            turned = moment.environment_deg or (self.scene.lights and moment.lights_deg)
+            if moment.filter is not None or turned:
+                raise ValueError("light maps in a moment of other light; accepted: the scene's own, or no light maps")
         scene, prepared = turned_scene(self.scene, moment), self.light(moment)
         side, size = self.options.pixel_side, scene.image
         view = make_view(scene.views[view_name], size).finer(side)
@@ -350,7 +342,7 @@ class InteractiveRenderer(Renderer):
             "seconds": seconds,
             "seconds_to_prepare": self.prepared_s,
             "representation": self.representation,
-            "light_maps": self.shows_maps(moment),
+            "light_maps": has_light_maps(self.scene),
             "rays": rays,
             "rays_per_second": rays / seconds,
         }

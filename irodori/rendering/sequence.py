@@ -19,7 +19,16 @@ import numpy as np
 from irodori.colour.colorimetry import xyz_from_radiance
 from irodori.colour.display import make_display
 from irodori.config.definition import as_plain
-from irodori.config.models import Frames, IlluminantChange, LightSweep, ObjectShape, Render, Scene, Turntable
+from irodori.config.models import (
+    Frames,
+    IlluminantChange,
+    InteractiveIntegrator,
+    LightSweep,
+    ObjectShape,
+    Render,
+    Scene,
+    Turntable,
+)
 from irodori.core.atomic_files import file_sha256, written_whole
 from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER, track
@@ -29,7 +38,7 @@ from irodori.light.environment_file import Environment
 from irodori.light.placed_lights import unit_luminance
 from irodori.rendering.energy_gain import load_materials
 from irodori.rendering.frame_state import Moment
-from irodori.rendering.integrators import make_renderer
+from irodori.rendering.integrators import has_ambient, has_light_maps, make_renderer
 from irodori.rendering.scene_white import shown_white
 from irodori.rendering.stage import write_picture
 from irodori.spectra.grid import WAVELENGTH_NM
@@ -202,6 +211,10 @@ def render_frames(
     white, exposure = shown_white(scene, environment, environment_file)
     if scene.tolerance_ciede2000 is not None:
         LOGGER.info("frames are rendered in full: a plan is made for the scene's own moment")
+    if has_light_maps(scene):
+        # All frames alike, those too in which nothing has turned yet: a sequence does not flicker.
+        LOGGER.info("frames are rendered without light maps, which are of the scene's own light as it stands")
+        scene = replace(scene, integrator=InteractiveIntegrator(ambient=has_ambient(scene)))
     renderer = make_renderer(scene, made, materials, environment, options, white)
     matrix_of_white = xyz_from_radiance(white)
     display = make_display(scene.display.device)

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from irodori.core.progress import LOGGER
 from irodori.geometry.embree import new_ray
 from irodori.jit.chunks import run_chunks
 from irodori.jit.compilation import njit
@@ -98,6 +99,8 @@ def incident_light(
         np.zeros(count, dtype=np.int64),
     )
     run_chunks(_gather_at_some, count, _CHUNK, scene.world, numbers, places)
+    if places.cut.any():
+        LOGGER.warning("%d paths were cut: the light is too dark by what they would have brought", places.cut.sum())
     return places.halves
 
 
