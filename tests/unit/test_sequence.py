@@ -237,6 +237,14 @@ def test_frames_in_files_are_those_of_the_animation_and_leave_nothing_else(tmp_p
     assert not np.array_equal(single[0], single[1])
 
 
+def test_no_frame_shows_light_maps_the_first_one_included(tmp_path):
+    """The light maps are of the light as it stands, which is that of the first frame alone: a sequence would jump."""
+    plain = in_files(tmp_path / "s", scene_of(INTERACTIVE, frames=turntable(2)))[0]
+    mapped = in_files(tmp_path / "m", scene_of(INTERACTIVE | {"light_maps": True}, frames=turntable(2)))[0]
+    for name in ("00000.png", "00001.png"):
+        assert np.array_equal(pixels(plain / name), pixels(mapped / name))
+
+
 @pytest.mark.parametrize("white", ["first", "each"])
 def test_the_display_s_white_is_the_first_illuminant_s_or_each_ones_own(tmp_path, white):
     """A white plate under even light: white in every frame, or reddish under A with daylight's white."""
