@@ -301,13 +301,12 @@ class InteractiveRenderer(Renderer):
         """
         from irodori.rendering.light_maps import LightMaps
         from irodori.rendering.reference.baking import bake_maps, maps_key
-        from irodori.rendering.reference.converging_picture import make_scene
 
+        key = maps_key(self.scene, self.shapes, self.objects, self.environment)
+        if self.maps_file is not None:
+            return LightMaps.load(self.maps_file, key)
         placements = make_placements(self.scene, self.shapes)
-        if self.maps_file is None:
-            return bake_maps(placements, self.objects, self.environment, self.scene.lights)
-        key = maps_key(make_scene(placements, self.objects, self.environment, self.scene.lights))
-        return LightMaps.load(self.maps_file, key)
+        return bake_maps(placements, self.objects, self.environment, self.scene.lights, key=key)
 
     def render(self, view_name, moment, keep, tiles_folder):
         """Return radiance and figures of a frame."""

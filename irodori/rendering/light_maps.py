@@ -37,8 +37,7 @@ class LightMaps:
     ----------
     maps : tuple of (rows, columns, k) float32
         Of each object, coefficients of the radiance of a perfect diffuser in place of the surface; without rows where
-        an object has none, see
-        `irodori.rendering.reference.baking.has_map`.
+        an object has none, see `irodori.rendering.reference.baking.has_map`.
     basis : (61, k) float
     key : str
         Of everything that the maps depend on, see `irodori.rendering.reference.baking.maps_key`.

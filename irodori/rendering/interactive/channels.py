@@ -253,7 +253,7 @@ def exact_representation(
 ) -> tuple[str, int, str]:
     """Return the cheapest representation whose XYZ are those of the 61 bands within rounding.
 
-    ``baked`` are the spectra that light maps hold, (61, k).
+    ``baked`` is the basis of the scene's light maps, (61, k), of which the products carry all but a thousandth.
 
     Returns
     -------

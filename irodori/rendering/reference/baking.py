@@ -4,17 +4,21 @@ The size of a map and the number of its paths follow from its errors: both grow 
 between its texels is as near to path tracing there as is asked for.
 """
 
+import hashlib
+import json
 from collections.abc import Sequence
 
 import numpy as np
 
-from irodori.config.models import SceneLight
+from irodori.config.definition import as_plain
+from irodori.config.models import Scene, SceneLight
 from irodori.core.progress import LOGGER, track
+from irodori.core.provenance import code_hash
 from irodori.geometry.shapes.placement import Placement
 from irodori.geometry.shapes.shape import Shape
 from irodori.light.environment_file import Environment
 from irodori.rendering.light_maps import LEFT_OUT, Bake, LightMaps, look_up
-from irodori.rendering.reference.converging_picture import TracedScene, make_scene, scene_digest
+from irodori.rendering.reference.converging_picture import TracedScene, make_scene
 from irodori.rendering.reference.incident_light import incident_light, relative_noise
 from irodori.rendering.scene_arrays import Objects
 from irodori.spectra.grid import SAMPLES
@@ -37,9 +41,30 @@ def has_map(shape: Shape) -> bool:
     return not shape.is_endless and shape.triangles is None
 
 
-def maps_key(scene: TracedScene) -> str:
-    """Return a hash of everything that the maps of a scene depend on, this code included."""
-    return scene_digest(scene, __name__).hexdigest()
+def maps_key(scene: Scene, shapes: Sequence[Shape], objects: Objects, environment: Environment) -> str:
+    """Return a hash of what the light maps of a scene depend on, this code included.
+
+    It is made of definitions and of what stands in files, and of nothing that is computed from them: the last bits of
+    that may differ between the machines of a cluster, one of which bakes and another renders.
+
+    Parameters
+    ----------
+    scene : Scene
+    shapes : sequence of Shape
+        Of the objects, then of the bodies.
+    objects, environment
+        As of `bake_maps`.
+    """
+    stands = as_plain({"objects": scene.objects, "bodies": scene.bodies, "lights": scene.lights})
+    text = [code_hash(__name__), json.dumps(stands, sort_keys=True), *objects.lobes.names]
+    text += [f"{shape.name} {shape.size_mm}" for shape in shapes]
+    digest = hashlib.blake2b("\n".join(text).encode(), digest_size=16)
+    triangles = [shape.triangles for shape in shapes if shape.triangles is not None]
+    meshes = [part for mesh in triangles for part in (mesh.vertices_mm, mesh.faces)]
+    materials = (objects.texture_size, objects.texels, objects.basis, objects.mirror, objects.n, objects.k)
+    for values in (*meshes, *materials, objects.lobe, environment.coefficients, environment.basis):
+        digest.update(np.ascontiguousarray(values).data)
+    return digest.hexdigest()
 
 
 def bake_maps(
@@ -48,6 +73,7 @@ def bake_maps(
     environment: Environment,
     lights: Sequence[SceneLight] = (),
     *,
+    key: str = "",
     most_error: float = MOST_ERROR,
 ) -> LightMaps:
     """Bake the light maps of a scene.
@@ -57,6 +83,8 @@ def bake_maps(
     placements, objects, environment, lights
         As of `irodori.rendering.reference.converging_picture.make_scene`. Of the lights beside the environment the
         maps hold what other surfaces reflect; what falls on a surface directly is the integrator's to add.
+    key : str
+        Names what the maps are of, see `maps_key`.
     most_error : float
         Root mean square error between a map's texels, over the mean light on its object, up to which maps grow. A map
         that has its largest size and errs more is kept, and the log says so.
@@ -72,7 +100,7 @@ def bake_maps(
             LOGGER.warning("light map %d errs by %.3g of the light, more than %g", index, bake.error, most_error)
     basis = _basis(spectra)
     stored = tuple((found @ basis).astype(np.float32) for found in spectra)
-    return LightMaps(stored, basis, maps_key(scene), tuple(bakes))
+    return LightMaps(stored, basis, key, tuple(bakes))
 
 
 def _basis(spectra: list[np.ndarray]) -> np.ndarray:

@@ -189,27 +189,22 @@ def pooled(error: np.ndarray) -> np.ndarray:
     return np.sqrt(squares)
 
 
-def scene_digest(scene: TracedScene, *modules: str):
-    """Return an open hash of all that paths through a scene depend on, and of the code of this and other modules."""
-    code = "".join(code_hash(name) for name in (__name__, *modules))
-    digest = hashlib.blake2b(code.encode(), digest_size=16)
-    for part in (scene.world.surfaces, scene.world.objects, scene.world.bands, scene.world.sky, scene.world.lights):
-        _digest_fields(digest, part)
-    return digest
-
-
-def _digest_fields(digest, part) -> None:
-    for value in part:
-        if isinstance(value, Lobes):
-            digest.update(" ".join(f"{name} {lobe(name).digest}" for name in value.names).encode())
-        else:
-            digest.update(np.ascontiguousarray(value).data)
-
-
 def picture_key(scene: TracedScene, view: View, samples: int, seed: int) -> str:
     """Return a hash of everything that a picture depends on: the scene, the view, the samples and this code."""
-    digest = scene_digest(scene)
-    _digest_fields(digest, view)
+    digest = hashlib.blake2b(code_hash(__name__).encode(), digest_size=16)
+    for part in (
+        scene.world.surfaces,
+        scene.world.objects,
+        scene.world.bands,
+        scene.world.sky,
+        scene.world.lights,
+        view,
+    ):
+        for value in part:
+            if isinstance(value, Lobes):
+                digest.update(" ".join(f"{name} {lobe(name).digest}" for name in value.names).encode())
+            else:
+                digest.update(np.ascontiguousarray(value).data)
     digest.update(f"{samples} {seed}".encode())
     return digest.hexdigest()
 

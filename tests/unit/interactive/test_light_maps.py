@@ -14,10 +14,11 @@ from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.geometry.shapes.placement import Placement
 from irodori.geometry.shapes.plane import Plane
+from irodori.geometry.shapes.shape import Shape
 from irodori.rendering.frame_state import STILL
 from irodori.rendering.integrators import make_renderer, render_image
 from irodori.rendering.light_maps import LightMaps, look_up
-from irodori.rendering.reference.baking import bake_maps
+from irodori.rendering.reference.baking import bake_maps, maps_key
 from irodori.rendering.scene_arrays import make_objects
 
 HEIGHT_MM = 30.0
@@ -128,6 +129,22 @@ def test_maps_of_a_scene_whose_object_was_moved_are_refused_by_name(tmp_path):
     moved = replace(moved, objects=(moved.objects[0], item))
     with pytest.raises(InputError, match=r"light-maps.h5: key: found light maps of something else"):
         make_renderer(moved, SHAPES, materials, LIGHT, OPTIONS, maps_file=path).picture("v")
+
+
+def test_the_key_of_maps_follows_what_they_depend_on_and_nothing_else():
+    def key(scene=None, shapes=SHAPES, paint=0.5, light=LIGHT):
+        there = placements()
+        objects = make_objects(there, [material(0.8), material(paint)])[0]
+        return maps_key(scene or scene_of(MAPS), shapes, objects, light)
+
+    own = key()
+    assert own == key(scene_of(MAPS, max_bounces=2))
+    other_light = replace(LIGHT, coefficients=LIGHT.coefficients * np.float32(1.0001))
+    mesh = Shape.from_mesh(BALL.facetted(1.0))
+    raised = Shape.from_mesh(replace(mesh.mesh, vertices_mm=mesh.mesh.vertices_mm + 0.1))
+    others = [key(scene_of(MAPS, [LAMP])), key(paint=0.51), key(light=other_light), key(shapes=[plate(121.0), BALL])]
+    others += [key(shapes=[TABLE, mesh]), key(shapes=[TABLE, raised])]
+    assert len({own, *others}) == 7
 
 
 def test_an_endless_plane_has_no_map_and_a_tolerance_no_light_maps():
