@@ -1,10 +1,13 @@
-"""CPU time of tests, whoever else uses the processor: printed by file and by test where ``--durations=N`` is given.
+"""CPU time of tests, whoever else uses the processor: by file and by test, printed with ``--durations=N``.
+
+The N that computed most are listed, or all with 0.
 
 Time counts that a test's process computes and that of the processes that it has started, those that go on included:
 of fixtures, of the test and of cleaning up. What is computed between tests, by a thread or by a child that was started
 for others, falls to the next.
 """
 
+import contextlib
 import os
 from collections import Counter
 from pathlib import Path
@@ -19,11 +22,14 @@ def _tree_s(process: int | str = "self") -> float:
     """Return the CPU time of a process, of its descendants and of those that have been waited for, s."""
     try:
         fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
-        # Those of each thread: a child belongs to the thread that has started it.
-        listed = [path.read_text().split() for path in Path(f"/proc/{process}/task").glob("*/children")]
     except OSError:  # it has ended meanwhile
         return 0.0
-    return _TICK_S * sum(map(int, fields[11:15])) + sum(_tree_s(child) for found in listed for child in found)
+    children = set()
+    for path in Path(f"/proc/{process}/task").glob("*/children"):  # a child belongs to the thread that has started it
+        # A thread that ends while it is looked at takes nothing with it: the process itself has been counted.
+        with contextlib.suppress(OSError):
+            children.update(path.read_text().split())
+    return _TICK_S * sum(map(int, fields[11:15])) + sum(map(_tree_s, children))
 
 
 class CpuTimes:
@@ -49,11 +55,11 @@ class CpuTimes:
 
     def pytest_terminal_summary(self, terminalreporter) -> None:
         most = terminalreporter.config.getoption("durations")
-        if not most:
+        if most is None:
             return
         for kind, found in self._of.items():
             terminalreporter.section(f"most CPU time of a {kind}, s; of all {found.total():.0f}")
-            for name, seconds in found.most_common(most):
+            for name, seconds in found.most_common(most or None):
                 terminalreporter.write_line(f"{seconds:8.1f} {name}")
 
 
