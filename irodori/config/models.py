@@ -32,14 +32,14 @@ class Ingest(Definition):
     #: LibRaw's algorithms at full resolution.
     demosaic: Literal["superpixel", "linear", "vng", "ppg", "ahd", "dcb", "dht"] = "superpixel"
 
-    #: Whether the shots without and with the filter are laid on each other (true or false).
+    #: Whether the shots without and with the filter are aligned (true or false).
     register: bool = True
 
     #: Largest residual of the registration, in superpixels; above it the capture is refused.
     max_registration_px: float = 0.3
 
-    #: Largest deviation of the response rate over an exposure series (ratio); above it, and above what repeated frames
-    #: scatter, the camera is refused.
+    #: Largest deviation of the response per second over an exposure series (ratio); a camera is refused if it deviates
+    #: more than this and more than repeated frames scatter.
     max_nonlinearity: float = 0.02
 
     #: Captures of an object that one job ingests, one after the other (count).
@@ -48,12 +48,13 @@ class Ingest(Definition):
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class Placing(Definition):
-    """How well it is known where an object, its camera and its light stand, before the photographs say more.
+    """How precisely the typed places of an object, its camera and its light are known, as standard deviations.
 
-    As standard deviations. What has 0 is believed as it was typed.
+    The photographs then refine them. A quantity with 0 stays as typed.
     """
 
-    #: Refine by the photographs where objects lie (rule `register_object`); otherwise they lie as typed.
+    #: Whether the photographs refine where objects lie (rule `register_object`); otherwise they lie as typed (true or
+    #: false).
     register: bool = False
 
     #: Standard deviation of the object's place on the table along each axis, in mm.
@@ -77,8 +78,8 @@ class Placing(Definition):
     #: Standard deviation of an error that all light angles share, in degrees.
     light_deg: float = 0.05
 
-    #: Largest distance, root mean square, between where a photograph shows the object and where the others say that it
-    #: lies, in superpixels; above it the photograph is refused.
+    #: Largest root-mean-square distance between the object in one photograph and the place that the other photographs
+    #: give it, in superpixels; above it the photograph is refused.
     max_residual_px: float = 1.0
 
 
@@ -118,7 +119,7 @@ class Fit(Definition):
     #: How the fit is computed; varpro is variable projection, nlopt calls NLopt's L-BFGS from a compiled loop.
     solver: Literal["varpro", "nlopt"] = "varpro"
 
-    #: Values of the roughness that the scan tries for every factor 2 (count).
+    #: Values of the roughness that the scan tries in each octave, a factor of 2 (count).
     scan_per_octave: Literal[2, 4] = 2
 
     #: Whether observations count by inverse variance, where the noise of the camera is known, or all the same.
@@ -148,7 +149,7 @@ class Fit(Definition):
 class Compress(Definition):
     """Compression of the reflectance maps."""
 
-    #: Mean colour error that the number of bases must keep under, in CIEDE2000, under every light.
+    #: Largest mean colour error, in CIEDE2000, under every light; as many bases are kept as it takes.
     target_delta_e_mean: float = 0.1
 
     #: 99th percentile of the colour error that it must keep under too, in CIEDE2000.
@@ -157,14 +158,15 @@ class Compress(Definition):
     #: The number of bases is a multiple of this (count), or the image's rank; 1 allows any number.
     align: int = 4
 
-    #: What counts in the decomposition; all wavelengths alike, or as the colour-matching functions and the lights weigh
-    #: them (no unit).
+    #: Weights of the decomposition; nothing weighs all wavelengths alike, visual as the colour-matching functions and
+    #: the lights do (no unit).
     weighting: Literal["nothing", "visual"] = "nothing"
 
     #: Precision of stored coefficients, 16 bits with a scale for each basis or 32 (no unit).
     storage: Literal["half", "single"] = "half"
 
-    #: How they are packed; gzip, which every program reads, or LZF, which h5py alone reads without a plugin (no unit).
+    #: Lossless compression of the file; gzip, which every program reads, or LZF, which only h5py reads without a plugin
+    #: (no unit).
     codec: Literal["gzip", "lzf"] = "gzip"
 
 
@@ -172,11 +174,11 @@ class Compress(Definition):
 class IrradianceMap(Definition):
     """The irradiance map, which is as fine as its light needs."""
 
-    #: Error of the look-up between the map's normals that its height keeps under, relative to the largest irradiance
-    #: (ratio).
+    #: Largest error of the look-up between the map's normals, relative to the largest irradiance (ratio); the map grows
+    #: until its error is smaller.
     max_error: float = 0.002
 
-    #: Rows at which the map stops growing, in pixels; it has twice as many columns.
+    #: Rows at which the map stops growing all the same, in pixels; it has twice as many columns.
     max_height: int = 512
 
 
@@ -184,7 +186,7 @@ class IrradianceMap(Definition):
 class EnvironmentMaps(Definition):
     """Compression of the environment and its prepared maps."""
 
-    #: Mean colour error that the number of bases must keep under, in CIEDE2000, under every light.
+    #: Largest mean colour error, in CIEDE2000, under every light; as many bases are kept as it takes.
     target_delta_e_mean: float = 0.1
 
     #: 99th percentile of the colour error that it must keep under too, in CIEDE2000.
@@ -193,14 +195,15 @@ class EnvironmentMaps(Definition):
     #: The number of bases is a multiple of this (count), or the image's rank; 1 allows any number.
     align: int = 4
 
-    #: What counts in the decomposition; all wavelengths alike, or as the colour-matching functions and the lights weigh
-    #: them (no unit).
+    #: Weights of the decomposition; nothing weighs all wavelengths alike, visual as the colour-matching functions and
+    #: the lights do (no unit).
     weighting: Literal["nothing", "visual"] = "nothing"
 
     #: Precision of stored coefficients, 16 bits with a scale for each basis or 32 (no unit).
     storage: Literal["half", "single"] = "half"
 
-    #: How they are packed; gzip, which every program reads, or LZF, which h5py alone reads without a plugin (no unit).
+    #: Lossless compression of the file; gzip, which every program reads, or LZF, which only h5py reads without a plugin
+    #: (no unit).
     codec: Literal["gzip", "lzf"] = "gzip"
 
     #: Whether light blurred for rough reflection is stored too, for the integrator interactive, with the errors of its
@@ -218,7 +221,8 @@ class Render(Definition):
     #: Samples of the integrator interactive along each side of a pixel (count); 2 means four rays a pixel.
     pixel_side: int = 2
 
-    #: A mirror path of the integrator interactive ends where it would add less than this part of what it meets (ratio).
+    #: A mirror path of the integrator interactive ends when it would add less than this part of the light that it meets
+    #: (ratio).
     min_throughput: float = 0.001
 
     #: Rows of the picture between two reports of progress, in pixels; the picture is held whole, memory does not depend
@@ -254,7 +258,7 @@ class ReportOptions(Definition):
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class Publication(Definition):
-    """What is said of the data where it is published, by `irodori crate`; it changes no result."""
+    """What `irodori crate` states about the data when they are published; it changes no result."""
 
     #: Licence of photographs and results; the address of its text, or its name (no unit). Without it the crate says
     #: that none was stated.
@@ -275,8 +279,8 @@ class Config(Definition):
     #: Folder that holds objects/, scenes/, cameras/, environments/ and rigs/.
     definitions: str = "config"
 
-    #: How much `snakemake benchmark` measures; small is every stage and peer on small inputs, some minutes, full is
-    #: more variants on large inputs, for publication (no unit).
+    #: How much `snakemake benchmark` measures; small runs every stage and peer on small inputs in some minutes, full
+    #: runs more variants on large inputs, for publication (no unit).
     benchmark_size: Literal["small", "full"] = "small"
 
     #: What a run makes.
@@ -285,8 +289,8 @@ class Config(Definition):
     #: From RAW files to linear bands.
     ingest: Ingest = Ingest()
 
-    #: How well it is known where an object, its camera and its light stand, before the photographs say more; as
-    #: standard deviations. What has 0 is believed as it was typed.
+    #: How precisely the typed places of an object, its camera and its light are known, as standard deviations; the
+    #: photographs then refine them. A quantity with 0 stays as typed.
     place: Placing = Placing()
 
     #: From pictures to observations of each texel.
@@ -307,7 +311,7 @@ class Config(Definition):
     #: What the reports compare.
     report: ReportOptions = ReportOptions()
 
-    #: What is said of the data where it is published, by `irodori crate`; it changes no result.
+    #: What `irodori crate` states about the data when they are published; it changes no result.
     publication: Publication = Publication()
 
 
@@ -418,7 +422,7 @@ class PoseGroup(Definition):
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class PosePlan(Definition):
-    """What poses are planned for; the photographs themselves do not depend on it."""
+    """Expected surface for which `irodori plan` chooses poses; it does not change photographs or fit."""
 
     #: Smallest and largest diffuse weight expected (ratio).
     alpha: tuple[float, float] = (0.02, 0.9)
@@ -567,18 +571,18 @@ class Object(Definition):
     #: Complex refractive index n + ik of the surface.
     refractive_index: RefractiveIndex = ConstantIndex(n=1.5, k=0.0)
 
-    #: Forms of the rough gloss that the fit takes the object to have; of two, the second where the data calls for it.
-    #: With auto, the simplest that predict left-out photographs within one standard error of the best.
+    #: Models of the rough gloss that the fit uses; a second one applies only where the data call for it. With auto, the
+    #: fit takes the simplest that predict left-out photographs within one standard error of the best.
     lobes: tuple[str, ...] = ("gaussian",)
 
-    #: Weight of the mirror term, by which the object shows its surroundings (ratio).
+    #: Weight of the mirror term, which reflects the surroundings (ratio).
     mirror_weight: float = 0.0
 
     #: Groups of poses that a session takes, on a virtual or a driven rig; a group stands for every combination of its
     #: lists.
     poses: tuple[PoseGroup, ...] | None = None
 
-    #: What poses are planned for; the photographs themselves do not depend on it.
+    #: Expected surface for which `irodori plan` chooses poses; it does not change photographs or fit.
     plan: PosePlan = PosePlan()
 
     #: Exposure times for each state of the comb filter, in seconds. Several times make a bracket.
@@ -598,7 +602,8 @@ class InteractiveIntegrator(Definition):
     #: Look-ups in irradiance and blurred light, mirror reflections, hard shadows; nothing is sampled.
     kind: Literal["interactive"] = "interactive"
 
-    #: Whether bodies and objects hide light from all sides from each other, meshes from themselves too (true or false).
+    #: Whether bodies and objects shade each other from the light of all directions; meshes shade themselves too (true
+    #: or false).
     ambient: bool = True
 
     #: Whether the light that falls on spheres, discs and plates is baked by path tracing, with shadows and reflections
@@ -631,7 +636,7 @@ Integrator: TypeAlias = InteractiveIntegrator | ReferenceIntegrator
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class PlanOverrides(Definition):
-    """Decisions taken out of the plan's hands; needs tolerance_ciede2000."""
+    """Decisions that you make instead of the plan; needs tolerance_ciede2000."""
 
     #: Objects whose gloss is traced.
     gloss: tuple[str, ...] | None = None
@@ -642,10 +647,10 @@ class PlanOverrides(Definition):
     #: Mirror reflections followed (count).
     max_bounces: int | None = None
 
-    #: Part of the light that a path passes under which it ends (ratio).
+    #: A path ends when it passes on less than this part of the light (ratio).
     least_throughput: float | None = None
 
-    #: Vectors that the environment's spectra are kept on (count).
+    #: Basis vectors that represent the environment's spectra (count).
     light_bases: int | None = None
 
     #: How colour is carried along paths.
@@ -897,7 +902,7 @@ class Turntable(Definition):
     #: Frames of the turn (count).
     count: int
 
-    #: Whether objects and bodies turn in light that stands, or the eye goes round them (a name).
+    #: What turns; objects and bodies in light that stays where it is, or the eye around them (a name).
     turned: Literal["objects", "eye"] = "objects"
 
     #: A point of the axis, x, y, z, in mm.
@@ -937,16 +942,16 @@ class IlluminantChange(Definition):
     #: All light is multiplied by a spectrum over another, both of one luminance.
     kind: Literal["illuminant_change"] = "illuminant_change"
 
-    #: What lights the scene as it is defined; the name of a CIE illuminant or the path of a measured one.
+    #: Illuminant of the scene as it is defined; the name of a CIE illuminant or the path of a measured one.
     from_illuminant: str
 
-    #: What is to light it, one after the other.
+    #: Illuminants that light it after that, in this order.
     illuminants: tuple[str, ...]
 
-    #: Frames between two of them, in which one fades and the other comes (count).
+    #: Frames between two illuminants, in which one fades into the next (count).
     count_between: int = 0
 
-    #: Whose white the display shows as white, that of the first frame or each frame's own (a name).
+    #: White of the pictures; the first frame's for all frames, or each frame's own (a name).
     white: Literal["first", "each"] = "first"
 
     #: Speed of the animated picture, in frames per second.
@@ -1039,7 +1044,7 @@ class LessonLight(Definition):
     #: Turn of the room about the vertical axis, from +x towards +y, in degrees.
     turn_deg: float = 0.0
 
-    #: Spectrum of the light; as it was captured where absent.
+    #: Spectrum of the light; if absent, as captured.
     illuminant: LessonIlluminant | None = None
 
     #: Lamps beside the room; four at most have a size.
@@ -1065,7 +1070,7 @@ class LessonPose(Definition):
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class LessonComparison(Definition):
-    """What the picture is compared with; nothing where absent."""
+    """What the picture is compared with; nothing if absent."""
 
     #: A second light beside the first, their colour difference, the metamerism between them, or the same light as a
     #: renderer of red, green and blue shows it.
@@ -1082,7 +1087,7 @@ class LessonComparison(Definition):
 class LessonNote(Definition):
     """One note."""
 
-    #: The point that it is about, x, y, z, in mm.
+    #: The point that the note is pinned to, x, y, z, in mm.
     position_mm: tuple[float, float, float]
 
     #: The note in each language, by the language's code.
@@ -1111,22 +1116,22 @@ class LessonStep(Definition):
     #: The light of the step.
     light: LessonLight = LessonLight()
 
-    #: Objects that stand elsewhere than in the scene, are turned or hidden.
+    #: Objects that this step moves, turns or hides.
     objects: tuple[LessonPose, ...] = ()
 
-    #: What the picture is compared with; nothing where absent.
+    #: What the picture is compared with; nothing if absent.
     compare: LessonComparison | None = None
 
     #: Name of the observer whose colour matching counts, as the page lists it.
     observer: str | None = None
 
-    #: Colour vision that is imitated.
+    #: Colour vision deficiency that is simulated.
     deficiency: Literal["protan", "deutan", "tritan"] | None = None
 
     #: What is laid over the picture.
     overlay: Literal["status", "uncertainty", "gamut"] | None = None
 
-    #: Exposure against how the page opens (stops).
+    #: Exposure relative to that with which the page opens (stops).
     exposure_ev: float = 0.0
 
     #: Numbered notes pinned to points of the scene.
@@ -1135,12 +1140,12 @@ class LessonStep(Definition):
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class Lesson(Definition):
-    """Guided steps that the classroom page shows beside the scene; none where this is left out."""
+    """Guided steps that the classroom page shows beside the scene; none if left out."""
 
     #: A text in each language, by the language's code.
     title: Mapping[str, str] = field(hash=False)
 
-    #: The steps in their order; each says all that differs from how the page opens.
+    #: The steps in their order; each lists everything that differs from the state in which the page opens.
     steps: tuple[LessonStep, ...]
 
 
@@ -1269,7 +1274,8 @@ class Scene(Definition):
     #: Mirror reflections that the integrator interactive follows from object to object (count).
     max_bounces: int = 5
 
-    #: Whether materials may send back more light than reaches them (true or false); a scene with one is refused else.
+    #: Whether materials may send back more light than reaches them (true or false); if false, a scene with such a
+    #: material is refused.
     allow_energy_gain: bool = False
 
     #: How the picture is computed.
@@ -1279,10 +1285,10 @@ class Scene(Definition):
     #: Everything is modelled where absent.
     tolerance_ciede2000: float | None = None
 
-    #: Decisions taken out of the plan's hands; needs tolerance_ciede2000.
+    #: Decisions that you make instead of the plan; needs tolerance_ciede2000.
     plan: PlanOverrides = PlanOverrides()
 
-    #: Things of one material that nobody photographed, beside the objects.
+    #: Shapes of one material that stand beside the objects and were never photographed.
     bodies: tuple[Body, ...] = ()
 
     #: Lights that stand in the scene beside its environment; for the integrator reference, collimated ones for
@@ -1298,7 +1304,7 @@ class Scene(Definition):
     #: A sequence of frames of every view, beside its picture; none where this is left out.
     frames: Frames | None = None
 
-    #: Guided steps that the classroom page shows beside the scene; none where this is left out.
+    #: Guided steps that the classroom page shows beside the scene; none if left out.
     lesson: Lesson | None = None
 
     #: The sides from which the scene is rendered, by name.
@@ -1412,9 +1418,9 @@ class Chart(Definition):
     #: Columns of patches (count).
     columns: int
 
-    #: What is looked for in the photograph; nothing takes centres_px as they are, edges fits the grid to the patches'
-    #: edges about centres_px, chart finds a ColorChecker without centres_px, a Classic of 4 x 6 patches or a Digital SG
-    #: of 14 x 10 (letter by letter) or 10 x 14.
+    #: How the patches are found in the photograph; nothing takes centres_px as they are, edges fits the grid to the
+    #: patches' edges near centres_px, chart finds a ColorChecker without centres_px, a Classic of 4 x 6 patches or a
+    #: Digital SG of 14 x 10 (letter by letter) or 10 x 14.
     find: Literal["nothing", "edges", "chart"] = "nothing"
 
     #: Centres of the four corner patches, x then y, in superpixels of 2 x 2 mosaic pixels; needed unless find is chart,
@@ -1441,8 +1447,8 @@ class CalibrationOptions(Definition):
     #: the camera has bands.
     bases: int | Literal["auto"] | None = None
 
-    #: Photographs that the recovered reflectance is the mean of (count); estimators and auto reckon with the noise of a
-    #: pixel over that many.
+    #: Number of photographs whose mean gives a recovered reflectance (count); the estimators assume that a pixel's
+    #: noise variance is divided by it.
     texel_photographs: int = 16
 
     #: Largest condition number of the chart's responses, every band divided by its largest patch (ratio).
@@ -1684,7 +1690,7 @@ class MirrorBallSource(Definition):
     #: Complex refractive index n + ik of the ball, whose Fresnel reflectance is divided out.
     refractive_index: RefractiveIndex | None = None
 
-    #: Reflectance of the ball in place of its refractive index, the same at all angles (ratio).
+    #: Reflectance of the ball, the same at all angles, instead of its refractive index (ratio).
     reflectance_factor: float | str | None = None
 
 
@@ -1735,7 +1741,7 @@ class PlacedLight(Definition):
     #: Direction over the horizon, in degrees.
     elevation_deg: float
 
-    #: Angular diameter, in degrees; a disc under a pixel is one pixel with its energy.
+    #: Angular diameter, in degrees; a disc smaller than a pixel becomes one pixel of the same energy.
     diameter_deg: float = 0.0
 
     #: Radiance of the disc (ratio to the luminance of D65 as tabulated).
@@ -1955,7 +1961,7 @@ class RigLight(Definition):
     spectrum: str
 
     #: From the origin of the rig to the lamp, in mm; its direction and power then differ from point to point, by the
-    #: inverse square of the distance. Where absent the light is far.
+    #: inverse square of the distance. If absent, the light is far away.
     distance_mm: float | None = None
 
 
@@ -2075,7 +2081,7 @@ class AsciiProtocol(Definition):
 class Motion(Definition):
     """The controller that moves the motorised axes; axes that it does not name are set by hand."""
 
-    #: How the controller is spoken to; grbl is Grbl 1.1, ascii is what the block ascii describes.
+    #: Language of the controller; grbl is Grbl 1.1, ascii is the one that the block ascii describes.
     protocol: Literal["grbl", "ascii"]
 
     #: Path of the serial port (/dev/ttyACM0), or simulator for a simulated controller.
@@ -2116,7 +2122,7 @@ class LightDrift(Definition):
     #: Standard deviation of the power (ratio to its mean).
     relative_rms: float = 0.01
 
-    #: Photographs after which the drift has forgotten itself to 1/e (count).
+    #: Correlation length of the drift; after so many photographs its autocorrelation has fallen to 1/e (count).
     correlation_shots: float = 60.0
 
 
@@ -2155,7 +2161,7 @@ class PoseError(Definition):
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class LaidOff(Definition):
-    """The object does not lie exactly where its definition says, nor with the turn that it says."""
+    """The object does not lie exactly at the place and with the turn of its definition."""
 
     #: Whether the rig has this fault (true or false).
     enabled: bool = False
@@ -2220,7 +2226,7 @@ class Imperfections(Definition):
     #: Light and camera do not stand exactly where they were sent.
     pose_error: PoseError = PoseError()
 
-    #: The object does not lie exactly where its definition says, nor with the turn that it says.
+    #: The object does not lie exactly at the place and with the turn of its definition.
     laid_off: LaidOff = LaidOff()
 
     #: The plate of the comb filter moves the picture; a point at p from the centre is seen at shift + magnification *
@@ -2271,15 +2277,15 @@ class Rig(Definition):
     #: The controller that moves the motorised axes; axes that it does not name are set by hand.
     motion: Motion | None = None
 
-    #: How what no motor drives is set; prompt asks on the terminal, file waits for a file that the message names, auto
-    #: is for the virtual rig.
+    #: How a person confirms what no motor sets; prompt asks on the terminal, file waits for a file that the message
+    #: names, auto is for the virtual rig.
     operator: Literal["prompt", "file", "auto"] = "prompt"
 
     #: Longest wait for the person at the bench, in seconds; no end where absent.
     operator_deadline_s: float | None = None
 
-    #: After so many photographs of an object, and at the end, an earlier one is taken once more without a step by hand;
-    #: what differs is drift of the lamp, or steps that a motor has lost. 0 for none.
+    #: Photographs of an object after which an earlier one is repeated without a step by hand, and at the end once more
+    #: (count); a difference shows drift of the lamp, or steps that a motor has lost. 0 for none.
     drift_every: int = 0
 
     #: The virtual rig and its faults; needed for the kind virtual, refused for the others.
