@@ -95,7 +95,7 @@ def locate_patches(response: np.ndarray, valid: np.ndarray, chart: Chart, file, 
     layout = chart.rows, chart.columns
     if find == "nothing":
         if chart.patch_px is None:
-            raise ValueError("a chart that nothing finds without patch_px; accepted: with it")
+            raise ValueError("a chart with find: nothing and no patch_px; accepted: patch_px given")
         return Located(patch_centres(chart), float(chart.patch_px), *layout, np.nan, {})
     to_superpixels = sample_px / 2.0
     if find == "edges":

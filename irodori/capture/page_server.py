@@ -251,7 +251,9 @@ class _Handler(BaseHTTPRequestHandler):
         """Refuse requests under another name, by which another page could reach this one (DNS rebinding)."""
         if self.headers.get_all("Host") not in [[host] for host in self.server.hosts]:
             accepted = " or ".join(self.server.hosts)
-            raise _Refusal(HTTPStatus.MISDIRECTED_REQUEST, f"Another host is meant than {accepted}; nothing was done.")
+            raise _Refusal(
+                HTTPStatus.MISDIRECTED_REQUEST, f"The address names another host than {accepted}; nothing was done."
+            )
 
     def _check_token(self, given: str) -> None:
         pairs = [part.strip().partition("=") for part in self.headers.get("Cookie", "").split(";")]

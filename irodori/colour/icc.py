@@ -138,7 +138,7 @@ def _read(data: bytes, file) -> Profile:
         matrix = np.linalg.inv(adapt) @ colorants
     own = matrix.sum(axis=1)
     if not (np.isfinite(matrix).all() and (own > 0.0).all() and own.max() < _BRIGHTEST):
-        raise ValueError("an adaptation (chad, or the white of wtpt) that makes no white of the colorants")
+        raise ValueError("an adaptation (chad, or the white of wtpt) that does not make the sum of the colorants white")
     red, green, blue = (_read_curve(tags[name]) for name in needed[3:6])
     for name, curve in zip(needed[3:6], (red, green, blue), strict=True):
         top = float(curve.linear(np.ones(1))[0])

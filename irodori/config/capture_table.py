@@ -271,7 +271,7 @@ def check_unchanged(path, folder, shots) -> None:
                 "the photograph as it was taken: a copy, or a new one by --forcerun capture_object (or _camera); "
                 f"to take this one as it is, empty its cell sha256 in {path}"
             )
-            raise InputError(raw, "", f"other bytes than the hash in {path} stands for", accepted)
+            raise InputError(raw, "", f"content that does not match the hash in {path} stands for", accepted)
 
 
 def noted_hashes(path) -> dict[str, str]:

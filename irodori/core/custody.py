@@ -199,7 +199,7 @@ def verified(path, *, set_aside: bool = False) -> Record:
     if record is None:
         raise InputError(path, "", "no hash of its content", f"{_as_written(path)}; {_REMOVED}")
     if content_sha256(path) != record.sha256:
-        found = "other bytes than its rule wrote"
+        found = "content that its rule did not write"
         raise InputError(path, "", f"{found} ({_set_aside(path)})" if set_aside else found, _as_written(path))
     return record
 
@@ -233,7 +233,7 @@ def received(path, known: dict[str, Record | None]) -> str:
     path = Path(path)
     record = verified(path, set_aside=True)
     if Path(record.name).absolute() != path.absolute():
-        raise InputError(path, "", f"what was made as {record.name}", f"{_as_written(path)}; {_REMOVED}")
+        raise InputError(path, "", f"a result that was written as {record.name}", f"{_as_written(path)}; {_REMOVED}")
     known[str(path)] = record
     _compare_behind(str(path), record, known)
     return record.sha256
@@ -251,8 +251,8 @@ def _compare_behind(path: str, record: Record, known: dict[str, Record | None]) 
                     waiting.append((name, behind))
             behind = known[name]
             if behind is not None and behind.sha256 != sha256:
-                found = f"what was made from another {name} than lies there"
-                raise InputError(made, "", found, f"what was made from the files that lie there; {_REMOVED}")
+                found = f"a result of another version of {name}"
+                raise InputError(made, "", found, f"a result of the files as they are now; {_REMOVED}")
 
 
 def _set_aside(path: Path) -> str:
@@ -265,7 +265,7 @@ def _set_aside(path: Path) -> str:
         return "another job has set it aside"
     except OSError as error:
         return f"cannot be set aside, remove it: {error.strerror}"
-    return f"set aside as {aside.name}, so that the next run makes it again; named back, it can be taken as it is"
+    return f"set aside as {aside.name}, so that the next run makes it again; renamed back, it can be accepted as it is"
 
 
 def accept(path) -> None:
@@ -377,12 +377,12 @@ class Chain:
         if record.accepted:
             self.accepted.append(path)
         if self._place(record.name) != path:
-            yield str(InputError(path, "", f"what was made as {record.name}", _as_written(path)))
+            yield str(InputError(path, "", f"a result that was written as {record.name}", _as_written(path)))
         for name, found in hashes.items():
             if found != record.inputs[name]:
                 what = "which is gone" if found is None else "which has changed since"
-                accepted = "what was made from the files that lie there: run snakemake"
-                yield str(InputError(path, "", f"what was made from {name}, {what}", accepted))
+                accepted = "a result of the files as they are now: run snakemake"
+                yield str(InputError(path, "", f"a result of {name}, {what}", accepted))
 
 
 def main(arguments: list[str] | None = None, prog: str = "irodori verify") -> int:

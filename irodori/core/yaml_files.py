@@ -84,7 +84,7 @@ def _refuse_endless(root: yaml.Node) -> None:
 
     def count(node: yaml.Node) -> int:
         if id(node) in open_nodes:
-            raise yaml.composer.ComposerError(None, None, f"{_ENDLESS}: an alias of what it is in", node.start_mark)
+            raise yaml.composer.ComposerError(None, None, f"{_ENDLESS}: an alias inside itself", node.start_mark)
         if id(node) not in values:
             open_nodes.add(id(node))
             if isinstance(node, yaml.MappingNode):
@@ -125,7 +125,9 @@ def read_yaml(path) -> dict:
         with open(path, "rb") as file:
             content = file.read(_MOST_BYTES + 1)
         if len(content) > _MOST_BYTES:
-            raise InputError(path, "", f"more than {_MOST_BYTES} bytes", "a definition, which a person can read")
+            raise InputError(
+                path, "", f"more than {_MOST_BYTES} bytes", "a definition of a size that a person can read"
+            )
         content = yaml.load(content, Loader=_BoundedLoader)
     except FileNotFoundError:
         raise InputError(path, "", "no such file", "a YAML file") from None

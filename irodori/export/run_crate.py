@@ -363,7 +363,7 @@ def _person(publication) -> dict | None:
 
 def _licence(stated: str | None) -> dict:
     if stated is None:
-        said = "No licence was stated: all rights stay with whom they belong to."
+        said = "No licence was stated: all rights remain with their owners."
         return {"@id": "#licence", "@type": "CreativeWork", "name": "No licence stated", "description": said}
     is_address = stated.startswith(("https://", "http://"))
     return {"@id": stated if is_address else "#licence", "@type": "CreativeWork", "name": stated, "description": stated}

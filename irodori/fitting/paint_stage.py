@@ -192,7 +192,7 @@ def _log(paints: Paints, shared: int) -> None:
     LOGGER.info("%d paints; %d texels have the gloss of one", len(paints.gloss), shared)
     for number, gloss in enumerate(paints.gloss):
         if gloss is None:
-            LOGGER.info("paint %d: no gloss that its texels tell", number)
+            LOGGER.info("paint %d: its texels do not determine a gloss", number)
         else:
             (beta, mu), error = np.exp(gloss.log_gloss), np.sqrt(np.diag(gloss.error))
             varying = 100.0 * np.sqrt(np.diag(gloss.varying))

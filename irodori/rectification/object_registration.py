@@ -687,7 +687,7 @@ def _refuse_far(found: Registered, linear: Sequence, most_px: float) -> None:
         return
     angle, off = found.suspects[worst]
     apart = f"{residual:.2g} superpixels ({residual * found.mm_per_px:.2g} mm)"
-    where = f"the object {apart} from where its pose and the others put it; likeliest is {angle} off by {off:+.1f}"
+    where = f"the object {apart} from its expected place; most likely {angle} is off by {off:+.1f}"
     accepted = f"at most {most_px:g} superpixels (place.max_residual_px), and a pose as it was"
     raise InputError(linear[worst], "pose_deg", where, accepted)
 
@@ -706,9 +706,9 @@ def in_words(found: Registered) -> str:
             confirmed.append(quantity.text)
         else:
             silent.append(quantity.text)
-    parts = [f"beside what was typed, the photographs tell: {'; '.join(said) if said else 'nothing'}"]
+    parts = [f"corrections of what was typed: {'; '.join(said) or 'none'}"]
     if confirmed:
-        parts.append(f"as typed, as far as can be told: {', '.join(confirmed)}")
+        parts.append(f"confirmed as typed: {', '.join(confirmed)}")
     if silent:
-        parts.append(f"not told, so that it stays as typed: {', '.join(silent)}")
+        parts.append(f"not determined by the photographs, kept as typed: {', '.join(silent)}")
     return "; ".join(parts)

@@ -163,8 +163,8 @@ def merge_keys(levels: int) -> str:
     [
         (merge_keys(8), "unfold without end"),
         (merge_keys(30), "unfold without end"),
-        ("a: &a [*a]", "an alias of what it is in"),
-        ("a: &a {<<: *a}", "an alias of what it is in"),
+        ("a: &a [*a]", "an alias inside itself"),
+        ("a: &a {<<: *a}", "an alias inside itself"),
         ("a: " + "[" * 3000 + "]" * 3000, "nested more than 64 deep"),
         ("a: [" + "1," * 30_000 + "]", "more than 25000 values"),
         ("a: &a x\nb: [" + "*a," * 2000 + "]", "more than 1000 aliases"),

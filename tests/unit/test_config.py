@@ -150,7 +150,7 @@ def test_an_unknown_name_lists_the_existing_ones(root, file, path, value, named_
          "line of sight", "up"),
         ("scenes/still-life.yaml", "frames",
          {"kind": "light_sweep", "count": 4, "turned": "both", "from_deg": 0.0, "to_deg": 90.0}, "frames.turned",
-         "of which the scene has none", "lights in the scene"),
+         "the scene has no lights beside", "lights in the scene"),
         ("scenes/still-life.yaml", "frames",
          {"kind": "illuminant_change", "from_illuminant": "D65", "illuminants": ["A", "FL22"]}, "frames.illuminants[1]",
          "'FL22'", "did you mean 'FL2"),

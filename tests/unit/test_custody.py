@@ -67,7 +67,7 @@ def test_an_hdf5_file_carries_its_hash_wherever_it_goes(project):
     with store.open_file(project / "elsewhere.h5") as file:
         assert file.read("alpha")[0, 0] == 0.4
     halve(project / "elsewhere.h5")
-    with pytest.raises(InputError, match=r"elsewhere\.h5: found other bytes than its rule wrote"):
+    with pytest.raises(InputError, match=r"elsewhere\.h5: found content that its rule did not write"):
         store.open_file(project / "elsewhere.h5").__enter__()
 
 
@@ -136,12 +136,12 @@ def test_a_picture_of_an_older_material_is_found(project, capsys):
     make(MATERIAL, ["results/jar/brdf.h5"], alpha=0.3)
     status, said = verify(capsys)
     assert status == 1
-    assert re.search(r"scene/front\.png: found what was made from results/jar/material\.h5, which has changed", said)
+    assert re.search(r"scene/front\.png: found a result of results/jar/material\.h5, which has changed", said)
 
 
 def test_a_material_of_older_tiles_is_not_rendered(project):
     make("results/jar/brdf.h5", ["jar.csv"], alpha=0.3)
-    with pytest.raises(InputError, match=r"material\.h5: found what was made from another results/jar/brdf\.h5 than"):
+    with pytest.raises(InputError, match=r"material\.h5: found a result of another version of results/jar/brdf\.h5"):
         received(MATERIAL, {})
 
 
@@ -150,7 +150,7 @@ def test_a_users_file_that_changed_breaks_the_first_link(project, capsys, change
     (project / "jar.csv").write_text("other\n") if change == "edited" else (project / "jar.csv").unlink()
     status, said = verify(capsys, "results")
     what = "has changed since" if change == "edited" else "is gone"
-    assert status == 1 and f"brdf.h5: found what was made from jar.csv, which {what}" in said
+    assert status == 1 and f"brdf.h5: found a result of jar.csv, which {what}" in said
 
 
 def test_pictures_and_files_that_nobody_reads_must_have_a_record_too(project, capsys):
@@ -177,7 +177,7 @@ def test_a_changed_file_is_set_aside_and_taken_as_it_is_when_told_so(project, ca
     with store.open_file(MATERIAL) as file:
         assert file.read("alpha")[0, 0] == 0.2
     status, said = verify(capsys)
-    assert status == 1 and "front.png: found what was made from results/jar/material.h5" in said
+    assert status == 1 and "front.png: found a result of results/jar/material.h5" in said
     assert main(["--accept", "results/scene/front.png"]) == 0
     # Taking a picture as it is says nothing about what it was made from.
     assert verify(capsys)[0] == 1

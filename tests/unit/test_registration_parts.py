@@ -278,14 +278,14 @@ def test_a_sentence_says_what_is_told_what_is_as_typed_and_what_is_not_told():
     values, sigma = np.zeros(COUNT), np.full(COUNT, 1.9)
     values[0], sigma[0], sigma[1] = 1.25, 0.02, 0.9  # less than half of what it was before
     assert in_words(registered(values, sigma)) == (
-        "beside what was typed, the photographs tell: object along the table's x +1.25 ± 0.02 mm; "
-        "as typed, as far as can be told: object along the table's y; "
-        f"not told, so that it stays as typed: {', '.join(quantity.text for quantity in QUANTITIES[2:])}"
+        "corrections of what was typed: object along the table's x +1.25 ± 0.02 mm; "
+        "confirmed as typed: object along the table's y; "
+        f"not determined by the photographs, kept as typed: {', '.join(quantity.text for quantity in QUANTITIES[2:])}"
     )
     nothing = in_words(registered(np.zeros(COUNT), np.full(COUNT, 0.1)))
     assert (
-        nothing.startswith("beside what was typed, the photographs tell: nothing; as typed")
-        and "not told" not in nothing
+        nothing.startswith("corrections of what was typed: none; confirmed as typed")
+        and "not determined" not in nothing
     )
 
 

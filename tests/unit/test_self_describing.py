@@ -292,7 +292,7 @@ def test_a_material_that_was_changed_is_refused_with_its_first_number(tmp_path):
     with h5py.File(path) as file:
         content[file["alpha"].id.get_chunk_info(0).byte_offset + 9] ^= 1
     path.write_bytes(content)
-    with irodori.open_material(path) as opened, pytest.raises(InputError, match="other bytes than its rule wrote"):
+    with irodori.open_material(path) as opened, pytest.raises(InputError, match="content that its rule did not write"):
         opened.mu[0, 0].load()
 
 

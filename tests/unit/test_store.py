@@ -169,7 +169,7 @@ def test_damaged_data_is_refused_on_reading(tmp_path):
     middle = chunk.byte_offset + chunk.size // 2
     content[middle : middle + 64] = bytes(64)
     path.write_bytes(content)
-    assert "other bytes than its rule wrote" in refusal(path).found
+    assert "content that its rule did not write" in refusal(path).found
     accept(path)
     assert refusal(path, "alpha").field == "alpha"
 

@@ -122,6 +122,6 @@ def test_an_edited_result_is_refused_and_made_again(project):
     os.utime(reference, ns=(times.st_atime_ns, times.st_mtime_ns))
     assert main([str(project / "results")]) == 1
     run = snakemake(project, LINEAR, "--forcerun", "ingest_chart")
-    assert run.returncode != 0 and "other bytes than its rule wrote" in run.stdout + run.stderr
+    assert run.returncode != 0 and "content that its rule did not write" in run.stdout + run.stderr
     assert snakemake(project, LINEAR).returncode == 0
     assert read_record(linear).sha256 == before and main([str(project / "results")]) == 0

@@ -136,7 +136,7 @@ def test_a_run_that_cannot_be_vouched_for_has_no_crate(project, capsys):
     picture = project / "results/still-life/front.png"
     before = picture.read_bytes()
     picture.write_bytes(before + b"x")
-    assert "front.png: found other bytes than its rule wrote" in said()
+    assert "front.png: found content that its rule did not write" in said()
     picture.write_bytes(before)
     photograph = next((project / "results/tile-plate/captures").glob("*.dng"))
     before = photograph.read_bytes()

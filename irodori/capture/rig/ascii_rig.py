@@ -178,7 +178,7 @@ class AsciiRig(ControlledRig):
     def _check_resume(self) -> None:
         if "resume" not in self._words.commands:
             raise CommandError(
-                "the rig's file has no motion.ascii.resume: a feed hold of this controller is ended by its own buttons"
+                "the rig's file has no motion.ascii.resume: end a feed hold of this controller with its own buttons"
             )
 
     def _astray(self, what: str) -> DeviceError:

@@ -127,7 +127,7 @@ class _Checks:
             raise InputError(file, "limits.light_azimuth_deg", found, accepted)
         check_motion(rig, file)
         if rig.operator == "auto" and rig.kind != "virtual":
-            raise InputError(file, "operator", "auto, for which a virtual rig alone has hands", "prompt or file")
+            raise InputError(file, "operator", "auto, which only a virtual rig can follow", "prompt or file")
         check_spectra(rig, (), self.root, file)
 
     def camera(self, name: str) -> None:
@@ -207,11 +207,11 @@ class _Checks:
         for label, view in scene.views.items():
             check_aim(view, file, f"views.{label}")
             if isinstance(view, PerspectiveView) and view.lens is not None and interactive:
-                found = "a lens, over which the integrator interactive does not sample"
+                found = "a lens, which the integrator interactive cannot render"
                 raise InputError(file, f"views.{label}.lens", found, "integrator: {kind: reference}, or no lens")
         frames = scene.frames
         if isinstance(frames, LightSweep) and frames.turned in ("lights", "both") and not scene.lights:
-            found = f"{frames.turned}, of which the scene has none beside its environment"
+            found = f"{frames.turned}, but the scene has no lights beside its environment"
             raise InputError(file, "frames.turned", found, "environment, or lights in the scene")
         check_plan(scene, file)
         check_lesson(scene, self.root, file)

@@ -51,7 +51,7 @@ def check_photograph(loaded: Loaded, scene: Scene, label: str, states: set[str],
     for key, why in (("optics", "the lens that it was taken with"), ("white", "a white reference")):
         if getattr(camera, key) is None:
             raise InputError(own, f"{field}.camera", f"the camera {name!r} without {key}",
-                             f"a camera whose file tells {why} ({camera_file}, {key})")  # fmt: skip
+                             f"a camera whose file states {why} ({camera_file}, {key})")  # fmt: skip
     kind = loaded.rigs[camera.rig].kind
     needed, strange = ("exposure_s", "captures") if kind == "virtual" else ("captures", "exposure_s")
     if getattr(placed, needed) is None:
