@@ -18,7 +18,6 @@ from irodori.colour.colorimetry import summary, xyz_from_reflectance
 from irodori.config.models import Compress, EnvironmentMaps, Fit, ReferenceIntegrator, Render, Scene, Size
 from irodori.config.parts import Subject
 from irodori.core.progress import LOGGER, track
-from irodori.core.yaml_files import read_yaml
 from irodori.evaluation import error_prediction as draws
 from irodori.evaluation.known_errors import Known, colours, with_colours
 from irodori.evaluation.renderer_noise import MORE, Paths, expected_noise, measured_noise, touched
@@ -30,6 +29,7 @@ from irodori.light.stage import observers
 from irodori.material.material_file import Material
 from irodori.material.principal_components.basis_count import CompressOptions, analyse
 from irodori.rendering.integrators import render_image, with_planned_samples
+from irodori.rendering.planning.scene_plan import read_plan
 from irodori.rendering.scene_white import scene_white
 
 _WIDTH_PX = 96  # of the pictures that are compared
@@ -350,7 +350,7 @@ def measure_error_budget(
         objects.append(Measured(Known.load(files, shape, one.sample_mm, options.fit), Material.load(truth)))
     lights = Environment.load(inputs["environment"]), Environment.load(inputs["true_environment"])
     for path in inputs["plan"]:
-        scene = with_planned_samples(scene, read_yaml(path))
+        scene = with_planned_samples(scene, read_plan(path))
     rows = error_budget(scene, view, shapes, objects, lights, options)
     write_rows(output, BudgetRow, _logged(rows))
 

@@ -14,6 +14,7 @@ from irodori.geometry.shapes.shape import Shape
 from irodori.light.environment_file import Environment
 from irodori.material.material_file import Material
 from irodori.rendering.frame_state import STILL, Moment, turned_scene
+from irodori.rendering.planning.scene_plan import ScenePlan
 from irodori.rendering.scene_arrays import make_objects, make_placements, make_view
 from irodori.rendering.scene_white import scene_white
 from irodori.spectra.published import refractive_index, spectrum
@@ -34,7 +35,7 @@ def render_image(
     *,
     tiles_folder=None,
     maps_file=None,
-    plan: dict | None = None,
+    plan: ScenePlan | None = None,
     check: bool = True,
     distance: bool = False,
 ) -> tuple[np.ndarray, dict]:
@@ -52,7 +53,7 @@ def render_image(
     maps_file : path, optional
         Light maps that were baked of this scene; where the scene's integrator asks for some and there is no file, they
         are baked here.
-    plan : dict, optional
+    plan : ScenePlan, optional
         What to model, see `irodori.rendering.planning`; everything where absent.
     check : bool
         Whether a planned picture is checked: one of the integrator `interactive` against the full model, one of
@@ -82,18 +83,18 @@ def render_image(
     else:
         picture, figures = _planned(renderer, view_name, plan, check)
     if plan is not None and renderer.kind == "reference":
-        figures["plan"] = {name: plan[name] for name in ("tolerance_ciede2000", "predicted_delta_e")}
+        figures["plan"] = plan.figures
         distance = distance or check
     if distance:
         figures["delta_e_to_reference"] = _to_reference(renderer, view_name, picture, plan)
     return picture, figures
 
 
-def with_planned_samples(scene: Scene, plan: dict | None) -> Scene:
+def with_planned_samples(scene: Scene, plan: ScenePlan | None) -> Scene:
     """Return a scene of the integrator `reference` with its plan's paths a pixel, any other as it is."""
     if plan is None or not isinstance(scene.integrator, ReferenceIntegrator):
         return scene
-    return replace(scene, integrator=replace(scene.integrator, samples=plan["decisions"]["samples"]["value"]))
+    return replace(scene, integrator=replace(scene.integrator, samples=plan.decisions["samples"]))
 
 
 def has_ambient(scene: Scene) -> bool:
@@ -106,7 +107,7 @@ def has_light_maps(scene: Scene) -> bool:
     return isinstance(scene.integrator, InteractiveIntegrator) and scene.integrator.light_maps
 
 
-def _planned(renderer: "Renderer", view_name: str, plan: dict, check: bool) -> tuple[np.ndarray, dict]:
+def _planned(renderer: "Renderer", view_name: str, plan: ScenePlan, check: bool) -> tuple[np.ndarray, dict]:
     """Render a view by a plan, see `irodori.rendering.planning`, which is loaded only where it is asked for."""
     from irodori.rendering.planning.planned_picture import parts_of, render_planned
 
@@ -115,7 +116,7 @@ def _planned(renderer: "Renderer", view_name: str, plan: dict, check: bool) -> t
     return renderer.described(*render_planned(scene, view_name, parts, renderer.options, plan, check))
 
 
-def _to_reference(renderer: "Renderer", view_name: str, picture: np.ndarray, plan: dict | None) -> dict:
+def _to_reference(renderer: "Renderer", view_name: str, picture: np.ndarray, plan: ScenePlan | None) -> dict:
     """Return how far a picture, bands or XYZ, is from the path-traced one; refuse it where a plan tolerates less."""
     from irodori.rendering.reference.converging_picture import make_scene
     from irodori.rendering.reference.distance import distance_to_reference, object_pixels

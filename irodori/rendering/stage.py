@@ -12,7 +12,6 @@ from irodori.config.models import ObjectShape, Render, Scene
 from irodori.core.atomic_files import written_whole
 from irodori.core.progress import LOGGER
 from irodori.core.store import Provenance
-from irodori.core.yaml_files import read_yaml
 from irodori.export.loss import LOSS, display_loss, stored_loss
 from irodori.export.pictures import read_xyz, write_display_picture, write_spectral_exr, write_xyz_exr
 from irodori.geometry.shapes.shape import Shape
@@ -20,6 +19,7 @@ from irodori.light.environment_file import Environment
 from irodori.rendering.energy_gain import load_materials
 from irodori.rendering.eyes import refuse_enclosed_eye
 from irodori.rendering.integrators import InteractiveRenderer, make_renderer, render_image
+from irodori.rendering.planning.scene_plan import read_plan
 from irodori.rendering.scene_white import scene_white, shown_white
 
 
@@ -48,7 +48,7 @@ def render_view(
     InputError
         If the view's eye is inside a thing, a material makes light, or there is no light to see by.
     """
-    plan = read_yaml(plan_file) if plan_file else None
+    plan = read_plan(plan_file) if plan_file else None
     display = make_display(scene.display.device)
     placed = [Shape.from_definition(shape) for shape in shapes]
     refuse_enclosed_eye(scene, view_name, placed)

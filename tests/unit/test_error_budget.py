@@ -385,7 +385,8 @@ def test_the_noise_of_a_planned_scene_is_that_of_the_paths_it_is_rendered_with(t
     taken = []
     monkeypatch.setattr(module, "error_budget", lambda scene, *_, **__: taken.append(scene.integrator) or [])
     light_of_three().save(tmp_path / "light.h5", Provenance("test"))
-    write_plan(tmp_path / "plan.yaml", {"decisions": {"samples": {"value": samples}}})
+    plan = {"scene": "s", "integrator": kind, "tolerance_ciede2000": 1.0, "predicted_delta_e": 0.9}
+    write_plan(tmp_path / "plan.yaml", plan | {"decisions": {"samples": {"value": samples}}})
     lists = ("materials", "true_materials", "calibrations", "tiles", "observations")
     inputs = {key: [] for key in lists} | dict.fromkeys(("environment", "true_environment"), tmp_path / "light.h5")
     inputs["plan"] = [tmp_path / "plan.yaml"] if samples else []

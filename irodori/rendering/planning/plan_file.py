@@ -8,6 +8,7 @@ import yaml
 from irodori.core.atomic_files import written_whole
 from irodori.rendering.interactive.quadrature import Quadrature
 from irodori.rendering.planning.modelled_scene import Model, memory_mb, widths_of
+from irodori.rendering.planning.scene_plan import ScenePlan
 from irodori.rendering.planning.scene_planner import Decision, ScenePlanner
 from irodori.rendering.planning.tolerance import SHARE
 
@@ -87,22 +88,20 @@ def decision_block(decision: Decision) -> dict:
     return rounded({key: value for key, value in asdict(decision).items() if value is not None})
 
 
-def model_of(document: dict, full: Model, names: list[str]) -> Model:
+def model_of(plan: ScenePlan, full: Model, names: list[str]) -> Model:
     """Return the model that a plan describes.
 
     Parameters
     ----------
-    document : dict
-        Content of the file.
+    plan : ScenePlan
     full : Model
         Of the scene.
     names : list of str
         Of the objects, see `irodori.config.placed_names.object_names`.
     """
-    values = {name: block["value"] for name, block in document["decisions"].items()}
+    values, found = plan.decisions, plan.quadrature
     quadrature = None
-    if "quadrature" in document:
-        found = document["quadrature"]
+    if found is not None:
         quadrature = Quadrature(np.array(found["samples"]), np.array(found["xyz_weights"]), np.nan, np.nan)
     return replace(
         full,

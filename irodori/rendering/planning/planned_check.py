@@ -6,6 +6,7 @@ import numpy as np
 
 from irodori.colour.colorimetry import summary
 from irodori.core.errors import PlainError
+from irodori.rendering.planning.scene_plan import ScenePlan
 from irodori.rendering.planning.tolerance import SHARE, differences
 from irodori.rendering.reference.distance import Distance
 from irodori.rendering.scene_arrays import View
@@ -42,51 +43,49 @@ def measure(planned: np.ndarray, full: np.ndarray, white_xyz: np.ndarray) -> Pix
     return PixelDifferences(int(found["count"]), found["mean"], found["p95"], found["p99"], found["max"])
 
 
-def refuse_above(measured: PixelDifferences, plan: dict, view: str) -> None:
+def refuse_above(measured: PixelDifferences, plan: ScenePlan, view: str) -> None:
     """Refuse a picture whose pixels differ from the full model by more than its plan tolerates.
 
     Parameters
     ----------
     measured : PixelDifferences
-    plan : dict
-        With ``scene``, ``tolerance_ciede2000`` and ``predicted_delta_e``.
+    plan : ScenePlan
     view : str
 
     Raises
     ------
     ToleranceError
     """
-    if not measured.p99 <= plan["tolerance_ciede2000"]:
+    if not measured.p99 <= plan.tolerance_ciede2000:
         raise ToleranceError(
-            f"scene {plan['scene']!r}, view {view!r}: {100 * SHARE:.0f} of 100 pixels differ from the full model by up "
+            f"scene {plan.scene!r}, view {view!r}: {100 * SHARE:.0f} of 100 pixels differ from the full model by up "
             f"to {measured.p99:.3g} ΔE2000 by {measured.count} pixels computed in full (mean {measured.mean:.3g}, "
-            f"largest {measured.max:.3g}); tolerated: {plan['tolerance_ciede2000']:g}; the plan predicted "
-            f"{plan['predicted_delta_e']:.3g}; raise tolerance_ciede2000, or take overrides under `plan` back."
+            f"largest {measured.max:.3g}); tolerated: {plan.tolerance_ciede2000:g}; the plan predicted "
+            f"{plan.predicted_delta_e:.3g}; raise tolerance_ciede2000, or take overrides under `plan` back."
         )
 
 
-def refuse_far(found: Distance, plan: dict, view: str) -> None:
+def refuse_far(found: Distance, plan: ScenePlan, view: str) -> None:
     """Refuse a picture that is further from the path-traced one than its plan tolerates.
 
     Parameters
     ----------
     found : Distance
-    plan : dict
-        With ``scene``, ``integrator`` and ``tolerance_ciede2000``.
+    plan : ScenePlan
     view : str
 
     Raises
     ------
     ToleranceError
     """
-    if not found.p99 <= plan["tolerance_ciede2000"]:
-        if plan["integrator"] == "reference":
+    if not found.p99 <= plan.tolerance_ciede2000:
+        if plan.integrator == "reference":
             mend = "the samples of the integrator and of `plan`"
         else:
             mend = "use the integrator reference"
         raise ToleranceError(
-            f"scene {plan['scene']!r}, view {view!r}: {100 * SHARE:.0f} of 100 pixels of objects differ from path "
+            f"scene {plan.scene!r}, view {view!r}: {100 * SHARE:.0f} of 100 pixels of objects differ from path "
             f"tracing by up to {found.p99:.3g} ± {found.standard_error_of_p99:.2g} ΔE2000 by {found.count} pixels of "
-            f"{found.paths} paths (mean {found.mean:.3g}); tolerated: {plan['tolerance_ciede2000']:g}; raise "
+            f"{found.paths} paths (mean {found.mean:.3g}); tolerated: {plan.tolerance_ciede2000:g}; raise "
             f"tolerance_ciede2000, or {mend}."
         )

@@ -17,6 +17,7 @@ from irodori.rendering.interactive.pixel_rays import render_pixels
 from irodori.rendering.planning.modelled_scene import SceneParts, full_model, prepare
 from irodori.rendering.planning.plan_file import model_of
 from irodori.rendering.planning.planned_check import chosen_pixels, measure, refuse_above
+from irodori.rendering.planning.scene_plan import ScenePlan
 from irodori.rendering.scene_arrays import Objects, make_view
 from irodori.rendering.scene_lights import BANDS, make_lights
 from irodori.rendering.scene_white import scene_white
@@ -39,7 +40,7 @@ def parts_of(scene: Scene, objects: Objects, environment: Environment, tracer: T
 
 
 def render_planned(
-    scene: Scene, view_name: str, parts: SceneParts, options: Render, plan: dict, check: bool = True
+    scene: Scene, view_name: str, parts: SceneParts, options: Render, plan: ScenePlan, check: bool = True
 ) -> tuple[np.ndarray, dict]:
     """Render a view by a plan and check it.
 
@@ -49,8 +50,7 @@ def render_planned(
     view_name : str
     parts : SceneParts
     options : Render
-    plan : dict
-        Content of ``plan.yaml``.
+    plan : ScenePlan
     check : bool
         Whether random pixels are computed in full.
 
@@ -80,7 +80,7 @@ def render_planned(
     picture = render_frame(prepared, fine, lamps=lamps, bands=bands, figures=counted)
     picture = picture.reshape(view.height, side, view.width, side, -1).mean(axis=(1, 3))
     seconds = time.perf_counter() - start
-    of_plan: dict[str, object] = {name: plan[name] for name in ("tolerance_ciede2000", "predicted_delta_e")}
+    of_plan = plan.figures
     figures = {
         "seconds": seconds,
         "seconds_to_prepare": prepared_s,
@@ -96,6 +96,6 @@ def render_planned(
         found = picture[pixels[:, 1], pixels[:, 0]].astype(np.float64)
         measured = measure(found @ matrix.T if bands else found, truth, matrix @ parts.white)
         of_plan |= {"delta_e_to_full_model": asdict(measured), "seconds_to_check": time.perf_counter() - start}
-        LOGGER.info("plan: predicted %.3g, measured %.3g ΔE2000", plan["predicted_delta_e"], measured.p99)
+        LOGGER.info("plan: predicted %.3g, measured %.3g ΔE2000", plan.predicted_delta_e, measured.p99)
         refuse_above(measured, plan, view_name)
     return picture, figures

@@ -36,6 +36,7 @@ from irodori.rendering.planning.plan_file import model_of, write_plan
 from irodori.rendering.planning.planned_check import ToleranceError, chosen_pixels
 from irodori.rendering.planning.planned_picture import parts_of
 from irodori.rendering.planning.probes import Changes, Probes
+from irodori.rendering.planning.scene_plan import ScenePlan, read_plan
 from irodori.rendering.planning.stage import plan_of
 from irodori.rendering.planning.tolerance import bound_of_share
 from irodori.rendering.scene_arrays import make_light, make_objects, make_placements, make_view
@@ -88,7 +89,7 @@ def planned(materials, light, **scene):
     placements = make_placements(made(Scene | Staging, definition), [TABLE, JAR])
     objects, _ = make_objects(placements, materials)
     parts = parts_of(made(Scene, definition), objects, light, Tracer(placements))
-    model = model_of(document, full_model(parts, 4, True), object_names(made(Scene, definition)))
+    model = model_of(ScenePlan.of(document), full_model(parts, 4, True), object_names(made(Scene, definition)))
     return document, parts, model, definition
 
 
@@ -98,7 +99,7 @@ def values(document) -> dict:
 
 def picture(materials, light, document, definition):
     return render_image(
-        made(Scene, definition), "v", [TABLE, JAR], materials, light, made(Render, OPTIONS), plan=document
+        made(Scene, definition), "v", [TABLE, JAR], materials, light, made(Render, OPTIONS), plan=ScenePlan.of(document)
     )
 
 
@@ -420,7 +421,7 @@ def test_an_environment_of_straight_edges_is_halved_no_further_than_its_check_al
     definition["views"]["v"]["field_of_view_deg"] = 45.0
     document = plan_of("table-top", made(Scene, definition), [TABLE, JAR], mirrors, light, made(Render, options))
     _, figures = render_image(
-        made(Scene, definition), "v", [TABLE, JAR], mirrors, light, made(Render, options), plan=document
+        made(Scene, definition), "v", [TABLE, JAR], mirrors, light, made(Render, options), plan=ScenePlan.of(document)
     )
     assert figures["plan"]["delta_e_to_full_model"]["p99"] <= document["predicted_delta_e"] + 0.02
 
@@ -444,7 +445,7 @@ def test_rays_that_all_leave_the_scene_are_planned_for():
         definition |= {"views": views}
         document = plan_of("table-top", made(Scene, definition), [JAR], mirrors, room(), made(Render, OPTIONS))
         _, figures = render_image(
-            made(Scene, definition), "v", [JAR], mirrors, room(), made(Render, OPTIONS), plan=document
+            made(Scene, definition), "v", [JAR], mirrors, room(), made(Render, OPTIONS), plan=ScenePlan.of(document)
         )
         assert figures["plan"]["delta_e_to_full_model"]["p99"] <= document["predicted_delta_e"] + 0.02 <= 1.02
 
@@ -475,3 +476,9 @@ def test_the_bound_of_a_share_holds_for_the_whole():
     bounds = np.array([bound_of_share(rng.exponential(size=2000)) for _ in range(500)])
     assert (bounds >= true).mean() > 0.99 and np.median(bounds) < 1.4 * true
     assert bound_of_share(np.arange(10.0)) == 9.0
+
+
+def test_a_file_that_is_no_plan_is_refused_by_its_name(tmp_path):
+    (tmp_path / "plan.yaml").write_text("{scene: table-top, integrator: interactive, tolerance_ciede2000: 1.0}")
+    with pytest.raises(InputError, match=r"plan\.yaml: found no whole plan; accepted: .* plan_scene"):
+        read_plan(tmp_path / "plan.yaml")

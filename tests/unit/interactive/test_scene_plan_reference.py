@@ -9,6 +9,7 @@ from irodori.config.models import Render, Scene, Size, View
 from irodori.config.parts import Staging
 from irodori.rendering.integrators import render_image
 from irodori.rendering.planning.planned_check import ToleranceError
+from irodori.rendering.planning.scene_plan import ScenePlan
 from irodori.rendering.planning.stage import plan_of
 from irodori.rendering.reference.converging_picture import make_scene, render
 from irodori.rendering.reference.distance import traced_halves
@@ -49,7 +50,13 @@ def test_half_the_tolerance_takes_about_four_times_the_paths_and_the_check_agree
     for tolerance, document in zip((4.0, 2.0), plans, strict=True):
         assert tolerance / 2 < document["predicted_delta_e"] <= tolerance
         _, figures = render_image(
-            made(Scene, scene_of(tolerance)), "v", SHAPES, MATERIALS, light(), made(Render, OPTIONS), plan=document
+            made(Scene, scene_of(tolerance)),
+            "v",
+            SHAPES,
+            MATERIALS,
+            light(),
+            made(Render, OPTIONS),
+            plan=ScenePlan.of(document),
         )
         assert figures["samples"] == document["decisions"]["samples"]["value"]
         # Sobol points err by less than the root law says, pilots by luck.
@@ -70,7 +77,9 @@ def test_too_few_paths_are_refused():
     document = plan(definition)
     assert document["decisions"]["samples"]["by"] == "scene" and document["predicted_delta_e"] > 0.5
     with pytest.raises(ToleranceError, match=r"table-top.* or the samples of the integrator"):
-        render_image(made(Scene, definition), "v", SHAPES, MATERIALS, light(), made(Render, OPTIONS), plan=document)
+        render_image(
+            made(Scene, definition), "v", SHAPES, MATERIALS, light(), made(Render, OPTIONS), plan=ScenePlan.of(document)
+        )
 
 
 LENS = {"lens": {"diameter_mm": 30.0, "focus_mm": 150.0}}

@@ -14,6 +14,7 @@ from irodori.light.environment_file import Environment
 from irodori.light.gloss.gloss_maps import GlossMaps
 from irodori.rendering.frame_state import STILL
 from irodori.rendering.integrators import render_image
+from irodori.rendering.planning.scene_plan import ScenePlan
 from irodori.rendering.planning.stage import plan_of
 
 SHINY = [material(0.3, beta=3.0, mu=0.15)]
@@ -73,10 +74,10 @@ def test_a_plan_finds_the_stored_maps_on_its_own_basis(light, tmp_path):
     assert document["decisions"]["gloss_levels"]["value"][1] > 0
     document["decisions"]["light_bases"]["value"] = light.basis.shape[1] - 1
     truth = render_image(
-        made(Scene, SCENE), "v", [BALL], SHINY, light, made(Render, OPTIONS), plan=document, check=False
+        made(Scene, SCENE), "v", [BALL], SHINY, light, made(Render, OPTIONS), plan=ScenePlan.of(document), check=False
     )[0]
     same = render_image(
-        made(Scene, SCENE), "v", [BALL], SHINY, found, made(Render, OPTIONS), plan=document, check=False
+        made(Scene, SCENE), "v", [BALL], SHINY, found, made(Render, OPTIONS), plan=ScenePlan.of(document), check=False
     )[0]
     assert np.allclose(same, truth, rtol=2e-3, atol=1e-4 * truth.max())
 
