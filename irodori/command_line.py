@@ -49,6 +49,7 @@ SUBCOMMANDS = {
     "viewer": Subcommand("irodori.viewer.viewer_command", "write a scene's classroom page, or print what one holds"),
     "crate": Subcommand("irodori.export.crate_command", "describe a finished run as a Workflow Run RO-Crate"),
     "filters": Subcommand("irodori.calibration.filters", "rank filters for the second shot of a camera"),
+    "lens": Subcommand("irodori.lens.lens_command", "measure a lens from photographs of a printed sheet"),
     "verify": Subcommand("irodori.core.custody", "compare every result with its hash and with what it was made from"),
     "simulate-grbl": Subcommand("irodori.simulation.controllers.grbl_simulator", "simulate a Grbl motion controller"),
     "simulate-ascii": Subcommand(

@@ -23,6 +23,7 @@ RUN_BY = {
     "bench": "tests/rig/test_command.py",
     "first project": "tests/rig/test_init.py",
     "help": "tests/workflow/test_documented_commands.py",
+    "lens": "tests/unit/test_lens.py",
     "mutation": "tests/unit/test_mutation.py",
     "pip": "tests/workflow/test_documented_commands.py",
     "pytest": "tests/unit/test_documented_tools.py",
@@ -33,7 +34,7 @@ RUN_BY = {
 _ON_RESULTS = ("check", "crate", "export", "preview", "verify", "viewer")
 _AT_THE_BENCH = ("capture", "home", "jog", "move", "plan", "recount", "setup", "shoot", "status")
 #: Words that name a command in a sentence, without what it takes: its help is what can be run.
-_NAMED = ("export", "init", "plan", "verify --accept", "--help", "")
+_NAMED = ("export", "init", "lens", "plan", "verify --accept", "--help", "")
 
 
 def commands(text: str) -> list[str]:
@@ -73,7 +74,7 @@ def kind(command: str) -> str | None:
     if program in ("irodori", "irodori.rig"):
         if " ".join(rest) in _NAMED:
             return "help"
-        kinds = {"init": "first project"} | dict.fromkeys(_ON_RESULTS, "results")
+        kinds = {"init": "first project", "lens": "lens"} | dict.fromkeys(_ON_RESULTS, "results")
         return (kinds | dict.fromkeys(_AT_THE_BENCH, "bench")).get(rest[0])
     if program in ("pip", "pytest", "snakemake"):
         return program

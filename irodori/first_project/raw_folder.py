@@ -119,10 +119,10 @@ def _looked_at(files: list[Path]) -> Iterator[Photograph]:
         if not mosaic.exposure_s:
             raise InputError(path, "exposure time", "none", "a RAW file that states its exposure time")
         look = look_at(path, mosaic, thumbnail=True)
-        yield Photograph(path, look, mosaic.exposure_s, mosaic.iso, mosaic.f_number, _pitch_um(path, mosaic))
+        yield Photograph(path, look, mosaic.exposure_s, mosaic.iso, mosaic.f_number, pixel_pitch_um(path, mosaic))
 
 
-def _pitch_um(path: Path, mosaic: Mosaic) -> float:
+def pixel_pitch_um(path: Path, mosaic: Mosaic) -> float:
     """Return the distance of pixels by the resolution of the focal plane; 0 where that is of another picture."""
     tags = {tag.number: tag for tag in read_tags(path, (_PLANE_RESOLUTION, _PLANE_UNIT, _EXIF_WIDTH))}
     resolution, unit, width = (tags.get(number) for number in (_PLANE_RESOLUTION, _PLANE_UNIT, _EXIF_WIDTH))

@@ -1,0 +1,258 @@
+"""Fit of a lens to the corners of a flat sheet, with no more distortion than left-out photographs call for.
+
+The model is OpenCV's, as in `irodori.geometry.distortion`, with one focal length for both axes. Every model is fitted
+to some of the photographs; of the others, each sheet's pose is fitted, and the distances of its corners are the error.
+The simplest model within one standard error of the best is taken.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from irodori.core.errors import PlainError
+
+#: Coefficients that are fitted, by the name of the model, from the simplest on.
+MODELS = {
+    "none": (),
+    "k1": ("k1",),
+    "k1 k2": ("k1", "k2"),
+    "k1 k2 p1 p2": ("k1", "k2", "p1", "p2"),
+    "k1 k2 p1 p2 k3": ("k1", "k2", "p1", "p2", "k3"),
+    "k1 to k6, p1 p2": ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
+}
+#: Photographs that a lens needs, and corners that one must show.
+LEAST_PHOTOGRAPHS, LEAST_CORNERS = 5, 20
+#: A photograph whose corners are so many times further off than the median photograph's is left out.
+_FAR = 3.0
+_FOLDS = 5
+#: By how much the focal length is held off where its error is told, a ratio.
+_HELD_OFF = 0.02
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """Corners of the sheet in one photograph.
+
+    Parameters
+    ----------
+    name : str
+        Name of the photograph, for messages.
+    plane : (n, 2) float32
+        Corners on the sheet, in squares.
+    seen : (n, 2) float32
+        Corners in the picture, samples.
+    """
+
+    name: str
+    plane: np.ndarray
+    seen: np.ndarray
+
+    @property
+    def points(self) -> np.ndarray:
+        """Corners in space, (n, 3) float32."""
+        return np.column_stack([self.plane, np.zeros(len(self.plane))]).astype(np.float32)
+
+
+@dataclass(frozen=True)
+class Lens:
+    """A fitted lens, in samples of the picture.
+
+    Parameters
+    ----------
+    model : str
+        One of MODELS.
+    focal, focal_error : float
+        Focal length and its standard error, samples.
+    centre, centre_error : (2,) float64
+        Principal point, x then y, and its standard errors, samples.
+    coefficients, coefficient_errors : (8,) float64
+        k1, k2, p1, p2, k3, k4, k5, k6 and their standard errors; 0 where the model has none.
+    rms : float
+        Root of the mean squared distance of the corners, samples.
+    left_out : float
+        The same of photographs that were left out of the fit, samples.
+    """
+
+    model: str
+    focal: float
+    focal_error: float
+    centre: np.ndarray
+    centre_error: np.ndarray
+    coefficients: np.ndarray
+    coefficient_errors: np.ndarray
+    rms: float
+    left_out: float
+
+
+def fit_lens(sheets: Sequence[Sheet], size: tuple[int, int]) -> tuple[Lens, list[Sheet]]:
+    """Fit a lens.
+
+    Parameters
+    ----------
+    sheets : sequence of Sheet
+    size : (int, int)
+        Width and height of the picture, samples.
+
+    Returns
+    -------
+    Lens
+    list of Sheet
+        Those that were left out because they fit no lens that fits the others: a sheet that was bent, or had moved.
+
+    Raises
+    ------
+    PlainError
+        If fewer than LEAST_PHOTOGRAPHS are left, or they do not determine the focal length.
+    """
+    used, far = list(sheets), []
+    while True:
+        if len(used) < LEAST_PHOTOGRAPHS:
+            raise PlainError(
+                f"found {len(used)} photographs that agree with each other; accepted: {LEAST_PHOTOGRAPHS} or more, "
+                "of a flat sheet in different directions"
+            )
+        _, per_sheet = _fit(used, size, "k1 k2")
+        worst = int(np.argmax(per_sheet))
+        if per_sheet[worst] <= _FAR * np.median(per_sheet):
+            break
+        far.append(used.pop(worst))
+    errors = {model: left_out_errors(used, size, model) for model in MODELS}
+    model = simplest(errors)
+    lens, _ = _fit(used, size, model)
+    lens = replace(lens, focal_error=_focal_error(used, size, lens), left_out=float(np.sqrt(np.mean(errors[model]))))
+    # Flat sheets that all face the camera fit every focal length, each with another distance.
+    if not lens.focal_error < 0.01 * lens.focal:
+        raise PlainError(
+            f"found a focal length known to {100 * lens.focal_error / lens.focal:.1f} %; accepted: 1 % or better: tilt "
+            "the sheet by 30 to 45 degrees to the left, right, front and back in further photographs"
+        )
+    return lens, far
+
+
+def simplest(errors: dict[str, np.ndarray]) -> str:
+    """Return the first model whose mean error is within one standard error of the smallest mean.
+
+    Parameters
+    ----------
+    errors : dict of (photographs,) float64
+        Mean squared distance of the corners of each photograph when it was left out, by model, the simplest first. The
+        standard error is that of the difference to the best model, over photographs.
+    """
+    best = min(errors, key=lambda model: float(np.mean(errors[model])))
+    for model, own in errors.items():
+        more = own - errors[best]
+        if np.mean(more) <= np.std(more, ddof=1) / np.sqrt(len(more)):
+            return model
+    return best
+
+
+def left_out_errors(sheets: Sequence[Sheet], size: tuple[int, int], model: str) -> np.ndarray:
+    """Return the mean squared distance of each photograph's corners to a lens fitted without it, samples².
+
+    Photographs are left out in up to five groups. A fit that fails counts as an infinite error.
+    """
+    out = np.full(len(sheets), np.inf)
+    folds = min(_FOLDS, len(sheets))
+    for fold in range(folds):
+        inside = [sheet for at, sheet in enumerate(sheets) if at % folds != fold]
+        try:
+            lens, _ = _fit(inside, size, model)
+            for at in range(fold, len(sheets), folds):
+                out[at] = _pose_error(sheets[at], lens)
+        except cv2.error:
+            continue
+    return out
+
+
+def _pose_error(sheet: Sheet, lens: Lens) -> float:
+    """Return the mean squared distance of a sheet's corners in its best pose under a lens, samples²."""
+    matrix = _matrix(lens.focal, lens.centre)
+    ok, rotation, translation = cv2.solvePnP(sheet.points, sheet.seen, matrix, lens.coefficients)
+    if not ok:
+        return np.inf
+    rotation, translation = cv2.solvePnPRefineLM(
+        sheet.points, sheet.seen, matrix, lens.coefficients, rotation, translation
+    )
+    shown, _ = cv2.projectPoints(sheet.points, rotation, translation, matrix, lens.coefficients)
+    return float(np.mean(np.sum((shown.reshape(-1, 2) - sheet.seen) ** 2, axis=1)))
+
+
+def _matrix(focal: float, centre: np.ndarray) -> np.ndarray:
+    return np.array([[focal, 0.0, centre[0]], [0.0, focal, centre[1]], [0.0, 0.0, 1.0]])
+
+
+def _focal_error(sheets: Sequence[Sheet], size: tuple[int, int], lens: Lens) -> float:
+    """Return the standard error of the focal length, samples; infinite where every focal length fits as well.
+
+    All else is fitted once more beside a focal length that is held a little off, and the growth of the squared
+    distances tells the error. OpenCV's own error inverts equations that may be singular: of sheets that all face the
+    camera it states next to nothing.
+    """
+    corners = sum(len(sheet.plane) for sheet in sheets)
+    free = 2 * corners - 6 * len(sheets) - 3 - len(MODELS[lens.model])
+    squares = corners * lens.rms**2
+    grown = [
+        corners * _fit(sheets, size, lens.model, focal=(1.0 + off) * lens.focal)[0].rms ** 2 - squares
+        for off in (-_HELD_OFF, _HELD_OFF)
+    ]
+    if not min(grown) > 0.0:
+        return np.inf
+    return _HELD_OFF * lens.focal * np.sqrt(squares / free / min(grown))
+
+
+def _fit(
+    sheets: Sequence[Sheet], size: tuple[int, int], model: str, focal: float | None = None
+) -> tuple[Lens, np.ndarray]:
+    """Return a lens of a model, and the rms distance of the corners of each photograph, samples.
+
+    A focal length that is given is held.
+    """
+    middle = (np.array(size, dtype=np.float64) - 1.0) / 2.0
+    points, seen = [sheet.points for sheet in sheets], [sheet.seen for sheet in sheets]
+    free = set(MODELS[model])
+    flags = cv2.CALIB_USE_INTRINSIC_GUESS | cv2.CALIB_FIX_ASPECT_RATIO
+    if focal is None:
+        start = cv2.initCameraMatrix2D(points, seen, size, 1.0)
+        focal = start[0, 0] if np.isfinite(start[0, 0]) and start[0, 0] > 0 else float(max(size))
+    else:
+        flags |= cv2.CALIB_FIX_FOCAL_LENGTH
+    for name in ("k1", "k2", "k3", "k4", "k5", "k6"):
+        if name not in free:
+            flags |= getattr(cv2, f"CALIB_FIX_{name.upper()}")
+    if "k4" in free:
+        flags |= cv2.CALIB_RATIONAL_MODEL
+    if "p1" not in free:
+        flags |= cv2.CALIB_ZERO_TANGENT_DIST
+    stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 200, 1e-10)
+    rms, matrix, found, _, _, deviation, _, per_sheet = cv2.calibrateCameraExtended(
+        points, seen, size, _matrix(focal, middle), np.zeros(8), flags=flags, criteria=stop
+    )
+    coefficients, errors = np.zeros(8), np.zeros(8)
+    count = min(8, found.size)
+    coefficients[:count] = found.ravel()[:count]
+    # OpenCV lists fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, ...; what is held fixed has 0.
+    sigma = deviation.ravel()
+    errors[:count] = sigma[4 : 4 + count]
+    return (
+        Lens(
+            model=model,
+            focal=float(matrix[0, 0]),
+            focal_error=np.nan,
+            centre=matrix[:2, 2].copy(),
+            centre_error=sigma[2:4].copy(),
+            coefficients=coefficients,
+            coefficient_errors=errors,
+            rms=float(rms),
+            left_out=np.nan,
+        ),
+        per_sheet.ravel(),
+    )
+
+
+def covered(sheets: Sequence[Sheet], size: tuple[int, int], cells: int = 4) -> float:
+    """Return the share of the picture, in cells x cells parts, that holds a corner of some photograph."""
+    seen = np.concatenate([sheet.seen for sheet in sheets])
+    at = np.clip((seen + 0.5) / np.array(size) * cells, 0, cells - 1).astype(int)
+    return len({tuple(cell) for cell in at}) / cells**2

@@ -1,0 +1,214 @@
+"""A lens is measured from photographs of the printed sheet, and what cannot be told from them is refused."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+import yaml
+from documented import of_kind, words_of
+from made import made
+from scipy.ndimage import gaussian_filter, map_coordinates
+from scipy.spatial.transform import Rotation
+
+from irodori.command_line import main
+from irodori.config.models import Optics
+from irodori.geometry.distortion import COEFFICIENTS
+from irodori.geometry.pinhole import Pinhole
+from irodori.lens.calibration_sheet import COLUMNS, PAPERS_MM, ROWS, board_picture, find_corners, write_sheet
+from irodori.lens.lens_models import Sheet, fit_lens, simplest
+from irodori.simulation.virtual_rig.dng_writer import write_dng
+
+WIDTH, HEIGHT = 1200, 800  # mosaic pixels
+PITCH_UM = 5.0
+#: Of a lens of ordinary distortion: barrel, some tangential part, its axis off the middle.
+TRUE = Pinhole(1500.0, (612.0, 391.0), WIDTH, HEIGHT, (-0.18, 0.06, 0.0006, -0.0009, 0.0, 0.0, 0.0, 0.0))
+STRAIGHT = Pinhole(1500.0, (600.0, 400.0), WIDTH, HEIGHT)
+BOARD = board_picture(48).astype(np.float64) / 255.0
+#: Angles of the sheet about its x and y, degrees, and where its middle is seen, as parts of the picture.
+PLACES = [
+    (0, 0, 0.5, 0.5), (35, 0, 0.5, 0.45), (-35, 0, 0.5, 0.55), (0, 35, 0.45, 0.5), (0, -35, 0.55, 0.5),
+    (25, 25, 0.3, 0.35), (-25, 25, 0.7, 0.35), (25, -25, 0.3, 0.65), (-25, -25, 0.7, 0.65), (10, 30, 0.75, 0.5),
+]  # fmt: skip
+
+
+def seen_sheet(lens: Pinhole, about_x, about_y, at_x, at_y, distance=20.0):
+    """The pose of the sheet: its first corner, its axes (columns), in the camera's frame, squares."""
+    axes = Rotation.from_euler("xyz", [about_x, about_y, 3.0], degrees=True).as_matrix()
+    ahead = lens.directions(np.array([at_x * WIDTH, at_y * HEIGHT]), np.eye(3))
+    middle = distance * ahead / ahead[2]
+    return middle - axes @ np.array([COLUMNS / 2, ROWS / 2, 0.0]), axes
+
+
+@cache
+def photographed(lens: Pinhole, place, seed=0, bend=0.0) -> np.ndarray:
+    """The mosaic of a photograph: each pixel looks along its ray at a sheet that may be bent, through a soft lens."""
+    origin, axes = seen_sheet(lens, *place)
+    x, y = np.meshgrid(np.arange(WIDTH) + 0.5, np.arange(HEIGHT) + 0.5)
+    toward = lens.directions(np.stack([x, y], axis=-1), np.eye(3))
+    depth = (origin @ axes[:, 2]) / (toward @ axes[:, 2])
+    on = (toward * depth[..., None] - origin) @ axes[:, :2]
+    on[..., 0] += bend * (on[..., 1] - ROWS / 2) ** 2
+    shown = map_coordinates(BOARD, [on[..., 1] * 48 - 0.5, on[..., 0] * 48 - 0.5], order=1, cval=0.6)
+    light = 0.05 + 0.85 * gaussian_filter(shown, 0.8)
+    radius = np.hypot(np.arange(WIDTH) - WIDTH / 2, np.arange(HEIGHT)[:, None] - HEIGHT / 2) / (WIDTH / 2)
+    level = (
+        light
+        * (1.0 - 0.25 * radius**2)
+        * np.array([[0.5, 0.9], [0.9, 0.4]])[np.arange(HEIGHT)[:, None] % 2, np.arange(WIDTH) % 2]
+    )
+    electrons = np.random.default_rng(seed).poisson(8000.0 * level)
+    return (512 + electrons).clip(0, 16383).astype(np.uint16)
+
+
+def store(folder, mosaics) -> None:
+    folder.mkdir(exist_ok=True)
+    for number, mosaic in enumerate(mosaics):
+        path = folder / f"sheet{number:02}.dng"
+        write_dng(path, mosaic, black_level=512, white_level=16383, exposure_s=0.02, model="test")
+
+
+def corners(lens: Pinhole, places, sigma=0.02, seed=1) -> list[Sheet]:
+    """Corners as `find_corners` would find them, with errors of a standard deviation in superpixels."""
+    random = np.random.default_rng(seed)
+    plane = np.stack(np.meshgrid(np.arange(1, COLUMNS), np.arange(1, ROWS)), axis=-1).reshape(-1, 2)
+    sheets = []
+    for number, place in enumerate(places):
+        origin, axes = seen_sheet(lens, *place)
+        seen = lens.project(origin + plane @ axes[:, :2].T, np.zeros(3), np.eye(3))
+        seen += random.normal(0.0, sigma, seen.shape)
+        sheets.append(Sheet(f"{number}.dng", plane.astype(np.float32), seen.astype(np.float32)))
+    return sheets
+
+
+def apart_px(lens: Pinhole, found: Pinhole) -> float:
+    """Largest distance between where two lenses show a direction, after the turn that brings them closest, pixels.
+
+    A turn of the camera is not the lens's: a principal point that is off by a pixel and a turn that undoes it are one.
+    """
+    x, y = np.meshgrid(np.linspace(0, WIDTH, 13), np.linspace(0, HEIGHT, 9))
+    at = np.stack([x, y], axis=-1).reshape(-1, 2)
+    true, other = lens.directions(at, np.eye(3)), found.directions(at, np.eye(3))
+    turn, _ = Rotation.align_vectors(true, other)
+    return float(np.linalg.norm(turn.apply(other) - true, axis=1).max() * lens.focal_px)
+
+
+def test_a_lens_is_found_in_raw_photographs_of_the_sheet(tmp_path, capsys):
+    store(tmp_path / "lens", [photographed(TRUE, place, seed) for seed, place in enumerate(PLACES)])
+    assert main(["lens", str(tmp_path / "lens"), "--pixel-pitch-um", str(PITCH_UM)]) == 0
+    said = capsys.readouterr()
+    found = Pinhole.from_optics(made(Optics, yaml.safe_load(said.out)["optics"]))
+    assert found.focal_px == pytest.approx(TRUE.focal_px, rel=2e-3)
+    assert found.centre_px == pytest.approx(TRUE.centre_px, abs=3.0)
+    assert (found.width_px, found.height_px) == (WIDTH, HEIGHT)
+    assert apart_px(TRUE, found) < 0.5
+    assert "10 photographs" in said.err and "± " in said.err
+
+
+def test_a_photograph_without_the_sheet_and_one_of_a_bent_sheet_are_named_and_left_out(tmp_path, capsys):
+    mosaics = [photographed(TRUE, place, seed) for seed, place in enumerate(PLACES[:7])]
+    mosaics[2] = np.full_like(mosaics[2], 4000)
+    mosaics[4] = photographed(TRUE, PLACES[4], 4, bend=0.03)
+    store(tmp_path / "lens", mosaics)
+    assert main(["lens", str(tmp_path / "lens"), "--pixel-pitch-um", "5"]) == 0
+    said = capsys.readouterr()
+    assert "sheet02.dng: left out, 0 of the sheet's corners found" in said.err
+    assert "sheet04.dng: left out, it fits no lens that fits the others" in said.err and "5 photographs" in said.err
+    found = Pinhole.from_optics(made(Optics, yaml.safe_load(said.out)["optics"]))
+    assert found.focal_px == pytest.approx(TRUE.focal_px, rel=5e-3)
+
+
+@pytest.mark.parametrize(("lens", "distorted"), [(STRAIGHT, False), (TRUE, True)])
+def test_distortion_is_modelled_only_where_left_out_photographs_call_for_it(lens, distorted):
+    found, far = fit_lens(corners(lens, PLACES), (WIDTH // 2, HEIGHT // 2))
+    assert not far and bool(found.coefficients.any()) is distorted
+    assert found.rms < 0.05
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_stated_errors_hold(seed):
+    found, _ = fit_lens(corners(TRUE, PLACES, sigma=0.05, seed=seed), (WIDTH // 2, HEIGHT // 2))
+    # Four standard errors: six draws of three numbers each stay within them but once in a thousand runs.
+    assert abs(2.0 * found.focal - TRUE.focal_px) < 4.0 * 2.0 * found.focal_error
+    apart = 2.0 * (found.centre + 0.5) - np.array(TRUE.centre_px)
+    assert (np.abs(apart) < 4.0 * 2.0 * found.centre_error).all()
+    assert found.focal_error < 0.003 * found.focal
+
+
+def test_sheets_that_all_face_the_camera_do_not_tell_the_focal_length(tmp_path, capsys):
+    places = [(0, 0, x, y) for x, y in [(0.5, 0.5), (0.4, 0.5), (0.6, 0.5), (0.5, 0.4), (0.5, 0.6), (0.4, 0.4)]]
+    store(tmp_path / "lens", [photographed(STRAIGHT, place, seed) for seed, place in enumerate(places)])
+    assert main(["lens", str(tmp_path / "lens"), "--pixel-pitch-um", "5"]) == 2
+    said = capsys.readouterr()
+    assert not said.out and "found a focal length known to" in said.err and "tilt the sheet" in said.err
+
+
+def test_of_models_as_good_as_each_other_the_simplest_is_taken():
+    noise = np.random.default_rng(3).chisquare(100, 12) / 100.0
+    scatter = np.resize([0.01, -0.01], 12)  # its mean has a standard error of 0.003
+    errors = {"none": noise + 0.004 + scatter, "k1": noise + 0.002 + scatter, "k1 k2": noise}
+    assert simplest(errors) == "k1"
+
+
+def test_too_few_photographs_and_files_without_a_pixel_pitch_are_refused(tmp_path, capsys):
+    store(tmp_path / "lens", [photographed(TRUE, PLACES[0])])
+    assert main(["lens", str(tmp_path / "lens"), "--pixel-pitch-um", "5"]) == 2
+    assert "found the sheet in 1 photographs; accepted: 5 or more" in capsys.readouterr().err
+    assert main(["lens", str(tmp_path / "lens")]) == 2
+    assert "--pixel-pitch-um" in capsys.readouterr().err
+
+
+def test_photographs_of_several_sizes_are_refused(tmp_path, capsys):
+    mosaic = photographed(TRUE, PLACES[0])
+    store(tmp_path / "lens", [mosaic, mosaic[: HEIGHT // 2]])
+    assert main(["lens", str(tmp_path / "lens"), "--pixel-pitch-um", "5"]) == 2
+    assert "sheet01.dng: size: found 1200 x 400 pixels; accepted: 1200 x 800" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("paper", PAPERS_MM)
+def test_the_printed_sheet_is_of_its_size_and_is_found(tmp_path, paper):
+    """A page of the stated size; of its picture, with print and paper of ordinary brightness, all corners are seen."""
+    write_sheet(tmp_path / "sheet.pdf", paper)
+    width_mm, height_mm, square_mm = PAPERS_MM[paper]
+    text = (tmp_path / "sheet.pdf").read_bytes()
+    box = text[text.index(b"/MediaBox") :].split(b"[")[1].split(b"]")[0].split()
+    assert [float(value) * 25.4 / 72.0 for value in box[2:]] == pytest.approx([width_mm, height_mm], abs=0.1)
+    assert COLUMNS * square_mm < width_mm - 10 and ROWS * square_mm < height_mm - 10
+    plane, seen = find_corners(
+        np.pad(0.1 + 0.8 * board_picture(20).astype(np.float32) / 255.0, 30, constant_values=0.9)
+    )
+    assert len(plane) == (COLUMNS - 1) * (ROWS - 1)
+    np.testing.assert_allclose(seen, plane * 20.0 + 29.5, atol=0.1)
+
+
+def test_the_sheet_has_a_name_and_a_folder_or_is_refused(tmp_path, capsys):
+    for name in ("sheet.png", "nowhere/sheet.pdf"):
+        assert main(["lens", "--print", str(tmp_path / name)]) == 2
+        assert "accepted: a" in capsys.readouterr().err
+    assert main(["lens", "--print", str(tmp_path / "sheet.pdf"), "--paper", "A3"]) == 0
+    with pytest.raises(SystemExit):
+        main(["lens"])
+
+
+def test_coefficients_come_in_the_order_of_opencv():
+    cv2 = pytest.importorskip("cv2")
+    seen, _ = cv2.projectPoints(
+        np.array([[[0.2, 0.1, 1.0]]]), np.zeros(3), np.zeros(3),
+        np.array([[1500, 0, 612], [0, 1500, 391], [0, 0, 1.0]]), np.array(TRUE.distortion),
+    )  # fmt: skip
+    ours = TRUE.project(np.array([0.2, 0.1, 1.0]), np.zeros(3), np.eye(3))
+    np.testing.assert_allclose(2.0 * (ours + 0.5), seen.ravel(), rtol=1e-12)
+    assert COEFFICIENTS[:4] == ("k1", "k2", "p1", "p2")
+
+
+def test_a_black_picture_shows_no_sheet():
+    plane, seen = find_corners(np.zeros((50, 60), np.float32))
+    assert len(plane) == len(seen) == 0
+
+
+def test_the_documented_commands_print_a_sheet_and_measure_a_lens(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    store(tmp_path / "My lens", [photographed(TRUE, place, seed) for seed, place in enumerate(PLACES)])
+    for command in of_kind("lens"):
+        program, *words = words_of(command)
+        assert program == "irodori" and main(words) == 0, command
+    assert (tmp_path / "sheet.pdf").stat().st_size > 1000 and "focal_length_mm: 1" in capsys.readouterr().out
