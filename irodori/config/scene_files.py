@@ -12,6 +12,7 @@ from irodori.config.capture_table import noted_hashes, read_captures
 from irodori.config.definition import as_plain
 from irodori.config.models import (
     Camera,
+    Frames,
     IlluminantChange,
     InteractiveIntegrator,
     MeasuredDisplay,
@@ -19,18 +20,24 @@ from irodori.config.models import (
     ProfileDisplay,
     Scene,
     ScenePhotograph,
+    Turntable,
 )
 from irodori.config.pages import page_fault, page_rooms, page_views
 from irodori.config.parts import Subject
 from irodori.config.photograph_sets import PhotographSets, named_tables
 from irodori.core.errors import InputError
 
-__all__ = ["SceneFiles"]
+__all__ = ["SceneFiles", "keeps_light"]
 
 #: Files that a scene may ask for beside the spectral EXR and the PNG of each view.
 _FURTHER_OUTPUTS = {"xyz-exr": "results/{scene}/{view}.xyz.exr", "tiff": "results/{scene}/{view}.tif"}
 # Pixels from which a picture takes long enough to wait for a second core.
 _LARGE_PICTURE_PX = 500_000
+
+
+def keeps_light(frames: Frames) -> bool:
+    """Whether objects and light stay where the scene defines them in all frames: the eye turns, or colours change."""
+    return isinstance(frames, IlluminantChange) or (isinstance(frames, Turntable) and frames.turned == "eye")
 
 
 class SceneFiles:
@@ -141,6 +148,12 @@ class SceneFiles:
             return [pattern.format(scene=wildcards.scene)] if has_maps else []
 
         return found
+
+    def frames_light_maps(self, wildcards) -> list[str]:
+        """Return the file of the light maps that the frames of a scene show, as a list; see `keeps_light`."""
+        frames = self._scene(wildcards).frames
+        found = self.light_maps("results/{scene}/light-maps.h5")(wildcards)
+        return found if frames is not None and keeps_light(frames) else []
 
     def display_file(self, wildcards) -> list[str]:
         """Return the file that says how a scene's display shows colours, as a list; a standard one needs none."""

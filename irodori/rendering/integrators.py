@@ -3,6 +3,7 @@
 import time
 from abc import ABC, abstractmethod
 from dataclasses import asdict, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -269,7 +270,9 @@ class InteractiveRenderer(Renderer):
         environment = moment.environment(self.environment)
         lights = moment.lights(make_lights(self.scene.lights, 0)[0])
         light, ambient, reflected = light_of(environment), has_ambient(self.scene), 0
-        maps = self.baked() if has_light_maps(self.scene) else None
+        maps = self.baked if has_light_maps(self.scene) else None
+        if maps is not None and moment.filter is not None:
+            maps = maps.under(moment.filter)
         if self.white is not None:
             baked = None if maps is None else maps.basis
             found = exact_representation(self.objects, light, len(lights.kind), ambient, baked)
@@ -292,8 +295,9 @@ class InteractiveRenderer(Renderer):
         self.prepared_s = time.perf_counter() - start
         return prepared
 
+    @cached_property
     def baked(self):
-        """Return the scene's light maps, from their file where there is one.
+        """The scene's light maps, from their file where there is one; baked or read once.
 
         Raises
         ------
@@ -318,8 +322,8 @@ class InteractiveRenderer(Renderer):
         moment = moment.seen_from("objects")
         if has_light_maps(self.scene):
             turned = moment.environment_deg or (self.scene.lights and moment.lights_deg)
-            if moment.filter is not None or turned:
-                raise ValueError("light maps in a moment of other light; accepted: the scene's own, or no light maps")
+            if turned:
+                raise ValueError("light maps in turned light; accepted: the scene's own, or no light maps")
         scene, prepared = turned_scene(self.scene, moment), self.light(moment)
         side, size = self.options.pixel_side, scene.image
         view = make_view(scene.views[view_name], size).finer(side)

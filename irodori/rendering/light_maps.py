@@ -6,7 +6,7 @@ knows of no neighbours. A map belongs to one arrangement of objects in one light
 depends on, and a map of another key is refused.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -52,6 +52,13 @@ class LightMaps:
     def of(self, index: int) -> np.ndarray:
         """Return the spectra of an object's map, (rows, columns, 61)."""
         return self.maps[index] @ self.basis.T.astype(np.float32)
+
+    def under(self, filter_ratio) -> "LightMaps":
+        """Return the maps where all light is multiplied by a spectrum, (61,); shadows and reflections stay theirs.
+
+        Light is carried wavelength by wavelength, so that the light on a surface is multiplied as its sources are.
+        """
+        return replace(self, basis=self.basis * np.asarray(filter_ratio, dtype=np.float64)[:, None])
 
     def weighted_basis(self) -> np.ndarray:
         """Return the basis, each vector as long as what the maps hold of it, (61, k)."""

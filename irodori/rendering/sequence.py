@@ -29,6 +29,7 @@ from irodori.config.models import (
     Scene,
     Turntable,
 )
+from irodori.config.scene_files import keeps_light
 from irodori.core.atomic_files import file_sha256, written_whole
 from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER, track
@@ -182,6 +183,7 @@ def render_frames(
     animation,
     figures_file,
     options: Render,
+    maps_file=None,
 ) -> None:
     """Render the frames of a view from files into a folder of PNG files, an animated PNG and a JSON of figures.
 
@@ -211,11 +213,11 @@ def render_frames(
     white, exposure = shown_white(scene, environment, environment_file)
     if scene.tolerance_ciede2000 is not None:
         LOGGER.info("frames are rendered in full: a plan is made for the scene's own moment")
-    if has_light_maps(scene):
+    if has_light_maps(scene) and not keeps_light(frames):
         # All frames alike, those too in which nothing has turned yet: a sequence does not flicker.
-        LOGGER.info("frames are rendered without light maps, which are of the scene's own light as it stands")
+        LOGGER.info("frames are rendered without light maps, because light or objects turn")
         scene = replace(scene, integrator=InteractiveIntegrator(ambient=has_ambient(scene)))
-    renderer = make_renderer(scene, made, materials, environment, options, white)
+    renderer = make_renderer(scene, made, materials, environment, options, white, maps_file=maps_file)
     matrix_of_white = xyz_from_radiance(white)
     display = make_display(scene.display.device)
     stands = isinstance(frames, LightSweep)

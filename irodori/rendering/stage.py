@@ -101,7 +101,7 @@ def bake_light(
     materials = load_materials(scene, material_files)
     renderer = make_renderer(scene, placed, materials, Environment.load(environment_file), options)
     assert isinstance(renderer, InteractiveRenderer)  # the workflow asks for maps of these scenes alone
-    renderer.baked().save(output, provenance)
+    renderer.baked.save(output, provenance)
 
 
 def write_picture(

@@ -237,12 +237,18 @@ def test_frames_in_files_are_those_of_the_animation_and_leave_nothing_else(tmp_p
     assert not np.array_equal(single[0], single[1])
 
 
-def test_no_frame_shows_light_maps_the_first_one_included(tmp_path):
-    """The light maps are of the light as it stands, which is that of the first frame alone: a sequence would jump."""
+def test_no_frame_shows_light_maps_where_objects_turn_the_first_one_included(tmp_path):
+    """The light maps are of the objects as they stand, which is the first frame alone: a sequence would jump."""
     plain = in_files(tmp_path / "s", scene_of(INTERACTIVE, frames=turntable(2)))[0]
     mapped = in_files(tmp_path / "m", scene_of(INTERACTIVE | {"light_maps": True}, frames=turntable(2)))[0]
     for name in ("00000.png", "00001.png"):
         assert np.array_equal(pixels(plain / name), pixels(mapped / name))
+
+
+@pytest.mark.parametrize("frames", [turntable(2, turned="eye"), change(["D65", "A"])], ids=["eye", "illuminants"])
+def test_every_frame_shows_light_maps_where_only_the_eye_or_the_colour_of_the_light_changes(tmp_path, frames):
+    figures = in_files(tmp_path / "m", scene_of(INTERACTIVE | {"light_maps": True}, frames=frames))[2]
+    assert [frame["light_maps"] for frame in json.loads(figures.read_text())["frames"]] == [True, True]
 
 
 @pytest.mark.parametrize("white", ["first", "each"])

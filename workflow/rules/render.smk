@@ -139,6 +139,7 @@ rule render_frames:
     input:
         materials=scenes.materials("results/{object}/material.h5"),
         environment=scenes.environment,
+        light_maps=scenes.frames_light_maps,
         user_files=ancient(scenes.shown_files),
     output:
         frames=directory("results/{scene}/{view}/frames"),

@@ -15,4 +15,5 @@ with run_rule(snakemake):
         animation=snakemake.output.animation,
         figures_file=snakemake.output.figures,
         options=Render.of(snakemake.params.render),
+        maps_file=next(iter(snakemake.input.light_maps), None),
     )

@@ -109,19 +109,38 @@ def test_products_of_light_and_surface_show_what_the_bands_show_with_light_maps(
 def test_turned_light_is_not_shown_by_maps_of_the_light_as_it_stood():
     renderer = make_renderer(scene_of(MAPS), SHAPES, [material(one) for one in COLOURED], LIGHT, OPTIONS)
     turned = STILL._replace(environment_deg=70.0)
-    for other in (turned, STILL._replace(objects_deg=10.0), STILL._replace(filter=(0.5,) * 61)):
-        with pytest.raises(ValueError, match="light maps in a moment of other light"):
+    for other in (turned, STILL._replace(objects_deg=10.0)):
+        with pytest.raises(ValueError, match="light maps in turned light"):
             renderer.picture("v", other)
     # A turn of eye, objects and light together is no turn.
     all_turned = turned._replace(eye_deg=70.0, objects_deg=70.0, lights_deg=70.0)
     assert np.allclose(renderer.picture("v", all_turned)[0], renderer.picture("v")[0], atol=2e-3)
 
 
+REDDISH = STILL._replace(filter=tuple(np.linspace(0.2, 1.8, 61)))
+
+
+@pytest.mark.parametrize("moment", [REDDISH, STILL._replace(eye_deg=50)], ids=["another colour", "another side"])
+def test_maps_show_other_colours_of_the_light_and_other_sides_as_path_tracing_does(moment):
+    """With maps of the scene as it stands: against paths, nearer than shadows by formulas, under the same filter."""
+    materials = [material(one) for one in COLOURED]
+    seen = {
+        name: make_renderer(scene_of(integrator), SHAPES, materials, LIGHT, OPTIONS).picture("v", moment)[0]
+        for name, integrator in (("maps", MAPS), ("ambient", {"kind": "interactive"}),
+                                 ("paths", {"kind": "reference", "samples": 256, "denoise": False}))
+    }  # fmt: skip
+    white = LIGHT.upward_white() * (1.0 if moment.filter is None else np.array(moment.filter))
+    matrix = xyz_from_radiance(white)
+    lab = {name: lab_from_xyz(picture @ matrix.T, matrix @ white) for name, picture in seen.items()}
+    far = {name: delta_e(lab[name], lab["paths"]).mean() for name in ("maps", "ambient")}
+    assert far["maps"] < 0.7 and far["maps"] < 0.6 * far["ambient"]
+
+
 def test_maps_of_a_scene_whose_object_was_moved_are_refused_by_name(tmp_path):
     materials = [material(one) for one in COLOURED]
     renderer = make_renderer(scene_of(MAPS), SHAPES, materials, LIGHT, OPTIONS)
     path = tmp_path / "light-maps.h5"
-    renderer.baked().save(path, store.Provenance("test"))
+    renderer.baked.save(path, store.Provenance("test"))
     stored = make_renderer(scene_of(MAPS), SHAPES, materials, LIGHT, OPTIONS, maps_file=path)
     assert np.array_equal(stored.picture("v")[0], renderer.picture("v")[0])
     moved = scene_of(MAPS)
