@@ -45,6 +45,7 @@ def main(arguments: list[str] | None = None, prog: str = "irodori preview") -> i
     errors = sum(finding.is_error for finding in findings)
     warnings = len(findings) - errors
     print(f"{output}: {check.count} photographs looked at: {errors} errors, {warnings} warnings")
+    print("Whether each outline fits its object is for you to see on the page.")
     return 1 if errors else 0
 
 

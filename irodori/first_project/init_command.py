@@ -18,6 +18,8 @@ from irodori.first_project.recognition import Recognised, recognise
 from irodori.first_project.scaffold import Answers, Scaffold, project_name
 
 _SHOWN_GAPS = 20
+#: A value of the key that holds a block.
+_SHAPE = "a shape, such as {kind: plate, width_mm: 90, height_mm: 90} or {kind: sphere, radius_mm: 30}"
 
 
 def main(arguments: list[str] | None = None, prog: str = "irodori init") -> int:
@@ -62,7 +64,7 @@ def _write(asked: argparse.Namespace) -> int:
             print(f"  {path}: {note}")
     print(f"{scaffold.configuration}: {len(gaps)} gap{'' if len(gaps) == 1 else 's'}")
     for gap in gaps[:_SHOWN_GAPS]:
-        print(f"  {gap}: replace ? by the value")
+        print(f"  {gap}: replace ? by {_SHAPE if gap.endswith('.yaml: shape') else 'the value'}")
     if len(gaps) > _SHOWN_GAPS:
         print(f"  and {len(gaps) - _SHOWN_GAPS} more")
     if not gaps:
@@ -86,7 +88,8 @@ def _told(recognised: list[Recognised], timed: bool) -> str:
     }
     known = [words for role, words in sure.items() if any(one.role == role for one in recognised)]
     open_ones = [one.photograph.path.name for one in recognised if not one.filter]
-    lines = [f"{len(recognised)} photographs, in the order of {order}", *parts, *known]
+    plural = "" if len(recognised) == 1 else "s"
+    lines = [f"{len(recognised)} photograph{plural}, in the order of {order}", *parts, *known]
     if open_ones:
         lines.append(f"filter unknown; is a photograph missing or out of order? {', '.join(open_ones[:5])}")
     return "\n".join(lines)
