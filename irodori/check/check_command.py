@@ -10,7 +10,7 @@ from pathlib import Path
 from irodori.check.findings import Finding
 from irodori.check.photographs import PhotographCheck
 from irodori.check.scenes import of_scene
-from irodori.config.definitions import load_definitions
+from irodori.config.definitions import definition_faults, load_definitions
 from irodori.config.loaded import Loaded
 from irodori.core.errors import InputError
 from irodori.core.yaml_files import read_yaml
@@ -34,7 +34,11 @@ def main(arguments: list[str] | None = None, prog: str = "irodori check") -> int
     try:
         loaded = load_project(asked.config)
     except InputError as error:
-        print(Finding(True, str(error)))  # nothing else can be known
+        faults = project_faults(asked.config) or [error]
+        for fault in faults:
+            print(Finding(True, str(fault)))
+        # Photographs are looked at only where it is known what they should show.
+        print(f"{len(faults)} error{'' if len(faults) == 1 else 's'}; no photograph was looked at")
         return 1
     photographs, errors, warnings = PhotographCheck(loaded), 0, 0
     scenes = (finding for name in loaded.scenes for finding in of_scene(loaded, name))
@@ -53,11 +57,26 @@ def load_project(files: list[str]) -> Loaded:
     InputError
         For the first fault.
     """
+    config, names = _project(files)
+    return load_definitions(config, Path(), names)
+
+
+def project_faults(files: list[str]) -> list[InputError]:
+    """Return all faults of definitions and tables, see `irodori.config.definitions.definition_faults`."""
+    try:
+        config, names = _project(files)
+    except InputError as error:
+        return [error]
+    return definition_faults(config, Path(), names)
+
+
+def _project(files: list[str]) -> tuple[dict, list[str]]:
+    """Return a project's configuration, merged, and the files that it is merged from."""
     names = [*([_CONFIG] if Path(_CONFIG).is_file() else []), *(file for file in files if Path(file) != Path(_CONFIG))]
     config: dict = {}
     for name in names:
         config = _merged(config, read_yaml(Path(name)))
-    return load_definitions(config, Path(), names)
+    return config, names
 
 
 def _merged(old: Mapping, new: Mapping) -> dict:

@@ -10,7 +10,7 @@ import itertools
 import math
 import posixpath
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -212,6 +212,16 @@ def shot_path(shot: Shot, table, folder=None) -> Path:
     return confined(Path(table).parent if folder is None else folder, shot.file, table, "file")
 
 
+def table_faults(path, folder) -> list[InputError]:
+    """Return what `read_captures` would refuse in a table: its form, or the first fault of each line."""
+    faults: list[InputError] = []
+    try:
+        _read_captures(path, folder, faults.append)
+    except InputError as error:
+        faults.append(error)
+    return faults
+
+
 def read_captures(path, folder=None) -> list[Shot]:
     """Read a table of photographs.
 
@@ -233,6 +243,14 @@ def read_captures(path, folder=None) -> list[Shot]:
     InputError
         For the first fault, with its line and column.
     """
+
+    def refuse(error: InputError) -> None:
+        raise error
+
+    return _read_captures(path, folder, refuse)
+
+
+def _read_captures(path, folder, refuse: Callable[[InputError], None]) -> list[Shot]:
     rows = table_rows(path, "a CSV that lists the photographs")
     if not rows:
         raise InputError(path, "", "an empty file", "a header and one line for each photograph")
@@ -242,8 +260,11 @@ def read_captures(path, folder=None) -> list[Shot]:
     for line, cells in body:
         if len(cells) != len(header):
             raise InputError(path, f"line {line}", f"{len(cells)} cells", f"{len(header)}, as in the header")
-        shots.add(line, dict(zip(header, cells, strict=True)))
-    if not shots.all:
+        try:
+            shots.add(line, dict(zip(header, cells, strict=True)))
+        except InputError as error:
+            refuse(error)
+    if not body:
         raise InputError(path, "", "a table without photographs", "one line for each photograph")
     return shots.all
 
@@ -271,7 +292,7 @@ def check_unchanged(path, folder, shots) -> None:
                 "the photograph as it was taken: a copy, or a new one by --forcerun capture_object (or _camera); "
                 f"to take this one as it is, empty its cell sha256 in {path}"
             )
-            raise InputError(raw, "", f"content that does not match the hash in {path} stands for", accepted)
+            raise InputError(raw, "", f"content that does not match the hash in {path}", accepted)
 
 
 def noted_hashes(path) -> dict[str, str]:

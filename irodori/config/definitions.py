@@ -8,16 +8,19 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from irodori.config.capture_table import table_faults
+from irodori.config.cross_checks.captures_on_rig import table_and_folder
 from irodori.config.cross_checks.consistency import check_agreement
 from irodori.config.definition import Definition
 from irodori.config.loaded import Loaded
 from irodori.config.models import Camera, Config, EnvironmentDefinition, Object, Rig, Scene
-from irodori.config.validation import dotted, suggest, validate
+from irodori.config.validation import dotted, schema_faults, suggest, validate
 from irodori.core.errors import InputError, is_file
 from irodori.core.yaml_files import read_yaml
 
 __all__ = [
     "KINDS",
+    "definition_faults",
     "load_definitions",
     "load_one",
     "read_yaml",
@@ -64,6 +67,25 @@ def load_definitions(config: dict, root: Path, file=_CONFIG_FILE) -> Loaded:
             raise
         source = _source(error.field, files, contents)
         raise InputError(source, error.field, error.found, error.accepted) from None
+
+
+def definition_faults(config: dict, root: Path, file=_CONFIG_FILE) -> list[InputError]:
+    """Return the faults of a configuration's definitions and tables, each file looked at by itself.
+
+    Faults between files are left to `load_definitions`, which refuses the first: they mean little as long as the files
+    themselves are at fault. Parameters are those of `load_definitions`.
+    """
+    first = file if isinstance(file, str | Path) else next(iter(file), _CONFIG_FILE)
+    faults = schema_faults(config, "config", first)
+    if faults:
+        return faults
+    given = Config.of(validate(config, "config", first))
+    finder = _FaultFinder(Path(root), Path(given.definitions), first)
+    for index, name in enumerate(given.make.scenes):
+        finder.scene(name, first, ("make", "scenes", index))
+    for index, name in enumerate(given.make.cameras):
+        finder.camera(name, first, ("make", "cameras", index))
+    return finder.faults
 
 
 def load_one(kind: str, name: str, root: Path = Path(), file=_CONFIG_FILE, *, photographs: bool = True) -> Loaded:
@@ -196,3 +218,47 @@ class _Loader:
         given = validate(read_yaml(self.root / file), kind.removesuffix("s"), file)
         self.found[kind][name] = KINDS[kind].of(given)
         yield self.found[kind][name], file
+
+
+class _FaultFinder(_Loader):
+    """Notes faults in place of raising the first, and follows the names that a file at fault gives all the same."""
+
+    def __init__(self, root: Path, folder: Path, config_file) -> None:
+        super().__init__(root, folder, config_file)
+        self.faults: list[InputError] = []
+        self._seen: set[tuple[str, str]] = set()
+
+    def _load(self, kind: str, name: str, by, path: tuple) -> Iterator[tuple[Any, Path]]:
+        if (kind, name) in self._seen:
+            return
+        self._seen.add((kind, name))
+        try:
+            found = list(super()._load(kind, name, by, path))
+        except InputError as error:
+            self._note(kind, name, error)
+            return
+        for definition, _ in found:
+            captures = getattr(definition, "captures", None)
+            if captures is not None and is_file(self.root / captures.table):
+                table, folder = table_and_folder(captures, self.root)
+                self.faults += table_faults(table, None if captures.published else folder)
+        yield from found
+
+    def _note(self, kind: str, name: str, error: InputError) -> None:
+        """Note a file's faults, and look at what it names."""
+        file = self.root / self.file(kind, name)
+        try:
+            given = read_yaml(file) if _NAME.fullmatch(name) and is_file(file) else None
+        except InputError:
+            given = None
+        if not isinstance(given, dict):
+            self.faults.append(error)
+            return
+        self.faults += schema_faults(given, kind.removesuffix("s"), self.file(kind, name)) or [error]
+        placed = given.get("objects")
+        names = [(f"{key}s", given.get(key)) for key in ("environment", "camera", "rig")]
+        for one in placed if isinstance(placed, list) else ():
+            names.append(("objects", one.get("object") if isinstance(one, dict) else None))
+        for other, label in names:
+            if isinstance(label, str) and _NAME.fullmatch(label):
+                self.load(other, label)

@@ -64,6 +64,23 @@ def validate(instance: dict, schema_name: str, file: Path | str) -> dict:
         raise InputError(file, "", "blocks nested too deep", "a plain definition") from None
 
 
+def schema_faults(instance: dict, schema_name: str, file: Path | str) -> list[InputError]:
+    """Return every fault that `validate` finds in a definition, at most one for each place, the most telling first."""
+    schema = load_schema(schema_name)
+    found: dict[str, InputError] = {}
+    try:
+        _refuse_odd_values(instance, (), file)
+        faults = [leaf for error in _validator(schema).iter_errors(instance) for leaf in _leaves(error)]
+        for leaf in sorted(faults, key=_rank):
+            error = _input_error(leaf, schema, instance, file)
+            found.setdefault(error.field, error)
+    except InputError as error:
+        return [error]
+    except RecursionError:
+        return [InputError(file, "", "blocks nested too deep", "a plain definition")]
+    return list(found.values())
+
+
 @functools.cache
 def load_schema(name: str) -> dict:
     """Return a schema with its references resolved; callers must not change it.

@@ -136,3 +136,55 @@ def test_a_broken_file_hides_no_other_fault_and_bodies_are_compared_between_sets
         f"plate/{plate.name}",
     ]
     assert "body: taken with 'Irodori spare', white-out-20000us-00.dng with" in lines[2]
+
+
+def test_faults_of_several_files_and_lines_are_listed_together_and_each_once(project, tmp_path, capsys, monkeypatch):
+    folder = shutil.copytree(project, tmp_path / "project")
+    monkeypatch.chdir(folder)
+    scene, rig = copy.deepcopy(SCENE), copy.deepcopy(RIG)
+    scene["image"]["width"], scene["colour"] = 0, "red"
+    del rig["light"]
+    plate = yaml.safe_load((folder / "config/objects/plate.yaml").read_text())
+    plate["shape"]["width_mm"] = "?"
+    write(folder, {"scenes/desk.yaml": scene, "rigs/table.yaml": rig, "objects/plate.yaml": plate})
+    table = folder / "camera/captures.csv"
+    first, *lines = table.read_text().splitlines()
+    at = first.split(",").index("exposure_s")
+    rows = [line.split(",") for line in lines]
+    for row in rows[:2]:
+        row[at] = "?"
+    table.write_text("\n".join([first, *(",".join(row) for row in rows)]))
+    status, told = said(folder, capsys)
+    assert status == 1 and told[-1] == f"{len(told) - 1} errors; no photograph was looked at"
+    places = [": ".join(line.split(": ")[1:3]) for line in told[:-1]]
+    assert sorted(places) == sorted(set(places)) == sorted([
+        "config/scenes/desk.yaml: colour",
+        "config/scenes/desk.yaml: image.width",
+        "config/objects/plate.yaml: shape.width_mm",
+        "config/rigs/table.yaml: light",
+        "camera/captures.csv: line 2, exposure_s",
+        "camera/captures.csv: line 3, exposure_s",
+    ])  # fmt: skip
+
+
+def test_a_file_that_is_missing_and_one_that_is_no_yaml_are_listed_with_the_others(
+    project, tmp_path, capsys, monkeypatch
+):
+    folder = shutil.copytree(project, tmp_path / "project")
+    monkeypatch.chdir(folder)
+    (folder / "config/environments/lamp.yaml").unlink()
+    (folder / "config/cameras/own.yaml").write_text("rig: [")
+    status, told = said(folder, capsys)
+    assert status == 1 and len(told) == 3
+    assert "config/scenes/desk.yaml: environment: found 'lamp', for which there is no" in told[0]
+    assert told[1].startswith("error: config/cameras/own.yaml: ") and told[2].startswith("2 errors;")
+
+
+def test_a_fault_between_files_is_the_one_that_a_run_would_name(project, tmp_path, capsys, monkeypatch):
+    folder = shutil.copytree(project, tmp_path / "project")
+    monkeypatch.chdir(folder)
+    scene = copy.deepcopy(SCENE) | {"integrator": {"kind": "interactive"}}
+    scene["views"]["front"]["lens"] = {"diameter_mm": 5, "focus_mm": 380}
+    write(folder, {"scenes/desk.yaml": scene})
+    status, told = said(folder, capsys)
+    assert status == 1 and len(told) == 2 and "views.front.lens" in told[0]
