@@ -459,7 +459,7 @@ def cellar():
     return Environment(found.coefficients[:, ::-1, :3], found.basis[:, :3], found.irradiance[:, ::-1, :3])
 
 
-@pytest.mark.parametrize("first", ["painted", "gold"])
+@pytest.mark.parametrize("first", ["painted", pytest.param("gold", marks=pytest.mark.heavy)])
 def test_each_room_of_a_page_lights_as_in_the_renderer(tmp_path, first):
     files = sources(tmp_path / "files", room(), first=gold() if first == "gold" else painted(), lesson=CELLAR,
                     further=(cellar(),))  # fmt: skip
@@ -482,6 +482,7 @@ def test_each_room_of_a_page_lights_as_in_the_renderer(tmp_path, first):
         assert page.messages == []
 
 
+@pytest.mark.heavy
 def test_a_page_of_two_rooms_and_a_mesh_is_at_most_ten_megabytes(tmp_path):
     """Rooms as fine as a page keeps them, with edges, a lamp and a photograph's grain; a mesh of 100,000 triangles."""
     height = 512
@@ -510,6 +511,7 @@ def test_a_page_of_two_rooms_and_a_mesh_is_at_most_ten_megabytes(tmp_path):
 # ---- a mesh that stands elsewhere
 
 
+@pytest.mark.heavy
 def test_the_soft_shadows_of_a_mesh_that_is_moved_and_turned_are_the_renderers(torus):
     """The page casts rays of its own, says meanwhile that it does, and then shows what a page built so would."""
     stands = {"position_mm": [-4.0, -8.0, 28.0], "turn_deg": [80.0, 10.0, 50.0]}
