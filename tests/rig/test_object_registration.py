@@ -157,6 +157,7 @@ def test_a_uniform_sphere_tells_its_place_and_nothing_of_its_turn(tmp_path, defi
     assert not result.is_told[NAMES.index("light_deg")]
 
 
+@pytest.mark.heavy
 def test_an_undisturbed_sphere_stays_exactly_where_it_was_typed(tmp_path, definitions):
     """Its outline lies in the half-dark, which has a bias: what is right must not be made worse by it."""
     definition = an_object(definitions, SPHERE)

@@ -190,6 +190,7 @@ def test_the_page_reads_what_python_reads_and_damage_in_one_sentence(written, pa
     assert all(text.count("accepted:") == 1 for text in said), said
 
 
+@pytest.mark.heavy
 def test_a_lost_context_is_restored(written, tmp_path):
     with opened(written.path) as page:
         state = page.default_state()
@@ -267,6 +268,7 @@ def test_without_webgl2_the_page_says_so(written):
         assert "WebGL 2" in page.page.evaluate("document.getElementById('poster-text').textContent")
 
 
+@pytest.mark.heavy
 def test_highlights_of_ggx_are_those_of_its_formula(tmp_path):
     """One lamp on a black ball: the luminance is β F D G / cosθ_r of the half vector, written out here."""
     black = painted(beta=1.5, mirror=0.0)

@@ -416,6 +416,7 @@ def test_a_lamp_nearby_lights_by_its_formula(dark, size):
     assert np.abs(xyz[shut]).max() < 1e-6 * wanted[lit].max()
 
 
+@pytest.mark.heavy
 def test_a_balls_soft_shadow_is_that_of_many_lamps_of_the_renderer(tmp_path):
     """A ball so far away that the whole scene sees it in the same cone, which the renderer fills with lamps."""
     written = Written(tmp_path, sources(tmp_path / "files", room(level=0.0), lights=[LAMP]))
@@ -542,6 +543,7 @@ def test_the_soft_shadows_of_a_mesh_that_is_moved_and_turned_are_the_renderers(t
     assert agree(again)
 
 
+@pytest.mark.heavy
 def test_a_mesh_that_is_hidden_throws_no_shadow(torus):
     with opened(torus.path) as page:
         state = page.default_state()
