@@ -30,8 +30,8 @@ class Source(NamedTuple):
     code: str
 
 
-#: Parts of a syntax tree that are or hold statements; an expression holds none, and most of a tree is expressions.
-_HOLD_STATEMENTS = (ast.stmt, ast.excepthandler, ast.match_case)
+#: Fields of a syntax tree's nodes that hold statements; most of a tree is expressions, which hold none.
+_STATEMENTS = ("body", "handlers", "orelse", "finalbody", "cases")
 
 _known: dict[str, Source] = {}
 _new: set[str] = set()
@@ -99,7 +99,8 @@ def _executed(tree: ast.AST) -> Iterator[ast.AST]:
         if isinstance(node, ast.If) and ast.unparse(node.test) in ("TYPE_CHECKING", "typing.TYPE_CHECKING"):
             waiting += node.orelse
         else:
-            waiting += (child for child in ast.iter_child_nodes(node) if isinstance(child, _HOLD_STATEMENTS))
+            for field in _STATEMENTS:
+                waiting += getattr(node, field, ())
 
 
 class _WithoutDocstrings(ast.NodeTransformer):

@@ -44,11 +44,22 @@ def code_hash(*modules: str, root: Path = _ROOT) -> str:
     sources = {name: file for module in modules for name, file in _closure(module, root, _unchanged_imports).items()}
     for name, file in sorted(sources.items()):
         # A package without __init__ has no file here, and no parts or tables either.
-        parts = [f for f in file.parent.glob("*/*") if f.is_file() and f.parent.name in _TEXTS]
-        beside = sorted([*parts, *file.parent.glob("*.h5")])
-        for part in (file, *(beside if file.name == "__init__.py" else [])):
-            digest.update(f"{name}\0{hashlib.sha256(part.read_bytes()).hexdigest()}\n".encode())
+        for part in (file, *(_beside(file.parent) if file.name == "__init__.py" else ())):
+            status = part.stat()
+            digest.update(f"{name}\0{_content_hash(part, status.st_mtime_ns, status.st_size)}\n".encode())
     return digest.hexdigest()[:_DIGITS]
+
+
+def _beside(package: Path) -> list[Path]:
+    """Return the templates, parts of pages and tables of a package."""
+    parts = [f for f in package.glob("*/*") if f.is_file() and f.parent.name in _TEXTS]
+    return sorted([*parts, *package.glob("*.h5")])
+
+
+@functools.lru_cache(maxsize=4096)
+def _content_hash(file: Path, _modified_ns: int, _size: int) -> str:
+    """Return the hash of a file; the stages of a workflow share most of theirs."""
+    return hashlib.sha256(file.read_bytes()).hexdigest()
 
 
 def local_sources(module: str, root: Path = _ROOT) -> dict[str, Path]:

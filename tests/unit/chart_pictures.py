@@ -83,6 +83,8 @@ def shot(
 
 def _unbent(x, y, width, height, distortion: float):
     """Where straight light would have fallen; third order, good to a thousandth of a sample for a few percent."""
+    if not distortion:
+        return x, y
     centre_x, centre_y, radius = (width - 1) / 2, (height - 1) / 2, np.hypot(width, height) / 2
     straight_x, straight_y = x, y
     for _ in range(6):

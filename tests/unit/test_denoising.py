@@ -130,6 +130,7 @@ def test_whatever_shines_no_value_is_negative_or_lost(seed, level, spikes):
     assert np.isfinite(made.radiance).all() and (made.radiance >= 0.0).all() and np.isfinite(made.error).all()
 
 
+@pytest.mark.heavy
 def test_a_filtered_picture_is_as_near_to_many_paths_as_four_times_its_paths_are():
     """Two balls that shade each other, one of them glossy, under a sky with a bright side."""
     shapes, materials = [ball(30.0), ball(15.0)], [material(0.6), material(0.3, beta=4.0, mu=0.15)]

@@ -56,6 +56,7 @@ def test_a_perfect_picture_has_a_small_part_of_the_noise_left():
     assert found.noise > 0.5 and found.rms < 0.15 * found.noise and found.mean < 0.15 * found.noise
 
 
+@pytest.mark.heavy
 def test_stated_standard_errors_cover_the_truth():
     """The truth is the figure of endless pixels; a picture's are a sample of them."""
     rng = np.random.default_rng(7)

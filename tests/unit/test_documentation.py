@@ -210,9 +210,12 @@ def test_the_reference_has_every_command_every_key_and_the_docstrings(site):
 @pytest.mark.skipif(browser_command() is None, reason="NO BROWSER: pages are not tested; install Debian's chromium")
 def test_nothing_on_the_site_bars_anyone(site, pages, tmp_path):
     # Pages of the package are all made by one template: two stand for them.
-    chosen = [path for path in pages if path.parent.name != "package" or path.stem in ("index", "core")]
+    chosen = [path for path in pages if path.parent.name != "package" or path.stem in ("index", "colour")]
     assert len(chosen) > 25
-    assert violations(chosen) == {}
+    # The page of keys is a table of five thousand elements, in the colours of the other pages' tables.
+    keys = [path for path in chosen if path.name == "configuration.html"]
+    assert len(keys) == 1 and violations(keys, contrast=False) == {}
+    assert violations(path for path in chosen if path not in keys) == {}
     bad = tmp_path / "bad.html"
     bad.write_text("<html><body><img src='x.png'></body></html>")
     assert "image-alt" in str(violations([bad]))

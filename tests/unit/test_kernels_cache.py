@@ -85,6 +85,7 @@ print(sum(hashed.stats.cache_misses.values()))
 """
 
 
+@pytest.mark.heavy
 def test_a_stored_kernel_that_hashes_finds_what_it_needs_in_a_process_that_compiles_nothing(tmp_path):
     script = tmp_path / "hashing.py"
     script.write_text(HASHING)

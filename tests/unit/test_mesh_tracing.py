@@ -237,6 +237,7 @@ def test_a_texel_that_no_capture_sees_is_a_texel_without_weight(tmp_path, facets
     assert (found["geometry"][south, :, 1] > np.pi / 2).all()
 
 
+@pytest.mark.heavy
 def test_tiles_of_a_mesh_are_bit_identical_to_the_whole(tmp_path, facets):
     whole = rectify(tmp_path, facets, PLATE_POSES, setup=setup_of(20.0))
     parts = [

@@ -95,6 +95,11 @@ def test_lines_of_the_pages_code_are_those_of_a_person():
         assert longest <= 120, f"{file.name}: {longest} characters"
 
 
+def heavy(name: str):
+    """Return a case that is left out unless asked for: pages take seconds each."""
+    return pytest.param(name, marks=pytest.mark.heavy)
+
+
 MUTATIONS = {
     "another basis": ("spectra.js", "light.basis.map((row) =>", "[...light.basis].reverse().map((row) =>"),
     "a flipped axis": ("transport.glsl", "uv = d.zx;", "uv = d.xz;"),
@@ -102,7 +107,9 @@ MUTATIONS = {
 }
 
 
-@pytest.mark.parametrize("name", MUTATIONS)
+@pytest.mark.parametrize(
+    "name", ["a wrong lobe row", *(heavy(name) for name in MUTATIONS if name != "a wrong lobe row")]
+)
 def test_a_wrong_page_does_not_agree(written, tmp_path, name):
     _, right, wrong = MUTATIONS[name]
     assert written.text.count(json.dumps(right)[1:-1]) == 1
@@ -150,7 +157,7 @@ def hard_case(name: str, folder):
 HARD_CASES = ("a mesh of 100,000 triangles", "six lamps", "no gloss", "no sun", "one lamp alone")
 
 
-@pytest.mark.parametrize("name", HARD_CASES)
+@pytest.mark.parametrize("name", ["six lamps", *(heavy(name) for name in HARD_CASES if name != "six lamps")])
 def test_hard_cases_are_drawn_as_they_are_rendered(tmp_path, name):
     written = Written(tmp_path, hard_case(name, tmp_path))
     bands = frame_bands(written.scene, written.view, written.data.parts)
@@ -183,6 +190,7 @@ def test_the_page_reads_what_python_reads_and_damage_in_one_sentence(written, pa
     assert all(text.count("accepted:") == 1 for text in said), said
 
 
+@pytest.mark.heavy
 def test_a_lost_context_is_restored(written, tmp_path):
     with opened(written.path) as page:
         state = page.default_state()
@@ -238,6 +246,7 @@ def test_a_page_states_its_errors_and_its_own_check_agrees(tmp_path, capsys):
     assert capsys.readouterr().err.count("accepted:") == 1
 
 
+@pytest.mark.heavy
 def test_a_page_encoded_before_its_picture_states_the_same_and_the_distance_to_the_picture(tmp_path, written):
     given, payload, picture = written.sources, tmp_path / "viewer.payload", tmp_path / "front.exr"
     encoded = encode_viewer(given, output=payload)
@@ -259,6 +268,7 @@ def test_without_webgl2_the_page_says_so(written):
         assert "WebGL 2" in page.page.evaluate("document.getElementById('poster-text').textContent")
 
 
+@pytest.mark.heavy
 def test_highlights_of_ggx_are_those_of_its_formula(tmp_path):
     """One lamp on a black ball: the luminance is β F D G / cosθ_r of the half vector, written out here."""
     black = painted(beta=1.5, mirror=0.0)

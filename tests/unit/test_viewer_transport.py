@@ -416,6 +416,7 @@ def test_a_lamp_nearby_lights_by_its_formula(dark, size):
     assert np.abs(xyz[shut]).max() < 1e-6 * wanted[lit].max()
 
 
+@pytest.mark.heavy
 def test_a_balls_soft_shadow_is_that_of_many_lamps_of_the_renderer(tmp_path):
     """A ball so far away that the whole scene sees it in the same cone, which the renderer fills with lamps."""
     written = Written(tmp_path, sources(tmp_path / "files", room(level=0.0), lights=[LAMP]))
@@ -459,7 +460,7 @@ def cellar():
     return Environment(found.coefficients[:, ::-1, :3], found.basis[:, :3], found.irradiance[:, ::-1, :3])
 
 
-@pytest.mark.parametrize("first", ["painted", "gold"])
+@pytest.mark.parametrize("first", ["painted", pytest.param("gold", marks=pytest.mark.heavy)])
 def test_each_room_of_a_page_lights_as_in_the_renderer(tmp_path, first):
     files = sources(tmp_path / "files", room(), first=gold() if first == "gold" else painted(), lesson=CELLAR,
                     further=(cellar(),))  # fmt: skip
@@ -482,6 +483,7 @@ def test_each_room_of_a_page_lights_as_in_the_renderer(tmp_path, first):
         assert page.messages == []
 
 
+@pytest.mark.heavy
 def test_a_page_of_two_rooms_and_a_mesh_is_at_most_ten_megabytes(tmp_path):
     """Rooms as fine as a page keeps them, with edges, a lamp and a photograph's grain; a mesh of 100,000 triangles."""
     height = 512
@@ -510,6 +512,7 @@ def test_a_page_of_two_rooms_and_a_mesh_is_at_most_ten_megabytes(tmp_path):
 # ---- a mesh that stands elsewhere
 
 
+@pytest.mark.heavy
 def test_the_soft_shadows_of_a_mesh_that_is_moved_and_turned_are_the_renderers(torus):
     """The page casts rays of its own, says meanwhile that it does, and then shows what a page built so would."""
     stands = {"position_mm": [-4.0, -8.0, 28.0], "turn_deg": [80.0, 10.0, 50.0]}
@@ -540,6 +543,7 @@ def test_the_soft_shadows_of_a_mesh_that_is_moved_and_turned_are_the_renderers(t
     assert agree(again)
 
 
+@pytest.mark.heavy
 def test_a_mesh_that_is_hidden_throws_no_shadow(torus):
     with opened(torus.path) as page:
         state = page.default_state()

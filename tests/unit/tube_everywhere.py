@@ -32,7 +32,7 @@ from irodori.jit.compilation import njit  # noqa: E402
 BLOCK = {"kind": "tube", "radius_mm": 20.0, "height_mm": 60.0}
 
 
-@njit
+@njit(cache=True)
 def _meet(surfaces, intersect, scene, origin, direction, found):
     ray, facet, (shape, point, normal, uv) = new_ray(), np.empty(3), found
     for r in range(shape.size):

@@ -216,6 +216,7 @@ def test_a_scene_edit_renders_and_nothing_more(again):
     assert rules == {*pictures, "measure_error_budget", "measure_errors", "write_report", "all"}
 
 
+@pytest.mark.heavy
 def test_a_scene_with_light_maps_bakes_them_once_for_all_its_views_and_again_when_an_object_moves(again):
     scene = again / "config/scenes/still-life.yaml"
     edit(scene, {"integrator": {"kind": "interactive", "light_maps": True}})

@@ -43,6 +43,7 @@ def broken(tmp_path_factory):
     return folder
 
 
+@pytest.mark.heavy
 def test_the_workflows_own_file_plans_what_the_root_plans(project, jobs, broken):
     run = snakemake(project, "--dry-run", snakefile=ROOT / "workflow/Snakefile", search_path=broken)
     assert sorted(planned(run), key=str) == jobs
@@ -54,6 +55,7 @@ def test_a_directory_may_be_named_instead_of_entered(project, jobs, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.heavy
 def test_another_workflow_uses_it_as_a_module_with_the_repositorys_package(project, jobs, broken, tmp_path):
     outer = tmp_path / "outer"
     shutil.copytree(project / "config", outer / "config")
@@ -66,6 +68,7 @@ def test_another_workflow_uses_it_as_a_module_with_the_repositorys_package(proje
     assert made.returncode == 0 and (outer / TRUTH).is_file(), made.stderr[-3000:]
 
 
+@pytest.mark.heavy
 def test_rules_away_from_the_repository_use_the_installed_package(project, jobs, tmp_path):
     shutil.copytree(ROOT / "workflow", tmp_path / "rules-only/workflow")
     shutil.copytree(ROOT / "envs", tmp_path / "rules-only/envs")

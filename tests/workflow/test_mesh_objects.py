@@ -52,6 +52,7 @@ def test_a_missing_mesh_is_refused_before_anything_runs(project):
     assert "config/meshes/none.obj: found no such file; accepted: a triangle mesh with UV coordinates" in said
 
 
+@pytest.mark.heavy
 def test_the_default_run_has_no_mesh(tmp_path):
     jobs = planned(snakemake(small_project(tmp_path / "plain"), "--dry-run"))
     assert not any(wildcards.get("object") == "celadon-lid" for _, wildcards in jobs)

@@ -33,11 +33,11 @@ rule calibrate_camera:
     resources:
         mem_mb=lambda wildcards, attempt: 1000 * attempt,
     params:
-        chart=lookup(within=config, dpath="cameras/{camera}/chart"),
-        further_charts=lookup(within=config, dpath="cameras/{camera}/further_charts"),
-        calibration=lookup(within=config, dpath="cameras/{camera}/calibration"),
+        chart=lookup(within=config["cameras"], dpath="{camera}/chart"),
+        further_charts=lookup(within=config["cameras"], dpath="{camera}/further_charts"),
+        calibration=lookup(within=config["cameras"], dpath="{camera}/calibration"),
         light=sets.light,
-        lights=lookup(within=config, dpath="report/lights"),
+        lights=config["report"]["lights"],
         user_files=ledger.content(sets.tables_of_calibration),
         code=code_hash("irodori.calibration.stage"),
     script:

@@ -46,7 +46,7 @@ rule capture_camera:
         mem_mb=lambda wildcards, attempt: 1500 * attempt,
         rig=sets.rigs_taken,
     params:
-        camera=lookup(within=config, dpath="cameras/{camera}"),
+        camera=lookup(within=config["cameras"], dpath="{camera}"),
         rig=sets.rig,
         rig_name=sets.rig_of,
         table=sets.table,
@@ -73,7 +73,7 @@ rule capture_environment:
     resources:
         mem_mb=lambda wildcards, attempt: 2000 * attempt,
     params:
-        definition=lookup(within=config, dpath="environments/{environment}"),
+        definition=lookup(within=config["environments"], dpath="{environment}"),
         camera=sets.camera,
         rig=sets.rig,
         table=sets.table,

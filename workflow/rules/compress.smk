@@ -16,11 +16,11 @@ rule compress_reflectance:
     resources:
         mem_mb=lambda wildcards, attempt: 2000 * attempt,
     params:
-        texels=lookup(within=config, dpath="objects/{object}/texels"),
-        refractive_index=lookup(within=config, dpath="objects/{object}/refractive_index"),
-        mirror_weight=lookup(within=config, dpath="objects/{object}/mirror_weight"),
-        compress=lookup(within=config, dpath="compress"),
-        lights=lookup(within=config, dpath="report/lights"),
+        texels=lookup(within=config["objects"], dpath="{object}/texels"),
+        refractive_index=lookup(within=config["objects"], dpath="{object}/refractive_index"),
+        mirror_weight=lookup(within=config["objects"], dpath="{object}/mirror_weight"),
+        compress=config["compress"],
+        lights=config["report"]["lights"],
         user_files=ledger.content(sets.tables_of_index),
         code=code_hash("irodori.material.stage"),
     script:

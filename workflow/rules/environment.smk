@@ -16,12 +16,12 @@ rule prepare_environment:
     resources:
         mem_mb=lambda wildcards, attempt: 2500 * attempt,
     params:
-        compress=lookup(within=config, dpath="environment"),
-        source=lookup(within=config, dpath="environments/{environment}/source"),
-        image=lookup(within=config, dpath="environments/{environment}/image", default=None),
+        compress=config["environment"],
+        source=lookup(within=config["environments"], dpath="{environment}/source"),
+        image=lookup(within=config["environments"], dpath="{environment}/image", default=None),
         photographed=sets.is_photographed,
-        room_charts=lookup(within=config, dpath="environments/{environment}/room_charts", default={}),
-        lamps=lookup(within=config, dpath="environments/{environment}/lamps", default=[]),
+        room_charts=lookup(within=config["environments"], dpath="{environment}/room_charts", default={}),
+        lamps=lookup(within=config["environments"], dpath="{environment}/lamps", default=[]),
         lobes=sets.lobes(),
         user_files=ledger.content(sets.files_of_light),
         code=code_hash("irodori.light.stage", "irodori.config.cross_checks.object_lobes"),

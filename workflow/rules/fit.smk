@@ -16,8 +16,8 @@ rule choose_lobes:
     resources:
         mem_mb=lambda wildcards, attempt: 2000 * attempt,
     params:
-        fit=lookup(within=config, dpath="fit"),
-        refractive_index=lookup(within=config, dpath="objects/{object}/refractive_index"),
+        fit=config["fit"],
+        refractive_index=lookup(within=config["objects"], dpath="{object}/refractive_index"),
         user_files=ledger.content(sets.tables_of_index),
         code=code_hash("irodori.fitting.lobe_stage", "irodori.spectra.published"),
     script:
@@ -43,9 +43,9 @@ rule fit_brdf:
     resources:
         mem_mb=lambda wildcards, attempt: 2000 * attempt,
     params:
-        fit=lookup(within=config, dpath="fit"),
-        lobes=lookup(within=config, dpath="objects/{object}/lobes"),
-        refractive_index=lookup(within=config, dpath="objects/{object}/refractive_index"),
+        fit=config["fit"],
+        lobes=lookup(within=config["objects"], dpath="{object}/lobes"),
+        refractive_index=lookup(within=config["objects"], dpath="{object}/refractive_index"),
         user_files=ledger.content(sets.tables_of_index),
         code=code_hash("irodori.fitting.stage", "irodori.material.lobe_choices", "irodori.spectra.published"),
     script:
@@ -72,9 +72,9 @@ rule share_gloss:
     resources:
         mem_mb=lambda wildcards, attempt: 2000 * attempt,
     params:
-        fit=lookup(within=config, dpath="fit"),
-        lobes=lookup(within=config, dpath="objects/{object}/lobes"),
-        refractive_index=lookup(within=config, dpath="objects/{object}/refractive_index"),
+        fit=config["fit"],
+        lobes=lookup(within=config["objects"], dpath="{object}/lobes"),
+        refractive_index=lookup(within=config["objects"], dpath="{object}/refractive_index"),
         user_files=ledger.content(sets.tables_of_index),
         code=code_hash("irodori.fitting.paint_stage", "irodori.material.lobe_choices", "irodori.spectra.published"),
     script:

@@ -14,12 +14,12 @@ rule register_object:
     resources:
         mem_mb=lambda wildcards, attempt: 2000 * attempt,
     params:
-        shape=lookup(within=config, dpath="objects/{object}/shape"),
-        texels=lookup(within=config, dpath="objects/{object}/texels"),
+        shape=lookup(within=config["objects"], dpath="{object}/shape"),
+        texels=lookup(within=config["objects"], dpath="{object}/texels"),
         optics=sets.optics,
         white_pose=sets.white_pose,
         rig=sets.rig_geometry,
-        place=lookup(within=config, dpath="place"),
+        place=config["place"],
         user_files=ledger.content(sets.mesh),
         code=code_hash("irodori.rectification.object_registration"),
     script:
@@ -43,13 +43,13 @@ rule rectify_object:
     resources:
         mem_mb=lambda wildcards, attempt: 2000 * attempt,
     params:
-        shape=lookup(within=config, dpath="objects/{object}/shape"),
-        texels=lookup(within=config, dpath="objects/{object}/texels"),
+        shape=lookup(within=config["objects"], dpath="{object}/shape"),
+        texels=lookup(within=config["objects"], dpath="{object}/texels"),
         rows=sets.tile_rows,
         optics=sets.optics,
         white_pose=sets.white_pose,
         rig=sets.rig_geometry,
-        max_angle_deg=lookup(within=config, dpath="rectify/max_angle_deg"),
+        max_angle_deg=config["rectify"]["max_angle_deg"],
         user_files=ledger.content(sets.mesh),
         code=code_hash("irodori.rectification.stage"),
     script:

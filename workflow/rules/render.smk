@@ -15,9 +15,9 @@ rule plan_scene:
     resources:
         mem_mb=lambda wildcards, attempt: 3000 * attempt,
     params:
-        scene=lookup(within=config, dpath="scenes/{scene}"),
+        scene=lookup(within=config["scenes"], dpath="{scene}"),
         shapes=scenes.shapes,
-        render=lookup(within=config, dpath="render"),
+        render=config["render"],
         user_files=ledger.content(scenes.files),
         code=code_hash("irodori.rendering.planning.stage"),
     script:
@@ -44,7 +44,7 @@ rule bake_light:
     params:
         scene=scenes.baked_of,
         shapes=scenes.shapes,
-        render=lookup(within=config, dpath="render"),
+        render=config["render"],
         user_files=ledger.content(scenes.files),
         code=code_hash("irodori.rendering.stage"),
     script:
@@ -66,7 +66,7 @@ use rule bake_light as bake_true_light with:
     params:
         scene=scenes.baked_of,
         shapes=scenes.shapes,
-        render=lookup(within=config, dpath="render"),
+        render=config["render"],
         user_files=ledger.content(scenes.files),
         code=code_hash("irodori.rendering.stage"),
 
@@ -97,9 +97,9 @@ rule render_view:
     resources:
         mem_mb=lambda wildcards, attempt: 3000 * attempt,
     params:
-        scene=lookup(within=config, dpath="scenes/{scene}"),
+        scene=lookup(within=config["scenes"], dpath="{scene}"),
         shapes=scenes.shapes,
-        render=lookup(within=config, dpath="render"),
+        render=config["render"],
         check=True,
         user_files=ledger.content(scenes.shown_files),
         code=code_hash("irodori.rendering.stage"),
@@ -126,9 +126,9 @@ use rule render_view as render_truth with:
     priority: 20
     # The plan is that of the measured materials, whose picture is checked: the same light is seen in both.
     params:
-        scene=lookup(within=config, dpath="scenes/{scene}"),
+        scene=lookup(within=config["scenes"], dpath="{scene}"),
         shapes=scenes.shapes,
-        render=lookup(within=config, dpath="render"),
+        render=config["render"],
         check=False,
         user_files=ledger.content(scenes.shown_files),
         code=code_hash("irodori.rendering.stage"),
@@ -162,7 +162,7 @@ rule render_frames:
     params:
         scene=scenes.with_frames,
         shapes=scenes.shapes,
-        render=lookup(within=config, dpath="render"),
+        render=config["render"],
         user_files=ledger.content(scenes.shown_files),
         code=code_hash("irodori.rendering.sequence"),
     script:
@@ -186,7 +186,7 @@ rule write_xyz:
     resources:
         mem_mb=lambda wildcards, attempt: 2000 * attempt,
     params:
-        scene=lookup(within=config, dpath="scenes/{scene}"),
+        scene=lookup(within=config["scenes"], dpath="{scene}"),
         user_files=ledger.content(scenes.tables),
         code=code_hash("irodori.rendering.stage"),
     script:
@@ -210,7 +210,7 @@ rule write_tiff:
     resources:
         mem_mb=lambda wildcards, attempt: 2000 * attempt,
     params:
-        scene=lookup(within=config, dpath="scenes/{scene}"),
+        scene=lookup(within=config["scenes"], dpath="{scene}"),
         user_files=ledger.content(scenes.shown_tables),
         code=code_hash("irodori.rendering.stage"),
     script:

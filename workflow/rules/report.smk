@@ -14,7 +14,7 @@ rule write_truth:
     resources:
         mem_mb=lambda wildcards, attempt: 1000 * attempt,
     params:
-        definition=lookup(within=config, dpath="objects/{object}"),
+        definition=lookup(within=config["objects"], dpath="{object}"),
         camera=sets.camera,
         rig=sets.rig,
         user_files=ledger.content(sets.mesh),
@@ -38,9 +38,9 @@ rule write_true_environment:
     resources:
         mem_mb=lambda wildcards, attempt: 1500 * attempt,
     params:
-        definition=lookup(within=config, dpath="environments/{environment}"),
+        definition=lookup(within=config["environments"], dpath="{environment}"),
         rig=sets.rig,
-        irradiance=lookup(within=config, dpath="environment/irradiance"),
+        irradiance=config["environment"]["irradiance"],
         code=code_hash("irodori.simulation.virtual_rig.ground_truth"),
     script:
         "../scripts/write_true_environment.py"
@@ -76,7 +76,7 @@ rule measure_errors:
         views=scenes.views("{scene}/{view}", virtual_only=True),
         view_environments=scenes.views("{environment}", virtual_only=True),
         view_scenes=scenes.view_scenes(virtual_only=True),
-        lights=lookup(within=config, dpath="report/lights"),
+        lights=config["report"]["lights"],
         code=code_hash("irodori.evaluation.truth_errors"),
     script:
         "../scripts/measure_errors.py"
@@ -100,9 +100,9 @@ rule measure_plan:
         mem_mb=lambda wildcards, attempt: 1000 * attempt,
     params:
         objects=sets.plates,
-        fit=lookup(within=config, dpath="fit"),
-        max_angle_deg=lookup(within=config, dpath="rectify/max_angle_deg"),
-        planning=lookup(within=config, dpath="report/planning"),
+        fit=config["fit"],
+        max_angle_deg=config["rectify"]["max_angle_deg"],
+        planning=config["report"]["planning"],
         user_files=ledger.content(sets.tables_of_plates),
         code=code_hash("irodori.evaluation.pose_planning"),
     script:
@@ -132,10 +132,10 @@ rule measure_imperfections:
     params:
         subject=sets.imperfect_object,
         ingest=sets.ingest_options,
-        rectify=lookup(within=config, dpath="rectify"),
-        fit=lookup(within=config, dpath="fit"),
-        compress=lookup(within=config, dpath="compress"),
-        lights=lookup(within=config, dpath="report/lights"),
+        rectify=config["rectify"],
+        fit=config["fit"],
+        compress=config["compress"],
+        lights=config["report"]["lights"],
         user_files=ledger.content(sets.files_of_imperfections),
         code=code_hash("irodori.evaluation.imperfection_costs"),
     script:
@@ -172,12 +172,12 @@ rule measure_error_budget:
     resources:
         mem_mb=lambda wildcards, attempt: 3000 * attempt,
     params:
-        scene=lookup(within=config, dpath="scenes/{scene}"),
+        scene=lookup(within=config["scenes"], dpath="{scene}"),
         subjects=scenes.subjects,
-        render=lookup(within=config, dpath="render"),
-        fit=lookup(within=config, dpath="fit"),
-        compress=lookup(within=config, dpath="compress"),
-        environment=lookup(within=config, dpath="environment"),
+        render=config["render"],
+        fit=config["fit"],
+        compress=config["compress"],
+        environment=config["environment"],
         user_files=ledger.content(scenes.files),
         code=code_hash("irodori.evaluation.error_budget"),
     script:

@@ -16,10 +16,10 @@ rule encode_viewer:
     resources:
         mem_mb=lambda wildcards, attempt: 3000 * attempt,
     params:
-        scene=lookup(within=config, dpath="scenes/{scene}"),
-        lesson=lookup(within=config, dpath="lessons/{scene}"),
+        scene=lookup(within=config["scenes"], dpath="{scene}"),
+        lesson=lookup(within=config["lessons"], dpath="{scene}"),
         shapes=scenes.shapes,
-        render=lookup(within=config, dpath="render"),
+        render=config["render"],
         user_files=ledger.content(scenes.page_files),
         code=code_hash("irodori.viewer.stage"),
     script:
@@ -50,7 +50,7 @@ rule export_viewer:
     resources:
         mem_mb=lambda wildcards, attempt: 3000 * attempt,
     params:
-        scene=lookup(within=config, dpath="scenes/{scene}"),
+        scene=lookup(within=config["scenes"], dpath="{scene}"),
         user_files=ledger.content(scenes.tables),
         code=code_hash("irodori.viewer.stage"),
     script:

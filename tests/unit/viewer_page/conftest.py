@@ -9,7 +9,7 @@ from definitions import ROOT, load
 from double_pages import header_of, write_double
 from pages import room, sources
 
-from irodori.viewer.browser import FLAGS, browser_command, client
+from irodori.viewer.browser import FLAGS, browser_command, client, is_told_by_page
 from irodori.viewer.page_data import page_data
 from irodori.viewer.page_file import write_page
 
@@ -138,7 +138,7 @@ def visit(context_of, page_file):
         context = context_of(script, drawn=file != page_file, **options)
         opened = Visit(context.new_page())
         visits.append(opened)
-        opened.page.on("console", lambda message: opened.complaints.append(message.text))
+        opened.page.on("console", lambda message: _note_message(message.text, opened))
         opened.page.on("pageerror", lambda error: opened.complaints.append(str(error)))
         opened.page.on("request", lambda asked: _note_request(asked, opened, file))
         opened.page.goto(file.as_uri() + hash_)
@@ -161,6 +161,11 @@ def opening_state(context_of, page_file) -> dict:
     found = page.evaluate("Irodori.page()")
     page.close()
     return found
+
+
+def _note_message(text: str, opened: Visit) -> None:
+    if is_told_by_page(text):
+        opened.complaints.append(text)
 
 
 def _note_request(request, opened: Visit, page_file) -> None:

@@ -201,7 +201,14 @@ ACTIONS = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize("action", ACTIONS, ids=lambda one: one.__name__)
+#: One action by each tool and on each tab, by which every kind of control is tried.
+_ALWAYS = (orbit, move_object, probe, go_through_lesson, choose_illuminant, add_lamp, compare, swap_objects, observe)
+
+
+@pytest.mark.parametrize(
+    "action",
+    [pytest.param(one, marks=[] if one in _ALWAYS else pytest.mark.heavy, id=one.__name__) for one in ACTIONS],
+)
 def test_everything_can_be_done_by_keys_and_is_in_the_address(visit, action, opening_state):
     one = visit()
     holds = action(one)
@@ -354,7 +361,7 @@ NOT_FINITE = """() => {
 }"""
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.heavy) for seed in range(1, 4))])
 def test_random_actions_leave_no_error_and_no_number_lost(visit, drawn_page_file, seed):
     """25 sequences of 8 actions each, on the product's own renderer: what is drawn after each is read back."""
     one, draw = visit(file=drawn_page_file, **_SMALL), random.Random(seed)

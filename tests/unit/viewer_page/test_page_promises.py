@@ -34,8 +34,9 @@ def violations(visit) -> list[str]:
     return [f"{one['id']}: {node['html'][:120]}" for one in found for node in one["nodes"]]
 
 
-@pytest.mark.parametrize("language", ["en", "ja"])
-@pytest.mark.parametrize("size", [PHONE, PROJECTOR], ids=["phone", "projector"])
+@pytest.mark.parametrize(("size", "language"), [
+    pytest.param(PHONE, "ja", id="phone-ja"), pytest.param(PROJECTOR, "en", id="projector-en", marks=pytest.mark.heavy),
+])  # fmt: skip
 def test_axe_finds_no_violation(visit, size, language):
     pytest.importorskip("axe_playwright_python", reason="axe is not installed: no page was checked for everyone's use")
     one = visit(locale=language, **size)
@@ -81,7 +82,10 @@ def test_the_focus_goes_from_the_head_over_the_picture_to_the_panel(visit):
     assert list(dict.fromkeys(order))[: len(expected)] == expected
 
 
-@pytest.mark.parametrize("size", [PHONE, PROJECTOR, TABLET], ids=["phone", "projector", "tablet"])
+@pytest.mark.parametrize("size", [
+    pytest.param(PHONE, id="phone"), pytest.param(PROJECTOR, id="projector", marks=pytest.mark.heavy),
+    pytest.param(TABLET, id="tablet", marks=pytest.mark.heavy),
+])  # fmt: skip
 def test_nothing_is_wider_than_the_screen_and_targets_are_large(visit, size):
     one = visit(**size)
     for tab in TABS:
@@ -140,6 +144,7 @@ def test_the_page_speaks_japanese_to_a_japanese_browser_and_can_be_told_otherwis
 # ---- states that travel
 
 
+@pytest.mark.heavy
 def test_a_step_shows_the_same_however_one_comes_to_it(visit):
     direct, round_about = visit(), visit()
     count = len(direct.page.locator(".steps li").all())
