@@ -14,7 +14,7 @@ rule measure_speed:
     resources:
         mem_mb=lambda wildcards, attempt: 6000 * attempt,
     params:
-        size=config["benchmark_size"],
+        size=lookup(within=config, dpath="benchmark_size"),
         code=lambda wildcards: code_hash("benchmarks.table", f"benchmarks.{wildcards.stage}"),
     script:
         "../scripts/measure_speed.py"
@@ -59,7 +59,7 @@ rule write_speed_report:
     resources:
         mem_mb=lambda wildcards, attempt: 1000 * attempt,
     params:
-        size=config["benchmark_size"],
+        size=lookup(within=config, dpath="benchmark_size"),
         code=code_hash("irodori.report.speed_page"),
     script:
         "../scripts/write_speed_report.py"

@@ -37,7 +37,7 @@ rule calibrate_camera:
         further_charts=lookup(within=config["cameras"], dpath="{camera}/further_charts"),
         calibration=lookup(within=config["cameras"], dpath="{camera}/calibration"),
         light=sets.light,
-        lights=config["report"]["lights"],
+        lights=lookup(within=config["report"], dpath="lights"),
         user_files=ledger.content(sets.tables_of_calibration),
         code=code_hash("irodori.calibration.stage"),
     script:

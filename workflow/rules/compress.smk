@@ -19,8 +19,8 @@ rule compress_reflectance:
         texels=lookup(within=config["objects"], dpath="{object}/texels"),
         refractive_index=lookup(within=config["objects"], dpath="{object}/refractive_index"),
         mirror_weight=lookup(within=config["objects"], dpath="{object}/mirror_weight"),
-        compress=config["compress"],
-        lights=config["report"]["lights"],
+        compress=lookup(within=config, dpath="compress"),
+        lights=lookup(within=config["report"], dpath="lights"),
         user_files=ledger.content(sets.tables_of_index),
         code=code_hash("irodori.material.stage"),
     script:

@@ -16,7 +16,7 @@ rule prepare_environment:
     resources:
         mem_mb=lambda wildcards, attempt: 2500 * attempt,
     params:
-        compress=config["environment"],
+        compress=lookup(within=config, dpath="environment"),
         source=lookup(within=config["environments"], dpath="{environment}/source"),
         image=lookup(within=config["environments"], dpath="{environment}/image", default=None),
         photographed=sets.is_photographed,

@@ -16,7 +16,7 @@ rule choose_lobes:
     resources:
         mem_mb=lambda wildcards, attempt: 2000 * attempt,
     params:
-        fit=config["fit"],
+        fit=lookup(within=config, dpath="fit"),
         refractive_index=lookup(within=config["objects"], dpath="{object}/refractive_index"),
         user_files=ledger.content(sets.tables_of_index),
         code=code_hash("irodori.fitting.lobe_stage", "irodori.spectra.published"),
@@ -43,7 +43,7 @@ rule fit_brdf:
     resources:
         mem_mb=lambda wildcards, attempt: 2000 * attempt,
     params:
-        fit=config["fit"],
+        fit=lookup(within=config, dpath="fit"),
         lobes=lookup(within=config["objects"], dpath="{object}/lobes"),
         refractive_index=lookup(within=config["objects"], dpath="{object}/refractive_index"),
         user_files=ledger.content(sets.tables_of_index),
@@ -72,7 +72,7 @@ rule share_gloss:
     resources:
         mem_mb=lambda wildcards, attempt: 2000 * attempt,
     params:
-        fit=config["fit"],
+        fit=lookup(within=config, dpath="fit"),
         lobes=lookup(within=config["objects"], dpath="{object}/lobes"),
         refractive_index=lookup(within=config["objects"], dpath="{object}/refractive_index"),
         user_files=ledger.content(sets.tables_of_index),

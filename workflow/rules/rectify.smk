@@ -19,7 +19,7 @@ rule register_object:
         optics=sets.optics,
         white_pose=sets.white_pose,
         rig=sets.rig_geometry,
-        place=config["place"],
+        place=lookup(within=config, dpath="place"),
         user_files=ledger.content(sets.mesh),
         code=code_hash("irodori.rectification.object_registration"),
     script:
@@ -49,7 +49,7 @@ rule rectify_object:
         optics=sets.optics,
         white_pose=sets.white_pose,
         rig=sets.rig_geometry,
-        max_angle_deg=config["rectify"]["max_angle_deg"],
+        max_angle_deg=lookup(within=config["rectify"], dpath="max_angle_deg"),
         user_files=ledger.content(sets.mesh),
         code=code_hash("irodori.rectification.stage"),
     script:

@@ -17,7 +17,7 @@ rule plan_scene:
     params:
         scene=lookup(within=config["scenes"], dpath="{scene}"),
         shapes=scenes.shapes,
-        render=config["render"],
+        render=lookup(within=config, dpath="render"),
         user_files=ledger.content(scenes.files),
         code=code_hash("irodori.rendering.planning.stage"),
     script:
@@ -44,7 +44,7 @@ rule bake_light:
     params:
         scene=scenes.baked_of,
         shapes=scenes.shapes,
-        render=config["render"],
+        render=lookup(within=config, dpath="render"),
         user_files=ledger.content(scenes.files),
         code=code_hash("irodori.rendering.stage"),
     script:
@@ -66,7 +66,7 @@ use rule bake_light as bake_true_light with:
     params:
         scene=scenes.baked_of,
         shapes=scenes.shapes,
-        render=config["render"],
+        render=lookup(within=config, dpath="render"),
         user_files=ledger.content(scenes.files),
         code=code_hash("irodori.rendering.stage"),
 
@@ -99,7 +99,7 @@ rule render_view:
     params:
         scene=lookup(within=config["scenes"], dpath="{scene}"),
         shapes=scenes.shapes,
-        render=config["render"],
+        render=lookup(within=config, dpath="render"),
         check=True,
         user_files=ledger.content(scenes.shown_files),
         code=code_hash("irodori.rendering.stage"),
@@ -128,7 +128,7 @@ use rule render_view as render_truth with:
     params:
         scene=lookup(within=config["scenes"], dpath="{scene}"),
         shapes=scenes.shapes,
-        render=config["render"],
+        render=lookup(within=config, dpath="render"),
         check=False,
         user_files=ledger.content(scenes.shown_files),
         code=code_hash("irodori.rendering.stage"),
@@ -162,7 +162,7 @@ rule render_frames:
     params:
         scene=scenes.with_frames,
         shapes=scenes.shapes,
-        render=config["render"],
+        render=lookup(within=config, dpath="render"),
         user_files=ledger.content(scenes.shown_files),
         code=code_hash("irodori.rendering.sequence"),
     script:

@@ -40,7 +40,7 @@ rule write_true_environment:
     params:
         definition=lookup(within=config["environments"], dpath="{environment}"),
         rig=sets.rig,
-        irradiance=config["environment"]["irradiance"],
+        irradiance=lookup(within=config["environment"], dpath="irradiance"),
         code=code_hash("irodori.simulation.virtual_rig.ground_truth"),
     script:
         "../scripts/write_true_environment.py"
@@ -76,7 +76,7 @@ rule measure_errors:
         views=scenes.views("{scene}/{view}", virtual_only=True),
         view_environments=scenes.views("{environment}", virtual_only=True),
         view_scenes=scenes.view_scenes(virtual_only=True),
-        lights=config["report"]["lights"],
+        lights=lookup(within=config["report"], dpath="lights"),
         code=code_hash("irodori.evaluation.truth_errors"),
     script:
         "../scripts/measure_errors.py"
@@ -100,9 +100,9 @@ rule measure_plan:
         mem_mb=lambda wildcards, attempt: 1000 * attempt,
     params:
         objects=sets.plates,
-        fit=config["fit"],
-        max_angle_deg=config["rectify"]["max_angle_deg"],
-        planning=config["report"]["planning"],
+        fit=lookup(within=config, dpath="fit"),
+        max_angle_deg=lookup(within=config["rectify"], dpath="max_angle_deg"),
+        planning=lookup(within=config["report"], dpath="planning"),
         user_files=ledger.content(sets.tables_of_plates),
         code=code_hash("irodori.evaluation.pose_planning"),
     script:
@@ -132,10 +132,10 @@ rule measure_imperfections:
     params:
         subject=sets.imperfect_object,
         ingest=sets.ingest_options,
-        rectify=config["rectify"],
-        fit=config["fit"],
-        compress=config["compress"],
-        lights=config["report"]["lights"],
+        rectify=lookup(within=config, dpath="rectify"),
+        fit=lookup(within=config, dpath="fit"),
+        compress=lookup(within=config, dpath="compress"),
+        lights=lookup(within=config["report"], dpath="lights"),
         user_files=ledger.content(sets.files_of_imperfections),
         code=code_hash("irodori.evaluation.imperfection_costs"),
     script:
@@ -174,10 +174,10 @@ rule measure_error_budget:
     params:
         scene=lookup(within=config["scenes"], dpath="{scene}"),
         subjects=scenes.subjects,
-        render=config["render"],
-        fit=config["fit"],
-        compress=config["compress"],
-        environment=config["environment"],
+        render=lookup(within=config, dpath="render"),
+        fit=lookup(within=config, dpath="fit"),
+        compress=lookup(within=config, dpath="compress"),
+        environment=lookup(within=config, dpath="environment"),
         user_files=ledger.content(scenes.files),
         code=code_hash("irodori.evaluation.error_budget"),
     script:

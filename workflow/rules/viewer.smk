@@ -19,7 +19,7 @@ rule encode_viewer:
         scene=lookup(within=config["scenes"], dpath="{scene}"),
         lesson=lookup(within=config["lessons"], dpath="{scene}"),
         shapes=scenes.shapes,
-        render=config["render"],
+        render=lookup(within=config, dpath="render"),
         user_files=ledger.content(scenes.page_files),
         code=code_hash("irodori.viewer.stage"),
     script:
