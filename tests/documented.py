@@ -22,6 +22,7 @@ RUN_BY = {
     "benchmark": "tests/workflow/test_documented_benchmarks.py",
     "bench": "tests/rig/test_command.py",
     "first project": "tests/rig/test_init.py",
+    "lights": "tests/unit/test_mirror_highlights.py",
     "help": "tests/workflow/test_documented_commands.py",
     "mutation": "tests/unit/test_mutation.py",
     "pip": "tests/workflow/test_documented_commands.py",
@@ -73,7 +74,7 @@ def kind(command: str) -> str | None:
     if program in ("irodori", "irodori.rig"):
         if " ".join(rest) in _NAMED:
             return "help"
-        kinds = {"init": "first project"} | dict.fromkeys(_ON_RESULTS, "results")
+        kinds = {"init": "first project", "lights": "lights"} | dict.fromkeys(_ON_RESULTS, "results")
         return (kinds | dict.fromkeys(_AT_THE_BENCH, "bench")).get(rest[0])
     if program in ("pip", "pytest", "snakemake"):
         return program
