@@ -32,6 +32,7 @@ class Subcommand(NamedTuple):
 
 SUBCOMMANDS = {
     "init": Subcommand("irodori.first_project.init_command", "write a project's files from a folder of photographs"),
+    "lights": Subcommand("irodori.first_project.lights_command", "find where lamps stood by their images on a ball"),
     "check": Subcommand(
         "irodori.check.check_command", "look at definitions, scenes and photographs before any long job"
     ),

@@ -22,6 +22,7 @@ RUN_BY = {
     "benchmark": "tests/workflow/test_documented_benchmarks.py",
     "bench": "tests/rig/test_command.py",
     "first project": "tests/rig/test_init.py",
+    "lights": "tests/unit/test_mirror_highlights.py",
     "help": "tests/workflow/test_documented_commands.py",
     "lens": "tests/unit/test_lens.py",
     "mutation": "tests/unit/test_mutation.py",
@@ -74,7 +75,7 @@ def kind(command: str) -> str | None:
     if program in ("irodori", "irodori.rig"):
         if " ".join(rest) in _NAMED:
             return "help"
-        kinds = {"init": "first project", "lens": "lens"} | dict.fromkeys(_ON_RESULTS, "results")
+        kinds = {"init": "first project", "lens": "lens", "lights": "lights"} | dict.fromkeys(_ON_RESULTS, "results")
         return (kinds | dict.fromkeys(_AT_THE_BENCH, "bench")).get(rest[0])
     if program in ("pip", "pytest", "snakemake"):
         return program

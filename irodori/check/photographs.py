@@ -21,7 +21,7 @@ from irodori.config.photograph_sets import PhotographSets
 from irodori.core.errors import InputError, is_file
 from irodori.core.progress import track
 from irodori.ingest.exposure_settings import relative_exposure_s, settle, settle_set
-from irodori.ingest.first_look import SetSize
+from irodori.ingest.first_look import COARSE, COARSE_WARNING, SetSize
 from irodori.ingest.mosaic import Mosaic, decode
 from irodori.ingest.set_plausibility import FocalRange, SetLook
 from irodori.spectra.published import chart_spectra
@@ -122,13 +122,14 @@ class PhotographCheck:
         focal = FocalRange.of(*one.lens_mm) if one.lens_mm else None
         seen, size = SetLook(shots, focal, self._whites.get(one.camera, ())), SetSize(one.size_px)
         settled: dict[str, Shot] = {}
+        coarse = False
         best: dict[str, _Bright] = {}
         for shot in track(seen.shots, f"look {one.name}"):
             path = shot_path(shot, one.table, one.folder)
             self.count += 1
             try:
                 check_unchanged(one.table, one.folder, [shot])
-                mosaic = decode(path)
+                mosaic = decode(path, shot.linear)
                 if self._decoded is not None:
                     self._decoded(one, shot, path, mosaic)
                 size.check(shot, path, mosaic)
@@ -137,6 +138,9 @@ class PhotographCheck:
                 yield Finding(True, str(error), path)
                 continue
             seen.see(settled[shot.file], path, mosaic)
+            if mosaic.full_scale <= COARSE and not coarse:
+                coarse = True
+                yield Finding(False, f"{path}: {COARSE_WARNING}", path)
             if shot.role in ("chart", "white") and shot.filter == "out":
                 bright = _Bright.of(settled[shot.file], mosaic)
                 best[shot.subject] = max(bright, best.get(shot.subject, bright), key=_Bright.rank)

@@ -20,7 +20,7 @@ from irodori.core.atomic_files import written_whole
 from irodori.core.confined_paths import confined, require_inside
 from irodori.core.custody import content_sha256
 from irodori.core.errors import InputError
-from irodori.core.file_kinds import kind_instead_of_raw
+from irodori.core.file_kinds import IF_LINEAR, is_picture, kind_instead_of_raw
 from irodori.core.text_tables import table_rows
 
 if TYPE_CHECKING:
@@ -45,6 +45,8 @@ _DIRECTION = ("light_x", "light_y", "light_z")
 _READ = tuple(f"{angle.removesuffix('_deg')}_read_deg" for angle in _ANGLES)
 #: Columns that a table may do without: the camera's own values, which are checked, and how a session took each.
 EXTRA_COLUMNS = (_AZIMUTH, "iso", "f_number", "taken_at", "camera_time", "camera", *_READ, "accepted", "sha256")
+#: Whether a file is a TIFF or PNG picture that the user knows to be linear; no session takes such pictures.
+_LINEAR = "linear"
 _OPTIONAL = ("tilt_deg", "turn_deg", *EXTRA_COLUMNS)
 #: Roles whose repeated frames are averaged, so that equal exposure times are no mistake.
 _AVERAGED = ("dark", "white", DRIFT)
@@ -113,6 +115,7 @@ class Shot:
     """One photograph: ``file`` as the table writes it, ``role`` of ROLES, ``filter`` of FILTERS.
 
     ``iso`` (sensitivity, ISO 12232) and ``f_number`` (relative aperture) are 0 where the table does not state them.
+    ``linear`` says that the file is no RAW file but a TIFF or PNG picture whose numbers go with the light.
     ``chart`` is the name of a further chart or of one in a room, empty for the camera's first and for all other roles.
     ``taken`` is how it was taken, which makes it no other photograph: shots are equal whatever stands there.
     """
@@ -125,6 +128,7 @@ class Shot:
     iso: float = 0.0
     f_number: float = 0.0
     chart: str = ""
+    linear: bool = False
     taken: Taken = dataclasses.field(default_factory=Taken, compare=False)
 
     @property
@@ -304,7 +308,7 @@ def noted_hashes(path) -> dict[str, str]:
 
 
 def _check_header(header: list[str], path, line: int) -> list[str]:
-    known = (*COLUMNS, *EXTRA_COLUMNS, *_DIRECTION)
+    known = (*COLUMNS, *EXTRA_COLUMNS, *_DIRECTION, _LINEAR)
     by_direction = any(name in header for name in _DIRECTION)
     for name in header:
         if name not in known:
@@ -345,7 +349,8 @@ class _Shots:
         if not 0 < exposure <= 3600:
             raise self._error(line, "exposure_s", row["exposure_s"].strip(), "above 0 and up to 3600 s")
         iso, f_number = (self._optional(line, column, row.get(column, "")) for column in ("iso", "f_number"))
-        shot = Shot(file, role, pose, state, exposure, iso, f_number, chart, self._taken(line, row))
+        linear = self._choice(line, {_LINEAR: row.get(_LINEAR, "").strip() or "no"}, _LINEAR, ("yes", "no")) == "yes"
+        shot = Shot(file, role, pose, state, exposure, iso, f_number, chart, linear, self._taken(line, row))
         self._check_against_others(line, shot)
         self._check_file(line, shot)
         self.all.append(shot)
@@ -417,8 +422,13 @@ class _Shots:
         if empty:
             found = "an empty file" if raw.is_file() else "no such file"
             raise self._error(line, "file", f"{found}: {raw}", "a RAW file of the camera")
-        if kind := kind_instead_of_raw(raw):
-            raise self._error(line, "file", f"{kind}: {raw}", "a RAW file of the camera")
+        if shot.linear:
+            if not is_picture(raw):
+                found = f"{kind_instead_of_raw(raw) or 'no TIFF or PNG picture'}: {raw}"
+                raise self._error(line, _LINEAR, found, "a TIFF or PNG picture, or an empty cell for a RAW file")
+        elif kind := kind_instead_of_raw(raw):
+            said = f", or yes in the column linear {IF_LINEAR}" if is_picture(raw) else ""
+            raise self._error(line, "file", f"{kind}: {raw}", f"a RAW file of the camera{said}")
 
     def _role(self, line: int, row: dict[str, str]) -> tuple[str, str]:
         """Return the role and the chart's name where it has one."""
@@ -484,6 +494,9 @@ def write_captures(path, shots, sha256=None) -> None:
     """
     with written_whole(path) as temporary, open(temporary, "w", encoding="utf-8", newline="") as out:
         writer = csv.writer(out, lineterminator="\n")
-        writer.writerow((*COLUMNS, *EXTRA_COLUMNS))
+        shots = list(shots)
+        linear = any(shot.linear for shot in shots)
+        writer.writerow((*COLUMNS, *EXTRA_COLUMNS, *([_LINEAR] if linear else [])))
         for shot in shots:
-            writer.writerow(shot_cells(shot, "" if sha256 is None else sha256[shot.file]))
+            cells = shot_cells(shot, "" if sha256 is None else sha256[shot.file])
+            writer.writerow([*cells, "yes" if shot.linear else "no"] if linear else cells)

@@ -1,4 +1,6 @@
-"""Kinds of files, told by their first bytes: what people give in place of a RAW file."""
+"""Kinds of files, told by their first bytes: RAW files, and what people give in their place."""
+
+from pathlib import Path
 
 _KINDS = (
     (0, b"\xff\xd8\xff", "a JPEG picture, in which the camera already chose white balance, tone curve and sharpening"),
@@ -13,6 +15,28 @@ _KINDS = (
     (0, b"version https://git-lfs", "a pointer of Git LFS to a file that was not fetched"),
 )
 
+_PICTURES = {".png": (b"\x89PNG\r\n\x1a\n",), ".tif": (b"II*\0", b"MM\0*"), ".tiff": (b"II*\0", b"MM\0*")}
+IF_LINEAR = "if you know that its numbers go with the light, without a tone curve"
+
+
+def is_picture(path) -> bool:
+    """Whether a file is a TIFF or PNG picture by its name and its first bytes; many RAW files begin as a TIFF does.
+
+    Parameters
+    ----------
+    path : path
+        A file; one that cannot be read is none.
+    """
+    return _first_bytes(path).startswith(_PICTURES.get(Path(path).suffix.lower(), (b"no such file",)))
+
+
+def _first_bytes(path) -> bytes:
+    try:
+        with open(path, "rb") as file:
+            return file.read(32)
+    except OSError:
+        return b""
+
 
 def kind_instead_of_raw(path) -> str:
     """Return what a file is that is surely no RAW file, empty where its first bytes do not tell.
@@ -22,9 +46,5 @@ def kind_instead_of_raw(path) -> str:
     path : path
         A file; one that cannot be read does not tell.
     """
-    try:
-        with open(path, "rb") as file:
-            first = file.read(32)
-    except OSError:
-        return ""
+    first = _first_bytes(path)
     return next((kind for start, magic, kind in _KINDS if first[start:].startswith(magic)), "")

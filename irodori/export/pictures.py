@@ -217,6 +217,29 @@ def picture_header(path) -> Header:
     return Header((spec.height, spec.width), list(spec.channelnames), str(spec.format), shown, chromaticities)
 
 
+def stored_samples(path, accepted: str) -> tuple[np.ndarray, dict[str, object]]:
+    """Return the numbers of a picture as its file stores them, (height, width, channels), and its attributes by name.
+
+    Parameters
+    ----------
+    path : path
+    accepted : str
+        For the error message.
+
+    Raises
+    ------
+    InputError
+        If OpenImageIO cannot open it, or it ends early.
+    """
+    source = _open(path, accepted)
+    spec = source.spec()
+    samples = source.read_image(spec.format)
+    source.close()
+    if samples is None:
+        raise InputError(path, "", "a picture that ends early", accepted)
+    return samples, {attribute.name: attribute.value for attribute in spec.extra_attribs}
+
+
 def stated_loss(path) -> str | None:
     """Return the loss that a picture's file states in its attributes or its description, None where it states none.
 

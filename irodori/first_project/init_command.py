@@ -34,6 +34,8 @@ def main(arguments: list[str] | None = None, prog: str = "irodori init") -> int:
     parser.add_argument("--into", default="config", help="folder of definitions to write into (config)")
     parser.add_argument("--name", help="name of the object; that of the folder where absent")
     parser.add_argument("--lights", help="light-position file (.lp) that says where the lamp of each photograph stood")
+    linear = "the photographs are TIFF or PNG pictures whose numbers go with the light, without a tone curve"
+    parser.add_argument("--linear", action="store_true", help=linear)
     parser.add_argument("--answers", help="YAML file of answers by the names that the questions have")
     asked = parser.parse_args(arguments)
     try:
@@ -46,7 +48,7 @@ def main(arguments: list[str] | None = None, prog: str = "irodori init") -> int:
 def _write(asked: argparse.Namespace) -> int:
     given = read_yaml(asked.answers) if asked.answers else {}
     place = Path(asked.photographs)
-    found, timed = photographs(place)
+    found, timed = photographs(place, asked.linear)
     recognised = recognise(found)
     if not any(one.role == "chart" for one in recognised):
         looked = f"no ColorChecker of 4 x 6 patches in {len(found)} photographs"

@@ -1,4 +1,4 @@
-"""A folder of RAW files, looked at in the order in which they were taken."""
+"""A folder of RAW files, or of linear pictures, looked at in the order in which they were taken."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -7,19 +7,22 @@ from pathlib import Path
 import numpy as np
 
 from irodori.core.errors import InputError
-from irodori.core.file_kinds import kind_instead_of_raw
+from irodori.core.file_kinds import IF_LINEAR, is_picture, kind_instead_of_raw
 from irodori.core.progress import track
 from irodori.ingest.mosaic import Mosaic, decode
 from irodori.ingest.plausibility import Look, look_at
 from irodori.ingest.tiff_tags import RATIONAL, read_tags
 
 _ACCEPTED = "RAW files of one camera, such as DNG, CR2, NEF or ARW"
+_PICTURES = "TIFF or PNG pictures, as --linear says"
 #: What stands beside photographs and is none.
 _BESIDE = (".csv", ".txt", ".xmp", ".yaml", ".yml", ".md", ".pp3", ".json", ".html", ".lp")
 _PLANE_RESOLUTION, _PLANE_UNIT, _EXIF_WIDTH = 41486, 41488, 40962
 _UNIT_MM = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
 #: The widths of a file's own picture and of its mosaic differ by the sensor's margins.
 _MARGIN = 0.05
+#: Exposure time of linear pictures that state none, s: most programs that develop RAW files drop it.
+UNSTATED_S = 1.0
 
 
 @dataclass(frozen=True)
@@ -34,6 +37,8 @@ class Photograph:
         As the file states them; 0 where it does not.
     pitch_um : float
         Distance of mosaic pixels as the file states it, micrometres; 0 where it does not.
+    linear : bool
+        Whether it is a TIFF or PNG picture whose numbers go with the light.
     """
 
     path: Path
@@ -42,6 +47,7 @@ class Photograph:
     iso: float
     f_number: float
     pitch_um: float = 0.0
+    linear: bool = False
 
     @property
     def rate(self) -> np.ndarray:
@@ -50,8 +56,8 @@ class Photograph:
         return self.look.picture * (aperture / (self.exposure_s * (self.iso / 100.0 if self.iso else 1.0)))
 
 
-def raw_files(place) -> list[Path]:
-    """Return the files of a folder that may be RAW, or the one file itself.
+def raw_files(place, linear: bool = False) -> list[Path]:
+    """Return the files of a folder that may be RAW, or the one file itself; of linear pictures, the TIFF and PNG files.
 
     Raises
     ------
@@ -69,19 +75,25 @@ def raw_files(place) -> list[Path]:
         )
     else:
         raise InputError(place, "", "no such folder", f"a folder of {_ACCEPTED}, or one such file")
+    if linear:
+        pictures = [file for file in found if is_picture(file)]
+        if not pictures:
+            raise InputError(place, "", "no TIFF or PNG picture", _PICTURES)
+        return pictures
     kinds = {file: kind_instead_of_raw(file) for file in found}
     others = [file for file in found if kinds[file]]
     # Cameras write a JPEG beside each RAW file: that is passed over.
     raw = [file for file in found if not kinds[file]]
     if not raw and others:
-        raise InputError(place, "", f"no RAW file; {others[0].name} is {kinds[others[0]]}", _ACCEPTED)
+        accepted = _ACCEPTED + (f"; or --linear, {IF_LINEAR}" if is_picture(others[0]) else "")
+        raise InputError(place, "", f"no RAW file; {others[0].name} is {kinds[others[0]]}", accepted)
     if not raw:
         raise InputError(place, "", "an empty folder", _ACCEPTED)
     return raw
 
 
-def photographs(place) -> tuple[list[Photograph], bool]:
-    """Look at all RAW files of a folder, or at one file.
+def photographs(place, linear: bool = False) -> tuple[list[Photograph], bool]:
+    """Look at all RAW files of a folder, or at one file; where the user says so, at linear pictures.
 
     Returns
     -------
@@ -95,7 +107,7 @@ def photographs(place) -> tuple[list[Photograph], bool]:
     InputError
         If there is none, one cannot be decoded or has no exposure time, or they are of several cameras or sizes.
     """
-    found = list(_looked_at(raw_files(place)))
+    found = list(_looked_at(raw_files(place, linear), linear))
     first = found[0]
     for one in found[1:]:
         if one.look.camera != first.look.camera:
@@ -113,13 +125,15 @@ def in_order(found: list[Photograph]) -> tuple[list[Photograph], bool]:
     return sorted(found, key=lambda one: (one.look.time if timed else "", one.path.name)), timed
 
 
-def _looked_at(files: list[Path]) -> Iterator[Photograph]:
+def _looked_at(files: list[Path], linear: bool) -> Iterator[Photograph]:
     for path in track(files, "look"):
-        mosaic = decode(path)
-        if not mosaic.exposure_s:
+        mosaic = decode(path, linear)
+        exposure_s = mosaic.exposure_s or (UNSTATED_S if linear else 0.0)
+        if not exposure_s:
             raise InputError(path, "exposure time", "none", "a RAW file that states its exposure time")
         look = look_at(path, mosaic, thumbnail=True)
-        yield Photograph(path, look, mosaic.exposure_s, mosaic.iso, mosaic.f_number, pixel_pitch_um(path, mosaic))
+        pitch_um = 0.0 if linear else pixel_pitch_um(path, mosaic)
+        yield Photograph(path, look, exposure_s, mosaic.iso, mosaic.f_number, pitch_um, linear)
 
 
 def pixel_pitch_um(path: Path, mosaic: Mosaic) -> float:

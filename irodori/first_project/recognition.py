@@ -100,7 +100,7 @@ def _is_white(one: Photograph) -> bool:
 
 
 def _has_chart(one: Photograph, spectra: np.ndarray) -> bool:
-    mosaic = decode(one.path)
+    mosaic = decode(one.path, one.linear)
     try:
         find_chart(mosaic.superpixels / np.float32(mosaic.full_scale), mosaic.largest < CLIPPED, spectra, one.path)
     except InputError:

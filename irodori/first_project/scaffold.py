@@ -13,6 +13,7 @@ from irodori.config.capture_table import COLUMNS, Pose
 from irodori.core.atomic_files import written_whole
 from irodori.core.errors import InputError
 from irodori.first_project.questions import GAP
+from irodori.first_project.raw_folder import UNSTATED_S
 from irodori.first_project.recognition import CHART, Recognised
 
 _LIMITS = {
@@ -87,6 +88,11 @@ class Scaffold:
         self.table = self.into / "captures" / f"{name}.csv"
 
     @property
+    def _linear(self) -> bool:
+        """Whether the photographs are linear pictures instead of RAW files."""
+        return self.recognised[0].photograph.linear
+
+    @property
     def configuration(self) -> Path:
         """The file that says what to make."""
         return self.into / f"{self.name}.yaml"
@@ -116,7 +122,8 @@ class Scaffold:
             gaps += [f"{path}: {field}" for field in _gaps(content)]
         self.table.parent.mkdir(parents=True, exist_ok=True)
         rows = [self._row(one) for one in self.recognised]
-        columns = (*COLUMNS, "iso", "f_number", *([_AZIMUTH] if _AZIMUTH in self.answers.angles else []))
+        azimuth = [_AZIMUTH] if _AZIMUTH in self.answers.angles else []
+        columns = (*COLUMNS, "iso", "f_number", *azimuth, *(["linear"] if self._linear else []))
         with written_whole(self.table) as temporary, open(temporary, "w", encoding="utf-8", newline="") as out:
             writer = csv.writer(out, lineterminator="\n")
             writer.writerow(columns)
@@ -143,6 +150,11 @@ class Scaffold:
             )
         if "white_reflectance" in said:
             notes[camera].append(f"white.reflectance_factor: {said['white_reflectance']}, that of a new reference")
+        if self._linear:
+            if any(one.photograph.exposure_s == UNSTATED_S for one in self.recognised):
+                notes[camera].append(f"exposure_s in {self.table}: {UNSTATED_S:g} where the file states none")
+            if self.has_object:
+                notes[camera].append("optics: in mosaic pixels; a pixel of a linear picture is 2 x 2 of them")
         if self.has_object:
             notes[camera].append("optics: the lens points at the middle of the picture and has no distortion")
             notes[subject] = [
@@ -182,7 +194,7 @@ class Scaffold:
             width, height = first.look.size
             lens["optics"] = {
                 "focal_length_mm": _known(said.focal_length_mm),
-                "pixel_pitch_um": _known(said.pixel_pitch_um),
+                "pixel_pitch_um": _known(self._pitch_um()),
                 "width_px": width,
                 "height_px": height,
                 "principal_point_px": [width / 2.0, height / 2.0],
@@ -212,6 +224,11 @@ class Scaffold:
             make["scenes"] = [scene_file.stem]
         yield self.configuration, {"definitions": str(self.into), "make": make}
 
+    def _pitch_um(self) -> float | None:
+        """Return the distance of mosaic pixels: half that of the pixels of a linear picture."""
+        said = self.answers.pixel_pitch_um
+        return said / 2.0 if said is not None and self._linear else said
+
     def _scene(self) -> dict[str, Any]:
         size = [v for v in (self.answers.shape or {}).values() if isinstance(v, float)] or [50.0]
         far = 5.0 * max(size)
@@ -237,6 +254,8 @@ class Scaffold:
         settings = [f"{photograph.exposure_s:.6g}", photograph.iso or "", photograph.f_number or ""]
         if azimuths := self.answers.angles.get(_AZIMUTH):
             settings.append(round(azimuths[one.pose], 4) if one.role == "object" else 0.0)
+        if self._linear:
+            settings.append("yes")
         return [photograph.path.name, one.role, *angles, one.filter or GAP, *settings]
 
 

@@ -155,7 +155,7 @@ def _settled_shots(table, folder) -> tuple[list[Shot], tuple[int, int]]:
     shots = [shot for shot in read_captures(table, folder) if shot.role in ("dark", "white", "chart")]
     check_unchanged(table, folder, shots)
     for shot in track(shots, "reference"):
-        mosaic = decode(shot_path(shot, table, folder))
+        mosaic = decode(shot_path(shot, table, folder), shot.linear)
         settled.append(settle(shot, mosaic, table))
         if size == (0, 0) and shot.role in ("dark", "white"):
             size = mosaic.size

@@ -150,7 +150,7 @@ def _sum_frames(group: list[Shot], table, folder, sums) -> tuple[np.ndarray, np.
     squares: np.ndarray | None = None
     for shot in group:
         path = shot_path(shot, table, folder)
-        mosaic = decode(path)
+        mosaic = decode(path, shot.linear)
         if total is None or squares is None:
             total, squares = (np.zeros(mosaic.values.shape, dtype=np.float32) for _ in range(2))
         before = total if sums is None else sums["plain"]

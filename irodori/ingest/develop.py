@@ -49,7 +49,7 @@ class Developed:
     noise : (3, 2) float64
         Variance of the response c0 + c1 x response at the centre, NaN where not known.
     pattern : str
-        Colours of the mosaic's first 2 x 2 pixels.
+        Colours of the mosaic's first 2 x 2 pixels; empty for a picture that is no mosaic.
     """
 
     response: np.ndarray
@@ -75,11 +75,14 @@ def load_frames(reference, shots: list[Shot], table, folder, options: IngestOpti
 
     def load(shot: Shot) -> Frame:
         path = shot_path(shot, table, folder)
-        mosaic = decode(path)
+        mosaic = decode(path, shot.linear)
         shot = settle(shot, mosaic, table)
         _check_size(reference, shot, mosaic, path)
         if options.sample_px == 2:
             return Frame(shot, mosaic, None)
+        if mosaic.linear:
+            found = f"{options.demosaic} for a picture that is no mosaic"
+            raise InputError(path, "ingest.demosaic", found, "superpixel, which takes each pixel of a picture as it is")
         return _demosaiced(reference, shot, mosaic, path, options)
 
     with ThreadPoolExecutor(max(1, min(len(shots), numba.get_num_threads()))) as pool:
@@ -167,7 +170,8 @@ def merge_frames(reference, frames: list[Frame], options: IngestOptions, white, 
     bracket = _bracket(reference, frames)
     shares = merge(_planes(reference, frames, options, on_sensor), bracket, white, options.sample_px, out, clipped)
     hot = _hot(reference, first.values.shape, options) if on_sensor else np.zeros(shape, dtype=np.bool_)
-    return Developed(out, clipped, hot, _noise_model(bracket, white, shares, options), first.pattern)
+    noise = _noise_model(bracket, white, shares, options, 1.0 if first.linear else 2.0)
+    return Developed(out, clipped, hot, noise, "" if first.linear else first.pattern)
 
 
 def empty_response(height: int, width: int, states: int) -> np.ndarray:
@@ -238,10 +242,13 @@ def _hot(reference, shape, options: IngestOptions) -> np.ndarray:
     return mask if side == 2 else _reached(mask, options)
 
 
-def _noise_model(bracket: ExposureBracket, white, shares: np.ndarray, options: IngestOptions) -> np.ndarray:
+def _noise_model(
+    bracket: ExposureBracket, white, shares: np.ndarray, options: IngestOptions, greens: float
+) -> np.ndarray:
     """Return c0 and c1 of each band at the centre of the picture for the exposures merged there, (3, 2).
 
-    An exposure counts where it gave at least half of a band's samples; the shortest always does.
+    An exposure counts where it gave at least half of a band's samples; the shortest always does. A sample of green is
+    the mean of ``greens`` mosaic pixels with noise of their own.
     """
     unknown = (
         white is None or not np.isfinite(bracket.electrons_per_dn).all() or not np.isfinite(bracket.read_dn2).all()
@@ -255,6 +262,5 @@ def _noise_model(bracket: ExposureBracket, white, shares: np.ndarray, options: I
     dn_per_response = merged * level[:, None] * bracket.exposure_dn
     read = np.sum(dn_per_response**2 / bracket.read_dn2, axis=1)
     shot = np.sum(dn_per_response * bracket.electrons_per_dn, axis=1)
-    # Green is the mean of two mosaic pixels in a superpixel.
-    samples = np.array([1.0, 2.0, 1.0])
+    samples = np.array([1.0, greens, 1.0])
     return np.stack([1.0 / read / samples, 1.0 / shot / samples], axis=-1)

@@ -8,6 +8,10 @@ from irodori.ingest.exposure_settings import settle, settle_set
 from irodori.ingest.mosaic import Mosaic, decode
 from irodori.ingest.set_plausibility import FocalRange, SetLook
 
+#: White level of pictures that hold too few steps for dark colours, and what is said of them.
+COARSE = 255.0
+COARSE_WARNING = "8 bits a band: a tenth of the range has 25 steps, so that dark colours are coarse; 16 bits are better"
+
 
 def check_captures(table, folder, output, roles, size_px=None, lens_mm=None) -> None:
     """Decode every RAW file of a set once, look at it, and write the set's table with hashes, ISO and f-number.
@@ -36,14 +40,17 @@ def check_captures(table, folder, output, roles, size_px=None, lens_mm=None) -> 
     shots = [shot for shot in read_captures(table, folder) if shot.role in roles]
     check_unchanged(table, folder, shots)
     settled, hashes, seen = {}, {}, SetLook(shots, FocalRange.of(*lens_mm) if lens_mm else None)
-    size = SetSize(size_px)
+    size, coarse = SetSize(size_px), None
     for shot in track(seen.shots, "check"):
         path = shot_path(shot, table, folder)
-        mosaic = decode(path)
+        mosaic = decode(path, shot.linear)
         size.check(shot, path, mosaic)
         settled[shot.file] = settle(shot, mosaic, table)
         hashes[shot.file] = content_sha256(path)
         seen.see(settled[shot.file], path, mosaic)
+        coarse = coarse or (path if mosaic.full_scale <= COARSE else None)
+    if coarse:
+        LOGGER.warning("%s: %s", coarse, COARSE_WARNING)
     for unlikely in seen.refuse(table):
         LOGGER.warning("%s: %s: %s", unlikely.path, unlikely.doubt.kind, unlikely.doubt.words)
     write_captures(output, settle_set([settled[shot.file] for shot in shots], table), hashes)

@@ -82,7 +82,7 @@ def _plane_rates(series: list[Shot], table, folder, dark: Dark | None) -> np.nda
     good, rates = {}, np.full((len(series), 3), np.nan)
     for at in track(ordered, "linearity"):
         shot = series[at]
-        mosaic = decode(shot_path(shot, table, folder))
+        mosaic = decode(shot_path(shot, table, folder), shot.linear)
         signal = (
             mosaic.values
             if dark is None

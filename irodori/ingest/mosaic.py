@@ -1,4 +1,4 @@
-"""RAW files decoded by LibRaw: digital numbers in the sensor's frame, and their superpixels.
+"""RAW files decoded by LibRaw, and linear pictures: digital numbers in the sensor's frame, and their superpixels.
 
 The orientation tag never turns the data: a camera that looks down sets it at random from its level sensor, and a
 picture that turns between two shots of one pose fits neither the other nor the camera's optics.
@@ -54,6 +54,9 @@ class Mosaic:
         The file's orientation by LibRaw's code (0 none, 3 half a turn, 5 a quarter counter-clockwise, 6 clockwise).
     focal_mm : float
         Focal length of the lens as the file states it, mm; 0 where it does not.
+    linear : bool
+        Whether this is no mosaic but a picture of three bands: its 2 x 2 pixels are one pixel of the picture, whose
+        green stands twice, see `irodori.ingest.linear_pictures`.
     """
 
     values: np.ndarray
@@ -66,6 +69,7 @@ class Mosaic:
     f_number: float
     orientation: int
     focal_mm: float = 0.0
+    linear: bool = False
 
     @property
     def size(self) -> tuple[int, int]:
@@ -96,19 +100,27 @@ class Mosaic:
         return np.maximum(np.maximum(level[0], level[1]), np.maximum(level[2], level[3]))
 
 
-def decode(path) -> Mosaic:
-    """Decode a RAW file with LibRaw.
+def decode(path, linear: bool = False) -> Mosaic:
+    """Decode a RAW file with LibRaw, or a linear TIFF or PNG picture.
 
     Parameters
     ----------
     path : path
         A file of any format that LibRaw reads and any phase of the red-green-blue mosaic.
+    linear : bool
+        Whether the user says that it is a TIFF or PNG picture whose numbers go with the light.
 
     Raises
     ------
     InputError
-        If the file is missing, truncated, unknown to LibRaw, or not a 2 x 2 red-green-blue mosaic.
+        If the file is missing, truncated, unknown to LibRaw, or not a 2 x 2 red-green-blue mosaic; if a picture is none
+        or shows a tone curve, see `irodori.ingest.linear_pictures`.
     """
+    if linear:
+        # OpenImageIO takes long to import, and RAW files never need it.
+        from irodori.ingest.linear_pictures import read_picture
+
+        return Mosaic(**read_picture(path), linear=True)
     return _read(path, lambda raw, mosaic: mosaic)
 
 

@@ -208,7 +208,7 @@ def measure_noise(shots: list[Shot], table, folder, hot_px: np.ndarray) -> Photo
     pairs = _spread(pairs)[:_MAX_PAIRS]
     found = []
     for first, second in track(pairs, "photon transfer"):
-        a, b = (decode(shot_path(shot, table, folder)) for shot in (first, second))
+        a, b = (decode(shot_path(shot, table, folder), shot.linear) for shot in (first, second))
         if np.array_equal(a.values, b.values):
             LOGGER.warning("%s and %s hold the same picture: they tell nothing of noise", first.file, second.file)
             continue

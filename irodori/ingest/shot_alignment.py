@@ -63,8 +63,8 @@ def _align(fixed: Developed, moving: Developed, start: Alignment | None, sample_
     """Register two filter states by the module `irodori.ingest.registration`."""
     pictures = [_superpixels(state.response, state.valid, sample_px) for state in (fixed, moving)]
     (image_a, valid_a), (image_b, valid_b) = pictures
-    # The colours of a superpixel lie apart; what LibRaw interpolated lies on one place.
-    offsets = bayer_offsets_px(fixed.pattern) if sample_px == 2 else None
+    # The colours of a superpixel lie apart; what LibRaw interpolated, or was no mosaic, lies on one place.
+    offsets = bayer_offsets_px(fixed.pattern) if sample_px == 2 and fixed.pattern else None
     guess = None if start is None else _registration(start)
     found = register(image_a, image_b, valid_a, valid_b, guess, band_offsets_px=offsets)
     transform = (float(found.dx_px), float(found.dy_px), float(found.rotation_rad), float(found.scale))

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import yaml
 from documented import of_kind, words_of
+from linear_files import develop_linearly
 from made import made
 from sessions import definitions
 
@@ -80,7 +81,7 @@ def recognised(looked):
 @pytest.fixture
 def seen(taken, looked, recognised, monkeypatch, tmp_path):
     """Return the folder in which the command runs; it need not look at the photographs again."""
-    monkeypatch.setattr(init_command, "photographs", lambda place: (looked, True))
+    monkeypatch.setattr(init_command, "photographs", lambda place, linear=False: (looked, True))
     monkeypatch.setattr(init_command, "recognise", lambda found: recognised)
     monkeypatch.chdir(tmp_path)
     return taken[0]
@@ -307,6 +308,28 @@ def test_one_photograph_of_a_chart_makes_a_camera(taken, tmp_path, monkeypatch, 
     assert np.abs(middle - [100.0 - 37.5 * scale, 75.0 - 22.5 * scale]).max() < 2.0
 
 
+def test_linear_pictures_make_the_project_that_their_raw_files_make(taken, tmp_path, monkeypatch, capsys):
+    """But for exposure times, which most programs drop: here those of the white surface are all one."""
+    folder, truth = taken
+    monkeypatch.chdir(tmp_path)
+    for name, shot in truth.items():
+        if shot.filter == "out" and shot.exposure_s == 0.02 and shot.role != "dark":
+            develop_linearly(folder / name, Path(name.replace(".dng", ".png")))
+    answers = ANSWERS | {"pixel_pitch_um": 38.4}
+    assert init(Path(), "--answers", written(tmp_path / "answers.yaml", answers)) == 2
+    assert "or --linear, if you know" in capsys.readouterr().err
+    assert init(Path(), "--linear", "--name", "my-plate", "--answers", "answers.yaml") == 0
+    assert "exposure_s in config/captures/my-plate.csv: 1 where the file states none" in capsys.readouterr().out
+    shots = read_captures("config/captures/my-plate.csv", Path())
+    assert {shot.role for shot in shots} == {"chart", "white", "object"} and all(shot.linear for shot in shots)
+    for shot in shots:
+        real = truth[shot.file.replace(".png", ".dng")]
+        assert (shot.role, shot.pose) == (real.role, real.pose)
+    optics = load_definitions(read_yaml("config/my-plate.yaml"), tmp_path, "x").cameras["my-plate-camera"].optics
+    # A mosaic pixel is half a pixel of the picture: the lens is that of the RAW files.
+    assert (optics.width_px, optics.height_px, optics.pixel_pitch_um) == (400, 300, 19.2)
+
+
 @pytest.mark.parametrize("command", of_kind("first project"))
 def test_a_documented_command_writes_a_first_project(command, seen, taken, recognised, tmp_path, monkeypatch):
     words = words_of(command)[1:]
@@ -320,6 +343,14 @@ def test_a_documented_command_writes_a_first_project(command, seen, taken, recog
         monkeypatch.chdir(tmp_path)
         chart = next(name for name, shot in taken[1].items() if shot.role == "chart" and shot.filter == "out")
         shutil.copy(taken[0] / chart, words[1])
+    if "--linear" in words:
+        monkeypatch.undo()
+        monkeypatch.chdir(tmp_path)
+        Path("My plate").unlink()
+        Path("My plate").mkdir()
+        for name, shot in taken[1].items():
+            if shot.filter == "out" and shot.exposure_s == 0.02 and shot.role != "dark":
+                develop_linearly(taken[0] / name, Path("My plate", name.replace(".dng", ".tif")))
     # What no answer tells is left as gaps, which are said by status 1.
     assert main(words) == (0 if "--answers" in words else 1)
     assert Path("config", "eye.yaml" if alone else "my-plate.yaml").is_file()

@@ -1,0 +1,89 @@
+"""The subcommand ``lights``: where lamps stood, by their mirror images on a ball."""
+
+import argparse
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from irodori.config.capture_table import light_angles_deg
+from irodori.core.errors import InputError
+from irodori.first_project.mirror_highlights import brightness, lamp_direction, outline, write_light_places
+from irodori.rectification.circle_search import Circle, circle_of_mask
+
+
+def main(arguments: list[str] | None = None, prog: str = "irodori lights") -> int:
+    """Find the direction to the lamp of each photograph by its mirror image on a polished ball.
+
+    The directions are printed and written to a light-position file (.lp), which the commands init and dome read. The
+    camera must not have moved. It counts as far away: from 60 radii of the ball a direction is off by 1 degree at most.
+    The exit status is 2 if nothing was written.
+    """
+    parser = argparse.ArgumentParser(prog=prog, description=main.__doc__)
+    parser.add_argument("photographs", nargs="+", help="photographs of the ball, one lamp in each; RAW, TIFF or PNG")
+    parser.add_argument("--into", default="lights.lp", help="light-position file to write (lights.lp)")
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("--mask", help="picture of the same size that is bright on the ball and black elsewhere")
+    circle = ("X", "Y", "RADIUS")
+    where.add_argument("--circle", nargs=3, type=float, metavar=circle, help="outline of the ball, pixels")
+    names = "photographs of the object under the same lamps in the same order, whose names are to be listed"
+    parser.add_argument("--names", nargs="+", metavar="PHOTOGRAPH", help=names)
+    asked = parser.parse_args(arguments)
+    try:
+        return _write(asked)
+    except InputError as error:
+        print(error, file=sys.stderr)
+        return 2
+
+
+def in_counting_order(names: list[str]) -> list[str]:
+    """Return names sorted with their numbers as numbers: a.2 before a.10."""
+    return sorted(names, key=lambda name: [int(p) if p.isdigit() else p.lower() for p in re.split(r"(\d+)", name)])
+
+
+def _write(asked: argparse.Namespace) -> int:
+    files = [Path(name) for name in in_counting_order(asked.photographs) if not _same(name, asked.mask or "")]
+    listed = in_counting_order(asked.names) if asked.names else [str(file) for file in files]
+    if len(listed) != len(files):
+        found = f"{len(files)} photographs of the ball and {len(listed)} names"
+        raise InputError("--names", "", found, "one name for each photograph")
+    pictures = [brightness(file) for file in files]
+    for file, picture in zip(files, pictures, strict=True):
+        if picture.shape != pictures[0].shape:
+            raise InputError(file, "size", _size(picture), f"{_size(pictures[0])}, as {files[0].name}")
+    circle = asked_circle(asked, pictures, files[0])
+    print(f"ball about {circle.x:.1f}, {circle.y:.1f}, radius {circle.radius:.1f} pixels")
+    places = {}
+    for file, name, picture in zip(files, listed, pictures, strict=True):
+        direction = lamp_direction(picture, circle, file)
+        places[Path(name).name] = direction
+        angle_deg, azimuth_deg = light_angles_deg(direction)
+        print(f"{file.name}: light_deg {angle_deg:.1f}, light_azimuth_deg {azimuth_deg:.1f}")
+    write_light_places(asked.into, places)
+    print(f"next: irodori init FOLDER --lights {asked.into}")
+    return 0
+
+
+def asked_circle(asked: argparse.Namespace, pictures: list[np.ndarray], path) -> Circle:
+    """Return the outline of the ball: as told by circle or mask, else as found in all pictures together."""
+    if asked.circle:
+        return Circle(*asked.circle)
+    if asked.mask:
+        mask = brightness(asked.mask)
+        if mask.shape != pictures[0].shape:
+            raise InputError(asked.mask, "size", _size(mask), _size(pictures[0]))
+        return circle_of_mask(mask, asked.mask)
+    return outline(pictures, path)
+
+
+def _size(picture: np.ndarray) -> str:
+    return f"{picture.shape[1]} x {picture.shape[0]} pixels"
+
+
+def _same(name: str, other: str) -> bool:
+    return Path(name).resolve() == Path(other).resolve()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,125 @@
+"""TIFF and PNG pictures of three bands whose numbers go with the light, in place of RAW files.
+
+Each pixel of a picture becomes 2 x 2 equal mosaic pixels of one colour each, red, green, green and blue, so that a
+superpixel is the picture's own pixel and nothing is interpolated or averaged. Only the user can say that a picture is
+linear. A tone curve is refused where the numbers themselves show it: a program that applies one to whole numbers leaves
+out numbers in the dark part, where the curve is steep, and none or fewer in the bright part. A curve that was applied
+before the picture was rounded to fewer steps, or before an interpolation filled the gaps, leaves no such trace. An
+exposure series of a white surface shows it (`irodori.ingest.linearity`).
+"""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from irodori.core.errors import InputError
+from irodori.export.pictures import stored_samples
+
+_ACCEPTED = "a TIFF or PNG picture of 8 or 16 bits in red, green and blue, without transparency"
+_SETTINGS = {
+    "exposure_s": "ExposureTime",
+    "f_number": "FNumber",
+    "iso": "Exif:PhotographicSensitivity",
+    "focal_mm": "Exif:FocalLength",
+}
+#: An octave of numbers tells its step where each number that occurs does so this often on average, and so many occur.
+_OFTEN, _FEWEST = 20.0, 4
+#: Steps of octaves of one picture differ by less than this factor if it is linear, and gaps of one octave by less.
+_LARGEST_RATIO, _REGULAR = 2.0, 4.0
+_DARKEST_OCTAVE = 3  # numbers below 8 are few
+
+
+def read_picture(path) -> dict[str, Any]:
+    """Read a linear picture as the fields of an `irodori.ingest.mosaic.Mosaic`.
+
+    Parameters
+    ----------
+    path : path
+
+    Returns
+    -------
+    dict
+        ``values`` (2 height, 2 width) uint16, ``pattern``, ``black`` 0 and ``white``, the largest number that the file
+        can hold; exposure time, ISO, f-number and focal length as the file states them, 0 where it does not.
+
+    Raises
+    ------
+    InputError
+        If there is no such file, it cannot be read, has other numbers or bands, or shows a tone curve.
+    """
+    if not Path(path).is_file():
+        raise InputError(path, "", "no such file", _ACCEPTED)
+    samples, attributes = stored_samples(path, _ACCEPTED)
+    if samples.dtype not in (np.uint8, np.uint16) or samples.shape[2] != 3:
+        found = f"{samples.shape[2]} bands of {samples.dtype} numbers"
+        raise InputError(path, "", found, _ACCEPTED)
+    refuse_tone_curve(path, samples)
+    white = np.iinfo(samples.dtype).max
+    # Red and green over green and blue.
+    bands = np.array([[0, 1], [1, 2]])
+    height, width = samples.shape[:2]
+    values = samples.astype(np.uint16)[:, :, bands].transpose(0, 2, 1, 3).reshape(2 * height, 2 * width)
+    settings = {name: _positive(attributes.get(tag)) for name, tag in _SETTINGS.items()}
+    return {
+        "values": np.ascontiguousarray(values),
+        "pattern": "RGGB",
+        "black": np.zeros((2, 2), dtype=np.float32),
+        "white": np.full((2, 2), white, dtype=np.float32),
+        "full_scale": float(white),
+        "orientation": 0,
+        **settings,
+    }
+
+
+def _positive(value) -> float:
+    return float(value) if isinstance(value, (int, float)) and math.isfinite(value) and value > 0.0 else 0.0
+
+
+def refuse_tone_curve(path, samples: np.ndarray) -> None:
+    """Refuse a picture whose numbers lie further apart in the dark than in the bright, or the other way round.
+
+    Parameters
+    ----------
+    path : path
+        For the message.
+    samples : (height, width, bands) uint8 or uint16
+
+    Raises
+    ------
+    InputError
+        If the numbers of a band show a tone curve.
+    """
+    for band in range(samples.shape[2]):
+        steps = steps_by_octave(np.bincount(samples[..., band].ravel()))
+        if not steps or max(steps.values()) < _LARGEST_RATIO * min(steps.values()):
+            continue
+        wide, narrow = max(steps, key=lambda first: steps[first]), min(steps, key=lambda first: steps[first])
+        found = (
+            f"a tone curve: numbers lie {steps[wide]:.3g} apart from {wide} to {2 * wide}, "
+            f"and {steps[narrow]:.3g} from {narrow} to {2 * narrow}"
+        )
+        raise InputError(path, "linear", found, "a picture developed linearly (gamma 1, no curve), or the RAW file")
+
+
+def steps_by_octave(counts: np.ndarray) -> dict[int, float]:
+    """Return the mean distance of the numbers that occur, by the first number of each octave that tells it.
+
+    Parameters
+    ----------
+    counts : (n,) int
+        How often each number occurs.
+    """
+    found = {}
+    for octave in range(_DARKEST_OCTAVE, 16):
+        first = 1 << octave
+        part = counts[first : 2 * first]
+        there = np.flatnonzero(part)
+        if len(there) <= _FEWEST or part.sum() < _OFTEN * len(there):
+            continue
+        gaps = np.diff(there)
+        # Where a picture simply has no such tones, the gap is no step.
+        if gaps.max() < _REGULAR * max(float(np.median(gaps)), 1.0):
+            found[first] = float(gaps.mean())
+    return found

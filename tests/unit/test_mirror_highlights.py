@@ -1,0 +1,142 @@
+"""Directions to lamps by their mirror images on a ball."""
+
+import glob
+from pathlib import Path
+
+import numpy as np
+import pytest
+from documented import of_kind, words_of
+from dome_pictures import BALL, SIZE, eight_bits, lamps, mirror_ball, supersampled
+from linear_files import write_samples
+from raw_studio import ROOT
+
+from irodori.command_line import main
+from irodori.core.errors import InputError
+from irodori.first_project.light_places import read_light_places
+from irodori.first_project.mirror_highlights import brightness, lamp_direction, outline
+from irodori.rectification.circle_search import Circle, circle_of_mask, find_circle
+
+REAL = ROOT.parent / "shared" / "data" / "photographs" / "ball"
+
+
+def apart_deg(one, other) -> float:
+    one, other = (np.asarray(v) / np.linalg.norm(v) for v in (one, other))
+    return float(np.degrees(np.arccos(np.clip(one @ other, -1.0, 1.0))))
+
+
+def disc(circle=BALL) -> np.ndarray:
+    return supersampled(lambda normals: np.ones((len(normals), 3)), ball=circle)[..., 0] > 0.5
+
+
+@pytest.mark.parametrize("ball", [BALL, (40.2, 70.0, 25.0), (100.0, 60.5, 55.0)])
+def test_an_outline_is_found_whatever_else_has_edges(ball):
+    lamp = np.array([0.5, 0.4, 0.77])
+    for shade in (
+        lambda normals: np.maximum(normals @ lamp, 0.0)[:, None] * np.array([0.8, 0.7, 0.5]),
+        lambda normals: np.where(np.sin(9.0 * normals[:, :1]) > 0.0, 0.5, 0.25) * np.ones(3),
+    ):
+        found = find_circle(supersampled(shade, ball=ball).mean(axis=-1), "a.png")
+        assert np.abs(np.subtract(found, ball)).max() < 0.5
+
+
+def test_what_shows_no_ball_is_refused():
+    rng = np.random.default_rng(2)
+    with pytest.raises(InputError, match="without edges"):
+        find_circle(np.ones(SIZE), "a.png")
+    square = np.zeros(SIZE)
+    square[30:80, 40:120] = 1.0
+    for picture in (rng.uniform(0.0, 1.0, SIZE), square):
+        with pytest.raises(InputError, match="outline"):
+            find_circle(picture, "a.png")
+
+
+def test_a_mask_gives_the_circle_of_its_area():
+    assert np.abs(np.subtract(circle_of_mask(disc().astype(float), "m.png"), BALL)).max() < 0.1
+    for mask in (np.zeros(SIZE), np.indices(SIZE)[0] > 30):
+        with pytest.raises(InputError, match="no disc"):
+            circle_of_mask(mask.astype(float), "m.png")
+
+
+def test_lamps_stand_where_their_images_say():
+    """Clipping leaves the place of an image open by a third of a pixel, which is 0.8 degrees on a ball this small."""
+    directions = lamps(8)
+    pictures = [mirror_ball(lamp).min(axis=-1) for lamp in directions]
+    circle = outline(pictures, "a.png")
+    assert np.abs(np.subtract(circle, BALL)).max() < 0.5
+    for lamp, picture in zip(directions, pictures, strict=True):
+        assert apart_deg(lamp_direction(picture, Circle(*BALL), "a.png"), lamp) < 1.0
+        assert apart_deg(lamp_direction(picture, circle, "a.png"), lamp) < 1.25
+
+
+def test_no_lamp_and_two_lamps_are_refused():
+    circle = Circle(*BALL)
+    with pytest.raises(InputError, match=r"a\.png: .*no highlight"):
+        lamp_direction(supersampled(lambda n: 0.1 + 0.0 * n).min(axis=-1), circle, "a.png")
+    both = np.maximum(*(mirror_ball(lamp).min(axis=-1) for lamp in lamps(2)))
+    with pytest.raises(InputError, match="2 highlights"):
+        lamp_direction(both, circle, "a.png")
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for number, lamp in enumerate(lamps(11)):
+        write_samples(tmp_path / f"chrome.{number}.png", eight_bits(mirror_ball(lamp)))
+    write_samples(tmp_path / "mask.png", eight_bits(disc()[..., None].repeat(3, axis=2)))
+    return [f"chrome.{number}.png" for number in (10, *range(10))]
+
+
+def test_the_command_lists_the_photographs_of_the_object_in_counting_order(folder, capsys):
+    names = [f"plate/plate_{number:d}.tif" for number in (10, *range(10))]
+    assert main(["lights", *folder, "mask.png", "--mask", "mask.png", "--names", *names]) == 0
+    places = read_light_places("lights.lp")
+    assert len(places) == 11
+    for number, lamp in enumerate(lamps(11)):
+        assert apart_deg(places[f"plate_{number}"], lamp) < 1.0
+    assert "light_azimuth_deg" in capsys.readouterr().out
+    assert main(["lights", *folder, "--circle", *map(str, BALL), "--into", "b.lp"]) == 0
+    for number, lamp in enumerate(lamps(11)):
+        assert apart_deg(read_light_places("b.lp")[f"chrome.{number}"], lamp) < 1.0
+
+
+@pytest.mark.parametrize("command", of_kind("lights"))
+def test_a_documented_command_finds_lamps(command, folder, tmp_path):
+    """What a shell makes of a star is for it to do."""
+    words = words_of(command)[1:]
+    for word in words:
+        if "*" in word or word.endswith(".png"):
+            Path(word).parent.mkdir(exist_ok=True)
+    for number in range(11):
+        Path("Mirror ball", f"{number}.png").write_bytes(Path(f"chrome.{number}.png").read_bytes())
+        Path("My plate", f"{number}.png").write_bytes(b"")
+    Path("mask.png").rename(Path("Mirror ball", "mask.png"))
+    expanded = [name for word in words for name in (sorted(glob.glob(word)) if "*" in word else [word])]
+    assert main(expanded) == 0
+    assert len(read_light_places("dome.lp")) == 11
+
+
+def test_the_command_refuses_in_one_sentence(folder, capsys):
+    for more, told in (
+        (["--names", "a.png"], "11 photographs of the ball and 1 names"),
+        (["--mask", "small.png"], "20 x 20 pixels; accepted: 170 x 120"),
+        (["small.png"], "20 x 20 pixels; accepted: 170 x 120 pixels, as chrome.0.png"),
+        (["none.png"], "none.png"),
+    ):
+        write_samples("small.png", np.zeros((20, 20, 3), dtype=np.uint8))
+        assert main(["lights", *folder, *more, "--into", "none.lp"]) == 2
+        error = capsys.readouterr().err
+        assert told in error and error.count("\n") == 1
+
+
+@pytest.mark.skipif(not REAL.is_dir(), reason="no measured photographs beside the repository")
+def test_real_lamps_stand_where_they_were_found_before():
+    """The directions in the list of the data were found by other means; each lamp's is found again in each band."""
+    paths = [REAL / f"chrome.{number}.png" for number in range(12)]
+    pictures = [brightness(path) for path in paths]
+    circle = circle_of_mask(brightness(REAL / "chrome.mask.png"), "mask")
+    for number, known in ((0, (0.495, 0.471, 0.730)), (4, (-0.323, 0.510, 0.797))):
+        assert apart_deg(lamp_direction(pictures[number], circle, "x"), known) < 1.0
+    found = outline(pictures, "x")
+    for path, picture in zip(paths, pictures, strict=True):
+        direction = lamp_direction(picture, circle, path)
+        assert apart_deg(lamp_direction(picture, found, path), direction) < 1.5
