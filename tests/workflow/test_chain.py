@@ -95,7 +95,7 @@ def test_a_photograph_is_compared_with_its_view_and_the_report_shows_it(finished
     assert 0 < noise["mean"] < difference["mean"] < difference["p95"] < difference["max"]
     assert len(found["noise_counts"]) == 3 and 0.9 < found["luminance_ratio"] < 1.1
     page = (finished / "results/report.html").read_text()
-    assert "Beside the real thing" in page and f"{found['delta_e']['mean']:.4g}" in page
+    assert "Beside a photograph" in page and "Words of this page" in page and f"{found['delta_e']['mean']:.4g}" in page
 
 
 def test_recovered_materials_are_near_the_truth(finished):

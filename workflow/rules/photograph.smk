@@ -93,7 +93,7 @@ rule compare_photograph:
         comparison=report(
             "results/{scene}/photographs/{photograph}/comparison.png",
             caption="../report/photograph.rst",
-            category="Beside the real thing",
+            category="Beside a photograph",
             labels={"scene": "{scene}", "photograph": "{photograph}"},
         ),
         photograph="results/{scene}/photographs/{photograph}/photograph.png",
