@@ -22,6 +22,7 @@ RUN_BY = {
     "benchmark": "tests/workflow/test_documented_benchmarks.py",
     "bench": "tests/rig/test_command.py",
     "first project": "tests/rig/test_init.py",
+    "dome": "tests/unit/test_dome.py",
     "lights": "tests/unit/test_mirror_highlights.py",
     "help": "tests/workflow/test_documented_commands.py",
     "mutation": "tests/unit/test_mutation.py",
@@ -34,7 +35,7 @@ RUN_BY = {
 _ON_RESULTS = ("check", "crate", "export", "preview", "verify", "viewer")
 _AT_THE_BENCH = ("capture", "home", "jog", "move", "plan", "recount", "setup", "shoot", "status")
 #: Words that name a command in a sentence, without what it takes: its help is what can be run.
-_NAMED = ("export", "init", "plan", "verify --accept", "--help", "")
+_NAMED = ("dome", "export", "init", "lights", "plan", "verify --accept", "--help", "")
 
 
 def commands(text: str) -> list[str]:
@@ -74,7 +75,7 @@ def kind(command: str) -> str | None:
     if program in ("irodori", "irodori.rig"):
         if " ".join(rest) in _NAMED:
             return "help"
-        kinds = {"init": "first project", "lights": "lights"} | dict.fromkeys(_ON_RESULTS, "results")
+        kinds = {"init": "first project", "lights": "lights", "dome": "dome"} | dict.fromkeys(_ON_RESULTS, "results")
         return (kinds | dict.fromkeys(_AT_THE_BENCH, "bench")).get(rest[0])
     if program in ("pip", "pytest", "snakemake"):
         return program
