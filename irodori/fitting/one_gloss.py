@@ -52,7 +52,7 @@ def fit_one_gloss(response, geometry, weight, options: FitOptions, n: float, k: 
     geometry : (T, J, 4) float
         θ_i, θ_r, θ_H, φ in rad.
     options : FitOptions
-        Of one lobe; ``options.lobes`` empty means no gloss.
+        Of one lobe.
     n, k : float
         Complex refractive index.
     """
