@@ -33,6 +33,7 @@ class Subcommand(NamedTuple):
 SUBCOMMANDS = {
     "init": Subcommand("irodori.first_project.init_command", "write a project's files from a folder of photographs"),
     "lights": Subcommand("irodori.first_project.lights_command", "find where lamps stood by their images on a ball"),
+    "dome": Subcommand("irodori.first_project.dome_command", "measure a ball from photographs under several lamps"),
     "check": Subcommand(
         "irodori.check.check_command", "look at definitions, scenes and photographs before any long job"
     ),

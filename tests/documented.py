@@ -22,6 +22,7 @@ RUN_BY = {
     "benchmark": "tests/workflow/test_documented_benchmarks.py",
     "bench": "tests/rig/test_command.py",
     "first project": "tests/rig/test_init.py",
+    "dome": "tests/unit/test_dome.py",
     "lights": "tests/unit/test_mirror_highlights.py",
     "help": "tests/workflow/test_documented_commands.py",
     "lens": "tests/unit/test_lens.py",
@@ -35,7 +36,7 @@ RUN_BY = {
 _ON_RESULTS = ("check", "crate", "export", "preview", "verify", "viewer")
 _AT_THE_BENCH = ("capture", "home", "jog", "move", "plan", "recount", "setup", "shoot", "status")
 #: Words that name a command in a sentence, without what it takes: its help is what can be run.
-_NAMED = ("export", "init", "lens", "plan", "verify --accept", "--help", "")
+_NAMED = ("dome", "export", "init", "lens", "lights", "plan", "verify --accept", "--help", "")
 
 
 def commands(text: str) -> list[str]:
@@ -75,7 +76,8 @@ def kind(command: str) -> str | None:
     if program in ("irodori", "irodori.rig"):
         if " ".join(rest) in _NAMED:
             return "help"
-        kinds = {"init": "first project", "lens": "lens", "lights": "lights"} | dict.fromkeys(_ON_RESULTS, "results")
+        kinds = {"init": "first project"} | {name: name for name in ("dome", "lens", "lights")}
+        kinds |= dict.fromkeys(_ON_RESULTS, "results")
         return (kinds | dict.fromkeys(_AT_THE_BENCH, "bench")).get(rest[0])
     if program in ("pip", "pytest", "snakemake"):
         return program

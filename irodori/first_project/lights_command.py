@@ -23,10 +23,7 @@ def main(arguments: list[str] | None = None, prog: str = "irodori lights") -> in
     parser = argparse.ArgumentParser(prog=prog, description=main.__doc__)
     parser.add_argument("photographs", nargs="+", help="photographs of the ball, one lamp in each; RAW, TIFF or PNG")
     parser.add_argument("--into", default="lights.lp", help="light-position file to write (lights.lp)")
-    where = parser.add_mutually_exclusive_group()
-    where.add_argument("--mask", help="picture of the same size that is bright on the ball and black elsewhere")
-    circle = ("X", "Y", "RADIUS")
-    where.add_argument("--circle", nargs=3, type=float, metavar=circle, help="outline of the ball, pixels")
+    add_outline(parser)
     names = "photographs of the object under the same lamps in the same order, whose names are to be listed"
     parser.add_argument("--names", nargs="+", metavar="PHOTOGRAPH", help=names)
     asked = parser.parse_args(arguments)
@@ -37,21 +34,28 @@ def main(arguments: list[str] | None = None, prog: str = "irodori lights") -> in
         return 2
 
 
+def add_outline(parser: argparse.ArgumentParser) -> None:
+    """Let a command be told where a ball is in its photographs."""
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("--mask", help="picture of the same size that is bright on the ball and black elsewhere")
+    where.add_argument(
+        "--circle", nargs=3, type=float, metavar=("X", "Y", "RADIUS"), help="outline of the ball, pixels"
+    )
+
+
 def in_counting_order(names: list[str]) -> list[str]:
     """Return names sorted with their numbers as numbers: a.2 before a.10."""
     return sorted(names, key=lambda name: [int(p) if p.isdigit() else p.lower() for p in re.split(r"(\d+)", name)])
 
 
 def _write(asked: argparse.Namespace) -> int:
-    files = [Path(name) for name in in_counting_order(asked.photographs) if not _same(name, asked.mask or "")]
+    files = [Path(name) for name in in_counting_order(asked.photographs) if not is_mask(name, asked)]
     listed = in_counting_order(asked.names) if asked.names else [str(file) for file in files]
     if len(listed) != len(files):
         found = f"{len(files)} photographs of the ball and {len(listed)} names"
         raise InputError("--names", "", found, "one name for each photograph")
     pictures = [brightness(file) for file in files]
-    for file, picture in zip(files, pictures, strict=True):
-        if picture.shape != pictures[0].shape:
-            raise InputError(file, "size", _size(picture), f"{_size(pictures[0])}, as {files[0].name}")
+    same_size(files, pictures)
     circle = asked_circle(asked, pictures, files[0])
     print(f"ball about {circle.x:.1f}, {circle.y:.1f}, radius {circle.radius:.1f} pixels")
     places = {}
@@ -81,8 +85,16 @@ def _size(picture: np.ndarray) -> str:
     return f"{picture.shape[1]} x {picture.shape[0]} pixels"
 
 
-def _same(name: str, other: str) -> bool:
-    return Path(name).resolve() == Path(other).resolve()
+def is_mask(name: str, asked: argparse.Namespace) -> bool:
+    """Whether a photograph is the mask that was named beside: shells list it with the others."""
+    return asked.mask is not None and Path(name).resolve() == Path(asked.mask).resolve()
+
+
+def same_size(files: list[Path], pictures: list[np.ndarray]) -> None:
+    """Refuse a picture of another size than the first one by an InputError."""
+    for file, picture in zip(files, pictures, strict=True):
+        if picture.shape != pictures[0].shape:
+            raise InputError(file, "size", _size(picture), f"{_size(pictures[0])}, as {files[0].name}")
 
 
 if __name__ == "__main__":

@@ -20,6 +20,8 @@ _CELLS = 120
 _NEAR, _TURN = (0.08, 0.04, 0.02, 0.012, 0.012), math.cos(math.radians(20.0))
 #: Of the circle, the share beside which an edge has to be found.
 _LEAST_SEEN = 0.4
+#: How near its circle an edge lies before the circle is fitted, a share of the radius.
+_RING = 0.02
 _SECTORS, _ROUNDS = 72, 8
 
 
@@ -73,7 +75,7 @@ def find_circle(picture, path) -> Circle:
     accepted = "one ball, whole, against a background of another brightness; or its circle, or its mask"
     if len(place) < _SECTORS:
         raise InputError(path, "", "a picture without edges", accepted)
-    circle = _voted(place, towards, picture.shape)
+    circle = _outermost(place, towards, _voted(place, towards, picture.shape), picture.shape)
     for near in _NEAR:
         fitted = _fitted(place, towards, circle, near)
         if fitted is None:
@@ -135,6 +137,13 @@ def _voted(place: np.ndarray, towards: np.ndarray, shape) -> Circle:
             best = float(shares.max()), found
     assert best is not None
     return best[1]
+
+
+def _outermost(place: np.ndarray, towards: np.ndarray, circle: Circle, shape) -> Circle:
+    """Return the largest circle about this centre of which edges show two fifths: a ball may be painted in rings."""
+    larger = np.arange(circle.radius, _RADII[1] * min(shape), min(shape) / _CELLS)
+    rings = [circle._replace(radius=float(radius)) for radius in larger]
+    return next((ring for ring in rings[::-1] if _seen(place, towards, ring, _RING) >= _LEAST_SEEN), circle)
 
 
 def _facing(place: np.ndarray, towards: np.ndarray, circle: Circle, near: float) -> np.ndarray:

@@ -185,7 +185,7 @@ def test_the_noise_is_that_of_the_iso_of_most_lit_pairs(tmp_path):
 
 def test_of_many_pairs_the_first_twelve_of_all_levels_are_read(tmp_path, monkeypatch):
     read = []
-    monkeypatch.setattr(photon_transfer, "decode", lambda path: read.append(path.name) or decode(path))
+    monkeypatch.setattr(photon_transfer, "decode", lambda path, linear: read.append(path.name) or decode(path, linear))
     first, second = frames(tmp_path, [0.005], seed=1), frames(tmp_path, [0.01], 50.0, seed=2)
     second = [dataclasses.replace(s, iso=0.0) for s in second]
     measure_noise(first * 12 + second * 3, tmp_path / "t.csv", tmp_path, NO_HOT)

@@ -1,0 +1,82 @@
+"""Fit of a surface whose places differ in colour and share one gloss, as `irodori.fitting.paint_gloss` has a paint."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from irodori.fitting import gloss_sums
+from irodori.fitting.paint_gloss import PaintGloss, gloss_of_paint, share
+from irodori.fitting.solvers import FitOptions, problem_of
+from irodori.reflection.equation5 import reflect
+
+#: Places from which the common gloss comes, about.
+_MOST = 2000
+
+
+@dataclass(frozen=True)
+class OneGloss:
+    """A fitted surface.
+
+    Parameters
+    ----------
+    alpha, beta, mu : (T,) float64
+        NaN where too few photographs show a place. Of a surface that shows no gloss, β is 0.
+    gloss : PaintGloss or None
+        What its places share; None where they show no gloss or leave it open.
+    lobe : str
+    n, k : float
+    """
+
+    alpha: np.ndarray
+    beta: np.ndarray
+    mu: np.ndarray
+    gloss: PaintGloss | None
+    lobe: str
+    n: float
+    k: float
+
+    def rendered(self, geometry) -> np.ndarray:
+        """Return the response of every place in geometries (T, ..., 4), in the unit of the fitted ones."""
+        several = (slice(None), *(None,) * (np.ndim(geometry) - 2))
+        return reflect(
+            self.alpha[several], 1.0, self.beta[several], self.mu[several], geometry, n=self.n, k=self.k, lobe=self.lobe
+        )
+
+
+def fit_one_gloss(response, geometry, weight, options: FitOptions, n: float, k: float) -> OneGloss:
+    """Fit diffuse weights and one common gloss to a single band.
+
+    Parameters
+    ----------
+    response, weight : (T, J) float
+    geometry : (T, J, 4) float
+        θ_i, θ_r, θ_H, φ in rad.
+    options : FitOptions
+        Of one lobe.
+    n, k : float
+        Complex refractive index.
+    """
+    (lobe,) = options.lobes
+    count, captures = response.shape
+    unknown = np.full((captures, 2), np.nan)
+    surface = gloss_sums.pack(
+        *problem_of(response, geometry, weight, np.full(count, n), k, options, noise=unknown)
+    )  # fmt: skip
+    told = np.flatnonzero((weight > 0.0).sum(axis=1) > 3)
+    chosen = told[:: max(1, len(told) // _MOST)]
+    gloss = gloss_of_paint(surface._replace(blocks=surface.blocks[chosen]), options.nodes()) if len(chosen) else None
+    if gloss is None:
+        return matt(response, geometry, weight, lobe, n, k)
+    own = share(surface, gloss)
+    seen = (weight > 0.0).any(axis=1)
+    alpha, beta, mu = (np.where(seen, values, np.nan) for values in (own.alpha, own.beta, own.mu))
+    return OneGloss(alpha, beta, mu, gloss, lobe, n, k)
+
+
+def matt(response, geometry, weight, lobe: str, n: float, k: float) -> OneGloss:
+    """Return the fit of diffuse weights alone; parameters as in `fit_one_gloss`."""
+    cosine = np.maximum(np.cos(geometry[..., 0]), 0.0)
+    power = (weight * cosine**2).sum(axis=1)
+    alpha = np.where(power > 0.0, (weight * cosine * response).sum(axis=1) / np.where(power > 0.0, power, 1.0), np.nan)
+    nothing = np.where(power > 0.0, 0.0, np.nan)
+    return OneGloss(alpha, nothing, nothing + 0.1, None, lobe, n, k)

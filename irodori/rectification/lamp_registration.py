@@ -1,0 +1,126 @@
+"""Levels and directions of lamps by the shading of an object of known shape before a fixed camera.
+
+Lamps of a dome are not equally bright, and one that is moved by hand does not come back to the same place. Both are
+found together from all photographs: a surface with a diffuse weight of its own at every place, and one gloss, is to
+explain them. The diffuse weights are eliminated in closed form, the rest is a robust least squares. A direction is
+also held by what is known of it beforehand. Only ratios of levels can be told: their geometric mean is 1.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from irodori.reflection.equation5 import angles_from_directions
+from irodori.reflection.fresnel import fresnel_array
+from irodori.reflection.lobe_arrays import evaluate
+
+#: What a photograph differs from the model by, share of its mean; and by how many independent readings it counts.
+_MISFIT, _READINGS = 0.02, 100.0
+#: Roughness from which the search begins, rad.
+_STARTS = (0.1, 0.4)
+_LOG_BETA = (-7.0, 5.0)
+
+
+@dataclass(frozen=True)
+class Lamps:
+    """Lamps of photographs.
+
+    Parameters
+    ----------
+    direction : (J, 3) float64
+        To the lamps.
+    level : (J,) float64
+        Relative; their geometric mean is 1.
+    moved_deg : (J,) float64
+        Angle between each direction and the one that was known beforehand.
+    """
+
+    direction: np.ndarray
+    level: np.ndarray
+    moved_deg: np.ndarray
+
+
+def geometry_of(normal, view, direction) -> np.ndarray:
+    """Return θ_i, θ_r, θ_H, φ of places (T, 3) under lamps (J, 3), (T, J, 4) rad."""
+    return angles_from_directions(normal[:, None, :], direction[None], view[:, None, :])
+
+
+def register_lamps(
+    response, normal, view, weight, direction, *, error_deg: float, n: float, k: float, lobe: str = "gaussian"
+) -> Lamps:
+    """Find levels and directions of lamps.
+
+    Parameters
+    ----------
+    response : (T, J) float
+        Of places in photographs, proportional to the light.
+    normal, view : (T, 3) float
+        Unit vectors.
+    weight : (T, J) float
+        0 where a place is not seen, not lit, near the terminator, or clips.
+    direction : (J, 3) float
+        Unit vectors to the lamps as known beforehand.
+    error_deg : float
+        Their standard deviation, degrees; 0 where they are exact.
+    n, k : float
+        Complex refractive index of the surface.
+    lobe : str
+        Of the gloss.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than four photographs.
+    """
+    from scipy.optimize import least_squares  # slow to import
+
+    count = len(direction)
+    if count < 4:
+        raise ValueError(f"{count} photographs; accepted: four or more, of which three give one diffuse weight")
+    scale = (weight * response).sum() / weight.sum()
+    part = weight * np.sqrt(_READINGS / weight.sum(axis=0)) / _MISFIT
+    first, second = _beside(direction)
+
+    def parts(x: np.ndarray) -> tuple[np.ndarray, np.ndarray, float, float]:
+        level = np.exp(np.append(x[: count - 1], -x[: count - 1].sum()))
+        if not error_deg:
+            return direction, level, *np.exp(x[count - 1 :])
+        turned = x[count - 1 : -2].reshape(count, 2) * np.radians(error_deg)
+        moved = direction + turned[:, :1] * first + turned[:, 1:] * second
+        return moved / np.linalg.norm(moved, axis=1)[:, None], level, *np.exp(x[-2:])
+
+    def residuals(x: np.ndarray) -> np.ndarray:
+        lamps, level, beta, mu = parts(x)
+        angles = geometry_of(normal, view, lamps)
+        cosine = np.maximum(np.cos(angles[..., 0]), 0.0)
+        gloss = beta * evaluate(lobe, mu, angles) * fresnel_array(np.cos(angles[..., 2]), n, k)
+        off, power = level * (response / scale / level - gloss), weight * (level * cosine) ** 2
+        alpha = (weight * off * level * cosine).sum(axis=1) / np.maximum(power.sum(axis=1), 1e-12)
+        left = part * (off - alpha[:, None] * level * cosine)
+        # Soft absolute values count instead of squares beyond the misfit that is expected; priors keep their squares.
+        unit = np.sqrt(_READINGS / weight.sum(axis=0))
+        z = (left / unit) ** 2
+        robust = np.sign(left) * unit * np.sqrt(2.0 * (np.sqrt(1.0 + z) - 1.0))
+        return np.concatenate([robust[weight > 0.0], x[count - 1 : -2] if error_deg else []])
+
+    size = (count - 1) + (2 * count if error_deg else 0)
+    low, high = np.full(size + 2, -np.inf), np.full(size + 2, np.inf)
+    low[-2:], high[-2:] = (_LOG_BETA[0], np.log(0.02)), (_LOG_BETA[1], np.log(1.2))
+    found = min(
+        (
+            least_squares(residuals, np.append(np.zeros(size), [0.0, np.log(start)]), bounds=(low, high), x_scale="jac")
+            for start in _STARTS
+        ),
+        key=lambda one: one.cost,
+    )
+    lamps, level, _, _ = parts(found.x)
+    moved = np.degrees(np.arccos(np.clip((lamps * direction).sum(axis=1), -1.0, 1.0)))
+    return Lamps(lamps, level, moved)
+
+
+def _beside(direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return two unit vectors at right angles to each direction and to each other, (J, 3) each."""
+    axis = np.eye(3)[np.abs(direction).argmin(axis=1)]
+    first = np.cross(direction, axis)
+    first /= np.linalg.norm(first, axis=1)[:, None]
+    return first, np.cross(direction, first)

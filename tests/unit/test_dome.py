@@ -1,0 +1,211 @@
+"""A ball before a fixed camera under one lamp after another: lamps, reflection, photographs that were left out."""
+
+import csv
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from documented import of_kind, words_of
+from dome_pictures import BALL, SIZE, eight_bits, lamps, painted_ball, sixteen_bits
+from linear_files import write_samples
+from raw_studio import ROOT
+
+from irodori.command_line import main
+from irodori.core import store
+from irodori.evaluation.left_out_photographs import MATT, fitted, predict_left_out
+from irodori.first_project.dome_command import INSIDE, LEAST_COSINE, simplest
+from irodori.first_project.mirror_highlights import write_light_places
+from irodori.rectification.circle_search import Circle
+from irodori.rectification.lamp_registration import Lamps, geometry_of, register_lamps
+
+REAL = ROOT.parent / "shared" / "data" / "photographs" / "ball"
+COUNT = 10
+DIRECTIONS = lamps(COUNT, seed=8)
+LEVELS = np.exp(np.random.default_rng(4).normal(0.0, 0.04, COUNT))
+LEVELS /= np.exp(np.log(LEVELS).mean())
+GLOSS = {"beta": 3.0, "mu": 0.3}
+
+
+def turned(directions: np.ndarray, degrees: float) -> np.ndarray:
+    """Return directions that are off by so much each, in ways of their own."""
+    way = np.cross(directions, np.random.default_rng(9).normal(size=directions.shape))
+    way /= np.linalg.norm(way, axis=1)[:, None]
+    angle = np.radians(degrees)
+    return np.cos(angle) * directions + np.sin(angle) * way
+
+
+def apart_deg(one, other) -> np.ndarray:
+    return np.degrees(np.arccos(np.clip((one * other).sum(axis=1), -1.0, 1.0)))
+
+
+def pictures(gloss=GLOSS) -> list[np.ndarray]:
+    return [
+        painted_ball(lamp, level, seed=number, **gloss)
+        for number, (lamp, level) in enumerate(zip(DIRECTIONS, LEVELS, strict=True))
+    ]
+
+
+@pytest.fixture(scope="module")
+def glossy():
+    return seen(pictures())
+
+
+def seen(shown):
+    """Return responses, normals, directions to the camera and weights of the places that are used."""
+    normals = Circle(*BALL).normals(SIZE)
+    with np.errstate(invalid="ignore"):
+        inside = normals[..., 2] > np.sqrt(1.0 - INSIDE**2)
+    response = np.stack([picture[inside, 1] for picture in shown], axis=1)
+    normal = normals[inside]
+    weight = (normal @ DIRECTIONS.T > LEAST_COSINE).astype(float)
+    return response, normal, np.broadcast_to([0.0, 0.0, 1.0], normal.shape), weight
+
+
+def registered(photographs, known, error_deg=3.0) -> Lamps:
+    response, normal, view, weight = (values[::4] for values in photographs)
+    return register_lamps(response, normal, view, weight, known, error_deg=error_deg, n=1.5, k=0.0)
+
+
+def test_levels_and_directions_of_lamps_are_found_together(glossy):
+    lamps_found = registered(glossy, turned(DIRECTIONS, 2.0))
+    assert np.abs(lamps_found.level / LEVELS - 1.0).max() < 0.01
+    assert apart_deg(lamps_found.direction, DIRECTIONS).max() < 0.5
+    assert np.allclose(lamps_found.moved_deg, 2.0, atol=0.5)
+
+
+def test_lamps_that_are_exact_stay_where_they_are(glossy):
+    lamps_found = registered(glossy, DIRECTIONS, error_deg=0.0)
+    assert np.array_equal(lamps_found.direction, DIRECTIONS) and (lamps_found.moved_deg < 1e-5).all()
+    assert np.abs(lamps_found.level / LEVELS - 1.0).max() < 0.005
+    with pytest.raises(ValueError, match="3 photographs"):
+        register_lamps(
+            *(v[:, :3] if v.shape[1] == COUNT else v for v in glossy), DIRECTIONS[:3], error_deg=1, n=1.5, k=0
+        )
+
+
+def test_a_photograph_is_predicted_from_the_others_within_its_noise(glossy):
+    response, normal, view, weight = glossy
+    true = Lamps(DIRECTIONS, LEVELS, np.zeros(COUNT))
+    off = turned(DIRECTIONS, 3.0)
+    by_lobe = {
+        lobe: predict_left_out(response, normal, view, weight, true, off, lobe=lobe, n=1.5, k=0.0)
+        for lobe in (MATT, "gaussian", "ggx")
+    }
+    found = by_lobe["gaussian"]
+    noise = 0.005 / np.array([response[weight[:, j] > 0.0, j].mean() for j in range(COUNT)])
+    # Its own noise, and that of a diffuse weight from nine others.
+    assert (found.error > noise).all() and (found.error < 1.4 * noise).all()
+    assert (found.by_file > 1.5 * found.error).all()
+    assert simplest({lobe: one.error for lobe, one in by_lobe.items()}) == "gaussian"
+    told = np.isfinite(found.rendered) & (weight > 0.0)
+    assert told.mean() > 0.9 * (weight > 0.0).mean()
+    surface = fitted(response / LEVELS, geometry_of(normal, view, DIRECTIONS), weight, "gaussian", 1.5, 0.0)
+    beta, mu = np.exp(surface.gloss.log_gloss)
+    assert beta == pytest.approx(GLOSS["beta"], rel=0.03) and mu == pytest.approx(GLOSS["mu"], rel=0.03)
+    truth = 0.45 + 0.1 * np.sin(7.0 * normal[:, 0]) * np.cos(5.0 * normal[:, 1])
+    assert np.nanmedian(np.abs(surface.alpha / truth - 1.0)) < 0.01
+
+
+def test_what_was_left_out_tells_nothing_of_the_material(glossy):
+    response, normal, view, weight = glossy
+    true = Lamps(DIRECTIONS, LEVELS, np.zeros(COUNT))
+    spoilt = response.copy()
+    spoilt[:, 4] *= np.linspace(0.2, 3.0, len(spoilt))
+    one, other = (
+        predict_left_out(each, normal, view, weight, true, DIRECTIONS, lobe="gaussian", n=1.5, k=0.0).rendered
+        for each in (response, spoilt)
+    )
+    assert np.array_equal(one[:, 4], other[:, 4], equal_nan=True)
+    assert not np.array_equal(one[:, 3], other[:, 3], equal_nan=True)
+
+
+def test_a_matt_ball_has_no_gloss():
+    response, normal, view, weight = seen(pictures({"beta": 0.0, "mu": 0.3}))
+    true = Lamps(DIRECTIONS, LEVELS, np.zeros(COUNT))
+    errors = {
+        lobe: predict_left_out(response, normal, view, weight, true, DIRECTIONS, lobe=lobe, n=1.5, k=0.0).error
+        for lobe in (MATT, "gaussian")
+    }
+    assert simplest(errors) == MATT
+
+
+def test_the_simplest_within_a_standard_error_is_taken():
+    even = np.full(9, 2.0)
+    assert simplest({"a": even + 0.01 * np.arange(9), "b": even}) == "b"
+    assert simplest({"a": even + np.array([1, -1, 1, -1, 1, -1, 1, -1, 0.1]), "b": even}) == "a"
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """Return a folder of photographs, a mask and a file of lights that are two degrees off."""
+    monkeypatch.chdir(tmp_path)
+    Path("My ball").mkdir()
+    for number, picture in enumerate(pictures()):
+        write_samples(f"My ball/{number}.png", sixteen_bits(picture))
+    Path("mask").mkdir()
+    disc = np.isfinite(Circle(*BALL).normals(SIZE)[..., 2])
+    write_samples("My ball/mask.png", eight_bits(disc[..., None].repeat(3, axis=2)))
+    write_light_places("dome.lp", {f"{number}.png": one for number, one in enumerate(turned(DIRECTIONS, 2.0))})
+    return tmp_path
+
+
+def table() -> list[dict[str, str]]:
+    return list(csv.DictReader(Path("dome/left-out.csv").read_text(encoding="utf-8").splitlines()))
+
+
+@pytest.mark.parametrize("command", of_kind("dome"))
+def test_a_documented_command_measures_a_ball(command, folder, capsys):
+    words = words_of(command)[1:]
+    files = [str(path) for path in sorted(Path("My ball").glob("*.png"))]
+    assert main([part for word in words for part in (files if "*" in word else [word])]) == 0
+    out = capsys.readouterr().out
+    assert "gloss gaussian: beta" in out and "left-out photographs, lamps registered" in out
+    rows = table()
+    assert [row["file"] for row in rows] == [f"{number}.png" for number in range(COUNT)]
+    assert np.abs(np.array([float(row["level"]) for row in rows]) / LEVELS - 1.0).max() < 0.015
+    errors = np.array([[float(row[name]) for row in rows] for name in ("relative_rms", "relative_rms_by_file")])
+    assert errors[0].mean() < 0.025 and errors[1].mean() > errors[0].mean()
+    with store.open_file("dome/surface.h5") as file:
+        alpha = file.read("alpha")
+        assert alpha.shape == SIZE and file.attribute("lobe") == "gaussian"
+        assert np.nanmedian(alpha) == pytest.approx(0.45, rel=0.05)
+    assert Path("dome/left-out.png").stat().st_size > 1000
+
+
+def test_the_command_refuses_in_one_sentence(folder, capsys):
+    files = [f"My ball/{number}.png" for number in range(COUNT)]
+    write_samples("My ball/other.png", np.zeros((20, 20, 3), dtype=np.uint8))
+    write_light_places("two.lp", dict.fromkeys(("0.png", "1.png"), DIRECTIONS[0]))
+    write_light_places("far.lp", {f"{number}.png": -one for number, one in enumerate(DIRECTIONS)})
+    for words, told in (
+        ([*files, "--lights", "dome.lp"], "or --linear, if you know"),
+        ([*files, "My ball/other.png", "--lights", "dome.lp", "--linear"], "no place of a lamp for other.png"),
+        ([*files[:2], "--lights", "two.lp", "--linear"], "2 photographs; accepted: 5 or more"),
+        ([*files, "--lights", "far.lp", "--linear"], "0.png without places that are lit"),
+        ([*files, "--lights", "dome.lp", "--linear", "--mask", "My ball/other.png"], "20 x 20 pixels"),
+        ([*files, "--lights", "none.lp", "--linear"], "none.lp"),
+    ):
+        assert main(["dome", *words]) == 2
+        error = capsys.readouterr().err
+        assert told in error and error.count("\n") == 1
+    assert not Path("dome").exists()
+
+
+@pytest.mark.heavy
+@pytest.mark.skipif(not REAL.is_dir(), reason="no measured photographs beside the repository")
+def test_real_photographs_of_a_ball_are_predicted_from_the_others(tmp_path, monkeypatch):
+    """Twelve photographs of 8 bits of a painted ball, and of a chrome ball for the lamps.
+
+    The target is 2.5 % in the mean and 4 % at worst. Where the lamps stand is known from the chrome ball, but not as
+    well: with its directions alone, no more than 8 % at worst is reached.
+    """
+    monkeypatch.chdir(tmp_path)
+    balls = {name: [str(REAL / f"{name}.{number}.png") for number in range(12)] for name in ("chrome", "gray")}
+    mask = str(REAL / "chrome.mask.png")
+    assert main(["lights", *balls["chrome"], "--mask", mask, "--names", *balls["gray"]]) == 0
+    for more in ([], ["--mask", str(REAL / "gray.mask.png")]):
+        shutil.rmtree("dome", ignore_errors=True)
+        assert main(["dome", *balls["gray"], "--linear", "--lights", "lights.lp", *more]) == 0
+        errors = np.array([float(row["relative_rms"]) for row in table()])
+        assert errors.mean() <= 0.025 and errors.max() <= 0.04
