@@ -36,6 +36,8 @@ rule calibrate_camera:
         chart=lookup(within=config, dpath="cameras/{camera}/chart"),
         further_charts=lookup(within=config, dpath="cameras/{camera}/further_charts"),
         calibration=lookup(within=config, dpath="cameras/{camera}/calibration"),
+        comb_filter=lookup(within=config, dpath="cameras/{camera}/comb_filter", default=None),
+        sensitivities=lookup(within=config, dpath="cameras/{camera}/sensitivities", default=None),
         light=sets.light,
         lights=lookup(within=config, dpath="report/lights"),
         user_files=ledger.content(sets.tables_of_calibration),
