@@ -10,7 +10,7 @@ import numpy as np
 
 from irodori.calibration.filter_fit import FilterFit, fit_filter
 from irodori.calibration.filter_table import FilterTable
-from irodori.calibration.sensitivity_prior import prior_about, prior_of_chart
+from irodori.calibration.sensitivity_prior import BandPrior, Posteriors, prior_about, prior_of_chart
 
 CHART, FILTER, SENSITIVITIES = "chart", "filter table", "sensitivities"
 
@@ -36,6 +36,10 @@ class Given:
 
     filter: FilterTable | None = None
     sensitivities: CameraSensitivities | None = None
+
+
+#: What is known of most cameras.
+NOTHING = Given()
 
 
 @dataclass(frozen=True)
@@ -83,10 +87,10 @@ def best_response(
     variance : (bands,) float64
         Of the responses; zeros where not known.
     given : Given
-        A filter needs six bands, sensitivities at least three: red, green and blue without the filter come first.
+        Red, green and blue without the filter come first; a filter needs the same three with it, and no others.
     """
     chart = [prior_of_chart(own, spectra, light, v) for own, v in zip(response.T, variance, strict=True)]
-    priors = {(CHART,): chart}
+    priors: dict[tuple[str, ...], list[BandPrior]] = {(CHART,): chart}
     if given.sensitivities is not None:
         known = given.sensitivities
         about = [
@@ -94,15 +98,17 @@ def best_response(
             for sensitivity, own, v in zip(known.values, response.T, variance, strict=False)
         ]
         priors[CHART, SENSITIVITIES] = about + chart[len(about) :]
-    found = {}
+    ways: dict[tuple[str, ...], FilterFit | Posteriors] = {}
     for sources, of_bands in priors.items():
-        each = [prior.given(own, spectra) for prior, own in zip(of_bands, response.T, strict=True)]
-        mean, covariance = np.array([one.mean for one in each]), np.array([one.covariance for one in each])
-        found[sources] = (sum(one.log_evidence for one in each), mean, covariance, None)
+        ways[sources] = Posteriors.of(of_bands, response, spectra)
         if given.filter is not None:
-            fit = fit_filter(response, spectra, given.filter, of_bands[:3], variance)
-            found[(CHART, FILTER, *sources[1:])] = (fit.log_evidence, fit.mean, fit.covariance, fit)
-    sources = max(found, key=lambda way: found[way][0])
-    _, mean, covariance, fit = found[sources]
-    evidence = {way: one[0] - found[CHART,][0] for way, one in found.items()}
-    return BestResponse(mean, covariance, sources, evidence, fit)
+            ways[CHART, FILTER, *sources[1:]] = fit_filter(response, spectra, given.filter, of_bands[:3], variance)
+    likeliest = max(ways, key=lambda sources: ways[sources].log_evidence)
+    best, alone = ways[likeliest], ways[CHART,].log_evidence
+    return BestResponse(
+        best.mean,
+        best.covariance,
+        likeliest,
+        {sources: way.log_evidence - alone for sources, way in ways.items()},
+        best if isinstance(best, FilterFit) else None,
+    )

@@ -21,7 +21,7 @@ from irodori.spectra.grid import SAMPLES, WAVELENGTH_NM
 _LEVELS, _LEVEL_NM = (0.003, 0.01, 0.03, 0.1), 25.0
 _EDGE_PER_LEVEL_NM, _EDGE_NM = 30.0, 10.0
 _STARTS = (-1.5, 0.0, 1.5)  # standard deviations of the shift
-_GAIN = 0.3  # standard deviation of the logarithm of a gain
+_GAIN, _LEAST_GAIN = 0.3, 1e-3  # standard deviation of the logarithm of a gain about where the search begins
 _STEPS, _ENOUGH = 30, 1e-4
 _MOST_SHIFT_NM, _MOST_GAIN = 1.5, 0.5  # in one step
 _BANDS = 3
@@ -63,6 +63,7 @@ class _Problem:
     """Responses of a chart as a function of sensitivities (3 x 61), departures, gains and the rest."""
 
     _DEPARTURES = slice(_BANDS * SAMPLES, _BANDS * SAMPLES + len(DEPARTURES))
+    _SHIFTS = slice(_DEPARTURES.start, _DEPARTURES.start + 2)
     _GAINS = slice(_DEPARTURES.stop, _DEPARTURES.stop + _BANDS)
     _REST = slice(_GAINS.stop, _GAINS.stop + SAMPLES)
 
@@ -84,8 +85,9 @@ class _Problem:
         start[self._DEPARTURES.start] = shift
         passed = self.spectra * self.table.at(start[self._DEPARTURES])
         measured = self.response.reshape(2, _BANDS, -1)[1]
-        gains = [(passed @ h) @ y / max((passed @ h) @ (passed @ h), 1e-300) for h, y in zip(self.alone, measured)]
-        self.mean[self._GAINS] = start[self._GAINS] = np.log(np.maximum(gains, 1e-3))
+        seen = [passed @ h for h in self.alone]
+        gains = [one @ own / max(one @ one, 1e-300) for one, own in zip(seen, measured, strict=True)]
+        self.mean[self._GAINS] = start[self._GAINS] = np.log(np.maximum(gains, _LEAST_GAIN))
         return start
 
     def rest(self, size: float, departures: np.ndarray) -> np.ndarray:
@@ -112,7 +114,8 @@ class _Problem:
 
     def solve(self, size: float, shift: float) -> FilterFit:
         """Return the fit with a rest of some size, begun at some shift."""
-        x, unit = self.begin(shift), np.sqrt(np.diag(self.covariance)[: self._REST.start])
+        x, variance = self.begin(shift), np.diag(self.covariance)[: self._REST.start]
+        unit = np.sqrt(np.maximum(variance, np.finfo(float).tiny))
         for _ in range(_STEPS):
             self.covariance[self._REST, self._REST] = self.rest(size, x[self._DEPARTURES])
             value, by = self.responses(x)
@@ -123,8 +126,8 @@ class _Problem:
             solved = np.linalg.solve(moment, missed)
             step = self.mean + cross @ solved - x
             # Far from the solution the linearised model leads astray: shifts and gains go a part of the way.
-            far = np.abs(step[self._DEPARTURES][:2]).max() / _MOST_SHIFT_NM, np.abs(step[self._GAINS]).max() / _MOST_GAIN
-            x = x + step / max(1.0, *far)
+            shift, gain = (np.abs(step[own]).max() for own in (self._SHIFTS, self._GAINS))
+            x = x + step / max(1.0, shift / _MOST_SHIFT_NM, gain / _MOST_GAIN)
             if np.abs(step[: self._REST.start] / unit).max() < _ENOUGH:
                 break
         value, by = self.responses(x)

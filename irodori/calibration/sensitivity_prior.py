@@ -22,6 +22,7 @@ _FURTHER_NOISE = 10.0 ** np.arange(-10.0, -1.0)
 _EDGES_NM, _EDGE_WIDTH_NM, _EDGE_DISTANCE_NM = (418.0, 655.0), 10.0, 40.0
 #: Of an envelope: over how many nm it is a mean, its least part of the largest, and how often it is found anew.
 _ENVELOPE_NM, _LEAST, _ROUNDS = 20.0, 0.05, 2
+_LEAST_POWER = 1e-3  # of a lamp, of its mean
 
 
 @dataclass(frozen=True)
@@ -64,6 +65,30 @@ class BandPrior:
         solved = np.linalg.solve(moment, np.column_stack([missed, cross]))
         evidence = -0.5 * (missed @ solved[:, 0] + np.linalg.slogdet(moment)[1])
         return Posterior(self.mean + solved[:, 0] @ cross, self.covariance - cross.T @ solved[:, 1:], float(evidence))
+
+
+@dataclass(frozen=True)
+class Posteriors:
+    """What a chart tells of all bands, each by itself.
+
+    Parameters
+    ----------
+    mean : (bands, 61) float64
+    covariance : (bands, 61, 61) float64
+    log_evidence : float
+        Logarithm of the density of all responses, up to a constant of the chart.
+    """
+
+    mean: np.ndarray
+    covariance: np.ndarray
+    log_evidence: float
+
+    @classmethod
+    def of(cls, priors: list[BandPrior], response: np.ndarray, spectra: np.ndarray) -> "Posteriors":
+        """Return what responses (m, bands) of known reflectances (m, 61) tell."""
+        each = [prior.given(own, spectra) for prior, own in zip(priors, response.T, strict=True)]
+        mean, covariance = (np.array([getattr(one, name) for one in each]) for name in ("mean", "covariance"))
+        return cls(mean, covariance, sum(one.log_evidence for one in each))
 
 
 @lru_cache(maxsize=1)
@@ -133,7 +158,9 @@ def prior_of_chart(response: np.ndarray, spectra: np.ndarray, light: np.ndarray,
     variance : float
         Of the responses; 0 where not known.
     """
-    power, envelope, nothing = light / light.mean(), np.ones(len(light)), np.zeros(len(light))
+    # Where a lamp is dark, the chart tells nothing of a sensitivity.
+    power = np.maximum(light / light.mean(), _LEAST_POWER)
+    envelope, nothing = np.ones(len(light)), np.zeros(len(light))
     for left in reversed(range(_ROUNDS + 1)):
         prior = BandPrior(nothing, *_averaged(response, spectra, power * envelope, variance, None))
         if left:

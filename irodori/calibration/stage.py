@@ -119,7 +119,10 @@ def _given(camera: Camera | CalibratedCamera, charts: Charts) -> Given:
             raise InputError(charts.photographs[0].path, "comb_filter", found, accepted)
         table = read_filter(known.transmittance, known.name, known.shift_nm)
     if camera.sensitivities is not None:
-        values = np.maximum(camera_sensitivities(camera.sensitivities.file), 0.0)
+        file = camera.sensitivities.file
+        values = np.maximum(camera_sensitivities(file), 0.0)
+        if not values.any(axis=1).all():
+            raise InputError(file, "", "a band that sees nothing", "sensitivities of red, green and blue")
         sensitivities = CameraSensitivities(values, camera.sensitivities.error_percent / 100.0)
     return Given(table, sensitivities)
 

@@ -11,7 +11,7 @@ from functools import cached_property
 
 import numpy as np
 
-from irodori.calibration.best_response import BestResponse, Given, best_response
+from irodori.calibration.best_response import NOTHING, BestResponse, Given, best_response
 from irodori.calibration.response_model import (
     ResponseModel,
     SmoothPrior,
@@ -127,7 +127,7 @@ class Training:
     light: np.ndarray
     noise: ResponseNoise = ResponseNoise()
     pixel_levels: bool = True
-    given: Given = Given()
+    given: Given = NOTHING
 
     def without(self, left_out: np.ndarray, pixel_levels: bool = False) -> "Training":
         """Return the same without some patches, (m,) bool, and as a rule without levels of a pixel's noise."""
