@@ -12,6 +12,8 @@ from irodori.calibration.filter_fit import FilterFit, fit_filter
 from irodori.calibration.filter_table import FilterTable
 from irodori.calibration.sensitivity_prior import BandPrior, Posteriors, prior_about, prior_of_chart
 
+#: Error of a patch's response, of the root mean square over the patches: no chart is closer to its published spectra.
+_LEAST_NOISE = 1e-4
 CHART, FILTER, SENSITIVITIES = "chart", "filter table", "sensitivities"
 
 
@@ -89,6 +91,7 @@ def best_response(
     given : Given
         Red, green and blue without the filter come first; a filter needs the same three with it, and no others.
     """
+    variance = np.maximum(variance, _LEAST_NOISE**2 * np.mean(response**2, axis=0))
     chart = [prior_of_chart(own, spectra, light, v) for own, v in zip(response.T, variance, strict=True)]
     priors: dict[tuple[str, ...], list[BandPrior]] = {(CHART,): chart}
     if given.sensitivities is not None:
