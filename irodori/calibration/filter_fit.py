@@ -20,7 +20,8 @@ from irodori.spectra.grid import SAMPLES, WAVELENGTH_NM
 #: edge lies so many nm off per unit, with its own length.
 _LEVELS, _LEVEL_NM = (0.003, 0.01, 0.03, 0.1), 25.0
 _EDGE_PER_LEVEL_NM, _EDGE_NM = 30.0, 10.0
-_STARTS = (-1.5, 0.0, 1.5)  # standard deviations of the shift
+#: Where the search of the shift begins, in its standard deviations, and with which of the levels.
+_STARTS, _FIRST = (-1.5, 0.0, 1.5), 1
 _GAIN, _LEAST_GAIN = 0.3, 1e-3  # standard deviation of the logarithm of a gain about where the search begins
 _STEPS, _ENOUGH = 30, 1e-4
 _MOST_SHIFT_NM, _MOST_GAIN = 1.5, 0.5  # in one step
@@ -165,10 +166,11 @@ def fit_filter(
     further = np.mean((plain - variance[:_BANDS]) / square[:_BANDS])
     noise = np.concatenate([plain, variance[_BANDS:] + further * square[_BANDS:]])
     problem = _Problem(response, spectra, table, priors, noise)
-    fits = []
-    for size in _LEVELS:
-        tried = [problem.solve(size, start * table.shift_nm) for start in _STARTS]
-        fits.append(max(tried, key=lambda fit: fit.log_evidence))
+    tried = [problem.solve(_LEVELS[_FIRST], start * table.shift_nm) for start in _STARTS]
+    first = max(tried, key=lambda fit: fit.log_evidence)
+    fits = [
+        first if which == _FIRST else problem.solve(level, first.departures[0]) for which, level in enumerate(_LEVELS)
+    ]
     logarithm = np.array([fit.log_evidence for fit in fits])
     share = np.exp(logarithm - logarithm.max())
     share /= share.sum()
