@@ -1,8 +1,9 @@
 """Response models of cameras from a chart, with and without a table of the filter or of the sensitivities.
 
-``python -m benchmarks.response_models`` prints the error of the bands and how the stated errors hold, for cameras and
-filters of ``../shared/data`` on which no constant was chosen. Every filter's table is wrong as data sheets are: shifted
-by some 1.5 nm, blurred, off in level by 7 % and wavy by 1 %. Given sensitivities are off by a smooth error of 10 %.
+``python -m benchmarks.calibrate --response-models`` prints the error of the bands and how the stated errors hold, for
+cameras and filters of ``../shared/data`` on which no constant was chosen. Every filter's table is wrong as data sheets
+are: shifted by some 1.5 nm, blurred, off in level by 7 % and wavy by 1 %. Given sensitivities are off by a smooth error
+of 10 %.
 """
 
 import itertools
@@ -118,6 +119,11 @@ def trial(camera: str, name: str, noise: float, seed: int = 0) -> Trial:
     return Trial(sensitivities(camera), np.interp(WAVELENGTH_NM, *published_filter(name)), noise, seed)
 
 
+def judged_trial(camera: str, name: str, noise: float = 0.001, seed: int = 0) -> tuple[Trial, FilterTable]:
+    """Return a camera with a filter of the data, and a table of this filter, wrong as data sheets are."""
+    return trial(camera, name, noise, seed), Wrong.of(seed).table(*published_filter(name), seed)
+
+
 def given_sensitivities(true: np.ndarray, error: float = _SENSITIVITY_ERROR, seed: int = 0) -> CameraSensitivities:
     """Return sensitivities off by a smooth error, relative, over 30 nm."""
     draw = np.random.default_rng(seed).multivariate_normal
@@ -146,12 +152,12 @@ def judged(way: str, noise: float, cameras=CAMERAS, filters=FILTERS) -> tuple[fl
     """
     rows = []
     for seed, (camera, name) in enumerate(itertools.product(cameras, filters)):
-        own = trial(camera, name, noise, seed)
+        own, sheet = judged_trial(camera, name, noise, seed)
         if way == "smooth":
             response, spectra, variance, true = own.chart()
             best = fit_response_model(response, smooth_priors(spectra, own.light), variance)
         else:
-            table = Wrong.of(seed).table(*published_filter(name), seed) if "filter" in way else None
+            table = sheet if "filter" in way else None
             known = given_sensitivities(own.sensitivities, seed=seed) if "sensitivities" in way else None
             best, true = own.found(Given(table, known))
         off = errors(best.mean, true)
@@ -159,13 +165,9 @@ def judged(way: str, noise: float, cameras=CAMERAS, filters=FILTERS) -> tuple[fl
     return tuple(np.mean(rows, axis=0).tolist())
 
 
-def main() -> None:
-    """Print the table."""
+def print_response_models(cameras=CAMERAS, filters=FILTERS) -> None:
+    """Print errors and shares of every way, with every noise."""
     print(f"{'given':26}{'noise':>7}{'without':>9}{'with':>7}{'1 σ':>6}{'2 σ':>6}")
     for way, noise in itertools.product(WAYS, NOISES):
-        plain, filtered, one, two = judged(way, noise)
+        plain, filtered, one, two = judged(way, noise, cameras, filters)
         print(f"{way:26}{noise:7.1%}{plain:9.1%}{filtered:7.1%}{one:6.2f}{two:6.2f}", flush=True)
-
-
-if __name__ == "__main__":
-    main()

@@ -18,6 +18,9 @@ from irodori.core.errors import InputError
 from irodori.light.light_prior import LightPrior, light_prior, published_lamps
 from irodori.light.recovery_loops import mixture_weights
 
+#: So many times the variance of the response model counts: its errors are common to all directions, whose densities are
+#: multiplied as if each had its own.
+_COMMON = 2.0
 _LEAST_NOISE = 3e-4  # of a response, relative, whatever the response model says
 #: So many observations, beside one of every family, each direction counts as that differs from the first by `_ALIKE`:
 #: all share the errors of the response model, and what a room shows a million times tells little more than once.
@@ -149,7 +152,7 @@ class _Families:
         cross = model.mean @ prior.moment
         moment = cross @ model.mean.T
         of_band = np.arange(len(model.mean))
-        noise = prior.moment.reshape(len(prior.moment), -1) @ model.covariance.reshape(len(of_band), -1).T
+        noise = _COMMON * prior.moment.reshape(len(prior.moment), -1) @ model.covariance.reshape(len(of_band), -1).T
         moment[:, of_band, of_band] += noise + _LEAST_NOISE**2 * moment[:, of_band, of_band]
         factor = np.linalg.inv(np.linalg.cholesky(moment))
         gain = (np.linalg.solve(moment, cross)).swapaxes(1, 2)
