@@ -34,7 +34,7 @@ class CameraSensitivities:
 
 @dataclass(frozen=True)
 class Given:
-    """What is known of a camera before its chart; each may be absent."""
+    """Knowledge of a camera before its chart is photographed; each part may be absent."""
 
     filter: FilterTable | None = None
     sensitivities: CameraSensitivities | None = None

@@ -27,7 +27,7 @@ _LEAST_POWER = 1e-3  # of a lamp, of its mean
 
 @dataclass(frozen=True)
 class Posterior:
-    """What a chart tells of one band: its response per unit reflectance, how well, and how likely the chart was.
+    """Response of one band per unit reflectance, with its covariance, as a chart tells it.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ class BandPrior:
 
 @dataclass(frozen=True)
 class Posteriors:
-    """What a chart tells of all bands, each by itself.
+    """Responses of all bands per unit reflectance, each by itself, as a chart tells them.
 
     Parameters
     ----------

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from definitions import CAMERA_FILE, edit, fault, load
+from made import made
 from threadpoolctl import threadpool_limits
 
 from benchmarks.light import adapted_errors, camera, recovered
@@ -21,7 +22,11 @@ from benchmarks.response_models import (
 )
 from irodori.calibration.best_response import CHART, FILTER, SENSITIVITIES, BestResponse, Given
 from irodori.calibration.filter_table import FilterTable, read_filter
+from irodori.calibration.recovery.calibration_file import Calibration
+from irodori.calibration.stage import calibrate_camera
 from irodori.config.models import CombFilter, Passband
+from irodori.config.parts import CalibratedCamera
+from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.light.light_prior import light_prior, published_lamps
 from irodori.simulation.virtual_rig.sensor import comb_transmittance
@@ -91,7 +96,7 @@ WRONG = {
 
 
 @pytest.mark.stability(stage="calibrate", case="table of another filter")
-@pytest.mark.parametrize(("wrong", "noise"), zip(WRONG, (0.0, 0.001, 0.01, 0.01), strict=True))
+@pytest.mark.parametrize(("wrong", "noise"), list(zip(WRONG, (0.0, 0.001, 0.01, 0.01), strict=True)))
 def test_the_table_of_another_filter_is_found_out_and_not_used(wrong, noise):
     own = photographed(COMB, noise)
     best, _ = own.found(Given(FilterTable(FINE_NM, WRONG[wrong])))
@@ -232,3 +237,53 @@ def test_the_table_of_the_default_camera_is_its_filter_as_a_data_sheet_could_hav
     off = [np.abs(table.at(np.array([shift, 0.0, -4.0, 0.0])) - true / true.max()).mean() for shift in (-1.1, 0.0, 1.1)]
     assert off[0] < 0.5 * off[1] < off[2]
     assert table.transmittance.max() == pytest.approx(0.95 * 0.925, abs=0.02)
+
+
+# ---- the stage
+
+
+def calibrated(folder: Path, filters: list[str], **known) -> tuple[dict, Calibration]:
+    """Return what the stage tells of the response model of a chart photographed in some filter states, and it."""
+    whole = photographed(COMB, 0.001).chart()[0][:, : 3 * len(filters)]
+    picture = np.kron(whole.reshape(4, 6, -1), np.ones((10, 10, 1))).astype(np.float32)
+    with store.create(folder / "chart.h5", store.Provenance("test")) as out:
+        out.write("response", picture, units="1", dims="row,column,band", quantity="response")
+        out.write("valid", np.ones(picture.shape[:2], np.uint8), units="1", dims="row,column", quantity="valid")
+        for name, value in {"pose_deg": [0.0] * 4, "sample_px": 2, "filters": filters}.items():
+            out.attribute(name, value)
+    corners = {"first": [5, 5], "row_end": [55, 5], "column_end": [5, 35], "last": [55, 35]}
+    chart = {"spectra": "BabelColor Average", "rows": 4, "columns": 6, "patch_px": 6, "centres_px": corners}
+    camera_file = {"chart": chart, "calibration": {"estimator": "pinv", "bases": len(whole[0])}, **known}
+    outputs = folder / "c.h5", folder / "c.csv"
+    calibrate_camera(folder / "chart.h5", made(CalibratedCamera, camera_file), "A", *outputs, store.Provenance("test"))
+    with store.open_file(outputs[0]) as file:
+        return file.attribute("response_model"), Calibration.load(outputs[0])
+
+
+def write_table(path: Path, transmittance: np.ndarray) -> str:
+    rows = [f"{at:g},{value:.4f}" for at, value in zip(FINE_NM, np.clip(transmittance, 0.0, 1.0), strict=True)]
+    path.write_text("\n".join(["wavelength_nm,transmittance", *rows]), encoding="utf-8")
+    return str(path)
+
+
+def test_the_stage_says_what_the_response_model_rests_on_and_what_it_did_not_use(tmp_path, caplog):
+    caplog.set_level("INFO", logger="irodori")
+    sheet = write_table(tmp_path / "sheet.csv", Wrong(1.2).table(FINE_NM, COMB).transmittance)
+    told, solved = calibrated(tmp_path, ["out", "in"], comb_filter={"transmittance": sheet})
+    assert told["sources"] == [CHART, FILTER] and not told["ignored"]
+    assert told["filter"]["shift_nm"][0] == pytest.approx(1.2, abs=0.8)
+    assert f"response model from: {CHART}, {FILTER}" in caplog.text
+    true = photographed(COMB, 0.0).chart()[3]
+    assert errors(solved.band_response, true)[3:].max() < 0.12
+    wrong = write_table(tmp_path / "wrong.csv", WRONG["another comb"])
+    told, other = calibrated(tmp_path, ["out", "in"], comb_filter={"transmittance": wrong})
+    assert told["sources"] == [CHART] and list(told["ignored"]) == [FILTER] and "filter" not in told
+    assert f"{FILTER} not used" in caplog.text
+    # The estimator does not depend on it.
+    assert np.array_equal(other.weights_from_response, solved.weights_from_response)
+
+
+def test_the_stage_refuses_a_filter_of_a_chart_that_was_not_photographed_with_it(tmp_path):
+    with pytest.raises(InputError) as caught:
+        calibrated(tmp_path, ["out"], comb_filter={"transmittance": write_table(tmp_path / "sheet.csv", COMB)})
+    assert caught.value.field == "comb_filter" and "with filter out, in, or no comb_filter" in caught.value.accepted
