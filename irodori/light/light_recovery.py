@@ -19,8 +19,8 @@ from irodori.light.light_prior import LightPrior, light_prior, published_lamps
 from irodori.light.recovery_loops import mixture_weights
 
 #: So many times the variance of the response model counts: its errors are common to all directions, whose densities are
-#: multiplied as if each had its own.
-_COMMON = 2.0
+#: multiplied as if each had its own. Chosen on lamps of the CIE in made-up rooms.
+_COMMON = 1.5
 _LEAST_NOISE = 3e-4  # of a response, relative, whatever the response model says
 #: So many observations, beside one of every family, each direction counts as that differs from the first by `_ALIKE`:
 #: all share the errors of the response model, and what a room shows a million times tells little more than once.
