@@ -134,9 +134,8 @@ def _response_model(best: BestResponse) -> dict:
         "ignored": {source: best.ignored_by(source) for source in best.ignored()},
         "log_evidence": {", ".join(sources): float(value) for sources, value in best.evidence.items()},
     }
-    if best.filter is not None:
-        found = zip(DEPARTURES, best.filter.departures, best.filter.errors, strict=True)
-        told["filter"] = {name: [float(value), float(error)] for name, value, error in found}
+    found = zip(DEPARTURES, best.filter.departures, best.filter.errors, strict=True) if best.filter else ()
+    told["filter"] = {name: [float(value), float(error)] for name, value, error in found}
     return told
 
 
@@ -307,7 +306,7 @@ def _log(solved: Solution, errors: dict, checks: dict) -> None:
 
 def _log_response_model(told: dict) -> None:
     LOGGER.info("response model from: %s", ", ".join(told["sources"]))
-    if "filter" in told:
+    if told["filter"]:
         words = "the filter beside its table: shift %.2f +- %.2f nm, %.2f +- %.2f nm more 150 nm further"
         LOGGER.info(words, *told["filter"]["shift_nm"], *told["filter"]["tilt_nm"])
     for source, nats in told["ignored"].items():

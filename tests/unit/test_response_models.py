@@ -21,14 +21,17 @@ from benchmarks.response_models import (
     trial,
 )
 from irodori.calibration.best_response import CHART, FILTER, SENSITIVITIES, BestResponse, Given
+from irodori.calibration.estimator_choice import SelectionRow
 from irodori.calibration.filter_table import FilterTable, read_filter
 from irodori.calibration.recovery.calibration_file import Calibration
-from irodori.calibration.stage import calibrate_camera
+from irodori.calibration.stage import calibrate_camera, write_selection
 from irodori.config.models import CombFilter, Passband
 from irodori.config.parts import CalibratedCamera
 from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.light.light_prior import light_prior, published_lamps
+from irodori.report.calibration_part import camera_calibrations
+from irodori.report.html_page import fragment
 from irodori.simulation.virtual_rig.sensor import comb_transmittance
 from irodori.spectra.grid import WAVELENGTH_NM
 from irodori.spectra.published import camera_sensitivities, spectrum
@@ -277,7 +280,7 @@ def test_the_stage_says_what_the_response_model_rests_on_and_what_it_did_not_use
     assert errors(solved.band_response, true)[3:].max() < 0.12
     wrong = write_table(tmp_path / "wrong.csv", WRONG["another comb"])
     told, other = calibrated(tmp_path, ["out", "in"], comb_filter={"transmittance": wrong})
-    assert told["sources"] == [CHART] and list(told["ignored"]) == [FILTER] and "filter" not in told
+    assert told["sources"] == [CHART] and list(told["ignored"]) == [FILTER] and not told["filter"]
     assert f"{FILTER} not used" in caplog.text
     # The estimator does not depend on it.
     assert np.array_equal(other.weights_from_response, solved.weights_from_response)
@@ -287,3 +290,16 @@ def test_the_stage_refuses_a_filter_of_a_chart_that_was_not_photographed_with_it
     with pytest.raises(InputError) as caught:
         calibrated(tmp_path, ["out"], comb_filter={"transmittance": write_table(tmp_path / "sheet.csv", COMB)})
     assert caught.value.field == "comb_filter" and "with filter out, in, or no comb_filter" in caught.value.accepted
+
+
+def test_the_report_names_what_the_response_model_rests_on(tmp_path):
+    tables = {name: write_table(tmp_path / f"{name}.csv", curve) for name, curve in (("right", COMB), ("wrong", NOTCH))}
+    pages = []
+    for table in tables.values():
+        calibrated(tmp_path, ["out", "in"], comb_filter={"transmittance": table})
+        only = SelectionRow("pinv", 6, 1.0, *[{"D65": 1.0}] * 3, 0.1, 0.1, 36, 1.0)
+        write_selection(tmp_path / "s.csv", [only], ("pinv", 6))
+        rows = camera_calibrations(["six"], [tmp_path / "c.h5"], [tmp_path / "c.csv"], [tmp_path / "s.csv"])
+        pages.append(fragment("calibration.html.j2", calibrations=rows))
+    assert f"{CHART}, {FILTER}" in pages[0] and "nm at 550 nm" in pages[0]
+    assert "given and not used" in pages[1] and "nm at 550 nm" not in pages[1]
