@@ -3,9 +3,10 @@
 ``python -m benchmarks.calibrate [--size small] [--runs 7] [--output speed_error.csv]`` applies each estimator to a
 picture of 2 megapixels of six bands, half a megapixel in small; the reference is a bare BLAS product of the same size
 in the same run. The variant ``posterior`` states the errors of a 64th of that picture. ``--table`` prints the errors of
-every estimator instead, for all sets, cameras and noises, and ``--error-bars`` how stated errors hold on sets that are
-left out in turn. All read the measured spectra of ``../shared/data``. Times exclude compilation, which is reported
-apart; peak memory is that of this process while a variant runs, with the picture and all estimators in it.
+every estimator instead, for all sets, cameras and noises, ``--error-bars`` how stated errors hold on sets that are left
+out in turn, and ``--response-models`` what tables of filters and sensitivities do for the response model. All read the
+measured spectra of ``../shared/data``. Times exclude compilation, which is reported apart; peak memory is that of this
+process while a variant runs, with the picture and all estimators in it.
 """
 
 import sys
@@ -16,7 +17,10 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.response_models import errors as response_errors
+from benchmarks.response_models import judged_trial, print_response_models
 from benchmarks.table import COLUMNS, arguments_of, median_s, medians_s, peak_mb_of, report, write
+from irodori.calibration.best_response import Given
 from irodori.calibration.estimator_choice import choose, cross_validate, safest
 from irodori.calibration.estimators import ESTIMATORS, fit
 from irodori.calibration.recovery.posterior import ERROR_NM, SIZE, Posterior
@@ -297,6 +301,7 @@ def measure(size: str, runs: int) -> list[dict]:
             error = errors(trial, 0.003, name_of(variant), BASES, variant == TOLD)[0]
         rows.append(row(variant, pixels, median, seconds["blas"], error, peak_mb_of(work[variant])))
     rows.append(_posterior_row(response[: pixels // 64], runs))
+    rows += _response_rows(runs)
     training = trial.responses(0.003, 0)[0]
 
     def judge() -> None:
@@ -324,6 +329,22 @@ def _posterior_row(response: np.ndarray, runs: int) -> dict:
     return own | {"error_metric": metric}
 
 
+def _response_rows(runs: int) -> list[dict]:
+    """Return the lines of the response model from the chart alone and with a table of the filter, of one camera."""
+    own, table = judged_trial(CAMERAS[0], FILTER)
+    ways = {"response-chart": Given(), "response-filter-table": Given(table)}
+    seconds = medians_s({name: lambda given=given: own.found(given) for name, given in ways.items()}, runs)
+    rows = []
+    for name, given in ways.items():
+        best, true = own.found(given)
+        values = ("calibrate", name, "1", "cameras", f"{seconds[name]:.4f}", f"{1.0 / seconds[name]:.3f}",
+                  "relative rms error of the bands with the filter, 0.1 % noise",
+                  f"{response_errors(best.mean, true)[3:].mean():.4f}", f"{peak_mb_of(lambda: None):.0f}",
+                  "response-chart", f"{seconds[name] / seconds['response-chart']:.3f}")  # fmt: skip
+        rows.append(dict(zip(COLUMNS, values, strict=True)))
+    return rows
+
+
 def row(variant: str, pixels: int, seconds: float, reference: float, error: float, peak: float) -> dict:
     """Return a line of the table of speed against error."""
     work = pixels * 6 / 1e6
@@ -340,6 +361,7 @@ def main() -> None:
     parser.add_argument(
         "--error-bars", action="store_true", help="how stated errors hold on every set, left out in turn"
     )
+    parser.add_argument("--response-models", action="store_true", help="response models with and without a table")
     arguments = parser.parse_args()
     use_threads(arguments.threads)
     if not DATA.is_dir():
@@ -353,6 +375,9 @@ def main() -> None:
         return
     if arguments.error_bars:
         print_coverage()
+        return
+    if arguments.response_models:
+        print_response_models()
         return
     rows = measure(arguments.size, arguments.runs)
     report(rows, arguments.threads, arguments.output)

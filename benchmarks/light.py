@@ -5,7 +5,8 @@
 illuminants are photographed, each with all published lamps that are like it (cosine 0.9995) left out of the prior, bare
 and off coloured walls (CIE 224). The error is the mean CIEDE2000 of a ColorChecker under the recovered light, adapted
 to its own white. ``rig-lamp`` is the rig's lamp times the reflectance of the same responses, ``posterior`` knows one
-family of all lamps on surfaces, ``mixture`` is what the light stage does without help, ``room-chart`` with a
+family of all lamps on surfaces, ``mixture`` is what the light stage does without help, ``filter-table`` where the
+camera's calibration knew the data sheet of its filter, ``room-chart`` with a
 ColorChecker under the lamp, ``named`` with the lamp's published name and ``measured`` with its spectrum. A lamp is not
 quite the published one of its name, nor its reading quite its spectrum: both are off at random, by 5 % over 40 nm, and
 by 2 % over 100 nm with 0.5 % of noise. Timed is a panorama of 6000 x 3000 px, or small 512 x 256 px: the draw of its
@@ -21,7 +22,9 @@ import numpy as np
 import yaml
 
 from benchmarks.table import COLUMNS, arguments_of, medians_s, own_peak_mb, report
+from irodori.calibration.best_response import NOTHING, Given
 from irodori.calibration.estimators import fit_checked
+from irodori.calibration.filter_table import read_filter
 from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.calibration.response_model import smooth_covariance
 from irodori.calibration.training import Training
@@ -58,13 +61,17 @@ class Seen:
         return ResponseModel.of(self.calibration)
 
 
-def camera(seed: int = 0) -> Seen:
-    """Return the default camera as its photographs of a chart tell it."""
+def camera(seed: int = 0, table: bool = False) -> Seen:
+    """Return the default camera as its photographs of a chart tell it, and the table of its filter where asked."""
     light, chart = spectrum(RIG_LIGHT), chart_spectra(CHART)[1]
-    response = band_weights(Camera.of(yaml.safe_load(CAMERA.read_text(encoding="utf-8"))), light)
+    definition = Camera.of(yaml.safe_load(CAMERA.read_text(encoding="utf-8")))
+    response = band_weights(definition, light)
     response = response / response.sum(axis=1, keepdims=True)
     noise = 1.0 + NOISE * np.random.default_rng(seed).standard_normal((len(chart), len(response)))
-    training = Training(chart @ response.T * noise, chart, light)
+    given = NOTHING
+    if table and (known := definition.comb_filter) is not None:
+        given = Given(read_filter(CAMERA.parents[2] / known.transmittance, known.name, known.shift_nm))
+    training = Training(chart @ response.T * noise, chart, light, given=given)
     return Seen(fit_checked("pinv", training, 6, np.inf), response / light)
 
 
@@ -92,6 +99,7 @@ VARIANTS: dict[str, Callable[[np.ndarray], LightPrior] | None] = {
     "rig-lamp": None,
     "posterior": one_family,
     "mixture": light_prior,
+    "filter-table": light_prior,
     "room-chart": light_prior,
     "named": partial(given_prior, measured=np.array(False)),
     "measured": partial(given_prior, measured=np.array(True)),
@@ -178,7 +186,7 @@ def main() -> None:
     """Measure and print; write a CSV if asked."""
     arguments = arguments_of(__doc__.splitlines()[0]).parse_args()
     use_threads(arguments.threads)
-    seen = camera()
+    seen, with_table = camera(), camera(table=True)
     picture = panorama(seen, HEIGHTS[arguments.size])
     charts = tuple(chart_under(seen, spectrum(name)) for name in ROOM)
     timed = {
@@ -192,8 +200,10 @@ def main() -> None:
     for variant in VARIANTS:
         for place, walls in (("", ()), (" walls", WALLS)):
             # The families of a picture cost the same whatever one spectrum they are of.
-            taken = seconds[{"posterior": "mixture", "measured": "named"}.get(variant, variant)]
-            found = errors(seen, variant, walls)
+            taken = seconds[
+                {"posterior": "mixture", "filter-table": "mixture", "measured": "named"}.get(variant, variant)
+            ]
+            found = errors(with_table if variant == "filter-table" else seen, variant, walls)
             metric = f"mean CIEDE2000 of a chart, adapted, {len(CIE)} lamps left out" + (", off walls" if walls else "")
             values = ("light", variant + place, f"{work:.4g}", "megapixels", f"{taken:.4f}", f"{work / taken:.3f}",
                       metric, f"{found.mean():.4f}", f"{own_peak_mb():.0f}", "rig-lamp",

@@ -78,6 +78,13 @@ _TABLE = {
         "spectra of another published chart": "named",
         "chart of 140 patches without corners": _RIGHT + ", or refused",
         "patches moved by 3 pixels": "the error moves by no more than its limit, or the chart is flagged",
+        "filter 3 nm off its table": "its shift found, what is stated holds",
+        "filter's table 10 % too low": "its gain found, what is stated holds",
+        "filter with a narrow notch": "its shift found, what is stated holds",
+        "chart without noise": "what is stated of the response model holds",
+        "chart of 1 % noise": "what is stated of the response model holds",
+        "table of another filter": "not used, with a sentence",
+        "sensitivities of another camera": "not used, with a sentence",
         "pixels without light or not finite": "black, or missing; no neighbour spoiled",
     },
     ("D", "fit"): {

@@ -201,11 +201,11 @@ def fit_checked(name: str, training: Training, bases: int, max_condition: float 
             mapping = fit_mapping(name, training).on_basis(basis)
             light = np.asarray(training.light, dtype=np.float64)
             found = Calibration(basis, mapping, light, estimator=name, training=training.response)
-        model, scale = training.model, training.scale
+        best, scale = training.best_response, training.scale
     return replace(
         found,
-        band_response=model.mean * scale[:, None],
-        band_response_covariance=model.covariance * scale[:, None, None] ** 2,
+        band_response=best.mean * scale[:, None],
+        band_response_covariance=best.covariance * scale[:, None, None] ** 2,
     )
 
 

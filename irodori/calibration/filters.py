@@ -18,12 +18,9 @@ from irodori.core.atomic_files import written_whole
 from irodori.core.errors import InputError
 from irodori.spectra.published import camera_sensitivities, chart_spectra, light, spectrum
 from irodori.spectra.resampling import resample
-from irodori.spectra.spectral_files import SUFFIXES, SpectralTable, spectral_table
+from irodori.spectra.spectral_files import SUFFIXES, check_transmittance, spectral_table
 
 __all__ = ["FilterScore", "main", "rank_filters", "read_filters"]
-
-#: Transmittance of a table; noise of the measurement goes a little beyond 0 and 1.
-_TRANSMITTANCE = (-0.01, 1.02)
 
 
 def read_filters(path) -> dict[str, np.ndarray]:
@@ -48,7 +45,7 @@ def read_filters(path) -> dict[str, np.ndarray]:
     filters: dict[str, np.ndarray] = {}
     for file in files:
         table = spectral_table(file)
-        _check(table, file)
+        check_transmittance(table, file)
         spectra = resample(np.array(table.wavelength_nm), np.array(table.values), file, method="auto")
         names = [file.stem] if path.is_dir() and len(table.names) == 1 else table.names
         for name, transmittance in zip(names, spectra, strict=True):
@@ -56,15 +53,6 @@ def read_filters(path) -> dict[str, np.ndarray]:
                 raise InputError(file, name, "a second filter of this name", "each name once")
             filters[name] = np.maximum(transmittance, 0.0)
     return filters
-
-
-def _check(table: SpectralTable, file) -> None:
-    low, high = _TRANSMITTANCE
-    values = np.array(table.values)
-    for row, column in np.argwhere((values < low) | (values > high))[:1]:
-        found = f"{values[row, column]:g}" + (", as if in percent" if values.max() > 2.0 else "")
-        accepted = f"transmittances from {low:g} to {high:g}, not percent"
-        raise InputError(file, f"{table.names[row]}, {table.wavelength_nm[column]:g} nm", found, accepted)
 
 
 def _reflectances(name: str) -> np.ndarray:

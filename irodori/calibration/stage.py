@@ -8,9 +8,11 @@ from contextlib import contextmanager
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from irodori.calibration.best_response import BestResponse, CameraSensitivities, Given
 from irodori.calibration.charts import Charts
 from irodori.calibration.conditioning import check_amplification, check_brightest, check_responses
 from irodori.calibration.estimator_choice import KINDS, SelectionRow, best_of
+from irodori.calibration.filter_table import DEPARTURES, read_filter
 from irodori.calibration.gates import check_mean, check_patches, likelier_charts
 from irodori.calibration.jitter import LIMIT, STEP_PX
 from irodori.calibration.recovery.calibration_file import Calibration
@@ -19,13 +21,14 @@ from irodori.calibration.training import ResponseNoise, Training
 from irodori.calibration.unseen_patches import error_of_unseen
 from irodori.calibration.verdict import judge
 from irodori.colour.colorimetry import delta_e_reflectance, goodness_of_fit, spectral_rmse, summary
+from irodori.config.capture_table import FILTERS
 from irodori.config.models import Camera
 from irodori.config.parts import CalibratedCamera
 from irodori.core import store
 from irodori.core.atomic_files import written_whole
 from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER
-from irodori.spectra.published import light
+from irodori.spectra.published import camera_sensitivities, light
 
 _MAX_INVALID_SHARE = 0.05  # of a patch, beyond which the report names it
 
@@ -74,7 +77,7 @@ def calibrate_camera(
         spectra = charts.spectra
         settings = camera.calibration
         known = charts.noise(settings.texel_photographs) if noise is None else noise
-        training = Training(charts.responses(), spectra, light(light_name), known)
+        training = Training(charts.responses(), spectra, light(light_name), known, given=_given(camera, charts))
         limit = settings.max_leave_one_out_error
         with _refusing(charts):
             check_responses(training.response, settings.max_condition, known.patch, charts.filters)
@@ -92,11 +95,48 @@ def calibrate_camera(
             amplification = solved.numbers["noise_amplification"]
             check_amplification(amplification, settings.max_noise_amplification, solved.calibration)
         checks = _checks(charts, training, solved, lights) | {"likelier_charts": likelier}
+        checks |= {"response_model": _response_model(training.best_response)}
     _write_calibration(output, solved.calibration, errors, solved.numbers | checks, provenance)
     _write_errors(table, charts.patches, errors)
     if selection is not None:
         write_selection(selection, solved.rows, solved.chosen)
     _log(solved, errors, checks)
+
+
+def _given(camera: Camera | CalibratedCamera, charts: Charts) -> Given:
+    """Return what is known of a camera beside its chart.
+
+    Raises
+    ------
+    InputError
+        If a filter is given and the chart was not photographed without and with it, or a table cannot be read.
+    """
+    table = sensitivities = None
+    if (known := camera.comb_filter) is not None:
+        if charts.filters != FILTERS:
+            found = f"a filter, and photographs of the chart with filter {', '.join(charts.filters)}"
+            accepted = f"photographs with filter {', '.join(FILTERS)}, or no comb_filter"
+            raise InputError(charts.photographs[0].path, "comb_filter", found, accepted)
+        table = read_filter(known.transmittance, known.name, known.shift_nm)
+    if camera.sensitivities is not None:
+        file = camera.sensitivities.file
+        values = np.maximum(camera_sensitivities(file), 0.0)
+        if not values.any(axis=1).all():
+            raise InputError(file, "", "a band that sees nothing", "sensitivities of red, green and blue")
+        sensitivities = CameraSensitivities(values, camera.sensitivities.error_percent / 100.0)
+    return Given(table, sensitivities)
+
+
+def _response_model(best: BestResponse) -> dict:
+    """Return what the calibration file tells of its response model: what it rests on, and how the filter differs."""
+    told = {
+        "sources": list(best.sources),
+        "ignored": {source: best.ignored_by(source) for source in best.ignored()},
+        "log_evidence": {", ".join(sources): float(value) for sources, value in best.evidence.items()},
+    }
+    found = zip(DEPARTURES, best.filter.departures, best.filter.errors, strict=True) if best.filter else ()
+    told["filter"] = {name: [float(value), float(error)] for name, value, error in found}
+    return told
 
 
 @contextmanager
@@ -249,6 +289,7 @@ def _log(solved: Solution, errors: dict, checks: dict) -> None:
             LOGGER.info("CIEDE2000 under %s: mean %.2f p95 %.2f max %.2f", light_name, s["mean"], s["p95"], s["max"])
     LOGGER.info("condition number %.4g, noise amplification %.4g", *solved.numbers.values())
     LOGGER.info("light on the chart: %s", checks["light_on_chart"])
+    _log_response_model(checks["response_model"])
     moved = checks["jitter"]
     LOGGER.info("patches moved by %g superpixels: CIEDE2000 changes by %.3f", moved["step_px"], moved["worst"])
     if moved["worst"] > moved["limit"]:
@@ -261,3 +302,12 @@ def _log(solved: Solution, errors: dict, checks: dict) -> None:
         LOGGER.warning(
             "patch %s: %.0f %% of its samples clip or are hot; where they clip, the rest is too dark", name, 100 * share
         )
+
+
+def _log_response_model(told: dict) -> None:
+    LOGGER.info("response model from: %s", ", ".join(told["sources"]))
+    if told["filter"]:
+        words = "the filter beside its table: shift %.2f +- %.2f nm, %.2f +- %.2f nm more 150 nm further"
+        LOGGER.info(words, *told["filter"]["shift_nm"], *told["filter"]["tilt_nm"])
+    for source, nats in told["ignored"].items():
+        LOGGER.warning("%s not used: the chart is e^%.0f times likelier without it; is it this camera's?", source, nats)

@@ -11,6 +11,7 @@ from functools import cached_property
 
 import numpy as np
 
+from irodori.calibration.best_response import NOTHING, BestResponse, Given, best_response
 from irodori.calibration.response_model import (
     ResponseModel,
     SmoothPrior,
@@ -117,6 +118,8 @@ class Training:
     noise : ResponseNoise
     pixel_levels : bool
         Whether ``local`` prepares for pixels of stated variance; what only serves cross-validation need not.
+    given : Given
+        What is known of the camera beside its chart; no estimator makes use of it, `best_response` does.
     """
 
     response: np.ndarray
@@ -124,6 +127,7 @@ class Training:
     light: np.ndarray
     noise: ResponseNoise = ResponseNoise()
     pixel_levels: bool = True
+    given: Given = NOTHING
 
     def without(self, left_out: np.ndarray, pixel_levels: bool = False) -> "Training":
         """Return the same without some patches, (m,) bool, and as a rule without levels of a pixel's noise."""
@@ -146,10 +150,19 @@ class Training:
         return self.response / self.scale
 
     @cached_property
+    def patch_variance(self) -> np.ndarray:
+        """Variance of the scaled responses as far as it is known, (bands,)."""
+        return np.zeros(len(self.scale)) if self.noise.patch is None else self.noise.patch / self.scale**2
+
+    @cached_property
     def model(self) -> ResponseModel:
-        """Response model of the scaled responses."""
-        known = np.zeros(len(self.scale)) if self.noise.patch is None else self.noise.patch / self.scale**2
-        return fit_response_model(self.scaled, self.priors, known)
+        """Response model of the scaled responses that the estimators train with."""
+        return fit_response_model(self.scaled, self.priors, self.patch_variance)
+
+    @cached_property
+    def best_response(self) -> BestResponse:
+        """Response model of the scaled responses from all that is given, as the calibration states it."""
+        return best_response(self.scaled, self.spectra, self.light, self.patch_variance, self.given)
 
     @cached_property
     def priors(self) -> tuple[SmoothPrior, ...]:

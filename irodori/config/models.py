@@ -1464,6 +1464,32 @@ class CalibrationOptions(Definition):
 
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
+class GivenFilter(Definition):
+    """What is known of the filter of the second photograph; none where absent."""
+
+    #: The path of a file of spectra with the transmittance of the filter (ratio) over 400 to 700 nm at least.
+    transmittance: str
+
+    #: Which spectrum of the file; needed where it holds several.
+    name: str | None = None
+
+    #: By how much the filter is expected to be shifted from its table (one standard deviation), in nm.
+    shift_nm: float = 2.0
+
+
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
+class GivenSensitivities(Definition):
+    """What is known of the sensitivities of red, green and blue; nothing where absent."""
+
+    #: The name of a published camera or the path of a CSV, relative values.
+    file: str
+
+    #: By how much a sensitivity is expected to be off (one standard deviation), in percent of what the band has within
+    #: some 20 nm.
+    error_percent: float = 10.0
+
+
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class RigPose(Definition):
     """Pose for the colour chart."""
 
@@ -1626,6 +1652,12 @@ class Camera(Definition):
 
     #: How spectra are recovered from responses.
     calibration: CalibrationOptions = CalibrationOptions()
+
+    #: What is known of the filter of the second photograph; none where absent.
+    comb_filter: GivenFilter | None = None
+
+    #: What is known of the sensitivities of red, green and blue; nothing where absent.
+    sensitivities: GivenSensitivities | None = None
 
     #: Where the rig stands for the camera's own photographs; the light falls on the sample at 0 to below 80 degrees.
     poses: CameraPoses | None = None

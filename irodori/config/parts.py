@@ -17,6 +17,8 @@ from irodori.config.models import (
     DisplayOptions,
     EnvironmentSource,
     Exposures,
+    GivenFilter,
+    GivenSensitivities,
     Object,
     ObjectShape,
     PlacedObject,
@@ -109,6 +111,8 @@ class CalibratedCamera(Definition):
     chart: Chart
     further_charts: Mapping[str, Chart] = field(default_factory=dict, hash=False)
     calibration: CalibrationOptions = field(default_factory=CalibrationOptions)
+    comb_filter: GivenFilter | None = None
+    sensitivities: GivenSensitivities | None = None
 
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)

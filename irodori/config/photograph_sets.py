@@ -205,7 +205,8 @@ class PhotographSets:
     def tables_of_calibration(self, wildcards) -> list[str]:
         """Return the tables of spectra that a calibration reads."""
         camera = self.loaded.cameras[wildcards.camera]
-        return named_tables(camera.chart, camera.further_charts, self.loaded.rigs[camera.rig].light)
+        known = (camera.comb_filter, camera.sensitivities)
+        return named_tables(camera.chart, camera.further_charts, self.loaded.rigs[camera.rig].light, *known)
 
     def tables_of_white(self, wildcards) -> list[str]:
         """Return the table of the white reference's spectrum, where it has one."""

@@ -18,8 +18,9 @@ from irodori.core.errors import InputError
 from irodori.light.light_prior import LightPrior, light_prior, published_lamps
 from irodori.light.recovery_loops import mixture_weights
 
-#: Variance that is added to the response model's own: its 2σ holds 62 to 77 % of the bands' errors in place of 95 %.
-_MODEL_VARIANCE = 3.0
+#: So many times the variance of the response model counts: its errors are common to all directions, whose densities are
+#: multiplied as if each had its own. Chosen on lamps of the CIE in made-up rooms.
+_COMMON = 1.5
 _LEAST_NOISE = 3e-4  # of a response, relative, whatever the response model says
 #: So many observations, beside one of every family, each direction counts as that differs from the first by `_ALIKE`:
 #: all share the errors of the response model, and what a room shows a million times tells little more than once.
@@ -58,7 +59,7 @@ class ResponseModel:
             lacking = "band_response" if model is None else "band_response_covariance"
             raise InputError(path, lacking, "no such dataset", "a calibration that this version wrote")
         light = calibration.light
-        return cls(model / light, _MODEL_VARIANCE * covariance / (light[:, None] * light))
+        return cls(model / light, covariance / (light[:, None] * light))
 
     def given(self, light: np.ndarray, response: np.ndarray, noise: np.ndarray) -> "ResponseModel":
         """Return the model as answers to known light leave it.
@@ -151,7 +152,7 @@ class _Families:
         cross = model.mean @ prior.moment
         moment = cross @ model.mean.T
         of_band = np.arange(len(model.mean))
-        noise = prior.moment.reshape(len(prior.moment), -1) @ model.covariance.reshape(len(of_band), -1).T
+        noise = _COMMON * prior.moment.reshape(len(prior.moment), -1) @ model.covariance.reshape(len(of_band), -1).T
         moment[:, of_band, of_band] += noise + _LEAST_NOISE**2 * moment[:, of_band, of_band]
         factor = np.linalg.inv(np.linalg.cholesky(moment))
         gain = (np.linalg.solve(moment, cross)).swapaxes(1, 2)

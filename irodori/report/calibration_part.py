@@ -10,7 +10,7 @@ from irodori.report.figures import selection_figure
 _ATTRIBUTES = (
     "best_estimators", "charts", "clipped_patches", "condition_number", "estimator", "jitter", "light_on_chart",
     "likelier_charts",
-    "noise_amplification", "patches_found", "uneven_patches", "verdicts",
+    "noise_amplification", "patches_found", "response_model", "uneven_patches", "verdicts",
 )  # fmt: skip
 _WAYS = {"leave_one_out": "left out patch by patch", "leave_one_chart_out": "left out chart by chart"}
 

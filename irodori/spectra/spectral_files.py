@@ -30,8 +30,11 @@ _CSV, _CGATS = (".csv", ".tsv"), (".ti3", ".cgats", ".it8", ".cie", ".sp")
 SUFFIXES = (*_CSV, ".txt", *_CGATS, ".spd", ".spdx")
 #: Reflectance factors of a table; a little noise under 0 and fluorescence over 1 are real, percent are not.
 REFLECTANCE = (-0.01, 1.2)
+#: Transmittances of a table; noise of the measurement goes a little beyond 0 and 1.
+TRANSMITTANCE = (-0.01, 1.02)
 #: Noise of a spectroradiometer under 0, as a fraction of the largest power.
 _POWER_NOISE = 0.01
+_NAMED = 8  # spectra of a table that a message names
 
 _WAVELENGTH = re.compile(r"(wave[ _-]?length|lambda|λ|wl|nm)\b.*|wavelength_.*", re.IGNORECASE)
 _NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?")
@@ -102,6 +105,43 @@ def check_reflectance(table: SpectralTable, path) -> None:
                 found = f"{value:g}" + (", as if the table were in percent" if percent else "")
                 accepted = f"reflectance factors from {low:g} to {high:g}, where 1 is a perfect diffuser, not percent"
                 raise InputError(path, f"{name}, {at:g} nm", found, accepted)
+
+
+def check_transmittance(table: SpectralTable, path) -> None:
+    """Refuse values that no transmittance has: under -0.01 or over 1.02, beyond a measurement's noise.
+
+    Raises
+    ------
+    InputError
+    """
+    low, high = TRANSMITTANCE
+    percent = max(max(row) for row in table.values) > 2.0
+    for name, row in zip(table.names, table.values, strict=True):
+        for at, value in zip(table.wavelength_nm, row, strict=True):
+            if not low <= value <= high:
+                found = f"{value:g}" + (", as if in percent" if percent else "")
+                accepted = f"transmittances from {low:g} to {high:g}, not percent"
+                raise InputError(path, f"{name}, {at:g} nm", found, accepted)
+
+
+def filter_row(table: SpectralTable, name: str | None, path) -> list[float]:
+    """Return the transmittances of the one filter of a table, or of the one of a name.
+
+    Raises
+    ------
+    InputError
+        If the table holds several and no name is given, or none of the name; if a value is no transmittance, or all of
+        the filter are zero.
+    """
+    if name is None and len(table.names) != 1:
+        raise InputError(path, "", f"{len(table.names)} spectra and no name", f"a name, such as {table.names[0]}")
+    if name is not None and name not in table.names:
+        raise InputError(path, name, "no spectrum of this name", f"one of: {', '.join(table.names[:_NAMED])}")
+    row = table.values[table.names.index(name) if name else 0]
+    check_transmittance(SpectralTable([name or table.names[0]], table.wavelength_nm, [row]), path)
+    if max(row) <= 0.0:
+        raise InputError(path, name or "", "no transmittance at any wavelength", "a filter that passes light")
+    return row
 
 
 def check_power(table: SpectralTable, path) -> None:

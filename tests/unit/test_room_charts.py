@@ -53,7 +53,7 @@ def test_charts_in_two_places_tell_two_lamps_that_light_both_from_each_other(see
     charts = [chart_under(seen, np.array(share) @ pair, seed) for seed, share in enumerate([(0.8, 0.2), (0.3, 0.7)])]
     model = ResponseModel.of(seen.calibration)
     alone, helped = (recovery_with(some, model, room, prior) for some in ([], charts))
-    assert error(helped, room, lights) < 0.7 * error(alone, room, lights)
+    assert error(helped, room, lights) < min(0.5, 0.9 * error(alone, room, lights))
     # What the recovery states of itself, drawn as it is for the picture's errors.
     weights = helped.weights(room.response)
     found, rng = weights @ helped.basis.T, np.random.default_rng(1)
@@ -113,9 +113,9 @@ def test_two_lamps_of_different_kind_are_recovered_on_walls_and_mixed(seen, name
     charts = [chart_under(seen, np.array(share) @ pair, seed) for seed, share in enumerate([(0.8, 0.2), (0.3, 0.7)])]
     alone, helped = (error(recovery_with(some, seen.model, room, prior), room, lights) for some in ([], charts))
     as_paint = np.mean([adapted_errors(light, recovered(seen, light, None)) for light in lights])
-    assert helped <= 0.6 and helped < 0.7 * alone and helped < 0.5 * as_paint
+    assert helped <= 0.55 and helped < 0.95 * alone and helped < 0.5 * as_paint
     # Three narrow lines are like no other published lamp.
-    assert alone < as_paint or (names[0] == "LED-RGB1" and alone < as_paint + 0.5)
+    assert alone < as_paint or (names[0] == "LED-RGB1" and alone < as_paint + 0.9)
 
 
 @pytest.mark.stability(stage="light", case="narrow-band LED")

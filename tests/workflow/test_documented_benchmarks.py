@@ -47,6 +47,9 @@ _TINY = {
         "SETS": dict.fromkeys(_CALIBRATE.SETS, _CALIBRATE.SETS["classic"]),
         "cross_validate": lambda training: ({}, {}),
         "choose": lambda *_: ("ridge", 6),
+        "print_response_models": functools.partial(
+            _CALIBRATE.print_response_models, ("canon_eos_40d",), ("MIDOPT_NF550",)
+        ),
     },
     "compress": {"SIZES": {"small": (120, 240)}, "VARIANTS": {"small": ("pca-4", "decode-pca-4")}},
     "environment": {"HEIGHTS": {"small": 16}, "MAX_HEIGHTS": {"small": 16}, "LOOKUPS": {"small": 50}},
@@ -78,7 +81,7 @@ _MEASURED = ROOT.parent / "shared" / "data"
 
 
 #: Options with which a benchmark prints a table of its own, and writes none.
-_PRINTED = {"--table", "--error-bars"}
+_PRINTED = {"--table", "--error-bars", "--response-models"}
 
 
 @pytest.mark.heavy

@@ -36,6 +36,8 @@ rule calibrate_camera:
         chart=lookup(within=config["cameras"], dpath="{camera}/chart"),
         further_charts=lookup(within=config["cameras"], dpath="{camera}/further_charts"),
         calibration=lookup(within=config["cameras"], dpath="{camera}/calibration"),
+        comb_filter=lookup(within=config["cameras"], dpath="{camera}/comb_filter", default=None),
+        sensitivities=lookup(within=config["cameras"], dpath="{camera}/sensitivities", default=None),
         light=sets.light,
         lights=lookup(within=config["report"], dpath="lights"),
         user_files=ledger.content(sets.tables_of_calibration),

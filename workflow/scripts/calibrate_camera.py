@@ -2,10 +2,12 @@ from irodori.calibration.stage import calibrate_camera
 from irodori.config.parts import CalibratedCamera
 from irodori.core.run_rule import run_rule
 
+PARTS = ("chart", "further_charts", "calibration", "comb_filter", "sensitivities")
+
 with run_rule(snakemake) as provenance:
     calibrate_camera(
         snakemake.input.linear,
-        CalibratedCamera.of({key: snakemake.params[key] for key in ("chart", "further_charts", "calibration")}),
+        CalibratedCamera.of({key: part for key in PARTS if (part := snakemake.params[key]) is not None}),
         snakemake.params.light,
         snakemake.output.calibration,
         snakemake.output.errors,

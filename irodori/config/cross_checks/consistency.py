@@ -20,7 +20,7 @@ from irodori.config.cross_checks.captures_on_rig import (
 from irodori.config.cross_checks.display_files import check_display
 from irodori.config.cross_checks.environment_sources import check_placed_charts, check_source, is_photographed
 from irodori.config.cross_checks.lessons import check_lesson
-from irodori.config.cross_checks.named_spectra import check_chart, check_index, check_spectra
+from irodori.config.cross_checks.named_spectra import check_chart, check_filter, check_index, check_spectra
 from irodori.config.cross_checks.object_lobes import check_lobes
 from irodori.config.cross_checks.plan_overrides import check_plan
 from irodori.config.cross_checks.plausible_units import check_in_frame
@@ -149,6 +149,8 @@ class _Checks:
             accepted = f"1 to {bands}, {_BANDS_OF_A_STATE} for each filter state of the chart ({listed})"
             raise InputError(file, "calibration.bases", str(bases), accepted)
         check_spectra(camera, (), self.root, file)
+        if camera.comb_filter is not None:
+            check_filter(camera.comb_filter, self.root, file)
         check_chart(camera.chart, self.root, file)
         for chart, definition in camera.further_charts.items():
             check_chart(definition, self.root, file, f"further_charts.{chart}")

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from irodori.config.definition import Definition
-from irodori.config.models import Chart, IndexTable, RefractiveIndex
+from irodori.config.models import Chart, GivenFilter, IndexTable, RefractiveIndex
 from irodori.config.validation import dotted
 from irodori.core.errors import InputError, is_file
 from irodori.spectra.published_names import (
@@ -17,7 +17,7 @@ from irodori.spectra.published_names import (
     TEST_COLOURS,
     synthetic_light,
 )
-from irodori.spectra.spectral_files import SUFFIXES, check_power, check_reflectance, spectral_table
+from irodori.spectra.spectral_files import SUFFIXES, check_power, check_reflectance, filter_row, spectral_table
 from irodori.spectra.tables import index_table
 
 #: Rows and columns of the charts that can be found by themselves, and the same in words.
@@ -75,6 +75,14 @@ def check_index(index: RefractiveIndex, root: Path, file, field: str) -> None:
         index_table(root / index.file)
 
 
+def check_filter(given: GivenFilter, root: Path, file) -> None:
+    """Refuse a filter whose table is not there, does not hold it, or holds no transmittances over 400 to 700 nm."""
+    if not is_file(root / given.transmittance):
+        accepted = f"the path of a file whose name ends in {', '.join(SUFFIXES)}"
+        raise InputError(file, "comb_filter.transmittance", f"no such file: {given.transmittance}", accepted)
+    filter_row(spectral_table(root / given.transmittance), given.name, root / given.transmittance)
+
+
 def check_chart(chart: Chart, root: Path, file, key: str = "chart") -> None:
     """Refuse a chart whose rows and columns do not hold as many patches as its spectra."""
     name, patches = chart.spectra, chart.rows * chart.columns
@@ -111,6 +119,8 @@ def _kind(path: tuple) -> str | None:
     keys = [part for part in path if isinstance(part, str)]
     if keys[-1] in ("ambient_light", "lights", "lamps", "illuminants", "from_illuminant"):
         return "light"
+    if keys[-2:] == ["sensitivities", "file"]:
+        return "sensitivities"
     if keys[-1] == "spectrum":
         return "reflectance" if {"materials", "surfaces", "bodies"} & set(keys) else "light"
     kinds = {"spectra": "chart", "sensitivities": "sensitivities", "reflectance_factor": "reflectance"}

@@ -1,0 +1,173 @@
+"""Response models of cameras from a chart, with and without a table of the filter or of the sensitivities.
+
+``python -m benchmarks.calibrate --response-models`` prints the error of the bands and how the stated errors hold, for
+cameras and filters of ``../shared/data`` on which no constant was chosen. Every filter's table is wrong as data sheets
+are: shifted by some 1.5 nm, blurred, off in level by 7 % and wavy by 1 %. Given sensitivities are off by a smooth error
+of 10 %.
+"""
+
+import itertools
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from irodori.calibration.best_response import BestResponse, CameraSensitivities, Given, best_response
+from irodori.calibration.filter_table import FilterTable
+from irodori.calibration.response_model import fit_response_model, smooth_covariance, smooth_priors
+from irodori.calibration.simulated_responses import band_weights
+from irodori.spectra.grid import WAVELENGTH_NM
+from irodori.spectra.published import camera_sensitivities, chart_spectra, spectrum
+from irodori.spectra.tables import wide_table
+
+DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+#: The D5100 is not among them: colour-science publishes the same measurement, which constants were chosen with.
+CAMERAS = ("canon_eos_40d", "canon_eos_5d_mark_ii", "nikon_d700", "sony_ilce-7rm2")
+FILTERS = ("Schott_BG36", "MIDOPT_TB475_550_850", "MIDOPT_TB550_660_850", "MIDOPT_NF550")
+NOISES = (0.0, 0.001, 0.01)
+CHART, LIGHT = "BabelColor Average", "A"
+_SENSITIVITY_ERROR = 0.1
+
+
+@dataclass(frozen=True)
+class Wrong:
+    """How a table differs from its filter; ``of`` draws a data sheet's errors.
+
+    Parameters
+    ----------
+    shift_nm, blur_nm2, level, wave : float
+        The filter lies so far above its table; variance of the blur that the table adds; the table's level, relative;
+        standard deviation of its smooth waves over 25 nm, relative.
+    """
+
+    shift_nm: float = 0.0
+    blur_nm2: float = 0.0
+    level: float = 1.0
+    wave: float = 0.01
+
+    @classmethod
+    def of(cls, seed: int) -> "Wrong":
+        """Return what a data sheet may be off by."""
+        shift, blur, level = np.random.default_rng(seed).standard_normal(3)
+        return cls(1.5 * shift, 2.0 * abs(blur), float(np.exp(0.07 * level)))
+
+    def table(self, wavelength_nm: np.ndarray, transmittance: np.ndarray, seed: int = 0) -> FilterTable:
+        """Return the table of a filter that is truly so."""
+        # Nothing is known of the filter beyond its own measurement, which is steady there.
+        curve = [np.interp(wavelength_nm + self.shift_nm + s, wavelength_nm, transmittance) for s in (-2.0, 0.0, 2.0)]
+        blurred = curve[1] + self.blur_nm2 * (curve[0] + curve[2] - 2.0 * curve[1]) / 8.0
+        distance = (wavelength_nm[:, None] - wavelength_nm) / 25.0
+        draw = np.random.default_rng(seed).multivariate_normal
+        wave = draw(np.zeros(len(distance)), np.exp(-0.5 * distance**2), method="eigh")
+        return FilterTable(wavelength_nm, np.clip(self.level * blurred * (1.0 + self.wave * wave), 0.0, 1.0))
+
+
+@cache
+def published_filter(name: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return wavelengths, nm, and transmittances of a measured filter."""
+    names, wavelengths, values = wide_table(DATA / "filters/filters.csv")
+    return np.array(wavelengths), np.clip(np.array(values[names.index(name)]), 0.0, 1.0)
+
+
+@cache
+def sensitivities(camera: str) -> np.ndarray:
+    """Return the sensitivities of a camera of the data, or of colour-science, (3, 61)."""
+    file = DATA / f"cameras/{camera}.csv"
+    return camera_sensitivities(str(file) if file.exists() else camera)
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A camera with a filter that has photographed a chart.
+
+    Parameters
+    ----------
+    sensitivities : (3, 61) float64
+    transmittance : (61,) float64
+    noise : float
+        Of a patch's mean, relative to the root mean square over the patches.
+    """
+
+    sensitivities: np.ndarray
+    transmittance: np.ndarray
+    noise: float
+    seed: int = 0
+    light: np.ndarray = field(default_factory=lambda: spectrum(LIGHT))
+
+    def chart(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Return responses (24, 6), reflectances, variances (6,) and the true response model (6, 61), each band scaled.
+
+        Every band is divided by its largest patch, as training does.
+        """
+        spectra = chart_spectra(CHART)[1]
+        true = band_weights(self.sensitivities, self.light, self.transmittance)
+        response = spectra @ true.T
+        spread = self.noise * np.sqrt(np.mean(response**2, axis=0))
+        response = response + spread * np.random.default_rng(self.seed).standard_normal(response.shape)
+        scale = np.abs(response).max(axis=0)
+        return response / scale, spectra, (spread / scale) ** 2, true / scale[:, None]
+
+    def found(self, given: Given) -> tuple[BestResponse, np.ndarray]:
+        """Return the response model that the chart and what is given tell, and the true one."""
+        response, spectra, variance, true = self.chart()
+        return best_response(response, spectra, self.light, variance, given), true
+
+
+def trial(camera: str, name: str, noise: float, seed: int = 0) -> Trial:
+    """Return a camera and a filter of the data."""
+    return Trial(sensitivities(camera), np.interp(WAVELENGTH_NM, *published_filter(name)), noise, seed)
+
+
+def judged_trial(camera: str, name: str, noise: float = 0.001, seed: int = 0) -> tuple[Trial, FilterTable]:
+    """Return a camera with a filter of the data, and a table of this filter, wrong as data sheets are."""
+    return trial(camera, name, noise, seed), Wrong.of(seed).table(*published_filter(name), seed)
+
+
+def given_sensitivities(true: np.ndarray, error: float = _SENSITIVITY_ERROR, seed: int = 0) -> CameraSensitivities:
+    """Return sensitivities off by a smooth error, relative, over 30 nm."""
+    draw = np.random.default_rng(seed).multivariate_normal
+    off = draw(np.zeros(true.shape[1]), smooth_covariance(30.0), size=len(true), method="eigh")
+    return CameraSensitivities(np.maximum(true * (1.0 + error * off), 0.0), error)
+
+
+def errors(mean: np.ndarray, true: np.ndarray) -> np.ndarray:
+    """Return the root mean square error of each band, relative, (bands,)."""
+    return np.linalg.norm(mean - true, axis=1) / np.linalg.norm(true, axis=1)
+
+
+def shares(mean: np.ndarray, covariance: np.ndarray, true: np.ndarray) -> tuple[float, float]:
+    """Return the shares of wavelengths and bands within one and two of the stated standard deviations."""
+    ratio = np.abs(mean - true) / np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 1e-300))
+    return float(np.mean(ratio <= 1.0)), float(np.mean(ratio <= 2.0))
+
+
+WAYS = ("smooth", "chart", "sensitivities", "filter", "filter and sensitivities")
+
+
+def judged(way: str, noise: float, cameras=CAMERAS, filters=FILTERS) -> tuple[float, float, float, float]:
+    """Return the errors of the bands without and with the filter, and the shares within one and two σ, all means.
+
+    ``smooth`` is the response model that the estimators train with.
+    """
+    rows = []
+    for seed, (camera, name) in enumerate(itertools.product(cameras, filters)):
+        own, sheet = judged_trial(camera, name, noise, seed)
+        if way == "smooth":
+            response, spectra, variance, true = own.chart()
+            best = fit_response_model(response, smooth_priors(spectra, own.light), variance)
+        else:
+            table = sheet if "filter" in way else None
+            known = given_sensitivities(own.sensitivities, seed=seed) if "sensitivities" in way else None
+            best, true = own.found(Given(table, known))
+        off = errors(best.mean, true)
+        rows.append((off[:3].mean(), off[3:].mean(), *shares(best.mean, best.covariance, true)))
+    return tuple(np.mean(rows, axis=0).tolist())
+
+
+def print_response_models(cameras=CAMERAS, filters=FILTERS) -> None:
+    """Print errors and shares of every way, with every noise."""
+    print(f"{'given':26}{'noise':>7}{'without':>9}{'with':>7}{'1 σ':>6}{'2 σ':>6}")
+    for way, noise in itertools.product(WAYS, NOISES):
+        plain, filtered, one, two = judged(way, noise, cameras, filters)
+        print(f"{way:26}{noise:7.1%}{plain:9.1%}{filtered:7.1%}{one:6.2f}{two:6.2f}", flush=True)

@@ -1,0 +1,184 @@
+"""Responses without and with a filter of which a table is given, from one chart.
+
+Without the filter band b answers per unit reflectance with h_b(λ), with it with g_b T(λ) h_b(λ). T is the table's
+transmittance with its departures (`irodori.calibration.filter_table`) and a rest δ(λ), a Gaussian process that allows
+every passband its own level and every edge its own place; its size is chosen by the marginal likelihood.
+Sensitivities, departures, δ and the gains g_b are found together by Gauss-Newton steps from Gaussian priors; their
+covariance is that of the linearised model (Laplace's approximation), so that what the table leaves open is in the
+covariance of the responses.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from irodori.calibration.filter_table import DEPARTURES, FilterTable
+from irodori.calibration.sensitivity_prior import BandPrior
+from irodori.spectra.grid import SAMPLES, WAVELENGTH_NM
+
+#: Standard deviations of a passband's level that are tried, relative, and their correlation length, nm; with each an
+#: edge lies so many nm off per unit, with its own length.
+_LEVELS, _LEVEL_NM = (0.003, 0.01, 0.03, 0.1), 25.0
+_EDGE_PER_LEVEL_NM, _EDGE_NM = 30.0, 10.0
+#: Where the search of the shift begins, in its standard deviations, and with which of the levels.
+_STARTS, _FIRST = (-1.5, 0.0, 1.5), 1
+_GAIN, _LEAST_GAIN = 0.3, 1e-3  # standard deviation of the logarithm of a gain about where the search begins
+_STEPS, _ENOUGH = 30, 1e-4
+_MOST_SHIFT_NM, _MOST_GAIN = 1.5, 0.5  # in one step
+_BANDS = 3
+
+
+def _matern(length_nm: float) -> np.ndarray:
+    """Return Matérn's covariance of order 5/2 and unit variance, (61, 61)."""
+    distance = np.sqrt(5.0) * np.abs(WAVELENGTH_NM[:, None] - WAVELENGTH_NM) / length_nm
+    return (1.0 + distance + distance**2 / 3.0) * np.exp(-distance)
+
+
+@dataclass(frozen=True)
+class FilterFit:
+    """Responses of the six bands, and what the filter differs from its table by.
+
+    Parameters
+    ----------
+    mean : (6, 61) float64
+    covariance : (6, 61, 61) float64
+    log_evidence : float
+    departures, errors : (4,) float64
+        See `irodori.calibration.filter_table.DEPARTURES`, and their standard deviations.
+    gains : (3,) float64
+        Of the bands with the filter, for a largest transmittance of 1.
+    level : float
+        Standard deviation of the rest that the marginal likelihood prefers.
+    """
+
+    mean: np.ndarray
+    covariance: np.ndarray
+    log_evidence: float
+    departures: np.ndarray
+    errors: np.ndarray
+    gains: np.ndarray
+    level: float
+
+
+class _Problem:
+    """Responses of a chart as a function of sensitivities (3 x 61), departures, gains and the rest."""
+
+    _DEPARTURES = slice(_BANDS * SAMPLES, _BANDS * SAMPLES + len(DEPARTURES))
+    _SHIFTS = slice(_DEPARTURES.start, _DEPARTURES.start + 2)
+    _GAINS = slice(_DEPARTURES.stop, _DEPARTURES.stop + _BANDS)
+    _REST = slice(_GAINS.stop, _GAINS.stop + SAMPLES)
+
+    def __init__(self, response, spectra, table: FilterTable, priors: list[BandPrior], noise: np.ndarray) -> None:
+        self.response, self.spectra, self.table = response.T.ravel(), spectra, table
+        self.noise = np.repeat(noise, len(spectra))
+        self.mean, self.covariance = np.zeros(self._REST.stop), np.zeros((self._REST.stop,) * 2)
+        for band, prior in enumerate(priors):
+            own = slice(band * SAMPLES, (band + 1) * SAMPLES)
+            self.mean[own], self.covariance[own, own] = prior.mean, prior.covariance
+        self.covariance[self._DEPARTURES, self._DEPARTURES] = np.diag(table.spread**2)
+        self.covariance[self._GAINS, self._GAINS] = _GAIN**2 * np.eye(_BANDS)
+        self.alone = [prior.given(own, spectra).mean for prior, own in zip(priors, response.T, strict=False)]
+
+    def begin(self, shift: float) -> np.ndarray:
+        """Return where the search begins; the gains there are also the middle of their prior."""
+        start = self.mean.copy()
+        start[: self._DEPARTURES.start] = np.concatenate(self.alone)
+        start[self._DEPARTURES.start] = shift
+        passed = self.spectra * self.table.at(start[self._DEPARTURES])
+        measured = self.response.reshape(2, _BANDS, -1)[1]
+        seen = [passed @ h for h in self.alone]
+        gains = [one @ own / max(one @ one, 1e-300) for one, own in zip(seen, measured, strict=True)]
+        self.mean[self._GAINS] = start[self._GAINS] = np.log(np.maximum(gains, _LEAST_GAIN))
+        return start
+
+    def rest(self, size: float, departures: np.ndarray) -> np.ndarray:
+        """Return the covariance of what the transmittance is off by beside its departures, (61, 61)."""
+        level, edge = self.table.at(departures), self.table.slopes(departures)[:, 0]
+        levels = level[:, None] * _matern(_LEVEL_NM) * level
+        return size**2 * (levels + _EDGE_PER_LEVEL_NM**2 * edge[:, None] * _matern(_EDGE_NM) * edge)
+
+    def responses(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the responses per unit reflectance (6, 61) and their derivatives (6, 61, unknowns)."""
+        h, departures = x[: self._DEPARTURES.start].reshape(_BANDS, SAMPLES), x[self._DEPARTURES]
+        gains, passed = np.exp(x[self._GAINS]), self.table.at(departures) + x[self._REST]
+        slopes, of_all = self.table.slopes(departures), np.arange(SAMPLES)
+        value = np.concatenate([h, gains[:, None] * passed * h])
+        by = np.zeros((2 * _BANDS, SAMPLES, len(x)))
+        for band in range(_BANDS):
+            own = band * SAMPLES + of_all
+            by[band, of_all, own] = 1.0
+            by[_BANDS + band, of_all, own] = gains[band] * passed
+            by[_BANDS + band][:, self._DEPARTURES] = (gains[band] * h[band])[:, None] * slopes
+            by[_BANDS + band, :, self._GAINS.start + band] = value[_BANDS + band]
+            by[_BANDS + band, of_all, self._REST.start + of_all] = gains[band] * h[band]
+        return value, by
+
+    def solve(self, size: float, shift: float) -> FilterFit:
+        """Return the fit with a rest of some size, begun at some shift."""
+        x, variance = self.begin(shift), np.diag(self.covariance)[: self._REST.start]
+        unit = np.sqrt(np.maximum(variance, np.finfo(float).tiny))
+        for _ in range(_STEPS):
+            self.covariance[self._REST, self._REST] = self.rest(size, x[self._DEPARTURES])
+            value, by = self.responses(x)
+            slopes = np.einsum("ml,blu->bmu", self.spectra, by, optimize=True).reshape(len(self.response), -1)
+            missed = self.response - (value @ self.spectra.T).ravel() + slopes @ (x - self.mean)
+            cross = self.covariance @ slopes.T
+            moment = slopes @ cross + np.diag(self.noise)
+            solved = np.linalg.solve(moment, missed)
+            step = self.mean + cross @ solved - x
+            # Far from the solution the linearised model leads astray: shifts and gains go a part of the way.
+            shift, gain = (np.abs(step[own]).max() for own in (self._SHIFTS, self._GAINS))
+            x = x + step / max(1.0, shift / _MOST_SHIFT_NM, gain / _MOST_GAIN)
+            if np.abs(step[: self._REST.start] / unit).max() < _ENOUGH:
+                break
+        value, by = self.responses(x)
+        covariance = self.covariance - cross @ np.linalg.solve(moment, cross.T)
+        evidence = -0.5 * (missed @ solved + np.linalg.slogdet(moment)[1])
+        return FilterFit(
+            value,
+            by @ covariance @ by.swapaxes(1, 2),
+            float(evidence),
+            x[self._DEPARTURES],
+            np.sqrt(np.maximum(np.diag(covariance)[self._DEPARTURES], 0.0)),
+            np.exp(x[self._GAINS]),
+            size,
+        )
+
+
+def fit_filter(
+    response: np.ndarray, spectra: np.ndarray, table: FilterTable, priors: list[BandPrior], variance: np.ndarray
+) -> FilterFit:
+    """Return the responses of six bands, three without and three with a filter, under the prior that its table gives.
+
+    Parameters
+    ----------
+    response : (m, 6) float64
+    spectra : (m, 61) float64
+    table : FilterTable
+    priors : list of 3 BandPrior
+        Of the bands without the filter; noise that they found beyond what is known, relative to the mean square of a
+        band, is expected of the bands with it too.
+    variance : (6,) float64
+        Of the responses, as far as it is known.
+    """
+    square = np.mean(response**2, axis=0)
+    plain = np.array([prior.noise for prior in priors])
+    further = np.mean((plain - variance[:_BANDS]) / square[:_BANDS])
+    noise = np.concatenate([plain, variance[_BANDS:] + further * square[_BANDS:]])
+    problem = _Problem(response, spectra, table, priors, noise)
+    tried = [problem.solve(_LEVELS[_FIRST], start * table.shift_nm) for start in _STARTS]
+    first = max(tried, key=lambda fit: fit.log_evidence)
+    fits = [
+        first if which == _FIRST else problem.solve(level, first.departures[0]) for which, level in enumerate(_LEVELS)
+    ]
+    logarithm = np.array([fit.log_evidence for fit in fits])
+    share = np.exp(logarithm - logarithm.max())
+    share /= share.sum()
+    mean = np.tensordot(share, np.array([fit.mean for fit in fits]), axes=1)
+    covariance = sum(
+        part * (fit.covariance + np.einsum("bi,bj->bij", fit.mean - mean, fit.mean - mean))
+        for part, fit in zip(share, fits, strict=True)
+    )
+    best = fits[int(np.argmax(logarithm))]
+    evidence = float(np.log(np.mean(np.exp(logarithm - logarithm.max()))) + logarithm.max())
+    return FilterFit(mean, covariance, evidence, best.departures, best.errors, best.gains, best.level)

@@ -1,0 +1,197 @@
+"""Prior over the response of one band per unit reflectance, as Gaussian processes over the wavelength.
+
+A response is the light times a sensitivity. Sensitivities are smooth but have bends, which Matérn's covariances allow,
+and they are large in one part of the range and nearly zero elsewhere: their spread follows an envelope, which the chart
+itself tells, as it tells length and size by the marginal likelihood (Rasmussen and Williams 2006, section 5.4).
+Where a camera's UV and IR cut filters cut, a few nanometres count as many.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from irodori.spectra.grid import WAVELENGTH_NM
+
+#: Correlation lengths of a sensitivity, nm, and its sizes and the chart's further noise variances, relative, tried.
+_LENGTHS_NM = (30.0, 40.0, 60.0)
+_SIZES = 10.0 ** np.arange(-2.0, 5.0, 0.5)
+_FURTHER_NOISE = 10.0 ** np.arange(-10.0, -1.0)
+#: Edges of the cut filters of cameras: where, how wide, and what they add to the distance of two wavelengths, nm. The
+#: two cameras that colour-science publishes have theirs here; no other was looked at.
+_EDGES_NM, _EDGE_WIDTH_NM, _EDGE_DISTANCE_NM = (418.0, 655.0), 10.0, 40.0
+#: Of an envelope: over how many nm it is a mean, its least part of the largest, and how often it is found anew.
+_ENVELOPE_NM, _LEAST, _ROUNDS = 20.0, 0.05, 2
+_LEAST_POWER = 1e-3  # of a lamp, of its mean
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """Response of one band per unit reflectance, with its covariance, as a chart tells it.
+
+    Parameters
+    ----------
+    mean : (61,) float64
+    covariance : (61, 61) float64
+    log_evidence : float
+        Logarithm of the density of the chart's responses under the prior, up to a constant of the chart.
+    """
+
+    mean: np.ndarray
+    covariance: np.ndarray
+    log_evidence: float
+
+
+@dataclass(frozen=True)
+class BandPrior:
+    """Gaussian prior of a band's response per unit reflectance, and the variance of a patch's response.
+
+    Parameters
+    ----------
+    mean : (61,) float64
+    covariance : (61, 61) float64
+    noise : float
+    """
+
+    mean: np.ndarray
+    covariance: np.ndarray
+    noise: float
+
+    def given(self, response: np.ndarray, spectra: np.ndarray) -> Posterior:
+        """Return the posterior after responses (m,) of known reflectances (m, 61)."""
+        cross = spectra @ self.covariance
+        moment = cross @ spectra.T + self.noise * np.eye(len(spectra))
+        missed = response - spectra @ self.mean
+        solved = np.linalg.solve(moment, np.column_stack([missed, cross]))
+        evidence = -0.5 * (missed @ solved[:, 0] + np.linalg.slogdet(moment)[1])
+        return Posterior(self.mean + solved[:, 0] @ cross, self.covariance - cross.T @ solved[:, 1:], float(evidence))
+
+
+@dataclass(frozen=True)
+class Posteriors:
+    """Responses of all bands per unit reflectance, each by itself, as a chart tells them.
+
+    Parameters
+    ----------
+    mean : (bands, 61) float64
+    covariance : (bands, 61, 61) float64
+    log_evidence : float
+        Logarithm of the density of all responses, up to a constant of the chart.
+    """
+
+    mean: np.ndarray
+    covariance: np.ndarray
+    log_evidence: float
+
+    @classmethod
+    def of(cls, priors: list[BandPrior], response: np.ndarray, spectra: np.ndarray) -> "Posteriors":
+        """Return what responses (m, bands) of known reflectances (m, 61) tell."""
+        each = [prior.given(own, spectra) for prior, own in zip(priors, response.T, strict=True)]
+        mean, covariance = (np.array([getattr(one, name) for one in each]) for name in ("mean", "covariance"))
+        return cls(mean, covariance, sum(one.log_evidence for one in each))
+
+
+@lru_cache(maxsize=1)
+def shapes() -> np.ndarray:
+    """Return the covariances of unit variance that are tried, Matérn's of orders 3/2 and 5/2, (6, 61, 61)."""
+    from scipy.special import ndtr  # slow to import
+
+    place = WAVELENGTH_NM + _EDGE_DISTANCE_NM * sum(ndtr((WAVELENGTH_NM - e) / _EDGE_WIDTH_NM) for e in _EDGES_NM)
+    found = []
+    for length in _LENGTHS_NM:
+        distance = np.abs(place[:, None] - place) / length
+        rough, smooth = np.sqrt(3.0) * distance, np.sqrt(5.0) * distance
+        found += [(1.0 + rough) * np.exp(-rough), (1.0 + smooth + smooth**2 / 3.0) * np.exp(-smooth)]
+    return np.array(found)
+
+
+def _envelope(square: np.ndarray) -> np.ndarray:
+    """Return the root of a local mean of squares (61,), nowhere under a small part of its largest."""
+    near = np.exp(-0.5 * ((WAVELENGTH_NM[:, None] - WAVELENGTH_NM) / _ENVELOPE_NM) ** 2)
+    mean = near @ np.maximum(square, 0.0) / near.sum(axis=1)
+    return np.sqrt(mean + _LEAST**2 * mean.max())
+
+
+def _averaged(
+    missed: np.ndarray, spectra: np.ndarray, envelope: np.ndarray, variance: float, sizes: np.ndarray | None
+) -> tuple[np.ndarray, float]:
+    """Return covariance and noise, the mean over what was tried by its marginal likelihood, each at its best size.
+
+    Parameters
+    ----------
+    missed : (m,) float64
+        Responses without what the mean of the prior explains.
+    spectra : (m, 61) float64
+    envelope : (61,) float64
+    variance : float
+        Of the responses, as far as it is known.
+    sizes : (n,) float64 or None
+        Variances tried where they are not known from the mean square of the responses.
+    """
+    total = np.mean(missed**2)
+    noise = variance + np.concatenate([[0.0] if variance > 0.0 else [], _FURTHER_NOISE]) * total
+    logarithm, covariances, noises = [], [], []
+    for shape in shapes():
+        covariance = envelope[:, None] * shape * envelope
+        values, vectors = np.linalg.eigh(spectra @ covariance @ spectra.T)
+        values, turned = np.maximum(values, 0.0), vectors.T @ missed
+        size = _SIZES * total / values.mean() if sizes is None else sizes
+        spread = size[:, None, None] * values + noise[:, None]
+        likelihood = -0.5 * (turned**2 / spread + np.log(spread)).sum(axis=2)
+        i, j = np.unravel_index(np.argmax(likelihood), likelihood.shape)
+        logarithm.append(likelihood[i, j])
+        covariances.append(size[i] * covariance)
+        noises.append(noise[j])
+    share = np.exp(np.array(logarithm) - max(logarithm))
+    share /= share.sum()
+    return np.tensordot(share, np.array(covariances), axes=1), float(np.exp(share @ np.log(noises)))
+
+
+def prior_of_chart(response: np.ndarray, spectra: np.ndarray, light: np.ndarray, variance: float = 0.0) -> BandPrior:
+    """Return the prior of a band of which nothing but a chart is known.
+
+    Parameters
+    ----------
+    response : (m,) float64
+    spectra : (m, 61) float64
+    light : (61,) float64
+    variance : float
+        Of the responses; 0 where not known.
+    """
+    # Where a lamp is dark, the chart tells nothing of a sensitivity.
+    power = np.maximum(light / light.mean(), _LEAST_POWER)
+    envelope, nothing = np.ones(len(light)), np.zeros(len(light))
+    for left in reversed(range(_ROUNDS + 1)):
+        prior = BandPrior(nothing, *_averaged(response, spectra, power * envelope, variance, None))
+        if left:
+            found = prior.given(response, spectra)
+            envelope = _envelope((found.mean**2 + np.diag(found.covariance)) / power**2)
+    return prior
+
+
+def prior_about(
+    sensitivity: np.ndarray,
+    error: float,
+    response: np.ndarray,
+    spectra: np.ndarray,
+    light: np.ndarray,
+    variance: float = 0.0,
+) -> BandPrior:
+    """Return the prior of a band whose sensitivity is known up to a factor and an error.
+
+    Parameters
+    ----------
+    sensitivity : (61,) float64
+        Relative.
+    error : float
+        Standard deviation of the sensitivity, relative to what it is nearby, 0.1 = 10 %.
+    response, spectra, light, variance : see `prior_of_chart`
+    """
+    known = light * sensitivity
+    answer = spectra @ known
+    factor = (answer @ response) / (answer @ answer)
+    mean = factor * known
+    envelope = factor * light * _envelope(sensitivity**2)
+    covariance, noise = _averaged(response - spectra @ mean, spectra, envelope, variance, np.array([error**2]))
+    # The factor itself is as uncertain as the sensitivity.
+    return BandPrior(mean, covariance + error**2 * mean[:, None] * mean, noise)
