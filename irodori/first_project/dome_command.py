@@ -22,7 +22,7 @@ from irodori.ingest.first_look import COARSE, COARSE_WARNING
 from irodori.ingest.mosaic import Mosaic, decode
 from irodori.rectification.circle_search import Circle
 from irodori.rectification.lamp_registration import Lamps, geometry_of, register_lamps
-from irodori.reflection.registry import names
+from irodori.reflection.registry import DEFAULT_LOBES, names
 
 #: Part of the ball's radius that is used: beyond it a pixel spans many degrees.
 INSIDE = 0.95
@@ -95,7 +95,8 @@ def _measure(asked: argparse.Namespace) -> int:
     n = asked.refractive_index
     lamps = register_lamps(response, normal, view, lit, known, error_deg=asked.error_deg, n=n, k=0.0)
     weight, tried = seen.lit(lamps.direction), {}
-    for lobe in (MATT, *names()):
+    # The simplest first: no gloss, then the paper's lobe, whatever else is registered.
+    for lobe in (MATT, *sorted(names(), key=lambda name: (name,) != DEFAULT_LOBES)):
         tried[lobe] = predict_left_out(
             seen.response, seen.normal, seen.view, weight, lamps, known, lobe=lobe, n=n, k=0.0
         )  # fmt: skip

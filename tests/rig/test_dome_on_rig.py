@@ -53,7 +53,7 @@ def test_a_ball_of_the_virtual_rig_is_predicted_from_the_other_photographs(tmp_p
     errors = np.array([float(row["relative_rms"]) for row in rows])
     assert errors.mean() < 0.025 and errors.max() < 0.04
     assert np.abs(np.array([float(row["level"]) for row in rows]) - 1.0).max() < 0.02
-    assert "gloss gaussian: beta" in told
+    assert "gloss gaussian: beta" in told, told
     by_name = {row["file"]: row for row in rows}
     for shot in shots:
         row, (angle, azimuth) = by_name[Path(shot.file).with_suffix(".tif").name], light_angles_deg(to_light(shot.pose))

@@ -181,7 +181,7 @@ def test_a_photograph_with_a_wrong_pose_is_named_with_its_angle(tmp_path, defini
     definition = an_object(definitions, PLATE)
     lies = {3: Pose(65.0, 35.0, 0.0, 2.0)}
     files = photographs(tmp_path, definitions, definition, POSES, lies=lies)
-    with pytest.raises(InputError, match=r"p03-.*turn_deg off by -[12]\.") as raised:
+    with pytest.raises(InputError, match=r"p03-.*turn_deg is off by -[12]\.") as raised:
         register_object(
             files,
             made(Object | PhotographedObject, definition),

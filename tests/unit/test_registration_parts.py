@@ -293,7 +293,7 @@ def test_the_photograph_that_is_furthest_off_is_refused():
     found = registered(
         np.zeros(COUNT), np.full(COUNT, 0.1), (0.5, 3.0), (("turn_deg", 0.0), ("camera_deg or tilt_deg", -1.5))
     )
-    said = r"b\.h5: pose_deg.*3 superpixels \(0\.6 mm\).*camera_deg or tilt_deg off by -1\.5.*at most 1 superpixels"
+    said = r"b\.h5: pose_deg.*3 superpixels \(0\.6 mm\).*camera_deg or tilt_deg is off by -1\.5.*at most 1 superpixels"
     with pytest.raises(InputError, match=said):
         _refuse_far(found, ["a.h5", "b.h5"], 1.0)
     _refuse_far(found, ["a.h5", "b.h5"], 3.0)
@@ -320,7 +320,7 @@ def test_a_drawn_plate_is_found_where_it_lies(tmp_path, lies):
 def test_a_drawn_plate_turned_in_one_photograph_is_refused_for_its_turn(tmp_path):
     shown = [*VIEWS[:3], replace(VIEWS[3], turn_deg=184.0)]
     files = drawn(tmp_path, Correction(), shown)
-    with pytest.raises(InputError, match=r"3\.h5: pose_deg.*turn_deg off by \+(3\.[5-9]|4\.[0-5])"):
+    with pytest.raises(InputError, match=r"3\.h5: pose_deg.*turn_deg is off by \+(3\.[5-9]|4\.[0-5])"):
         register_object(files, PLATE, SETUP, Placing(), output=tmp_path / "out.h5", provenance=store.Provenance("test"))
     assert not (tmp_path / "out.h5").exists()
 
