@@ -21,8 +21,6 @@ ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
 #: Documents that one reads where the repository lies, without a site.
 DOCUMENTS = [*sorted(ROOT.glob("*.md")), ROOT / "config" / "README.md", *sorted(DOCS.rglob("*.md"))]
-#: Pages that exist on the site alone, made at every build.
-MADE = ("reference/commands.md", "reference/package/")
 READMES = ("README.md", "README.ja.md")
 #: Of the figures, together.
 MOST_BYTES = 3_000_000
@@ -57,8 +55,6 @@ def test_links_of_a_document_lead_to_files_and_headings_that_exist(path):
         if re.match(r"[a-z]+:", link):
             continue
         target = (path.parent / file).resolve() if file else path
-        if target.is_relative_to(DOCS) and str(target.relative_to(DOCS)).startswith(MADE):
-            continue
         assert target.exists(), f"{path.name}: {link}"
         assert not anchor or anchor in anchors(text_of(target)), f"{path.name}: {link}"
 
