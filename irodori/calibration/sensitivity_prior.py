@@ -69,7 +69,7 @@ class BandPrior:
 
 @dataclass(frozen=True)
 class Posteriors:
-    """Responses of all bands per unit reflectance, each by itself, as a chart tells them.
+    """Responses of all bands per unit reflectance, each on its own, as a chart determines them.
 
     Parameters
     ----------

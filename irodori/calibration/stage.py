@@ -128,7 +128,7 @@ def _given(camera: Camera | CalibratedCamera, charts: Charts) -> Given:
 
 
 def _response_model(best: BestResponse) -> dict:
-    """Return what the calibration file tells of its response model: what it rests on, and how the filter differs."""
+    """Return the response model's entry in the calibration file: its sources, and how the filter differs."""
     told = {
         "sources": list(best.sources),
         "ignored": {source: best.ignored_by(source) for source in best.ignored()},

@@ -1,4 +1,4 @@
-"""The contact sheet: every photograph small, with what the definitions say of it drawn over it, as one HTML page."""
+"""The contact sheet: a page of small photographs, over which the outlines and patches of the definitions are drawn."""
 
 import base64
 from collections.abc import Mapping

@@ -104,7 +104,7 @@ class Display:
         return np.stack([curve.linear(levels)[codes[..., i]] for i, curve in enumerate(self.curves)], axis=-1)
 
     def attributes(self, white_xyz: np.ndarray) -> dict[str, str]:
-        """Return what a picture's file says of its adaptation to this display."""
+        """Return the attributes that state a picture's adaptation to this display."""
         return {
             "irodori:chromaticAdaptation": ADAPTATION,
             "irodori:whiteXYZ": _listed(white_xyz),

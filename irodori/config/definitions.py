@@ -70,7 +70,7 @@ def load_definitions(config: dict, root: Path, file=_CONFIG_FILE) -> Loaded:
 
 
 def definition_faults(config: dict, root: Path, file=_CONFIG_FILE) -> list[InputError]:
-    """Return the faults of a configuration's definitions and tables, each file looked at by itself.
+    """Return the faults of a configuration's definitions and tables, each file looked at on its own.
 
     Faults between files are left to `load_definitions`, which refuses the first: they mean little as long as the files
     themselves are at fault. Parameters are those of `load_definitions`.

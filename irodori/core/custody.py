@@ -240,7 +240,7 @@ def received(path, known: dict[str, Record | None]) -> str:
 
 
 def _compare_behind(path: str, record: Record, known: dict[str, Record | None]) -> None:
-    """Compare what the records behind a result say of each other; those that are gone say nothing."""
+    """Compare the hashes in the records behind a result with each other; records that are gone are passed over."""
     waiting = [(path, record)]
     while waiting:
         made, of = waiting.pop()

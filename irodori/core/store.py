@@ -336,7 +336,7 @@ class Reader:
             return found
 
     def layout(self, name: str) -> Layout:
-        """Return what the file says of a dataset.
+        """Return the shape, the type and the attributes of a dataset.
 
         Raises
         ------

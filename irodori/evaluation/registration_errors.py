@@ -63,7 +63,7 @@ def measure_registration(linear: Sequence, output) -> None:
 
 
 def summarise(rows: Sequence[RegistrationRow]) -> RegistrationSummary:
-    """Return what the report says of an object's captures."""
+    """Return the summary of the registration of an object's captures, for the report."""
     by_capture, by_chart, by_none = (sum(row.source == source for row in rows) for source in SOURCES)
     own = [row for row in rows if row.source == "capture"]
     if not own:

@@ -97,7 +97,7 @@ class _Document:
         return len(self.json[table]) - 1
 
     def texture(self, pixels: np.ndarray, wraps: bool, name: str) -> dict:
-        """Add a texture; return what a material says of it."""
+        """Add a texture; return a material's reference to it."""
         across = _REPEAT if wraps else _CLAMP
         sampler = {"magFilter": _LINEAR, "minFilter": _LINEAR, "wrapS": across, "wrapT": _CLAMP}
         entry = {"sampler": self._add("samplers", sampler), "source": self.buffer.image(pixels, name)}

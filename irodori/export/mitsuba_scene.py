@@ -229,7 +229,7 @@ def write_mitsuba(source: Source, folder) -> None:
 
 
 def add_to_about(folder, content: dict) -> None:
-    """Add to what an export's folder says of itself."""
+    """Add entries to the `about.json` of an export's folder."""
     path = Path(folder) / ABOUT
     held = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
     with written_whole(path) as temporary:

@@ -199,7 +199,7 @@ class Header(NamedTuple):
 
 
 def picture_header(path) -> Header:
-    """Return what a picture's file says of itself.
+    """Return the metadata of a picture's file.
 
     Raises
     ------

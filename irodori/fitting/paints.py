@@ -59,7 +59,7 @@ class GlossModel:
 
 @dataclass(frozen=True)
 class Tile:
-    """Texels of a tile and what their own fit says of them.
+    """Texels of a tile and the results of their own fit.
 
     Parameters
     ----------

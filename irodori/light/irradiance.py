@@ -172,7 +172,7 @@ def _lower_bound(cells, level, normal):
 
 @njit(cache=True)
 def _add_pixels(pixels, i, j, normal, out):
-    """Add the pixels of a block by themselves."""
+    """Add the pixels of a block one by one."""
     values, (nx, ny, nz) = pixels.values, normal
     height, width, bases = values.shape
     for row in range(i * _BLOCK, min(height, (i + 1) * _BLOCK)):

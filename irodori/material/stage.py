@@ -240,7 +240,7 @@ def _write_maps(
 
 
 def compress_maps(weights, basis: np.ndarray, observers: dict, options: CompressOptions) -> tuple[Compression, dict]:
-    """Return the compression of reflectance maps, and what the material's file says of it.
+    """Return the compression of reflectance maps, and its attributes for the material's file.
 
     Parameters
     ----------

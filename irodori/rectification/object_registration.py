@@ -207,7 +207,7 @@ class _Problem:
 def register(
     linear: Sequence, definition: "Object | TexturedObject", setup: RigSetup, placing: "Placing"
 ) -> Registered:
-    """Return what photographs say of the place of an object, its camera and its light.
+    """Return the place of an object, its camera and its light, as photographs determine them.
 
     Parameters
     ----------
@@ -693,7 +693,7 @@ def _refuse_far(found: Registered, linear: Sequence, most_px: float) -> None:
 
 
 def in_words(found: Registered) -> str:
-    """Return what photographs say of the place of an object, and what they do not tell, in one sentence."""
+    """Return in one sentence which places photographs correct, confirm, and leave undetermined."""
     said, confirmed, silent = [], [], []
     for quantity, value, sigma, told in zip(
         QUANTITIES, found.correction.values, found.sigma, found.is_told, strict=True

@@ -91,7 +91,7 @@ class RigSetup:
         )
 
     def corrected(self, correction: Correction) -> "RigSetup":
-        """Return the setup of definitions, which has no correction yet, by what the photographs say of it."""
+        """Return the setup with a correction that the photographs call for."""
         distance = correction.camera_distance_mm(self.camera_distance_mm)
         pinhole = correction.pinhole(self.pinhole)
         return replace(self, pinhole=pinhole, camera_distance_mm=distance, correction=correction)

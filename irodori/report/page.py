@@ -15,7 +15,7 @@ from irodori.report.figures import material_figure, planning_figure, spectra_fig
 from irodori.report.html_page import data_uri, write_page
 from irodori.report.sittings import sittings
 
-#: What the report says of a camera: attribute of its reference file, and what it is.
+#: Lines of the report about a camera: attribute of its reference file, and its meaning.
 _CAMERA_FIGURES = {
     "gain_e_per_dn": "gain by photon transfer, electrons per digital number",
     "gain_error": "its standard error",

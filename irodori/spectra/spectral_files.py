@@ -98,13 +98,8 @@ def check_reflectance(table: SpectralTable, path) -> None:
     InputError
     """
     low, high = REFLECTANCE
-    percent = max(max(row) for row in table.values) > 2.0
-    for name, row in zip(table.names, table.values, strict=True):
-        for at, value in zip(table.wavelength_nm, row, strict=True):
-            if not low <= value <= high:
-                found = f"{value:g}" + (", as if the table were in percent" if percent else "")
-                accepted = f"reflectance factors from {low:g} to {high:g}, where 1 is a perfect diffuser, not percent"
-                raise InputError(path, f"{name}, {at:g} nm", found, accepted)
+    accepted = f"reflectance factors from {low:g} to {high:g}, where 1 is a perfect diffuser, not percent"
+    _check_range(table, REFLECTANCE, accepted, path)
 
 
 def check_transmittance(table: SpectralTable, path) -> None:
@@ -115,12 +110,16 @@ def check_transmittance(table: SpectralTable, path) -> None:
     InputError
     """
     low, high = TRANSMITTANCE
+    _check_range(table, TRANSMITTANCE, f"transmittances from {low:g} to {high:g}, not percent", path)
+
+
+def _check_range(table: SpectralTable, limits: tuple[float, float], accepted: str, path) -> None:
+    """Refuse the first value outside limits, and say where the whole table looks like percent."""
     percent = max(max(row) for row in table.values) > 2.0
     for name, row in zip(table.names, table.values, strict=True):
         for at, value in zip(table.wavelength_nm, row, strict=True):
-            if not low <= value <= high:
-                found = f"{value:g}" + (", as if in percent" if percent else "")
-                accepted = f"transmittances from {low:g} to {high:g}, not percent"
+            if not limits[0] <= value <= limits[1]:
+                found = f"{value:g}" + (", as if the table were in percent" if percent else "")
                 raise InputError(path, f"{name}, {at:g} nm", found, accepted)
 
 

@@ -42,7 +42,7 @@ from irodori.viewer.scene_data import (
     lobe_entries,
 )
 
-#: What a page says of a texel: measured; its gloss that of its paint; its colour that of a neighbour; its gloss
+#: How a page marks a texel: measured; its gloss that of its paint; its colour that of a neighbour; its gloss
 #: unknown, and shown as the object's typical one.
 MEASURED, PAINT, FILLED, UNKNOWN = 0, 1, 2, 3
 #: Wavelengths that stand for a spectrum where mirrors have colours; the shader has room for 16.

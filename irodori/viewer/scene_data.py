@@ -143,7 +143,7 @@ def light_maps(environment: Environment, objects: Objects) -> LightMaps:
 
 
 def add_light(planes: StoredPlanes, number: int, maps: LightMaps) -> dict:
-    """Add an environment's planes; return what the header says of it."""
+    """Add an environment's planes; return its entry in the header."""
     name = f"light/{number}"
     planes.add_floats(f"{name}/basis", maps.basis)
     planes.add_floats(f"{name}/white", maps.white)
@@ -177,7 +177,7 @@ def check_lobes(lobes: Lobes) -> None:
 
 
 def add_materials(planes: StoredPlanes, objects: Objects) -> list[dict]:
-    """Add the objects' materials; return what the header says of each."""
+    """Add the objects' materials; return the entry of each in the header."""
     check_lobes(objects.lobes)
     means, entries = mean_spectra(objects), []
     for i, texels in enumerate(textures(objects)):
@@ -215,7 +215,7 @@ def add_materials(planes: StoredPlanes, objects: Objects) -> list[dict]:
 
 
 def lobe_entries(objects: Objects) -> list[dict]:
-    """Return what the header says of the lobes: name, and ln μ at the first place of the ladder with its step."""
+    """Return the lobes' entry in the header: name, and ln μ at the first place of the ladder with its step."""
     pairs = zip(objects.lobes.names, ladder(objects.lobes), strict=True)
     return [{"name": name, "ladder": [float(first), float(step)]} for name, (first, step) in pairs]
 
@@ -257,7 +257,7 @@ def _shadow_shape(grid: np.ndarray, nodes: int) -> tuple[int, ...]:
 
 
 def add_shadows(planes: StoredPlanes, placements: list[Placement], shadows: MeshShadows | None) -> list[dict | None]:
-    """Add what meshes hide at the nodes of all shapes; return what the header says of each, None where it is nothing.
+    """Add what meshes hide at the nodes of all shapes; return the entry of each in the header, None where it has none.
 
     Parameters
     ----------
@@ -308,7 +308,7 @@ def decoded_shadows(planes: dict[str, np.ndarray], shadows: MeshShadows) -> Mesh
 
 
 def add_shapes(planes: StoredPlanes, placements: list[Placement]) -> list[dict]:
-    """Add the meshes among placed shapes; return what the header says of each shape and of where it stands."""
+    """Add the meshes among placed shapes; return the header's entries of each shape and its place."""
     entries = []
     for i, (placement, reach) in enumerate(zip(placements, reaches(placements), strict=True)):
         shape = placement.shape

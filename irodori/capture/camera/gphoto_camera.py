@@ -30,7 +30,7 @@ RAW_SUFFIXES = {
     "Pentax": (".pef", ".dng"),
 }
 _ANY_RAW = (".dng", *(suffix for suffixes in RAW_SUFFIXES.values() for suffix in suffixes))
-#: What a camera says of itself: names of the widget, the first that it has.
+#: Facts that a camera reports: names of the widget, the first that it has.
 _REPORTS = {
     "serial_number": ("eosserialnumber", "serialnumber"),
     "battery": ("batterylevel",),
@@ -304,7 +304,7 @@ class GphotoCamera(CameraDevice):
             elif kind == self._gp.GP_EVENT_TIMEOUT:
                 return
 
-    # ---- what the camera says of itself
+    # ---- the camera's state
 
     def _report(self, end: float) -> dict[str, str]:
         said = {"model": self.model}

@@ -85,7 +85,7 @@ class AsciiRig(ControlledRig):
             self._last, self._goal = targets, {}
 
     def status(self) -> RigStatus:
-        """Return what the controller says of itself; see `RigDevice.status`."""
+        """Return the state that the controller reports; see `RigDevice.status`."""
         self._get_in_step()
         state, places = self._states(), self._places()
         if state == "alarm" or (state == "idle" and self._strayed(places)):

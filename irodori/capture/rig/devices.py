@@ -220,7 +220,7 @@ class RigDevice(ABC):
 
     @abstractmethod
     def status(self) -> RigStatus:
-        """Return what the rig says of itself now.
+        """Return the state that the rig reports now.
 
         Raises
         ------
@@ -304,7 +304,7 @@ class CameraDevice(ABC):
 
     @abstractmethod
     def status(self) -> dict[str, str]:
-        """Return what the camera says of itself: model, battery, storage, settings."""
+        """Return the state that the camera reports: model, battery, storage, settings."""
 
     @abstractmethod
     def close(self) -> None:

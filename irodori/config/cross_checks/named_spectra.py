@@ -20,7 +20,7 @@ from irodori.spectra.published_names import (
 from irodori.spectra.spectral_files import SUFFIXES, check_power, check_reflectance, filter_row, spectral_table
 from irodori.spectra.tables import index_table
 
-#: Rows and columns of the charts that can be found by themselves, and the same in words.
+#: Rows and columns of the charts that are found without corners, and the same in words.
 FOUND_LAYOUTS = ((4, 6), (10, 14), (14, 10))
 FOUND_WORDS = "4 x 6 patches, a ColorChecker Classic, or 14 x 10 (letter by letter) or 10 x 14, a Digital SG"
 _BANDS = (("r", "red"), ("g", "green"), ("b", "blue"))

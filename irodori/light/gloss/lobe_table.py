@@ -57,7 +57,7 @@ class LobeTable(NamedTuple):
     incidence: np.ndarray  # (m, t, lobes) rad
 
 
-#: What a table's file says of its datasets after the ladders: units and quantity.
+#: Attributes of a table's datasets after the ladders: units and quantity.
 COLUMNS = {
     "width": ("1", "number of the lobe's width on the ladder"),
     "offset": ("rad", "axis within the plane of incidence, less the view angle"),

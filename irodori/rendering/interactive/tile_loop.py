@@ -65,7 +65,7 @@ from irodori.rendering.interactive.shading import (
 if TYPE_CHECKING:  # what else they import is none of the kernel's
     from irodori.rendering.interactive.prepared_scene import FrameView, PreparedWorld
 
-#: What `PathLimits.visibility` says of the hits of earlier frames: trace all, trace and keep, use what was kept.
+#: Values of `PathLimits.visibility`, for the hits of earlier frames: trace all, trace and keep, use what was kept.
 TRACED, STORED, RECALLED = 0, 1, 2
 #: Stages whose cycles are counted; then the rays, the surfaces that they meet, those with gloss, and what they miss.
 STAGES = ("tracing", "geometry", "surfaces", "gloss", "sky", "mirror", "colour", "rays", "hits", "glossy", "misses")

@@ -73,7 +73,7 @@ class Conversation:
         self.buffer_bytes = RX_BUFFER_BYTES
 
     def receive(self, deadline: Deadline) -> Message:
-        """Return the next message; note what it says of the controller.
+        """Return the next message, and note the state that it reports.
 
         Raises
         ------

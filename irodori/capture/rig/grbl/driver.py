@@ -175,7 +175,7 @@ class GrblRig(ControlledRig):
             self._await_arrival([places, after], arrival)
 
     def status(self) -> RigStatus:
-        """Return what the controller says of itself; see `RigDevice.status`."""
+        """Return the state that the controller reports; see `RigDevice.status`."""
         self._get_in_step()
         try:
             report = self._talk.ask_report()
