@@ -29,9 +29,9 @@ FLAGS = (
     "--disable-gpu-compositing",
 )  # fmt: skip
 _PATIENCE_MS = 180_000
-#: Small: what the page draws for its own window is not read, and is drawn in software.
-_WINDOW = {"width": 360, "height": 320}
-_USUAL = {"width": 1280, "height": 720}
+#: Small and of few pixels: what the page draws for its own window is not read, and is drawn in software.
+_WINDOW = {"viewport": {"width": 360, "height": 320}, "device_scale_factor": 0.25}
+_USUAL = {"viewport": {"width": 1280, "height": 720}}
 #: What a page says in place of a picture.
 _SAID = "!document.getElementById('poster').hidden && document.getElementById('poster-text').textContent"
 _READ = """([state, width, height]) => {
@@ -137,7 +137,7 @@ def opened(path, flags: tuple[str, ...] = FLAGS, wait: bool = True, cold: bool =
     """
     if cold:
         browser.cache_clear()
-    context = browser(flags).new_context(viewport=_USUAL if cold else _WINDOW)
+    context = browser(flags).new_context(**(_USUAL if cold else _WINDOW))
     try:
         page = context.new_page()
         page.set_default_timeout(_PATIENCE_MS)

@@ -288,6 +288,7 @@ def test_answers_are_read_as_they_are_meant_or_not_at_all(read, text, value):
         assert read(text) == value
 
 
+@pytest.mark.heavy
 def test_one_photograph_of_a_chart_makes_a_camera(taken, tmp_path, monkeypatch, capsys):
     folder, truth = taken
     monkeypatch.chdir(tmp_path)

@@ -147,6 +147,7 @@ def test_a_painted_plate_is_found_where_it_lies(tmp_path, definitions, laid_off,
     assert np.nanmax(result.residual_px) < 0.5
 
 
+@pytest.mark.heavy
 def test_a_uniform_sphere_tells_its_place_and_nothing_of_its_turn(tmp_path, definitions):
     definition = an_object(definitions, SPHERE, {"kind": "uniform"})
     laid_off = (1.5, -1.0, 0.5, 0.0, 0.0, 0.0)

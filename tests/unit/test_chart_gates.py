@@ -147,6 +147,7 @@ def test_a_published_chart_that_fits_better_is_named_in_log_and_report(tmp_path,
         assert ("agree clearly better with the photograph of chart" in page) == is_named
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize(("bands", "settings", "estimator", "bases"), [
     (3, {"estimator": "pinv"}, "pinv", {3}),
     (6, {"estimator": "wiener"}, "wiener", {6}),

@@ -161,6 +161,7 @@ def test_a_loss_that_cannot_be_measured_is_told_with_its_reason(project, capsys,
     assert {"scene.xml", "sky.npz", "irodori_mitsuba.py", "00-tile-plate.npz"} <= names
 
 
+@pytest.mark.default_cases(7)
 @pytest.mark.parametrize(
     ("words", "said"),
     [

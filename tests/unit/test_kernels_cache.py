@@ -166,6 +166,7 @@ def test_kernels_are_never_loaded_from_a_folder_that_others_can_write(tmp_path):
     assert not is_private(tmp_path / "missing")
 
 
+@pytest.mark.heavy
 def test_an_installation_that_others_can_write_keeps_its_kernels_with_the_user(package, tmp_path):
     (package / "irodori").chmod(0o777)
     home = tmp_path / "home"

@@ -63,6 +63,7 @@ def seen(tmp_path_factory):
         assert page.messages == []
 
 
+@pytest.mark.default_cases(4)
 @pytest.mark.parametrize("name", VIEWS)
 def test_a_view_of_any_kind_is_the_renderers(seen, name):
     written, page = seen

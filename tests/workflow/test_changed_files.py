@@ -90,6 +90,7 @@ def test_files_that_were_only_touched_make_nothing_again(project):
     assert jobs(project) == []
 
 
+@pytest.mark.heavy
 def test_another_photograph_of_the_same_size_and_time_is_seen(project):
     assert jobs(project) == []  # which leaves the hashes behind
     found = chart(project).stat()
@@ -97,6 +98,7 @@ def test_another_photograph_of_the_same_size_and_time_is_seen(project):
     assert jobs(project) == ["check_camera_captures", "ingest_chart", "ingest_reference"]
 
 
+@pytest.mark.heavy
 def test_another_table_of_spectra_with_an_older_time_is_seen(project):
     table = project / "white.csv"
     table.write_text(table.read_text().replace("0.99", "0.98"))

@@ -1,6 +1,7 @@
 """A browser without a network, and the page open in it."""
 
 import json
+from collections import defaultdict
 from dataclasses import dataclass, field
 
 import patience
@@ -128,28 +129,41 @@ def context_of(browser_of):
         context.close()
 
 
+@pytest.fixture(scope="session")
+def idle_pages() -> dict[object, list]:
+    """Pages that a test has left, by context: a new page would cost a process of the browser's."""
+    return defaultdict(list)
+
+
 @pytest.fixture
-def visit(context_of, page_file):
+def visit(context_of, page_file, idle_pages):
     """Return a function that opens the page; at the end nothing may have been complained about."""
     visits = []
 
     def open_page(hash_="", script="", ready=True, file=page_file, **given) -> Visit:
         options = {"viewport": {"width": 1280, "height": 800}, "locale": "en", "reduced_motion": "reduce", **given}
         context = context_of(script, drawn=file != page_file, **options)
-        opened = Visit(context.new_page())
-        visits.append(opened)
-        opened.page.on("console", lambda message: _note_message(message.text, opened))
-        opened.page.on("pageerror", lambda error: opened.complaints.append(str(error)))
-        opened.page.on("request", lambda asked: _note_request(asked, opened, file))
+        opened = Visit(idle_pages[context].pop() if idle_pages[context] else context.new_page())
+        listeners = {
+            "console": lambda message: _note_message(message.text, opened),
+            "pageerror": lambda error: opened.complaints.append(str(error)),
+            "request": lambda asked: _note_request(asked, opened, file),
+        }
+        visits.append((opened, context, listeners))
+        for event, listener in listeners.items():
+            opened.page.on(event, listener)
         opened.page.goto(file.as_uri() + hash_)
         if ready:
             opened.page.wait_for_selector("body[data-ready]")
         return opened
 
     yield open_page
-    for one in visits:
-        one.page.close()
-    assert [one.complaints for one in visits] == [[] for _ in visits]
+    for opened, context, listeners in visits:
+        opened.page.goto("about:blank")
+        for event, listener in listeners.items():
+            opened.page.remove_listener(event, listener)
+        idle_pages[context].append(opened.page)
+    assert [opened.complaints for opened, *_ in visits] == [[] for _ in visits]
 
 
 @pytest.fixture(scope="session")

@@ -109,6 +109,7 @@ def test_changes_are_told_to_those_who_do_not_see_them(visit):
     assert "D65" in told and "Second light" in told and "50 %" in told
 
 
+@pytest.mark.heavy
 def test_motion_is_reduced_on_request(visit):
     glide = visit(reduced_motion="no-preference")
     still = visit()
@@ -265,6 +266,7 @@ def test_other_pictures_and_files_are_refused(visit):
         assert one.state() == start
 
 
+@pytest.mark.heavy
 def test_a_table_of_a_light_becomes_the_light(visit):
     one = visit()
     rows = "\ufeffwavelength nm;power\r\n" + "".join(f"{nm};{nm / 100}\r\n" for nm in range(380, 785, 10))
@@ -317,6 +319,7 @@ def test_an_edited_lesson_is_exported_as_a_scene_takes_it(visit, scene, tmp_path
     assert again["compare"] == shown["compare"]
 
 
+@pytest.mark.heavy
 def test_a_picture_given_to_a_step_is_shown_and_exported_with_the_lesson(visit, tmp_path):
     one = visit(accept_downloads=True)
     page = one.page
@@ -388,6 +391,7 @@ def test_a_slow_machine_gets_fewer_pixels_while_it_moves_and_all_at_rest(visit):
     assert one.page.evaluate("Irodori.pace().frames") == drawn
 
 
+@pytest.mark.heavy
 def test_rate_and_scale_are_shown_on_request(visit):
     one = visit()
     assert not one.page.locator("#rate").is_visible()
