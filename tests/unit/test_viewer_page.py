@@ -82,10 +82,9 @@ def test_objects_and_camera_are_moved_as_the_scene_says(written, page):
         focal_px=24.0 / np.tan(np.radians(15.0)),
     )
     scene = prepared(moved)
-    for turn in (0.0, 110.0):
-        state["light"]["turn_deg"] = turn
-        bands = frame_bands(scene, view, moved, rotation_z(np.radians(turn)))
-        assert_every_light_and_observer(written, page, state, bands)
+    state["light"]["turn_deg"] = 110.0
+    bands = frame_bands(scene, view, moved, rotation_z(np.radians(110.0)))
+    assert_every_light_and_observer(written, page, state, bands)
 
 
 def test_lines_of_the_pages_code_are_those_of_a_person():
