@@ -1,18 +1,24 @@
-"""The marker ``default_cases(N)``: of a test with many cases, N run by default, and the others are heavy.
+"""What a default run leaves to the heavy one: further cases of a test, and further examples of a property.
 
-The N are spread evenly over the cases in the order in which pytest collects them, from the first to the last.
+Of a test with the marker ``default_cases(N)``, N cases run by default, and the others are heavy. The N are spread
+evenly over the cases in the order in which pytest collects them, the first among them. Where heavy tests are left out,
+the tests of properties draw a third of their examples; others are drawn in each run.
 """
 
 from collections import defaultdict
 
 import pytest
+from hypothesis import settings
 
 MARK = "default_cases"
+#: A property of no more examples keeps them.
+_FEW = 8
 
 
 def spread(count: int, total: int) -> set[int]:
     """Return the places of so many cases of ``total``, as far apart as they can be; the first is always one."""
-    return {round(i * (total - 1) / max(count - 1, 1)) for i in range(min(count, total))}
+    count = min(count, total)
+    return {round(i * (total - 1) / max(count - 1, 1)) for i in range(count)}
 
 
 def pytest_configure(config):
@@ -20,7 +26,7 @@ def pytest_configure(config):
 
 
 @pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(items):
+def pytest_collection_modifyitems(config, items):
     """Mark the other cases as heavy, before pytest selects by marker."""
     cases = defaultdict(list)
     for item in items:
@@ -31,3 +37,8 @@ def pytest_collection_modifyitems(items):
         for number, item in enumerate(found):
             if number not in kept:
                 item.add_marker(pytest.mark.heavy)
+    if config.option.markexpr == "not heavy":
+        for test in {item.obj for item in items if hasattr(item.obj, "_hypothesis_internal_use_settings")}:
+            asked = test._hypothesis_internal_use_settings
+            fewer = max(min(asked.max_examples, _FEW), asked.max_examples // 3)
+            test._hypothesis_internal_use_settings = settings(asked, max_examples=fewer)

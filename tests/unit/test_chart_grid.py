@@ -87,6 +87,7 @@ def test_rough_corners_are_enough_where_the_grid_is_fitted_to_edges(barrel):
     assert np.abs(itself.centres_px - located.centres_px).max() < 0.05
 
 
+@pytest.mark.heavy
 def test_places_are_the_same_at_full_resolution(barrel):
     picture, _ = barrel
     valid = everywhere(picture)

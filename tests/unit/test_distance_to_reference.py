@@ -36,6 +36,7 @@ def made_up(rng, count):
     return truth, truth * (1.0 + 0.06 * rng.normal(size=(count, 1)) + 0.02 * rng.normal(size=(count, 3)))
 
 
+@pytest.mark.heavy
 def test_known_errors_are_found_under_noise_of_their_size():
     rng = np.random.default_rng(5)
     truth, shown = made_up(rng, 40_000)

@@ -90,6 +90,7 @@ def test_the_larger_chart_reaches_the_bound_of_another_camera():
     assert found(names, 0.0, "local")[0] <= found(names, 0.0, "bound")[0]
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("test", ["munsell", "vrhel"])
 @pytest.mark.parametrize("camera", [CAMERAS[0], *(pytest.param(c, marks=pytest.mark.heavy) for c in CAMERAS[1:])])
 def test_the_choice_is_the_best_estimator_at_the_noise_of_the_pixels(camera, test):

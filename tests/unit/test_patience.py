@@ -23,6 +23,7 @@ def test_what_computes_is_waited_for_though_it_is_silent():
     assert (run.returncode, run.stdout, run.stderr) == (0, "done\n", "")
 
 
+@pytest.mark.heavy
 def test_what_a_child_computes_counts():
     code = STARTS.format(COMPUTES.format(1.5 * QUIET_S))
     assert patience.run([sys.executable, "-c", code], quiet_s=QUIET_S).stdout == "started\n"

@@ -261,6 +261,7 @@ def test_a_page_encoded_before_its_picture_states_the_same_and_the_distance_to_t
     assert set(planes) == {entry["name"] for entry in read_payload(payload.read_text())[0]["planes"]}
 
 
+@pytest.mark.heavy
 def test_without_webgl2_the_page_says_so(written):
     with opened(written.path, flags=(*FLAGS, "--disable-3d-apis"), wait=False) as page:
         page.wait_for("!document.getElementById('poster').hidden")

@@ -192,6 +192,7 @@ def test_a_second_run_does_nothing(again):
     assert run.returncode == 0 and "Nothing to be done" in run.stdout + run.stderr
 
 
+@pytest.mark.heavy
 def test_one_objects_file_reruns_that_object_and_no_other(again):
     edit(again / "config/objects/leaf-sphere.yaml", {"refractive_index": {"n": 1.6, "k": 0.0}})
     jobs = planned(snakemake(again, "--dry-run"))

@@ -106,6 +106,7 @@ def test_another_table_of_spectra_with_an_older_time_is_seen(project):
     assert jobs(project) == ["ingest_chart", "ingest_reference"]
 
 
+@pytest.mark.heavy
 def test_a_sessions_photograph_that_is_not_the_one_it_took_is_refused_by_name(project):
     target = f"{SESSION}/captures.csv"
     assert jobs(project, target) == []

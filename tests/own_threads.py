@@ -1,0 +1,31 @@
+"""Threads that a job was given in a test end with that test.
+
+A job limits the process in which it runs. Tests run many jobs in one process, and without this plugin those after a job
+of two threads would all use two for linear algebra. Their matrices are small: while other tests keep the cores busy,
+threads that wait for each other burned thirty times the processor time of the work.
+"""
+
+import os
+import sys
+
+import pytest
+from threadpoolctl import threadpool_limits
+
+#: Variables that `irodori.core.threads.use_threads` sets; the first always.
+_SET = ("IRODORI_BUILD_THREADS", "BLOSC_NTHREADS", "NUMBA_NUM_THREADS")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item):
+    """Restore what `use_threads` has set, if anything in the test has called it."""
+    before = {name: os.environ.pop(name, None) for name in _SET[:1]} | {n: os.environ.get(n) for n in _SET[1:]}
+    try:
+        return (yield)
+    finally:
+        if _SET[0] in os.environ:
+            threadpool_limits(1)
+            if numba := sys.modules.get("numba"):
+                numba.set_num_threads(numba.config.NUMBA_NUM_THREADS)
+            for name in _SET:
+                os.environ.pop(name, None)
+        os.environ.update({name: value for name, value in before.items() if value is not None})
