@@ -28,7 +28,7 @@ class FittedGrid:
     Parameters
     ----------
     image_from_grid : (3, 3) float64
-        The perspective map, before the lens bends it.
+        Homography without the lens distortion.
     distortion : float
         Third-order radial distortion: a point half a diagonal from the picture's centre is moved outwards by this share
         of that distance; negative for barrel distortion.
@@ -55,7 +55,7 @@ class FittedGrid:
 
 
 def homography(grid: np.ndarray, image: np.ndarray) -> np.ndarray:
-    """Return the perspective map through point pairs: exact for four, least squares for more.
+    """Return the homography through pairs of points: exact for four, by least squares for more.
 
     Parameters
     ----------
@@ -201,7 +201,7 @@ def _edge(profile: np.ndarray, along: np.ndarray) -> float:
 
 
 def _fit(fitted: FittedGrid, points, sides, count: int) -> FittedGrid:
-    """Return the grid fitted to measured edges, whose positions are relative to the present grid."""
+    """Return the grid fitted to measured edges, which are given relative to the present grid."""
     from scipy.optimize import least_squares  # slow to import
 
     parts = []

@@ -169,7 +169,7 @@ def scores_of(rows: list[SelectionRow]) -> dict[tuple[str, int], float]:
 
 
 def best_of(rows: list[SelectionRow], estimators: tuple[str, ...]) -> dict | None:
-    """Return estimator, number of bases and score of the best among some estimators; None without any."""
+    """Return ``estimator``, ``bases`` and ``score`` of the best of some estimators; None if none has a score."""
     scores = {key: score for key, score in scores_of(rows).items() if key[0] in estimators}
     if not scores:
         return None

@@ -47,7 +47,7 @@ class FilterTable:
 
     @cached_property
     def _curve(self) -> tuple[np.ndarray, np.ndarray]:
-        """Wavelengths in fine steps, nm, and relative transmittance; a fine table is smoothed by a triangle of ±5 nm."""
+        """Wavelengths in fine steps, nm, and relative transmittance; fine tables are smoothed by a ±5 nm triangle."""
         from scipy.interpolate import PchipInterpolator  # slow to import
 
         place = np.arange(WAVELENGTH_NM[0] - _MARGIN_NM, WAVELENGTH_NM[-1] + _MARGIN_NM + _FINE_NM, _FINE_NM)

@@ -72,7 +72,7 @@ class ChartReading:
 
     @property
     def uneven(self) -> np.ndarray:
-        """Patches with dirt, an edge, a shadow or light that falls off by over 15 %, (patches,) bool."""
+        """Mask of patches with dirt, an edge, a shadow or a gradient of the light over 15 %, (patches,) bool."""
         return (self.gradient > _MAX_GRADIENT) | (self.unevenness > _MAX_UNEVENNESS)
 
     def divided(self, field: np.ndarray) -> "ChartReading":

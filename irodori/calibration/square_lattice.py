@@ -35,17 +35,17 @@ class Lattice:
 
     @property
     def columns(self) -> int:
-        """Columns that hold a square."""
+        """Number of columns, from the first to the last one with a square."""
         return int(self.places[:, 0].max()) + 1
 
     @property
     def rows(self) -> int:
-        """Rows that hold a square."""
+        """Number of rows, from the first to the last one with a square."""
         return int(self.places[:, 1].max()) + 1
 
     @property
     def image_from_grid(self) -> np.ndarray:
-        """The perspective map of the squares, (3, 3)."""
+        """Homography from columns and rows to x and y of the squares' centres, (3, 3)."""
         return homography(self.places, self.centres)
 
 
@@ -97,7 +97,7 @@ def _grow(seed: int, centres, frames, left: set) -> dict[int, tuple[int, int]]:
 
 
 def _neighbour(here: int, frame, turn, centres, frames, candidates: set) -> int | None:
-    """Return the nearest square one step away in a direction of the frame, None where there is none."""
+    """Return the nearest square one step away in a direction of the frame; None if there is none."""
     best, nearest = None, np.inf
     area = abs(np.linalg.det(frame))
     for other in candidates:

@@ -1,4 +1,4 @@
-"""Calibration stage: charts' linear responses and measured spectra in, calibration and its errors out."""
+"""Calibration stage: computes a calibration and its errors from linear responses to charts and measured spectra."""
 
 import csv
 import math
@@ -224,13 +224,13 @@ def _write_calibration(output, calibration: Calibration, errors: dict, numbers: 
 
 @contextmanager
 def _csv_writer(path) -> Iterator:
-    """Open a CSV that takes its name when it is complete."""
+    """Open a writer of a CSV file, which gets its final name when it is complete."""
     with written_whole(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
         yield csv.writer(stream)
 
 
 def _write_errors(path, names, errors: dict[str, dict[str, np.ndarray]]) -> None:
-    """Write the errors of patches left out; with several charts columns ``_by_chart`` follow, whole charts left out."""
+    """Write the errors of patches left out; with several charts, columns ``_by_chart`` have whole charts left out."""
     columns = dict(errors["leave_one_out"])
     columns |= {f"{name}_by_chart": values for name, values in errors.get("leave_one_chart_out", {}).items()}
     with _csv_writer(path) as writer:

@@ -29,7 +29,7 @@ from irodori.core.termination import ending_in_order
 
 
 def main(arguments: Sequence[str] | None = None, prog: str = "python -m irodori.rig") -> int:
-    """Run one command; return 0 after success, 1 after a `PlainError`, whose message is printed, 130 after Ctrl-C."""
+    """Run one command; return 0 after success, 1 after a `PlainError`, which is printed, and 130 after Ctrl-C."""
     options = _parser(prog).parse_args(arguments)
     handler = logging.StreamHandler(sys.stderr)
     # These modules print their messages for the person themselves; the log file has them too.

@@ -185,7 +185,7 @@ class SessionView:
 
 @dataclass
 class Dialogue:
-    """Dialogue of a session, whose thread waits for answers; actions may come from any thread.
+    """Dialogue of a session. The session's thread waits for answers; actions may come from any thread.
 
     Parameters
     ----------

@@ -103,7 +103,9 @@ def lab_from_xyz(xyz: np.ndarray, white_xyz: np.ndarray) -> np.ndarray:
 
 
 def delta_e(lab_a: np.ndarray, lab_b: np.ndarray) -> np.ndarray:
-    """Return CIEDE2000 between two (..., 3) arrays of CIELAB; names are those of CIE 142:2001, angles are radians.
+    """Return the colour difference CIEDE2000 between two (..., 3) arrays of CIELAB, (...) float64.
+
+    Variables are named as in CIE 142:2001; angles are in radians.
 
     Examples
     --------

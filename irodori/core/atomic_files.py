@@ -15,7 +15,7 @@ _OF_THE_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EFBIG)
 
 
 class DiskError(PlainError, OSError):
-    """Error of a disk that is full or read-only."""
+    """Error of a disk that cannot store a file: it is full, over quota or read-only, or the file is too large."""
 
 
 @contextmanager
@@ -33,7 +33,7 @@ def written_whole(path) -> Iterator[Path]:
     Raises
     ------
     DiskError
-        If the disk is full or read-only; no temporary file is left.
+        If the disk is full, over quota or read-only, or the file is too large for it; no temporary file is left.
     OSError
         If the folder cannot be written.
     """

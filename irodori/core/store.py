@@ -251,7 +251,7 @@ def _chunk_shape(shape: tuple[int, ...], itemsize: int) -> tuple[int, ...]:
 
 @contextmanager
 def create(path, provenance: Provenance) -> Iterator[Writer]:
-    """Open a new file for writing; it takes its name only if the block ends without an exception.
+    """Open a new HDF5 file for writing; it gets its final name only if the block ends without an exception.
 
     Raises
     ------

@@ -58,7 +58,7 @@ class Calibration:
 
     @property
     def weights_from_response(self) -> np.ndarray | None:
-        """M, (bands, k) float; None where the estimator is not linear."""
+        """Matrix M, (bands, k) float; None if the estimator is not linear."""
         return self.mapping.matrix if isinstance(self.mapping, LinearMapping) else None
 
     @classmethod

@@ -228,7 +228,7 @@ class GphotoLine:
 
 
 def _library():
-    """Return python-gphoto2."""
+    """Import and return python-gphoto2; raise `DeviceError` if it is missing."""
     try:
         import gphoto2
     except ImportError as error:
@@ -239,6 +239,6 @@ def _library():
 
 
 def _leaves(widget) -> list[str]:
-    """Return the names of the settings in a tree of widgets."""
+    """Return the names of the settings, which are the leaves in a camera's tree of widgets."""
     children = [widget.get_child(index) for index in range(widget.count_children())]
     return [name for child in children for name in _leaves(child)] if children else [widget.get_name()]

@@ -1,4 +1,4 @@
-"""Rig driver for controllers whose text protocol the rig's definition describes."""
+"""Rig driver for controllers with a text protocol that the rig's definition describes."""
 
 import contextlib
 import re
@@ -28,7 +28,7 @@ _QUESTIONS = 3
 
 
 class AsciiRig(ControlledRig):
-    """Rig with a controller whose text protocol is given by a `Description`.
+    """Rig with a controller that has the text protocol of a `Description`.
 
     The driver sends one question at a time. It assumes that the controller loses its position without power: a rig with
     limit switches must be homed each time it is opened, and a position that changes between two commands counts as
@@ -69,7 +69,7 @@ class AsciiRig(ControlledRig):
         self._last = self._wake()
 
     def move(self, targets_deg: Mapping[str, float]) -> None:
-        """Move axes, each at its own speed, and wait until they stand there; see `RigDevice.move`."""
+        """Move axes, each at its own speed, and wait until they have arrived; see `RigDevice.move`."""
         self.check(targets_deg)
         if not targets_deg:
             return
@@ -115,7 +115,7 @@ class AsciiRig(ControlledRig):
                 self._settle()
 
     def _halt(self) -> None:
-        """Stop the axes and wait until they stand."""
+        """Stop the axes and wait until they are at rest."""
         for left in reversed(range(_STOP_TRIES)):
             self._link.write(self._words.line("stop"))
             try:

@@ -20,9 +20,9 @@ class ControlledRig(RigDevice):
     """Rig with one controller for all axes.
 
     A feed hold (a pause, usually by the controller's button) that is reported before or during a move is taken for the
-    person's: once the axes stand, `on_hold` is called, then the controller is told to resume, and the deadline of the
-    move starts anew. If nobody can be asked, the move fails. A hold that existed when the rig was opened is cancelled
-    like any other motion: the controller discards its move.
+    person's: once the axes are at rest, `on_hold` is called, then the controller is told to resume, and the deadline of
+    the move starts anew. If nobody can be asked, the move fails. A hold that existed when the rig was opened is
+    cancelled like any other motion: the controller discards its move.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ class ControlledRig(RigDevice):
 
     @abstractmethod
     def _look(self) -> tuple[str, dict[str, float]]:
-        """Return the state, ``idle``, ``run`` or ``hold`` (once the axes stand), and the positions, controller units.
+        """Return the state, ``idle``, ``run`` or ``hold`` (once the axes are at rest), and positions, controller units.
 
         Raises
         ------
@@ -66,7 +66,7 @@ class ControlledRig(RigDevice):
 
     @abstractmethod
     def _find_switches(self) -> None:
-        """Home all axes, and wait until they stand at their positions after homing."""
+        """Home all axes, and wait until they are at rest at their positions after homing."""
 
     @abstractmethod
     def _send_resume(self) -> None:
@@ -106,7 +106,7 @@ class ControlledRig(RigDevice):
             self._in_step = False
 
     def resume(self) -> None:
-        """End a feed hold and wait until the axes stand; see `RigDevice.resume`."""
+        """End a feed hold and wait until the axes are at rest; see `RigDevice.resume`."""
         self._get_in_step()
         self._check_resume()
         slowing = Deadline(self._brake_s * (1 + MARGIN) + self._timeout_s)
@@ -157,7 +157,7 @@ class ControlledRig(RigDevice):
         return places
 
     def _await_arrival(self, corners: Sequence[Mapping[str, float]], deadline: Deadline) -> None:
-        """Wait until the axes stand at the last corner of a path; check that they stay within the path's range."""
+        """Wait until the axes are at rest at the last corner of a path; check that they stay within its range."""
         began = Deadline(START_S)
         while True:
             state, places = self._look()

@@ -53,7 +53,7 @@ class CommandError(DeviceError):
 
 
 class HeldError(DeviceError):
-    """Error for a rig in feed hold when nobody can be asked to resume; it stands, and its move is discarded."""
+    """Error for a rig in feed hold when nobody can be asked to resume; it is at rest, and its move is discarded."""
 
 
 class SettingError(DeviceError):
@@ -186,7 +186,7 @@ class RigDevice(ABC):
 
     @abstractmethod
     def move(self, targets_deg: Mapping[str, float]) -> None:
-        """Move axes and wait until they stand there.
+        """Move axes to angles, degrees, and wait until they are at rest there.
 
         Every target is checked before anything moves; the wait ends at a deadline derived from distance and speed.
         On a feed hold (a button at the rig) `on_hold` is called; then the rig resumes, and the deadline starts anew.
@@ -195,7 +195,7 @@ class RigDevice(ABC):
         ------
         LimitError, CommandError, HeldError, AlarmError, LinkError, DeadlineError
             Before the last four, and before a KeyboardInterrupt, a stop was sent. If the connection is lost, the stop
-            does not arrive: the axes then finish their present move, to a target that was checked, and stand.
+            does not arrive: the axes then finish their present move, to a target that was checked.
         """
 
     @abstractmethod

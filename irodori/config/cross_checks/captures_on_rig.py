@@ -55,7 +55,7 @@ class Reach:
             raise InputError(file, field, f"{angle:.10g}", accepted)
 
     def check_shots(self, shots: list[Shot], table) -> None:
-        """Refuse photographs outside the limits, or in another unit."""
+        """Refuse photographs with angles outside the limits, or probably in radians."""
         check_degrees(shots, table)
         for shot in shots:
             for axis in _AXES:

@@ -231,7 +231,7 @@ class _Checks:
             raise InputError(file, "lights", found, "integrator: {kind: reference}, or collimated lights alone")
 
     def folders(self) -> None:
-        """Refuse a table or a folder of two sessions, whose photographs would have the same names."""
+        """Refuse a table or a folder that two sessions would use: their photographs have the same names."""
         taken: dict[tuple[str, Path], Path] = {}
         for kind in ("cameras", "objects"):
             for name, definition in getattr(self.all, kind).items():
@@ -335,7 +335,7 @@ class _Checks:
             raise InputError(file, "exposure_s", f"the filter states {found}", accepted)
 
     def _check_photographs(self, kind: str, name: str) -> tuple[Path, list[Shot]]:
-        """Return the table of an object or an environment of a real rig and its photographs."""
+        """Check the user's photographs of an object or an environment; return their table and the photographs."""
         table, shots = read_table(self.all.photographed(kind, name).captures, self.root, self.file(kind, name))
         wanted, camera = of_role(shots, kind.removesuffix("s"), table), self.all.camera_of(kind, name)
         chart_file = self.charts[camera][0] if camera in self.charts else self.file("cameras", camera)

@@ -130,7 +130,7 @@ class GrblRig(ControlledRig):
     # ---- what every rig does
 
     def move(self, targets_deg: Mapping[str, float]) -> None:
-        """Move axes in a straight line and wait until they stand there; see `RigDevice.move`."""
+        """Move axes in a straight line and wait until they are at rest there; see `RigDevice.move`."""
         self.path([targets_deg])
 
     def path(self, waypoints_deg: Sequence[Mapping[str, float]]) -> None:
@@ -563,7 +563,7 @@ class GrblRig(ControlledRig):
             raise AlarmError("the controller is locked, as it is after switching on or an alarm: home it first")
 
     def _motion(self, places: Mapping[str, float], after: Mapping[str, float]) -> tuple[str, float]:
-        """Return the line of a straight move and its time, s."""
+        """Return the command for a straight move between positions in controller units, and its time, s."""
         way = {name: after[name] - places[name] for name in places}
         named = {self.drives[n].channel: after[n] for n in way if abs(way[n]) > self._tolerance(self.drives[n]) / 4}
         moved = [n for n in way if self.drives[n].channel in named]
