@@ -18,7 +18,7 @@ _MAX_SCATTER = 0.1  # of the contrast, within the patch
 _ROUNDS = 10
 _SETTLED_PX = 2e-3
 _BRIGHT = 99.0  # percentile of a band that becomes 1
-_DISTORTION = 0.03  # radial distortion at the half-diagonal that lenses may well have
+_DISTORTION = 0.03  # standard deviation assumed for the radial distortion at the half-diagonal
 
 
 @dataclass(frozen=True)

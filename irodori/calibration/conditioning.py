@@ -6,13 +6,13 @@ from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.calibration.response_model import fit_response_model, smooth_priors
 from irodori.calibration.training import Training
 
-#: Largest condition number of the chart's responses, every band divided by its largest patch, where none is given.
+#: Largest condition number of the chart's responses, every band divided by its largest patch; the default.
 MAX_CONDITION = 1e5
 _ALIKE = 1e-9  # relative; clipped means agree to rounding, measured ones do not
 _BELOW_ZERO = 0.01  # of the band's largest patch, where the noise is not known
 _NOISE_LIMIT = 5.0  # standard deviations of a patch mean
-_CLIPPED_SHARE = 0.05  # of the band's largest response that the brightest patch lacks
-_CLIPPED_LIMIT = 6.0  # standard deviations of what the other patches predict for it
+_CLIPPED_SHARE = 0.05  # of the band's largest response: smallest deficit of a saturated patch
+_CLIPPED_LIMIT = 6.0  # standard deviations of the prediction from the other patches: smallest deficit
 _SAME_PATCH = 1e-6  # relative difference of responses in all bands
 
 

@@ -239,7 +239,7 @@ def _noise_offsets(training: Training) -> np.ndarray:
 
 
 def _row(spectra: np.ndarray, key: tuple[str, int], recovered: np.ndarray, lights, left_out: str) -> SelectionRow:
-    # The response without noise stands for the noise only where there is none.
+    # Responses without noise are judged only if there are none with noise.
     judged = recovered[1:] if len(recovered) > 1 else recovered
     truth = np.broadcast_to(spectra, judged.shape)
     rmse = spectral_rmse(truth, judged)

@@ -31,7 +31,7 @@ _BACKGROUND = 0.002  # share of closeness that every member keeps, however far
 _ANCHORS = 48  # at most
 _LEVELS = 7  # of relative noise variance, one a factor 10
 _SPREAD = 20.0  # how much of the relative noise variance adds to the squared width
-_POLYNOMIAL_RIDGE = 1e-5  # of the mean moment, on what is not linear; noise and uncertainty do the rest
+_POLYNOMIAL_RIDGE = 1e-5  # of the mean moment, for non-linear monomials, in addition to noise and uncertainty
 
 
 def pinv(training: Training) -> LinearMapping:
@@ -95,7 +95,7 @@ def local(training: Training) -> LocalMapping:
     maps: list[np.ndarray] = []
     stated = levels if training.pixel_levels else levels[:0]
     for relative in (usual, *np.exp(stated)):
-        # Without a stated level every width is the same, or the blend would not be that of the usual noise.
+        # The matrices for the usual noise have the plain width, with which `LocalMapping` blends them.
         squared_width = _WIDTH**2 + (_SPREAD * relative if maps else 0.0)
         share = population.weight * (_BACKGROUND + np.exp(-0.5 * chord / squared_width))
         share /= share.sum(axis=1, keepdims=True)

@@ -9,9 +9,9 @@ from irodori.core.errors import InputError
 from irodori.spectra.published import chart_spectra
 from irodori.spectra.published_names import CHART_PATCHES
 
-_PATCH_LIMIT = 1.5  # of the limit of the mean: a patch beyond is at fault itself
-_PATCH_RATIO = 4.0  # of the median over the other patches, which one at fault exceeds too
-_MOST_AT_FAULT = 0.25  # of the patches; where more are, it is not the patches
+_PATCH_LIMIT = 1.5  # of the limit of the mean: a patch with a larger error is at fault itself
+_PATCH_RATIO = 4.0  # of the median error of the other patches, which a faulty patch must exceed too
+_MOST_AT_FAULT = 0.25  # of the patches: if more are at fault, the cause is not in the patches
 _CURED = 0.5  # of the error of two patches: below that their exchange explains it
 _LIKELIER = 0.7  # of the error with the spectra given: a published chart below that is likelier
 

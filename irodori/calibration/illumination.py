@@ -82,7 +82,7 @@ def illumination(response: np.ndarray, valid: np.ndarray, located: Located, file
     reading = read_located(response, valid, whole, file, sample_px)
     xy, scale_px = _unit(located.centres_px)
     slopes, brightest = reading.log_slope * scale_px, reading.mean.max(axis=0)
-    # A dead band has no slopes, and is refused with better words when the calibration is solved.
+    # A dead band has no slopes, and is refused with a better message when the calibration is solved.
     weights = np.divide(reading.mean, brightest, out=np.zeros_like(reading.mean), where=brightest > 0)
     known = np.isfinite(slopes).all(axis=(1, 2)) & (weights > 0).all(axis=1)
     even = np.ones_like(reading.mean)
@@ -157,7 +157,7 @@ def _solve(xy, slopes, weights, degree: int, per_band: bool) -> tuple[np.ndarray
         freedom = max(1, len(b) - terms)
         variance = np.sum((trust * (b - a @ solved)) ** 2) / freedom
         coefficients[group] = solved
-        # Bands of one pixel share dirt and scattered light: a band more is not counted as an observation more.
+        # Bands of one pixel share dirt and scattered light: further bands do not count as further observations.
         covariances[group] = variance * len(group) * np.linalg.inv((a * trust[:, None]).T @ (a * trust[:, None]))
     return coefficients, covariances
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from irodori.calibration.chart_grid import homography, nodes, project
 
-_SPARE_PATCHES = 4  # beyond the bands, below which nothing can be told
+_SPARE_PATCHES = 4  # beyond the number of bands: with fewer, the order cannot be judged
 _MAX_RATIO = 0.6  # of the error of another reading to that of the one configured
 _UPRIGHT = "upright"
 

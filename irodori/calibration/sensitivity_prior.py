@@ -23,7 +23,7 @@ _FURTHER_NOISE = 10.0 ** np.arange(-10.0, -1.0)
 _EDGES_NM, _EDGE_WIDTH_NM, _EDGE_DISTANCE_NM = (418.0, 655.0), 10.0, 40.0
 #: Envelope: width of its local mean, nm, its smallest value relative to the largest, and its number of re-estimations.
 _ENVELOPE_NM, _LEAST, _ROUNDS = 20.0, 0.05, 2
-_LEAST_POWER = 1e-3  # of a lamp, of its mean
+_LEAST_POWER = 1e-3  # smallest power of a lamp, relative to its mean
 
 
 @dataclass(frozen=True)

@@ -126,7 +126,7 @@ def _equipment(
     with moved as opened:
         folder = Path("results/rig") / target.rig_name
         if not target.is_virtual:
-            assert target.camera.driver is not None  # `suffix` has refused a camera without
+            assert target.camera.driver is not None  # `Target.suffix` refuses a camera without
             with GphotoCamera(target.camera.driver) as camera:
                 LOGGER.info("camera: %s", ", ".join(f"{key} {value}" for key, value in camera.status().items()))
                 yield opened, camera, make_operator(rig.operator, folder, dialogue)

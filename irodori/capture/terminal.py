@@ -61,5 +61,5 @@ def _in_foreground(source: int) -> bool:
     """Return whether the program is in the terminal's foreground; one in the background would be stopped by reading."""
     try:
         return os.tcgetpgrp(source) == os.getpgrp()
-    except OSError:  # another program's terminal, which has no foreground of ours
+    except OSError:  # the terminal of another session
         return True

@@ -11,7 +11,7 @@ from irodori.core.parsed_sources import imports_of
 
 _ROOT = Path(__file__).resolve().parents[2]
 _DIGITS = 16
-_TEXTS = ("templates", "page")  # folders of a package whose files become part of what it writes
+_TEXTS = ("templates", "page")  # folders of a package with files that become part of its output
 
 
 @functools.cache

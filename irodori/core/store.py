@@ -34,7 +34,7 @@ from irodori.core.units import VOCABULARY, require_unit
 #: enumerations, units are UCUM's, blurred light is of half precision, nothing needs a plugin of HDF5.
 SCHEMA_VERSION = 3
 _CHUNK_BYTES = 1 << 20
-#: Chunks held open while a dataset is written in pieces, so that one that two pieces share is packed once.
+#: Cache while a dataset is written in pieces, bytes: a chunk that two pieces share is then packed only once.
 _CACHE_BYTES = 16 << 20
 #: HDF5 1.10 and later: all structures of a file, and the small datasets inside them, have a checksum, so that a flipped
 #: bit is found on reading. Chunks have their own (Fletcher's), which costs less than packing them.
@@ -62,7 +62,7 @@ _MOST_UNFOLDED = 1 << 16
 #: The name that netCDF gives to a dimension scale that is no variable; the length follows.
 _NO_VARIABLE = "This is a netCDF dimension but not a netCDF variable."
 _SPECTRAL = "wavelength"
-#: Attributes of a dataset that are not HDF5's own.
+#: Descriptive attributes of a dataset, which are not HDF5's own.
 _FOR_PEOPLE = ("units", "quantity", "flag_values", "flag_meanings", "decoding")
 _JSON = "json:"  # marks an attribute that holds a list or a dictionary
 
@@ -324,7 +324,7 @@ class Reader:
 
     def _described(self, name: str) -> h5py.Dataset:
         with _whole(self.path, name):
-            # Not get(), which takes a damaged description for an absence.
+            # Not get(), which treats a damaged header as a missing dataset.
             found = None
             if name in self._file:
                 found = self._file[name]

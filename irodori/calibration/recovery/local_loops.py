@@ -161,7 +161,7 @@ def _local_block(blending, response, variance, out, first, last):
     x, c, length = np.empty((bands, LANES)), np.empty((bands, LANES)), np.empty(LANES)
     own, position, inverse = np.empty(LANES), np.zeros(LANES), np.empty(LANES)
     inverse[:] = 1.0 / (width * width)
-    # What follows from these is of the type of the response.
+    # The arrays below have the type of the response.
     direction, faded = np.empty((bands, LANES), kind), np.empty((bands, LANES), kind)
     sharpness, largest, total = np.empty(LANES, kind), np.empty(LANES, kind), np.empty(LANES, kind)
     share, blend = np.empty((anchors.shape[0] * OUTPUTS, LANES), kind), np.empty((maps.shape[1] * OUTPUTS, LANES), kind)

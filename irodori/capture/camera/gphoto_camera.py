@@ -196,7 +196,7 @@ class GphotoCamera(CameraDevice):
         focus = self._read(_FOCUS, end)
         if focus != NOT_REPORTED and not re.search(r"manual|\bmf\b", focus, re.IGNORECASE):
             yield f"it focuses on its own (focusmode {focus}): switch the lens to manual focus"
-        # Where the file goes into the camera's memory, the card may be full or missing.
+        # If the file can be sent to the camera's memory, a full or missing card does not matter.
         if not self._line.names.intersection(self.widgets.get("capture_target", ())):
             gp = self._gp
             for store in self._stores(end) or ():

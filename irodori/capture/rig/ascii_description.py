@@ -10,7 +10,7 @@ from irodori.capture.rig.devices import GarbledError
 from irodori.config.models import AsciiProtocol
 
 LINE_ENDS = {"lf": b"\n", "cr": b"\r", "crlf": b"\r\n"}
-#: Command: placeholders that it must have, and those that it may have.
+#: Placeholders of each command: those that it must have, and those that it may have.
 COMMANDS = {
     "home": ((), ("axis",)),
     "move": (("target",), ("axis",)),
@@ -20,7 +20,7 @@ COMMANDS = {
 }
 #: Commands that a controller may lack.
 OPTIONAL = {"resume": ((), ())}
-#: Reply: groups that its pattern must have.
+#: Groups that the pattern of each reply must have.
 REPLIES = {"accepted": (), "position": ("position",), "status": ("state",), "refused": ()}
 #: Keys that list the words of a state.
 STATES = ("idle", "busy", "hold", "alarm")

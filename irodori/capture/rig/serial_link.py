@@ -104,7 +104,7 @@ def _reason(error: Exception) -> str:
     """Return the cause of an error as a short phrase, taken from the operating system's error inside pyserial's."""
     number = getattr(error, "errno", None)
     if number is None and error.__context__ is not None:
-        number = next(iter(error.__context__.args), None)  # of the system's error behind pyserial's
+        number = next(iter(error.__context__.args), None)  # the errno of the system's error behind pyserial's
     text = str(error)
     if "exclusively lock" in text or number in (errno.EWOULDBLOCK, errno.EBUSY):
         return "in use by another program, or opened twice"

@@ -238,7 +238,7 @@ class Selection:
                 for start in self._starts(kept) if len(leave) > 1 else [kept]:
                     try:
                         trial, gained = self._fill(start, len(best))
-                    except TooFewPoses:  # this setting has fewer candidates than the one that left
+                    except TooFewPoses:  # this setting has fewer candidates than the removed one
                         continue
                     if gained > value + _MIN_GAIN:
                         best, value = trial, gained

@@ -37,7 +37,7 @@ def _check_names(definition: Object, file) -> None:
                 named[f"virtual.materials[{m}].further_gloss[{c}].lobe"] = further.lobe
     if set(named.values()) <= set(Object.lobes):  # the default, which is registered
         return
-    from irodori.reflection.registry import names  # with the compiler behind it, which most configurations do not need
+    from irodori.reflection.registry import names  # imports the compiler, which most configurations do not need
 
     for place, name in named.items():
         if name not in names():

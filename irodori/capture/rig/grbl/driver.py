@@ -59,7 +59,7 @@ _KNOCK_S = 0.3
 _ROUNDING = 1.5e-3
 #: Length of the search for a switch beyond the position where it should close, degrees.
 _SEARCH_DEG = 5.0
-#: If no hard limit stops an axis, its way to the switch is divided into so many steps, and the last into their square.
+#: If no hard limit stops an axis, its way to the switch has so many steps, and the last one is divided into their square.
 _STEPS_TO_SWITCH = 4
 #: Settings of grblHAL: whether jogs are limited to the travel, and a mask of the rotary axes.
 _JOG_LIMITED, _ROTARY = 40, 376
@@ -418,7 +418,7 @@ class GrblRig(ControlledRig):
         after = self._talk.ask_report()
         self._in_step = True
         if report is None and after.state == "Alarm" and self._talk.alarm is None:
-            # Also after its power came back, but then it would have answered in time or given its banner.
+            # This also follows a power cut, but then it would have answered in time or sent its banner.
             self._talk.message = _SILENT
         return after
 
@@ -616,7 +616,7 @@ class GrblRig(ControlledRig):
             raise GarbledError("the controller's settings read differently twice in a row: the line is garbled")
         if self._firmware != FLUIDNC:
             return second
-        # Old versions do not list these two, and report as Grbl does with them.
+        # Old versions do not list these two, and report as Grbl does with these values.
         return {10: 1, 13: 0} | second | (self._configured() if self._homing else {})
 
     def _configured(self) -> dict[int, float]:
