@@ -309,7 +309,7 @@ class Session:
         self._dialogue.show(file, finding, preview_of(mosaic), outline)
 
     def _outline(self, shot: Shot) -> Outline | None:
-        """Return the outline of the object in the pose of a shot; None if its mesh does not exist yet."""
+        """Return the outline of the object in the pose of a shot; None without one or before its mesh exists."""
         try:
             return self._outline_of(shot)
         except InputError as error:

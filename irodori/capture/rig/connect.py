@@ -90,7 +90,8 @@ def start_simulator(rig: Rig) -> "Iterator[Simulator]":
 def grbl_settings(drives: Mapping[str, Drive], homing: bool) -> dict[int, float]:
     """Return Grbl's ``$`` settings that agree with drives, as a person would set them for such a rig.
 
-    The pull-off is large enough that every axis stands within its limits after homing.
+    The pull-off is 1 unit, or less if the limits of an axis begin at a smaller distance from its switch, so that after
+    homing every axis is at its first limit or between this limit and the switch.
     """
     pull_off = min([1.0, *(-drive.reach[1] for drive in drives.values() if drive.reach[1] < 0.0)])
     settings: dict[int, float] = {20: int(homing), 21: int(homing), 22: int(homing), 26: 25, 27: round(pull_off, 3)}

@@ -59,7 +59,7 @@ _KNOCK_S = 0.3
 _ROUNDING = 1.5e-3
 #: Length of the search for a switch beyond the position where it should close, degrees.
 _SEARCH_DEG = 5.0
-#: If no hard limit stops an axis, its way to the switch has so many steps, and the last one is divided into their square.
+#: If no hard limit stops an axis, its way to the switch has so many steps, and the last is divided into their square.
 _STEPS_TO_SWITCH = 4
 #: Settings of grblHAL: whether jogs are limited to the travel, and a mask of the rotary axes.
 _JOG_LIMITED, _ROTARY = 40, 376
