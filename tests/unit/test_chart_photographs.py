@@ -54,6 +54,7 @@ def distances(one, other) -> np.ndarray:
     return np.linalg.norm(one.centres_px - other.centres_px, axis=1)
 
 
+@pytest.mark.heavy
 def test_patches_found_and_by_corners_agree_to_two_superpixels(chart):
     response, valid, configured, found = chart
     assert configured["find"] == "edges"
