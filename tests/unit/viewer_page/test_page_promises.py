@@ -30,7 +30,7 @@ def words(language):
 
 
 def violations(visit) -> list[str]:
-    found = visit.page.evaluate("async () => (await axe.run()).violations")
+    found = visit.page.evaluate("async () => (await axe.run(document, {resultTypes: ['violations']})).violations")
     return [f"{one['id']}: {node['html'][:120]}" for one in found for node in one["nodes"]]
 
 
