@@ -1,7 +1,7 @@
 """Threads that a job was given in a test end with that test.
 
 A job limits the process in which it runs. Tests run many jobs in one process, and without this plugin those after a job
-of two threads would all use two for linear algebra. Their matrices are small, and while other tests keep the cores busy,
+of two threads would all use two for linear algebra. Their matrices are small. While other tests keep the cores busy,
 threads that wait for each other burn many times the processor time of the work.
 """
 
