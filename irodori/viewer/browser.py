@@ -112,8 +112,19 @@ def browser(flags: tuple[str, ...] = FLAGS):
     if command is None:
         raise PlainError("No browser to check a page in; accepted: Debian's package chromium and Python's playwright.")
     started = client().chromium.launch(executable_path=command, args=list(flags), headless=True)
-    atexit.register(started.close)
+    _started.append(started)
+    atexit.register(close_browsers)
     return started
+
+
+_started: list = []
+
+
+def close_browsers() -> None:
+    """Close the browsers of this process; the next page starts one again."""
+    browser.cache_clear()
+    while _started:
+        _started.pop().close()
 
 
 @contextmanager

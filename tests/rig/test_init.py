@@ -357,6 +357,7 @@ def test_a_documented_command_writes_a_first_project(command, seen, taken, recog
     assert Path("config", "eye.yaml" if alone else "my-plate.yaml").is_file()
 
 
+@pytest.mark.heavy
 def test_a_pose_without_its_second_photograph_is_left_open(taken, looked, recognised, capsys):
     _, truth = taken
     lost = [name for name, shot in truth.items() if shot.role == "object" and shot.filter == "in"][1]

@@ -164,6 +164,7 @@ def test_a_chart_cut_by_the_picture_s_edge_is_refused():
     assert "squares" in refusal(picture[:, :470])
 
 
+@pytest.mark.heavy
 def test_a_covered_patch_is_refused():
     image_from_grid = view(WIDTH, HEIGHT, 90, 2)
     picture = shot([image_from_grid])

@@ -146,6 +146,7 @@ def test_a_picture_states_what_it_leaves_out_of_the_transport():
     assert far["reference"]["rms"] < 0.5 and far["reference"]["rms"] < 0.5 * far["ambient"]["rms"]
 
 
+@pytest.mark.heavy
 def test_a_tolerance_that_the_integrator_cannot_keep_is_refused_with_what_would():
     def plan(tolerance):
         scene = scene_of({"kind": "interactive", "ambient": False}, tolerance)

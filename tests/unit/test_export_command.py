@@ -144,6 +144,7 @@ def test_a_scene_has_its_picture_as_preview_and_its_objects_where_they_stand(pro
     assert len(content["meshes"]) == len(own.spectra().shape) + 1 == len(OBJECTS)
 
 
+@pytest.mark.heavy
 def test_a_loss_that_cannot_be_measured_is_told_with_its_reason(project, capsys, monkeypatch):
     root, _ = project
     (root / "results/still-life").mkdir()

@@ -109,6 +109,7 @@ def test_a_hash_ignores_what_is_not_executed(tmp_path):
     assert hashes[0] == hashes[1] != hashes[2]
 
 
+@pytest.mark.heavy
 def test_what_was_read_of_a_source_is_remembered_by_its_content_and_no_longer(tmp_path):
     package, stored = tmp_path / "package", tmp_path / "sources.json"
     package.mkdir()

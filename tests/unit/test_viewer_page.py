@@ -156,7 +156,8 @@ def hard_case(name: str, folder):
 HARD_CASES = ("a mesh of 100,000 triangles", "six lamps", "no gloss", "no sun", "one lamp alone")
 
 
-@pytest.mark.parametrize("name", ["six lamps", *(heavy(name) for name in HARD_CASES if name != "six lamps")])
+@pytest.mark.heavy
+@pytest.mark.parametrize("name", HARD_CASES)
 def test_hard_cases_are_drawn_as_they_are_rendered(tmp_path, name):
     written = Written(tmp_path, hard_case(name, tmp_path))
     bands = frame_bands(written.scene, written.view, written.data.parts)

@@ -117,6 +117,7 @@ def test_a_sessions_photograph_that_is_not_the_one_it_took_is_refused_by_name(pr
     assert run.returncode != 0 and raw.name in said and "to take this one as it is, empty its cell sha256" in said
 
 
+@pytest.mark.heavy
 def test_an_edited_result_is_refused_and_made_again(project):
     reference, linear = project / f"{CAMERA}/reference.h5", project / LINEAR
     before, times = read_record(linear).sha256, reference.stat()

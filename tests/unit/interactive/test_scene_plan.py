@@ -440,6 +440,7 @@ def test_a_view_of_parallel_rays_is_predicted_and_checked_as_it_is_rendered():
     assert figures["plan"]["delta_e_to_full_model"]["p99"] <= document["predicted_delta_e"] + 0.02 <= 1.02
 
 
+@pytest.mark.heavy
 def test_rays_that_all_leave_the_scene_are_planned_for():
     """A mirror that has nothing to show but the sky, and a view of the sky alone."""
     mirrors = [material(0.2, beta=1.0, mu=0.2, mirror=1.0)]

@@ -216,6 +216,7 @@ def saved(visit, press) -> bytes:
     return download.value.path().read_bytes()
 
 
+@pytest.mark.heavy
 def test_a_saved_picture_shows_its_state_again(visit, tmp_path):
     one = visit(accept_downloads=True)
     one.page.locator(".steps li:nth-child(3) button").click()
@@ -245,6 +246,7 @@ def drop(visit, name, content):
     )
 
 
+@pytest.mark.heavy
 def test_other_pictures_and_files_are_refused(visit):
     one, start = visit(), visit().state()
     plain = io.BytesIO()
@@ -288,6 +290,7 @@ def test_a_table_of_a_light_becomes_the_light(visit):
 # ---- the teacher
 
 
+@pytest.mark.heavy
 def test_an_edited_lesson_is_exported_as_a_scene_takes_it(visit, scene, tmp_path):
     one = visit(accept_downloads=True)
     page = one.page
@@ -376,6 +379,7 @@ def test_a_damaged_payload_is_told_in_a_sentence(visit):
     assert one.page.locator("#poster-text").inner_text() == "The data of this page are damaged."
 
 
+@pytest.mark.heavy
 def test_a_slow_machine_gets_fewer_pixels_while_it_moves_and_all_at_rest(visit):
     one = visit(script="window.slowness = 120")
     one.page.evaluate(
