@@ -1,4 +1,4 @@
-"""Lights, observers and displays that a classroom page offers, as tables."""
+"""Tables of the illuminants, observers, displays and colour deficiencies that a classroom page offers."""
 
 import numpy as np
 
@@ -30,12 +30,12 @@ OBSERVERS = {
     "CIE 2015 2°": ("CIE 2015 2 Degree Standard Observer", "from cone fundamentals, small fields"),
     "CIE 2015 10°": ("CIE 2015 10 Degree Standard Observer", "from cone fundamentals, large fields"),
 }
-#: Dichromats: name in a page, and what colour-science calls them.
+#: Dichromats: name in a page -> name in colour-science.
 DEFICIENCIES = {"protan": "Protanomaly", "deutan": "Deuteranomaly", "tritan": "Tritanomaly"}
 
 
 def illuminants() -> list[dict]:
-    """Return the lights, each with its relative power at the 61 samples."""
+    """Return the illuminants, each with its relative spectral power at the 61 wavelengths."""
     return [
         {"name": name, "label": label, "power": [float(x) for x in light(name) / light(name).max()]}
         for name, label in ILLUMINANTS.items()
@@ -43,7 +43,7 @@ def illuminants() -> list[dict]:
 
 
 def observers() -> list[dict]:
-    """Return the observers, each with the weights that take a spectrum of 61 samples to its X, Y and Z."""
+    """Return the observers, each with the weights that integrate a spectrum of 61 samples into X, Y and Z."""
     return [
         {"name": name, "label": label, "xyz": [[float(x) for x in row] for row in colour_matching_weights(table).T]}
         for name, (table, label) in OBSERVERS.items()
@@ -51,12 +51,12 @@ def observers() -> list[dict]:
 
 
 def daylight() -> list[list[float]]:
-    """Return the three components of CIE daylight, (3, 61), for daylight of any colour temperature."""
+    """Return the mean and the two principal components of CIE daylight, (3, 61), which give any colour temperature."""
     return published_table("daylight").at(WAVELENGTH_NM).tolist()
 
 
 def displays() -> list[dict]:
-    """Return the displays of standard primaries: linear RGB of XYZ whose white has Y = 1, and the white."""
+    """Return the displays of standard primaries, each with its matrix from XYZ to linear RGB and its white (Y = 1)."""
     return [
         {
             "name": name,
@@ -68,7 +68,7 @@ def displays() -> list[dict]:
 
 
 def deficiencies() -> list[dict]:
-    """Return the dichromats of Machado et al. (2009), as matrices on linear sRGB."""
+    """Return the matrices on linear sRGB that simulate dichromats, after Machado et al. (2009)."""
     return [
         {"name": name, "rgb_from_rgb": published_matrix(f"rgb_from_rgb/{table}").tolist()}
         for name, table in DEFICIENCIES.items()
