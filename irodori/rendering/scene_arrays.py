@@ -23,8 +23,8 @@ _COARSEST_ROWS = 4
 class Objects(NamedTuple):
     """Materials of the objects; the first axis counts the objects, and bases have the wavelength on the last axis.
 
-    ``texels`` has one row per texel: the coefficients of α S / S_G, then β and μ of each gloss component. An object with
-    fewer components than another has β = 0 in the rest. ``lobe`` is the index of each component in ``lobes``.
+    ``texels`` has one row per texel: the coefficients of α S / S_G, then β and μ of each gloss component. An object
+    with fewer components than another has β = 0 in the rest. ``lobe`` is each component's index in ``lobes``.
     ``grey`` is 1 if the refractive index does not vary with the wavelength, so that all bands have the same Fresnel
     reflectance.
     """
