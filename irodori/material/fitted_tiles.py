@@ -26,7 +26,7 @@ SPEED = ("fit_seconds", "texels_fitted")
 
 
 def columns(lobes: tuple[str, ...]) -> dict[str, tuple[store.Units, str]]:
-    """Return `COLUMNS` and the standard errors of β and μ of every gloss component: name -> (units, quantity)."""
+    """Return units and quantities of the maps `COLUMNS` and of the standard errors of β and μ: name -> (units, text)."""
     errors = {f"{name}_error": (units, f"standard error of {name}") for name, (units, _) in gloss_maps(lobes).items()}
     return COLUMNS | errors
 

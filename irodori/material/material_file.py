@@ -209,9 +209,9 @@ class Material:
         storage: str = "single",
         codec: str = "gzip",
     ) -> None:
-        """Write ``material.h5``; ``errors`` is kept as an attribute.
+        """Write ``material.h5``, with ``errors`` as an attribute.
 
-        ``storage`` and ``codec`` are those of `irodori.material.coefficients`.
+        ``storage`` and ``codec`` are as in `irodori.material.coefficients.write_coefficients`.
         """
         with store.create(path, provenance) as out:
             maps = {name: (getattr(self, name), units, what) for name, (units, what) in MAPS.items()}

@@ -249,7 +249,7 @@ def register(
 
 
 def _problem(linear: Sequence, definition: "Object | TexturedObject", setup: RigSetup, placing: "Placing") -> _Problem:
-    """Read the parts of the photographs that may show the object and return the problem; arguments as of `register`."""
+    """Read the parts of the photographs that may show the object and return the problem; arguments as in `register`."""
     shape = Shape.from_definition(definition.shape)
     texels = _texels(shape, definition.texels.width, definition.texels.height)
     sigma = np.concatenate([prior_sigma(placing), np.full(len(linear), placing.camera_deg)])

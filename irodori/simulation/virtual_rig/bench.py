@@ -1,4 +1,4 @@
-"""Geometry of the virtual rig as the camera sees it."""
+"""True state of the virtual rig, which the virtual camera photographs: angles, filter and subject."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field

@@ -81,14 +81,14 @@ class VirtualCamera(CameraDevice):
 
     @cached_property
     def sample(self) -> Sample:
-        """Sample on the table."""
+        """Sample of the object on the table."""
         if not isinstance(self.subject, Object | PhotographedObject):
             raise DeviceError("nothing stands on the table; accepted: a session of an object")
         return Sample.from_definition(self.subject)
 
     @cached_property
     def _scene(self) -> np.ndarray:
-        """Radiance of the scene before the lens, (rows, columns, 61)."""
+        """Radiance of the scene in front of the lens, (rows, columns, 61)."""
         if not isinstance(self.subject, SceneRadiance):
             raise DeviceError("nothing is known of a scene; accepted: a session that photographs one")
         return scene_radiance(self.subject.radiance, self.optics)
