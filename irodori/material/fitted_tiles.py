@@ -26,7 +26,7 @@ SPEED = ("fit_seconds", "texels_fitted")
 
 
 def columns(lobes: tuple[str, ...]) -> dict[str, tuple[store.Units, str]]:
-    """Return units and quantities of the maps `COLUMNS` and of the standard errors of β and μ: name -> (units, text)."""
+    """Return units and quantities of the maps `COLUMNS` and of the errors of β and μ: name -> (units, quantity)."""
     errors = {f"{name}_error": (units, f"standard error of {name}") for name, (units, _) in gloss_maps(lobes).items()}
     return COLUMNS | errors
 
