@@ -76,7 +76,7 @@ def of_light(read: Callable[[], np.ndarray], light: Environment) -> Loss:
 
 
 def envi_spectra(path: Path) -> np.ndarray:
-    """Return the spectra of an ENVI file in band-sequential order, (h, w, 61)."""
+    """Return the spectra in an ENVI file, (h, w, 61)."""
     from spectral.io import envi
 
     return np.asarray(envi.open(str(path.with_suffix(".hdr")), str(path)).load(), dtype=np.float64)

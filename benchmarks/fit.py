@@ -92,7 +92,7 @@ def brute_force(response: np.ndarray, mus: np.ndarray) -> np.ndarray:
 
 
 def missed_share(options: FitOptions, kind: str, best: np.ndarray) -> float:
-    """Return the share of texels whose fit misses the minimum by more than 0.1 %."""
+    """Return the share of texels, of those fitted with all parameters, that miss the minimum by more than 0.1 %."""
     count = len(best)
     *_, response = scene(count)
     result = fit(*inputs(response, kind), options)

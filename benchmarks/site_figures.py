@@ -221,7 +221,7 @@ def _light(path: Path) -> np.ndarray:
 
 
 def recovered_light(results: Path) -> Figure:
-    """Return a figure of the room's panorama, with recovered and true spectra of its brightest points and of a wall."""
+    """Return a figure of the room's panorama, with recovered and true spectra of a bright and of a median pixel."""
     found, truth = _light(results / "environments" / f"{ROOM}.h5"), _light(results / "environments" / ROOM / "truth.h5")
     matrix = xyz_from_radiance(np.ones(len(WAVELENGTH_NM)))
     xyz = found @ matrix.T

@@ -43,7 +43,7 @@ class Distance:
 
     count: int  # pixels
     paths: int  # a pixel
-    noise: float  # root mean square CIEDE2000 of the paths' mean to the truth, which is taken out
+    noise: float  # root mean square CIEDE2000 between the paths' mean and the truth, which is removed
     mean: float
     p95: float
     p99: float
