@@ -50,11 +50,11 @@ SETS = {
 }
 #: The 99 test colours of CIE 224:2017, which come with the package.
 CIE = "cie"
-#: Estimators whose error bars are judged, with their bases.
+#: Estimators for which stated errors are tested, with their numbers of bases.
 STATED = (("pinv", 6), ("local", 12), ("broad", 12))
-#: A chart that is trained on and a set that has no part in training, each set once. The SG has the Classic's paints.
+#: Pairs of a training chart and a set that is not used for training, each set once. The SG has the Classic's paints.
 NEVER_SEEN = (*((("classic", name)) for name in ("sg", "munsell", "vrhel", "esser", CIE)), ("esser", "classic"))
-#: `local` told the variance of each pixel, as texels tell it theirs.
+#: `local` with the variance of each pixel given, as for texels of an object.
 TOLD = "local-told"
 VARIANTS = (*ESTIMATORS, TOLD)
 CAMERAS = ("canon_eos_40d", "nikon_d5100", "sony_ilce-7rm2")

@@ -59,7 +59,7 @@ PCA = {
     "pca-budget-from-6": ("bands", CompressOptions(), None),
 }
 OTHER_BASES = 4
-#: Variants that are another project's, and what of theirs is tried before, in a process of its own.
+#: Variants of another project -> program that tests it first, in a separate process.
 PEERS = {
     "sklearn-incremental": "import numpy, sklearn.decomposition as d; d.IncrementalPCA(2).partial_fit(numpy.eye(8))",
     "truncated-svd": "import numpy, sklearn.decomposition as d; d.TruncatedSVD(2).fit_transform(numpy.eye(8))",
@@ -107,7 +107,7 @@ def make_picture(folder: Path, size: str) -> None:
             if height // 3 <= row < height // 3 + height // 150:
                 line[: width // 300] = SUN * spectra[0]
             out[row], bands[row] = line, line @ basis.astype(np.float32)
-    os.sync()  # what is still on its way to the disk would be timed with what comes next
+    os.sync()  # pending writes to the disk would be timed with the next variant
 
 
 def observers() -> dict:
@@ -207,9 +207,9 @@ def measured(folder: Path, variant: str) -> dict:
     if variant in PCA:
         basis = np.eye(61)[:, :6] if PCA[variant][0] == "bands" else None
         analyse(np.ones((100, 61 if basis is None else 6), np.float32), basis, observers(), PCA[variant][1])
-    if variant.startswith("decode-"):  # loads what converts
+    if variant.startswith("decode-"):  # imports the converter
         decode(folder, variant.removeprefix("decode-"), slice(1))
-    Path("/proc/self/clear_refs").write_text("5")  # the peak starts from what is held now
+    Path("/proc/self/clear_refs").write_text("5")  # resets the peak to the present memory
     start, done = time.perf_counter(), None
     if variant != "imports":
         done = run(folder, variant)

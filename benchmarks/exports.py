@@ -42,7 +42,7 @@ CALLS = (
     f"{LIGHT} --to spectral-exr",
     f"{LIGHT} --to envi",
 )
-#: Pictures of a view that a run makes on request, and what makes them.
+#: Pictures of a view that are made on request -> functions that write them.
 ON_REQUEST = {"tif": write_tiff, "xyz.exr": write_xyz}
 _PICTURE = "every pixel"
 

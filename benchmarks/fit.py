@@ -75,7 +75,7 @@ def brute_force(response: np.ndarray, mus: np.ndarray) -> np.ndarray:
     geometry = angles(response.shape[1]).astype(np.float32).astype(np.float64)
     c, reflectance = np.cos(geometry[:, 0]), fresnel_array(np.cos(geometry[:, 2]), N, K)
     rho = response.astype(np.float64)
-    # At a minimum over α, β the sum of squares is what the fit explains less than the whole: no residual is formed.
+    # At a minimum over α, β the sum of squares is the total less the explained part, without computing residuals.
     whole, on_c, cc = np.sum(rho**2, axis=1), rho @ c, c @ c
     best = whole - np.maximum(on_c, 0) ** 2 / cc
     for mu in mus:

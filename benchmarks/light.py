@@ -40,7 +40,7 @@ from irodori.spectra.published import chart_spectra, spectrum
 from irodori.spectra.published_names import ILLUMINANTS
 
 CAMERA = Path(__file__).resolve().parents[1] / "config/cameras/d5100-comb.yaml"
-LIKE = 0.9995  # cosine of two spectra from which on the one tells the other
+LIKE = 0.9995  # least cosine between two spectra that count as similar
 HEIGHTS = {"small": 256, "full": 3000}
 CIE = tuple(name for name in ILLUMINANTS if not name.startswith("ISO"))
 WALLS = tuple(f"TCS{number}" for number in range(0, 99, 16))

@@ -279,7 +279,7 @@ def error_budget(_results: Path) -> Figure:
     return figure
 
 
-#: File in docs/figures -> what draws it.
+#: File in docs/figures -> function that draws it.
 DRAWN: dict[str, Callable[[Path], Figure]] = {
     "six-bands.png": six_bands,
     "band-response.svg": band_response,

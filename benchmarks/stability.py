@@ -41,7 +41,7 @@ def try_hard_cases(table, threads: int, tests: Sequence[str] = ()) -> list[dict]
         raise PlainError("pytest is not installed; install the test packages with pip install -r requirements-dev.txt.")
     command = [sys.executable, "-m", "pytest", "-m", "stability", "-n", str(threads), "-p", "no:cacheprovider"]
     command += [f"--stability-table={Path(table).resolve()}", *tests]
-    # Not what a pytest around this one, if there is any, told its own processes.
+    # Variables that an outer pytest, if there is one, has set for its own processes are removed.
     environment = {key: value for key, value in os.environ.items() if not key.startswith("PYTEST_")}
     run = subprocess.run(command, cwd=_ROOT, capture_output=True, text=True, env=environment)
     LOGGER.info("%s", run.stdout)

@@ -9,7 +9,7 @@ from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER
 from irodori.material.material_file import NloptResult, Status, gloss_maps, gloss_names, read_lobes
 
-#: What a material's file keeps of the fit beside α, β and μ, whatever the lobes: units and quantity.
+#: Maps of the fit, other than α, β and μ, that a material's file keeps for any lobes: units and quantity.
 COLUMNS: dict[str, tuple[store.Units, str]] = {
     "texel": (store.Mask, "whether a surface lies under the texel's centre"),
     "alpha_error": ("1", "standard error of alpha"),

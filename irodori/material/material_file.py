@@ -15,9 +15,9 @@ from irodori.spectra.spectral_files import REFLECTANCE
 from irodori.spectra.tables import LEAST_N, MOST_K, MOST_N
 
 _DARKEST_GREEN = 1e-3
-#: Texels along a side that a file's reflectance is judged by.
+#: Largest number of texels along a side at which a file's reflectance is checked.
 _LOOKED_AT = 500
-#: Maps of a material's own file beside those of its gloss: units and quantity.
+#: Maps of a material's file other than those of gloss: units and quantity.
 MAPS = {
     "alpha": ("1", "diffuse weight"),
     "green_response": ("1", "green-band response of S"),
@@ -28,7 +28,7 @@ BASIS, COEFFICIENTS, QUANTITY = (
     "coefficients of the reflectance factor",
 )
 _ERROR = "reflectance_error"
-#: The first version of the files that names the lobes; before it there was one, the Gaussian.
+#: First version of the files that names the lobes; earlier ones have a single Gaussian lobe.
 _LOBES_SINCE = 2
 
 

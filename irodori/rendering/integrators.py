@@ -381,7 +381,7 @@ class _Reference(Renderer):
         )
 
         scene = turned_scene(self.scene, moment.seen_from("environment"))
-        assert isinstance(scene.integrator, ReferenceIntegrator)  # what `make_renderer` chose this one by
+        assert isinstance(scene.integrator, ReferenceIntegrator)  # `make_renderer` chooses this class for it
         samples, seed = scene.integrator.samples, scene.integrator.seed
         placements = make_placements(scene, self.shapes)
         prepared = make_scene(placements, self.objects, self.light(moment), scene.lights)

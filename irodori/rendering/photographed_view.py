@@ -16,7 +16,7 @@ from irodori.material.material_file import Material
 from irodori.rendering.integrators import render_image
 from irodori.spectra.coordinates import write_wavelength
 
-#: Mosaic pixels around the sensor that are rendered too: a filter's plate shifts what falls on it.
+#: Width of the rendered margin around the sensor, mosaic pixels, because a filter plate shifts the picture.
 MARGIN_PX = 16
 HALVES = 2
 

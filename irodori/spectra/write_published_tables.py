@@ -36,7 +36,7 @@ _QUANTITIES = {
     "observers": "colour-matching function",
     "srgb_primaries": "component of a reflectance factor",
 }
-#: What a kind of matrix turns into what, and its axes.
+#: Kind of matrix -> its quantity and its axes.
 _MATRICES: dict[str, tuple[str, ...]] = {
     "xyz_from_rgb": ("tristimulus values of linear RGB", "tristimulus", "primary"),
     "white_xyz": ("tristimulus values of the white", "tristimulus"),
@@ -72,7 +72,7 @@ def library_matrices() -> Iterator[tuple[str, np.ndarray]]:
         yield f"white_xyz/{name}", colour.xy_to_XYZ(space.whitepoint)
     for name in DEFICIENCIES:
         with warnings.catch_warnings():
-            # Of tritanomaly: that it is an approximation, which a page says too.
+            # The library warns that tritanomaly is an approximation; the page states that too.
             warnings.simplefilter("ignore", colour.utilities.ColourUsageWarning)
             yield f"rgb_from_rgb/{name}", colour.matrix_cvd_Machado2009(name, 1.0)
 

@@ -29,10 +29,10 @@ FLAGS = (
     "--disable-gpu-compositing",
 )  # fmt: skip
 _PATIENCE_MS = 180_000
-#: Small: what the page draws for its own window is not read, and is drawn in software.
+#: A small window, because the page draws it in software and its content is not read.
 _WINDOW = {"width": 360, "height": 320}
 _USUAL = {"width": 1280, "height": 720}
-#: What a page says in place of a picture.
+#: JavaScript expression for the text that a page shows instead of a picture.
 _SAID = "!document.getElementById('poster').hidden && document.getElementById('poster-text').textContent"
 _READ = """([state, width, height]) => {
   const values = Irodori.renderer.readXYZ(state, width, height), bytes = new Uint8Array(values.buffer);

@@ -8,7 +8,7 @@ from irodori.spectra.grid import WAVELENGTH_NM
 from irodori.spectra.published import light
 from irodori.spectra.published_tables import published_matrix, published_table
 
-#: Name in a page, and what it is called there.
+#: Name in a page -> description in the page.
 ILLUMINANTS = {
     "D65": "CIE D65, daylight",
     "D50": "CIE D50, daylight of the morning",
@@ -23,7 +23,7 @@ ILLUMINANTS = {
     "LED-V1": "CIE LED-V1, LED with a violet pump",
     "E": "CIE E, the same power everywhere",
 }
-#: Name in a page: what colour-science calls the observer, and what the page does.
+#: Name in a page -> name in colour-science, and description in the page.
 OBSERVERS = {
     "CIE 1931 2°": ("CIE 1931 2 Degree Standard Observer", "small fields; what the other figures are computed with"),
     "CIE 1964 10°": ("CIE 1964 10 Degree Standard Observer", "large fields"),

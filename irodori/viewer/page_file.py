@@ -8,8 +8,7 @@ from pathlib import Path
 from irodori.core.atomic_files import written_whole
 from irodori.report.html_page import data_uri
 
-#: Scripts of the page, in the order in which they stand in it: what draws, what the page is made of, and what people do
-#: in it.
+#: Scripts of the page in their order: the renderer, the parts of the page, and the interaction.
 SCRIPTS = (
     *("payload.js", "spectra.js", "maps.js", "moved_shadows.js", "renderer.js", "selftest.js"),
     *("text.js", "state.js", "screens.js", "png.js", "plot.js", "lesson.js", "view.js", "controls.js", "legend.js"),

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 WEIGHTINGS = ("nothing", "visual")
-#: Share of the visual weighting that counts all wavelengths alike: what no light shows is kept last, not lost.
+#: Share of equal weights for all wavelengths in the visual weighting, so that parts of a spectrum that are invisible
+#: under all lights come last instead of being undetermined.
 _SPECTRAL_SHARE = 1e-3
 #: Singular values below this share of the first are rounding of single-precision pixels.
 _RANK_SHARE = 1e-8

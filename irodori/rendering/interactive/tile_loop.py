@@ -62,7 +62,7 @@ from irodori.rendering.interactive.shading import (
     shade_surfaces,
 )
 
-if TYPE_CHECKING:  # what else they import is none of the kernel's
+if TYPE_CHECKING:  # keeps their other imports out of the kernel's import closure
     from irodori.rendering.interactive.prepared_scene import FrameView, PreparedWorld
 
 #: Values of `PathLimits.visibility`: trace all rays, trace and store hits, recall the stored hits of an earlier frame.

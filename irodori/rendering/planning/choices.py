@@ -29,7 +29,7 @@ from irodori.rendering.scene_arrays import View, make_light
 
 _THROUGHPUTS = tuple(10.0 ** (-0.5 * n) for n in range(2, 11))
 _LEAST_ROWS = 32
-#: Objects at most whose lobes or textures are tried one by one.
+#: Largest number of objects for which lobes or textures are tried one by one.
 _MOST_TRIED = 32
 
 

@@ -12,9 +12,9 @@ from irodori.rendering.reference.distance import traced_halves
 from irodori.rendering.scene_arrays import Objects, View
 from irodori.rendering.scene_white import scene_white
 
-#: Pixels of each view rendered twice for the plan, and the paths of each time.
+#: Number of pixels of each view that are rendered twice for the plan, and paths per pixel of each rendering.
 PILOTS, PILOT_PATHS = 400, 64
-#: Paths of a pixel, the fewest of a plan.
+#: Least number of paths per pixel of a plan.
 _LEAST = 8
 _PILOT_SEED = 101
 
@@ -52,7 +52,7 @@ def plan_reference(
         found += len(pixels)
     # The noisiest view counts. The difference of two renderings is √2 times the error of one.
     noise = max(bounds) / math.sqrt(2.0)
-    assert isinstance(scene.integrator, ReferenceIntegrator)  # whose plan this is
+    assert isinstance(scene.integrator, ReferenceIntegrator)  # checked by the caller
     assert scene.tolerance_ciede2000 is not None
     most = scene.integrator.samples
     samples = scene.plan.samples or _samples_for(noise, scene.tolerance_ciede2000, most)

@@ -12,9 +12,9 @@ from irodori.rendering.planning.scene_plan import ScenePlan
 from irodori.rendering.planning.scene_planner import Decision, ScenePlanner
 from irodori.rendering.planning.tolerance import SHARE
 
-#: Digits of what is predicted: the last bits of a sum are the library's.
+#: Significant digits of predictions, because the last bits of a sum depend on the library.
 _DIGITS = 4
-#: Decisions that are fields of `Model` as they stand.
+#: Decisions that are fields of `Model` without conversion.
 _PLAIN = (
     "max_bounces",
     "least_throughput",

@@ -11,7 +11,7 @@ from irodori.rendering.planning.tolerance import SHARE, differences
 from irodori.rendering.reference.distance import Distance
 from irodori.rendering.scene_arrays import View
 
-#: Pixels that are computed in full, and the seed of their places: not those of the probes.
+#: Number of pixels computed with the full model, and their seed, which differs from that of the probes.
 PIXELS, SEED = 3000, 2
 
 

@@ -13,11 +13,11 @@ from irodori.rendering.planning.probes import Changes, Probes
 from irodori.rendering.planning.tolerance import bound_of_share, differences
 from irodori.rendering.scene_arrays import Light
 
-#: Probes of a view, and the seed of their places; pixels that are checked have another.
+#: Number of probes per view, and the seed of their points, which differs from that of the checked pixels.
 PROBES, SEED = 2000, 1
-#: Views with so many probes; more of them share these.
+#: Largest number of views for which the number of probes grows; more views share the same total.
 MOST_VIEWS = 4
-#: Decisions that may cost colour.
+#: Number of decisions that may cause a colour error.
 _LOSSY = 8
 
 

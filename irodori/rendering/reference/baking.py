@@ -157,7 +157,7 @@ def _traced(scene: TracedScene, index: int, placement: Placement, size: tuple[in
 def _error(scene: TracedScene, index: int, placement: Placement, found: np.ndarray) -> float:
     """Return the root-mean-square error of a map between its texels, by path tracing, relative to the mean light."""
     rows, columns, _ = found.shape
-    size = (round(1.37 * columns), round(1.37 * rows))  # whose texels lie anywhere between those of the map
+    size = (round(1.37 * columns), round(1.37 * rows))  # its texels lie at varying positions between those of the map
     chosen = np.random.default_rng(_SEED).permutation(size[0] * size[1])[:_JUDGED]
     halves, _ = _traced(scene, index, placement, size, chosen, seed=_SEED)
     u, v = (chosen % size[0] + 0.5) / size[0], (chosen // size[0] + 0.5) / size[1]

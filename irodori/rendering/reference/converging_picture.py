@@ -29,8 +29,8 @@ from irodori.rendering.reference.world import SEEN, Bands, World
 from irodori.rendering.scene_arrays import Objects, View
 from irodori.rendering.scene_lights import BANDS, make_lights
 
-#: Independent sets of a pixel's samples, from whose spread the standard error comes. Points of one set cover the light
-#: the more evenly the more they are: to the same error two sets take 0.6 to 0.7 of the samples of eight.
+#: Number of independent sets of a pixel's samples, whose spread gives the standard error. Larger sets cover the light
+#: more uniformly: for the same error, two sets need 0.6 to 0.7 of the samples that eight sets need.
 REPLICATES = 2
 _NEIGHBOURS = 7  # pixels along the side of the square over which `pooled` takes its mean
 #: Height above a surface at which rays start, relative to its size and to its coordinates, for single precision.

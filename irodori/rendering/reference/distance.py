@@ -21,16 +21,16 @@ from irodori.rendering.reference.random_numbers import make_numbers
 from irodori.rendering.scene_arrays import View
 from irodori.rendering.single_pixels import middle_rays
 
-#: Pixels of objects that are traced at most.
+#: Largest number of traced pixels that show objects.
 PIXELS = 2000
-#: Paths a pixel at first. They are doubled while their noise is more than `_SHARE` of the distance and more than
-#: `_VISIBLE`, a tenth of what a person can just see, and `_MOST` paths in all are not exceeded.
+#: Initial number of paths per pixel. It is doubled while the noise exceeds both `_SHARE` of the distance and `_VISIBLE`
+#: (a tenth of a just visible difference), up to `_MOST` paths in total.
 _FEWEST, _MOST = 64, 512 * PIXELS
 _SHARE, _VISIBLE = 0.25, 0.1
-#: Not those of pictures, plans and noise.
+#: Seed that differs from those of pictures, plans and noise.
 _FIRST_SEED = 211
-_TOGETHER = 8192  # pixels looked at for objects
-_DRAWS = 200  # of the pixels, with replacement, for standard errors
+_TOGETHER = 8192  # pixels tested at a time for showing an object
+_DRAWS = 200  # bootstrap samples of the pixels for standard errors
 
 
 @dataclass(frozen=True)

@@ -46,13 +46,14 @@ from irodori.rendering.reference.world import ALBEDO, NORMAL, PLACE, SHINE, Bran
 from irodori.rendering.scene_lights import COLLIMATED, density_towards, sample_towards, unobstructed
 from irodori.rendering.surface_hits import surface
 
-#: Surfaces after which a path is cut, which is counted: two perfect mirrors may keep one for ever.
+#: Number of surfaces after which a path is cut and counted as cut; between two perfect mirrors it might never end.
 LONGEST = 20_000
-_GREEN = 30  # the band whose index stands for all where terms are chosen
-_LEAST_REFLECTANCE = 1e-3  # for that choice: another band may reflect where this one does not
-_ROULETTE_FROM = 4  # the fifth surface
-#: At the first surface the mirror term is followed beside the others, and not as a choice among them: a lamp in a faint
-#: mirror, drawn seldom, would be a heap of bright dots. One sample in so many does, of a share under one in so many.
+_GREEN = 30  # band whose refractive index represents all bands when a term is chosen
+_LEAST_REFLECTANCE = 1e-3  # least reflectance in that choice, because other bands may reflect more
+_ROULETTE_FROM = 4  # Russian roulette begins at the fifth surface
+#: At the first surface, the mirror term is followed in addition to the others, not with a probability: the image of a
+#: lamp in a weak mirror, sampled seldom, would consist of bright dots. If the mirror's share is below 1 / MIRRORED,
+#: only one of MIRRORED samples follows it.
 MIRRORED = 4
 _THIRD = 20  # bands of a part of the spectrum, see `ALBEDO`
 # Columns of `Work.gloss`.

@@ -164,7 +164,7 @@ class AsciiMachine(Machine):
             return self._words.alarm[0]
         if any(stages[name].moving for name in names):
             return self._words.busy[0]
-        if self._held:  # a controller without a word for it says that it is busy
+        if self._held:  # a controller without a word for hold reports that it is busy
             return (self._words.hold or self._words.busy)[0]
         return self._words.idle[0]
 

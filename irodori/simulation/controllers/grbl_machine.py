@@ -26,7 +26,7 @@ DEFAULTS = {
 _WHOLE = (0, 1, 2, 3, 4, 5, 6, 10, 13, 20, 21, 22, 23, 26, 32, 40, 376)
 #: Settings of grblHAL: whether jogs end at the travel, also without soft limits; which axes are rotary, a bit each.
 _JOG_LIMITED, _ROTARY = 40, 376
-#: What each firmware says when it starts, and to ``$I``; recorded from their sources.
+#: Messages of each firmware at its start, and replies to ``$I``, taken from their sources.
 _BANNERS = {
     GRBL: "Grbl 1.1h ['$' for help]",
     GRBLHAL: "GrblHAL 1.1f ['$' or '$HELP' for help]",
@@ -48,15 +48,15 @@ _BUILDS = {
     ],
     FLUIDNC: ["[VER:3.7 FluidNC v3.7.8:]", "[OPT:PHS]", "[MSG: Machine: Default (Test Drive)]"],
 }
-#: What else is in FluidNC's own file, by its number in Grbl: the limits, which can be changed until it starts anew.
+#: Limits in FluidNC's configuration, by their setting's number in Grbl; changes last until the next start.
 _LIMITS = {20: "soft_limits", 21: "motor0/hard_limits"}
 _CONFIGURED = {24: "homing/feed_mm_per_min", 25: "homing/seek_mm_per_min", 26: "homing/settle_ms",
                27: "motor0/pulloff_mm"}  # fmt: skip
 _LOCKED = "[MSG:'$H'|'$X' to unlock]"
 _TRAVEL_SLACK = 1e-6
-#: How far behind a switch the mechanics end, units.
+#: Distance from a switch to the end of the mechanics, units.
 _STOP_BEHIND = 2.0
-#: Error of the count after a stop without a ramp, units at full speed.
+#: Largest error of the position count after a stop without deceleration at full speed, units.
 _LOST_AT_SPEED = 0.3
 
 
