@@ -12,11 +12,12 @@ The functions are compiled kernels (`irodori.jit`). They accept numbers or vecto
 which accept only numbers. Cosines are cosθ_i = N·L, cosθ_r = N·V, cosφ = N·H and cosθ_H = V·H; t is ln μ.
 """
 
-import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from types import ModuleType
+
+from irodori.core.parsed_sources import parsed
 
 
 @dataclass(frozen=True)
@@ -74,7 +75,8 @@ class Lobe:
     reach : kernel (μ) -> float, rad
         φ beyond which the lobe is below about 1e-4 of its peak (at most 2e-4), at most π/2.
     digest : str
-        Hash of the module's source; kernels compiled with the lobe are compiled again if it changes.
+        Hash of the module's code, without comments and docstrings. If it changes, kernels with the lobe are compiled
+        again.
     """
 
     name: str
@@ -112,5 +114,4 @@ class Lobe:
                 raise ValueError(f"the lobe {module.__name__} has no {attribute}; see {cls.__module__}")
             values[one.name] = getattr(module, attribute)
         assert module.__file__, "a lobe's module is a file"
-        source = Path(module.__file__).read_bytes()
-        return cls(**values, digest=hashlib.sha256(source).hexdigest()[:16])
+        return cls(**values, digest=parsed(Path(module.__file__)).code[:16])
