@@ -675,7 +675,7 @@ def register_object(
         out.coordinate("capture", names, units="1", quantity="name of the capture")
         units = np.array(["{px}" if one.unit == "px" else one.unit for one in QUANTITIES], "S")
         for axis in ("quantity", "other_quantity"):
-            out.coordinate(axis, [one.name for one in QUANTITIES], units="1", quantity="what may be corrected")
+            out.coordinate(axis, [one.name for one in QUANTITIES], units="1", quantity="names of the corrections")
             out.write(f"{axis}_unit", units, units="1", dims=axis, quantity="its unit")
         for name, values, quantity in (
             ("correction", found.correction.values, "to be added to what was typed"),
@@ -686,7 +686,7 @@ def register_object(
         covariance = {"units": "{quantity_unit}.{other_quantity_unit}", "dims": "quantity,other_quantity"}
         out.write("covariance", found.covariance, **covariance, quantity="covariance of the most probable values")
         out.write(
-            "own_camera_deg", found.own_camera_deg, units="deg", dims="capture", quantity="camera angle beside all"
+            "own_camera_deg", found.own_camera_deg, units="deg", dims="capture", quantity="camera angle of this photograph, beside the correction of all"
         )
         off = "distance between where a capture shows the object and where it is expected"
         out.write("residual_px", found.residual_px, units="{superpixel}", dims="capture", quantity=off)

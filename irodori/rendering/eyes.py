@@ -12,7 +12,7 @@ from irodori.rendering.scene_arrays import make_placements
 
 def eye_inside(view: str, thing: str) -> tuple[str, str, str]:
     """Return field, fault and accepted values for the `InputError` about a view from inside an object."""
-    return f"views.{view}.position_mm", f"an eye inside {thing}", "a position outside of all things, in mm"
+    return f"views.{view}.position_mm", f"an eye inside {thing}", "a position outside every object, in mm"
 
 
 def refuse_enclosed_eye(scene: Scene, view_name: str, shapes: list[Shape]) -> None:

@@ -1,4 +1,4 @@
-"""Write the classroom page of a scene, or print what a page holds."""
+"""Write the classroom page of a scene, or list what an existing page contains."""
 
 import argparse
 import json
