@@ -686,7 +686,11 @@ def register_object(
         covariance = {"units": "{quantity_unit}.{other_quantity_unit}", "dims": "quantity,other_quantity"}
         out.write("covariance", found.covariance, **covariance, quantity="covariance of the most probable values")
         out.write(
-            "own_camera_deg", found.own_camera_deg, units="deg", dims="capture", quantity="own part of the camera angle's correction"
+            "own_camera_deg",
+            found.own_camera_deg,
+            units="deg",
+            dims="capture",
+            quantity="own part of the camera angle's correction",
         )
         off = "distance between where a capture shows the object and where it is expected"
         out.write("residual_px", found.residual_px, units="{superpixel}", dims="capture", quantity=off)
