@@ -19,8 +19,8 @@ from irodori.jit.vectors import LANES
 from irodori.reflection import lobes as lobe_kernels
 from irodori.reflection.fresnel import fresnel
 
-#: Rows: cosθ_i; the gloss for a lobe of 1 (F times the lobe's factor); three features of the lobe; NaN where an angle is
-#: not finite, else 0; response; weight; expected variance; weight times cosine, and times response; the gloss of the
+#: Rows: cosθ_i; the gloss for a lobe of 1 (F times its factor); three features of the lobe; NaN where an angle is not
+#: finite, else 0; response; weight; expected variance; weight times cosine, and times response; the gloss of the
 #: last lobe for β = 1, and its slope along log μ; the weights at the last scan; the weights before outliers are left
 #: out; the response for which the variance was computed.
 (
