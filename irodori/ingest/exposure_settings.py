@@ -7,8 +7,8 @@ from irodori.config.capture_table import FILTERS, Shot
 from irodori.core.errors import InputError
 from irodori.ingest.mosaic import Mosaic
 
-#: Relative difference up to which a file agrees with its table. Cameras round: 1/50 s stands as 0.01976, ISO 640 as
-#: 635, f/5.6 as 5.66; the nearest other setting is a third of a stop away, which is 26 % in time and ISO, 12 % in f.
+#: Largest relative difference between file and table. Cameras round: 1/50 s is written as 0.01976, ISO 640 as 635,
+#: f/5.6 as 5.66; the nearest other setting is a third of a stop away, 26 % in time and ISO, 12 % in f-number.
 TOLERANCE = 0.05
 _COLUMNS = ("exposure_s", "iso", "f_number")
 _OPTIONAL = ("iso", "f_number")

@@ -1,4 +1,4 @@
-"""First check of a set of RAW files: every file is decoded and looked at once before any long work."""
+"""First check of a set of RAW files: every file is decoded and checked once before any long computation."""
 
 from irodori.config.capture_table import Shot, check_unchanged, read_captures, shot_path, write_captures
 from irodori.core.custody import content_sha256
@@ -8,7 +8,7 @@ from irodori.ingest.exposure_settings import settle, settle_set
 from irodori.ingest.mosaic import Mosaic, decode
 from irodori.ingest.set_plausibility import FocalRange, SetLook
 
-#: White level of pictures that hold too few steps for dark colours, and what is said of them.
+#: White level at or below which pictures have too few steps for dark colours, and the warning.
 COARSE = 255.0
 COARSE_WARNING = "8 bits a band: a tenth of the range has 25 steps, so that dark colours are coarse; 16 bits are better"
 

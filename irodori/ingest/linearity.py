@@ -1,4 +1,4 @@
-"""Linearity of a camera from an exposure series of one subject."""
+"""Linearity of a camera, measured from an exposure series of one subject."""
 
 from dataclasses import dataclass
 
@@ -11,8 +11,8 @@ from irodori.ingest.dark_frames import Dark
 from irodori.ingest.exposure_settings import iso_ratio, relative_exposure_s
 from irodori.ingest.mosaic import Mosaic, decode
 
-_MAX_LEVEL = 0.9  # of the range to saturation, in the longest exposure that counts
-_MIN_LEVEL = 0.005  # of the range: below, black level and stray light rule
+_MAX_LEVEL = 0.9  # largest usable level, relative to saturation
+_MIN_LEVEL = 0.005  # smallest usable level, relative to saturation: below, black level and stray light dominate
 _SIGMAS = 2.0
 
 

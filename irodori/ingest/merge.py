@@ -1,16 +1,16 @@
 """Merging of a bracket of exposures into responses, in one pass over the digital numbers.
 
-Brackets are merged by inverse variance. What decides about a sample must not depend on its own noise, or the mean
-leans:
+Exposures are merged with inverse variances as weights. The weight of a sample must not depend on its own noise, because
+that would bias the mean:
 
-* weights come from a signal that a block of 8 x 8 samples of one colour shares;
-* whether a longer exposure is near clipping is predicted from the block's mean in the shorter ones, and its weight
-  fades out between 60 % and 85 % of the range. Where the block varies by more than its noise, by texture or a
-  highlight, the weighted mean of the pixel's own exposures takes the place of the prediction: the fade is slow against
-  its noise;
-* in addition, no sample at or above the clip level is ever used.
+* weights are computed from the common signal of a block of 8 x 8 samples of one colour;
+* whether a longer exposure is near clipping is predicted from the mean of the block in the shorter ones, and its weight
+  fades out between 60 % and 85 % of the range. If the block varies by more than its noise, because of texture or a
+  highlight, the weighted mean of the pixel's exposures replaces the prediction; the fade is slow compared with the
+  noise of this mean;
+* in addition, samples at or above the clip level are never used.
 
-With one exposure nothing predicts, and the clip level alone decides.
+With a single exposure there is no prediction, and only the clip level counts.
 """
 
 from typing import NamedTuple
@@ -22,11 +22,11 @@ from irodori.jit.chunks import run_chunks
 from irodori.jit.compilation import njit
 
 _BLOCK = 8  # samples along the side of a block
-_CHUNKS = 32  # of rows of blocks, which threads take one after the other
-_FADE_FROM, _FADE_TO = 0.6, 0.85  # of the range from black to clip level
-#: Stands for a dark frame that is not there; strided like a view of one, so that the loops are compiled once.
+_CHUNKS = 32  # number of groups of rows of blocks, which the threads process
+_FADE_FROM, _FADE_TO = 0.6, 0.85  # shares of the range from black to the clip level
+#: Placeholder for a missing dark frame; strided like a view of one, so that the loops are compiled only once.
 ABSENT = np.zeros((4, 4), dtype=np.int16)[::2, ::2]
-_TEXTURE = 2.0  # variance of a block over that of its noise; noise alone scatters it by 18 %
+_TEXTURE = 2.0  # variance of a block, relative to its noise, that indicates texture; noise alone scatters it by 18 %
 
 
 class ExposureBracket(NamedTuple):
@@ -202,7 +202,7 @@ def _dark_row(offset, rate, step, slope, dark):
 
 @njit(cache=True, nogil=True)
 def _add_exposure(place, seconds, k, y, weighing, sums):
-    """Add exposure k of a row to the sums; return the number of samples used, with fractions for those near clipping."""
+    """Add exposure k of a row to the sums; return the number of samples used, in fractions for those near clipping."""
     samples, black, clip, used = place.samples[k, y], place.black[k], place.clip[k], 0.0
     (dark, top, bottom), room = sums, clip - black
     for block in range(weighing.weights.shape[0]):
