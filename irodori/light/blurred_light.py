@@ -120,7 +120,7 @@ def _bessel_series(meridian: np.ndarray, parallel: np.ndarray, terms: int) -> np
 
 
 def _level(series: np.ndarray, source: np.ndarray, width_rad: float, pool: ThreadPoolExecutor) -> np.ndarray:
-    """Compute the map for one width, (h, 2 h, k) float32, from Fourier series of rows at polar angles ``source`` (rad)."""
+    """Compute the map for one width, (h, 2 h, k) float32, from Fourier series of rows at polar angles ``source``."""
     from scipy import fft  # slow to import
 
     height = level_height(width_rad)

@@ -1,7 +1,7 @@
 """Environment files: light from all directions, stored and loaded for rendering.
 
-Equirectangular: rows are the angle from the zenith (+z), columns the azimuth from +x towards +y, both at pixel
-centres. Radiance is relative: 1 is a perfect diffuser lit at normal incidence by the rig's light.
+The pictures are equirectangular: rows are the angle from the zenith (+z), columns the azimuth from +x towards +y, both
+at pixel centres. Radiance is relative: 1 is that of a perfect diffuser lit at normal incidence by the rig's light.
 """
 
 from dataclasses import dataclass, replace
@@ -15,7 +15,7 @@ from irodori.material.coefficients import read_coefficients, write_coefficients
 from irodori.spectra.coordinates import write_wavelength
 from irodori.spectra.grid import SAMPLES
 
-#: What the coefficients of an environment are.
+#: Description of the coefficients in the file.
 QUANTITY = "coefficients of the radiance"
 
 

@@ -1,8 +1,8 @@
-"""Irradiance map I_d(N) = Σ cosθ L(ω) dΩ of equation (8), on the coefficients.
+"""Irradiance map I_d(N) = Σ cosθ L(ω) dΩ of equation (8), computed on the coefficients.
 
-The picture is kept as a quadtree of cells of constant size in angle, each with Σ L ω dΩ. For a normal N a cell wholly
-above the horizon gives N · Σ L ω dΩ exactly, one wholly below gives nothing, one that the horizon cuts is divided, down
-to the pixel, until what it may err is a small part of the irradiance.
+The picture is stored as a quadtree of cells of constant angular size, each with Σ L ω dΩ. For a normal N, a cell
+entirely above the horizon contributes exactly N · Σ L ω dΩ, and one entirely below contributes nothing. A cell that the
+horizon cuts is divided, down to the pixels, until its possible error is a small share of the irradiance.
 """
 
 import math
@@ -18,12 +18,12 @@ from irodori.light.equirectangular import look_up
 
 _BLOCK = 8  # pixels along each side of the smallest cell that is stored
 _TOP_CELLS = 32
-_COARSE_CELLS = 1024  # cells by which the irradiance is bounded from below before the tolerance is set
-_TOLERANCE = 2e-4  # power times angular radius of a cut cell that is not divided, over the irradiance
-_SPREAD = 0.55  # half the extent of a cell's heights over the horizon, over its angular radius
-_DARKEST = 1e-7  # irradiance over power under which the tolerance sinks no further
+_COARSE_CELLS = 1024  # cells from which a lower bound of the irradiance, and so the tolerance, is computed
+_TOLERANCE = 2e-4  # largest power times angular radius of an undivided cut cell, relative to the irradiance
+_SPREAD = 0.55  # half the range of heights above the horizon within a cell, relative to its angular radius
+_DARKEST = 1e-7  # ratio of irradiance to power below which the tolerance is not reduced further
 _STACK = 1024
-_NORMALS = 256  # that a thread takes at a time
+_NORMALS = 256  # normals that a thread takes at a time
 _SMALLEST_HEIGHT = 32
 _MIDPOINTS = 1 << 15
 

@@ -1,7 +1,7 @@
-"""Lamps of a place that its user knows: named as published ones, or given by measured spectra.
+"""Lamps that the user of a place knows: names of published lamps, or measured spectra.
 
-They make the prior's families in place of all published lamps. A place with other light than theirs would be recovered
-as their mixture, so that the panorama is asked first whether any published lamps explain it far better.
+The prior is then built from these lamps instead of all published ones. Light of other lamps would be recovered as a
+mixture of the given ones; therefore it is first tested whether published lamps explain the panorama far better.
 """
 
 from collections.abc import Sequence
@@ -14,10 +14,10 @@ from irodori.light.light_recovery import Directions, ResponseModel, evidence
 from irodori.spectra.published import light
 from irodori.spectra.spectral_files import SUFFIXES
 
-#: Standard deviation of what differs smoothly from a lamp, relative: of one lamp from the published one of its type,
-#: and of the reading of a field spectroradiometer.
+#: Standard deviations of smooth relative differences in spectrum: of a lamp from the published one of its type, and of
+#: a measurement with a field spectroradiometer from the true spectrum.
 _OF_TYPE, _OF_MEASURED = 0.05, 0.02
-#: By which published lamps may explain a panorama better; being many they can follow noise that the lamps given cannot.
+#: Accepted log evidence ratio of published over given lamps; being many, published lamps can also fit some noise.
 _ODDS = np.log(1e4)
 
 

@@ -14,7 +14,7 @@ from irodori.light.irradiance import Integrator
 from irodori.reflection.fresnel import fresnel
 from irodori.reflection.lobes import Lobes, constants, features, value
 
-#: Roughnesses, in the unit of the lobe, and view angles (degrees) of the table.
+#: Roughnesses (in the unit of the lobe) and view angles (degrees) at which errors are measured.
 MU = (0.01, 0.02, 0.05, 0.1, 0.2, 0.36, 0.8, 1.2)
 THETA_R_DEG = (0.0, 30.0, 60.0, 75.0, 80.0, 85.0)
 _PLACES = 3

@@ -35,7 +35,7 @@ _ENERGY_WEIGHT = 3.0
 
 
 class FittedEntry(NamedTuple):
-    """One entry of the table with the strongest lobe first; ``rest`` is the relative RMS difference to the true lobe."""
+    """One entry of the table, strongest lobe first; ``rest`` is the relative RMS difference to the true lobe."""
 
     width: np.ndarray
     offset: np.ndarray
@@ -46,7 +46,7 @@ class FittedEntry(NamedTuple):
 
 
 def unit(along: np.ndarray, across: np.ndarray) -> np.ndarray:
-    """Return unit vectors, (..., 3), at an angle ``along`` from +z towards +x and an angle ``across`` out of x-z, rad."""
+    """Return unit vectors, (..., 3), at angles ``along`` from +z to +x and ``across`` out of the x-z plane (rad)."""
     return np.stack([np.cos(across) * np.sin(along), np.sin(across), np.cos(across) * np.cos(along)], axis=-1)
 
 

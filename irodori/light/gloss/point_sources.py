@@ -1,8 +1,8 @@
-"""Very rough reflection: exact sum of the lobe over a thousand point sources.
+"""Gloss of very rough surfaces: exact sum of the lobe over about a thousand point sources.
 
-From a roughness of 0.4 on a lobe is so wide, and cut so hard by the horizon, that blurred light would need more
-look-ups than there are parts of the sphere worth telling apart. The sphere is divided into cells of a tenth of a
-radian; each is a point at its centre of power, so that a small sun stands where it stands.
+From a roughness of 0.4 on, a lobe is so wide, and cut so strongly by the horizon, that blurred light would need more
+look-ups than there are relevant directions. Therefore the sphere is divided into cells of a tenth of a radian. Each is
+replaced by a point at its centre of power, so that a small sun keeps its direction.
 """
 
 import math
@@ -17,7 +17,7 @@ from irodori.reflection.fresnel import fresnel
 from irodori.reflection.lobes import constants, features, reach, value
 
 _ROWS = 32
-_FEWEST_ROWS = 64  # of the picture; coarser pixels are divided, for they shine evenly
+_FEWEST_ROWS = 64  # smallest number of rows of the picture; coarser pixels are divided, as they are uniform
 
 
 class PointLights(NamedTuple):
