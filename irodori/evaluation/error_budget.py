@@ -2,7 +2,7 @@
 
 On the virtual rig the truth is known, so the contribution of a stage is measured by substitution: the result of this
 stage replaces the true data, everything else stays true, and the picture is compared with the picture of the true
-materials under the true light. Beside each measured contribution stands a prediction made without the truth: how far
+materials under the true light. Each measured contribution is compared with a prediction made without the truth: how far
 the picture of the measured materials under the measured light changes when they are varied within the error estimates
 of the stages (`irodori.evaluation.error_prediction`). For compression, the prediction is the error that the compression
 states for the true data, because the true data are compressed here.

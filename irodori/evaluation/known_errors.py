@@ -156,7 +156,7 @@ class Spread:
         """
         top, bottom = values * known[..., None], known[..., None].astype(np.float64)
         joined = self.border == "joined"
-        beyond = float(self.border == "black")  # what lies beside the object is known: nothing shines there
+        beyond = float(self.border == "black")  # values outside the object are known to be zero
         for axis, deviation in enumerate((self.rows, self.columns)):
             mode = ("nearest", "wrap")[axis] if joined else "constant"
             top = _blurred_along(top, axis, deviation, mode=mode)

@@ -100,7 +100,7 @@ def measure(folder: Path, picture: Path, view: str) -> dict:
         )
     except subprocess.TimeoutExpired:
         return {"not_measured": f"no picture in {_LONGEST_S:.0f} s"}
-    if done.returncode < 0:  # a library's own words stand before the state that it prints when it ends the process
+    if done.returncode < 0:  # the library prints its error message before the state of the process
         said = [line for line in done.stderr.splitlines() if "error" in line.lower()] or ["nothing said"]
         return {"not_measured": f"Mitsuba ended by {signal.Signals(-done.returncode).name}: {said[0].strip()}"}
     if done.returncode:

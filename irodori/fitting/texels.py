@@ -31,7 +31,7 @@ from irodori.reflection.lobes import Lobes
 
 _CHUNK = 8192  # texels that a thread takes at a time
 _WORTH = 9.0  # smallest decrease of χ² by leaving out an outlier, over the remaining χ² per degree of freedom
-_AN_OUTLIER_IN = 8  # at most one observation in so many may be an outlier
+_AN_OUTLIER_IN = 8  # smallest number of observations per outlier
 _LEAST_READINGS = 12  # fewest observations that can confirm the model after one of them was left out
 
 

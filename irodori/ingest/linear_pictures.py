@@ -25,7 +25,8 @@ _SETTINGS = {
     "iso": "Exif:PhotographicSensitivity",
     "focal_mm": "Exif:FocalLength",
 }
-#: An octave is used if its numbers occur this often on average, and more than so many different ones occur.
+#: An octave is used if its mean count per distinct number is at least the first, and it has more than the second
+#: count of distinct numbers.
 _OFTEN, _FEWEST = 20.0, 4
 #: Largest ratio between the steps of octaves of a linear picture, and of a gap to the median gap within an octave.
 _LARGEST_RATIO, _REGULAR = 2.0, 4.0

@@ -3,8 +3,8 @@
 A capture session checks every shot at once, while a mistake can still be corrected; `irodori.ingest.set_plausibility`
 checks a table of photographs that exist already. A photograph is compared with earlier ones that passed: those of the
 same kind (role and filter), that of the same capture with the other filter, and the white reference. The limits are
-wide enough for the poses, brackets and highlights of a normal session; whatever exceeds them is reported for a person
-to decide.
+wide enough for the poses, brackets and highlights of a normal session; whatever exceeds them is reported, so that the
+user can decide.
 """
 
 import hashlib
@@ -28,8 +28,7 @@ _THUMBNAIL_PX = 64
 _MAKE, _MODEL, _TIME, _SERIAL, _LENS = 271, 272, 36867, 42033, 42036
 #: Shares of the range from black to white: pixels above the first are lit, pixels at or above the second are clipped.
 LIT, CLIPPED = 0.02, 0.995
-#: One in so many places, those with the highest steps, enters the measure of sharpness; the outline of a small object
-#: suffices.
+#: Sharpness is measured at one in this number of positions, the steepest ones; the outline of a small object suffices.
 _STEEPEST = 500
 #: Quantiles of the colours of a picture that are compared.
 _QUANTILES = (0.1, 0.25, 0.5, 0.75, 0.9)

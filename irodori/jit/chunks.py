@@ -19,7 +19,7 @@ def run_chunks(kernel, count: int, chunk: int, *arguments) -> None:
     pieces = [(first, min(first + chunk, count)) for first in range(0, count, chunk)]
     if not pieces:
         return
-    if hasattr(kernel, "compile"):  # not where numba is switched off
+    if hasattr(kernel, "compile"):  # False if compilation by numba is disabled
         kernel = kernel.compile(tuple(numba.typeof(argument) for argument in (*arguments, *pieces[0])))
     threads = min(numba.get_num_threads(), len(pieces))
     if threads == 1:

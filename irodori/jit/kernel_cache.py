@@ -154,7 +154,7 @@ class _Locator(_CacheLocator):
         self._folder = _folder_of(py_func.__module__, py_file, revision())
 
     def get_cache_path(self) -> str:
-        """Return the folder."""
+        """Return the folder of the kernels of the module."""
         return str(self._folder)
 
     def get_source_stamp(self):

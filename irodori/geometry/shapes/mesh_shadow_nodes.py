@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 MESH_NODES = 1 << 14
 #: Nodes at an edge or a crease are moved by this share of their distance towards the centre of the triangle.
 _INSET = 0.05
-#: Normals are equal for shared nodes if their components, rounded to so many steps between -1 and 1, are equal.
+#: Number of steps between -1 and 1 to which components of normals are rounded when they are compared for equality.
 _NORMAL_STEPS = 1022
 
 

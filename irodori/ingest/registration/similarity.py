@@ -24,8 +24,8 @@ pixels.
   the superpixel. If a few such edges are the only content (a plate of squares that is upright in the picture), the
   error is up to 0.03 superpixel, 0.05 without noise, and up to 0.09 on a sensor without an optical low-pass filter;
   ``sigma_px`` covers about half of it. A coarser level does not help, because the displacement scales with its pixels.
-* Weak priors as wide as the effect of a plate (8 superpixels, 0.5 degrees, 1 %) hold what the content does not
-  determine.
+* Parameters that the content does not determine are constrained by weak priors, as wide as the effect of a plate
+  (8 superpixels, 0.5 degrees, 1 %).
 """
 
 import math

@@ -1,13 +1,13 @@
-"""Gloss lobes as few Gaussians of the sphere: the tables that `irodori.light.gloss` looks up with, one a lobe.
+"""Gloss lobes as sums of few spherical Gaussians: the tables for look-ups in `irodori.light.gloss`, one per lobe.
 
-The lobe D G / cosθ_r of `irodori.reflection.registry` about (θ_r, μ) is neither round nor centred on the mirror
-direction: it is long in the plane of incidence and narrow across, it leans from the mirror direction, and the horizon
-cuts it. For a ladder of roughnesses and view angles it is therefore a sum with positive weights of the lobes of
-`irodori.light.blurred_light`, on the plane of incidence and in pairs on both sides of it. Each keeps the angle θ_H at
-which its light is reflected, and the Fresnel
-reflectance F(n, k, θ_H) multiplies it at look-up: one table serves every refractive index.
-`irodori.light.gloss.make_lobe_table` makes the tables; those of the package's own lobes are stored beside this module,
-that of any other lobe is made when it is first asked for, and kept beside the kernels.
+The lobe D G / cosθ_r of `irodori.reflection.registry` for given θ_r and μ is neither round nor centred on the mirror
+direction: it is long in the plane of incidence and narrow across it, its peak is off the mirror direction, and the
+horizon cuts it. For a set of roughnesses and view angles it is therefore represented as a sum, with positive weights,
+of the round lobes of `irodori.light.blurred_light`, in the plane of incidence and in pairs on both sides of it. For
+each round lobe the angle θ_H at which its light is reflected is stored, and the Fresnel reflectance F(n, k, θ_H) is
+multiplied in at look-up, so that one table serves all refractive indices. The tables are computed by
+`irodori.light.gloss.make_lobe_table`. Those of the lobes of the package are stored in the folder of this module; that
+of any other lobe is computed at its first use, and stored in the folder of compiled kernels.
 """
 
 import logging
@@ -33,7 +33,7 @@ _LOGGER = logging.getLogger("irodori")
 
 
 def path_of(name: str) -> Path:
-    """Return the path of the table of a lobe: one in the package, or else one beside the compiled loops.
+    """Return the path of the table of a lobe: in the package, or else in the folder of compiled kernels.
 
     The name of the latter contains a hash of the lobe's source.
     """
