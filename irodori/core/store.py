@@ -345,9 +345,7 @@ class Reader:
         """
         found = self._described(name)
         with _whole(self.path, name):
-            kept = (
-                key for key in ("units", "quantity", "flag_values", "flag_meanings", "decoding") if key in found.attrs
-            )
+            kept = (key for key in _FOR_PEOPLE if key in found.attrs)
             return Layout(found.shape, np.dtype(found.dtype.str), {key: found.attrs[key] for key in kept})
 
     def maps(self) -> list[str]:
