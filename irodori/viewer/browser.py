@@ -99,6 +99,10 @@ def client():
     return started
 
 
+#: Browsers of this process that are open.
+_started: list = []
+
+
 @lru_cache(maxsize=4)
 def browser(flags: tuple[str, ...] = FLAGS):
     """Return the browser with the given flags, started once per process; pages open in it share no data.
@@ -115,9 +119,6 @@ def browser(flags: tuple[str, ...] = FLAGS):
     _started.append(started)
     atexit.register(close_browsers)
     return started
-
-
-_started: list = []
 
 
 def close_browsers() -> None:
