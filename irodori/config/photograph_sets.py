@@ -16,7 +16,6 @@ from irodori.config.loaded import Loaded
 from irodori.config.models import CapturesSource
 from irodori.config.parts import ImperfectObject, PhotographedObject, PlannedObject, PlannedPlate, RigGeometry
 from irodori.geometry.mesh_sources import shape_files
-from irodori.geometry.shape_blocks import is_flat
 from irodori.rectification.texture_tiles import tile_rows
 from irodori.spectra.spectral_files import SUFFIXES
 
@@ -68,6 +67,8 @@ class PhotographSets:
     Parameters
     ----------
     loaded : Loaded
+    root : path
+        Working directory of the workflow, where the relative paths of tables start.
 
     Raises
     ------
@@ -75,10 +76,10 @@ class PhotographSets:
         If a table of photographs is at fault.
     """
 
-    def __init__(self, loaded: Loaded) -> None:
+    def __init__(self, loaded: Loaded, root: str | Path = ".") -> None:
         self.loaded = loaded
         self.captures = {
-            kind: {name: loaded.captures_of(kind, name) for name in getattr(loaded, kind)} for kind in _FOLDERS
+            kind: {name: loaded.captures_of(kind, name, root) for name in getattr(loaded, kind)} for kind in _FOLDERS
         }
 
     # ---- which set a job is about
@@ -124,7 +125,10 @@ class PhotographSets:
 
     def made(self, wildcards) -> list[str]:
         """Return the record of the session that takes a set's photographs; the user's own have none."""
-        kind, name = self._set(wildcards)
+        return self.session_of(*self._set(wildcards))
+
+    def session_of(self, kind: str, name: str) -> list[str]:
+        """Return the record of the session that takes a set, as a list; the user's own photographs have none."""
         return [f"{_FOLDERS[kind]}/{name}/captures/session.json"] if self.loaded.is_taken_here(kind, name) else []
 
     def folder(self, wildcards) -> str:
@@ -177,12 +181,7 @@ class PhotographSets:
 
     def sessions(self, wildcards) -> list[str]:
         """Return the records of the sessions to hold."""
-        return [
-            f"{folder}/{name}/captures/session.json"
-            for kind, folder in _FOLDERS.items()
-            for name in self.captures[kind]
-            if self.loaded.is_taken_here(kind, name)
-        ]
+        return [file for kind in _FOLDERS for name in self.captures[kind] for file in self.session_of(kind, name)]
 
     def rigs_taken(self, wildcards) -> int:
         """Return 1 where a session moves a real rig, of which there is one at a time, 0 on a virtual one."""
@@ -365,44 +364,36 @@ class PhotographSets:
 
     # ---- measurements of the rig and of poses
 
-    def _imperfect_object(self) -> ImperfectObject | None:
-        known = self.virtual("objects")
-        if not known:
-            return None
-        objects = self.loaded.objects
-        name = next((n for n in known if is_flat(objects[n].shape.kind)), known[0])
-        camera = self.loaded.cameras[objects[name].camera]
-        return ImperfectObject(name=name, definition=objects[name], camera=camera, rig=self.loaded.rigs[camera.rig])
+    def _imperfect_object(self, wildcards) -> ImperfectObject:
+        name = wildcards.object
+        definition = self.loaded.objects[name]
+        camera = self.loaded.cameras[definition.camera]
+        return ImperfectObject(name=name, definition=definition, camera=camera, rig=self.loaded.rigs[camera.rig])
 
-    def imperfect_object(self, wildcards=None) -> dict | None:
-        """Return the object on which the faults of the virtual rig are measured, a plate if there is one, or None."""
-        return as_plain(self._imperfect_object())
+    def imperfect_object(self, wildcards) -> dict:
+        """Return what the measurement of the faults of the virtual rig needs to know of an object."""
+        return self._imperfect_object(wildcards).plain()
 
     def files_of_imperfections(self, wildcards) -> list[str]:
         """Return the mesh and the tables of spectra that the measurement of the faults reads."""
-        subject = self._imperfect_object()
-        return [*self.meshes_of(subject.name), *named_tables(subject)] if subject else []
+        return [*self.mesh(wildcards), *named_tables(self._imperfect_object(wildcards))]
 
-    def _plates(self) -> dict[str, PlannedPlate]:
-        found = {}
-        for name, definition in self.loaded.objects.items():
-            if not is_flat(definition.shape.kind):
-                continue
-            camera = self.loaded.cameras[definition.camera]
-            exposures = definition.exposure_s.given() if definition.exposure_s else {"out": ()}
-            found[name] = PlannedPlate(
-                definition=_part(PlannedObject, definition),
-                rig=self.loaded.rigs[camera.rig],
-                sensor=camera.virtual.sensor if camera.virtual else None,
-                exposures_s=exposures["out"],
-                shots_per_pose=max(sum(map(len, exposures.values())), 1),
-            )
-        return found
+    def _planned(self, wildcards) -> PlannedPlate:
+        definition = self.loaded.objects[wildcards.object]
+        camera = self.loaded.cameras[definition.camera]
+        exposures = definition.exposure_s.given() if definition.exposure_s else {"out": ()}
+        return PlannedPlate(
+            definition=_part(PlannedObject, definition),
+            rig=self.loaded.rigs[camera.rig],
+            sensor=camera.virtual.sensor if camera.virtual else None,
+            exposures_s=exposures["out"],
+            shots_per_pose=max(sum(map(len, exposures.values())), 1),
+        )
 
-    def plates(self, wildcards=None) -> dict:
-        """Return what the simulation of poses needs to know of every plate."""
-        return as_plain(self._plates())
+    def planned(self, wildcards) -> dict:
+        """Return what the simulation of poses needs to know of a flat object."""
+        return self._planned(wildcards).plain()
 
-    def tables_of_plates(self, wildcards) -> list[str]:
-        """Return the tables of refractive indices of the plates."""
-        return named_tables(*(planned.definition for planned in self._plates().values()))
+    def tables_of_plan(self, wildcards) -> list[str]:
+        """Return the table of the refractive index that the simulation of poses reads."""
+        return named_tables(self._planned(wildcards).definition)

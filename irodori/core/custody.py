@@ -12,7 +12,7 @@ import json
 import os
 import shutil
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -352,10 +352,30 @@ class Chain:
             elif path.suffix in _RECORDED and path.parent.name not in _FRAMES:
                 yield path
 
-    def broken(self) -> Iterator[str]:
-        """Yield a sentence on each broken link, those of the beginning of the chain first."""
-        for path in self.results():
-            yield from self._broken_before(path)
+    def broken(self, paths: Iterable[Path] | None = None) -> Iterator[str]:
+        """Yield a sentence on each broken link, those of the beginning of the chain first.
+
+        Parameters
+        ----------
+        paths : iterable of path, optional
+            Results; links of what they were made from count, and no others. All results where absent.
+        """
+        for path in self.results() if paths is None else paths:
+            yield from self._broken_before(path.absolute())
+
+    def made_from(self, paths: Iterable[Path]) -> tuple[list[Path], list[Path]]:
+        """Return some results with all that they were made from: the results, and the files that no rule wrote."""
+        results: set[Path] = set()
+        given: set[Path] = set()
+        waiting = [path.absolute() for path in paths]
+        while waiting:
+            path = waiting.pop()
+            if path in results or path in given:
+                continue
+            record = read_record(path)
+            (given if record is None else results).add(path)
+            waiting += [self._place(name) for name in record.inputs] if record else []
+        return sorted(results), sorted(given)
 
     def _broken_before(self, path: Path) -> Iterator[str]:
         if path in self._seen:

@@ -233,15 +233,15 @@ def cost_rows(label: str, chain: SmallChain, seen: dict | None = None) -> list[C
     return rows
 
 
-def measure_imperfections(chain: SmallChain | None, output) -> None:
-    """Write ``imperfections.csv``; a header alone where there is no virtual object.
+def measure_imperfections(chain: SmallChain, output) -> None:
+    """Write ``imperfections.csv`` of a virtual object.
 
     Parameters
     ----------
-    chain : SmallChain or None
+    chain : SmallChain
     output : path
     """
-    write_rows(output, CostRow, _all_costs(list(chain.halved().variants()) if chain is not None else []))
+    write_rows(output, CostRow, _all_costs(list(chain.halved().variants())))
 
 
 def _all_costs(variants: list[tuple[str, SmallChain]]) -> Iterator[CostRow]:

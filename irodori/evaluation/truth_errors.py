@@ -1,7 +1,5 @@
 """Errors against ground truth: mean, 95th percentile and maximum [design, §5]."""
 
-from collections.abc import Iterable
-
 import numpy as np
 
 from irodori.colour.colorimetry import (
@@ -141,18 +139,18 @@ def calibration_errors(name: str, path, lights: list[str]) -> list[ErrorRow]:
     return rows
 
 
-def measure_errors(inputs: dict, names: dict, scenes: Iterable[Staging], lights: list[str], output) -> None:
-    """Write ``errors.csv``.
+def measure_errors(inputs: dict, names: dict, scene: Staging, lights: list[str], output) -> None:
+    """Write ``errors.csv`` of one scene, or of one camera, which has no views.
 
     Parameters
     ----------
     inputs : dict
         Lists of files: materials, true_materials, environments, true_environments, calibrations, views, true_views;
-        and view_lights, the environment's file of each view.
+        and light, with the environment's file of the views.
     names : dict
-        Their names: objects, environments, cameras, views; and view_environments, the light of each view.
-    scenes : iterable of Staging
-        Of each view what `irodori.rendering.scene_white.scene_white` reads of its scene.
+        Their names: objects, environments, cameras, views; and light, the environment of the views.
+    scene : Staging
+        What `irodori.rendering.scene_white.scene_white` reads of the scene of the views.
     lights : list of str
     output : path
     """
@@ -165,24 +163,18 @@ def measure_errors(inputs: dict, names: dict, scenes: Iterable[Staging], lights:
         names["environments"], inputs["environments"], inputs["true_environments"], strict=True
     ):
         rows += environment_errors(name, Environment.load(path), Environment.load(truth))
-    environments = {path: Environment.load(path) for path in dict.fromkeys(inputs["view_lights"])}
-    for name, light, scene, file, path, truth in zip(
-        names["views"],
-        names["view_environments"],
-        scenes,
-        inputs["view_lights"],
-        inputs["views"],
-        inputs["true_views"],
-        strict=True,
-    ):
-        white, _ = scene_white(scene, environments[file])
+    if names["views"]:
+        (light_file,) = inputs["light"]
+        white, _ = scene_white(scene, Environment.load(light_file))
         matrix = xyz_from_radiance(white)
+    for name, path, truth in zip(names["views"], inputs["views"], inputs["true_views"], strict=True):
         pair = read_xyz(truth, matrix), read_xyz(path, matrix)
         difference = xyz_delta_e(*pair, matrix @ white)
         # Light, samples and random numbers are shared: a pixel that shows no object is the same to the bit.
         objects = (pair[0] != pair[1]).any(axis=-1)
-        rows.append(_row(name, "picture CIEDE2000 to true materials", difference, light))
-        rows.append(_row(name, "picture CIEDE2000 to true materials, objects only", difference[objects], light))
+        of_objects = "picture CIEDE2000 to true materials, objects only"
+        rows.append(_row(name, "picture CIEDE2000 to true materials", difference, names["light"]))
+        rows.append(_row(name, of_objects, difference[objects], names["light"]))
     for row in rows:
         LOGGER.info(
             "%s, %s %s: mean %.4g p95 %.4g max %.4g",

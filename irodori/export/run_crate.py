@@ -16,18 +16,20 @@ from pathlib import Path, PurePosixPath
 from urllib.parse import quote
 
 from irodori import __version__
-from irodori.config.definitions import KINDS, load_definitions
+from irodori.config.definitions import KINDS
 from irodori.config.loaded import Loaded
 from irodori.config.orcid import orcid_address
+from irodori.config.photograph_sets import PhotographSets
+from irodori.config.project import configuration_files, load_project
+from irodori.config.reports import Reports
+from irodori.config.scene_files import SceneFiles
 from irodori.core import custody, store
 from irodori.core.atomic_files import file_sha256
 from irodori.core.errors import InputError, PlainError
-from irodori.core.yaml_files import read_yaml
 
 METADATA = "ro-crate-metadata.json"
-_CONFIG = "config/config.yaml"
 _SNAKEFILE = "workflow/Snakefile"
-_LEDGER = "inputs.json"
+_RESULTS = "results"
 _RECORDS = ".snakemake/metadata"
 _PROFILES = {
     "https://w3id.org/ro/wfrun/process/0.5": ("Process Run Crate", "0.5"),
@@ -120,61 +122,46 @@ class RunFiles:
         return {**self.workflow, **self.settings, **self.given, **self.results}
 
 
-def collect(results: Path, workflow: Iterable[Path], loaded: Loaded) -> RunFiles:
-    """Find the files of a run, and compare each with the hash that was noted for it.
+def collect(project: Path, configuration: Iterable[str], workflow: Iterable[Path], loaded: Loaded) -> RunFiles:
+    """Find the files of a configuration's run, and compare each with the hash that was noted for it.
+
+    Results are those that the configuration asks for, and those that they were made from.
 
     Parameters
     ----------
-    results : path
-        The folder ``results`` of a project.
+    project : path
+        The folder in which snakemake ran, which is the working directory.
+    configuration : iterable of str
+        Configuration files.
     workflow : iterable of path
         Files of the workflow, in the project's folder.
     loaded : Loaded
-        Its configuration and definitions.
+        The configuration and its definitions.
 
     Raises
     ------
+    InputError
+        If a result is missing, or a file lies outside the project's folder.
     PlainError
         If a result is not as its rule wrote it, or a file that it was made from is missing or has changed since.
     """
-    chain = custody.Chain(results)
-    for broken in chain.broken():
+    targets = [project / file for file in Reports(SceneFiles(PhotographSets(loaded))).targets()]
+    for path in targets:
+        if not path.is_file():
+            accepted = "a finished run of this configuration: snakemake --cores 2 --configfile=FILE"
+            raise InputError(path.relative_to(project), "", "no such file", accepted)
+    chain = custody.Chain(project / _RESULTS)
+    for broken in chain.broken(targets):
         raise PlainError(broken)
-    project = results.absolute().parent
-    made = {path.relative_to(project).as_posix(): file_sha256(path) for path in chain.results()}
+    made, given = chain.made_from(targets)
     kinds = ((kind, name) for kind in KINDS for name in getattr(loaded, kind))
     definitions = (f"{loaded.config.definitions}/{kind}/{name}.yaml" for kind, name in kinds)
-    settings = [_CONFIG, *definitions]
-    given = {}
-    for name, sha256 in _ledger(results / _LEDGER).items():
-        if name in made or name in settings:
-            continue
-        path = project / name
-        # The list keeps what was renamed or removed before the last run too.
-        if not path.is_file():
-            continue
-        if file_sha256(path) != sha256:
-            raise InputError(name, "", "another file than the run read", "the one that it read, or a run with this one")
-        given[_inside(path, project)] = sha256
-    return RunFiles(
-        project,
-        {_inside(path, project): file_sha256(path) for path in sorted(workflow)},
-        {name: file_sha256(project / name) for name in settings},
-        given,
-        made,
-    )
+    settings = [project / name for name in (*configuration, *definitions)]
 
+    def hashed(paths: Iterable[Path]) -> dict[str, str]:
+        return {_inside(path, project): file_sha256(path) for path in paths}
 
-def _ledger(path: Path) -> dict[str, str]:
-    """Return file -> SHA-256 of the files of the user that the workflow has seen, those that are absent left out."""
-    try:
-        noted = json.loads(path.read_bytes())
-        return {name: line[-1] for name, line in sorted(noted.items()) if len(line[-1]) == len(_NOTHING)}
-    except (OSError, ValueError, TypeError, AttributeError, IndexError):
-        raise InputError(path, "", "no list of the files that were read", "the one that snakemake wrote") from None
-
-
-_NOTHING = "0" * 64
+    return RunFiles(project, hashed(sorted(workflow)), hashed(settings), hashed(given), hashed(made))
 
 
 def _inside(path: Path, project: Path) -> str:
@@ -394,16 +381,21 @@ def workflow_files(snakefile: Path) -> list[Path]:
     return [snakefile, *(path for folder in beside for path in sorted(folder.glob("*.*")) if path.is_file())]
 
 
-def run_crate(results: Path) -> tuple[dict, RunFiles]:
-    """Return the crate of a finished run, and its files.
+def run_crate(configuration: list[str]) -> tuple[dict, RunFiles]:
+    """Return the crate of a configuration's finished run in the working directory, and its files.
+
+    Parameters
+    ----------
+    configuration : list of str
+        Configuration files on top of the default one.
 
     Raises
     ------
     InputError
-        If the configuration, the workflow or the notes of the run are missing; see `collect` and `jobs_of`.
+        If a configuration file, the workflow or the notes of the run are missing; see `collect` and `jobs_of`.
     """
-    project = results.absolute().parent
-    config = read_yaml(project / _CONFIG)
-    loaded = load_definitions(config, project)
-    files = collect(results, workflow_files(project / _SNAKEFILE), loaded)
-    return describe(files, jobs_of(project), loaded), files
+    project = Path.cwd()
+    loaded = load_project(configuration)
+    files = collect(project, configuration_files(configuration), workflow_files(project / _SNAKEFILE), loaded)
+    jobs = [job for job in jobs_of(project) if not files.results.keys().isdisjoint(job.outputs)]
+    return describe(files, jobs, loaded), files
