@@ -86,7 +86,7 @@ def jobs_of(project: Path) -> list[Job]:
         If Snakemake's notes are missing, or cannot be read.
     """
     folder = project / _RECORDS
-    found: dict[tuple, list] = {}
+    found: dict[tuple, list[tuple[float, str]]] = {}
     for path in sorted(folder.rglob("*")) if folder.is_dir() else ():
         if not path.is_file():
             continue
@@ -95,14 +95,20 @@ def jobs_of(project: Path) -> list[Job]:
             coded = "".join(part.removeprefix("@") for part in path.relative_to(folder).parts)
             output = base64.urlsafe_b64decode(coded).decode()
             note = json.loads(path.read_bytes())
-            key = (note["rule"], float(note["starttime"]), float(note["endtime"]), tuple(sorted(note["input"] or ())))
+            # Of the outputs of one job Snakemake notes starts that are some tenths of a millisecond apart.
+            start_s = float(note["starttime"])
+            key = (note["rule"], float(note["endtime"]), tuple(sorted(note["input"] or ())))
         except (ValueError, KeyError, TypeError):
             raise InputError(path, "", "a note of a job that cannot be read", "those that Snakemake wrote") from None
         if (project / output).exists():
-            found.setdefault(key, []).append(output)
+            found.setdefault(key, []).append((start_s, output))
     if not found:
         raise InputError(folder, "", "no notes of jobs", "those of the folder in which snakemake ran")
-    jobs = [Job(rule, start, end, inputs, tuple(sorted(made))) for (rule, start, end, inputs), made in found.items()]
+    jobs = [
+        Job(rule, min(starts), end, inputs, tuple(sorted(outputs)))
+        for (rule, end, inputs), made in found.items()
+        for starts, outputs in [zip(*made, strict=True)]
+    ]
     return sorted(jobs, key=lambda job: (job.start_s, job.outputs))
 
 
@@ -122,10 +128,13 @@ class RunFiles:
         return {**self.workflow, **self.settings, **self.given, **self.results}
 
 
-def collect(project: Path, configuration: Iterable[str], workflow: Iterable[Path], loaded: Loaded) -> RunFiles:
+def collect(
+    project: Path, configuration: Iterable[str], workflow: Iterable[Path], loaded: Loaded, jobs: Iterable[Job]
+) -> RunFiles:
     """Find the files of a configuration's run, and compare each with the hash that was noted for it.
 
-    Results are those that the configuration asks for, and those that they were made from.
+    Results are those that the configuration asks for, those that they were made from, and what the same jobs wrote
+    beside them.
 
     Parameters
     ----------
@@ -137,6 +146,8 @@ def collect(project: Path, configuration: Iterable[str], workflow: Iterable[Path
         Files of the workflow, in the project's folder.
     loaded : Loaded
         The configuration and its definitions.
+    jobs : iterable of Job
+        All jobs that ran in the project.
 
     Raises
     ------
@@ -151,9 +162,12 @@ def collect(project: Path, configuration: Iterable[str], workflow: Iterable[Path
             accepted = "a finished run of this configuration: snakemake --cores 2 --configfile=FILE"
             raise InputError(path.relative_to(project), "", "no such file", accepted)
     chain = custody.Chain(project / _RESULTS)
-    for broken in chain.broken(targets):
+    asked = {_inside(path, project) for path in chain.made_from(targets)[0]}
+    beside = (project / name for job in jobs if not asked.isdisjoint(job.outputs) for name in job.outputs)
+    wanted = {*targets, *(path for path in beside if path.is_file())}
+    for broken in chain.broken(sorted(wanted)):
         raise PlainError(broken)
-    made, given = chain.made_from(targets)
+    made, given = chain.made_from(wanted)
     kinds = ((kind, name) for kind in KINDS for name in getattr(loaded, kind))
     definitions = (f"{loaded.config.definitions}/{kind}/{name}.yaml" for kind, name in kinds)
     settings = [project / name for name in (*configuration, *definitions)]
@@ -396,6 +410,7 @@ def run_crate(configuration: list[str]) -> tuple[dict, RunFiles]:
     """
     project = Path.cwd()
     loaded = load_project(configuration)
-    files = collect(project, configuration_files(configuration), workflow_files(project / _SNAKEFILE), loaded)
-    jobs = [job for job in jobs_of(project) if not files.results.keys().isdisjoint(job.outputs)]
-    return describe(files, jobs, loaded), files
+    workflow, jobs = workflow_files(project / _SNAKEFILE), jobs_of(project)
+    files = collect(project, configuration_files(configuration), workflow, loaded, jobs)
+    own = [job for job in jobs if not files.results.keys().isdisjoint(job.outputs)]
+    return describe(files, own, loaded), files
