@@ -30,7 +30,9 @@ SUBJECTS = ("object", "chart", "white", "dark", "environment", "room-chart", "sc
 #: What a photograph is for. A drift frame shows the object once more, as an earlier photograph of the session did: what
 #: differs is the lamp's doing, or the rig's; no fit uses it.
 DRIFT = "drift"
-ROLES = (*SUBJECTS, DRIFT)
+#: A photograph of the printed sheet by which the lens is measured, in any pose; no session takes it.
+LENS = "lens"
+ROLES = (*SUBJECTS, DRIFT, LENS)
 #: A chart in a room and a further chart of a camera have their name behind the role, such as ``chart-sg``.
 _NAMED_CHART = re.compile(r"(room-chart|chart)-([a-z0-9-]+)")
 FILTERS = ("out", "in")
@@ -48,8 +50,8 @@ EXTRA_COLUMNS = (_AZIMUTH, "iso", "f_number", "taken_at", "camera_time", "camera
 #: Whether a file is a TIFF or PNG picture that the user knows to be linear; no session takes such pictures.
 _LINEAR = "linear"
 _OPTIONAL = ("tilt_deg", "turn_deg", *EXTRA_COLUMNS)
-#: Roles whose repeated frames are averaged, so that equal exposure times are no mistake.
-_AVERAGED = ("dark", "white", DRIFT)
+#: Roles whose frames may have equal exposure times: they are averaged, or of the sheet in another pose.
+_REPEATED = ("dark", "white", DRIFT, LENS)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -370,7 +372,7 @@ class _Shots:
     def _direction(self, line: int, row: dict[str, str]) -> tuple[float, float]:
         """Return the angles of a lamp's place, degrees; without light (a dark frame) all three may be 0."""
         x, y, z = (self._number(line, column, row[column]) for column in _DIRECTION)
-        if x == y == z == 0.0 and row["role"].strip() != "dark":
+        if x == y == z == 0.0 and row["role"].strip() not in ("dark", LENS):
             raise self._error(line, ", ".join(_DIRECTION), "0, 0, 0", "where the lamp stands, from the rig's origin")
         return light_angles_deg((x, y, z))
 
@@ -403,7 +405,7 @@ class _Shots:
             )
         bracket = (shot.role, shot.capture, shot.filter, shot.exposure_s)
         first = self._brackets.setdefault(bracket, line)
-        if first != line and shot.role not in _AVERAGED:
+        if first != line and shot.role not in _REPEATED:
             raise self._error(
                 line,
                 "exposure_s",

@@ -7,9 +7,10 @@ wildcards: it takes anything with the wildcards as attributes.
 import dataclasses
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, NamedTuple, TypeVar
 
-from irodori.config.capture_table import noted_hashes, read_captures
+from irodori.config.capture_table import LENS, noted_hashes, read_captures
 from irodori.config.cross_checks.object_lobes import AUTO
 from irodori.config.definition import Definition, as_plain
 from irodori.config.loaded import Loaded
@@ -67,8 +68,6 @@ class PhotographSets:
     Parameters
     ----------
     loaded : Loaded
-    root : path
-        Working directory of the workflow, where the relative paths of tables start.
 
     Raises
     ------
@@ -76,11 +75,12 @@ class PhotographSets:
         If a table of photographs is at fault.
     """
 
-    def __init__(self, loaded: Loaded, root: str | Path = ".") -> None:
+    def __init__(self, loaded: Loaded) -> None:
         self.loaded = loaded
         self.captures = {
-            kind: {name: loaded.captures_of(kind, name, root) for name in getattr(loaded, kind)} for kind in _FOLDERS
+            kind: {name: loaded.captures_of(kind, name) for name in getattr(loaded, kind)} for kind in _FOLDERS
         }
+        self._sheets: dict[str, list[str]] = {}
 
     # ---- which set a job is about
 
@@ -268,6 +268,32 @@ class PhotographSets:
         if not self.tables_of_index(wildcards):
             return []
         return [f"results/cameras/{self.camera_of(wildcards)}/calibration.h5"]
+
+    def sheet(self, wildcards) -> list[str]:
+        """Return a camera's table and the photographs of the printed sheet in it; nothing where it lists none."""
+        return self._sheet_of(wildcards.camera)
+
+    def _sheet_of(self, camera: str) -> list[str]:
+        if camera not in self._sheets:
+            asked, shots = SimpleNamespace(camera=camera), []
+            # Sessions photograph no sheet, and write their tables themselves.
+            if not self.loaded.is_taken_here("cameras", camera):
+                shots = [shot for shot in read_captures(self.table(asked)) if shot.role == LENS]
+            files = [f"{self.folder(asked)}/{shot.file}" for shot in shots]
+            self._sheets[camera] = [self.table(asked), *files] if files else []
+        return self._sheets[camera]
+
+    def lens_of(self, camera: str) -> list[str]:
+        """Return the file of a camera's measured lens, as a list; empty where its optics are as typed."""
+        return [f"results/cameras/{camera}/lens.yaml"] if self._sheet_of(camera) else []
+
+    def lens(self, wildcards) -> list[str]:
+        """Return the file of the measured lens of a set's camera; see `lens_of`."""
+        return self.lens_of(self.camera_of(wildcards))
+
+    def lenses(self, wildcards) -> list[str]:
+        """Return the files of all measured lenses."""
+        return [file for camera in self.loaded.cameras for file in self.lens_of(camera)]
 
     # ---- objects
 

@@ -99,6 +99,14 @@ class Reports:
         """Return a function from wildcards to a pattern filled for every camera that took photographs."""
         return lambda wildcards: [pattern.format(camera=name) for name in self._cameras(wildcards)]
 
+    def lenses(self, wildcards) -> list[str]:
+        """Return the files of the measured lenses of the cameras; those of other cameras are as typed."""
+        return [file for name in self._cameras(wildcards) for file in self._sets.lens_of(name)]
+
+    def lens_cameras(self, wildcards) -> list[str]:
+        """Return the cameras of `lenses`."""
+        return [name for name in self._cameras(wildcards) if self._sets.lens_of(name)]
+
     def views(self, pattern: str, virtual_only: bool = False) -> _OfReport:
         """Return a function from wildcards to a pattern filled for every view, or if its true picture is known."""
 

@@ -273,6 +273,10 @@ class SceneFiles:
         """Return the optics of a photograph's camera."""
         return as_plain(self._camera(wildcards).optics)
 
+    def photograph_lens(self, wildcards) -> list[str]:
+        """Return the file of the measured lens of a photograph's camera, as a list; empty where it is as typed."""
+        return self.sets.lens_of(self._photograph(wildcards).camera)
+
     def photograph_tables(self, wildcards) -> list[str]:
         """Return the tables of spectra of a photograph's camera and its rig."""
         camera = self._camera(wildcards)

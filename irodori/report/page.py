@@ -8,6 +8,7 @@ from irodori.core import store
 from irodori.evaluation.coefficient_storage import storage_sentence
 from irodori.evaluation.registration_errors import summarise
 from irodori.evaluation.result_tables import BudgetRow, CostRow, ErrorRow, PlanRow, RegistrationRow, read_rows
+from irodori.lens.lens_file import LensFile
 from irodori.material.material_file import Material
 from irodori.reflection.registry import lobe
 from irodori.report.calibration_part import camera_calibrations
@@ -123,12 +124,12 @@ def write_report(inputs: dict, names: dict, benchmarks, output) -> None:
     Parameters
     ----------
     inputs : dict
-        Files: errors; lists of plans, imperfections, budgets, references, registrations, materials, true_materials,
-        environments, sessions, calibrations, calibration_errors, selections, pictures, figures, true_pictures,
-        comparisons, comparison_figures; pages, the classroom page beside the report, if there is one.
+        Files: errors; lists of plans, imperfections, budgets, lenses, references, registrations, materials,
+        true_materials, environments, sessions, calibrations, calibration_errors, selections, pictures, figures,
+        true_pictures, comparisons, comparison_figures; pages, the classroom page beside the report, if there is one.
     names : dict
-        title, of the report; objects, virtual_objects, environments, cameras, views, virtual_views, photographs, in the
-        order of the files; jobs, with what the names of the jobs begin whose time is the report's.
+        title, of the report; objects, virtual_objects, environments, cameras, lens_cameras, views, virtual_views,
+        photographs, in the order of the files; jobs, with what the names of the jobs begin whose time is the report's.
     benchmarks : path
         Folder of the benchmark files of all runs.
     output : path
@@ -152,6 +153,10 @@ def write_report(inputs: dict, names: dict, benchmarks, output) -> None:
         plans=_plans([row for path in inputs["plans"] for row in read_rows(path, PlanRow)]),
         sittings=sittings(inputs["sessions"]),
         registrations=registrations(names["objects"], inputs["registrations"]),
+        lenses={
+            name: LensFile.load(path).remarks
+            for name, path in zip(names["lens_cameras"], inputs["lenses"], strict=True)
+        },
         cameras={n: _camera(path) for n, path in zip(names["cameras"], inputs["references"], strict=True)},
         calibrations=camera_calibrations(
             names["cameras"], inputs["calibrations"], inputs["calibration_errors"], inputs["selections"]

@@ -11,11 +11,15 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.spatial.transform import Rotation
 
 from irodori.command_line import main
+from irodori.config.capture_table import COLUMNS as COLUMNS_OF_TABLE
 from irodori.config.models import Optics
+from irodori.core.errors import InputError
 from irodori.geometry.distortion import COEFFICIENTS
 from irodori.geometry.pinhole import Pinhole
 from irodori.lens.calibration_sheet import COLUMNS, PAPERS_MM, ROWS, board_picture, find_corners, write_sheet
+from irodori.lens.lens_file import LensFile, optics_in_use
 from irodori.lens.lens_models import Sheet, fit_lens, simplest
+from irodori.lens.stage import MeasuredLens, calibrate_lens, compared
 from irodori.simulation.virtual_rig.dng_writer import write_dng
 
 WIDTH, HEIGHT = 1200, 800  # mosaic pixels
@@ -187,6 +191,57 @@ def test_the_sheet_has_a_name_and_a_folder_or_is_refused(tmp_path, capsys):
     assert main(["lens", "--print", str(tmp_path / "sheet.pdf"), "--paper", "A3"]) == 0
     with pytest.raises(SystemExit):
         main(["lens"])
+
+
+TYPED = {"focal_length_mm": 7.0, "pixel_pitch_um": PITCH_UM, "width_px": WIDTH, "height_px": HEIGHT,
+         "principal_point_px": [600.0, 400.0]}  # fmt: skip
+
+
+def camera_table(folder, mosaics):
+    """Store photographs of the sheet beside one of a chart, as a camera's table lists them."""
+    store(folder, mosaics)
+    lines = [f"sheet{number:02}.dng,lens,0,0,0,0,out,0.02" for number in range(len(mosaics))]
+    (folder / "chart.dng").write_bytes(b"not opened")
+    lines.insert(1, "chart.dng,chart,45,0,0,0,out,0.02")
+    table = folder / "captures.csv"
+    table.write_text("\n".join([",".join(COLUMNS_OF_TABLE), *lines]))
+    return table
+
+
+def test_the_workflows_lens_is_measured_from_the_sheets_of_the_cameras_table_and_used_in_place_of_the_typed(tmp_path):
+    table = camera_table(tmp_path / "lens", [photographed(TRUE, place, seed) for seed, place in enumerate(PLACES)])
+    typed = made(Optics, TYPED)
+    calibrate_lens(table, table.parent, typed, tmp_path / "lens.yaml")
+    assert optics_in_use(typed, []) == typed
+    found = Pinhole.from_optics(optics_in_use(typed, [tmp_path / "lens.yaml"]))
+    assert apart_px(TRUE, found) < 0.5
+    loaded = LensFile.load(tmp_path / "lens.yaml")
+    # 1500 pixels of 5 um are 7.5 mm, and 7 mm were typed.
+    assert abs(loaded.optics.focal_length_mm - 7.5) < 4.0 * loaded.focal_length_error_mm < 0.1
+    assert "7.1 % more than the typed 7 mm" in loaded.remarks[0]
+    assert any("10 photographs" in remark for remark in loaded.remarks)
+
+
+def test_photographs_of_the_sheet_of_another_size_than_typed_are_refused(tmp_path):
+    table = camera_table(tmp_path / "lens", [photographed(STRAIGHT, place, seed) for seed, place in enumerate(PLACES)])
+    typed = made(Optics, TYPED | {"width_px": 1280})
+    with pytest.raises(InputError, match="width_px: found photographs of the role lens of 1200 pixels; accepted: 1280"):
+        calibrate_lens(table, table.parent, typed, tmp_path / "lens.yaml")
+    assert not (tmp_path / "lens.yaml").exists()
+
+
+@pytest.mark.parametrize(
+    ("typed_mm", "said"),
+    [
+        (50.08, "as typed (50.08 mm)"),
+        (48.0, "4.2 % more than the typed 48 mm"),
+        (55.0, "9.1 % less than the typed 55 mm"),
+    ],
+)
+def test_the_measured_focal_length_is_held_against_the_typed_one_in_a_sentence(typed_mm, said):
+    found = MeasuredLens(TYPED | {"focal_length_mm": 50.0}, 0.05, [])
+    sentence = compared(found, made(Optics, TYPED | {"focal_length_mm": typed_mm}))
+    assert sentence.startswith("focal length 50.000 ± 0.050 mm, ") and said in sentence
 
 
 def test_coefficients_come_in_the_order_of_opencv():
