@@ -1,4 +1,4 @@
-"""The subcommand ``check``: everything that can be known of a project before any long job."""
+"""The subcommand ``check``: all checks of a project that are possible before any long job."""
 
 import argparse
 import os
@@ -13,10 +13,10 @@ from irodori.core.errors import InputError
 
 
 def main(arguments: list[str] | None = None, prog: str = "irodori check") -> int:
-    """Look at definitions, scenes and photographs, print what is wrong with them, and write nothing.
+    """Check definitions, scenes and photographs, print all errors and warnings, and write no file.
 
-    Photographs that are still to be taken, as those of the virtual rig, are passed over. The exit status is 1 where
-    there is an error, 0 where there are at most warnings.
+    Photographs that are still to be taken, such as those of the virtual rig, are skipped. The exit status is 1 if there
+    is an error, and 0 if there are only warnings or none.
     """
     parser = argparse.ArgumentParser(prog=prog, description=main.__doc__)
     parser.add_argument("--directory", default=".", help="where the paths of definitions start, as that of snakemake")
@@ -31,7 +31,7 @@ def main(arguments: list[str] | None = None, prog: str = "irodori check") -> int
         faults = project_faults(asked.config) or [error]
         for fault in faults:
             print(Finding(True, str(fault)))
-        # Photographs are looked at only where it is known what they should show.
+        # Photographs are checked only if the definitions state correctly what they should show.
         print(f"{len(faults)} error{'' if len(faults) == 1 else 's'}; no photograph was looked at")
         return 1
     photographs, errors, warnings = PhotographCheck(loaded), 0, 0

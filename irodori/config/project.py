@@ -1,4 +1,4 @@
-"""A project's configuration: the default file with others on top of it, merged as Snakemake merges them."""
+"""Configuration of a project: the default file, overridden by further files as Snakemake merges them."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,18 +10,18 @@ from irodori.core.yaml_files import read_yaml
 
 __all__ = ["DEFAULT_FILE", "configuration_files", "load_project", "project_faults"]
 
-#: Configuration on top of which all others are laid, where there is one.
+#: The default configuration, which further files override.
 DEFAULT_FILE = "config/config.yaml"
 
 
 def configuration_files(files: list[str]) -> list[str]:
-    """Return the default configuration, where there is one, and then others, each once."""
+    """Return the default configuration, if it exists, and then further files."""
     default = [DEFAULT_FILE] if Path(DEFAULT_FILE).is_file() else []
     return default + [file for file in files if Path(file) != Path(DEFAULT_FILE)]
 
 
 def load_project(files: list[str]) -> Loaded:
-    """Load the default configuration, where there is one, with others on top of it, as Snakemake merges them.
+    """Load the default configuration, if it exists, overridden by further files as Snakemake merges them.
 
     Raises
     ------
@@ -51,7 +51,7 @@ def _project(files: list[str]) -> tuple[dict, list[str]]:
 
 
 def _merged(old: Mapping, new: Mapping) -> dict:
-    """Return a configuration with another on top, as Snakemake merges files: blocks key by key, lists as a whole."""
+    """Return a configuration overridden by another, as Snakemake merges files: mappings by key, lists as a whole."""
     both = dict(old)
     for key, value in new.items():
         is_block = isinstance(value, Mapping) and isinstance(both.get(key), Mapping)

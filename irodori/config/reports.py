@@ -1,10 +1,11 @@
-"""Reports of a run: which there are, and which files each is made from.
+"""Reports of a run, and the input files and parameters of the rules that write them, for the Snakefile.
 
-Every scene has a report and a table of errors in its own folder, so that another configuration, which makes other
-scenes, overwrites neither. A camera that the configuration names under ``make.cameras`` has them in its folder too.
+Every scene has a report and a table of errors in its own folder, so that another configuration with other scenes
+overwrites neither. Every camera under ``make.cameras`` has both in its folder.
 
-Light enough for the Snakefile. What takes `wildcards` is what Snakemake calls a function of the wildcards. They hold
-``scene`` for the report of a scene, and ``camera`` for that of a camera, which has neither objects nor views.
+Quick to import. Every method with the argument `wildcards`, and every function that a method returns, serves as an
+input or parameter function of Snakemake. The wildcards have ``scene`` for the report of a scene, and ``camera`` for
+that of a camera, which has neither objects nor views.
 """
 
 from collections.abc import Callable
@@ -21,7 +22,7 @@ _OfReport = Callable[[Any], list[str]]
 
 
 def _has_scene(wildcards) -> bool:
-    """Whether wildcards are those of the report of a scene; else they are those of a camera."""
+    """Whether the wildcards are those of the report of a scene, and not of a camera."""
     return hasattr(wildcards, "scene")
 
 
@@ -44,7 +45,7 @@ class Reports:
         return [f"results/{scene}" for scene in self._loaded.scenes] + [f"results/cameras/{name}" for name in cameras]
 
     def targets(self, wildcards=None) -> list[str]:
-        """Return every file that a run makes for its user: pictures, pages, calibrations, tables of errors, reports."""
+        """Return the paths of all final results: pictures, pages, calibrations, tables of errors and reports."""
         made = [*self._scenes.pictures(), *self._scenes.pages(), *self._sets.calibrations(wildcards)]
         return made + [f"{folder}/{name}" for folder in self.folders() for name in ("errors.csv", "report.html")]
 
@@ -83,11 +84,11 @@ class Reports:
         return f"results/{folder}/errors.csv"
 
     def objects(self, pattern: str, virtual_only: bool = False) -> _OfReport:
-        """Return a function from wildcards to a pattern filled for every object, or for those of known truth."""
+        """Return a function that fills a pattern with every object of a report, or with the virtual ones only."""
         return lambda wildcards: [pattern.format(object=name) for name in self._objects(wildcards, virtual_only)]
 
     def environments(self, pattern: str, virtual_only: bool = False) -> _OfReport:
-        """Return a function from wildcards to a pattern filled for every environment, or for those of known truth.
+        """Return a function that fills a pattern with every environment of a report, or with the virtual ones only.
 
         The lesson of a scene may name environments beside the scene's own.
         """
@@ -96,11 +97,11 @@ class Reports:
         ]
 
     def cameras(self, pattern: str) -> _OfReport:
-        """Return a function from wildcards to a pattern filled for every camera that took photographs."""
+        """Return a function that fills a pattern with every camera that took photographs for a report."""
         return lambda wildcards: [pattern.format(camera=name) for name in self._cameras(wildcards)]
 
     def lenses(self, wildcards) -> list[str]:
-        """Return the files of the measured lenses of the cameras; those of other cameras are as typed."""
+        """Return the files of the measured lenses of a report's cameras; other lenses are as typed."""
         return [file for name in self._cameras(wildcards) for file in self._sets.lens_of(name)]
 
     def lens_cameras(self, wildcards) -> list[str]:
@@ -108,7 +109,7 @@ class Reports:
         return [name for name in self._cameras(wildcards) if self._sets.lens_of(name)]
 
     def views(self, pattern: str, virtual_only: bool = False) -> _OfReport:
-        """Return a function from wildcards to a pattern filled for every view, or if its true picture is known."""
+        """Return a function that fills a pattern with every view of a report, if wanted only of virtual objects."""
 
         def found(wildcards) -> list[str]:
             if not _has_scene(wildcards) or (virtual_only and not self._scenes.truth_is_rendered(wildcards.scene)):
@@ -118,7 +119,7 @@ class Reports:
         return found
 
     def photographs(self, pattern: str) -> _OfReport:
-        """Return a function from wildcards to a pattern filled for every photograph of a scene."""
+        """Return a function that fills a pattern with every photograph with which a rendering is compared."""
 
         def found(wildcards) -> list[str]:
             photographs = self._scene(wildcards).photographs if _has_scene(wildcards) else ()
@@ -127,7 +128,7 @@ class Reports:
         return found
 
     def plates(self, pattern: str) -> _OfReport:
-        """Return a function from wildcards to a pattern filled for every flat object, whose poses are simulated."""
+        """Return a function that fills a pattern with every flat object of a report; their poses are simulated."""
 
         def found(wildcards) -> list[str]:
             return [pattern.format(object=name) for name in self._objects(wildcards) if self._is_flat(name)]
@@ -135,9 +136,9 @@ class Reports:
         return found
 
     def imperfect(self, pattern: str) -> _OfReport:
-        """Return a function from wildcards to a pattern filled for the object that shows the faults of a virtual rig.
+        """Return a function that fills a pattern with the object for measuring the virtual rig's imperfections.
 
-        It is the first flat object that a virtual rig photographed, or else the first one of any shape.
+        It is the first flat virtual object, or else the first virtual object of any shape; there may be none.
         """
 
         def found(wildcards) -> list[str]:
@@ -148,24 +149,24 @@ class Reports:
         return found
 
     def pages(self, wildcards) -> list[str]:
-        """Return the classroom page, as a list, empty where there is none."""
+        """Return, as a list, the classroom page of a scene; empty if it has none."""
         shown = _has_scene(wildcards) and page_fault(self._scene(wildcards)) is None
         return [f"results/{wildcards.scene}/viewer.html"] if shown else []
 
     def light(self, wildcards) -> list[str]:
-        """Return the file of the light of a scene, as a list."""
+        """Return, as a list, the file of a scene's light; empty for a camera."""
         return [self._scenes.environment(wildcards)] if _has_scene(wildcards) else []
 
     def light_name(self, wildcards) -> str:
-        """Return the name of the light of a scene, empty for a camera."""
+        """Return the name of a scene's environment, empty for a camera."""
         return self._scene(wildcards).environment if _has_scene(wildcards) else ""
 
     def staging(self, wildcards) -> dict:
-        """Return what the white of a scene follows from, nothing for a camera."""
+        """Return the parts of a scene that determine its white, lights and display; empty for a camera."""
         return self._scenes.part("lights", "display")(wildcards) if _has_scene(wildcards) else {}
 
     def sessions(self, wildcards) -> list[str]:
-        """Return the records of the sessions that the workflow itself holds."""
+        """Return the records of the sessions that took the photographs of a report."""
         sets = {
             "objects": self._objects(wildcards),
             "cameras": self._cameras(wildcards),
@@ -174,7 +175,7 @@ class Reports:
         return [file for kind, names in sets.items() for name in names for file in self._sets.session_of(kind, name)]
 
     def jobs(self, wildcards) -> list[str]:
-        """Return how the names of the jobs that make a report begin; see `irodori.report.page.write_report`."""
+        """Return the beginnings of the names of the jobs for a report; see `irodori.report.page.write_report`."""
         cameras, environments = self._cameras(wildcards), self._environments(wildcards)
         prefixed = [f"cameras-{name}" for name in cameras] + [f"environments-{name}" for name in environments]
         return [self.title(wildcards), *self._objects(wildcards), *environments, *cameras, *prefixed]

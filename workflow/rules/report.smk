@@ -46,8 +46,8 @@ rule write_true_environment:
         "../scripts/write_true_environment.py"
 
 
-# Scenes have reports, and so have cameras that are calibrated without one: where a rule stands for both, `reports` knows
-# from the wildcards which it is.
+# A report is that of a scene, or of a camera that the configuration names by itself: `reports` tells them apart by their
+# wildcards.
 rule measure_errors:
     input:
         materials=reports.objects("results/{object}/material.h5", virtual_only=True),
