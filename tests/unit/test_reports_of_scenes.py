@@ -1,4 +1,4 @@
-"""Which reports a configuration has, and what each of them covers: its own scene and nothing of another."""
+"""Reports of a configuration: one for each scene and camera, which covers its own scene and nothing of another."""
 
 import json
 from types import SimpleNamespace
