@@ -71,7 +71,7 @@ def load_definitions(config: dict, root: Path, file=_CONFIG_FILE) -> Loaded:
 
 
 def definition_faults(config: dict, root: Path, file=_CONFIG_FILE) -> list[InputError]:
-    """Return the faults of a configuration's definitions and tables, in each file by itself.
+    """Return the faults of a configuration's definitions and tables, checked one file at a time.
 
     Contradictions between files are left to `load_definitions`, which raises an error for the first: they mean little
     while single files have faults. Parameters as in `load_definitions`.

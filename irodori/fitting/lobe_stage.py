@@ -1,4 +1,4 @@
-"""Stage that chooses the lobes of an object: its observations in, the choice and what it rests on out."""
+"""Stage that chooses the lobes of an object: reads its observations, writes the choice and the comparison behind it."""
 
 import numpy as np
 
@@ -9,11 +9,14 @@ from irodori.fitting.solvers import FitOptions
 from irodori.fitting.stage import GREEN, Observed, fresnel_of, read_observations
 from irodori.material.lobe_choices import lobes_text, write_choice
 
-_MOST_TILES = 16  # evenly over the object: of ten million texels one tile in sixteen
+_MOST_TILES = 16  # largest number of tiles to read, spread evenly over the object
 
 
 def _sample(tiles: list, n: float, k: float) -> Sample:
-    """Return texels, evenly from some tiles, of those with observations enough or, where none has, the most."""
+    """Draw a sample of texels, evenly from some tiles, from those with enough observations.
+
+    If no texel has enough, the texels with the most observations are used.
+    """
     tiles = tiles[:: -(-len(tiles) // _MOST_TILES)]
     counts = [_observations(path) for path in tiles]
     least = max(min(ENOUGH_OBSERVATIONS, max(count.max(initial=0) for count in counts)), 1)
@@ -33,24 +36,24 @@ def _sample(tiles: list, n: float, k: float) -> Sample:
 
 
 def _observations(path) -> np.ndarray:
-    """Return how many observations of each texel of a tile have weight."""
+    """Return the number of observations with weight for each texel of a tile."""
     with store.open_file(path) as file:
         return (file.read("weight") > 0.0).sum(axis=1)
 
 
 def choose_lobes(observations: list, output, options: FitOptions, n, k, *, provenance, calibration=None) -> None:
-    """Choose the lobes with which an object's left-out photographs are predicted best, and write the comparison.
+    """Choose the lobes that predict left-out photographs of an object best, and write the comparison.
 
     Parameters
     ----------
     observations : list of path
         All tiles of the object.
     output, options, n, k, calibration
-        As in `irodori.fitting.stage.fit_brdf`; the options' lobes count for nothing.
+        As in `irodori.fitting.stage.fit_brdf`; the lobes of the options are ignored.
 
     Notes
     -----
-    The file is that of `irodori.material.lobe_choices`.
+    `irodori.material.lobe_choices` describes the file.
     """
     with store.open_file(observations[0]) as file:
         bands = file.dataset("response").shape[2]

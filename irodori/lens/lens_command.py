@@ -1,4 +1,4 @@
-"""The subcommand ``lens``: the block ``optics`` of a camera from photographs of a printed sheet."""
+"""The subcommand ``lens``: measure the block ``optics`` of a camera file from photographs of a printed sheet."""
 
 import argparse
 import sys
@@ -59,7 +59,7 @@ def _need_opencv() -> None:
 
 
 def _measure(folder: Path, pitch_um: float | None) -> None:
-    """Print the optics of a lens, and on the standard error how well they are known."""
+    """Print the optics of a lens, and their accuracy to the standard error stream."""
     from irodori.lens.stage import measure_lens
 
     found = measure_lens([(path, False) for path in raw_files(folder)], folder, pitch_um)

@@ -19,7 +19,7 @@ class LensFile:
     focal_length_error_mm : float
         Standard error of the focal length, mm.
     remarks : list of str
-        What a person should know of the measurement; the first compares the focal length with the typed one.
+        Lines of text about the measurement; the first compares the focal length with the typed one.
     """
 
     optics: Optics
@@ -34,7 +34,7 @@ class LensFile:
 
 
 def optics_in_use(typed: Optics, files: Sequence) -> Optics:
-    """Return the optics of a camera: as measured where there is a file of its lens, otherwise as typed.
+    """Return the measured optics of a camera if there is a file of its lens, and otherwise the typed ones.
 
     Parameters
     ----------

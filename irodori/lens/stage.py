@@ -17,13 +17,13 @@ from irodori.ingest.mosaic import decode
 from irodori.lens.calibration_sheet import find_corners
 from irodori.lens.lens_models import LEAST_CORNERS, LEAST_PHOTOGRAPHS, MODELS, Lens, Sheet, covered, fit_lens
 
-#: Of the picture's parts that no corner reached: beyond it the distortion there is extrapolated.
+#: Smallest share of the picture with corners that gives no warning; elsewhere the distortion is extrapolated.
 _LEAST_COVERED = 0.8
 
 
 @dataclass(frozen=True)
 class MeasuredLens:
-    """Outcome of the measurement of a lens.
+    """Result of the measurement of a lens.
 
     Parameters
     ----------
@@ -32,8 +32,7 @@ class MeasuredLens:
     focal_error_mm : float
         Standard error of the focal length, mm.
     remarks : list of str
-        What a person should know of the result, sentences: photographs that were left out, how far the corners are off,
-        how well focal length and principal point are known.
+        Lines of text about photographs that were left out and the accuracy of the result.
     """
 
     optics: dict
@@ -51,7 +50,7 @@ def measure_lens(photographs: Sequence[tuple[Path, bool]], where: Path, pitch_um
     where : path
         Folder or table of the photographs, for messages.
     pitch_um : float, optional
-        Distance of the sensor's pixels, micrometres; as the files state it where None.
+        Pixel pitch of the sensor, µm; that stated in the files if it is None.
 
     Raises
     ------
@@ -137,7 +136,7 @@ def _mm(samples: float, pitch_um: float) -> float:
 def _sheets(
     photographs: Sequence[tuple[Path, bool]], pitch_um: float | None
 ) -> tuple[list[Sheet], tuple[int, int], float, list[str]]:
-    """Return sheets, size of the picture in superpixels, pitch of the pixels in µm, a line on each file left out."""
+    """Return sheets, picture size in superpixels, pixel pitch in µm, and a line of text on each file left out."""
     sheets: list[Sheet] = []
     left_out: list[str] = []
     first: tuple[Path, tuple[int, int], float] | None = None
@@ -164,7 +163,7 @@ def _sheets(
 
 
 def optics_of(lens: Lens, size: tuple[int, int], pitch_um: float) -> dict:
-    """Return the block ``optics`` of a camera's file.
+    """Return the block ``optics`` of the file of a camera.
 
     Parameters
     ----------
@@ -173,9 +172,9 @@ def optics_of(lens: Lens, size: tuple[int, int], pitch_um: float) -> dict:
     size : (int, int)
         Width and height of the picture, superpixels.
     pitch_um : float
-        Distance of the sensor's pixels, µm.
+        Pixel pitch of the sensor, µm.
     """
-    # Mosaic coordinates count from the edge of the first pixel, samples from the centre of the first superpixel.
+    # Mosaic coordinates start at the edge of the first pixel, sample coordinates at the centre of the first superpixel.
     centre = 2.0 * (lens.centre + 0.5)
     optics: dict = {
         "focal_length_mm": float(f"{_mm(lens.focal, pitch_um):.6g}"),
@@ -192,7 +191,7 @@ def optics_of(lens: Lens, size: tuple[int, int], pitch_um: float) -> dict:
 
 
 def _words(lens: Lens, sheets: Sequence[Sheet], pitch_um: float, share: float) -> list[str]:
-    """Return what a person should know of the result, a line each."""
+    """Return lines of text about the accuracy of the result."""
     corners = sum(len(sheet.plane) for sheet in sheets)
     lines = [
         f"{len(sheets)} photographs, {corners} corners, off by {2.0 * lens.rms:.2f} pixels (root mean square); "
