@@ -76,6 +76,7 @@ def test_a_second_project_leaves_the_first_as_it_was_and_each_crate_holds_one(fo
     assert named_reports(snakemake(folder, *OF_CAMERA)) == ["results/cameras/d5100-comb/report.html"]
     page = (folder / "results/cameras/d5100-comb/report.html").read_text(encoding="utf-8")
     assert "leave-one-patch-out CIEDE2000" in page and "FADGI 2023" in page and "tile-plate" not in page
+    assert "<h2>Calibration" in page and not any(f"<h2>{part}" in page for part in ("Pictures", "Objects", "Light"))
     assert changed(before, folder) == []
     again = snakemake(folder)
     assert "Nothing to be done" in again.stdout + again.stderr and named_reports(again) == []
