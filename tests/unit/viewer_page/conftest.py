@@ -133,9 +133,9 @@ def visit(context_of, page_file):
     """Return a function that opens the page; at the end nothing may have been complained about."""
     visits = []
 
-    def open_page(hash_="", script="", ready=True, file=page_file, **given) -> Visit:
+    def open_page(hash_="", script="", ready=True, file=page_file, drawn=False, **given) -> Visit:
         options = {"viewport": {"width": 1280, "height": 800}, "locale": "en", "reduced_motion": "reduce", **given}
-        context = context_of(script, drawn=file != page_file, **options)
+        context = context_of(script, drawn=drawn, **options)
         opened = Visit(context.new_page())
         visits.append(opened)
         opened.page.on("console", lambda message: _note_message(message.text, opened))
