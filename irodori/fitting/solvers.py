@@ -49,6 +49,9 @@ class FitOptions:
     level_error : float
         Relative error that all observations share: of the white reference's reflectance, and of the lamp's level
         between the white reference and the object.
+    level_by_photograph : bool
+        Whether the lamp's level in every photograph is estimated, see `irodori.fitting.level_estimate`; `fit` itself
+        takes responses as they are.
     refractive_index : str
         ``fixed``: as given; ``fitted``: each texel's own real part n, within its bounds.
     gloss_by_paint : bool
@@ -66,6 +69,7 @@ class FitOptions:
     model_error: float = 0.01
     pose_error_deg: float = 0.05
     level_error: float = 0.014
+    level_by_photograph: bool = True
     refractive_index: str = "fixed"
     gloss_by_paint: bool = True
     bounds: dict | None = None

@@ -4,6 +4,7 @@ Tiles are read three times and never held: for what is known of the whole textur
 spectra, and to write the material's file.
 """
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 
@@ -194,6 +195,7 @@ def compress_reflectance(
             "negative_fraction": compression.negative.fraction,
             "compression": compared,
             **fitted.speed,
+            "common_error": None if math.isnan(fitted.common_error) else fitted.common_error,
             "lobe_choice": [asdict(one) for one in lobe_choice],
         }
         constants = (compression.basis, n, k, definition.mirror_weight)
