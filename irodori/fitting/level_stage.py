@@ -30,7 +30,7 @@ def measure_levels(observations: list, output, options: FitOptions, n, k, *, pro
     photographs. If one state's levels are not determined, all are 1.
     """
     with store.open_file(observations[0]) as file:
-        captures = [str(name) for name in file.read("capture")]
+        captures = file.read("capture").astype(str).tolist()
         filters, bands = file.attribute("filters", list), file.dataset("response").shape[2]
     fresnel = fresnel_of(n, k, calibration, bands)
     sample = sample_texels(observations, MOST_TEXELS, _OBSERVATIONS)

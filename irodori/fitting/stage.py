@@ -355,7 +355,7 @@ def read_observations(path, levels: Sequence = ()) -> Observed:
         if "light_gain" in file:
             file.require_axes(_AXES | {"light_gain": "texel,capture"})
             noise = _of_near_light(noise, file.read("light_gain"), weight)
-        captures = [str(name) for name in file.read("capture")] if levels else []
+        captures = file.read("capture").astype(str).tolist() if levels else []
     for name in levels:
         level = levels_of(name, captures, response.shape[2], path)
         response /= level.astype(response.dtype)

@@ -69,7 +69,7 @@ def read_levels(path) -> tuple[PhotographLevels, list[str]]:
     """Return the levels in a file of `PhotographLevels.write`, and the names of their captures."""
     with store.open_file(path) as file:
         file.require_axes({"level": "capture,filter", "level_error": "capture,filter"})
-        captures = [str(name) for name in file.read("capture")]
+        captures = file.read("capture").astype(str).tolist()
         common, source = file.attribute("common_error", float), file.attribute("source", str)
         return PhotographLevels(file.read("level"), file.read("level_error"), common, source), captures
 
