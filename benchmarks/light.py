@@ -32,7 +32,7 @@ from irodori.colour.colorimetry import delta_e, lab_from_xyz, xyz_from_radiance
 from irodori.config.models import Camera
 from irodori.core.threads import use_threads
 from irodori.light.known_lamps import given_prior, known_prior, require_lamps_seen
-from irodori.light.light_prior import LightPrior, light_prior, published_lamps
+from irodori.light.light_prior import LightPrior, light_prior, prior_of_any_lamp, published_lamps
 from irodori.light.light_recovery import Directions, LightRecovery, ResponseModel, draw_directions
 from irodori.light.room_charts import ChartResponses, recovery_with
 from irodori.simulation.virtual_rig.sensor import band_weights
@@ -98,9 +98,9 @@ def adapted_errors(true: np.ndarray, found: np.ndarray) -> np.ndarray:
 VARIANTS: dict[str, Callable[[np.ndarray], LightPrior] | None] = {
     "rig-lamp": None,
     "posterior": one_family,
-    "mixture": light_prior,
-    "filter-table": light_prior,
-    "room-chart": light_prior,
+    "mixture": prior_of_any_lamp,
+    "filter-table": prior_of_any_lamp,
+    "room-chart": prior_of_any_lamp,
     "named": partial(given_prior, measured=np.array(False)),
     "measured": partial(given_prior, measured=np.array(True)),
 }
@@ -174,7 +174,7 @@ def recover(
     """Return the weights of a whole picture as the light stage does, a band of rows at a time."""
     parts = (picture[first : first + 32] for first in range(0, len(picture), 32))
     drawn = draw_directions((part.reshape(-1, part.shape[-1]), 1.0) for part in parts)
-    prior = published = light_prior(published_lamps())
+    prior = published = prior_of_any_lamp()
     if lamps:
         prior = known_prior(lamps)
         require_lamps_seen(lamps, drawn, seen.model, prior, published, "panorama")

@@ -15,7 +15,7 @@ import numpy as np
 
 from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.core.errors import InputError
-from irodori.light.light_prior import LightPrior, light_prior, published_lamps
+from irodori.light.light_prior import LightPrior, prior_of_any_lamp
 from irodori.light.recovery_loops import mixture_weights
 
 #: So many times the variance of the response model counts: its errors are common to all directions, whose densities are
@@ -255,9 +255,9 @@ class LightRecovery:
         directions : Directions
             Of the room.
         prior : LightPrior, optional
-            That of the published lamps where absent.
+            That of any lamp where absent.
         """
-        prior = light_prior(published_lamps()) if prior is None else prior
+        prior = prior_of_any_lamp() if prior is None else prior
         known = _Families.seen(prior, model)
         return cls._solved(known.of_room(directions, prior.broad), directions)
 

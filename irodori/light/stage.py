@@ -25,7 +25,7 @@ from irodori.light.gloss.look_up_errors import gloss_errors
 from irodori.light.irradiance import Integrator, fitted_irradiance_map
 from irodori.light.known_lamps import known_prior, require_lamps_seen, told_by
 from irodori.light.light_files import rgb_picture, spectral_picture
-from irodori.light.light_prior import LightPrior, light_prior, published_lamps
+from irodori.light.light_prior import LightPrior, prior_of_any_lamp
 from irodori.light.light_recovery import Directions, LightRecovery, ResponseModel, draw_directions
 from irodori.light.mirror_ball import RIM, unwrapped
 from irodori.light.omnidirectional import MeanLight, OmnidirectionalPicture, bands, from_panorama
@@ -183,7 +183,7 @@ def prepare_environment(
     calibration = Calibration.load(calibration_file)
     charts = read_room_charts(room_charts or {}, calibration)
     model = ResponseModel.of(calibration, calibration_file)
-    published = light_prior(published_lamps()) if prior is None else prior
+    published = prior_of_any_lamp() if prior is None else prior
     known = known_prior(lamps) if lamps else published
 
     def recovery_of(drawn: Directions) -> LightRecovery:

@@ -6,7 +6,7 @@ import pytest
 from benchmarks.light import CIE, VARIANTS, WALLS, adapted_errors, camera, errors, given, recovered
 from irodori.core.errors import InputError
 from irodori.light.known_lamps import given_prior, known_prior, require_lamps_seen, told_by
-from irodori.light.light_prior import light_prior, published_lamps
+from irodori.light.light_prior import prior_of_any_lamp
 from irodori.light.light_recovery import Directions, LightRecovery, draw_directions
 from irodori.spectra.grid import WAVELENGTH_NM
 from irodori.spectra.published import spectrum
@@ -21,7 +21,7 @@ def seen():
 
 @pytest.fixture(scope="module")
 def published():
-    return light_prior(published_lamps())
+    return prior_of_any_lamp()
 
 
 def room(seen, *names: str, seed: int = 0) -> Directions:

@@ -29,7 +29,7 @@ from irodori.config.models import CombFilter, Passband
 from irodori.config.parts import CalibratedCamera
 from irodori.core import store
 from irodori.core.errors import InputError
-from irodori.light.light_prior import light_prior, published_lamps
+from irodori.light.light_prior import prior_of_any_lamp
 from irodori.report.calibration_part import camera_calibrations
 from irodori.report.html_page import fragment
 from irodori.simulation.virtual_rig.sensor import comb_transmittance
@@ -158,7 +158,7 @@ def test_what_is_stated_holds_on_cameras_and_filters_that_had_no_part_in_it(nois
 
 
 def test_light_is_recovered_better_where_the_table_of_the_filter_is_given():
-    with_table, alone, prior = camera(table=True), camera(), light_prior(published_lamps())
+    with_table, alone, prior = camera(table=True), camera(), prior_of_any_lamp()
     lamps = [spectrum(name) * spectrum(wall) for name in ("FL7", "LED-B4", "HP2") for wall in ("TCS12", "TCS60")]
     found = {
         name: np.mean([adapted_errors(lamp, recovered(seen, lamp, prior)) for lamp in lamps])
