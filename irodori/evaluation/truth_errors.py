@@ -79,9 +79,12 @@ def alpha_coverage(name: str, path, material: Material, truth: Material) -> list
     material, truth : Material
     """
     with store.open_file(path) as file:
-        common, stated = file.attribute("errors", dict).get("common_error"), file.read("alpha_error")
+        common = file.attribute("errors", dict).get("common_error")
+        if common is None:
+            return []
+        stated = file.read("alpha_error")
     chosen = material.observed & interior(truth) & np.isfinite(stated) & (truth.alpha > 0.0)
-    if common is None or not chosen.any():
+    if not chosen.any():
         return []
     alpha, exact, stated = material.alpha[chosen], truth.alpha[chosen], stated[chosen]
     factor = float(np.median(alpha / exact))

@@ -48,7 +48,7 @@ def pictures(tmp_path, definitions, patch, poses, level, *, distance_mm=None, gr
     sample, files = Sample.from_definition(made(Object | PhotographedObject, definition)), []
     real = made(LevelPatch, patch | {"reflectance_factor": grey})
     for number, (pose, factor) in enumerate(zip(poses, level, strict=True)):
-        picture = object_mosaic(sample, camera_, rig_, pose, STRAIGHT, weights, real)
+        picture = object_mosaic(sample, camera_, rig_, pose, STRAIGHT, weights, patch=real)
         response = factor * superpixels(picture) / flat
         if seen is not None:
             response = seen(number, response)
@@ -162,6 +162,7 @@ REFUSED = {
 }  # fmt: skip
 
 
+@pytest.mark.stability(stage="rectify", case="a level patch that is not there, covered, clipped or in shadow")
 @pytest.mark.parametrize("case", REFUSED)
 def test_a_patch_that_tells_nothing_is_refused_with_the_reason(tmp_path, definitions, case):
     patch, seen, words = REFUSED[case]

@@ -97,6 +97,7 @@ def photographed(surface, normal, poses, seed, drift=0.008):
     return Readings(response, weight, geometry, np.tile(CAMERA, (len(poses), 1)), N, K), level
 
 
+@pytest.mark.stability(stage="fit", case="a lamp that drifts")
 def test_drift_of_the_lamp_is_found_on_a_glossy_sphere_and_its_error_is_as_stated():
     off, deviations = [], []
     for seed in range(3):
@@ -117,6 +118,7 @@ def test_what_all_photographs_share_is_not_the_lamps():
     assert other.level == pytest.approx(one.level, abs=1e-3)
 
 
+@pytest.mark.stability(stage="fit", case="a lamp that drifts over a lobe that is not modelled")
 @pytest.mark.parametrize("seed", [5, 6])
 def test_a_lobe_that_is_not_modelled_is_not_taken_for_the_lamp(seed):
     """GGX fitted with the paper's lobe: its tail brightens photographs near the highlight."""
@@ -127,6 +129,7 @@ def test_a_lobe_that_is_not_modelled_is_not_taken_for_the_lamp(seed):
     assert np.sqrt(np.mean(off**2)) < 0.5 * true.std() and np.sqrt(np.mean((off / found.error) ** 2)) < 2.0
 
 
+@pytest.mark.stability(stage="fit", case="a lamp that drifts over a surface that no model describes")
 @pytest.mark.parametrize("surface", ["dusty", "acryl_blue", "garnet_red", "krylon_blue"])
 @pytest.mark.parametrize("poses", [SITTING, FLAT], ids=["sphere", "plate"])
 def test_no_surface_is_made_worse_by_levels(surface, poses):
@@ -137,6 +140,7 @@ def test_no_surface_is_made_worse_by_levels(surface, poses):
     assert found is None or np.sqrt(np.mean((found.level - true) ** 2)) < true.std()
 
 
+@pytest.mark.stability(stage="fit", case="a lamp that drifts over a flat object")
 def test_a_flat_object_does_not_tell_the_lamp_from_its_own_reflection():
     readings, _ = photographed(paper, np.tile([0.0, 0.0, 1.0], (400, 1)), FLAT, 8)
     assert estimate_levels(readings, FitOptions()) is None

@@ -49,6 +49,7 @@ def object_mosaic(
     pose: Pose,
     ideal_from_seen,
     band_weights,
+    *,
     patch: LevelPatch | None = None,
 ) -> np.ndarray:
     """Return the picture of an object on the table, and of the patch that tells the lamp's level.

@@ -166,7 +166,7 @@ class VirtualCamera(CameraDevice):
         weights = self.band_weights[3 * state : 3 * state + 3]
         assert isinstance(self.subject, Object | PhotographedObject)  # as `sample` has seen
         patch = self.subject.level_patch
-        picture = object_mosaic(self.sample, self.camera, self.rig, pose, plate, weights, patch)
+        picture = object_mosaic(self.sample, self.camera, self.rig, pose, plate, weights, patch=patch)
         if self._known is not None:
             self._known[key] = picture
         return picture
