@@ -1,4 +1,4 @@
-"""Benchmarks of speed against error."""
+"""Benchmarks that measure the speed and the error of every stage and of its alternatives."""
 
-# Before numba, whose cache of compiled loops it ties to the package's source: loops here call the package's.
+# Imported before numba, because it ties numba's cache of compiled loops to the sources of the package that they call.
 import irodori  # noqa: F401

@@ -1,12 +1,13 @@
-"""Estimators of reflectance: speed against error, and the errors on measured spectra, next to the linear bound.
+"""Benchmark of the estimators of reflectance: speed against error, and errors on measured spectra.
 
 ``python -m benchmarks.calibrate [--size small] [--runs 7] [--output speed_error.csv]`` applies each estimator to a
 picture of 2 megapixels of six bands, half a megapixel in small; the reference is a bare BLAS product of the same size
-in the same run. The variant ``posterior`` states the errors of a 64th of that picture. ``--table`` prints the errors of
-every estimator instead, for all sets, cameras and noises, ``--error-bars`` how stated errors hold on sets that are left
-out in turn, and ``--response-models`` what tables of filters and sensitivities do for the response model. All read the
-measured spectra of ``../shared/data``. Times exclude compilation, which is reported apart; peak memory is that of this
-process while a variant runs, with the picture and all estimators in it.
+in the same run. The variant ``posterior`` computes the standard errors for a 64th of that picture. Other outputs
+instead: ``--table`` prints the errors of every estimator and of the best linear one, for all sets, cameras and noise
+levels; ``--error-bars`` prints how often errors lie within the stated ones, on sets left out in turn; and
+``--response-models`` prints how much tables of filters and sensitivities improve the response model. All read the
+measured spectra in ``../shared/data``. Times exclude compilation, which is reported separately; peak memory is that of
+this process while a variant runs, with the picture and all estimators in it.
 """
 
 import sys
@@ -49,11 +50,11 @@ SETS = {
 }
 #: The 99 test colours of CIE 224:2017, which come with the package.
 CIE = "cie"
-#: Estimators whose error bars are judged, with their bases.
+#: Estimators for which stated errors are tested, with their numbers of bases.
 STATED = (("pinv", 6), ("local", 12), ("broad", 12))
-#: A chart that is trained on and a set that has no part in training, each set once. The SG has the Classic's paints.
+#: Pairs of a training chart and a set that is not used for training, each set once. The SG has the Classic's paints.
 NEVER_SEEN = (*((("classic", name)) for name in ("sg", "munsell", "vrhel", "esser", CIE)), ("esser", "classic"))
-#: `local` told the variance of each pixel, as texels tell it theirs.
+#: `local` with the variance of each pixel given, as for texels of an object.
 TOLD = "local-told"
 VARIANTS = (*ESTIMATORS, TOLD)
 CAMERAS = ("canon_eos_40d", "nikon_d5100", "sony_ilce-7rm2")
@@ -61,7 +62,7 @@ CAMERAS = ("canon_eos_40d", "nikon_d5100", "sony_ilce-7rm2")
 
 @cache
 def reflectances(name: str) -> np.ndarray:
-    """Return the reflectances of a set, (n, 61)."""
+    """Return the reflectances of a named set of measured spectra, (n, 61)."""
     if name == CIE:
         return np.array([spectrum(colour) for colour in TEST_COLOURS])
     return read_spectra(DATA / "reflectance" / SETS[name])[1]
@@ -69,15 +70,16 @@ def reflectances(name: str) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """A camera trained on one set and tested on another.
+    """A camera whose estimator is trained on one set of reflectances and tested on another.
 
     Parameters
     ----------
     system : (bands, 61) float
         Responses per unit reflectance; a perfect diffuser gives 1 in every band.
     train, test : (n, 61) float
+        Reflectances of both sets.
     full_scale : (bands,) float
-        Largest response of the test set, to which the exposure is set: noise is a fraction of it.
+        Largest response of the test set, for which the exposure is set; noise is given as a fraction of it.
     """
 
     system: np.ndarray
@@ -87,7 +89,7 @@ class Trial:
 
     @classmethod
     def of(cls, camera: str, train: str, test: str, bands: int = 6) -> "Trial":
-        """Return the trial of a camera and two sets by their names; 3 bands are those without the filter."""
+        """Return the trial of a camera and two named sets; with ``bands`` = 3, only those without the filter."""
         names, wavelength_nm, values = wide_table(DATA / "filters/filters.csv")
         plate = resample(wavelength_nm, np.array(values[names.index(FILTER)]), FILTER)
         sensitivity = camera_sensitivities(str(DATA / f"cameras/{camera}.csv"))
@@ -97,7 +99,7 @@ class Trial:
         return cls(system, first, second, (second @ system.T).max(axis=0))
 
     def responses(self, noise: float, seed: int) -> tuple[Training, np.ndarray, np.ndarray]:
-        """Return the training, the test set's responses, and a pixel's variance (bands,)."""
+        """Return training data, responses of the test set (n, bands), and the variance of a pixel (bands,)."""
         rng = np.random.default_rng(seed)
         sigma = noise * self.full_scale
         chart = self.train @ self.system.T + 0.1 * sigma * rng.standard_normal((len(self.train), len(sigma)))
@@ -105,21 +107,29 @@ class Trial:
         return Training(chart, self.train, spectrum(LIGHT), ResponseNoise(0.01 * sigma**2, sigma**2)), seen, sigma**2
 
     def bound(self, noise: float) -> np.ndarray:
-        """Return Wiener's matrix trained on the test set itself, camera and noise known exactly, (bands, 61)."""
+        """Return the Wiener matrix, (bands, 61), for the test set itself with camera and noise known exactly.
+
+        No linear estimator has a smaller mean square error on the test set.
+        """
         moment = self.test.T @ self.test / len(self.test)
         spread = self.system @ moment @ self.system.T + np.diag((noise * self.full_scale) ** 2 + 1e-12)
         return np.linalg.solve(spread, self.system @ moment)
 
 
 def errors(trial: Trial, noise: float, estimator: str, bases: int = 12, stated: bool = False) -> np.ndarray:
-    """Return mean and p95 of CIEDE2000 under D65 and mean spectral RMSE, averaged over the seeds, (3,).
+    """Return mean and p95 of CIEDE2000 under D65 and mean spectral RMSE of a trial, averaged over the seeds, (3,).
 
     Parameters
     ----------
+    trial : Trial
+    noise : float
+        Standard deviation relative to full scale.
     estimator : str
-        A name of the registry, ``bound``, or ``auto``: estimator and number of bases are those of cross-validation.
+        Name of an estimator, ``bound``, or ``auto``, for which cross-validation chooses estimator and number of bases.
+    bases : int
+        Number of basis vectors.
     stated : bool
-        Whether the estimator is told the variance of the pixels it recovers.
+        Whether the estimator gets the variance of the pixels.
     """
     found = []
     for seed in SEEDS if noise else SEEDS[:1]:
@@ -136,14 +146,14 @@ def errors(trial: Trial, noise: float, estimator: str, bases: int = 12, stated: 
 
 @dataclass(frozen=True)
 class Coverage:
-    """How the errors of recovered spectra lie to what is stated of them.
+    """Shares of the errors of recovered spectra that lie within one and two stated standard deviations.
 
     Parameters
     ----------
     wavelengths, rmse, delta_e : (2,) float
-        Shares within one and two standard deviations: of all wavelengths, of root mean square errors, of CIEDE2000.
+        Shares for errors at single wavelengths, root-mean-square errors and CIEDE2000.
     rank : float
-        Spearman's rank correlation of the root mean square error and the stated one.
+        Spearman's rank correlation between true and stated root-mean-square errors.
     """
 
     wavelengths: np.ndarray
@@ -153,7 +163,7 @@ class Coverage:
 
 
 def ratios(trial: Trial, noise: float, variant: tuple[str, int], size: float = SIZE, most: int | None = None):
-    """Return errors over their stated standard deviations, of a set that an estimator never saw.
+    """Return the ratios of true errors to stated standard deviations on a set that is not used for training.
 
     Parameters
     ----------
@@ -164,14 +174,14 @@ def ratios(trial: Trial, noise: float, variant: tuple[str, int], size: float = S
     size : float
         See `Posterior`.
     most : int, optional
-        Spectra of the set, about evenly taken.
+        Approximate number of spectra of the set to use, at equal steps; all by default.
 
     Returns
     -------
     wavelengths : (n, 16) float
     rmse, delta_e : (n,) float
     rank : float
-        Spearman's rank correlation of the root mean square error and the stated one.
+        Spearman's rank correlation between true and stated root-mean-square errors.
     """
     from scipy.stats import spearmanr  # slow to import
 
@@ -189,7 +199,7 @@ def ratios(trial: Trial, noise: float, variant: tuple[str, int], size: float = S
 
 
 def coverage(camera: str, pair: tuple[str, str], noise: float, size: float = SIZE) -> Coverage:
-    """Return how what is stated of the spectra of a set that no estimator saw holds, the mean over three estimators."""
+    """Return how well stated errors hold on a set that is not used for training, as the mean over three estimators."""
     found = [ratios(Trial.of(camera, *pair), noise, variant, size) for variant in STATED]
     shares = np.mean([[[np.mean(r <= k) for k in (1, 2)] for r in one[:3]] for one in found], axis=0)
     return Coverage(*shares, float(np.mean([one[3] for one in found])))
@@ -197,16 +207,16 @@ def coverage(camera: str, pair: tuple[str, str], noise: float, size: float = SIZ
 
 @cache
 def _middle(pair: tuple[str, str], size: float) -> float:
-    """Return the logarithm of the errors that 0.7 of a set keep to, over those stated; the mean of what is stated."""
+    """Return the mean logarithm of the 0.7 quantile of true over stated errors, of spectra and of colours of a set."""
     found = [ratios(Trial.of(CAMERAS[0], *pair), 0.001, variant, size, most=60) for variant in STATED]
     return float(np.mean([np.log(np.quantile(one[which], 0.7)) for one in found for which in (0, 2)]))
 
 
 def size_without(left_out: str | None) -> float:
-    """Return the size (`Posterior`) with which 0.7 of errors are within one σ, on average of all sets but one.
+    """Return the size, see `Posterior`, with which 0.7 of the errors are within one σ, averaged over all sets but one.
 
-    With the first camera, at 0.1 % noise. Errors have longer tails than a normal distribution: 0.7 within one σ leaves
-    more of them within two.
+    It is found with the first camera at 0.1 % noise. The share is 0.7 instead of 0.68 because errors have longer tails
+    than a normal distribution: more of them are then within two σ.
     """
     sizes = (0.65, 0.8, 0.95)
     pairs = [pair for pair in NEVER_SEEN if pair[1] != left_out]
@@ -215,7 +225,7 @@ def size_without(left_out: str | None) -> float:
 
 
 def print_coverage() -> None:
-    """Print how error bars hold on every set, their size taken from the other sets and the first camera."""
+    """Print how well stated errors hold on every set, with the size from the other sets and the first camera."""
     for pair in NEVER_SEEN:
         size = size_without(pair[1])
         for camera in CAMERAS:
@@ -225,14 +235,14 @@ def print_coverage() -> None:
                 print(f"{pair[1]:8} {size:.2f} {camera:14} {noise:5.1%}  {shares}  {own.rank:.2f}", flush=True)
 
 
-@cache  # it takes longest, and does not depend on what the estimator is told of the pixels
+@cache  # it takes longest, and does not depend on whether the estimator gets the variance of the pixels
 def _choice(trial: Trial, noise: float, seed: int) -> tuple[str, int]:
     training, _, _ = trial.responses(noise, seed)
     return choose(cross_validate(training)[0], "auto", "auto", safest(training))
 
 
 def print_table() -> None:
-    """Print mean / p95 of CIEDE2000 under D65 and mean spectral RMSE of everything."""
+    """Print mean / p95 of CIEDE2000 under D65 and mean spectral RMSE for all trials, estimators and noise levels."""
     trials = [(CAMERAS[0], train, test) for train in ("classic", "sg") for test in ("munsell", "vrhel")]
     trials += [(camera, "classic", test) for camera in CAMERAS[1:] for test in ("munsell", "vrhel")]
     trials += [(CAMERAS[1], "sg", test) for test in ("munsell", "vrhel")]
@@ -255,35 +265,35 @@ def _print_row(label: str, values) -> None:
 
 
 def picture(pixels: int) -> np.ndarray:
-    """Return responses of the Munsell spectra in turn at 0.3 % noise, (pixels, 6) float32."""
+    """Return responses of the Munsell spectra, repeated to fill a picture, with 0.3 % noise, (pixels, 6) float32."""
     _, seen, _ = Trial.of(CAMERAS[0], "classic", "munsell").responses(0.003, 0)
     return np.resize(seen.astype(np.float32), (pixels, seen.shape[1]))
 
 
 def name_of(variant: str) -> str:
-    """Return the estimator's name of a variant."""
+    """Return the name of a variant's estimator."""
     return "local" if variant == TOLD else variant
 
 
 def variance_of(response: np.ndarray, variant: str) -> np.ndarray | None:
-    """Return what a variant is told of the noise, (pixels, 6) float32: read noise and photon noise; mostly None."""
+    """Return the variance of read and photon noise that a variant gets, (pixels, 6) float32; None for most variants."""
     return 1e-6 + 1e-4 * np.maximum(response, 0.0) if variant == TOLD else None
 
 
 def calibration(name: str):
-    """Return a calibration on the 24 patches at 0.3 % noise."""
+    """Return an estimator that is trained on the 24 patches of a chart with 0.3 % noise."""
     return fit(name, Trial.of(CAMERAS[0], "classic", "munsell").responses(0.003, 0)[0], BASES)
 
 
 def bare_product(response: np.ndarray):
-    """Return a function that multiplies a picture with a matrix by BLAS and nothing else."""
+    """Return a function that only multiplies a picture with a matrix by BLAS, for reference."""
     matrix = np.asarray(calibration("pinv").weights_from_response, dtype=np.float32)
     out = np.empty((len(response), matrix.shape[1]), dtype=np.float32)
     return lambda: np.matmul(response, matrix, out=out)
 
 
 def measure(size: str, runs: int) -> list[dict]:
-    """Return one row a variant, the reference first."""
+    """Return one row of the table for each variant, the reference first."""
     pixels = PIXELS[size]
     response, trial = picture(pixels), Trial.of(CAMERAS[0], "classic", "munsell")
     work = {"blas": bare_product(response)}
@@ -315,7 +325,7 @@ def measure(size: str, runs: int) -> list[dict]:
 
 
 def _posterior_row(response: np.ndarray, runs: int) -> dict:
-    """Return the line of the errors stated of a picture that `local` recovers; its error is a share within 1 σ."""
+    """Return the row for computing standard errors of a picture with `local`; its error is the share within 1 σ."""
     posterior, product = Posterior(calibration("local")), bare_product(response)
     variance = np.full(response.shape, 1e-6)
 
@@ -330,7 +340,7 @@ def _posterior_row(response: np.ndarray, runs: int) -> dict:
 
 
 def _response_rows(runs: int) -> list[dict]:
-    """Return the lines of the response model from the chart alone and with a table of the filter, of one camera."""
+    """Return the rows for one camera's response model, from the chart alone and with a table of the filter."""
     own, table = judged_trial(CAMERAS[0], FILTER)
     ways = {"response-chart": Given(), "response-filter-table": Given(table)}
     seconds = medians_s({name: lambda given=given: own.found(given) for name, given in ways.items()}, runs)
@@ -347,7 +357,7 @@ def _response_rows(runs: int) -> list[dict]:
 
 
 def row(variant: str, pixels: int, seconds: float, reference: float, error: float, peak: float) -> dict:
-    """Return a line of the table of speed against error."""
+    """Return one row of the table of speed against error."""
     work = pixels * 6 / 1e6
     metric = "mean CIEDE2000 under D65, Munsell, 0.3 % noise"
     values = ("calibrate", variant, f"{work:.2f}", "megapixel-bands", f"{seconds:.4f}", f"{work / seconds:.1f}", metric,
@@ -356,7 +366,7 @@ def row(variant: str, pixels: int, seconds: float, reference: float, error: floa
 
 
 def main() -> None:
-    """Measure and print; write a CSV if asked."""
+    """Run the benchmark, print its table and write it as CSV if requested."""
     parser = arguments_of(__doc__.splitlines()[0])
     parser.add_argument("--table", action="store_true", help="errors of every estimator, set, camera and noise")
     parser.add_argument(

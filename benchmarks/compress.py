@@ -1,16 +1,17 @@
-"""Compression of a spectral environment, streamed from disk: speed against error, beside scikit-learn on the same file.
+"""Compression of a spectral environment, streamed from disk: speed against error, compared with scikit-learn.
 
 ``python -m benchmarks.compress [--size small] [--runs 7] [--output speed_error.csv]``. The picture is made of the 99
-measured materials of CIE 224 under daylight, a tungsten lamp and an LED, 61 bands in single precision, with a sun of a
-million times its shadows and 0.2 % of noise. Small: 600 x 300, a few variants in one process, times are medians of runs
-in turn; most of each is the fixed work on the sample's colours, and the peak memory holds what earlier variants left.
-Full: 6000 x 3000 (4.4 GB in a temporary folder), all variants, each once in a process of its own, compiled before.
+measured materials of CIE 224 under daylight, a tungsten lamp and an LED, 61 bands in single precision, with a sun a
+million times brighter than the shadows and 0.2 % noise. Small: 600 x 300 px, a few variants in one process, times are
+medians of alternating runs; fixed work on the sample's colours takes most of each, and the peak memory includes what
+earlier variants left. Full: 6000 x 3000 px (4.4 GB in a temporary folder), all variants, each once in a process of its
+own, after compilation.
 
 The reference ``read-blas`` reads the file tile by tile and multiplies each tile with itself by BLAS, in single
-precision, one after the other. Every variant ends with 61-band spectra encoded: the ``pca`` ones in a file, those of
-scikit-learn in memory (it has no storage). Errors are CIEDE2000 over a sample of 65536 pixels, storage included, of the
-picture taken as reflectance under D65 and A: directly seen light has three numbers for the eye, and three bases would
-do. ``decode`` reads coefficients back.
+precision, one after the other. Every variant ends with encoded 61-band spectra: the ``pca`` ones in a file, those of
+scikit-learn in memory, because it has no storage. Errors are CIEDE2000 over a sample of 65536 pixels, storage included,
+with the picture taken as reflectances under D65 and A; light seen directly would need only three bases, one for each
+tristimulus value. ``decode`` reads coefficients back.
 """
 
 import argparse
@@ -58,7 +59,7 @@ PCA = {
     "pca-budget-from-6": ("bands", CompressOptions(), None),
 }
 OTHER_BASES = 4
-#: Variants that are another project's, and what of theirs is tried before, in a process of its own.
+#: Variants of another project -> program that tests it first, in a separate process.
 PEERS = {
     "sklearn-incremental": "import numpy, sklearn.decomposition as d; d.IncrementalPCA(2).partial_fit(numpy.eye(8))",
     "truncated-svd": "import numpy, sklearn.decomposition as d; d.TruncatedSVD(2).fit_transform(numpy.eye(8))",
@@ -72,7 +73,7 @@ VARIANTS = {
 
 
 def palette() -> np.ndarray:
-    """Return the spectra that the picture is made of, (297, 61): every material under every light, white at Y = 1."""
+    """Return the spectra in the picture, (297, 61): every material under every light, scaled to Y = 1 for white."""
     materials = np.stack([spectrum(f"TCS{i}") for i in range(99)])
     lights = np.stack([spectrum(name) for name in LIGHTS])
     lights *= colour_matching_weights()[1].sum() / (lights @ colour_matching_weights()[1])[:, None]
@@ -106,16 +107,16 @@ def make_picture(folder: Path, size: str) -> None:
             if height // 3 <= row < height // 3 + height // 150:
                 line[: width // 300] = SUN * spectra[0]
             out[row], bands[row] = line, line @ basis.astype(np.float32)
-    os.sync()  # what is still on its way to the disk would be timed with what comes next
+    os.sync()  # pending writes to the disk would be timed with the next variant
 
 
 def observers() -> dict:
-    """Return the observers of the picture's colours."""
+    """Return matrix to XYZ and white for each light under which colours are compared."""
     return {name: (matrix := xyz_from_reflectance(name), matrix.sum(axis=1)) for name in LIGHTS[:2]}
 
 
 def pca(folder: Path, variant: str) -> Compression:
-    """Compress the file into another."""
+    """Compress the picture's file into another file and return the compression."""
     name, options, bases = PCA[variant]
     with store.open_file(folder / f"{name}.h5") as file:
         source = file.dataset("radiance")
@@ -130,7 +131,7 @@ def pca(folder: Path, variant: str) -> Compression:
 
 
 def tiles_of(source) -> Iterator[np.ndarray]:
-    """Yield a picture's pixels (n, 61) tile by tile, one after the other in one buffer."""
+    """Yield a picture's pixels (n, 61) tile by tile; all tiles use the same buffer."""
     rows = max(1, (16 << 20) // (source.shape[1] * 244))
     tile = np.empty((rows, *source.shape[1:]), dtype=np.float32)
     for first in range(0, source.shape[0], rows):
@@ -140,7 +141,7 @@ def tiles_of(source) -> Iterator[np.ndarray]:
 
 
 def read_blas(folder: Path) -> None:
-    """Read the picture, tile by tile, and multiply each with itself."""
+    """Read the picture tile by tile and multiply each tile with itself by BLAS, for reference."""
     with store.open_file(folder / "spectra.h5") as file:
         total = np.zeros((61, 61))
         for tile in tiles_of(file.dataset("radiance")):
@@ -157,8 +158,8 @@ def scikit(folder: Path, variant: str):
             model = TruncatedSVD(OTHER_BASES, random_state=0)
             return model, model.fit_transform(source[()].reshape(-1, 61))
         model = IncrementalPCA(OTHER_BASES)
-        # One tile after the other: a model that learns is no place for two threads. BLAS has one, too: a second gains
-        # a quarter on an idle machine and takes five times as long where it must wait for its core.
+        # Tiles are processed in turn, because the model cannot be updated by two threads. BLAS also has one thread: a
+        # second one is a quarter faster on an idle machine, but five times slower if it must wait for a core.
         with threadpool_limits(1, user_api="blas"):
             for tile in tiles_of(source):
                 model.partial_fit(tile)
@@ -166,13 +167,13 @@ def scikit(folder: Path, variant: str):
 
 
 def decode(folder: Path, variant: str, rows: slice = slice(None)) -> int:
-    """Read coefficients back; return how many."""
+    """Read coefficients from a file and return their number."""
     with store.open_file(folder / f"{variant}.h5") as file:
         return read_coefficients(file, "coefficients", rows).size
 
 
 def run(folder: Path, variant: str):
-    """Do a variant's work once."""
+    """Run a variant once and return its result."""
     if variant.startswith("decode-"):
         return decode(folder, variant.removeprefix("decode-"))
     if variant in PCA:
@@ -202,13 +203,13 @@ def error(folder: Path, done) -> dict:
 
 
 def measured(folder: Path, variant: str) -> dict:
-    """Do the work once, compiled before; return ``seconds``, ``peak_mb``, errors, size of the file in MB."""
+    """Run a variant once after compilation; return ``seconds``, ``peak_mb``, errors and size of the file in MB."""
     if variant in PCA:
         basis = np.eye(61)[:, :6] if PCA[variant][0] == "bands" else None
         analyse(np.ones((100, 61 if basis is None else 6), np.float32), basis, observers(), PCA[variant][1])
-    if variant.startswith("decode-"):  # loads what converts
+    if variant.startswith("decode-"):  # imports the converter
         decode(folder, variant.removeprefix("decode-"), slice(1))
-    Path("/proc/self/clear_refs").write_text("5")  # the peak starts from what is held now
+    Path("/proc/self/clear_refs").write_text("5")  # resets the peak to the present memory
     start, done = time.perf_counter(), None
     if variant != "imports":
         done = run(folder, variant)
@@ -223,7 +224,7 @@ def measured(folder: Path, variant: str) -> dict:
 
 
 def once(folder: Path, variant: str, threads: int) -> dict:
-    """Return what `measured` returns in a process of its own."""
+    """Run `measured` in a process of its own and return its result."""
     command = [sys.executable, "-m", "benchmarks.compress", "--child", variant, "--folder", str(folder),
                "--threads", str(threads)]  # fmt: skip
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
@@ -231,7 +232,7 @@ def once(folder: Path, variant: str, threads: int) -> dict:
 
 
 def measure(folder: Path, size: str, wanted: list[str] | None, runs: int, threads: int) -> list[dict]:
-    """Return one row a variant, the reference first."""
+    """Return one row of the table for each variant, the reference first."""
     start = time.perf_counter()
     make_picture(folder, size)
     print(f"the picture: {time.perf_counter() - start:.0f} s to make", file=sys.stderr)
@@ -256,7 +257,7 @@ def measure(folder: Path, size: str, wanted: list[str] | None, runs: int, thread
 
 
 def row(variant: str, size: str, seconds: dict, found: dict) -> dict:
-    """Return a line of the table of speed against error; print what has no column."""
+    """Return one row of the table of speed against error; print the figures that have no column."""
     height, width = SIZES[size]
     work, unit, median = width * height / 1e6, "megapixels", seconds[variant]
     name = variant if size == "small" else f"{variant}-full"
@@ -273,7 +274,7 @@ def row(variant: str, size: str, seconds: dict, found: dict) -> dict:
 
 
 def main() -> None:
-    """Measure and print; write a CSV if asked."""
+    """Run the benchmark, print its table and write it as CSV if requested."""
     parser = arguments_of(__doc__.splitlines()[0])
     parser.add_argument("--variants", nargs="+", help="all where absent; decode-<variant> needs the variant before it")
     parser.add_argument("--child", help=argparse.SUPPRESS)

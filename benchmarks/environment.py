@@ -1,11 +1,11 @@
-"""The maps of an environment: irradiance, light blurred for rough reflection, its look-up.
+"""Benchmark of the maps of an environment: irradiance, light blurred for gloss, and look-ups.
 
 ``python -m benchmarks.environment [--size small] [--height 3000] [--runs 5] [--output speed_error.csv]``. The light is
-a bright sky with waves of four bases, with a sun of half a degree, 50000 times as bright, and without; 6000 x 3000 px,
-or small 256 x 128 px. ``quadtree`` sorts the light, ``irradiance`` fits the irradiance map to 0.2 % of its largest
-value, or to what 512 rows hold (128 in small), ``gloss`` blurs the light and gathers its points: together the maps of
-one environment. The look-ups are of random normals and views, on one light. The reference is ``irradiance`` without the
-sun. Full prints how far look-ups are from the sum of the true lobe, too.
+a bright sky that varies smoothly on four bases, without and with a sun of half a degree that is 50000 times as bright;
+6000 x 3000 px, or small 256 x 128 px. The maps of an environment are made in three steps: ``quadtree`` sorts the light,
+``irradiance`` fits the irradiance map to 0.2 % of its largest value, or as well as 512 rows allow (128 in small), and
+``gloss`` blurs the light and collects its point lights. Look-ups use random normals and views in one light. The
+reference is ``irradiance`` without the sun. Full also prints the error of look-ups against the sum over the true lobe.
 """
 
 import numpy as np
@@ -25,7 +25,7 @@ LOOKUP_MU_RAD = (0.02, 0.1, 0.3, 0.8)
 
 
 def sky(height: int, with_sun: bool) -> np.ndarray:
-    """Return the light, (height, 2 height, 4) float32."""
+    """Return the coefficients of the light, (height, 2 height, 4) float32."""
     theta, azimuth = np.pi * (np.arange(height) + 0.5) / height, np.pi * (np.arange(2 * height) + 0.5) / height
     waves = 1.0 + 0.5 * np.sin(5 * theta)[:, None] * np.sin(7 * azimuth)
     out = (waves[..., None] * [1.0, 0.3, 0.1, 0.05]).astype(np.float32)
@@ -36,7 +36,7 @@ def sky(height: int, with_sun: bool) -> np.ndarray:
 
 
 def main() -> None:
-    """Measure and print; write a CSV if asked."""
+    """Run the benchmark, print its table and write it as CSV if requested."""
     parser = arguments_of(__doc__.splitlines()[0])
     parser.add_argument("--height", type=int, help="rows of the panorama, twice as many columns; else by the size")
     arguments = parser.parse_args()

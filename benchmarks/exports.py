@@ -1,8 +1,8 @@
-"""Exports and pictures of the default scene in every format: loss, size, and processor time.
+"""Benchmark of exports and pictures of the default scene in every format: loss, size and processor time.
 
 ``python -m benchmarks.exports [--results FOLDER]`` at the top of the repository, after ``snakemake --cores 2``: writes
 ``exports.csv`` into the results' folder ``benchmark``, which `benchmarks.published_tables` shows in docs/exports.md.
-Time is that of this process and of those that it starts, after the imports; each export is made once.
+Times are processor times of this process and its child processes, without imports; each export is made once.
 """
 
 import argparse
@@ -42,19 +42,19 @@ CALLS = (
     f"{LIGHT} --to spectral-exr",
     f"{LIGHT} --to envi",
 )
-#: Pictures of a view that a run makes on request, and what makes them.
+#: Pictures of a view that are made on request -> functions that write them.
 ON_REQUEST = {"tif": write_tiff, "xyz.exr": write_xyz}
 _PICTURE = "every pixel"
 
 
 def processor_s() -> float:
-    """Return the processor time of this process and of those that it has started and that have ended, s."""
+    """Return the processor time of this process and its finished child processes, s."""
     children = resource.getrusage(resource.RUSAGE_CHILDREN)
     return time.process_time() + children.ru_utime + children.ru_stime
 
 
 def size_mb(path: Path) -> float:
-    """Return what an export takes on the disk without its preview, MB."""
+    """Return the size of an export on disk without its preview, MB."""
     files = list(path.iterdir()) if path.is_dir() else [path]
     if path.suffix == ".img":
         files += [path.with_suffix(".hdr"), path.with_name(f"{path.stem}-maps.img")]
@@ -62,12 +62,12 @@ def size_mb(path: Path) -> float:
 
 
 def of_spectra(read: Callable[[], np.ndarray], material: Material) -> Loss:
-    """Return the loss of spectra (h, w, 61) that are read back."""
+    """Return the loss of a material's spectra (h, w, 61) that were read back from an export."""
     return Loss.of(delta_e_reflectance(material.spectra().astype(np.float64), read())[material.observed])
 
 
 def of_light(read: Callable[[], np.ndarray], light: Environment) -> Loss:
-    """Return the loss of a panorama's radiance (h, w, 61) that is read back; white is a diffuser that faces up."""
+    """Return the loss of a panorama's radiance (h, w, 61) that was read back; white is a diffuser that faces up."""
     white = light.upward_white()
     matrix = xyz_from_radiance(white)
     exact = to_panorama(light.coefficients.astype(np.float64)) @ light.basis.T
@@ -76,14 +76,14 @@ def of_light(read: Callable[[], np.ndarray], light: Environment) -> Loss:
 
 
 def envi_spectra(path: Path) -> np.ndarray:
-    """Return the spectra of an ENVI file, band after band, (h, w, 61)."""
+    """Return the spectra in an ENVI file, (h, w, 61)."""
     from spectral.io import envi
 
     return np.asarray(envi.open(str(path.with_suffix(".hdr")), str(path)).load(), dtype=np.float64)
 
 
 def measured(call: str, folder: Path) -> list[dict]:
-    """Make an export in a folder; return its rows."""
+    """Make an export in a folder and return its rows of the table."""
     given = command_parser("export").parse_args(shlex.split(call))
     path = folder / f"{given.source}-{given.to}"
     suffix = {"gltf": ".glb", "tiff": ".tif", "spectral-exr": ".exr", "envi": ".img"}.get(given.to, "")
@@ -103,7 +103,7 @@ def measured(call: str, folder: Path) -> list[dict]:
 
 
 def pictures(folder: Path) -> list[dict]:
-    """Return the rows of the pictures of a view: those of a run, and those that it makes on request."""
+    """Return the table's rows for the pictures of a view: those of every run and those made on request."""
     run = Path(f"results/{SCENE}")
     rows = []
     for kind in ("exr", "png"):
@@ -128,7 +128,7 @@ def _rows(export: str, losses: Losses, path: Path, seconds: float | None) -> lis
 
 
 def main() -> None:
-    """Measure and write the table."""
+    """Run the benchmark and write its table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--results", type=Path, default=Path("results"))
     out = parser.parse_args().results.resolve() / "benchmark" / "exports.csv"

@@ -1,9 +1,10 @@
-"""The fit of every solver at 48 observations: pixels a second against error, beside NLopt called from Python.
+"""Benchmark of the solvers of the fit at 48 observations: pixels per second against error, compared with NLopt.
 
-``nlopt-reference`` starts where our scan ends, as every solver here; both loops of NLopt run its L-BFGS. Two
-geometries: ``own`` (every texel its own angles, as on a curved object or under a near light) and ``shared`` (a flat
-object under far light). The error is the share of texels whose sum of squares exceeds the best of a dense scan over μ
-in float64 by more than 0.1 %; the largest errors of noise-free parameters are printed beside it.
+All solvers start from the result of our scan, also ``nlopt-reference``, which calls NLopt from Python; both variants of
+NLopt use its L-BFGS. There are two geometries: ``own``, in which every texel has its own angles, as on a curved object
+or under a near light, and ``shared``, for a flat object under a far light. The error is the share of texels with a sum
+of squares more than 0.1 % above the best of a dense scan over μ in float64. The largest errors of parameters without
+noise are printed too.
 
 ``python -m benchmarks.fit [--size small] [--runs 7] [--output speed_error.csv]``, at the top of the repository. Peak
 memory is that of the process while it fits the texels once; times exclude compilation. Small has fewer texels.
@@ -41,7 +42,7 @@ MEGAPIXELS, TILE = 10.1, 40_000
 
 
 def angles(observations: int = OBSERVATIONS) -> np.ndarray:
-    """Return θ_i, θ_r, θ_H, φ of poses in one plane, (J, 4) rad: three lights, the camera around each highlight."""
+    """Return θ_i, θ_r, θ_H, φ of poses in one plane, (J, 4) rad: three lights, cameras around each highlight."""
     light = np.radians(np.array([25.0, 45.0, 65.0]))[np.arange(observations) % 3]
     camera = light + np.radians(np.linspace(-22.0, 12.0, observations))
     return np.stack([light, np.abs(camera), np.abs(light + camera) / 2, np.abs(light - camera) / 2], axis=1)
@@ -62,7 +63,7 @@ def scene(texels: int, observations: int = OBSERVATIONS, noise: float = 0.01, se
 
 
 def inputs(response: np.ndarray, kind: str):
-    """Return the arguments of `fit` that a geometry calls for."""
+    """Return the arguments of `fit` for a kind of geometry, ``own`` or ``shared``."""
     geometry = angles(response.shape[1]).astype(np.float32)
     if kind == "own":
         geometry = np.tile(geometry, (len(response), 1, 1))
@@ -74,7 +75,7 @@ def brute_force(response: np.ndarray, mus: np.ndarray) -> np.ndarray:
     geometry = angles(response.shape[1]).astype(np.float32).astype(np.float64)
     c, reflectance = np.cos(geometry[:, 0]), fresnel_array(np.cos(geometry[:, 2]), N, K)
     rho = response.astype(np.float64)
-    # At a minimum over α, β the sum of squares is what the fit explains less than the whole: no residual is formed.
+    # At a minimum over α, β the sum of squares is the total less the explained part, without computing residuals.
     whole, on_c, cc = np.sum(rho**2, axis=1), rho @ c, c @ c
     best = whole - np.maximum(on_c, 0) ** 2 / cc
     for mu in mus:
@@ -91,7 +92,7 @@ def brute_force(response: np.ndarray, mus: np.ndarray) -> np.ndarray:
 
 
 def missed_share(options: FitOptions, kind: str, best: np.ndarray) -> float:
-    """Return the share of texels that miss the minimum."""
+    """Return the share of texels, of those fitted with all parameters, that miss the minimum by more than 0.1 %."""
     count = len(best)
     *_, response = scene(count)
     result = fit(*inputs(response, kind), options)
@@ -125,7 +126,7 @@ def variants() -> dict[str, FitOptions]:
 
 
 def measure(runs: int, size: str) -> list[dict]:
-    """Return one row a variant and geometry."""
+    """Return one row of the table for each variant and geometry."""
     counts, mus = {CHECKED[size], CHECKED_OF_REFERENCE}, np.geomspace(0.005, 1.2, 4000)
     best = {count: brute_force(scene(count)[3], mus) for count in counts}
     rows = []
@@ -153,7 +154,7 @@ def measure(runs: int, size: str) -> list[dict]:
 
 
 def growth(runs: int) -> None:
-    """Print times over pixels and over observations: a linear solver has constant time a pixel and observation."""
+    """Print times for growing numbers of pixels and observations; a linear solver has a constant time for each."""
     for kind in ("own", "shared"):
         for texels, observations in ((25_000, 48), (50_000, 48), (100_000, 48), (50_000, 24), (50_000, 96)):
             arguments = inputs(scene(texels, observations)[3], kind)
@@ -163,7 +164,7 @@ def growth(runs: int) -> None:
 
 
 def capture() -> None:
-    """Print time and memory of a 10.1-megapixel capture of 48 poses, fitted tile by tile with a geometry a pixel."""
+    """Print time and memory of fitting 10.1 megapixels in 48 poses tile by tile, with angles for each pixel."""
     tiles = [inputs(scene(TILE, seed=s)[3], "own") for s in range(4)]
     noise = np.tile([1e-6, 1e-5], (OBSERVATIONS, 1))
     fit(*tiles[0], FitOptions(), noise=noise)
@@ -177,7 +178,7 @@ def capture() -> None:
 
 
 def main() -> None:
-    """Measure and print; write a CSV if asked."""
+    """Run the benchmark, print its table and write it as CSV if requested."""
     parser = arguments_of(__doc__.splitlines()[0])
     parser.add_argument("--child", choices=["capture"], help=argparse.SUPPRESS)
     arguments = parser.parse_args()

@@ -1,14 +1,13 @@
-"""Ingestion of a pose, two shots, against LibRaw's own decode and the HDF5 write of the same arrays.
+"""Benchmark of ingesting a pose of two shots, compared with decoding by LibRaw and writing the same arrays to HDF5.
 
-Full: 10.1 megapixels, twice: from DNG files packed by lossless JPEG, as cameras write them (CR2, NEF, ARW), and from
-DNG files without packing, which LibRaw only copies (variants that end in ``-unpacked``). Small: 2.5 megapixels, packed.
-The filtered shot is moved by a plate that the
-chart's shots show too, so that without registration the filtered bands belong to other places: the error says so.
+Full: 10.1 megapixels, twice: from DNG files compressed by lossless JPEG, as in the RAW files of cameras (CR2, NEF,
+ARW), and from uncompressed DNG files, which LibRaw only copies (variants that end in ``-unpacked``). Small: 2.5
+megapixels, compressed. The filter plate shifts the filtered shot, also that of the chart. Without registration, the
+filtered bands therefore belong to other points, which the error shows.
 
-``python -m benchmarks.ingest [--size small] [--runs 7] [--output speed_error.csv]``,
-at the top of the repository. It makes its own
-DNG files in a temporary folder. Peak memory is that of a process that ingests once; its baseline is the same process
-after its imports. Times exclude compilation, which is reported apart.
+``python -m benchmarks.ingest [--size small] [--runs 7] [--output speed_error.csv]``, at the top of the repository. It
+makes its own DNG files in a temporary folder. Peak memory is that of a process that ingests once; its baseline is the
+same process after its imports. Times exclude compilation, which is reported separately.
 """
 
 import argparse
@@ -50,14 +49,14 @@ PACKING = "import numpy, imagecodecs; imagecodecs.ljpeg_encode(numpy.zeros((8, 8
 
 
 class Views(NamedTuple):
-    """Responses of the object at each mosaic pixel, a picture of each filter state, (height, width)."""
+    """Responses of the object at each mosaic pixel, one picture (height, width) for each filter state."""
 
-    shot: dict[str, np.ndarray]  # at the places that the plate shows
-    still: dict[str, np.ndarray]  # at their own places
+    shot: dict[str, np.ndarray]  # shifted by the filter plate
+    still: dict[str, np.ndarray]  # not shifted
 
 
 def views(size_px: tuple[int, int]) -> Views:
-    """Return what the shots see, and what they would see if the plate did not move it."""
+    """Return the responses of both shots, with and without the shift by the filter plate."""
     width, height = size_px[0] // 2, size_px[1] // 2
     scene = leaves_scene(width, height, np.random.default_rng(1), size_px=(6, 120), cover=2.5)
     still = {state: render(scene, width, height, i, Registration.identity()) for i, state in enumerate(EXPOSURE_S)}
@@ -65,14 +64,14 @@ def views(size_px: tuple[int, int]) -> Views:
 
 
 def true_response(seen: Views) -> np.ndarray:
-    """Return the noiseless six bands on superpixels, (height / 2, width / 2, 6), at their own places."""
+    """Return the six bands on superpixels, (height / 2, width / 2, 6), without noise and shift."""
     mosaics = [seen.still[state] for state in EXPOSURE_S]
     bands = [(m[::2, ::2], 0.5 * (m[::2, 1::2] + m[1::2, ::2]), m[1::2, 1::2]) for m in mosaics]
     return np.stack([band for state in bands for band in state], axis=-1)
 
 
 def pack(path: Path) -> None:
-    """Replace a DNG's pixels by the same, packed by lossless JPEG."""
+    """Compress the pixels of a DNG file by lossless JPEG, in place."""
     import imagecodecs
 
     with tifffile.TiffFile(path) as file:
@@ -88,7 +87,7 @@ def pack(path: Path) -> None:
 
 
 def photograph(folder: Path, seen: Views, packed: bool) -> None:
-    """Write dark frames, white references, a chart and the two shots of one pose, with their tables."""
+    """Write dark frames, white references, a chart and the two shots of one pose as DNG files, with their tables."""
     camera = yaml.safe_load((ROOT / "config/cameras/d5100-comb.yaml").read_text())
     sensor = Sensor(**camera["virtual"]["sensor"])
     rng = np.random.default_rng(0)
@@ -121,7 +120,7 @@ def photograph(folder: Path, seen: Views, packed: bool) -> None:
 
 
 def libraw(folder: Path, arrays: dict, threads: int) -> None:
-    """Decode the two shots by LibRaw alone and write the same arrays in the same way."""
+    """Decode the two shots with LibRaw only and write the given arrays as ingestion does, for reference."""
 
     def decode(path: Path) -> np.ndarray:
         with rawpy.imread(str(path)) as raw:
@@ -149,14 +148,14 @@ def ingest(folder: Path, options: IngestOptions) -> None:
 
 
 def response_error(folder: Path, truth: np.ndarray) -> float:
-    """Return the rms error of the responses, superpixels, all bands, relative to the rms of their truth."""
+    """Return the rms error of the responses over all superpixels and bands, relative to the rms of the true ones."""
     with store.open_file(folder / "linear.h5") as file:
         response, valid = file.read("response"), file.read("valid").astype(bool)
     return float(np.sqrt(np.mean((response - truth)[valid] ** 2) / np.mean(truth[valid] ** 2)))
 
 
 def peak_mb(folder: Path, variant: str, threads: int) -> float:
-    """Return the peak resident memory of a process of its own that does the work once, MB."""
+    """Return the peak resident memory of a separate process that runs a variant once, MB."""
     command = [sys.executable, "-m", "benchmarks.ingest", "--child", variant, "--folder", str(folder),
                "--threads", str(threads)]  # fmt: skip
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
@@ -170,7 +169,7 @@ VARIANTS = {
 
 
 def child(folder: Path, variant: str, threads: int) -> None:
-    """Do the work once and print the peak resident memory, MB."""
+    """Run a variant once and print the peak resident memory, MB."""
     if variant == "libraw":
         libraw(folder, read_arrays(folder), threads)
     elif variant != "imports":
@@ -179,13 +178,13 @@ def child(folder: Path, variant: str, threads: int) -> None:
 
 
 def read_arrays(folder: Path) -> dict:
-    """Return the arrays of the linear file."""
+    """Return the arrays of the file of linear responses."""
     with store.open_file(folder / "linear.h5") as file:
         return {name: file.read(name) for name in ("response", "valid", "clipped")}
 
 
 def measure(folder: Path, seen: Views, packed: bool, runs: int, threads: int) -> list[dict]:
-    """Return one row a variant, the reference first."""
+    """Return one row of the table for each variant, the reference first."""
     photograph(folder, seen, packed)
     ingest_reference(
         folder / "camera.csv", folder, folder / "reference.h5", PROVENANCE, 1.0, IngestOptions(register=True)
@@ -212,7 +211,7 @@ def measure(folder: Path, seen: Views, packed: bool, runs: int, threads: int) ->
 def row(
     variant: str, suffix: str, megapixels: float, seconds: float, reference: float, *, error: float, peak: float
 ) -> dict:
-    """Return a line of the table of speed against error."""
+    """Return one row of the table of speed against error."""
     speed, metric = megapixels / seconds, "rms of the response over its own"
     values = ("ingest", variant + suffix, f"{megapixels:.2f}", "megapixels", f"{seconds:.4f}", f"{speed:.1f}", metric,
               f"{error:.5f}", f"{peak:.0f}", "libraw" + suffix, f"{seconds / reference:.3f}")  # fmt: skip
@@ -220,7 +219,7 @@ def row(
 
 
 def main() -> None:
-    """Measure and print; write a CSV if asked."""
+    """Run the benchmark, print its table and write it as CSV if requested."""
     parser = arguments_of(__doc__.splitlines()[0])
     parser.add_argument("--child", choices=["libraw", "imports", *VARIANTS], help=argparse.SUPPRESS)
     parser.add_argument("--folder", type=Path, help=argparse.SUPPRESS)

@@ -1,16 +1,16 @@
-"""The recovery of light: its speed, and its error on lamps that it has never seen.
+"""Benchmark of the recovery of light: its speed, and its error on lamps that are not in its prior.
 
 ``python -m benchmarks.light [--size small] [--runs 7] [--output speed_error.csv]``. Camera and filter are those of
-``config/cameras/d5100-comb.yaml``, calibrated on a ColorChecker under A whose responses have 0.1 % of noise. 52 CIE
-illuminants are photographed, each with all published lamps that are like it (cosine 0.9995) left out of the prior, bare
-and off coloured walls (CIE 224). The error is the mean CIEDE2000 of a ColorChecker under the recovered light, adapted
-to its own white. ``rig-lamp`` is the rig's lamp times the reflectance of the same responses, ``posterior`` knows one
-family of all lamps on surfaces, ``mixture`` is what the light stage does without help, ``filter-table`` where the
-camera's calibration knew the data sheet of its filter, ``room-chart`` with a
-ColorChecker under the lamp, ``named`` with the lamp's published name and ``measured`` with its spectrum. A lamp is not
-quite the published one of its name, nor its reading quite its spectrum: both are off at random, by 5 % over 40 nm, and
-by 2 % over 100 nm with 0.5 % of noise. Timed is a panorama of 6000 x 3000 px, or small 512 x 256 px: the draw of its
-directions, the light on two charts where there are some, the room's families and every pixel.
+``config/cameras/d5100-comb.yaml``, calibrated on a ColorChecker under illuminant A with 0.1 % noise. The light of 52
+CIE illuminants is recovered, directly and reflected from coloured walls (CIE 224), with all similar published lamps
+(cosine 0.9995) left out of the prior. The error is the mean CIEDE2000 of a ColorChecker under the recovered and the
+true light, each adapted to its own white. Variants: ``rig-lamp`` takes the light to be the rig's lamp times a recovered
+reflectance; ``posterior`` has a prior of one family, all lamps on surfaces; ``mixture`` is the light stage without
+further information; ``filter-table`` adds the data sheet of the camera's filter to the calibration; ``room-chart`` has
+a ColorChecker under the lamp; ``named`` has the lamp's published name and ``measured`` its measured spectrum. Published
+and measured spectra differ at random from the true one: by 5 % over 40 nm, and by 2 % over 100 nm with 0.5 % noise. The
+time is that for a panorama of 6000 x 3000 px, or small 512 x 256 px: sampling its directions, estimating the light on
+two charts if there are some, and the room's families, and recovering every pixel.
 """
 
 from collections.abc import Callable
@@ -40,7 +40,7 @@ from irodori.spectra.published import chart_spectra, spectrum
 from irodori.spectra.published_names import ILLUMINANTS
 
 CAMERA = Path(__file__).resolve().parents[1] / "config/cameras/d5100-comb.yaml"
-LIKE = 0.9995  # cosine of two spectra from which on the one tells the other
+LIKE = 0.9995  # least cosine between two spectra that count as similar
 HEIGHTS = {"small": 256, "full": 3000}
 CIE = tuple(name for name in ILLUMINANTS if not name.startswith("ISO"))
 WALLS = tuple(f"TCS{number}" for number in range(0, 99, 16))
@@ -50,19 +50,19 @@ CHART, RIG_LIGHT, NOISE = "BabelColor Average", "A", 1e-3
 
 @dataclass(frozen=True)
 class Seen:
-    """A calibrated camera, and what it truly answers per unit radiance, (bands, 61)."""
+    """A calibrated camera, and its true response per unit radiance, (bands, 61)."""
 
     calibration: Calibration
     sensitivity: np.ndarray
 
     @property
     def model(self) -> ResponseModel:
-        """What the calibration tells of it."""
+        """Response model from the calibration."""
         return ResponseModel.of(self.calibration)
 
 
 def camera(seed: int = 0, table: bool = False) -> Seen:
-    """Return the default camera as its photographs of a chart tell it, and the table of its filter where asked."""
+    """Return the default camera calibrated on a chart, if requested also with the table of its filter."""
     light, chart = spectrum(RIG_LIGHT), chart_spectra(CHART)[1]
     definition = Camera.of(yaml.safe_load(CAMERA.read_text(encoding="utf-8")))
     response = band_weights(definition, light)
@@ -76,19 +76,19 @@ def camera(seed: int = 0, table: bool = False) -> Seen:
 
 
 def unlike(lamps: np.ndarray, *others: np.ndarray) -> np.ndarray:
-    """Return the lamps (n, 61) that are like none of some others."""
+    """Return those of the lamps (n, 61) that are not similar to any of the others."""
     unit, known = (rows / np.linalg.norm(rows, axis=1, keepdims=True) for rows in (lamps, np.stack(others)))
     return lamps[(unit @ known.T).max(axis=1) < LIKE]
 
 
 def one_family(lamps: np.ndarray) -> LightPrior:
-    """Return the prior of a single family, of all lamps on surfaces."""
+    """Return a prior with a single family, all lamps reflected from surfaces."""
     prior = light_prior(lamps)
     return LightPrior(prior.moment[-1:], np.ones(1), 1)
 
 
 def adapted_errors(true: np.ndarray, found: np.ndarray) -> np.ndarray:
-    """Return the mean CIEDE2000 of a ColorChecker under two lights, each (61,), each with its own white."""
+    """Return the mean CIEDE2000 of a ColorChecker between two lights, (61,) each, each adapted to its own white."""
     chart = chart_spectra(CHART)[1]
     shown = ((chart * one) @ xyz_from_radiance(one).T for one in (true, found))
     whites = (xyz_from_radiance(one) @ one for one in (true, found))
@@ -104,12 +104,12 @@ VARIANTS: dict[str, Callable[[np.ndarray], LightPrior] | None] = {
     "named": partial(given_prior, measured=np.array(False)),
     "measured": partial(given_prior, measured=np.array(True)),
 }
-#: Of what is said of a lamp: relative standard deviation of what is smooth, over how many nm, and of noise.
+#: Errors of given spectra: relative standard deviation of a smooth error, its correlation length in nm, and noise.
 GIVEN = {"named": (0.05, 40.0, 0.0), "measured": (0.02, 100.0, 0.005)}
 
 
 def chart_under(seen: Seen, lamp: np.ndarray, seed: int = 0, name: str = "chart") -> ChartResponses:
-    """Return what a ColorChecker answers to a lamp, with noise."""
+    """Return the camera's responses to a ColorChecker under a lamp, with noise."""
     chart = chart_spectra(CHART)[1]
     response = (chart * lamp) @ seen.sensitivity.T
     noise = NOISE * np.random.default_rng(seed).standard_normal(response.shape)
@@ -117,7 +117,7 @@ def chart_under(seen: Seen, lamp: np.ndarray, seed: int = 0, name: str = "chart"
 
 
 def given(variant: str, lamp: np.ndarray, seed: int = 0) -> np.ndarray:
-    """Return what is said of a lamp (61,), as far off as the variant's sources are."""
+    """Return the spectrum (61,) that a variant is given for a lamp, with the random errors of its source."""
     smooth, length_nm, noise = GIVEN[variant]
     covariance = smooth**2 * smooth_covariance(length_nm) + noise**2 * np.eye(len(lamp))
     off = np.random.default_rng(seed).multivariate_normal(np.zeros(len(lamp)), covariance, method="eigh")
@@ -127,9 +127,9 @@ def given(variant: str, lamp: np.ndarray, seed: int = 0) -> np.ndarray:
 def recovered(
     seen: Seen, light: np.ndarray, prior: LightPrior | None, chart_lamp: np.ndarray | None = None
 ) -> np.ndarray:
-    """Return a light (61,) as it is recovered; without a prior, as the rig's lamp on paint.
+    """Recover the spectrum of a light (61,); without a prior, as the rig's lamp times a reflectance.
 
-    The room shows the light alone; where a lamp lights a chart, half of what the room shows is this lamp itself.
+    The room contains only this light; with a lamp on a chart, half of the room's directions show the lamp itself.
     """
     response = seen.sensitivity @ light
     if prior is None:
@@ -143,7 +143,7 @@ def recovered(
 
 
 def errors(seen: Seen, variant: str, walls: tuple[str, ...] = (), names: tuple[str, ...] = CIE) -> np.ndarray:
-    """Return the errors of lamps, bare (lamps, 1) or off walls (lamps, walls)."""
+    """Return the errors of lamps, seen directly (lamps, 1) or reflected from walls (lamps, walls)."""
     surfaces, make_prior = [spectrum(wall) for wall in walls] or [np.ones(61)], VARIANTS[variant]
     found = np.empty((len(names), len(surfaces)))
     for number, (row, name) in enumerate(zip(found, names, strict=True)):
@@ -171,7 +171,7 @@ def panorama(seen: Seen, height: int) -> np.ndarray:
 def recover(
     seen: Seen, picture: np.ndarray, charts: tuple[ChartResponses, ...] = (), lamps: tuple[str, ...] = ()
 ) -> np.ndarray:
-    """Return the weights of a whole picture as the light stage does, a band of rows at a time."""
+    """Recover the weights of a whole picture as in the light stage, some rows at a time."""
     parts = (picture[first : first + 32] for first in range(0, len(picture), 32))
     drawn = draw_directions((part.reshape(-1, part.shape[-1]), 1.0) for part in parts)
     prior = published = prior_of_any_lamp()
@@ -183,7 +183,7 @@ def recover(
 
 
 def main() -> None:
-    """Measure and print; write a CSV if asked."""
+    """Run the benchmark, print its table and write it as CSV if requested."""
     arguments = arguments_of(__doc__.splitlines()[0]).parse_args()
     use_threads(arguments.threads)
     seen, with_table = camera(), camera(table=True)

@@ -1,19 +1,20 @@
 """Fit errors of reflection models on measured materials: equation (5), Lambert, Cook-Torrance with GGX.
 
-Bidirectional measurements of ``../shared/data/brdf`` are fitted at every wavelength by itself, every observation with
-the same weight as in equation (7): α alone (Lambert); α, β and roughness with the Gaussian facets and the V-groove
+Bidirectional measurements in ``../shared/data/brdf`` are fitted at every wavelength separately, all observations with
+equal weight as in equation (7): α alone (Lambert); α, β and roughness with the Gaussian facets and the V-groove
 attenuation of equation (5); α, β and roughness with the GGX distribution and Smith's height-correlated masking (Walter
-2007, Heitz 2014). F is exact, n = 1.5, in both. The error is the root mean square residual in ρ = π f cosθ_i over the
-root mean square of ρ. `irodori.fitting` fits equation (5); a dense scan over roughness with bounded minimisation fits
-GGX. With ``--peer`` scipy's least squares looks from many starts for anything lower.
+2007, Heitz 2014). F is the exact Fresnel reflectance for n = 1.5 in both. The error is the root-mean-square residual in
+ρ = π f cosθ_i over the root mean square of ρ. `irodori.fitting` fits equation (5); a dense scan over roughness with
+bounded minimisation fits GGX. With ``--peer``, SciPy's least squares searches from many starts for a lower minimum.
 
-``--lobes`` shows the lobes that are chosen (`irodori.fitting.lobe_choice`) by one half of the directions, and how all
-candidates describe that half and predict the other, up to 70° of light and view, where the laboratory's outliers begin.
+``--lobes`` shows the lobes that are chosen (`irodori.fitting.lobe_choice`) from one half of the directions, and how
+well all candidates fit that half and predict the other, for light and view up to 70°, where the outliers of the
+laboratory begin.
 
-``--halves`` draws surfaces of 16 to 64 photographs, half of them within 25° of the mirror direction, with a camera's
-noise; two disjoint halves of the photographs are fitted, and where both are called OK they are compared.
+``--halves`` simulates surfaces with 16 to 64 photographs, half of them within 25° of the mirror direction, with the
+noise of a camera. Two disjoint halves of the photographs are fitted, and if both have the status OK, they are compared.
 
-Values above 20 sr⁻¹ are taken for outliers, left out and counted; the figures with them are printed too.
+Values above 20 sr⁻¹ are considered outliers, left out and counted; the figures with them are printed too.
 
 ``python -m benchmarks.materials [--peer] [--lobes] [--halves] [--data FOLDER] [--output materials.csv]``, at the top
 of the repository.
@@ -55,7 +56,7 @@ _VISIBLE_UM = (0.4, 0.7)
 
 
 class Measured(NamedTuple):
-    """A measured material: θ_i, θ_r, θ_H, φ in rad, (J, 4); wavelengths in nm; f in sr⁻¹, (wavelengths, J)."""
+    """BRDF measurements of a material: θ_i, θ_r, θ_H, φ, rad, (J, 4); wavelengths, nm; f, sr⁻¹, (wavelengths, J)."""
 
     name: str
     geometry: np.ndarray
@@ -82,7 +83,7 @@ def _angles(incidence: np.ndarray, view: np.ndarray) -> np.ndarray:
 
 
 def read(name: str, folder: Path = DATA) -> list[Measured]:
-    """Return what was measured of a material: one entry, or one a wavelength where each has its own angles."""
+    """Return the measurements of a material: one entry, or one for each wavelength if their angles differ."""
     if name != PTFE:
         path = folder / "brdf" / f"{name}.csv"
         table = np.genfromtxt(path, delimiter=",", skip_header=1)
@@ -119,7 +120,7 @@ def ggx(geometry: np.ndarray) -> Callable[[float], np.ndarray]:
 
 
 def best_pair(cosine: np.ndarray, lobe: np.ndarray, response: np.ndarray) -> tuple[float, float, float]:
-    """Return α, β >= 0 of the least sum of squares, and that sum."""
+    """Return the α, β >= 0 with the least sum of squares, and that sum."""
     found = [(max(cosine @ response / (cosine @ cosine), 0.0), 0.0)]
     square = lobe @ lobe
     if square > 0.0:
@@ -133,7 +134,7 @@ def best_pair(cosine: np.ndarray, lobe: np.ndarray, response: np.ndarray) -> tup
 
 
 def scan(cosine, lobe: Callable, response, limits: tuple[float, float]) -> tuple[float, float, float, float]:
-    """Return α, β, roughness and the sum of squares: a dense scan over roughness, then bounded minimisation."""
+    """Fit α, β and roughness by a scan over roughness and bounded minimisation; return them and the sum of squares."""
     grid = np.linspace(*np.log(limits), _SCAN)
     sums = [best_pair(cosine, lobe(math.exp(t)), response)[2] for t in grid]
     best = int(np.argmin(sums))
@@ -155,7 +156,7 @@ class Fitted(NamedTuple):
 
 
 def fit_all(measured: Measured, keep_outliers: bool = False) -> dict[str, Fitted]:
-    """Return the fit of every model to a material."""
+    """Fit every model to a material and return the fits by the model's name."""
     kept = np.ones(measured.brdf.shape, dtype=bool) if keep_outliers else measured.trusted
     response, geometry = measured.response, measured.geometry
     cosine = np.cos(geometry[:, 0])
@@ -180,13 +181,13 @@ def _only(lobe: Callable, kept: np.ndarray) -> Callable:
 
 
 def relative(measured: Measured, fitted: Fitted, chosen: np.ndarray) -> float:
-    """Return the root mean square residual over the root mean square response of chosen values."""
+    """Return the root-mean-square residual over the root-mean-square response, of selected values."""
     off = (fitted.predicted - measured.response)[chosen]
     return float(np.sqrt(np.mean(off**2) / np.mean(measured.response[chosen] ** 2)))
 
 
 def peer(measured: Measured, model: str, wavelength: int, starts: int = 40, seed: int = 0) -> float:
-    """Return the least sum of squares that scipy's least squares finds from many starts."""
+    """Return the least sum of squares that SciPy's least squares finds from many starts."""
     kept = measured.trusted[wavelength]
     rho, cosine = measured.response[wavelength, kept], np.cos(measured.geometry[kept, 0])
     lobe = {"equation 5": gauss, "ggx": ggx}[model](measured.geometry[kept])
@@ -206,7 +207,7 @@ def peer(measured: Measured, model: str, wavelength: int, starts: int = 40, seed
 
 
 def rows_of(name: str, folder: Path = DATA) -> list[dict]:
-    """Return the table of a material: every model over everything, by angle of incidence, and by wavelength."""
+    """Return the table's rows of a material: errors of every model in all, by angle of incidence, and by wavelength."""
     out = []
     for measured in read(name, folder):
         whole, trusted = fit_all(measured, keep_outliers=True), measured.trusted
@@ -227,7 +228,7 @@ def rows_of(name: str, folder: Path = DATA) -> list[dict]:
 
 
 def peer_rows(name: str, folder: Path = DATA) -> list[tuple[str, str, float, float]]:
-    """Return material, model, wavelength in nm, and sum of squares of our fit over that of scipy's least squares."""
+    """Return material, model, wavelength in nm, and our fit's sum of squares over that of SciPy's least squares."""
     out = []
     for measured in read(name, folder):
         fitted = fit_all(measured)
@@ -241,7 +242,7 @@ def peer_rows(name: str, folder: Path = DATA) -> list[tuple[str, str, float, flo
 
 
 def choices(name: str, folder: Path = DATA, seed: int = 0) -> list[dict]:
-    """Return what every candidate for a material's lobes leaves of one half of the directions, and of the other."""
+    """Return the residuals of every candidate for a material's lobes, on the fitted half of directions and the rest."""
     out = []
     for measured in read(name, folder):
         geometry, response = measured.geometry, measured.response
@@ -268,16 +269,16 @@ def choices(name: str, folder: Path = DATA, seed: int = 0) -> list[dict]:
 
 
 def _off(sample: Sample, result: FitResult, fitted: Sample, options: FitOptions) -> tuple[float, float]:
-    """Return the rms residual over the rms response, and the median residual over the response."""
+    """Return the rms residual over the rms response, and the median of residual over response."""
     off = predicted(sample, result, fitted, options) - sample.response
     relative_rms = float(np.sqrt(np.mean(off**2) / np.mean(sample.response**2)))
     return relative_rms, float(np.median(np.abs(off) / np.maximum(sample.response, np.finfo(float).tiny)))
 
 
 def halves(name: str, lobe: str, photographs: int, surfaces: int, seed: int, folder: Path = DATA) -> dict[str, float]:
-    """Return the share of surfaces of which both halves of the photographs are OK, and of these the agreeing ones.
+    """Return the share of surfaces with status OK in both halves of the photographs, and how many of these agree.
 
-    By parameter: halves agree where they differ by less than two standard errors of the difference.
+    For each parameter, halves agree if they differ by less than two standard errors of the difference.
     """
     (measured, *_), rng = read(name, folder), np.random.default_rng(seed)
     kept = measured.trusted.all(axis=0) & (measured.geometry[:, :2] < np.radians(_SEEN_TO_DEG)).all(axis=1)
@@ -307,7 +308,7 @@ def halves(name: str, lobe: str, photographs: int, surfaces: int, seed: int, fol
 
 
 def main() -> None:
-    """Measure and print; write a CSV if asked."""
+    """Run the benchmark, print its table and write it as CSV if requested."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--peer", action="store_true", help="compare the minima with scipy's least squares")
     parser.add_argument("--lobes", action="store_true", help="show the lobes that are chosen, and what each leaves")

@@ -1,11 +1,11 @@
-"""Savings of a scene plan: preparation and rendering with and without it, in one run.
+"""Benchmark of scene plans: preparation and rendering with and without a plan, in one run.
 
 ``python -m benchmarks.plan [--size small] [--tolerance 1] [--width 640] [--output plan.csv]`` takes the still
-life of `benchmarks.render` under its classroom, and three scenes made of it: matte (no gloss, no mirror), mirrors
-alone, and one lamp in a black room. Without a plan (``full``) the integrator `interactive` carries 61 bands, and ends
-paths that bring less than a thousandth, as a workflow's picture has them; the model that errors are measured against
-ends none. Seconds are processor time of all threads over their number, a frame's the least of the runs; what is
-compiled is compiled before. Small: 160 x 120 px under a light 256 px wide.
+life of `benchmarks.render` in its classroom, and three scenes made from it: matte (no gloss, no mirror), mirrors only,
+and one lamp in a black room. Without a plan (``full``), the integrator `interactive` carries 61 bands and ends paths
+with a throughput below a thousandth, as for a workflow's picture; the model against which errors are measured ends
+none. Seconds are processor time of all threads divided by their number, for a frame the least of the runs; compilation
+is done before. Small: 160 x 120 px in a light 256 px wide.
 """
 
 import tempfile
@@ -68,7 +68,7 @@ def scenes(studio: Studio) -> dict[str, SceneParts]:
 
 
 def prepare_all(parts: SceneParts):
-    """Prepare a scene as it is rendered without a plan."""
+    """Prepare a scene for rendering without a plan."""
     gloss = GlossMaps.of(parts.environment.coefficients)
     scene = (parts.objects, light_of(parts.environment), gloss, parts.tracer, "spectral", parts.white)
     options = {"max_bounces": _BOUNCES, "least_throughput": _LEAST_THROUGHPUT, "ambient": True}
@@ -76,7 +76,7 @@ def prepare_all(parts: SceneParts):
 
 
 def measure_scene(name: str, parts: SceneParts, studio: Studio, arguments) -> list[dict]:
-    """Return the rows of one scene."""
+    """Measure one scene and return its rows of the table."""
     view = make_view(studio.scene.views["front"], studio.image)
     names = [item.object for item in studio.scene.objects]
     lamps, matrix = tuple(CollimatedLamp(towards) for towards in parts.lamp_towards), xyz_from_radiance(parts.white)
@@ -121,7 +121,7 @@ def measure_scene(name: str, parts: SceneParts, studio: Studio, arguments) -> li
 def row(
     variant: str, work: int, unit: str, seconds: float, reference: str, reference_s: float, *, error: float
 ) -> dict:
-    """Return a line of the table of speed against error."""
+    """Return one row of the table of speed against error."""
     metric = "CIEDE2000 to the full model, p99" if np.isfinite(error) else ""
     values = ("plan", variant, f"{work}", unit, f"{seconds:.4f}", f"{work / seconds:.3g}", metric, f"{error:.4f}",
               f"{own_peak_mb():.0f}", reference, f"{seconds / reference_s:.4g}")  # fmt: skip

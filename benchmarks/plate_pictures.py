@@ -1,9 +1,9 @@
 """Pictures of one scene without and with a comb-filter plate, with the plate's geometry applied analytically.
 
-A scene is a heap of discs and rectangles ("dead leaves"), each of two smooth random reflectance spectra that a sine
-wave mixes. It is a function of continuous coordinates, so the picture through the plate is rendered at the
-transformed places and never resampled. The camera is the virtual rig's: its band weights, its mosaic, what its pixels
-gather, its noise, its converter.
+A scene is a random pile of discs and rectangles ("dead leaves"), each with two smooth random reflectance spectra mixed
+by a sine wave. It is a function of continuous coordinates, so that the picture through the plate is rendered at
+transformed coordinates and never resampled. The camera is that of the virtual rig, with its band weights, mosaic, pixel
+aperture, noise and quantisation.
 """
 
 from dataclasses import dataclass
@@ -33,7 +33,7 @@ _BLOCK_ROWS = 16  # of the mosaic, even
 
 @dataclass(frozen=True)
 class Scene:
-    """Leaves in superpixel coordinates; a later leaf covers an earlier one.
+    """A pile of leaves in superpixel coordinates; later leaves cover earlier ones.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ class Scene:
 
 @cache
 def white_weights() -> np.ndarray:
-    """Return (6, 61) weights that give a perfect diffuser the response 1 in every band."""
+    """Return band weights, (6, 61), with which a perfect diffuser has the response 1 in every band."""
     weights = band_weights(typed(Camera, CAMERA), spectrum("A"))
     return weights / weights.sum(axis=1, keepdims=True)
 
@@ -63,7 +63,7 @@ def sensor() -> Sensor:
 
 
 def random_reflectances(count: int, rng: np.random.Generator) -> np.ndarray:
-    """Return (count, 61) smooth reflectances between 0.02 and 0.95."""
+    """Return smooth random reflectances between 0.02 and 0.95, (count, 61)."""
     wavelength = np.linspace(0.0, 1.0, SAMPLES)
     order = np.arange(8)
     amplitude = rng.normal(size=(count, 8)) * np.array([1.2, 1.5, 1.3, 1.1, 0.9, 0.7, 0.5, 0.4])
@@ -122,20 +122,20 @@ def leaves_scene(
 
 
 class _Sheet(NamedTuple):
-    """The leaves in the bands of one filter state, and which of them touch each cell."""
+    """Leaves in the bands of one filter state, with a grid of cells that lists the leaves touching each cell."""
 
-    low: np.ndarray  # (2,) where the cells begin, x then y
+    low: np.ndarray  # (2,) corner of the grid, x then y
     columns: int
     rows: int
-    starts: np.ndarray  # (cells + 1,) of each cell's leaves
-    listed: np.ndarray  # numbers of leaves, topmost first
+    starts: np.ndarray  # (cells + 1,) index of each cell's first leaf in `listed`
+    listed: np.ndarray  # indices of leaves, topmost first
     leaves: np.ndarray  # (leaves, 9), see `Scene`
     bands: np.ndarray  # (leaves, 2, 3)
     background: np.ndarray  # (3,)
 
 
 def _sheet(scene: Scene, low, high, seen: slice) -> _Sheet:
-    """Return a scene's leaves between two corners, in some of its bands."""
+    """Return the `_Sheet` of a scene between two corners, in the bands that a slice selects."""
     columns, rows = (int(n) for n in np.ceil((high - low) / _CELL_PX))
     reach = np.hypot(scene.leaves[:, 2], scene.leaves[:, 3])
     first = np.floor((scene.leaves[:, :2] - reach[:, None] - low) / _CELL_PX).astype(int)
@@ -153,7 +153,7 @@ def _sheet(scene: Scene, low, high, seen: slice) -> _Sheet:
 
 @numba.njit(cache=True)
 def _see(out, x, y, sheet):
-    """Fill the responses of the topmost leaf at a place of the scene."""
+    """Fill ``out`` with the responses of the topmost leaf at a point (x, y) of the scene."""
     low, columns, rows, starts, listed, leaves, bands, background = sheet
     column, row = int((x - low[0]) / _CELL_PX), int((y - low[1]) / _CELL_PX)
     out[:] = background
@@ -196,9 +196,10 @@ def _mosaic(out, inverse, barrel, sheet):
 
 
 def render(scene: Scene, width_px: int, height_px: int, state: int, truth: Registration, barrel_px: float = 0.0):
-    """Return the noiseless mosaic (2 height, 2 width) of a picture; ``truth`` maps the scene onto it.
+    """Render the mosaic of a picture without noise, (2 height, 2 width); ``truth`` maps the scene onto the picture.
 
-    ``barrel_px`` moves the picture's corners outwards by about so much, growing with the third power of the radius.
+    ``barrel_px`` is a radial distortion proportional to the third power of the radius: the approximate outward
+    displacement of the picture's corners, superpixels.
     """
     low = np.array([-_MARGIN_PX, -_MARGIN_PX])
     high = np.array([width_px, height_px]) + _MARGIN_PX
@@ -216,10 +217,10 @@ def render(scene: Scene, width_px: int, height_px: int, state: int, truth: Regis
 
 
 def photograph(mosaic: np.ndarray, state: int, rng: np.random.Generator, light: float = 1.0, vignetting: float = 0.08):
-    """Expose a noiseless mosaic of white-referenced responses; return superpixel responses and where they are valid.
+    """Photograph a mosaic of responses with noise; return responses of superpixels and a mask of valid ones.
 
-    ``light`` is the true brightness that the white reference does not know of; vignetting is corrected by the
-    reference as a flat field, so only its noise remains.
+    ``light`` is the brightness relative to that of the white reference, which is not corrected. Vignetting is corrected
+    as by a flat field, so that only its effect on the noise remains.
     """
     device = sensor()
     white = band_weights(typed(Camera, CAMERA), spectrum("A"))[3 * state : 3 * state + 3].sum(axis=1)
@@ -239,7 +240,7 @@ def photograph(mosaic: np.ndarray, state: int, rng: np.random.Generator, light: 
 
 
 def random_truth(rng: np.random.Generator, shift_px: float = 8.0, rotation_deg: float = 0.5, scale: float = 0.01):
-    """Return a transform drawn evenly from the plate's range."""
+    """Return a random transform of the filter plate, uniform within the given limits."""
     dx, dy, angle, zoom = rng.uniform(-1.0, 1.0, 4)
     return Registration(
         dx_px=shift_px * dx, dy_px=shift_px * dy, rotation_rad=np.radians(rotation_deg) * angle,
@@ -248,7 +249,7 @@ def random_truth(rng: np.random.Generator, shift_px: float = 8.0, rotation_deg: 
 
 
 def errors_px(found: Registration, truth: Registration, width_px: int, height_px: int) -> np.ndarray:
-    """Return the distance between two transforms at the picture's four corners and its centre, (5,), superpixels."""
+    """Return the distances between two transforms at the picture's four corners and its centre, (5,), superpixels."""
     right, bottom = width_px - 1.0, height_px - 1.0
     centre = np.array([right / 2, bottom / 2])
     places = np.array([[0, 0], [right, 0], [0, bottom], [right, bottom], centre])

@@ -1,9 +1,9 @@
-"""Tables of figures in both READMEs and in docs, made from the results of a run, its benchmark and its exports.
+"""Script that writes the tables of both READMEs and of docs from the results of a run, its benchmark and its exports.
 
 ``python -m benchmarks.published_tables [--results results]`` after ``snakemake --cores 2``, ``snakemake --cores 2
 benchmark`` and ``python -m benchmarks.exports``, at the top of the repository: copies the tables shown to
-``docs/figures`` and writes the blocks of all documents anew between their marks. Text between two marks is never
-written by hand: a test compares it with ``docs/figures``.
+``docs/figures`` and rewrites the blocks between marks in all documents. Text between two marks is never written by
+hand: a test compares it with ``docs/figures``.
 """
 
 import argparse
@@ -40,7 +40,7 @@ def _table(header: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
 
 
 def _number(text: str, digits: int = 3) -> str:
-    """Return a number as the documents write it; a dash where there is none."""
+    """Format a number, given as text, for the documents; NaN becomes a dash."""
     value = float(text)
     if value != value:
         return "–"
@@ -73,7 +73,7 @@ def budget_block(folder: Path) -> str:
 
 
 def speed_block(folder: Path) -> str:
-    """Return the table of speed: of every stage the references, the default, and what no other variant beats."""
+    """Return the table of speed: for every stage the references, the default and the variants on the Pareto front."""
     rows = read_rows(folder / "speed_error.csv")
     lines = []
     for stage in dict.fromkeys(r["stage"] for r in rows):
@@ -84,7 +84,7 @@ def speed_block(folder: Path) -> str:
 
 
 def _speed_line(row: dict) -> list[str]:
-    """Return the cells of a variant; of one that could not run, the reason."""
+    """Return the table cells of a variant, or the reason if it could not run."""
     if not is_measured(row):
         return [row["stage"], row["variant"], "–", "–", "–", row["error_metric"].replace("|", "/"), "–"]
     error = _number(row["error"], 2)
@@ -110,7 +110,7 @@ _JAPANESE = (
 
 
 def figures_block(folder: Path, words=_ENGLISH) -> str:
-    """Return the README's five figures."""
+    """Return the list of five figures for the README."""
     head, whats, error, ratio, distance = words
     errors = _rows(folder / "errors.csv")
     speeds = {(r["stage"], r["variant"]): r for r in read_rows(folder / "speed_error.csv")}
@@ -128,7 +128,7 @@ def figures_block(folder: Path, words=_ENGLISH) -> str:
 
 
 def japanese_figures_block(folder: Path) -> str:
-    """Return the same five figures for the README in Japanese."""
+    """Return the same list of five figures for the Japanese README."""
     return figures_block(folder, _JAPANESE)
 
 
@@ -137,7 +137,7 @@ def _times(row: dict) -> str:
 
 
 def exports_block(folder: Path) -> str:
-    """Return the table of exports; of a comparison that could not be made, the reason."""
+    """Return the table of exports, with the reason for each comparison that could not be made."""
     lines, before = [], ""
     for row in _rows(folder / "exports.csv"):
         name, before = "" if row["export"] == before else row["export"], row["export"]
@@ -158,7 +158,7 @@ DOCUMENTS = {
 
 
 def written(text: str, document: str, folder: Path) -> str:
-    """Return a document's text with its blocks made anew from the tables of a folder.
+    """Return a document's text with its blocks rewritten from the tables in a folder.
 
     Raises
     ------

@@ -1,24 +1,25 @@
-"""The `reference` integrator beside Mitsuba 3: time to the same colour error, and how time grows.
+"""Benchmark of the integrator `reference` and Mitsuba 3: time to the same colour error, and growth of the time.
 
-``python -m benchmarks.reference [--size small] [--pixels 96x72] [--runs 5] [--output speed_error.csv]``. Two scenes
-that both renderers express alike, in 61 bands: three spheres on a plate (test colours of CIE 224, gold as a mirror)
-under even D65 and a tungsten panel, and the box of five walls with that panel alone. Mitsuba traces four wavelengths a
-path, drawn anew for each; ours carries 61 bands.
+``python -m benchmarks.reference [--size small] [--pixels 96x72] [--runs 5] [--output speed_error.csv]``. There are two
+scenes that both renderers can represent equally, in 61 bands: three spheres on a plate (test colours of CIE 224, gold
+as a mirror) under uniform D65 and a tungsten panel, and a box of five walls with only that panel. Mitsuba traces four
+random wavelengths per path; our integrator carries 61 bands.
 
-How the error is matched: each renderer is compared with a converged picture of its own (``--converged`` paths a
-pixel, another seed), by the mean CIEDE2000 over the pixels, white being the same diffuser for both; so neither is
-charged with what the other does differently. ``reference-filtered`` is compared with the converged picture that is not
-filtered: its bias counts. The errors of several sample counts, two seeds each, make a line in logarithms; on it the
-samples are read at which the error is ``--target``, and seconds are those samples' (time is a constant and a part for
-each sample). ``converged pictures`` is the mean CIEDE2000 between the two: it tells that the scenes are the same.
+The error of each renderer is measured against a converged picture of its own (``--converged`` paths per pixel, another
+seed), as the mean CIEDE2000 over the pixels with the same white for both, so that differences between the renderers do
+not count. ``reference-filtered`` is compared with the converged picture without filter, so that its bias counts. The
+errors at several sample counts, with two seeds each, give a line on logarithmic scales. From it, the sample count for
+the error ``--target`` is read, and the seconds are those of that count (the time is a constant plus a part for each
+sample). ``converged pictures`` is the mean CIEDE2000 between the converged pictures of both renderers, which shows that
+the scenes are the same.
 
-Mitsuba's kernels are compiled before; seconds are processor time of all threads over their number, the least of the
-runs, which other work on the machine disturbs less than the clock on the wall. Mitsuba's default sampler is
-``independent``; ``multijitter``, the default here, is its best.
+Mitsuba's kernels are compiled before the measurement. Seconds are processor time of all threads divided by their
+number, the least of the runs; other work on the machine disturbs them less than wall-clock time. Mitsuba's default
+sampler is ``independent``; ``multijitter``, the default here, is its best.
 
-Mitsuba's variant ``llvm_ad_spectral`` needs a recent LLVM: Debian's package ``libllvm19`` and
-``DRJIT_LIBLLVM_PATH=/usr/lib/x86_64-linux-gnu/libLLVM.so.19.1`` make it run, where LLVM 15 ends the process at the
-first picture. Each variant is first tried in a process of its own; one that cannot run leaves a row that says why.
+Mitsuba's variant ``llvm_ad_spectral`` needs a recent LLVM: it runs with Debian's package ``libllvm19`` and
+``DRJIT_LIBLLVM_PATH=/usr/lib/x86_64-linux-gnu/libLLVM.so.19.1``, while LLVM 15 ends the process at the first picture.
+Each variant is first tried in a separate process; for one that cannot run, the row states the reason.
 """
 
 import argparse
@@ -71,7 +72,7 @@ SIZES = {
 
 
 class Body(NamedTuple):
-    """A shape in its place, of one reflectance or a mirror of n, k."""
+    """A placed shape with a uniform reflectance, or a mirror with refractive index n, k."""
 
     kind: str
     size_mm: float  # side of a plate, radius of a sphere
@@ -81,7 +82,7 @@ class Body(NamedTuple):
 
 
 class Stage(NamedTuple):
-    """A scene of both renderers."""
+    """A scene for both renderers."""
 
     bodies: list
     sky: np.ndarray | None  # (61,) radiance
@@ -92,7 +93,7 @@ class Stage(NamedTuple):
 
 
 def stages() -> dict[str, Stage]:
-    """Return the scenes."""
+    """Return the scenes by name."""
     up = np.eye(3)
     spheres = [Body("plate", 240.0, (0, 0, 0), up, spectrum("TCS10")),
                Body("sphere", 30.0, (-52, 8, 30), up, spectrum("TCS3")),
@@ -111,12 +112,12 @@ def stages() -> dict[str, Stage]:
 
 
 def gold() -> tuple[np.ndarray, np.ndarray]:
-    """Return n and k of gold on the grid."""
+    """Return the refractive index n, k of gold on the wavelength grid, (61,) each."""
     return np.interp(WAVELENGTH_NM, GOLD_NM, GOLD_N), np.interp(WAVELENGTH_NM, GOLD_NM, GOLD_K)
 
 
 def uniform(reflectance: np.ndarray | None) -> Material:
-    """Return a material of one reflectance, or a golden mirror."""
+    """Return a material with a uniform reflectance, or a golden mirror."""
     if reflectance is not None:
         return Material.uniform(reflectance)
     n, k = gold()
@@ -124,7 +125,7 @@ def uniform(reflectance: np.ndarray | None) -> Material:
 
 
 def even_light(radiance: np.ndarray | None) -> Environment:
-    """Return light of one radiance from everywhere, or none."""
+    """Return an environment of uniform radiance, or a dark one."""
     basis = (np.zeros(61) if radiance is None else radiance)[:, None]
     return Environment(np.ones((8, 16, 1), np.float32), basis, np.full((8, 16, 1), np.pi, np.float32))
 
@@ -138,7 +139,7 @@ def shape_of(body: Body) -> Shape:
 
 
 class Ours:
-    """The `reference` integrator."""
+    """Renderer for one scene with the integrator `reference`, without filter."""
 
     name = "reference-spectral"
 
@@ -156,7 +157,7 @@ class Ours:
 
 
 class OursFiltered(Ours):
-    """The same with its noise filtered out, as pictures of a scene are; its time does not vanish with the paths."""
+    """The integrator `reference` with its noise filter, as used by default; the filter adds a constant time."""
 
     name = "reference-filtered"
 
@@ -180,7 +181,7 @@ def name_of(variant: str) -> str:
 
 
 class Theirs:
-    """Mitsuba 3 in one of its variants."""
+    """Renderer for one scene with a variant of Mitsuba 3."""
 
     def __init__(self, variant: str, sampler: str, stage: Stage, size: tuple[int, int], white: np.ndarray) -> None:
         import mitsuba
@@ -235,12 +236,12 @@ class Theirs:
 
 
 def mean_error(picture: np.ndarray, truth: np.ndarray, white_xyz: np.ndarray) -> float:
-    """Return the mean CIEDE2000 between two pictures in XYZ."""
+    """Return the mean CIEDE2000 between two pictures in XYZ for a white."""
     return float(delta_e(lab_from_xyz(truth, white_xyz), lab_from_xyz(picture, white_xyz)).mean())
 
 
 class Line(NamedTuple):
-    """Error and time of one renderer over its samples."""
+    """Error and time of one renderer as functions of the number of samples."""
 
     samples: np.ndarray
     errors: np.ndarray
@@ -252,20 +253,20 @@ class Line(NamedTuple):
         return self.fixed_s + self.samples_for(error) * self.process_s
 
     def samples_for(self, error: float) -> float:
-        """Return the samples at which the error is reached, by a line in logarithms."""
+        """Return the number of samples at which the error is reached, by a straight line on logarithmic scales."""
         slope, level = np.polyfit(np.log(self.samples), np.log(self.errors), 1)
         return float(np.exp((np.log(error) - level) / slope))
 
 
 def try_variant(variant: str, sampler: str) -> None:
-    """Render four by four pixels: a variant that compiles fails then, and not when a scene is loaded."""
+    """Render 4 x 4 pixels to test a variant; one that compiles its kernels fails only when it renders."""
     picture = Theirs(variant, sampler, stages()["spheres"], (4, 4), unit_luminance("D65")).xyz(THEIR_SAMPLES[0], 1)
     if not np.isfinite(picture).all():
         raise SystemExit(f"{variant}: a picture that is not finite")
 
 
 def line_of(renderer, samples: tuple, truth: np.ndarray, white_xyz: np.ndarray, runs: int) -> Line:
-    """Measure a renderer."""
+    """Measure error and time of a renderer at several numbers of samples."""
     renderer.xyz(samples[0], 1)  # compile
     errors = [np.mean([mean_error(renderer.xyz(n, seed), truth, white_xyz) for seed in (11, 12)]) for n in samples]
     few, many = (least_processor_s(lambda n=n: renderer.xyz(n, 21), runs) for n in (samples[0], samples[-1]))
@@ -274,7 +275,7 @@ def line_of(renderer, samples: tuple, truth: np.ndarray, white_xyz: np.ndarray, 
 
 
 def compare(name: str, stage: Stage, arguments) -> list[dict]:
-    """Return the rows of a scene."""
+    """Compare the renderers on a scene and return its rows of the table."""
     white = unit_luminance("D65")
     white_xyz = xyz_from_radiance(white) @ white
     size = tuple(map(int, arguments.pixels.split("x")))
@@ -309,7 +310,7 @@ def compare(name: str, stage: Stage, arguments) -> list[dict]:
 
 
 def ball_of(triangles: int) -> Shape:
-    """Return a sphere of about so many triangles, on one colour."""
+    """Return a mesh of a sphere with about ``triangles`` triangles."""
     rows = max(3, round((triangles / 4) ** 0.5))
     sphere = trimesh.creation.uv_sphere(radius=30.0, count=[rows, 2 * rows])
     corners = np.asarray(sphere.vertices)[sphere.faces]
@@ -320,7 +321,7 @@ def ball_of(triangles: int) -> Shape:
 
 
 def growth(runs: int) -> None:
-    """Print the time over pixels, samples and triangles."""
+    """Print the time for growing numbers of pixels, samples and triangles."""
     stage = stages()["spheres"]
     white = unit_luminance("D65")
     for width, samples in ((48, 64), (96, 64), (192, 64), (96, 16), (96, 256)):
@@ -345,7 +346,7 @@ def growth(runs: int) -> None:
 
 
 def main() -> None:
-    """Measure and print; write a CSV if asked."""
+    """Run the benchmark, print its table and write it as CSV if requested."""
     parser = arguments_of(__doc__.splitlines()[0])
     parser.add_argument("--pixels", help="WIDTHxHEIGHT; else by the size")
     parser.add_argument("--converged", type=int, help="paths a pixel of the converged pictures; else by the size")

@@ -1,7 +1,7 @@
-"""Speed against error of the registration of a 10.1-megapixel camera's superpixels.
+"""Benchmark of registering the two filter states of a 10.1-megapixel camera: speed against error.
 
-``python -m benchmarks.registration [output.csv]`` writes the columns of ``speed_error.csv``; the reference is
-Gauss-Newton over all pixels of the finest level.
+``python -m benchmarks.registration [output.csv]`` writes a table with the columns of ``speed_error.csv``; the reference
+is Gauss-Newton over all superpixels of the finest level.
 """
 
 import csv
@@ -39,7 +39,7 @@ def _pair(seed: int):
 
 
 def measure(output) -> None:
-    """Time all variants on two scenes, resampling included, and write them with their largest error."""
+    """Time all variants on two scenes, resampling included, and write times and largest errors to a table."""
     pairs, rows, reference = [_pair(seed) for seed in range(2)], [], None
     for name, (finest, places, bands) in VARIANTS.items():
         similarity._FINEST_PIXELS, similarity._PLACES = finest, places

@@ -1,15 +1,15 @@
-"""Speed against error of the interactive integrator: the paper's scene, camera and light moving.
+"""Benchmark of the interactive integrator: speed against error on the paper's scene, with moving camera and light.
 
-``python -m benchmarks.render [--size small] [--environment 6000] [--width 640] [--output render.csv]`` makes its inputs
-itself: the classroom of `config` on four principal vectors of its sources' spectra, and the still life with its true
-materials. Every frame turns the camera and the light by half a degree. Errors are CIEDE2000 of the first frame to the
-path-traced one at pixels that show objects, noise taken out. The representation's own error, to the 61-band frame whose
-paths end at the last reflection only, is printed beside it. Peak and resident memory are those of a process that maps
-the light's files, prepares one variant and renders it. Processor time over threads is what a frame takes on idle cores.
-``spectral`` carries 61 bands and decodes them from the four coefficients at every look-up; ``spectral, stored`` does
-without compression: light and blurred light are kept in 61 bands, too. ``light maps`` are baked for the light as it
-stands, which does not turn there. Full counts the cycles of each stage, in loops
-that are compiled for it.
+``python -m benchmarks.render [--size small] [--environment 6000] [--width 640] [--output render.csv]`` makes its own
+inputs: the classroom of `config` on four principal vectors of its sources' spectra, and the still life with its true
+materials. Every frame turns camera and light by half a degree. Errors are CIEDE2000 between the first frame and the
+path-traced one at pixels that show objects, with the noise removed. The error of the representation itself, against the
+61-band frame with all reflections, is printed too. Peak and resident memory are those of a process that memory-maps the
+files of the light, prepares one variant and renders it. Processor time divided by the number of threads is the time of
+a frame on idle cores. ``spectral`` carries 61 bands and decodes them from the four coefficients at every look-up;
+``spectral, stored`` uses no compression and also stores light and blurred light in 61 bands. ``light maps`` are baked
+for the unrotated light, which therefore does not turn. Full also counts the processor cycles of each stage, in loops
+compiled for that.
 """
 
 import pickle
@@ -114,7 +114,7 @@ def make_inputs(width: int, folder: Path) -> None:
 
 
 class Studio:
-    """The scene of a folder of `make_inputs`, and its frames."""
+    """The scene in a folder that `make_inputs` wrote, for preparing and rendering its frames."""
 
     def __init__(self, folder: Path, width: int, height: int) -> None:
         with (folder / "scene.pickle").open("rb") as source:
@@ -130,7 +130,7 @@ class Studio:
 
     @cached_property
     def maps(self) -> LightMaps:
-        """Light maps of the scene."""
+        """Light maps of the scene, baked once."""
         began = time.process_time()
         maps = bake_maps(self.tracer.placements, self.objects, self.environment)
         made = ", ".join(f"{bake.texels} texels of {bake.paths} paths ({bake.error:.3f})" for bake in maps.bakes)
@@ -138,7 +138,7 @@ class Studio:
         return maps
 
     def prepare(self, representation: str, lamps: int = 0, stored: bool = False, baked: bool = False, **options):
-        """Return the scene prepared for a representation; its light decoded before where all bands are ``stored``."""
+        """Prepare the scene for a representation; with ``stored``, light is decoded to 61 bands in advance."""
         options |= {"maps": self.maps} if baked else {}
         spectra = np.repeat(2.0 * light("LED-B3")[None] / light("LED-B3").mean(), lamps, axis=0)
         environment, gloss = self._in_bands() if stored else (self.environment, self.gloss)
@@ -146,7 +146,7 @@ class Studio:
         return prepare_scene(*scene, lamps=spectra, **options)
 
     def _in_bands(self) -> tuple[Environment, GlossMaps]:
-        """Return light and blurred light on the bands themselves as their basis."""
+        """Return light and blurred light in 61 bands, with the identity as their basis."""
 
         def decoded(pixels: np.ndarray) -> np.ndarray:
             out = np.empty((*pixels.shape[:2], len(self.environment.basis)), dtype=pixels.dtype)
@@ -160,13 +160,13 @@ class Studio:
         return environment, GlossMaps(self.gloss.first, levels, self.gloss.points)
 
     def traced_view(self) -> tuple[TracedScene, View, np.ndarray]:
-        """Return the scene for paths, the view of the first frame, and pixels that show its objects."""
+        """Return the scene prepared for path tracing, the view of the first frame, and pixels that show its objects."""
         scene = make_scene(list(self.tracer.placements), self.objects, self.environment)
         view = make_view(self.scene.views["front"], self.image)
         return scene, view, object_pixels(scene.tracer, view, len(self.tracer.placements))
 
     def frame(self, prepared, number: int, **options) -> np.ndarray:
-        """Return a frame; the light turns unless it is baked, the camera unless it rests."""
+        """Render a frame; the light turns unless it is baked, and the camera unless visibility is kept."""
         turn = 0.0 if options.get("keep_visibility") else number * _STEP_DEG
         view = self.scene.views["front"]
         x, y, z = rotation_xyz([0.0, 0.0, turn]) @ np.asarray(view.position_mm)
@@ -183,7 +183,7 @@ def own_resident_mb() -> float:
 
 
 def print_memory(name: str, folder: Path, width: int, height: int) -> None:
-    """Prepare one variant, leave its inputs, render it, and print peak and resident memory, MB."""
+    """Prepare one variant, release its inputs, render it, and print peak and resident memory, MB."""
     representation, options, frame = VARIANTS[name]
     studio = Studio(folder, width, height)
     prepared = studio.prepare(representation, **options)
@@ -200,14 +200,14 @@ def _memory_mb(names: Sequence[str], arguments, folder: Path) -> list[tuple[floa
 
 
 def _error(name: str, image: np.ndarray, reference: np.ndarray, white_xyz: np.ndarray) -> dict:
-    """Return CIEDE2000 of a variant to the same transport in 61 bands; a picture under other light has none."""
+    """Return CIEDE2000 of a variant to the same picture in 61 bands; NaN for a picture under other light."""
     if image.shape[2] != 3 or any(word in name for word in ("lamp", "ambient", "maps")):
         return {"mean": float("nan"), "p99": float("nan"), "max": float("nan")}
     return summary(delta_e(lab_from_xyz(reference, white_xyz), lab_from_xyz(image, white_xyz)))
 
 
 def _stages(studio: Studio, prepared) -> dict[str, float]:
-    """Return each stage's share of the cycles: the quietest of ten frames."""
+    """Return each stage's share of the processor cycles, in the frame with the fewest cycles of ten."""
     counting, found = profiled(prepared), []
     for _ in range(10):
         figures: dict = {}
@@ -218,14 +218,14 @@ def _stages(studio: Studio, prepared) -> dict[str, float]:
 
 
 def _rays(studio: Studio, prepared) -> int:
-    """Return the rays of the first frame."""
+    """Return the number of rays in the first frame."""
     figures: dict = {}
     studio.frame(prepared, 0, figures=figures)
     return figures["rays"]
 
 
 def measure(arguments, folder: Path) -> list[dict]:
-    """Time all variants, frame by frame in turn, and return the rows of the table."""
+    """Time all variants in turn, frame by frame, and return the rows of the table."""
     studio = Studio(folder, arguments.width, arguments.height)
     white_xyz = xyz_from_radiance(studio.white) @ studio.white
     reference = studio.frame(studio.prepare("spectral", least_throughput=0.0), 0)
@@ -272,7 +272,7 @@ def measure(arguments, folder: Path) -> list[dict]:
 
 
 def _told(far: Distance | None) -> str:
-    """Return what is printed of a variant's distance to the path-traced frame."""
+    """Return a variant's distance to the path-traced frame as text."""
     if far is None:
         return "not compared with paths"
     return (f"to reference mean {far.mean:.2f} ± {far.standard_error_of_mean:.2f}, p99 {far.p99:.1f} ± "

@@ -1,9 +1,9 @@
-"""Response models of cameras from a chart, with and without a table of the filter or of the sensitivities.
+"""Accuracy of cameras' response models from a chart, with and without a table of the filter or of the sensitivities.
 
-``python -m benchmarks.calibrate --response-models`` prints the error of the bands and how the stated errors hold, for
-cameras and filters of ``../shared/data`` on which no constant was chosen. Every filter's table is wrong as data sheets
-are: shifted by some 1.5 nm, blurred, off in level by 7 % and wavy by 1 %. Given sensitivities are off by a smooth error
-of 10 %.
+``python -m benchmarks.calibrate --response-models`` prints the errors of the bands and how often they lie within the
+stated errors, for cameras and filters in ``../shared/data`` on which no constant was chosen. Every filter's table has
+the errors of a data sheet: shifted by about 1.5 nm, blurred, with a level error of 7 % and smooth waves of 1 %. Given
+sensitivities have a smooth error of 10 %.
 """
 
 import itertools
@@ -32,13 +32,13 @@ _SENSITIVITY_ERROR = 0.1
 
 @dataclass(frozen=True)
 class Wrong:
-    """How a table differs from its filter; ``of`` draws a data sheet's errors.
+    """Errors of a table of a filter; ``of`` draws random errors as in a data sheet.
 
     Parameters
     ----------
     shift_nm, blur_nm2, level, wave : float
-        The filter lies so far above its table; variance of the blur that the table adds; the table's level, relative;
-        standard deviation of its smooth waves over 25 nm, relative.
+        Shift of the filter towards longer wavelengths relative to its table; variance of the table's blur; relative
+        level of the table; relative standard deviation of its smooth waves over 25 nm.
     """
 
     shift_nm: float = 0.0
@@ -48,13 +48,13 @@ class Wrong:
 
     @classmethod
     def of(cls, seed: int) -> "Wrong":
-        """Return what a data sheet may be off by."""
+        """Return random errors of the size that is typical of a data sheet."""
         shift, blur, level = np.random.default_rng(seed).standard_normal(3)
         return cls(1.5 * shift, 2.0 * abs(blur), float(np.exp(0.07 * level)))
 
     def table(self, wavelength_nm: np.ndarray, transmittance: np.ndarray, seed: int = 0) -> FilterTable:
-        """Return the table of a filter that is truly so."""
-        # Nothing is known of the filter beyond its own measurement, which is steady there.
+        """Return the table, with these errors, of a filter with the given true transmittance."""
+        # Beyond its measured range, the filter's transmittance is taken to be constant.
         curve = [np.interp(wavelength_nm + self.shift_nm + s, wavelength_nm, transmittance) for s in (-2.0, 0.0, 2.0)]
         blurred = curve[1] + self.blur_nm2 * (curve[0] + curve[2] - 2.0 * curve[1]) / 8.0
         distance = (wavelength_nm[:, None] - wavelength_nm) / 25.0
@@ -72,21 +72,22 @@ def published_filter(name: str) -> tuple[np.ndarray, np.ndarray]:
 
 @cache
 def sensitivities(camera: str) -> np.ndarray:
-    """Return the sensitivities of a camera of the data, or of colour-science, (3, 61)."""
+    """Return the sensitivities of a camera in the measured data or in colour-science, (3, 61)."""
     file = DATA / f"cameras/{camera}.csv"
     return camera_sensitivities(str(file) if file.exists() else camera)
 
 
 @dataclass(frozen=True)
 class Trial:
-    """A camera with a filter that has photographed a chart.
+    """A simulated camera with a filter, which photographs a chart with noise.
 
     Parameters
     ----------
     sensitivities : (3, 61) float64
     transmittance : (61,) float64
+        Transmittance of the filter.
     noise : float
-        Of a patch's mean, relative to the root mean square over the patches.
+        Standard deviation of a patch's mean, relative to the root mean square over the patches.
     """
 
     sensitivities: np.ndarray
@@ -109,35 +110,35 @@ class Trial:
         return response / scale, spectra, (spread / scale) ** 2, true / scale[:, None]
 
     def found(self, given: Given) -> tuple[BestResponse, np.ndarray]:
-        """Return the response model that the chart and what is given tell, and the true one."""
+        """Return the response model estimated from the chart and given tables, and the true one."""
         response, spectra, variance, true = self.chart()
         return best_response(response, spectra, self.light, variance, given), true
 
 
 def trial(camera: str, name: str, noise: float, seed: int = 0) -> Trial:
-    """Return a camera and a filter of the data."""
+    """Return the trial of a camera with a filter in the measured data."""
     return Trial(sensitivities(camera), np.interp(WAVELENGTH_NM, *published_filter(name)), noise, seed)
 
 
 def judged_trial(camera: str, name: str, noise: float = 0.001, seed: int = 0) -> tuple[Trial, FilterTable]:
-    """Return a camera with a filter of the data, and a table of this filter, wrong as data sheets are."""
+    """Return the trial of a camera with a filter, and a table of this filter with the errors of a data sheet."""
     return trial(camera, name, noise, seed), Wrong.of(seed).table(*published_filter(name), seed)
 
 
 def given_sensitivities(true: np.ndarray, error: float = _SENSITIVITY_ERROR, seed: int = 0) -> CameraSensitivities:
-    """Return sensitivities off by a smooth error, relative, over 30 nm."""
+    """Return sensitivities with a smooth relative error with a correlation length of 30 nm."""
     draw = np.random.default_rng(seed).multivariate_normal
     off = draw(np.zeros(true.shape[1]), smooth_covariance(30.0), size=len(true), method="eigh")
     return CameraSensitivities(np.maximum(true * (1.0 + error * off), 0.0), error)
 
 
 def errors(mean: np.ndarray, true: np.ndarray) -> np.ndarray:
-    """Return the root mean square error of each band, relative, (bands,)."""
+    """Return the relative root-mean-square error of each band, (bands,)."""
     return np.linalg.norm(mean - true, axis=1) / np.linalg.norm(true, axis=1)
 
 
 def shares(mean: np.ndarray, covariance: np.ndarray, true: np.ndarray) -> tuple[float, float]:
-    """Return the shares of wavelengths and bands within one and two of the stated standard deviations."""
+    """Return the shares of errors, over wavelengths and bands, within one and two stated standard deviations."""
     ratio = np.abs(mean - true) / np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 1e-300))
     return float(np.mean(ratio <= 1.0)), float(np.mean(ratio <= 2.0))
 
@@ -146,9 +147,9 @@ WAYS = ("smooth", "chart", "sensitivities", "filter", "filter and sensitivities"
 
 
 def judged(way: str, noise: float, cameras=CAMERAS, filters=FILTERS) -> tuple[float, float, float, float]:
-    """Return the errors of the bands without and with the filter, and the shares within one and two σ, all means.
+    """Return mean errors of the bands without and with the filter, and mean shares of errors within one and two σ.
 
-    ``smooth`` is the response model that the estimators train with.
+    ``way`` names the given tables; ``smooth`` is the response model with which the estimators are trained.
     """
     rows = []
     for seed, (camera, name) in enumerate(itertools.product(cameras, filters)):
@@ -166,7 +167,7 @@ def judged(way: str, noise: float, cameras=CAMERAS, filters=FILTERS) -> tuple[fl
 
 
 def print_response_models(cameras=CAMERAS, filters=FILTERS) -> None:
-    """Print errors and shares of every way, with every noise."""
+    """Print errors and shares for all combinations of given tables and noise levels."""
     print(f"{'given':26}{'noise':>7}{'without':>9}{'with':>7}{'1 σ':>6}{'2 σ':>6}")
     for way, noise in itertools.product(WAYS, NOISES):
         plain, filtered, one, two = judged(way, noise, cameras, filters)

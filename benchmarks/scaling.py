@@ -1,11 +1,11 @@
-"""Scaling of the chain: throughput on one and two cores, and a prediction for a cluster.
+"""Scaling of the workflow: throughput on one and two cores, and a prediction for a cluster.
 
 ``python -m benchmarks.scaling [--megapixels 2] [--poses 12] [--project FOLDER] [--objects 10] [--nodes 100]``, at the
-top of the repository. The prediction is that of `benchmarks.scaling_model`, with constants measured here: Snakemake
-runs the chain on one core, twice small, once to compile and once to learn what starting takes, and then at the size
-given, unless a finished project of `benchmarks.ten_megapixels` is; the disk is written; hashing is timed. What a Slurm
-takes for an empty job is an argument, which `tests/cluster/run` prints; how long Snakemake waits before it asks for
-states is in the profile.
+top of the repository. The prediction is that of `benchmarks.scaling_model` with constants measured here. Snakemake runs
+the workflow on one core: twice for a small project, once to compile and once to measure the start of jobs, and then for
+the given size, unless a finished project of `benchmarks.ten_megapixels` is given. The speeds of the disk and of hashing
+are measured. The time that Slurm needs for an empty job is an argument, which `tests/cluster/run` prints; the interval
+at which Snakemake checks the states of jobs is in the profile.
 """
 
 import argparse
@@ -48,7 +48,7 @@ _JOBS = 6
 
 
 def throughputs(runs: int) -> list[tuple[str, str, float, float]]:
-    """Return what is counted, and its rate on one and on two cores, of fit and render, a second."""
+    """Return name, counted unit and rate per second on one and on two cores, for fits and rendering."""
     options = FitOptions(solver="varpro")
     own, shared = (inputs(scene(_TEXELS)[3], kind) for kind in ("own", "shared"))
     with tempfile.TemporaryDirectory() as folder:
@@ -69,9 +69,9 @@ def throughputs(runs: int) -> list[tuple[str, str, float, float]]:
 
 
 def start_seconds(folder: Path) -> float:
-    """Return what Snakemake and Python take for each job that does nothing but import the fit, s.
+    """Return the time of Snakemake and Python for a job that only imports the fit, s.
 
-    Two runs on one core, of one job and of several: their difference holds nothing that is done once.
+    It is the difference between two runs on one core, with one job and with several, so that work done once cancels.
     """
     (folder / "job.py").write_text("import irodori.fitting\nopen(snakemake.output[0], 'w').close()\n")
     (folder / "Snakefile").write_text(
@@ -89,7 +89,7 @@ def start_seconds(folder: Path) -> float:
 
 
 def hash_mb_per_s() -> float:
-    """Return how much of a file in memory one core hashes, MB/s."""
+    """Return the speed at which one core hashes data in memory, MB/s."""
     content = np.random.default_rng(0).bytes(64 << 20)
     seconds = []
     for _ in range(5):
@@ -100,7 +100,7 @@ def hash_mb_per_s() -> float:
 
 
 def disk_mb_per_s(folder: Path) -> float:
-    """Return how much is written to the disk and is there for good, MB/s."""
+    """Return the speed of writing to the disk including synchronisation, MB/s."""
     content = np.random.default_rng(0).bytes(_DISK_BYTES)
     begun = time.perf_counter()
     with (folder / "disk").open("wb") as out:
@@ -114,7 +114,7 @@ def disk_mb_per_s(folder: Path) -> float:
 
 @dataclass(frozen=True)
 class Project:
-    """A finished project: what its rules took, and the megabytes of its files."""
+    """Costs of the rules of a finished project, and sizes of its files."""
 
     size: Size
     costs: dict[str, Cost]
@@ -126,7 +126,7 @@ class Project:
 
     @classmethod
     def read(cls, folder: Path, size: Size) -> "Project":
-        """Read a project of a size."""
+        """Read costs and file sizes of a finished project from its folder."""
 
         def megabytes(pattern: str) -> float:
             return sum(file.stat().st_size for file in (folder / "results" / OBJECT).glob(pattern)) / 1e6
@@ -145,7 +145,7 @@ class Project:
 
 
 def run_project(folder: Path, size: Size) -> Project:
-    """Make and run a project on one core."""
+    """Make a project, run it on one core, and return its costs and file sizes."""
     folder.mkdir()
     make_project(folder, size)
     photograph(folder, 2)
@@ -154,19 +154,20 @@ def run_project(folder: Path, size: Size) -> Project:
 
 
 def chain_constants(small: Project, large: Project, measured: dict[str, float]) -> Constants:
-    """Return the constants that follow from two projects: what starts a job is in both, and cancels.
+    """Return the constants that follow from the difference of two projects, in which the start of jobs cancels.
 
     Parameters
     ----------
     small, large : Project
-        Of equal tiles; the jobs of the one have less to do than those of the other.
+        Projects with tiles of equal size; the jobs of the second have more work than those of the first.
     measured : dict of str to float
-        The constants that no project tells.
+        The other constants, measured separately.
 
     Raises
     ------
     ValueError
-        If a job of the large project took less than one of the small: the machine was too busy, or they are alike.
+        If a job of the large project took less time than one of the small, because the machine was too busy or the
+        projects are too similar.
     """
 
     def slope(rule: str, work) -> float:
@@ -196,7 +197,7 @@ def chain_constants(small: Project, large: Project, measured: dict[str, float]) 
 
 
 def print_prediction(work: Work, cluster: Cluster, constants: Constants) -> None:
-    """Print the phases and what binds."""
+    """Print the predicted phases of the work on a cluster and the bottleneck of each."""
     found: list[Phase] = phases(work, cluster, constants)
     print(f"\n{work.objects} objects, {work.megapixels:g} megapixels, {work.poses} poses, tiles of {work.tile_texels} "
           f"texels, on {cluster.nodes} nodes of {cluster.cores_per_node} cores")  # fmt: skip

@@ -1,12 +1,12 @@
-"""Model of the chain's duration on a cluster, from measured costs of tiles, files and job starts.
+"""Model of the workflow's duration on a cluster, from measured costs of tiles, files and job starts.
 
-The chain of an object is three phases of jobs, each waiting for the last of the one before: ingestion, tiles (rectified
-and fitted, many to a job), compression. The jobs of all objects stand beside each other. A phase lasts as long as its
-jobs need in as many waves as the nodes' cores allow, or as long as the shared storage needs for what they read and
-write, whichever is longer; before that come the submissions, one after the other, and after it the wait until Snakemake
-asks for the jobs' state. Nodes are taken to keep nothing of what they read in memory, which is the worst case: a tile
-reads all captures of its object, and its neighbours in the same job read them again. Rendering, calibration and the
-light are left out: they are a few jobs for all objects.
+The workflow of an object has three phases of jobs: ingestion, tiles (rectified and fitted, many in one job), and
+compression. Each phase waits for the last job of the one before; the jobs of all objects run in parallel. A phase lasts
+as long as its jobs need, in waves that fill the nodes' cores, or as long as the shared storage needs to read and write
+their files, whichever is longer. Before that, jobs are submitted one after the other; after it, there is the wait until
+Snakemake checks the states of the jobs. As a worst case, nodes are assumed not to cache what they read: each tile reads
+all captures of its object, and the next tile in the same job reads them again. Rendering, calibration and light are
+left out, because they are a few jobs for all objects.
 """
 
 import math
@@ -23,25 +23,25 @@ class Constants:
     Parameters
     ----------
     start_s : float, s
-        From Snakemake's decision to run a job on its node until the job computes: processes and imports.
+        Time from Snakemake's decision to run a job on its node until the job computes: processes and imports.
     submit_s, latency_s, poll_s : float, s
-        One submission; from submission to start on an idle node; until the end of a job is noticed.
+        Time of one submission; from submission to start on an idle node; until the end of a job is noticed.
     ingest_s : float, s
-        One core, a megapixel of mosaic, a pose in two shots.
+        Time on one core per megapixel of mosaic and pose of two shots.
     rectify_s, fit_s : float, s
-        A million texels and a pose: one core; the cores of one fit.
+        Times per million texels and pose, on one core and on the cores of one fit.
     compress_s : float, s
-        One core, a million texels.
+        Time on one core per million texels.
     raw_mb, linear_mb : float, MB
-        A megapixel of mosaic and a pose.
+        Sizes per megapixel of mosaic and pose.
     observations_mb : float, MB
-        A million texels and a pose.
+        Size per million texels and pose.
     brdf_mb, material_mb : float, MB
-        A million texels.
+        Sizes per million texels.
     hash_mb_per_s : float, MB/s
-        One core, of files that are read to be compared with their hash.
+        Speed of one core for reading files to compare their hashes.
     storage_mb_per_s : float, MB/s
-        Of the storage that all nodes share, reading and writing together.
+        Speed of the storage that all nodes share, for reading and writing together.
     """
 
     start_s: float
@@ -63,7 +63,7 @@ class Constants:
 
 @dataclass(frozen=True)
 class Cluster:
-    """Nodes, and how `profiles/slurm` and the configuration cut the work into jobs."""
+    """Nodes of a cluster, and how `profiles/slurm` and the configuration divide the work into jobs."""
 
     nodes: int = 100
     cores_per_node: int = 16
@@ -86,19 +86,19 @@ class Work:
 
 @dataclass(frozen=True)
 class Phase:
-    """Jobs that need nothing of each other.
+    """A phase of independent jobs.
 
     Parameters
     ----------
     name : str
     jobs : int
-        Of all objects.
+        Number of jobs for all objects.
     slots : int
-        Jobs that run at the same time.
+        Number of jobs that run at the same time.
     job_start_s, job_compute_s : float, s
-        Of the longest job.
+        Times of the longest job.
     moved_mb : float, MB
-        What all jobs read and write.
+        Amount that all jobs read and write.
     """
 
     name: str
@@ -114,7 +114,7 @@ class Phase:
         return math.ceil(self.jobs / self.slots)
 
     def parts_s(self, constants: Constants) -> dict[str, float]:
-        """Return what each of `BINDING` takes of the phase, s; storage works while jobs start and compute."""
+        """Return the time of each part in `BINDING`, s; storage works in parallel with starting and computing."""
         scheduler_s = self.jobs * constants.submit_s + constants.latency_s + constants.poll_s
         return dict(
             zip(
@@ -130,13 +130,13 @@ class Phase:
         )
 
     def lasts_s(self, constants: Constants) -> float:
-        """Return how long the phase lasts, s."""
+        """Return the duration of the phase, s."""
         parts = self.parts_s(constants)
         jobs_s = parts["starting jobs"] + parts["computing"]
         return max(jobs_s, parts["storage"]) + parts["scheduler"]
 
     def binds(self, constants: Constants) -> str:
-        """Return what takes the largest part of the phase."""
+        """Return the bottleneck of the phase: the part with the longest time."""
         parts = self.parts_s(constants)
         return max(parts, key=parts.get)
 
@@ -147,7 +147,7 @@ def phases(work: Work, cluster: Cluster, constants: Constants) -> list[Phase]:
     Raises
     ------
     ValueError
-        If a node has fewer cores than a job of tiles asks for.
+        If a node has fewer cores than a job of tiles needs.
     """
     tiles = math.ceil(work.million_texels * 1e6 / work.tile_texels)
     in_job = min(tiles, cluster.tiles_per_job)
@@ -177,7 +177,7 @@ def phases(work: Work, cluster: Cluster, constants: Constants) -> list[Phase]:
             cluster.nodes * (cluster.cores_per_node // job_cores),
             2 * layers * constants.start_s,
             layers * (linear_mb / constants.hash_mb_per_s + tile_poses * (constants.rectify_s + constants.fit_s)),
-            # Each tile reads all captures whole, to know that they are as they were written.
+            # Each tile reads all captures completely to verify their hashes.
             work.objects
             * (
                 tiles * linear_mb
@@ -197,11 +197,11 @@ def phases(work: Work, cluster: Cluster, constants: Constants) -> list[Phase]:
 
 
 def total_s(found: list[Phase], constants: Constants) -> float:
-    """Return how long the phases last one after the other, s."""
+    """Return the total duration of the phases, s."""
     return sum(phase.lasts_s(constants) for phase in found)
 
 
 def binds_first(found: list[Phase], constants: Constants) -> str:
-    """Return what takes the largest part of the longest phase, and which phase that is."""
+    """Return a text with the bottleneck of the longest phase and the name of that phase."""
     longest = max(found, key=lambda phase: phase.lasts_s(constants))
     return f"{longest.binds(constants)} in {longest.name}"

@@ -1,8 +1,8 @@
 """Figures of the documentation, drawn from the results of a finished run of the default scene.
 
 ``python -m benchmarks.site_figures [--results results]`` writes them to ``docs/figures``; the picture of the classroom
-page needs Chromium and Python's Playwright. No figure is drawn by hand: what it shows was measured in that run, or is
-computed by the package.
+page needs Chromium and Python's Playwright. No figure is drawn by hand: all show data measured in that run or computed
+by the package.
 """
 
 import argparse
@@ -61,7 +61,7 @@ def _spectrum(axes, what: str) -> None:
 
 
 def six_bands(results: Path) -> Figure:
-    """Return the six bands of one photograph of the plate, after ingestion."""
+    """Return a figure of the six bands of one photograph of the plate, after ingestion."""
     with store.open_file(results / PLATE / "linear" / f"{_HIGHLIGHT}.h5") as file:
         response = file.read("response")
     figure = Figure(figsize=(9.0, 4.9), layout="constrained")
@@ -75,7 +75,7 @@ def six_bands(results: Path) -> Figure:
 
 
 def band_response(results: Path) -> Figure:
-    """Return what each band answers to a reflectance of 1 at each wavelength, with its standard deviation."""
+    """Return a figure of each band's response to a reflectance of 1 at each wavelength, with its standard deviation."""
     with store.open_file(results / "cameras" / CAMERA / "calibration.h5") as file:
         response, covariance = file.read("band_response"), file.read("band_response_covariance")
     figure, axes = _plot()
@@ -89,7 +89,7 @@ def band_response(results: Path) -> Figure:
 
 
 def chart_fit(results: Path) -> Figure:
-    """Return measured and recovered spectra of some patches of the chart, all of which trained the estimator."""
+    """Return a figure of measured and recovered spectra of some patches of the chart that trains the estimator."""
     with store.open_file(results / "cameras" / CAMERA / "calibration.h5") as file:
         basis, matrix, response = (file.read(name) for name in ("basis", "weights_from_response", "chart_response"))
     names, spectra = chart_spectra("BabelColor Average")
@@ -104,7 +104,7 @@ def chart_fit(results: Path) -> Figure:
 
 
 def photographs(results: Path) -> Figure:
-    """Return four of the virtual rig's photographs of a sphere, red, green and blue as the sensor counted them."""
+    """Return a figure of four photographs of a sphere on the virtual rig, in red, green and blue sensor counts."""
     figure = Figure(figsize=(9.0, 1.9), layout="constrained")
     for axes, pose in zip(figure.subplots(1, 4), _SPHERE_POSES, strict=True):
         with store.open_file(results / SPHERE / "linear" / f"{pose}.h5") as file:
@@ -118,7 +118,7 @@ def photographs(results: Path) -> Figure:
 
 
 def rectified(results: Path) -> Figure:
-    """Return what four photographs show of every texel of the plate, in the green band."""
+    """Return a figure of the green responses of all texels of the plate in four photographs."""
     with store.open_file(results / PLATE / "observations" / "tile-000.h5") as file:
         response, weight, geometry = file.read("response")[..., 1], file.read("weight"), file.read("geometry")
     side = round(len(response) ** 0.5)
@@ -136,7 +136,7 @@ def rectified(results: Path) -> Figure:
 
 
 def light_basis(results: Path) -> Figure:
-    """Return the basis of the room's light, each spectrum times the root mean square of its coefficients."""
+    """Return a figure of the room's light basis, each spectrum times the root mean square of its coefficients."""
     with store.open_file(results / "environments" / f"{ROOM}.h5") as file:
         basis, coefficients = file.read("basis"), read_coefficients(file, "coefficients")
     strength = np.sqrt(np.mean(coefficients.astype(np.float64) ** 2, axis=(0, 1)))
@@ -149,7 +149,7 @@ def light_basis(results: Path) -> Figure:
 
 
 def one_texel(results: Path) -> Figure:
-    """Return the green responses of one texel of the plate over the camera's angle, and the model fitted to them."""
+    """Return a figure of one texel's green responses against the camera's angle, with the fitted model."""
     with store.open_file(results / PLATE / "brdf" / "tile-000.h5") as file:
         fitted = {name: file.read(name) for name in ("alpha", "beta", "mu", "status")}
     # The texel nearest to the middle whose lobe is wide enough for several photographs to see it.
@@ -181,7 +181,7 @@ def one_texel(results: Path) -> Figure:
 
 
 def lobes(_results: Path) -> Figure:
-    """Return both single lobes over the angle of the half vector, for light and camera close to the normal."""
+    """Return a figure of both lobes against the half-vector angle, for light and camera close to the normal."""
     figure, axes = _plot()
     angle = np.radians(np.linspace(0.0, 40.0, 300))
     geometry = np.stack([angle, angle, np.zeros_like(angle), angle], axis=-1)
@@ -195,7 +195,7 @@ def lobes(_results: Path) -> Figure:
 
 
 def plate_maps(results: Path) -> Figure:
-    """Return colour, α, β, μ of the fitted plate, and the error of its colour against the truth."""
+    """Return a figure of the fitted plate's maps of colour, α, β, μ, and of the colour's error against the truth."""
     fitted, truth = (Material.load(results / PLATE / name) for name in ("material.h5", "truth.h5"))
     spectra = np.nan_to_num(fitted.spectra())
     matrix = xyz_from_reflectance("D65")
@@ -221,7 +221,7 @@ def _light(path: Path) -> np.ndarray:
 
 
 def recovered_light(results: Path) -> Figure:
-    """Return the panorama of the room, and recovered and true spectra of its brightest places and of a wall."""
+    """Return a figure of the room's panorama, with recovered and true spectra of a bright and of a median pixel."""
     found, truth = _light(results / "environments" / f"{ROOM}.h5"), _light(results / "environments" / ROOM / "truth.h5")
     matrix = xyz_from_radiance(np.ones(len(WAVELENGTH_NM)))
     xyz = found @ matrix.T
@@ -246,7 +246,7 @@ def recovered_light(results: Path) -> Figure:
 
 
 def picture_error(results: Path) -> Figure:
-    """Return the rendered picture beside its difference to the picture of the true materials in the true light."""
+    """Return a figure of the rendered picture and of its difference to that of the true materials in the true light."""
     folder = results / SCENE
     pictures = [read_spectral_exr(folder / part / f"{VIEW}.exr") for part in (".", "truth")]
     # The white of the scene only sets the scale of CIELAB: a diffuser as bright as the 99th percentile of the picture.
@@ -266,7 +266,7 @@ def picture_error(results: Path) -> Figure:
 
 
 def error_budget(_results: Path) -> Figure:
-    """Return measured and predicted mean error of every stage, of the run whose tables the documents show."""
+    """Return a figure of the measured and predicted mean error of every stage, from the tables in the documents."""
     with (FIGURES / "error_budget.csv").open(newline="", encoding="utf-8") as stream:
         rows = list(csv.DictReader(stream))[::-1]
     figure, axes = _plot(7.5, 3.6)
@@ -279,7 +279,7 @@ def error_budget(_results: Path) -> Figure:
     return figure
 
 
-#: File in docs/figures -> what draws it.
+#: File in docs/figures -> function that draws it.
 DRAWN: dict[str, Callable[[Path], Figure]] = {
     "six-bands.png": six_bands,
     "band-response.svg": band_response,
@@ -297,7 +297,7 @@ DRAWN: dict[str, Callable[[Path], Figure]] = {
 
 
 def photograph_viewer(results: Path, path: Path) -> None:
-    """Write a picture of the scene's classroom page as it opens in a browser.
+    """Write a screenshot of the scene's classroom page in a browser.
 
     Raises
     ------
@@ -319,7 +319,7 @@ def photograph_viewer(results: Path, path: Path) -> None:
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Draw all figures, or those that are named."""
+    """Draw all figures, or the named ones."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.site_figures", description=__doc__.splitlines()[0])
     parser.add_argument("--results", type=Path, default=Path("results"))
     parser.add_argument("--only", nargs="+", metavar="FILE", choices=[*DRAWN, "viewer.png"])

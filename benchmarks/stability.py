@@ -1,4 +1,4 @@
-"""Run of all tests marked ``stability``, and the table of their outcomes.
+"""Script that runs all tests marked ``stability`` and writes a table of their outcomes.
 
 ``python -m benchmarks.stability`` prints the table; ``snakemake stability`` puts it into the report.
 """
@@ -21,16 +21,16 @@ _RAN = (0, 1)
 
 
 def try_hard_cases(table, threads: int, tests: Sequence[str] = ()) -> list[dict]:
-    """Run the tests marked ``stability`` in a process of their own, write their table and return its rows.
+    """Run the tests marked ``stability`` in a separate process, write the table of outcomes and return its rows.
 
     Parameters
     ----------
     table : path
-        CSV of the columns of `irodori.report.stability_page`.
+        CSV with the columns of `irodori.report.stability_page`.
     threads : int
-        Tests that run side by side.
+        Number of tests that run in parallel.
     tests : sequence of str
-        Files or folders of tests, all where empty.
+        Files or folders of tests; all if empty.
 
     Raises
     ------
@@ -41,7 +41,7 @@ def try_hard_cases(table, threads: int, tests: Sequence[str] = ()) -> list[dict]
         raise PlainError("pytest is not installed; install the test packages with pip install -r requirements-dev.txt.")
     command = [sys.executable, "-m", "pytest", "-m", "stability", "-n", str(threads), "-p", "no:cacheprovider"]
     command += [f"--stability-table={Path(table).resolve()}", *tests]
-    # Not what a pytest around this one, if there is any, told its own processes.
+    # Variables that an outer pytest, if there is one, has set for its own processes are removed.
     environment = {key: value for key, value in os.environ.items() if not key.startswith("PYTEST_")}
     run = subprocess.run(command, cwd=_ROOT, capture_output=True, text=True, env=environment)
     LOGGER.info("%s", run.stdout)
@@ -56,7 +56,7 @@ def try_hard_cases(table, threads: int, tests: Sequence[str] = ()) -> list[dict]
 
 
 def main() -> None:
-    """Print the table of hard cases."""
+    """Run the tests and print the table of hard cases."""
     parser = argparse.ArgumentParser(description="Try every hard case of every stage.")
     parser.add_argument("--threads", type=int, default=min(2, os.cpu_count() or 1))
     parser.add_argument("--output", type=Path, default=Path("results/benchmark/stability.csv"), help="CSV to write")

@@ -1,4 +1,4 @@
-"""Timing, memory and result tables shared by all benchmarks [design, section 6]."""
+"""Functions of all benchmarks for timing, memory and result tables [design, section 6]."""
 
 import argparse
 import csv
@@ -26,7 +26,7 @@ _REASON = 200  # characters
 
 
 def medians_s(work: Mapping[str, Callable[[], object]], runs: int) -> dict[str, float]:
-    """Return the median time of each function, s; they take turns, so that a busy machine is busy for all."""
+    """Return the median time of each function, s; runs alternate, so that other load on the machine affects all."""
     seconds: dict[str, list[float]] = {name: [] for name in work}
     for run in range(runs + 1):
         for name, function in work.items():
@@ -38,14 +38,14 @@ def medians_s(work: Mapping[str, Callable[[], object]], runs: int) -> dict[str, 
 
 
 def median_s(function: Callable[[], object], runs: int) -> float:
-    """Return the median time of a function after a first run, s."""
+    """Return the median time of a function after a warm-up run, s."""
     return medians_s({"": function}, runs)[""]
 
 
 def least_processor_s(function: Callable[[], object], runs: int) -> float:
-    """Return the least processor time of a function, all threads together, s.
+    """Return the least processor time of a function over several runs, summed over all threads, s.
 
-    Others on the machine matter less to it than to the clock.
+    Other load on the machine affects it less than wall-clock time.
     """
     seconds = []
     for _ in range(runs):
@@ -56,15 +56,15 @@ def least_processor_s(function: Callable[[], object], runs: int) -> float:
 
 
 def own_peak_mb() -> float:
-    """Return the peak resident memory of this process, MB; ru_maxrss would count the parent's at the fork."""
+    """Return the peak resident memory of this process, MB; ``ru_maxrss`` would include the parent's at the fork."""
     status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
     return float(status["VmHWM"].split()[0]) / 1024
 
 
 def peak_mb_of(function: Callable[[], object]) -> float:
-    """Return the peak resident memory of this process while a function runs, what it held before included, MB.
+    """Return the peak resident memory of this process while a function runs, including memory held before, MB.
 
-    The kernel forgets the peak of before when 5 is written to ``clear_refs`` [proc(5)].
+    Writing 5 to ``clear_refs`` resets the peak in the kernel [proc(5)].
     """
     Path("/proc/self/clear_refs").write_text("5")
     function()
@@ -72,9 +72,9 @@ def peak_mb_of(function: Callable[[], object]) -> float:
 
 
 def printed_by(name: str, calls: Sequence[Sequence[str]]) -> list[str]:
-    """Return what a module of this folder prints for each list of arguments, each in a process of its own.
+    """Run a module of this folder with each list of arguments in a separate process and return the printed texts.
 
-    Two at a time: a process' peak memory is its own whatever runs beside it. Not for what is timed.
+    Two processes run at a time, which does not change the peak memory of each, but makes times useless.
     """
     root = Path(__file__).resolve().parents[1]
 
@@ -87,15 +87,15 @@ def printed_by(name: str, calls: Sequence[Sequence[str]]) -> list[str]:
 
 
 def why_it_fails(*arguments: str) -> str:
-    """Return why a peer cannot run here, in one line; empty where it can.
+    """Return the reason, in one line, why another program of a comparison cannot run here; empty if it can.
 
-    The peer is tried in a process of its own: a library that was built against another version of what it loads may not
-    raise but end the process.
+    It is tried in a separate process, because a library built against another version of its dependencies may end the
+    process instead of raising an error.
 
     Parameters
     ----------
     *arguments : str
-        What Python is to run, such as ``-c`` and a program that makes the peer do a small piece of its real work.
+        Arguments of Python, such as ``-c`` and a program that does a small part of the real work.
     """
     root = Path(__file__).resolve().parents[1]
     try:
@@ -107,19 +107,19 @@ def why_it_fails(*arguments: str) -> str:
     if done.returncode == 0:
         return ""
     said = done.stderr.strip().splitlines() or ["nothing said"]
-    if done.returncode < 0:  # a library's own words stand before the state that it prints when it ends the process
+    if done.returncode < 0:  # the error message comes before the state that a library prints when it ends the process
         words = next((line for line in said if "error" in line.lower()), said[0])
         return f"ended by {signal.Signals(-done.returncode).name}: {words.strip()[:_REASON]}"
     return said[-1].strip()[:_REASON]
 
 
 def row_without_figures(stage: str, variant: str, reason: str) -> dict:
-    """Return the line of a peer that cannot run here: the reason in ``error_metric``, no figures."""
+    """Return the row of a program that cannot run here: the reason is in ``error_metric``, other cells are empty."""
     return dict.fromkeys(COLUMNS, "") | {"stage": stage, "variant": variant, "error_metric": f"cannot run: {reason}"}
 
 
 def arguments_of(description: str) -> argparse.ArgumentParser:
-    """Return a parser with what all benchmarks take."""
+    """Return a parser with the command-line arguments that all benchmarks have."""
     parser = argparse.ArgumentParser(description=description)
     parser.add_argument("--runs", type=_runs, default=7, help=f"timed runs of each variant, at least {_LEAST_RUNS}")
     parser.add_argument("--threads", type=int, default=min(2, numba.config.NUMBA_NUM_THREADS))
@@ -140,12 +140,12 @@ def _runs(text: str) -> int:
 
 
 def run_benchmark(name: str, output: str, threads: int | None = None, size: str | None = None) -> None:
-    """Run a module of this folder in a process of its own, and log what it prints.
+    """Run a benchmark in a separate process and log its output.
 
     Raises
     ------
     RuntimeError
-        With its last words if it fails.
+        If it fails; the message has the last line of its output.
     """
     output = Path(output).absolute()
     options = ["--threads", str(threads)] if threads else []
@@ -162,7 +162,7 @@ def run_benchmark(name: str, output: str, threads: int | None = None, size: str 
 
 
 def report(rows: Sequence[dict], threads: int, output: Path | None) -> None:
-    """Print the table with the machine's load; write it if asked."""
+    """Print the table and the machine's load; write the table if there is an output."""
     print(f"{threads} threads, load {os.getloadavg()[0]:.1f}")
     widths = {name: max(len(name), *(len(row[name]) for row in rows)) for name in _SHOWN}
     for row in ({name: name for name in _SHOWN}, *rows):
@@ -175,7 +175,7 @@ def report(rows: Sequence[dict], threads: int, output: Path | None) -> None:
 
 
 def write(rows: Sequence[dict], output: Path) -> None:
-    """Write rows with all `COLUMNS` as CSV."""
+    """Write rows to a CSV with the columns `COLUMNS`."""
     with output.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.DictWriter(stream, COLUMNS, lineterminator="\n")
         writer.writeheader()

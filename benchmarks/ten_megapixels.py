@@ -1,9 +1,9 @@
-"""Ten-megapixel object through the whole chain: time, memory, disk, and the costliest rules.
+"""Benchmark of the whole workflow on a ten-megapixel object: time, memory, disk space, and the most expensive rules.
 
 ``python -m benchmarks.ten_megapixels [--megapixels 10.1] [--poses 24] [--folder DIR] [--output ten_megapixels.csv]``,
-at the top of the repository. The virtual rig photographs a plate in two shots a pose; that takes long and is timed
-apart, for a camera would do it. Then Snakemake makes the material, its 61-band picture and its PNG. Every figure is
-from the benchmark files that Snakemake writes beside a job, of this run.
+at the top of the repository. The virtual rig photographs a plate in two shots per pose; that takes long and is timed
+separately, because a camera would do it. Then Snakemake makes the material, its 61-band picture and its PNG. All
+figures come from the benchmark files that Snakemake writes for each job of this run.
 """
 
 import argparse
@@ -37,9 +37,9 @@ class Size:
     Parameters
     ----------
     megapixels : float
-        Of a mosaic, and of the object's texture.
+        Size of a mosaic, and of the object's texture.
     poses : int
-        Each photographed without and with the comb filter.
+        Number of poses, each photographed without and with the comb filter.
     tile_texels : int
     """
 
@@ -65,7 +65,7 @@ class Cost:
 
 
 def poses(count: int) -> list[dict]:
-    """Return poses around the highlights of three lights, in as equal shares as `count` allows, degrees.
+    """Return poses, degrees, distributed as equally as possible around the highlights of three lights.
 
     Raises
     ------
@@ -83,7 +83,7 @@ def poses(count: int) -> list[dict]:
 
 
 def make_project(folder: Path, size: Size) -> None:
-    """Write the configuration of one plate, one camera and a room; the field of view is the default camera's."""
+    """Write the configuration of one plate, one camera and a room; the field of view is that of the default camera."""
     shutil.copytree(ROOT / "config", folder / "config")
     camera = _read(folder / "config/cameras/d5100-comb.yaml")
     optics, chart = camera["optics"], camera["chart"]
@@ -114,12 +114,12 @@ def _write(path: Path, content: dict) -> None:
 
 
 def run_chain(folder: Path, cores: int, *targets: str) -> float:
-    """Run the workflow for targets and return how long it took, s.
+    """Run the workflow for targets and return its duration, s.
 
     Raises
     ------
     RuntimeError
-        With the end of what it said if it fails.
+        If it fails; the message has the end of its output.
     """
     command = [sys.executable, "-m", "snakemake", "--snakefile", str(ROOT / "Snakefile"), "--cores", str(cores)]
     begun = time.perf_counter()
@@ -130,23 +130,23 @@ def run_chain(folder: Path, cores: int, *targets: str) -> float:
 
 
 def photograph(folder: Path, cores: int) -> float:
-    """Let the virtual rig take all photographs, and return how long it took, s."""
+    """Take all photographs on the virtual rig and return the duration, s."""
     kinds = (OBJECT, "cameras/d5100-comb", "environments/classroom")
     return run_chain(folder, cores, *(f"results/{kind}/captures/session.json" for kind in kinds))
 
 
 def make_pictures(folder: Path, cores: int) -> float:
-    """Go through the chain from photographs to the 61-band picture, and return how long it took, s."""
+    """Run the workflow from photographs to the 61-band picture and return the duration, s."""
     return run_chain(folder, cores, *(f"results/{SCENE}/{VIEW}.{suffix}" for suffix in ("exr", "png")))
 
 
 def costs(folder: Path) -> list[Cost]:
-    """Return what each rule's jobs took, the most expensive rule first; ``ingest_raw`` is one rule, whatever its parts.
+    """Return the costs of each rule's jobs, the most expensive rule first; parts of ``ingest_raw`` are one rule.
 
     Raises
     ------
     ValueError
-        If the project has no benchmark files, or one of them has no figures of a job.
+        If the project has no benchmark files, or one of them lacks the figures of a job.
     """
     jobs: dict[str, list[dict]] = {}
     for path in sorted((folder / "results/benchmarks").glob("*/*.tsv")):
@@ -171,12 +171,12 @@ def costs(folder: Path) -> list[Cost]:
 
 
 def _number(text: str) -> float:
-    """Return a figure of a benchmark file; a job that was over before it was looked at has none."""
+    """Return a number in a benchmark file; Snakemake writes none for a job that ended before its first measurement."""
     return float(text) if text not in ("NA", "-") else 0.0
 
 
 def disk_mb(folder: Path) -> dict[str, float]:
-    """Return what the results take on the disk by kind of file, MB, the largest first."""
+    """Return the disk space of the results by kind of file, MB, the largest first."""
     found: dict[str, float] = {}
     for path in (folder / "results").rglob("*"):
         if path.is_file() and not path.is_symlink():
@@ -186,12 +186,12 @@ def disk_mb(folder: Path) -> dict[str, float]:
 
 
 def is_of_the_rig(rule: str) -> bool:
-    """Whether a rule takes photographs, which is not the chain's work."""
+    """Return whether a rule takes photographs on the virtual rig."""
     return rule.startswith("capture_")
 
 
 def report(found: list[Cost], disk: dict[str, float], size: Size, rig_s: float, chain_s: float, output: Path | None):
-    """Print the tables, and write that of the rules if asked."""
+    """Print the tables, and write that of the rules if there is an output."""
     chain = [cost for cost in found if not is_of_the_rig(cost.rule)]
     total_s = sum(cost.seconds for cost in chain)
     print(f"{size.megapixels} megapixels, {size.poses} poses, two shots, load {os.getloadavg()[0]:.1f}")
@@ -217,7 +217,7 @@ def report(found: list[Cost], disk: dict[str, float], size: Size, rig_s: float, 
 
 @contextmanager
 def working_folder(folder: Path | None) -> Iterator[Path]:
-    """Yield a folder for a project: a new one of the user's, which stays, or one that is gone in the end.
+    """Yield a new folder for a project: the user's, which is kept, or a temporary one, which is removed at the end.
 
     Raises
     ------
@@ -233,7 +233,7 @@ def working_folder(folder: Path | None) -> Iterator[Path]:
 
 
 def main() -> None:
-    """Make the project, run it in two parts and print what it took."""
+    """Make the project, run it in two parts and print the costs."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--megapixels", type=float, default=10.1, help="of a mosaic and of the texture (default 10.1)")
     parser.add_argument("--poses", type=int, default=24)

@@ -1,11 +1,12 @@
-"""Speed against error of the classroom page, in this machine's browser with a renderer in software.
+"""Benchmark of the classroom page: speed against error in this machine's browser with a software renderer.
 
 ``python -m benchmarks.viewer [--size small] [--output viewer.csv]`` writes the page of the still life with its true
-materials under the true light, and opens it. ``page, first frame`` is the time from opening to the first frame that can
-be drawn, ``page, programs`` what of it the graphics driver takes to link them, both in a new browser each time; ``page,
-frame`` is one frame that is read back as XYZ. The reference is the interactive renderer's frame of the same view, whose
-errors are those that the page states: CIEDE2000 for two turns of the light, three illuminants and two observers.
-Hardware is faster: there the page's own ``#selftest`` says how fast and how exact.
+materials in the true light, and opens it. ``page, first frame`` is the time from opening the page to its first frame,
+``page, programs`` the part of it in which the graphics driver links the shader programs, both in a new browser each
+time; ``page, frame`` is one frame read back as XYZ. The reference is the interactive renderer's frame of the same view.
+The errors are those that the page states: CIEDE2000 to the interactive renderer for two rotations of the light, three
+illuminants and two observers. Graphics hardware is faster; its speed and accuracy are shown by the page's own
+``#selftest``.
 """
 
 import tempfile
@@ -44,7 +45,7 @@ def make_sources(folder: Path, width: int) -> SceneSources:
 
 
 def main() -> None:
-    """Measure and print; write a CSV if asked."""
+    """Run the benchmark, print its table and write it as CSV if requested."""
     arguments = arguments_of(__doc__.splitlines()[0]).parse_args()
     use_threads(arguments.threads)
     width, size = SIZES[arguments.size]
@@ -54,7 +55,7 @@ def main() -> None:
 
 
 def measured(folder: Path, width: int, size: Size, runs: int) -> list[dict]:
-    """Return the rows of the table; one that says why where no browser is found."""
+    """Measure the page and return the rows of the table; without a browser, one row with the reason."""
     sources, file = make_sources(folder, width), folder / "viewer.html"
     stated = export_viewer(sources, output=file)
     parts = page_data(sources).parts

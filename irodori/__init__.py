@@ -6,7 +6,8 @@ from typing import Any
 
 __version__ = "0.1.0"
 
-#: What the package offers by name, and where it is: imported when it is asked for, and unseen by the hashes of rules.
+#: Names that the package offers, with the module of each. It is imported at first use, and the code hashes of rules do
+#: not include it.
 _OFFERED = {"open_material": "irodori.material.labelled_material"}
 
 # Threads of a loop that wait for one another give the core to other jobs instead of spinning on it.

@@ -1,7 +1,7 @@
 """The command ``irodori`` and its subcommands.
 
-``irodori --help`` lists them. A subcommand's module is imported only when that subcommand runs, so that help is at once
-there and a bench without a camera needs no camera's library.
+``irodori --help`` lists them. A subcommand's module is imported only when that subcommand runs, so that the help
+appears at once, and a computer without a camera does not need the camera's library.
 """
 
 import argparse
@@ -16,14 +16,14 @@ _BENCH = "irodori.capture.command"
 
 
 class Subcommand(NamedTuple):
-    """A module whose ``main(arguments, prog)`` does the work.
+    """Subcommand: the module that has its function ``main(arguments, prog)``, and its line of help.
 
     Parameters
     ----------
     module : str
-        Dotted name.
+        Dotted name of the module.
     help : str
-        One line.
+        One line for the list of subcommands.
     """
 
     module: str
@@ -66,7 +66,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Parameters
     ----------
     arguments : sequence of str
-        Those of the command line where absent.
+        Name of the subcommand and its arguments; those of the process if None.
 
     Returns
     -------

@@ -1,7 +1,7 @@
-"""The response model of a camera from all that is given: its chart, a table of its filter, its sensitivities.
+"""Response model of a camera from its chart and, if given, a table of its filter and its sensitivities.
 
-Nothing is believed because it was given. Each way to combine what is given has a marginal likelihood on the chart; the
-likeliest is taken, and what it leaves out is named.
+Given data are used only if the chart supports them: of all combinations of these sources, the one with the highest
+marginal likelihood on the chart is used, and the sources that it leaves out are reported.
 """
 
 from dataclasses import dataclass
@@ -12,20 +12,20 @@ from irodori.calibration.filter_fit import FilterFit, fit_filter
 from irodori.calibration.filter_table import FilterTable
 from irodori.calibration.sensitivity_prior import BandPrior, Posteriors, prior_about, prior_of_chart
 
-#: Error of a patch's response, of the root mean square over the patches: no chart is closer to its published spectra.
+#: Smallest error of a patch's response, relative to the rms over the patches: no chart is closer to published spectra.
 _LEAST_NOISE = 1e-4
 CHART, FILTER, SENSITIVITIES = "chart", "filter table", "sensitivities"
 
 
 @dataclass(frozen=True)
 class CameraSensitivities:
-    """Sensitivities of red, green and blue, relative, as far as they are known.
+    """Known relative sensitivities of red, green and blue, with their uncertainty.
 
     Parameters
     ----------
     values : (3, 61) float64
     error : float
-        Standard deviation, relative to what a sensitivity is nearby.
+        Standard deviation, relative to a sensitivity's local root mean square.
     """
 
     values: np.ndarray
@@ -40,24 +40,24 @@ class Given:
     sensitivities: CameraSensitivities | None = None
 
 
-#: What is known of most cameras.
+#: No knowledge beside the chart, as for most cameras.
 NOTHING = Given()
 
 
 @dataclass(frozen=True)
 class BestResponse:
-    """A response model and what it rests on.
+    """Response model of a camera, and the sources that it is based on.
 
     Parameters
     ----------
     mean : (bands, 61) float64
     covariance : (bands, 61, 61) float64
     sources : tuple of str
-        What was used, the chart first.
+        Sources that were used, the chart first.
     evidence : dict of float
-        Logarithm of the marginal likelihood of each way, over that of the chart alone, by its sources.
+        {sources: logarithm of the marginal likelihood, less that with the chart alone}, for each combination.
     filter : FilterFit or None
-        Where the table of the filter was used.
+        Fit of the filter; None if its table was not used.
     """
 
     mean: np.ndarray
@@ -67,19 +67,19 @@ class BestResponse:
     filter: FilterFit | None = None
 
     def ignored(self) -> tuple[str, ...]:
-        """Return what was given and not used, as the chart contradicts it."""
+        """Return the sources that were given but not used, because the chart contradicts them."""
         tried = dict.fromkeys(source for sources in self.evidence for source in sources)
         return tuple(source for source in tried if source not in self.sources)
 
     def ignored_by(self, source: str) -> float:
-        """Return by how much the way taken is likelier than the best that uses a source, as a logarithm."""
+        """Return the log likelihood ratio of the chosen combination to the best one that uses a source."""
         return self.evidence[self.sources] - max(value for way, value in self.evidence.items() if source in way)
 
 
 def best_response(
     response: np.ndarray, spectra: np.ndarray, light: np.ndarray, variance: np.ndarray, given: Given
 ) -> BestResponse:
-    """Return the response model that the chart finds likeliest of those that what is given allows.
+    """Return the response model with the highest marginal likelihood on the chart, among combinations of sources.
 
     Parameters
     ----------
@@ -87,9 +87,10 @@ def best_response(
     spectra : (m, 61) float64
     light : (61,) float64
     variance : (bands,) float64
-        Of the responses; zeros where not known.
+        Variance of the responses; zeros if unknown.
     given : Given
-        Red, green and blue without the filter come first; a filter needs the same three with it, and no others.
+        Further sources. Sensitivities apply to the first three bands: red, green and blue without the filter. A filter
+        requires exactly six bands: these three without the filter, then with it.
     """
     variance = np.maximum(variance, _LEAST_NOISE**2 * np.mean(response**2, axis=0))
     chart = [prior_of_chart(own, spectra, light, v) for own, v in zip(response.T, variance, strict=True)]

@@ -31,9 +31,9 @@ class Located:
         Side of the squares to be averaged, superpixels.
     rows, columns : int
     patch_side_px : float
-        Side of the whole patches, superpixels; NaN where the configuration's corners were taken as they are.
+        Side of the whole patches, superpixels; NaN if the configured corners were used unchanged.
     found : dict
-        What was measured on the way, empty where the configuration's corners were taken as they are. ``edges``: count;
+        Measurements of the search, empty if the configured corners were used unchanged. ``edges``: number of edges;
         ``residual_px``: median distance of the edges from the grid, superpixels; with ``edges`` ``moved_px``: largest
         distance from the configuration's centres, superpixels; with ``chart`` ``turn_deg``, ``rmse`` and ``next_rmse``,
         see `irodori.calibration.detection.FoundChart`.
@@ -48,7 +48,7 @@ class Located:
 
 
 def patch_centres(chart: Chart) -> np.ndarray:
-    """Return patch centres in superpixels by the perspective map that the four corner patches fix.
+    """Return patch centres in superpixels by the homography through the four corner patches.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ def _from_corners(chart: Chart) -> np.ndarray:
 
 
 def locate_patches(response: np.ndarray, valid: np.ndarray, chart: Chart, file, sample_px: int = 2) -> Located:
-    """Return where the patches lie: as configured, fitted to their edges, or found.
+    """Return the positions of the patches: as configured, fitted to their edges, or detected.
 
     Parameters
     ----------
@@ -85,9 +85,9 @@ def locate_patches(response: np.ndarray, valid: np.ndarray, chart: Chart, file, 
     Raises
     ------
     ValueError
-        For an unknown ``find``, or if a chart that is not looked for has no ``centres_px`` or no ``patch_px``.
+        For an unknown ``find``, or if a chart that is not to be detected has no ``centres_px`` or no ``patch_px``.
     InputError
-        If the edges do not bear the corners out, or no chart is found, or several.
+        If the edges do not confirm the configured corners, or no chart or several charts are detected.
     """
     find = chart.find
     if find not in FINDS:
@@ -134,7 +134,7 @@ def _by_edges(response, valid, chart: Chart, file, sample_px: int) -> tuple[np.n
 
 
 def _around(centres: np.ndarray, pitch: float, shape: tuple[int, int]) -> tuple[slice, slice]:
-    """Return the rows and columns of a picture that hold a chart."""
+    """Return the rows and columns of a picture that contain a chart, with a margin of one pitch."""
     low, high = np.floor(centres.min(axis=0) - pitch).astype(int), np.ceil(centres.max(axis=0) + pitch).astype(int)
     rows, columns = (slice(max(0, low[a]), min(shape[1 - a], high[a] + 1)) for a in (1, 0))
     return rows, columns
@@ -147,7 +147,7 @@ def _by_itself(response, valid, chart: Chart, file) -> tuple[np.ndarray, float, 
 
 
 def read_located(response, valid, located: Located, file, sample_px: int = 2) -> ChartReading:
-    """Read patches where they were located.
+    """Return the statistics of patches at their located positions.
 
     Raises
     ------

@@ -13,12 +13,12 @@ _REACH = 0.75  # of the pitch: how far from a patch's centre its edges are looke
 _ACROSS = np.linspace(-0.3, 0.3, 15)  # of the pitch: along the edge, where profiles are averaged
 _EDGE = (0.25, 0.6)  # of the pitch: where an edge may lie from the centre
 _GAP = (0.38, 0.65)  # of the pitch: where the gap's darkest place may lie
-_MIN_CONTRAST = 0.12  # of the patch's level, below which an edge is not told from the gap
+_MIN_CONTRAST = 0.12  # of the patch's level, below which the patch cannot be distinguished from the gap
 _MAX_SCATTER = 0.1  # of the contrast, within the patch
 _ROUNDS = 10
 _SETTLED_PX = 2e-3
 _BRIGHT = 99.0  # percentile of a band that becomes 1
-_DISTORTION = 0.03  # radial distortion at the half-diagonal that lenses may well have
+_DISTORTION = 0.03  # standard deviation assumed for the radial distortion at the half-diagonal
 
 
 @dataclass(frozen=True)
@@ -28,18 +28,18 @@ class FittedGrid:
     Parameters
     ----------
     image_from_grid : (3, 3) float64
-        The perspective map, before the lens bends it.
+        Homography without the lens distortion.
     distortion : float
-        Third-order radial distortion: what lies a half-diagonal from the picture's centre is moved outwards by this
-        share of it; negative for a barrel.
+        Third-order radial distortion: a point half a diagonal from the picture's centre is moved outwards by this share
+        of that distance; negative for barrel distortion.
     size : (2,) tuple of int
         Width and height of the picture, samples.
     half : (2,) float64
         Half the side of a patch along columns and rows, in pitches.
     edges : int
-        Edges that were seen, at most four a patch.
+        Number of edges that were found, at most four for each patch.
     residual_px : float
-        Median distance of the edges from the grid's, samples.
+        Median distance of the edges from those of the grid, samples.
     """
 
     image_from_grid: np.ndarray
@@ -55,7 +55,7 @@ class FittedGrid:
 
 
 def homography(grid: np.ndarray, image: np.ndarray) -> np.ndarray:
-    """Return the perspective map through point pairs: exact for four, least squares for more.
+    """Return the homography through pairs of points: exact for four, by least squares for more.
 
     Parameters
     ----------
@@ -108,14 +108,14 @@ def pitch_px(centres: np.ndarray, rows: int, columns: int) -> float:
 
 
 def even_picture(response: np.ndarray, valid: np.ndarray, window=np.s_[:, :]) -> np.ndarray:
-    """Return a picture for finding edges: bands of like size, 0..1, specks gone, clipped areas white.
+    """Return a picture for edge detection: bands scaled to 0..1, specks removed, clipped areas white.
 
     Parameters
     ----------
     response : (height, width, bands) float
     valid : (height, width) bool
     window : (slice, slice)
-        Rows and columns out of which specks are taken.
+        Rows and columns in which specks are removed.
 
     Returns
     -------
@@ -132,18 +132,18 @@ def even_picture(response: np.ndarray, valid: np.ndarray, window=np.s_[:, :]) ->
 
 
 def fit_to_edges(picture: np.ndarray, image_from_grid: np.ndarray, rows: int, columns: int) -> FittedGrid:
-    """Fit a grid, roughly known, to the places where its patches end.
+    """Fit an approximately known grid to the edges of its patches.
 
-    Each side of each patch gives a point where the profile from the patch into the gap passes half of its height. Blur
-    moves it on neither side, and noise is averaged along the side. The map, the lens's distortion about the picture's
-    centre and the patches' half sides follow by least squares with a loss that large residuals do not rule, along the
-    profiles only.
+    The edge on each side of a patch is the point where the profile from the patch into the gap passes half of its
+    height. Blur does not move this point, and noise is averaged along the side. The homography, the lens distortion
+    about the picture's centre and the half sides of the patches are fitted by least squares with a loss that is robust
+    to outliers; residuals are measured along the profiles only.
 
     Parameters
     ----------
-    picture : (height, width, bands) float, bands of like size
+    picture : (height, width, bands) float, bands of similar scale
     image_from_grid : (3, 3) float
-        Good to a fifth of the pitch.
+        Approximate homography, accurate to a fifth of the pitch.
 
     Raises
     ------
@@ -165,7 +165,7 @@ def fit_to_edges(picture: np.ndarray, image_from_grid: np.ndarray, rows: int, co
 
 
 def _edges_along(picture, fitted: FittedGrid, points, axis: int) -> np.ndarray:
-    """Return where the patches begin and end along a grid axis, (patches, 2) in pitches from the centre, or NaN."""
+    """Return both edges of each patch along a grid axis, (patches, 2), in pitches from the centre; NaN if not found."""
     from scipy import ndimage  # slow to import
 
     step = np.eye(2)[axis]
@@ -174,12 +174,12 @@ def _edges_along(picture, fitted: FittedGrid, points, axis: int) -> np.ndarray:
     where = points[:, None, None, :] + along[:, None, None] * step + _ACROSS[:, None] * step[::-1]
     x, y = np.moveaxis(fitted.image(where), -1, 0)
     bands = [ndimage.map_coordinates(band, [y, x], order=1, cval=np.nan) for band in np.moveaxis(picture, -1, 0)]
-    profiles = np.median(np.stack(bands, axis=-1), axis=2)  # of dirt on an edge the median takes no notice
+    profiles = np.median(np.stack(bands, axis=-1), axis=2)  # the median ignores dirt on a part of an edge
     return np.array([[-_edge(p[::-1], along), _edge(p, along)] for p in profiles])
 
 
 def _edge(profile: np.ndarray, along: np.ndarray) -> float:
-    """Return where a profile (samples, bands) leaves the patch towards positive places, NaN where that is unclear."""
+    """Return the position at which a profile (samples, bands) leaves the patch on its positive side; NaN if unclear."""
     level = np.median(profile[np.abs(along) < 0.2], axis=0)
     gap = (along > _GAP[0]) & (along < _GAP[1])
     if not np.isfinite(profile[gap | (np.abs(along) < _GAP[0])]).all():
@@ -201,7 +201,7 @@ def _edge(profile: np.ndarray, along: np.ndarray) -> float:
 
 
 def _fit(fitted: FittedGrid, points, sides, count: int) -> FittedGrid:
-    """Return the map and half sides nearest to measured edges, which are given about the present map."""
+    """Return the grid fitted to measured edges, which are given relative to the present grid."""
     from scipy.optimize import least_squares  # slow to import
 
     parts = []
@@ -225,7 +225,7 @@ def _fit(fitted: FittedGrid, points, sides, count: int) -> FittedGrid:
         return ((_bent(flat, parameters[10], fitted.size) - measured) * direction).sum(axis=1)
 
     def residual(parameters):
-        # No lens bends more than a few percent: a small chart does not tell distortion from perspective.
+        # A small chart cannot separate distortion from perspective; lenses distort by a few percent at most.
         return np.append(distances(parameters), parameters[10] / _DISTORTION)
 
     start = np.concatenate([fitted.image_from_grid.ravel()[:8], half, [fitted.distortion]])

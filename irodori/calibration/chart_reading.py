@@ -28,13 +28,13 @@ class ChartPhotograph:
     sample_px : int
         Mosaic pixels along the side of a sample.
     cosine : float
-        Of the angle at which the light falls on the chart.
+        Cosine of the angle of incidence of the light on the chart.
     filters : tuple of str
     noise_model : (bands, 2) float64 or None
         c0 and c1 of a sample's variance c0 + c1 ρ; None where it was not measured.
     located : Located
     light : Illumination or None
-        Uneven light, told from the chart itself; None where a white reference has taken it out already.
+        Uneven light, estimated from the chart itself; None if a white reference has already corrected it.
     """
 
     path: object
@@ -57,14 +57,14 @@ class ChartPhotograph:
         chart : Chart
             Definition of the chart.
         count : int
-            Spectra of the chart.
+            Number of spectra of the chart.
         on_rig : bool
-            Whether the rig's lamp lights it, whose unevenness a white reference has taken out; it knows no other light.
+            Whether the rig's lamp lights the chart: a white reference corrects the unevenness of this light only.
 
         Raises
         ------
         InputError
-            If the layout does not have one patch a spectrum, or the patches cannot be read.
+            If the layout does not have one patch for each spectrum, or the patches cannot be read.
         """
         if count != chart.rows * chart.columns:
             found = f"{count} spectra for {chart.rows} x {chart.columns} patches"
@@ -85,12 +85,12 @@ class ChartPhotograph:
         return cls(path, response, valid, sample_px, cosine, filters, model, located, light)
 
     def read(self) -> ChartReading:
-        """Return the statistics of every patch, in even light where that could be told."""
+        """Return the statistics of every patch, corrected for uneven light if that could be estimated."""
         reading = read_located(self.response, self.valid, self.located, self.path, self.sample_px)
         return reading if self._field is None else reading.divided(self._field)
 
     def means_at(self, centres_px: np.ndarray) -> np.ndarray | None:
-        """Return the mean responses of squares elsewhere, (n, bands), in the light as it falls; None where unreadable.
+        """Return the mean responses of squares at given centres, (n, bands), in uneven light; None if unreadable.
 
         Parameters
         ----------
@@ -112,9 +112,9 @@ class ChartPhotograph:
     def noise(self, reading: ChartReading) -> ResponseNoise:
         """Return the noise of patch means and of a pixel at the chart's mean level, as if lit at normal incidence.
 
-        That of a pixel is the camera's noise model, where there is one; otherwise, and for the means, the scatter
-        within the patches says it, their own texture included. An estimator knows one noise, that of a picture's
-        typical pixel.
+        The noise of a pixel is that of the camera's noise model if there is one. Otherwise, and for the means, it is
+        estimated from the scatter within the patches, which includes their texture. An estimator uses a single noise,
+        that of a typical pixel.
         """
         pixel, patch = np.median(reading.pixel_variance, axis=0), np.median(reading.mean_variance, axis=0)
         if self.noise_model is not None:
@@ -122,9 +122,9 @@ class ChartPhotograph:
         return ResponseNoise(patch / self.cosine**2, pixel / self.cosine**2)
 
     def jitter(self, error) -> Jitter:
-        """Return what becomes of an error as the patches are moved.
+        """Return an error of the calibration with the patches in place and moved.
 
-        ``error`` is a callable from responses as if lit at normal incidence, (patches, bands), to a number.
+        ``error`` is a function from responses as if lit at normal incidence, (patches, bands), to a number.
         """
         field = self.cosine if self._field is None else self.cosine * self._field
         return jitter(

@@ -28,21 +28,21 @@ _MAX_UNEVEN_SHARE = 0.5  # of a chart's patches
 
 @dataclass(frozen=True)
 class Charts:
-    """The photographs of a camera's charts, the first chart's first, and what is known of their patches.
+    """Photographs of a camera's charts, in the order of its definition, with readings and spectra of their patches.
 
     Parameters
     ----------
     fields : tuple of str
-        Where the definition of the camera has each chart.
+        Key of each chart in the definition of the camera.
     captures : tuple of str
         ``chart``, then ``chart-NAME`` of each further chart.
     photographs : tuple of ChartPhotograph
     readings : tuple of ChartReading
     patches : tuple of str
-        Names of all patches; where there are several charts, those of further ones behind the chart's name and a slash.
+        Names of all patches; those of further charts are preceded by the chart's name and a slash.
     spectra : (m, 61) float64
     number : (m,) int
-        Of the chart that each patch belongs to.
+        Number of the chart that each patch belongs to.
     """
 
     fields: tuple[str, ...]
@@ -60,16 +60,16 @@ class Charts:
         Parameters
         ----------
         linear : path or sequence of paths
-            Linear responses of each chart, in the order of the definition; one path where there is one chart.
+            Linear responses of each chart, in the order of the definition; a single path for a single chart.
         camera : Camera or CalibratedCamera
 
         Raises
         ------
         InputError
-            If a chart cannot be read, its patches stand in another order or most of them are uneven, or charts were
-            photographed in different filter states.
+            If a chart cannot be read, its patches are in another order or most of them are uneven, or charts were
+            photographed with different filters.
         ValueError
-            If there is not one file a chart.
+            If there is not one file for each chart.
         """
         files = [linear] if isinstance(linear, str | Path) else list(linear)
         definitions = {"": camera.chart, **camera.further_charts}
@@ -106,15 +106,15 @@ class Charts:
         return np.concatenate([p.responses(r) for p, r in zip(self.photographs, self.readings, strict=True)])
 
     def check_levels(self) -> None:
-        """Refuse a further chart that was lit otherwise than the first; log how bright each is beside the others.
+        """Refuse a further chart that was lit differently from the others; log the relative level of each.
 
-        The responses of the other charts, on the principal vectors of all spectra, predict those of the chart in
-        question; the level is the median of measured over predicted.
+        A linear model on the principal vectors of all spectra, fitted to the other charts, predicts the responses of a
+        chart; its level is the median ratio of measured to predicted.
 
         Raises
         ------
         InputError
-            If a level is off by more than 2 % and by more than four times what the scatter of its patches explains.
+            If a level differs from 1 by more than 2 % and by more than four standard errors.
         """
         response = self.responses()
         weights = self.spectra @ np.linalg.svd(self.spectra, full_matrices=False)[2][:_LEVEL_BASES].T
@@ -133,10 +133,10 @@ class Charts:
                 raise InputError(photograph.path, self.fields[which], found, accepted)
 
     def refusal(self, error: ValueError) -> InputError:
-        """Return what is raised for responses that determine no calibration.
+        """Return the error to raise for responses that determine no calibration.
 
-        It names the chart whose patch is at fault, and the patch by its number in that chart; where the patches of all
-        charts together are at fault, every chart, and the first one's file.
+        It names the chart with the faulty patch, and the patch by its number in that chart. If the fault is not in a
+        single patch, it names every chart, and the file of the first one.
         """
         accepted = "charts that determine every band"
         if not isinstance(error, PatchError):
@@ -146,9 +146,10 @@ class Charts:
         return InputError(self.photographs[which].path, self.fields[which], f"patch {own}{error.fault}", accepted)
 
     def noise(self, photographs: int) -> ResponseNoise:
-        """Return the noise of patch means and of what is recovered, in the mean over all patches.
+        """Return the noise of patch means, and of a mean over some photographs, averaged over all patches.
 
-        That is a mean over some photographs; a pixel of one has the noise that `ChartPhotograph.noise` tells.
+        The latter are the responses that will be recovered; a pixel of one photograph has the noise that
+        `ChartPhotograph.noise` returns.
         """
         found = [p.noise(r) for p, r in zip(self.photographs, self.readings, strict=True)]
         share = np.bincount(self.number) / self.number.size
@@ -156,9 +157,9 @@ class Charts:
         return ResponseNoise(share @ [noise.patch for noise in found], pixel / photographs)
 
     def jitter(self, error: Callable[[np.ndarray], float]) -> list[Jitter]:
-        """Return what becomes of an error as the patches of each chart are moved, those of the others in place.
+        """Return an error of the calibration with the patches of each chart moved in turn, the others in place.
 
-        ``error`` is a callable from responses of all patches as if lit at normal incidence, (m, bands), to a number.
+        ``error`` is a function from responses of all patches as if lit at normal incidence, (m, bands), to a number.
         """
         inner = self.responses()
 
@@ -186,7 +187,7 @@ def read_chart(photograph: ChartPhotograph, spectra: np.ndarray, chart: Chart) -
     Raises
     ------
     InputError
-        If they stand in another order than the spectra, (patches, 61), or most of them are uneven.
+        If they are in another order than the spectra, (patches, 61), or most of them are uneven.
     """
     reading = photograph.read()
     _check_order(photograph, spectra, chart)
@@ -203,7 +204,7 @@ def _check_order(photograph: ChartPhotograph, spectra: np.ndarray, chart: Chart)
 
 
 def _check_evenness(photograph: ChartPhotograph, reading: ChartReading) -> None:
-    """Refuse a chart most of whose patches hold dirt, an edge or a shadow: the squares do not lie in the patches."""
+    """Refuse a chart with dirt, an edge or a shadow in most patches: its squares then do not lie inside the patches."""
     uneven, count = int(reading.uneven.sum()), len(reading.uneven)
     if uneven > _MAX_UNEVEN_SHARE * count:
         accepted = "squares within the patches (chart.centres_px, chart.patch_px) of a clean chart in even light"
@@ -212,13 +213,13 @@ def _check_evenness(photograph: ChartPhotograph, reading: ChartReading) -> None:
 
 
 def field_of(name: str) -> str:
-    """Return where the configuration of a camera defines a chart; the first has no name."""
+    """Return the key of a chart in a camera's definition; the name of the first chart is empty."""
     return f"further_charts.{name}" if name else "chart"
 
 
 @contextmanager
 def _naming(name: str) -> Iterator[None]:
-    """Let what is refused of a further chart name its own keys; the reading of a chart knows them as ``chart``."""
+    """Replace the key ``chart`` in errors about a further chart by the key that the definition has for it."""
     try:
         yield
     except InputError as error:

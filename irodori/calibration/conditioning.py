@@ -6,25 +6,25 @@ from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.calibration.response_model import fit_response_model, smooth_priors
 from irodori.calibration.training import Training
 
-#: Largest condition number of the chart's responses, every band divided by its largest patch, where none is given.
+#: Largest condition number of the chart's responses, every band divided by its largest patch; the default.
 MAX_CONDITION = 1e5
 _ALIKE = 1e-9  # relative; clipped means agree to rounding, measured ones do not
 _BELOW_ZERO = 0.01  # of the band's largest patch, where the noise is not known
 _NOISE_LIMIT = 5.0  # standard deviations of a patch mean
-_CLIPPED_SHARE = 0.05  # of the band's largest response that the brightest patch lacks
-_CLIPPED_LIMIT = 6.0  # standard deviations of what the other patches predict for it
+_CLIPPED_SHARE = 0.05  # of the band's largest response: smallest deficit of a saturated patch
+_CLIPPED_LIMIT = 6.0  # standard deviations of the prediction from the other patches: smallest deficit
 _SAME_PATCH = 1e-6  # relative difference of responses in all bands
 
 
 class PatchError(ValueError):
-    """Responses that determine no calibration for the sake of one patch.
+    """Error for responses that determine no calibration because of one patch.
 
     Parameters
     ----------
     patch : int
-        Its number among the patches of all charts.
+        Index of the patch among those of all charts.
     fault : str
-        What is wrong with it, as it goes on behind its number.
+        Description of the fault, which follows "patch N" in the message.
     """
 
     def __init__(self, patch: int, fault: str) -> None:
@@ -43,7 +43,7 @@ def check_responses(
     patch_variance: np.ndarray | None = None,
     filters: tuple[str, ...] = (),
 ) -> None:
-    """Refuse responses that determine no calibration.
+    """Raise an error for responses that determine no calibration.
 
     Parameters
     ----------
@@ -51,15 +51,15 @@ def check_responses(
     limit : float
         Largest condition number, bands scaled.
     patch_variance : (bands,) float, optional
-        Of the patch means.
+        Variance of the patch means.
     filters : tuple of str
-        Filter states, three bands each, to name the bands with.
+        Filter states, three bands each, for the names of the bands in the message.
 
     Raises
     ------
     ValueError
-        Saying what is wrong and what would help: responses that are not finite, fewer patches than bands (patches of
-        the same response count once), a band without signal, negative or saturated patches, bands that answer alike.
+        For responses that are not finite, fewer patches than bands (patches with the same response count once), a band
+        without signal, negative or saturated patches, and nearly proportional bands. The message names a remedy.
     """
     patches, bands = response.shape
     names = [_band_name(band, filters) for band in range(bands)]
@@ -92,12 +92,12 @@ def check_responses(
 
 
 def check_brightest(training: Training, filters: tuple[str, ...] = ()) -> None:
-    """Refuse a chart whose brightest patch in a band answers less than the others predict for it: it is saturated.
+    """Refuse a chart with a saturated patch: the brightest one of a band, far below the prediction from the others.
 
     Raises
     ------
     ValueError
-        Naming the patch and the band, with what was read and what was predicted.
+        The message names the patch and the band, and by how much it is below the prediction.
     """
     names = [_band_name(band, filters) for band in range(training.response.shape[1])]
     known = np.zeros(len(names)) if training.noise.patch is None else training.noise.patch / training.scale**2
@@ -119,14 +119,14 @@ def check_brightest(training: Training, filters: tuple[str, ...] = ()) -> None:
 def noise_amplification(calibration: Calibration) -> float:
     """Return the standard deviation of the recovered reflectance, rms over wavelengths, per unit of a band's noise.
 
-    That of the worst band, its noise in units of the band's largest patch; where the estimator is not linear, that of
-    the worst patch of the chart.
+    The value is that of the worst band, with noise in units of the band's largest patch; for a non-linear estimator,
+    that of the worst patch of the chart too.
     """
     return float(np.sqrt(_gains(calibration).max() / len(calibration.basis)))
 
 
 def _gains(calibration: Calibration) -> np.ndarray:
-    """Return the variance of the spectrum, summed over it, per variance of each band in units of its largest patch.
+    """Return the variance of the spectrum, summed over wavelengths, per variance of each band in units of its peak.
 
     (patches, bands) float64, at the responses of the chart.
     """
@@ -135,12 +135,12 @@ def _gains(calibration: Calibration) -> np.ndarray:
 
 
 def check_amplification(amplification: float, limit: float, calibration: Calibration) -> None:
-    """Refuse a calibration that amplifies noise too much.
+    """Raise an error for a calibration that amplifies noise too much.
 
     Raises
     ------
     ValueError
-        Saying by how much, in which band, and what would help.
+        The message has the amplification, the band and a remedy.
     """
     if amplification <= limit:
         return
@@ -168,7 +168,7 @@ def _refuse_negative(scaled: np.ndarray, variance, names: list[str]) -> None:
 
 
 def _distinct(scaled: np.ndarray) -> int:
-    """Return how many patches differ from all before them."""
+    """Return the number of patches with responses that differ from all before them."""
     kept: list[np.ndarray] = []
     for row in scaled:
         if not kept or min(np.abs(row - other).max() for other in kept) > _SAME_PATCH:
@@ -177,7 +177,7 @@ def _distinct(scaled: np.ndarray) -> int:
 
 
 def _refuse_saturated(scaled: np.ndarray, names: list[str]) -> None:
-    """Refuse bands in which several patches, of different answers elsewhere, share the largest value."""
+    """Refuse bands in which patches with different responses in other bands share the largest value."""
     for band in range(scaled.shape[1]):
         top = np.flatnonzero(scaled[:, band] >= scaled[:, band].max() * (1.0 - _ALIKE))
         differ = [p for p in top[1:] if np.abs(scaled[p] - scaled[top[0]]).max() > 1e-3]

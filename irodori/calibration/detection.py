@@ -1,7 +1,7 @@
 """Detection of a ColorChecker Classic or Digital SG in a photograph, with its orientation.
 
-The library's segmentation gives squares; the lattice, its fit to the patches' edges and the orientation are worked out
-here, and what is found is proved by the measured spectra before it counts.
+The segmentation of the library colour-checker-detection finds squares. This module arranges them in a lattice, fits it
+to the edges of the patches, determines the orientation, and accepts a chart only if it agrees with measured spectra.
 """
 
 import itertools
@@ -24,7 +24,7 @@ _MIN_PITCH_PX = 10.0
 _MIN_EDGES = 0.5  # of four a patch
 _MAX_RESIDUAL = 0.02  # of the pitch, besides half a sample
 _HALF = (0.33, 0.49)  # half a patch's side over the pitch: what charts of this layout have
-_READ = 0.6  # of a patch's side: the square that proof is taken from
+_READ = 0.6  # of a patch's side: the square that is compared with the spectra
 _MAX_GRADIENT, _MAX_UNEVENNESS = 0.35, 0.15  # of a patch, above which something lies on it
 _MAX_PATCH_RMSE = 0.25
 _MAX_RMSE = 0.09  # leave-one-patch-out; a right grid gives 0.03 to 0.06 with three bands, a wrong one over 0.15
@@ -46,13 +46,13 @@ class FoundChart:
     turn_deg : float
         Direction of the chart's long side in the picture, from x towards y (down), -180..180.
     edges : int
-        Edges of patches that were seen, of four a patch.
+        Number of patch edges that were found, at most four for each patch.
     residual_px : float
-        Median distance of the edges from the grid's, samples.
+        Median distance of the edges from those of the grid, samples.
     rmse : float
-        Spectral RMSE, leave-one-patch-out, of the right reading.
+        Spectral RMSE, leave-one-patch-out, in the accepted orientation.
     next_rmse : float
-        The same of the next best of the four readings, turned and mirrored.
+        The same in the next best of the four orientations: as it lies, turned by 180°, and both mirrored.
     """
 
     centres: np.ndarray
@@ -65,15 +65,15 @@ class FoundChart:
 
 
 class _NoChartError(ValueError):
-    """Reason for refusing a candidate, in words."""
+    """Error for a candidate that is not the chart; the message is the reason."""
 
 
 @dataclass(frozen=True)
 class _Sought:
     """Search for a chart: its photograph, and the colours and layout that are expected.
 
-    ``rows`` and ``columns`` are those of the chart as it lies, its long side across; ``places``, (patches,) int, is the
-    number of each patch among them in the order of the spectra.
+    ``rows`` and ``columns`` are those of the chart with its long side horizontal; ``places``, (patches,) int, is the
+    index of each patch in them, row by row, in the order of the spectra.
     """
 
     response: np.ndarray
@@ -87,7 +87,7 @@ class _Sought:
 
     @classmethod
     def of(cls, response, valid, spectra, file, layout: tuple[int, int]) -> "_Sought":
-        """Return the search for a chart of some layout, see `find_chart`."""
+        """Return the search for a chart; parameters as in `find_chart`."""
         rows, columns = min(layout), max(layout)
         number = np.arange(rows * columns).reshape(rows, columns)
         # Letters of an SG run along its long side: spectra in their order go down the columns.
@@ -97,20 +97,20 @@ class _Sought:
 
     @property
     def advice(self) -> str:
-        """Advice to the user on what is accepted in place of what was found."""
+        """Advice to the user for error messages: what is accepted."""
         return _ADVICE.format(self.rows, self.columns)
 
 
 def find_chart(
     response: np.ndarray, valid: np.ndarray, spectra: np.ndarray, file, layout: tuple[int, int] = (4, 6)
 ) -> FoundChart:
-    """Find the one ColorChecker of a photograph.
+    """Find the only ColorChecker in a photograph.
 
     Parameters
     ----------
     response : (height, width, bands) float, three bands or more
     valid : (height, width) bool
-        What is clipped or hot is not valid.
+        False for clipped and hot samples.
     spectra : (patches, 61) float
         Measured reflectance factors, row by row from the dark skin of a Classic, or the first white of an SG.
     file : path, for error messages
@@ -120,8 +120,8 @@ def find_chart(
     Raises
     ------
     InputError
-        For another layout, or if no chart is found, or several, or what is found is cut, covered, mirrored, uneven, or
-        does not answer as the measured spectra do.
+        For another layout; if no chart is found, or several; if the chart is cut off, covered, mirrored or uneven, or
+        its responses do not agree with the measured spectra.
     """
     if layout not in FOUND_LAYOUTS:
         accepted = f"{FOUND_WORDS}; for other layouts chart.centres_px"
@@ -142,7 +142,7 @@ def find_chart(
 
 
 def _library():
-    """Return the library's segmentation. It brings OpenCV, which wants libraries that a bare machine lacks."""
+    """Return the library's segmentation function; it imports OpenCV, whose system libraries may be missing."""
     try:
         from colour_checker_detection import segmenter_default
     except ImportError as error:
@@ -154,7 +154,7 @@ def _library():
 
 
 def _squares(picture: np.ndarray, stretch: float) -> np.ndarray:
-    """Return the corners of the squares that the library sees, (n, 4, 2) float64, samples."""
+    """Return the corners of the squares that the library detects, (n, 4, 2) float64, samples."""
     segmenter_default = _library()
     if np.ptp(picture[..., :3].max(axis=-1)) == 0:
         return np.zeros((0, 4, 2))  # the library would divide by the range
@@ -177,7 +177,7 @@ def _squares(picture: np.ndarray, stretch: float) -> np.ndarray:
 
 
 def _the_one(candidates: list[Lattice], sought: _Sought) -> FoundChart:
-    """Return the one candidate that is a chart."""
+    """Return the only candidate that is a chart; raise an error if none is, or several are."""
     found, reasons = [], []
     for lattice in candidates:
         try:
@@ -194,7 +194,7 @@ def _the_one(candidates: list[Lattice], sought: _Sought) -> FoundChart:
 
 
 def _prove(lattice: Lattice, sought: _Sought) -> FoundChart:
-    """Return the chart that a lattice belongs to; at most one row and one column of it had no square."""
+    """Return the chart that contains a lattice of squares, which may lack one row and one column of the chart."""
     rows, columns = sought.rows, sought.columns
     if not columns - 1 <= lattice.columns <= columns or not rows - 1 <= lattice.rows <= rows:
         raise _NoChartError(f"not the {rows} x {columns} of a whole chart")
@@ -211,7 +211,7 @@ def _prove(lattice: Lattice, sought: _Sought) -> FoundChart:
 
 
 def _moved(right: int, down: int) -> np.ndarray:
-    """Return the map from a grid to one whose origin lies that many places further."""
+    """Return the homography that translates grid coordinates by (-right, -down)."""
     return np.array([[1.0, 0.0, -right], [0.0, 1.0, -down], [0.0, 0.0, 1.0]])
 
 
@@ -240,7 +240,7 @@ def _fitted(image_from_grid: np.ndarray, sought: _Sought) -> FittedGrid:
 
 
 def _oriented(grid: FittedGrid, sought: _Sought) -> FoundChart:
-    """Return the chart in the one reading, of two turned by half and two mirrored, that the spectra agree with."""
+    """Return the chart in the orientation, upright or turned by 180°, that agrees with the spectra; refuse mirrored."""
     from scipy.stats import spearmanr  # slow to import
 
     rows, columns, spectra = sought.rows, sought.columns, sought.spectra
@@ -269,7 +269,7 @@ def _oriented(grid: FittedGrid, sought: _Sought) -> FoundChart:
 
 
 def _refuse_covered(gradient: np.ndarray, unevenness: np.ndarray, patch_rmse: np.ndarray) -> None:
-    """Refuse a chart on one patch of which something lies; patches too small to tell (NaN) pass."""
+    """Refuse a chart with a covered patch; one too small for a gradient (NaN) is judged by its spectrum alone."""
     for number in range(len(gradient)):
         change = max(gradient[number] / _MAX_GRADIENT, unevenness[number] / _MAX_UNEVENNESS)
         if change > 1.0:
@@ -279,5 +279,5 @@ def _refuse_covered(gradient: np.ndarray, unevenness: np.ndarray, patch_rmse: np
 
 
 def _brightness(mean: np.ndarray) -> np.ndarray:
-    """Return the mean of the bands, each scaled to its largest patch."""
+    """Return the mean over the bands, each divided by its largest patch, (patches,)."""
     return (mean / np.maximum(mean.max(axis=0), np.finfo(float).tiny)).mean(axis=1)

@@ -18,8 +18,8 @@ BASES = (3, 4, 5, 6, 7, 8, 10, 12)
 LEFT_OUT = ("patch", "chart")
 #: Estimators that are one matrix, and those that are not.
 KINDS = {"linear": ("pinv", "ridge", "wiener"), "non-linear": ("local", "kernel", "broad")}
-_NOISY = 0.002  # of the chart's largest response: noise of a texel from which on knowing it counts most
-_CONTRADICTED = 0.7  # of the score of the preferred estimator: another below that is taken in its place
+_NOISY = 0.002  # of the chart's largest response: noise of a texel from which an estimator that uses it is preferred
+_CONTRADICTED = 0.7  # of the score of the preferred estimator: another one below that replaces it
 _RMSE_WEIGHT = 50.0  # CIEDE2000 that a spectral RMSE of one counts for in the score: 0.02 is as bad as 1
 _TIMED_PIXELS = 1024
 
@@ -38,11 +38,11 @@ class SelectionRow:
         By light.
     rmse_mean, rmse_max : float
     multiply_adds : int
-        A pixel's, see `irodori.calibration.recovery.mappings.Mapping`.
+        Operations per pixel, see `irodori.calibration.recovery.mappings.Mapping`.
     ns_per_pixel : float
-        Measured, in double precision; NaN where not. The choice does not look at it.
+        Measured time in double precision; NaN if not measured. It does not affect the choice.
     left_out : str
-        What was left out in turn, of LEFT_OUT.
+        ``patch`` or ``chart``: what was left out in turn.
     """
 
     estimator: str
@@ -68,32 +68,32 @@ def cross_validate(
     estimators=tuple(ESTIMATORS),
     costs: bool = True,
 ) -> tuple[list[SelectionRow], dict[tuple[str, int], np.ndarray]]:
-    """Return the table of every estimator and number of bases, and the spectra each recovers of unseen patches.
+    """Return the errors of every estimator and number of bases, and the spectra that each recovers of unseen patches.
 
-    Where the noise of a pixel is known, every patch left out is recovered from its response and from two more a band,
-    √bands standard deviations above and below, whose second moments are those of the noise; the score and its errors
-    are means over these. ``local`` is told the variance of these pixels, as a material's texels tell it theirs.
+    If the noise of a pixel is known, every patch left out is also recovered from two responses for each band, √bands
+    standard deviations above and below the measured one: together they have the second moments of the noise. Score and
+    errors are then means over these. ``local`` receives their variance, as it does for the texels of a material.
 
     Parameters
     ----------
     training : Training
     lights : sequence of str
     charts : see `folds`
-        A chart without which fewer patches than bands or bases would be left stays; where all do, nothing is judged.
-        Patches of the same paint (see `twins`) go with those left out.
+        A chart is never left out if fewer patches than bands or bases would remain; if no chart can be left out, the
+        results are empty. Patches of the same paint (see `twins`) are left out together.
     bases : sequence of int
-        Numbers of bases; those beyond the smallest fold's patches are left out.
+        Numbers of bases; those above the number of training patches in the smallest fold are skipped.
     timed : bool
         Whether evaluation is timed.
     estimators : sequence of str
-        Those to judge.
+        Names of the estimators to judge.
     costs : bool
-        Whether the estimators are also trained on all patches, to tell ``multiply_adds`` (0 where not) and times.
+        Whether to train the estimators on all patches too, for ``multiply_adds`` (otherwise 0) and times.
 
     Returns
     -------
-    rows : list of SelectionRow, by estimator, then bases; empty where nothing is judged
-    recovered : dict of (estimator, bases) to (m, 61) float64, without noise; NaN for patches of a chart that stays
+    rows : list of SelectionRow, by estimator, then bases; empty if no chart can be left out
+    recovered : dict of (estimator, bases) to (m, 61) float64, without noise; NaN for patches that are never left out
     """
     by_chart = charts is not None and np.unique(charts).size > 1
     sets = folds(len(training.spectra), charts)
@@ -145,7 +145,7 @@ def _recover(training: Training, parts: list[Fold], offsets, bases, estimators) 
 
 
 def _with_costs(rows: list[SelectionRow], training: Training, stated: bool, timed: bool) -> list[SelectionRow]:
-    """Return rows with what a pixel costs after training on all patches."""
+    """Return the rows with the costs per pixel of the estimators after training on all patches."""
     full = spectral_basis(training.spectra, max(row.bases for row in rows))
     whole = {name: fit_mapping(name, training).on_basis(full) for name in dict.fromkeys(row.estimator for row in rows)}
     done = []
@@ -157,9 +157,9 @@ def _with_costs(rows: list[SelectionRow], training: Training, stated: bool, time
 
 
 def scores_of(rows: list[SelectionRow]) -> dict[tuple[str, int], float]:
-    """Return the score of each estimator and number of bases, the mean over what was left out (patches, charts).
+    """Return the score of each estimator and number of bases, the mean of those with patches and with charts left out.
 
-    What was not judged in every way is not there.
+    Combinations that do not have a score for each of these are omitted.
     """
     by_key: dict[tuple[str, int], list[float]] = {}
     for row in rows:
@@ -169,7 +169,7 @@ def scores_of(rows: list[SelectionRow]) -> dict[tuple[str, int], float]:
 
 
 def best_of(rows: list[SelectionRow], estimators: tuple[str, ...]) -> dict | None:
-    """Return estimator, number of bases and score of the best among some estimators; None without any."""
+    """Return ``estimator``, ``bases`` and ``score`` of the best of some estimators; None if none has a score."""
     scores = {key: score for key, score in scores_of(rows).items() if key[0] in estimators}
     if not scores:
         return None
@@ -178,20 +178,20 @@ def best_of(rows: list[SelectionRow], estimators: tuple[str, ...]) -> dict | Non
 
 
 def safest(training: Training) -> str:
-    """Return what ``auto`` takes unless cross-validation clearly contradicts it; the noise of a texel decides.
+    """Return the estimator that ``auto`` prefers, by the noise of a texel, unless cross-validation contradicts it.
 
-    The patches of a chart are paints. Left out, they prefer what takes every object for paint, or a matrix; on other
-    objects ``broad`` errs least where there is little noise, and ``local``, which is told it, where there is more.
+    Cross-validation on a chart favours estimators that assume paints, and matrices, because its patches are paints. On
+    other objects ``broad`` has the smallest errors at low noise, and ``local``, which uses the noise, at higher noise.
     """
     known = training.noise.pixel is not None
     return "local" if known and sqrt(np.mean(training.pixel_variance)) >= _NOISY else "broad"
 
 
 def choose(rows: list[SelectionRow], estimator: str, bases: int | str, preferred: str = "broad") -> tuple[str, int]:
-    """Return the estimator and number of bases of the smallest score among those that the configuration allows.
+    """Return the estimator and number of bases with the smallest score among those that the configuration allows.
 
-    The score is the mean of that with patches left out and, where there are several charts, that with charts left out.
-    Where the estimator is open, it is the preferred one unless the smallest score is under 0.7 of that one's.
+    The score is the mean of those with patches left out and, if there are several charts, with charts left out. If the
+    estimator is ``auto``, the preferred one is chosen unless the smallest score is below 0.7 of the preferred one's.
 
     Parameters
     ----------
@@ -230,7 +230,7 @@ def choose(rows: list[SelectionRow], estimator: str, bases: int | str, preferred
 
 
 def _noise_offsets(training: Training) -> np.ndarray:
-    """Return what is added to a response, (1 or 1 + 2 bands, bands), the first row zero."""
+    """Return the offsets of a response that represent its noise, (1 or 1 + 2 bands, bands); the first row is zero."""
     bands = training.response.shape[1]
     if training.noise.pixel is None or not np.any(training.noise.pixel):
         return np.zeros((1, bands))
@@ -239,7 +239,7 @@ def _noise_offsets(training: Training) -> np.ndarray:
 
 
 def _row(spectra: np.ndarray, key: tuple[str, int], recovered: np.ndarray, lights, left_out: str) -> SelectionRow:
-    # The response without noise stands for the noise only where there is none.
+    # Responses without noise are judged only if there are none with noise.
     judged = recovered[1:] if len(recovered) > 1 else recovered
     truth = np.broadcast_to(spectra, judged.shape)
     rmse = spectral_rmse(truth, judged)
@@ -259,10 +259,10 @@ def _row(spectra: np.ndarray, key: tuple[str, int], recovered: np.ndarray, light
 
 
 def _evaluation_ns(mapping: Mapping, training: Training, bases: int, stated: bool) -> float:
-    """Return the shortest of three evaluations, ns a pixel, without compilation; told the noise if it is ``stated``.
+    """Return the shortest time of three evaluations, ns per pixel, after compilation; with variances if ``stated``.
 
-    In double precision, as the patches are judged: single, in which a material is recovered, would compile every loop
-    once more for these figures alone.
+    The evaluation has double precision, as cross-validation has: single precision, in which a material is recovered,
+    would compile every loop once more for these figures alone.
     """
     pixels = np.resize(training.response, (_TIMED_PIXELS, training.response.shape[1]))
     variance = np.broadcast_to(np.float64(training.noise.pixel), pixels.shape).copy() if stated else None

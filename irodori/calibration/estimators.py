@@ -1,7 +1,7 @@
 """Estimators of reflectance from responses, behind one interface and one registry.
 
-``ESTIMATORS[name](training)`` gives a mapping from responses to spectra (61); `fit` brings it to a basis. All are
-closed forms, deterministic and positively homogeneous of degree 1.
+``ESTIMATORS[name](training)`` returns a mapping from responses to spectra (61); `fit` projects it on a basis. All have
+closed forms, are deterministic and positively homogeneous of degree 1: twice the response yields twice the spectrum.
 """
 
 from collections.abc import Callable
@@ -25,25 +25,25 @@ from irodori.calibration.training import Population, Training
 
 _RIDGES = 10.0 ** np.arange(-12.0, 0.5, 0.5)  # of the mean square of a scaled band
 _FLOOR = 1e-12  # of a moment matrix's trace, added to its diagonal against rounding
-_SMOOTH_SHARE = 0.02  # standard deviation of the smooth prior that joins that of the patches, of their level
+_SMOOTH_SHARE = 0.02  # of the patches' level: standard deviation of the smooth prior added to their second moment
 _WIDTH = 0.1  # of the neighbourhood in the directions of the scaled responses (chord)
 _BACKGROUND = 0.002  # share of closeness that every member keeps, however far
 _ANCHORS = 48  # at most
 _LEVELS = 7  # of relative noise variance, one a factor 10
 _SPREAD = 20.0  # how much of the relative noise variance adds to the squared width
-_POLYNOMIAL_RIDGE = 1e-5  # of the mean moment, on what is not linear; noise and uncertainty do the rest
+_POLYNOMIAL_RIDGE = 1e-5  # of the mean moment, for non-linear monomials, in addition to noise and uncertainty
 
 
 def pinv(training: Training) -> LinearMapping:
-    """Return the pseudo-inverse P⁺ Λ [eq. 4]; on the basis B' it is M."""
+    """Return the mapping by the pseudo-inverse of the chart's responses, P⁺ Λ [eq. 4]; on the basis B' it is M."""
     return LinearMapping(np.linalg.pinv(training.scaled) @ training.spectra / training.scale[:, None])
 
 
 def ridge(training: Training) -> LinearMapping:
     """Return Tikhonov's solution (Pᵀ P + t I)⁻¹ Pᵀ Λ on scaled bands.
 
-    t minimises, over a fixed grid, the leave-one-out error in closed form (residual over one minus leverage) plus what
-    a pixel's noise adds.
+    t minimises, over a fixed grid, the leave-one-out error in closed form (residual over one minus leverage) plus the
+    error that a pixel's noise adds.
     """
     left, values, right = np.linalg.svd(training.scaled, full_matrices=False)
     turned = left.T @ training.spectra
@@ -78,10 +78,10 @@ def wiener(training: Training) -> LinearMapping:
 
 
 def local(training: Training) -> LocalMapping:
-    """Return a Wiener estimator around each of some patches, of the population weighted by closeness in direction.
+    """Return a blend of Wiener estimators around anchors; each weights the population by the direction of responses.
 
-    The population is the patches and their mixtures. Each anchor has matrices for some relative noise variances and one
-    for that of a pixel at the chart's mean level, which serves where no variance is given.
+    Anchors are some of the patches; the population is the patches and their mixtures. Each anchor has matrices for
+    several relative noise variances, and one for a pixel at the chart's mean level, used when no variance is given.
     """
     population, bands = training.population, len(training.scale)
     squares = (population.response**2).sum(axis=1)
@@ -95,7 +95,7 @@ def local(training: Training) -> LocalMapping:
     maps: list[np.ndarray] = []
     stated = levels if training.pixel_levels else levels[:0]
     for relative in (usual, *np.exp(stated)):
-        # Without a stated level every width is the same, or the blend would not be that of the usual noise.
+        # The matrices for the usual noise have the plain width, with which `LocalMapping` blends them.
         squared_width = _WIDTH**2 + (_SPREAD * relative if maps else 0.0)
         share = population.weight * (_BACKGROUND + np.exp(-0.5 * chord / squared_width))
         share /= share.sum(axis=1, keepdims=True)
@@ -112,19 +112,19 @@ def kernel(training: Training) -> PolynomialMapping:
     """Return ridge regression in homogeneous polynomials of degree three, over the population.
 
     It is the primal form of kernel ridge with the kernel |ρ| |ρ'| (cosine + cosine² + cosine³), up to weights of its
-    terms. The noise of a pixel and the spread of the population go through the derivatives of the monomials into the
-    moments, so that they regularise each monomial by what it amplifies.
+    terms. The noise of a pixel and the spread of the population enter the moments through the derivatives of the
+    monomials, so that a monomial is regularised the more, the more it amplifies them.
     """
     return _regression(training, training.population)
 
 
 def broad(training: Training) -> PolynomialMapping:
-    """Return what `kernel` does, for reflectances that may be far from paints: the population spreads wider."""
+    """Return the regression of `kernel` over a wider population, for reflectances that may differ much from paints."""
     return _regression(training, training.wide_population)
 
 
 def _root(covariance: np.ndarray) -> np.ndarray:
-    """Return matrices R whose R Rᵀ are these, (n, b, b); what rounding has left below zero counts as zero."""
+    """Return square roots R of covariances R Rᵀ, (n, b, b); eigenvalues that rounding made negative count as zero."""
     try:
         return np.linalg.cholesky(covariance)
     except np.linalg.LinAlgError:
@@ -174,7 +174,7 @@ def fit_mapping(name: str, training: Training) -> Mapping:
 
 
 def fit(name: str, training: Training, bases: int, max_condition: float = MAX_CONDITION) -> Calibration:
-    """Return a calibration by an estimator on a number of bases; ``pinv`` is the printed formula.
+    """Return a calibration by an estimator on a number of bases; ``pinv`` is the paper's formula.
 
     Raises
     ------
@@ -192,7 +192,7 @@ def fit(name: str, training: Training, bases: int, max_condition: float = MAX_CO
 
 
 def fit_checked(name: str, training: Training, bases: int, max_condition: float = MAX_CONDITION) -> Calibration:
-    """Return what `fit` does, of responses that are known to determine a calibration."""
+    """Return a calibration as `fit` does, for responses that have passed its checks."""
     with threadpool_limits(1):  # small matrices, and the same sums whatever the threads
         if name == "pinv":
             found = calibrate(training.response, training.spectra, bases, training.light, max_condition)
@@ -259,6 +259,6 @@ def _anchors(direction: np.ndarray) -> np.ndarray:
 
 
 def _floored(moment: np.ndarray) -> np.ndarray:
-    """Return symmetric matrices (..., n, n) with a part of their trace on the diagonal."""
+    """Return symmetric matrices (..., n, n) with a tiny share of their trace added to the diagonal."""
     trace = np.trace(moment, axis1=-2, axis2=-1)[..., None, None]
     return moment + _FLOOR * trace * np.eye(moment.shape[-1])

@@ -1,11 +1,11 @@
-"""Responses without and with a filter of which a table is given, from one chart.
+"""Estimation of responses without and with a filter from one chart, given a table of the filter's transmittance.
 
-Without the filter band b answers per unit reflectance with h_b(λ), with it with g_b T(λ) h_b(λ). T is the table's
-transmittance with its departures (`irodori.calibration.filter_table`) and a rest δ(λ), a Gaussian process that allows
-every passband its own level and every edge its own place; its size is chosen by the marginal likelihood.
-Sensitivities, departures, δ and the gains g_b are found together by Gauss-Newton steps from Gaussian priors; their
-covariance is that of the linearised model (Laplace's approximation), so that what the table leaves open is in the
-covariance of the responses.
+Per unit reflectance, the response of band b is h_b(λ) without the filter and g_b T(λ) h_b(λ) with it. T is the table's
+transmittance with its departures (`irodori.calibration.filter_table`) plus a remainder δ(λ): a Gaussian process that
+allows every passband its own level and every edge its own position. Sensitivities, departures, δ and the gains g_b are
+estimated together by Gauss-Newton steps from Gaussian priors. Their covariance is that of the linearised model
+(Laplace's approximation), so that the covariance of the responses includes the uncertainty of the table. Fits with
+several sizes of δ are averaged with their marginal likelihoods as weights.
 """
 
 from dataclasses import dataclass
@@ -16,11 +16,11 @@ from irodori.calibration.filter_table import DEPARTURES, FilterTable
 from irodori.calibration.sensitivity_prior import BandPrior
 from irodori.spectra.grid import SAMPLES, WAVELENGTH_NM
 
-#: Standard deviations of a passband's level that are tried, relative, and their correlation length, nm; with each an
-#: edge lies so many nm off per unit, with its own length.
+#: Relative standard deviations of a passband's level that are tried, and their correlation length, nm. The standard
+#: deviation of an edge's position, in nm, is 30 times that of the level, with its own correlation length.
 _LEVELS, _LEVEL_NM = (0.003, 0.01, 0.03, 0.1), 25.0
 _EDGE_PER_LEVEL_NM, _EDGE_NM = 30.0, 10.0
-#: Where the search of the shift begins, in its standard deviations, and with which of the levels.
+#: Starting values of the shift, in its standard deviations, and the index of the level that these searches use.
 _STARTS, _FIRST = (-1.5, 0.0, 1.5), 1
 _GAIN, _LEAST_GAIN = 0.3, 1e-3  # standard deviation of the logarithm of a gain about where the search begins
 _STEPS, _ENOUGH = 30, 1e-4
@@ -36,7 +36,7 @@ def _matern(length_nm: float) -> np.ndarray:
 
 @dataclass(frozen=True)
 class FilterFit:
-    """Responses of the six bands, and what the filter differs from its table by.
+    """Estimated responses of the six bands, and the departures of the filter from its table.
 
     Parameters
     ----------
@@ -44,11 +44,11 @@ class FilterFit:
     covariance : (6, 61, 61) float64
     log_evidence : float
     departures, errors : (4,) float64
-        See `irodori.calibration.filter_table.DEPARTURES`, and their standard deviations.
+        Departures, see `irodori.calibration.filter_table.DEPARTURES`, and their standard deviations.
     gains : (3,) float64
-        Of the bands with the filter, for a largest transmittance of 1.
+        Gains of the bands with the filter, for a largest transmittance of 1.
     level : float
-        Standard deviation of the rest that the marginal likelihood prefers.
+        Relative standard deviation of a passband's level with the highest marginal likelihood.
     """
 
     mean: np.ndarray
@@ -61,7 +61,7 @@ class FilterFit:
 
 
 class _Problem:
-    """Responses of a chart as a function of sensitivities (3 x 61), departures, gains and the rest."""
+    """Responses to a chart as a function of sensitivities (3 x 61), departures (4), gains (3) and remainder (61)."""
 
     _DEPARTURES = slice(_BANDS * SAMPLES, _BANDS * SAMPLES + len(DEPARTURES))
     _SHIFTS = slice(_DEPARTURES.start, _DEPARTURES.start + 2)
@@ -80,7 +80,7 @@ class _Problem:
         self.alone = [prior.given(own, spectra).mean for prior, own in zip(priors, response.T, strict=False)]
 
     def begin(self, shift: float) -> np.ndarray:
-        """Return where the search begins; the gains there are also the middle of their prior."""
+        """Return the starting values for a shift in nm; the gains among them also become the mean of their prior."""
         start = self.mean.copy()
         start[: self._DEPARTURES.start] = np.concatenate(self.alone)
         start[self._DEPARTURES.start] = shift
@@ -92,7 +92,7 @@ class _Problem:
         return start
 
     def rest(self, size: float, departures: np.ndarray) -> np.ndarray:
-        """Return the covariance of what the transmittance is off by beside its departures, (61, 61)."""
+        """Return the prior covariance of the transmittance's remainder beyond its departures, (61, 61)."""
         level, edge = self.table.at(departures), self.table.slopes(departures)[:, 0]
         levels = level[:, None] * _matern(_LEVEL_NM) * level
         return size**2 * (levels + _EDGE_PER_LEVEL_NM**2 * edge[:, None] * _matern(_EDGE_NM) * edge)
@@ -114,7 +114,7 @@ class _Problem:
         return value, by
 
     def solve(self, size: float, shift: float) -> FilterFit:
-        """Return the fit with a rest of some size, begun at some shift."""
+        """Return the fit with a remainder of the given size, started at a shift in nm."""
         x, variance = self.begin(shift), np.diag(self.covariance)[: self._REST.start]
         unit = np.sqrt(np.maximum(variance, np.finfo(float).tiny))
         for _ in range(_STEPS):
@@ -126,7 +126,7 @@ class _Problem:
             moment = slopes @ cross + np.diag(self.noise)
             solved = np.linalg.solve(moment, missed)
             step = self.mean + cross @ solved - x
-            # Far from the solution the linearised model leads astray: shifts and gains go a part of the way.
+            # Far from the solution the linearised model is wrong: the step is limited in shifts and gains.
             shift, gain = (np.abs(step[own]).max() for own in (self._SHIFTS, self._GAINS))
             x = x + step / max(1.0, shift / _MOST_SHIFT_NM, gain / _MOST_GAIN)
             if np.abs(step[: self._REST.start] / unit).max() < _ENOUGH:
@@ -148,7 +148,7 @@ class _Problem:
 def fit_filter(
     response: np.ndarray, spectra: np.ndarray, table: FilterTable, priors: list[BandPrior], variance: np.ndarray
 ) -> FilterFit:
-    """Return the responses of six bands, three without and three with a filter, under the prior that its table gives.
+    """Return the responses of six bands, three without and three with a filter, with the filter's table as a prior.
 
     Parameters
     ----------
@@ -156,10 +156,10 @@ def fit_filter(
     spectra : (m, 61) float64
     table : FilterTable
     priors : list of 3 BandPrior
-        Of the bands without the filter; noise that they found beyond what is known, relative to the mean square of a
-        band, is expected of the bands with it too.
+        Priors of the bands without the filter. Their noise beyond the known variance, relative to the mean square of a
+        band, is assumed for the bands with the filter too.
     variance : (6,) float64
-        Of the responses, as far as it is known.
+        Known variance of the responses.
     """
     square = np.mean(response**2, axis=0)
     plain = np.array([prior.noise for prior in priors])

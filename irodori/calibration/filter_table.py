@@ -1,4 +1,4 @@
-"""Transmittance of a filter as a table gives it, and how the filter may differ from its table.
+"""Transmittance of a filter from a table, with a model of how the filter may differ from its table.
 
 No table is exact. A coating's passbands lie a nanometre off, by batch and temperature; a data sheet is measured at
 normal incidence, and at an angle every wavelength shifts in proportion; the instrument's slit blurs edges; what is
@@ -14,8 +14,8 @@ import numpy as np
 from irodori.spectra.grid import STEP_NM, WAVELENGTH_NM
 from irodori.spectra.spectral_files import filter_row, spectral_table
 
-#: Names of what a table may be off by: shift at 550 nm and its growth 150 nm further, nm; variance of the blur, nm²;
-#: transmittance that is added everywhere, in units of the largest.
+#: Names of a filter's departures from its table: shift at 550 nm and its increase over the next 150 nm, nm; variance of
+#: the blur, nm²; transmittance that is added everywhere, relative to the largest.
 DEPARTURES = ("shift_nm", "tilt_nm", "blur_nm2", "floor")
 #: Standard deviations of all but the first.
 _TILT_NM, _BLUR_NM2, _FLOOR = 1.0, 4.0, 0.005
@@ -47,7 +47,7 @@ class FilterTable:
 
     @cached_property
     def _curve(self) -> tuple[np.ndarray, np.ndarray]:
-        """Transmittance, largest 1, at fine steps; what is finer than the grid is the mean over a triangle of ±5 nm."""
+        """Wavelengths in fine steps, nm, and relative transmittance; fine tables are smoothed by a ±5 nm triangle."""
         from scipy.interpolate import PchipInterpolator  # slow to import
 
         place = np.arange(WAVELENGTH_NM[0] - _MARGIN_NM, WAVELENGTH_NM[-1] + _MARGIN_NM + _FINE_NM, _FINE_NM)
@@ -63,14 +63,14 @@ class FilterTable:
         return place, value / value.max()
 
     def at(self, departures: np.ndarray) -> np.ndarray:
-        """Return the transmittance of a filter that departs from the table, (61,), the table's largest being 1."""
+        """Return the transmittance (61,) of a filter with such departures, relative to the maximum of the table."""
         shift, tilt, blur, floor = departures
         place = WAVELENGTH_NM - shift - tilt * (WAVELENGTH_NM - _MIDDLE_NM) / _SIDE_NM
         middle, below, above = (np.interp(place + step, *self._curve) for step in (0.0, -_BLUR_STEP_NM, _BLUR_STEP_NM))
         return middle + 0.5 * blur * (below + above - 2.0 * middle) / _BLUR_STEP_NM**2 + floor
 
     def slopes(self, departures: np.ndarray) -> np.ndarray:
-        """Return the derivatives of the transmittance by the departures, (61, 4)."""
+        """Return the derivatives of the transmittance with respect to the departures, (61, 4)."""
         steps = np.diag([_FINE_NM, _FINE_NM, 1e-2, 1e-4])
         return np.stack(
             [(self.at(departures + step) - self.at(departures - step)) / (2.0 * step.max()) for step in steps], axis=1
@@ -84,14 +84,14 @@ def read_filter(file, name: str | None, shift_nm: float) -> FilterTable:
     ----------
     file : path
     name : str or None
-        Of the spectrum; needed in a file of several.
+        Name of the spectrum; required if the file has several.
     shift_nm : float
-        Standard deviation of the shift.
+        Standard deviation of the filter's shift from its table.
 
     Raises
     ------
     InputError
-        If the file cannot be read or does not cover 400 to 700 nm, does not hold the filter, or holds other values than
+        If the file cannot be read, does not cover 400 to 700 nm, does not have the filter, or has values that are not
         transmittances.
     """
     table = spectral_table(file)

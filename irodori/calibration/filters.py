@@ -1,7 +1,7 @@
 """Ranking of second-shot filters on the command line: ``irodori filters --camera FILE --filters FILE``.
 
-Prints the filters in the order of the mean CIEDE2000 that each would give as the second shot of a camera, and writes
-them all to a CSV. See `irodori.calibration.ranking` for what is computed.
+Print the filters that are best for the second shot of a camera, ordered by predicted mean CIEDE2000, and write the
+scores of all filters to a CSV file. The module `irodori.calibration.ranking` explains the prediction.
 """
 
 import argparse
@@ -29,8 +29,8 @@ def read_filters(path) -> dict[str, np.ndarray]:
     Returns
     -------
     dict of (61,) float64
-        By the filter's name, or by the file's where it holds one spectrum of a folder. A measurement's noise under 0,
-        down to -0.01, is set to 0.
+        {name: transmittance}. The name is that in the file, or that of the file if it has one spectrum and lies in a
+        folder. Noise of a measurement below 0, down to -0.01, is set to 0.
 
     Raises
     ------
@@ -66,7 +66,7 @@ def write_scores(scores: list[FilterScore], path) -> None:
     Raises
     ------
     InputError
-        If the folder takes no file.
+        If the folder does not exist.
     """
     path = Path(path)
     if not path.parent.is_dir():
@@ -114,7 +114,7 @@ def _parser(prog: str) -> argparse.ArgumentParser:
 
 
 def main(arguments: list[str] | None = None, prog: str = "python -m irodori.calibration.filters") -> int:
-    """Rank filters as the command line says; return the exit status."""
+    """Rank filters by command-line arguments and return the exit status."""
     options = _parser(prog).parse_args(arguments)
     try:
         scores = rank_filters(

@@ -1,4 +1,4 @@
-"""Refusal of charts whose patches, left out in turn, are recovered too badly to be those of the spectra."""
+"""Checks that the photograph of a chart agrees with its spectra, by predicting each patch from all others."""
 
 import numpy as np
 
@@ -9,31 +9,32 @@ from irodori.core.errors import InputError
 from irodori.spectra.published import chart_spectra
 from irodori.spectra.published_names import CHART_PATCHES
 
-_PATCH_LIMIT = 1.5  # of the limit of the mean: a patch beyond is at fault itself
-_PATCH_RATIO = 4.0  # of the median over the other patches, which one at fault exceeds too
-_MOST_AT_FAULT = 0.25  # of the patches; where more are, it is not the patches
+_PATCH_LIMIT = 1.5  # of the limit of the mean: a patch with a larger error is at fault itself
+_PATCH_RATIO = 4.0  # of the median error of the other patches, which a faulty patch must exceed too
+_MOST_AT_FAULT = 0.25  # of the patches: if more are at fault, the cause is not in the patches
 _CURED = 0.5  # of the error of two patches: below that their exchange explains it
 _LIKELIER = 0.7  # of the error with the spectra given: a published chart below that is likelier
 
 
 def check_patches(charts: Charts, responses: np.ndarray, limit: float, light: str) -> None:
-    """Refuse patches that all others contradict: covered, dirty, or exchanged with each other.
+    """Refuse patches that contradict all others: covered, dirty, or exchanged with each other.
 
-    While a patch stands out, that one is taken out without which the others agree best: one at fault spoils the
-    prediction of its neighbours, so that the worst error may be another's.
+    While any error is too large, the patch without which the others agree best is removed. This need not be the patch
+    with the largest error, because a faulty patch also spoils the prediction of similar ones.
 
     Parameters
     ----------
     charts : Charts
     responses : (m, bands) float
     limit : float
-        Largest mean CIEDE2000 of patches left out; a patch may have one and a half times that.
+        Largest mean CIEDE2000 of patches predicted by the others; a single patch may have 1.5 times that.
     light : str
+        Light for CIEDE2000.
 
     Raises
     ------
     InputError
-        Naming the patches, with their errors, and which of them look exchanged.
+        The message names the patches with their errors, and states whether they look exchanged.
     """
     spectra, kept = charts.spectra, np.ones(len(responses), dtype=bool)
     while True:
@@ -59,23 +60,23 @@ def check_patches(charts: Charts, responses: np.ndarray, limit: float, light: st
 
 
 def check_mean(charts: Charts, error: np.ndarray, limit: float, light: str, likelier: dict[str, str]) -> None:
-    """Refuse a chart whose patches left out are off by more than a limit in the mean.
+    """Refuse a chart with a mean CIEDE2000 of patches left out of the calibration above a limit.
 
     Parameters
     ----------
     charts : Charts
     error : (m,) float
-        CIEDE2000 of every patch left out; NaN where not judged.
+        CIEDE2000 of every patch when it is left out; NaN where not computed.
     limit : float
     light : str
-        Of the error.
+        Light of the error.
     likelier : dict of str to str
-        What `likelier_charts` found.
+        Result of `likelier_charts`.
 
     Raises
     ------
     InputError
-        With the mean, the worst patch and, where there is one, the published chart that fits better.
+        The message has the mean, the worst patch and, if there is one, the published chart that fits better.
     """
     mean = float(np.nanmean(error))
     if mean <= limit:
@@ -90,14 +91,19 @@ def check_mean(charts: Charts, error: np.ndarray, limit: float, light: str, like
 
 
 def likelier_charts(charts: Charts, responses: np.ndarray, light: str) -> dict[str, str]:
-    """Return the published chart that agrees clearly better with a chart's responses than its spectra, by field.
+    """Return the published charts that agree clearly better with the responses of charts than the spectra given.
 
     Parameters
     ----------
     charts : Charts
     responses : (m, bands) float
     light : str
-        For CIEDE2000.
+        Light for CIEDE2000.
+
+    Returns
+    -------
+    dict of str to str
+        {key of a chart in the camera's definition: name of the published chart}
     """
     found = {}
     for which, field in enumerate(charts.fields):
@@ -116,7 +122,7 @@ def likelier_charts(charts: Charts, responses: np.ndarray, light: str) -> dict[s
 
 
 def _without_which_the_others_agree(responses, spectra, kept: np.ndarray, light: str) -> int:
-    """Return the patch, of those kept, without which the mean error of the other ones is smallest."""
+    """Return the index of the kept patch without which the mean error of the other ones is smallest."""
     means = {}
     for patch in np.flatnonzero(kept):
         others = kept & (np.arange(len(kept)) != patch)

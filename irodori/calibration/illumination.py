@@ -1,10 +1,10 @@
 """Estimate of the uneven light on a chart, vignetting included, where there is no flat field.
 
-A patch is of one reflectance, so the slope of the response across it is the slope of the light: the slopes of all
-patches determine a smooth field, exp of a polynomial in x and y, up to its scale. The dark frame between the patches is
-of one reflectance too, but it reflects little: light scattered in the lens from bright patches and from the paper, and
-the gloss of the frame's other surface, are as large as the vignetting. Its field is computed and compared; it corrects
-nothing.
+A patch has a uniform reflectance, so the slope of the response across it is the slope of the light: the slopes of all
+patches determine a smooth field, exp of a polynomial in x and y, up to its scale. The dark frame between the patches
+has a uniform reflectance too, but it reflects little: light scattered in the lens from bright patches and from the
+paper, and the gloss of the frame's different surface, are as large as the vignetting. The field of the frame is
+computed for comparison only.
 """
 
 from dataclasses import dataclass
@@ -27,16 +27,16 @@ _MIN_GAP_PX = 4.0
 
 @dataclass(frozen=True)
 class Illumination:
-    """The light on a chart, relative to its mean over the patches, or why it is not known.
+    """Light on a chart, relative to its mean over the patches, or the reason why it is not known.
 
     Parameters
     ----------
     correctable : bool
-        Whether `field` may be divided by.
+        Whether responses may be divided by `field`.
     reason : str
-        What was decided, with its numbers.
+        Phrase that describes the result, with its figures.
     degree : int
-        Of the polynomial in the exponent; 0 is even light.
+        Degree of the polynomial in the exponent; 0 is even light.
     per_band : bool
         Whether each band has a polynomial of its own.
     field : (patches, bands) float64
@@ -60,8 +60,8 @@ class Illumination:
 def illumination(response: np.ndarray, valid: np.ndarray, located: Located, file, sample_px: int = 2) -> Illumination:
     """Return the light on a chart from the slopes within its patches.
 
-    The degree, 0, 1 or 2, is what best predicts the slopes of a patch left out, the least within two standard errors of
-    the best; then bands have a field each where that predicts better by two standard errors.
+    The degree, 0, 1 or 2, is the smallest one that predicts the slopes of patches left out within two standard errors
+    of the best. Each band has a field of its own only if this predicts them better by two standard errors.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ def illumination(response: np.ndarray, valid: np.ndarray, located: Located, file
     reading = read_located(response, valid, whole, file, sample_px)
     xy, scale_px = _unit(located.centres_px)
     slopes, brightest = reading.log_slope * scale_px, reading.mean.max(axis=0)
-    # A dead band has no slopes, and is refused with better words when the calibration is solved.
+    # A dead band has no slopes, and is refused with a better message when the calibration is solved.
     weights = np.divide(reading.mean, brightest, out=np.zeros_like(reading.mean), where=brightest > 0)
     known = np.isfinite(slopes).all(axis=(1, 2)) & (weights > 0).all(axis=1)
     even = np.ones_like(reading.mean)
@@ -105,7 +105,7 @@ def illumination(response: np.ndarray, valid: np.ndarray, located: Located, file
 
 
 def _unit(centres_px: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return patch centres from -1 to 1 about their middle, and superpixels a unit."""
+    """Return patch centres scaled to -1..1 about their middle, and the unit of this scale in superpixels."""
     low, high = centres_px.min(axis=0), centres_px.max(axis=0)
     scale_px = float((high - low).max() / 2.0)
     return (centres_px - (low + high) / 2.0) / scale_px, scale_px
@@ -134,7 +134,8 @@ def _slope_terms(xy: np.ndarray, degree: int) -> np.ndarray:
 def _solve(xy, slopes, weights, degree: int, per_band: bool) -> tuple[np.ndarray, np.ndarray]:
     """Return coefficients (bands, terms) by Huber's loss and their covariances (bands, terms, terms).
 
-    What slopes of dark patches are wrong by, noise and scattered light, is additive: weights go with the response.
+    Noise and scattered light are additive, which makes relative slopes of dark patches less accurate: weights are
+    proportional to the response.
     """
     bands = slopes.shape[-1]
     design = _slope_terms(xy, degree).reshape(2 * len(xy), -1)
@@ -156,13 +157,13 @@ def _solve(xy, slopes, weights, degree: int, per_band: bool) -> tuple[np.ndarray
         freedom = max(1, len(b) - terms)
         variance = np.sum((trust * (b - a @ solved)) ** 2) / freedom
         coefficients[group] = solved
-        # Bands of one pixel share dirt and scattered light: a band more is not counted as an observation more.
+        # Bands of one pixel share dirt and scattered light: further bands do not count as further observations.
         covariances[group] = variance * len(group) * np.linalg.inv((a * trust[:, None]).T @ (a * trust[:, None]))
     return coefficients, covariances
 
 
 def _choose(xy, slopes, weights) -> tuple[int, bool]:
-    """Return the degree, by one field common to the bands, and then whether each band has a field of its own."""
+    """Return the degree, chosen with one field common to all bands, and whether bands have fields of their own."""
     errors = [_left_out(xy, slopes, weights, degree, False) for degree in _DEGREES]
     best = errors[int(np.argmin([error.mean() for error in errors]))]
     degree = next(d for d, error in zip(_DEGREES, errors, strict=True) if not _clearly_less(best, error))
@@ -176,7 +177,7 @@ def _clearly_less(error: np.ndarray, than: np.ndarray) -> bool:
 
 
 def _left_out(xy, slopes, weights, degree: int, per_band: bool) -> np.ndarray:
-    """Return by how much the slopes of each patch are missed by a field from all the others, (patches,)."""
+    """Return the mean weighted error of each patch's slopes as predicted from all other patches, (patches,)."""
     missed = np.empty(len(xy))
     for patch in range(len(xy)):
         others = np.arange(len(xy)) != patch
@@ -197,7 +198,7 @@ def _field(xy_all, xy, slopes, weights, degree: int, per_band: bool) -> tuple[np
 
 
 def _frame_difference(response, valid, located: Located, sample_px: int, field: np.ndarray) -> float:
-    """Return by how much the frame's field differs from the patches', rms, or NaN where its gaps cannot be read."""
+    """Return the rms difference, relative, of the frame's field from the patches'; NaN if the gaps cannot be read."""
     from scipy import ndimage  # slow to import
 
     rows, columns = located.rows, located.columns

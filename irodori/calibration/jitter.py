@@ -23,9 +23,9 @@ class Jitter:
     Parameters
     ----------
     step_px : float
-        Superpixels.
+        Distance by which the patches are moved, superpixels.
     in_place : float
-        Error with the patches where they are.
+        Error with the patches in place.
     moved : (8,) float64
         Error with all patches moved by `step_px` times SHIFTS.
     limit : float
@@ -58,22 +58,22 @@ def jitter(
     sample_px: int = 2,
     step_px: float = STEP_PX,
 ) -> Jitter:
-    """Read a chart with all its patches moved in eight directions and compare what becomes of an error.
+    """Return an error of a calibration with the patches of its chart in place and moved in eight directions.
 
     Parameters
     ----------
     response : (height, width, bands) float
     valid : (height, width) bool
     located : Located
-        Where the patches lie.
+        Positions of the patches.
     error : callable
-        From the responses of the patches, (patches, bands), to one number, such as the mean CIEDE2000 of
+        Function from the responses of the patches, (patches, bands), to one number, such as the mean CIEDE2000 of
         leave-one-patch-out.
     file : path, for error messages
     sample_px : int
         Mosaic pixels along the side of a sample of the picture.
     step_px : float
-        Superpixels; both coordinates move by it on the diagonals.
+        Distance of the move, superpixels; on the diagonals both coordinates change by it.
 
     Raises
     ------

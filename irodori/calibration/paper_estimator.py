@@ -32,7 +32,7 @@ def calibrate(
     light: np.ndarray,
     max_condition: float = MAX_CONDITION,
 ) -> Calibration:
-    """Solve equations (3) and (4).
+    """Return the calibration by equations (2) to (4) of the paper.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ def calibrate(
     bases : int
     light : (61,) float
     max_condition : float
-        Of P, every band divided by its largest patch.
+        Largest condition number of P with every band divided by its largest patch.
 
     Raises
     ------

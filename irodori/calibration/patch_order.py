@@ -1,4 +1,4 @@
-"""Test that patches come in the order of their spectra, which names a chart that was read in another order."""
+"""Check that the patches of a chart are in the order of its spectra."""
 
 from collections.abc import Iterator
 
@@ -6,13 +6,13 @@ import numpy as np
 
 from irodori.calibration.chart_grid import homography, nodes, project
 
-_SPARE_PATCHES = 4  # beyond the bands, below which nothing can be told
+_SPARE_PATCHES = 4  # beyond the number of bands: with fewer, the order cannot be judged
 _MAX_RATIO = 0.6  # of the error of another reading to that of the one configured
 _UPRIGHT = "upright"
 
 
 def is_telling(response: np.ndarray) -> bool:
-    """Return whether responses (m, bands) are finite and enough more than the bands to contradict each other."""
+    """Return whether responses (m, bands) are finite and numerous enough, relative to the bands, for a comparison."""
     return len(response) >= response.shape[1] + _SPARE_PATCHES and bool(np.isfinite(response).all())
 
 
@@ -40,16 +40,16 @@ def rmse_of_unseen(response: np.ndarray, spectra: np.ndarray) -> np.ndarray:
 
 
 def readings(rows: int, columns: int) -> dict[str, np.ndarray]:
-    """Return the orders in which a chart could be read: as it is, turned by half, mirrored or flipped, each (m,)."""
+    """Return the orders in which a chart could be read: upright, turned by 180°, mirrored or flipped, each (m,)."""
     number = np.arange(rows * columns).reshape(rows, columns)
     orders = {_UPRIGHT: number, "turned": number[::-1, ::-1], "mirrored": number[:, ::-1], "flipped": number[::-1]}
     return {name: order.ravel() for name, order in orders.items()}
 
 
 def _places(centres: np.ndarray, rows: int, columns: int) -> Iterator[tuple[str, np.ndarray]]:
-    """Yield in words how else a chart could be read, and the centres of its patches then, (m, 2).
+    """Yield a phrase for each possible reading of a chart, and the centres of the patches in that reading, (m, 2).
 
-    Corners can be named in eight ways, for the layout given and for that with rows and columns exchanged.
+    The corners can be named in eight ways, with the given layout and with rows and columns exchanged.
     """
     corners = centres.reshape(rows, columns, 2)[[0, 0, -1, -1], [0, -1, 0, -1]]
     square = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
@@ -75,14 +75,15 @@ def check_order(centres: np.ndarray, read, spectra: np.ndarray, rows: int, colum
     centres : (m, 2) float
         Centres of the patches as they were read, row by row.
     read : callable
-        From other centres (m, 2) to the responses there, (m, bands), or None where they cannot be read.
+        Function from centres (m, 2) to the responses there, (m, bands), or None if they cannot be read.
     spectra : (m, 61) float
     rows, columns : int
 
     Raises
     ------
     ValueError
-        Naming the reading that fits. Charts of hardly more patches than bands pass: there nothing can be told.
+        The message names the order that fits. Charts with hardly more patches than bands pass, because their order
+        cannot be judged.
     """
     if min(rows, columns) < 2:
         return

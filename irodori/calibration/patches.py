@@ -1,4 +1,4 @@
-"""Robust statistics of a chart's patches, unharmed by dirt, hot pixels and uneven light."""
+"""Statistics of a chart's patches that are robust against dirt, hot pixels and uneven light."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -14,11 +14,11 @@ TRIM = 0.1  # share of a patch's pixels left out at each end
 _KEPT_VARIANCE = 1.0 - 2.0 * _NORMAL.inv_cdf(1 - TRIM) * _NORMAL.pdf(_NORMAL.inv_cdf(1 - TRIM)) / (1.0 - 2.0 * TRIM)
 #: Variance of the trimmed mean of n normal values, times n: the winsorised variance over (1 - 2 trim)².
 _MEAN_VARIANCE = (_KEPT_VARIANCE * (1 - 2 * TRIM) + 2 * TRIM * _NORMAL.inv_cdf(1 - TRIM) ** 2) / (1 - 2 * TRIM) ** 2
-_BLOCKS = 4  # a side: blocks that tell slope and unevenness
+_BLOCKS = 4  # per side: blocks from which slope and unevenness are computed
 _BLOCK_TRIM = 0.25  # share of a block's pixels left out at each end: medians of whole numbers are too coarse
 _BLOCK_VARIANCE = 1.2  # variance of that trimmed mean of n normal values, times n
 _MIN_BLOCK_PX = 2
-_DARK = 0.02  # of the chart's largest mean: differences of dark patches are judged against no less
+_DARK = 0.02  # of the chart's largest mean: smallest scale for differences in dark patches
 _MAX_GRADIENT = 0.15
 _MAX_UNEVENNESS = 0.03
 _QUARTILES = 2.0 * _NORMAL.inv_cdf(0.75)  # distance of the quartiles, standard deviations
@@ -39,21 +39,23 @@ class ChartReading:
     mean : (patches, bands) float64
         Trimmed mean response.
     pixel_variance : (patches, bands) float64
-        Variance of one pixel about the patch's slope, from its middle 80 %, as for a normal distribution.
+        Variance of one pixel about the plane fitted to the patch, estimated from the middle 80 % of the pixels for a
+        normal distribution.
     mean_variance : (patches, bands) float64
-        Variance of `mean`: that of independent pixels, or that which 4 x 4 blocks show about the slope, whichever is
-        larger; so dirt, texture and interpolated neighbours count.
+        Variance of `mean`: that of independent pixels, or that of 4 x 4 blocks about the fitted plane, whichever is
+        larger, so that dirt, texture and interpolated pixels are included.
     count : (patches,) int
         Valid pixels.
     invalid_share : (patches,) float64
         Share of the pixels that are clipped or hot.
     gradient : (patches,) float64
-        Change of the response from side to side beyond four standard errors, over the mean (over 2 % of the chart's
-        brightest patch where the mean is less), the largest of the bands; NaN where there are no blocks of 2 pixels.
+        Change of the response across the patch, less four standard errors, relative to the mean response (to 2 % of
+        the brightest patch if that is larger); the largest of the bands. NaN if the patch is too small for blocks of
+        2 x 2 pixels.
     unevenness : (patches,) float64
-        Largest deviation of a block from the slope beyond four standard errors, on the same scale; NaN likewise.
+        Largest deviation of a block from the fitted plane, less four standard errors, on the same scale; NaN likewise.
     log_slope : (patches, 2, bands) float64
-        Slope of the response along x and y over its mean, per superpixel; NaN likewise, or where the mean is not
+        Slope of the response along x and y, divided by the mean, per superpixel; NaN likewise, or if the mean is not
         positive.
     """
 
@@ -70,7 +72,7 @@ class ChartReading:
 
     @property
     def uneven(self) -> np.ndarray:
-        """Patches with dirt, an edge, a shadow or light that falls off by over 15 %, (patches,) bool."""
+        """Mask of patches with dirt, an edge, a shadow or a gradient of the light over 15 %, (patches,) bool."""
         return (self.gradient > _MAX_GRADIENT) | (self.unevenness > _MAX_UNEVENNESS)
 
     def divided(self, field: np.ndarray) -> "ChartReading":
@@ -84,7 +86,7 @@ class ChartReading:
 
 
 def read_squares(response, valid, centres, side: float, file) -> dict:
-    """Return the statistics of squares as keywords of `ChartReading`, slopes per sample.
+    """Return the statistics of square areas as keyword arguments of `ChartReading`, with slopes per sample.
 
     Parameters
     ----------
@@ -117,7 +119,7 @@ def read_means(response, valid, centres, side: float, file) -> np.ndarray:
 
 
 def _squares(response, valid, centres, side: float, file) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield the samples of each square and which of them are valid; refuse as `read_squares` says."""
+    """Yield the samples of each square and the mask of valid ones; raises as `read_squares`."""
     height, width = valid.shape
     side = max(1, round(side))
     for number, (x, y) in enumerate(centres):
@@ -140,7 +142,7 @@ def _trimmed_mean(values: np.ndarray) -> np.ndarray:
 
 
 def _statistics(square: np.ndarray, good: np.ndarray) -> tuple:
-    """Return mean, variances, count, share invalid, change along the slope and deviation from it of one patch."""
+    """Return a patch's mean, variances, count, invalid share, change along its plane, deviation from it, log slope."""
     values = square[good]
     mean = _trimmed_mean(values)
     slope, deviation, mean_variance, blocks = _slope(square, good)
@@ -150,7 +152,7 @@ def _statistics(square: np.ndarray, good: np.ndarray) -> tuple:
     cut = int(TRIM * len(residual))
     kept = residual[cut : len(residual) - cut]
     pixel = kept.var(axis=0) / (_KEPT_VARIANCE if cut else 1.0)
-    # Dirt on a sixth of the patch must not hide itself by the noise it makes: the middle half tells what noise is.
+    # Noise is estimated from the middle half of the pixels: dirt on a sixth of the patch must not be taken for noise.
     quiet = (residual[(3 * len(residual)) // 4] - residual[len(residual) // 4]) / _QUARTILES
     error = np.sqrt(_BLOCK_VARIANCE * blocks / len(values)) * quiet
     beyond = np.maximum(deviation - _ERRORS * error, 0.0)
@@ -163,7 +165,10 @@ def _statistics(square: np.ndarray, good: np.ndarray) -> tuple:
 
 
 def _slope(square: np.ndarray, good: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
-    """Return slope per sample (2, bands), largest deviation of a block, variance that blocks give the mean, blocks."""
+    """Return a patch's slope per sample (2, bands), and statistics of its blocks about the fitted plane.
+
+    These are the largest deviation of a block (bands,), the variance of the patch's mean (bands,), and their number.
+    """
     bands = square.shape[-1]
     side = min(_BLOCKS, min(good.shape) // _MIN_BLOCK_PX)
     nothing = np.full((2, bands), np.nan), np.full(bands, np.nan), np.zeros(bands), 1

@@ -71,17 +71,17 @@ def rank_filters(
         Name to transmittance, 0..1.
     light : (61,) float
     training, test : (n, 61) float
-        Reflectances whose second moments the estimator knows, and those on which it is judged.
+        Reflectances for the second moments of the estimator, and reflectances on which it is tested.
     noise : float
         Standard deviation of a pixel as a fraction of full scale.
     exposure : str
-        How the shots are exposed, see `irodori.calibration.simulated_responses.band_weights`. By default each is
-        exposed for its own brightest band, so that a filter is charged for the bands that it darkens against the
-        others, and the longer exposure is told as `exposure_ratio`.
+        Exposure of the shots, see `irodori.calibration.simulated_responses.band_weights`. By default each shot is
+        exposed for its own brightest band, so that the score includes the noise of bands that the filter darkens more
+        than others; the longer exposure itself is returned as `exposure_ratio`.
     viewing_light : str
         Light under which colours are compared.
     draws : int, 1 or more
-        Pairs of opposite noise for each reflectance of the test set; where absent, as many as make 5000 colours.
+        Pairs of opposite noise for each reflectance of the test set; by default, enough for 5000 colours.
     seed : int
 
     Returns
@@ -121,7 +121,8 @@ def wiener_estimator(weights: np.ndarray, moments: np.ndarray, noise: float) -> 
 
     Notes
     -----
-    Without noise the inverse is a pseudo-inverse, so that bands that repeat each other or see nothing add nothing.
+    Without noise the inverse is a pseudo-inverse, so that linearly dependent bands and bands without signal have no
+    effect.
     """
     cross = moments @ weights.T
     signal = weights @ cross
@@ -131,7 +132,7 @@ def wiener_estimator(weights: np.ndarray, moments: np.ndarray, noise: float) -> 
 
 
 class _Exposure:
-    """Exposure time through a filter, relative to that without."""
+    """Function from a filter's transmittance (61,) to the exposure time with it, relative to that without it."""
 
     def __init__(self, sensitivities: np.ndarray, light: np.ndarray) -> None:
         self.sensitivities, self.light = sensitivities, light
@@ -142,7 +143,7 @@ class _Exposure:
 
 
 class _Judge:
-    """Scores systems of bands on one test set, light and draw of noise."""
+    """Scoring of systems of bands on one test set, light and draw of noise."""
 
     def __init__(self, test, moments, noise: float, drawn: np.ndarray, viewing_light: str) -> None:
         self.test, self.moments, self.noise, self.drawn = test, moments, noise, drawn
@@ -151,7 +152,7 @@ class _Judge:
         self.lab = lab_from_xyz(test @ self.xyz_from_reflectance.T, self.white)
 
     def score(self, name: str, weights: np.ndarray, exposure_ratio: float) -> FilterScore:
-        """Return the errors that a system of bands gives, `weights` (bands, 61)."""
+        """Return the predicted errors of a system of bands with `weights` (bands, 61)."""
         estimator = wiener_estimator(weights, self.moments, self.noise)
         response = self.test @ weights.T
         bias = self.test - response @ estimator.T

@@ -6,10 +6,10 @@ import numpy as np
 
 from irodori.spectra.grid import WAVELENGTH_NM
 
-#: Correlation lengths of a sensitivity behind its filter, nm, and prior variances tried, in that of the data.
+#: Values tried: correlation lengths of a sensitivity with its filter, nm, and prior variances relative to the data's.
 _LENGTHS_NM = (10.0, 15.0, 20.0, 30.0, 40.0)
 _AMPLITUDES = 10.0 ** np.arange(-2.0, 5.0)
-#: Variance of patch means tried, where it is not known or on top of what is, in mean squares of the responses.
+#: Values tried: variances of patch means in addition to the known variance, relative to the responses' mean square.
 _EXTRA_NOISE = 10.0 ** np.arange(-10.0, -1.0)
 
 
@@ -28,7 +28,7 @@ class ResponseModel:
     mean : (bands, 61) float64
     covariance : (bands, 61, 61) float64
     noise : (bands,) float64
-        Variance of patch means, what was given and what the data showed beyond it.
+        Variance of patch means: the given variance and the additional variance that fits the data best.
     """
 
     mean: np.ndarray
@@ -38,16 +38,16 @@ class ResponseModel:
 
 @dataclass(frozen=True)
 class SmoothPrior:
-    """A prior of smooth sensitivities times the light, seen by the spectra of a chart; no response enters.
+    """Gaussian prior of a smooth sensitivity times the light, and the resulting prior of a chart's responses.
 
     Parameters
     ----------
     covariance : (61, 61) float64
-        Of the response per unit reflectance, up to an amplitude.
+        Covariance of the response per unit reflectance, up to a factor.
     values : (m,) float64, vectors : (m, m) float64
-        Eigenvalues and eigenvectors of the covariance that it gives responses.
+        Eigenvalues and eigenvectors of the resulting covariance of the m patches' responses.
     turned : (m, 61) float64
-        Covariance of responses, along the eigenvectors, and the response per unit reflectance.
+        Covariance between the patches' responses, projected on the eigenvectors, and the response per unit reflectance.
     """
 
     covariance: np.ndarray
@@ -57,7 +57,7 @@ class SmoothPrior:
 
 
 def smooth_priors(spectra: np.ndarray, light: np.ndarray) -> tuple[SmoothPrior, ...]:
-    """Return the priors that are tried, one a correlation length; spectra are (m, 61), the light (61,)."""
+    """Return one prior for each correlation length that is tried; spectra are (m, 61), the light (61,)."""
     shape = np.asarray(light) / np.mean(light)
     found = []
     for length in _LENGTHS_NM:
@@ -73,15 +73,16 @@ def fit_response_model(
 ) -> ResponseModel:
     """Return the posterior of the response model under a prior of smooth sensitivities times the light.
 
-    Correlation length, amplitude and noise beyond what is stated maximise the marginal likelihood over a fixed grid,
-    band by band; everything is one eigendecomposition a length (Rasmussen and Williams 2006, section 5.4).
+    For each band, correlation length, amplitude and additional noise maximise the marginal likelihood over a fixed
+    grid, with one eigendecomposition for each length (Rasmussen and Williams 2006, section 5.4).
 
     Parameters
     ----------
     response : (m, bands) float64
     priors : tuple of SmoothPrior
         See `smooth_priors`.
-    patch_variance : (bands,) float64, zeros where not known
+    patch_variance : (bands,) float64
+        Known variance of patch means; zeros if unknown.
     """
     total = np.mean(response**2, axis=0)
     best = np.full(response.shape[1], -np.inf)

@@ -1,9 +1,10 @@
-"""Prior over the response of one band per unit reflectance, as Gaussian processes over the wavelength.
+"""Gaussian-process priors, over wavelength, of one band's response per unit reflectance.
 
-A response is the light times a sensitivity. Sensitivities are smooth but have bends, which Matérn's covariances allow,
-and they are large in one part of the range and nearly zero elsewhere: their spread follows an envelope, which the chart
-itself tells, as it tells length and size by the marginal likelihood (Rasmussen and Williams 2006, section 5.4).
-Where a camera's UV and IR cut filters cut, a few nanometres count as many.
+The response is the light times a sensitivity. Sensitivities are smooth with bends, for which Matérn covariances allow.
+They are large in one part of the range and nearly zero elsewhere, so that the prior's standard deviation follows an
+envelope. The envelope is estimated from the chart, and so are correlation length and amplitude, by the marginal
+likelihood (Rasmussen and Williams 2006, section 5.4). At the edges of a camera's UV and IR cut filters, sensitivities
+change within a few nanometres: there, distances in wavelength are stretched.
 """
 
 from dataclasses import dataclass
@@ -13,21 +14,21 @@ import numpy as np
 
 from irodori.spectra.grid import WAVELENGTH_NM
 
-#: Correlation lengths of a sensitivity, nm, and its sizes and the chart's further noise variances, relative, tried.
+#: Values tried: correlation lengths of a sensitivity, nm; its variances and additional noise variances, both relative.
 _LENGTHS_NM = (30.0, 40.0, 60.0)
 _SIZES = 10.0 ** np.arange(-2.0, 5.0, 0.5)
 _FURTHER_NOISE = 10.0 ** np.arange(-10.0, -1.0)
-#: Edges of the cut filters of cameras: where, how wide, and what they add to the distance of two wavelengths, nm. The
-#: two cameras that colour-science publishes have theirs here; no other was looked at.
+#: Edges of cameras' cut filters, nm: position, width, and the distance that they add between two wavelengths. They are
+#: those of the two cameras in colour-science; no other camera was examined.
 _EDGES_NM, _EDGE_WIDTH_NM, _EDGE_DISTANCE_NM = (418.0, 655.0), 10.0, 40.0
-#: Of an envelope: over how many nm it is a mean, its least part of the largest, and how often it is found anew.
+#: Envelope: width of its local mean, nm, its smallest value relative to the largest, and its number of re-estimations.
 _ENVELOPE_NM, _LEAST, _ROUNDS = 20.0, 0.05, 2
-_LEAST_POWER = 1e-3  # of a lamp, of its mean
+_LEAST_POWER = 1e-3  # smallest power of a lamp, relative to its mean
 
 
 @dataclass(frozen=True)
 class Posterior:
-    """Response of one band per unit reflectance, with its covariance, as a chart tells it.
+    """Posterior of one band's response per unit reflectance, given the responses to a chart.
 
     Parameters
     ----------
@@ -44,7 +45,7 @@ class Posterior:
 
 @dataclass(frozen=True)
 class BandPrior:
-    """Gaussian prior of a band's response per unit reflectance, and the variance of a patch's response.
+    """Gaussian prior of a band's response per unit reflectance, and the noise variance of a patch's response.
 
     Parameters
     ----------
@@ -58,7 +59,7 @@ class BandPrior:
     noise: float
 
     def given(self, response: np.ndarray, spectra: np.ndarray) -> Posterior:
-        """Return the posterior after responses (m,) of known reflectances (m, 61)."""
+        """Return the posterior given responses (m,) to known reflectances (m, 61)."""
         cross = spectra @ self.covariance
         moment = cross @ spectra.T + self.noise * np.eye(len(spectra))
         missed = response - spectra @ self.mean
@@ -69,7 +70,7 @@ class BandPrior:
 
 @dataclass(frozen=True)
 class Posteriors:
-    """Responses of all bands per unit reflectance, each on its own, as a chart determines them.
+    """Posteriors of all bands' responses per unit reflectance, independent of each other, given a chart.
 
     Parameters
     ----------
@@ -85,7 +86,7 @@ class Posteriors:
 
     @classmethod
     def of(cls, priors: list[BandPrior], response: np.ndarray, spectra: np.ndarray) -> "Posteriors":
-        """Return what responses (m, bands) of known reflectances (m, 61) tell."""
+        """Return the posteriors given responses (m, bands) to known reflectances (m, 61)."""
         each = [prior.given(own, spectra) for prior, own in zip(priors, response.T, strict=True)]
         mean, covariance = (np.array([getattr(one, name) for one in each]) for name in ("mean", "covariance"))
         return cls(mean, covariance, sum(one.log_evidence for one in each))
@@ -106,7 +107,7 @@ def shapes() -> np.ndarray:
 
 
 def _envelope(square: np.ndarray) -> np.ndarray:
-    """Return the root of a local mean of squares (61,), nowhere under a small part of its largest."""
+    """Return the square root of the local mean of squares (61,), kept above a small share of its maximum."""
     near = np.exp(-0.5 * ((WAVELENGTH_NM[:, None] - WAVELENGTH_NM) / _ENVELOPE_NM) ** 2)
     mean = near @ np.maximum(square, 0.0) / near.sum(axis=1)
     return np.sqrt(mean + _LEAST**2 * mean.max())
@@ -115,18 +116,20 @@ def _envelope(square: np.ndarray) -> np.ndarray:
 def _averaged(
     missed: np.ndarray, spectra: np.ndarray, envelope: np.ndarray, variance: float, sizes: np.ndarray | None
 ) -> tuple[np.ndarray, float]:
-    """Return covariance and noise, the mean over what was tried by its marginal likelihood, each at its best size.
+    """Return covariance and noise variance, averaged over `shapes` with their marginal likelihoods as weights.
+
+    Each shape counts with the size and the noise of its highest likelihood.
 
     Parameters
     ----------
     missed : (m,) float64
-        Responses without what the mean of the prior explains.
+        Residuals of the responses from the prior mean.
     spectra : (m, 61) float64
     envelope : (61,) float64
     variance : float
-        Of the responses, as far as it is known.
+        Known variance of the responses.
     sizes : (n,) float64 or None
-        Variances tried where they are not known from the mean square of the responses.
+        Prior variances to try; None for a range relative to the mean square of the residuals.
     """
     total = np.mean(missed**2)
     noise = variance + np.concatenate([[0.0] if variance > 0.0 else [], _FURTHER_NOISE]) * total
@@ -148,7 +151,7 @@ def _averaged(
 
 
 def prior_of_chart(response: np.ndarray, spectra: np.ndarray, light: np.ndarray, variance: float = 0.0) -> BandPrior:
-    """Return the prior of a band of which nothing but a chart is known.
+    """Return the prior of a band with an unknown sensitivity, estimated from the responses to a chart.
 
     Parameters
     ----------
@@ -156,9 +159,9 @@ def prior_of_chart(response: np.ndarray, spectra: np.ndarray, light: np.ndarray,
     spectra : (m, 61) float64
     light : (61,) float64
     variance : float
-        Of the responses; 0 where not known.
+        Variance of the responses; 0 if unknown.
     """
-    # Where a lamp is dark, the chart tells nothing of a sensitivity.
+    # At wavelengths without light, the chart does not determine a sensitivity.
     power = np.maximum(light / light.mean(), _LEAST_POWER)
     envelope, nothing = np.ones(len(light)), np.zeros(len(light))
     for left in reversed(range(_ROUNDS + 1)):
@@ -177,14 +180,14 @@ def prior_about(
     light: np.ndarray,
     variance: float = 0.0,
 ) -> BandPrior:
-    """Return the prior of a band whose sensitivity is known up to a factor and an error.
+    """Return the prior of a band with a sensitivity that is known up to a factor and an error.
 
     Parameters
     ----------
     sensitivity : (61,) float64
         Relative.
     error : float
-        Standard deviation of the sensitivity, relative to what it is nearby, 0.1 = 10 %.
+        Standard deviation of the sensitivity, relative to its local root mean square, 0.1 = 10 %.
     response, spectra, light, variance : see `prior_of_chart`
     """
     known = light * sensitivity

@@ -1,11 +1,11 @@
-"""Weights from reflectances to responses of a camera of known sensitivities, as a simulation takes them [eq. 1]."""
+"""Weights from reflectance to the simulated responses of a camera with known sensitivities [eq. 1]."""
 
 import numpy as np
 
 from irodori.spectra.grid import SAMPLES, TRAPEZOID_NM
 
 EXPOSURES = ("per_band", "per_shot", "same_time")
-#: A band whose white signal is this fraction of the camera's brightest or less sees nothing.
+#: A band whose response to white is at most this fraction of the brightest band's counts as blind.
 _DARK = 1e-9
 
 
@@ -19,21 +19,21 @@ def band_weights(
     sensitivities : (3, 61) float, R_b(λ), relative
     light : (61,) float, E(λ), relative
     transmittance : (61,) float or None
-        Of the filter before the lens in a second shot; without it there is one shot of three bands.
+        Transmittance of the filter in front of the lens in a second shot; if None, there is one shot of three bands.
     exposure : str
-        What puts a perfect diffuser at full scale. ``per_band``: every band on its own, as if each were exposed alone
-        (the ideal that tables of noise against error assume); ``per_shot``: the brightest band of each shot, the second
-        being exposed longer by what the filter takes away; ``same_time``: the brightest band of the first shot, the
-        second having the same exposure time.
+        Bands in which a perfect diffuser reaches full scale. ``per_band``: every band, as if each were exposed alone
+        (the ideal that tables of noise against error assume); ``per_shot``: the brightest band of each shot, with a
+        longer exposure of the second; ``same_time``: the brightest band of the first shot, with the same exposure time
+        for the second.
 
     Returns
     -------
-    (3 or 6, 61) float64; the sum of a row is the response of a perfect diffuser, 0 for a band that sees nothing
+    (3 or 6, 61) float64; the sum of a row is the response to a perfect diffuser, 0 for a band without signal
 
     Raises
     ------
     ValueError
-        For an unknown exposure, wrong shapes, negative or non-finite values, and a camera that sees nothing.
+        For an unknown exposure, wrong shapes, negative or non-finite values, and a camera without any signal.
     """
     if exposure not in EXPOSURES:
         raise ValueError(f"the exposure {exposure!r}; accepted: {', '.join(EXPOSURES)}")

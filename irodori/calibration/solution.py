@@ -17,9 +17,10 @@ _AUTO = "auto"
 
 @dataclass(frozen=True)
 class Solution:
-    """A calibration, the table it was chosen from, and the spectra it recovers of patches left out.
+    """Calibration, the cross-validation table that it was chosen from, and recovered spectra of patches left out.
 
-    ``recovered_by_chart`` are those with whole charts left out, None where there is one chart or none could be.
+    ``recovered``, (m, 61), has each patch left out; ``recovered_by_chart`` has its whole chart left out, and is None if
+    there is one chart or no chart can be left out.
     """
 
     calibration: Calibration
@@ -33,9 +34,14 @@ class Solution:
 def solve(
     training: Training, settings: CalibrationOptions, filters: tuple[str, ...], lights, timed: bool, charts=None
 ) -> Solution:
-    """Judge, choose and fit; ValueError says what is wrong.
+    """Cross-validate estimators, choose one and fit it to all patches.
 
-    ``charts``, (m,) int, is the number of the chart of each patch; None is one chart.
+    ``charts``, (m,) int, is the number of the chart of each patch; None stands for a single chart.
+
+    Raises
+    ------
+    ValueError
+        If the settings or the responses allow no calibration.
     """
     bases = _bases_of(settings, training.response.shape[1])
     rows, recovered, by_chart = _judge(training, (settings.estimator, bases), lights, timed, charts)
@@ -49,17 +55,17 @@ def solve(
 
 
 def _bases_of(settings: CalibrationOptions, bands: int) -> int | str:
-    """Return how many bases are asked for; what is absent follows from the estimator."""
+    """Return the configured number of bases; by default ``auto`` for the estimator ``auto``, else that of the bands."""
     if settings.bases is not None:
         return settings.bases
     return _AUTO if settings.estimator == _AUTO else bands
 
 
 def _judge(training: Training, asked: tuple[str, int | str], lights, timed: bool, charts):
-    """Return the table of estimators and bases, and what each recovers of patches and of charts left out.
+    """Return the cross-validation table, and the recovered spectra with patches and with whole charts left out.
 
-    The table is whole where it is written or the choice is open. Patches are left out in turn; where there are several
-    charts, the table goes on with whole charts left out.
+    The table has all estimators and numbers of bases if it will be written (``timed``) or the choice is open. Patches
+    are left out in turn; if there are several charts, further rows have whole charts left out.
     """
     estimator, bases = asked
     if estimator not in (_AUTO, *ESTIMATORS):

@@ -1,6 +1,6 @@
 """Grouping of detected squares into rows and columns of a lattice.
 
-Squares that the detector missed leave holes; squares that are no patches find no neighbours.
+Squares that the detector missed leave holes; squares that are not patches remain without neighbours.
 """
 
 from dataclasses import dataclass
@@ -35,17 +35,17 @@ class Lattice:
 
     @property
     def columns(self) -> int:
-        """Columns that hold a square."""
+        """Number of columns, from the first to the last one with a square."""
         return int(self.places[:, 0].max()) + 1
 
     @property
     def rows(self) -> int:
-        """Rows that hold a square."""
+        """Number of rows, from the first to the last one with a square."""
         return int(self.places[:, 1].max()) + 1
 
     @property
     def image_from_grid(self) -> np.ndarray:
-        """The perspective map of the squares, (3, 3)."""
+        """Homography from columns and rows to x and y of the squares' centres, (3, 3)."""
         return homography(self.places, self.centres)
 
 
@@ -72,13 +72,13 @@ def lattices(squares: np.ndarray) -> list[Lattice]:
 
 
 def _frame(square: np.ndarray) -> np.ndarray:
-    """Return a square's sides as rows, (2, 2), right-handed with y down."""
+    """Return two adjacent sides of a square as row vectors, (2, 2), right-handed with y down."""
     first, second = square[1] - square[0], square[2] - square[1]
     return np.array([first, second if first[0] * second[1] > first[1] * second[0] else -second])
 
 
 def _grow(seed: int, centres, frames, left: set) -> dict[int, tuple[int, int]]:
-    """Return the squares that hang together with one, with their column and row from it."""
+    """Return {square: (column, row)} of the squares connected to a seed, counted from the seed."""
     places, taken, queue = {seed: (0, 0)}, {(0, 0)}, [seed]
     frame_of = {seed: frames[seed]}
     while queue:
@@ -97,7 +97,7 @@ def _grow(seed: int, centres, frames, left: set) -> dict[int, tuple[int, int]]:
 
 
 def _neighbour(here: int, frame, turn, centres, frames, candidates: set) -> int | None:
-    """Return the nearest square one step away in a direction of the frame, None where there is none."""
+    """Return the nearest square one step away in a direction of the frame; None if there is none."""
     best, nearest = None, np.inf
     area = abs(np.linalg.det(frame))
     for other in candidates:
@@ -113,13 +113,13 @@ def _neighbour(here: int, frame, turn, centres, frames, candidates: set) -> int 
 
 
 def _aligned(frame: np.ndarray, like: np.ndarray) -> np.ndarray:
-    """Return a frame turned by quarters until it lies nearest to another."""
+    """Return a frame turned by the multiple of 90° that brings it nearest to another frame."""
     turned = [frame, np.array([frame[1], -frame[0]]), -frame, np.array([-frame[1], frame[0]])]
     return max(turned, key=lambda f: np.sum(f * like))
 
 
 def _settle(places: np.ndarray, centres: np.ndarray) -> Lattice | None:
-    """Return the lattice of squares that one perspective map explains, None where too few are left."""
+    """Return the lattice of the squares that agree with one homography; None if too few do."""
     for _ in range(3):
         if min(np.ptp(places, axis=0)) < 2:
             return None

@@ -1,4 +1,4 @@
-"""Calibration stage: charts' linear responses and measured spectra in, calibration and its errors out."""
+"""Calibration stage: computes a calibration and its errors from linear responses to charts and measured spectra."""
 
 import csv
 import math
@@ -50,26 +50,26 @@ def calibrate_camera(
     Parameters
     ----------
     linear : path or sequence of paths
-        Linear responses of the chart; where there are several charts, of each, the first chart's first.
+        Linear responses of the chart, or of all charts in the order of the definition.
     camera : Camera or CalibratedCamera
-        Where no white reference has evened the light, it is told from each chart itself.
+        Definition of the camera. Without a white reference, uneven light is estimated from each chart itself.
     light_name : str
         Spectrum of the light on the charts.
     output : path of the HDF5 file
-    table : path of the CSV of errors, one row a patch; with several charts also those with its whole chart left out
+    table : path of the CSV of errors, one row for each patch; with several charts also with whole charts left out
     lights : sequence of str
         Lights for CIEDE2000.
     selection : path, optional
-        CSV of the errors and cost of every estimator and number of bases; where absent, only what the configuration
-        leaves open is computed. All its columns but the measured time are the same from run to run.
-    noise : Noise, optional
-        Of patch means and of what is recovered; where absent, what the photographs tell.
+        CSV of the errors and cost of every estimator and number of bases; if absent, only the combinations that the
+        configuration allows are computed. All its columns but the measured time are the same in every run.
+    noise : ResponseNoise, optional
+        Noise of patch means and of the responses to be recovered; by default estimated from the photographs.
 
     Raises
     ------
     InputError
-        If a chart cannot be read, single patches or the mean over patches left out are off by more than the configured
-        limit, or the responses determine no calibration, or one that amplifies noise beyond the configured limit.
+        If a chart cannot be read, the error of single patches or the mean error of patches left out exceeds the
+        configured limit, or the responses determine no calibration, or one that amplifies noise beyond the limit.
     """
     with threadpool_limits(1):  # small matrices, and the same sums whatever the threads
         charts = Charts.load(linear, camera)
@@ -90,7 +90,7 @@ def calibrate_camera(
         if solved.recovered_by_chart is not None:
             errors["leave_one_chart_out"] = _errors(spectra, solved.recovered_by_chart, lights)
         check_mean(charts, errors["leave_one_out"][f"delta_e_{lights[0].lower()}"], limit, lights[0], likelier)
-        # Of spectra that are another chart's the amplification would tell nothing.
+        # Checked last: with the spectra of another chart the amplification would mean nothing.
         with _refusing(charts):
             amplification = solved.numbers["noise_amplification"]
             check_amplification(amplification, settings.max_noise_amplification, solved.calibration)
@@ -104,7 +104,7 @@ def calibrate_camera(
 
 
 def _given(camera: Camera | CalibratedCamera, charts: Charts) -> Given:
-    """Return what is known of a camera beside its chart.
+    """Return the filter table and the sensitivities that the definition of a camera has beside its chart.
 
     Raises
     ------
@@ -141,7 +141,7 @@ def _response_model(best: BestResponse) -> dict:
 
 @contextmanager
 def _refusing(charts: Charts) -> Iterator[None]:
-    """Let what is wrong with the patches of some charts be refused with the chart's file and key."""
+    """Turn a ValueError about patches into an InputError that names the chart's file and key."""
     try:
         yield
     except ValueError as error:
@@ -149,7 +149,7 @@ def _refusing(charts: Charts) -> Iterator[None]:
 
 
 def _checks(charts: Charts, training: Training, solved: Solution, lights) -> dict:
-    """Return what the calibration file tells of charts, patches, light, jitter and choice, as attributes."""
+    """Return the calibration file's attributes on charts, patches, light, jitter and the choice of the estimator."""
     each = list(zip(charts.captures, charts.photographs, charts.readings, strict=True))
     uneven = _of_all(each, lambda reading: reading.uneven)
     return {
@@ -187,9 +187,9 @@ def _light(photograph) -> str:
 
 
 def _jitter(charts: Charts, error) -> dict[str, float]:
-    """Return what the mean CIEDE2000 does as the patches of one chart are moved, the worst of the charts.
+    """Return the change of the mean CIEDE2000 when the patches of one chart are moved, for the worst of the charts.
 
-    NaN where a moved patch leaves the picture.
+    NaN if a moved patch leaves the picture.
     """
     try:
         found = max(charts.jitter(error), key=lambda jitter: jitter.worst)
@@ -200,7 +200,7 @@ def _jitter(charts: Charts, error) -> dict[str, float]:
 
 
 def _clipped(names, invalid_share) -> dict[str, float]:
-    """Return the patches of which more than a little is left out, with the share."""
+    """Return {patch: share of invalid samples} of the patches with more than 5 % of them."""
     return {name: float(share) for name, share in zip(names, invalid_share, strict=True) if share > _MAX_INVALID_SHARE}
 
 
@@ -224,13 +224,13 @@ def _write_calibration(output, calibration: Calibration, errors: dict, numbers: 
 
 @contextmanager
 def _csv_writer(path) -> Iterator:
-    """Open a CSV that takes its name when it is complete."""
+    """Open a writer of a CSV file, which gets its final name when it is complete."""
     with written_whole(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
         yield csv.writer(stream)
 
 
 def _write_errors(path, names, errors: dict[str, dict[str, np.ndarray]]) -> None:
-    """Write the errors of patches left out; with several charts columns ``_by_chart`` follow, whole charts left out."""
+    """Write the errors of patches left out; with several charts, columns ``_by_chart`` have whole charts left out."""
     columns = dict(errors["leave_one_out"])
     columns |= {f"{name}_by_chart": values for name, values in errors.get("leave_one_chart_out", {}).items()}
     with _csv_writer(path) as writer:
@@ -242,7 +242,7 @@ def _write_errors(path, names, errors: dict[str, dict[str, np.ndarray]]) -> None
 
 
 def write_selection(path, rows: list[SelectionRow], chosen: tuple[str, int]) -> None:
-    """Write the table of cross-validation, one row an estimator, number of bases and what was left out.
+    """Write the cross-validation table: one row for each estimator, number of bases and kind of data left out.
 
     Parameters
     ----------

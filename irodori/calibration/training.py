@@ -1,9 +1,9 @@
 """Training data of the estimators: chart, noise, and statistics of camera and reflectances.
 
-A chart shows two dozen reflectances; a picture shows others. Two things carry over. The *response model*, responses per
-unit reflectance at each wavelength, is the light times a smooth sensitivity: its posterior under that prior gives the
-response of any reflectance, with its uncertainty. The *population* is the patches and what they would give mixed as
-paints (Kubelka and Munk 1931), seen through that model.
+A chart has two dozen reflectances; a picture has others. Two models carry over from one to the other. The *response
+model*, responses per unit reflectance at each wavelength, is the light times a smooth sensitivity: its posterior
+predicts the response to any reflectance, with its uncertainty. The *population* is the set of the patches and their
+simulated mixtures as paints (Kubelka and Munk 1931), with the responses that the response model predicts.
 """
 
 from dataclasses import dataclass, replace
@@ -22,22 +22,22 @@ from irodori.calibration.response_model import (
 
 _MIXTURES = 600  # at most; pairs are left out evenly
 _LEAST_REFLECTANCE = 1e-3  # of a paint that is mixed: absorption grows without bound below
-#: Standard deviation of a reflectance about a member of the population, of its level, and its correlation length, nm.
-#: Those of what is not paint were taken by leaving out each patch of a ColorChecker, not from any other set.
+#: Standard deviation of reflectances about a member of the population, relative to its level, and their correlation
+#: length, nm. Those for materials other than paint come from leaving out each patch of a ColorChecker, no other set.
 PAINTS, ANYTHING = (0.03, 60.0), (0.2, 80.0)
 _TWIN_RMS = 0.005
 
 
 @dataclass(frozen=True)
 class ResponseNoise:
-    """Variances of what is measured, per band, in squared units of the response.
+    """Noise variances of patch means and of pixels, per band, in squared units of the response.
 
     Parameters
     ----------
     patch : (bands,) float, optional
-        Of the means over the patches; None where not known: the marginal likelihood of the response model finds it.
+        Variance of the means over the patches; None if unknown: the response model then estimates it.
     pixel : (bands,) float, optional
-        Of a pixel that will be recovered; None where not known: that of the patches stands for it.
+        Variance of a pixel that will be recovered; None if unknown: that of the patches is then used.
     """
 
     patch: np.ndarray | None = None
@@ -50,7 +50,7 @@ def mix_paints(spectra: np.ndarray, limit: int = _MIXTURES) -> np.ndarray:
     Parameters
     ----------
     spectra : (m, 61) float
-        Values outside 0.001..1 are brought there, in the mixtures only.
+        Values outside 0.001..1 are clipped, for the mixtures only.
     limit : int
         Most mixtures; of more pairs every n-th is taken.
 
@@ -68,10 +68,10 @@ def mix_paints(spectra: np.ndarray, limit: int = _MIXTURES) -> np.ndarray:
 
 
 def twins(spectra: np.ndarray) -> np.ndarray:
-    """Return the number of the first patch of nearly the same spectrum (rms difference under 0.005), (m,) int.
+    """Return, for each patch, the index of the first patch with nearly the same spectrum, (m,) int.
 
-    Two copies of one chart, or the greys along the edge of a large one, are one paint: with its twin among the rest,
-    a patch is not left out.
+    Spectra with an rms difference under 0.005 count as one paint, such as those of two copies of a chart or the greys
+    along the edge of a large one. A patch counts as left out only if its twins are left out too.
     """
     difference = np.sqrt(np.mean((spectra[:, None] - spectra) ** 2, axis=-1))
     return np.argmax(difference < _TWIN_RMS, axis=1)
@@ -79,23 +79,23 @@ def twins(spectra: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Population:
-    """Reflectances that a picture may show, and what the camera answers.
+    """Reflectances that may occur in a picture, and the responses of the camera to them.
 
-    Each member stands for a small cloud of smooth spectra about it, and the response model for those it may be.
+    Each member represents a *cloud*: a Gaussian distribution of smooth spectra about it.
 
     Parameters
     ----------
     spectra : (n, 61) float64
     weight : (n,) float64
-        Sum one; half on the patches, half on their mixtures, each over its level.
+        Weights with the sum 1; equal shares for patches and mixtures, each weight divided by the mean reflectance.
     response : (n, bands) float64
-        Expected, scaled.
+        Expected responses, in units of `Training.scale`.
     excess : (n, bands, bands) float64
-        Covariance of ρ, without the noise of a pixel.
+        Covariance of the response in the cloud and from the response model, without the noise of a pixel.
     size : (n,) float64
-        Of a member's cloud, its squared level.
+        Size of each member's cloud: its squared mean reflectance.
     cloud : (bands, 61) float64
-        Covariance of ρ and s in a cloud of size one.
+        Covariance between response and spectrum in a cloud of size 1.
     """
 
     spectra: np.ndarray
@@ -108,7 +108,7 @@ class Population:
 
 @dataclass(frozen=True)
 class Training:
-    """A chart as the estimators see it.
+    """Training data of an estimator: responses to a chart, its spectra, its light, and the noise.
 
     Parameters
     ----------
@@ -117,9 +117,9 @@ class Training:
     light : (61,) float
     noise : ResponseNoise
     pixel_levels : bool
-        Whether ``local`` prepares for pixels of stated variance; what only serves cross-validation need not.
+        Whether ``local`` also computes matrices for pixels with a stated noise variance.
     given : Given
-        What is known of the camera beside its chart; no estimator makes use of it, `best_response` does.
+        Further knowledge of the camera; only `best_response` uses it, no estimator does.
     """
 
     response: np.ndarray
@@ -130,11 +130,11 @@ class Training:
     given: Given = NOTHING
 
     def without(self, left_out: np.ndarray, pixel_levels: bool = False) -> "Training":
-        """Return the same without some patches, (m,) bool, and as a rule without levels of a pixel's noise."""
+        """Return the training data without the patches in a mask, (m,) bool, and without ``given``."""
         return Training(self.response[~left_out], self.spectra[~left_out], self.light, self.noise, pixel_levels)
 
     def answering(self, response: np.ndarray) -> "Training":
-        """Return the same patches with other responses, (m, bands); what follows from the spectra alone is shared."""
+        """Return the same patches with other responses, (m, bands); values that depend on spectra alone are shared."""
         other = replace(self, response=response)
         other.__dict__.update(priors=self.priors, paints=self.paints, different_paints=self.different_paints)
         return other
@@ -151,7 +151,7 @@ class Training:
 
     @cached_property
     def patch_variance(self) -> np.ndarray:
-        """Variance of the scaled responses as far as it is known, (bands,)."""
+        """Known variance of the scaled responses of patches, zeros if unknown, (bands,)."""
         return np.zeros(len(self.scale)) if self.noise.patch is None else self.noise.patch / self.scale**2
 
     @cached_property
@@ -161,7 +161,7 @@ class Training:
 
     @cached_property
     def best_response(self) -> BestResponse:
-        """Response model of the scaled responses from all that is given, as the calibration states it."""
+        """Response model of the scaled responses that the calibration file stores; uses the chart and ``given``."""
         return best_response(self.scaled, self.spectra, self.light, self.patch_variance, self.given)
 
     @cached_property
@@ -183,13 +183,14 @@ class Training:
 
     @cached_property
     def different_paints(self) -> tuple[np.ndarray, np.ndarray]:
-        """The same, where what stands several times on a chart, as greys along the edges do, counts as one paint."""
+        """As `paints`, but patches with the same spectrum, such as greys along a chart's edges, count as one paint."""
         return self._members(twins(self.spectra))
 
     def _members(self, paint: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return patches and mixtures with weights: half each, over the level, since ΔE grows as light falls.
+        """Return patches and mixtures with weights: equal shares, each divided by the mean reflectance.
 
-        ``paint``, (m,) int, is the same for patches that count as one.
+        The division gives dark colours the weight that they have in ΔE. ``paint``, (m,) int, is the same number for
+        patches that count as one.
         """
         _, first, which, count = np.unique(paint, return_index=True, return_inverse=True, return_counts=True)
         mixtures = mix_paints(self.spectra[first])
@@ -201,12 +202,12 @@ class Training:
 
     @cached_property
     def population(self) -> Population:
-        """Patches and their mixtures, and what is nearly so, seen by the camera."""
+        """Population of the patches and their mixtures, with small clouds (`PAINTS`)."""
         return self.members(*self.paints, *PAINTS)
 
     @cached_property
     def wide_population(self) -> Population:
-        """Patches and their mixtures, each paint once, and smooth reflectances far about them, seen by the camera."""
+        """Population of the patches and their mixtures, each paint once, with large clouds (`ANYTHING`)."""
         return self.members(*self.different_paints, *ANYTHING)
 
     def members(self, spectra: np.ndarray, weight: np.ndarray, spread: float, length_nm: float) -> Population:

@@ -16,7 +16,7 @@ _GROUPS = 4
 
 
 def folds(patches: int, charts=None, groups: int | None = None) -> list[np.ndarray]:
-    """Return what is left out in turn, bool arrays (patches,).
+    """Return the sets of patches that are left out in turn, as bool arrays (patches,).
 
     Parameters
     ----------
@@ -25,7 +25,7 @@ def folds(patches: int, charts=None, groups: int | None = None) -> list[np.ndarr
         Number of the chart that each patch belongs to; with several, whole charts are left out. Of one chart up to
         32 patches are left out one by one, of a larger one in 12 groups of every 12th.
     groups : int, optional
-        Another number of groups.
+        Number of groups in place of the default.
     """
     if charts is not None and np.unique(charts).size > 1:
         return [np.asarray(charts) == chart for chart in np.unique(charts)]
@@ -36,15 +36,15 @@ def folds(patches: int, charts=None, groups: int | None = None) -> list[np.ndarr
 
 @dataclass(frozen=True)
 class Fold:
-    """Patches that are left out, and what is trained on instead.
+    """Fold of a cross-validation: the patches that are left out, and the training data of the others.
 
     Parameters
     ----------
     left_out : (m,) bool
     unseen : (m,) bool
-        What was left out and patches of the same paint (see `twins`).
+        The patches left out and all patches of the same paint (see `twins`).
     seen : Training
-        The others.
+        Training data of the other patches.
     """
 
     left_out: np.ndarray
@@ -53,7 +53,7 @@ class Fold:
 
 
 def split(training: Training, sets: list[np.ndarray], least: int = 0, pixel_levels: bool = False) -> list[Fold]:
-    """Return a fold for each of some sets of patches (`folds`) without which at least a number of patches is left."""
+    """Return a fold for each set of patches (see `folds`) that leaves at least ``least`` patches for training."""
     paint = twins(training.spectra)
     found = []
     for left_out in sets:
@@ -64,9 +64,10 @@ def split(training: Training, sets: list[np.ndarray], least: int = 0, pixel_leve
 
 
 def error_of_unseen(training: Training, chosen: tuple[str, int], light: str) -> Callable[[np.ndarray], float]:
-    """Return how the mean CIEDE2000 of patches left out, without a pixel's noise, follows from the patches' responses.
+    """Return a function that computes the mean CIEDE2000 of patches left out, without pixel noise, from all responses.
 
-    The patches are left out in four groups, where the others are enough: this is to be compared with itself.
+    The patches are left out in four groups if enough others remain. The results of this function can be compared with
+    each other, but not with those of `cross_validate`.
 
     Parameters
     ----------
@@ -82,7 +83,7 @@ def error_of_unseen(training: Training, chosen: tuple[str, int], light: str) -> 
     name, bases = chosen
     patches, bands = training.response.shape
     groups = _GROUPS if patches - -(-patches // _GROUPS) >= max(bands, bases) else None
-    # What follows from the spectra alone is found once.
+    # Values that depend on the spectra alone are computed once.
     parts = [(fold, spectral_basis(fold.seen.spectra, bases)) for fold in split(training, folds(patches, None, groups))]
 
     def error(response: np.ndarray) -> float:

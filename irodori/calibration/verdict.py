@@ -1,6 +1,6 @@
 """Comparison of a calibration's errors with the tolerances of heritage imaging guidelines.
 
-Each tolerance has its source, and says whether it was read in the guideline or in a secondary source:
+Each tolerance has its source, and a note whether it was read in the guideline or in a secondary source:
 
 * **FADGI 2016**: Federal Agencies Digital Guidelines Initiative, *Technical Guidelines for Digitizing Cultural Heritage
   Materials: Creation of Raster Image Files*, September 2016, table of "Paintings and Other Two-Dimensional Art (Other
@@ -8,8 +8,8 @@ Each tolerance has its source, and says whether it was read in the guideline or 
 * **FADGI 2023**: the same, third edition, May 2023. **Not read in the document**: a search of November 2026 found the
   guideline's page of comments and older editions, but not this text. All figures are those of a published comparison
   (skandalski.pl, "tabela FADGI ISO Metamorfoze", column "FADGI 2023 (Bound General Collections)"). The colour figures
-  of four stars, 2 and 4, stand also in the source of arte-profiler, for "Paintings and Other Two-Dimensional Art (Other
-  Than Prints)"; the others have one source. To be checked before they are quoted.
+  of four stars, 2 and 4, are also in the source code of arte-profiler, for "Paintings and Other Two-Dimensional Art
+  (Other Than Prints)"; the others have one source. Check them before you quote them.
 * **Metamorfoze 1.0**: H. van Dormolen, *Metamorfoze Preservation Imaging Guidelines, Image Quality*, version 1.0,
   January 2012, sections 1.2 and 2.10: mean and maximum of CIE 1976 over the patches of the Digital ColorChecker SG,
   with the white of the ICC profile. Read in the document.
@@ -18,16 +18,16 @@ Each tolerance has its source, and says whether it was read in the guideline or 
   maximum at most 7; Light 4 and 14. It names none for Extra Light. The figures of tone and white balance are those of
   the comparison above. A draft: the published version may differ.
 * **ISO 19264-1:2021**: **not read in the standard**, which is sold; the figures are those of the same comparison. It
-  does not name the formula of the colour difference, so the largest of the three that the other guidelines use is held
-  against the limit: what passes here passes by each of them, what fails may pass by the standard's own.
+  does not name the formula of the colour difference, so the largest value of the three formulas of the other guidelines
+  is compared with the limit: a pass holds for each of them, but a failure may be a pass by the standard's own formula.
 
 Tone response and white balance are judged on the chart's neutral patches, those of a CIELAB chroma of at most
 `NEUTRAL_CHROMA`; a chart without any has no figure.
 
-The tolerances are for the whole chain up to an encoded picture of the guideline's own target; here they meet recovered
-reflectances, so passing is necessary and not sufficient. Noise, sharpness, evenness and geometry of the encoded picture
-are not judged. CIELAB is computed for D50 and the 2° observer, the white of the ICC profiles (eciRGBv2) in which
-pictures under these guidelines are encoded.
+The tolerances are for the whole chain up to an encoded picture of the guideline's own target; here they are applied to
+recovered reflectances, so passing is necessary and not sufficient. Noise, sharpness, evenness and geometry of the
+encoded picture are not judged. CIELAB is computed for D50 and the 2° observer, because D50 is the white of the ICC
+profile (eciRGBv2) in which pictures under these guidelines are encoded.
 """
 
 import math
@@ -62,11 +62,11 @@ class Tolerance:
         ``mean``, ``p90`` or ``max`` over the patches.
     limit : float
     strict : bool
-        The guideline says "below" and not "at most".
+        Whether the guideline states "below" and not "at most".
     source : str
         Where the limit was read.
     verified : bool
-        It was read in the guideline itself.
+        Whether it was read in the guideline itself.
     """
 
     guideline: str
@@ -82,7 +82,7 @@ class Tolerance:
 
 @dataclass(frozen=True)
 class ToleranceCheck:
-    """A tolerance, what was measured in its metric and statistic (NaN where no patch tells), and whether it passes."""
+    """Tolerance, the value in its metric and statistic (NaN without a suitable patch), and whether it passes."""
 
     tolerance: Tolerance
     measured: float
@@ -161,7 +161,7 @@ def colour_differences(truth: np.ndarray, estimate: np.ndarray) -> dict[str, np.
 
 
 def neutral_differences(truth: np.ndarray, estimate: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the differences in lightness and in chroma of the patches that are neutral in truth, D50 and 2° observer.
+    """Return the differences in lightness and in (a*, b*) of the patches that are truly neutral, D50 and 2° observer.
 
     Parameters
     ----------
@@ -203,12 +203,12 @@ def differences_of_lab(first: np.ndarray, second: np.ndarray) -> dict[str, np.nd
 
 
 def judge(truth: np.ndarray, estimate: np.ndarray) -> list[ToleranceCheck]:
-    """Hold recovered reflectances against every tolerance.
+    """Compare recovered reflectances with every tolerance.
 
     Parameters
     ----------
     truth, estimate : (n, 61) float
-        Measured reflectances of patches, and those recovered of patches that did not train the estimator.
+        Measured reflectances of patches, and reflectances recovered by estimators that were trained without the patch.
 
     Returns
     -------

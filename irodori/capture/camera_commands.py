@@ -1,6 +1,6 @@
-"""Commands of the person at the bench that photograph, or say what is to be photographed.
+"""Commands that take photographs or plan them: ``shoot``, ``plan`` and ``capture``.
 
-Each takes the options that `irodori.capture.command` has parsed.
+Their argument is the options that `irodori.capture.command` has parsed.
 """
 
 import sys
@@ -47,7 +47,7 @@ def shoot(options) -> None:
 
 
 def _target(options, loaded: Loaded | None = None) -> tuple[Target, Object | None]:
-    """Return what a session of the named object or camera photographs, and the object's definition."""
+    """Return the target of a session for the named object or camera, and the object's definition if it is one."""
     kind = "cameras" if options.camera else "objects"
     loaded = loaded or load_one(kind, options.name)
     definition = None if options.camera else loaded.objects[options.name]
@@ -57,14 +57,14 @@ def _target(options, loaded: Loaded | None = None) -> tuple[Target, Object | Non
         found = f"a rig of kind {rig.kind}, whose photographs somebody else takes"
         raise InputError(f"config/{kind}/{options.name}.yaml", "rig", found, "a rig of kind driven or virtual")
     captures = named.captures
-    # What is computed at the bench, for practice, stands apart from what the workflow has computed.
+    # Virtual photographs of this command, for practice, are kept apart from those of the workflow.
     table = captures.table if captures else Path("results/rig/bench", options.name, "captures.csv")
     target = Target(options.name, camera, rig, camera.rig, table, captures.folder if captures else None)
     return target, definition
 
 
 def _as_fitted(config: Config, rig: Rig, definition: Object | None = None, camera: Camera | None = None) -> dict:
-    """Return noise, weights and largest angle as the configuration's fit will have them."""
+    """Return the planner's options for noise, weights and largest angle, as the fit of the configuration has them."""
     fit, sensor = config.fit, camera.virtual.sensor if camera and camera.virtual else None
     exposures_s = definition.exposure_s.out if sensor and definition and definition.exposure_s else ()
     return {
@@ -75,7 +75,7 @@ def _as_fitted(config: Config, rig: Rig, definition: Object | None = None, camer
 
 
 def _of_shape(options) -> PlannedObject:
-    """Return what poses are planned for where nothing but a shape is known."""
+    """Return the definition for a plan of which only the shape is known (``--shape``)."""
     if options.camera:
         raise InputError("--shape", "", "--camera beside it", "one of them: a camera's photographs need no poses")
     try:
@@ -87,7 +87,7 @@ def _of_shape(options) -> PlannedObject:
 
 
 def _best(definition: Object | PlannedObject, rig: Rig, count: int | None, fitted: dict) -> Plan:
-    """Return the chosen poses, ``plan.count`` of the object where no number is given."""
+    """Return the plan with a number of poses, by default the object's ``plan.count``."""
     try:
         return plan_best(definition, rig, count, **fitted)
     except ValueError as error:
@@ -95,16 +95,16 @@ def _best(definition: Object | PlannedObject, rig: Rig, count: int | None, fitte
 
 
 def _states(camera: Camera) -> set[str]:
-    """Return the filter states of a camera's photographs of its chart, none before they are taken."""
+    """Return the filter states in a camera's photographs of its chart; empty before they are taken."""
     if camera.captures is None or not Path(camera.captures.table).is_file():
         return set()
     return {shot.filter for shot in read_captures(camera.captures.table) if shot.role == "chart"}
 
 
 def plan(options) -> None:
-    """Print the photographs of an object or a camera in their order, and what they take.
+    """Print the photographs of an object or a camera in their order, with an estimate of the time.
 
-    Where a person takes them, on a rig of kind files, poses are chosen and printed as a list to follow.
+    If a person takes them, on a rig of the kind ``files``, poses are chosen and printed as a list to follow.
     """
     if options.shape is not None:
         loaded, what = load_one("rigs", options.name), _of_shape(options)
@@ -132,7 +132,7 @@ def plan(options) -> None:
         shots = object_shots(definition, target.camera, target.suffix)
     planned = target.ordered(shots)
     for shot in planned:
-        # An azimuth is told where there is one.
+        # An azimuth of 0 is not printed.
         pose = {name: value for name, value in vars(shot.pose).items() if value or name != "light_azimuth_deg"}
         angles = " ".join(f"{name.removesuffix('_deg')} {value:g}" for name, value in pose.items())
         print(f"{shot.role} {angles} filter {shot.filter} {shot.exposure_s:g} s  {shot.file}")
@@ -144,10 +144,10 @@ def capture(options) -> None:
     target, definition = _target(options)
     described = as_plain({"definition": definition, "camera": target.camera, "rig": target.rig})
     made = Provenance("bench", config_hash(described), code_hash("irodori.capture.stage"))
-    # Not the workflow's record: it would take photographs for whole that another definition asked for.
+    # Not the workflow's record, which would then count photographs of another definition as complete.
     record = Path(target.table).with_suffix(".json")
     if not target.is_virtual:
-        # The workflow looks at the photographs again: its own record says nothing of what is taken now.
+        # Makes the workflow check the photographs again, because its own record lacks those that are taken now.
         folder = Path("results", *(["cameras"] if options.camera else []), options.name, "captures")
         (folder / "session.json").unlink(missing_ok=True)
     dialogue = Dialogue(target.rig.operator_deadline_s)

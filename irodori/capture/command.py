@@ -1,4 +1,4 @@
-"""Command line for the person at the bench.
+"""Command line of the rig, for the person at the bench: status, moves, plans and capture sessions.
 
 ::
 
@@ -29,10 +29,10 @@ from irodori.core.termination import ending_in_order
 
 
 def main(arguments: Sequence[str] | None = None, prog: str = "python -m irodori.rig") -> int:
-    """Run one command; return 0, 1 after a fault that was said in one sentence, 130 after Ctrl-C."""
+    """Run one command; return 0 after success, 1 after a `PlainError`, which is printed, and 130 after Ctrl-C."""
     options = _parser(prog).parse_args(arguments)
     handler = logging.StreamHandler(sys.stderr)
-    # These speak to the person by themselves; their words go to the log for those who read a log.
+    # These modules print their messages for the person themselves; the log file has them too.
     handler.addFilter(lambda record: record.module not in ("operator", "dialogue"))
     logging.getLogger().addHandler(handler)
     LOGGER.setLevel(logging.INFO)
@@ -96,7 +96,7 @@ def _parser(prog: str) -> argparse.ArgumentParser:
 
 
 def _of_a_camera(name: str) -> Callable[[argparse.Namespace], None]:
-    """Return a command of `irodori.capture.camera_commands`, which takes seconds to import: the rig waits for none."""
+    """Return a command that imports `irodori.capture.camera_commands` only when run, because that takes seconds."""
     return lambda options: getattr(importlib.import_module("irodori.capture.camera_commands"), name)(options)
 
 
@@ -115,7 +115,7 @@ def _angle(text: str) -> tuple[str, float]:
 
 @contextmanager
 def _rig(name: str, checked: bool = True):
-    """Open a rig by name; see `open_rig`."""
+    """Open a rig by the name of its definition; see `open_rig`."""
     definition = load_one("rigs", name).rigs[name]
     if definition.motion is None:
         raise InputError(f"config/rigs/{name}.yaml", "motion", "no such key", "a rig with motors")
@@ -185,7 +185,7 @@ def _jog(options) -> None:
 
 
 def _by_axis(rig: RigDevice, angles: Sequence[tuple[str, float]]) -> dict[str, float]:
-    """Return angles by axis, each axis once and one of the rig's."""
+    """Return {axis: angle} after a check that each axis belongs to the rig and is named once."""
     for name, _ in angles:
         if name not in rig.axes:
             raise LimitError(f"{name}: not a motorised axis of this rig; accepted: {', '.join(rig.axes)}")
@@ -195,6 +195,6 @@ def _by_axis(rig: RigDevice, angles: Sequence[tuple[str, float]]) -> dict[str, f
 
 
 def _ready(rig: RigDevice, home: bool) -> None:
-    """Home a rig that was not, where asked to; a simulated one, which has just been switched on, always."""
+    """Home a rig that is not homed, if ``--home`` was given or the rig is simulated, and so has just started."""
     if (home or rig.simulator is not None) and not rig.status().homed:
         rig.home()

@@ -1,8 +1,9 @@
-"""The dialogue of a session with the person at the bench: what is asked, what the person may do now, and the answer.
+"""Dialogue of a session with the person at the bench: questions, possible actions, and answers.
 
-A session has one dialogue. The terminal and the page (`irodori.capture.page_server`) show it and hand actions to it;
-what is allowed is decided here alone, so that both offer the same. An action says which turn it answers: a turn ends
-with each question and each photograph, so that nothing confirms a later question than the person has seen.
+A session has one dialogue. The terminal and the page (`irodori.capture.page_server`) show it and send actions to it;
+only this module decides which actions are allowed, so that both offer the same. An action names the turn that it
+answers: a new turn begins with each question and each photograph, so that an action cannot confirm a question that the
+person has not seen.
 """
 
 import contextlib
@@ -29,20 +30,20 @@ LONGEST_REASON = 200
 
 
 class OperatorAbort(DeviceError):
-    """The person at the bench answered that the session is to stop."""
+    """Error raised when the person at the bench stops the session."""
 
 
 class Refused(PlainError):
-    """An action that the session does not take now; nothing has changed."""
+    """Error for an action that is not possible now; nothing has changed."""
 
 
 class RetakeLast(Exception):
-    """The person wants the photograph that was the newest taken again before the session goes on.
+    """Exception raised when the person asks to take the latest photograph again before the session continues.
 
     Parameters
     ----------
     file : str
-        Its name in the table.
+        Name of the photograph in the table.
     """
 
     def __init__(self, file: str) -> None:
@@ -63,7 +64,7 @@ class Action(StrEnum):
 
 
 class State(StrEnum):
-    """States of a session: its activity, or the answer that it waits for."""
+    """States of a session: its activity, or the kind of answer that it waits for."""
 
     WORKING = "working"
     STEP = "step"
@@ -82,11 +83,11 @@ class Offer:
     ----------
     action : Action
     button : str
-        Its name on the page.
+        Label of its button on the page.
     key : str
-        What is typed for it on the terminal, besides Enter.
+        Key for it on the terminal; empty for Enter alone.
     prompt : str
-        How the terminal names it.
+        Its description on the terminal.
     """
 
     action: Action
@@ -99,7 +100,7 @@ _LAST = Offer(Action.RETAKE_LAST, "Retake last", "l", "l to retake the last")
 _TEST = Offer(Action.TEST, "Test exposure", "t", "t for a test exposure")
 _STOP = Offer(Action.STOP, "Stop", "q", "q to stop")
 
-#: What the person may do in each state; the first is what Enter does.
+#: Actions that are possible in each state; Enter stands for the first.
 OFFERS: dict[State, tuple[Offer, ...]] = {
     State.WORKING: (Offer(Action.PAUSE, "Pause", "p", "p to pause"), _LAST, _STOP),
     State.STEP: (Offer(Action.DONE, "Done", "", "Enter when done"), _LAST, _TEST, _STOP),
@@ -114,25 +115,25 @@ OFFERS: dict[State, tuple[Offer, ...]] = {
     State.COMPLETE: (Offer(Action.DONE, "Finish", "", "Enter to finish"), _LAST),
     State.ENDED: (),
 }
-#: A pause is the person's own, and a complete session loses nothing: neither ends at the operator's deadline.
+#: States without a deadline: the person asked for a pause, and a complete session loses nothing by waiting.
 _WITHOUT_DEADLINE = (State.PAUSED, State.COMPLETE)
 
 
 @dataclass(frozen=True)
 class Shown:
-    """A photograph as the person sees it.
+    """Photograph as it is shown to the person.
 
     Parameters
     ----------
     number : int
-        Counts the photographs shown, from 1.
+        Number of the photograph among those shown, from 1.
     file : str
         Name in the table; empty for a test exposure.
     finding : str
-        What was found about it, a sentence.
+        Sentence with the result of the checks.
     preview : Preview
     outline : Outline, optional
-        Where the object lies by its typed pose; None where there is no object, or nothing is known of the lens.
+        Outline of the object in the stated pose; None if there is no object, or the lens is unknown.
     """
 
     number: int
@@ -149,24 +150,24 @@ class SessionView:
     Parameters
     ----------
     version : int
-        Grows with every change.
+        Number that grows with every change.
     state : State
     words : str
-        What the person is to do, or what the session does.
+        Request to the person, or description of the session's activity.
     turn : int
-        To be named with an action.
+        Number of the turn, which an action must name.
     offers : tuple of Offer
         Actions that are possible.
     wanted : Action or None
-        What is done as soon as the photograph under way is stored.
+        Action that will be done as soon as the present photograph is stored.
     done, total : int
         Photographs in the table and in the plan.
     left_s : float
-        Estimated time that is left, s.
+        Estimated remaining time, s.
     note : str
-        What else is to be said, such as why a test exposure failed.
+        Further message, such as the reason why a test exposure failed.
     shown : Shown or None
-        The newest photograph.
+        The latest photograph.
     """
 
     version: int = 0
@@ -184,27 +185,27 @@ class SessionView:
 
 @dataclass
 class Dialogue:
-    """Questions of a session, which waits for their answers; actions come from any thread.
+    """Dialogue of a session. The session's thread waits for answers; actions may come from any thread.
 
     Parameters
     ----------
     deadline_s : float, optional
         Longest wait for a person, s.
     watched : bool
-        Whether a page shows it.
+        Whether a page shows the dialogue.
     halt : callable
-        Stops a session that is at work, at once. Without it the session stops before the next photograph.
+        Function that stops a working session at once. By default the session stops before the next photograph.
     """
 
     deadline_s: float | None = None
     watched: bool = False
     halt: Callable[[], None] = lambda: None
-    #: Takes a test exposure and shows it; None where no camera is at hand.
+    #: Function that takes a test exposure and shows it; None if no camera is open.
     on_test: Callable[[], None] | None = None
     _terminal: Terminal = field(default_factory=Terminal)
     _view: SessionView = field(default_factory=SessionView)
     _answer: tuple[Action, str] | None = None
-    #: What the session does while it asks for nothing.
+    #: Description of the session's activity while no question is open.
     _work: str = ""
     _last: str = ""
     _retaken: str = ""
@@ -214,31 +215,31 @@ class Dialogue:
 
     @property
     def view(self) -> SessionView:
-        """Snapshot of the session as it is now."""
+        """Snapshot of the session's present state."""
         with self._changed:
             return self._view
 
     def changed_view(self, version: int, wait_s: float) -> SessionView:
-        """Return what there is to be seen, once it is another version than one known, or after a time (s)."""
+        """Wait for a view with another version, at most ``wait_s`` seconds, and return the present view."""
         with self._changed:
             self._changed.wait_for(lambda: self._view.version != version, wait_s)
             return self._view
 
     def act(self, action: Action, turn: int | None = None, reason: str = "") -> None:
-        """Hand in what the person does.
+        """Perform an action of the person.
 
         Parameters
         ----------
         action : Action
         turn : int, optional
-            That of the view which the person has seen; to stop and to pause need none.
+            Turn of the view that the person has seen; not needed for stop and pause.
         reason : str
-            Why a doubtful photograph is kept.
+            Reason to keep a doubtful photograph.
 
         Raises
         ------
         Refused
-            If the session does not take it now; nothing has changed.
+            If the action is not possible now; nothing has changed.
         """
         with self._changed:
             view = self._view
@@ -249,7 +250,7 @@ class Dialogue:
                 raise Refused("The session has gone on since; look at what it says now.")
             if view.wanted is not None and action is not Action.STOP and view.state is State.WORKING:
                 raise Refused(f"The session will {view.wanted.replace('-', ' ')} first.")
-            # Whatever else comes with words, such as the letter that was typed, they are no reason.
+            # With other actions the text, such as the key that was typed, is not a reason.
             reason = " ".join(reason.split()) if action is Action.KEEP else ""
             if action is Action.KEEP and not 0 < len(reason) <= LONGEST_REASON:
                 raise Refused(f"To keep a photograph, say why it is right, in at most {LONGEST_REASON} characters.")
@@ -267,12 +268,12 @@ class Dialogue:
     # ---- for the session
 
     def ask(self, state: State, words: str) -> str:
-        """Ask the person, and return the reason to keep a photograph; empty for other answers that go on.
+        """Ask the person and wait; return the reason to keep a photograph, empty for other answers that continue.
 
         Parameters
         ----------
         state : State
-            What is waited for: one with `OFFERS`.
+            State of the session while it waits, which determines the `OFFERS`.
         words : str
             A sentence that begins with a verb, without its full stop.
 
@@ -281,7 +282,7 @@ class Dialogue:
         OperatorAbort
             If the person stops the session.
         RetakeLast
-            If the person wants the newest photograph again.
+            If the person wants to take the latest photograph again.
         DeadlineError
             If nobody answers in time.
         DeviceError
@@ -299,15 +300,17 @@ class Dialogue:
             return reason
 
     def between_shots(self) -> None:
-        """Return when the next photograph may be begun: at once, or after the pause that the person wants.
+        """Carry out what the person has asked for since the last photograph: pause, retake or stop.
+
+        The method returns when the next photograph may begin.
 
         Raises
         ------
         OperatorAbort, RetakeLast, DeviceError
-            As `ask`.
+            As for `ask`.
         """
         for line in self._terminal.typed():
-            # Enter and other words answer a question that is not asked.
+            # No question is open: Enter and other text mean nothing.
             if action := next((o.action for o in self.view.offers if line.lower() == o.key), None):
                 with contextlib.suppress(Refused):  # the page was quicker
                     self.act(action, self.view.turn)
@@ -322,14 +325,14 @@ class Dialogue:
             raise OperatorAbort("stopped by the person at the bench, between two photographs")
 
     def working(self, words: str, done: int, total: int, left_s: float) -> None:
-        """Say what the session does, how many photographs are in the table, and the time that is left (s)."""
+        """Update the view: the session's activity, the photographs in the table and in the plan, the time left (s)."""
         with self._changed:
             self._work = words
             self._change(done=done, total=total, left_s=left_s)
             self._set(State.WORKING, words)
 
     def show(self, file: str, finding: str, preview: "Preview", outline: "Outline | None" = None) -> None:
-        """Show a photograph; `file` is empty for a test exposure."""
+        """Show a photograph to the person; `file` is empty for a test exposure."""
         with self._changed:
             number = self._view.shown.number + 1 if self._view.shown else 1
             self._change(shown=Shown(number, file, finding, preview, outline), note="")
@@ -337,19 +340,19 @@ class Dialogue:
             self._terminal.show(f"{finding}\n{preview.sketch()}")
 
     def stored(self, file: str) -> None:
-        """Note the name of the newest photograph of the table, which may be taken again."""
+        """Record the name of the latest photograph in the table, which the person may take again."""
         with self._changed:
             self._last = file
             self._set(self._view.state, self._view.words)
 
     def note(self, words: str) -> None:
-        """Say something that asks for nothing."""
+        """Log and show a message that needs no answer."""
         LOGGER.warning("%s", words)
         with self._changed:
             self._change(note=words)
 
     def end(self, words: str) -> None:
-        """Say how the session ended; no action is possible any more."""
+        """Show how the session ended; no action is possible any more."""
         with self._changed:
             self._set(State.ENDED, words)
 
@@ -360,14 +363,14 @@ class Dialogue:
         self._changed.notify_all()
 
     def _set(self, state: State, words: str) -> None:
-        """Begin a turn."""
+        """Begin a turn with a state and its message."""
         out = [Action.RETAKE_LAST] if not self._last else []
         out += [Action.TEST] if self.on_test is None else []
         offers = tuple(offer for offer in OFFERS[state] if offer.action not in out)
         self._change(state=state, words=words, turn=self._view.turn + 1, offers=offers)
 
     def _answered(self, state: State, words: str) -> tuple[Action, str]:
-        """Ask once, and return what the person does."""
+        """Ask once, and return the person's action and reason."""
         on_terminal = self._terminal.is_there
         if not on_terminal and not self.watched:
             asked = f"{words[:1].lower()}{words[1:]}"
@@ -405,7 +408,7 @@ class Dialogue:
                     self._set(State.WORKING, self._work)
 
     def _typed(self, line: str) -> bool:
-        """Hand in what was typed; return whether it was an answer."""
+        """Perform the action of a typed line; return whether it was an answer."""
         view, key = self.view, line.lower()
         actions = {offer.key: offer.action for offer in view.offers if offer.key}
         if view.offers:
@@ -418,7 +421,7 @@ class Dialogue:
         try:
             self.act(action, view.turn, line)
         except Refused as refusal:
-            # The page was quicker, or what was typed is too long.
+            # The page was quicker, or the reason is too long.
             self._terminal.show(str(refusal))
             return False
         return True

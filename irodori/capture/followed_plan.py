@@ -1,4 +1,4 @@
-"""A plan of poses in words that a person with a lamp, a camera on a stand and a ruler can follow."""
+"""Plan of poses as text that a person with a lamp, a camera on a stand and a ruler can follow."""
 
 from collections.abc import Collection, Sequence
 from dataclasses import replace
@@ -10,11 +10,11 @@ from irodori.config.capture_table import Pose
 from irodori.config.models import Rig
 from irodori.geometry.rig_frame import to_camera, to_light
 
-#: Largest angle of lamp and camera that a person is asked for, degrees: lower than that a table is in the way.
+#: Largest angle of lamp and camera from the vertical in such a plan, degrees: beyond it the table is in the way.
 _LOWEST_DEG = 80.0
 #: Angles in the order in which a person sets them, as `irodori init` asks for them.
 _AXES = ("light_deg", "camera_deg", "tilt_deg", "turn_deg")
-#: Filter states, and how each pose is photographed; () where nobody knows yet.
+#: How each pose is photographed, by filter states; () if they are unknown.
 _TIMES = {
     ("out",): "once",
     ("in", "out"): "twice, without the filter and with it",
@@ -23,7 +23,7 @@ _TIMES = {
 
 
 def by_hand(rig: Rig) -> Rig:
-    """Return a rig whose lamp and camera stay ten degrees above the table, as far as its limits let them."""
+    """Return a rig with the angles of lamp and camera limited to 80 degrees, as far as its own limits permit."""
     limits = {
         axis: replace(limit, max=max(limit.min, min(limit.max, _LOWEST_DEG)))
         for axis, limit in (("light_deg", rig.limits.light_deg), ("camera_deg", rig.limits.camera_deg))
@@ -32,15 +32,15 @@ def by_hand(rig: Rig) -> Rig:
 
 
 def followed(plan: Plan, rig: Rig, states: Collection[str] = ()) -> list[str]:
-    """Return a plan as a numbered list, with places in millimetres beside the angles, and its angles for a table.
+    """Return a plan as a numbered list of text lines, with positions in millimetres beside the angles.
 
     Parameters
     ----------
     plan : Plan
     rig : Rig
-        Its distances of camera and lamp; a lamp without one is placed by the metre.
+        Definition with the distances of camera and lamp; without the lamp's, its position is given per metre.
     states : collection of str
-        Filter states in which the camera was calibrated; none where that is not known.
+        Filter states in which the camera was calibrated; empty if unknown.
 
     Returns
     -------
@@ -68,7 +68,7 @@ def followed(plan: Plan, rig: Rig, states: Collection[str] = ()) -> list[str]:
 
 
 def _setting(pose: Pose) -> tuple[float, float, float]:
-    """Return what stays while the camera goes from pose to pose."""
+    """Return the angles of a pose that change less often than the camera's: light, tilt and turn, degrees."""
     return pose.light_deg, pose.tilt_deg, pose.turn_deg
 
 
@@ -82,13 +82,13 @@ def _of_setting(pose: Pose, rig: Rig) -> list[str]:
 
 
 def _place(from_middle_mm: np.ndarray) -> str:
-    """Return a place in the rig's plane in words, from the object's middle."""
+    """Return a phrase for a position in the rig's plane, relative to the object's middle, mm."""
     x, z = round(float(from_middle_mm[0])), round(float(from_middle_mm[2]))
     side = f"{abs(x)} mm to the {'right' if x > 0 else 'left'}" if x else "straight"
     return f"{side}, {abs(z)} mm {'down' if z < 0 else 'up'}"
 
 
 def _numbers(poses: Sequence[Pose], axis: str) -> list[str]:
-    """Return the angles of an axis, one alone where all are alike."""
+    """Return the angles of an axis as text; a single one if all are equal."""
     found = [f"{getattr(pose, axis):g}" for pose in poses]
     return found[:1] if len(set(found)) == 1 else found

@@ -18,20 +18,20 @@ from irodori.core.progress import LOGGER, track
 
 _NAMES = (*COLUMNS, *EXTRA_COLUMNS)
 _HEADER = ",".join(_NAMES) + "\n"
-#: What tells one photograph from another; the other columns say how it was taken. Tables of earlier versions end here.
+#: Columns that identify a photograph; the others describe its capture. Tables of earlier versions have only these.
 _FIRST_NAMES = (*COLUMNS, "iso", "f_number", "sha256")
 _HEADERS = (_HEADER, ",".join(_FIRST_NAMES) + "\n")
-#: Photographs that a changed plan no longer asks for; their files stay.
+#: Table of photographs that a changed plan no longer requires; their files are kept.
 RETIRED = "captures-retired.csv"
 
 
 class StorageError(DeviceError):
-    """A disk that is full, or a folder that takes no files."""
+    """Error for a full disk, or a folder that cannot be written."""
 
 
 @contextlib.contextmanager
 def storing(path) -> Iterator[None]:
-    """Say in one sentence what the disk refused.
+    """Turn an OSError in the block into a `StorageError` with a one-sentence message.
 
     Raises
     ------
@@ -46,22 +46,22 @@ def storing(path) -> Iterator[None]:
 
 @contextlib.contextmanager
 def claimed(table, folder, owner: str) -> Iterator[None]:
-    """Keep a table and a folder to one session at a time, and to the photographs of one thing for good.
+    """Lock a table and a folder for one session, and reserve them permanently for the photographs of one subject.
 
-    File names follow from pose and exposure: in one folder, the photographs of two objects would pass for each other.
+    File names depend on pose and exposure only: in one folder, the photographs of two objects could be confused.
 
     Parameters
     ----------
     table, folder : path
     owner : str
-        What is photographed, such as ``object jar``.
+        The subject, such as ``object jar``; it is written into a file ``.session`` in the folder.
 
     Raises
     ------
     DeviceError
-        If another session is at work there.
+        If another session has the lock.
     InputError
-        If the folder or the table belongs to something else, or its mark is a link to somewhere else.
+        If the folder or the table belongs to another subject, or the file ``.session`` is a link out of the folder.
     StorageError
     """
     table, folder = Path(table), Path(folder)
@@ -116,7 +116,7 @@ def _temporary(path: Path) -> Path:
 
 
 def _write_table(path: Path, rows: Iterable[Sequence]) -> None:
-    """Write a table; it appears under its name only when it is on the disk."""
+    """Write a table under a temporary name, and rename it once it is on the disk."""
     temporary = _temporary(path)
     with storing(path):
         with open(temporary, "w", encoding="utf-8", newline="") as out:
@@ -128,22 +128,22 @@ def _write_table(path: Path, rows: Iterable[Sequence]) -> None:
 
 
 class Journal:
-    """A capture table to which lines are appended.
+    """Capture table to which lines are appended.
 
     Parameters
     ----------
     table : path
-        ``captures.csv``. An existing table is continued: a line that a crash tore is removed, lines whose file is gone
-        or has changed are dropped, so that the photograph is taken again. A changed file is set aside, not removed.
-        A line without a hash, which a person wrote, waits for `retire`.
+        ``captures.csv``. An existing table is continued: an incomplete line left by a crash is removed, and so is the
+        line of a file that is missing or has changed, so that the photograph is taken again. A changed file is renamed
+        and not deleted. Lines without a hash, written by a person, are kept until `retire`.
     folder : path, optional
-        Folder of the RAW files; that of the table where None.
+        Folder of the RAW files; by default that of the table.
 
     Raises
     ------
     InputError
-        If the table exists and is no capture table, lists a file outside the folder, or if not one of its photographs
-        is there (a disk that is not mounted, a folder that was moved).
+        If the table exists and is not a capture table, lists a file outside the folder, or if none of its photographs
+        exists (a disk that is not mounted, a folder that was moved).
     StorageError
     """
 
@@ -195,20 +195,20 @@ class Journal:
             self._rewrite()
 
     def _path(self, file: str) -> Path:
-        """Return where a photograph stands; one outside the session's folder is refused."""
+        """Return the path of a photograph; raise an error if it is outside the session's folder."""
         return confined(self.folder, file, self.table, "file")
 
     def _is_unchanged(self, shot: Shot, digest: str) -> bool:
         path = self._path(shot.file)
         found = file_sha256(path)
         if found != digest:
-            # Left under its name, it would be taken for a photograph whose line a crash has cost.
+            # Under its name it would be taken for a photograph that has lost its line in a crash.
             aside = self.set_aside(shot.file, "changed", found)
             LOGGER.warning("%s has changed on the disk; it is kept as %s and taken again", path, aside)
         return found == digest
 
     def set_aside(self, file: str, why: str, sha256: str) -> str:
-        """Rename a file so that it passes for no photograph of a plan, and return its new name.
+        """Rename a file so that it is not taken for a photograph of a plan, and return its new name.
 
         Raises
         ------
@@ -227,7 +227,7 @@ class Journal:
         _write_table(self.table, (_cells(shot, self.sha256.get(file, "")) for file, shot in lines.items()))
 
     def _retired_rows(self) -> dict[str, list[str]]:
-        """Return the lines of ``captures-retired.csv`` by file; a log, in which plans of several days may differ."""
+        """Return {file: line} of ``captures-retired.csv``, a log that may have lines of several plans."""
         if not self.retired.exists():
             return {}
         try:
@@ -239,16 +239,16 @@ class Journal:
             raise InputError(self.retired, "", f"unreadable text ({error})", accepted) from None
 
     def retire(self, planned: Sequence[Shot]) -> list[Shot]:
-        """Take out the photographs that a plan does not ask for; they go to ``captures-retired.csv``, the files stay.
+        """Move the lines of photographs that a plan does not require to ``captures-retired.csv``; keep their files.
 
-        A file whose name the plan wants for another photograph (another sensitivity, another pose of the chart) is
-        renamed, and listed under its new name. A line without a hash that agrees with the plan is taken out as well,
-        and its file left to `stray`: what the line says of it is nobody's measurement.
+        If the plan needs a file's name for another photograph (another sensitivity, another pose of the chart), the
+        file is renamed, and listed under its new name. A line without a hash that agrees with the plan is removed too,
+        and its file is left to `stray`: the details in the line were typed and not measured.
 
         Returns
         -------
         list of Shot
-            Those taken out.
+            The retired photographs.
         """
         wanted = {shot.file: shot for shot in planned}
         retired = [shot for shot in self.shots.values() if wanted.get(shot.file) != shot]
@@ -262,7 +262,8 @@ class Journal:
             rows[name] = _cells(replace(shot, file=name), digest)
             if name != shot.file:
                 renamed.append((shot.file, digest))
-        # Listed first: a crash before the rename finds them in the table, one after it misses only the file there.
+        # Listed first: after a crash before the rename the table still has them; after one behind it, only the file
+        # named in the table is missing.
         if retired:
             _write_table(self.retired, rows.values())
         for file, digest in renamed:
@@ -275,7 +276,7 @@ class Journal:
         return retired
 
     def make_way(self, file: str) -> None:
-        """Take a photograph out of the table, and its file aside, for a newer one; both are kept as `retire` does."""
+        """Retire a photograph for a newer one: move its line to ``captures-retired.csv`` and rename its file."""
         digest = self.sha256[file]
         rows, name = self._retired_rows(), _aside(file, "retaken", digest)
         rows[name] = _cells(replace(self.shots[file], file=name), digest)
@@ -290,9 +291,9 @@ class Journal:
             return file_sha256(path)
 
     def stray(self, shot: Shot) -> Path | None:
-        """Return the file that has a photograph's name but no line, None where there is none or it is another's.
+        """Return the file with a photograph's name but without a line; None if there is none, or it is another's.
 
-        A retired photograph comes back where the plan asks for exactly it; another one of that name is set aside.
+        A retired photograph is returned if it is exactly the required one; another one with that name is renamed.
         """
         path = self._path(shot.file)
         if not path.is_file():
@@ -309,10 +310,10 @@ class Journal:
         return path
 
     def append(self, shot: Shot, sha256: str) -> None:
-        """Note a photograph whose file stands under its name; the line is on the disk when this returns."""
+        """Append the line of a photograph with a complete file; the line is on the disk when this method returns."""
         with storing(self.table):
             _sync_folder(self.folder)
-            # Not "a": a table that somebody removed would begin again without its header.
+            # Not "a", which would create a table without a header if somebody had removed it.
             with open(self.table, "r+b") as out:
                 out.seek(0, os.SEEK_END)
                 out.write(_lines([_cells(shot, sha256)]).encode())
@@ -321,20 +322,20 @@ class Journal:
         self.shots[shot.file], self.sha256[shot.file] = shot, sha256
 
     def drop(self, files: Iterable[str], why: str) -> None:
-        """Set photographs aside and take them out of the table, so that they are taken again.
+        """Rename the files of photographs and remove their lines, so that they are taken again.
 
         Raises
         ------
         StorageError
         """
-        # Set aside first: a file without a line would be noted again, a line without its file is dropped.
+        # Renamed first: after a crash, a file without a line would be adopted, but a line without a file is dropped.
         for file in files:
             self.set_aside(file, why, self.sha256.pop(file))
             del self.shots[file]
         self._rewrite()
 
     def accept(self, files: Iterable[str], reason: str) -> None:
-        """Note why photographs are kept that a session doubts.
+        """Record the reason to keep doubtful photographs.
 
         Raises
         ------
@@ -346,11 +347,11 @@ class Journal:
         self._rewrite()
 
     def missing(self, planned: Sequence[Shot]) -> list[Shot]:
-        """Return the photographs of a plan that are not there, in its order."""
+        """Return the photographs of a plan that the table lacks, in the order of the plan."""
         return [shot for shot in planned if shot.file not in self.shots]
 
     def finish(self, planned: Sequence[Shot]) -> None:
-        """Put the table into the order of the plan, as if nothing had ever broken it off.
+        """Put the table into the order of the plan, as if the session had never been interrupted.
 
         Raises
         ------
@@ -371,7 +372,7 @@ class Journal:
 
 
 def _agrees(line: Shot, wanted: Shot | None) -> bool:
-    """Return whether a person's line is of a photograph that a plan wants; what the line leaves open says nothing."""
+    """Return whether a line written by a person describes a required photograph; empty settings agree with any."""
     if wanted is None:
         return False
     settings = {name: getattr(line, name) or getattr(wanted, name) for name in ("iso", "f_number")}

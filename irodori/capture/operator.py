@@ -1,7 +1,7 @@
-"""Prompts to the person at the bench for steps that no motor does, and their answers.
+"""Requests to the person at the bench for settings that no motor makes, and the answers.
 
-Nothing is kept between runs. A person may have moved anything since, so that after a restart the first step states
-every setting that its shot needs, once.
+Nothing is stored between runs, because a person may have moved anything: after a restart the first request states every
+setting that its shot requires.
 """
 
 import os
@@ -37,30 +37,31 @@ _SUBJECT_PHRASES = {
     "environment": "point the camera at the environment",
     "scene": "point the camera at the scene",
 }
-#: Before the name of a chart, see `irodori.config.capture_table.Shot.subject`.
+#: Phrases by the prefix of a chart's name, see `irodori.config.capture_table.Shot.subject`.
 _CHARTS = {"chart-": "put the colour chart {} in place", "room-chart-": "point the camera at the colour chart {}"}
-#: Where a setting stands that nobody has named yet: a lamp stands in the rig's plane unless it is moved beside it.
+#: Assumed values of settings before the first request: the lamp is in the rig's plane unless somebody moves it.
 _AT_FIRST = {"light_azimuth_deg": 0.0}
 _PROGRESS_S, _POLL_S = 60.0, 0.5
 
 
 def _chart_phrase(subject) -> str:
-    """Return what to do for a chart that has a name, empty for any other subject."""
+    """Return the request for a chart with a name, empty for any other subject."""
     phrases = [text.format(str(subject).removeprefix(p)) for p, text in _CHARTS.items() if str(subject).startswith(p)]
     return phrases[0] if phrases else ""
 
 
 @dataclass(frozen=True)
 class Change:
-    """One setting that a person changes.
+    """Change of one setting by a person.
 
     Parameters
     ----------
     name : str
-        Of SETTINGS.
+        One of SETTINGS.
     old : float, str or None
-        What stands there now, None where that is not known. Angles in degrees.
+        Present value, None if it is unknown. Angles in degrees.
     new : float or str
+        Required value.
     """
 
     name: str
@@ -90,18 +91,18 @@ class Change:
 
 @dataclass(frozen=True)
 class Step:
-    """Settings to change by hand before the next photograph, in the order of SETTINGS; false where there are none."""
+    """Settings to change by hand before the next photograph, in the order of SETTINGS; false if there are none."""
 
     changes: tuple[Change, ...]
 
     @classmethod
     def between(cls, stands: Mapping[str, float | str], wanted: Mapping[str, float | str]) -> "Step":
-        """Return the step from what stands to what is wanted; what `stands` lacks is unknown and is stated.
+        """Return the changes from the present to the required settings; those missing in `stands` count as unknown.
 
         Raises
         ------
         ValueError
-            For a setting that is none of SETTINGS.
+            For a setting that is not in SETTINGS.
         """
         for name in wanted:
             if name not in SETTINGS:
@@ -124,23 +125,23 @@ class Step:
 
 
 class Operator(ABC):
-    """Interface of whoever changes the settings that no motor drives, and looks at what is doubtful."""
+    """Interface of a person, or a substitute, who changes settings without a motor and judges doubtful photographs."""
 
-    #: Whether `judge` reaches a person; where not, a doubtful photograph is taken again once, then the session stops.
+    #: Whether `judge` reaches a person; if not, a doubtful photograph is taken again once, then the session stops.
     attended = False
 
     def ask(self, step: Step) -> None:
-        """Have a step done; return when it is. Raises as `confirm` does."""
+        """Ask for the changes of a step and return when they are made. Raises as `confirm` does."""
         self.confirm(str(step))
 
     @abstractmethod
     def confirm(self, request: str) -> None:
-        """Have a person do something and say so; return when that was said.
+        """Ask a person to do something, and return when it was confirmed.
 
         Parameters
         ----------
         request : str
-            What is to be done, a sentence that begins with a verb, without its full stop.
+            Request: a sentence that begins with a verb, without its full stop.
 
         Raises
         ------
@@ -153,32 +154,32 @@ class Operator(ABC):
         """
 
     def judge(self, doubt: str) -> str:
-        """Have a person look at a doubtful photograph, and return the reason to keep it, empty to take it again.
+        """Ask a person to judge a doubtful photograph; return the reason to keep it, empty to take it again.
 
         Parameters
         ----------
         doubt : str
-            Which photograph, and what is wrong with it; a sentence without its full stop.
+            Name of the photograph and description of the doubt; a sentence without its full stop.
 
         Raises
         ------
         OperatorAbort, DeadlineError, DeviceError
-            As `confirm`.
+            As for `confirm`.
         """
         raise DeviceError(f"nobody can be asked: {doubt}")
 
 
 class HandSettings:
-    """Hand settings at the bench as far as this run knows them; asks for those that differ."""
+    """Present settings by hand, as far as this run knows them; those that differ are requested from the operator."""
 
     def __init__(self, operator: Operator) -> None:
         self.operator = operator
-        self._stands: dict[str, float | str] = {}  # confirmed; what is not there is unknown
+        self._stands: dict[str, float | str] = {}  # confirmed settings; others are unknown
 
     def set(self, wanted: Mapping[str, float | str]) -> Step:
-        """Have the wanted settings stand, and return the step that was asked for, false where none was needed.
+        """Request the changes to the wanted settings, and return them as a step, which is false if none was needed.
 
-        A step that fails may be half done: its settings are unknown afterwards.
+        After a step that failed its settings are unknown, because it may be half done.
         """
         step = Step.between(self._stands, wanted)
         if step:
@@ -190,7 +191,7 @@ class HandSettings:
 
 
 class PromptOperator(Operator):
-    """Asks on the terminal and, where there is one, on the page.
+    """Operator who is asked on the terminal and, if there is one, on the page.
 
     Parameters
     ----------
@@ -203,32 +204,32 @@ class PromptOperator(Operator):
     attended = True
 
     def ask(self, step: Step) -> None:
-        """Ask, and wait until it is done; the session's other offers stand beside that."""
+        """Ask for a step and wait until it is done; the session's other actions are offered too."""
         self.dialogue.ask(State.STEP, str(step))
 
     def confirm(self, request: str) -> None:
-        """Ask for what holds the rig up, and wait for the answer."""
+        """Ask to clear what has stopped the rig, and wait for the answer."""
         self.dialogue.ask(State.HELD, request)
 
     def judge(self, doubt: str) -> str:
-        """Ask what is to become of a photograph."""
+        """Ask whether to keep a doubtful photograph, and why."""
         return self.dialogue.ask(State.DOUBT, doubt)
 
 
 class FileOperator(Operator):
-    """Waits for a file that the message names; the person makes it with ``touch``. It is removed afterwards.
+    """Operator who confirms by creating a file, for example with ``touch``; the file is removed afterwards.
 
-    The message goes to the log and to stderr. Each question has a name of its own, so that an answer to an earlier one
-    is never taken for it.
+    The request, with the path of the file, goes to the log and to stderr. Each request has a file name of its own, so
+    that a late answer to an earlier request does not count for it.
 
     Parameters
     ----------
     folder : path
-        Where the file is to appear, such as ``results/rig/NAME``; made where it is missing.
+        Folder of the files, such as ``results/rig/NAME``; created if it is missing.
     deadline_s : float, optional
         Longest wait, s.
     poll_s, progress_s : float
-        Time between two looks at the folder, and between two lines that say that the rig still waits, s.
+        Interval between two checks of the folder, and between two messages that the rig still waits, s.
     """
 
     def __init__(
@@ -241,12 +242,12 @@ class FileOperator(Operator):
     attended = True
 
     def confirm(self, request: str) -> None:
-        """Name a file and wait until it is there."""
+        """Request a file as confirmation, and wait until it exists."""
         self._answer(request, "When done: touch {}")
         LOGGER.info("confirmed: %s", request)
 
     def judge(self, doubt: str) -> str:
-        """Name a file; empty it takes the photograph again, ``stop`` ends the session, other words keep it."""
+        """Request a file: an empty one takes the photograph again, ``stop`` ends the session, other text keeps it."""
         how = "To take it again: touch {0}; to keep it: echo WHY > {0}; to end: echo stop > {0}"
         answer = self._answer(doubt, how)
         if answer.lower() in NO:
@@ -254,17 +255,17 @@ class FileOperator(Operator):
         return "" if answer.lower() in (*YES, "r", *AGAIN) else answer
 
     def _answer(self, request: str, how: str) -> str:
-        """Name a file, wait until it is there, and return what it holds."""
+        """Request a file, wait until it exists, and return its text."""
         self.folder.mkdir(parents=True, exist_ok=True)
         self._asked += 1
-        # The second part keeps a late answer to a run that was killed from confirming a step of this one.
+        # Because of the random part, a late answer to a run that was killed does not confirm a step of this one.
         path = self.folder.absolute() / f"confirm-{self._asked}-{os.urandom(2).hex()}"
         path.unlink(missing_ok=True)
         told = how.format(shlex.quote(str(path)))
         _say(f"{request}. {told}")
         begun = said = time.monotonic()
         try:
-            # Listing the folder sees a new file over NFS earlier than asking for its name.
+            # Over NFS, a listing of the folder shows a new file earlier than a query for its name.
             while path.name not in os.listdir(self.folder):
                 now = time.monotonic()
                 if self.deadline_s is not None and now - begun >= self.deadline_s:
@@ -281,13 +282,14 @@ class FileOperator(Operator):
 
 
 class AutoOperator(Operator):
-    """Sets the virtual rig: calls a function with the settings of the step.
+    """Operator of the virtual rig: a function that makes the settings of a step.
 
     Parameters
     ----------
     set_bench : callable
+        Called with {setting: value}.
     dialogue : Dialogue, optional
-        Asked for what no function can do where a page shows it; otherwise nobody can be asked.
+        If a page shows it, its person is asked for confirmations and judgements; otherwise nobody can be asked.
     """
 
     def __init__(self, set_bench: Callable[[dict[str, float | str]], None], dialogue: Dialogue | None = None) -> None:
@@ -297,17 +299,17 @@ class AutoOperator(Operator):
             self.attended = True
 
     def ask(self, step: Step) -> None:
-        """Set the bench."""
+        """Make the settings of a step on the virtual rig."""
         self._set_bench(step.new)
 
     def confirm(self, request: str) -> None:
-        """Ask on the page; without one it is refused: what only a person can do has no function."""
+        """Ask on the page; without a page raise `DeviceError`, because only a person can do what is asked."""
         if self._person is None:
             raise DeviceError(f"nobody can be asked to {request[:1].lower()}{request[1:]}: the rig has operator: auto")
         self._person.confirm(request)
 
     def judge(self, doubt: str) -> str:
-        """Ask on the page; without one nobody can be asked."""
+        """Ask on the page; without a page raise `DeviceError`."""
         return super().judge(doubt) if self._person is None else self._person.judge(doubt)
 
 
@@ -317,25 +319,25 @@ def make_operator(
     dialogue: Dialogue,
     set_bench: Callable[[dict[str, float | str]], None] | None = None,
 ) -> Operator:
-    """Return the operator that a rig's definition names; where a page is shown, its person takes the place of files.
+    """Return the operator that a rig's definition names; if there is a page, it is used in place of files.
 
     Parameters
     ----------
     kind : str
         ``prompt``, ``file`` or ``auto``.
     folder : path
-        Where confirmation files appear.
+        Folder of confirmation files.
     dialogue : Dialogue
-        With the longest wait for a person.
+        Dialogue of the session; its deadline holds for files too.
     set_bench : callable, optional
-        What sets the virtual rig; only ``auto`` needs it.
+        Function that sets the virtual rig; only ``auto`` needs it.
 
     Raises
     ------
     ValueError
-        For another kind, with the valid ones.
+        For an unknown kind.
     DeviceError
-        For ``auto`` on a rig that a person sets.
+        For ``auto`` on a rig that is not virtual.
     """
     if kind == "prompt" or (kind == "file" and dialogue.watched):
         return PromptOperator(dialogue)
@@ -349,7 +351,7 @@ def make_operator(
 
 
 def _degrees(angle: float) -> str:
-    """Return an angle with one decimal, with more where it needs them."""
+    """Return an angle as text with one decimal, or with more if needed."""
     angle += 0.0  # no -0.0
     text = f"{angle:.1f}"
     return f"{text if float(text) == angle else f'{angle:.10g}'}°"

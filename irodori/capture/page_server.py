@@ -1,7 +1,7 @@
-"""A page at the rig: what a session's dialogue shows and asks, for browsers on this computer or in its network.
+"""Web server of a session's dialogue, for browsers on this computer or in its network.
 
-Nothing is answered without the token that the terminal shows, nor under another host name than the page's own, and
-nothing is done on behalf of another page. A request that is refused has no effect and is answered by one sentence.
+A request must have the token that the terminal shows and the page's own host name, and an action must come from the
+page itself. A request that is refused has no effect and is answered with one sentence.
 """
 
 import hmac
@@ -29,14 +29,14 @@ from irodori.core.errors import InputError, PlainError
 if TYPE_CHECKING:
     from irodori.ingest.preview import Preview
 
-#: Longest body of an action, bytes; what is longer is read so far only that the answer arrives.
+#: Longest accepted body of an action, bytes, and the most that is read of a longer one so that the answer arrives.
 _LONGEST_BODY, _READ_AT_MOST = 4 * LONGEST_REASON + 200, 1 << 16
-#: Time after which a page that is told nothing hears that the line is up, and that a silent request may take, s.
+#: Interval of signs of life to a page without news, and longest silence of a request, s.
 _BEAT_S, _PATIENCE_S = 4.0, 20.0
 _MOST_CONNECTIONS = 32
-#: Time that the pages have for the last news, s.
+#: Longest wait until the pages have received the last news, s.
 _FAREWELL_S = 1.0
-#: Photographs whose pictures are kept for pages that ask late.
+#: Number of photographs with pictures that are kept for late requests.
 _PICTURES_KEPT = 4
 _PICTURE = re.compile("/(?P<kind>picture|overlay)/(?P<number>[1-9][0-9]{0,8})")
 _FILES = {
@@ -63,9 +63,9 @@ class Address:
     Parameters
     ----------
     address : str
-        One of this computer, in numbers.
+        IP address of this computer.
     port : int
-        0 for one that is free.
+        TCP port; 0 for a free one.
     """
 
     address: str = "127.0.0.1"
@@ -78,17 +78,17 @@ class Address:
         except ValueError:
             raise InputError("--address", "", repr(self.address), accepted) from None
         if parsed.is_unspecified or parsed.is_multicast:
-            # Requests name the address that they mean; one that stands for all could not be compared with it.
+            # The address in a request's Host header is compared with this one, so it cannot stand for several.
             raise InputError("--address", "", f"{self.address}, which stands for many", accepted)
         if parsed.version == 6 and (parsed.scope_id or parsed.ipv4_mapped):
-            # No browser takes a zone, and a mapped address is written in one way by some and in another by others.
+            # Browsers refuse zones, and write mapped addresses in different ways.
             raise InputError("--address", "", f"{self.address}, which browsers do not open", accepted)
         if not 0 <= self.port <= 65535:
             raise InputError("--port", "", str(self.port), "0 to 65535")
 
 
 class _Refusal(Exception):
-    """A request that has no effect: its status and the sentence that answers it."""
+    """Exception for a request without effect, with the HTTP status and the sentence of its answer."""
 
     def __init__(self, status: HTTPStatus, words: str) -> None:
         super().__init__(words)
@@ -96,14 +96,14 @@ class _Refusal(Exception):
 
 
 class PageServer(ThreadingHTTPServer):
-    """Serves the page of one dialogue.
+    """HTTP server of one dialogue's page.
 
     Parameters
     ----------
     where : Address
     dialogue : Dialogue
     name : str
-        Of what is photographed.
+        Name of the subject that is photographed.
 
     Raises
     ------
@@ -112,7 +112,7 @@ class PageServer(ThreadingHTTPServer):
     """
 
     daemon_threads = True
-    #: Two sessions never share a port, which some versions of Python would let them.
+    #: Some versions of Python would let two sessions share a port.
     allow_reuse_port = False
 
     def __init__(self, where: Address, dialogue: Dialogue, name: str) -> None:
@@ -129,20 +129,20 @@ class PageServer(ThreadingHTTPServer):
             accepted = "an address of this computer, and a port that is free"
             raise InputError("--address, --port", "", found, accepted) from None
         port = self.server_address[1]
-        # As browsers write it, whatever way it was typed.
+        # In the form that browsers use, whatever form was typed.
         self.hosts = [f"[{parsed}]:{port}" if parsed.version == 6 else f"{parsed}:{port}"]
         if parsed.is_loopback:
             self.hosts.append(f"localhost:{port}")
         self.url = f"http://{self.hosts[0]}/?token={self.token}"
-        # Cookies do not tell ports apart.
+        # Browsers send a cookie to every port of a host.
         self.cookie = f"irodori-{port}"
 
     def server_bind(self) -> None:
-        """Bind without asking a name server for this computer's name."""
+        """Bind the socket without asking a name server for this computer's name."""
         socketserver.TCPServer.server_bind(self)
 
     def process_request(self, request, client_address) -> None:
-        """Answer in a thread; beyond so many at a time the line is closed."""
+        """Answer a request in a thread; close the connection if there are too many at a time."""
         if self._slots.acquire(blocking=False):
             super().process_request(request, client_address)
         else:
@@ -156,14 +156,14 @@ class PageServer(ThreadingHTTPServer):
             self._slots.release()
 
     def handle_error(self, request, client_address) -> None:
-        """Let go of browsers that went away; all else is a mistake of ours and is said."""
+        """Ignore connections that browsers closed; report every other error, which is a fault of this program."""
         if not isinstance(sys.exc_info()[1], OSError):
             super().handle_error(request, client_address)
 
     def tell(self, shown: Shown | None) -> None:
-        """Keep the pictures of a photograph of which a page is about to hear.
+        """Keep the pictures of a photograph that is about to be announced to a page.
 
-        A page asks for them once it has heard, and by then the next photograph may be shown. The last few are kept.
+        A page requests them afterwards, when the next photograph may already be shown. The last few are kept.
         """
         with self._streams:
             if shown is not None:
@@ -172,13 +172,13 @@ class PageServer(ThreadingHTTPServer):
                 del self._told[number]
 
     def told(self, number: int) -> "Preview | None":
-        """Return the pictures of a photograph that pages have heard of, None for others and those long gone."""
+        """Return the pictures of a photograph that was announced to pages, None for others and old ones."""
         with self._streams:
             return self._told.get(number)
 
     @contextmanager
     def stream(self) -> Iterator[None]:
-        """Count an open stream of news."""
+        """Count a stream of news as open while the block runs."""
         with self._streams:
             self._open_streams += 1
         try:
@@ -189,7 +189,7 @@ class PageServer(ThreadingHTTPServer):
                 self._streams.notify_all()
 
     def await_farewells(self) -> None:
-        """Wait until the pages have heard how the session ended, for a moment at most."""
+        """Wait, for a moment at most, until the pages have received the end of the session."""
         with self._streams:
             self._streams.wait_for(lambda: self._open_streams == 0, _FAREWELL_S)
 
@@ -200,7 +200,7 @@ class _Handler(BaseHTTPRequestHandler):
     timeout = _PATIENCE_S
 
     def do_GET(self) -> None:
-        """Answer with the page, its parts, a picture or the news."""
+        """Answer a GET request with the page, its parts, a picture or the stream of news."""
         try:
             self._check_host()
             path, _, query = self.path.partition("?")
@@ -222,7 +222,7 @@ class _Handler(BaseHTTPRequestHandler):
             self._refuse(refusal)
 
     def do_POST(self) -> None:
-        """Hand an action to the dialogue."""
+        """Pass the action of a POST request to the dialogue."""
         try:
             body = self._body()
             self._check_host()
@@ -241,14 +241,14 @@ class _Handler(BaseHTTPRequestHandler):
             self._refuse(refusal)
 
     def send_error(self, code, message=None, explain=None) -> None:
-        """Answer what is no request of HTTP, or an unknown method, by one sentence."""
+        """Answer an invalid request, or one with an unknown method, with one sentence."""
         self._refuse(_Refusal(HTTPStatus(code), f"{HTTPStatus(code).phrase}; nothing was done."))
 
     def log_message(self, format, *arguments) -> None:
-        """Write no log: addresses hold the token."""
+        """Write no log, because addresses contain the token."""
 
     def _check_host(self) -> None:
-        """Refuse requests under another name, by which another page could reach this one (DNS rebinding)."""
+        """Refuse requests with another host name, with which another page could reach this one (DNS rebinding)."""
         if self.headers.get_all("Host") not in [[host] for host in self.server.hosts]:
             accepted = " or ".join(self.server.hosts)
             raise _Refusal(
@@ -276,14 +276,14 @@ class _Handler(BaseHTTPRequestHandler):
         return self.rfile.read(length)
 
     def _picture(self, path: str) -> tuple[str, bytes] | None:
-        """Return kind and content of a picture that pages were told of, or its overlay; None for every other path."""
+        """Return type and content of an announced picture or of its overlay; None for every other path."""
         asked = _PICTURE.fullmatch(path)
         if asked is None or (preview := self.server.told(int(asked["number"]))) is None:
             return None
         return ("image/jpeg", preview.jpeg) if asked["kind"] == "picture" else ("image/png", preview.overlay)
 
     def _news(self) -> None:
-        """Send every change as an event, until the session ends or the browser goes."""
+        """Send every change of the view as a server-sent event, until the session ends or the browser disconnects."""
         self.send_response(HTTPStatus.OK)
         self._send_headers({"Content-Type": "text/event-stream"})
         with self.server.stream():
@@ -318,7 +318,7 @@ class _Handler(BaseHTTPRequestHandler):
 
 
 def _parsed(kind: str, body: bytes) -> tuple[Action, int | None, str]:
-    """Return action, turn and reason of an action's body."""
+    """Return action, turn and reason from the body of a request."""
     if kind != "application/json":
         raise _Refusal(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "An action is sent as application/json; nothing was done.")
     try:
@@ -333,7 +333,7 @@ def _parsed(kind: str, body: bytes) -> tuple[Action, int | None, str]:
 
 
 def _plain(view: SessionView, name: str) -> dict:
-    """Return a view for JSON."""
+    """Return a view as plain values for JSON."""
     shown = view.shown
     return {
         "name": name,
@@ -361,10 +361,10 @@ def _plain(view: SessionView, name: str) -> dict:
 
 @contextmanager
 def served(dialogue: Dialogue, where: Address, name: str) -> Iterator[PageServer]:
-    """Serve a dialogue's page for as long as the block runs, and say at its end how it ended.
+    """Serve a dialogue's page while the block runs, and show at the end how the session ended.
 
-    A stop from the page ends the main thread's work as Ctrl-C does, also where the program ignores that key (a job in
-    the background); elsewhere it ends the session before the next photograph.
+    If the block runs in the main thread, a stop from the page raises KeyboardInterrupt there, even in a background job
+    that ignores Ctrl-C. In another thread, it ends the session before the next photograph.
 
     Raises
     ------

@@ -1,7 +1,7 @@
-"""Capture sessions: take, verify, look at, hash and record every missing photograph of a plan.
+"""Capture sessions: take, verify, check, hash and record every missing photograph of a plan.
 
-A photograph is stored under a temporary name, decoded, given its own name and then noted in the table. Whatever
-breaks the session off, the next one finds whole files and whole lines, and takes what is missing.
+A photograph is stored under a temporary name, decoded, renamed and then recorded in the table. Whatever interrupts the
+session, the next one finds complete files and complete lines, and takes what is missing.
 """
 
 import math
@@ -27,12 +27,12 @@ from irodori.ingest.plausibility import Doubt, Drift, Look, Series, delivered_ag
 from irodori.ingest.preview import preview_of
 
 _TRIES = 3
-#: What is doubted is taken again so often on its own where no person can be asked.
+#: Number of times that a doubtful photograph is taken if no person can be asked.
 _UNATTENDED_TRIES = 2
 #: Cameras round what they write into their files.
 _TOLERANCE = 0.05
 _TEMPORARY = ".part-"
-#: What a session that was killed leaves: its own temporary file, and that of the camera or of the DNG writer.
+#: Temporary files that a killed session leaves: its own, and that of the camera or of the DNG writer.
 _LEFT_OVER = (f"{_TEMPORARY}*", f".{_TEMPORARY}*")
 
 
@@ -40,9 +40,9 @@ _LEFT_OVER = (f"{_TEMPORARY}*", f".{_TEMPORARY}*")
 class Tally:
     """Counts of a session's photographs.
 
-    ``kept`` photographs stood in the table before, ``adopted`` ones stood in the folder without a line, ``retired``
-    ones are no longer asked for, ``retaken`` ones a person wanted again. ``doubted`` counts what could not be as asked
-    for when it came, ``accepted`` what a person kept of it.
+    ``kept`` photographs were in the table before, ``adopted`` ones were in the folder without a line, ``retired`` ones
+    are no longer required, ``retaken`` ones were taken again at a person's request. ``doubted`` counts photographs that
+    did not look as expected, ``accepted`` those of them that a person kept.
     """
 
     taken: int = 0
@@ -58,26 +58,26 @@ class Tally:
 
 
 class PositionError(DeviceError):
-    """A rig that has lost steps; its photographs may show other places than they are named after."""
+    """Error for a rig that has lost steps, so that photographs may show other poses than their names state."""
 
 
 @dataclass(frozen=True)
 class PositionCheck:
-    """Comparison of the rig's count with its limit switches, after photographs were taken.
+    """Comparison of the controller's positions with the limit switches, after photographs were taken.
 
     Parameters
     ----------
     photographs : int
-        How many were taken since the comparison before, or since the sitting began.
+        Number of photographs since the last comparison, or since the beginning of the sitting.
     lost_deg : dict
-        Axis: how far it stood above the angle that the controller counted, degrees.
+        {axis: true angle minus the angle that the controller counted, degrees}.
     """
 
     photographs: int
     lost_deg: Mapping[str, float]
 
     def beyond(self, limit_deg: Mapping[str, float]) -> str:
-        """Return in words which axes stood further off than a limit, empty where none did."""
+        """Return a phrase that names the axes with a deviation beyond their limits; empty if there are none."""
         off = {name: lost for name, lost in self.lost_deg.items() if abs(lost) > limit_deg[name] + ANGLE_TOLERANCE_DEG}
         return ", ".join(f"{name} stood {lost:+.3g} degrees off its count" for name, lost in off.items())
 
@@ -85,31 +85,31 @@ class PositionCheck:
         return "limit switches found: " + self.beyond(dict.fromkeys(self.lost_deg, -1.0))
 
     def plain(self) -> dict:
-        """Return it as plain values for a record."""
+        """Return the comparison as plain values for the session's record."""
         return {"photographs": self.photographs, "lost_deg": dict(self.lost_deg)}
 
 
 class Session:
-    """One sitting.
+    """One sitting of a capture session.
 
     Parameters
     ----------
     camera : CameraDevice
     operator : Operator
-        Sets by hand what no motor drives.
+        Person, or substitute, who makes the settings without a motor.
     journal : Journal
     rig : RigDevice, optional
-        None where nothing stands on the rig, as for an environment.
+        None if the rig is not used, as for an environment.
     tally : Tally, optional
-        Of `take_stock`, to be continued.
+        Counts from `take_stock`, to be continued.
     settle_s : float
-        Time from the arrival of the motors to the shutter, s; a step by hand in between counts.
+        Time from the arrival of the motors to the shutter, s, including steps by hand in between.
     dialogue : Dialogue, optional
-        Told what is done, and asked between two photographs what the person wants.
+        Dialogue that shows the progress, and is checked for requests of the person between two photographs.
     left_s : callable, optional
-        Time that photographs take, s.
+        Function that returns the time that photographs take, s.
     outline_of : callable, optional
-        Where the object lies in a photograph by its typed pose, `Outline`; None where there is none to be drawn.
+        Function that returns the `Outline` of the object in the pose of a photograph, None if there is none to draw.
     """
 
     def __init__(
@@ -132,34 +132,34 @@ class Session:
         self._settle_s, self._settled_at = settle_s, -math.inf
         self._stands: dict[str, float] = {}
         self._series, self._body, self._without_outline = Series(()), "", ""
-        #: What the drift frames of this sitting have shown.
+        #: Results of this sitting's drift frames.
         self.drift: list[Drift] = []
-        #: What the rig's limit switches have shown at the end of this sitting.
+        #: Comparisons with the rig's limit switches in this sitting.
         self.position: list[PositionCheck] = []
         if rig is not None:
-            # A feed hold is a person's, and so is its end.
+            # A person has started a feed hold, and must end it.
             rig.on_hold = operator.confirm
 
     def run(self, planned: Sequence[Shot], label: str) -> Tally:
-        """Take what is missing of a plan, in its order; a rig that does not know where it stands is homed first.
+        """Take the missing photographs of a plan, in its order, after homing a rig with an unknown position.
 
-        At the end the rig's count is held against its limit switches.
+        At the end the positions of the rig's controller are compared with its limit switches.
 
         Raises
         ------
         DeviceError
-            If rig, camera or disk is at fault; what was taken before stands in the table. `PositionError` where the
-            rig has lost steps.
+            For a fault of rig, camera or disk; photographs taken before are in the table. `PositionError` if the rig
+            has lost steps.
         InputError
-            If a photograph is broken or shot otherwise than asked for, `_TRIES` times in a row, or doubtful twice where
-            nobody can be asked.
+            If a photograph is broken or has wrong settings three times in a row, or is doubtful twice and nobody can be
+            asked.
         """
         begun = time.monotonic()
         missing = self.journal.missing(planned)
         self.camera.prepare(missing)
         self._body = _body(self.camera.status())
         if self.rig is not None:
-            # A plan that leaves the rig's limits is refused before anything moves.
+            # A plan beyond the rig's limits is refused before anything moves.
             for shot in planned:
                 self.rig.check(motor_targets(shot, self.rig.axes))
             self._know_place(self.rig, label)
@@ -170,8 +170,8 @@ class Session:
             for shot in track(missing, f"capture {label}"):
                 self._take_in_turn(shot, planned)
             if self._dialogue.watched:
-                # A command would have ended before the person has seen the last photograph. What is taken again here
-                # is still held against the switches.
+                # Otherwise the command would end before the person has seen the last photograph. Photographs that are
+                # taken again here are still checked for lost steps.
                 self._take_in_turn(None, planned)
             self._hold_against_switches(missing, tries)
             missing = self.journal.missing(planned)
@@ -180,12 +180,13 @@ class Session:
         return self.tally
 
     def _know_place(self, rig: RigDevice, label: str) -> None:
-        """Home a rig that does not know where it stands; see of another whether it has lost steps since it was homed.
+        """Home a rig with an unknown position; check any other for steps lost since it was homed.
 
         Raises
         ------
         PositionError
-            If it has, once: it is homed by then. A sitting that was broken off may have taken its photographs so.
+            If the rig has lost steps, perhaps during an interrupted sitting. It has been homed by then, so that the
+            next sitting raises no error.
         DeviceError
         """
         if not rig.status().homed:
@@ -204,18 +205,18 @@ class Session:
 
     @staticmethod
     def _off(rig: RigDevice, check: PositionCheck) -> str:
-        """Return in words which axes stood off by more than their step, empty where none did."""
+        """Return a phrase that names the axes with a deviation of more than a step; empty if there are none."""
         return check.beyond({name: axis.step_deg for name, axis in rig.axes.items()})
 
     def _hold_against_switches(self, taken: Sequence[Shot], times: int) -> None:
-        """See whether the rig has lost steps; photographs of wrong places are set aside, unless a person keeps them.
+        """Check whether the rig has lost steps; if so, set the photographs aside, unless a person keeps them.
 
         Raises
         ------
         PositionError
-            Where no person can be asked and they were taken again already.
+            If no person can be asked and the photographs were already taken again.
         DeviceError
-            If the rig is at fault, or if the person stops.
+            For a fault of the rig, or if the person stops.
         """
         if self.rig is None:
             return
@@ -248,9 +249,9 @@ class Session:
         LOGGER.warning("%s; they are set aside, and taken once more", found)
 
     def _take_in_turn(self, shot: Shot | None, planned: Sequence[Shot]) -> None:
-        """Take a photograph, or where there is none to take end the session, and before it retake what a person wants.
+        """Take a photograph, or end the session if it is None; first retake photographs if the person asks for it.
 
-        What was taken stands in the table until the new one is verified.
+        An earlier photograph remains in the table until the new one is verified.
         """
         wanted = [shot]
         while wanted:
@@ -259,7 +260,7 @@ class Session:
             except RetakeLast as wish:
                 last = self.journal.shots.get(wish.file)
                 if last is None:
-                    continue  # it was set aside meanwhile, and is taken again as all that is missing
+                    continue  # it was set aside meanwhile, and is taken again as a missing one
                 self._series.forget(last)
                 self.drift = [frame for frame in self.drift if frame.file != last.file]
                 if wanted[0] is None or wanted[0].file != last.file:
@@ -285,7 +286,7 @@ class Session:
         self._take(shot)
 
     def _test_exposure(self, shot: Shot) -> None:
-        """Take and show a photograph that is not part of the session, with the settings of one that is."""
+        """Take and show a test photograph with the settings of a shot; it does not become part of the session."""
         path = self.journal.folder / f"{_TEMPORARY}test{Path(shot.file).suffix}"
         try:
             with storing(path):
@@ -299,7 +300,7 @@ class Session:
             path.unlink(missing_ok=True)
 
     def _show(self, file: str, finding: str, mosaic: Mosaic, outline: Outline | None) -> None:
-        """Show a photograph with its outline; one of another size than the camera's definition says has none."""
+        """Show a photograph with its outline, which is omitted if the picture's size contradicts the definition."""
         size, without = (mosaic.size[0] // 2, mosaic.size[1] // 2), self._without_outline
         if outline is not None and outline.size != size:
             told = "the picture has {} x {} superpixels, and by the camera's optics {} x {}"
@@ -308,7 +309,7 @@ class Session:
         self._dialogue.show(file, finding, preview_of(mosaic), outline)
 
     def _outline(self, shot: Shot) -> Outline | None:
-        """Return where the object lies by its typed pose; a mesh may be one that is made of the photographs."""
+        """Return the outline of the object in the pose of a shot; None without one or before its mesh exists."""
         try:
             return self._outline_of(shot)
         except InputError as error:
@@ -316,7 +317,7 @@ class Session:
             return None
 
     def _recalled(self, planned: Sequence[Shot], missing: Sequence[Shot]) -> Series:
-        """Return what the next photographs are compared with, from those of an earlier sitting."""
+        """Return the series with which new photographs are compared, filled from those of earlier sittings."""
         series = Series(planned)
         kept = [shot for shot in self.journal.shots.values() if not shot.taken.accepted]
         for shot in worth_recalling(kept, missing):
@@ -332,7 +333,7 @@ class Session:
 
     def _take(self, shot: Shot) -> None:
         motorised = self.rig.axes if self.rig is not None else {}
-        # Motors first: nobody has a hand at the lens while the arm swings.
+        # Motors move first, so that nobody has a hand at the lens while the arm swings.
         if self.rig is not None and (targets := motor_targets(shot, motorised)):
             self.rig.move(targets)
             if targets != self._stands:
@@ -357,13 +358,13 @@ class Session:
         self.tally.taken += 1
 
     def _photograph(self, shot: Shot, path: Path, temporary: Path) -> tuple[Taken, str]:
-        """Have a photograph stand verified under a temporary name, and return how it was taken and its hash.
+        """Take and verify a photograph under a temporary name; return the details of its capture and its hash.
 
-        Faults name the file that it was to be.
+        Errors name the final file.
         """
         failed = doubted = 0
         read = {} if self.rig is None else self.rig.position()
-        # Before the shutter: what has been downloaded is shown at once.
+        # Computed before the exposure, so that the photograph is shown as soon as it is downloaded.
         outline = self._outline(shot) if self._dialogue.watched else None
         while True:
             now = datetime.now(UTC).astimezone().isoformat(timespec="milliseconds")
@@ -398,12 +399,12 @@ class Session:
                 return replace(taken, accepted=reason), digest
 
     def _judged(self, path: Path, doubts: Sequence[Doubt], times: int) -> str:
-        """Return why a doubtful photograph is kept, empty where it is to be taken again.
+        """Return the reason to keep a doubtful photograph, empty if it is to be taken again.
 
         Raises
         ------
         InputError
-            Where no person can be asked and it was taken again already.
+            If no person can be asked and the photograph was already taken again.
         DeviceError
             If the person stops.
         """
@@ -419,10 +420,10 @@ class Session:
 
 
 def take_stock(journal: Journal, planned: Sequence[Shot]) -> Tally:
-    """Find out what of a plan is there: nothing that a session left is lost, and nothing of another plan is kept.
+    """Compare the journal and the folder with a plan: adopt complete photographs, retire those of another plan.
 
-    Leftovers of a session that was killed are removed. A photograph that has its name but no line is noted once it is
-    verified (the line was lost in a crash); a broken one is set aside and taken again.
+    Temporary files of a killed session are removed. A file with a photograph's name but no line, which a crash has
+    cost, is recorded after verification; a broken one is set aside and taken again.
 
     Raises
     ------
@@ -454,11 +455,12 @@ def take_stock(journal: Journal, planned: Sequence[Shot]) -> Tally:
 
 
 def verify(path: Path, shot: Shot) -> Mosaic:
-    """Decode a photograph, and compare its own exposure time, sensitivity and aperture with what was asked for.
+    """Decode a photograph, and compare the exposure time, sensitivity and aperture in the file with those of the shot.
 
     Raises
     ------
     InputError
+        If the file cannot be decoded, or one of these differs by more than 5 %.
     """
     mosaic = decode(path)
     for name, what, unit in (("exposure_s", "exposure time", " s"), ("iso", "ISO", ""), ("f_number", "f-number", "")):
@@ -469,7 +471,7 @@ def verify(path: Path, shot: Shot) -> Mosaic:
 
 
 def _body(status: Mapping[str, str]) -> str:
-    """Return model and serial number, as far as the camera tells them."""
+    """Return model and serial number of the camera, as far as its status has them."""
     told = (status.get(key, "") for key in ("model", "serial_number"))
     return " ".join(text for text in told if text and text != NOT_REPORTED)
 

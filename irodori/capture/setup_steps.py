@@ -1,7 +1,7 @@
-"""Steps that set up a photograph, each done by a motor or by a person.
+"""Settings that a photograph requires, each made by a motor or by a person.
 
-A setting is an angle of a pose in degrees, the state of the comb filter (``filter``), or what stands before the lens
-(``subject``, of a photograph as `irodori.config.capture_table.Shot` has it).
+A setting is an angle of a pose in degrees, the state of the comb filter (``filter``), or the thing that is photographed
+(``subject``, see `irodori.config.capture_table.Shot`).
 """
 
 import dataclasses
@@ -11,12 +11,12 @@ from irodori.config.capture_table import Pose, Shot
 
 ANGLES = tuple(field.name for field in dataclasses.fields(Pose))
 
-#: What the pose does not matter to: a covered lens sees nothing, and a place is photographed away from the rig.
+#: Roles of photographs without a pose: the lens is covered, or the camera is away from the rig.
 _WITHOUT_POSE = ("dark", "environment", "room-chart")
 
 
 def motor_targets(shot: Shot, motorised: Container[str]) -> dict[str, float]:
-    """Return the angle of each motorised axis that a shot wants, degrees; empty where its pose does not matter.
+    """Return {motorised axis: angle that a shot requires, degrees}; empty if its pose does not matter.
 
     Parameters
     ----------
@@ -30,9 +30,9 @@ def motor_targets(shot: Shot, motorised: Container[str]) -> dict[str, float]:
 
 
 def hand_settings(shot: Shot, motorised: Container[str]) -> dict[str, float | str]:
-    """Return what a shot wants set by hand: ``subject``, angles without a motor in degrees, and ``filter``.
+    """Return the settings by hand of a shot: ``subject``, angles without a motor in degrees, and ``filter``.
 
-    What does not matter to the shot is left out: it may stay as it stands.
+    Settings that do not matter to the shot are omitted: they may stay as they are.
     """
     wanted: dict[str, float | str] = {"subject": shot.subject}
     if shot.role not in _WITHOUT_POSE:

@@ -1,9 +1,9 @@
 """Short tours through poses, and through blocks of poses between which a person has to set something.
 
-Few points are solved exactly (dynamic programming over subsets, Held and Karp 1962), one axis is swept from end to
-end, many points take the best of several boustrophedon orders and of a nearest-neighbour order bettered by 2-opt and
-Or-opt (moving up to three neighbours elsewhere).
-Costs are tuples that compare from the left: settings changed by hand, travel in s, then what keeps the session calm.
+Small problems are solved exactly (dynamic programming over subsets, Held and Karp 1962), and a single axis is swept
+from end to end. For many points, the best of several boustrophedon orders is taken, or of a nearest-neighbour order
+improved by 2-opt and Or-opt (moves of up to three neighbours). Costs are tuples that compare from the left: settings
+changed by hand, travel in s, then *unrest*, a small cost of changes that are slow by hand.
 """
 
 import functools
@@ -12,14 +12,14 @@ from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, 
 
 from irodori.capture.rig.devices import Axis
 
-#: A place is the angle of each axis, degrees; the empty place is any, for a shot whose pose does not matter.
+#: A place is the angle of each axis, degrees; the empty place stands for any, for a shot without a pose.
 Place = tuple
 #: A block is its phase, its settings by hand, and its places.
 Block = tuple[int, dict, list[Place]]
 #: Settings changed, travel in s, unrest.
 _Cost = tuple[float, float, float]
 
-#: More points than these are not moved singly, and not searched at all but swept: it would take longer than it saves.
+#: Above the first number of points, none is moved singly; above the second, orders are not searched at all but swept.
 _MOVED_POINTS, _SEARCH_POINTS = 120, 400
 _EXACT_POINTS, _FRONTIER = 6, 12
 _EXACT_WORK = 200_000
@@ -33,13 +33,13 @@ def shortest_blocks(
     Parameters
     ----------
     blocks : sequence of (phase, settings, places)
-        Phases run in order. The blocks of one phase have the same settings' names and differ in their values.
+        Phases run in order. The blocks of one phase have settings with the same names and different values.
     axes : sequence of Axis
-        Of which a place gives the angles.
+        Axes of the angles in a place, in the same order.
     start : tuple
-        Angle of each axis, degrees, or None where it is unknown.
+        Angle of each axis at the start, degrees; None if it is unknown.
     hand : mapping
-        Settings that stand; what is not there is unknown.
+        Settings by hand at the start; those that are missing are unknown.
     """
     travel = _Travel(axes)
     ways = functools.cache(lambda places: _ways(list(places), axes, travel))  # most blocks have the same places
@@ -60,7 +60,10 @@ def shortest_blocks(
 
 
 class _Travel:
-    """Time from place to place, s, remembered. Axes run together; an unknown angle costs nothing."""
+    """Function that returns the travel time between two places, s, with a cache.
+
+    Axes move simultaneously; an unknown angle costs nothing.
+    """
 
     def __init__(self, axes: Sequence[Axis]) -> None:
         self._axes = axes
@@ -81,7 +84,7 @@ class _Travel:
 
 
 def _ways(places: list[Place], axes: Sequence[Axis], travel: _Travel) -> list[tuple[list[Place], float]]:
-    """Return good ways through places, with their travel in s, for different first and last places."""
+    """Return good ways through places with their travel times, s, for different first and last places."""
     varying = [i for i in range(len(axes)) if len({place[i] for place in places if place}) > 1]
     if len(places) <= 1 or len(varying) == 1:
         ways = [sorted(places)]
@@ -117,7 +120,7 @@ def _snakes(points: Collection[tuple], order: Sequence[int]) -> Iterator[list[tu
 
 
 def _snake(points: list[tuple], order: list[tuple[int, bool]]) -> tuple[list[tuple], list[tuple[int, bool]]]:
-    """Return the points, and the directions in which the coordinates would go on."""
+    """Return the points in boustrophedon order, and the directions in which the coordinates would continue."""
     if not order:
         return points, order
     (axis, flip), inner = order[0], order[1:]
@@ -129,13 +132,13 @@ def _snake(points: list[tuple], order: list[tuple[int, bool]]) -> tuple[list[tup
 
 
 def _bettered(points: Sequence, distance: Callable, entry: Callable) -> list:
-    """Return an open way through points: nearest neighbours first, then bettered until nothing helps.
+    """Return an open way through points: by nearest neighbours, then improved until no 2-opt or Or-opt step helps.
 
     Parameters
     ----------
     points : sequence
     distance, entry : callable
-        From point to point, and into the first; symmetric numbers.
+        Symmetric distance between two points, and distance from the start to a first point.
     """
     left = list(points)
     way = [left.pop(min(range(len(left)), key=lambda i: entry(left[i])))]
@@ -162,10 +165,10 @@ def _reversed_better(way: list, distance: Callable, entry: Callable) -> bool:
 
 
 def _moved_better(way: list, distance: Callable, entry: Callable) -> bool:
-    """Move up to three neighbours elsewhere where that shortens a way (Or-opt), in place; return whether one did."""
+    """Move up to three neighbours if that shortens a way (Or-opt), in place; return whether one did."""
 
     def gap(a, b) -> float:
-        """Return the step between two neighbours; None is the outside."""
+        """Return the distance between two neighbours; None stands for the start or the open end."""
         return 0.0 if b is None else entry(b) if a is None else distance(a, b)
 
     for size, i in itertools.product((1, 2, 3), range(len(way))):
@@ -187,9 +190,9 @@ def _moved_better(way: list, distance: Callable, entry: Callable) -> bool:
 
 
 def _phase(phase: list[tuple], hand: dict, place: Place, travel: _Travel) -> Iterator[tuple]:
-    """Yield (cost, list of (block, way)) of good orders of a phase, for different ends."""
+    """Yield (cost, list of (block, way)) for good orders of a phase, with different last places."""
     if len(phase) == 1 and 1 < len(phase[0][0][2]) <= _SEARCH_POINTS:
-        # One block is entered from where the motors stand, and from nowhere else.
+        # A single block is entered only from the present position of the motors.
         block, ways = phase[0]
         way = _bettered(block[2], travel, lambda a: travel(place, a))
         phase = [(block, [*ways, (way, travel.along(way))])]
@@ -208,7 +211,7 @@ def _phase(phase: list[tuple], hand: dict, place: Place, travel: _Travel) -> Ite
 
 
 def _exact_order(phase: list[tuple], hand: dict, place: Place, travel: _Travel) -> Iterator[tuple]:
-    """Yield the best order for each last block and way: dynamic programming over the subsets done."""
+    """Yield the best order for each last block and way, by dynamic programming over subsets of blocks."""
     count, ways = len(phase), max(len(ways) for _, ways in phase)
     best: dict[tuple, tuple] = {}
     for i, (block, ways_of_block) in enumerate(phase):
@@ -235,7 +238,7 @@ def _exact_order(phase: list[tuple], hand: dict, place: Place, travel: _Travel) 
 
 
 def _orders(phase: list[tuple], hand: dict) -> Iterator[list[tuple]]:
-    """Yield orders of blocks that promise few changes by hand."""
+    """Yield orders of blocks that are likely to need few changes by hand."""
     names = sorted(phase[0][0][1])
     points = {tuple(block[1][name] for name in names): (block, ways) for block, ways in phase}
     varying = [i for i in range(len(names)) if len({point[i] for point in points}) > 1]
@@ -254,7 +257,7 @@ def _orders(phase: list[tuple], hand: dict) -> Iterator[list[tuple]]:
 
 
 def _choose_ways(order: list[tuple], place: Place, travel: _Travel) -> Iterator[tuple]:
-    """Yield, for each way through the last block, the least travel through all blocks in their order."""
+    """Yield, for each way through the last block, the ways with the least travel through all blocks in their order."""
     reached: list[tuple[float, Place, tuple]] = [(0.0, place, ())]
     for block, ways in order:
         following = []
@@ -272,7 +275,7 @@ def _choose_ways(order: list[tuple], place: Place, travel: _Travel) -> Iterator[
 
 
 def _hand_cost(stands: Mapping, wanted: Mapping) -> tuple[int, float, float]:
-    """Return (settings changed, 0 s of travel, unrest): the filter is quicker to change than an angle far away."""
+    """Return (settings changed, 0 s of travel, unrest); large changes of angles cost most, the filter nothing."""
     changed = [name for name, value in wanted.items() if stands.get(name) != value]
     unrest = 0.0
     for name in changed:
@@ -293,5 +296,5 @@ def _sum(a: _Cost, b: _Cost) -> _Cost:
 
 
 def _rounded(cost: _Cost) -> _Cost:
-    """Return a cost whose rounding errors decide nothing."""
+    """Return a rounded cost, so that rounding errors do not decide a comparison."""
     return cost[0], round(cost[1], 6), round(cost[2], 9)

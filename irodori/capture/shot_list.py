@@ -1,7 +1,7 @@
-"""Lists of the photographs that a definition asks for.
+"""Lists of the photographs that a definition requires.
 
-File names follow from what a photograph is and not from when it was taken, so that a session that was broken off
-knows what is missing.
+A file's name depends on what the photograph shows and not on when it was taken, so that an interrupted session can
+determine what is missing.
 """
 
 from collections.abc import Container, Sequence
@@ -12,17 +12,17 @@ from irodori.config.capture_table import DRIFT, Pose, Shot, expand_poses
 from irodori.config.models import Camera, EnvironmentDefinition, Exposures, Object, ScenePhotograph
 from irodori.config.parts import PhotographedObject
 
-#: Where everything stands when nothing needs a place: the cap is on the lens, or the camera is in another room.
+#: Pose of photographs that have none: the lens cap is on, or the camera is not on the rig.
 _NOWHERE = Pose(0.0, 0.0)
-#: Photographs of the white reference at each exposure time where the camera's file does not say.
+#: Default number of photographs of the white reference at each exposure time.
 _WHITE_FRAMES = 2
 
 
 def _settings(camera: Camera) -> tuple[float, float]:
-    """Return the sensitivity and the aperture that the camera is set to, 0 where nobody knows them."""
+    """Return the camera's ISO sensitivity and f-number; 0 if unknown."""
     block = camera.driver or camera.virtual
     known = (getattr(block, key, None) for key in ("iso", "f_number"))
-    # A lens with a ring has an aperture that the camera cannot tell.
+    # The camera does not know the aperture of a lens with an aperture ring.
     iso, f_number = (float(value) if isinstance(value, int | float) else 0.0 for value in known)
     return iso, f_number
 
@@ -67,7 +67,7 @@ def object_shots(definition: Object | PhotographedObject, camera: Camera, suffix
     definition : Object or PhotographedObject
     camera : Camera
     suffix : str
-        End of the files' names, with the dot.
+        Suffix of the files' names, with the dot.
     """
     settings = _settings(camera)
     return [
@@ -78,9 +78,9 @@ def object_shots(definition: Object | PhotographedObject, camera: Camera, suffix
 
 
 def shots_without_rig(definition: EnvironmentDefinition | ScenePhotograph, camera: Camera, suffix: str) -> list[Shot]:
-    """Return the photographs of an environment and of the charts in it, or of a scene from one place.
+    """Return the photographs of an environment and of the charts in it, or of a scene from one position.
 
-    Parameters are as of `object_shots`.
+    Parameters as in `object_shots`.
     """
     taken = definition.exposure_s, _settings(camera), suffix
     if isinstance(definition, ScenePhotograph):
@@ -93,8 +93,8 @@ def camera_shots(camera: Camera, suffix: str) -> list[Shot]:
     """Return the photographs that calibrate a camera: dark frames, white references, the chart, further charts.
 
     Dark frames are taken at every exposure time of ``exposure_s``, the white reference ``white_frames`` times at each
-    exposure time, with the filter out also at those of ``linearity_exposure_s``. A camera that does not say how many
-    has no dark frames and two of the white reference.
+    exposure time, and without the filter also at those of ``linearity_exposure_s``. By default there are no dark frames
+    and two photographs of the white reference.
     """
     if camera.poses is None:
         raise ValueError("a camera without poses; accepted: one whose photographs the workflow takes")
@@ -119,17 +119,18 @@ def camera_shots(camera: Camera, suffix: str) -> list[Shot]:
 
 
 def with_drift_frames(ordered: Sequence[Shot], every: int, motorised: Container[str]) -> list[Shot]:
-    """Return a session's photographs with drift frames among them, each of which costs no step by hand.
+    """Return a session's photographs with drift frames inserted, which need no change of settings by hand.
 
-    After `every` photographs of the object, and after the last, the first one with the settings by hand that stand is
-    taken once more: the motors go back to its pose, and its exposure time comes again.
+    A drift frame repeats an earlier photograph to measure the drift of the light: after `every` photographs of the
+    object, and after the last, the first photograph with the present settings by hand is taken again, with its pose and
+    exposure time.
 
     Parameters
     ----------
     ordered : sequence of Shot
-        In the order in which they are taken; an object's.
+        Photographs of an object, in the order in which they are taken.
     every : int
-        0 for none.
+        Number of photographs between drift frames; 0 for no drift frames.
     motorised : container of str
         Angles that motors drive.
     """
@@ -141,7 +142,7 @@ def with_drift_frames(ordered: Sequence[Shot], every: int, motorised: Container[
         planned.append(shot)
         repeated = first.setdefault(tuple(sorted(hand_settings(shot, motorised).items())), shot)
         since += 1
-        # A bracket stays together: the next exposure of the same view is no moment for the motors to leave.
+        # No drift frame is inserted between the exposures of one bracket.
         goes_on = at + 1 < len(ordered) and _view(ordered[at + 1]) == _view(shot)
         if not goes_on and (since >= every or at + 1 == len(ordered)):
             file = f"{DRIFT}-{count:03d}-{repeated.file}"

@@ -1,12 +1,12 @@
 """Order of a session's photographs, and an estimate of the time they take.
 
-A session costs the person's time first: each step by hand (`irodori.capture.operator.Step`) interrupts it and waits for
-somebody. So the photographs that want the same settings by hand are taken together, each combination once, and
-neighbouring combinations differ in as few settings as can be. What remains free, the order of these blocks and the
-way through each, is chosen for the least travel of the motors.
+The person's time counts most: each step by hand (`irodori.capture.operator.Step`) interrupts the session and waits for
+somebody. Photographs with the same settings by hand are therefore taken together, each combination once, and successive
+combinations differ in as few settings as possible. Apart from that, the order of these blocks and the way through each
+are chosen for the least travel of the motors.
 
-Where steps by hand cost nothing (the virtual rig), only travel counts, and the photographs of one capture stay
-together: the light drifts least between its two filter states.
+If steps by hand cost nothing (on the virtual rig), only travel counts, and the photographs of one capture stay
+together, so that the light drifts least between its two filter states.
 """
 
 import itertools
@@ -19,7 +19,7 @@ from irodori.capture.setup_steps import hand_settings, motor_targets
 from irodori.capture.short_paths import shortest_blocks
 from irodori.config.capture_table import Shot
 
-#: What is photographed first: what calibrates an object comes before it.
+#: Order of the roles: photographs for the calibration come before those of the object.
 PHASES = ("dark", "white", "chart", "object", "environment", "room-chart", "scene")
 
 
@@ -32,8 +32,8 @@ class Estimate:
     shots, steps, settings : int
         Photographs; steps by hand; settings changed in them.
     hand_s, travel_s, settle_s, exposure_s, overhead_s : float
-        Time of the steps by hand, of the motors, of the rig's settling after them, of the exposures, and of all else
-        (reading out, storing), s.
+        Time of the steps by hand, of the motors, of the rig's settling after them, of the exposures, and of everything
+        else (reading out, storing), s.
     """
 
     shots: int
@@ -70,8 +70,8 @@ def order_shots(
     """Return the shots in the order of least work by hand, then of least travel.
 
     Dark frames come first, then the white reference, the chart, the objects, the environment, charts in it, scenes.
-    The exposures of one bracket (same subject, pose and filter) follow each other, the shortest first, so that no long
-    exposure leaves its traces in the next picture. The same input gives the same order.
+    The exposures of one bracket (same subject, pose and filter) follow each other, the shortest first, so that a long
+    exposure leaves no traces in the next picture. The order is deterministic.
 
     Parameters
     ----------
@@ -79,10 +79,10 @@ def order_shots(
     axes : mapping of str to Axis
         Angles that motors drive.
     start : mapping
-        What stands now: angles in degrees, ``filter``, ``subject``; what is not there is unknown.
+        Present settings: angles in degrees, ``filter``, ``subject``; those that are missing are unknown.
     manual_cost_s : float
-        Time of a step by hand, s. Above 0 steps are saved before travel, whatever they cost; 0 leaves them out of
-        the account.
+        Time of a step by hand, s. If it is above 0, steps are minimised before travel, whatever its value; if it is 0,
+        they are ignored.
 
     Returns
     -------
@@ -126,7 +126,7 @@ def estimate_s(
     Parameters
     ----------
     shots, axes, start, manual_cost_s
-        As for `order_shots`. A motor whose angle is unknown is taken to stand where it is first sent.
+        As for `order_shots`. A motor with an unknown angle is assumed to be at its first target.
     overhead_s : float
         Time for each photograph beyond its exposure, s.
     settle_s : float
@@ -158,7 +158,7 @@ def estimate_s(
 
 
 def _blockwise(brackets: dict[tuple, list[Shot]], axes, start, by_hand: bool) -> list[Shot]:
-    """Return the shots in blocks of the same settings by hand, the motors on their shortest way through each."""
+    """Return the shots in blocks with the same settings by hand, ordered for the least travel within each block."""
     names = tuple(axes)
     blocks: dict[tuple, dict[tuple, list[tuple]]] = {}
     for key, shots in brackets.items():
@@ -188,7 +188,7 @@ def _angles(pose) -> tuple[float, ...]:
 
 
 def _splits(shots: list[Shot]) -> int:
-    """Return how often the order leaves a capture, to count how well its photographs stay together."""
+    """Return the number of changes from one capture to another, a measure of how well captures stay together."""
     captures = [(shot.subject, shot.pose) for shot in shots]
     return sum(a != b for a, b in itertools.pairwise(captures))
 
@@ -198,7 +198,7 @@ def _count(number: int, word: str) -> str:
 
 
 def _duration(seconds: float) -> str:
-    """Return a time in the unit that a person would use."""
+    """Return a time as text in a convenient unit."""
     if seconds < 99.5:
         return f"{seconds:.0f} s"
     minutes = round(seconds / 60.0)

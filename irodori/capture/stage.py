@@ -29,11 +29,11 @@ from irodori.geometry.projected_outline import Outline, ProjectedOutlines
 from irodori.simulation.virtual_rig.bench import Bench
 from irodori.simulation.virtual_rig.virtual_camera import Photographed, VirtualCamera
 
-#: What a hand step costs against travel when photographs are ordered; the virtual rig's hands are quick.
+#: Time of a step by hand in the order of photographs, s, by operator; on the virtual rig it takes none.
 _STEP_S = {"prompt": 30.0, "file": 30.0, "auto": 0.0}
 #: Time of a photograph beyond its exposure: mirror, read-out, the file over the cable, the check.
 _READ_OUT_S = 4.0
-#: Says from which definition a virtual session's photographs come; others would pass for them.
+#: File with the hash of the definition and code that made a virtual session's photographs.
 _MADE_FROM = ".made-from"
 
 
@@ -44,15 +44,15 @@ class Target:
     Parameters
     ----------
     name : str
-        Of the object, the camera or the environment.
+        Name of the object, the camera or the environment.
     camera, rig : Camera, Rig
         Definitions.
     rig_name : str
-        Names the folder of the operator's confirmation files.
+        Name of the rig, used for the folder of confirmation files.
     table : path
         ``captures.csv``.
     folder : path, optional
-        Folder of the RAW files; that of the table where None.
+        Folder of the RAW files; by default that of the table.
     """
 
     name: str
@@ -69,7 +69,7 @@ class Target:
 
     @property
     def suffix(self) -> str:
-        """End of the names of the RAW files, with the dot."""
+        """Suffix of the RAW files' names, with the dot."""
         if self.is_virtual:
             return VirtualCamera.suffix
         if self.camera.driver is None:
@@ -83,24 +83,24 @@ class Target:
         return self.rig.motion.settle_s if self.rig.motion else 0.0
 
     def axes(self) -> dict[str, Axis]:
-        """Return the motorised axes; those of the pose that are not here are set by hand."""
+        """Return the motorised axes by name; other angles of a pose are set by hand."""
         return {name: drive.axis for name, drive in drives_of(self.rig).items()} if self.rig.motion else {}
 
     def ordered(self, shots: Sequence[Shot]) -> list[Shot]:
-        """Return photographs in the order in which they are taken, an object's with drift frames."""
+        """Return photographs in the order in which they are taken; drift frames are inserted for an object."""
         axes = self.axes()
         ordered = order_shots(shots, axes, {}, _STEP_S[self.rig.operator])
         is_object = any(shot.role == "object" for shot in ordered)
         return with_drift_frames(ordered, self.rig.drift_every if is_object else 0, axes)
 
     def estimate(self, shots: Sequence[Shot]) -> Estimate:
-        """Return the time that photographs take in their order; nothing is known of where things stand."""
+        """Return the time that photographs take in their order, with unknown settings at the beginning."""
         overhead_s = 0.0 if self.is_virtual else _READ_OUT_S
         return estimate_s(shots, self.axes(), {}, _STEP_S[self.rig.operator], overhead_s, self.settle_s)
 
 
 class _VirtualHands(Operator):
-    """Asks whoever is to be asked, then sets the virtual bench as a person would have set a real one."""
+    """Operator that asks another operator, then makes the settings on the virtual rig as a person would."""
 
     def __init__(self, inner: Operator, bench: Bench) -> None:
         self.inner, self.bench, self.attended = inner, bench, inner.attended
@@ -126,7 +126,7 @@ def _equipment(
     with moved as opened:
         folder = Path("results/rig") / target.rig_name
         if not target.is_virtual:
-            assert target.camera.driver is not None  # `suffix` has refused a camera without
+            assert target.camera.driver is not None  # `Target.suffix` refuses a camera without
             with GphotoCamera(target.camera.driver) as camera:
                 LOGGER.info("camera: %s", ", ".join(f"{key} {value}" for key, value in camera.status().items()))
                 yield opened, camera, make_operator(rig.operator, folder, dialogue)
@@ -152,38 +152,38 @@ def photograph(
 ) -> dict[str, str]:
     """Hold a session, or continue one, and write its record.
 
-    Nothing is opened, and nothing moves, where no photograph is missing.
+    If no photograph is missing, no device is opened and nothing moves.
 
     Parameters
     ----------
     shots : sequence of Shot
-        In any order.
+        Photographs in any order.
     target : Target
     subject : Photographed or None
-        What stands before a virtual camera.
+        Definition of what a virtual camera photographs.
     record : path
-        JSON to write when the session is complete: what was done, the hash of the table.
+        JSON file to write when the session is complete, with its counts and the hash of the table.
     provenance : Provenance
-        Of a virtual session: photographs of another definition or of other code are taken again. Those of a real
-        rig are kept as long as the plan asks for them.
+        Origin of a virtual session: photographs of another definition or of other code are taken again. Photographs of
+        a real rig are kept as long as the plan requires them.
     owner : str
-        What the folder's photographs belong to, such as ``object jar``.
+        Subject that the folder is reserved for, such as ``object jar``.
     on_rig : bool
-        Whether it stands on the rig at all.
+        Whether the subject is on the rig.
     dialogue : Dialogue, optional
-        That of a page; without it there is only the terminal.
+        Dialogue of a page; by default there is only the terminal.
     outline_of : callable, optional
         See `Session`.
 
     Returns
     -------
     dict
-        Photograph -> its hash: what the record stands on.
+        {path of a photograph: hash} of all photographs in the table.
 
     Raises
     ------
     DeviceError, InputError
-        What was taken before stays and is not taken again.
+        Photographs taken before are kept, and are not taken again.
     """
     table = Path(target.table)
     folder = table.parent if target.folder is None else Path(target.folder)
@@ -225,19 +225,19 @@ def photograph(
             "drift": drift,
             "position": position,
         }
-        # Snakemake deletes its own record before each job; what was photographed at a bench stands beside it.
+        # Snakemake deletes its own record before each job; that of a session at a real rig is kept beside the table.
         for path in {kept_record, Path(record)}:
             _write_record(path, content)
         return {str(folder / file): sha256 for file, sha256 in journal.sha256.items()}
 
 
 def _start_over_if_changed(table: Path, record: Path, provenance: Provenance) -> None:
-    """Remove a virtual session's photographs where their definition or the code that made them has changed.
+    """Remove a virtual session's photographs if their definition or the code that made them has changed.
 
     Raises
     ------
     InputError
-        If their folder is a link to somewhere else, where somebody's real photographs may be.
+        If their folder is a link to another place, which may have real photographs.
     """
     confined(table.parent.parent, table.parent.name, table, "")
     mark = table.with_name(_MADE_FROM)
@@ -256,12 +256,12 @@ def _start_over_if_changed(table: Path, record: Path, provenance: Provenance) ->
 
 
 def _earlier_checks(record: Path) -> list[dict]:
-    """Return what limit switches have shown at the end of earlier sittings; records of old versions do not tell.
+    """Return the comparisons with limit switches from earlier sittings, which records of old versions lack.
 
     Raises
     ------
     InputError
-        If the record is no JSON.
+        If the record is not valid JSON.
     """
     if not record.is_file():
         return []
@@ -295,7 +295,7 @@ def capture_object(
 
 
 def _outlines(definition: Object | PhotographedObject, target: Target) -> Callable[[Shot], Outline | None]:
-    """Return where the object lies in its photographs; in those of the white sheet, and without optics, nowhere."""
+    """Return a function from a shot to the object's outline; it returns None for other subjects or without optics."""
     if target.camera.optics is None:
         return lambda shot: None
     known = ProjectedOutlines(definition.shape, target.camera.optics, target.rig.camera_distance_mm)
@@ -319,13 +319,13 @@ def capture_environment(
 def capture_photograph(
     definition: ScenePhotograph, radiance, target: Target, record, provenance: Provenance
 ) -> dict[str, str]:
-    """Photograph a scene from one place with a virtual camera; see `photograph`.
+    """Photograph a scene from one position with a virtual camera; see `photograph`.
 
     Parameters
     ----------
     definition : ScenePhotograph
     radiance : path
-        What stands before the camera, see `irodori.simulation.virtual_rig.scene_view`.
+        File of the radiance in front of the camera, see `irodori.simulation.virtual_rig.scene_view`.
     """
     shots = shots_without_rig(definition, target.camera, target.suffix)
     subject = SceneRadiance(radiance=str(radiance))

@@ -1,15 +1,15 @@
-"""The terminal at the bench: whether there is one, what is shown on it, and the lines that are typed."""
+"""Terminal of the person at the bench: messages to it, and the lines typed on it, if there is one."""
 
 import os
 import select
 import sys
 
-#: What the end of the input stands for: stop.
+#: Line that the end of the input counts as: stop.
 _END = "q"
 
 
 class Terminal:
-    """Lines typed on standard input, and words on standard error; without a terminal there are no lines."""
+    """Terminal with input from stdin and output to stderr; if stdin is not a terminal, there is no input."""
 
     @property
     def is_there(self) -> bool:
@@ -17,18 +17,18 @@ class Terminal:
         return self._source() is not None
 
     def forget_typed(self) -> None:
-        """Drop what was typed so far: it is no answer to a question that comes after it."""
+        """Discard what was typed so far, so that it does not answer a later question."""
         import termios
 
         if (source := self._source()) is not None:
             termios.tcflush(source, termios.TCIFLUSH)
 
     def show(self, words: str, end: str = "\n") -> None:
-        """Show words on the terminal."""
+        """Print text on the terminal."""
         print(words, end=end, file=sys.stderr, flush=True)
 
     def line(self, wait_s: float) -> str | None:
-        """Return the next line, None where none came in a time (s); `_END` at the end of the input (Ctrl-D)."""
+        """Return the next line, None after ``wait_s`` seconds without one, and ``q`` at the end of input (Ctrl-D)."""
         source = self._source()
         # A terminal in its usual mode hands out whole lines.
         if source is None or not select.select([source], [], [], wait_s)[0]:
@@ -40,7 +40,7 @@ class Terminal:
         return typed.decode(errors="replace").strip() if typed else _END
 
     def typed(self) -> list[str]:
-        """Return the lines that wait to be read; none where the program runs in the terminal's background."""
+        """Return the lines that were typed and not yet read; none if the program runs in the background."""
         source = self._source()
         if source is None or not _in_foreground(source):
             return []
@@ -58,8 +58,8 @@ class Terminal:
 
 
 def _in_foreground(source: int) -> bool:
-    """Return whether reading is allowed: a program in the background would be stopped by it."""
+    """Return whether the program is in the terminal's foreground; one in the background would be stopped by reading."""
     try:
         return os.tcgetpgrp(source) == os.getpgrp()
-    except OSError:  # another program's terminal, which has no foreground of ours
+    except OSError:  # the terminal of another session
         return True

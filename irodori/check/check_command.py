@@ -1,4 +1,4 @@
-"""The subcommand ``check``: everything that can be known of a project before any long job."""
+"""The subcommand ``check``: all checks of a project that are possible before any long job."""
 
 import argparse
 import os
@@ -19,10 +19,10 @@ _CONFIG = "config/config.yaml"
 
 
 def main(arguments: list[str] | None = None, prog: str = "irodori check") -> int:
-    """Look at definitions, scenes and photographs, print what is wrong with them, and write nothing.
+    """Check definitions, scenes and photographs, print all errors and warnings, and write no file.
 
-    Photographs that are still to be taken, as those of the virtual rig, are passed over. The exit status is 1 where
-    there is an error, 0 where there are at most warnings.
+    Photographs that are still to be taken, such as those of the virtual rig, are skipped. The exit status is 1 if there
+    is an error, and 0 if there are only warnings or none.
     """
     parser = argparse.ArgumentParser(prog=prog, description=main.__doc__)
     parser.add_argument("--directory", default=".", help="where the paths of definitions start, as that of snakemake")
@@ -37,7 +37,7 @@ def main(arguments: list[str] | None = None, prog: str = "irodori check") -> int
         faults = project_faults(asked.config) or [error]
         for fault in faults:
             print(Finding(True, str(fault)))
-        # Photographs are looked at only where it is known what they should show.
+        # Photographs are checked only if the definitions state correctly what they should show.
         print(f"{len(faults)} error{'' if len(faults) == 1 else 's'}; no photograph was looked at")
         return 1
     photographs, errors, warnings = PhotographCheck(loaded), 0, 0
@@ -50,7 +50,7 @@ def main(arguments: list[str] | None = None, prog: str = "irodori check") -> int
 
 
 def load_project(files: list[str]) -> Loaded:
-    """Load the default configuration, where there is one, with others on top of it, as Snakemake merges them.
+    """Load the default configuration, if it exists, overridden by further files as Snakemake merges them.
 
     Raises
     ------
@@ -80,7 +80,7 @@ def _project(files: list[str]) -> tuple[dict, list[str]]:
 
 
 def _merged(old: Mapping, new: Mapping) -> dict:
-    """Return a configuration with another on top, as Snakemake merges files: blocks key by key, lists as a whole."""
+    """Return a configuration overridden by another, as Snakemake merges files: mappings by key, lists as a whole."""
     both = dict(old)
     for key, value in new.items():
         is_block = isinstance(value, Mapping) and isinstance(both.get(key), Mapping)

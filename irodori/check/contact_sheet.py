@@ -1,4 +1,4 @@
-"""The contact sheet: a page of small photographs, over which the outlines and patches of the definitions are drawn."""
+"""Contact sheet: a page of small photographs, with outlines of objects and patches of charts drawn over them."""
 
 import base64
 from collections.abc import Mapping
@@ -20,7 +20,7 @@ from irodori.report.html_page import write_page
 
 #: A hundred photographs of this width make a page that a phone can hold.
 _WIDTH_PX = 480
-#: Side of the square that stands for a chart's patch where the definition does not say, of the patches' distance.
+#: Side of the square drawn for a patch of unknown size, as a share of the distance between patches.
 _PATCH = 0.5
 
 
@@ -32,17 +32,18 @@ class Picture:
     ----------
     path : path
     caption : str
-        Role, pose, filter and exposure as its table says.
+        Subject, pose, filter and exposure from the table of photographs.
     size : (width, height)
         Superpixels.
     picture, overlay : str
-        Data URIs of the small picture, and of what is blown (red) and dark (blue) in it.
+        Data URIs of the small picture, and of a layer that marks overexposed (red) and dark (blue) parts of it.
     outline : str
-        Path of SVG in superpixels, pixels' edges of the object's silhouette; empty where no object is on the table.
+        SVG path of the object's silhouette, in superpixels with integer coordinates at their edges; empty if the
+        photograph shows no object or the camera has no known optics.
     chart : str, optional
-        Name of the chart that it shows, empty for the camera's first; None where it shows none.
+        Name of the chart in the photograph, empty for the camera's first chart; None if there is no chart.
     patches : list of str
-        Corners of each patch of a chart, polygons of SVG in superpixels.
+        SVG polygons of the patches of a chart, in superpixels.
     findings : list of Finding
     """
 
@@ -58,7 +59,7 @@ class Picture:
 
 
 class ContactSheet:
-    """Collects photographs as a check decodes them.
+    """Contact sheet, to which a check adds each photograph that it decodes.
 
     Parameters
     ----------
@@ -71,7 +72,7 @@ class ContactSheet:
         self.sets: dict[str, list[Picture]] = {}
 
     def add(self, one: PhotographSet, shot: Shot, path: Path, mosaic: Mosaic) -> None:
-        """Take a photograph of a set."""
+        """Add a decoded photograph of a set."""
         small = preview_of(mosaic, _WIDTH_PX)
         angles = ", ".join(f"{name.removesuffix('_deg')} {angle:g}°" for name, angle in vars(shot.pose).items())
         pose = f" · {angles}" if shot.role == "object" else ""
@@ -101,9 +102,10 @@ class ContactSheet:
         return self._outlines[one.subject].of(pose).path
 
     def write(self, path, findings: list[Finding], located: Mapping[tuple[str, str], Located]) -> None:
-        """Write the page; each finding stands beside its photograph, those of no photograph on top.
+        """Write the page, each finding beside its photograph, and findings that concern no photograph at the top.
 
-        ``located`` says where the patches of charts were found, by names of set and chart.
+        ``located`` holds the detected patches of charts, {(name of set, name of chart): patches}. They are drawn in
+        place of those of the definition.
         """
         for (name, chart), found in located.items():
             for picture in self.sets.get(name, ()):
@@ -120,7 +122,7 @@ class ContactSheet:
 
 
 def _patches(chart: Chart) -> list[str]:
-    """Return the squares of a chart where its definition has them; none of a chart that is looked for."""
+    """Return SVG polygons of a chart's patches at the places of its definition; none if the chart is to be detected."""
     if chart.centres_px is None:
         return []
     centres = patch_centres(chart)
@@ -128,7 +130,7 @@ def _patches(chart: Chart) -> list[str]:
 
 
 def _squares(centres: np.ndarray, side: float) -> list[str]:
-    """Return squares about centres in superpixels as polygons of SVG."""
+    """Return squares around centres as SVG polygons; all lengths in superpixels."""
     corners = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]]) * side
     # The centre of a superpixel has integer coordinates, its left edge in the page is that integer.
     return [" ".join(f"{x:.1f},{y:.1f}" for x, y in centre + corners + 0.5) for centre in centres]

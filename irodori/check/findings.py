@@ -1,4 +1,4 @@
-"""Findings of a check: what stops the workflow, and what a person had better look at."""
+"""Findings of a check: errors, which stop the workflow, and warnings."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -6,16 +6,16 @@ from pathlib import Path
 
 @dataclass(frozen=True)
 class Finding:
-    """One finding.
+    """Error or warning of a check.
 
     Parameters
     ----------
     is_error : bool
         Whether the workflow would refuse it, now or hours later; otherwise it is a warning.
     text : str
-        File, field and what is wrong with it, a sentence.
+        Sentence that names the file, the field and the fault.
     photograph : path, optional
-        The RAW file that it concerns; None where it concerns a definition, a table or several files.
+        The RAW file that it concerns; None if it concerns a definition, a table or several files.
     """
 
     is_error: bool

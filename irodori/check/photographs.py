@@ -32,9 +32,11 @@ _SET_OF = {"cameras": "camera", "objects": "object", "environments": "environmen
 
 
 class PhotographSet(NamedTuple):
-    """A set of photographs: what it is called, what it shows, its camera, and where its table and its files are.
+    """Set of photographs: its name, subject and camera, the paths of its table and files, and what files must match.
 
     ``kind`` is ``cameras``, ``objects``, ``environments`` or ``scenes``, ``subject`` the name of the definition.
+    ``roles`` are the roles of its photographs in the table, ``size_px`` the size that the files must have, and
+    ``lens_mm`` focal length and distance; None where the definition does not state them.
     """
 
     name: str
@@ -49,7 +51,7 @@ class PhotographSet(NamedTuple):
 
 
 class _Bright(NamedTuple):
-    """A photograph of a bracket, to choose the brightest in which hardly anything clips."""
+    """Photograph of an exposure series, from which the longest exposure without clipping is chosen."""
 
     shot: Shot
     mosaic: Mosaic
@@ -60,18 +62,18 @@ class _Bright(NamedTuple):
         return cls(shot, mosaic, float((mosaic.largest >= _CLIPPED).mean()) > _FEW)
 
     def rank(self) -> tuple[bool, float]:
-        """Return what is largest of the best."""
+        """Return a sort key that is largest for the best photograph."""
         return not self.clips, -self.shot.exposure_s if self.clips else self.shot.exposure_s
 
 
 class PhotographCheck:
-    """Looks at the photographs of a configuration.
+    """Check of the photographs of a configuration.
 
     Parameters
     ----------
     loaded : Loaded
     decoded : callable (PhotographSet, Shot, path, Mosaic), optional
-        Shown every photograph that could be decoded, when it is looked at.
+        Called with every photograph after it was decoded.
     """
 
     def __init__(
@@ -79,18 +81,18 @@ class PhotographCheck:
     ) -> None:
         self._loaded, self._decoded = loaded, decoded
         self._whites: dict[str, list] = {}
-        #: How many were looked at so far.
+        #: Number of photographs checked so far.
         self.count = 0
         #: Where the patches of the charts lie, by name of set and of chart.
         self.located: dict[tuple[str, str], Located] = {}
 
     def findings(self) -> Iterator[Finding]:
-        """Yield what is wrong with the photographs that there are; those still to be taken are passed over."""
+        """Yield the errors and warnings of all existing photographs; photographs still to be taken are skipped."""
         for one in self._sets():
             yield from self._of_set(one)
 
     def _sets(self) -> Iterator[PhotographSet]:
-        """Yield the sets that are there, cameras first: other sets are held against their white references."""
+        """Yield the existing sets, cameras first, because other sets are compared with their white references."""
         sets = PhotographSets(self._loaded)
         for kind, key in _SET_OF.items():
             for name, definition in getattr(self._loaded, kind).items():
@@ -156,7 +158,7 @@ class PhotographCheck:
             yield from self._of_charts(one, best)
 
     def _of_charts(self, one: PhotographSet, best: Mapping[str, _Bright]) -> Iterator[Finding]:
-        """Read the squares of every chart in the light of the white reference, as the calibration will."""
+        """Locate and read the patches of every chart, divided by the white reference, as calibration does."""
         camera = self._loaded.cameras[one.camera]
         for name, chart in {"": camera.chart, **camera.further_charts}.items():
             photograph = best.get(chart_capture(name))
@@ -173,10 +175,10 @@ class PhotographCheck:
 
 
 def _whole_chart(path, chart: Chart, photograph: _Bright, white: _Bright | None) -> ChartPhotograph | None:
-    """Return a chart whose patches were found, None where its spectra are too many or too few."""
+    """Return a photographed chart with its patches located; None if the number of its spectra does not fit."""
     names, _ = chart_spectra(chart.spectra)
     if len(names) != chart.rows * chart.columns:
-        return None  # the definition's own fault, said by the calibration's own check
+        return None  # a fault of the definition, which the check of definitions reports
     response, valid = _rate(photograph)
     if white is not None and white.mosaic.size == photograph.mosaic.size:
         even, lit = _rate(white)
@@ -188,7 +190,7 @@ def _whole_chart(path, chart: Chart, photograph: _Bright, white: _Bright | None)
 
 
 def _rate(photograph: _Bright) -> tuple[np.ndarray, np.ndarray]:
-    """Return superpixels in full scales per second of relative exposure, and which are valid."""
+    """Return superpixels in full scales per second of relative exposure, and a mask of those that are not clipped."""
     mosaic = photograph.mosaic
     rate = mosaic.superpixels / np.float32(mosaic.full_scale * relative_exposure_s(photograph.shot))
     return rate, mosaic.largest < _CLIPPED

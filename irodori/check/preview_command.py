@@ -15,11 +15,11 @@ from irodori.core.errors import InputError
 
 
 def main(arguments: list[str] | None = None, prog: str = "irodori preview") -> int:
-    """Write every photograph of a project small on one HTML page, and what is wrong with it beside it.
+    """Write an HTML page with all photographs of a project at small size, each beside its errors and warnings.
 
-    Over each lie the outline of the object in the pose of its table, the patches of a chart, what is blown (red) and
-    what is dark (blue). Photographs that are still to be taken are passed over. The exit status is 1 where there is an
-    error.
+    Drawn over each photograph are the outline of the object in the pose that the table states, the patches of a chart,
+    and marks on overexposed (red) and dark (blue) parts. Photographs that are still to be taken are skipped. The exit
+    status is 1 if there is an error.
     """
     parser = argparse.ArgumentParser(prog=prog, description=main.__doc__)
     parser.add_argument("--directory", default=".", help="where the paths of definitions start, as that of snakemake")

@@ -1,4 +1,4 @@
-"""Check of scenes: views that see nothing, and things that float or stand in each other."""
+"""Check of scenes: views that show nothing, and things that float or overlap."""
 
 import math
 from collections.abc import Iterator
@@ -18,13 +18,13 @@ from irodori.rendering.energy_gain import body_fault
 from irodori.rendering.eyes import eye_inside
 
 _POINTS = 400
-#: Parts of a thing's reach: deeper in another one it stands in it, farther from all others it floats. Points stand for
-#: surfaces, of a mesh some tenth of its reach apart.
+#: Depth of overlap, and distance to all other things, from which a warning is given, as shares of a thing's reach (the
+#: radius about its origin). Surfaces are sampled by points, which on a mesh are about a tenth of its reach apart.
 _DEEP, _FLOATS, _FLOATS_BY_A_MESH = 0.02, 0.05, 0.15
 
 
 def of_scene(loaded: Loaded, name: str) -> Iterator[Finding]:
-    """Yield what cannot be right about a scene, and what seldom is."""
+    """Yield the errors and warnings of a scene."""
     scene = loaded.scenes[name]
     try:
         things = _placed(loaded, scene)
@@ -67,7 +67,7 @@ def _placed(loaded: Loaded, scene: Scene) -> dict[str, Placement]:
 
 
 def _may_be_seen(thing: Placement, view: View, image: Size) -> bool:
-    """Whether a ball about a thing reaches into what a view sees; of an endless plane, whether a ray meets it."""
+    """Whether a thing's bounding ball reaches into a view; for an endless plane, whether one of nine rays hits it."""
     axes = look_at(view.position_mm, view.target_mm, view.up)
     x, y, z = (thing.translation_mm - np.array(view.position_mm)) @ axes
     wide = image.width / image.height
@@ -94,7 +94,7 @@ def _of_places(things: dict[str, Placement], file: str) -> Iterator[Finding]:
     for (one, a), (other, b) in combinations(things.items(), 2):
         if a.shape.is_endless and b.shape.is_endless:
             continue
-        # Each way, as points of the one stand for it and the other is known whole; an endless one has no points.
+        # In both directions: points sample the first, and the second is exact. An endless plane has no points.
         ways = [_between(x, y) for x, y in ((a, b), (b, a)) if not x.shape.is_endless]
         gap, depth = min(gap for gap, _ in ways), max(depth for _, depth in ways)
         for label in (one, other):
@@ -111,7 +111,7 @@ def _of_places(things: dict[str, Placement], file: str) -> Iterator[Finding]:
 
 
 def _between(a: Placement, b: Placement) -> tuple[float, float]:
-    """Return the distance from a thing's surface to another's, and how deep it reaches into or through that, mm."""
+    """Return the gap between two things' surfaces, and the depth of the first inside or through the second, mm."""
     round_mm = a.shape.reach_mm * a.scale if _is_ball(a) else 0.0
     points = a.translation_mm[None] if round_mm else a.points(a.shape.samples(_POINTS)[0])
     local = (points - b.translation_mm) @ b.rotation
@@ -130,7 +130,7 @@ def _is_ball(thing: Placement) -> bool:
 
 
 def _from_flat(local: np.ndarray, flat: Placement, round_mm: float) -> tuple[float, float]:
-    """Return gap and depth of points of a thing in the axes of a plate, a disc or a plane."""
+    """Return gap and depth, mm, of a thing's points (n, 3) in the local coordinates of a plate, a disc or a plane."""
     if flat.shape.is_endless:
         beside = np.zeros(len(local))
     else:

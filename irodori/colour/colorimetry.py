@@ -1,7 +1,8 @@
 """Tristimulus values, CIELAB and CIEDE2000 from spectra [eq. 6].
 
-Weights for the 61 samples have the tails folded in, so that a picture is one matrix product. CIEDE2000 is written out,
-for colour-science, against which tests compare it, takes longer to import than most jobs to measure their errors.
+The weights of the 61 samples include the wavelengths beyond the grid, so that a picture takes one matrix product.
+CIEDE2000 is implemented here, because importing the library colour-science, with which tests compare it, takes longer
+than most jobs need to compute their errors.
 """
 
 from functools import lru_cache
@@ -21,8 +22,8 @@ _FINE_NM = np.arange(360.0, 831.0, 1.0)
 def colour_matching_weights(observer_name: str = _OBSERVER) -> np.ndarray:
     """Return weights that integrate a spectrum on the grid against the colour-matching functions.
 
-    The spectrum is taken as piecewise linear between samples and held at its end values outside 400..700 nm
-    [design, §3]; the functions are the observer's 1 nm table, 360..830 nm.
+    The spectrum is taken as piecewise linear between samples and held at its end values outside 400..700 nm; the
+    functions are the observer's 1 nm table, 360..830 nm.
 
     Parameters
     ----------
@@ -34,7 +35,7 @@ def colour_matching_weights(observer_name: str = _OBSERVER) -> np.ndarray:
     (3, 61) float64, nm
     """
     table = published_table(f"observers/{observer_name}")
-    # Some tables begin at 390 nm: the eye is blind before.
+    # Some tables begin at 390 nm; the functions are zero below.
     functions = np.stack([np.interp(_FINE_NM, table.wavelength_nm, f, left=0.0, right=0.0) for f in table.spectra])
     hat = np.stack([np.interp(_FINE_NM, WAVELENGTH_NM, row) for row in np.eye(SAMPLES)])
     return functions @ hat.T
@@ -87,7 +88,7 @@ def lab_from_xyz(xyz: np.ndarray, white_xyz: np.ndarray) -> np.ndarray:
 
     Examples
     --------
-    A grey of a fifth of the white's luminance is of middling lightness, and has no colour:
+    A grey with a fifth of the white's luminance has a medium lightness and no chroma:
 
     >>> lab_from_xyz([0.2, 0.2, 0.2], [1.0, 1.0, 1.0]).round(1).tolist()
     [51.8, 0.0, 0.0]
@@ -102,7 +103,9 @@ def lab_from_xyz(xyz: np.ndarray, white_xyz: np.ndarray) -> np.ndarray:
 
 
 def delta_e(lab_a: np.ndarray, lab_b: np.ndarray) -> np.ndarray:
-    """Return CIEDE2000 between two (..., 3) arrays of CIELAB; names are those of CIE 142:2001, angles are radians.
+    """Return the colour difference CIEDE2000 between two (..., 3) arrays of CIELAB, (...) float64.
+
+    Variables are named as in CIE 142:2001; angles are in radians.
 
     Examples
     --------
@@ -140,7 +143,7 @@ def delta_e(lab_a: np.ndarray, lab_b: np.ndarray) -> np.ndarray:
 
 
 def _saturation(chroma: np.ndarray) -> np.ndarray:
-    """Return how near to strong a colour is, 0 for grey to 1."""
+    """Return sqrt(C^7 / (C^7 + 25^7)) of CIEDE2000 for a chroma C: 0 for grey, near 1 for strong colours."""
     seventh = chroma**7
     return np.sqrt(seventh / (seventh + 25.0**7))
 
@@ -177,13 +180,13 @@ def summary(values: np.ndarray) -> dict[str, float]:
 
 
 def spectral_rmse(truth: np.ndarray, estimate: np.ndarray) -> np.ndarray:
-    """Return the root mean square difference over the last axis [design, §5]."""
+    """Return the root mean square difference of spectra over their last axis, the wavelength."""
     difference = np.asarray(truth, dtype=np.float64) - np.asarray(estimate, dtype=np.float64)
     return np.sqrt(np.vecdot(difference, difference) / difference.shape[-1])
 
 
 def goodness_of_fit(truth: np.ndarray, estimate: np.ndarray) -> np.ndarray:
-    """Return GFC, the cosine of the angle between spectra; NaN where one of them is zero."""
+    """Return the goodness-of-fit coefficient (GFC): |cosine| of the angle between spectra; NaN where one is zero."""
     norms = np.linalg.norm(truth, axis=-1) * np.linalg.norm(estimate, axis=-1)
     dot = np.sum(np.asarray(truth) * np.asarray(estimate), axis=-1)
     return np.divide(np.abs(dot), norms, out=np.full(np.shape(dot), np.nan), where=norms > 0)

@@ -1,7 +1,7 @@
 """Display pictures from tristimulus values: chromatic adaptation, primaries and tone curves.
 
-A display is known by its primaries, white and tone curve, by colour measurements of it, or by its ICC profile; sRGB
-stands for one of which nothing is known.
+A display is described by its primaries, white and tone curve, by colour measurements, or by its ICC profile. Without a
+description it is taken to be an sRGB display.
 """
 
 from dataclasses import dataclass
@@ -28,9 +28,9 @@ from irodori.spectra.published_tables import published_matrix
 ADAPTATION = "CAT16"
 #: Linear light this far outside 0..1 is rounding.
 _TOLERANCE = 1e-4
-#: Displays that have a name, which is that of their primaries and white in colour-science, and their tone curve.
+#: Tone curves of the standard displays, by the name that the library colour-science gives their primaries and white.
 STANDARD = {"sRGB": SRGB, "Display P3": SRGB, "Adobe RGB (1998)": ParametricCurve(563 / 256)}
-#: Responses of the cones, sharpened, of `ADAPTATION`.
+#: Sharpened cone responses of CAT16.
 _CONES_FROM_XYZ = np.array(
     [[0.401288, 0.650173, -0.051461], [-0.250268, 1.204414, 0.045854], [-0.002079, 0.048952, 0.953127]]
 )
@@ -41,7 +41,7 @@ _D65_XYZ = np.array([0.3127, 0.3290, 1.0 - 0.3127 - 0.3290]) / 0.3290
 
 @dataclass(frozen=True)
 class Display:
-    """A display of three channels whose light adds up.
+    """Display with three channels of additive light.
 
     Parameters
     ----------
@@ -50,11 +50,12 @@ class Display:
         XYZ of linear RGB above black; white, with the black under it, has Y = 1.
     curves : three tone curves, red, green, blue
     white_xyz : (3,) float
-        The light of white, Y = 1; of sRGB the standard's, from which its rounded matrix differs in the fourth digit.
+        XYZ of white, Y = 1. For sRGB it is the standard's white, from which the sum of the standard's rounded matrix
+        differs in the fourth digit.
     black_xyz : (3,) float
-        What the display gives at code 0; 0 where nobody measured it.
+        XYZ at code 0, on the same scale; zeros if it was not measured.
     profile : bytes
-        ICC profile for its pictures. One of a matrix and curves cannot tell of black.
+        ICC profile to embed in pictures. A profile of a matrix and curves cannot describe the light of black.
     """
 
     name: str
@@ -65,7 +66,7 @@ class Display:
     profile: bytes
 
     def linear_rgb(self, xyz: np.ndarray, white_xyz: np.ndarray) -> np.ndarray:
-        """Return linear RGB that shows colours of a scene to an eye adapted to the display's white (CAT16).
+        """Return the linear RGB of a scene's colours, adapted from the scene's white to the display's white (CAT16).
 
         Parameters
         ----------
@@ -88,9 +89,9 @@ class Display:
         return rgb_from_xyz @ adapt / white[1], rgb_from_xyz @ self.black_xyz
 
     def encode(self, linear: np.ndarray, bits: int = 8) -> tuple[np.ndarray, "Gamut"]:
-        """Return code values of linear RGB, (..., 3) uint8 or uint16, and what of it the display cannot show.
+        """Return the code values of linear RGB, (..., 3), and a count of the pixels that are out of gamut.
 
-        What is outside takes the nearest value in each channel, and is counted.
+        Each channel is clipped to 0..1. The code values are uint8 up to 8 bits and uint16 above.
         """
         codes = np.stack(
             [curve.code(np.clip(linear[..., i], 0.0, 1.0)) for i, curve in enumerate(self.curves)], axis=-1
@@ -104,7 +105,7 @@ class Display:
         return np.stack([curve.linear(levels)[codes[..., i]] for i, curve in enumerate(self.curves)], axis=-1)
 
     def attributes(self, white_xyz: np.ndarray) -> dict[str, str]:
-        """Return the attributes that state a picture's adaptation to this display."""
+        """Return metadata of a picture that state its chromatic adaptation to this display."""
         return {
             "irodori:chromaticAdaptation": ADAPTATION,
             "irodori:whiteXYZ": _listed(white_xyz),
@@ -114,7 +115,7 @@ class Display:
 
 
 class Gamut(NamedTuple):
-    """Pixels that a display cannot show; one may be both too dark in a channel and too bright in another."""
+    """Numbers of pixels out of a display's gamut; a pixel can be below it in one channel and above in another."""
 
     pixels: int
     outside: int
@@ -122,7 +123,7 @@ class Gamut(NamedTuple):
     above: int  # brighter than white in a channel
 
     def figures(self) -> dict[str, float]:
-        """Return count and shares for the figures of a picture."""
+        """Return the number and the shares of pixels out of gamut, by the names that a picture's figures have."""
         shares = {name: getattr(self, name) / self.pixels for name in ("outside", "below", "above")}
         return {
             "out_of_gamut_pixels": self.outside,
@@ -133,7 +134,7 @@ class Gamut(NamedTuple):
 
 
 def gamut(linear: np.ndarray) -> Gamut:
-    """Return how many pixels (..., 3) of linear RGB lie outside 0..1 in a channel."""
+    """Count the pixels of linear RGB (..., 3) with a channel outside 0..1 by more than rounding."""
     below, above = (linear < -_TOLERANCE).any(axis=-1), (linear > 1 + _TOLERANCE).any(axis=-1)
     return Gamut(below.size, int((below | above).sum()), int(below.sum()), int(above.sum()))
 
@@ -143,19 +144,19 @@ def _listed(values) -> str:
 
 
 def make_display(definition: DisplayDevice) -> Display:
-    """Return the display of a scene's ``display.device``.
+    """Return the display that the key ``display.device`` of a scene describes.
 
     Parameters
     ----------
     definition : DisplayDevice
-        Of a measured one see `irodori.colour.measured_display`.
+        For a measured display, see `irodori.colour.measured_display`.
 
     Raises
     ------
     InputError
-        If a file is at fault.
+        If the file of a profile or of measurements is missing or not accepted.
     ValueError
-        If primaries do not enclose their white.
+        If the white is not inside the triangle of the primaries.
     """
     if isinstance(definition, StandardDisplay):
         return standard_display(definition.name)
@@ -170,7 +171,7 @@ def standard_display(name: str) -> Display:
     Raises
     ------
     ValueError
-        If it is none of these.
+        If the name is not in ``STANDARD``.
     """
     if name not in STANDARD:
         raise ValueError(f"unknown display {name!r}; accepted: {', '.join(STANDARD)}")

@@ -1,7 +1,7 @@
 """Reading and writing of matrix-and-curve ICC profiles (ICC.1:2022, version 4.4).
 
-Profiles with colour tables (LUT) are refused. LittleCMS, which knows them, is used where 8 bits do: Pillow's interface
-to it takes no more.
+Profiles with colour tables (LUT) are refused. The library LittleCMS supports them, but Pillow's interface to it is
+limited to 8 bits.
 """
 
 import struct
@@ -20,9 +20,9 @@ _HEADER = 128
 #: No display's profile comes near.
 MOST_BYTES = 1 << 24
 _MOST_TAGS = 200
-#: Light of all three channels against the profile's white (XYZ), and of a curve's last code against 1: vendors round.
+#: Largest difference of the channels' sum from D50 (XYZ), and of a curve's last value from 1: vendors round.
 _WHITE_TOLERANCE = 0.02
-#: X, Y or Z of a display's white, whose Y is about 1, before it is scaled to Y = 1.
+#: Largest X, Y or Z of a display's white before it is scaled to Y = 1; its Y is then about 1.
 _BRIGHTEST = 10.0
 _ACCEPTED = "an ICC profile of an RGB display with a matrix and tone curves"
 _CURVE_CODES = 4096
@@ -31,9 +31,9 @@ _PARAMETERS = ("g", "gab", "gabc", "gabcd", "gabcdef")
 
 
 class Profile(NamedTuple):
-    """Display described by an ICC profile.
+    """Display as an ICC profile describes it.
 
-    ``xyz_from_rgb`` is (3, 3), of linear RGB; the display's white has Y = 1 and is not adapted to D50.
+    ``xyz_from_rgb`` is (3, 3), for linear RGB; the display's white has Y = 1 and is not adapted to D50.
     """
 
     description: str
@@ -42,13 +42,13 @@ class Profile(NamedTuple):
 
 
 def bradford(target_white: np.ndarray, source_white: np.ndarray) -> np.ndarray:
-    """Return the matrix that adapts XYZ under a source white to a target white, (3, 3)."""
+    """Return the matrix of the Bradford adaptation from a source white to a target white, XYZ to XYZ, (3, 3)."""
     target, source = _BRADFORD @ target_white, _BRADFORD @ source_white
     return np.linalg.inv(_BRADFORD) @ np.diag(target / source) @ _BRADFORD
 
 
 def write_profile(profile: Profile) -> bytes:
-    """Return a profile as a file of version 4: primaries adapted to D50 by Bradford, as ``chad`` tells.
+    """Return the bytes of a version 4 profile; primaries are adapted to D50 by the Bradford matrix in its ``chad``.
 
     A sampled curve is stored at 4096 codes, in steps of 1/65535 of linear light.
     """
@@ -84,13 +84,13 @@ def read_profile(data: bytes, file) -> Profile:
     ----------
     data : bytes
     file : path
-        Where it came from, for the error message.
+        Path of the data's file, for the error message.
 
     Raises
     ------
     InputError
-        If it is none, truncated or too long, of another device or colour space, holds colour tables, a curve that falls
-        or does not end at white, or colorants whose sum is not white.
+        If the data are not an ICC profile, are truncated or too long, describe another device or colour space, or hold
+        colour tables, a curve that falls or does not end at white, or colorants that do not add up to white.
     """
     if len(data) > MOST_BYTES:
         raise InputError(file, "", f"more than {MOST_BYTES} bytes", _ACCEPTED)
@@ -132,7 +132,7 @@ def _read(data: bytes, file) -> Profile:
     if np.abs(total - D50_XYZ).max() > _WHITE_TOLERANCE:
         listed = ", ".join(f"{value:.4g}" for value in total)
         raise ValueError(f"colorants whose sum is {listed} and not the white of D50")
-    # Version 2 without `chad` tells the white itself, and leaves the adaptation open; Bradford is the usual one.
+    # A version 2 profile without `chad` states the display's white and leaves the adaptation open; Bradford is usual.
     with np.errstate(all="ignore"):
         adapt = _read_fixed(tags[b"chad"][8:44]).reshape(3, 3) if b"chad" in tags else bradford(D50_XYZ, white)
         matrix = np.linalg.inv(adapt) @ colorants

@@ -1,8 +1,9 @@
 """Display model from a colorimeter's measurements of patches with known code values.
 
-Two tables are read: a CSV of the columns red, green, blue (code values from 0 to 1), X, Y, Z (any one unit), and
-Argyll's .ti3 of ``dispread`` (RGB_R, RGB_G, RGB_B from 0 to 100, XYZ_X, XYZ_Y, XYZ_Z). Wanted are black and a ramp of
-each channel alone, its full value included; other patches tell how well the light of the channels adds up.
+Two formats are read: a CSV table with the columns red, green, blue (code values from 0 to 1), X, Y, Z (any one unit),
+and the .ti3 file of Argyll's ``dispread`` (RGB_R, RGB_G, RGB_B from 0 to 100, XYZ_X, XYZ_Y, XYZ_Z). The patches must
+include black and a ramp of each channel alone, up to its full value. If they include white, it is compared with the sum
+of the channels; other patches are not used.
 """
 
 from pathlib import Path
@@ -19,18 +20,18 @@ _COLUMNS = ["red", "green", "blue", "X", "Y", "Z"]
 _ARGYLL = ["RGB_R", "RGB_G", "RGB_B", "XYZ_X", "XYZ_Y", "XYZ_Z"]
 _CHANNELS = ("red", "green", "blue")
 _CODES = 4096
-#: Above any display in any unit, and far from what squares and sums of doubles hold.
+#: Above any display in any unit, and small enough that squares and sums of doubles do not overflow.
 _BRIGHTEST = 1e9
-#: Exponent of a display's curve.
+#: Largest exponent of a display's curve.
 _STEEPEST = 20.0
-#: Under this many levels of a channel, black and full value included, its curve is not known.
+#: Fewest levels of a channel, black and full value included, that determine its curve.
 _LEAST_LEVELS = 5
-#: Sum of the channels against the measured white, relative in Y, beyond which light does not add up.
+#: Largest accepted difference in XYZ between the sum of the channels and the measured white, as a share of white's Y.
 _MAX_NON_ADDITIVITY = 0.05
 
 
 def measured_display(path) -> tuple[np.ndarray, tuple[SampledCurve, ...], np.ndarray]:
-    """Read a measured display.
+    """Read the measurements of a display and return its matrix, tone curves and black.
 
     Parameters
     ----------
@@ -39,16 +40,18 @@ def measured_display(path) -> tuple[np.ndarray, tuple[SampledCurve, ...], np.nda
     Returns
     -------
     xyz_from_rgb : (3, 3) float64
-        XYZ above black; white, black included, has Y = 1.
+        XYZ above black, from linear RGB; white, black included, has Y = 1.
     curves : three SampledCurve
-        Straight lines through the measured levels in the code value's power that suits the ramp best.
+        Curves of red, green and blue, interpolated between the measured levels. The interpolation is linear in a power
+        of the code value, with the median exponent of the ramp.
     black_xyz : (3,) float64
+        XYZ of black, on the same scale.
 
     Raises
     ------
     InputError
-        If the file is no such table, black or a full channel is missing, a channel has fewer than five levels or gets
-        darker as its code grows, or the channels do not add up to the measured white within 5 %.
+        If the file has neither format, black or a channel's full value is missing, a channel has fewer than five levels
+        or gets darker as its code grows, or the sum of the channels differs from the measured white by more than 5 %.
     """
     code, xyz = _read(path)
     dark = (code == 0.0).all(axis=1)
@@ -78,7 +81,7 @@ def measured_display(path) -> tuple[np.ndarray, tuple[SampledCurve, ...], np.nda
 
 
 def _read(path) -> tuple[np.ndarray, np.ndarray]:
-    """Return code values 0..1 and XYZ of the patches, (n, 3) each."""
+    """Return the code values, 0..1, and the XYZ of the n patches, (n, 3) each."""
     if Path(path).suffix.lower() == ".ti3":
         rows = np.array(named_columns(path, _ARGYLL))
         code = rows[:, :3] / 100.0

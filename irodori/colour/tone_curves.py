@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-#: No display comes near; the numbers of a profile end at 32768, of which powers would overflow.
+#: Largest exponent, far above that of any display: profiles can hold numbers up to 32768, whose powers overflow.
 _STEEPEST = 20.0
-#: Codes at which a curve is looked at, all of 12 bits; parameters of a profile are rounded to 1/65536.
+#: Codes at which a curve is checked, as many as 12 bits have; parameters of a profile are rounded to 1/65536.
 _LOOKED_AT = 4096
 _ROUNDING = 2.0 / 65536
 
@@ -21,7 +21,7 @@ def _require_rising(values: np.ndarray, rounding: float = 0.0) -> None:
 
 @dataclass(frozen=True)
 class ParametricCurve:
-    """A power with a straight piece near black, function type 4 of ICC.1:2022, 10.18.
+    """Power function with a straight segment near black: function type 4 of ICC.1:2022, 10.18.
 
     Y = (a X + b)^g + e for X >= d, and c X + f below.
 
@@ -43,7 +43,7 @@ class ParametricCurve:
         given = (self.g, self.a, self.b, self.c, self.d, self.e, self.f)
         if not all(map(math.isfinite, given)) or not (0.0 < self.g <= _STEEPEST and self.a > 0.0):
             raise ValueError(f"a tone curve of the exponent {self.g:g} and the factor {self.a:g}; accepted: above 0")
-        # Two pieces: each rises or is flat by its own sign, so that it is their joint which may fall.
+        # Sampled as a whole: even if both pieces rise, the curve may fall at their joint.
         _require_rising(self.linear(np.linspace(0.0, 1.0, _LOOKED_AT)), _ROUNDING)
 
     def linear(self, code: np.ndarray) -> np.ndarray:
@@ -53,7 +53,7 @@ class ParametricCurve:
         return np.where(code >= self.d, power, self.c * code + self.f)
 
     def code(self, linear: np.ndarray) -> np.ndarray:
-        """Return the code values of linear light, any shape, 0..1; what is darker than code 0 gives 0."""
+        """Return the code values, 0..1, of linear light, any shape; light below that of code 0 yields 0."""
         linear = np.asarray(linear, dtype=np.float64)
         power = (np.maximum(linear - self.e, 0.0) ** (1.0 / self.g) - self.b) / self.a
         straight = (linear - self.f) / self.c if self.c > 0.0 else np.zeros_like(linear)
@@ -63,7 +63,7 @@ class ParametricCurve:
 
 @dataclass(frozen=True)
 class SampledCurve:
-    """A curve between equally spaced code values, straight from each to the next.
+    """Piecewise linear curve through values at equally spaced codes.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ class SampledCurve:
         return np.interp(code, np.linspace(0.0, 1.0, len(self.values)), self.values)
 
     def code(self, linear: np.ndarray) -> np.ndarray:
-        """Return the code values of linear light, any shape; the lowest of those that show the same."""
+        """Return the code values, 0..1, of linear light, any shape; of codes with the same light the lowest."""
         linear = np.clip(linear, self.values[0], self.values[-1])
         upper = np.searchsorted(self.values, linear, side="left")
         lower = np.maximum(upper - 1, 0)

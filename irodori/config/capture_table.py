@@ -1,6 +1,6 @@
 """Capture tables: CSV files that list the RAW files with role, pose, filter and exposure time.
 
-A table is a CSV with one photograph a line. Angles are in degrees [design, §4], exposure times in seconds.
+Each line is one photograph. Angles are in degrees (see `Pose`), exposure times in seconds.
 """
 
 import csv
@@ -27,28 +27,28 @@ if TYPE_CHECKING:
     from irodori.config.models import PoseGroup, RigPose
 
 SUBJECTS = ("object", "chart", "white", "dark", "environment", "room-chart", "scene")
-#: What a photograph is for. A drift frame shows the object once more, as an earlier photograph of the session did: what
-#: differs is the lamp's doing, or the rig's; no fit uses it.
+#: Role of a drift frame: a repetition of an earlier photograph of the object in a session. Differences between the two
+#: are due to the lamp or the rig; no fit uses it.
 DRIFT = "drift"
 ROLES = (*SUBJECTS, DRIFT)
-#: A chart in a room and a further chart of a camera have their name behind the role, such as ``chart-sg``.
+#: In a table, the role of a chart in a room, or of a camera's further chart, is followed by its name (``chart-sg``).
 _NAMED_CHART = re.compile(r"(room-chart|chart)-([a-z0-9-]+)")
 FILTERS = ("out", "in")
 COLUMNS = ("file", "role", "light_deg", "camera_deg", "tilt_deg", "turn_deg", "filter", "exposure_s")
 
 _ANGLES = ("light_deg", "camera_deg", "tilt_deg", "turn_deg")
-#: Where the light stands beside the rig's plane of incidence, as under a dome or with a lamp in the hand.
+#: Azimuth of a light outside the rig's plane of incidence, as in a dome or with a lamp in the hand.
 _AZIMUTH = "light_azimuth_deg"
 #: In place of both angles of the light: from the rig's origin to the lamp, in any one unit.
 _DIRECTION = ("light_x", "light_y", "light_z")
-#: Angles that the controller told at the shot.
+#: Angles that the controller reported at the exposure.
 _READ = tuple(f"{angle.removesuffix('_deg')}_read_deg" for angle in _ANGLES)
-#: Columns that a table may do without: the camera's own values, which are checked, and how a session took each.
+#: Optional columns: the camera's own settings, which are checked, and details of each capture in a session.
 EXTRA_COLUMNS = (_AZIMUTH, "iso", "f_number", "taken_at", "camera_time", "camera", *_READ, "accepted", "sha256")
 #: Whether a file is a TIFF or PNG picture that the user knows to be linear; no session takes such pictures.
 _LINEAR = "linear"
 _OPTIONAL = ("tilt_deg", "turn_deg", *EXTRA_COLUMNS)
-#: Roles whose repeated frames are averaged, so that equal exposure times are no mistake.
+#: Roles with repeated frames that are averaged, so that equal exposure times are allowed.
 _AVERAGED = ("dark", "white", DRIFT)
 
 
@@ -59,11 +59,12 @@ class Pose:
     Parameters
     ----------
     light_deg, camera_deg : float
-        From +z.
+        Angles of light and camera from +z.
     tilt_deg, turn_deg : float
-        Of the table.
+        Tilt and turn of the table.
     light_azimuth_deg : float
-        From +x towards +y, about z; 0 is the rig's plane of incidence, in which the camera always stands.
+        Azimuth of the light from +x towards +y, about z; 0 is the rig's plane of incidence, which always contains the
+        camera.
     """
 
     light_deg: float
@@ -75,7 +76,7 @@ class Pose:
     @property
     @functools.cache  # noqa: B019 - poses are few, and a large set asks for their names all the time
     def name(self) -> str:
-        """Name in tenths of a degree, such as ``l0450-c0200-t000-r0000``, and ``-a0900`` for light beside the plane."""
+        """Name with angles in tenths of a degree: ``l0450-c0200-t000-r0000``, with ``-a0900`` for an azimuth."""
         light, camera, tilt, turn = (round(10 * getattr(self, angle)) for angle in _ANGLES)
         azimuth = round(10 * self.light_azimuth_deg) % 3600
         return f"l{light:04d}-c{camera:04d}-t{tilt:03d}-r{turn:04d}" + (f"-a{azimuth:04d}" if azimuth else "")
@@ -83,20 +84,20 @@ class Pose:
 
 @dataclasses.dataclass(frozen=True)
 class Taken:
-    """Circumstances under which a session took a photograph; empty where not noted, as for a computed one.
+    """Details of a photograph's capture in a session; empty if unknown, as for a computed photograph.
 
     Parameters
     ----------
     at : str
-        The computer's time at the shutter, ISO 8601 with its distance from UTC.
+        The computer's time at the exposure, ISO 8601 with the UTC offset.
     camera_time : str
         The camera's own clock, ISO 8601; it has no zone and may be wrong, but runs evenly.
     camera : str
         Model and serial number of the body.
     read_deg : dict
-        Motorised angle (``camera_deg``): where its axis stood by the controller's count, degrees.
+        {motorised angle (``camera_deg``): its value according to the controller, degrees}.
     accepted : str
-        Why a person kept it although it was doubted.
+        Reason why a person kept the photograph although it looked doubtful.
     """
 
     at: str = ""
@@ -106,18 +107,18 @@ class Taken:
     accepted: str = ""
 
     def cells(self) -> list:
-        """Return the cells from ``taken_at`` to ``accepted``."""
+        """Return the cells of a table's columns from ``taken_at`` to ``accepted``."""
         return [self.at, self.camera_time, self.camera, *(self.read_deg.get(a, "") for a in _ANGLES), self.accepted]
 
 
 @dataclasses.dataclass(frozen=True)
 class Shot:
-    """One photograph: ``file`` as the table writes it, ``role`` of ROLES, ``filter`` of FILTERS.
+    """Photograph in a capture table: ``file`` as in the table, ``role`` from ROLES, ``filter`` from FILTERS.
 
-    ``iso`` (sensitivity, ISO 12232) and ``f_number`` (relative aperture) are 0 where the table does not state them.
-    ``linear`` says that the file is no RAW file but a TIFF or PNG picture whose numbers go with the light.
+    ``iso`` (sensitivity, ISO 12232) and ``f_number`` (relative aperture) are 0 if the table does not state them.
+    ``linear`` is True if the file is not RAW but a TIFF or PNG picture with values proportional to the light.
     ``chart`` is the name of a further chart or of one in a room, empty for the camera's first and for all other roles.
-    ``taken`` is how it was taken, which makes it no other photograph: shots are equal whatever stands there.
+    ``taken`` has details of the capture; it is ignored when shots are compared.
     """
 
     file: str
@@ -133,19 +134,19 @@ class Shot:
 
     @property
     def subject(self) -> str:
-        """Subject before the lens: one of SUBJECTS, with the chart's name where it has one (``chart-sg``)."""
+        """Subject of the photograph: one of SUBJECTS, followed by the chart's name if it has one (``chart-sg``)."""
         if self.role == DRIFT:
             return "object"
         return f"{self.role}-{self.chart}" if self.chart else self.role
 
     @property
     def capture(self) -> str:
-        """Name of the capture that this photograph belongs to: its pose for an object, else its subject."""
+        """Name of the capture that this photograph belongs to: its pose for an object, otherwise its subject."""
         return self.pose.name if self.subject == "object" else self.subject
 
 
 def chart_capture(name: str) -> str:
-    """Return the name of a chart's capture: ``chart`` of the camera's first (no name), ``chart-NAME`` of another."""
+    """Return the name of a chart's capture: ``chart`` for the camera's first (empty name), else ``chart-NAME``."""
     return f"chart-{name}" if name else "chart"
 
 
@@ -155,10 +156,10 @@ def room_chart_capture(name: str) -> str:
 
 
 def flat_incidence_rad(pose: "Pose | RigPose") -> float:
-    """Return θ_i of a flat sample on the table, rad.
+    """Return the angle of incidence θ_i of a flat sample on the table, rad.
 
-    In the rig's plane it is light angle less tilt, negative where the table is tilted beyond the light; elsewhere it is
-    not negative.
+    In the rig's plane it is the light's angle minus the tilt, negative if the table is tilted beyond the light; with an
+    azimuth it is never negative.
     """
     if pose.light_azimuth_deg == 0.0:
         return math.radians(pose.light_deg - pose.tilt_deg)
@@ -168,10 +169,10 @@ def flat_incidence_rad(pose: "Pose | RigPose") -> float:
 
 
 def light_angles_deg(direction) -> tuple[float, float]:
-    """Return light angle and azimuth of a direction or place from the rig's origin, (x, y, z), degrees."""
+    """Return the light angle and azimuth, degrees, of a direction or position (x, y, z) from the rig's origin."""
     x, y, z = direction
     aside = math.hypot(x, y)
-    # Straight above, and in the rig's plane on the light's side, no azimuth is to be told.
+    # Straight above, and in the rig's plane on the light's side, the azimuth is 0.
     return math.degrees(math.atan2(aside, z)), math.degrees(math.atan2(y, x)) if aside else 0.0
 
 
@@ -185,7 +186,7 @@ def expand_poses(groups: "Iterable[PoseGroup]") -> list[Pose]:
     Raises
     ------
     ValueError
-        If a pose comes twice; poses that agree to a tenth of a degree share a name and count as one.
+        If a pose occurs twice; poses that agree to a tenth of a degree have the same name and count as one.
     """
     poses, seen = [], set()
     for group in groups:
@@ -206,18 +207,18 @@ def expand_poses(groups: "Iterable[PoseGroup]") -> list[Pose]:
 
 
 def shot_path(shot: Shot, table, folder=None) -> Path:
-    """Return the path of a photograph: under `folder`, or beside the table where `folder` is None.
+    """Return the path of a photograph: in `folder`, or in the folder of the table if `folder` is None.
 
     Raises
     ------
     InputError
-        If it leaves that folder, see `irodori.core.confined_paths.confined`.
+        If the path leads out of that folder, see `irodori.core.confined_paths.confined`.
     """
     return confined(Path(table).parent if folder is None else folder, shot.file, table, "file")
 
 
 def table_faults(path, folder) -> list[InputError]:
-    """Return what `read_captures` would refuse in a table: its form, or the first fault of each line."""
+    """Return the faults of a table for `read_captures`: the fault of its form, or the first fault of each line."""
     faults: list[InputError] = []
     try:
         _read_captures(path, folder, faults.append)
@@ -232,10 +233,10 @@ def read_captures(path, folder=None) -> list[Shot]:
     Parameters
     ----------
     path : path
-        CSV with a header, see `irodori.core.text_tables`; the order of its columns is free. Degrees and seconds.
+        CSV with a header, see `irodori.core.text_tables`; columns in any order, angles in degrees, times in seconds.
     folder : path, optional
-        Folder of the RAW files. Where given, each file must stand there, not behind a link that leaves it, and hold
-        something.
+        Folder of the RAW files. If it is given, each file must exist in it, not through a link out of it, and must not
+        be empty.
 
     Returns
     -------
@@ -245,7 +246,7 @@ def read_captures(path, folder=None) -> list[Shot]:
     Raises
     ------
     InputError
-        For the first fault, with its line and column.
+        For the first fault; the message has its line and column.
     """
 
     def refuse(error: InputError) -> None:
@@ -274,19 +275,19 @@ def _read_captures(path, folder, refuse: Callable[[InputError], None]) -> list[S
 
 
 def check_unchanged(path, folder, shots) -> None:
-    """Compare photographs with the hashes that their table holds; an empty cell vouches for nothing.
+    """Compare photographs with the hashes in their table; photographs with an empty cell are not checked.
 
     Parameters
     ----------
     path, folder : path
         Table and the folder of its RAW files.
     shots : iterable of Shot
-        Those to look at.
+        Photographs to check.
 
     Raises
     ------
     InputError
-        For the first photograph whose bytes are not those of the table's hash.
+        For the first photograph that does not match its hash.
     """
     noted = noted_hashes(path)
     for shot in shots:
@@ -300,7 +301,7 @@ def check_unchanged(path, folder, shots) -> None:
 
 
 def noted_hashes(path) -> dict[str, str]:
-    """Return the hash of each photograph in its table, empty where its cell is; a line that a crash tore has none."""
+    """Return {file: hash} of the photographs in a table; a hash is empty if its cell is. Skip incomplete lines."""
     header, *body = (cells for _, cells in table_rows(path, "a CSV that lists the photographs"))
     names = [cell.strip() for cell in header]
     rows = (dict(zip(names, cells, strict=True)) for cells in body if len(cells) == len(names))
@@ -328,7 +329,7 @@ def _check_header(header: list[str], path, line: int) -> list[str]:
 
 
 class _Shots:
-    """The photographs of a table so far, and what they must not contradict."""
+    """Photographs read from a table so far, with the data for checks of later lines against them."""
 
     def __init__(self, path, folder) -> None:
         self.path, self.folder = path, folder
@@ -368,7 +369,7 @@ class _Shots:
         return Pose(*angles)
 
     def _direction(self, line: int, row: dict[str, str]) -> tuple[float, float]:
-        """Return the angles of a lamp's place, degrees; without light (a dark frame) all three may be 0."""
+        """Return light angle and azimuth of a lamp's position, degrees; only in a dark frame may it be (0, 0, 0)."""
         x, y, z = (self._number(line, column, row[column]) for column in _DIRECTION)
         if x == y == z == 0.0 and row["role"].strip() != "dark":
             raise self._error(line, ", ".join(_DIRECTION), "0, 0, 0", "where the lamp stands, from the rig's origin")
@@ -431,7 +432,7 @@ class _Shots:
             raise self._error(line, "file", f"{kind}: {raw}", f"a RAW file of the camera{said}")
 
     def _role(self, line: int, row: dict[str, str]) -> tuple[str, str]:
-        """Return the role and the chart's name where it has one."""
+        """Return the role and the name of the chart, which is empty for other roles."""
         named = _NAMED_CHART.fullmatch(row["role"].strip())
         if named:
             return named[1], named[2]
@@ -477,7 +478,7 @@ def shot_cells(shot: Shot, sha256: str) -> list:
 
 
 def write_captures(path, shots, sha256=None) -> None:
-    """Write a table of photographs; it appears under its name only when it is complete.
+    """Write a table of photographs under a temporary name, and rename it when it is complete.
 
     Parameters
     ----------
@@ -485,7 +486,7 @@ def write_captures(path, shots, sha256=None) -> None:
         CSV to write; its folder must exist.
     shots : iterable of Shot
     sha256 : dict, optional
-        Hexadecimal digest of each file, by ``Shot.file``; the cells stay empty without it.
+        {``Shot.file``: hexadecimal SHA-256}; without it the cells are empty.
 
     Raises
     ------

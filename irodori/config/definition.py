@@ -1,6 +1,6 @@
-"""The base of all definitions: frozen dataclasses made from validated mappings.
+"""Base class of all definitions: frozen dataclasses made from validated mappings.
 
-`irodori.config.models` holds the classes themselves, written from the schemas by `irodori.config.write_models`.
+`irodori.config.models` has the classes themselves, generated from the schemas by `irodori.config.write_models`.
 """
 
 import dataclasses
@@ -18,23 +18,23 @@ __all__ = ["Definition", "as_plain", "field_name", "typed"]
 
 
 def field_name(key: str) -> str:
-    """Return the attribute that holds a key: the key itself, with an underscore where Python reserves the word."""
+    """Return the name of the attribute for a key: the key itself, with an underscore if Python reserves the word."""
     return f"{key}_" if iskeyword(key) else key
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class Definition:
-    """Base of the blocks of a definition; a key that may be absent and is holds None.
+    """Base class of the blocks of a definition; the attribute of an optional key that is absent is None.
 
-    Comparison, hash and text stand here once: made for each of a hundred classes, they would cost every job of a run
-    half of the time that the import of `irodori.config.models` takes.
+    Comparison, hash and text are defined here once: generated for each of a hundred classes, they would take half of
+    the import time of `irodori.config.models` in every job of a run.
     """
 
     def _values(self) -> tuple:
         return tuple(getattr(self, field.name) for field in dataclasses.fields(self))
 
     def __eq__(self, other: object) -> bool:
-        """Return whether another is of the same class and has the same values."""
+        """Return whether another definition is of the same class and has the same values."""
         return self._values() == other._values() if type(other) is type(self) else NotImplemented
 
     def __hash__(self) -> int:
@@ -42,13 +42,13 @@ class Definition:
         return hash(self._values())
 
     def __repr__(self) -> str:
-        """Return the class with its values by name."""
+        """Return the name of the class with its values by name."""
         named = (f"{field.name}={getattr(self, field.name)!r}" for field in dataclasses.fields(self))
         return f"{type(self).__qualname__}({', '.join(named)})"
 
     @classmethod
     def of(cls, given: Mapping[str, Any]) -> Self:
-        """Make a definition of what `irodori.config.validation.validate` returned for its file.
+        """Return the definition for a mapping that `irodori.config.validation.validate` has returned.
 
         Parameters
         ----------
@@ -58,7 +58,8 @@ class Definition:
         Raises
         ------
         ValueError
-            If a key is unknown, a needed one is missing or no variant of a block fits. Ranges are for the schema.
+            If a key is unknown, a required one is missing or no variant of a block fits. Ranges are checked by the
+            schema and not here.
         """
         own: Any = cls
         types_of = _types_of(own)
@@ -74,17 +75,17 @@ class Definition:
         return cls(**{field_name(key): typed(types_of[field_name(key)], value) for key, value in given.items()})
 
     def given(self) -> dict[str, Any]:
-        """Return the values by the keys of the file, defaults among them; keys that are absent are left out."""
+        """Return {key of the file: value}, including defaults; absent keys are omitted."""
         values = [(field, getattr(self, field.name)) for field in dataclasses.fields(self)]
         return {field.name.rstrip("_"): value for field, value in values if value is not None}
 
     def plain(self) -> dict[str, Any]:
-        """Return the keys and values as a file gives them, every default written out and absent keys left out."""
+        """Return keys and values as in a file, with every default written out and absent keys omitted."""
         return {key: as_plain(value) for key, value in self.given().items()}
 
 
 def as_plain(value: Any) -> Any:
-    """Return a definition, or what holds definitions, as mappings, lists and scalars, ready for JSON."""
+    """Return a definition, or a container of definitions, as mappings, lists and scalars for JSON."""
     if isinstance(value, Definition):
         return value.plain()
     if isinstance(value, Mapping):
@@ -112,12 +113,12 @@ def _needed_keys(cls: Any) -> tuple[str, ...]:
 
 
 def typed(kind: Any, value: Any) -> Any:
-    """Return a value of a file as a type has it: a definition, a union of some, or tuples and mappings of these.
+    """Convert a value from a file to a type: a definition, a union of some, or tuples and mappings of these.
 
     Raises
     ------
     ValueError
-        As of `Definition.of`.
+        As for `Definition.of`.
     """
     if isinstance(value, Definition):
         return value
@@ -135,7 +136,7 @@ def typed(kind: Any, value: Any) -> Any:
 
 @functools.cache
 def _outside_class(title: str, schema: str) -> Any:
-    """Return the dataclass of a shape from outside the package, of which `irodori.config.models` knows nothing."""
+    """Return the dataclass of a shape that was registered from outside the package."""
     block, needed, others = json.loads(schema), [], []
     for key, rules in block["properties"].items():
         if "const" in rules or "default" in rules or key not in block.get("required", ()):
@@ -148,7 +149,7 @@ def _outside_class(title: str, schema: str) -> Any:
 
 
 def _variant(value: Any, parts: tuple[Any, ...]) -> Any:
-    """Return a value of a union: of several blocks the one of its kind, or else the one whose keys fit."""
+    """Convert a value to the member of a union that has its ``kind``, or otherwise fits its keys."""
     blocks: list[Any] = [part for part in parts if isinstance(part, type) and issubclass(part, Definition)]
     if not isinstance(value, Mapping):
         plain = [part for part in parts if part not in blocks]

@@ -1,6 +1,6 @@
-"""Loading of all definitions of a run: read, validated, made into dataclasses and checked against each other.
+"""Loading of all definitions of a run: reading, validation, conversion to dataclasses, and checks between them.
 
-Light enough for the Snakefile: nothing but the standard library, PyYAML and jsonschema is imported.
+Quick to import for the Snakefile: only the standard library, PyYAML and jsonschema are imported.
 """
 
 import re
@@ -27,7 +27,8 @@ __all__ = [
     "validate",
 ]
 
-#: Kind of definition (the folder, and the field of `Loaded`): its class; the schema has the name of one of the kind.
+#: Class of each kind of definition. A kind is the name of the folder and of the field of `Loaded`, a plural; its
+#: singular is the name of the schema.
 KINDS: dict[str, type[Definition]] = {
     "scenes": Scene,
     "objects": Object,
@@ -50,8 +51,8 @@ def load_definitions(config: dict, root: Path, file=_CONFIG_FILE) -> Loaded:
     root : path
         Working directory of the workflow; relative paths in all files start here.
     file : path, or sequence of paths
-        Where `config` came from: one file, or all that were merged, in order. A fault is reported for the last that
-        gives the key at fault. Each that exists is read, to refuse keys given twice.
+        Source of `config`: one file, or all that were merged, in order. A fault is reported for the last file that has
+        the key in question. Each existing file is read, to refuse duplicate keys.
 
     Raises
     ------
@@ -70,10 +71,10 @@ def load_definitions(config: dict, root: Path, file=_CONFIG_FILE) -> Loaded:
 
 
 def definition_faults(config: dict, root: Path, file=_CONFIG_FILE) -> list[InputError]:
-    """Return the faults of a configuration's definitions and tables, each file looked at on its own.
+    """Return the faults of a configuration's definitions and tables, checked one file at a time.
 
-    Faults between files are left to `load_definitions`, which refuses the first: they mean little as long as the files
-    themselves are at fault. Parameters are those of `load_definitions`.
+    Contradictions between files are left to `load_definitions`, which raises an error for the first: they mean little
+    while single files have faults. Parameters as in `load_definitions`.
     """
     first = file if isinstance(file, str | Path) else next(iter(file), _CONFIG_FILE)
     faults = schema_faults(config, "config", first)
@@ -89,23 +90,23 @@ def definition_faults(config: dict, root: Path, file=_CONFIG_FILE) -> list[Input
 
 
 def load_one(kind: str, name: str, root: Path = Path(), file=_CONFIG_FILE, *, photographs: bool = True) -> Loaded:
-    """Load one definition and what it needs, for the person at the bench; nothing else is asked for.
+    """Load one definition and those that it requires, for the commands of the rig.
 
     Parameters
     ----------
     kind : {"objects", "cameras", "environments", "rigs"}
     name : str
     root : path
-        Where relative paths start.
+        Folder at which relative paths start.
     file : path
-        The configuration, which says where definitions stand.
+        The configuration, which has the folder of the definitions.
     photographs : bool
-        Whether the tables of photographs that somebody takes have to be there already.
+        Whether tables of photographs that a person takes must already exist.
 
     Raises
     ------
     ValueError
-        If there is no such kind.
+        For an unknown kind.
     InputError
         For the first fault.
     """
@@ -131,7 +132,7 @@ def _load_definitions(
 
 
 def _source(field: str, files: list, contents: list[dict]):
-    """Return the last of the files that gives most of a dotted path of keys; the first where none gives any."""
+    """Return the last of the files that have the longest part of a dotted path of keys; the first if none has any."""
     best, most = files[0], 1
     for file, block in zip(files, contents, strict=True):
         depth = 0
@@ -145,7 +146,7 @@ def _source(field: str, files: list, contents: list[dict]):
 
 
 class _Loader:
-    """Follows the names from the configuration down to the rigs."""
+    """Loader that follows the references from the configuration down to the rigs."""
 
     def __init__(self, root: Path, folder: Path, config_file) -> None:
         self.root, self.folder, self.config_file = root, folder, config_file
@@ -155,12 +156,12 @@ class _Loader:
         return self.folder / kind / f"{name}.yaml"
 
     def load(self, kind: str, name: str) -> None:
-        """Load one definition of a kind and what it needs.
+        """Load one definition of a kind and those that it requires.
 
         Raises
         ------
         ValueError
-            If there is no such kind.
+            For an unknown kind.
         """
         loaders = {
             "objects": self._object,
@@ -204,10 +205,10 @@ class _Loader:
                 self.camera(definition.camera, file, ("camera",))
 
     def _load(self, kind: str, name: str, by, path: tuple) -> Iterator[tuple[Any, Path]]:
-        """Yield the definition of a name and its file, once: nothing where it is loaded already."""
+        """Load the definition with a name and yield it with its file; yield nothing if it is already loaded."""
         if name in self.found[kind]:
             return
-        # Schemas see to this in files; a name may come from the command line too.
+        # Schemas check names in files; a name may also come from the command line.
         if not _NAME.fullmatch(name):
             raise InputError(by, dotted(path), repr(name), "a name of small letters, digits and hyphens")
         file = self.file(kind, name)
@@ -221,7 +222,7 @@ class _Loader:
 
 
 class _FaultFinder(_Loader):
-    """Notes faults in place of raising the first, and follows the names that a file at fault gives all the same."""
+    """Loader that collects all faults, and also follows the references in a file that has faults."""
 
     def __init__(self, root: Path, folder: Path, config_file) -> None:
         super().__init__(root, folder, config_file)
@@ -245,7 +246,7 @@ class _FaultFinder(_Loader):
         yield from found
 
     def _note(self, kind: str, name: str, error: InputError) -> None:
-        """Note a file's faults, and look at what it names."""
+        """Record a file's faults, and load the definitions that it refers to."""
         file = self.root / self.file(kind, name)
         try:
             given = read_yaml(file) if _NAME.fullmatch(name) and is_file(file) else None

@@ -1,4 +1,4 @@
-"""All definitions that a run loaded, and the sets of photographs that they ask for."""
+"""All definitions that a run has loaded, and the sets of photographs that they require."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -15,10 +15,10 @@ __all__ = ["Loaded"]
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Loaded(Definition):
-    """Configuration and definitions by name, those alone that the configuration asks for, directly or not.
+    """Configuration, and by name the definitions that it requires, directly or indirectly.
 
-    A set of photographs is told by its kind, ``objects``, ``cameras`` or ``environments``, and the name of the
-    definition; another kind or name is a ValueError.
+    A set of photographs is identified by its kind, ``objects``, ``cameras`` or ``environments``, and the name of the
+    definition; methods raise a ValueError for another kind or name.
     """
 
     config: Config
@@ -29,7 +29,7 @@ class Loaded(Definition):
     rigs: Mapping[str, Rig] = dataclasses.field(hash=False)
 
     def photographed(self, kind: str, name: str) -> Object | Camera | EnvironmentDefinition:
-        """Return the definition of what a set of photographs shows."""
+        """Return the definition of the subject of a set of photographs."""
         kinds = ("objects", "cameras", "environments")
         if kind not in kinds:
             raise ValueError(f"no photographs of {kind!r}; {suggest(kind, kinds, 'kinds')}")
@@ -39,7 +39,7 @@ class Loaded(Definition):
         return definitions[name]
 
     def camera_of(self, kind: str, name: str) -> str:
-        """Return the name of the camera that takes a set; an environment without one is a ValueError."""
+        """Return the name of the camera that takes a set. Raises ValueError for an environment without a camera."""
         definition = self.photographed(kind, name)
         camera = name if isinstance(definition, Camera) else definition.camera
         if camera is None:
@@ -47,7 +47,7 @@ class Loaded(Definition):
         return camera
 
     def rig_of(self, kind: str, name: str) -> Rig:
-        """Return the rig on which a set is taken; an environment without a camera is a ValueError."""
+        """Return the rig on which a set is taken. Raises ValueError for an environment without a camera."""
         return self.rigs[self.cameras[self.camera_of(kind, name)].rig]
 
     def is_virtual(self, kind: str, name: str) -> bool:
@@ -58,7 +58,7 @@ class Loaded(Definition):
         return self.rig_of(kind, name).kind == "virtual"
 
     def is_taken_here(self, kind: str, name: str) -> bool:
-        """Whether the workflow itself takes a set, on the virtual rig or on one that it drives."""
+        """Whether the workflow itself takes a set, on the virtual rig or on a rig that it drives."""
         return self.photographed(kind, name).exposure_s is not None
 
     def captures_of(self, kind: str, name: str, root: str | Path = ".") -> list[str]:
@@ -73,14 +73,14 @@ class Loaded(Definition):
         Returns
         -------
         list of str
-            Of an object its poses, sorted, each once; of a camera ``chart`` and ``chart-NAME`` of each further chart;
-            of an environment ``environment`` and ``room-chart-NAME`` of each chart in it, and none where no camera
+            For an object its poses, sorted, each once; for a camera ``chart`` and ``chart-NAME`` of each further chart;
+            for an environment ``environment`` and ``room-chart-NAME`` of each chart in it, and none if no camera
             photographed it.
 
         Raises
         ------
         InputError
-            If the table of a real rig is at fault.
+            If the table of a real rig has a fault.
         """
         definition = self.photographed(kind, name)
         if isinstance(definition, EnvironmentDefinition):

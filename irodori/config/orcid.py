@@ -1,4 +1,4 @@
-"""Check digits of ORCID, the number of a researcher (ISO/IEC 7064, MOD 11-2)."""
+"""Check digits of ORCID identifiers of researchers (ISO/IEC 7064, MOD 11-2)."""
 
 import re
 
@@ -6,7 +6,7 @@ _FORM = re.compile(r"(?:https://orcid\.org/)?(\d{4}-\d{4}-\d{4}-\d{3}[\dX])")
 
 
 def orcid_fault(text: str) -> str:
-    """Return what is wrong with an ORCID, empty where its last digit is that of the others.
+    """Return a phrase that describes the fault of an ORCID; empty if its form and its check digit are right.
 
     Parameters
     ----------
@@ -25,7 +25,7 @@ def orcid_fault(text: str) -> str:
 
 
 def orcid_address(text: str) -> str:
-    """Return the address of an ORCID, which names its person."""
+    """Return the web address of an ORCID. Raises ValueError if its form is wrong."""
     form = _FORM.fullmatch(text)
     if form is None:
         raise ValueError(f"the ORCID {text!r}; accepted: four groups of four digits")

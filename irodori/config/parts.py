@@ -1,7 +1,7 @@
-"""Parts of definitions: what a rule hands on where a change of another key is to rerun nothing.
+"""Parts of definitions: parameters of rules that do not rerun when other keys of a definition change.
 
-The Snakefile gives them as plain parameters, see `irodori.config.photograph_sets` and `irodori.config.scene_files`; a
-script makes them with ``of``.
+The Snakefile passes them as plain values, see `irodori.config.photograph_sets` and `irodori.config.scene_files`; a
+script converts these back with ``of``.
 """
 
 from collections.abc import Mapping, Sequence
@@ -57,7 +57,7 @@ class TexturedObject(Definition):
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class Surface(Definition):
-    """Parts of an object's definition that its maps need beside the fitted parameters."""
+    """Parts of an object's definition that its material maps need in addition to the fitted parameters."""
 
     texels: Size
     refractive_index: RefractiveIndex
@@ -76,7 +76,7 @@ class PlannedObject(Definition):
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class PlannedPlate(Definition):
-    """A plate, its rig and its camera's sensor (None of a real one), for the simulation of poses.
+    """Plate with its rig and its camera's sensor (None for a real camera), for the simulation of poses.
 
     Exposure times are those without the filter, in seconds; ``shots_per_pose`` counts both filter states.
     """
@@ -90,7 +90,7 @@ class PlannedPlate(Definition):
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class ImperfectObject(Definition):
-    """A virtual object with its camera and its rig, on which the rig's faults are measured."""
+    """Virtual object with its camera and its rig, on which the effects of the rig's imperfections are measured."""
 
     name: str
     definition: Object
@@ -100,7 +100,7 @@ class ImperfectObject(Definition):
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class Subject(Definition):
-    """An object of a scene: its shape, and the side of a sample of its photographs on it, mm."""
+    """Object of a scene: its shape, and the side of a photograph's sample projected on it, mm."""
 
     shape: ObjectShape
     sample_mm: float
@@ -119,7 +119,7 @@ class CalibratedCamera(Definition):
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class RigGeometry(Definition):
-    """Distances of a rig, mm: to the camera's entrance pupil, of the lamp (None if far), half the table's side."""
+    """Lengths of a rig, mm: distance of the camera's entrance pupil and of the lamp (None if far), half table side."""
 
     camera_distance_mm: float
     table_radius_mm: float = 0.0
@@ -137,7 +137,7 @@ class RigGeometry(Definition):
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class SceneRadiance(Definition):
-    """The file of what a virtual camera sees of a scene."""
+    """File of the radiance that a virtual camera receives from a scene."""
 
     radiance: str
 
@@ -153,15 +153,15 @@ class Staging(Definition):
 
 
 def typed_shapes(shapes: Sequence[Mapping[str, Any]]) -> list[ObjectShape]:
-    """Return the shapes of a scene's objects."""
+    """Return the shapes of a scene's objects from their plain forms."""
     return [typed(ObjectShape, shape) for shape in shapes]
 
 
 def typed_index(index: Mapping[str, Any]) -> RefractiveIndex:
-    """Return a refractive index."""
+    """Return a refractive index from its plain form."""
     return typed(RefractiveIndex, index)
 
 
 def typed_source(source: Mapping[str, Any]) -> EnvironmentSource:
-    """Return where an environment's light comes from."""
+    """Return the source of an environment's light from its plain form."""
     return typed(EnvironmentSource, source)

@@ -1,7 +1,7 @@
-"""Files and parameters of the rules about photographs: what the Snakefile asks of objects, cameras and places.
+"""Input files and parameters of the rules about photographs of objects, cameras and environments, for the Snakefile.
 
-Light enough for the Snakefile. Every method whose argument is `wildcards` is what Snakemake calls a function of the
-wildcards: it takes anything with the wildcards as attributes.
+Quick to import. Every method with the argument `wildcards` serves as an input or parameter function of Snakemake; the
+argument is any object with the wildcards as attributes.
 """
 
 import dataclasses
@@ -30,7 +30,7 @@ _SET_OF = {"object": "objects", "camera": "cameras", "environment": "environment
 
 
 def named_tables(*values: Any) -> list[str]:
-    """Return the user's tables that definitions name, so that a change of one is seen."""
+    """Return the paths of the user's spectral tables in definitions, so that rules can depend on them."""
     found: list[str] = []
     for value in values:
         if isinstance(value, Definition):
@@ -45,12 +45,12 @@ def named_tables(*values: Any) -> list[str]:
 
 
 def _part(kind: type[_Part], whole: Definition) -> _Part:
-    """Return the part of a definition that has the keys of a kind."""
+    """Return the part of a definition with the keys of a class of parts."""
     return kind(**{field.name: getattr(whole, field.name) for field in dataclasses.fields(kind)})
 
 
 class IngestPart(NamedTuple):
-    """Captures of an object that one job ingests."""
+    """Captures of an object that one job ingests, with the number of the job."""
 
     object_name: str
     number: str
@@ -58,12 +58,12 @@ class IngestPart(NamedTuple):
 
     @property
     def rule_name(self) -> str:
-        """The job's rule: names of rules hold no hyphen."""
+        """Name of the job's rule; such names have no hyphen."""
         return f"ingest_raw_{self.object_name}_{self.number}".replace("-", "_")
 
 
 class PhotographSets:
-    """Sets of photographs: those of an object, of a camera's charts and white, or of a place.
+    """Sets of photographs of a run: of an object, of a camera's charts and white reference, or of an environment.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ class PhotographSets:
     Raises
     ------
     InputError
-        If a table of photographs is at fault.
+        If a table of photographs has a fault.
     """
 
     def __init__(self, loaded: Loaded) -> None:
@@ -84,7 +84,7 @@ class PhotographSets:
     # ---- which set a job is about
 
     def _set(self, wildcards) -> tuple[str, str]:
-        """Return kind and name of the set that a job's wildcards name."""
+        """Return kind and name of the set of a job, from its wildcards."""
         return next((kind, getattr(wildcards, key)) for key, kind in _SET_OF.items() if hasattr(wildcards, key))
 
     def _definition(self, wildcards) -> Any:
@@ -94,11 +94,11 @@ class PhotographSets:
         return self.loaded.is_virtual(*self._set(wildcards))
 
     def camera_of(self, wildcards) -> str:
-        """Return the camera of a set."""
+        """Return the name of a set's camera."""
         return self.loaded.camera_of(*self._set(wildcards))
 
     def rig_of(self, wildcards) -> str:
-        """Return the rig of a set."""
+        """Return the name of a set's rig."""
         return self.loaded.cameras[self.camera_of(wildcards)].rig
 
     def camera(self, wildcards) -> dict:
@@ -110,20 +110,20 @@ class PhotographSets:
         return self.loaded.rigs[self.rig_of(wildcards)].plain()
 
     def camera_file(self, pattern: str) -> Callable[[Any], str]:
-        """Return a function from wildcards to a file of the set's camera."""
+        """Return a function that fills ``{camera}`` in a pattern with the camera of the set in the wildcards."""
         return lambda wildcards: pattern.format(camera=self.camera_of(wildcards))
 
     # ---- RAW files
 
     def table(self, wildcards) -> str:
-        """Return the capture table of a set: the virtual rig's, or the user's own."""
+        """Return the path of a set's capture table: that of the virtual rig, or the user's own."""
         kind, name = self._set(wildcards)
         if self._is_virtual(wildcards):
             return f"{_FOLDERS[kind]}/{name}/captures/captures.csv"
         return self._definition(wildcards).captures.table
 
     def made(self, wildcards) -> list[str]:
-        """Return the record of the session that takes a set's photographs; the user's own have none."""
+        """Return, as a list, the record of the session that takes a set's photographs; empty for the user's own."""
         kind, name = self._set(wildcards)
         return [f"{_FOLDERS[kind]}/{name}/captures/session.json"] if self.loaded.is_taken_here(kind, name) else []
 
@@ -133,7 +133,7 @@ class PhotographSets:
         return own or str(Path(self.table(wildcards)).parent)
 
     def own_photographs(self, wildcards) -> list[str]:
-        """Return the user's table and RAW files of a set; those of a session stand in its table with their hashes."""
+        """Return the user's table and RAW files of a set; empty if a session takes them, which records their hashes."""
         kind, name = self._set(wildcards)
         if self.loaded.is_taken_here(kind, name):
             return []
@@ -141,23 +141,23 @@ class PhotographSets:
         return [table, *(f"{folder}/{shot.file}" for shot in read_captures(table, folder) if shot.role in _ROLES[kind])]
 
     def photographs_of_session(self, wildcards) -> dict[str, str]:
-        """Return RAW file -> hash in the table of the session that has taken a set; the user's own need no hash."""
+        """Return {RAW file: hash} from the table of the session that took a set; empty for the user's own."""
         table = self.table(wildcards)
         if not self.made(wildcards) or not Path(table).is_file():
             return {}
         return {f"{self.folder(wildcards)}/{file}": sha256 for file, sha256 in noted_hashes(table).items()}
 
     def checked_table(self, wildcards) -> str:
-        """Return the table of a set after every file of it was decoded once."""
+        """Return the path of the table of a set that is written after a check of every file."""
         kind, name = self._set(wildcards)
         return f"{_FOLDERS[kind]}/{name}/captures.csv"
 
     def roles(self, wildcards) -> list[str]:
-        """Return the roles whose shots belong to a set."""
+        """Return the roles of the photographs in a set."""
         return _ROLES[self._set(wildcards)[0]]
 
     def size_px(self, wildcards) -> list[int] | None:
-        """Return width and height in pixels that a set's RAW files must have, where its definition states them."""
+        """Return the required width and height of a set's RAW files, pixels; None if no definition states them."""
         kind, _ = self._set(wildcards)
         if kind == "environments":
             place = self._definition(wildcards)
@@ -167,7 +167,7 @@ class PhotographSets:
         return [optics.width_px, optics.height_px] if optics else None
 
     def lens_mm(self, wildcards) -> list[float] | None:
-        """Return focal length and distance of the subject on the rig, mm, where a set's camera states its optics."""
+        """Return focal length and distance of the subject on the rig, mm; None for a place or an unknown lens."""
         if self._set(wildcards)[0] == "environments":
             return None
         optics = self.loaded.cameras[self.camera_of(wildcards)].optics
@@ -176,7 +176,7 @@ class PhotographSets:
         return [optics.focal_length_mm, self.loaded.rigs[self.rig_of(wildcards)].camera_distance_mm]
 
     def sessions(self, wildcards) -> list[str]:
-        """Return the records of the sessions to hold."""
+        """Return the records of all sessions of the run."""
         return [
             f"{folder}/{name}/captures/session.json"
             for kind, folder in _FOLDERS.items()
@@ -185,17 +185,17 @@ class PhotographSets:
         ]
 
     def rigs_taken(self, wildcards) -> int:
-        """Return 1 where a session moves a real rig, of which there is one at a time, 0 on a virtual one."""
+        """Return the number of real rigs that a session moves, a limited resource: 1, or 0 for a virtual rig."""
         return int(self.loaded.rigs[self.rig_of(wildcards)].kind == "driven")
 
     def virtual(self, kind: str) -> list[str]:
-        """Return the names of a kind whose ground truth is known."""
+        """Return the names of all virtual definitions of a kind, for which the ground truth is known."""
         return [name for name in self.captures[kind] if self.loaded.is_virtual(kind, name)]
 
     # ---- tables and meshes that a job reads
 
     def files_of_session(self, wildcards) -> list[str]:
-        """Return the tables of spectra and the mesh that the virtual rig photographs; a real one reads none."""
+        """Return the tables of spectra and the mesh that a session of the virtual rig reads; empty for a real rig."""
         if not self._is_virtual(wildcards):
             return []
         camera = self.loaded.cameras[self.camera_of(wildcards)]
@@ -209,30 +209,30 @@ class PhotographSets:
         return named_tables(camera.chart, camera.further_charts, self.loaded.rigs[camera.rig].light, *known)
 
     def tables_of_white(self, wildcards) -> list[str]:
-        """Return the table of the white reference's spectrum, where it has one."""
+        """Return, as a list, the table of the white reference's spectrum; empty if it has none."""
         return named_tables(self.loaded.cameras[wildcards.camera].white)
 
     def tables_of_index(self, wildcards) -> list[str]:
-        """Return the table of an object's refractive index, where it has one."""
+        """Return, as a list, the table of an object's refractive index; empty if it has none."""
         return named_tables(self.loaded.objects[wildcards.object].refractive_index)
 
     def meshes_of(self, *names: str) -> list[str]:
-        """Return the files of the meshes among objects; a changed one is seen."""
+        """Return the mesh files of the objects with these names."""
         return [file for name in names for file in shape_files(self.loaded.objects[name].shape)]
 
     def mesh(self, wildcards) -> list[str]:
-        """Return the files of an object's mesh."""
+        """Return the mesh files of an object; empty for another shape."""
         return self.meshes_of(wildcards.object)
 
     # ---- cameras
 
     def white_reflectance(self, wildcards) -> float | str:
-        """Return the reflectance factor of a camera's white reference, 1 where it has none."""
+        """Return the reflectance factor of a camera's white reference, a number or a spectrum's name; 1 by default."""
         white = self.loaded.cameras[self.camera_of(wildcards)].white
         return white.reflectance_factor if white else 1.0
 
     def white_pose(self, wildcards) -> dict | None:
-        """Return the pose of a camera's white reference, degrees; None where it has none or the light is far."""
+        """Return the pose of a camera's white reference, degrees; None if there is none or the light is far."""
         camera = self.loaded.cameras[self.camera_of(wildcards)]
         if self.loaded.rigs[camera.rig].light.distance_mm is None:
             return None
@@ -247,12 +247,12 @@ class PhotographSets:
         return as_plain(self.loaded.cameras[self.camera_of(wildcards)].optics)
 
     def rig_geometry(self, wildcards) -> dict:
-        """Return what the geometry of an object's photographs needs of their rig; no distance of a far light."""
+        """Return the `RigGeometry` of a set's rig as plain values."""
         rig = self.loaded.rigs[self.rig_of(wildcards)]
         return RigGeometry.of_rig(rig).plain()
 
     def light(self, wildcards) -> str:
-        """Return the spectrum of the light of a set's rig."""
+        """Return the name or file of the spectrum of the light of a set's rig."""
         return self.loaded.rigs[self.rig_of(wildcards)].light.spectrum
 
     def charts(self, wildcards) -> list[str]:
@@ -261,11 +261,11 @@ class PhotographSets:
         return [f"results/cameras/{wildcards.camera}/linear/{chart}.h5" for chart in charts]
 
     def calibrations(self, wildcards) -> list[str]:
-        """Return the calibrations to make."""
+        """Return the calibration files of all cameras."""
         return [f"results/cameras/{name}/calibration.h5" for name in self.loaded.cameras]
 
     def calibration_of_index(self, wildcards) -> list[str]:
-        """Return the calibration of an object's camera, where its refractive index varies with the wavelength."""
+        """Return, as a list, the calibration of an object's camera if its refractive index varies with wavelength."""
         if not self.tables_of_index(wildcards):
             return []
         return [f"results/cameras/{self.camera_of(wildcards)}/calibration.h5"]
@@ -277,14 +277,14 @@ class PhotographSets:
         return _part(PhotographedObject, self.loaded.objects[wildcards.object]).plain()
 
     def ingest_parts(self) -> Iterator[IngestPart]:
-        """Yield the parts in which the captures of every object are ingested."""
+        """Yield the captures of all objects in parts, one for each job of ingestion."""
         size = self.loaded.config.ingest.captures_per_job
         for name, captures in self.captures["objects"].items():
             for number, first in enumerate(range(0, len(captures), size)):
                 yield IngestPart(name, f"{number:03d}", captures[first : first + size])
 
     def ingest_options(self, wildcards) -> dict:
-        """Return what ingestion does to a capture."""
+        """Return the options of ingestion that affect its results."""
         return {key: value for key, value in self.loaded.config.ingest.plain().items() if key != "captures_per_job"}
 
     def linear_files(self, wildcards) -> list[str]:
@@ -293,48 +293,48 @@ class PhotographSets:
         return [f"results/{wildcards.object}/linear/{capture}.h5" for capture in captures]
 
     def registration(self, wildcards) -> list[str]:
-        """Return the file that says where an object lies by its photographs; none where that is not asked for."""
+        """Return, as a list, the file of an object's registration; empty if the configuration does not require it."""
         return [f"results/{wildcards.object}/registration.h5"] if self.loaded.config.place.register else []
 
     def tiles_of(self, name: str) -> list[tuple[int, int]]:
-        """Return the texture rows of every tile of an object."""
+        """Return (first row, end row) of every texture tile of an object."""
         texels = self.loaded.objects[name].texels
         return tile_rows(texels.height, texels.width, self.loaded.config.rectify.tile_texels)
 
     def tile_rows(self, wildcards) -> tuple[int, int]:
-        """Return the texture rows of a tile."""
+        """Return (first row, end row) of the texture tile in the wildcards."""
         return self.tiles_of(wildcards.object)[int(wildcards.tile)]
 
     def shares_gloss(self, name: str) -> bool:
-        """Whether one job finds the paints of an object; texels of two lobes have gloss of their own."""
+        """Whether the texels of an object's paints share their gloss, so that one job fits all; not with two lobes."""
         return self.loaded.config.fit.gloss_by_paint and len(self.loaded.objects[name].lobes) == 1
 
     def fitted_files(self, name: str) -> list[str]:
-        """Return the fit of an object: one file where its texels share the gloss of paints, else its tiles."""
+        """Return the files of an object's fit: one if its texels share the gloss of paints, otherwise its tiles."""
         return [f"results/{name}/surface.h5"] if self.shares_gloss(name) else self.tile_files(name, "brdf")
 
     def tile_files(self, name: str, kind: str) -> list[str]:
-        """Return the tiles of an object of a kind: ``observations`` or, fitted texel by texel, ``brdf``."""
+        """Return an object's tile files of a kind: ``observations``, or ``brdf`` for fits of single texels."""
         return [f"results/{name}/{kind}/tile-{number:03d}.h5" for number in range(len(self.tiles_of(name)))]
 
     def fitted_tiles(self, wildcards) -> list[str]:
-        """Return the fit of a job's object."""
+        """Return the files of the fit of the object in the wildcards."""
         return self.fitted_files(wildcards.object)
 
     def own_tiles(self, wildcards) -> list[str]:
-        """Return the tiles of a job's object as fitted texel by texel."""
+        """Return the tile files with fits of single texels of the object in the wildcards."""
         return self.tile_files(wildcards.object, "brdf")
 
     def observed_tiles(self, wildcards) -> list[str]:
-        """Return what the tiles of a job's object were fitted to."""
+        """Return the observation files of the object in the wildcards, one for each tile."""
         return self.tile_files(wildcards.object, "observations")
 
     def lobes(self) -> list[str]:
-        """Return the lobes with which the gloss of any object is fitted, sorted; ``auto`` stands for any."""
+        """Return the lobes with which the objects' gloss is fitted, sorted; ``auto`` among them stands for any lobe."""
         return sorted({name for definition in self.loaded.objects.values() for name in definition.lobes})
 
     def lobe_choice(self, wildcards) -> list[str]:
-        """Return the choice of lobes of a job's object; none where its definition names them."""
+        """Return, as a list, the file with the choice of an object's lobes; empty if its definition names them."""
         of_object = self.loaded.objects[wildcards.object].lobes
         return [f"results/{wildcards.object}/lobes.h5"] if AUTO in of_object else []
 
@@ -351,11 +351,11 @@ class PhotographSets:
     # ---- places
 
     def is_photographed(self, wildcards) -> bool:
-        """Whether a camera photographed a place, as against a file of another program or placed lights."""
+        """Whether a camera photographed an environment, which otherwise is a picture file or placed lights."""
         return self.loaded.environments[wildcards.environment].camera is not None
 
     def photographed_light(self, wildcards) -> dict:
-        """Return what the light of a photographed place is recovered from; other light is the user's own."""
+        """Return the named input files for the light of a photographed environment; empty for other environments."""
         if not self.is_photographed(wildcards):
             return {}
         folder = f"results/environments/{wildcards.environment}/linear"
@@ -367,7 +367,7 @@ class PhotographSets:
         }
 
     def files_of_light(self, wildcards) -> list[str]:
-        """Return the user's picture and tables of spectra that an environment's light is made from."""
+        """Return the user's picture and spectral tables that an environment's light is made from."""
         place = self.loaded.environments[wildcards.environment]
         source = place.source
         picture = [] if self.is_photographed(wildcards) or not hasattr(source, "file") else [source.file]
@@ -385,11 +385,11 @@ class PhotographSets:
         return ImperfectObject(name=name, definition=objects[name], camera=camera, rig=self.loaded.rigs[camera.rig])
 
     def imperfect_object(self, wildcards=None) -> dict | None:
-        """Return the object on which the faults of the virtual rig are measured, a plate if there is one, or None."""
+        """Return the object for measuring the virtual rig's imperfections, if possible a plate; None without any."""
         return as_plain(self._imperfect_object())
 
     def files_of_imperfections(self, wildcards) -> list[str]:
-        """Return the mesh and the tables of spectra that the measurement of the faults reads."""
+        """Return the mesh and the spectral tables that the measurement of the rig's imperfections reads."""
         subject = self._imperfect_object()
         return [*self.meshes_of(subject.name), *named_tables(subject)] if subject else []
 
@@ -410,7 +410,7 @@ class PhotographSets:
         return found
 
     def plates(self, wildcards=None) -> dict:
-        """Return what the simulation of poses needs to know of every plate."""
+        """Return {name: `PlannedPlate`} of every plate as plain values, for the simulation of poses."""
         return as_plain(self._plates())
 
     def tables_of_plates(self, wildcards) -> list[str]:

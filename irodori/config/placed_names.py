@@ -1,4 +1,4 @@
-"""Names of what stands in a scene, each once."""
+"""Unique names of the objects and bodies in a scene."""
 
 from irodori.config.models import Scene
 
@@ -6,9 +6,9 @@ __all__ = ["object_names"]
 
 
 def object_names(scene: Scene) -> list[str]:
-    """Return a name for every object of a scene, each once, then for its bodies.
+    """Return a unique name for every object of a scene, then for every body.
 
-    An object that stands in several places is ``jar``, ``jar#2``, ``jar#3``; the first body is ``bodies[0]``.
+    An object that is placed several times is ``jar``, ``jar#2``, ``jar#3``; the first body is ``bodies[0]``.
     """
     seen: dict[str, int] = {}
     names = []

@@ -1,7 +1,7 @@
-"""Files and parameters of the rules that make pictures: what the Snakefile asks of scenes, their views and photographs.
+"""Input files and parameters of the rules that make pictures of scenes, for the Snakefile.
 
-Light enough for the Snakefile. Every method whose argument is `wildcards` is what Snakemake calls a function of the
-wildcards: it takes anything with the wildcards as attributes.
+Quick to import. Every method with the argument `wildcards` serves as an input or parameter function of Snakemake; the
+argument is any object with the wildcards as attributes.
 """
 
 from collections.abc import Callable, Iterator
@@ -29,24 +29,24 @@ from irodori.core.errors import InputError
 
 __all__ = ["SceneFiles", "keeps_light"]
 
-#: Files that a scene may ask for beside the spectral EXR and the PNG of each view.
+#: Optional files of each view, in addition to the spectral EXR and the PNG.
 _FURTHER_OUTPUTS = {"xyz-exr": "results/{scene}/{view}.xyz.exr", "tiff": "results/{scene}/{view}.tif"}
 # Pixels from which a picture takes long enough to wait for a second core.
 _LARGE_PICTURE_PX = 500_000
 
 
 def keeps_light(frames: Frames) -> bool:
-    """Whether objects and light stay where the scene defines them in all frames: the eye turns, or colours change."""
+    """Whether objects and lights keep their places in all frames, because only the eye or the illuminant changes."""
     return isinstance(frames, IlluminantChange) or (isinstance(frames, Turntable) and frames.turned == "eye")
 
 
 class SceneFiles:
-    """Scenes of a run.
+    """Scenes of a run, with the files and parameters of their rules.
 
     Parameters
     ----------
     sets : PhotographSets
-        The photographs that the scenes' objects, places and comparisons come from.
+        Photographs from which the scenes' objects and environments are made.
     """
 
     def __init__(self, sets: PhotographSets) -> None:
@@ -56,43 +56,43 @@ class SceneFiles:
         return self.loaded.scenes[wildcards.scene]
 
     def objects(self, wildcards) -> list[str]:
-        """Return the objects of a scene, in its order."""
+        """Return the names of the objects placed in a scene, in its order."""
         return [placed.object for placed in self._scene(wildcards).objects]
 
     def materials(self, pattern: str) -> Callable[[Any], list[str]]:
-        """Return a function from wildcards to a file of every object of the scene."""
+        """Return a function that fills a pattern with every object of the scene in the wildcards."""
         return lambda wildcards: [pattern.format(object=name) for name in self.objects(wildcards)]
 
     def environment(self, wildcards) -> str:
-        """Return the file of a scene's light."""
+        """Return the path of the environment file that lights a scene."""
         return f"results/environments/{self._scene(wildcards).environment}.h5"
 
     def rooms(self, wildcards) -> list[str]:
-        """Return the files of the light that a scene's page holds, the scene's own first."""
+        """Return the environment files of a scene's page, that of the scene first."""
         return [f"results/environments/{name}.h5" for name in page_rooms(self._scene(wildcards))]
 
     def true_light(self, wildcards) -> str:
-        """Return the file of the light that really falls on a scene; where no camera photographed it, the given one."""
+        """Return the file of the true light of a virtual environment, or of the given light of any other."""
         name = self._scene(wildcards).environment
         known = name in self._sets.virtual("environments")
         return f"results/environments/{name}/truth.h5" if known else f"results/environments/{name}.h5"
 
     def calibrations(self, wildcards) -> list[str]:
-        """Return the calibration of the camera that photographed each object of a scene."""
+        """Return, for each object of a scene, the calibration file of the camera that photographed it."""
         cameras = [self.loaded.objects[name].camera for name in self.objects(wildcards)]
         return [f"results/cameras/{camera}/calibration.h5" for camera in cameras]
 
     def tiles(self, wildcards) -> list[str]:
-        """Return the fits of a scene's objects, each object's once."""
+        """Return the files of the fits of a scene's objects, for each object once."""
         return [file for name in dict.fromkeys(self.objects(wildcards)) for file in self._sets.fitted_files(name)]
 
     def observations(self, wildcards) -> list[str]:
-        """Return what the objects of a scene were fitted to, in the order of their fits."""
+        """Return the observation files of a scene's objects, in the order of their fits."""
         names = dict.fromkeys(self.objects(wildcards))
         return [file for name in names for file in self._sets.tile_files(name, "observations")]
 
     def subjects(self, wildcards) -> list[dict]:
-        """Return of each object of a scene its shape and the side of two mosaic pixels of its photographs on it, mm."""
+        """Return, for each object of a scene, a plain `Subject`: its shape and the size of a superpixel on it, mm."""
         found = []
         for name in self.objects(wildcards):
             definition = self.loaded.objects[name]
@@ -107,40 +107,40 @@ class SceneFiles:
         return [self.loaded.objects[name].shape.plain() for name in self.objects(wildcards)]
 
     def files(self, wildcards) -> list[str]:
-        """Return the meshes of a scene's objects and the tables that its own lights, bodies and frames are made of."""
+        """Return the meshes of a scene's objects and the spectral tables of its own lights, bodies and frames."""
         meshes = self._sets.meshes_of(*dict.fromkeys(self.objects(wildcards)))
         return meshes + self.tables(wildcards)
 
     def page_files(self, wildcards) -> list[str]:
-        """Return the files of a scene and the pictures of its lesson."""
+        """Return the files of a scene, see `files`, and the pictures of its lesson."""
         lesson = self._scene(wildcards).lesson
         return self.files(wildcards) + [step.picture for step in (lesson.steps if lesson else ()) if step.picture]
 
     def tables(self, wildcards) -> list[str]:
-        """Return the tables that a scene's own lights, bodies and frames are made of."""
+        """Return the spectral tables of a scene's own lights, bodies and frames."""
         scene = self._scene(wildcards)
         return named_tables(scene.lights, scene.bodies, scene.frames)
 
     def shown_files(self, wildcards) -> list[str]:
-        """Return the files of a scene and that of its display."""
+        """Return the files of a scene, see `files`, and that of its display."""
         return self.files(wildcards) + self.display_file(wildcards)
 
     def shown_tables(self, wildcards) -> list[str]:
-        """Return the tables of a scene and the file of its display."""
+        """Return the tables of a scene, see `tables`, and the file of its display."""
         return self.tables(wildcards) + self.display_file(wildcards)
 
     def plan(self, wildcards) -> list[str]:
-        """Return the plan of a scene that tolerates an error, as a list; others are rendered in full."""
+        """Return, as a list, the rendering plan of a scene with an error tolerance; empty for others."""
         tolerant = self._scene(wildcards).tolerance_ciede2000 is not None
         return [f"results/{wildcards.scene}/plan.yaml"] if tolerant else []
 
     def baked_of(self, wildcards) -> dict:
-        """Return what of a scene's definition its light maps depend on, and what no scene is without."""
+        """Return the keys of a scene's definition that its light maps depend on, and all required keys."""
         keys = ("environment", "objects", "bodies", "lights", "integrator", "allow_energy_gain", "image", "views")
         return self.part(*keys)(wildcards)
 
     def light_maps(self, pattern: str) -> Callable[[Any], list[str]]:
-        """Return a function from wildcards to the file of a scene's light maps, as a list, empty where it has none."""
+        """Return a function that fills a pattern with the scene in the wildcards; an empty list without light maps."""
 
         def found(wildcards) -> list[str]:
             integrator = self._scene(wildcards).integrator
@@ -150,29 +150,29 @@ class SceneFiles:
         return found
 
     def frames_light_maps(self, wildcards) -> list[str]:
-        """Return the file of the light maps that the frames of a scene show, as a list; see `keeps_light`."""
+        """Return, as a list, the light maps for the frames of a scene; empty if its lights move, see `keeps_light`."""
         frames = self._scene(wildcards).frames
         found = self.light_maps("results/{scene}/light-maps.h5")(wildcards)
         return found if frames is not None and keeps_light(frames) else []
 
     def display_file(self, wildcards) -> list[str]:
-        """Return the file that says how a scene's display shows colours, as a list; a standard one needs none."""
+        """Return, as a list, the file that describes a scene's display; empty for a display without a file."""
         device = self._scene(wildcards).display.device
         return [device.file] if isinstance(device, MeasuredDisplay | ProfileDisplay) else []
 
     def part(self, *keys: str) -> Callable[[Any], dict]:
-        """Return a function from wildcards to keys of a scene's definition; another key's change reruns nothing."""
+        """Return a function that selects keys of a scene's definition, so that changes of others cause no rerun."""
         return lambda wildcards: as_plain({key: getattr(self._scene(wildcards), key) for key in keys})
 
     # ---- frames
 
     def with_frames(self, wildcards) -> dict:
-        """Return the definition of a scene that has frames, without the lesson, whose words change no picture.
+        """Return the definition of a scene with frames, without its lesson, which affects no picture.
 
         Raises
         ------
         InputError
-            If it has none.
+            If the scene has no frames.
         """
         scene = self._scene(wildcards)
         if scene.frames is None:
@@ -182,12 +182,12 @@ class SceneFiles:
         return {key: value for key, value in scene.plain().items() if key != "lesson"}
 
     def threads_of_view(self, wildcards) -> int:
-        """Return the threads of a picture: only a large one is worth waiting until two cores are free at once."""
+        """Return the threads for a picture: 2 if it is large enough to be worth the wait for a second core, else 1."""
         image = self._scene(wildcards).image
         return 1 if image.width * image.height < _LARGE_PICTURE_PX else 2
 
     def memory_of_frames_mb(self, wildcards) -> int:
-        """Return what the pictures of a sequence take, MB: they are joined in memory."""
+        """Return the memory for the pictures of a sequence, MB: they are joined in memory."""
         self.with_frames(wildcards)
         scene = self._scene(wildcards)
         frames = scene.frames
@@ -200,14 +200,14 @@ class SceneFiles:
     # ---- views
 
     def _follows_the_model(self, name: str) -> bool:
-        """Whether a virtual object's true materials are those of equation (5), which alone is rendered."""
+        """Whether a virtual object's true materials follow equation (5), the only model that is rendered."""
         virtual = self.loaded.objects[name].virtual
         return virtual is not None and all(
             isinstance(one, ModelledMaterial) and one.lobe == ModelledMaterial.lobe for one in virtual.materials
         )
 
     def _views(self, virtual_only: bool) -> Iterator[tuple[str, str, Scene]]:
-        """Yield scene, view and definition of every view, or of those whose objects' truth is known."""
+        """Yield (scene, view, definition of the scene) for every view, or for views of virtual objects only."""
         known = {name for name in self._sets.virtual("objects") if self._follows_the_model(name)}
         for scene, definition in self.loaded.scenes.items():
             if not virtual_only or known.issuperset(placed.object for placed in definition.objects):
@@ -215,18 +215,18 @@ class SceneFiles:
                     yield scene, view, definition
 
     def views(self, pattern: str, virtual_only: bool = False) -> list[str]:
-        """Return a pattern filled for every view of every scene, or of those whose objects' truth is known."""
+        """Return a pattern filled for every view of every scene, or for views of virtual objects only."""
         return [
             pattern.format(scene=scene, view=view, environment=definition.environment)
             for scene, view, definition in self._views(virtual_only)
         ]
 
     def view_scenes(self, virtual_only: bool = False) -> list[dict]:
-        """Return of each view of `views` what its scene's white follows from."""
+        """Return, for each view of `views`, the parts of its scene that determine the white: lights and display."""
         return [as_plain({"lights": one.lights, "display": one.display}) for _, _, one in self._views(virtual_only)]
 
     def pictures(self, wildcards) -> list[str]:
-        """Return the pictures to make."""
+        """Return the paths of all pictures of the run."""
         further, frames = [], []
         for scene, view, definition in self._views(virtual_only=False):
             further += [_FURTHER_OUTPUTS[kind].format(scene=scene, view=view) for kind in definition.further_outputs]
@@ -236,11 +236,11 @@ class SceneFiles:
     # ---- pages
 
     def pages(self, pattern: str = "results/{scene}/viewer.html") -> list[str]:
-        """Return a pattern filled for every scene that a classroom page can show."""
+        """Return a pattern filled with every scene that a classroom page can show."""
         return [pattern.format(scene=name) for name, scene in self.loaded.scenes.items() if page_fault(scene) is None]
 
     def page_view(self, pattern: str) -> Callable[[Any], str]:
-        """Return a function from wildcards to a file of the view that a scene's page begins with.
+        """Return a function that fills a pattern with the first view of the page of the scene in the wildcards.
 
         Raises
         ------
@@ -260,7 +260,7 @@ class SceneFiles:
     # ---- photographs of scenes
 
     def photographs(self, pattern: str) -> list[str]:
-        """Return a pattern filled for every photograph of a scene that its rendering is compared with."""
+        """Return a pattern filled with every photograph of a scene with which its rendering is compared."""
         return [
             pattern.format(scene=scene, photograph=photograph)
             for scene, definition in self.loaded.scenes.items()
@@ -298,7 +298,7 @@ class SceneFiles:
         return named_tables(camera, self.loaded.rigs[camera.rig])
 
     def of_photograph(self, pattern: str) -> Callable[[Any], str]:
-        """Return a function from wildcards to a file of the camera of a photograph."""
+        """Return a function that fills a pattern with the camera of the photograph in the wildcards."""
         return lambda wildcards: pattern.format(camera=self._photograph(wildcards).camera)
 
     def photograph_folder(self, wildcards) -> str:
@@ -310,32 +310,32 @@ class SceneFiles:
         return captures.folder or str(Path(captures.table).parent)
 
     def photograph_table(self, wildcards) -> str:
-        """Return the capture table of a photograph: the virtual camera's, or the user's own."""
+        """Return the path of a photograph's capture table: that of the virtual camera, or the user's own."""
         captures = self._photograph(wildcards).captures
         if self._is_virtual(wildcards) or captures is None:
             return f"{self.photograph_folder(wildcards)}/captures.csv"
         return captures.table
 
     def photograph_made(self, wildcards) -> list[str]:
-        """Return the record of the session that takes a photograph; the user's own has none."""
+        """Return, as a list, the record of the session that takes a photograph; empty for the user's own."""
         return [f"{self.photograph_folder(wildcards)}/session.json"] if self._is_virtual(wildcards) else []
 
     def own_photograph(self, wildcards) -> list[str]:
-        """Return the user's table and RAW files of a photograph; a session's stand in its table with their hashes."""
+        """Return the user's table and RAW files of a photograph; empty for a virtual camera, which records hashes."""
         if self._is_virtual(wildcards):
             return []
         folder, table = self.photograph_folder(wildcards), self.photograph_table(wildcards)
         return [table, *(f"{folder}/{shot.file}" for shot in read_captures(table, folder) if shot.role == "scene")]
 
     def photographs_of_session(self, wildcards) -> dict[str, str]:
-        """Return RAW file -> hash in the table of the session that has taken a photograph; as of `PhotographSets`."""
+        """Return {RAW file: hash} from the table of the virtual session of a photograph; empty for the user's own."""
         folder, table = self.photograph_folder(wildcards), self.photograph_table(wildcards)
         if not self._is_virtual(wildcards) or not Path(table).is_file():
             return {}
         return {f"{folder}/{file}": sha256 for file, sha256 in noted_hashes(table).items()}
 
     def photograph_radiance(self, wildcards) -> list[str]:
-        """Return what stood before a virtual camera, as a list; nobody knows it of a real one."""
+        """Return, as a list, the file of the radiance in front of a virtual camera; empty for a real camera."""
         if not self._is_virtual(wildcards):
             return []
         return [f"results/{wildcards.scene}/photographs/{wildcards.photograph}/radiance.h5"]

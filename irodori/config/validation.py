@@ -1,7 +1,7 @@
 """Validation of definitions against their schemas, with defaults filled in and readable error messages.
 
-The schemas stand in ``schemas/``. Variants (``oneOf``) are told apart by their ``kind`` key, so that
-a fault is reported for the variant that the author chose and not for all of them.
+The schemas are in ``schemas/``. Variants (``oneOf``) are distinguished by their key ``kind``, so that a fault is
+reported for the variant that the author chose and not for all of them.
 """
 
 import difflib
@@ -34,11 +34,11 @@ def validate(instance: dict, schema_name: str, file: Path | str) -> dict:
     Parameters
     ----------
     instance : dict
-        What the file holds. It is not changed.
+        Content of the file. It is not changed.
     schema_name : str
         One of ``SCHEMAS``.
     file : path
-        Where the definition came from, for the error message.
+        File of the definition, for the error message.
 
     Returns
     -------
@@ -49,9 +49,9 @@ def validate(instance: dict, schema_name: str, file: Path | str) -> dict:
     Raises
     ------
     ValueError
-        If `schema_name` is none of ``SCHEMAS``.
+        If `schema_name` is not one of ``SCHEMAS``.
     InputError
-        For the most telling fault; the field is a dotted path such as ``objects[1].scale``.
+        For the most informative fault; the field is a dotted path such as ``objects[1].scale``.
     """
     schema = load_schema(schema_name)
     try:
@@ -65,7 +65,7 @@ def validate(instance: dict, schema_name: str, file: Path | str) -> dict:
 
 
 def schema_faults(instance: dict, schema_name: str, file: Path | str) -> list[InputError]:
-    """Return every fault that `validate` finds in a definition, at most one for each place, the most telling first."""
+    """Return all faults that `validate` finds in a definition, at most one for each field, best messages first."""
     schema = load_schema(schema_name)
     found: dict[str, InputError] = {}
     try:
@@ -102,9 +102,9 @@ def _read_schema(file: str) -> dict:
 
 
 def _inline(node, file: str):
-    """Replace references by what they point to; keys beside a reference (description, default) win.
+    """Replace references by their targets; keys beside a reference (description, default) take precedence.
 
-    ``{$shapes: object}`` stands for the variants that the shapes themselves bring.
+    ``{$shapes: object}`` stands for the variants that the registered shapes define.
     """
     if isinstance(node, list):
         return [_inline(item, file) for item in node]
@@ -136,7 +136,7 @@ def dotted(path) -> str:
 
 
 def suggest(word: str, valid, label: str = "") -> str:
-    """Return ``did you mean 'nearest'? (accepted here: a, b)``, or ``one of a, b`` where nothing is near."""
+    """Return a hint for an unknown word: ``did you mean 'nearest'? (accepted here: a, b)``, or ``one of a, b``."""
     valid = [str(item) for item in valid]
     near = difflib.get_close_matches(str(word), valid, n=1)
     listing = ", ".join(valid) if valid else "none"
@@ -146,7 +146,7 @@ def suggest(word: str, valid, label: str = "") -> str:
 
 
 def _refuse_odd_values(value, path: tuple, file) -> None:
-    """Refuse keys that are not text, numbers that are not finite, and paths that only a shell understands."""
+    """Refuse keys that are not text, numbers that are not finite, and paths with ``~``, which only a shell expands."""
     if isinstance(value, dict):
         for key, item in value.items():
             if not isinstance(key, str):
@@ -163,7 +163,7 @@ def _refuse_odd_values(value, path: tuple, file) -> None:
 
 
 def _branch(schema: dict, instance) -> int | None:
-    """Return the index of the variant that the author meant, or None where that cannot be told."""
+    """Return the index of the variant that the author meant, or None if it is unclear."""
     variants = schema["oneOf"]
     if not isinstance(instance, dict):
         return next(
@@ -180,7 +180,7 @@ def _branch(schema: dict, instance) -> int | None:
 
 
 def _leaves(error):
-    """Yield the faults themselves: of a ``oneOf`` those of the variant that was meant."""
+    """Yield the single faults in a validation error; of a ``oneOf`` only those of the variant that was meant."""
     branch = _branch(error.schema, error.instance) if error.validator == "oneOf" else None
     if branch is None:
         yield error
@@ -191,7 +191,7 @@ def _leaves(error):
 
 
 def _rank(error) -> tuple:
-    """Sort key: unknown keys first (a slip of the pen also leaves a key missing), wrong values, then gaps."""
+    """Sort key of faults: unknown keys first (a misspelt key is also missing), then wrong values, then missing keys."""
     order = {"additionalProperties": 0, "required": 2}.get(error.validator, 1)
     return order, -len(error.absolute_path), [str(part) for part in error.absolute_path]
 
@@ -228,7 +228,7 @@ def _unknown_key(path: tuple, rules: dict, value: dict, file) -> InputError:
 
 
 def _at(schema: dict, instance, path: tuple) -> dict:
-    """Return the schema that holds at a path of the instance; an empty one where none is known."""
+    """Return the schema for a path in the instance; an empty one if there is none."""
     for part in path:
         if "oneOf" in schema:
             branch = _branch(schema, instance)
@@ -245,14 +245,14 @@ def _at(schema: dict, instance, path: tuple) -> dict:
 
 
 def describe(schema: dict) -> str:
-    """Return in words what a schema accepts, and its description: ``a number above 0 (Radius, in mm)``."""
+    """Return a phrase for what a schema accepts, with its description: ``a number above 0 (Radius, in mm)``."""
     text = accepts(schema)
     about = schema.get("description", "").rstrip(".")
     return f"{text} ({about})" if about else text
 
 
 def accepts(schema: dict) -> str:
-    """Return in words what a schema accepts: ``a number above 0``."""
+    """Return a phrase for what a schema accepts: ``a number above 0``."""
     if "const" in schema:
         return str(schema["const"])
     if "enum" in schema:
@@ -303,7 +303,7 @@ def _found(value) -> str:
 
 
 def _hint(value, schema: dict) -> str:
-    """Return a word on YAML 1.1, for which 1e4 is text and only 1.0e+4 a number."""
+    """Return a hint on YAML 1.1, which reads 1e4 as text and only 1.0e+4 as a number; empty if it does not apply."""
     types = [rules.get("type") for rules in (schema, *schema.get("oneOf", ()))]
     if not isinstance(value, str) or not {"number", "integer"} & set(types):
         return ""

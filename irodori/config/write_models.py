@@ -1,8 +1,8 @@
-"""Code and documents made from the schemas: the dataclasses of `irodori.config.models`, the tables of config/README.md.
+"""Generator of the dataclasses of `irodori.config.models` and of the tables in config/README.md from the schemas.
 
 Run ``python -m irodori.config.write_models`` after a change of a schema; a test fails until then. The title of a block
-in a schema is the name of its class, that of a choice of blocks (``oneOf``) the name of their union. Blocks of one
-title must agree in keys and types. What a ``$comment`` says stands in the README alone, not in messages.
+in a schema is the name of its class, and the title of a choice of blocks (``oneOf``) is the name of their union. Blocks
+with the same title must agree in keys and types. A ``$comment`` appears only in the README, not in messages.
 """
 
 import re
@@ -30,15 +30,15 @@ from irodori.config.definition import Definition
 '''
 _SCALARS = {"string": "str", "number": "float", "integer": "int", "boolean": "bool"}
 _WIDTH = 120
-#: Class of a schema, where it is not the schema's name: an Environment is the light itself, as maps.
+#: Classes with another name than their schema: the class Environment is the light itself, as maps.
 _CLASSES = {"environment": "EnvironmentDefinition"}
-#: Longest list whose type says how many items it has; the type of a spectrum would fill a page.
+#: Longest list with a type that states the number of items; the type of a spectrum would fill a page.
 _COUNTED = 16
 _OPTIONAL = "optional"
 
 
 class _Field(NamedTuple):
-    """Type, default and description of a key, the first two as source; the default empty where the key is needed."""
+    """Type, default and description of a key; type and default as source, the default empty for a required key."""
 
     kind: str
     default: str
@@ -61,7 +61,7 @@ def models_text() -> str:
     Raises
     ------
     ValueError
-        If two blocks of one title differ, or a block has none.
+        If two blocks with the same title differ, or a block has no title.
     """
     found: dict[str, _Class | str] = {}
     for name in SCHEMAS:
@@ -77,7 +77,7 @@ def models_text() -> str:
 
 
 def _type_of(schema: dict, found: dict) -> str:
-    """Return the type of a schema, its classes put where they are missing, the inner ones first."""
+    """Return the Python type of a schema; add its classes, inner ones first, to ``found``."""
     if "const" in schema:
         return f'Literal["{schema["const"]}"]'
     if "enum" in schema:
@@ -124,7 +124,7 @@ def _class_of(schema: dict, found: dict) -> str:
     if {name: field.kind for name, field in known.items()} != {name: field.kind for name, field in fields.items()}:
         raise ValueError(f"two blocks have the title {title} and not the same keys and types")
     for name, field in known.items():
-        if field.default != fields[name].default:  # a default that not all uses share is none of the class
+        if field.default != fields[name].default:  # the class has only defaults that all its uses share
             known[name] = field._replace(default="")
     return title
 
@@ -199,7 +199,7 @@ def _field_lines(key: str, kind: str, default: str) -> list[str]:
 
 
 def readme_text(readme: str) -> str:
-    """Return the README of the configuration with the tables of all schemas between their marks.
+    """Return the text of config/README.md with the tables of all schemas inserted between their marks.
 
     Raises
     ------
@@ -216,13 +216,13 @@ def readme_text(readme: str) -> str:
 
 
 def key_table(name: str) -> str:
-    """Return the Markdown table of all keys of a schema: **needed** ones, defaults, what they accept and mean."""
+    """Return a Markdown table of all keys of a schema, **required** ones in bold, with defaults, values and meaning."""
     rows = ["| key | default | accepts | what |", "|---|---|---|---|"]
     return "\n".join(rows + [f"| {' | '.join(row)} |" for row in _rows(load_schema(name), "")]) + "\n"
 
 
 def _rows(schema: dict, path: str):
-    """Yield key, default, what it accepts and what it means, of every key under a block."""
+    """Yield (key, default, accepted values, meaning) of every key in a block, as cells of the table."""
     for key, rules in schema["properties"].items():
         yield from _rows_of_key(rules, f"{path}{key}", key in schema.get("required", ()))
 
@@ -255,7 +255,7 @@ def _block_words(rules: dict, inner: dict) -> str:
 
 
 def _yaml(value) -> str:
-    """Return a value as one writes it in a YAML file."""
+    """Return a value in the notation of a YAML file."""
     if isinstance(value, dict):
         return "{" + ", ".join(f"{key}: {_yaml(item)}" for key, item in value.items()) + "}"
     if isinstance(value, list):
@@ -270,7 +270,7 @@ def _cell(text: str) -> str:
 
 
 def main() -> None:
-    """Write both files."""
+    """Write `irodori/config/models.py` and the tables of config/README.md."""
     MODELS.write_text(models_text(), encoding="utf-8")
     README.write_text(readme_text(README.read_text(encoding="utf-8")), encoding="utf-8")
 

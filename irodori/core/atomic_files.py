@@ -10,20 +10,20 @@ from pathlib import Path
 
 from irodori.core.errors import PlainError
 
-#: Errors that writing alone has: what a block reads is not blamed on its output.
+#: Errors that only writing can cause, so that a failed read in the block is not reported as a fault of its output.
 _OF_THE_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EFBIG)
 
 
 class DiskError(PlainError, OSError):
-    """A disk that is full, or takes nothing."""
+    """Error of a disk that cannot store a file: it is full, over quota or read-only, or the file is too large."""
 
 
 @contextmanager
 def written_whole(path) -> Iterator[Path]:
-    """Yield a temporary name in the same folder; what is written there takes its own name if the block ends well.
+    """Yield a temporary path in the same folder; rename it to the file's name if the block ends without an error.
 
-    What a killed job of the same output left is removed first. A job that outlived its Snakemake and still writes there
-    then fails when it ends, instead of replacing what its successor wrote.
+    Temporary files that a killed job left for the same output are removed first. If such a job still runs, because it
+    has outlived its Snakemake, it then fails at its end instead of replacing the output of its successor.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ def written_whole(path) -> Iterator[Path]:
     Raises
     ------
     DiskError
-        If the disk is full or takes nothing; nothing is left behind.
+        If the disk is full, over quota or read-only, or the file is too large for it; no temporary file is left.
     OSError
         If the folder cannot be written.
     """
@@ -50,14 +50,14 @@ def written_whole(path) -> Iterator[Path]:
             raise
         reason = os.strerror(number)
         told = DiskError(f"{path}: cannot be stored: {reason}; what was made before stays")
-        told.strerror = reason  # for who names another file
+        told.strerror = reason  # for a caller whose message names another file
         raise told from None
     finally:
         temporary.unlink(missing_ok=True)
 
 
 def _number_of(error: OSError | RuntimeError) -> int | None:
-    """Return the system's number of an error; HDF5 has it in its text alone where a file is closed."""
+    """Return the errno of an error, None if it has none; if closing a file fails, HDF5 has it only in its message."""
     told = re.search(r"errno = (\d+)", str(error))
     return getattr(error, "errno", None) or (int(told[1]) if told else None)
 

@@ -1,4 +1,4 @@
-"""Paths that a user's table, definition or journal names inside a folder, and that must not lead out of it."""
+"""Checks that paths in a user's table, definition or journal stay inside their folder."""
 
 import os
 from pathlib import Path
@@ -7,18 +7,19 @@ from irodori.core.errors import InputError
 
 
 def require_inside(name: str, file, field: str) -> None:
-    """Refuse a name that is absolute or climbs with ``..``, whatever folder it is meant for.
+    """Raise an error for a path that is absolute or contains ``..``.
 
     Parameters
     ----------
     name : str
-        Path as the data writes it.
+        Path as written in the data.
     file, field : path and str
-        Where it stands, for the error message.
+        Place of the path in the user's files, for the error message.
 
     Raises
     ------
     InputError
+        If the path is absolute or contains ``..`` or a null character.
     """
     path = Path(name)
     if "\0" in name or path.is_absolute() or ".." in path.parts:
@@ -27,16 +28,16 @@ def require_inside(name: str, file, field: str) -> None:
 
 
 def confined(folder, name: str, file, field: str) -> Path:
-    """Return the path of a name inside a folder, once it is sure that it ends there, links followed.
+    """Return ``folder / name`` after a check that it is inside the folder, also when symbolic links are followed.
 
     Parameters
     ----------
     folder : path
-        The folder that the data may speak of; it may itself be reached by a link.
+        Folder that must contain the path; it may itself be reached by a link.
     name : str
-        Path inside it, as the data writes it; nothing need stand there.
+        Path inside the folder, as written in the data; the file need not exist.
     file, field : path and str
-        Where it stands, for the error message.
+        Place of the path in the user's files, for the error message.
 
     Returns
     -------
@@ -46,7 +47,7 @@ def confined(folder, name: str, file, field: str) -> Path:
     Raises
     ------
     InputError
-        If the name is absolute, climbs with ``..``, or a link leads out of the folder.
+        If the name is absolute, contains ``..``, or a link leads out of the folder.
     """
     require_inside(name, file, field)
     path = Path(folder) / name

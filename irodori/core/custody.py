@@ -1,8 +1,9 @@
-"""Records of results: the hash of a result's own content, the name it was made under, and the hashes it was made from.
+"""Records of results: the hash of a result's content, the path under which it was written, and its inputs' hashes.
 
-An HDF5 file carries its record in its head, a block before the data that HDF5 leaves to the application, so that it
-goes wherever the file goes; pictures, tables and pages, whose formats have no place in common, have it in a file beside
-them, in the form that ``sha256sum --check`` reads. ``irodori verify`` compares all records of a project.
+An HDF5 file holds its record in its head (HDF5's user block, which precedes the data and is free for the application),
+so that copies of the file keep it. Formats of pictures, tables and pages have no such place in common: their record is
+a file beside them, ``.NAME.sha256``, in the form that ``sha256sum --check`` reads. ``irodori verify`` compares all
+records of a project.
 """
 
 import argparse
@@ -39,13 +40,14 @@ class Record:
     Parameters
     ----------
     sha256 : str
-        Of its content: 64 hexadecimal digits.
+        SHA-256 of the content: 64 hexadecimal digits.
     name : str
-        Path under which its rule wrote it, from the project's folder.
+        Path under which its rule wrote it, relative to the project's folder.
     inputs : dict
-        Path -> hash of each file that it was made from; of a result, the hash in its record.
+        {path: hash} of the files that it was made from. The hash of an input that is itself a result is that of its
+        record.
     accepted : bool
-        Whether somebody changed the file afterwards and took it as it is.
+        Whether the user accepted the file after a change (``irodori verify --accept``).
     """
 
     sha256: str
@@ -54,12 +56,12 @@ class Record:
     accepted: bool = False
 
     def text(self) -> bytes:
-        """Return all but the hash as one line of JSON."""
+        """Return the record without its hash as one line of JSON."""
         return json.dumps({"name": self.name, "accepted": self.accepted, "inputs": dict(self.inputs)}).encode()
 
     @classmethod
     def parsed(cls, sha256: str, text: bytes) -> "Record | None":
-        """Return the record that a line holds, None where it holds none."""
+        """Return the record with a hash and a line of JSON; None if the line is not that of a record."""
         try:
             values = json.loads(text)
             return cls(sha256, str(values["name"]), dict(values["inputs"]), bool(values["accepted"]))
@@ -71,19 +73,19 @@ class Record:
 
 
 def beside(path) -> Path:
-    """Return where the record of a file other than HDF5 stands."""
+    """Return the path of the record of a file other than HDF5."""
     path = Path(path)
     return path.with_name(f".{path.name}.sha256")
 
 
 def head_size(name: str, inputs: Mapping[str, str]) -> int:
-    """Return the bytes that an HDF5 file must leave free before its data for its record: a power of two."""
+    """Return the number of bytes that an HDF5 file must reserve before its data for its record: a power of two."""
     needed = _LINE + len(Record("", name, inputs).text()) + 1
     return max(_LEAST_HEAD, 1 << (needed - 1).bit_length())
 
 
 def write_head(path, name: str, inputs: Mapping[str, str], *, accepted: bool = False) -> None:
-    """Write the record of a complete HDF5 file into its head, for which `head_size` bytes were left."""
+    """Write the record of a complete HDF5 file into its head, for which `head_size` bytes were reserved."""
     text = Record("", name, inputs, accepted).text().ljust(head_size(name, inputs) - _LINE, b"\0")
     with open(path, "r+b") as file:
         file.seek(_LINE)
@@ -94,7 +96,7 @@ def write_head(path, name: str, inputs: Mapping[str, str], *, accepted: bool = F
 
 
 def write_record(path, name: str, inputs: Mapping[str, str], *, accepted: bool = False) -> None:
-    """Write the record of a complete result beside it; nothing beside an HDF5 file, which carries its own.
+    """Write the record of a complete result beside it; do nothing for an HDF5 file, which holds its own.
 
     Raises
     ------
@@ -109,7 +111,7 @@ def write_record(path, name: str, inputs: Mapping[str, str], *, accepted: bool =
 
 
 def read_record(path) -> Record | None:
-    """Return the record of a file, None where it has none that can be read."""
+    """Return the record of a file; None if it has no readable record."""
     path = Path(path)
     if _has_head(path):
         with open(path, "rb") as file:
@@ -134,7 +136,7 @@ def _has_head(path: Path) -> bool:
 
 
 def _data_start(path: Path) -> int | None:
-    """Return where the data of an HDF5 file begins, None of another file."""
+    """Return the offset of an HDF5 file's data in bytes; None for another type of file."""
     size, start = path.stat().st_size, 0
     with open(path, "rb") as file:
         while start < size:
@@ -154,9 +156,9 @@ def _digest(file, start: int) -> str:
 
 
 def content_sha256(path) -> str:
-    """Return the hash of a file's content: all that follows the hash in its head, or the whole file without a head.
+    """Return the SHA-256 of a file's content: of all that follows the hash in its head, or of a whole file without one.
 
-    A process reads a file again only where its size or one of its times has changed.
+    Within a process, a file is read again only if its size, inode or one of its times has changed.
 
     Raises
     ------
@@ -179,7 +181,7 @@ def _remembered(path: Path, *_stat: int) -> str:
 
 
 def verified(path, *, set_aside: bool = False) -> Record:
-    """Return the record of a result whose content is that of its record.
+    """Return the record of a result after a check that the content has the recorded hash.
 
     Parameters
     ----------
@@ -190,7 +192,7 @@ def verified(path, *, set_aside: bool = False) -> Record:
     Raises
     ------
     InputError
-        If it has no record, or another content: cut short, damaged on the disk, or edited.
+        If it has no record, or another content: truncated, damaged on the disk, or edited.
     OSError
         If it cannot be read.
     """
@@ -212,21 +214,21 @@ def _as_written(path: Path) -> str:
 
 
 def received(path, known: dict[str, Record | None]) -> str:
-    """Return the hash of a result that a rule is about to read, after the records behind it were compared.
+    """Return the hash of a result that a rule is about to read, after a check of the result and all that it depends on.
 
-    A file that has changed since is renamed, so that the next run makes it again.
+    A file that has changed since it was written is renamed, so that the next run makes it again.
 
     Parameters
     ----------
     path : path
     known : dict
-        Path -> record of the results that a job has met, empty at first; those met here are added.
+        {path: record} of the results that the job has already checked, empty at first; extended here.
 
     Raises
     ------
     InputError
-        As `verified`; if it was written under another name; if it, or a result behind it, was made from another file
-        than lies there now.
+        As for `verified`; if it was written under another path; if it, or a result that it depends on, was made from
+        another version of a file than the present one.
     OSError
         If it cannot be read.
     """
@@ -240,7 +242,7 @@ def received(path, known: dict[str, Record | None]) -> str:
 
 
 def _compare_behind(path: str, record: Record, known: dict[str, Record | None]) -> None:
-    """Compare the hashes in the records behind a result with each other; records that are gone are passed over."""
+    """Compare the recorded hashes of direct and indirect inputs with the inputs' own records; skip missing records."""
     waiting = [(path, record)]
     while waiting:
         made, of = waiting.pop()
@@ -256,7 +258,7 @@ def _compare_behind(path: str, record: Record, known: dict[str, Record | None]) 
 
 
 def _set_aside(path: Path) -> str:
-    """Rename a damaged file and forget its record, and say what was done."""
+    """Rename a damaged file, remove its record, and return a phrase that describes what was done."""
     aside = path.with_name(path.name + _DAMAGED)
     try:
         os.replace(path, aside)
@@ -269,14 +271,14 @@ def _set_aside(path: Path) -> str:
 
 
 def accept(path) -> None:
-    """Take a result as it is: write a record of its present content; what it was made from stays as it was.
+    """Accept a changed result: write a record of its present content, with the inputs of its earlier record.
 
-    Its time is now, so that what was made from it is made again.
+    Its modification time becomes the present, so that Snakemake reruns what depends on it.
 
     Raises
     ------
     InputError
-        If there is no such file, or nothing is left of it.
+        If there is no such file, or an HDF5 file has lost its data.
     """
     path = Path(path)
     if not path.is_file():
@@ -301,13 +303,13 @@ def accept(path) -> None:
 
 
 def _results_folder(path: Path) -> Path | None:
-    """Return the folder of results that a path is or lies in, None where it does not."""
+    """Return the folder ``results`` that is a path or contains it; None if there is none."""
     path = path.absolute()
     return next((folder for folder in (path, *path.parents) if folder.name == _RESULTS), None)
 
 
 def _name(path: Path) -> str:
-    """Return a result's path from the project's folder."""
+    """Return a result's path relative to the project's folder."""
     folder = _results_folder(path.parent)
     return str(path if folder is None else path.absolute().relative_to(folder.parent))
 
@@ -318,7 +320,7 @@ class Chain:
     Parameters
     ----------
     folder : path
-        The folder ``results``, or one in it whose results are looked at.
+        The folder ``results``, or a folder in it, to check only the results there.
 
     Raises
     ------
@@ -338,12 +340,12 @@ class Chain:
         return len(self._seen)
 
     def _place(self, name: str) -> Path:
-        """Return where a file lies that a record names, also where the folder of results was moved."""
+        """Return the path of a file that a record names, also if the folder ``results`` was moved."""
         parts = Path(name).parts
         return self._top.joinpath(*parts[1:]) if parts[:1] == (_RESULTS,) else self._top.parent / name
 
     def results(self) -> Iterator[Path]:
-        """Yield the files that are results: what has a record, and what must have one."""
+        """Yield the files that are results: those that have a record, and those that must have one."""
         for path in sorted(self.folder.absolute().rglob("*")):
             if path.name.startswith("."):
                 result = path.with_name(path.name[1:].removesuffix(".sha256"))
@@ -353,7 +355,7 @@ class Chain:
                 yield path
 
     def broken(self) -> Iterator[str]:
-        """Yield a sentence on each broken link, those of the beginning of the chain first."""
+        """Yield a sentence on each result that does not match its record or its inputs, those of early stages first."""
         for path in self.results():
             yield from self._broken_before(path)
 
@@ -386,9 +388,9 @@ class Chain:
 
 
 def main(arguments: list[str] | None = None, prog: str = "irodori verify") -> int:
-    """Compare every result with its record and with what it was made from, back to your own files.
+    """Compare every result with its recorded hash and with the files that it was made from, back to your own files.
 
-    The first broken link is printed, and the exit status is 1.
+    If something differs, the first difference is printed and the exit status is 1.
     """
     parser = argparse.ArgumentParser(prog=prog, description=main.__doc__)
     parser.add_argument("folder", nargs="?", help="the folder of results, or one in it")

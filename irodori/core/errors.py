@@ -4,22 +4,22 @@ from pathlib import Path
 
 
 class PlainError(Exception):
-    """A fault that its message tells whole, in one sentence for the person at the machine: a traceback adds nothing."""
+    """Error that its message explains completely to the user, in one sentence; it is shown without a traceback."""
 
 
 class InputError(PlainError, ValueError):
-    """Input that the user can mend: says where it stands, what was found and what is accepted.
+    """Error in the user's input; the message names the file and the field, what was found and what is accepted.
 
     Parameters
     ----------
     file : str or path
         The file that holds the fault.
     field : str
-        Key, column or dataset inside the file; empty where the file as a whole is at fault.
+        Key, column or dataset inside the file; empty if the file as a whole is at fault.
     found : str
         What was found there.
     accepted : str
-        What would have been right.
+        What is accepted there.
 
     Examples
     --------
@@ -37,7 +37,7 @@ class InputError(PlainError, ValueError):
 
 
 def is_file(path) -> bool:
-    """Whether a name that a definition gives is that of a file; one that no file can have is not."""
+    """Whether a path from a definition is an existing file; also False for a name that no file can have."""
     try:
         return Path(path).is_file()
     except (OSError, ValueError):

@@ -1,4 +1,4 @@
-"""Kinds of files, told by their first bytes: RAW files, and what people give in their place."""
+"""Recognition of file types by their first bytes, to name what a user supplied in place of a RAW file."""
 
 from pathlib import Path
 
@@ -20,12 +20,12 @@ IF_LINEAR = "if you know that its numbers go with the light, without a tone curv
 
 
 def is_picture(path) -> bool:
-    """Whether a file is a TIFF or PNG picture by its name and its first bytes; many RAW files begin as a TIFF does.
+    """Whether a file is a TIFF or PNG picture, by its suffix and its first bytes; many RAW files begin like a TIFF.
 
     Parameters
     ----------
     path : path
-        A file; one that cannot be read is none.
+        A file; False if it cannot be read.
     """
     return _first_bytes(path).startswith(_PICTURES.get(Path(path).suffix.lower(), (b"no such file",)))
 
@@ -39,12 +39,12 @@ def _first_bytes(path) -> bytes:
 
 
 def kind_instead_of_raw(path) -> str:
-    """Return what a file is that is surely no RAW file, empty where its first bytes do not tell.
+    """Return a phrase that names the type of a file that is certainly not RAW; empty if the first bytes do not decide.
 
     Parameters
     ----------
     path : path
-        A file; one that cannot be read does not tell.
+        A file; the phrase is empty if it cannot be read.
     """
     first = _first_bytes(path)
     return next((kind for start, magic, kind in _KINDS if first[start:].startswith(magic)), "")

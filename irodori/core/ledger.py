@@ -1,8 +1,9 @@
-"""Ledger of the user's files: their hashes, so that what has changed is made again whatever its time stamp.
+"""Hashes of the user's files, so that Snakemake reruns the jobs that depend on changed content, whatever the times.
 
-Snakemake compares times and parameters. The user's files are inputs whose time counts for nothing (``ancient``), and
-the hash of their content is a parameter: a photograph put back from an older copy is seen, and one that was only
-touched makes nothing again. Light enough for the Snakefile.
+Snakemake compares modification times and parameters. The user's files are declared as inputs with an ignored time
+(``ancient``), and the hash of their content is passed as a parameter. A photograph that was restored from an older copy
+therefore causes a rerun, and one that was only touched does not. The module imports little, so that the Snakefile can
+use it.
 """
 
 import hashlib
@@ -17,21 +18,21 @@ from typing import Any
 from irodori.core.atomic_files import file_sha256, written_whole
 
 _LINE = ("size", "mtime_ns", "ctime_ns", "sha256")
-#: A file that changed this short a time ago may change again within the grain of its time stamp.
+#: A file that changed less than this long ago may change again without a new time stamp: its hash is not cached.
 _SETTLED_NS = 2_000_000_000
 
 
 class Ledger:
-    """Hashes of files, remembered with size and times on the disk; a file is read again when one of them differs.
+    """Cache of file hashes; a file is read again if its size or one of its times differs from the cached ones.
 
-    The time of the last change of the file's entry counts too, which no program sets: a copy that keeps the time of an
-    earlier file of the same size is seen.
+    The times are those of the last modification and of the last change of the file's inode (ctime). Programs cannot set
+    the latter, so that a copy with the size and the modification time of an earlier file is noticed.
 
     Parameters
     ----------
     path : path
-        JSON in which the hashes are remembered. It is written where its folder exists, so that a dry run in a new
-        project leaves nothing; without it, all files are read again.
+        JSON file of the cached hashes. It is written only if its folder exists, so that a dry run in a new project
+        leaves no file. Without the JSON file, all files are read.
     """
 
     def __init__(self, path) -> None:
@@ -48,7 +49,13 @@ class Ledger:
         return {file: line for file, line in lines if isinstance(line, list) and len(line) == len(_LINE)}
 
     def content(self, *files_of: Callable[[Any], list[str]]) -> Callable[[Any], str]:
-        """Return a function from wildcards to one hash over the contents of the files that functions name for them."""
+        """Return a function that computes, for the wildcards of a job, one hash over the contents of its files.
+
+        Parameters
+        ----------
+        *files_of : callable
+            Functions that return the paths of a job's files, given its wildcards.
+        """
 
         def hash_of_files(wildcards) -> str:
             total = hashlib.sha256()
@@ -60,10 +67,16 @@ class Ledger:
         return hash_of_files
 
     def altered(self, noted_of: Callable[[Any], Mapping[str, str]]) -> Callable[[Any], list[str]]:
-        """Return a function from wildcards to the files, each with its hash, that differ from the hash noted for them.
+        """Return a function that lists, for the wildcards of a job, the files that differ from their noted hashes.
 
-        Of photographs that the workflow takes itself: before they are taken there are none, and afterwards none
-        differs, so that taking them makes nothing again.
+        It serves for photographs that the workflow takes itself: before they are taken none exists, and afterwards none
+        differs, so that taking them causes no rerun.
+
+        Parameters
+        ----------
+        noted_of : callable
+            Returns {path: noted hash} of a job's files, given its wildcards. The list has ``path hash`` of each
+            existing file with another hash.
         """
 
         def altered_files(wildcards) -> list[str]:
@@ -74,7 +87,7 @@ class Ledger:
         return altered_files
 
     def _sha256(self, file: str) -> str:
-        """Return a file's hash, ``absent`` where there is none: Snakemake says so itself."""
+        """Return a file's SHA-256, or ``absent`` if the file is missing, which Snakemake reports itself."""
         try:
             found = os.stat(file)
         except OSError:
@@ -90,10 +103,10 @@ class Ledger:
         return sha256
 
     def _save(self) -> None:
-        """Write what is new; what other processes have written meanwhile stays."""
+        """Write new hashes to the JSON file, and keep those that other processes have written in the meantime."""
         if not self._changed or not self._path.parent.is_dir():
             return
-        # Nothing is lost where it cannot be stored: the files are read again.
+        # Nothing is lost if the hashes cannot be stored: the files are read again.
         with suppress(OSError), written_whole(self._path) as temporary:
             temporary.write_text(json.dumps(self._read() | self._known, indent=0), encoding="utf-8")
         self._changed = False

@@ -1,4 +1,4 @@
-"""Imports and executed code of source files, remembered from process to process by the files' content."""
+"""Imports and code hashes of Python sources, cached between processes by the hash of each source's content."""
 
 import ast
 import hashlib
@@ -11,12 +11,12 @@ from typing import NamedTuple
 
 from irodori.core.atomic_files import written_whole
 
-#: Sources that are remembered, at most; the latest stay.
+#: Most sources in the cache; the latest are kept.
 _MOST = 4000
 
 
 class ImportStatement(NamedTuple):
-    """One import: ``from LEVEL dots MODULE import NAMES``; without names, ``import MODULE``."""
+    """Import statement: ``from ..module import names`` with ``level`` dots, or ``import module`` without names."""
 
     level: int
     module: str
@@ -38,27 +38,27 @@ _new: set[str] = set()
 
 
 def parsed(file: Path) -> Source:
-    """Return what a Python file imports and the hash of what it executes.
+    """Return the imports of a Python file and the hash of its code.
 
     Raises
     ------
     OSError
         If it cannot be read.
     SyntaxError
-        If it is no Python.
+        If it is not valid Python.
     """
     status = file.stat()
     return _parsed(file, status.st_mtime_ns, status.st_size)
 
 
 def imports_of(file: Path) -> tuple[ImportStatement, ...]:
-    """Return what a Python file imports, as `parsed` does, at a fraction of the time where nothing is remembered."""
+    """Return the imports of a Python file, as `parsed` does, but in a fraction of the time if they are not cached."""
     status = file.stat()
     return _imports_of(file, status.st_mtime_ns, status.st_size)
 
 
 def _key(content: bytes) -> str:
-    """Return under which name a text is remembered: its syntax tree differs between versions of Python."""
+    """Return the cache key of a source: Python's version, on which the syntax tree depends, and the content's hash."""
     return f"{sys.version_info[0]}.{sys.version_info[1]} {hashlib.sha256(content).hexdigest()}"
 
 
@@ -91,7 +91,7 @@ def _imports(tree: ast.AST) -> Iterator[ImportStatement]:
 
 
 def _executed(tree: ast.AST) -> Iterator[ast.AST]:
-    """Yield all statements under a node but those under ``if TYPE_CHECKING:``, which no run comes to."""
+    """Yield a node and all statements below it, except those under ``if TYPE_CHECKING:``, which never run."""
     waiting = [tree]
     while waiting:
         node = waiting.pop()
@@ -104,7 +104,7 @@ def _executed(tree: ast.AST) -> Iterator[ast.AST]:
 
 
 class _WithoutDocstrings(ast.NodeTransformer):
-    """Remove docstrings, so that only what is executed is left of a syntax tree."""
+    """Transformer that removes the docstrings of a syntax tree."""
 
     def _strip(self, node):
         self.generic_visit(node)
@@ -117,7 +117,7 @@ class _WithoutDocstrings(ast.NodeTransformer):
 
 
 def recall(file: Path) -> None:
-    """Read what an earlier process stored; a file that is absent or damaged counts as empty."""
+    """Load the cache that an earlier process stored; a file that is absent or damaged counts as empty."""
     try:
         stored = json.loads(file.read_bytes())
         for key, (imports, code) in stored.items():
@@ -128,7 +128,7 @@ def recall(file: Path) -> None:
 
 
 def store(file: Path) -> None:
-    """Store what was parsed since, beside what others have stored; a file that cannot be written is left as it is."""
+    """Add newly parsed sources to the stored cache; if the file cannot be written, it is left as it is."""
     if not _new:
         return
     recall(file)

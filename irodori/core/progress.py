@@ -19,7 +19,7 @@ def track(items: Iterable, label: str) -> Iterator:
     ----------
     items : iterable
     label : str
-        What is being counted.
+        Name of the items in the report.
     """
     total = len(items) if isinstance(items, Sized) else None
     # Inside a rule the terminal is Snakemake's and may show several jobs at once: progress goes to the rule's log.
@@ -39,12 +39,12 @@ def track(items: Iterable, label: str) -> Iterator:
 
 @contextmanager
 def rule_log(path) -> Iterator[None]:
-    """Send the log and any traceback of a rule's script to its log file; say a plain fault in one sentence.
+    """Send the messages and any traceback of a rule's script to the rule's log file.
 
     Raises
     ------
     SystemExit
-        After a `PlainError`, whose sentence goes to the log and to stderr.
+        After a `PlainError`; its message goes to the log and to stderr, without a traceback.
     """
     with open(str(path), "w", encoding="utf-8") as stream:
         handler = logging.StreamHandler(stream)

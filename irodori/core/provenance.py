@@ -11,22 +11,21 @@ from irodori.core.parsed_sources import imports_of
 
 _ROOT = Path(__file__).resolve().parents[2]
 _DIGITS = 16
-_TEXTS = ("templates", "page")  # folders of a package whose files become part of what it writes
+_TEXTS = ("templates", "page")  # folders of a package with files that become part of its output
 
 
 @functools.cache
 def code_hash(*modules: str, root: Path = _ROOT) -> str:
-    """Return the hash of modules' sources and of everything local that they import, directly or not.
+    """Return one hash over the sources of modules and of all local modules that they import, directly or not.
 
-    The templates, parts of pages and tables of a package that is among them count as its source. Nothing is imported:
-    the sources are parsed.
-    The result is remembered, for the code does not change while a workflow is being planned.
+    The templates, parts of pages and tables of a package among them are included. The sources are parsed, not imported.
+    The result is cached, because the code does not change while a workflow is planned.
 
     Parameters
     ----------
     *modules : str
-        Dotted names, such as ``irodori.fitting``. Local means: in the root, whichever its top package; where packages
-        are installed in the root, only the module's own top package and this one.
+        Dotted names, such as ``irodori.fitting``. Modules in the root are local. If other packages are installed in the
+        root, only the module's own top-level package and this one are local.
     root : path
         Folder of the top packages: the repository, or where this package is installed.
 
@@ -58,12 +57,12 @@ def _beside(package: Path) -> list[Path]:
 
 @functools.lru_cache(maxsize=4096)
 def _content_hash(file: Path, _modified_ns: int, _size: int) -> str:
-    """Return the hash of a file; the stages of a workflow share most of theirs."""
+    """Return the SHA-256 of a file, cached because the stages of a workflow share most of their sources."""
     return hashlib.sha256(file.read_bytes()).hexdigest()
 
 
 def local_sources(module: str, root: Path = _ROOT) -> dict[str, Path]:
-    """Return {dotted name: file} of a module and of its local imports, direct or not.
+    """Return {dotted name: file} of a module and of all local modules that it imports, directly or not.
 
     Raises
     ------
@@ -74,7 +73,7 @@ def local_sources(module: str, root: Path = _ROOT) -> dict[str, Path]:
 
 
 def _closure(module: str, root: Path, imports: Callable[[str, Path, Path], list[str]]) -> dict[str, Path]:
-    """Return `local_sources`, given what finds the imports of (module, file, root)."""
+    """Return `local_sources`, given the function (module, file, root) that returns the imported local modules."""
     if not _exists(module, root):
         top = module.partition(".")[0]
         known = sorted(".".join(file.relative_to(root).with_suffix("").parts) for file in root.glob(f"{top}/**/*.py"))
@@ -100,35 +99,35 @@ def _closure(module: str, root: Path, imports: Callable[[str, Path, Path], list[
 
 
 def modules_of(package: str, root: Path = _ROOT) -> list[str]:
-    """Return the dotted names of all modules of a package, sorted: for what uses it as a whole, as its tests do."""
+    """Return the dotted names of all modules of a package, sorted."""
     files = (file.relative_to(root).with_suffix("") for file in sorted(Path(root, package).rglob("*.py")))
     return [".".join(file.parts).removesuffix(".__init__") for file in files]
 
 
 @functools.cache
 def _holds_installed_packages(root: Path) -> bool:
-    """Whether an installer put packages into a folder: numpy beside this one is not local then."""
+    """Whether a folder contains installed packages, so that a package beside this one, such as numpy, is not local."""
     return next(root.glob("*.dist-info"), None) is not None
 
 
 def _file(module: str, root: Path) -> Path | None:
     base = os.path.join(root, *module.split("."))
-    # Planning asks thousands of times: text is several times as fast as paths.
+    # Planning calls this thousands of times; strings are several times as fast as Path objects.
     return next((Path(file) for file in (f"{base}/__init__.py", f"{base}.py") if os.path.isfile(file)), None)
 
 
 def _exists(module: str, root: Path) -> bool:
-    """Whether there is such a module or package; a package may do without __init__."""
+    """Whether there is such a module or package; a package need not have an ``__init__``."""
     return _file(module, root) is not None or (bool(module) and os.path.isdir(os.path.join(root, *module.split("."))))
 
 
 def imported_modules(file: Path, root: Path) -> list[str]:
-    """Return the modules in the root that a file outside of it imports, itself and not through others."""
+    """Return the modules in the root that a file outside of it imports directly."""
     return _imports(file.stem, file, root)
 
 
 def _imports(name: str, file: Path, root: Path) -> list[str]:
-    """Return the local modules that a file imports, wherever in the file; not those for type checkers alone."""
+    """Return the local modules that a file imports at any place, except under ``if TYPE_CHECKING:``."""
     package = name if file.name == "__init__.py" else name.rpartition(".")[0]
     wanted = []
     for level, module, names in imports_of(file):
@@ -142,7 +141,7 @@ def _imports(name: str, file: Path, root: Path) -> list[str]:
     return [module for module in wanted if _exists(module, root)]
 
 
-#: Stages share most of what they import; `code_hash` may take it that nothing changes in between.
+#: Cached, because stages share most imports; `code_hash` may assume that no source changes in between.
 _unchanged_imports = functools.cache(_imports)
 
 
@@ -154,7 +153,7 @@ def config_hash(obj) -> str:
     Raises
     ------
     TypeError
-        If a value has no place in JSON.
+        If a value cannot be represented in JSON.
     ValueError
         If a number is not finite.
     """

@@ -1,4 +1,4 @@
-"""Common frame of every rule's script: log, threads and provenance."""
+"""Context manager that every rule's script runs in: log, threads and provenance."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,7 +15,7 @@ _NOT_SETTINGS = ("code", "user_files", "altered")
 
 
 def _inputs(snakemake) -> dict[str, str]:
-    """Return path -> hash of the files that a job reads; every one that is not the user's must have its record."""
+    """Return {path: hash} of a job's input files; every input except the user's own files must have a record."""
     own = {str(path) for path in snakemake.input.get("user_files", ())}
     known: dict[str, Record | None] = {}
     paths = [str(path) for path in snakemake.input]
@@ -28,12 +28,12 @@ def run_rule(snakemake) -> Iterator[Provenance]:
 
     Parameters
     ----------
-    snakemake : the object that Snakemake gives to a script
+    snakemake : the object that Snakemake passes to a script
 
     Raises
     ------
     SystemExit
-        After a plain fault, such as an input that is not what its rule wrote.
+        After a `PlainError`, for example because an input has changed since its rule wrote it.
     """
     with rule_log(snakemake.log[0]):
         use_threads(snakemake.threads)

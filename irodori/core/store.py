@@ -1,13 +1,13 @@
 """HDF5 files with atomic writes, units and provenance; the only module that opens HDF5.
 
-A file is written under a temporary name in the same folder and renamed when complete, so that a file that exists is
-whole. Its head holds the hash of its content, its name and the hashes of what it was made from, and a file whose
-content is another is not opened (`irodori.core.custody`). Root attributes: ``schema_version``, ``rule``,
-``config_hash``, ``code_hash``, ``created_by``; every dataset has ``units``, ``dims`` and ``quantity`` [design, §6].
+A file is written under a temporary name in the same folder and renamed when complete, so that every existing file is
+complete. Its head holds the hash of its content, its path and the hashes of its inputs; a file that does not match its
+hash is not opened (`irodori.core.custody`). Root attributes: ``schema_version``, ``rule``, ``config_hash``,
+``code_hash``, ``created_by``; every dataset has ``units``, ``dims`` and ``quantity`` (see docs/files.md).
 
 Axes are named: an axis has one length in a file, and every axis has an HDF5 dimension scale in the file's root, so that
-h5py, netCDF readers and xarray know it. A scale with values is a coordinate (`Writer.coordinate`); one without is
-what netCDF calls a dimension without a variable, and holds its length alone.
+h5py, netCDF readers and xarray recognise it. A scale with values is a coordinate (`Writer.coordinate`); one without is
+what netCDF calls a dimension without a variable, and holds only the axis's length.
 """
 
 import hashlib
@@ -34,10 +34,10 @@ from irodori.core.units import VOCABULARY, require_unit
 #: enumerations, units are UCUM's, blurred light is of half precision, nothing needs a plugin of HDF5.
 SCHEMA_VERSION = 3
 _CHUNK_BYTES = 1 << 20
-#: Chunks held open while a dataset is written in pieces, so that one that two pieces share is packed once.
+#: Cache while a dataset is written in pieces, bytes: a chunk that two pieces share is then packed only once.
 _CACHE_BYTES = 16 << 20
-#: HDF5 1.10 and later: every structure of a file, and with it what is small, carries a checksum, so that a flipped bit
-#: is found on reading. Chunks have their own (Fletcher's), which costs less than packing them.
+#: HDF5 1.10 and later: all structures of a file, and the small datasets inside them, have a checksum, so that a flipped
+#: bit is found on reading. Chunks have their own (Fletcher's), which costs less than packing them.
 _FORMAT = "v110"
 #: Elements up to which a dataset is stored inside its header.
 _COMPACT = 64
@@ -50,29 +50,29 @@ _COMPRESSIONS: dict[str, dict] = {
     "fast": {"compression": "lzf", "shuffle": True},
     "none": {},
 }
-#: What a file that holds LZF says to programs that cannot read it.
+#: Attribute of a file with LZF data, for users of programs that cannot read them.
 _LZF_NOTE = (
     "Datasets with the filter 32000 are packed by LZF, which every h5py reads; another program needs LZF from the HDF "
     "Group's package hdf5_plugins, or a copy of the file made with h5repack from there."
 )
 #: Plugins by which files of schema versions 1 and 2 were packed.
 _PLUGINS = {32001: "Blosc", 32026: "Blosc2"}
-#: The most that a chunk unfolds to, as a factor, of these plugins: Blosc2 keeps a megabyte of one value in 32 bytes.
+#: Largest ratio of unpacked to packed size of a chunk with these plugins: Blosc2 packs a megabyte of one value in 32 B.
 _MOST_UNFOLDED = 1 << 16
 #: The name that netCDF gives to a dimension scale that is no variable; the length follows.
 _NO_VARIABLE = "This is a netCDF dimension but not a netCDF variable."
 _SPECTRAL = "wavelength"
-#: Attributes of a dataset that are not HDF5's own.
+#: Descriptive attributes of a dataset, which are not HDF5's own.
 _FOR_PEOPLE = ("units", "quantity", "flag_values", "flag_meanings", "decoding")
 _JSON = "json:"  # marks an attribute that holds a list or a dictionary
 
 
-#: A unit's code, or the enumeration that numbers are codes of.
+#: A unit code, or the enumeration of a dataset of status codes.
 Units = str | type[IntEnum]
 
 
 class Mask(IntEnum):
-    """Values of a mask; the quantity of a dataset says which question they answer."""
+    """Values of a yes-or-no mask; the dataset's attribute ``quantity`` states the question."""
 
     NO = 0
     YES = 1
@@ -88,7 +88,7 @@ class Provenance:
     config_hash, code_hash : str
         Hashes of the parameters and of the code that made the file.
     inputs : dict
-        Path -> hash of each file read; a script may add what is known only while it runs.
+        {path: hash} of the files read; a script may add files that it finds only while it runs.
     """
 
     rule: str
@@ -120,11 +120,11 @@ class Writer:
             Path inside the file, snake_case.
         values : array_like
         units : str or IntEnum
-            Code of UCUM, ``1`` for a pure number; of numbers that are codes the enumeration that they are of.
+            Unit code of UCUM, ``1`` for a pure number; for a dataset of status codes, their enumeration.
         dims : str
             Names of the axes, separated by commas; empty for a scalar.
         quantity : str
-            What the numbers are.
+            Description of the stored quantity.
         compression : str
             ``small`` (gzip), ``fast`` (LZF) or ``none``.
 
@@ -151,7 +151,7 @@ class Writer:
         quantity: str,
         compression: str = "small",
     ) -> h5py.Dataset:
-        """Return a new dataset, to be written in pieces of its first axis; as `write` otherwise."""
+        """Create a dataset and return it, to be filled in pieces along its first axis; parameters as in `write`."""
         if compression not in _COMPRESSIONS:
             raise ValueError(f"unknown compression {compression!r}; accepted: {', '.join(_COMPRESSIONS)}")
         self._note_axes(name, axes := [axis for axis in dims.split(",") if axis], shape)
@@ -172,7 +172,7 @@ class Writer:
         return dataset
 
     def coordinate(self, axis: str, values, *, units: str, quantity: str) -> None:
-        """Write what stands along an axis, numbers or ASCII text; once where several writers of a file do."""
+        """Write the coordinate values of an axis, numbers or ASCII text; a second call for an axis does nothing."""
         if axis in self._coordinates:
             return
         values = np.asarray(values)
@@ -181,7 +181,7 @@ class Writer:
         self.write(axis, values, units=units, dims=axis, quantity=quantity)
 
     def _note_axes(self, name: str, axes: list[str], shape: tuple) -> None:
-        """Refuse axes without a name, twice in a dataset, or with two lengths in the file."""
+        """Refuse axes that have no name, occur twice in a dataset, or have two lengths in the file."""
         if len(axes) != len(shape) or len(set(axes)) != len(axes):
             raise ValueError(f"{name}: {len(shape)} axes but dims {','.join(axes)!r}; accepted: one name for each")
         for axis, length in zip(axes, shape, strict=True):
@@ -189,12 +189,12 @@ class Writer:
                 raise ValueError(f"{name}: {length} along {axis}; accepted: {self._lengths[axis]}, as elsewhere")
 
     def attach_scales(self) -> None:
-        """Give every axis its dimension scale; called once, when all is written.
+        """Attach a dimension scale to every axis; to be called once, after all datasets are written.
 
         Raises
         ------
         ValueError
-            If an axis is named as a dataset is that does not stand along it, or a spectral one has no wavelengths.
+            If an axis has the name of a dataset that is not its coordinate, or the axis ``wavelength`` no coordinate.
         """
         if _SPECTRAL in self._lengths and _SPECTRAL not in self._coordinates:
             raise ValueError(f"an axis {_SPECTRAL} without its values; accepted: one with a coordinate")
@@ -218,7 +218,7 @@ class Writer:
 
 
 def _set_attribute(file: h5py.File, name: str, value) -> None:
-    """Write an attribute; text in a field of its own length, for HDF5 keeps text of any length without a checksum."""
+    """Write an attribute; text has a fixed length, because HDF5 stores variable-length text without a checksum."""
     if isinstance(value, str) and value and "\0" not in value:
         content = value.encode()
         file.attrs.create(name, content, dtype=h5py.string_dtype("utf-8", len(content)))
@@ -227,7 +227,7 @@ def _set_attribute(file: h5py.File, name: str, value) -> None:
 
 
 def _layout(shape: tuple[int, ...], dtype: np.dtype, compression: str) -> dict:
-    """Return how h5py shall lay a dataset out."""
+    """Return h5py's keyword arguments for the storage layout of a dataset."""
     size = np.prod(shape, dtype=np.int64)
     if size and size <= _COMPACT and dtype.kind in "fiub":
         properties = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
@@ -239,7 +239,7 @@ def _layout(shape: tuple[int, ...], dtype: np.dtype, compression: str) -> dict:
 
 
 def _chunk_shape(shape: tuple[int, ...], itemsize: int) -> tuple[int, ...]:
-    """Return chunks of whole trailing axes and about 1 MB, so that rows of a picture are read in one piece."""
+    """Return the shape of chunks of about 1 MB with whole trailing axes, so that rows of a picture are read at once."""
     chunk = list(shape)
     for axis in range(len(shape)):
         row = int(np.prod(chunk[axis + 1 :], dtype=np.int64)) * itemsize
@@ -251,7 +251,7 @@ def _chunk_shape(shape: tuple[int, ...], itemsize: int) -> tuple[int, ...]:
 
 @contextmanager
 def create(path, provenance: Provenance) -> Iterator[Writer]:
-    """Open a new file for writing; it takes its name only if the block ends without an exception.
+    """Open a new HDF5 file for writing; it gets its final name only if the block ends without an exception.
 
     Raises
     ------
@@ -278,7 +278,7 @@ def create(path, provenance: Provenance) -> Iterator[Writer]:
 
 @contextmanager
 def _whole(path, name: str = "") -> Iterator[None]:
-    """Say of what HDF5 or JSON cannot make sense of that it is damaged; both have errors of many kinds for it."""
+    """Turn the many kinds of errors that HDF5 and JSON raise for damaged data into an `InputError`."""
     try:
         yield
     except InputError:
@@ -289,7 +289,7 @@ def _whole(path, name: str = "") -> Iterator[None]:
 
 
 class Layout(NamedTuple):
-    """Description of a dataset in a file without its numbers: shape, type and attributes for people."""
+    """Shape, type and descriptive attributes of a dataset."""
 
     shape: tuple[int, ...]
     dtype: np.dtype
@@ -314,8 +314,8 @@ class Reader:
         Raises
         ------
         InputError
-            If the file has no such dataset, its description is damaged, or it is the first of a file that was opened
-            unread and has another content than its hash stands for.
+            If the file has no such dataset, its header is damaged, or the file was opened by `open_unread` and its
+            content does not match its hash.
         """
         if not self._is_verified:
             custody.verified(self.path)
@@ -324,7 +324,7 @@ class Reader:
 
     def _described(self, name: str) -> h5py.Dataset:
         with _whole(self.path, name):
-            # Not get(), which takes a damaged description for an absence.
+            # Not get(), which treats a damaged header as a missing dataset.
             found = None
             if name in self._file:
                 found = self._file[name]
@@ -341,13 +341,11 @@ class Reader:
         Raises
         ------
         InputError
-            If the file has no such dataset, or its description is damaged.
+            If the file has no such dataset, or its header is damaged.
         """
         found = self._described(name)
         with _whole(self.path, name):
-            kept = (
-                key for key in ("units", "quantity", "flag_values", "flag_meanings", "decoding") if key in found.attrs
-            )
+            kept = (key for key in _FOR_PEOPLE if key in found.attrs)
             return Layout(found.shape, np.dtype(found.dtype.str), {key: found.attrs[key] for key in kept})
 
     def maps(self) -> list[str]:
@@ -362,7 +360,7 @@ class Reader:
             return sorted(self._file.attrs)
 
     def _check_held(self, name: str, dataset: h5py.Dataset) -> None:
-        """Refuse a dataset that stands in another file, or declares more than its part of this one can unfold to."""
+        """Refuse a dataset that is stored in another file, needs a missing filter, or declares too many bytes."""
         if dataset.file.filename != self._file.filename or dataset.external or dataset.is_virtual:
             raise InputError(self.path, name, "a dataset that stands in another file", "one that this file holds")
         filters = dataset.id.get_create_plist()
@@ -393,14 +391,14 @@ class Reader:
         return values
 
     def require_axes(self, axes: dict[str, str], **lengths: int) -> None:
-        """Refuse datasets that do not fit together: numbers, with axes that have one length wherever they occur.
+        """Raise an error unless datasets hold numbers and have the given axes, each with one length in all of them.
 
         Parameters
         ----------
         axes : dict
-            Dataset -> names of its axes, separated by commas.
+            {dataset: names of its axes, separated by commas}.
         **lengths : int
-            Of axes whose length is known.
+            Required lengths of axes, by name.
 
         Raises
         ------
@@ -430,7 +428,7 @@ class Reader:
         dataset = self.dataset(name)
         with _whole(self.path, name):
             values = dataset[part]
-        # Numbers, whether or not the file has words for them.
+        # Plain integers, also if the file declares an enumeration for them.
         return values.view(values.dtype.str) if values.dtype.metadata else values
 
     def has_attribute(self, name: str) -> bool:
@@ -444,7 +442,7 @@ class Reader:
         Raises
         ------
         InputError
-            If the file has no such attribute, it is damaged, or it is not of the `kind` that is asked for.
+            If the file has no such attribute, it is damaged, or it is not of the type `kind`.
         """
         with _whole(self.path, name):
             if name not in self._file.attrs:
@@ -469,7 +467,7 @@ class Reader:
 
 
 def _is_variable(item) -> bool:
-    """Whether something in a file is a dataset that holds values."""
+    """Whether an HDF5 object is a dataset with values, rather than a group or a scale without values."""
     if not isinstance(item, h5py.Dataset):
         return False
     named = item.attrs.get("NAME", b"")
@@ -478,12 +476,12 @@ def _is_variable(item) -> bool:
 
 @contextmanager
 def open_unread(path) -> Iterator[Reader]:
-    """Open a file of this project, whose content is compared with its hash when the first of its numbers is read.
+    """Open a file of this project; its content is compared with its hash when a dataset is first read.
 
     Raises
     ------
     InputError
-        As `open_file`, but for another content than its hash stands for.
+        As for `open_file`, except for content that does not match its hash.
     """
     with _opened(path) as file:
         yield Reader(Path(path), file, is_verified=False)
@@ -496,8 +494,8 @@ def open_file(path) -> Iterator[Reader]:
     Raises
     ------
     InputError
-        If the file is missing, truncated, not HDF5, not ours, of a newer schema version, or has no hash of its content
-        or another content than its hash stands for.
+        If the file is missing, truncated, not HDF5, of another program or of a newer schema version, has no hash of its
+        content, or does not match it.
     """
     with _opened(path) as file:
         custody.verified(path)
@@ -506,7 +504,7 @@ def open_file(path) -> Iterator[Reader]:
 
 @contextmanager
 def _opened(path) -> Iterator[h5py.File]:
-    """Open an HDF5 file that says that it is of this project, of this version or an older one."""
+    """Open an HDF5 file after a check that it is of this project and of the present or an older schema version."""
     path = Path(path)
     if not path.is_file():
         raise InputError(path, "", "no such file", "an HDF5 file written by an earlier stage")
@@ -527,14 +525,14 @@ def _opened(path) -> Iterator[h5py.File]:
 
 
 def write_maps(writer: Writer, maps: dict, dims: str) -> None:
-    """Write several datasets of one shape family.
+    """Write several datasets with common axes.
 
     Parameters
     ----------
     maps : dict
-        name -> (values, units, quantity).
+        {name: (values, units, quantity)}.
     dims : str
-        Axes shared by all.
+        Names of the axes, separated by commas; a dataset with fewer dimensions has the first of them.
     """
     for name, (values, units, quantity) in maps.items():
         write_dims = ",".join(dims.split(",")[: np.ndim(values)])

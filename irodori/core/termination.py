@@ -1,4 +1,4 @@
-"""Turn SIGTERM and SIGHUP into exceptions, so that a rig is left at rest."""
+"""Conversion of the signals SIGTERM and SIGHUP to exceptions, so that a rig is stopped before the process ends."""
 
 import signal
 import threading
@@ -8,13 +8,15 @@ from contextlib import contextmanager
 
 @contextmanager
 def ending_in_order() -> Iterator[None]:
-    """End as Ctrl-C does, the rig stopped, where a batch system ends the process or a terminal is closed.
+    """Raise an exception in the block on SIGTERM and SIGHUP, so that the rig is stopped as after Ctrl-C.
+
+    A batch system sends SIGTERM to end a job; the system sends SIGHUP when a terminal is closed.
 
     Raises
     ------
     SystemExit
-        With 128 and the signal's number, on SIGTERM and SIGHUP; a signal that somebody else handles, or that is ignored
-        (``nohup``), stays as it is.
+        With the status 128 plus the signal's number. A signal that already has a handler, or is ignored (``nohup``), is
+        left as it is.
     """
 
     def end(number: int, frame) -> None:

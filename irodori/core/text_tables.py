@@ -1,9 +1,9 @@
-"""Tables of text as spreadsheets save them.
+"""Reader of text tables (CSV) as spreadsheets save them.
 
-Cells are separated by commas, semicolons or tabs, whichever the header has. Where they are not separated by commas a
-number may be written with a decimal comma, if the whole file does so. UTF-8, with or without a byte-order mark, or
-UTF-16 with one (Excel's "Unicode text"); any line ends. Empty columns behind the last name are left out. Read without
-numpy, so that the Snakefile can.
+Cells are separated by commas, semicolons or tabs, whichever the header has. If they are not separated by commas,
+numbers may have a decimal comma, throughout the file. The encoding is UTF-8, with or without a byte-order mark, or
+UTF-16 with one (Excel's "Unicode text"); line endings are of any kind. Empty columns to the right of the last name are
+removed. The module does not import numpy, so that the Snakefile can use it.
 """
 
 import codecs
@@ -14,13 +14,13 @@ from pathlib import Path
 
 from irodori.core.errors import InputError
 
-#: Two million numbers, or a hundred thousand photographs; read, they take a gigabyte.
+#: Enough for two million numbers or a hundred thousand photographs, which take a gigabyte of memory.
 MOST_BYTES = 16 << 20
 
 _COMMA_NUMBER = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
 _POINT_NUMBER = re.compile(r"[+-]?(\d+\.\d*|\.\d+)([eE][+-]?\d+)?")
 _SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs"}
-#: Two characters in a row of hiragana, katakana or Chinese: one alone may be an accented letter and the one behind it.
+#: Two adjacent characters of hiragana, katakana or Chinese: bytes of an accented letter and the next can look like one.
 _JAPANESE = re.compile(r"[\u3040-\u30ff\u3400-\u9fff]{2}")
 
 
@@ -32,13 +32,13 @@ def read_text(path, wanted: str) -> str:
     path : path
         In UTF-8, or in UTF-16 with a byte-order mark.
     wanted : str
-        What the file should be, for the message.
+        Description of the expected file, for the message.
 
     Raises
     ------
     InputError
-        For a file that is absent, unreadable, larger than MOST_BYTES or in another encoding, which is named where its
-        bytes tell.
+        For a file that is absent, unreadable, larger than MOST_BYTES or in another encoding; the message names the
+        likely encoding.
     """
     try:
         with Path(path).open("rb") as file:
@@ -60,23 +60,24 @@ def read_text(path, wanted: str) -> str:
 
 
 def table_rows(path, wanted: str) -> list[tuple[int, list[str]]]:
-    """Return the rows of a table that hold something, the header first, numbers written with a decimal point.
+    """Return the rows of a table that are not empty, the header first, with decimal commas replaced by points.
 
     Parameters
     ----------
     path : path
     wanted : str
-        What the file should be, for the messages.
+        Description of the expected file, for the messages.
 
     Returns
     -------
     list of (line number, cells)
-        Cells as the file writes them, but for decimal commas; none for a file without text.
+        Cells as in the file, except for decimal commas; an empty list for a file without text.
 
     Raises
     ------
     InputError
-        For a file that `read_text` refuses or that is no table, and for decimal points beside decimal commas.
+        For a file that `read_text` refuses or that is not a valid CSV table, and for decimal points beside decimal
+        commas.
     """
     text = read_text(path, wanted)
     header = next((line for line in text.splitlines() if line.strip()), "")
@@ -95,7 +96,7 @@ def table_rows(path, wanted: str) -> list[tuple[int, list[str]]]:
 
 
 def with_decimal_points(rows: list[tuple[int, list[str]]], path) -> list[tuple[int, list[str]]]:
-    """Return rows whose decimal commas, where the file writes them, are points.
+    """Return rows of cells with decimal commas replaced by points.
 
     Raises
     ------
@@ -115,7 +116,7 @@ def with_decimal_points(rows: list[tuple[int, list[str]]], path) -> list[tuple[i
 
 
 def _without_empty_columns(rows: list[tuple[int, list[str]]]) -> list[tuple[int, list[str]]]:
-    """Cut the empty cells behind the header's last name; a cell that holds something there stays, to be refused."""
+    """Remove empty cells to the right of the header's last name; a filled one is kept, for the caller to refuse."""
     if not rows:
         return rows
     names = max(column for column, cell in enumerate(rows[0][1], 1) if cell.strip())
@@ -127,7 +128,7 @@ def _without_empty_columns(rows: list[tuple[int, list[str]]]) -> list[tuple[int,
 
 
 def _encoding(content: bytes) -> str:
-    """Name the likely encoding of bytes that are no UTF-8."""
+    """Return a phrase for the likely encoding of bytes that are not UTF-8."""
     if b"\0" in content[:1000]:
         return "bytes that are no text"
     if _JAPANESE.search(content.decode("cp932", errors="ignore")):

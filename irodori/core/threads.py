@@ -14,7 +14,7 @@ def use_threads(threads: int) -> None:
 
         most = numba.config.NUMBA_NUM_THREADS  # set when numba is loaded
         numba.set_num_threads(min(threads, most))
-    else:  # importing it takes longer than all that a job without kernels does
+    else:  # importing numba takes longer than a whole job without kernels
         os.environ["NUMBA_NUM_THREADS"] = str(min(threads, int(os.environ.get("NUMBA_NUM_THREADS", threads))))
     threadpool_limits(limits=threads)
     os.environ["IRODORI_BUILD_THREADS"] = str(threads)

@@ -1,12 +1,12 @@
 """Codes of units of measure: the part of UCUM, the Unified Code for Units of Measure, that files of this project use.
 
-What is counted and has no unit of its own, such as pixels, stands in braces, which UCUM leaves to the writer:
+Things that are counted, such as pixels, have no unit in UCUM. They are written in braces, as UCUM allows for any text:
 ``{superpixel}``, ``1/{DN}``.
 """
 
 import re
 
-#: What the codes are, for the head of every file.
+#: Name of the vocabulary of unit codes, stored in every file.
 VOCABULARY = "UCUM 2.1, https://ucum.org"
 _PREFIXED = ("m", "s", "g", "rad", "sr", "Hz", "V", "K", "Cel", "lx", "lm", "cd", "W", "J")
 _ALONE = ("deg", "min", "h", "d", "%")
@@ -18,17 +18,17 @@ _CODE = re.compile(rf"/?{_ONE}(?:[./]{_ONE})*")
 
 
 def require_unit(code: str) -> None:
-    """Refuse what is no code of a unit.
+    """Raise an error for text that is not a unit code.
 
     Parameters
     ----------
     code : str
-        Such as ``nm``, ``1/s``, ``W/m2/sr``, ``{px}``; ``1`` for a pure number.
+        Unit code such as ``nm``, ``1/s``, ``W/m2/sr``, ``{px}``; ``1`` for a pure number.
 
     Raises
     ------
     ValueError
-        Naming the vocabulary.
+        If it is not a unit code; the message names the vocabulary.
     """
     if not _CODE.fullmatch(code):
         raise ValueError(f"the unit {code!r}; accepted: a code of {VOCABULARY}, such as 1, nm, deg, 1/s, {{px}}")

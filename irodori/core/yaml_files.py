@@ -1,18 +1,18 @@
-"""Reading of YAML, the one place where it is done: what would unfold without end is refused before it does."""
+"""Reader of all YAML files, which refuses a file with aliases that would expand to too many values."""
 
 import yaml
 
 from irodori.core.errors import InputError
 
 _MOST_BYTES = 1 << 18
-#: Values of a file, its aliases and merge keys unfolded; no written one comes near, and more would be read for seconds.
+#: Most values of a file, with its aliases and merge keys expanded. No real file comes near; more would take seconds.
 _MOST_VALUES = 25_000
-#: Aliases and merge keys of a file, as it is written.
+#: Most aliases and merge keys of a file.
 _MOST_ALIASES = 1_000
 _DEEPEST = 64
-#: Letters of a number or a date: 1:30:00 is one to the base of 60, and a long one takes quadratic time.
+#: Most characters of a number or a date. YAML reads 1:30:00 as a number in base 60; a long one takes quadratic time.
 _LONGEST_NUMBER = 64
-#: The key that makes Snakemake take a configuration for a template of yte, with Python in it.
+#: Key that makes Snakemake read a configuration as a template of yte, which may contain Python.
 _TEMPLATE = "__use_yte__"
 _MERGE, _TEXT = "tag:yaml.org,2002:merge", "tag:yaml.org,2002:str"
 _ENDLESS = "blocks that unfold without end"
@@ -21,9 +21,9 @@ _ENDLESS = "blocks that unfold without end"
 class _BoundedLoader(
     yaml.composer.Composer, yaml.cyaml.CParser, yaml.constructor.SafeConstructor, yaml.resolver.Resolver
 ):
-    """A safe loader that refuses a key given twice, where YAML would let the last one win, and what would unfold.
+    """YAML loader that refuses duplicate keys, of which YAML keeps the last, and documents that are too large.
 
-    Text is taken apart by libyaml, which takes a fifth of the time; nodes are composed here, where they are counted.
+    The text is parsed by libyaml, which takes a fifth of the time. Nodes are composed in Python and counted there.
     """
 
     def __init__(self, stream) -> None:
@@ -75,9 +75,9 @@ class _BoundedLoader(
 
 
 def _refuse_endless(root: yaml.Node) -> None:
-    """Refuse a document whose aliases, each read in its place, make too many values; each node is looked at once.
+    """Refuse a document that has too many values once its aliases are expanded. Each node is visited once.
 
-    A merge key is an alias that copies keys, so that the same sum bounds it.
+    A merge key copies the keys of an alias, so that the same count bounds it.
     """
     values: dict[int, int] = {}
     open_nodes: set[int] = set()
@@ -102,24 +102,24 @@ def _refuse_endless(root: yaml.Node) -> None:
 
 
 def read_own_yaml(path) -> dict:
-    """Read a YAML file of the package itself, some ten times faster than `read_yaml`, which guards against others'."""
+    """Read a YAML file of the package itself, about ten times as fast as `read_yaml`, which checks users' files."""
     with open(path, "rb") as file:
         return yaml.load(file, Loader=yaml.CSafeLoader)
 
 
 def read_yaml(path) -> dict:
-    """Read one YAML file that holds a block of keys.
+    """Read a YAML file with a mapping at its top level.
 
     Parameters
     ----------
     path : path
-        Up to 256 KiB, 64 blocks deep, 1000 aliases and merge keys, and 25,000 values once these have unfolded.
+        File of at most 256 KiB, 64 nested blocks, 1000 aliases and merge keys, and 25,000 values after their expansion.
 
     Raises
     ------
     InputError
-        If the file is missing, larger than that, is not YAML (with the line), gives a key twice, is a template that
-        runs code, or holds something else.
+        If the file is missing, exceeds these limits, is not YAML (the message names the line), has a key twice, is a
+        template that would run code, or has no mapping at its top level.
     """
     try:
         with open(path, "rb") as file:

@@ -10,7 +10,7 @@ _READINGS = 5
 
 
 def storage_sentence(file: store.Reader, name: str) -> str:
-    """Return a sentence on the size of a dataset of coefficients and the speed at which it is read and decoded."""
+    """Return a sentence with the size on disk of a dataset of coefficients and its speed of reading and decoding."""
     dataset = file.dataset(name)
     seconds = []
     for _ in range(_READINGS):

@@ -1,10 +1,11 @@
-"""Error budget of a view: the contribution of each stage to the final pixel.
+"""Error budget of a view: the contribution of each stage to the colour error of the final picture.
 
-The virtual rig knows the truth, so a stage's contribution is measured by substitution: everything is true but what that
-stage made, and the picture is compared with the one of true materials under true light. Beside it stands what was
-expected without knowing the truth: how far the picture of the measured materials under the measured light moves by what
-the stages know of their errors, see `irodori.evaluation.error_prediction` and its neighbours. Compression alone states
-its error of what is compressed here, which is the truth.
+On the virtual rig the truth is known, so the contribution of a stage is measured by substitution: the result of this
+stage replaces the true data, everything else stays true, and the picture is compared with the picture of the true
+materials under the true light. Each measured contribution is compared with a prediction made without the truth: how far
+the picture of the measured materials under the measured light changes when they are varied within the error estimates
+of the stages (`irodori.evaluation.error_prediction`). For compression, the prediction is the error that the compression
+states for the true data, because the true data are compressed here.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -32,27 +33,28 @@ from irodori.rendering.integrators import render_image, with_planned_samples
 from irodori.rendering.planning.scene_plan import read_plan
 from irodori.rendering.scene_white import scene_white
 
-_WIDTH_PX = 96  # of the pictures that are compared
-_SAMPLES = 64  # of their pixels, by the same paths in all
-_LONG_SHARE, _LONG_SAMPLES = 2, 512  # of the picture that another integrator is compared with: smaller, and its paths
+_WIDTH_PX = 96  # width of the pictures that are compared
+_SAMPLES = 64  # paths per pixel, with the same random numbers in all pictures
+# Another integrator is compared with a path-traced picture that is smaller by this factor and has more paths per pixel.
+_LONG_SHARE, _LONG_SAMPLES = 2, 512
 _SEAM_TEXELS = 2  # on either side, see `irodori.evaluation.truth_errors.interior`
 _LIGHT = "D65"
 _SEED = 8
-_HOLES, _LIGHTS = 2, 3  # draws of what is predicted from few independent ones
+_HOLES, _LIGHTS = 2, 3  # random draws over which the predictions for coverage and for light are averaged
 
 
 @dataclass(frozen=True)
 class Measured:
-    """An object as the chain measured it, beside its truth over the same texture."""
+    """The measured data of an object, and its true material over the same texture."""
 
     known: Known
     truth: Material
 
 
 def away_from_edges(measured: Measured) -> np.ndarray:
-    """Return the texels away from seams of two paints and from the edge of the object, (height, width) bool.
+    """Return the texels away from seams between paints and from the edge of the object, (height, width) bool.
 
-    At the edge of a flat object a photograph shows a mixture too, with what lies beside it.
+    At the edge of a flat object, too, a photograph mixes the object with its surroundings.
     """
     inside = interior(measured.truth)
     if measured.known.spread.border == "black":
@@ -62,18 +64,28 @@ def away_from_edges(measured: Measured) -> np.ndarray:
 
 
 def _paint_means(values: np.ndarray, paint: np.ndarray, chosen: np.ndarray) -> np.ndarray:
-    """Return at every texel the mean of some values over the chosen texels of its paint, NaN where none is chosen."""
+    """Return, for every texel, the mean of the values over the chosen texels of its paint; NaN if none is chosen.
+
+    Parameters
+    ----------
+    values : (height, width, k) float
+    paint : (height, width) int
+        Index of the paint.
+    chosen : (height, width) bool
+    """
     count = np.bincount(paint[chosen], minlength=paint.max() + 1)
     sums = np.stack([np.bincount(paint[chosen], v, minlength=count.size) for v in values[chosen].T], axis=-1)
     return np.divide(sums, count[:, None], out=np.full_like(sums, np.nan), where=count[:, None] > 0)[paint]
 
 
 def substitutes(measured: Measured) -> dict[str, Material]:
-    """Return the material with one part as it was measured and the rest true, by the stage that made the part.
+    """Return, for each stage, a material with the part from this stage as measured and all other parts true.
 
-    A paint's texels away from seams and edges tell calibration from noise: their mean colour is off by what calibration
-    and fit do to all of the paint, what is left scatters. What texels at seams and edges, and those that no capture
-    determined, are off beyond that is the part of rectification and of coverage. The four sum to what was measured.
+    The texels of a paint away from seams and edges separate calibration from noise: the error of their mean colour is
+    attributed to calibration and fit (``calibration``), their scatter about the mean to noise (``noise``). The further
+    error of texels at seams and edges is attributed to rectification (``seams``), and that of texels without data to
+    coverage (``unseen``). These four errors of the colour sum to the error of the measured colour. ``gloss`` has the
+    measured gloss, and ``all`` is the measured material.
     """
     truth, known = measured.truth, measured.known
     estimate = known.estimate()
@@ -81,7 +93,7 @@ def substitutes(measured: Measured) -> dict[str, Material]:
     paint, observed = truth.coefficients.argmax(axis=-1), known.material.observed
     inside = away_from_edges(measured) & observed
     means = _paint_means(own, paint, inside)
-    # Of a paint without such a texel nothing tells calibration from the rest.
+    # A paint without such a texel has no mean: its whole error is attributed to the stages other than calibration.
     known_paint = np.isfinite(means).all(axis=-1, keepdims=True)
     means = np.where(known_paint, means, 0.0)
 
@@ -108,7 +120,7 @@ def substitutes(measured: Measured) -> dict[str, Material]:
 
 
 def _compressed(coefficients: np.ndarray, basis: np.ndarray, seen_by: dict, options: CompressOptions):
-    """Return coefficients and basis after compression, and the mean colour error that it states."""
+    """Return coefficients and basis after compression, and the mean colour error that the compression states."""
     made = analyse(coefficients, basis, seen_by, options)
     rows = made.decode(made.encode(coefficients.reshape(-1, coefficients.shape[-1])))
     stated = max(errors["mean"] for errors in made.errors.values())
@@ -116,7 +128,7 @@ def _compressed(coefficients: np.ndarray, basis: np.ndarray, seen_by: dict, opti
 
 
 def compressed_material(truth: Material, options: CompressOptions) -> tuple[Material, float]:
-    """Return the true material after compression, and the mean CIEDE2000 that it states."""
+    """Return the true material after compression, and the mean CIEDE2000 that the compression states."""
     matrix = xyz_from_reflectance(_LIGHT)
     own, basis = colours(truth)
     *kept, stated = _compressed(own.astype(np.float32), basis, {_LIGHT: (matrix, matrix.sum(axis=1))}, options)
@@ -124,9 +136,9 @@ def compressed_material(truth: Material, options: CompressOptions) -> tuple[Mate
 
 
 def compressed_light(truth: Environment, options: CompressOptions) -> tuple[Environment, float]:
-    """Return the true light after compression, and the mean CIEDE2000 that it states."""
+    """Return the true light after compression, and the mean CIEDE2000 that the compression states."""
     *kept, stated = _compressed(truth.coefficients, truth.basis, observers(truth.upward_white()), options)
-    # The map is linear in the light: its coefficients go where those of the picture go.
+    # The irradiance map is linear in the light: its coefficients change basis as those of the panorama do.
     irradiance = truth.irradiance @ (np.linalg.pinv(kept[1]) @ truth.basis).T
     return Environment(kept[0], kept[1], irradiance.astype(np.float32)), stated
 
@@ -141,7 +153,7 @@ class BudgetOptions(NamedTuple):
 
 
 class _Pictures:
-    """Small pictures of one view from whatever materials and light."""
+    """Small pictures of one view, rendered with any given materials and light."""
 
     def __init__(self, scene: Scene, view: str, shapes: list[Shape], options: Render) -> None:
         self.scene, self.by_paths = scene, Paths(scene, view, shapes)
@@ -153,17 +165,20 @@ class _Pictures:
         return Size(width=max(1, round(scale * image.width)), height=max(1, round(scale * image.height)))
 
     def paths(self, materials: list[Material], light: Environment, samples=_SAMPLES, width_px=_WIDTH_PX) -> np.ndarray:
-        """Return radiance (height, width, 61) by the integrator `reference`, always with the same random numbers."""
+        """Render radiance, (height, width, 61), with the integrator ``reference``; random numbers never change."""
         return self.by_paths.picture(materials, light, samples, image=self._image(width_px))
 
     def own(self, materials: list[Material], light: Environment, width_px: float) -> np.ndarray:
-        """Return radiance (height, width, 61) by the scene's own integrator."""
+        """Render radiance (height, width, 61) with the integrator that the scene chooses."""
         scene = replace(self.scene, image=self._image(width_px))
         return render_image(scene, self._view, self._shapes, materials, light, self._options)[0]
 
 
 class _Budget:
-    """The rows of one view: pictures beside the true one, and beside the measured one."""
+    """Rows of the error budget of one view.
+
+    Measured errors compare pictures with the picture of the true scene, predictions with that of the measured scene.
+    """
 
     def __init__(self, pictures: _Pictures, objects: list[Measured], lights) -> None:
         self._pictures, self._objects = pictures, objects
@@ -186,7 +201,7 @@ class _Budget:
         return radiance_delta_e(self._true, self._pictures.paths(materials, light), self._white)[self._shown]
 
     def _moved(self, materials: list[Material], light: Environment | None = None, base=None) -> np.ndarray:
-        """Return how far a picture is from that of the measured materials and light."""
+        """Return CIEDE2000 between a picture and that of measured materials and light, at pixels that show objects."""
         picture = self._pictures.paths(materials, self._estimated_light if light is None else light)
         return radiance_delta_e(self._base if base is None else base, picture, self._seen_white)[self._shown]
 
@@ -194,7 +209,18 @@ class _Budget:
         return [draw(one.known, estimate) for one, estimate in zip(self._objects, self._estimates, strict=True)]
 
     def _add(self, stage: str, values: np.ndarray, predicted, by: str) -> None:
-        """Add a row; ``predicted`` is a number, or one of every pixel."""
+        """Add a row to the table.
+
+        Parameters
+        ----------
+        stage : str
+        values : (n,) float
+            Measured CIEDE2000 of the pixels.
+        predicted : float or (n,) float
+            Predicted CIEDE2000, of all pixels or of each.
+        by : str
+            How the prediction was made, or why there is none.
+        """
         figures = {key: value for key, value in summary(values).items() if key != "count"}
         self.rows.append(BudgetRow(stage, **figures, predicted=float(np.mean(predicted)), by=by))
         if np.isfinite(predicted).all() and len(values) == len(self._squares):
@@ -204,7 +230,7 @@ class _Budget:
         self._add(label, self._off(self._of_stage(stage), self._true_light), predicted, by)
 
     def add_materials(self) -> None:
-        """Add noise, calibration, seams, coverage and gloss."""
+        """Add the rows of noise, calibration, seams, coverage and gloss."""
         noisy = self._moved(self._drawn(lambda one, own: draws.noisy(one, own, self._rng)))
         by = "camera's noise and the fit's model_error and pose_error_deg of every photograph, through the calibration"
         self._add_part("noise", "noise: scatter of the colour within a paint", noisy, by)
@@ -220,7 +246,7 @@ class _Budget:
         self._add_part("gloss", "gloss of the fit", gloss, "standard errors of β and μ where stated")
 
     def _holes(self) -> np.ndarray:
-        """Return what is expected of texels without data, the mean of some draws."""
+        """Return the predicted CIEDE2000 due to texels without data, in each pixel: the mean over a few draws."""
         found = []
         for _ in range(_HOLES):
             places = [draws.held_out(one.known, self._rng) for one in self._objects]
@@ -235,7 +261,7 @@ class _Budget:
         return np.mean(found, axis=0)
 
     def add_light(self) -> None:
-        """Add the recovered light."""
+        """Add the row of the recovered light."""
         values = self._off(self._truths, self._estimated_light)
         if self._estimated_light.basis_errors is None:
             self._add("light", values, np.nan, "none: no camera recovered it")
@@ -245,7 +271,7 @@ class _Budget:
         self._add("light", values, predicted, "what the responses leave open of the lamps known, on surfaces")
 
     def add_compression(self, of_materials: CompressOptions, of_light: CompressOptions) -> None:
-        """Add the compression of materials and of light."""
+        """Add the rows of the compression of materials and of light."""
         made = [compressed_material(truth, of_materials) for truth in self._truths]
         materials, worst = zip(*made, strict=True)
         by = "errors that compression states, the worst object's"
@@ -254,12 +280,16 @@ class _Budget:
         self._add("compression of the light", self._off(self._truths, light), stated, "error that compression states")
 
     def add_all(self) -> None:
-        """Add everything as measured; what was predicted for the parts adds by squares, pixel by pixel."""
+        """Add the row of all stages together except the renderer.
+
+        Its prediction in a pixel is the root of the summed squares of those parts that have one for every pixel, or
+        one number for all.
+        """
         values = radiance_delta_e(self._true, self._base, self._white)[self._shown]
         self._add("all but the renderer", values, np.sqrt(self._squares), "root of the sum of squares in every pixel")
 
     def add_renderer(self) -> None:
-        """Add what the scene's integrator is off: of the path tracer its noise, of another its difference to paths."""
+        """Add the row of the renderer: noise of the path tracer, or another integrator's difference to path tracing."""
         if isinstance(self._pictures.scene.integrator, ReferenceIntegrator):
             self._add_noise(self._pictures.scene.integrator)
             return
@@ -292,13 +322,16 @@ def error_budget(
     lights: tuple[Environment, Environment],
     options: BudgetOptions,
 ) -> list[BudgetRow]:
-    """Return the rows of a view's budget.
+    """Return the rows of the error budget of a view.
 
     Parameters
     ----------
     scene : Scene
     view : str
-    shapes, objects : one an object of the scene
+    shapes : list of Shape
+        One for each object of the scene.
+    objects : list of Measured
+        One for each object of the scene.
     lights : (Environment, Environment)
         The measured light and the true one.
     options : BudgetOptions
@@ -326,17 +359,18 @@ def error_budget(
 def measure_error_budget(
     inputs: dict, scene: Scene, view: str, subjects: Sequence[Subject], options: BudgetOptions, output
 ) -> None:
-    """Write ``error_budget.csv`` of a view.
+    """Write ``error_budget.csv``, the error budget of a view.
 
     Parameters
     ----------
     inputs : dict
-        Files: lists of materials, true_materials and calibrations, one an object, and ``tiles`` and ``observations``,
-        those of all objects; ``environment`` and ``true_environment``; ``plan``, a list of one file, or of
-        none.
-    scene, view, options : see `error_budget`
+        Files: the lists ``materials``, ``true_materials`` and ``calibrations`` with one file for each object; the lists
+        ``tiles`` and ``observations`` with the files of all objects; ``environment`` and ``true_environment``;
+        ``plan``, a list with one file or none.
+    scene, view, options
+        See `error_budget`.
     subjects : sequence of Subject
-        One an object.
+        One for each object.
     output : path
     """
     shapes = [Shape.from_definition(one.shape) for one in subjects]

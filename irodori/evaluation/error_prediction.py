@@ -1,6 +1,7 @@
-"""Random draws of the stages' stated errors in measured materials, for the predicted error budget.
+"""Measured materials varied at random within the error estimates of the stages, for the predicted error budget.
 
-Nothing here reads a truth: a prediction is the difference between two pictures that could both be what was measured.
+No function here reads the truth: a prediction is the difference between two pictures, both of materials that are
+compatible with the measurements.
 """
 
 from dataclasses import replace
@@ -10,12 +11,16 @@ import numpy as np
 from irodori.evaluation.known_errors import Known, colours, with_colours
 from irodori.material.material_file import Material
 
-#: Places that are tried for a hole at one distance to its data, before the distance is halved.
+#: Random places that are tried for texels without data before their distance to the source of their colour is halved.
 _TRIES = 48
 
 
 def noisy(known: Known, estimate: Material, rng: np.random.Generator) -> Material:
-    """Return the material with a draw of the camera's noise and of every photograph's own light and pose."""
+    """Return the material with random errors of its diffuse reflectance.
+
+    The calibration computes them from random errors of the responses: camera noise, and errors of the light level and
+    the pose of each photograph.
+    """
     calibration = known.calibration
     finite = np.isfinite(known.variance).all(axis=-1) & np.isfinite(known.response).all(axis=-1)
     response, variance = known.response[finite], known.variance[finite]
@@ -27,26 +32,29 @@ def noisy(known: Known, estimate: Material, rng: np.random.Generator) -> Materia
 
 
 def other_gloss(known: Known, estimate: Material, rng: np.random.Generator) -> Material:
-    """Return the material with β and μ of each component off by a draw of their standard errors, where stated."""
+    """Return the material with normal errors added to β and μ of each gloss component.
+
+    Their standard deviations are the standard errors of the fit; parameters without a stated error stay as they are.
+    """
     pairs = []
     for component, (_, beta, mu) in enumerate(estimate.gloss):
         error = known.gloss_error[..., 2 * component : 2 * component + 2]
         stated = np.isfinite(error).all(axis=-1)
         moved = rng.standard_normal((*stated.shape, 2)) * np.where(stated[..., None], error, 0.0)
-        lowest = 0.5 * mu  # a draw of many standard errors is no roughness
+        lowest = 0.5 * mu  # a large negative draw must not make the roughness zero or negative
         pairs.append((np.maximum(beta + moved[..., 0], 0.0), np.maximum(mu + moved[..., 1], lowest)))
     return estimate.with_gloss(pairs)
 
 
 def sharper(known: Known, estimate: Material) -> Material:
-    """Return the material whose texture, blurred as photographs blur it, is the one that was measured."""
+    """Return the material with its texture deblurred: blurred as photographs blur it, it is the measured texture."""
     own, basis = colours(estimate)
     seen = known.material.observed & known.covered
     return with_colours(estimate, [(known.spread.undone(own, seen), basis)])
 
 
 def sources(known: Known) -> np.ndarray:
-    """Return row and column of the texel whose colour each texel is rendered with, (height, width, 2) int."""
+    """Return row and column of the texel that the rendered colour of each texel comes from, (height, width, 2) int."""
     height, width = known.material.alpha.shape
     place = np.stack(np.meshgrid(np.arange(height), np.arange(width), indexing="ij"), axis=-1).astype(np.float32)
     place[~known.material.observed] = np.nan
@@ -55,16 +63,19 @@ def sources(known: Known) -> np.ndarray:
 
 
 def held_out(known: Known, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Return for every texel without data a texel with data that stands for it and the one that would fill that.
+    """Choose, for every texel without data, two texels with data that show how wrong its filled colour may be.
 
-    The two lie to each other as the texel lies to the one whose colour it takes. Whole patches are moved alike, to
-    random places where both ends have data, so that neighbours keep to each other; what finds no such place in
-    `_TRIES` tries is given half its distance, as often as it takes.
+    A texel without data takes its colour from a source texel. The pair has the same offset between them as these two,
+    but lies at a random place where both have data, so the difference of their colours is an example of the
+    error. Neighbouring texels are moved by the same vector where possible, so that patches stay together. For texels
+    that fit nowhere after `_TRIES` tries, the offset to the source is halved, repeatedly if necessary.
 
     Returns
     -------
-    texel, filler : (height, width, 2) int
-        Row and column; a texel with data stands for itself and fills itself.
+    texel : (height, width, 2) int
+        Row and column of the texel that takes the place of the one without data. A texel with data has its own.
+    filler : (height, width, 2) int
+        Row and column of the texel from which the first would be filled. A texel with data has its own.
     """
     observed, size = known.material.observed & known.covered, np.array(known.material.alpha.shape)
     texel = np.stack(list(np.indices(observed.shape)), axis=-1)
@@ -90,7 +101,7 @@ def held_out(known: Known, rng: np.random.Generator) -> tuple[np.ndarray, np.nda
         left, tries = left[~fits], tries + 1
         if tries % _TRIES == 0:
             away[left] = np.trunc(away[left] / 2).astype(np.int64)
-            near = ~away[left].any(axis=1)  # a single texel with data says nothing of another
+            near = ~away[left].any(axis=1)  # the offset has shrunk to nothing: there is no pair to compare
             lone = tuple(hole[left[near]].T)
             texel[lone] = filler[lone] = source[lone]
             left = left[~near]
@@ -98,7 +109,7 @@ def held_out(known: Known, rng: np.random.Generator) -> tuple[np.ndarray, np.nda
 
 
 def moved_texels(known: Known, estimate: Material, place: np.ndarray) -> Material:
-    """Return the material whose texels without data have the colours of others, (height, width, 2) int."""
+    """Return the material with texels without data coloured like the texels at ``place``, (height, width, 2) int."""
     own, basis = colours(estimate)
     hole = (known.covered & ~known.material.observed)[..., None]
     return with_colours(estimate, [(np.where(hole, own[place[..., 0], place[..., 1]], own), basis)])

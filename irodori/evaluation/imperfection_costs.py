@@ -1,7 +1,7 @@
-"""Cost of each imperfection of the virtual rig, by a small run of the chain with one fault at a time.
+"""Colour and gloss error caused by each imperfection of the virtual rig, from small runs with one fault at a time.
 
-An object is photographed, ingested, calibrated, rectified, fitted and compressed by the stages themselves, in a folder
-of its own, at half the camera's resolution and in some of its poses, once for every set of faults.
+For every set of faults, the stages of the workflow photograph, ingest, calibrate, rectify, fit and compress an object
+in a temporary folder, at half the camera's resolution and in some of its poses.
 """
 
 import math
@@ -55,7 +55,7 @@ _MADE = Provenance("measure_imperfections")
 
 
 class Settings(NamedTuple):
-    """The blocks of the configuration on which the small chain depends, and the lights that colours are judged by."""
+    """The blocks of the configuration on which a small run depends, and the illuminants for colour differences."""
 
     ingest: IngestOptions
     rectify: Rectify
@@ -66,12 +66,12 @@ class Settings(NamedTuple):
 
 @dataclass(frozen=True)
 class SmallChain:
-    """Inputs of the small chain.
+    """Inputs of a small run of all stages from photographs to material.
 
     Parameters
     ----------
     name : str
-        Of the object.
+        Name of the object.
     definition, camera, rig : Object, Camera, Rig
         The rig is virtual.
     settings : Settings
@@ -84,7 +84,7 @@ class SmallChain:
     settings: Settings
 
     def halved(self) -> "SmallChain":
-        """Return the same with half the camera's resolution, one chart, at most 64 texels a side and some 6 poses."""
+        """Return a copy with half the camera's resolution, one chart, at most 64 texels a side and at most 6 poses."""
         optics, chart, faults = self.camera.optics, self.camera.chart, self.faults
         assert optics is not None  # checked: a camera of objects has optics
         x, y = optics.principal_point_px
@@ -117,17 +117,20 @@ class SmallChain:
 
     @property
     def faults(self) -> Imperfections:
-        """Faults of the rig."""
+        """Imperfections of the virtual rig."""
         assert self.rig.virtual is not None  # the schema has it: the rig is virtual
         return self.rig.virtual.imperfections
 
     def with_faults(self, faults: Imperfections) -> "SmallChain":
-        """Return the same on a rig of other faults."""
+        """Return a copy on a rig with other faults."""
         assert self.rig.virtual is not None
         return replace(self, rig=replace(self.rig, virtual=replace(self.rig.virtual, imperfections=faults)))
 
     def variants(self) -> Iterator[tuple[str, "SmallChain"]]:
-        """Yield each set of faults with its name: none, each alone, all, and all on another kind of material."""
+        """Yield name and inputs of each run: no fault, each fault alone, all, and all on an object with GGX gloss.
+
+        The last run is left out unless a material of the object has gloss by equation (5), which GGX then replaces.
+        """
         faults = vars(self.faults)
         enabled = [name for name, fault in faults.items() if fault.enabled]
         for label, wanted in (("none", []), *((f"{name} alone", [name]) for name in enabled), ("all", enabled)):
@@ -150,7 +153,7 @@ def _of_equation_5(material: TrueMaterial) -> TypeGuard[ModelledMaterial]:
 def _photograph(
     shots: list[Shot], chain: SmallChain, session: str, subject: Object | None, folder: Path, seen: dict | None = None
 ) -> Path:
-    """Take all photographs of a session and return its table."""
+    """Take all photographs of a session with the virtual camera and return the path of their table."""
     folder.mkdir()
     bench = Bench()
     camera = VirtualCamera(chain.camera, chain.rig, bench, session, shots, subject, seen=seen)
@@ -162,7 +165,7 @@ def _photograph(
 
 
 def _calibrate(chain: SmallChain, folder: Path) -> tuple[Path, Path]:
-    """Return the camera's reference and its calibration."""
+    """Photograph and calibrate the camera; return the paths of its reference and of its calibration."""
     table = _photograph(camera_shots(chain.camera, ".dng"), chain, "camera", None, folder / "camera")
     options, light = chain.settings.ingest, chain.rig.light.spectrum
     reference, chart, calibration = (folder / f"{name}.h5" for name in ("reference", "chart", "calibration"))
@@ -174,15 +177,15 @@ def _calibrate(chain: SmallChain, folder: Path) -> tuple[Path, Path]:
 
 
 def run_chain(chain: SmallChain, folder: Path, seen: dict | None = None) -> Material:
-    """Run all stages on one object and return what they found.
+    """Run all stages on one object and return the measured material.
 
     Parameters
     ----------
     chain : SmallChain
     folder : path
-        Empty; for the files between the stages.
+        An empty folder for the files that the stages exchange.
     seen : dict, optional
-        See `VirtualCamera`; of one definition of the object and one of the camera.
+        Cache of `VirtualCamera`; may be shared by runs with the same definitions of object and camera.
     """
     settings, texels = chain.settings, chain.definition.texels
     reference, calibration = _calibrate(chain, folder)
@@ -213,7 +216,7 @@ def run_chain(chain: SmallChain, folder: Path, seen: dict | None = None) -> Mate
 
 
 def cost_rows(label: str, chain: SmallChain, seen: dict | None = None) -> list[CostRow]:
-    """Run the chain and return its errors under every light; ``seen`` as of `run_chain`."""
+    """Run all stages once and return the errors of the material under every light; ``seen``: see `run_chain`."""
     with tempfile.TemporaryDirectory(prefix="irodori-") as folder:
         found = run_chain(chain, Path(folder), seen)
     truth = true_material(chain.definition, chain.camera, chain.rig)
@@ -234,18 +237,19 @@ def cost_rows(label: str, chain: SmallChain, seen: dict | None = None) -> list[C
 
 
 def measure_imperfections(chain: SmallChain | None, output) -> None:
-    """Write ``imperfections.csv``; a header alone where there is no virtual object.
+    """Write ``imperfections.csv``, the errors of the measured material with each set of faults.
 
     Parameters
     ----------
     chain : SmallChain or None
+        None if there is no virtual object; the table then has a header alone.
     output : path
     """
     write_rows(output, CostRow, _all_costs(list(chain.halved().variants()) if chain is not None else []))
 
 
 def _all_costs(variants: list[tuple[str, SmallChain]]) -> Iterator[CostRow]:
-    seen: dict[str, dict] = {}  # of each definition: most faults leave alone what the object looks like
+    seen: dict[str, dict] = {}  # a cache for each definition: most faults do not change how the object looks
     for label, variant in track(variants, "faults"):
         for row in cost_rows(label, variant, seen.setdefault(config_hash(variant.definition.plain()), {})):
             LOGGER.info("%s: CIEDE2000 under %s mean %.3f p95 %.3f", row.faults, row.light, row.mean, row.p95)

@@ -1,4 +1,4 @@
-"""Error estimates that need no ground truth."""
+"""Error estimates of a measured object that need no ground truth."""
 
 from dataclasses import dataclass, replace
 
@@ -12,27 +12,27 @@ from irodori.material.fitted_tiles import FittedTiles
 from irodori.material.material_file import Material, gloss_maps
 
 _LIGHT = "D65"
-#: Variance of the place that a sample of a rectified picture sees along an axis, in samples: light is gathered evenly
-#: over its own side (1/12), and samples are interpolated linearly between centres (1/6 over all places between them).
+#: Variance of the footprint of a sample along an axis, in squared sample widths: a sample averages evenly over its
+#: width (1/12), and rectification interpolates linearly between sample centres (1/6 on average over all positions).
 _SAMPLE_VARIANCE = 1.0 / 12.0 + 1.0 / 6.0
 _GREEN = 1
-#: Van Cittert's iteration ends after so many steps, and a blur is cut off at so many standard deviations.
+#: Steps of Van Cittert's iteration, and standard deviations after which the blur kernel is cut off.
 _STEPS, _REACH = 12, 4.0
 
 
 def colours(material: Material) -> tuple[np.ndarray, np.ndarray]:
-    """Return coefficients of α S / S_G, (height, width, k), and their basis, (61, k)."""
+    """Return the diffuse reflectance α S / S_G as coefficients, (height, width, k), and a basis, (61, k)."""
     return material.coefficients * material.spectrum_scale[..., None], material.basis
 
 
 def with_colours(material: Material, parts: list[tuple[np.ndarray, np.ndarray]]) -> Material:
-    """Return a material with the sum of some spectra as its diffuse reflectance.
+    """Return a copy of a material whose diffuse reflectance is a sum of given spectra.
 
     Parameters
     ----------
     material : Material
     parts : list of (coefficients, basis)
-        Coefficients that can be broadcast to (height, width, k), and (61, k).
+        The terms of the sum: coefficients that can be broadcast to (height, width, k), and a basis (61, k).
     """
     one = np.ones(material.alpha.shape)
     coefficients = np.concatenate([np.broadcast_to(c, (*one.shape, c.shape[-1])) for c, _ in parts], axis=-1)
@@ -42,7 +42,7 @@ def with_colours(material: Material, parts: list[tuple[np.ndarray, np.ndarray]])
 
 @dataclass(frozen=True)
 class Photographs:
-    """The part that each of J photographs has in the texels' diffuse responses.
+    """Weights with which each of J photographs enters the diffuse responses of the texels.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ class Photographs:
     tangent : (height, width, J) float
         tan θ_i: the relative change of cos θ_i by a radian.
     stretch : float
-        Mean of (1 + 1/cos²θ_r) / 2: by what the camera's slant widens the variance of the place that a sample sees.
+        Mean of (1 + 1/cos²θ_r) / 2: factor by which the camera's slant increases the variance of a sample's footprint.
     """
 
     share: np.ndarray
@@ -60,7 +60,17 @@ class Photographs:
 
     @classmethod
     def load(cls, tiles: list, response: np.ndarray, model_error: float) -> "Photographs":
-        """Read the observations of an object whose green diffuse response, (height, width), is known."""
+        """Read the observations of an object and compute the weights of its photographs.
+
+        Parameters
+        ----------
+        tiles : list of path
+            Files of observations.
+        response : (height, width) float
+            Green diffuse response of the fit; NaN where there is none.
+        model_error : float
+            Relative error that the fit assumes for the light of a photograph.
+        """
         parts = []
         for path in tiles:
             with store.open_file(path) as file:
@@ -84,10 +94,10 @@ class Photographs:
         return cls(np.concatenate(shares), np.concatenate(tangents), float(stretch))
 
     def gains(self, model_error: float, pose_error_rad: float, rng: np.random.Generator) -> np.ndarray:
-        """Return a draw of the relative change of the texels' responses, (height, width), without its mean.
+        """Draw random relative changes of the responses of all texels, (height, width), with a mean of zero.
 
-        Every photograph has a light and a pose of its own, alike in all texels. What all texels of an object have in
-        common is its scale, not scatter.
+        Each photograph gets one random error of its light and one of its pose, the same in all texels. The mean over
+        the observed texels is subtracted, because it is an error of the object's scale and not scatter.
         """
         light, pose = rng.standard_normal((2, self.share.shape[-1]))
         change = self.share @ (model_error * light) + (self.share * self.tangent) @ (pose_error_rad * pose)
@@ -96,7 +106,7 @@ class Photographs:
 
 
 def _variance(diffuse, cosine, noise, model_error: float) -> np.ndarray:
-    """Return the variance of every observation's green response, (texels, J), as the fit expects it; 1 if unknown."""
+    """Return the variance that the fit expects for each green response, (texels, J); 1 where it is unknown."""
     expected = np.where(np.isfinite(diffuse), diffuse, 0.0)[:, None] * cosine
     found = noise[:, 0] + noise[:, 1] * np.maximum(expected, 0.0) + (model_error * expected) ** 2
     return np.where(found > 0.0, found, 1.0)
@@ -104,14 +114,15 @@ def _variance(diffuse, cosine, noise, model_error: float) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Spread:
-    """By what the pictures' sharpness blurs a texture.
+    """Blur of a texture due to the limited resolution of the photographs.
 
     Parameters
     ----------
     rows, columns : float
-        Standard deviation along either axis, texels.
+        Standard deviation of the blur along each axis, texels.
     border : str
-        What is beyond the texture's sides: ``joined`` (columns; rows end at the poles), ``black`` or ``unknown``.
+        Surroundings of the texture: ``joined`` (the last column continues in the first, rows end at the poles),
+        ``black`` or ``unknown``.
     """
 
     rows: float
@@ -120,14 +131,17 @@ class Spread:
 
     @classmethod
     def of(cls, shape: Shape, size: tuple[int, int], sample_mm: float, stretch: float) -> "Spread":
-        """Return the spread of samples of some side, mm on the object, seen at a slant, see `Photographs`.
+        """Compute the blur from the size of a sample on the object and the slant of the camera.
 
         Parameters
         ----------
         shape : Shape
         size : (2,) int
             Height and width of the texture, texels.
-        sample_mm, stretch : float
+        sample_mm : float
+            Side of a sample of the photographs on the object.
+        stretch : float
+            Increase of the variance by the slant, see `Photographs`.
         """
         atlas = shape.atlas(size[1], size[0])
         position = np.where(atlas.covered[..., None], atlas.position, np.nan)
@@ -136,10 +150,13 @@ class Spread:
         return cls(float(deviation / sides[0]), float(deviation / sides[1]), shape.border)
 
     def blurred(self, values: np.ndarray, known: np.ndarray) -> np.ndarray:
-        """Return a texture, (height, width, k), as samples see it: means over what is known of it, zero elsewhere."""
+        """Blur a texture, (height, width, k), with weighted means over known texels; zero at unknown texels.
+
+        ``known`` is (height, width) bool.
+        """
         top, bottom = values * known[..., None], known[..., None].astype(np.float64)
         joined = self.border == "joined"
-        beyond = float(self.border == "black")  # what lies beside the object is known: nothing shines there
+        beyond = float(self.border == "black")  # values outside the object are known to be zero
         for axis, deviation in enumerate((self.rows, self.columns)):
             mode = ("nearest", "wrap")[axis] if joined else "constant"
             top = _blurred_along(top, axis, deviation, mode=mode)
@@ -147,7 +164,7 @@ class Spread:
         return np.where(known[..., None], np.divide(top, bottom, out=np.zeros_like(top), where=bottom > 0.0), 0.0)
 
     def undone(self, values: np.ndarray, known: np.ndarray) -> np.ndarray:
-        """Return the texture that is blurred to this one, by Van Cittert's iteration; what is not known stays."""
+        """Deblur a texture, (height, width, k), by Van Cittert's iteration; unknown texels keep their values."""
         found = values.copy()
         for _ in range(_STEPS):
             found += np.where(known[..., None], values - self.blurred(found, known), 0.0)
@@ -155,7 +172,7 @@ class Spread:
 
 
 def _blurred_along(values: np.ndarray, axis: int, deviation: float, **beyond) -> np.ndarray:
-    """Return values blurred along an axis: a texel is even over its side, the blur is Gaussian."""
+    """Convolve along an axis with a Gaussian integrated over each texel; ``deviation`` in texels."""
     from scipy import ndimage, special  # slow to import
 
     reach = int(np.ceil(_REACH * deviation + 0.5))
@@ -166,22 +183,24 @@ def _blurred_along(values: np.ndarray, axis: int, deviation: float, **beyond) ->
 
 @dataclass(frozen=True)
 class Known:
-    """An object as the chain measured it, with what the chain knows of its errors.
+    """The measured material of an object, with the error estimates of the stages.
 
     Parameters
     ----------
     material : Material
     gloss_error : (height, width, 2 components) float
-        Standard errors of β and of μ in rad; NaN where the fit states none.
+        Standard errors of β and of μ (rad) for each gloss component; NaN where the fit states none.
     response, variance : (height, width, bands) float
-        Diffuse responses and what the camera's noise gives them; NaN where there is none.
+        Diffuse responses and their variance by the camera's noise; NaN where there are none.
     calibration : Calibration
     left_out : float
         Mean CIEDE2000 of the chart's patches, each left out of the calibration in turn.
     photographs : Photographs
     spread : Spread
-    model_error, pose_error_rad : float
-        What the fit takes a photograph's light, relative, and an angle of its pose to be off by.
+    model_error : float
+        Relative standard deviation that the fit assumes for the light of a photograph.
+    pose_error_rad : float
+        Standard deviation that the fit assumes for an angle of a pose.
     covered : (height, width) bool
         Texels that lie on the surface.
     """
@@ -200,7 +219,7 @@ class Known:
 
     @classmethod
     def load(cls, files: dict, shape: Shape, sample_mm: float, fit: Fit) -> "Known":
-        """Read an object's files.
+        """Read the files of an object.
 
         Parameters
         ----------
@@ -210,7 +229,7 @@ class Known:
         sample_mm : float
             Side of a sample of the photographs on the object.
         fit : Fit
-            That key of the configuration.
+            The key ``fit`` of the configuration.
         """
         own = Material.load(files["material"])
         fitted = FittedTiles(files["tiles"], *own.alpha.shape)
@@ -235,5 +254,5 @@ class Known:
         )
 
     def estimate(self) -> Material:
-        """Return the measured material as it is rendered."""
+        """Return the measured material as it is rendered, with colours and gloss filled in at texels without data."""
         return self.material.filled(self.covered)[0]

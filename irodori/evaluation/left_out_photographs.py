@@ -1,8 +1,8 @@
-"""Photographs predicted from the others: a material is fitted without each in turn, and that photograph is rendered.
+"""Leave-one-out test of photographs: the material is fitted without each in turn, and that photograph is rendered.
 
-Levels and directions of the lamps were found beforehand with all photographs: of the one that is left out three numbers
-are used, the level of its lamp and its direction, and none of its pixels tells the material. Beside it stands the
-prediction for the direction that was known before, in which one number is used, the level.
+The pixels of the left-out photograph do not enter the fit of the material. Only the level and the direction of its lamp
+(three numbers) were estimated beforehand from all photographs. A second prediction uses the direction that was known
+before this estimate; only the level (one number) then comes from the left-out photograph.
 """
 
 from typing import NamedTuple
@@ -13,7 +13,7 @@ from irodori.fitting.one_gloss import OneGloss, fit_one_gloss, matt
 from irodori.fitting.solvers import FitOptions
 from irodori.rectification.lamp_registration import Lamps, geometry_of
 
-#: Photographs that must show a place, so that its diffuse weight is not that of one reading.
+#: The fewest photographs that must show a place, so that its diffuse weight does not rest on a single response.
 _FEWEST = 3
 MATT = "none"
 
@@ -24,10 +24,11 @@ class Prediction(NamedTuple):
     Parameters
     ----------
     rendered : (T, J) float64
-        In the unit of the responses; NaN where the other photographs do not show a place.
-    error, by_file : (J,) float64
-        Root mean square of the difference over the mean response of the photograph, for the lamp's direction as
-        registered and as known before.
+        Predicted responses; NaN where fewer than three of the other photographs show a place.
+    error : (J,) float64
+        RMS difference divided by the mean response of the photograph, with the estimated direction of the lamp.
+    by_file : (J,) float64
+        The same with the direction that was known before.
     """
 
     rendered: np.ndarray
@@ -36,7 +37,10 @@ class Prediction(NamedTuple):
 
 
 def fitted(response, geometry, weight, lobe: str, n: float, k: float) -> OneGloss:
-    """Return the fit of one gloss, or none for `MATT`; parameters as in `irodori.fitting.one_gloss.fit_one_gloss`."""
+    """Fit diffuse reflection with one gloss for all places, or without gloss if ``lobe`` is `MATT`.
+
+    The other parameters are those of `irodori.fitting.one_gloss.fit_one_gloss`.
+    """
     if lobe == MATT:
         return matt(response, geometry, weight, "gaussian", n, k)
     return fit_one_gloss(response, geometry, weight, FitOptions(lobes=(lobe,)), n, k)
@@ -50,14 +54,16 @@ def predict_left_out(
     Parameters
     ----------
     response, weight : (T, J) float
-        Weight is 0 where a place is not seen or lit, or near the terminator: it is neither fitted nor compared.
+        Responses of T places in J photographs. Those with a weight of 0 (not seen, not lit, or near the terminator)
+        are neither fitted nor compared.
     normal, view : (T, 3) float
+        Unit vectors: surface normals and directions to the camera.
     lamps : Lamps
-        As registered.
+        Levels and directions estimated from all photographs.
     known : (J, 3) float
-        Directions to the lamps as known before.
+        Directions to the lamps that were known before.
     lobe : str
-        Of the gloss; ``none`` for diffuse reflection alone.
+        Lobe of the gloss; ``none`` for diffuse reflection alone.
     n, k : float
         Complex refractive index.
     """

@@ -1,8 +1,8 @@
 """Comparison of a photograph of a scene with its rendering, pixel by pixel.
 
-The photograph is one that the materials were not fitted to. Its responses become spectra by the camera's calibration as
-those of an environment do. The rendering has every reflection, by converging paths, from the fitted materials under
-the recovered light. What noise alone would make of two equal pictures is drawn beside the difference.
+The photograph was not used to fit the materials. The camera's calibration converts its responses to spectra in the same
+way as those of an environment. The rendering is path-traced with all reflections, from the fitted materials under the
+recovered light. A random draw of the noise shows the difference that two pictures of the same scene would have.
 """
 
 import json
@@ -39,34 +39,35 @@ _NOISE_SEED = 20100401
 
 
 class Photograph(NamedTuple):
-    """A photograph in the pixels of the comparison."""
+    """A photograph, averaged to the pixels of the comparison."""
 
-    response: np.ndarray  # (height, width, bands) of the valid samples, NaN where there were none
+    response: np.ndarray  # (height, width, bands), mean of the valid samples; NaN where there were none
     whole: np.ndarray  # (height, width) bool, where all samples were valid
-    variance: np.ndarray | None  # (height, width, bands) of the response; None where the noise was not measured
+    variance: np.ndarray | None  # (height, width, bands), of the response; None if the noise was not measured
 
 
 class Comparison(NamedTuple):
-    """A photograph and the rendering of its view, XYZ with Y = 100 for the scene's white.
+    """A photograph and the rendering of its view, in XYZ with Y = 100 for the scene's white, and their difference.
 
-    The differences are NaN where a sample of the photograph was not valid, and the photograph where none was.
+    The differences are NaN where any sample of the photograph was invalid, the photograph where all were.
     """
 
     photograph: np.ndarray  # (height, width, 3)
     rendering: np.ndarray  # (height, width, 3)
     delta_e: np.ndarray  # (height, width) CIEDE2000
-    noise: np.ndarray  # (height, width) CIEDE2000 that noise alone makes, one draw
-    scale: float  # factor on the photograph
-    luminance_ratio: float  # median over the pixels of the photograph's luminance, so scaled, over the rendering's
+    noise: np.ndarray  # (height, width) CIEDE2000 from noise alone, one random draw
+    scale: float  # factor applied to the photograph
+    luminance_ratio: float  # median over pixels of the scaled photograph's luminance divided by the rendering's
 
 
 def read_photograph(linear, calibration: Calibration, ideal: IdealView) -> Photograph:
-    """Read the linear responses of a photograph in the pixels of an ideal view.
+    """Read the linear responses of a photograph, resampled to the pixels of an ideal view.
 
     Raises
     ------
     InputError
-        If its bands or its size are not those of the camera, or it was not divided by a white reference.
+        If the bands or the size of the photograph are not those of the camera, or if the photograph was not divided by
+        a white reference.
     """
     with store.open_file(linear) as file:
         calibration.require_filters(file.attribute("filters"), linear)
@@ -102,15 +103,22 @@ def compare(
     ----------
     photograph : Photograph
     calibration : Calibration
-        Its light is the rig's: a radiance is recovered as that light times the reflectance of the same responses.
+        Calibration with the light of the rig: the radiance of a pixel is recovered as the spectrum of this light times
+        the reflectance that the calibration finds for the responses.
     rendered : (2, height, width, 61) float
-        Radiance, two halves of the paths.
+        Radiance from each half of the paths.
     white : (61,) float
         Radiance of the scene's white.
     scale : float or ``auto``
-        Factor on the photograph; ``auto`` makes the median ratio of their luminances 1.
+        Factor applied to the photograph; ``auto`` makes the median ratio of the two luminances 1.
     paths_before : (2, height, width, 61) float, optional
-        Of a virtual photograph, the two halves of what stood before the camera: their noise is in the photograph.
+        For a virtual photograph: the radiance from which it was made, from each half of the paths. The noise of this
+        radiance is part of the photograph.
+
+    Raises
+    ------
+    ValueError
+        If ``scale`` is ``auto`` and the photograph or the rendering is without light.
     """
     matrix = xyz_from_radiance(white)
     white_xyz = matrix @ white
@@ -130,7 +138,7 @@ def compare(
     if scale == "auto" and not ratio > 0.0:
         raise ValueError("a photograph or a rendering without light; accepted: both lit, or a scale that is a number")
     factor = 1.0 / ratio if scale == "auto" else float(scale)
-    # Half the difference of two halves scatters as their mean does.
+    # Half the difference of two independent halves has the same variance as their mean.
     noise = (halves[0] - halves[1]) / HALVES
     if paths_before is not None:
         noise = noise + factor * (paths_before[0] - paths_before[1])[known] @ matrix.T / HALVES
@@ -149,7 +157,7 @@ def compare(
 
 
 def shows_an_object(ideal: IdealView, placed: ScenePhotograph, placements: list) -> np.ndarray:
-    """Return which pixels show one of the placed shapes at their centre, (height, width) bool."""
+    """Return the pixels whose centre shows one of the placed shapes, (height, width) bool."""
     axes = look_at(placed.position_mm, placed.target_mm, placed.up)
     rays = (ideal.rays() @ axes.T).reshape(-1, 3)
     origins = np.broadcast_to(np.asarray(placed.position_mm, dtype=np.float64), rays.shape)
@@ -167,16 +175,17 @@ def compare_photograph(
     outputs: dict,
     provenance: store.Provenance,
 ) -> None:
-    """Write a photograph of a scene beside the rendering of its view, their difference and what noise makes of it.
+    """Compare a photograph of a scene with the rendering of its view, and write pictures, differences and figures.
 
     Parameters
     ----------
     inputs : dict
-        Files: linear, calibration, environment; lists: materials, and radiance, of a virtual photograph one, else none.
+        The files ``linear``, ``calibration`` and ``environment``; the list ``materials``; and the list ``radiance``,
+        with one file for a virtual photograph and none for a real one.
     scene : Staging
     placed : ScenePhotograph
     optics : Optics
-        Of the camera.
+        Optics of the camera.
     shapes : sequence of ObjectShape
     outputs : dict
         Files: comparison, photograph and rendering (PNG), difference (HDF5), figures (JSON).
@@ -193,7 +202,7 @@ def compare_photograph(
     materials = [Material.load(path) for path in inputs["materials"]]
     solids = [Shape.from_definition(shape) for shape in shapes]
     samples = placed.samples * placed.block**2
-    # Other random numbers than those of a virtual photograph.
+    # A seed of its own, so that the noise is independent of that in a virtual photograph.
     seed = placed.seed + HALVES
     rendered = render_halves(scene, placed, ideal, solids, materials, environment, samples=samples, seed=seed)
     white, _ = scene_white(scene, environment)

@@ -1,8 +1,8 @@
 """Fit error against the number of photographs: planned poses, an even grid, and random poses.
 
-The photographs are simulated with equation (5) itself, at poses that are off by the pose error, under a light that
-drifts, with shot and read noise, and are fitted at the poses that were asked for. The linearisation that the plan was
-made with takes no part; its expectation is reported beside the outcome.
+The photographs are simulated with the full reflection model of equation (5), with random pose errors, a drifting light,
+and shot and read noise. The fit is given the nominal poses. The plan itself was made with a linearised model, which is
+not used in the simulation; the standard errors that it expects are reported beside the errors found.
 """
 
 import math
@@ -36,11 +36,11 @@ class Sitting:
     Parameters
     ----------
     planner : Planner
-        What stands on the rig, its materials, the noise, the largest angle.
+        Planner of the poses; provides the object, the range of its materials, the noise and the largest angle.
     correlation_shots : float
-        Photographs after which the light's drift has forgotten itself to 1/e.
+        Number of photographs over which the correlation of the light's drift falls to 1/e.
     shots_per_pose : int
-        Photographs of a pose, both filter states and brackets together.
+        Photographs at each pose: both filter states and all exposures of a bracket.
     """
 
     planner: Planner
@@ -48,7 +48,7 @@ class Sitting:
     shots_per_pose: int = 2
 
     def light(self, sessions: int, poses: int, rng: np.random.Generator) -> np.ndarray:
-        """Return the relative power of the light, (sessions, poses): a drift of first order about 1."""
+        """Draw the relative power of the light, (sessions, poses): a first-order autoregressive drift about 1."""
         memory = math.exp(-self.shots_per_pose / self.correlation_shots)
         out = np.empty((sessions, poses))
         state = rng.normal(size=sessions)
@@ -58,22 +58,24 @@ class Sitting:
         return 1.0 + self.planner.noise.relative * out
 
     def photograph(self, poses: list[Pose], materials: Materials, sessions: int, rng: np.random.Generator):
-        """Return responses, geometry and weights of texels, as rectification would hand them to the fit.
+        """Simulate photographs and return responses, geometry and weights of texels, as rectification writes them.
 
         Parameters
         ----------
         poses : list of Pose
         materials : Materials
-            As many as a multiple of `sessions`; each session photographs its share on random texels.
+            m materials, shared out evenly among the sessions; each lies on a random texel.
         sessions : int
-            Sittings, each with pose errors and a drift of its own.
+            Sessions, each with its own pose errors and drift.
         rng : numpy Generator
 
         Returns
         -------
         response : (m, J) float64
-        geometry : (m, J, 4) float64, rad, of the poses asked for
+        geometry : (m, J, 4) float64
+            Angles at the nominal poses, rad.
         weight : (m, J) float64
+            1 where the fit may use the response, 0 elsewhere.
         """
         count = len(materials.alpha)
         session = np.arange(count) % sessions
@@ -104,23 +106,23 @@ class Sitting:
 
 
 def even_poses(limits: RigLimits, count: int, lights: int, max_angle_deg: float) -> list[Pose]:
-    """Return poses on an even grid: light angles and camera angles at the centres of equal parts of their reach.
+    """Return poses on an even grid: light and camera angles at the centres of equal parts of their ranges.
 
     Parameters
     ----------
     limits : RigLimits
-        The table is level where it can be.
+        Limits of the axes. Tilt and turn of the table stay at their smallest values.
     count : int
-        Poses in all, shared out among the light angles.
+        Number of poses, shared out among the light angles.
     lights : int
-        Light angles, at most `count`.
+        Number of light angles, at most `count`.
     max_angle_deg : float
-        No light and no camera stands lower than this, degrees.
+        Largest angle of light and camera from the vertical, degrees.
 
     Raises
     ------
     TooFewPoses
-        If the rig's steps are so coarse that two of the poses are one.
+        If the steps of the rig are so coarse that two poses coincide.
     """
 
     def centres(axis: str, parts: int) -> list[float]:
@@ -142,12 +144,12 @@ def even_poses(limits: RigLimits, count: int, lights: int, max_angle_deg: float)
 
 
 def random_poses(candidates: list[Pose], count: int, max_manual: int, rng: np.random.Generator) -> list[Pose]:
-    """Return random poses within as many random settings of light and tilt as a plan may have.
+    """Draw ``count`` random candidate poses that share at most ``max_manual`` settings of light and tilt.
 
     Raises
     ------
     TooFewPoses
-        If the settings drawn have fewer poses.
+        If the settings drawn have fewer candidates.
     """
     settings = sorted({(pose.light_deg, pose.tilt_deg) for pose in candidates})
     drawn = rng.choice(len(settings), size=min(max_manual, len(settings)), replace=False)
@@ -159,12 +161,16 @@ def random_poses(candidates: list[Pose], count: int, max_manual: int, rng: np.ra
 
 
 def fit_errors(sitting: Sitting, poses: list[Pose], count: int, options: FitOptions, rng) -> dict[str, np.ndarray]:
-    """Return the error of each parameter over random materials, (count,) each; NaN where the fit does not state it."""
+    """Simulate and fit ``count`` random materials; return the absolute error of each parameter, (count,).
+
+    Errors of ``beta`` and ``mu`` are relative to the true value. An error is NaN where the fit does not state the
+    parameter.
+    """
     materials = sitting.planner.range.at(rng.random((count, 3)))
     response, geometry, weight = sitting.photograph(poses, materials, min(_SESSIONS, count), rng)
     noise = sitting.planner.noise
     camera = np.tile([noise.read_variance, noise.shot_variance], (len(poses), 1))
-    # In the precision of photographs, for which the loops of the fit are compiled by then.
+    # Single precision, as photographs have: the loops of the fit are already compiled for it.
     response = response.astype(np.float32)
     out = {name: np.empty(count) for name in _RELATIVE}
     for lobe, of in materials.of_lobes():
@@ -179,7 +185,7 @@ def fit_errors(sitting: Sitting, poses: list[Pose], count: int, options: FitOpti
 def measure_design(
     name: str, design: str, drawn: list, sitting: Sitting, *, count: int, options: FitOptions, rng: np.random.Generator
 ) -> list[PlanRow]:
-    """Return the rows of one design; several draws of it share the materials and are pooled."""
+    """Return the rows of one design; if it has several random draws, they share the materials and are pooled."""
     share = max(count // len(drawn), 1)
     errors = [fit_errors(sitting, poses, share, options, rng) for poses in drawn]
     expected = [sitting.planner.expected(poses) for poses in drawn]
@@ -207,7 +213,7 @@ def measure_design(
 
 
 def measure_object(name: str, planned: PlannedPlate, options: FitOptions, max_angle_deg: float, settings: Planning):
-    """Yield the rows of one plate.
+    """Yield the rows of ``planning.csv`` for one plate.
 
     Parameters
     ----------
@@ -255,7 +261,7 @@ def measure_plan(
     Parameters
     ----------
     objects : mapping of name to PlannedPlate
-        Without a plate the table has a header alone.
+        If it is empty, the table has a header alone.
     options : FitOptions
     max_angle_deg : float
         ``rectify.max_angle_deg``.

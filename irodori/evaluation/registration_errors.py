@@ -1,4 +1,4 @@
-"""Registration quality of the two shots of each capture."""
+"""Registration quality of the two shots of each capture, without and with the filter."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,22 +9,22 @@ import numpy as np
 from irodori.core import store
 from irodori.evaluation.result_tables import RegistrationRow, write_rows
 
-#: Whose transform a capture was registered by; see `irodori.ingest.shot_alignment.Alignment`.
+#: Sources of the transform that registered a capture; see `irodori.ingest.shot_alignment.Alignment`.
 SOURCES = ("capture", "chart", "none")
 
 
 @dataclass(frozen=True)
 class RegistrationSummary:
-    """An object's captures by `SOURCES`, and the residuals of those with a transform of their own.
+    """Number of captures of an object by source of their transform, and residuals of those with their own transform.
 
     Parameters
     ----------
     by_capture, by_chart, by_none : int
-        Captures.
+        Number of captures with each of the `SOURCES`.
     median_px, max_px : float
-        Superpixels; NaN where there is no such capture.
+        Residual of the captures with their own transform, superpixels; NaN if there is none.
     worst : str
-        Name of the capture with the largest residual, empty where there is none.
+        Name of the capture with the largest residual, empty if there is none.
     """
 
     by_capture: int
@@ -36,7 +36,7 @@ class RegistrationSummary:
 
 
 def measure_registration(linear: Sequence, output) -> None:
-    """Write ``registration.csv`` of one object; a header alone where nothing was registered.
+    """Write ``registration.csv`` of one object; a header alone if no capture was registered.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ def measure_registration(linear: Sequence, output) -> None:
     Raises
     ------
     ValueError
-        If a file names a source that is none of `SOURCES`.
+        If a file names a source that is not in `SOURCES`.
     """
     rows = []
     for path in map(Path, linear):
@@ -63,7 +63,7 @@ def measure_registration(linear: Sequence, output) -> None:
 
 
 def summarise(rows: Sequence[RegistrationRow]) -> RegistrationSummary:
-    """Return the summary of the registration of an object's captures, for the report."""
+    """Summarise the registration of the captures of an object, for the report."""
     by_capture, by_chart, by_none = (sum(row.source == source for row in rows) for source in SOURCES)
     own = [row for row in rows if row.source == "capture"]
     if not own:

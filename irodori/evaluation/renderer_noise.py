@@ -1,4 +1,4 @@
-"""Reference pictures for the error budget, with measured and expected noise."""
+"""Path-traced pictures for the error budget, and their measured and expected noise."""
 
 from typing import NamedTuple
 
@@ -17,10 +17,10 @@ from irodori.rendering.reference.sky_sampling import Sky, make_sky
 from irodori.rendering.scene_arrays import make_objects, make_placements, make_view
 from irodori.rendering.single_pixels import sheared_view
 
-#: How many times the scene's paths the picture has that is taken for converged; its own noise is taken out.
+#: Paths of the picture that is taken as converged, as a multiple of the scene's; its remaining noise is subtracted.
 MORE = 16
-_PATHS = 1_500_000  # to trace for the noise, unless a single block takes more
-_SIDE = 8  # pixels of a block, without what its filter reads around it
+_PATHS = 1_500_000  # number of paths traced to measure the noise, unless a single block takes more
+_SIDE = 8  # side of a block in pixels, without the margin that the noise filter reads
 #: Steps, in x and y, of points that fill a square evenly however many they are (Roberts 2018, by the plastic number).
 _EVEN_STEPS = (0.7548776662466927, 0.5698402909980532)
 _SEEDS = (71, 72, 73)
@@ -28,13 +28,14 @@ _LIGHTS_KEPT = 2  # the measured and the true one, mostly
 
 
 class Paths:
-    """A view of a scene by paths; random numbers and lights are made once for all of its pictures.
+    """Path-traced pictures of a view of a scene; random numbers and tables of the light are kept for further pictures.
 
     Parameters
     ----------
     scene : Scene
     view : str
-    shapes : one an object of the scene
+    shapes : list of Shape
+        One for each object of the scene.
     """
 
     def __init__(self, scene: Scene, view: str, shapes: list[Shape]) -> None:
@@ -59,25 +60,27 @@ class Paths:
         return self._numbers[samples, seed]
 
     def picture(self, materials: list[Material], light: Environment, samples: int, image=None) -> np.ndarray:
-        """Return radiance, (height, width, 61) float32.
+        """Render the view and return radiance, (height, width, 61) float32.
 
         Parameters
         ----------
-        materials : one an object of the scene
+        materials : list of Material
+            One for each object of the scene.
         light : Environment
         samples : int
-            Paths a pixel, a multiple of 8.
+            Paths per pixel, a multiple of 8.
         image : Size, optional
-            In place of the scene's.
+            Size of the picture; the scene's by default.
         """
         view = make_view(self.scene.views[self._view], image or self.scene.image)
         prepared = self._scene(materials, light)
         return render_rows(prepared, view, self._numbers_of(samples, 0), (0, view.height)).radiance
 
     def blocks(self, materials: list[Material], light: Environment, samples: int, seed: int, margin: int) -> Halves:
-        """Return blocks of the scene's picture with a margin, one below the other; parameters as of `picture`.
+        """Render blocks of the scene's picture, each with a margin; return them stacked along the first axis.
 
-        Each has random numbers of its own. A margin may leave the picture: what is traced there is of the same view.
+        Each block has its own random numbers. A margin may reach beyond the picture; it shows what a larger
+        picture of the same view would show there. The other parameters are those of `picture`.
         """
         view = make_view(self.scene.views[self._view], self.scene.image)
         prepared, numbers = self._scene(materials, light), self._numbers_of(samples, seed)
@@ -90,7 +93,7 @@ class Paths:
 
 
 def block_places(image: Size, samples: int, margin: int) -> list[tuple[float, float]]:
-    """Return the middles of the blocks, x and y in pixels, that a picture's noise is taken from, evenly over it."""
+    """Return the centres, x and y in pixels, of the blocks in which noise is measured, spread evenly over a picture."""
     across, down = max(image.width // _SIDE, 1), max(image.height // _SIDE, 1)
     paths = samples * (2 * (_SIDE + 2 * margin) ** 2 + MORE * _SIDE**2)
     count = max(round(_PATHS / paths), 1)
@@ -117,28 +120,28 @@ def _integrator(paths: Paths) -> ReferenceIntegrator:
 
 
 def _inner(values: np.ndarray, margin: int) -> np.ndarray:
-    """Return blocks (blocks, side, side, ...) without their margin, (blocks · 8, 8, ...)."""
+    """Cut the margin off blocks, (blocks, side, side, ...), and return them as (blocks · 8, 8, ...)."""
     inner = values[:, margin : margin + _SIDE, margin : margin + _SIDE]
     return inner.reshape(-1, *inner.shape[2:])
 
 
 def touched(paths: Paths, one: list[Material], other: list[Material], light: Environment) -> np.ndarray:
-    """Return where blocks of two sets of materials differ, (blocks · 8, 8) bool: elsewhere no object is seen."""
+    """Return the pixels that differ between two sets of materials, (blocks · 8, 8) bool; the others show no object."""
     pair = (_inner(paths.blocks(materials, light, REPLICATES, 0, 0).mean, 0) for materials in (one, other))
     return np.not_equal(*pair).any(axis=-1)
 
 
 class TracedBlocks(NamedTuple):
-    """Blocks of a picture as the scene's integrator renders it, each array (blocks · 8, 8, 61) radiance."""
+    """Radiance of blocks of a picture as the scene's integrator renders it; each array is (blocks · 8, 8, 61)."""
 
-    shown: np.ndarray
-    first: np.ndarray  # set of samples, as traced
-    second: np.ndarray
-    filtered: np.ndarray  # (2, ...) both sets after the filter, or as traced where there is none
+    shown: np.ndarray  # mean of ``filtered``
+    first: np.ndarray  # from the first set of paths, unfiltered
+    second: np.ndarray  # from the second set of paths, unfiltered
+    filtered: np.ndarray  # (2, ...), both sets after the noise filter, or unfiltered if the scene has no filter
 
 
 def traced_blocks(paths: Paths, materials: list[Material], light: Environment, seed: int) -> TracedBlocks:
-    """Return blocks of the scene's own number of paths, filtered where the scene is."""
+    """Render blocks with the scene's number of paths per pixel, and filter them if the scene is to be filtered."""
     margin = _margin(paths)
     halves = paths.blocks(materials, light, _samples(paths), seed, margin)
     first, second = (_inner(halves.mean + sign * halves.difference, margin) for sign in (1.0, -1.0))
@@ -154,9 +157,10 @@ def traced_blocks(paths: Paths, materials: list[Material], light: Environment, s
 
 
 def measured_noise(paths: Paths, materials: list[Material], light: Environment, white: np.ndarray) -> np.ndarray:
-    """Return CIEDE2000 between blocks of the scene's picture and many more paths, (blocks · 8, 8).
+    """Return CIEDE2000 between blocks of the scene's picture and those of a converged picture, (blocks · 8, 8).
 
-    The noise of the many is taken out of all alike: of independent parts, squares add.
+    The remaining noise of the converged picture is independent, so squares add: all distances are reduced by the same
+    factor, by which the mean square decreases by that of this noise.
     """
     few = traced_blocks(paths, materials, light, _SEEDS[0])
     many = paths.blocks(materials, light, MORE * _samples(paths), _SEEDS[1], 0)
@@ -168,12 +172,13 @@ def measured_noise(paths: Paths, materials: list[Material], light: Environment, 
 
 
 def expected_noise(paths: Paths, materials: list[Material], light: Environment, white: np.ndarray) -> np.ndarray:
-    """Return CIEDE2000 that the scene's number of paths leads to, by one picture alone, (blocks · 8, 8).
+    """Estimate CIEDE2000 due to the scene's number of paths from one picture alone, (blocks · 8, 8).
 
-    Of a filtered picture it is the root mean square over all blocks, for single squares scatter by more than
-    themselves, and has the filter's bias in it: `irodori.rendering.reference.denoising.squared_error`. Of another
-    picture it is half the distance of its two sets, whose colour counts: the standard error of every band does not say
-    how far the bands err together.
+    For a filtered picture it is the root mean square over all blocks, because the estimated square of a single pixel
+    scatters by more than its value. It includes the bias of the filter, see
+    `irodori.rendering.reference.denoising.squared_error`. For an unfiltered picture it is half the colour difference
+    between its two sets of paths. Standard errors of single bands would not do, because the errors of the bands are
+    correlated.
     """
     one = traced_blocks(paths, materials, light, _SEEDS[2])
     if not _margin(paths):

@@ -1,4 +1,7 @@
-"""Tables of errors as CSV files: their rows, written and read; what measures them is elsewhere and slow to import."""
+"""Rows of the tables of errors, and their CSV files.
+
+The code that measures the errors is in other modules, because it is slow to import.
+"""
 
 import csv
 from collections.abc import Iterable
@@ -12,10 +15,10 @@ Row = TypeVar("Row")
 
 @dataclass(frozen=True)
 class BudgetRow:
-    """One line of ``error_budget.csv``: CIEDE2000 of the pixels that show an object, with one part not true.
+    """One line of ``error_budget.csv``: CIEDE2000 of the pixels that show an object, due to the result of one stage.
 
-    ``predicted`` is the mean that what the stages know leads to, NaN where they know nothing; ``by`` says how, or why
-    not.
+    ``predicted`` is the mean that was predicted from the error estimates of the stages, NaN if there are none. ``by``
+    is the way it was predicted, or the reason why it was not.
     """
 
     stage: str
@@ -31,9 +34,9 @@ class BudgetRow:
 class CostRow:
     """One line of ``imperfections.csv``: the errors of an object's reflectance with one set of faults.
 
-    ``beta`` and ``mu``, of the first gloss component, are medians of the relative error where the fit states them, NaN
-    where the truth has no such parameter; ``known`` is the share of observed texels on which it does. Texels at seams
-    are left out of all.
+    ``beta`` and ``mu`` are median relative errors of these parameters of the first gloss component, over the texels for
+    which the fit states them; NaN if the truth has no such parameter. ``known`` is the share of observed texels for
+    which the fit states ``mu``. Texels at seams are left out of all figures.
     """
 
     faults: str
@@ -49,7 +52,7 @@ class CostRow:
 
 @dataclass(frozen=True)
 class ErrorRow:
-    """One line of ``errors.csv``."""
+    """One line of ``errors.csv``: statistics of one kind of error of an object, environment, camera or view."""
 
     subject: str
     quantity: str
@@ -63,23 +66,24 @@ class ErrorRow:
 
 @dataclass(frozen=True)
 class PlanRow:
-    """One line of ``planning.csv``: the error of one parameter after fits of photographs in one design.
+    """One line of ``planning.csv``: the error of one fitted parameter when the poses follow one design.
 
     Parameters
     ----------
     object : str
     poses : int
     design : str
-        ``planned``; ``planned-determinant``, the criterion ``determinant``; ``even-grid`` of as many light angles as
-        a plan may have; ``even-one-light``; ``random``, poses of random settings, pooled over some draws.
+        Choice of poses: ``planned``; ``planned-determinant``, planned with the criterion ``determinant``;
+        ``even-grid``, with as many light angles as a plan may have; ``even-one-light``, an even grid with one light
+        angle; ``random``, pooled over several draws.
     parameter : str
-        ``alpha``, whose error is absolute; ``beta``, ``mu``, whose errors are relative.
+        ``alpha`` (absolute errors), ``beta`` or ``mu`` (relative errors).
     median, p95 : float
-        Of the absolute value of the error where the fit states the parameter.
+        Median and 95th percentile of the size of the error, over the fits that state the parameter.
     identified_fraction : float
-        Share of the fits that state it.
+        Share of the fits that state the parameter.
     expected_standard_error : float
-        Median of what the information promises.
+        Standard error expected from the linearised model (the Fisher information), the median over the draws.
     """
 
     object: str
@@ -94,17 +98,18 @@ class PlanRow:
 
 @dataclass(frozen=True)
 class RegistrationRow:
-    """One line of an object's ``registration.csv``: one capture that has both filter states.
+    """One line of ``registration.csv`` of an object: one capture that was photographed without and with the filter.
 
     Parameters
     ----------
     capture : str
     source : str
-        ``capture`` for its own transform; ``chart`` where it had too little content; ``none`` where the chart had too.
+        Source of the transform: ``capture``, estimated from the capture itself; ``chart``, taken from the chart because
+        the capture has too little structure; ``none`` if the chart has too little, too.
     residual_px : float
-        Rms of what local blocks still find, superpixels; with the source ``chart`` it is the chart's.
+        RMS of the shifts that remain in local blocks, superpixels; with the source ``chart``, those of the chart.
     sigma_px : float
-        Predicted standard error of the capture's own transform, superpixels.
+        Predicted standard error of the transform from the capture itself, superpixels.
     """
 
     capture: str
@@ -114,9 +119,10 @@ class RegistrationRow:
 
 
 def write_rows(path, kind: type, rows: Iterable) -> None:
-    """Write a table whose columns are the fields of a dataclass; a header alone where there is no row.
+    """Write a CSV table with the fields of the dataclass ``kind`` as columns; a header alone if there is no row.
 
-    Numbers have six significant digits. A row is written as it comes, the file appears once all are.
+    Numbers have six significant digits. Each row is written when the iterable yields it; the file appears under its
+    name when all rows are written.
     """
     with written_whole(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.DictWriter(stream, [field.name for field in fields(kind)])
@@ -126,7 +132,7 @@ def write_rows(path, kind: type, rows: Iterable) -> None:
 
 
 def read_rows(path, kind: type[Row]) -> list[Row]:
-    """Return the rows of a table as `write_rows` wrote it."""
+    """Read the rows of a table that `write_rows` wrote, as instances of the dataclass ``kind``."""
     with open(path, newline="", encoding="utf-8") as stream:
         kinds = get_type_hints(kind)
         return [kind(**{key: kinds[key](text) for key, text in row.items()}) for row in csv.DictReader(stream)]

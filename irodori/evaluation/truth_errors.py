@@ -31,19 +31,19 @@ def _row(subject: str, quantity: str, values, light: str = "") -> ErrorRow:
 
 
 def interior(truth: Material) -> np.ndarray:
-    """Return the texels whose neighbourhood (5 x 5) is of one true material, (height, width) bool.
+    """Return the texels whose 5 x 5 neighbourhood has one true material, (height, width) bool.
 
-    At a seam between two paints a picture shows their mixture, which is no error of colour recovery.
+    At a seam between two paints a photograph shows their mixture, which is not an error of colour recovery.
     """
     from scipy import ndimage  # slow to import
 
     index = truth.coefficients.argmax(axis=-1)
-    # The texture's own border is no seam: beyond it the border repeats.
+    # The border of the texture does not count as a seam: the last texels are repeated beyond it.
     return ndimage.maximum_filter(index, 5, mode="nearest") == ndimage.minimum_filter(index, 5, mode="nearest")
 
 
 def material_errors(name: str, material: Material, truth: Material, lights: list[str]) -> list[ErrorRow]:
-    """Return the errors of one object: reflectance over all observed texels and away from seams, and parameters."""
+    """Return the errors of one object: reflectance, over all observed texels and away from seams, and parameters."""
     rows = []
     inside = interior(truth)
     for label, chosen in (("", material.observed), (" away from seams", material.observed & inside)):
@@ -103,10 +103,11 @@ def alpha_coverage(name: str, path, material: Material, truth: Material) -> list
 
 
 def comparable_gloss(material: Material, truth: Material) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Return true β and μ for every gloss component of a material; NaN where there is nothing to compare it with.
+    """Return the true β and μ of each gloss component of a material; NaN where there is no comparable true value.
 
-    A component stands beside the true one of the same lobe, the first of a lobe beside the first. Where the truth has
-    no such gloss, or has other gloss for which the material has no component, its parameters have no true value.
+    The first component with a lobe is compared with the first true component with that lobe, the second with the
+    second. A texel has no comparable value if its true gloss lacks that component, or has a component that the
+    material lacks.
     """
 
     def keyed(one: Material) -> dict[tuple[str, int], tuple[np.ndarray, np.ndarray]]:
@@ -127,30 +128,33 @@ def comparable_gloss(material: Material, truth: Material) -> list[tuple[np.ndarr
 
 
 def xyz_delta_e(truth: np.ndarray, estimate: np.ndarray, white_xyz: np.ndarray) -> np.ndarray:
-    """Return CIEDE2000 between two pictures in XYZ, (..., 3) to (...), Y = 100 for white; see `radiance_delta_e`."""
+    """Return CIEDE2000, (...), between two pictures in XYZ, (..., 3), with Y = 100 for white.
+
+    A pixel that is truly brighter than white is compared after both pictures are divided there by Y / 100 of the truth.
+    """
     scale = np.maximum(truth[..., 1:2] / 100.0, 1.0)
     return delta_e(lab_from_xyz(truth / scale, white_xyz), lab_from_xyz(estimate / scale, white_xyz))
 
 
 def radiance_delta_e(truth: np.ndarray, estimate: np.ndarray, white: np.ndarray) -> np.ndarray:
-    """Return CIEDE2000 between two radiance images, (..., 61) to (...).
+    """Return CIEDE2000, (...), between two radiance images, (..., 61).
 
     Parameters
     ----------
     truth, estimate : (..., 61) float
     white : (61,) float
-        Radiance of white. A pixel whose truth is brighter is compared after both are scaled by the same factor.
+        Radiance of white. For brighter pixels see `xyz_delta_e`.
     """
     matrix = xyz_from_radiance(white)
     return xyz_delta_e(truth @ matrix.T, estimate @ matrix.T, matrix @ white)
 
 
 def environment_errors(name: str, environment: Environment, truth: Environment) -> list[ErrorRow]:
-    """Return the errors of recovered light: of the picture and of its irradiance map."""
+    """Return the colour errors of recovered light: those of the panorama and those of its irradiance map."""
     white = truth.upward_white()
     step = 4
     exact, found = (e.coefficients[::step, ::step] @ e.basis.T for e in (truth, environment))
-    # The maps are as fine as their own light needs.
+    # The two maps may have different resolutions: both are looked up at the same normals.
     normals = directions(128, 64)[0]
     exact_map, found_map = (irradiance_at(e.irradiance, normals) @ e.basis.T / np.pi for e in (truth, environment))
     return [
@@ -160,7 +164,7 @@ def environment_errors(name: str, environment: Environment, truth: Environment) 
 
 
 def outcome(name: str, path) -> list[ErrorRow]:
-    """Return the relative residual of an object's fit, and the share of its texels with each outcome."""
+    """Return the relative residual of the fit of an object, and the share of its texels with each fit status."""
     with store.open_file(path) as file:
         residual, status = file.read("relative_residual"), file.read("status")
     rows = [_row(name, "residual over response", residual)]
@@ -168,7 +172,7 @@ def outcome(name: str, path) -> list[ErrorRow]:
 
 
 def calibration_errors(name: str, path, lights: list[str]) -> list[ErrorRow]:
-    """Return the leave-one-patch-out errors that a calibration file holds."""
+    """Read the leave-one-patch-out errors from a calibration file."""
     with store.open_file(path) as file:
         rows = [_row(name, "leave-one-patch-out spectral RMSE", file.read("leave_one_out/rmse"))]
         for light in lights:
@@ -179,18 +183,20 @@ def calibration_errors(name: str, path, lights: list[str]) -> list[ErrorRow]:
 
 
 def measure_errors(inputs: dict, names: dict, scenes: Iterable[Staging], lights: list[str], output) -> None:
-    """Write ``errors.csv``.
+    """Write ``errors.csv``, the errors of all materials, environments, calibrations and views.
 
     Parameters
     ----------
     inputs : dict
-        Lists of files: materials, true_materials, environments, true_environments, calibrations, views, true_views;
-        and view_lights, the environment's file of each view.
+        Lists of files: ``materials``, ``true_materials``, ``environments``, ``true_environments``, ``calibrations``,
+        ``views``, ``true_views``, and ``view_lights`` with the file of each view's environment.
     names : dict
-        Their names: objects, environments, cameras, views; and view_environments, the light of each view.
+        Lists of names: ``objects``, ``environments``, ``cameras``, ``views``, and ``view_environments`` with the name
+        of each view's environment.
     scenes : iterable of Staging
-        Of each view what `irodori.rendering.scene_white.scene_white` reads of its scene.
+        For each view, the settings of its scene that `irodori.rendering.scene_white.scene_white` reads.
     lights : list of str
+        Illuminants for the errors of reflectance.
     output : path
     """
     rows: list[ErrorRow] = []
@@ -217,7 +223,7 @@ def measure_errors(inputs: dict, names: dict, scenes: Iterable[Staging], lights:
         matrix = xyz_from_radiance(white)
         pair = read_xyz(truth, matrix), read_xyz(path, matrix)
         difference = xyz_delta_e(*pair, matrix @ white)
-        # Light, samples and random numbers are shared: a pixel that shows no object is the same to the bit.
+        # Both pictures have the same light, samples and random numbers: pixels without an object are identical.
         objects = (pair[0] != pair[1]).any(axis=-1)
         rows.append(_row(name, "picture CIEDE2000 to true materials", difference, light))
         rows.append(_row(name, "picture CIEDE2000 to true materials, objects only", difference[objects], light))

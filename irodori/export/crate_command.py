@@ -10,27 +10,27 @@ from irodori.core.atomic_files import written_whole
 from irodori.core.errors import InputError, PlainError
 from irodori.export.run_crate import METADATA, RunFiles, run_crate
 
-#: What is packed already gains nothing from being packed again.
+#: Files that are compressed already are stored as they are.
 _PACKED = (".h5", ".exr", ".png", ".dng", ".zip")
 
 
 def write_crate(results: Path, output: Path | None) -> Path:
-    """Write the crate of a finished run and return where it is.
+    """Write the RO-Crate of a finished run and return its path.
 
     Parameters
     ----------
     results : path
         The folder ``results`` of a project.
     output : path, optional
-        A new folder, or a file that ends in ``.zip``, which takes copies of all files. Where absent the description is
-        written into the project's folder, and the files stay where they are.
+        A new folder, or a file that ends in ``.zip``, into which all files are copied. By default only the description
+        is written, into the project's folder, and the files stay where they are.
 
     Raises
     ------
     InputError
-        See `irodori.export.run_crate.run_crate`; or if there is something at `output`.
+        See `irodori.export.run_crate.run_crate`; or if `output` exists already.
     OSError
-        If the disk is full or takes nothing.
+        If the disk is full or cannot be written to.
     """
     if output is not None and (output.exists() or output.is_symlink()):
         raise InputError(output, "", "something that is there already", "a name that is free")
@@ -47,7 +47,7 @@ def write_crate(results: Path, output: Path | None) -> Path:
         for name in files.all:
             (output / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy2(files.project / name, output / name)
-        # Last: a folder with its description is whole.
+        # Written last, so that a folder with a description is complete.
         (output / METADATA).write_text(text, encoding="utf-8")
     return output
 

@@ -1,4 +1,4 @@
-"""Pictures of a material's diffuse colour over its texture, under a light that one chooses."""
+"""Pictures of the diffuse colour of a material over its texture, under a chosen light."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,39 +19,41 @@ _PREVIEW_PX = 512
 
 
 def colours_from_bands(illuminant: str, display: Display | None = None) -> np.ndarray:
-    """Return the matrix from a reflectance factor under a light to linear RGB of a display, (3, 61).
+    """Return the matrix from a reflectance factor under an illuminant to linear RGB of a display, (3, 61).
 
-    A perfect diffuser becomes white, R = G = B = 1, by the display's chromatic adaptation. The display is sRGB where
-    none is given, and one of `irodori.colour.display.STANDARD`: a matrix cannot tell of a black that was measured.
+    A perfect diffuser becomes white, R = G = B = 1, by chromatic adaptation. The display is sRGB by default; others
+    must be from `irodori.colour.display.STANDARD`, because a matrix cannot represent the black level of a measured
+    display.
     """
     matrix = xyz_from_reflectance(illuminant)
     return (display or srgb()).linear_rgb(matrix.T, matrix.sum(axis=1)).T
 
 
 def diffuse_colours(material: Material, matrix: np.ndarray) -> np.ndarray:
-    """Return α S / S_G in linear colours, (height, width, n) float64; ``matrix`` (n, 61) is that of the colours."""
+    """Return the diffuse reflectance α S / S_G multiplied by a matrix, (n, 61): colours (height, width, n) float64."""
     colours = material.coefficients.astype(np.float64) @ (material.basis.T @ matrix.T)
     return colours * material.spectrum_scale[..., None]
 
 
 def write_diffuse_tiff(item: "Item", path, illuminant: str, display: Display) -> Loss:
-    """Write the diffuse colour of an object under a light as a TIFF of 16 bits with the display's profile.
+    """Write the diffuse colour of an object under a light as a 16-bit TIFF with the ICC profile of the display.
 
-    Its description gives the light and the loss, which is that of the codes: what they round, and colours that
-    the display cannot show. Texels that no photograph shows have the colour of the nearest that one does.
+    The description in the file states the light and the loss, which comes from the rounding of the code values and from
+    colours outside the display's gamut. Texels without data have the colour of the nearest texel with data.
+
 
     Parameters
     ----------
     item : Item
     path : path
     illuminant : str
-        See `irodori.spectra.published.light`.
+        Name of the light, see `irodori.spectra.published.light`.
     display : Display
 
     Returns
     -------
     Loss
-        Over the texels on the object's surface with data of their own.
+        Over the texels with data on the surface of the object.
     """
     linear = diffuse_colours(item.material, colours_from_bands(illuminant, display))
     codes, gamut = display.encode(linear, 16)
@@ -78,5 +80,5 @@ def write_preview(path, linear: np.ndarray) -> None:
 
 
 def preview_of(path) -> Path:
-    """Return the name of the preview beside an export."""
+    """Return the path of the preview beside an exported file: its name with ``.png`` appended."""
     return Path(path).with_name(f"{Path(path).name}.png")

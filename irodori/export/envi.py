@@ -1,4 +1,4 @@
-"""ENVI files through Spectral Python, written and read by bands of rows."""
+"""ENVI files through Spectral Python, written a few rows at a time."""
 
 import os
 from collections.abc import Callable
@@ -15,20 +15,23 @@ _ROWS = 32
 def write_envi(
     path, size: tuple[int, int], names: list[str], rows: Callable[[slice], np.ndarray], *, interleave: str, units: str
 ) -> None:
-    """Write a picture of 32-bit floats; header and data take their names when they are whole.
+    """Write a picture of 32-bit floats; header and data appear under their names when they are complete.
 
     Parameters
     ----------
     path : path
-        Of the data, ``.img``; the header has the same name and ``.hdr``.
+        Path of the data, ``.img``; the header has the same name with the suffix ``.hdr``.
     size : (height, width)
     names : list of str
-        Of the bands. As many as there are wavelengths: they are spectra, and the header gives the wavelengths in nm.
+        Names of the bands. If there are 61, the bands are spectral samples, and the header lists their wavelengths in
+        nm.
     rows : callable
-        Returns the pixels of some rows, (rows, width, bands).
+        Function of a slice of rows that returns their pixels, (rows, width, bands).
     interleave : str
-        ``bsq``: band after band; ``bil``: row after row, of each the bands; ``bip``: pixel after pixel.
+        Order of the numbers: ``bsq``, band after band; ``bil``, row after row, with the bands of each row in turn;
+        ``bip``, pixel after pixel.
     units : str
+        Description in the header.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Write a scene, an object, a material or a light for other programs, and print by how much its colours are off."""
+"""Write a scene, an object, a material or a light for other programs, and print the colour error of the export."""
 
 import argparse
 import shutil
@@ -26,17 +26,18 @@ if TYPE_CHECKING:
 
 
 class Target(NamedTuple):
-    """A kind of export.
+    """A kind of export, the value of the option ``--to``.
 
     Parameters
     ----------
     suffix : str
-        Of its file; empty of a folder.
+        Suffix of the file; empty for a folder.
     takes : tuple of str
-        Kinds of sources.
+        Kinds of sources that can be exported so: ``scene``, ``object``, ``environment``.
     write : callable
         (source, path, options) -> `Losses`.
     about : str
+        Description for the help text.
     """
 
     suffix: str
@@ -46,7 +47,7 @@ class Target(NamedTuple):
 
 
 def _result(source: "Source", kind: str) -> Path:
-    """Return the picture of a scene's first view, ``png`` or ``exr``."""
+    """Return the path of the picture of a scene's first view; ``kind`` is ``png`` or ``exr``."""
     from irodori.export.export_sources import result
 
     assert source.scene is not None
@@ -54,7 +55,7 @@ def _result(source: "Source", kind: str) -> Path:
 
 
 def _preview(source: "Source", path: Path, illuminant: str = "D65") -> None:
-    """Write the picture beside an export: a scene's first view as rendered, or an object's diffuse colours."""
+    """Write the preview beside an export: first view of a scene, diffuse colours of an object, or panorama."""
     if source.kind == "scene":
         with written_whole(preview_of(path)) as temporary:
             shutil.copyfile(_result(source, "png"), temporary)
@@ -115,22 +116,22 @@ TARGETS = {
 
 
 def export_named(name: str, output: Path | None, given: argparse.Namespace) -> tuple[Path, Losses]:
-    """Export a definition by its name; return the file, or the folder, and by how much its colours are off.
+    """Export a scene, an object or an environment by its name; return the file or folder written, and its losses.
 
     Parameters
     ----------
     name : str
         See `irodori.export.export_sources.find`.
     output : path, optional
-        ``exports/NAME`` with the target's suffix where absent.
+        ``exports/NAME`` with the suffix of the target by default.
     given : Namespace
-        ``to``, and the options of the target, see `command_parser`.
+        The option ``to`` and the options of the target, see `command_parser`.
 
     Raises
     ------
     PlainError
-        For an unknown target, a name without definition, a result that is not made yet, or a target that does not
-        take what the name stands for.
+        For an unknown target, a name without definition, a result that does not exist yet, or a target that does not
+        accept this kind of source.
     """
     if given.to not in TARGETS:
         raise PlainError(f"--to: found {given.to!r}; accepted: {', '.join(TARGETS)}.")
@@ -144,13 +145,13 @@ def export_named(name: str, output: Path | None, given: argparse.Namespace) -> t
     if target.suffix and path.suffix.lower() != target.suffix:
         raise InputError(path, "", f"the suffix {path.suffix!r}", f"{target.suffix}, of --to {given.to}")
     if source.kind == "scene":
-        _result(source, "png")  # the preview: missed before the work and not after it
+        _result(source, "png")  # raises now, not after the work, if the picture for the preview is missing
     path.parent.mkdir(parents=True, exist_ok=True)
     return path, target.write(source, path, given)
 
 
 def command_parser(prog: str) -> argparse.ArgumentParser:
-    """Return the parser of the command's arguments."""
+    """Return the parser of the command-line arguments."""
     about = "\n".join(f"  {name:13} {one.about} (of: {', '.join(one.takes)})" for name, one in TARGETS.items())
     parser = argparse.ArgumentParser(
         prog=prog,
@@ -181,7 +182,7 @@ def command_parser(prog: str) -> argparse.ArgumentParser:
 
 
 def main(arguments: list[str] | None = None, prog: str = "python -m irodori.export.export_command") -> int:
-    """Run the command; return 0, or 2 after a fault said in one sentence."""
+    """Run the command; return 0, or 2 after printing an error in one sentence."""
     given = command_parser(prog).parse_intermixed_args(arguments)
     try:
         if given.to is not None:

@@ -1,4 +1,4 @@
-"""Scenes, objects and environments by name, with the results that an export of them reads."""
+"""Scenes, objects and environments looked up by name, with the results that their export reads."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -18,23 +18,23 @@ from irodori.rendering.integrators import with_bodies
 from irodori.rendering.scene_arrays import make_placements
 
 _CONFIG = Path("config/config.yaml")
-#: Kinds of definitions by their folder; a name without one is looked for in this order.
+#: Kinds of definitions by folder; a name without a folder is searched for in this order.
 _FOLDERS = {"scenes": "scene", "objects": "object", "environments": "environment"}
 
 
 class Item(NamedTuple):
-    """A thing that stands in an export."""
+    """One object or body in an export."""
 
     name: str
     placement: Placement
-    material: Material  # without gaps
-    observed: np.ndarray  # (height, width) bool, texels on the surface with data of their own
-    file: str  # of the material, empty of a body
-    sha256: str
+    material: Material  # texels without data are filled in
+    observed: np.ndarray  # (height, width) bool, texels on the surface with data
+    file: str  # path of the material; empty for a body of the scene
+    sha256: str  # hash of this file; empty for a body
 
 
 class Source(NamedTuple):
-    """Definition and results of what is to be exported."""
+    """A scene, an object or an environment to be exported, with its results."""
 
     name: str
     kind: str  # one of the values of `_FOLDERS`
@@ -49,7 +49,7 @@ def kind_of(name: str) -> tuple[str, str]:
     Raises
     ------
     InputError
-        If there is none, with the names that there are.
+        If there is no such definition; the message lists the scenes and objects that exist.
     """
     folder, _, own = name.rpartition("/")
     definitions = Path(read_yaml(_CONFIG).get("definitions", "config"))
@@ -62,12 +62,12 @@ def kind_of(name: str) -> tuple[str, str]:
 
 
 def result(path: Path) -> Path:
-    """Return a result's file.
+    """Return the path of a result after checking that the file exists.
 
     Raises
     ------
     InputError
-        If it is not made yet.
+        If it does not exist yet.
     """
     if not path.is_file():
         raise InputError(path, "", "no file", f"what 'snakemake --cores 2 {path}' makes")
@@ -84,13 +84,13 @@ def _item(name: str, placement: Placement, material: Material, file: Path | None
 
 
 def find(name: str) -> Source:
-    """Return a scene, an object or an environment with its results, from the working directory.
+    """Load a scene, an object or an environment by name, with its results, from the project in the working directory.
 
     Raises
     ------
     InputError
-        If there is none of that name, its definition is at fault, a result is not made yet, or a material of a scene
-        makes light.
+        If the name is unknown, its definition is faulty, a result does not exist yet, no texel of an object has data,
+        or a material of a scene reflects more light than it receives.
     """
     folder, own = kind_of(name)
     if folder == "environments":

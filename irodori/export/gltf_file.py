@@ -1,10 +1,11 @@
-"""glTF 2.0 files (GLB) of an object or a scene: shapes, textures, one variant of the material for each light.
+"""glTF 2.0 files (GLB) of an object or a scene: shapes, textures, and one material variant for each illuminant.
 
-The rough gloss is one GGX lobe (`irodori.export.gltf_refit`); the mirror term is the extension for a clear coat. What
-glTF has no place for stands under ``extras``: the diffuse spectra of every texel, the material's file with its hash,
-and the loss.
-Lengths are metres and y is up, as glTF asks; the objects themselves stay in mm under a node that turns and scales.
-Light is left out: glTF has no spectral light, and viewers bring their own.
+The rough gloss is one GGX lobe (`irodori.export.gltf_refit`). The mirror term uses the extension for a clear coat. Data
+that glTF cannot represent are stored under ``extras``: the diffuse spectra of every texel, the path and hash of the
+material's file, and the loss.
+
+Lengths are in metres and y is up, as glTF requires; the objects themselves stay in mm below a node that rotates and
+scales them. Light is left out: glTF has no spectral light, and viewers have their own.
 """
 
 import base64
@@ -34,11 +35,11 @@ from irodori.geometry.shapes.placement import reaches
 from irodori.material.coefficients import rounded_to_half, scale_of
 from irodori.spectra.grid import WAVELENGTH_NM
 
-#: Lights of the variants where none are asked for; the first is what a viewer without variants shows.
+#: Default illuminants of the variants; a viewer without support for variants shows the first.
 ILLUMINANTS = ("D65", "A", "FL11")
 EXTENSIONS = ("KHR_materials_clearcoat", "KHR_materials_ior", "KHR_materials_specular", "KHR_materials_variants")
 _M_PER_MM = 0.001
-#: The index that stands for one that glTF's viewers do not take: complex, varying, or out of 1 to 2.333.
+#: The index that replaces one that glTF viewers do not support: complex, varying with wavelength, or out of 1 to 2.333.
 _USUAL_INDEX, _HIGHEST_INDEX = 1.5, 2.333
 _FLOAT, _UINT = 5126, 5125
 _ARRAY, _ELEMENTS = 34962, 34963
@@ -46,7 +47,7 @@ _LINEAR, _REPEAT, _CLAMP = 9729, 10497, 33071
 
 
 class _Buffer:
-    """The one buffer of a GLB and the tables that point into it."""
+    """The binary buffer of a GLB file, with the tables of buffer views, accessors and images that refer to it."""
 
     def __init__(self) -> None:
         self.data = bytearray()
@@ -62,7 +63,7 @@ class _Buffer:
         return len(self.views) - 1
 
     def numbers(self, values: np.ndarray, kind: str, component: int, target: int, bounds: bool = False) -> int:
-        """Add an array; return its accessor."""
+        """Add an array; return the index of its accessor."""
         values = np.ascontiguousarray(values, dtype="<f4" if component == _FLOAT else "<u4")
         view = self._view(values.tobytes(), target=target)
         accessor = {"bufferView": view, "componentType": component, "count": len(values), "type": kind}
@@ -72,7 +73,7 @@ class _Buffer:
         return len(self.accessors) - 1
 
     def image(self, pixels: np.ndarray, name: str) -> int:
-        """Add a picture of 8 bits as PNG, once; return its number."""
+        """Add an 8-bit picture as PNG, unless the same is there already; return its index."""
         content = io.BytesIO()
         Image.fromarray(np.ascontiguousarray(pixels)).save(content, "PNG")
         key = hashlib.sha256(content.getvalue()).digest()
@@ -84,7 +85,7 @@ class _Buffer:
 
 
 class _Document:
-    """A glTF document while it grows."""
+    """A glTF document under construction."""
 
     def __init__(self, illuminants: Sequence[str]) -> None:
         self.buffer, self.illuminants = _Buffer(), tuple(illuminants)
@@ -97,14 +98,14 @@ class _Document:
         return len(self.json[table]) - 1
 
     def texture(self, pixels: np.ndarray, wraps: bool, name: str) -> dict:
-        """Add a texture; return a material's reference to it."""
+        """Add a texture; return the reference by which a material uses it."""
         across = _REPEAT if wraps else _CLAMP
         sampler = {"magFilter": _LINEAR, "minFilter": _LINEAR, "wrapS": across, "wrapT": _CLAMP}
         entry = {"sampler": self._add("samplers", sampler), "source": self.buffer.image(pixels, name)}
         return {"index": self._add("textures", entry)}
 
     def mesh(self, mesh: Mesh, name: str, materials: list[int], extras: dict) -> int:
-        """Add triangles with their materials, one a variant; return the mesh's number."""
+        """Add triangles with their materials, one for each variant; return the index of the mesh."""
         corners = np.concatenate([mesh.vertices_mm[mesh.faces], mesh.normals, mesh.uv], axis=-1).reshape(-1, 8)
         unique, index = np.unique(corners.astype(np.float32), axis=0, return_inverse=True)
         normals = unique[:, 3:6].astype(np.float64)
@@ -126,14 +127,14 @@ class _Document:
         return self._add("meshes", {"name": name, "primitives": [primitive], "extras": {"irodori": extras}})
 
     def materials(self, item: Item, found: Refit) -> list[int]:
-        """Add an object's materials, one a light; return their numbers."""
+        """Add the materials of an object, one for each illuminant; return their indices."""
         shape, material = item.placement.shape, item.material
         roughness, weight = np.sqrt(found.alpha), found.weight
         most, heaviest = float(roughness.max()), float(weight.max())
         gloss = np.full((*weight.shape, 4), 255, dtype=np.uint8)
         gloss[..., 1], gloss[..., 3] = _eight_bits(roughness, most), _eight_bits(weight, heaviest)
         gloss[..., 2] = 0
-        # Roughness is in green and the weight in alpha: one picture serves both.
+        # glTF reads roughness from the green channel and the weight from alpha: one picture holds both.
         lobe = self.texture(gloss, shape.wraps, f"{item.name} gloss")
         index = float(material.n[0])
         plain = np.ptp(material.n) == 0.0 and not material.k.any() and 1.0 <= index <= _HIGHEST_INDEX
@@ -165,7 +166,16 @@ class _Document:
         return numbers
 
     def whole(self, roots: list[int], cameras: list[dict], extras: dict) -> dict:
-        """Return the document."""
+        """Assemble the glTF document as a JSON object.
+
+        Parameters
+        ----------
+        roots : list of int
+            Nodes of the scene.
+        cameras : list of dict
+        extras : dict
+            Additional data about the whole file.
+        """
         used = [name for name in EXTENSIONS if name in json.dumps([self.json["materials"], self.json["meshes"]])]
         content = {
             "asset": {"version": "2.0", "generator": f"irodori {__version__}", "extras": {"irodori": extras}},
@@ -187,10 +197,10 @@ def _eight_bits(values: np.ndarray, most: float) -> np.ndarray:
 
 
 def _spectra(item: Item) -> dict:
-    """Return the diffuse reflectance of an object in every texel, as far as JSON can hold it.
+    """Return the diffuse reflectance of every texel of an object as a JSON object.
 
-    The coefficients are half-precision numbers, packed by zlib, as a data URI: programs that edit a glTF file keep
-    ``extras``, but drop a part of the buffer that no part of glTF refers to.
+    The coefficients are half-precision numbers, compressed by zlib, in a data URI: programs that edit glTF files keep
+    ``extras``, but drop parts of the buffer to which no other part of glTF refers.
     """
     basis = np.array([[float(f"{value:.6g}") for value in vector] for vector in item.material.basis.T])
     coefficients = (item.material.coefficients * item.material.spectrum_scale[..., None]).astype(np.float32)
@@ -225,12 +235,12 @@ def _placed(item: Item, mesh: int) -> dict:
 
 
 def _y_up(vectors: np.ndarray) -> np.ndarray:
-    """Return vectors (..., 3) of a world whose z is up in one whose y is."""
+    """Convert vectors (..., 3) from a frame with z up to a frame with y up."""
     return np.stack([vectors[..., 0], vectors[..., 2], -vectors[..., 1]], axis=-1)
 
 
 def _cameras(source: Source) -> tuple[list[dict], list[dict]]:
-    """Return the views of a scene as cameras and the nodes where they stand; both in the same order."""
+    """Return the views of a scene as glTF cameras, and the nodes that place them, in the same order."""
     cameras: list[dict] = []
     nodes: list[dict] = []
     if source.scene is None:
@@ -268,20 +278,20 @@ def _glb(content: dict, data: bytes) -> bytes:
 
 
 def write_gltf(source: Source, path, illuminants: Sequence[str] = ILLUMINANTS) -> dict[str, Loss]:
-    """Write an object or a scene as GLB, with the loss of its materials in it.
+    """Write an object or a scene as GLB, including the loss of its materials.
 
     Parameters
     ----------
     source : Source
     path : path
     illuminants : sequence of str
-        Lights of the variants, see `irodori.spectra.published.light`.
+        Names of the variants' lights, see `irodori.spectra.published.light`.
 
     Returns
     -------
     dict of str to Loss
-        ``OBJECT: KIND OF LIGHT`` to the loss over all variants, and ``OBJECT: SPECTRA`` to that of the spectra under
-        ``extras``, see `irodori.export.gltf_loss`.
+        The loss over all variants under the key ``OBJECT: KIND OF LIGHT``, and that of the spectra under ``extras``
+        with the key ``OBJECT: SPECTRA``; see `irodori.export.gltf_loss`.
     """
     for name in illuminants:
         xyz_from_reflectance(name)  # refuses an unknown light before any work
@@ -301,7 +311,7 @@ def write_gltf(source: Source, path, illuminants: Sequence[str] = ILLUMINANTS) -
     roots = [0, *(1 + len(nodes) + i for i in range(len(eyes)))]
     about = {"source": source.name, "loss": "CIEDE2000 against Irodori's own renderer, under the extras of each mesh"}
     content = document.whole(roots, cameras, about)
-    # What is judged is what the file says: its pictures, its factors.
+    # The loss is computed from the content of the file: its 8-bit pictures and its factors.
     parsed, losses = ParsedGltf(content, bytes(document.buffer.data)), {}
     for number, item in enumerate(source.items):
         entry = content["meshes"][number]

@@ -1,13 +1,13 @@
-"""The colour differences between a glTF file's materials and the materials they were made from.
+"""Colour differences between the materials of a glTF file and the materials from which they were made.
 
-The file's numbers and pictures are read back and its reflection evaluated as the specification says
-(`irodori.export.gltf_reflection`). Pairs of directions are others than those of the refit. Differences are CIEDE2000
-for an eye that is adapted to the light, whose white is a perfect diffuser that faces it:
+The numbers and pictures of the file are read back, and its reflection is evaluated as the glTF specification defines it
+(`irodori.export.gltf_reflection`). The directions differ from those of the refit, so that the refit is judged on new
+ones. Differences are CIEDE2000 for an observer adapted to the light, with a perfect diffuser facing the light as white:
 
-* *lamp*: a single lamp and the eye in directions even over the hemisphere;
+* *lamp*: a single lamp and the observer in directions spread evenly over the hemisphere;
 * *highlight*: the same with half vectors about the normal, where the gloss is;
-* *even light*: light of one radiance from everywhere, over all angles of the eye; the mirror term counts here;
-* *spectra under D65*: the diffuse spectra under ``extras``, as colours under that light.
+* *even light*: the same radiance from all directions, at several angles of the observer, with the mirror term;
+* *spectra under D65*: the diffuse spectra under ``extras``, as colours under D65.
 """
 
 import base64
@@ -35,25 +35,27 @@ LAMP, HIGHLIGHT, EVEN = "lamp", "highlight", "even light"
 #: The spectra of the diffuse colour under ``extras``, seen under D65.
 SPECTRA = "spectra under D65"
 ZLIB_URI = "data:application/zlib;base64,"
-#: Texels, and pairs of directions, that are judged.
+#: Number of texels, and of pairs of directions, at which colours are compared.
 _TEXELS, _PAIRS = 256, 64
-_START = 0.3172  # of the directions' sequence, beside that of the refit
+_START = 0.3172  # start of the sequence of directions, different from that of the refit
 _EVEN_DEG = (0.0, 20.0, 40.0, 60.0, 75.0)
 _NODES, _TURNS = 48, 48
 
 
 def kinds_of_light() -> tuple[str, ...]:
-    """Return the names of the lights under which materials are judged."""
+    """Return the names of the kinds of light under which materials are compared."""
     return LAMP, HIGHLIGHT, EVEN
 
 
 class ParsedGltf:
-    """A glTF document and its buffer, as far as the materials of this package's files go.
+    """A glTF document and its buffer, with access to the materials of files that this package wrote.
 
     Parameters
     ----------
     content : dict
+        The document, parsed JSON.
     data : bytes
+        The binary buffer.
     """
 
     def __init__(self, content: dict, data: bytes) -> None:
@@ -62,12 +64,12 @@ class ParsedGltf:
 
     @classmethod
     def load(cls, path) -> "ParsedGltf":
-        """Read a GLB.
+        """Read a GLB file.
 
         Raises
         ------
         InputError
-            If it is none.
+            If the file is not a binary glTF file.
         """
         content = Path(path).read_bytes()
         if content[:4] != b"glTF" or len(content) < 28:
@@ -76,7 +78,7 @@ class ParsedGltf:
         return cls(json.loads(content[20 : 20 + size]), content[28 + size :])
 
     def texture(self, reference: dict) -> np.ndarray:
-        """Return the picture of a texture's reference, (height, width, channels) float64, codes 0..1."""
+        """Return the picture of a referenced texture, (height, width, channels) float64, code values 0..1."""
         number = self.content["textures"][reference["index"]]["source"]
         if number not in self._pictures:
             view = self.content["bufferViews"][self.content["images"][number]["bufferView"]]
@@ -94,7 +96,7 @@ class ParsedGltf:
         return coefficients @ np.array(stored["basis"])
 
     def surface(self, number: int, rows: np.ndarray, columns: np.ndarray) -> GltfSurface:
-        """Return a material at texel centres, (c,)."""
+        """Return the parameters of material ``number`` at the c texels with the given rows and columns, (c,) each."""
         material = self.content["materials"][number]
         rough, extensions = material["pbrMetallicRoughness"], material["extensions"]
         specular = extensions["KHR_materials_specular"]
@@ -109,14 +111,21 @@ class ParsedGltf:
 
 
 def _along(surface: GltfSurface) -> GltfSurface:
-    """Return surfaces (c,) with an axis for pairs of directions after the first."""
+    """Insert an axis for pairs of directions after the first axis of the parameters."""
     return GltfSurface(surface.base[:, None], surface.weight[:, None], surface.f0, surface.alpha[:, None], surface.coat)
 
 
 def _half_vectors(theta_r: float, scale: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return angles (n, 4) of light from everywhere towards an eye, and the solid angle of each.
+    """Return quadrature nodes for light from all directions: angles (n, 4) in rad, and solid angles (n,) in sr.
 
-    Half vectors lie the closer the nearer they are to the normal, on the scale of an angle in rad.
+    The nodes are placed by their half vectors, more densely near the normal.
+
+    Parameters
+    ----------
+    theta_r : float
+        Angle of the observer from the normal, rad.
+    scale : float
+        Angle from the normal within which the half vectors are densest, rad.
     """
     node, weight = np.polynomial.legendre.leggauss(_NODES)
     most = np.arcsinh(0.5 * np.pi / scale)
@@ -135,16 +144,19 @@ def _half_vectors(theta_r: float, scale: float) -> tuple[np.ndarray, np.ndarray]
 
 
 def judge(item: Item, parsed: ParsedGltf, number: int, illuminant: str) -> dict[str, np.ndarray]:
-    """Return CIEDE2000 between an object's material and one of a glTF file by the kind of light, (texels, pairs) each.
+    """Return CIEDE2000 between the material of an object and a material of a glTF file, for each kind of light.
+
+    Each array is (texels, pairs of directions), or (texels, angles of the observer) for even light.
+
 
     Parameters
     ----------
     item : Item
     parsed : ParsedGltf
     number : int
-        Of the material in the file.
+        Index of the material in the file.
     illuminant : str
-        Of the variant.
+        Light of the variant.
     """
     material, matrix = item.material, colours_from_bands(illuminant)
     place = np.flatnonzero(item.observed.ravel())
@@ -165,7 +177,7 @@ def judge(item: Item, parsed: ParsedGltf, number: int, illuminant: str) -> dict[
 
 
 def judge_spectra(item: Item, spectra: np.ndarray) -> Loss:
-    """Return the loss of diffuse spectra (height, width, 61) of a file, over the texels with data of their own."""
+    """Return the loss of the diffuse spectra in a file, (height, width, 61), over the texels with data."""
     material, matrix = item.material, xyz_from_reflectance("D65")
     scale = np.where(item.observed, material.spectrum_scale, np.nan)
 
@@ -177,14 +189,14 @@ def judge_spectra(item: Item, spectra: np.ndarray) -> Loss:
 
 
 def _under_even_light(texel: Texel, fresnel, mirror: float, surface: GltfSurface) -> np.ndarray:
-    """Return CIEDE2000 under light from everywhere, (texels, angles of the eye)."""
-    # Both models are linear in the colour beneath the gloss: one integral serves all texels whose gloss is alike.
+    """Return CIEDE2000 under the same radiance from all directions, (texels, angles of the observer)."""
+    # Both models are linear in the diffuse colour: all texels with the same gloss share their integrals.
     parameters = [part for _, *pair in texel.gloss for part in pair]
     table = np.column_stack([*parameters, surface.weight, surface.alpha]).round(5)
     _, first, which = np.unique(table, axis=0, return_index=True, return_inverse=True)
     which, columns = which.ravel(), []
     for theta_r in np.radians(_EVEN_DEG):
-        values = np.empty((2, 2, len(first), 3))  # ours and the file's, over black and over white
+        values = np.empty((2, 2, len(first), 3))  # our model and the file's, over a black and over a white base
         for kind, at in enumerate(first):
             gloss = [(name, beta[at : at + 1], mu[at : at + 1]) for name, beta, mu in texel.gloss]
             alpha = float(surface.alpha[at])

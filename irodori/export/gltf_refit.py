@@ -1,9 +1,9 @@
-"""Refit of a material's gloss as the one GGX lobe that a glTF material has.
+"""Refit of the gloss of a material as a single GGX lobe, the only one that a glTF material has.
 
-For each kind of texel the roughness and the weight of the lobe and the brightness of the base are those for which the
-luminances over many pairs of directions come nearest to the material's own, in squares of the lightness L* of CIELAB:
-so both a highlight and what surrounds it count as they are seen. Half of the directions of light and eye are spread
-evenly over the hemisphere, half lie about the highlight.
+Texels with nearly the same parameters are fitted together. The roughness and weight of the lobe and the brightness of
+the base minimise the squared differences of CIELAB lightness L* over many pairs of directions. Lightness weights a
+highlight and its surroundings by how visible they are. Half of the pairs of light and eye are spread evenly over the
+hemisphere, half lie about the highlight.
 """
 
 from typing import NamedTuple
@@ -18,36 +18,36 @@ from irodori.reflection.fresnel import fresnel_array
 from irodori.reflection.lobe_arrays import evaluate
 from irodori.reflection.registry import lobe
 
-#: Texels that differ by less than this are fitted as one: ln μ, ln β, and L* of the diffuse colour. A texture's 8 bits
-#: tell no more.
+#: Texels are fitted together when they agree within these steps of ln μ, ln β, and L* of the diffuse colour, which are
+#: about as fine as 8-bit textures.
 _ALIKE = (0.01, 0.02, 1.0)
 _GEOMETRIES, _AT_ONCE = 128, 512
-#: Roughness and weight that count as none.
+#: Smallest α = roughness² of a fit, and the weight at or below which a texel has no gloss.
 _LEAST_ALPHA, _LEAST_WEIGHT = 1e-4, 1e-5
-_DARK = 1e-4  # diffuse luminance under which the base's brightness is not fitted
+_DARK = 1e-4  # diffuse luminance below which the brightness of the base is not fitted
 _ROUNDS, _STEP, _ENOUGH = 60, 1e-4, 1e-7
-#: Highest angle of a direction from the normal, rad: nearer to the horizon the lobes' quotients lose their digits.
+#: Largest angle of a direction from the normal, rad: nearer to the horizon the lobes lose numerical precision.
 _HIGHEST = np.radians(89.0)
 
 
 class Texel(NamedTuple):
-    """Reflection parameters at some places of a material; the first axis counts the places."""
+    """Reflection parameters of c texels of a material."""
 
     diffuse: np.ndarray  # (c, n) reflectance factor in any linear bands or colours
     gloss: list[tuple[str, np.ndarray, np.ndarray]]  # lobe, β (c,) and μ (c,) of each component
 
 
 class Refit(NamedTuple):
-    """The lobe of a glTF material over a texture."""
+    """Parameters of a glTF material over a texture: one GGX lobe, the brightness of the base, and a clear coat."""
 
-    alpha: np.ndarray  # (h, w) roughness², 0 of a mirror; where nothing is reflected the usual one
+    alpha: np.ndarray  # (h, w) roughness², 0 for a mirror; texels without gloss have the mean of the others
     weight: np.ndarray  # (h, w) 0..1
     base: np.ndarray  # (h, w) factor on the diffuse colour
     coat: float  # weight of the smooth clear coat, 0..1
 
 
 def spread(count: int, dimensions: int, start: float) -> np.ndarray:
-    """Return points that cover the unit cube evenly, (count, dimensions): an additive sequence (Roberts 2018)."""
+    """Return points that cover the unit cube evenly, (count, dimensions): the additive sequence of Roberts (2018)."""
     root = 1.5
     for _ in range(60):
         root = (1.0 + root) ** (1.0 / (dimensions + 1))
@@ -60,24 +60,26 @@ def _unit(theta, azimuth) -> np.ndarray:
 
 
 def everywhere(count: int, start: float) -> np.ndarray:
-    """Return directions of light and eye that are even in projected solid angle, as angles, (count, 4) rad."""
+    """Return pairs of directions to light and eye, even in projected solid angle, as angles (count, 4) in rad."""
     p = spread(count, 4, start)
     light, eye = (_unit(np.minimum(np.arcsin(np.sqrt(p[:, i])), _HIGHEST), 2 * np.pi * p[:, i + 1]) for i in (0, 2))
     return angles_from_directions(np.array([0.0, 0.0, 1.0]), light, eye)
 
 
 def about_highlight(reach: np.ndarray, start: float) -> np.ndarray:
-    """Return pairs of directions whose half vectors lie within an angle of the normal, evenly in it, (..., 4) rad.
+    """Return pairs of directions to light and eye whose half vectors lie near the normal.
 
     Parameters
     ----------
-    reach : (..., count) float, rad
+    reach : (..., count) float
+        Largest angle between half vector and normal, rad; angles are spread evenly from 0 to it.
     start : float
-        Where the sequence of `spread` starts.
+        Start of the sequence of `spread`.
 
     Returns
     -------
-    (..., count, 4) float64; NaN where the light would lie beneath the horizon
+    (..., count, 4) float64
+        θ_i, θ_r, θ_H, φ in rad; NaN where the light would be within 1° of the horizon or below it.
     """
     p = spread(reach.shape[-1], 3, start)
     eye = _unit(np.minimum(np.arcsin(np.sqrt(p[:, 0])), _HIGHEST), np.zeros(len(p)))
@@ -88,7 +90,10 @@ def about_highlight(reach: np.ndarray, start: float) -> np.ndarray:
 
 
 def gloss_reach(gloss: list[tuple[str, np.ndarray, np.ndarray]], count: int) -> np.ndarray:
-    """Return how far from the normal half vectors are drawn, (c, count) rad; components take turns."""
+    """Return the largest angle of half vectors from the normal for each texel and pair, (c, count) rad.
+
+    The angle is the reach of a gloss component's lobe; successive pairs take the components in turn.
+    """
     own = []
     for name, beta, mu in gloss:
         reach = lobe(name).reach
@@ -100,7 +105,7 @@ def gloss_reach(gloss: list[tuple[str, np.ndarray, np.ndarray]], count: int) -> 
 
 
 def rough_terms(texel: Texel, fresnel, geometry: np.ndarray) -> np.ndarray:
-    """Return π L_o / E_n of a material's rough terms [eq. 5], (c, g, n).
+    """Return π L_o / E_n of the diffuse and gloss terms of a material [eq. 5], (c, g, n).
 
     Parameters
     ----------
@@ -119,13 +124,13 @@ def rough_terms(texel: Texel, fresnel, geometry: np.ndarray) -> np.ndarray:
 
 
 def fresnel_colours(material: Material, colours_from_bands: np.ndarray):
-    """Return the Fresnel reflectance of a material in colours.
+    """Return a function that computes the Fresnel reflectance of a material as linear colours.
 
     Parameters
     ----------
     material : Material
     colours_from_bands : (n, 61) float
-        Linear colours of a reflectance.
+        Matrix from a reflectance factor to n linear colours.
 
     Returns
     -------
@@ -153,7 +158,7 @@ def _lightness(luminance: np.ndarray) -> np.ndarray:
 
 
 def coat_of(material: Material) -> float:
-    """Return the weight of the clear coat that stands for the mirror term of a material that has gloss too, 0..1."""
+    """Return the weight of the clear coat that represents the mirror term, 0..1; 0 for a material without gloss."""
     if not any((np.nan_to_num(beta) > 0.0).any() for _, beta, _ in material.gloss):
         return 0.0
     luminance = xyz_from_reflectance("D65")[1:2] / 100.0
@@ -161,14 +166,14 @@ def coat_of(material: Material) -> float:
 
 
 def refit(material: Material) -> Refit:
-    """Return the GGX lobe, the weight and the base of each texel that come nearest to a material.
+    """Fit roughness and weight of a GGX lobe and the brightness of the base to each texel of a material.
 
-    Its mirror term becomes the clear coat; where there is no gloss it becomes the lobe itself, at roughness 0.
+    The mirror term becomes the clear coat; in a material without gloss it becomes the lobe, with roughness 0.
 
     Parameters
     ----------
     material : Material
-        Without gaps, see `Material.filled`.
+        A material with all texels filled, see `Material.filled`.
     """
     luminance = xyz_from_reflectance("D65")[1:2] / 100.0
     fresnel = fresnel_colours(material, luminance)
@@ -198,7 +203,7 @@ def refit(material: Material) -> Refit:
         part = slice(first, first + _AT_ONCE)
         some = Texel(kinds.diffuse[part], [(name, b[part], m[part]) for name, b, m in kinds.gloss])
         alpha[part], weight[part], base[part] = _fitted(some, fresnel, f0, coat, material.mirror)
-    # Between a texel with gloss and one without, viewers interpolate: what has no weight has the usual roughness.
+    # Viewers interpolate between texels with and without gloss: those without get the mean roughness of the others.
     weighty = weight > 0.0
     alpha = np.where(weighty, alpha, np.average(alpha[weighty], weights=count[weighty]) if weighty.any() else 1.0)
     factor = np.divide(base, kinds.diffuse[:, 0], out=np.ones_like(base), where=kinds.diffuse[:, 0] > 0.0)
@@ -207,7 +212,7 @@ def refit(material: Material) -> Refit:
 
 
 def _fitted(texel: Texel, fresnel, f0: float, coat: float, mirror: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return α, weight and luminance of the base, (c,) each."""
+    """Fit c texels; return α = roughness², weight, and luminance of the base, (c,) each."""
     count = len(texel.diffuse)
     glossy = np.any([beta > 0.0 for _, beta, _ in texel.gloss], axis=0)
     near = about_highlight(gloss_reach(texel.gloss, _GEOMETRIES // 2), 0.5)
@@ -222,7 +227,7 @@ def _fitted(texel: Texel, fresnel, f0: float, coat: float, mirror: float) -> tup
                                  np.where(glossy, np.exp(p[:, 0]), 0.0)[:, None], coat)  # fmt: skip
         return _lightness(reflected(surface, geometry)[..., 0])
 
-    # The gloss of texels without any is the mirror's, or none: nothing of it is fitted.
+    # Texels without gloss have the mirror term as their lobe, or none: its parameters are fixed.
     fixed = np.log(max(min(mirror, 1.0) if coat == 0.0 else 0.0, _LEAST_WEIGHT))
     mus = np.array([np.where(beta > 0.0, mu, 0.0) for _, beta, mu in texel.gloss])
     betas = np.array([beta for _, beta, _ in texel.gloss])
@@ -243,15 +248,16 @@ def _fitted(texel: Texel, fresnel, f0: float, coat: float, mirror: float) -> tup
 
 
 def _least_squares(residual, start: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Return the parameters (c, p) of least squares of many small problems, by Levenberg and Marquardt within bounds.
+    """Solve c small least-squares problems with bounds by the Levenberg-Marquardt method; return parameters (c, p).
 
-    All problems step together; each has its own damping.
+    All problems take their steps together; each has its own damping.
 
     Parameters
     ----------
     residual : callable
-        (c, p) -> (c, r).
+        Function from parameters (c, p) to residuals (c, r).
     start, low, high : (c, p) float
+        Start values and bounds.
     """
     at = start
     left = residual(at)
@@ -259,14 +265,14 @@ def _least_squares(residual, start: np.ndarray, low: np.ndarray, high: np.ndarra
     for _ in range(_ROUNDS):
         slopes = []
         for i in range(at.shape[1]):
-            # Away from the bound that is nearer, so that the slope is that of a place that may be.
+            # Backwards where a step forwards would leave the bounds.
             step = np.where(at[:, i] + _STEP <= high[:, i], _STEP, -_STEP)
             moved = at.copy()
             moved[:, i] += step
             slopes.append((residual(moved) - left) / step[:, None])
         jacobian = np.stack(slopes, axis=2)
         downhill = np.einsum("crp,cr->cp", jacobian, left)
-        # What a bound holds, and what nothing depends on, stays.
+        # Parameters at a bound with a gradient that points outwards, and fixed ones, are not changed.
         held = ((at <= low) & (downhill > 0.0)) | ((at >= high) & (downhill < 0.0)) | (low == high)
         jacobian = np.where(held[:, None, :], 0.0, jacobian)
         normal = np.einsum("crp,crq->cpq", jacobian, jacobian)

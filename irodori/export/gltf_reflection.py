@@ -1,25 +1,25 @@
-"""The reflection of a glTF 2.0 material: a rough base, a specular lobe of GGX facets, and a smooth clear coat.
+"""Reflection of a glTF 2.0 material: a diffuse base, a specular lobe of GGX facets, and a smooth clear coat.
 
-Written after appendix B of the specification of glTF 2.0 and its extensions ``KHR_materials_ior``,
-``KHR_materials_specular`` and ``KHR_materials_clearcoat``, for surfaces that are no metal. With α = roughness²,
-F the approximation of Schlick and a weight w of the gloss, which also takes from what reaches the base,
+Implements appendix B of the specification of glTF 2.0 and its extensions ``KHR_materials_ior``,
+``KHR_materials_specular`` and ``KHR_materials_clearcoat``, for non-metallic surfaces. With α = roughness², Schlick's
+approximation F of the Fresnel reflectance, and a weight w of the gloss, which also attenuates the base,
 
     f = (1 - c F_c(θ_r)) [(1 - w max F(θ_H)) base / π + w F(θ_H) D V] + c F_c(θ_r) mirror
 
-where D and V are those of GGX with the height-correlated masking and shadowing of Smith, c is the weight of the coat
-and F_c is F of an index of 1.5.
+where D and V are those of GGX with Smith's height-correlated masking and shadowing, c is the weight of the coat and F_c
+is F for a refractive index of 1.5.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 
-#: Reflectance at normal incidence of the clear coat, whose index is 1.5.
+#: Reflectance of the clear coat at normal incidence, from its refractive index of 1.5.
 COAT_F0 = 0.04
 
 
 class GltfSurface(NamedTuple):
-    """Parameters of a glTF material as its file gives them for a place of the texture; shapes broadcast."""
+    """Parameters of a glTF material at places of its texture; shapes broadcast."""
 
     base: np.ndarray  # (..., 3) linear sRGB, 0..1
     weight: np.ndarray  # (...) 0..1, specularFactor
@@ -29,23 +29,24 @@ class GltfSurface(NamedTuple):
 
     @classmethod
     def of(cls, base, weight, f0, alpha, coat) -> "GltfSurface":
-        """Return a surface of anything that becomes arrays."""
+        """Convert the parameters to float64 arrays."""
         return cls(*(np.asarray(value, dtype=np.float64) for value in (base, weight, f0, alpha, coat)))
 
 
 def schlick(f0, cosine) -> np.ndarray:
-    """Return Schlick's approximation of the Fresnel reflectance."""
+    """Return Schlick's approximation of the Fresnel reflectance; ``f0`` is the reflectance at normal incidence."""
     return f0 + (1.0 - f0) * (1.0 - np.abs(cosine)) ** 5
 
 
 def facets(alpha, cosines) -> np.ndarray:
-    """Return D V of GGX, 1/sr; 0 of a mirror, whose single direction no other pair of directions meets.
+    """Return D V of GGX, 1/sr; 0 for a mirror (α = 0), whose reflection is not a finite density.
 
     Parameters
     ----------
     alpha : (...) float
+        roughness².
     cosines : three (...) float
-        cosθ_i, cosθ_r above 0, and cosφ.
+        cosθ_i and cosθ_r, above 0, and cosφ.
     """
     cos_i, cos_r, cos_phi = cosines
     square = np.square(alpha)
@@ -56,13 +57,13 @@ def facets(alpha, cosines) -> np.ndarray:
 
 
 def reflected(surface: GltfSurface, geometry: np.ndarray) -> np.ndarray:
-    """Return π L_o / E_n under a collimated light, (..., 3) linear sRGB; the unit is that of equation (5).
+    """Return π L_o / E_n under a collimated light, (..., 3) linear sRGB, in the unit of equation (5).
 
     Parameters
     ----------
     surface : GltfSurface
     geometry : (..., 4) float
-        θ_i, θ_r, θ_H, φ in rad, the first two under π/2.
+        θ_i, θ_r, θ_H, φ in rad, the first two below π/2.
     """
     cos_i, cos_r, cos_h, cos_phi = np.moveaxis(np.cos(geometry), -1, 0)
     fresnel = schlick(surface.f0, cos_h[..., None])
@@ -74,14 +75,13 @@ def reflected(surface: GltfSurface, geometry: np.ndarray) -> np.ndarray:
 
 
 def mirrored(surface: GltfSurface, theta_r: np.ndarray) -> np.ndarray:
-    """Return the share of light in the mirror's direction that is reflected as by a mirror, (..., 3).
-
-    That of the coat, and of the specular lobe where its roughness is 0.
+    """Return the reflectance of the mirror reflection, (..., 3): coat, and specular lobe where its roughness is 0.
 
     Parameters
     ----------
     surface : GltfSurface
-    theta_r : (...) float, rad
+    theta_r : (...) float
+        Angle of the observer from the normal, rad.
     """
     cos_r = np.cos(theta_r)
     coat = (surface.coat * schlick(COAT_F0, cos_r))[..., None]

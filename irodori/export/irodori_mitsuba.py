@@ -1,19 +1,20 @@
 """Plugins of Mitsuba 3 that read Irodori's coefficients: the BSDF ``irodori_surface``, the emitter ``irodori_sky``.
 
-An export for Mitsuba holds a copy of this file, which needs Mitsuba and NumPy alone. It is imported after a spectral
-variant is chosen, and then the scene is loaded:
+An export for Mitsuba contains a copy of this file, which needs only Mitsuba and NumPy. Choose a spectral variant,
+import this file, and then load the scene:
 
     import mitsuba
     mitsuba.set_variant("llvm_ad_spectral")
     import irodori_mitsuba
     picture = mitsuba.render(mitsuba.load_file("scene.xml"))
 
-Spectra are sums of a few vectors with the coefficients of a texel or a pixel, between wavelengths linear and held at
-their ends outside 400 to 700 nm. Importing the file while another variant is chosen raises an ImportError.
+A spectrum is the sum of a few basis vectors weighted with the coefficients of a texel or a pixel. It is interpolated
+linearly between the wavelengths, and outside 400 to 700 nm it keeps its end value. Importing the file raises an
+ImportError unless a supported variant is chosen.
 """
 
 # mypy: ignore-errors
-# Its types are those of a variant, which Mitsuba chooses when it runs.
+# Mitsuba's types depend on the variant, which is chosen at run time.
 
 import drjit as dr
 import mitsuba as mi
@@ -24,7 +25,7 @@ if mi.variant() not in _VARIANTS:
     raise ImportError(f"found Mitsuba's variant {mi.variant()!r}; accepted: {' or '.join(_VARIANTS)}")
 
 _FIRST_NM, _STEP_NM, _LAST = 400.0, 5.0, 60
-_GREEN = 30  # the sample by whose index terms are chosen
+_GREEN = 30  # index of the wavelength, 550 nm, whose refractive index decides how often each term is sampled
 _LEAST_REFLECTANCE = 1e-3
 _TINY = 1e-18
 _LOBES = ("gaussian", "ggx")
@@ -36,14 +37,14 @@ def _read(props) -> dict[str, np.ndarray]:
 
 
 class _Vectors:
-    """Spectra (m, 61) that are looked up at a ray's wavelengths."""
+    """Table of m spectra, (m, 61), interpolated at the wavelengths of a ray."""
 
     def __init__(self, spectra: np.ndarray) -> None:
         self.count = len(spectra)
         self.table = mi.Float(np.ascontiguousarray(spectra, dtype=np.float32).ravel())
 
     def at(self, wavelengths, active=True) -> list:
-        """Return a spectrum for each vector."""
+        """Return the m spectra at the given wavelengths, nm."""
         found: list[list] = [[] for _ in range(self.count)]
         for wavelength in wavelengths:
             place = dr.clip((wavelength - _FIRST_NM) / _STEP_NM, 0.0, float(_LAST))
@@ -57,7 +58,7 @@ class _Vectors:
 
 
 class _Picture:
-    """Pixels (h, w, m) that are looked up between their centres; columns wrap where asked, rows end."""
+    """Picture (h, w, m) with bilinear interpolation; columns wrap around if ``wraps``, rows are clamped."""
 
     def __init__(self, pixels: np.ndarray, wraps: bool) -> None:
         self.height, self.width, self.count = pixels.shape
@@ -65,7 +66,7 @@ class _Picture:
         self.data = mi.Float(np.ascontiguousarray(pixels, dtype=np.float32).ravel())
 
     def at(self, u, v, active=True) -> list:
-        """Return the m values at a place, 0..1 each way, v from the top."""
+        """Return the m values at the coordinates u and v, each 0..1, v from the top."""
         if not self.wraps:
             u = dr.clip(u, 0.5 / self.width, 1.0 - 0.5 / self.width)
         x, y = u * self.width - 0.5, dr.clip(v * self.height - 0.5, 0.0, self.height - 1.0)
@@ -87,14 +88,14 @@ class _Picture:
 
 
 def _angles(direction):
-    """Return azimuth from +x towards +y and angle from +z of unit directions, both 0..1."""
+    """Return azimuth (from +x towards +y, over 2π) and polar angle (from +z, over π) of unit vectors, both 0..1."""
     turn = dr.atan2(direction.y, direction.x) / (2.0 * dr.pi)
     across = dr.sqrt(dr.square(direction.x) + dr.square(direction.y))
     return dr.select(turn < 0.0, turn + 1.0, turn), dr.atan2(across, direction.z) * dr.inv_pi
 
 
 def fresnel(cosine, n, k):
-    """Return the unpolarised Fresnel reflectance of n + ik in air; numbers or spectra."""
+    """Return the unpolarised Fresnel reflectance of n + ik in air, for numbers or spectra."""
     c = dr.clip(cosine, 0.0, 1.0)
     s2 = (1.0 - c) * (1.0 + c)
     real = n * n - s2 - k * k
@@ -122,12 +123,12 @@ def _lobe(name: str, mu, cos_i, cos_r, half, cos_h):
 
 
 def _inside(mu):
-    """Return the share of the Gaussian facets' law that lies within a quarter turn."""
+    """Return the probability of the untruncated Gaussian facet distribution for tilts up to 90°."""
     return 1.0 - dr.exp(-dr.square(0.5 * dr.pi / mu))
 
 
 def _draw(name: str, mu, view, sample):
-    """Return a half vector drawn from a lobe."""
+    """Draw a half vector from the facet distribution of a lobe; ``sample`` has two uniform random numbers."""
     if name == "gaussian":
         phi = mu * dr.sqrt(-dr.log(dr.maximum(1.0 - sample.x * _inside(mu), _TINY)))
         sine, cosine = dr.sincos(phi)
@@ -137,7 +138,7 @@ def _draw(name: str, mu, view, sample):
 
 
 def _density(name: str, mu, view, half, cos_h):
-    """Return the density of the direction that a view is mirrored to in a half vector of `_draw`, 1/sr."""
+    """Return the probability density, 1/sr, of the view direction mirrored at a half vector drawn by `_draw`."""
     if name == "gaussian":
         sine = dr.sqrt(half.x * half.x + half.y * half.y)
         phi = dr.atan2(sine, half.z)
@@ -147,10 +148,10 @@ def _density(name: str, mu, view, half, cos_h):
 
 
 class Surface(mi.BSDF):
-    """Diffuse reflection, gloss components and mirror of an object's coefficients (equation 5 of the paper).
+    """BSDF of an object: diffuse reflection, gloss components and mirror reflection (equation 5 of the paper).
 
-    Properties: ``file``, an .npz of this export. A ball's texture lies by the direction of the normal, turned as the
-    file says; that of other shapes by their texture coordinates, v from the top.
+    Properties: ``file``, an .npz file of this export. The texture of a ball is looked up by the direction of the
+    normal, rotated as the file states; that of other shapes by their texture coordinates, with v from the top.
     """
 
     def __init__(self, props) -> None:
@@ -174,7 +175,10 @@ class Surface(mi.BSDF):
         self.m_flags = rough | delta | varies
 
     def _terms(self, si, active):
-        """Return S(λ), β and μ of each component, and the shares of diffuse, of each component, and of the mirror."""
+        """Return the diffuse reflectance, β and μ of each gloss component, and the sampling probabilities of all terms.
+
+        The probabilities are those of the diffuse term, of each gloss component, and of the mirror, in this order.
+        """
         u, v = si.uv.x, si.uv.y
         if self.is_ball:
             u, v = _angles(self.object_from_world @ si.n)
@@ -193,7 +197,7 @@ class Surface(mi.BSDF):
         return spectrum, betas, mus, [share / total for share in shares]
 
     def _rough(self, si, wo, terms, active):
-        """Return the rough terms times cosθ, and the density of ``wo`` without the mirror's."""
+        """Return the diffuse and gloss terms times cosθ_i, and the density with which they sample ``wo``, 1/sr."""
         spectrum, betas, mus, shares = terms
         cos_i, cos_r = mi.Frame3f.cos_theta(wo), mi.Frame3f.cos_theta(si.wi)
         active = active & (cos_i > 0.0) & (cos_r > 0.0)
@@ -209,19 +213,19 @@ class Surface(mi.BSDF):
         return dr.select(active, value, 0.0), dr.select(active, density, 0.0)
 
     def eval(self, ctx, si, wo, active=True):
-        """Return the BSDF times the cosine of the light's angle."""
+        """Return the BSDF times the cosine of the angle of incidence."""
         return self._rough(si, wo, self._terms(si, active), active)[0]
 
     def pdf(self, ctx, si, wo, active=True):
-        """Return the density of a direction, 1/sr."""
+        """Return the probability density of sampling the direction ``wo``, 1/sr."""
         return self._rough(si, wo, self._terms(si, active), active)[1]
 
     def eval_pdf(self, ctx, si, wo, active=True):
-        """Return both."""
+        """Return the results of `eval` and `pdf`."""
         return self._rough(si, wo, self._terms(si, active), active)
 
     def sample(self, ctx, si, sample1, sample2, active=True):
-        """Return a drawn direction and its weight."""
+        """Draw a direction; return it as a BSDF sample, and its weight: BSDF times cosine over density."""
         terms = self._terms(si, active)
         _, _, mus, shares = terms
         cos_r = mi.Frame3f.cos_theta(si.wi)
@@ -254,9 +258,9 @@ class Surface(mi.BSDF):
 
 
 class Sky(mi.Emitter):
-    """Light from all directions: rows from the zenith +z, columns by the azimuth from +x towards +y.
+    """Emitter of the environment's light, a picture with rows from the zenith +z and columns by azimuth from +x to +y.
 
-    Properties: ``file``, an .npz of this export; ``radius``, a length beyond which nothing of the scene stands.
+    Properties: ``file``, an .npz file of this export; ``radius``, the radius of a sphere that encloses the scene.
     """
 
     def __init__(self, props) -> None:
@@ -268,7 +272,7 @@ class Sky(mi.Emitter):
         height, width, _ = coefficients.shape
         self.size = width, height
         power = np.maximum(coefficients @ basis.sum(axis=1).astype(np.float32), 0.0)
-        # What a pixel sends reaches, by interpolation, into its neighbours.
+        # Interpolation spreads the light of a pixel into its neighbours.
         power = np.maximum.reduce([np.roll(power, i, axis=1) for i in (-1, 0, 1)])
         padded = np.pad(power, ((1, 1), (0, 0)), mode="edge")
         power = np.maximum.reduce([padded[i : i + height] for i in (0, 1, 2)])
@@ -276,7 +280,7 @@ class Sky(mi.Emitter):
         power = power * (edges[:-1] - edges[1:])[:, None]
         self.drawn = bool(power.any())
         power = power if self.drawn else np.ones_like(power)
-        # A little for every pixel, so that none whose light is not the largest is missed.
+        # A small probability for every pixel, so that none is left out.
         self.choice = mi.DiscreteDistribution2D(mi.TensorXf((power + 1e-3 * power.mean()).astype(np.float32)))
         self.m_flags = +(mi.EmitterFlags.Infinite | mi.EmitterFlags.SpatiallyVarying)
 
@@ -292,11 +296,11 @@ class Sky(mi.Emitter):
         return self.choice.pdf(pixel, active) * (width * height) / (2.0 * dr.square(dr.pi) * sine)
 
     def eval(self, si, active=True):
-        """Return the radiance of a ray that leaves the scene."""
+        """Return the radiance seen by a ray that leaves the scene."""
         return dr.select(active, self._radiance(-si.wi, si.wavelengths, active)[0], 0.0)
 
     def sample_direction(self, it, sample, active=True):
-        """Return a direction drawn by the power of the pixels, and its weight."""
+        """Draw a direction in proportion to the power of the pixels; return it, and radiance over density."""
         width, height = self.size
         pixel, _, rest = self.choice.sample(sample, active)
         u, v = (mi.Float(pixel.x) + rest.x) / width, (mi.Float(pixel.y) + rest.y) / height
@@ -313,7 +317,7 @@ class Sky(mi.Emitter):
         return ds, dr.select(active & (ds.pdf > 0.0), value / dr.maximum(ds.pdf, _TINY), 0.0)
 
     def pdf_direction(self, it, ds, active=True):
-        """Return the density with which a direction is drawn, 1/sr."""
+        """Return the probability density of drawing a direction, 1/sr."""
         return dr.select(active, self._density(*_angles(ds.d), active), 0.0)
 
     def eval_direction(self, it, ds, active=True):
@@ -321,7 +325,7 @@ class Sky(mi.Emitter):
         return dr.select(active, self._radiance(ds.d, it.wavelengths, active)[0], 0.0)
 
     def bbox(self):
-        """Return no box: the light is everywhere."""
+        """Return an empty bounding box, because the light has no place."""
         return mi.ScalarBoundingBox3f()
 
     def to_string(self) -> str:

@@ -1,4 +1,4 @@
-"""Colour differences between what a file holds and what Irodori computed, in CIEDE2000."""
+"""Colour differences, in CIEDE2000, between the content of a file and the values that Irodori computed."""
 
 import math
 import re
@@ -16,33 +16,33 @@ _ROWS = 32
 
 
 class Loss(NamedTuple):
-    """Colour differences of an export against our own renderer, CIEDE2000."""
+    """Statistics of the colour differences between an export and Irodori's own values, CIEDE2000."""
 
-    compared: int
+    compared: int  # number of colours
     mean: float
     p95: float
     largest: float
 
     @classmethod
     def of(cls, differences: np.ndarray) -> "Loss":
-        """Return the figures of differences of any shape; NaN is left out."""
+        """Compute the statistics of an array of differences of any shape; NaN is left out."""
         found = summary(differences)
         return cls(int(found["count"]), found["mean"], found["p95"], found["max"])
 
     @classmethod
     def read(cls, figures: dict) -> "Loss":
-        """Return the loss that `figures` wrote into a file as JSON."""
+        """Return the loss from the JSON object that `figures` made."""
         values = (figures[name] for name in ("mean", "p95", "max"))
         return cls(figures["count"], *(np.nan if value is None else value for value in values))
 
     @classmethod
     def parse(cls, text: str) -> "Loss":
-        """Return the loss whose `text` begins a file's statement.
+        """Parse the loss at the beginning of a text in the form of `text`.
 
         Raises
         ------
         ValueError
-            If the statement holds no figures.
+            If the text does not begin with such figures.
         """
         match = re.match(r"CIEDE2000 mean (\S+), p95 (\S+), max (\S+), of (\d+)", text)
         if match is None:
@@ -51,15 +51,15 @@ class Loss(NamedTuple):
 
     @property
     def text(self) -> str:
-        """The figures in words, for a file's description."""
+        """The statistics as one line of text, for the description in a file."""
         return f"CIEDE2000 mean {self.mean:.3g}, p95 {self.p95:.3g}, max {self.largest:.3g}, of {self.compared}"
 
     def figures(self) -> dict:
-        """Return the figures for a file in JSON."""
+        """Return the statistics as a JSON object, rounded to four digits; null if there are none."""
         return {"count": self.compared, "mean": _short(self.mean), "p95": _short(self.p95), "max": _short(self.largest)}
 
 
-#: What is compared -> its loss, or why there is no figure.
+#: Description of the compared colours -> their loss, or the reason why it was not measured.
 Losses = dict[str, Loss | str]
 
 
@@ -68,19 +68,19 @@ def _short(value: float) -> float | None:
 
 
 def differences(display: Display, ours: np.ndarray, theirs: np.ndarray) -> np.ndarray:
-    """Return CIEDE2000 between linear RGB of one display, (..., 3) to (...), for an eye adapted to its white."""
+    """Return CIEDE2000, (...), between linear RGB colours of a display, (..., 3), for an eye adapted to its white."""
     xyz = (rgb @ display.xyz_from_rgb.T + display.black_xyz for rgb in (ours, theirs))
     return delta_e(*(lab_from_xyz(one, display.white_xyz) for one in xyz))
 
 
 def display_loss(display: Display, linear: np.ndarray, codes: np.ndarray) -> Loss:
-    """Return the loss of code values: their rounding, and colours that the display cannot show.
+    """Return the loss of code values, from their rounding and from colours outside the display's gamut.
 
     Parameters
     ----------
     display : Display
     linear : (height, width, 3) float
-        Linear RGB of the display before it was encoded.
+        Linear RGB of the display before encoding.
     codes : (height, width, 3) uint8 or uint16
     """
     return _by_rows(len(linear), lambda part: differences(display, linear[part], display.decode(codes[part])))
@@ -93,17 +93,17 @@ def stored_loss(
     stored: Callable[[slice], np.ndarray],
     height: int,
 ) -> Loss:
-    """Return the loss of spectra, or of XYZ, that a file holds with fewer digits, computed in double precision.
+    """Return the loss of spectra or XYZ values stored with reduced precision, computed in double precision.
 
     Parameters
     ----------
     to_xyz : (3, n) float
-        To XYZ: from spectra n = 61, from XYZ the identity.
+        Matrix to XYZ: from spectra (n = 61), or the identity for XYZ values.
     white_xyz : (3,) float
-        XYZ of what counts as white.
+        XYZ of white.
     exact, stored : callable
-        Return some rows, (rows, width, n): before they are stored, and as a reader of the file finds them. Pixels of
-        NaN in either are not compared.
+        Functions of a slice of rows that return the values, (rows, width, n), before storing and as read from the file.
+        Pixels with NaN in either are not compared.
     height : int
         Number of rows.
     """
@@ -111,11 +111,11 @@ def stored_loss(
     def lab(values: np.ndarray) -> np.ndarray:
         return lab_from_xyz(values.astype(np.float64) @ to_xyz.T, white_xyz)
 
-    with np.errstate(invalid="ignore"):  # a picture may have infinite pixels, of which there is no colour
+    with np.errstate(invalid="ignore"):  # a picture may have infinite pixels, whose colour is NaN
         return _by_rows(height, lambda part: delta_e(lab(exact(part)), lab(stored(part))))
 
 
 def _by_rows(height: int, differ: Callable[[slice], np.ndarray]) -> Loss:
-    """Return the loss over bands of rows, which bound the memory of double precision."""
+    """Compute the loss a few rows at a time, which limits the memory for double precision."""
     parts = (slice(first, first + _ROWS) for first in range(0, height, _ROWS))
     return Loss.of(np.concatenate([differ(part).ravel() for part in parts]))

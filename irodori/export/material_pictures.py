@@ -1,9 +1,9 @@
 """Export of materials and environments for other programs, as spectral EXR, TIFF or ENVI.
 
-Spectral EXR in the published layout (Fichet et al. 2021), or TIFF of 32-bit floats with a channel a wavelength, both
-through OpenImageIO, or ENVI, flat numbers with a header, through Spectral Python (OpenImageIO has no writer for it);
-spectra are decoded a band of rows at a time. A material has layers ``T.<λ>nm`` (reflectance) and
-α, β, μ; an environment has ``S0.<λ>nm``, a panorama as other programs have it: clockwise, azimuth 0 in the middle.
+Spectral EXR has the published layout (Fichet et al. 2021). TIFF has 32-bit floats with one channel for each wavelength.
+OpenImageIO writes both. ENVI, plain numbers with a text header, is written by Spectral Python, because OpenImageIO
+cannot. Spectra are decoded a few rows at a time. A material has the layers ``T.<λ>nm`` (reflectance) and α, β, μ. An
+environment has ``S0.<λ>nm``, as a panorama in the usual orientation: azimuth increases clockwise, 0 is in the middle.
 """
 
 from collections.abc import Callable
@@ -26,11 +26,11 @@ from irodori.spectra.grid import WAVELENGTH_NM
 
 SUFFIXES = (".exr", ".tif", ".tiff", ".img")
 _ROWS = 32
-_ENVI_BANDS = [f"{wavelength:g} nm" for wavelength in WAVELENGTH_NM]  # a comma would part the list
+_ENVI_BANDS = [f"{wavelength:g} nm" for wavelength in WAVELENGTH_NM]  # without commas, which separate the list
 
 
 def _write(path, size: tuple[int, int], names: list[str], attributes: dict, rows: Callable) -> None:
-    """Write a picture whose channels are made a band of rows at a time."""
+    """Write a picture; ``rows`` returns the channels of a slice of rows, (rows, width, channels)."""
     height, _ = size
     spec = specification(size, names, {"compression": "zip", "oiio:RowsPerStrip": _ROWS, **attributes})
     parts = (slice(first, min(first + _ROWS, height)) for first in range(0, height, _ROWS))
@@ -49,24 +49,24 @@ def _attributes(units: str, names: list[str], loss: str) -> dict:
 
 
 def export_material(source, path, interleave: str = "bsq") -> Loss:
-    """Write a material's reflectance factor and the maps α, and β and μ of every gloss component.
+    """Write the reflectance factor of a material, and its maps of α and of β and μ of every gloss component.
 
-    Numbers of 32 bits lose little of the material's own; the description in the file states by how much.
+    The description in the file states the loss by 32-bit numbers.
 
     Parameters
     ----------
     source : path
-        ``material.h5``. Texels that nothing determined stay NaN.
+        ``material.h5``. Texels without data stay NaN.
     path : path
-        ``.exr`` or ``.tif``, where RGB is linear sRGB under D65; or ``.img`` of ENVI, which has wavelengths for all its
-        bands or none: the maps are in a second one, ``<name>-maps.img``.
+        ``.exr`` or ``.tif``, where the channels R, G, B are linear sRGB under D65; or ``.img`` for ENVI. An ENVI file
+        lists wavelengths for all bands or for none, so the maps are in a second file, ``<name>-maps.img``.
     interleave : str
-        Of ENVI, see `irodori.export.envi.write_envi`.
+        Order of the numbers in ENVI files, see `irodori.export.envi.write_envi`.
 
     Returns
     -------
     Loss
-        Of the spectra as they are written, against those of the material in double precision, under D65.
+        Colour differences under D65 between the spectra as written and those of the material in double precision.
     """
     material = Material.load(source)
     own = ["alpha", *gloss_maps(material.lobes)]
@@ -111,25 +111,25 @@ def export_material(source, path, interleave: str = "bsq") -> Loss:
 
 
 def export_environment(source, path, interleave: str = "bsq") -> Loss | str:
-    """Write an environment's radiance as a panorama.
+    """Write the radiance of an environment as a panorama.
 
-    Numbers of 32 bits lose little of the light's own; the description in the file states by how much.
+    The description in the file states the loss by 32-bit numbers.
 
     Parameters
     ----------
     source : path
-        An environment's file.
+        File of an environment.
     path : path
-        ``.exr`` or ``.tif``, where RGB is linear sRGB with a perfect diffuser that faces up as white; or ``.img`` of
-        ENVI.
+        ``.exr`` or ``.tif``, where the channels R, G, B are linear sRGB with a perfect diffuser that faces up as white;
+        or ``.img`` for ENVI.
     interleave : str
-        Of ENVI, see `irodori.export.envi.write_envi`.
+        Order of the numbers in ENVI files, see `irodori.export.envi.write_envi`.
 
     Returns
     -------
     Loss or str
-        Of the light of every pixel as it is written, against the light in double precision; white is a perfect diffuser
-        that faces up. The reason where nothing lights such a diffuser.
+        Colour differences between the pixels as written and those of the light in double precision, with a perfect
+        diffuser that faces up as white. If no light falls on such a diffuser: a text with this reason.
     """
     environment = Environment.load(source)
     names = ["R", "G", "B", *layer_names("S0")]
@@ -155,7 +155,7 @@ def export_environment(source, path, interleave: str = "bsq") -> Loss | str:
 
 
 def _loss_of_light(environment: Environment, decoded: Callable[[slice], np.ndarray]) -> Loss | str:
-    """Return how far a panorama's numbers of 32 bits are off, or why there is no figure."""
+    """Return the loss of a panorama by 32-bit numbers, or the reason why it cannot be computed."""
     white = environment.upward_white()
     if not (white > 0).any():
         return "not measured: nothing lights a diffuser that faces up, which counts as white"
@@ -171,10 +171,10 @@ def _loss_of_light(environment: Environment, decoded: Callable[[slice], np.ndarr
 
 
 def stored_preview(source) -> np.ndarray:
-    """Return a material's or an environment's file as a picture in linear sRGB, (height, width, 3).
+    """Return a preview of a material or an environment in linear sRGB, (height, width, 3).
 
-    A material is shown by its diffuse colour under D65, NaN where nothing determined it; an environment as a panorama,
-    whose white is a diffuser that faces up.
+    A material appears in its diffuse colour under D65, NaN at texels without data; an environment as a panorama with a
+    perfect diffuser that faces up as white.
     """
     if _is_material(source):
         return diffuse_colours(Material.load(source), colours_from_bands("D65"))
@@ -183,7 +183,7 @@ def stored_preview(source) -> np.ndarray:
 
 
 def _rgb_from_radiance(environment: Environment) -> np.ndarray:
-    """Return the matrix from radiance to linear sRGB, (3, 61); zeros where nothing lights a diffuser that faces up."""
+    """Return the matrix from radiance to linear sRGB, (3, 61); zeros if no light falls on a diffuser that faces up."""
     white = environment.upward_white()
     if not (white > 0).any():
         return np.zeros((3, WAVELENGTH_NM.size))
@@ -196,13 +196,13 @@ def _is_envi(path) -> bool:
 
 
 def export_picture(source, path, interleave: str | None = None) -> Losses:
-    """Write a material or an environment in the format that the suffix of ``path`` names.
+    """Write a material or an environment in the format given by the suffix of ``path``.
 
     Parameters
     ----------
     source, path : path
     interleave : str, optional
-        Of ENVI, ``bsq`` where absent; see `irodori.export.envi.write_envi`.
+        Order of the numbers in ENVI files, ``bsq`` by default; see `irodori.export.envi.write_envi`.
 
     Returns
     -------
@@ -212,8 +212,8 @@ def export_picture(source, path, interleave: str | None = None) -> Losses:
     Raises
     ------
     InputError
-        For another suffix, a file that is neither material nor environment, or an interleave that is unknown or asked
-        of another format.
+        For another suffix, a file that is neither a material nor an environment, an unknown interleave, or an
+        interleave for another format than ENVI.
     """
     if interleave is not None and not (_is_envi(path) and interleave in INTERLEAVES):
         raise InputError(path, "interleave", interleave, f"one of {', '.join(INTERLEAVES)}, with the suffix .img")
@@ -226,7 +226,7 @@ def export_picture(source, path, interleave: str | None = None) -> Losses:
 
 
 def _is_material(source) -> bool:
-    """Return whether a file is a material's, or else a light's; refuse one that is neither."""
+    """Return True for the file of a material and False for that of an environment; raise `InputError` for others."""
     with store.open_file(source) as file:
         is_material, is_environment = "reflectance/coefficients" in file, "irradiance" in file
     if not (is_material or is_environment):

@@ -1,8 +1,9 @@
-"""The colour differences between an export for Mitsuba 3, rendered there, and our own picture of the same view.
+"""Colour differences between a view rendered by Mitsuba 3 from an export, and Irodori's picture of the same view.
 
-``python -m irodori.export.mitsuba_loss FOLDER PICTURE VIEW`` prints them as JSON. It runs as a process of its own: a
-Mitsuba whose LLVM does not suit it ends the process. Pixels are averaged over squares before they are compared, since
-both pictures have noise; what Mitsuba's noise alone makes of the figure is told beside it.
+``python -m irodori.export.mitsuba_loss FOLDER PICTURE VIEW`` prints them as JSON. It runs in a separate process,
+because Mitsuba ends the process if it finds an unsuitable version of LLVM. Both pictures have noise, so pixels are
+averaged over squares before they are compared. The part of the difference that Mitsuba's noise alone causes is printed
+too.
 """
 
 import argparse
@@ -22,9 +23,9 @@ from irodori.export.loss import Loss
 from irodori.export.mitsuba_scene import ABOUT, PLUGIN, SCENE
 from irodori.export.pictures import read_xyz
 
-#: Pixels along the side of a square that is averaged, and paths a pixel: rendered in passes, whose memory is the less.
+#: Side in pixels of the squares that are averaged, number of passes, and paths per pixel of each pass.
 _SIDE, _PASSES, _EACH = 8, 8, 8
-_MOST_AT_ONCE = 3_000_000  # paths: Mitsuba holds all of a pass in memory
+_MOST_AT_ONCE = 3_000_000  # paths per pass, because Mitsuba holds all of a pass in memory
 _VARIANT = "llvm_ad_spectral"
 _LONGEST_S = 3600.0
 
@@ -36,15 +37,17 @@ def _blocks(picture: np.ndarray) -> np.ndarray:
 
 
 def rendered(folder: Path, view: str, passes: int = _PASSES, each: int = _EACH) -> np.ndarray:
-    """Return a view as Mitsuba renders it in independent passes, (passes, height, width, 3) XYZ, white Y = 100.
+    """Render a view with Mitsuba in independent passes, (passes, height, width, 3) XYZ with Y = 100 for white.
 
     Parameters
     ----------
     folder : path
-        Of the export.
+        Folder of the export.
     view : str
-    passes, each : int
-        Pictures, and paths a pixel of each.
+    passes : int
+        Number of pictures.
+    each : int
+        Paths per pixel of each picture.
     """
     mitsuba = importlib.import_module("mitsuba")  # no dependency of the package
     mitsuba.set_variant(_VARIANT)
@@ -59,21 +62,36 @@ def rendered(folder: Path, view: str, passes: int = _PASSES, each: int = _EACH) 
 
 
 def compared(ours: np.ndarray, theirs: np.ndarray, white_xyz: np.ndarray) -> dict:
-    """Return the loss of pictures (passes, height, width, 3) against ours, and what their own noise makes of it."""
+    """Return the loss of Mitsuba's pictures against ours, and the loss that their noise alone would cause, as JSON.
+
+    Parameters
+    ----------
+    ours : (height, width, 3) float
+        XYZ of our picture.
+    theirs : (passes, height, width, 3) float
+        XYZ of Mitsuba's pictures.
+    white_xyz : (3,) float
+    """
 
     def labs(xyz: np.ndarray) -> np.ndarray:
         return lab_from_xyz(_blocks(xyz), white_xyz)
 
     loss = Loss.of(delta_e(labs(ours), labs(theirs.mean(axis=0))))
-    # Two halves differ by twice the error of the whole.
+    # The difference between the means of two halves is, in RMS, twice the error of the mean of all passes.
     noise = Loss.of(0.5 * delta_e(labs(theirs[::2].mean(axis=0)), labs(theirs[1::2].mean(axis=0))))
     return {"pixels_averaged": _SIDE**2, **loss.figures(), "of_mitsubas_noise_alone": noise.figures()}
 
 
 def measure(folder: Path, picture: Path, view: str) -> dict:
-    """Return `compared` of an export and our picture, or ``{"not_measured": reason}``."""
+    """Compare an export, rendered by Mitsuba in another process, with our picture.
+
+    Returns
+    -------
+    dict
+        The result of `compared`, or ``{"not_measured": reason}`` if Mitsuba fails or takes more than an hour.
+    """
     command = [sys.executable, "-m", __name__, str(folder), str(picture), view]
-    # The package itself may be installed or not: it is found where this process found it.
+    # The package need not be installed: the new process imports it from where this process found it.
     paths = [str(Path(irodori.__file__).parents[1]), *filter(None, [os.environ.get("PYTHONPATH")])]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(paths)}
     try:
@@ -82,7 +100,7 @@ def measure(folder: Path, picture: Path, view: str) -> dict:
         )
     except subprocess.TimeoutExpired:
         return {"not_measured": f"no picture in {_LONGEST_S:.0f} s"}
-    if done.returncode < 0:  # a library's own words stand before the state that it prints when it ends the process
+    if done.returncode < 0:  # the library prints its error message before the state of the process
         said = [line for line in done.stderr.splitlines() if "error" in line.lower()] or ["nothing said"]
         return {"not_measured": f"Mitsuba ended by {signal.Signals(-done.returncode).name}: {said[0].strip()}"}
     if done.returncode:
@@ -91,7 +109,7 @@ def measure(folder: Path, picture: Path, view: str) -> dict:
 
 
 def main() -> None:
-    """Measure and print."""
+    """Run the command: render, compare and print the losses as JSON."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path)
     parser.add_argument("picture", type=Path)

@@ -1,8 +1,8 @@
 """Scenes for Mitsuba 3: an XML file, the coefficients as NumPy archives, meshes, and a plugin that reads them.
 
-Nothing is refitted: the plugin (`irodori.export.irodori_mitsuba`) evaluates the lobes, the Fresnel reflectance and the
-spectra of the coefficients themselves. Mitsuba interpolates each spectrum between 61 wavelengths and multiplies then,
-where our renderers multiply at the 61.
+The materials are not approximated: the plugin (`irodori.export.irodori_mitsuba`) evaluates the same lobes, Fresnel
+reflectance and spectra from the same coefficients. One difference remains: Mitsuba interpolates each spectrum between
+the 61 wavelengths before it multiplies spectra, whereas our renderers multiply at the 61 wavelengths.
 """
 
 import json
@@ -27,11 +27,11 @@ from irodori.spectra.grid import WAVELENGTH_NM
 
 PLUGIN, SCENE, ABOUT = "irodori_mitsuba.py", "scene.xml", "about.json"
 _SAMPLES = 64
-#: Lobes that the plugin knows.
+#: Lobes that the plugin implements.
 LOBES = ("gaussian", "ggx")
-#: How much farther than in other exports an endless shape goes.
+#: Factor by which endless shapes extend farther than in other exports.
 _FARTHER = 100.0
-#: By what Mitsuba divides ∫ L x̄ dλ (its MI_CIE_Y_NORMALIZATION); the integral of its table of ȳ is 0.1 % more.
+#: Mitsuba's divisor of ∫ L x̄ dλ (its MI_CIE_Y_NORMALIZATION); the integral of its table of ȳ is 0.1 % larger.
 _THEIR_Y_NM = 106.7502593994140625
 
 
@@ -46,7 +46,7 @@ def _matrix(parent, matrix: np.ndarray, name: str = "to_world") -> None:
 
 
 def _spectrum(parent, name: str, values: np.ndarray) -> None:
-    """Add a spectrum that is held at its ends outside the grid, as ours are when they become colours."""
+    """Add a spectrum to a parent element; outside 400 to 700 nm it keeps its end values, as in our colorimetry."""
     held = np.interp(np.arange(360.0, 831.0, 5.0), WAVELENGTH_NM, values)
     spectrum = _element(parent, "spectrum", "regular", name)
     _element(spectrum, "float", name="wavelength_min", value=360.0)
@@ -72,7 +72,11 @@ def _write_archive(path: Path, **arrays) -> None:
 
 
 def _write_surface(path: Path, item: Item) -> None:
-    """Write what the plugin's BSDF reads: texels (h, w, k + 2 c), basis (k, 61), index (2, 61), and some more."""
+    """Write the archive that the plugin's BSDF reads.
+
+    Its main arrays are texels (h, w, k + 2 c), with k coefficients and β and μ of c gloss components, basis (k, 61) and
+    refractive index (2, 61).
+    """
     material = item.material
     maps = [values[..., None] for _, *pair in material.gloss for values in pair]
     texels = np.concatenate([material.coefficients * material.spectrum_scale[..., None], *maps], axis=-1)
@@ -100,7 +104,7 @@ def _add_item(root, folder: Path, item: Item, number: int, reach_mm: float) -> N
         matrix[:3, :3], matrix[:3, 3] = place.scale * place.rotation, place.translation_mm
         _matrix(element, matrix)
     else:
-        # The plugin turns its texture: Mitsuba warns of what rounding makes of a turned ball.
+        # The plugin rotates the texture instead of the ball: Mitsuba warns of the rounding errors of a rotated ball.
         element = _element(root, "shape", "sphere", id=stem)
         x, y, z = map(float, place.translation_mm)
         _element(element, "point", name="center", x=x, y=y, z=z)
@@ -163,12 +167,12 @@ def _add_view(root, source: Source, name: str) -> None:
 
 
 def scale_to_xyz(white: np.ndarray) -> float:
-    """Return the factor from the numbers of Mitsuba's XYZ film to XYZ whose white, (61,) radiance, has Y = 100."""
+    """Return the factor from values of Mitsuba's XYZ film to XYZ with Y = 100 for white, a radiance (61,)."""
     return float(100.0 * _THEIR_Y_NM / (colour_matching_weights()[1] @ white))
 
 
 def write_mitsuba(source: Source, folder) -> None:
-    """Write a scene for Mitsuba into a folder, which is made where it is not there.
+    """Write a scene for Mitsuba into a folder, which is created if it does not exist.
 
     Parameters
     ----------
@@ -179,9 +183,9 @@ def write_mitsuba(source: Source, folder) -> None:
     Raises
     ------
     PlainError
-        If it is no scene, for an object has no light; or it has a lobe that the plugin does not know.
+        If the source is not a scene and so has no light, or if it has a lobe that the plugin does not implement.
     InputError
-        If nothing lights the scene, or a file has the folder's name.
+        If no light falls on the scene, or a file has the name of the folder.
     """
     if source.scene is None:
         raise PlainError(f"--to mitsuba: found the {source.kind} {source.name!r}; accepted: a scene, which has light.")
@@ -229,7 +233,7 @@ def write_mitsuba(source: Source, folder) -> None:
 
 
 def add_to_about(folder, content: dict) -> None:
-    """Add entries to the `about.json` of an export's folder."""
+    """Add entries to ``about.json`` in the folder of an export."""
     path = Path(folder) / ABOUT
     held = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
     with written_whole(path) as temporary:

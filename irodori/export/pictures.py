@@ -18,12 +18,15 @@ from irodori.spectra.grid import WAVELENGTH_NM
 
 
 def layer_names(kind: str) -> list[str]:
-    """Return the layers of a kind, S0 (emissive) or T (reflective), as the layout prescribes: S0.400,000000nm."""
+    """Return the names of the 61 layers of a spectral EXR, such as ``S0.400,000000nm``.
+
+    The kind is ``S0`` for emission or ``T`` for reflectance.
+    """
     return [f"{kind}." + f"{wavelength:.6f}nm".replace(".", ",") for wavelength in WAVELENGTH_NM]
 
 
 def specification(size: tuple[int, int], names: list[str], attributes: dict, kind: str = "float") -> oiio.ImageSpec:
-    """Return what OpenImageIO is to know of a picture: height and width, channels, attributes and type of numbers."""
+    """Make the image specification for OpenImageIO from (height, width), channel names, attributes and data type."""
     height, width = size
     spec = oiio.ImageSpec(width, height, len(names), kind)
     spec.channelnames = tuple(names)
@@ -33,15 +36,15 @@ def specification(size: tuple[int, int], names: list[str], attributes: dict, kin
 
 
 def write_picture_file(path, spec: oiio.ImageSpec, bands: Iterable[np.ndarray]) -> None:
-    """Write a picture, whole or not at all.
+    """Write a picture; the file appears only when it is complete.
 
     Parameters
     ----------
     path : path
-        Its suffix tells the format.
+        Its suffix determines the format.
     spec : ImageSpec
     bands : iterable of (rows, width, channels)
-        From the top; the numbers are of the type that the file gets.
+        Consecutive groups of rows from the top, with the data type of ``spec``.
 
     Raises
     ------
@@ -71,23 +74,23 @@ def write_spectral_exr(
 ) -> None:
     """Write a spectral radiance image (Fichet et al. 2021, *An OpenEXR Layout for Spectral Images*).
 
-    Half precision rounds to one part in 2048 between 6e-5 and 65504. A picture whose largest number is above 65504 or
-    below 1 is multiplied by a power of two, the attribute ``irodori:scale``, which brings it to between 16384 and
-    32768; `picture_bands` divides by it again. One that spans so much that most of it would still be rounded more
-    coarsely is written in single precision.
+    Half precision rounds to one part in 2048 between 6e-5 and 65504. If the largest number is above 65504 or below 1,
+    all numbers are multiplied by a power of two, which brings the largest to between 16384 and 32768 and is stored as
+    the attribute ``irodori:scale``; `picture_bands` divides by it again. If more than half of the positive numbers
+    would still be below 6e-5, the picture is written in single precision.
 
     Parameters
     ----------
     radiance : (height, width, 61) float32, relative radiance
     rgb : (height, width, 3) float
-        Linear sRGB for viewers that know no spectra.
+        Linear sRGB for viewers that cannot show spectra.
     attributes : dict of str
         Further text attributes.
     storage : str
         ``half`` or ``single``.
     white : (61,) float, optional
-        Radiance of the scene's white. With it the attribute ``irodori:loss`` states how far the colours of the stored
-        numbers are from those of ``radiance``.
+        Radiance of the scene's white. If given, the attribute ``irodori:loss`` states the colour differences between
+        the stored numbers and ``radiance``.
 
     Raises
     ------
@@ -118,12 +121,12 @@ def write_spectral_exr(
 #: Text attribute of a picture: the power of two by which its numbers were multiplied.
 _SCALE = "irodori:scale"
 _HALF_LARGEST, _HALF_SMALLEST_NORMAL = 65504.0, 2.0**-14
-_HALF_TOP = 15  # the largest number of a picture that is scaled lies under 2 to this power
-_MOST_DOUBLINGS = 126  # single precision holds the scale
+_HALF_TOP = 15  # after scaling, the largest number of a picture is below 2 to this power
+_MOST_DOUBLINGS = 126  # largest exponent of the scale, so that single precision can represent it
 
 
 def _half_scale(pixels: np.ndarray) -> float | None:
-    """Return the power of two that brings a picture into the range of half precision, None where none does."""
+    """Return the power of two that brings a picture into the range of half precision; None if there is none."""
     size = np.abs(pixels)
     largest = float(size.max(initial=0.0, where=np.isfinite(size)))
     if largest == 0.0 or 1.0 <= largest <= _HALF_LARGEST:
@@ -137,22 +140,22 @@ _LAYER = re.compile(r"(S0|T)\.(\d*,?\d+(?:[eE][+-]?\d+)?)(Y|Z|E|P|T|G|M|k|h|da|d
 _PREFIX = {"Y": 24, "Z": 21, "E": 18, "P": 15, "T": 12, "G": 9, "M": 6, "k": 3, "h": 2, "da": 1, "": 0, "d": -1,
            "c": -2, "m": -3, "u": -6, "n": -9, "p": -12}  # fmt: skip
 _LIGHT_NM_PER_S = 299_792_458e9
-#: The most that a picture's file unfolds to, as a factor: PIZ packs 32 black rows of 8192 pixels into some 50 bytes.
+#: Largest plausible ratio of decoded to stored size: PIZ packs 32 black rows of 8192 pixels into some 50 bytes.
 _MOST_UNFOLDED = 1 << 16
-#: Letters of what OpenImageIO says, which says it for every channel.
+#: Longest quotation of a message from OpenImageIO, in characters; it repeats its message for every channel.
 _LONGEST_REASON = 200
-#: x, y of red, green, blue and white.
+#: Number of chromaticity coordinates: x, y of red, green, blue and white.
 _PRIMARIES = 8
-#: A side, in pixels.
+#: Largest width or height, in pixels.
 _LONGEST_SIDE = 1 << 17
 #: Rows whose spectra are converted together.
 _ROWS = 32
-#: What is read at once, rows or whole rows of tiles.
+#: Largest amount of data, decoded, that is read at once: a group of rows, or whole rows of tiles.
 _MOST_TOGETHER_BYTES = 1 << 31
 
 
 def _wavelength_nm(name: str, kind: str) -> float | None:
-    """Return the wavelength of a layer of a kind in nm, given as a wavelength or a frequency; None for others."""
+    """Return the wavelength in nm from the name of a layer, with a wavelength or frequency; None for other kinds."""
     match = _LAYER.fullmatch(name)
     if match is None or match[1] != kind:
         return None
@@ -163,12 +166,12 @@ def _wavelength_nm(name: str, kind: str) -> float | None:
 
 
 def _open(path, accepted: str) -> oiio.ImageInput:
-    """Open a picture's file whose header can be read and declares no more than the file may unfold to."""
+    """Open a picture file; raise `InputError` if its header is unreadable or declares implausibly much data."""
     try:
         source = oiio.ImageInput.open(str(path))
         reason = "" if source is not None else " ".join(oiio.geterror().split())[:_LONGEST_REASON]
         names = [] if source is None else list(source.spec().channelnames)
-        "".join(names).encode()  # OpenImageIO hands some bytes on as letters that no text may hold
+        "".join(names).encode()  # OpenImageIO turns some invalid bytes into surrogates, which cannot be encoded
     except UnicodeError:
         raise InputError(path, "", "a header whose text is not UTF-8", accepted) from None
     if source is None:
@@ -194,17 +197,18 @@ class Header(NamedTuple):
     size: tuple[int, int]  # (height, width)
     channels: list[str]
     depth: str  # type of the samples
-    shown: tuple[int, int]  # (height, width) of the display window, of which the file may hold a part
+    shown: tuple[int, int]  # (height, width) of the display window; the file may contain only a part of it
     chromaticities: tuple[float, ...] | None  # x, y of red, green, blue and white, where the file states them
 
 
 def picture_header(path) -> Header:
-    """Return the metadata of a picture's file.
+    """Read the metadata of a picture file.
 
     Raises
     ------
     InputError
-        If OpenImageIO cannot open it, its text is not UTF-8, or it declares more than its file can hold.
+        If OpenImageIO cannot open the file, its text is not UTF-8, it declares more data than it can contain, or its
+        chromaticities are malformed.
     """
     source = _open(path, "an HDR or EXR picture")
     spec = source.spec()
@@ -218,18 +222,18 @@ def picture_header(path) -> Header:
 
 
 def stored_samples(path, accepted: str) -> tuple[np.ndarray, dict[str, object]]:
-    """Return the numbers of a picture as its file stores them, (height, width, channels), and its attributes by name.
+    """Read the numbers of a picture as they are stored, (height, width, channels), and its attributes by name.
 
     Parameters
     ----------
     path : path
     accepted : str
-        For the error message.
+        Description of acceptable files, for the error message.
 
     Raises
     ------
     InputError
-        If OpenImageIO cannot open it, or it ends early.
+        If OpenImageIO cannot open the file, or the file is truncated.
     """
     source = _open(path, accepted)
     spec = source.spec()
@@ -241,12 +245,12 @@ def stored_samples(path, accepted: str) -> tuple[np.ndarray, dict[str, object]]:
 
 
 def stated_loss(path) -> str | None:
-    """Return the loss that a picture's file states in its attributes or its description, None where it states none.
+    """Read the loss stated in the attributes or the description of a picture file; None if there is none.
 
     Raises
     ------
     InputError
-        If OpenImageIO cannot open it.
+        If OpenImageIO cannot open the file.
     """
     source = _open(path, "a picture")
     spec = source.spec()
@@ -258,18 +262,23 @@ def stated_loss(path) -> str | None:
 
 
 def picture_bands(path, rows: int) -> Iterator[tuple[int, np.ndarray]]:
-    """Yield the number of the first row, and the pixels (rows, width, channels) float32, of bands of a picture's file.
+    """Read a picture file in groups of rows; yield each with the index of its first row.
 
     Parameters
     ----------
     path : path
     rows : int
-        Of a band at most; a file in tiles is read in whole rows of tiles, of which bands are parts.
+        Largest number of rows in a group. A tiled file is read in whole rows of tiles, which are then divided.
+
+    Yields
+    ------
+    first : int
+    pixels : (rows, width, channels) float32
 
     Raises
     ------
     InputError
-        If the file cannot be opened, ends early, or states a scale that is none.
+        If the file cannot be opened or is truncated, or its ``irodori:scale`` is not a power of two.
     """
     source = _open(path, "an HDR or EXR picture")
     try:
@@ -296,7 +305,7 @@ def picture_bands(path, rows: int) -> Iterator[tuple[int, np.ndarray]]:
 
 
 def _stored_scale(spec: oiio.ImageSpec, path) -> float:
-    """Return the power of two by which a picture's numbers were multiplied, 1 where the file states none."""
+    """Return the power of two by which the numbers of a picture were multiplied; 1 if the file states none."""
     stated = spec.getattribute(_SCALE)
     if stated is None:
         return 1.0
@@ -310,12 +319,18 @@ def _stored_scale(spec: oiio.ImageSpec, path) -> float:
 
 
 def layers_of(names: list[str], kind: str, path) -> tuple[np.ndarray, list[int]]:
-    """Return the wavelengths (nm, increasing) of the layers of one kind among channels, and the channels' numbers.
+    """Find the spectral layers of one kind among channel names.
+
+    Returns
+    -------
+    wavelength_nm : (n,) float64, increasing
+    indices : list of int
+        Indices of these channels in ``names``.
 
     Raises
     ------
     InputError
-        If there are none, or one wavelength twice.
+        If there is no such layer, or two for the same wavelength.
     """
     found = [(wavelength, index) for index, name in enumerate(names) if (wavelength := _wavelength_nm(name, kind))]
     if not found:
@@ -332,7 +347,7 @@ def layers_of(names: list[str], kind: str, path) -> tuple[np.ndarray, list[int]]
 
 
 def read_layers(path, kind: str) -> tuple[np.ndarray, np.ndarray]:
-    """Read the layers of one kind of a spectral EXR (Fichet et al. 2021), whatever their wavelengths.
+    """Read the layers of one kind of a spectral EXR (Fichet et al. 2021) with any wavelengths.
 
     Parameters
     ----------
@@ -348,7 +363,7 @@ def read_layers(path, kind: str) -> tuple[np.ndarray, np.ndarray]:
     Raises
     ------
     InputError
-        If the file is missing, truncated, holds no such layers, or one wavelength twice.
+        If the file is missing or truncated, has no such layers, or has two for the same wavelength.
     """
     header = picture_header(path)
     height = header.size[0]
@@ -357,12 +372,12 @@ def read_layers(path, kind: str) -> tuple[np.ndarray, np.ndarray]:
 
 
 def read_spectral_exr(path) -> np.ndarray:
-    """Read the S0 layers of a spectral EXR on the 61 wavelengths, (height, width, 61) float32.
+    """Read the S0 layers of a spectral EXR at the 61 wavelengths 400 to 700 nm, (height, width, 61) float32.
 
     Raises
     ------
     InputError
-        If the file is missing, truncated, or lacks a wavelength; `read_layers` reads files of other wavelengths.
+        If the file is missing, truncated, or lacks a wavelength; `read_layers` reads files with other wavelengths.
     """
     header = picture_header(path)
     channels = _grid_channels(header, path)
@@ -370,7 +385,7 @@ def read_spectral_exr(path) -> np.ndarray:
 
 
 def _grid_channels(header: Header, path) -> list[int]:
-    """Return the numbers of the S0 layers at the 61 wavelengths among the channels of a picture."""
+    """Return the channel indices of the S0 layers at the 61 wavelengths."""
     wavelength_nm, channels = layers_of(header.channels, "S0", path)
     available = dict(zip((round(float(w), 3) for w in wavelength_nm), channels, strict=True))
     missing = [w for w in WAVELENGTH_NM if round(float(w), 3) not in available]
@@ -380,12 +395,12 @@ def _grid_channels(header: Header, path) -> list[int]:
 
 
 def write_xyz_exr(path, xyz: np.ndarray, attributes: dict[str, str]) -> None:
-    """Write tristimulus values as an EXR of the channels X, Y and Z.
+    """Write tristimulus values as an EXR with the channels X, Y and Z.
 
     Parameters
     ----------
     xyz : (height, width, 3) float32
-        CIE 1931 2 degree observer; Y = 100 is the scene's white.
+        CIE 1931 2° observer; Y = 100 is the scene's white.
     attributes : dict of str
         Text attributes.
     """
@@ -394,19 +409,19 @@ def write_xyz_exr(path, xyz: np.ndarray, attributes: dict[str, str]) -> None:
 
 
 def read_xyz(path, matrix: np.ndarray) -> np.ndarray:
-    """Read a rendered picture's tristimulus values, (height, width, 3) float.
+    """Read the tristimulus values of a rendered picture, (height, width, 3) float.
 
     Parameters
     ----------
     path : path
-        Spectral EXR, or one of the channels X, Y, Z, which are taken as they are.
+        A spectral EXR, or an EXR with the channels X, Y, Z, which are returned unchanged.
     matrix : (3, 61) float
-        XYZ from radiance.
+        Matrix from radiance to XYZ.
 
     Raises
     ------
     InputError
-        If the file is missing or truncated, or holds neither.
+        If the file is missing or truncated, or has neither kind of channels.
     """
     header = picture_header(path)
     if {"X", "Y", "Z"} <= set(header.channels):
@@ -417,7 +432,7 @@ def read_xyz(path, matrix: np.ndarray) -> np.ndarray:
 
 
 def write_display_picture(path, pixels: np.ndarray, profile: bytes, attributes: dict[str, str]) -> None:
-    """Write a picture for a display, PNG or TIFF by the file's suffix.
+    """Write a picture for a display, as PNG or TIFF depending on the suffix of the file.
 
     Parameters
     ----------
@@ -425,13 +440,13 @@ def write_display_picture(path, pixels: np.ndarray, profile: bytes, attributes: 
     profile : bytes
         ICC profile of the display.
     attributes : dict of str
-        Text attributes; a TIFF, which has no place for them, holds them in its description.
+        Text attributes; a TIFF has no field for them and lists them in its description.
     """
     if Path(path).suffix != ".png":
         listed = "; ".join(f"{name} {value}" for name, value in attributes.items())
         attributes = {"ImageDescription": listed, "compression": "zip"}
     spec = specification(pixels.shape[:2], ["R", "G", "B"], attributes, str(pixels.dtype))
     spec.attribute("ICCProfile", oiio.TypeDesc(f"uint8[{len(profile)}]"), np.frombuffer(profile, dtype=np.uint8))
-    # Chunks that would name sRGB beside the profile are left out; the profile alone tells.
+    # No chunks that declare sRGB: the ICC profile alone defines the colours.
     spec.attribute("oiio:ColorSpace", "unknown")
     write_picture_file(path, spec, [pixels])

@@ -1,9 +1,9 @@
-"""Workflow Run RO-Crate: what a run read, what it made, with which software, when, and under which licence, as JSON-LD.
+"""Workflow Run RO-Crate of a run: its inputs, results, software, times and licence, as JSON-LD.
 
-Profiles: RO-Crate 1.1, Process Run Crate 0.5, Workflow Run Crate 0.5 and Workflow RO-Crate 1.0. Plain dictionaries: the
-graph is a list of them, and the library for crates would add nothing that is wanted here. Files are named by their
-paths from the project's folder; the hashes are those of whole files, as ``sha256sum`` prints them, after every result
-was compared with the hash that its rule noted.
+The profiles are RO-Crate 1.1, Process Run Crate 0.5, Workflow Run Crate 0.5 and Workflow RO-Crate 1.0. The graph is a
+list of plain dictionaries; a library for crates would add nothing that is needed here. Files are named by their paths
+relative to the project's folder. Their hashes are those of whole files, as ``sha256sum`` prints them. Before, every
+result is compared with the hash that its rule recorded.
 """
 
 import base64
@@ -42,7 +42,7 @@ _FORMATS = {
     ".csv": "text/csv", ".json": "application/json", ".yaml": "application/yaml", ".dng": "image/x-adobe-dng",
     ".py": "text/x-python", ".smk": "text/plain", ".rst": "text/x-rst", ".payload": "text/plain", "": "text/plain",
 }  # fmt: skip
-#: Outputs of the workflow that are no steps between: name of the formal parameter, and what it stands for.
+#: Final outputs of the workflow: name of the formal parameter, and its description.
 _OUTPUTS = {
     "pictures": "Pictures of the scenes",
     "materials": "Materials of the objects",
@@ -51,13 +51,13 @@ _OUTPUTS = {
     "tables": "Tables of figures and errors",
 }
 _BY_SUFFIX = {".exr": "pictures", ".png": "pictures", ".tif": "pictures", ".html": "pages", ".csv": "tables"}
-#: Packages whose versions are told beside those that the results name.
+#: Packages whose installed versions are listed in addition to those recorded in the results.
 _TOLD = ("snakemake", "numba", "scipy", "opencv-python", "OpenImageIO", "rawpy", "embreex", "nlopt", "colour-science")
 
 
 @dataclass(frozen=True)
 class Job:
-    """A job of the workflow as Snakemake noted it.
+    """A job of the workflow as Snakemake recorded it.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ class Job:
     start_s, end_s : float
         Seconds since 1970, UTC.
     inputs, outputs : tuple of str
-        Paths from the project's folder.
+        Paths relative to the project's folder.
     """
 
     rule: str
@@ -76,12 +76,12 @@ class Job:
 
 
 def jobs_of(project: Path) -> list[Job]:
-    """Return the jobs whose outputs lie in a project, in the order in which they began.
+    """Return the jobs whose outputs exist in a project, in the order in which they began.
 
     Raises
     ------
     InputError
-        If Snakemake's notes are missing, or cannot be read.
+        If Snakemake's records of the jobs are missing or cannot be read.
     """
     folder = project / _RECORDS
     found: dict[tuple, list] = {}
@@ -89,7 +89,7 @@ def jobs_of(project: Path) -> list[Job]:
         if not path.is_file():
             continue
         try:
-            # Snakemake parts long names over folders, which begin with @.
+            # Snakemake splits long names over folders that begin with @.
             coded = "".join(part.removeprefix("@") for part in path.relative_to(folder).parts)
             output = base64.urlsafe_b64decode(coded).decode()
             note = json.loads(path.read_bytes())
@@ -106,7 +106,7 @@ def jobs_of(project: Path) -> list[Job]:
 
 @dataclass(frozen=True)
 class RunFiles:
-    """Files of a run: path from the project's folder -> SHA-256 of the whole file, 64 hexadecimal digits."""
+    """Files of a run: path relative to the project's folder -> SHA-256 of the whole file, 64 hexadecimal digits."""
 
     project: Path
     workflow: Mapping[str, str]
@@ -116,12 +116,12 @@ class RunFiles:
 
     @property
     def all(self) -> dict[str, str]:
-        """All of them."""
+        """All files of the run."""
         return {**self.workflow, **self.settings, **self.given, **self.results}
 
 
 def collect(results: Path, workflow: Iterable[Path], loaded: Loaded) -> RunFiles:
-    """Find the files of a run, and compare each with the hash that was noted for it.
+    """Find the files of a run, and compare inputs and results with the hashes recorded for them.
 
     Parameters
     ----------
@@ -130,12 +130,12 @@ def collect(results: Path, workflow: Iterable[Path], loaded: Loaded) -> RunFiles
     workflow : iterable of path
         Files of the workflow, in the project's folder.
     loaded : Loaded
-        Its configuration and definitions.
+        Configuration and definitions of the project.
 
     Raises
     ------
     PlainError
-        If a result is not as its rule wrote it, or a file that it was made from is missing or has changed since.
+        If a result is not as its rule wrote it, or a file from which it was made is missing or has changed since.
     """
     chain = custody.Chain(results)
     for broken in chain.broken():
@@ -150,7 +150,7 @@ def collect(results: Path, workflow: Iterable[Path], loaded: Loaded) -> RunFiles
         if name in made or name in settings:
             continue
         path = project / name
-        # The list keeps what was renamed or removed before the last run too.
+        # The list also contains files that were renamed or removed before the last run.
         if not path.is_file():
             continue
         if file_sha256(path) != sha256:
@@ -166,7 +166,7 @@ def collect(results: Path, workflow: Iterable[Path], loaded: Loaded) -> RunFiles
 
 
 def _ledger(path: Path) -> dict[str, str]:
-    """Return file -> SHA-256 of the files of the user that the workflow has seen, those that are absent left out."""
+    """Return file -> SHA-256 of the user's files that the workflow has read, without those recorded as absent."""
     try:
         noted = json.loads(path.read_bytes())
         return {name: line[-1] for name, line in sorted(noted.items()) if len(line[-1]) == len(_NOTHING)}
@@ -178,7 +178,7 @@ _NOTHING = "0" * 64
 
 
 def _inside(path: Path, project: Path) -> str:
-    """Return a file's path from the project's folder."""
+    """Return the path of a file relative to the project's folder; raise `InputError` if it lies elsewhere."""
     try:
         return path.absolute().relative_to(project).as_posix()
     except ValueError:
@@ -195,19 +195,19 @@ def _time(seconds: float) -> str:
 
 
 def _reference(*identifiers: str):
-    """Return what points to entities: one, or a list."""
+    """Return a JSON-LD reference to one entity, or a list of references to several."""
     found = [{"@id": identifier} for identifier in identifiers]
     return found[0] if len(found) == 1 else found
 
 
 def _pointing(key: str, identifiers: Iterable[str]) -> dict:
-    """Return a property that points to entities, nothing where there are none."""
+    """Return a JSON-LD property that refers to entities; an empty dictionary if there are none."""
     found = list(identifiers)
     return {key: _reference(*found)} if found else {}
 
 
 def _output_kind(name: str) -> str | None:
-    """Return the name of the formal parameter that a result is of; None of what passes between stages."""
+    """Return the name of the formal parameter to which a result belongs; None for files between stages."""
     path = PurePosixPath(name)
     if path.name == "material.h5":
         return "materials"
@@ -217,7 +217,7 @@ def _output_kind(name: str) -> str | None:
 
 
 def _versions(files: RunFiles) -> Iterator[tuple[str, str]]:
-    """Yield name and version of the software: what the results name, then what is installed here."""
+    """Yield name and version of software: packages recorded in the results, then others that are installed here."""
     made: dict[str, set[str]] = {}
     for name in files.results:
         if name.endswith(".h5"):
@@ -234,7 +234,7 @@ def _versions(files: RunFiles) -> Iterator[tuple[str, str]]:
 
 
 def describe(files: RunFiles, jobs: list[Job], loaded: Loaded) -> dict:
-    """Return the content of ``ro-crate-metadata.json``.
+    """Assemble the content of ``ro-crate-metadata.json``.
 
     Parameters
     ----------
@@ -330,7 +330,7 @@ def _file(files: RunFiles, name: str, example_of: Mapping[str, str]) -> dict:
 
 
 def _actions(files: RunFiles, jobs: list[Job], made: Mapping[str, list[str]], person: dict | None) -> Iterator[dict]:
-    """Yield the run as a whole, then its jobs."""
+    """Yield the action of the whole run, then those of its jobs."""
     agent = {} if person is None else {"agent": _reference(person["@id"])}
     status = {"actionStatus": "http://schema.org/CompletedActionStatus"}
     yield {
@@ -370,7 +370,7 @@ def _licence(stated: str | None) -> dict:
 
 
 def _devices(loaded: Loaded) -> Iterator[dict]:
-    """Yield the cameras and the rigs, each told by its definition."""
+    """Yield the cameras and rigs as entities that refer to their definition files."""
     for kind in ("cameras", "rigs"):
         for name, definition in getattr(loaded, kind).items():
             described = {"description": text} if (text := getattr(definition, "description", None)) else {}
@@ -381,12 +381,12 @@ def _devices(loaded: Loaded) -> Iterator[dict]:
 
 
 def workflow_files(snakefile: Path) -> list[Path]:
-    """Return a Snakefile and the rules, scripts and captions beside it.
+    """Return the paths of a Snakefile and of the rules, scripts and captions in the folders beside it.
 
     Raises
     ------
     InputError
-        If there is no such file.
+        If the Snakefile does not exist.
     """
     if not snakefile.is_file():
         raise InputError(snakefile, "", "no such file", "the workflow's Snakefile, workflow/Snakefile of the project")
@@ -395,12 +395,12 @@ def workflow_files(snakefile: Path) -> list[Path]:
 
 
 def run_crate(results: Path) -> tuple[dict, RunFiles]:
-    """Return the crate of a finished run, and its files.
+    """Return the metadata of the crate of a finished run, and the files of the run.
 
     Raises
     ------
     InputError
-        If the configuration, the workflow or the notes of the run are missing; see `collect` and `jobs_of`.
+        If the configuration, the workflow or Snakemake's records are missing; see `collect` and `jobs_of`.
     """
     project = results.absolute().parent
     config = read_yaml(project / _CONFIG)

@@ -24,31 +24,33 @@ from irodori.rectification.circle_search import Circle
 from irodori.rectification.lamp_registration import Lamps, geometry_of, register_lamps
 from irodori.reflection.registry import DEFAULT_LOBES, names
 
-#: Part of the ball's radius that is used: beyond it a pixel spans many degrees.
+#: Share of the ball's radius that is used: nearer to its rim a pixel spans many degrees.
 INSIDE = 0.95
-#: cosθ_i below which a place lies near the terminator, where the lamp's size and the ball's outline decide.
+#: cosθ_i below which a place counts as near the terminator, where errors of the lamp's size and the ball's outline
+#: dominate.
 LEAST_COSINE = 0.2
 _CLIPPED, _FEWEST = 0.98, 5
 _GREEN = 1
-#: Places by which lamps are registered, about.
+#: Approximate number of places from which levels and directions of the lamps are estimated.
 _REGISTERED = 1200
-#: Of the difference between photograph and rendering, in the picture that shows it.
+#: Amplification of the difference between photograph and rendering in the picture of differences.
 _TENFOLD = 10.0
 
 
 class Seen(NamedTuple):
-    """Photographs of a ball, in the places that are used.
+    """Responses of J photographs at T places (pixels) on a ball.
 
     Parameters
     ----------
     names : list of str
     response : (T, J) float64
-        Green, part of the largest number of the file a second of exposure.
+        Green response: fraction of the largest number that the file can hold, per second of exposure.
     usable : (T, J) bool
-        Where nothing clips.
+        Responses that are not clipped.
     normal, view : (T, 3) float64
+        Unit vectors: surface normals and directions to the camera.
     inside : (rows, columns) bool
-        Which pixels the places are.
+        Pixels of the picture that are the places.
     """
 
     names: list[str]
@@ -59,7 +61,10 @@ class Seen(NamedTuple):
     inside: np.ndarray
 
     def lit(self, direction: np.ndarray) -> np.ndarray:
-        """Return 1 where a place is lit away from the terminator and does not clip, else 0, (T, J)."""
+        """Return 1 for responses that are not clipped and lie on the lit side away from the terminator, else 0, (T, J).
+
+        ``direction`` has the unit vectors to the lamps, (J, 3).
+        """
         return ((self.normal @ direction.T > LEAST_COSINE) & self.usable).astype(float)
 
 
@@ -95,7 +100,7 @@ def _measure(asked: argparse.Namespace) -> int:
     n = asked.refractive_index
     lamps = register_lamps(response, normal, view, lit, known, error_deg=asked.error_deg, n=n, k=0.0)
     weight, tried = seen.lit(lamps.direction), {}
-    # The simplest first: no gloss, then the paper's lobe, whatever else is registered.
+    # The simplest first: no gloss, then the paper's lobe, then all other registered lobes.
     for lobe in (MATT, *sorted(names(), key=lambda name: (name,) != DEFAULT_LOBES)):
         tried[lobe] = predict_left_out(
             seen.response, seen.normal, seen.view, weight, lamps, known, lobe=lobe, n=n, k=0.0
@@ -116,12 +121,14 @@ def _measure(asked: argparse.Namespace) -> int:
 
 
 def simplest(errors: dict[str, np.ndarray]) -> str:
-    """Return the first name whose errors lie within one standard error of the best, photograph by photograph.
+    """Return the simplest model with errors within one standard error of the best model.
+
+    Errors are compared photograph by photograph.
 
     Parameters
     ----------
     errors : dict of (J,) float
-        By name, the simplest first.
+        Error of each photograph by the name of the model, the simplest model first.
     """
     best = min(errors.values(), key=lambda error: error.mean())
     for name, error in errors.items():
@@ -132,7 +139,7 @@ def simplest(errors: dict[str, np.ndarray]) -> str:
 
 
 def _seen(asked: argparse.Namespace) -> tuple[Seen, np.ndarray]:
-    """Return the photographs, and the directions to their lamps by the light-position file, (J, 3)."""
+    """Read the photographs, and the directions to their lamps from the light-position file, (J, 3)."""
     files = [Path(name) for name in in_counting_order(asked.photographs) if not is_mask(name, asked)]
     places = read_light_places(asked.lights)
     for file in files:
@@ -223,7 +230,10 @@ def _write_surface(path: Path, seen: Seen, lamps: Lamps, surface: OneGloss, lobe
 
 
 def _write_pictures(path: Path, seen: Seen, found: Prediction, weight: np.ndarray) -> None:
-    """Write a row of photographs, one of renderings and one of their differences, brightness with its root taken."""
+    """Write a picture with a row of photographs, a row of renderings and a row of their differences.
+
+    Photographs and renderings are shown as square roots of the response.
+    """
     top = float(np.quantile(seen.response, 0.999))
     rows, columns = (np.flatnonzero(seen.inside.any(axis=axis)) for axis in (1, 0))
     crop = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)

@@ -18,7 +18,7 @@ from irodori.first_project.recognition import Recognised, recognise
 from irodori.first_project.scaffold import Answers, Scaffold, project_name
 
 _SHOWN_GAPS = 20
-#: A value of the key that holds a block.
+#: Example of a value for the key ``shape``.
 _SHAPE = "a shape, such as {kind: plate, width_mm: 90, height_mm: 90} or {kind: sphere, radius_mm: 30}"
 
 
@@ -77,7 +77,7 @@ def _write(asked: argparse.Namespace) -> int:
 
 
 def _told(recognised: list[Recognised], timed: bool) -> str:
-    """Return what was recognised, in words."""
+    """Return a text that describes the recognised photographs."""
     count = Counter((one.role, one.filter) for one in recognised)
     poses = 1 + max(one.pose for one in recognised)
     parts = [f"{number} {role}, filter {state or 'unknown'}" for (role, state), number in sorted(count.items())]
@@ -98,7 +98,7 @@ def _told(recognised: list[Recognised], timed: bool) -> str:
 
 
 def _typed(words: str) -> str:
-    """Return a line of the terminal, an empty one where it was closed."""
+    """Read a line from the terminal; return an empty string if the input was closed."""
     try:
         return input(words)
     except EOFError:
@@ -108,7 +108,18 @@ def _typed(words: str) -> str:
 def _answers(
     recognised: list[Recognised], given, asked: argparse.Namespace, ask: Callable[[str], str] | None
 ) -> Answers:
-    """Return what a person says, or the files."""
+    """Collect the values of a project from written answers, the photographs' metadata, and questions on the terminal.
+
+    Parameters
+    ----------
+    recognised : list of Recognised
+    given : mapping
+        Answers written beforehand, by key.
+    asked : Namespace
+        Command-line arguments.
+    ask : callable or None
+        Shows a question and returns the line that was typed; None if there is no terminal.
+    """
     source = asked.answers
     first = recognised[0].photograph
     used: set[str] = set()
@@ -163,12 +174,12 @@ def _answers(
 
 
 def _stated_or(put, stated: float, key: str, words: str, given) -> float | None:
-    """Return what the files state, unless a written answer says otherwise; ask where they are silent."""
+    """Return a written answer or else the value stated in the files; ask if there is neither."""
     return put(key, words, positive) if not stated or key in given else stated
 
 
 def _one_of(recognised: list[Recognised], value: Callable[[Photograph], float]) -> float:
-    """Return what all photographs state alike, 0 where they differ or are silent."""
+    """Return the value that all photographs but dark frames have in common; 0 if they differ or state none."""
     found = {value(one.photograph) for one in recognised if one.role != "dark"}
     return found.pop() if len(found) == 1 else 0.0
 

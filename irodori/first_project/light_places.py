@@ -10,11 +10,11 @@ _LARGEST_BYTES = 1_000_000
 
 
 def read_light_places(path) -> dict[str, tuple[float, float, float]]:
-    """Read where the lamp of each photograph stood.
+    """Read the position of the lamp in each photograph from a light-position file.
 
-    The first line holds the number of photographs, every other one a file's name and the lamp's place: x to the right
-    of the picture, y up, z towards the camera, from the object's middle, in any one unit. For a camera that looks
-    straight down (camera angle 0) these are the axes of the rig.
+    The first line of the file holds the number of photographs, every other line the name of a file and the position of
+    the lamp: x to the right of the picture, y up, z towards the camera, from the centre of the object, all in one unit
+    of length. For a camera that looks straight down (camera angle 0) these are the axes of the rig.
 
     Parameters
     ----------
@@ -23,13 +23,14 @@ def read_light_places(path) -> dict[str, tuple[float, float, float]]:
     Returns
     -------
     dict
-        By the name of the file without its folder and its ending, as programs list the JPEG beside each RAW file.
+        (x, y, z) by the name of the photograph without folder and suffix, because programs often list the JPEG beside a
+        RAW file.
 
     Raises
     ------
     InputError
-        If the file cannot be read, a line is no name and three numbers, a name or the number of lines does not fit,
-        or a lamp stands in the object's middle.
+        If the file cannot be read, a line is not a name and three numbers, a name occurs twice, the number of lines is
+        not the stated one, or a lamp is at the centre of the object.
     """
     path = Path(path)
     try:
@@ -62,7 +63,7 @@ def read_light_places(path) -> dict[str, tuple[float, float, float]]:
 
 
 def places_of_poses(places: dict[str, tuple[float, float, float]], recognised: list[Recognised], path) -> list:
-    """Return the place of the lamp in each pose of the object, (x, y, z).
+    """Return the position of the lamp in each pose of the object, (x, y, z).
 
     Parameters
     ----------
@@ -75,7 +76,7 @@ def places_of_poses(places: dict[str, tuple[float, float, float]], recognised: l
     Raises
     ------
     InputError
-        If no photograph of a pose is listed, or two of them with different places.
+        If no photograph of a pose is listed, or two are listed with different positions.
     """
     found = []
     for pose in range(1 + max(one.pose for one in recognised)):
@@ -91,5 +92,5 @@ def places_of_poses(places: dict[str, tuple[float, float, float]], recognised: l
 
 
 def _key(name: str) -> str:
-    """Return what a photograph is known by; programs for Windows write whole paths."""
+    """Return the name of a file in lower case without folder and suffix; accepts Windows paths too."""
     return PureWindowsPath(name.strip().strip('"')).stem.lower()

@@ -1,4 +1,4 @@
-"""The subcommand ``lights``: where lamps stood, by their mirror images on a ball."""
+"""The subcommand ``lights``: directions to lamps from their mirror images on a polished ball."""
 
 import argparse
 import re
@@ -35,7 +35,7 @@ def main(arguments: list[str] | None = None, prog: str = "irodori lights") -> in
 
 
 def add_outline(parser: argparse.ArgumentParser) -> None:
-    """Let a command be told where a ball is in its photographs."""
+    """Add the command-line options ``--mask`` and ``--circle``, which state the outline of the ball."""
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--mask", help="picture of the same size that is bright on the ball and black elsewhere")
     where.add_argument(
@@ -44,7 +44,7 @@ def add_outline(parser: argparse.ArgumentParser) -> None:
 
 
 def in_counting_order(names: list[str]) -> list[str]:
-    """Return names sorted with their numbers as numbers: a.2 before a.10."""
+    """Sort names with numbers in them by the values of the numbers: a.2 before a.10."""
     return sorted(names, key=lambda name: [int(p) if p.isdigit() else p.lower() for p in re.split(r"(\d+)", name)])
 
 
@@ -70,7 +70,7 @@ def _write(asked: argparse.Namespace) -> int:
 
 
 def asked_circle(asked: argparse.Namespace, pictures: list[np.ndarray], path) -> Circle:
-    """Return the outline of the ball: as told by circle or mask, else as found in all pictures together."""
+    """Return the outline of the ball from the options ``--circle`` or ``--mask``, or else found in the pictures."""
     if asked.circle:
         return Circle(*asked.circle)
     if asked.mask:
@@ -86,12 +86,12 @@ def _size(picture: np.ndarray) -> str:
 
 
 def is_mask(name: str, asked: argparse.Namespace) -> bool:
-    """Whether a photograph is the mask that was named beside: shells list it with the others."""
+    """Return whether a photograph is the file of ``--mask``, which a shell pattern may list with the others."""
     return asked.mask is not None and Path(name).resolve() == Path(asked.mask).resolve()
 
 
 def same_size(files: list[Path], pictures: list[np.ndarray]) -> None:
-    """Refuse a picture of another size than the first one by an InputError."""
+    """Raise `InputError` if a picture has another size than the first."""
     for file, picture in zip(files, pictures, strict=True):
         if picture.shape != pictures[0].shape:
             raise InputError(file, "size", _size(picture), f"{_size(pictures[0])}, as {files[0].name}")

@@ -1,7 +1,8 @@
-"""Directions to lamps by their mirror images on a ball, such as a polished bearing ball.
+"""Directions to lamps from their mirror images on a ball, such as a polished bearing ball.
 
-A far camera sees a lamp mirrored where the normal of the ball halves the angle between lamp and camera. A camera that
-stands n radii away is taken for a far one at the price of 1 / n rad at the ball's rim, less towards its middle.
+A distant camera sees a lamp mirrored where the normal of the ball bisects the angle between the directions to the lamp
+and to the camera. The camera is assumed to be infinitely far away. If it is n radii away, the direction to the camera
+is wrong by up to 1 / n rad at the rim of the ball, and less towards its centre.
 """
 
 from collections.abc import Sequence
@@ -16,15 +17,15 @@ from irodori.export.pictures import stored_samples
 from irodori.ingest.mosaic import decode
 from irodori.rectification.circle_search import Circle, find_circle
 
-#: Of the brightest pixel on the ball, what belongs to the lamp's mirror image.
+#: Pixels brighter than this share of the brightest one on the ball belong to a mirror image.
 _HIGHLIGHT = 0.5
-#: A second image of this share of the first one's pixels leaves open which is the lamp's.
+#: If a second mirror image has more than this share of the pixels of the first, it is unclear which is the lamp's.
 _SECOND = 0.5
 _ACCEPTED = "RAW files, or TIFF or PNG pictures, which need not be linear here"
 
 
 def brightness(path) -> np.ndarray:
-    """Return the darkest band of each pixel or superpixel, (rows, columns), part of the largest number of the file."""
+    """Return the darkest band of each pixel or superpixel, (rows, columns), as a fraction of the file's full scale."""
     if is_picture(path):
         samples, _ = stored_samples(path, _ACCEPTED)
         top = np.iinfo(samples.dtype).max if np.issubdtype(samples.dtype, np.integer) else 1.0
@@ -34,8 +35,8 @@ def brightness(path) -> np.ndarray:
 
 
 def outline(pictures: Sequence[np.ndarray], path) -> Circle:
-    """Return the outline of a ball that stays in its place in all pictures, see `find_circle`."""
-    # Roots, so that a highlight of one picture does not outweigh the background of all.
+    """Find the outline of a ball that has the same place in all pictures, see `find_circle`."""
+    # Square roots, so that a highlight in one picture does not outweigh the background of all.
     return find_circle(np.mean([np.sqrt(np.maximum(one, 0.0)) for one in pictures], axis=0) ** 2, path)
 
 
@@ -49,12 +50,12 @@ def lamp_direction(picture: np.ndarray, circle: Circle, path) -> np.ndarray:
     circle : Circle
         Outline of the ball.
     path : path
-        For the error message.
+        Name of the picture for the error message.
 
     Raises
     ------
     InputError
-        If nothing is bright on the ball, or two places are.
+        If there is no highlight on the ball, or two of similar size.
     """
     from scipy import ndimage  # slow to import
 
@@ -70,7 +71,7 @@ def lamp_direction(picture: np.ndarray, circle: Circle, path) -> np.ndarray:
     if len(sizes) > 1 and sizes[order[1]] > _SECOND * sizes[order[0]]:
         raise InputError(path, "", f"{len(sizes)} highlights on the ball", "one lamp alone")
     rows, columns = np.nonzero(numbers == 1 + order[0])
-    # Of a small image most pixels are hit in part: they count by how much.
+    # A small highlight covers most of its pixels only in part: brighter pixels count more.
     weight = level[rows, columns] - 0.99 * _HIGHLIGHT * top
     x, y = (float(np.average(places, weights=weight)) for places in (columns, rows))
     a, b = (x - circle.x) / circle.radius, (circle.y - y) / circle.radius
@@ -79,13 +80,13 @@ def lamp_direction(picture: np.ndarray, circle: Circle, path) -> np.ndarray:
 
 
 def write_light_places(path, directions: dict[str, np.ndarray]) -> None:
-    """Write a light-position file (.lp) as `irodori.first_project.light_places.read_light_places` reads it.
+    """Write a light-position file (.lp) for `irodori.first_project.light_places.read_light_places`.
 
     Parameters
     ----------
     path : path
     directions : dict
-        Of the lamp of each photograph, by the photograph's name.
+        Direction to the lamp, (3,), by the name of the photograph.
     """
     lines = [f"{name} " + " ".join(f"{value:.6f}" for value in place) for name, place in directions.items()]
     with written_whole(path) as temporary:

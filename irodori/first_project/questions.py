@@ -1,4 +1,4 @@
-"""Questions to a person about what photographs cannot tell: distances, lamp, the object, and the poses."""
+"""Questions to the user about facts that photographs do not contain: distances, lamp, object and poses."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -8,27 +8,27 @@ from typing import Any
 from irodori.config.capture_table import Pose
 from irodori.core.errors import InputError
 
-#: What stands in a definition or a table where a person has to write something.
+#: Text in a definition or a table that marks a value which the user has to write.
 GAP = "?"
-#: Shapes that are asked for, with the keys of their sizes, and those that a file holds.
+#: Shapes that the user may name, with the keys of their sizes, and shapes that are read from a file.
 _SIZES = {"plate": ("width_mm", "height_mm"), "sphere": ("radius_mm",)}
 _FILES = ("mesh",)
 
 
 @dataclass(frozen=True)
 class Question:
-    """One question.
+    """A question to the user.
 
     Parameters
     ----------
     key : str
-        Its name in a file of answers.
+        Name of the question in a file of answers.
     words : str
-        What is asked, and an example.
-    read : callable from text to a value
-        Raises ValueError with what is accepted.
+        Text of the question, with an example.
+    read : callable
+        Function from the text of an answer to its value. It raises ValueError with a description of accepted answers.
     assumed : str
-        The answer that stands where nobody gives one; empty for none.
+        Answer that is assumed if the user gives none; empty if none can be assumed.
     """
 
     key: str
@@ -38,7 +38,7 @@ class Question:
 
 
 def numbers(count: int) -> Callable[[str], list[float]]:
-    """Return a reader of one number for all of so many, or of one for each."""
+    """Return a function that reads ``count`` numbers from text; a single number is repeated ``count`` times."""
 
     def read(text: str) -> list[float]:
         try:
@@ -81,7 +81,7 @@ def _two(text: str) -> list[float]:
 
 
 def shape(text: str) -> dict[str, Any]:
-    """Read the shape of an object as its definition has it."""
+    """Read the shape of an object; return the block ``shape`` of its definition."""
     kind, _, rest = text.strip().partition(" ")
     if kind in _FILES and rest.strip():
         return {"kind": kind, "file": rest.strip(), "unit": "mm"}
@@ -97,7 +97,7 @@ def shape(text: str) -> dict[str, Any]:
 
 
 def answer(question: Question, given: Mapping[str, Any], source, ask: Callable[[str], str] | None) -> Any | None:
-    """Return the answer to a question; None where nobody gives one.
+    """Return the answer to a question from the written answers or from the user; None if there is none.
 
     Parameters
     ----------
@@ -105,14 +105,14 @@ def answer(question: Question, given: Mapping[str, Any], source, ask: Callable[[
     given : mapping
         Answers written beforehand, by key.
     source : path
-        Where they stand, for error messages.
-    ask : callable, optional
-        Shows words and returns the line that was typed, empty for no answer.
+        File of the written answers, for error messages.
+    ask : callable or None
+        Function that shows a text and returns the line that was typed, empty for no answer.
 
     Raises
     ------
     InputError
-        If a written answer is not accepted. A typed one is asked again.
+        If a written answer is not accepted. After a typed answer that is not accepted, the question is repeated.
     """
     if question.key in given:
         try:

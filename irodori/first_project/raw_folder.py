@@ -1,4 +1,4 @@
-"""A folder of RAW files, or of linear pictures, looked at in the order in which they were taken."""
+"""Photographs of a folder, RAW files or linear pictures, with their metadata, in the order of their times."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -15,30 +15,31 @@ from irodori.ingest.tiff_tags import RATIONAL, read_tags
 
 _ACCEPTED = "RAW files of one camera, such as DNG, CR2, NEF or ARW"
 _PICTURES = "TIFF or PNG pictures, as --linear says"
-#: What stands beside photographs and is none.
+#: Suffixes of files that commonly lie beside photographs.
 _BESIDE = (".csv", ".txt", ".xmp", ".yaml", ".yml", ".md", ".pp3", ".json", ".html", ".lp")
 _PLANE_RESOLUTION, _PLANE_UNIT, _EXIF_WIDTH = 41486, 41488, 40962
 _UNIT_MM = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
-#: The widths of a file's own picture and of its mosaic differ by the sensor's margins.
+#: Largest relative difference between the width of the picture in the metadata and that of the mosaic with its margins.
 _MARGIN = 0.05
-#: Exposure time of linear pictures that state none, s: most programs that develop RAW files drop it.
+#: Assumed exposure time of linear pictures that state none, s: many programs that develop RAW files drop it.
 UNSTATED_S = 1.0
 
 
 @dataclass(frozen=True)
 class Photograph:
-    """A RAW file and what it shows.
+    """A photograph with its metadata and a small version of its picture.
 
     Parameters
     ----------
     path : path
     look : Look
+        Small version of the picture, and statistics of it.
     exposure_s, iso, f_number : float
-        As the file states them; 0 where it does not.
+        Values stated in the file; 0 if it does not state them.
     pitch_um : float
-        Distance of mosaic pixels as the file states it, micrometres; 0 where it does not.
+        Distance of mosaic pixels stated in the file, micrometres; 0 if it does not state it.
     linear : bool
-        Whether it is a TIFF or PNG picture whose numbers go with the light.
+        Whether it is a TIFF or PNG picture with numbers proportional to the light, instead of a RAW file.
     """
 
     path: Path
@@ -51,18 +52,24 @@ class Photograph:
 
     @property
     def rate(self) -> np.ndarray:
-        """Red, green and blue of the small picture for equal exposures, (rows, columns, 3)."""
+        """Small RGB picture times f-number², over exposure time in s and ISO / 100, (rows, columns, 3)."""
         aperture = self.f_number**2 if self.f_number else 1.0
         return self.look.picture * (aperture / (self.exposure_s * (self.iso / 100.0 if self.iso else 1.0)))
 
 
 def raw_files(place, linear: bool = False) -> list[Path]:
-    """Return the files of a folder that may be RAW, or the one file itself; of linear pictures, the TIFF and PNG files.
+    """List the files of a folder that may be RAW, or with ``linear`` its TIFF and PNG files.
+
+    Parameters
+    ----------
+    place : path
+        A folder, or a single file.
+    linear : bool
 
     Raises
     ------
     InputError
-        If there is no such folder, or no RAW file in it.
+        If the folder does not exist, or has no such file.
     """
     place = Path(place)
     if place.is_file():
@@ -82,7 +89,7 @@ def raw_files(place, linear: bool = False) -> list[Path]:
         return pictures
     kinds = {file: kind_instead_of_raw(file) for file in found}
     others = [file for file in found if kinds[file]]
-    # Cameras write a JPEG beside each RAW file: that is passed over.
+    # Cameras may write a JPEG beside each RAW file, which is ignored.
     raw = [file for file in found if not kinds[file]]
     if not raw and others:
         accepted = _ACCEPTED + (f"; or --linear, {IF_LINEAR}" if is_picture(others[0]) else "")
@@ -93,19 +100,20 @@ def raw_files(place, linear: bool = False) -> list[Path]:
 
 
 def photographs(place, linear: bool = False) -> tuple[list[Photograph], bool]:
-    """Look at all RAW files of a folder, or at one file; where the user says so, at linear pictures.
+    """Read all RAW files of a folder, or a single file; with ``linear``, TIFF and PNG pictures.
 
     Returns
     -------
     list of Photograph
-        In the order of the cameras' clock, of the file names where a file does not state its time.
+        In the order of their times; by file name if any file states no time.
     bool
-        Whether the files' own times gave the order.
+        Whether the order is that of the times.
 
     Raises
     ------
     InputError
-        If there is none, one cannot be decoded or has no exposure time, or they are of several cameras or sizes.
+        If there is no photograph, one cannot be decoded, a RAW file states no exposure time, or the photographs are
+        from several cameras or have different sizes.
     """
     found = list(_looked_at(raw_files(place, linear), linear))
     first = found[0]
@@ -120,7 +128,7 @@ def photographs(place, linear: bool = False) -> tuple[list[Photograph], bool]:
 
 
 def in_order(found: list[Photograph]) -> tuple[list[Photograph], bool]:
-    """Return photographs as they were taken, by their names where one has no time, and whether the times told it."""
+    """Sort photographs by time, or by name if any states no time; return them and whether they are sorted by time."""
     timed = all(one.look.time for one in found)
     return sorted(found, key=lambda one: (one.look.time if timed else "", one.path.name)), timed
 
@@ -137,7 +145,10 @@ def _looked_at(files: list[Path], linear: bool) -> Iterator[Photograph]:
 
 
 def pixel_pitch_um(path: Path, mosaic: Mosaic) -> float:
-    """Return the distance of pixels by the resolution of the focal plane; 0 where that is of another picture."""
+    """Return the distance of pixels, micrometres, from the EXIF resolution of the focal plane.
+
+    It is 0 if the file does not state the resolution, or states it for a picture of another width.
+    """
     tags = {tag.number: tag for tag in read_tags(path, (_PLANE_RESOLUTION, _PLANE_UNIT, _EXIF_WIDTH))}
     resolution, unit, width = (tags.get(number) for number in (_PLANE_RESOLUTION, _PLANE_UNIT, _EXIF_WIDTH))
     if resolution is None or resolution.kind != RATIONAL or unit is None or width is None:

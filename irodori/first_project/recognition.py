@@ -1,6 +1,6 @@
-"""Recognition of photographs by the pictures themselves: charts, white reference, dark frames, filter, poses.
+"""Recognition of photographs from their content: charts, white references, dark frames, filter states and poses.
 
-What cannot be told stays open, for a person to fill in: nothing here is a guess that nobody hears of.
+Whatever cannot be recognised with confidence is left open for the user to fill in.
 """
 
 import math
@@ -17,15 +17,16 @@ from irodori.ingest.plausibility import CLIPPED, LIT
 from irodori.spectra.published import chart_spectra
 
 CHART = "BabelColor Average"
-#: A dark frame: its brightest hundredth, and the share of it that is not lit, hot pixels being the rest.
+#: A dark frame has a level (of its brightest hundredth) below the first number, and a larger share of unlit pixels than
+#: the second; the others are hot pixels.
 _DARK_LEVEL, _UNLIT = 0.005, 0.99
-#: A white reference that fills the frame departs from a smooth fall-off by no more than this, and has one colour.
+#: Largest scatter of the brightness of a white reference about a smooth fall-off, and of its colour, both relative.
 _EVEN, _GREY = 0.02, 0.02
-#: Two photographs of one view: their green pictures differ by no more, 1 less their correlation,
+#: Two photographs show the same view if 1 minus the correlation of their green pictures is below this.
 _ALIKE = 0.1
-#: and without a filter between them their light agrees within this, in each band.
+#: Two photographs in the same filter state have the same light if they agree within this, relative, in each band.
 _SAME_LIGHT = 0.08
-#: A filter passes less than this of what falls on it, in every band.
+#: Largest transmittance of a filter in any band.
 _FILTERED = 0.8
 #: Largest factor between the filter's transmittance on an object and on the white reference or the chart.
 _LIKE_WHITE = 2.5
@@ -34,17 +35,17 @@ _FEWEST_BLOCKS = 16
 
 @dataclass(frozen=True)
 class Recognised:
-    """A photograph and what it was recognised as.
+    """A photograph with its role, filter state and pose.
 
     Parameters
     ----------
     photograph : Photograph
     role : str
-        chart, white, dark or object.
+        ``chart``, ``white``, ``dark`` or ``object``.
     filter : str
-        out or in; empty where it cannot be told.
+        ``out`` or ``in``; empty if it is unknown.
     pose : int
-        Number of an object's pose in the order of the photographs, -1 for other roles.
+        Number of the object's pose in the order of the photographs; -1 for other roles.
     """
 
     photograph: Photograph
@@ -54,7 +55,7 @@ class Recognised:
 
 
 def recognise(photographs: list[Photograph]) -> list[Recognised]:
-    """Return what each photograph shows, in their order."""
+    """Recognise role, filter state and pose of each photograph, in the same order."""
     spectra = chart_spectra(CHART)[1]
     found: list[Recognised] = []
     for one in photographs:
@@ -70,9 +71,10 @@ def recognise(photographs: list[Photograph]) -> list[Recognised]:
 
 
 def _seen_before(one: Photograph, found: list[Recognised]) -> str:
-    """Return chart or object where an earlier photograph of the same view says which; to look for a chart takes long.
+    """Return the role of an earlier photograph of the same view, ``chart`` or ``object``; empty if there is none.
 
-    That a dimmer photograph showed no chart says nothing of a brighter one.
+    This saves the slow search for a chart. The role ``object`` is only taken from a photograph that is at least as
+    bright, because in a dimmer one a chart may have been missed.
     """
     for other in found:
         tells = other.role == "chart" or (other.role == "object" and other.photograph.look.level >= one.look.level)
@@ -86,7 +88,7 @@ def _is_dark(one: Photograph) -> bool:
 
 
 def _is_white(one: Photograph) -> bool:
-    """Whether one grey surface fills the frame: brightness that falls off smoothly, and one colour throughout."""
+    """Return whether one grey surface fills the frame: smooth brightness, and the same colour everywhere."""
     picture = one.look.picture.astype(np.float64)
     if picture.min() < LIT / 2.0:
         return False
@@ -109,7 +111,10 @@ def _has_chart(one: Photograph, spectra: np.ndarray) -> bool:
 
 
 def _ratio(one: Photograph, other: Photograph) -> np.ndarray | None:
-    """Return the light of the second beside that of the first by band, (3,); None where they share too little."""
+    """Return the ratio of the second photograph's light to the first's, by band, (3,).
+
+    None if too few places are well exposed in both.
+    """
     common = one.look.whole & other.look.whole & (one.look.picture[..., 1] > LIT / 2.0)
     if common.sum() < _FEWEST_BLOCKS:
         return None
@@ -126,7 +131,15 @@ def _dimmer(ratio: np.ndarray | None) -> bool:
 
 
 def _with_filters_of_one_view(found: list[Recognised], role: str) -> tuple[list[Recognised], np.ndarray | None]:
-    """Return all photographs with the filter of a role that shows one view, and the filter's transmittance, (3,)."""
+    """Set the filter state of all photographs with a role that shows a single view.
+
+    Returns
+    -------
+    list of Recognised
+        All photographs.
+    (3,) float or None
+        Transmittance of the filter by band; None if no photograph with the filter was found.
+    """
     of_role = [one for one in found if one.role == role]
     if not of_role:
         return found, None
@@ -156,11 +169,11 @@ def _alike(one: Photograph, other: Photograph) -> bool:
 
 
 def _with_poses(found: list[Recognised], passed: np.ndarray | None) -> list[Recognised]:
-    """Return all photographs with poses and filters of those of the object.
+    """Set pose and filter state of the photographs of the object; return all photographs.
 
-    Photographs that follow each other show one pose while they look alike, those of one filter state have the same
-    light, and no filter state comes twice with one exposure time. A pose of which one filter state alone is there,
-    beside others with both, is left open.
+    Successive photographs belong to one pose as long as they look alike, those in the same filter state have the same
+    light, and no filter state occurs twice with the same exposure time. If some poses have both filter states, the
+    filter of a pose with only one is left open.
     """
     groups: list[list[Recognised]] = []
     for one in (one for one in found if one.role == "object"):
@@ -192,7 +205,7 @@ def _belongs(group: list[Recognised], one: Recognised, passed: np.ndarray | None
     members = [*group, one]
     states = _states(members)
     first = dict(zip(reversed(states), reversed(members), strict=True))
-    # What dims one photograph of a pose otherwise than the filter dims another is a lamp that was moved.
+    # If two photographs in the same filter state differ in brightness, the lamp was moved: they are not one pose.
     if not all(
         each is first[state] or _same_light(_ratio(first[state].photograph, each.photograph))
         for each, state in zip(members, states, strict=True)
@@ -204,7 +217,7 @@ def _belongs(group: list[Recognised], one: Recognised, passed: np.ndarray | None
 
 
 def _states(group: Iterable[Recognised]) -> list[str]:
-    """Return the filter of each photograph of one pose: those dimmer than the brightest in every band have it in."""
+    """Return the filter state of each photograph of a pose: ``in`` if dimmer than the brightest in every band."""
     group = list(group)
     brightest = max(group, key=lambda one: float(one.photograph.rate[one.photograph.look.whole].mean()))
     return ["in" if _dimmer(_ratio(brightest.photograph, one.photograph)) else "out" for one in group]

@@ -1,4 +1,4 @@
-"""Definitions and the capture table of a first project, with what nobody knows yet left as marked gaps."""
+"""Definitions and the capture table of a first project, with marked gaps for values that are not known yet."""
 
 import csv
 import re
@@ -32,7 +32,7 @@ _TEXELS = {"plate": (128, 128), "sphere": (256, 128), "mesh": (256, 256)}
 
 @dataclass
 class Answers:
-    """Answers of the user; None is a gap.
+    """Answers of the user; None marks a gap.
 
     Parameters
     ----------
@@ -40,14 +40,14 @@ class Answers:
     lamp : str
         Name or file of the lamp's spectrum.
     reference_pose : Pose
-        Of the chart and of the white reference.
+        Pose of the chart and the white reference.
     shape : dict
-        Of the object, as its definition has it.
+        The block ``shape`` of the object's definition.
     angles : dict of list of float
-        By ``light_deg`` and so on, one for each pose of the object; ``light_azimuth_deg`` only for lamps beside the
-        rig's plane.
+        Angles by key (``light_deg``, ``camera_deg``, ``tilt_deg``, ``turn_deg``), one for each pose of the object; also
+        ``light_azimuth_deg`` for lamps outside the plane of the rig.
     assumed : dict of str
-        What stands in place of answers that nobody gave, by question.
+        Assumed values in place of missing answers, by the key of the question.
     """
 
     camera_distance_mm: float | None = None
@@ -62,7 +62,7 @@ class Answers:
 
 
 def project_name(text: str) -> str:
-    """Return a name of small letters, digits and hyphens made of a folder's or a file's."""
+    """Convert the name of a folder or file to lower-case letters, digits and hyphens."""
     return re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-") or "first"
 
 
@@ -72,7 +72,7 @@ class Scaffold:
     Parameters
     ----------
     name : str
-        Of the object, or of the camera where no object was photographed.
+        Name of the object, or of the camera if no object was photographed.
     into : path
         Folder of definitions.
     photographs : path
@@ -94,16 +94,16 @@ class Scaffold:
 
     @property
     def configuration(self) -> Path:
-        """The file that says what to make."""
+        """Path of the configuration file, which lists the scenes and cameras to make."""
         return self.into / f"{self.name}.yaml"
 
     def write(self) -> list[str]:
-        """Write all files and return the gaps: file and field, one a line.
+        """Write all files; return the gaps, each as a text with file and field.
 
         Raises
         ------
         InputError
-            If one of the files is there already; then nothing is written.
+            If one of the files exists already; then nothing is written.
         """
         files = dict(self._definitions())
         there = [path for path in (*files, self.table) if path.exists()]
@@ -135,7 +135,7 @@ class Scaffold:
         return gaps
 
     def assumed(self) -> dict[Path, list[str]]:
-        """Return what neither the photographs nor a person said, by file: field, value and why, one a line."""
+        """Return the values that were assumed, by file: texts with field, value and reason."""
         said = self.answers.assumed
         rig, camera, subject, environment, scene = self._paths()
         notes: dict[Path, list[str]] = {rig: ["limits: wide ones, because no motor moves this rig"], camera: []}
@@ -173,7 +173,7 @@ class Scaffold:
         return notes
 
     def _paths(self) -> tuple[Path, Path, Path, Path, Path]:
-        """Return the files of rig, camera, object, environment and scene."""
+        """Return the paths of the definitions of rig, camera, object, environment and scene."""
         camera = self.name + ("-camera" if self.has_object else "")
         return (
             self.into / "rigs" / f"{self.name}-rig.yaml",
@@ -225,7 +225,7 @@ class Scaffold:
         yield self.configuration, {"definitions": str(self.into), "make": make}
 
     def _pitch_um(self) -> float | None:
-        """Return the distance of mosaic pixels: half that of the pixels of a linear picture."""
+        """Return the distance of mosaic pixels, micrometres: for linear pictures half that of their pixels."""
         said = self.answers.pixel_pitch_um
         return said / 2.0 if said is not None and self._linear else said
 
@@ -250,7 +250,7 @@ class Scaffold:
         else:
             pose = self.answers.reference_pose
             angles = [GAP, GAP, 0.0, 0.0] if pose is None else [getattr(pose, axis) for axis in _ANGLES]
-        # Decoders state times in single precision: 0.02 s shall not read 0.019999999552965164.
+        # Decoders return times in single precision: without rounding, 0.02 s would read 0.019999999552965164.
         settings = [f"{photograph.exposure_s:.6g}", photograph.iso or "", photograph.f_number or ""]
         if azimuths := self.answers.angles.get(_AZIMUTH):
             settings.append(round(azimuths[one.pose], 4) if one.role == "object" else 0.0)
@@ -264,7 +264,7 @@ def _known(value: Any) -> Any:
 
 
 def _gaps(content: Any, path: str = "") -> Iterator[str]:
-    """Yield the dotted paths of the gaps of a definition."""
+    """Yield the dotted key paths of the gaps in a definition."""
     if content == GAP:
         yield path
     elif isinstance(content, Mapping):

@@ -1,1 +1,1 @@
-"""Per-texel fit of equation (5) [eq. 7]."""
+"""Fit of the reflection model, equation (5), to the observations of each texel [eq. 7]."""

@@ -1,11 +1,11 @@
-"""Fresnel reflectance per camera band for a measured complex index n(λ) + ik(λ).
+"""Fresnel reflectance in each camera band for a refractive index n(λ) + ik(λ) that varies with wavelength.
 
-A band answers to a reflectance S(λ) with Σ A_b(λ) S(λ) [eq. 1]. The gloss of a surface is such a reflectance, of the
-colour F(λ, θ_H); so F of a band is the mean of F(λ, θ_H) under A_b, which the calibration knows as its response model.
-The mean is not the F of any one wavelength: that of gold rises from 0.4 to 0.9 within the green band.
+The response of band b to a reflectance S(λ) is Σ A_b(λ) S(λ) [eq. 1], with weights A_b from the response model of the
+calibration. Gloss has the spectral reflectance F(λ, θ_H), so its Fresnel reflectance in a band is the mean of F(λ, θ_H)
+weighted by A_b. This mean is not F at any single wavelength: F of gold rises from 0.4 to 0.9 within the green band.
 
-The fit itself takes one n + ik. It is given the one whose F comes nearest to that of its band at all angles; what the
-other bands have more or less is a ratio of angle.
+The fit takes a single n + ik. It is given the one with F closest to that of its band over all angles. For the other
+bands, the ratio to this F is tabulated over the angle.
 """
 
 from typing import NamedTuple
@@ -19,14 +19,14 @@ _COARSE = slice(None, None, 8)
 
 
 class BandGloss(NamedTuple):
-    """Fresnel reflectance by band.
+    """Fresnel reflectance of each camera band.
 
     Parameters
     ----------
     n, k : float
-        Complex refractive index of the band of the fit.
+        Complex refractive index for the band that is fitted.
     ratio : (bands, angles) float64
-        F of each band over F(n + ik), at θ_H equally spaced over 0..π/2.
+        F of each band divided by F(n + ik), at equally spaced θ_H from 0 to π/2.
     """
 
     n: float
@@ -40,7 +40,7 @@ def varies(n, k) -> bool:
 
 
 def band_gloss(n, k, band_response: np.ndarray, band: int) -> BandGloss:
-    """Return F by band of a refractive index that varies with the wavelength.
+    """Compute the Fresnel reflectance of each band for a refractive index that varies with wavelength.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ def band_gloss(n, k, band_response: np.ndarray, band: int) -> BandGloss:
     band_response : (bands, 61) float
         Response per unit reflectance at each wavelength.
     band : int
-        That of the fit.
+        Index of the band that is fitted.
     """
     from scipy.optimize import least_squares  # slow to import
 
@@ -68,5 +68,5 @@ def band_gloss(n, k, band_response: np.ndarray, band: int) -> BandGloss:
 
 
 def uniform(n: float, k: float, bands: int) -> BandGloss:
-    """Return F of a refractive index that is the same in all bands."""
+    """Return the `BandGloss` of a refractive index that is the same in all bands."""
     return BandGloss(float(n), float(k), np.ones((bands, 2)))

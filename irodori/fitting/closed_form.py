@@ -1,40 +1,42 @@
-"""Closed-form α and β for a given roughness μ, which leave a function of t = log μ [eq. 7].
+"""Closed-form α and β for a given roughness μ, which reduces the fit to a function of t = log μ [eq. 7].
 
-The sum of squares with the best bounded pair (α, β) is Φ(t). By the envelope theorem its slope is the partial
-derivative at the pair, and its curvature is the Schur complement of the full Hessian over the variables that no bound
-holds (variable projection: Golub and Pereyra 1973).
+Φ(t) is the sum of squares with the best bounded pair (α, β). By the envelope theorem, its slope is the partial
+derivative along t at this pair. Its curvature is the Schur complement of the full Hessian over the variables that are
+not at a bound (variable projection: Golub and Pereyra 1973).
 
-The sums over observations come as ``fixed`` = (Σ w c², Σ w c ρ, Σ w ρ², Σ w), c = cosθ_i, and as ``moments``: value,
-slope and curvature along t of Σ w c g, of Σ w ρ g and of Σ w g², g = F G D / cosθ_r. All may be numbers or lanes.
+The sums over observations are passed as ``fixed`` = (Σ w c², Σ w c ρ, Σ w ρ², Σ w), with c = cosθ_i, and as
+``moments``: value, slope and curvature along t of Σ w c g, of Σ w ρ g and of Σ w g², with g = F G D / cosθ_r. Arguments
+and results may be numbers, or lanes: vectors with one number for each of eight texels.
 """
 
 from irodori.jit.compilation import njit
 from irodori.jit.functions import lower_of, negated, select, upper_of
 
-_PARALLEL = 1e-13  # of 1 - cos² between the columns: under it α and β cannot be told apart
+_PARALLEL = 1e-13  # smallest sin² of the angle between the columns of α and β for which the two can be separated
 _TINY = 1e-300
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
 def clamp(x, low, high):
-    """Return a number, or lanes, within bounds."""
+    """Clamp a number, or lanes, to bounds."""
     return lower_of(upper_of(x, low), high)
 
 
 @njit(cache=True, fastmath={"contract", "nsz"}, error_model="numpy", forceinline=True)
 def best_pair(fixed, cg, rg, gg, box):
-    """Return the bounded α, β that minimise the sum of squares, and that sum; without branches.
+    """Return the bounded α and β that minimise the sum of squares, and the minimum; computed without branches.
 
-    Where the free minimum lies outside the box, the bounded one lies on an edge that the free one violates: one of
-    two candidates, each optimal on its edge.
+    If the unbounded minimum lies outside the box, the bounded minimum lies on an edge whose bound the unbounded one
+    violates. It is the better of two candidates, each optimal on its edge.
 
     Parameters
     ----------
-    fixed : tuple
+    fixed : tuple of four
+        Σ w c², Σ w c ρ, Σ w ρ², Σ w.
     cg, rg, gg : float
         Σ w c g, Σ w ρ g, Σ w g².
     box : (4,) tuple
-        Bounds of α, then of β.
+        Lower and upper bound of α, then of β.
     """
     cc, cr, rr, _ = fixed
     determinant = cc * gg - cg * cg
@@ -54,7 +56,7 @@ def best_pair(fixed, cg, rg, gg, box):
 
 @njit(cache=True, error_model="numpy")
 def slope_and_curvature(fixed, moments, box):
-    """Return the best α and β at one t, their slopes along t, Φ' and Φ''."""
+    """Return the best α and β at one t, their slopes along t, and the derivatives Φ' and Φ''."""
     cc = fixed[0]
     cg, cg1, cg2, rg, rg1, rg2, gg, gg1, gg2 = moments
     a, b, _ = best_pair(fixed, cg, rg, gg, box)

@@ -1,10 +1,12 @@
-"""Sums over texels that share β and μ, each with its own α [eq. 7].
+"""Sums for the joint fit of texels that share β and μ but have separate α [eq. 7].
 
-With a texel's own α eliminated (variable projection), its sum of squares at one μ is a parabola in β,
-A - 2 B β + C β²; the parabolas of several texels add, so the joint fit of any number of texels is one-dimensional in
-log μ, and its cost is linear in texels. A texel is packed as rows cosθ_i, gloss, features, response, weight, the
-inverse of a variance, and the side of the highlight: by what φ grows where the half-way vector moves in the plane of
-light and camera, -1 to 1.
+With the α of a texel eliminated (variable projection), its sum of squares at one μ is a parabola in β, A - 2 B β + C
+β². The parabolas of several texels add, so the joint fit of any number of texels is one-dimensional in log μ, and its
+cost is linear in the number of texels.
+
+A texel is packed as `PACKED` rows over its observations: cosθ_i, gloss without the lobe, three features of the lobe,
+response, weight (an inverse variance), and the side of the highlight: the derivative of φ with respect to a rotation of
+the half vector in the plane of light and camera, -1 to 1.
 """
 
 import math
@@ -23,9 +25,9 @@ from irodori.reflection.lobes import Lobes
 
 PACKED = 8
 _C, _G, _F0, _F1, _F2, _R, _W, _SIDE = range(PACKED)
-#: Columns of a texel's part in a fit of log β and log μ: the slope of half its sum of squares, downhill; the matrix of
-#: the normal equations; the sum of squares; α, its slopes along log β and log μ, and the inverse of its variance; the
-#: share of its peak at which the texel sees the lobe; Σ w ρ², Σ w, and the observations with weight.
+#: Columns of a texel's contribution to a fit of log β and log μ: the negative gradient of half its sum of squares; the
+#: matrix of the normal equations; the sum of squares; α, its slopes along log β and log μ, and its inverse variance;
+#: the largest share of the lobe's peak in the observations; Σ w ρ², Σ w, and the number of observations with weight.
 (
     DOWN_BETA, DOWN_MU, BETA_BETA, BETA_MU, MU_MU, SQUARES, ALPHA, ALPHA_BY_BETA, ALPHA_BY_MU, ALPHA_WEIGHT, SEEN,
     POWER, TOTAL, USED,
@@ -33,19 +35,19 @@ _C, _G, _F0, _F1, _F2, _R, _W, _SIDE = range(PACKED)
 PARTS = 14
 _GLOSS, _SLOPE, _STEEP, _SHARE, _KNOWN = range(5)
 _ROOM = 5
-_TOP = 1e-9  # sinφ sinθ_H, under which a texel lies at the top of the highlight
-_ALONE = 1e-9  # of the weight of a texel, under which nothing is left of it
-_OPEN = 1e-3  # of a determinant, under which β and μ cannot be told apart
+_TOP = 1e-9  # 2 sinφ sinθ_H below which a texel counts as at the centre of the highlight
+_ALONE = 1e-9  # remaining share of a texel's weight below which it has no other observation
+_OPEN = 1e-3  # relative determinant below which β and μ cannot be separated
 _CHUNK = 2048  # texels that a thread takes at a time
 
 
 class SearchedTexels(NamedTuple):
-    """Texels whose gloss is searched together.
+    """Packed texels, for the search for their common gloss.
 
     Parameters
     ----------
     blocks : (texels, PACKED, P) float64
-        Their observations.
+        Packed observations of each texel.
     lobes : Lobes
         One lobe.
     rules : Rules
@@ -71,13 +73,13 @@ def _pack_chunk(problem, rules, blocks, first, last):
         for j in range(problem.response.shape[1]):
             angles = problem.geometry[t, j]
             apart = 2.0 * math.sin(angles[2]) * math.sin(angles[3])
-            # (V - L)·N = 2 sinθ_H times N along that move.
+            # (V - L)·N = 2 sinθ_H times the component of N along the motion of the half vector.
             side = (math.cos(angles[1]) - math.cos(angles[0])) / apart if apart > _TOP else 0.0
             blocks[t, _SIDE, j] = min(max(side, -1.0), 1.0)
 
 
 def pack(problem: Problem, rules: Rules) -> SearchedTexels:
-    """Return the texels of a problem with inverse variances for weights.
+    """Pack the texels of a problem, with inverse variances as weights.
 
     Parameters
     ----------
@@ -91,7 +93,7 @@ def pack(problem: Problem, rules: Rules) -> SearchedTexels:
 
 @uncounted(error_model="numpy")
 def _parabola(block, lobes, log_mu):
-    """Return A, B, C of one packed texel at one log μ."""
+    """Return the coefficients A, B, C of the parabola of one packed texel at one log μ."""
     constant, zero = lobe_kernels.constants(lobes, log_mu), spread(0.0)
     cc, cr, rr, cg, rg, gg = zero, zero, zero, zero, zero, zero
     for j in range(vectors_of(block)):
@@ -117,7 +119,7 @@ def _sum_chunk(surface, nodes, out, first, last):
 
 
 def parabolas(surface: SearchedTexels, nodes: np.ndarray) -> np.ndarray:
-    """Return A, B, C of every texel at the values of log μ in ``nodes``, (texels, nodes, 3)."""
+    """Return the coefficients A, B, C of every texel's parabola at each log μ in ``nodes``, (texels, nodes, 3)."""
     out = np.empty((len(surface.blocks), nodes.size, 3))
     run_chunks(_sum_chunk, len(out), _CHUNK, surface, nodes, out)
     return out
@@ -125,9 +127,10 @@ def parabolas(surface: SearchedTexels, nodes: np.ndarray) -> np.ndarray:
 
 @njit(cache=True, error_model="numpy")
 def _take_part(block, lobes, rules, gloss, room, out):
-    """Fill the part that a texel has in a fit of log β and log μ; observations know what a pose error does to them.
+    """Compute the contribution of a texel to a fit of log β and log μ, with pose errors in the weights.
 
-    Leaves in ``room`` the gloss of every observation, its slope along log μ, steepness along φ, and the weight.
+    Fills ``out``, (PARTS,), and the rows of ``room`` with, for each observation, the gloss, its slope along log μ, the
+    squared slope of its logarithm along φ, the share of the lobe's peak, and the weight.
     """
     constant, beta, cc, cr = lobe_kernels.constants(lobes, gloss[1]), math.exp(gloss[0]), 0.0, 0.0
     for j in range(block.shape[1]):
@@ -146,7 +149,7 @@ def _take_part(block, lobes, rules, gloss, room, out):
     cc, cr, cg, cs = 0.0, 0.0, 0.0, 0.0
     for j in range(block.shape[1]):
         c, g, w = block[_C, j], room[_GLOSS, j], block[_W, j]
-        # As in `irodori.fitting.judge`: θ_i is off by one error, φ by 1/√2 of it.
+        # As in `irodori.fitting.judge`: an angle error of σ gives θ_i an error of σ, and φ one of σ/√2.
         pose = 0.5 * room[_STEEP, j] * g * g + alpha * alpha * (1.0 - c * c)
         w /= 1.0 + w * rules.pose_variance * pose
         room[_KNOWN, j] = w
@@ -176,9 +179,20 @@ def _part_chunk(surface, gloss, out, first, last):
 
 
 def parts(surface: SearchedTexels, gloss: np.ndarray) -> np.ndarray:
-    """Return what every texel adds to a fit at its log β and log μ, (texels, 2), in the columns above, (texels, PARTS).
+    """Compute the contributions of all texels to a fit, each at its own log β and log μ.
 
-    A texel without an observation that carries light adds nothing, and has an α of NaN.
+    A texel without lit observations contributes nothing, and its α is NaN.
+
+    Parameters
+    ----------
+    surface : SearchedTexels
+    gloss : (texels, 2) float64
+        log β and log μ of each texel.
+
+    Returns
+    -------
+    (texels, PARTS) float64
+        In the columns `DOWN_BETA` to `USED` of this module.
     """
     out, gloss = np.empty((len(surface.blocks), PARTS)), np.ascontiguousarray(gloss, dtype=np.float64)
     run_chunks(_part_chunk, len(out), _CHUNK, surface, gloss, out)
@@ -187,7 +201,7 @@ def parts(surface: SearchedTexels, gloss: np.ndarray) -> np.ndarray:
 
 @njit(cache=True, error_model="numpy")
 def _common_part(surface, gloss):
-    """Return by how much an error of each photograph's light, φ and tilt moves the normal equations, (P, 3, 2)."""
+    """Return the change of the gradient by one standard error of each photograph's light, φ and θ_i, (P, 3, 2)."""
     blocks, rules = surface.blocks, surface.rules
     common, part, room = np.zeros((blocks.shape[2], 3, 2)), np.empty(PARTS), np.empty((_ROOM, blocks.shape[2]))
     for t in range(blocks.shape[0]):
@@ -198,7 +212,7 @@ def _common_part(surface, gloss):
             c, g, w = blocks[t, _C, j], room[_GLOSS, j], room[_KNOWN, j]
             jb, jm = g + c * part[ALPHA_BY_BETA], room[_SLOPE, j] + c * part[ALPHA_BY_MU]
             light = rules.model_error * (part[ALPHA] * c + g)
-            # An error of a photograph's pose moves its highlight: to the texels on one side, away from the others.
+            # A pose error moves the highlight of a photograph towards the texels on one side, away from the others.
             flank = blocks[t, _SIDE, j] * math.sqrt(0.5 * rules.pose_variance * room[_STEEP, j]) * g
             tilt = math.sqrt(rules.pose_variance * max(1.0 - c * c, 0.0)) * part[ALPHA]
             for i, size in enumerate((light, flank, tilt)):
@@ -208,9 +222,10 @@ def _common_part(surface, gloss):
 
 
 def shared_error(surface: SearchedTexels, gloss: np.ndarray) -> np.ndarray:
-    """Return the variance of the slopes, (2, 2), that errors shared by all texels of a photograph give at one gloss.
+    """Return the covariance of the gradient, (2, 2), due to errors that all texels of a photograph share.
 
-    Drift of the light and errors of the pose are those of a photograph: averaging over texels does not lower them.
+    Drift of the light and pose errors are the same for all texels of a photograph, so averaging over texels does not
+    reduce them. ``gloss`` has log β and log μ.
     """
     common = _common_part(surface, np.ascontiguousarray(gloss, dtype=np.float64)).reshape(-1, 2)
     return common.T @ common
@@ -218,7 +233,7 @@ def shared_error(surface: SearchedTexels, gloss: np.ndarray) -> np.ndarray:
 
 @njit(cache=True, error_model="numpy")
 def _without_each(surface, gloss):
-    """Return slopes and normal equations of log β and log μ without each photograph, (P, 5); each texel's α follows."""
+    """Return gradient and normal matrix of log β and log μ without each photograph, (P, 5), with each α re-fitted."""
     blocks, rules = surface.blocks, surface.rules
     out, part, room = np.zeros((blocks.shape[2], 5)), np.empty(PARTS), np.empty((_ROOM, blocks.shape[2]))
     own, total = np.empty(9), np.empty(9)
@@ -233,7 +248,7 @@ def _without_each(surface, gloss):
         for j in range(blocks.shape[2]):
             _outer(blocks[t], part[ALPHA], room, j, own)
             cc, cb, cm, cr, br, mr, bb, bm, mm = total - own
-            if cc > _ALONE * total[0]:  # else a texel's only reading, and it tells nothing without
+            if cc > _ALONE * total[0]:  # otherwise the texel has no other observation
                 out[j, 0] += br - cr * cb / cc
                 out[j, 1] += mr - cr * cm / cc
                 out[j, 2] += bb - cb * cb / cc
@@ -244,7 +259,7 @@ def _without_each(surface, gloss):
 
 @njit(cache=True, error_model="numpy")
 def _outer(block, alpha, room, j, out):
-    """Fill the weighted products of one observation's c, slopes along log β and log μ, and residual."""
+    """Fill the weighted products of cosθ_i, the slopes along log β and log μ, and the residual of one observation."""
     c, g, s, w = block[_C, j], room[_GLOSS, j], room[_SLOPE, j], room[_KNOWN, j]
     r = block[_R, j] - alpha * c - g
     out[0], out[1], out[2], out[3] = w * c * c, w * c * g, w * c * s, w * c * r
@@ -252,9 +267,22 @@ def _outer(block, alpha, room, j, out):
 
 
 def without_each(surface: SearchedTexels, gloss: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return by how much log β and log μ would move without each photograph, (P, 2), and where that is told, (P,) bool.
+    """Estimate the change of log β and log μ if each photograph in turn is left out (jackknife).
 
-    One step from the gloss of all photographs. It is not told where without a photograph the two are left open.
+    The change is that of one Gauss-Newton step from the common gloss.
+
+    Parameters
+    ----------
+    surface : SearchedTexels
+    gloss : (2,) float
+        log β and log μ fitted to all photographs.
+
+    Returns
+    -------
+    moved : (P, 2) float64
+        Change of log β and log μ; 0 where it is not determined.
+    told : (P,) bool
+        Whether the remaining photographs determine β and μ.
     """
     sums = _without_each(surface, np.ascontiguousarray(gloss, dtype=np.float64))
     down0, down1, n00, n01, n11 = sums.T
@@ -268,25 +296,25 @@ def without_each(surface: SearchedTexels, gloss: np.ndarray) -> tuple[np.ndarray
 
 @njit(cache=True, error_model="numpy")
 def own_shares(part, precision, excess, each):
-    """Sum over texels what each leaves unexplained with gloss of its own, normal about the common one.
+    """Sum the residual squares of texels that have their own gloss, with a normal prior about the common gloss.
 
     Parameters
     ----------
     part : (texels, PARTS) float64
-        At the common gloss.
+        Contributions of the texels at the common gloss, from `parts`.
     precision : (2, 2) float64
-        The inverse of the covariance of log β and log μ about it.
+        Inverse covariance of the texels' log β and log μ about the common ones.
     excess : float
-        By what the variances of observations are multiplied.
+        Factor on the variances of the observations.
     each : (texels, 2) float64
-        Filled: the sum of squares, and the observations by which a texel is free to differ.
+        Output: sum of squares and effective degrees of freedom of each texel.
 
     Returns
     -------
     squares, free : float
         Sums of ``each``.
     second : (2, 2) float64
-        The mean second moment of the texels' gloss about the common one.
+        Mean second moment of the texels' log β and log μ about the common ones.
     """
     p00, p01, p11 = precision[0, 0], precision[0, 1], precision[1, 1]
     second, squares, free = np.zeros((2, 2)), 0.0, 0.0
@@ -311,18 +339,27 @@ def own_shares(part, precision, excess, each):
 
 @njit(cache=True, error_model="numpy")
 def varying(part, start, least, rounds):
-    """Return the covariance of texels' log β and log μ about the common ones, of greatest likelihood, and the excess.
+    """Estimate, by maximum likelihood, the covariance of the texels' log β and log μ, and the excess variance.
 
-    With a texel's gloss at δ from the common one, its slopes are normal about N δ with the covariance N times the
-    excess. By expectation and maximisation.
+    If the gloss of a texel differs by δ from the common one, its gradient is normally distributed with mean N δ and
+    covariance N times the excess, where N is its normal matrix. The method is expectation maximisation.
 
     Parameters
     ----------
     part : (texels, PARTS) float64
-    start, least : float
-        Variance to start from, and that is added to keep the covariance regular.
+        Contributions of the texels at the common gloss, from `parts`.
+    start : float
+        Initial variance of log β and of log μ.
+    least : float
+        Variance that is added in every round to keep the covariance regular.
     rounds : int
-        Most rounds.
+        Largest number of rounds.
+
+    Returns
+    -------
+    covariance : (2, 2) float64
+    excess : float
+        Factor on the variances of the observations, at least 1.
     """
     covariance, precision, each = np.zeros((2, 2)), np.zeros((2, 2)), np.empty((part.shape[0], 2))
     covariance[0, 0], covariance[1, 1], excess = start, start, 1.0

@@ -1,6 +1,6 @@
-"""Standard errors of a fit in which the refractive index is a fourth unknown.
+"""Standard errors of a fit in which the refractive index n is a fourth unknown.
 
-The column of n is found by differences: what the gloss of an observation changes with n.
+The column of the Jacobian for n is computed by finite differences of the gloss.
 """
 
 from typing import NamedTuple
@@ -27,21 +27,21 @@ from irodori.jit.chunks import run_chunks
 from irodori.jit.compilation import njit
 from irodori.reflection import lobes as lobe_kernels
 
-_STEP = 1e-3  # of n, relative
-_TILT = 1e-3  # of an angle, rad
+_STEP = 1e-3  # relative step of n for finite differences
+_TILT = 1e-3  # step of an angle for finite differences, rad
 _CHUNK = 1024
 UNKNOWNS = 4  # α, β, log μ, n
 
 
 class ErrorSums(NamedTuple):
-    """Sums over the observations of every texel.
+    """Sums over the observations of each texel for the covariance of the unknowns.
 
     Parameters
     ----------
     normal, middle : (texels, UNKNOWNS, UNKNOWNS) float64
-        Σ w J Jᵀ and Σ w² v J Jᵀ.
+        Σ w J Jᵀ and Σ w² v J Jᵀ, with weights w, variances v and the gradient J of the model.
     excess : (texels,) float64
-        By what variances are multiplied.
+        Factor on the variances.
     """
 
     normal: np.ndarray
@@ -50,13 +50,15 @@ class ErrorSums(NamedTuple):
 
 
 class Moved(NamedTuple):
-    """Factors that change with n and with the angles of the observations of a texel, (P,) float64 each.
+    """Gloss of the observations of a texel after changes of n and of the angles.
 
     Parameters
     ----------
-    above : gloss at an n that is larger by `_STEP`
-    tilt : squared slope of a lobe along θ_i and θ_r
-        n is told by grazing views, and there F G / cosθ_r is steep.
+    above : (P,) float64
+        Gloss without the lobe at n (1 + `_STEP`).
+    tilt : (P,) float64
+        Sum of the squared slopes of the gloss along θ_i and θ_r. Views near grazing angles determine n, and there F G /
+        cosθ_r is steep.
     """
 
     above: np.ndarray
@@ -65,7 +67,7 @@ class Moved(NamedTuple):
 
 @njit(cache=True, error_model="numpy")
 def _add(rows, moved, lobes, found, rules, into):
-    """Add a texel's observations to Σ w J Jᵀ and Σ w² v J Jᵀ; return χ²."""
+    """Add the observations of a texel to Σ w J Jᵀ and Σ w² v J Jᵀ; return χ²."""
     (a, b, log_mu, index), (normal, middle) = found, into
     width = _STEP * index
     constant, chi2 = lobe_kernels.constants(lobes, log_mu), 0.0
@@ -91,7 +93,7 @@ def _add(rows, moved, lobes, found, rules, into):
 
 @njit(cache=True, error_model="numpy")
 def _pack(geometry, problem, index, log_mu, rows, moved):
-    """Fill the rows of a texel, and what is `Moved`."""
+    """Fill the rows of a texel, and the arrays of `Moved`."""
     lobes, k, tilt = problem.lobes, problem.k, moved.tilt
     pack_geometry(geometry, lobes, index, k, rows)
     fill_lobe(rows, lobes, log_mu)
@@ -129,7 +131,7 @@ def _sums(problem, rules, found, sums, first, last):
 
 
 def index_errors(problem, rules, index: np.ndarray, found: np.ndarray) -> np.ndarray:
-    """Return the standard errors of α, β, log μ and n; infinite where the data cannot tell the four apart.
+    """Return the standard errors of α, β, log μ and n; infinite where the data do not determine all four.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
-"""Search for the real refractive index, around any solver for α, β and μ.
+"""Search for the real refractive index n, using any solver for α, β and μ.
 
-The least sum of squares over (α, β, μ) is a function of n alone: it is scanned, and its minimum is found by parabolas
-through three points, for all texels at once.
+The least sum of squares over (α, β, μ) is a function of n alone. It is evaluated on a grid, and its minimum is refined
+by parabolas through three points, for all texels at once.
 """
 
 from dataclasses import dataclass
@@ -13,13 +13,13 @@ from irodori.fitting.texels import Output
 
 _NODES = 9
 _REFINEMENTS = 4
-#: Standard error of n beyond which n is not stated and the given one is used.
+#: Standard error of n beyond which n counts as not determined and the given n is used.
 _MAX_ERROR = 0.1
 
 
 @dataclass(frozen=True)
 class IndexFit:
-    """Outcome: the solver's output at each texel's index, the index (NaN where not determined), its error."""
+    """Result of the search: output of the solver at the n of each texel, n (NaN if not determined), and its error."""
 
     output: Output
     index: np.ndarray
@@ -37,7 +37,7 @@ def _sorted(n: np.ndarray, outputs: list[Output]) -> tuple[np.ndarray, list[Outp
 
 
 def _parabola(n: np.ndarray, value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the place of the minimum and the curvature of the parabolas through three points, (3, texels) each."""
+    """Return the minimum n and the curvature, (texels,) each, of parabolas through three points, (3, texels)."""
     with np.errstate(divide="ignore", invalid="ignore"):
         left, right = (value[1] - value[0]) / (n[1] - n[0]), (value[2] - value[1]) / (n[2] - n[1])
         curvature = 2.0 * (right - left) / (n[2] - n[0])
@@ -46,19 +46,20 @@ def _parabola(n: np.ndarray, value: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 
 
 def fit_index(solve, errors_at, texels: int, limits: tuple[float, float], nominal: np.ndarray) -> IndexFit:
-    """Fit n.
+    """Fit the real refractive index n of each texel.
 
     Parameters
     ----------
     solve : callable
-        Takes n, (texels,) float64, and returns an `Output`.
+        Function from n, (texels,) float64, to the `Output` of a fit of α, β and μ.
     errors_at : callable
-        Takes n and α, β, log μ, (texels, 3), and returns the standard errors of α, β, log μ, n, (texels, 4).
+        Function from n, (texels,), and α, β, log μ, (texels, 3), to the standard errors of α, β, log μ, n, (texels, 4).
     texels : int
+        Number of texels.
     limits : (float, float)
         Bounds of n.
     nominal : (texels,) or (1,) float64
-        n that is used where the data does not determine it.
+        n to use where the data do not determine it.
     """
     grid = np.geomspace(*limits, _NODES)
     outputs = [solve(np.full(texels, n)) for n in grid]
@@ -70,7 +71,7 @@ def fit_index(solve, errors_at, texels: int, limits: tuple[float, float], nomina
     for _ in range(_REFINEMENTS):
         value = np.stack([o.table[:, judge.SQUARES] for o in three])
         place, curvature = _parabola(n, value)
-        # Not on top of a point that is known already: there the parabola would lose its digits.
+        # Keep a distance to known points: otherwise the next parabola would lose numerical precision.
         gap = 1e-3 * (n[2] - n[0])
         beside = np.where(n[2] - n[1] > n[1] - n[0], n[1] + gap, n[1] - gap)
         usable = np.isfinite(place) & (curvature > 0) & (place > n[0] + gap) & (place < n[2] - gap)
@@ -88,7 +89,7 @@ def fit_index(solve, errors_at, texels: int, limits: tuple[float, float], nomina
 
 
 def _conclude(n, three, solve, errors_at, *, limits, nominal, evaluations) -> IndexFit:
-    """State n where it is determined, with errors of four unknowns; fall back on the nominal n elsewhere."""
+    """Return n where it is determined, with the errors of four unknowns, and the fit with the nominal n elsewhere."""
     value = np.stack([o.table[:, judge.SQUARES] for o in three])
     best = np.nan_to_num(value, nan=np.inf).argmin(axis=0)
     _, curvature = _parabola(n, value)

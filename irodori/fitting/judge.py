@@ -1,12 +1,13 @@
 """Assessment of a fitted texel: residual, standard errors, choice of model, status.
 
-Most is for one texel and for eight, see `irodori.fitting.texel_rows`. The covariance is that of least squares with
-weights that need not be the inverse variances, A⁻¹ (Σ w² v J Jᵀ) A⁻¹ with A = Σ w J Jᵀ. The variance v of an
-observation is that of noise and model error, and what an error of the pose does to it: on a steep flank of the lobe,
-far more than to the response. It is multiplied by χ² over degrees of freedom where that exceeds 1. Where χ² is larger
-than mostly by chance, the model may be off, and where is shown by the residuals: no error is less than the one with
-variances from them. An error that all photographs share, such as the level of the light, leaves no residual: it is
-added to α and β in full.
+Most functions work on one texel or on eight at once, see `irodori.fitting.texel_rows`.
+
+The covariance of the parameters is that of least squares with arbitrary weights: A⁻¹ (Σ w² v J Jᵀ) A⁻¹ with A = Σ w J
+Jᵀ. The variance v of an observation is the sum of the variances from noise, model error and pose error; on a steep
+flank of the lobe the pose error dominates. If χ² exceeds the degrees of freedom, the covariance is multiplied by their
+ratio. If χ² is larger than is usual by chance, the model may be wrong; then the covariance is also computed with
+variances taken from the residuals, and the larger standard errors are used. Errors that all photographs share, such as
+that of the light level, leave no residuals and are added to the errors of α and β in full.
 """
 
 import math
@@ -37,34 +38,34 @@ from irodori.jit.vector_memory import spread
 from irodori.material.material_file import Status
 from irodori.reflection import lobes as lobe_kernels
 
-#: Relative standard error beyond which a parameter is not stated.
+#: Relative standard error beyond which a parameter counts as not determined.
 MAX_RELATIVE_ERROR = {"beta": 0.3, "mu": 0.2}
 _BETA, _MU = MAX_RELATIVE_ERROR["beta"], MAX_RELATIVE_ERROR["mu"]
 PARAMETERS = 3
 _FEW = PARAMETERS
 NOTHING, DIFFUSE_ALONE, GLOSS_ALONE, BOTH = range(4)
-#: Columns of the table of results; the last three are means over the weights.
+#: Columns of the table of results; the last three are divided by the sum of the weights.
 ALPHA, BETA, LOG_MU, ALPHA_ERROR, BETA_ERROR, LOG_MU_ERROR, SQUARES, POWER, VARIANCE = range(9)
 COLUMNS = 9
 _OK, _AT_BOUND, _DIFFUSE_ONLY = int(Status.OK), int(Status.AT_BOUND), int(Status.DIFFUSE_ONLY)
 _UNIDENTIFIABLE, _FEW_STATUS = int(Status.MU_UNIDENTIFIABLE), int(Status.TOO_FEW_OBSERVATIONS)
 _NON_FINITE, _SATURATED, _DARK = int(Status.NON_FINITE), int(Status.SATURATED), int(Status.DARK)
 _CONTRADICTED = int(Status.CONTRADICTED)
-#: Share of its peak at which a lobe must be seen at least, or its height is an extrapolation.
+#: Smallest share of the lobe's peak that must be observed; otherwise its height would be an extrapolation.
 SEEN = math.exp(-2.0)
-_WITHIN = math.exp(-1.0)  # share of its peak down to which a lobe is a highlight
-#: Observations that must see a lobe so high: one tells its height or its width.
+_WITHIN = math.exp(-1.0)  # share of the lobe's peak above which an observation lies within the highlight
+#: Number of observations that must see the lobe above this share: a single one determines its height or its width only.
 TWICE = 2.0
 SINGULAR = 1e-10
 _TOLD_APART = 1e-6
-_NEAR = 2.0  # standard errors of log μ from a bound, within which the bound decides and not the data
-#: Standard deviations of χ² by which it exceeds the degrees of freedom of one right model in 6, in 50, in 400.
+_NEAR = 2.0  # distance of log μ from a bound, in standard errors, within which the bound determines μ and not the data
+#: Excess of χ² over the degrees of freedom, in standard deviations, that occurs by chance in 1 of 6, 50 and 400 fits.
 _ONE_IN_6, _ONE_IN_50, _ONE_IN_400 = 1.0, 2.5, 4.0
-LEAST_LEFT = 0.02  # of an observation's error that its residual is taken to show at least
+LEAST_LEFT = 0.02  # lower limit of 1 - leverage
 
 
 class Verdict(NamedTuple):
-    """Assessment of a texel; see the columns."""
+    """Assessment of a texel: status, model, parameters with standard errors, residual, number of evaluations."""
 
     status: int
     model: int
@@ -75,14 +76,15 @@ class Verdict(NamedTuple):
     beta_error: float
     log_mu_error: float
     squares: float
-    variance: float  # of an observation of weight 1, from the residual, at least the expected one
+    variance: float  # of an observation with weight 1, from the residuals, but at least the expected variance
     evaluations: int
 
 
 class Errors(NamedTuple):
-    """Standard errors of α, β, log μ (infinite where undetermined), sum of squares, and two findings.
+    """Standard errors of α, β, log μ (infinite where undetermined), sum of squares, and two tests.
 
-    ``seen`` is whether the lobe is, ``fits`` whether the observations allow the model. Numbers, or lanes and masks.
+    ``seen`` is whether enough observations lie near the peak of the lobe, ``fits`` whether χ² is compatible with the
+    model. The fields are numbers, or lanes and masks of eight texels.
     """
 
     alpha: float
@@ -94,16 +96,16 @@ class Errors(NamedTuple):
 
 
 class Normal(NamedTuple):
-    """Σ w J Jᵀ scaled to a unit diagonal, J along α, β, log μ; numbers or lanes.
+    """The normal matrix Σ w J Jᵀ of α, β, log μ, scaled to a unit diagonal; numbers or lanes.
 
     Parameters
     ----------
     scale : tuple of three
-        By which a row and a column were multiplied.
+        Factors by which rows and columns were multiplied.
     correlation : tuple of three
-        α with β, α with log μ, β with log μ.
+        Off-diagonal elements: α with β, α with log μ, β with log μ.
     determinant : float or lanes
-        Near zero where two parameters cannot be told apart.
+        Near zero if the parameters cannot be separated.
     """
 
     scale: tuple
@@ -113,9 +115,9 @@ class Normal(NamedTuple):
 
 @uncounted(error_model="numpy")
 def sums_at_minimum(rows, lobes, found, rules, with_variances):
-    """Return what is summed over the observations of one texel, or of each of eight, at the minimum.
+    """Compute the sums over the observations at the minimum, for one texel or for eight.
 
-    Leaves the gloss of every observation for β = 1, and its slope along log μ.
+    Also fills the rows `LOBE` and `LOBE_SLOPE` with the gloss for β = 1, and its slope along log μ.
 
     Parameters
     ----------
@@ -125,15 +127,15 @@ def sums_at_minimum(rows, lobes, found, rules, with_variances):
     found : irodori.fitting.observations.Minimum
     rules : irodori.fitting.observations.Rules
     with_variances : bool
-        Whether χ² and the sums with v are asked for; else they are 0.
+        Whether to compute χ² and Σ w² v J Jᵀ; otherwise they are 0.
 
     Returns
     -------
     squares, chi2 : float or lanes
     normal, middle : tuples of six
-        Σ w J Jᵀ and Σ w² v J Jᵀ, J along α, β, log μ.
+        Σ w J Jᵀ and Σ w² v J Jᵀ, where J is the gradient along α, β, log μ.
     seen : bool or mask
-        Whether observations enough with weight lie where the lobe is high.
+        Whether at least two observations with weight lie near the peak of the lobe.
     """
     a, b, log_mu, _ = found
     constant, zero = lobe_kernels.constants(lobes, log_mu), spread(0.0)
@@ -156,7 +158,7 @@ def sums_at_minimum(rows, lobes, found, rules, with_variances):
         n0, n1, n2 = n0 + wc * c, n1 + wc * g, n2 + wg * g
         n3, n4, n5 = n3 + wc * s, n4 + wg * s, n5 + ws * s
         if with_variances:
-            # Both angles of the rig are off: θ_i by one, φ = |θ_i - θ_r| / 2 by 1/√2 of it.
+            # Both angles of the rig have an error of σ: θ_i one of σ, φ = |θ_i - θ_r| / 2 one of σ/√2.
             pose = 0.5 * steepness * gloss * gloss + a * a * (1.0 - c * c)
             v = get(rows, EXPECTED, j) + rules.pose_variance * pose
             chi2 = chi2 + select(w > 0.0, r * r / v, 0.0)
@@ -179,15 +181,15 @@ def _folded_six(m, zero):
 
 @njit(cache=True, error_model="numpy", forceinline=True)
 def _sandwich(m, i0, i1, i2):
-    """Return i M iᵀ for a symmetric M in six numbers."""
+    """Return the quadratic form i M iᵀ of a symmetric 3 x 3 matrix M, given by six numbers."""
     return i0 * (i0 * m[0] + 2.0 * (i1 * m[1] + i2 * m[3])) + i1 * (i1 * m[2] + 2.0 * i2 * m[4]) + i2 * i2 * m[5]
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
 def students(degrees):
-    """Return by what Student's distribution widens a variance that the residuals tell.
+    """Return the factor on a variance estimated from residuals that makes its 68 % interval that of Student's t.
 
-    The interval which holds 68 % of a normal variable, to 0.3 % for any degrees of freedom.
+    An approximation, accurate to 0.3 % for any number of degrees of freedom.
     """
     wider = 1.0 + (0.5 + 0.25 / degrees + 0.087 / (degrees * degrees * degrees)) / degrees
     return wider * wider
@@ -195,34 +197,38 @@ def students(degrees):
 
 @uncounted(error_model="numpy")
 def excess_of(chi2, degrees):
-    """Return the factor of variances: χ² over degrees of freedom where that exceeds 1, with Student's factor."""
+    """Return the factor on variances: if χ² exceeds the degrees of freedom, their ratio times `students`, else 1."""
     return select(chi2 > degrees, chi2 / degrees * students(degrees), 1.0)
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
 def doubtful(chi2, degrees, rules):
-    """Return whether χ² is one that few right models have: numbers or lanes; never where noise is not known."""
+    """Return whether χ² is larger than in 5 of 6 correct models, for numbers or lanes; False if noise is unknown."""
     return (chi2 > degrees + _ONE_IN_6 * root(2.0 * degrees)) & (chi2 >= (0.0 if rules.known else np.inf))
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
 def expected(chi2, degrees):
-    """Return whether χ² is one that nearly all right models have."""
+    """Return whether χ² is no larger than in 49 of 50 correct models."""
     return chi2 <= degrees + _ONE_IN_50 * root(2.0 * degrees)
 
 
 @uncounted(error_model="numpy")
 def allowed(chi2, degrees, rules):
-    """Return whether observations allow a model: numbers or lanes; always where the camera's noise is not known."""
+    """Return whether χ² is no larger than in 399 of 400 correct models, for numbers or lanes.
+
+    True if the camera's noise is unknown.
+    """
     return (chi2 <= degrees + _ONE_IN_400 * root(2.0 * degrees)) | (chi2 < (0.0 if rules.known else np.inf))
 
 
 @uncounted(error_model="numpy")
 def _lone_alpha(normal, middle, excess, a, rules):
-    """Return the standard error of α where β and μ are open: of the part of its column that is not theirs.
+    """Return the standard error of α for a texel that does not determine β and μ.
 
-    What β and μ take up entirely, such as the one observation that sees the lobe, says nothing of α, however uncertain:
-    along the valley of β and μ that explain it alike the error of α is the same.
+    It follows from the component of α's column of the Jacobian that is orthogonal to those of β and μ. Observations
+    that β and μ can explain exactly, such as the only one that sees the lobe, do not contribute; the error of α is the
+    same for all β and μ that explain them equally well.
     """
     if not normal[0] > 0.0:
         return np.inf
@@ -244,10 +250,11 @@ def _lone_alpha(normal, middle, excess, a, rules):
 
 @uncounted(error_model="numpy")
 def scatter(rows, a, b, normal):
-    """Return Σ w² v J Jᵀ with the variances v of the residuals, at least the expected ones.
+    """Return Σ w² v J Jᵀ with variances v estimated from the residuals, but no smaller than the expected ones.
 
-    A residual is smaller than the error by what the observation decides itself, its leverage h: v = r² / (1 - h)²
-    (HC3; MacKinnon and White, J. Econometrics 29, 1985). After `sums_at_minimum`, for one texel or for eight.
+    An observation pulls the fit towards itself by its leverage h, which makes its residual r too small; therefore v =
+    r² / (1 - h)² (HC3; MacKinnon and White, J. Econometrics 29, 1985). Call it after `sums_at_minimum`, for one texel
+    or for eight.
     """
     scale, (p, q, r), determinant = normal
     i0, i1, i2 = 1.0 - r * r, 1.0 - q * q, 1.0 - p * p
@@ -269,7 +276,7 @@ def scatter(rows, a, b, normal):
 
 @uncounted(error_model="numpy")
 def full_errors(rows, lobes, found, used, rules, with_alpha):
-    """Return the standard errors of α, β, log μ of a texel, or of β and log μ alone."""
+    """Return the `Errors` of a texel: of α, β and log μ, or only of β and log μ if ``with_alpha`` is false."""
     squares, chi2, sums, middle, seen = sums_at_minimum(rows, lobes, found, rules, True)
     degrees = float(max(used - (3 if with_alpha else 2), 1))
     excess, fits = excess_of(chi2, degrees), allowed(chi2, degrees, rules)
@@ -295,7 +302,7 @@ def full_errors(rows, lobes, found, used, rules, with_alpha):
 
 @uncounted(error_model="numpy")
 def correlations(sums):
-    """Return the `Normal` of Σ w J Jᵀ in six numbers or lanes."""
+    """Scale the normal matrix Σ w J Jᵀ, given by six numbers or lanes; return it as `Normal`."""
     s0, s1, s2 = 1.0 / root(sums[0]), 1.0 / root(sums[2]), 1.0 / root(sums[5])
     p, q, r = sums[1] * s0 * s1, sums[3] * s0 * s2, sums[4] * s1 * s2
     return Normal((s0, s1, s2), (p, q, r), 1.0 + 2.0 * p * q * r - p * p - q * q - r * r)
@@ -323,7 +330,7 @@ def parameter_errors(middle, normal, excess, found, rules):
 
 @uncounted(error_model="numpy")
 def diffuse_errors(rows, a, used, rules):
-    """Return the standard error of α where there is no gloss, the sum of squares, and whether that is `allowed`."""
+    """Return the standard error of α for a texel without gloss, the sum of squares, and whether χ² is `allowed`."""
     normal, middle, squares, chi2 = spread(0.0), spread(0.0), spread(0.0), spread(0.0)
     for j in range(vectors_of(rows)):
         c, w = get(rows, COSINE, j), get(rows, WEIGHT, j)
@@ -342,7 +349,7 @@ def diffuse_errors(rows, a, used, rules):
 
 @uncounted(error_model="numpy")
 def without_gloss(evidence, rules):
-    """Return the best α without gloss, and the criteria of the models of diffuse light alone and of nothing.
+    """Return the best α without gloss, and the information criteria of two models: diffuse reflection only, and none.
 
     For one texel or for eight.
     """
@@ -356,7 +363,19 @@ def without_gloss(evidence, rules):
 
 @njit(cache=True, error_model="numpy", forceinline=True)
 def information_criterion(squares, used, floor, penalty):
-    """Return Schwarz's BIC where the variance is unknown but at least the expected one; log(used) an unknown."""
+    """Return Schwarz's criterion (BIC) for an unknown variance that is at least the expected one.
+
+    Parameters
+    ----------
+    squares : float or lanes
+        Weighted sum of squares.
+    used : float or lanes
+        Number of observations.
+    floor : float or lanes
+        Expected weighted square of a residual.
+    penalty : float or lanes
+        log(used) for each unknown of the model.
+    """
     floor = upper_of(floor, 1e-300)
     excess = squares / (used * floor)
     return used * select(excess > 1.0, log(upper_of(excess, 1.0)) + 1.0, excess) + penalty
@@ -364,9 +383,9 @@ def information_criterion(squares, used, floor, penalty):
 
 @uncounted(error_model="numpy")
 def highlight_clips(rows, lobes, clipped, log_mu, glossy):
-    """Return whether most of a texel's observations within the highlight clip; without a fitted one, whether any does.
+    """Return whether at least half of the observations within the highlight of a texel are clipped.
 
-    Without one the highlight reaches as far as what clips.
+    If no gloss was fitted (``glossy`` is false), the highlight is taken to extend as far as the clipped observations.
     """
     constant, furthest = lobe_kernels.constants(lobes, log_mu), -1.0
     if not glossy:
@@ -386,7 +405,7 @@ def highlight_clips(rows, lobes, clipped, log_mu, glossy):
 
 @uncounted()
 def status_of_too_few(used, response, weight, rows, clipped):
-    """Return the status of a texel with too few observations, by what became of the others."""
+    """Return the status of a texel with too few usable observations: saturated, non-finite, or simply too few."""
     clips, lost = 0, 0
     for j in range(clipped.size):
         clips += clipped[j] != 0
@@ -401,7 +420,7 @@ def status_of_too_few(used, response, weight, rows, clipped):
 
 @uncounted(error_model="numpy")
 def diffuse_status(rows, lobes, clipped, model, diffuse, rules):
-    """Return the status of a texel whose data shows no gloss; ``diffuse`` is α and whether the model fits."""
+    """Return the status of a texel without visible gloss; ``diffuse`` is α, and whether the diffuse model fits."""
     alpha, fits = diffuse
     if highlight_clips(rows, lobes, clipped, 0.0, False):
         return _SATURATED
@@ -415,14 +434,14 @@ def diffuse_status(rows, lobes, clipped, model, diffuse, rules):
 
 @uncounted(error_model="numpy")
 def shown_dark(a, error, fixed):
-    """Return whether α is known to be small: its share of the power, two standard errors up, is under a tenth."""
+    """Return whether α, plus two standard errors, explains less than a tenth of the squared responses."""
     high = a + 2.0 * error
     return high * high * fixed[0] < 0.1 * fixed[2]
 
 
 @uncounted(error_model="numpy")
 def gloss_status(rows, lobes, clipped, found, errors, rules):
-    """Return the status of a texel whose data shows gloss."""
+    """Return the status of a texel with visible gloss."""
     if highlight_clips(rows, lobes, clipped, found.log_mu, True):
         return _SATURATED
     return int(gloss_status_of(found, errors, rules))
@@ -430,10 +449,10 @@ def gloss_status(rows, lobes, clipped, found, errors, rules):
 
 @uncounted(error_model="numpy")
 def gloss_status_of(found, errors, rules):
-    """Return the status of gloss that does not clip; numbers or lanes.
+    """Return the status of a texel with gloss that is not clipped, for numbers or lanes.
 
-    Where β and μ cannot be told apart, a bound that one of them meets is where the search along their valley ended, and
-    no finding. A bound of μ within two standard errors is one: a rougher surface than any allowed would look alike.
+    If β and μ cannot be separated, the search may end at a bound by accident, so this does not count as at the bound.
+    If they can, μ within two standard errors of a bound does, because values beyond the bound would fit as well.
     """
     a, b, log_mu, _ = found
     edge = (b >= rules.high_beta * (1.0 - 1e-6)) | (log_mu >= rules.high_log_mu - 1e-4)

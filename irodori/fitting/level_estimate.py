@@ -20,16 +20,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from irodori.fitting.solvers import FitOptions, FitResult, fit
+from irodori.fitting.solvers import FitOptions, fit
 from irodori.material.material_file import Status
 from irodori.reflection.fresnel import fresnel_array
 from irodori.reflection.lobe_arrays import evaluate, evaluate_with_derivatives
 
-#: Texels that an estimate takes at most; it costs some 0.3 ms of processor time for each.
-MOST_TEXELS = 1500
+#: Texels that an estimate takes at most; it costs some 0.1 ms of processor time for each.
+MOST_TEXELS = 1000
 _FEWEST_TEXELS = 50
 _FEWEST_OBSERVATIONS = 5  # of a texel: its three unknowns and two to spare
-_STEPS = 3
+_STEPS = 2
 _LARGEST_ANGLE_RAD = np.radians(70.0)  # beyond it, rough surfaces depart furthest from Lambert's law
 _MOST_CONTRADICTED = 0.25  # share of texels beyond which the model is not that of the surface
 _OWN_ERROR = 0.005  # relative, of an observation of one texel: texture, places between samples
@@ -46,6 +46,7 @@ _OUTLIER = 3.0  # standard deviations beyond which a reading counts for less
 _KNOWN = 1.0 / 3.0  # of the prior standard deviation: a level that is known no better is none
 _REGULAR = 1e-9
 _LEAST_VARIANCE = 1e-12
+_OF_ALPHA = 0.01  # relative error of an observation that tells α
 
 
 class Readings(NamedTuple):
@@ -79,8 +80,29 @@ class EstimatedLevels:
     texels: int
 
 
+class _Texels(NamedTuple):
+    """The texels that tell the levels: readings under the present levels, which of them count, and the fitted gloss."""
+
+    readings: Readings
+    seen: np.ndarray  # (texels, J) bool
+    lobes: tuple[str, ...]
+    gloss: np.ndarray  # (texels, 2 components) β and μ of each
+
+    def gloss_at(self, geometry: np.ndarray) -> np.ndarray:
+        """Return the gloss, (texels, J)."""
+        total = np.zeros(geometry.shape[:-1])
+        for component, name in enumerate(self.lobes):
+            beta, mu = self.gloss[:, 2 * component, None], self.gloss[:, 2 * component + 1, None]
+            total += beta * evaluate(name, mu, geometry)
+        return total * self.fresnel(geometry)
+
+    def fresnel(self, geometry: np.ndarray) -> np.ndarray:
+        """Return Fresnel's reflectance, (texels, J)."""
+        return fresnel_array(np.cos(geometry[..., 2]), self.readings.n, self.readings.k)
+
+
 class _Model(NamedTuple):
-    """The fitted model at the observations, (texels, J) each but the last."""
+    """The fitted model at the observations, (texels, J) each but the first and the last."""
 
     alpha: np.ndarray  # (texels, 1)
     cosine: np.ndarray
@@ -126,56 +148,47 @@ def _diffuse(geometry: np.ndarray) -> np.ndarray:
     return np.where(lit, np.cos(geometry[..., 0]), 0.0)
 
 
-def _gloss(geometry: np.ndarray, found: FitResult, readings: Readings) -> np.ndarray:
-    """Return the gloss of the texels, (texels, J)."""
-    total = np.zeros(geometry.shape[:-1])
-    for component, name in enumerate(found.lobes):
-        beta, mu = found.gloss[:, 2 * component, None], found.gloss[:, 2 * component + 1, None]
-        total += beta * evaluate(name, mu, geometry)
-    return total * fresnel_array(np.cos(geometry[..., 2]), readings.n, readings.k)
-
-
 def _variance(readings: Readings, response: np.ndarray, relative: float) -> np.ndarray:
     """Return the variance that noise and a relative error give responses; the latter alone where noise is not known."""
     noise = np.nan_to_num(np.asarray(readings.noise, dtype=np.float64))
     return noise[:, 0] + noise[:, 1] * np.maximum(response, 0.0) + (relative * response) ** 2 + _LEAST_VARIANCE
 
 
-def _modelled(readings: Readings, response: np.ndarray, seen: np.ndarray, found: FitResult) -> _Model:
-    """Return a fit's model with the α that the observations call for."""
-    geometry, cosine = readings.geometry, _diffuse(readings.geometry)
-    fresnel, slopes = fresnel_array(np.cos(geometry[..., 2]), readings.n, readings.k), [cosine]
-    gloss = np.zeros_like(cosine)
-    for component, name in enumerate(found.lobes):
-        beta, mu = found.gloss[:, 2 * component, None], found.gloss[:, 2 * component + 1, None]
-        value, by_mu, _ = fresnel * evaluate_with_derivatives(name, mu, geometry)
+def _modelled(texels: _Texels) -> _Model:
+    """Return the fitted model with the α that the observations call for."""
+    readings, seen = texels.readings, texels.seen
+    cosine, fresnel = _diffuse(readings.geometry), texels.fresnel(readings.geometry)
+    gloss, slopes = np.zeros_like(cosine), [cosine]
+    for component, name in enumerate(texels.lobes):
+        beta, mu = texels.gloss[:, 2 * component, None], texels.gloss[:, 2 * component + 1, None]
+        value, by_mu, _ = fresnel * evaluate_with_derivatives(name, mu, readings.geometry)
         gloss += beta * value
         slopes += [np.where(beta > 0.0, value, 0.0), beta * by_mu]
-    weight = np.where(seen, 1.0 / _variance(readings, response, 0.01), 0.0)
+    weight = np.where(seen, 1.0 / _variance(readings, readings.response, _OF_ALPHA), 0.0)
     power = (weight * cosine**2).sum(axis=1, keepdims=True)
-    rest = np.where(seen, weight * cosine * (response - gloss), 0.0).sum(axis=1, keepdims=True)
-    alpha = rest / np.where(power > 0.0, power, 1.0)
+    rest = np.where(seen, weight * cosine * (readings.response - gloss), 0.0).sum(axis=1, keepdims=True)
+    alpha = np.maximum(rest / np.where(power > 0.0, power, 1.0), 0.0)
     return _Model(alpha, cosine, gloss, np.stack(slopes, axis=-1))
 
 
-def _of_photographs(readings: Readings, model: _Model, found: FitResult, options: FitOptions) -> np.ndarray:
+def _of_photographs(texels: _Texels, model: _Model, options: FitOptions) -> np.ndarray:
     """Return what one prior standard deviation of each unknown of a photograph does to it, (texels, J, unknowns)."""
-    response = model.alpha * model.cosine + model.gloss
+    response, geometry = model.alpha * model.cosine + model.gloss, texels.readings.geometry
     changes = [options.model_error * response, _SHARED_GLOSS_ERROR * model.gloss]
     for light in (True, False):
         sides = []
         for angle in (_TURN_RAD, -_TURN_RAD):
-            moved = turned(readings.geometry, angle, light=light)
-            sides.append(model.alpha * _diffuse(moved) + _gloss(moved, found, readings))
+            moved = turned(geometry, angle, light=light)
+            sides.append(model.alpha * _diffuse(moved) + texels.gloss_at(moved))
         changes.append((sides[0] - sides[1]) * (np.radians(options.pose_error_deg) / (2.0 * _TURN_RAD)))
     return np.stack(changes, axis=-1)
 
 
-def _of_all(readings: Readings, model: _Model, typical_alpha: float) -> np.ndarray:
+def _of_all(texels: _Texels, model: _Model) -> np.ndarray:
     """Return what one prior standard deviation of each unknown of all photographs does, (texels, J, unknowns)."""
-    geometry = readings.geometry
-    even = evaluate("gaussian", _EVEN, geometry) * fresnel_array(np.cos(geometry[..., 2]), readings.n, readings.k)
-    lobe = _OTHER_LOBE * typical_alpha * even[..., None] * _tents(geometry[..., 3], _PHI_NODES_RAD)
+    geometry = texels.readings.geometry
+    even = evaluate("gaussian", _EVEN, geometry) * texels.fresnel(geometry)
+    lobe = _OTHER_LOBE * np.median(model.alpha) * even[..., None] * _tents(geometry[..., 3], _PHI_NODES_RAD)
     law = _tents(geometry[..., 0], _THETA_NODES_RAD) + _tents(geometry[..., 1], _THETA_NODES_RAD)
     diffuse = _DEPARTURE * (model.alpha * model.cosine)[..., None] * law[..., 1:]
     return np.concatenate([lobe, diffuse], axis=-1)
@@ -237,67 +250,75 @@ def estimate_levels(readings: Readings, options: FitOptions) -> EstimatedLevels 
     options : FitOptions
         ``model_error`` is the standard deviation of a level before the estimate, ``pose_error_deg`` that of an angle.
     """
+    if not options.model_error > 0.0:
+        return None  # levels that cannot differ
     readings = readings._replace(geometry=np.asarray(readings.geometry, dtype=np.float64))
     fixed = replace(options, refractive_index="fixed")
     level, error, told = np.ones(readings.response.shape[1]), np.empty(0), 0
     for _ in range(_STEPS):
-        step = _step(readings, fixed, level)
-        if step is None:
+        texels = _described(readings, fixed, level)
+        if texels is None:
             return None
-        level, error, told = step
+        level, error = _step(texels, fixed, level)
+        told = len(texels.seen)
     if np.sqrt(np.mean(error**2)) > _KNOWN * options.model_error:
         return None
     return EstimatedLevels(level, error, told)
 
 
-def _step(readings: Readings, options: FitOptions, level: np.ndarray):
-    """Return the levels after one more step, their errors and the texels that tell them; None where too few do."""
+def _described(readings: Readings, options: FitOptions, level: np.ndarray) -> _Texels | None:
+    """Return the texels that the model describes under these levels; None where it describes too few."""
     dtype = readings.response.dtype
+    under = (readings.response / level).astype(dtype)
     found = fit(
-        (readings.response / level).astype(dtype), readings.geometry.astype(dtype), readings.weight,
-        readings.n, readings.k, options, noise=readings.noise,
-    )  # fmt: skip
-    response = readings.response.astype(np.float64) / level
+        under, readings.geometry.astype(dtype), readings.weight, readings.n, readings.k, options, noise=readings.noise
+    )
     frontal = (readings.geometry[..., :2] < _LARGEST_ANGLE_RAD).all(axis=-1)
-    seen = (readings.weight > 0.0) & np.isfinite(response) & frontal
+    seen = (readings.weight > 0.0) & np.isfinite(under) & frontal
     enough = seen.sum(axis=1) >= _FEWEST_OBSERVATIONS
     contradicted = (found.status == Status.CONTRADICTED)[enough]
-    if not contradicted.size or contradicted.mean() > _MOST_CONTRADICTED:
-        return None
     described = enough & np.isin(found.status, (Status.OK, Status.DIFFUSE_ONLY))
-    model = _modelled(readings, response, seen, found)
-    described &= model.alpha[:, 0] > 0.0
-    if described.sum() < _FEWEST_TEXELS:
+    if described.sum() < _FEWEST_TEXELS or contradicted.mean() > _MOST_CONTRADICTED:
         return None
+    response = np.where(seen, under, 0.0)[described].astype(np.float64)
+    weight, geometry = readings.weight[described], readings.geometry[described]
+    chosen = readings._replace(response=response, weight=weight, geometry=geometry)
+    return _Texels(chosen, seen[described], found.lobes, found.gloss[described])
+
+
+def _step(texels: _Texels, options: FitOptions, level: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return levels after one more step, and their errors, (J,) each."""
+    model, readings = _modelled(texels), texels.readings
     fitted = model.alpha * model.cosine + model.gloss
     variance = _variance(readings, fitted, _OWN_ERROR) + (_GLOSS_ERROR * model.gloss) ** 2 + (_STRAY * model.alpha) ** 2
-    weight = np.where(seen & described[:, None], 1.0 / variance, 0.0)
-    residual = np.where(weight > 0.0, response - fitted, 0.0)
-    single = _of_photographs(readings, model, found, options)
-    shared = _of_all(readings, model, float(np.median(model.alpha[described])))
+    weight, residual = np.where(texels.seen, 1.0 / variance, 0.0), readings.response - fitted
+    single, shared = _of_photographs(texels, model, options), _of_all(texels, model)
     captures, each = single.shape[1:]
     first = captures * each
     offset = np.zeros(first + shared.shape[2])
     offset[:first:each] = (level - 1.0) / options.model_error
-    solution = covariance = offset
-    for last in (False, True):
-        equations = _equations(weight, residual, model.slopes, single, shared)
-        covariance = np.linalg.inv(equations.matrix + np.eye(len(offset)))
-        solution = covariance @ (equations.slope - offset)
-        if last:
-            break
-        own = np.einsum(
-            "tuv,tv->tu", equations.inverse, equations.own - np.einsum("tqu,q->tu", equations.onto, solution)
-        )
-        left = residual - np.einsum("tju,tu->tj", model.slopes, own) - shared @ solution[first:]
-        left -= np.einsum("tjp,jp->tj", single, solution[:first].reshape(captures, each))
-        size = np.abs(left) * np.sqrt(weight)
-        count = max(int((weight > 0.0).sum()) - model.slopes.shape[2] * int(described.sum()), 1)
-        far = _OUTLIER * np.sqrt(max(float((size**2).sum()) / count, 1.0))
-        weight = weight * np.where(size > far, far / np.maximum(size, far), 1.0)
+    weight = _without_outliers(weight, residual, model.slopes, single, shared, offset=offset)
+    equations = _equations(weight, residual, model.slopes, single, shared)
+    covariance = np.linalg.inv(equations.matrix + np.eye(len(offset)))
+    solution = covariance @ (equations.slope - offset)
     level = level * (1.0 + options.model_error * solution[:first:each])
     # Of the levels less their mean, which is another unknown.
     among = options.model_error**2 * covariance[:first:each, :first:each]
     centred = np.eye(captures) - 1.0 / captures
-    error = np.sqrt(np.diag(centred @ among @ centred.T))
-    return level / level.mean(), error, int(described.sum())
+    return level / level.mean(), np.sqrt(np.diag(centred @ among @ centred.T))
+
+
+def _without_outliers(weight, residual, slopes, single, shared, *, offset) -> np.ndarray:
+    """Return weights with less for readings that the estimate leaves far off, as Huber has it."""
+    equations = _equations(weight, residual, slopes, single, shared)
+    solution = np.linalg.solve(equations.matrix + np.eye(len(offset)), equations.slope - offset)
+    texels, captures, each = single.shape
+    first = captures * each
+    own = equations.own - np.einsum("tqu,q->tu", equations.onto, solution)
+    own = np.einsum("tuv,tv->tu", equations.inverse, own)
+    left = residual - np.einsum("tju,tu->tj", slopes, own) - shared @ solution[first:]
+    left -= np.einsum("tjp,jp->tj", single, solution[:first].reshape(captures, each))
+    size = np.abs(left) * np.sqrt(weight)
+    free = max(int((weight > 0.0).sum()) - slopes.shape[2] * texels, 1)
+    far = _OUTLIER * np.sqrt(max(float((size**2).sum()) / free, 1.0))
+    return weight * np.where(size > far, far / np.maximum(size, far), 1.0)

@@ -1,9 +1,10 @@
 """Choice of an object's lobes by cross-validation over photographs.
 
-With equation (5), with each other lobe, and with sums of two, a sample of texels is fitted to all photographs but some,
-which are then predicted. What is wrong with a photograph is wrong in all its texels, so photographs are left out whole,
-and only photographs count as independent. The simplest candidate whose predictions lie within one standard error of the
-best is taken (Breiman et al., *Classification and Regression Trees*, 1984; here of the difference between the two).
+The candidates are the lobe of equation (5), every other lobe, and sums of two. Each is fitted to a sample of texels
+without some of the photographs, which are then predicted. The errors of a photograph are common to all its texels, so
+photographs are left out as a whole, and only photographs count as independent. The choice is the simplest candidate
+with predictions within one standard error of the best (Breiman et al., *Classification and Regression Trees*, 1984;
+here the standard error of the difference between the two).
 """
 
 import math
@@ -20,16 +21,16 @@ from irodori.reflection.fresnel import fresnel_array
 from irodori.reflection.lobe_arrays import evaluate
 from irodori.reflection.registry import DEFAULT_LOBES, names
 
-MOST_TEXELS = 256  # of an object; a choice costs about a millisecond of processor time for each
-ENOUGH_OBSERVATIONS = 8  # of a texel that tells lobes apart, where an object has such texels
+MOST_TEXELS = 256  # size of the sample; the choice takes about a millisecond of processor time for each texel
+ENOUGH_OBSERVATIONS = 8  # observations that a texel of the sample should have, to distinguish lobes
 _FOLDS = 8
-_LEAST_VARIANCE = 1e-8  # of a texel's mean square response
-_NORMAL_MEDIAN = 0.6744897501960817  # of the size of a standard normal variable
+_LEAST_VARIANCE = 1e-8  # smallest variance, relative to the mean square response of a texel
+_NORMAL_MEDIAN = 0.6744897501960817  # median absolute value of a standard normal variable
 
 
 @dataclass(frozen=True)
 class Sample:
-    """Green-band observations of texels, as `irodori.fitting.solvers.fit` takes them.
+    """Green-band observations of a sample of texels, in the form of the arguments of `irodori.fitting.solvers.fit`.
 
     Parameters
     ----------
@@ -37,7 +38,7 @@ class Sample:
     geometry : (texels, J, 4) float
         θ_i, θ_r, θ_H, φ in rad.
     noise : (J, 2) float
-        c0 and c1 of a response's variance; NaN where not known.
+        c0 and c1 of the variance c0 + c1 ρ of a response; NaN if unknown.
     n, k : float
         Complex refractive index.
     """
@@ -51,7 +52,7 @@ class Sample:
 
 
 def candidates(options: FitOptions) -> list[tuple[str, ...]]:
-    """Return all lobes, those of equation (5) first, then all sums of two if the options allow them."""
+    """List the candidates: all lobes, that of equation (5) first, then all sums of two if the options allow them."""
     single = sorted(names(), key=lambda name: (name,) != DEFAULT_LOBES)
     several = all(getattr(options, name) == value for name, value in SETTINGS_WITH_TWO_LOBES.items())
     most = MAX_LOBES if several else 1
@@ -61,13 +62,13 @@ def candidates(options: FitOptions) -> list[tuple[str, ...]]:
 def choose(
     sample: Sample, options: FitOptions, tried: Iterable[tuple[str, ...]]
 ) -> tuple[tuple[str, ...], list[LeftOut]]:
-    """Return the lobes that are taken, and how all candidates predict photographs that were left out.
+    """Choose the lobes; return them, and for every candidate how well it predicts left-out photographs.
 
     Parameters
     ----------
     sample : Sample
     options : FitOptions
-        Whose lobes count for nothing. The refractive index is taken as given.
+        Options of the fit; its lobes are ignored, and the refractive index is fixed.
     tried : iterable of tuple of str
         Candidates, the simplest first.
     """
@@ -88,7 +89,7 @@ def choose(
 
 
 def _by_photograph(errors: np.ndarray) -> np.ndarray:
-    """Return the mean log(1 + z²) of every photograph that was predicted: no single reading decides."""
+    """Return the mean of log(1 + z²) over each predicted photograph, a loss that no single observation dominates."""
     seen = np.isfinite(errors)
     total = np.where(seen, np.log1p(np.where(seen, errors, 0.0) ** 2), 0.0).sum(axis=0)
     return total[seen.any(axis=0)] / seen.sum(axis=0)[seen.any(axis=0)]
@@ -100,9 +101,9 @@ def _deviation(errors: np.ndarray) -> float:
 
 
 def left_out_errors(sample: Sample, options: FitOptions) -> np.ndarray:
-    """Return every reading's error, predicted from other photographs, in stated standard deviations, (texels, J).
+    """Return the error of each response predicted from other photographs, in expected standard deviations, (texels, J).
 
-    NaN where a reading has no weight.
+    NaN where an observation has no weight.
     """
     fixed = replace(options, refractive_index="fixed")
     weight, out = np.asarray(sample.weight), np.full(sample.response.shape, np.nan)
@@ -119,7 +120,7 @@ def left_out_errors(sample: Sample, options: FitOptions) -> np.ndarray:
 
 
 def _variance(sample: Sample, response: np.ndarray, options: FitOptions) -> np.ndarray:
-    """Return the variance that noise and light give responses; where noise is not known, light alone."""
+    """Return the variance of responses from camera noise and light; from light alone if the noise is unknown."""
     noise = np.nan_to_num(sample.noise.astype(np.float64))
     power = np.mean(np.where(sample.weight > 0.0, sample.response.astype(np.float64) ** 2, 0.0), axis=1)[:, None]
     own = noise[:, 0] + noise[:, 1] * np.maximum(response, 0.0) + (options.model_error * response) ** 2
@@ -127,15 +128,19 @@ def _variance(sample: Sample, response: np.ndarray, options: FitOptions) -> np.n
 
 
 def predicted(sample: Sample, result: FitResult, fitted: Sample, options: FitOptions) -> np.ndarray:
-    """Return responses, (texels, J), by a fit's gloss and the α that goes with it, whether or not the fit states them.
+    """Predict responses, (texels, J), from the best gloss of a fit and the α that fits best with it.
+
+    The best values are used also where the fit states none.
 
     Parameters
     ----------
-    sample, fitted : Sample
-        Whose responses are asked for, and what was fitted, of the same texels.
+    sample : Sample
+        Geometry of the responses to predict.
     result : FitResult
+    fitted : Sample
+        Observations that were fitted, of the same texels.
     options : FitOptions
-        Of the fit.
+        Options of the fit.
     """
     cosine, gloss = _terms(fitted, result)
     seen = fitted.weight > 0.0
@@ -150,7 +155,7 @@ def predicted(sample: Sample, result: FitResult, fitted: Sample, options: FitOpt
 
 
 def _terms(sample: Sample, result: FitResult) -> tuple[np.ndarray, np.ndarray]:
-    """Return cosθ_i where light and eye are on the outer side, else 0, and the gloss, (texels, J) each."""
+    """Return cosθ_i (0 if light or camera is below the horizon) and the gloss of a fit, (texels, J) each."""
     angles = sample.geometry.astype(np.float64)
     lit, gloss = (angles[..., :2] < 0.5 * np.pi).all(axis=-1), np.zeros(angles.shape[:2])
     for component, name in enumerate(result.lobes):

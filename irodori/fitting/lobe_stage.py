@@ -1,4 +1,4 @@
-"""Stage that chooses the lobes of an object: its observations in, the choice and what it rests on out."""
+"""Stage that chooses the lobes of an object: reads its observations, writes the choice and the comparison behind it."""
 
 from irodori.core import store
 from irodori.core.progress import LOGGER
@@ -10,7 +10,7 @@ from irodori.material.lobe_choices import lobes_text, write_choice
 
 
 def _sample(tiles: list, n: float, k: float) -> Sample:
-    """Return the green observations of some texels."""
+    """Return the green observations of a sample of texels."""
     seen = sample_texels(tiles, MOST_TEXELS, ENOUGH_OBSERVATIONS)
     return Sample(
         response=seen.response[..., GREEN],
@@ -23,18 +23,18 @@ def _sample(tiles: list, n: float, k: float) -> Sample:
 
 
 def choose_lobes(observations: list, output, options: FitOptions, n, k, *, provenance, calibration=None) -> None:
-    """Choose the lobes with which an object's left-out photographs are predicted best, and write the comparison.
+    """Choose the lobes that predict left-out photographs of an object best, and write the comparison.
 
     Parameters
     ----------
     observations : list of path
         All tiles of the object.
     output, options, n, k, calibration
-        As in `irodori.fitting.stage.fit_brdf`; the options' lobes count for nothing.
+        As in `irodori.fitting.stage.fit_brdf`; the lobes of the options are ignored.
 
     Notes
     -----
-    The file is that of `irodori.material.lobe_choices`.
+    `irodori.material.lobe_choices` describes the file.
     """
     with store.open_file(observations[0]) as file:
         bands = file.dataset("response").shape[2]

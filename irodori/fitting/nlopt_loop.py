@@ -1,8 +1,8 @@
 """Compiled loop over texels that calls NLopt's C functions with a compiled objective.
 
-NLopt sees the unknowns (α / scale, β / scale, log μ), so that one step fits all three, and starts from the best
-place of the scan. A texel's data are its rows behind four header words: length of a row, scales of α, of β, and of the
-objective.
+The unknowns passed to NLopt are α and β, each divided by a scale, and log μ, so that one step size suits all three. The
+start is the best point of the scan over μ. The data of a texel are its rows, preceded by four header words: the length
+of a row, and the scales of α, of β, and of the objective.
 """
 
 from functools import lru_cache
@@ -54,7 +54,7 @@ from irodori.reflection import lobes as lobe_kernels
 HEADER = 4
 PARAMETERS = 3
 _CHUNK = 64  # texels that share one optimiser object
-_PRECISION = 1e6  # of the scaled objective: NLopt's L-BFGS stops at an absolute gradient of 1e-8
+_PRECISION = 1e6  # factor on the relative objective: NLopt's L-BFGS stops at an absolute gradient of 1e-8
 
 _P, _F, _I = types.uintp, types.float64, types.intc
 nlopt_create = c_function(_P, _I, types.uint32)
@@ -69,7 +69,7 @@ nlopt_get_evaluations = c_function(_I, _P)
 
 @intrinsic
 def _as_floats(typingctx, address):
-    """Return an integer address as a pointer to float64."""
+    """Convert an integer address to a pointer to float64."""
     signature = types.CPointer(types.float64)(types.uintp)
 
     def codegen(context, builder, signature, values):
@@ -80,7 +80,7 @@ def _as_floats(typingctx, address):
 
 @uncounted(error_model="numpy")
 def objective(alpha, beta, log_mu, rows, lobes):
-    """Return the weighted sum of squares of equation (7) and its derivatives by α, β, log μ."""
+    """Return the weighted sum of squares of equation (7), and its derivatives with respect to α, β and log μ."""
     constant, zero = lobe_kernels.constants(lobes, log_mu), spread(0.0)
     total, ga, gb, gt = zero, zero, zero, zero
     for j in range(vectors_of(rows)):
@@ -96,7 +96,7 @@ def objective(alpha, beta, log_mu, rows, lobes):
 
 @uncounted(error_model="numpy")
 def fill_lobe_and_slope(rows, lobes, log_mu):
-    """Fill the gloss of every observation for β = 1, and its slope along log μ."""
+    """Fill the rows with the gloss of every observation for β = 1, and its slope along log μ."""
     constant = lobe_kernels.constants(lobes, log_mu)
     for j in range(vectors_of(rows)):
         v, v1, _ = lobe_kernels.derivatives(lobes, constant, get(rows, F0, j), get(rows, F1, j), get(rows, F2, j))
@@ -106,7 +106,7 @@ def fill_lobe_and_slope(rows, lobes, log_mu):
 
 @lru_cache
 def nlopt_objective(lobes):
-    """Return the objective for one lobe in NLopt's C signature, with its gradient where the algorithm asks for one."""
+    """Return the objective for one lobe with NLopt's C signature; it fills the gradient if the algorithm needs it."""
 
     @cfunc(types.float64(types.uint32, types.CPointer(types.float64), types.uintp, types.uintp), error_model="numpy")
     def called(count, x, gradient_address, data_address):
@@ -124,10 +124,11 @@ def nlopt_objective(lobes):
 
 @njit(cache=True, error_model="numpy")
 def set_scales(data, rows, power_sum, alpha, beta):
-    """Store scales: of α and β, their start or a hundredth of the largest response; of the objective.
+    """Store the scales of α, β and the objective in the header of a texel's data.
 
-    The objective is relative to the power of the responses, so that NLopt stops at the same place whatever the unit
-    of light.
+    α and β are scaled by their start values, but at least by those that would explain a hundredth of the largest
+    response. The objective is divided by the weighted sum of squared responses, so that NLopt's stopping criterion does
+    not depend on the unit of light.
     """
     peak, peak_gloss = 1e-300, 1e-300
     for j in range(rows.shape[1]):
@@ -139,7 +140,7 @@ def set_scales(data, rows, power_sum, alpha, beta):
 
 
 class Nlopt(NamedTuple):
-    """Addresses of NLopt's C functions, and how to run them."""
+    """Addresses of NLopt's C functions, and the settings of the optimiser."""
 
     create: int
     destroy: int
@@ -158,7 +159,7 @@ class Nlopt(NamedTuple):
 
 @njit(cache=True)
 def new_data(problem):
-    """Return the data of a texel, and the `Room` for its rows, which lie within, and for the sums of the scan."""
+    """Allocate the data of a texel; return it, and a `Room` with views of its rows and the sums of the scan."""
     p = padded(problem.response.shape[1])
     data = np.zeros(HEADER + ROWS * p)
     data[0] = p
@@ -177,7 +178,7 @@ def _new_optimiser(nlopt, data):
 
 @njit(cache=True)
 def _polish(nlopt, optimiser, data, start, rules, vectors):
-    """Run NLopt from a start; return its code and the `Minimum` that it found, the start's evaluations included."""
+    """Run NLopt from a start; return its code and the `Minimum` found, with the evaluations of the start included."""
     x, low, high, value = vectors
     low[0], high[0], x[0] = rules.low_alpha / data[1], rules.high_alpha / data[1], start.alpha / data[1]
     low[1], high[1], x[1] = rules.low_beta / data[2], rules.high_beta / data[2], start.beta / data[2]
@@ -193,7 +194,7 @@ def _polish(nlopt, optimiser, data, start, rules, vectors):
 
 @njit(cache=True, error_model="numpy")
 def start_of(task, room, loaded):
-    """Return the `Evidence`, the best `Minimum` that the scan knows, and its sum of squares."""
+    """Scan the roughness of a texel; return its `Evidence`, the best `Minimum` of the scan, and its sum of squares."""
     used, floor = loaded
     fixed, start, value = _scanned(task, room)
     evidence = Evidence(used, floor, fixed)
@@ -227,14 +228,14 @@ def _scanned(task, room):
 
 @njit(cache=True, error_model="numpy")
 def finish(t, task, room, evidence, found, out):
-    """Judge the `Minimum` that a solver found, without outliers, and write the texel."""
+    """Remove outliers, assess the `Minimum` that a solver found, and write the results of the texel."""
     evidence, found, sure = without_outliers(task, room, evidence, found)
     write(out, t, conclude(t, task, room, evidence, found, sure), evidence.fixed)
 
 
 @njit(cache=True, error_model="numpy")
 def load_own(t, problem, rules, rows):
-    """Fill a texel's rows; return its observations and the expected w r²."""
+    """Fill the rows of a texel; return its number of observations and the expected weighted square of a residual."""
     pack_texel(t, problem, rows)
     return load_texel(t, problem, rules, rows)
 
@@ -261,7 +262,7 @@ def _fit_chunk(nlopt, problem, rules, out, first, last):
 
 @njit(cache=True, parallel=True, nogil=True)
 def fit_nlopt(nlopt, problem, rules, out):
-    """Fit every texel: scan, then NLopt from the best of the scan; the better of the two is kept."""
+    """Fit every texel by a scan and then NLopt from the best point of the scan; the better of the two is kept."""
     texels = problem.response.shape[0]
     for c in numba.prange((texels + _CHUNK - 1) // _CHUNK):
         _fit_chunk(nlopt, problem, rules, out, c * _CHUNK, min(texels, (c + 1) * _CHUNK))

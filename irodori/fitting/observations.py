@@ -1,4 +1,7 @@
-"""Observations of one texel or of eight as the solvers take them: responses, expected variances, weights."""
+"""Responses, expected variances and weights of one texel or of eight, in the rows that the solvers read.
+
+The rows are described in `irodori.fitting.texel_rows`. *Lanes* are vectors with one number for each of eight texels.
+"""
 
 import math
 from typing import NamedTuple
@@ -35,16 +38,16 @@ from irodori.jit.vector_memory import mask_bits, spread
 from irodori.jit.vectors import LANES
 from irodori.reflection import lobes as lobe_kernels
 
-LEAST_VARIANCE = 1e-8  # of the mean square response: no observation counts ten thousand times another
+LEAST_VARIANCE = 1e-8  # smallest variance relative to the mean square response, which limits the ratio of weights
 TINY = 1e-60
-LARGE = 1e30  # a common weight beyond this, or below its inverse, is taken out
-_SAME = 1e-6  # of cosine, features and gloss: what single precision makes of one angle
-_ROUNDS = 4  # towards the diffuse level
-ENOUGH = 4  # geometries that determine three unknowns and can object to them
+LARGE = 1e30  # weights larger than this, or smaller than its inverse on average, are divided by the largest
+_SAME = 1e-6  # tolerance for equal geometries: rounding errors of cosine, features and gloss in single precision
+_ROUNDS = 4  # iterations for the diffuse level
+ENOUGH = 4  # different geometries that determine three unknowns and leave one to test the model
 
 
 class Rules(NamedTuple):
-    """Bounds of the parameters and known scatter of the observations; numbers only.
+    """Bounds of the parameters, and expected errors of the observations.
 
     Parameters
     ----------
@@ -52,13 +55,14 @@ class Rules(NamedTuple):
     known : bool
         Whether the camera's noise was measured.
     weighted : bool
-        Whether observations count by inverse variance; needs ``known``.
+        Whether observations are weighted by inverse variance; requires ``known``.
     model_error : float
         Relative error of an observation apart from noise.
     pose_variance : float
-        Of one angle of the rig, rad².
+        Variance of one angle of the rig, rad².
     level_error : float
-        Relative error that all observations share: of the white reference and of the lamp between it and the object.
+        Relative error common to all observations: that of the white reference's reflectance, and the change of the
+        lamp's level between the photographs of white reference and object.
     """
 
     low_alpha: float
@@ -75,12 +79,12 @@ class Rules(NamedTuple):
 
 
 class Screened(NamedTuple):
-    """Sums over the observations that are left, of one texel or of eight; float or lanes.
+    """Sums over the valid observations of one texel or of eight; float or lanes.
 
     Parameters
     ----------
     used : float or lanes
-        Their number.
+        Number of valid observations.
     total, power : float or lanes
         Σ w and Σ w ρ².
     largest : float or lanes
@@ -94,12 +98,12 @@ class Screened(NamedTuple):
 
 
 class Evidence(NamedTuple):
-    """Weighted sums over the observations of one texel, or of each of eight, without a lobe.
+    """Weighted sums over the observations of one texel, or of each of eight, that do not depend on the lobe.
 
     Parameters
     ----------
     used : int or lanes
-        Observations with weight, or of their geometries where these are few.
+        Number of observations with weight; if they have fewer than `ENOUGH` different geometries, the number of these.
     floor : float or lanes
         Expected weighted square of a residual.
     fixed : tuple of four
@@ -112,7 +116,7 @@ class Evidence(NamedTuple):
 
 
 class Minimum(NamedTuple):
-    """Parameters that a search found, and the evaluations of the objective that it took; numbers or lanes."""
+    """Parameters at a minimum of the sum of squares, and the evaluations of the objective; numbers or lanes."""
 
     alpha: float
     beta: float
@@ -122,7 +126,7 @@ class Minimum(NamedTuple):
 
 @njit(cache=True, forceinline=True)
 def box_of(rules):
-    """Return the bounds of α, then of β."""
+    """Return lower and upper bound of α, then of β."""
     return rules.low_alpha, rules.high_alpha, rules.low_beta, rules.high_beta
 
 
@@ -132,7 +136,7 @@ def camera_noise(model, captures: int) -> tuple[np.ndarray, bool]:
     Raises
     ------
     ValueError
-        If one is negative: a variance is not.
+        If a coefficient is negative.
     """
     out = np.zeros((2, padded(captures)))
     if model is not None and (np.asarray(model) < 0.0).any():
@@ -145,7 +149,10 @@ def camera_noise(model, captures: int) -> tuple[np.ndarray, bool]:
 
 @uncounted(error_model="numpy")
 def screen(rows, zero):
-    """Leave out what is not finite or has no weight, and return what is `Screened`."""
+    """Set responses and weights of invalid observations to 0, and return the `Screened` sums of the others.
+
+    Observations are invalid if a value is not finite or the weight is not positive.
+    """
     used, total, power, largest = spread(0.0), spread(0.0), spread(0.0), spread(0.0)
     for j in range(vectors_of(rows)):
         given, trust = get(rows, RESPONSE, j), get(rows, WEIGHT, j)
@@ -162,15 +169,15 @@ def screen(rows, zero):
 
 @njit(cache=True, error_model="numpy", forceinline=True)
 def in_range(screened):
-    """Return whether weights keep their squares within the range of numbers."""
+    """Return whether the squares of the weights stay within the range of floating-point numbers."""
     return (screened.largest <= LARGE) & (screened.total * LARGE >= screened.used)
 
 
 @uncounted(error_model="numpy")
 def _diffuse_level(rows, zero):
-    """Return roughly the α that responses show: the mean, in which none counts for more than twice it.
+    """Estimate α roughly by a weighted mean in which each response is limited to twice the diffuse level.
 
-    One reading of nothing among many hardly lowers it, and a highlight hardly raises it.
+    A single response near 0 hardly lowers it, and a highlight hardly raises it.
     """
     level = zero + LARGE
     for _ in range(_ROUNDS):
@@ -185,10 +192,10 @@ def _diffuse_level(rows, zero):
 
 @uncounted(error_model="numpy")
 def expect_noise(rows, noise, rules, screened, zero):
-    """Fill the variances that noise and light give the responses, and the weights; return the expected w r².
+    """Fill the expected variances of the responses and the weights; return the expected weighted square of a residual.
 
-    A reading that lost its light would have next to no variance, and decide the fit: none has less than that of half
-    the diffuse light.
+    Variances are computed for at least half of the diffuse level: otherwise the variance of a response that is low by
+    mistake, such as one in shadow, would be so small that it dominated the fit.
     """
     power = screened.power / select(screened.total > 0.0, screened.total, 1.0)
     relative = rules.model_error * rules.model_error
@@ -211,7 +218,7 @@ def expect_noise(rows, noise, rules, screened, zero):
 
 @uncounted(error_model="numpy")
 def _rescale(rows, screened):
-    """Divide weights whose squares would leave the range of numbers by the largest; return what is `Screened` then."""
+    """Divide the weights by the largest, so that their squares stay in range; return the new `Screened` sums."""
     total, power, largest = 0.0, 0.0, screened.largest
     for j in range(rows.shape[1]):
         w = rows[WEIGHT, j] / largest if largest > 0.0 else 0.0
@@ -223,12 +230,12 @@ def _rescale(rows, screened):
 
 @uncounted(error_model="numpy")
 def load_one(response, weight, noise, rules, rows):
-    """Fill responses, variances and weights of a texel.
+    """Fill responses, variances and weights of one texel.
 
     Returns
     -------
     used : int
-        Observations with weight.
+        Number of observations with weight.
     floor : float
         Expected weighted square of a residual.
     """
@@ -244,14 +251,14 @@ def load_one(response, weight, noise, rules, rows):
 
 @uncounted(error_model="numpy")
 def load_eight(problem, rules, first, last, rows):
-    """Fill responses, variances and weights of eight texels; the last stands for those beyond the end.
+    """Fill responses, variances and weights of eight texels; beyond the end, the last texel is repeated.
 
     Returns
     -------
     used, floor : lanes
-        As for one.
+        As from `load_one`.
     ordinary : mask
-        Whose weights need no other scale.
+        Texels with weights that need no rescaling.
     """
     for j in range(problem.response.shape[1]):
         if first + LANES <= last:
@@ -274,9 +281,9 @@ def load_eight(problem, rules, first, last, rows):
 
 @uncounted(error_model="numpy")
 def expect_fitted(rows, problem, rules, found, which):
-    """Weigh observations by the variance that the fitted response calls for, not the one with its noise.
+    """Recompute variances and weights of observations from the fitted responses instead of the noisy ones.
 
-    A reading that is too low by chance has too small a variance, and counts for too much.
+    Otherwise a response that is too low by chance gets too small a variance, and too large a weight.
 
     Parameters
     ----------
@@ -285,7 +292,7 @@ def expect_fitted(rows, problem, rules, found, which):
     rules : Rules
     found : Minimum
     which : mask
-        Of lanes; the others stay as they are.
+        Lanes to change.
     """
     lobes, log_mu = problem.lobes, found.log_mu
     constant, relative = lobe_kernels.constants(lobes, log_mu), rules.model_error * rules.model_error
@@ -303,13 +310,13 @@ def expect_fitted(rows, problem, rules, found, which):
 
 @njit(cache=True, forceinline=True)
 def every_lane():
-    """Return a mask that is set everywhere."""
+    """Return a mask with all lanes set."""
     return spread(0.0) == 0.0
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
 def _is_same(one, other):
-    """Return whether two geometries, each cosθ_i, features and gloss, are one; numbers or lanes."""
+    """Return whether two geometries, each cosθ_i, three features and gloss, are equal; numbers or lanes."""
     near = (magnitude(one[0] - other[0]) <= _SAME) & (magnitude(one[1] - other[1]) <= _SAME)
     near = near & (magnitude(one[2] - other[2]) <= _SAME) & (magnitude(one[3] - other[3]) <= _SAME)
     return near & (magnitude(one[4] - other[4]) <= _SAME * (1.0 + one[4]))
@@ -325,9 +332,9 @@ def _replaced(mask, now, before):
 
 @uncounted(error_model="numpy")
 def distinct_geometries(rows, observations, zero):
-    """Return how many geometries of observations with weight differ and carry light, counted up to `ENOUGH`.
+    """Count the different lit geometries of observations with weight, up to `ENOUGH`.
 
-    A repeated geometry adds certainty to what it tells, and nothing else; one that carries no light tells nothing.
+    A repeated geometry reduces noise but adds no further equation; an unlit one gives no information.
     """
     none, count = zero + np.nan, zero
     first = (none, none, none, none, none)
@@ -351,14 +358,14 @@ def distinct_geometries(rows, observations, zero):
 
 @uncounted(error_model="numpy")
 def telling(rows, observations, used):
-    """Return the number of a texel's observations with weight, or of their geometries where these are few."""
+    """Return the number of a texel's observations with weight, or of their geometries if fewer than `ENOUGH` differ."""
     count = distinct_geometries(rows, observations, 0.0)
     return used if count >= ENOUGH else int(count)
 
 
 @uncounted(error_model="numpy")
 def weigh(rows, zero):
-    """Fill the weighted rows and return Σ w c², Σ w c ρ, Σ w ρ², Σ w."""
+    """Fill the rows of weighted cosines and responses; return Σ w c², Σ w c ρ, Σ w ρ², Σ w."""
     cc, cr, rr, total = spread(0.0), spread(0.0), spread(0.0), spread(0.0)
     for j in range(vectors_of(rows)):
         w, c, r = get(rows, WEIGHT, j), get(rows, COSINE, j), get(rows, RESPONSE, j)

@@ -1,4 +1,4 @@
-"""Fit of a surface whose places differ in colour and share one gloss, as `irodori.fitting.paint_gloss` has a paint."""
+"""Fit of a surface with varying colour and one common gloss, by the method of `irodori.fitting.paint_gloss`."""
 
 from dataclasses import dataclass
 
@@ -9,22 +9,24 @@ from irodori.fitting.paint_gloss import PaintGloss, gloss_of_paint, share
 from irodori.fitting.solvers import FitOptions, problem_of
 from irodori.reflection.equation5 import reflect
 
-#: Places from which the common gloss comes, about.
+#: Approximate number of places from which the common gloss is fitted.
 _MOST = 2000
 
 
 @dataclass(frozen=True)
 class OneGloss:
-    """A fitted surface.
+    """Fitted parameters of a surface with T places and a common gloss.
 
     Parameters
     ----------
     alpha, beta, mu : (T,) float64
-        NaN where too few photographs show a place. Of a surface that shows no gloss, β is 0.
+        NaN at places that no photograph shows. β is 0 if the surface shows no gloss.
     gloss : PaintGloss or None
-        What its places share; None where they show no gloss or leave it open.
+        Common gloss; None if the places show no gloss or do not determine it.
     lobe : str
+        Lobe of the gloss.
     n, k : float
+        Complex refractive index.
     """
 
     alpha: np.ndarray
@@ -36,7 +38,7 @@ class OneGloss:
     k: float
 
     def rendered(self, geometry) -> np.ndarray:
-        """Return the response of every place in geometries (T, ..., 4), in the unit of the fitted ones."""
+        """Compute the responses of all places in geometries (T, ..., 4), in the unit of the fitted responses."""
         several = (slice(None), *(None,) * (np.ndim(geometry) - 2))
         return reflect(
             self.alpha[several], 1.0, self.beta[several], self.mu[several], geometry, n=self.n, k=self.k, lobe=self.lobe
@@ -52,7 +54,7 @@ def fit_one_gloss(response, geometry, weight, options: FitOptions, n: float, k: 
     geometry : (T, J, 4) float
         θ_i, θ_r, θ_H, φ in rad.
     options : FitOptions
-        Of one lobe.
+        Options with one lobe.
     n, k : float
         Complex refractive index.
     """
@@ -74,7 +76,7 @@ def fit_one_gloss(response, geometry, weight, options: FitOptions, n: float, k: 
 
 
 def matt(response, geometry, weight, lobe: str, n: float, k: float) -> OneGloss:
-    """Return the fit of diffuse weights alone; parameters as in `fit_one_gloss`."""
+    """Fit diffuse weights without gloss; parameters as in `fit_one_gloss`."""
     cosine = np.maximum(np.cos(geometry[..., 0]), 0.0)
     power = (weight * cosine**2).sum(axis=1)
     alpha = np.where(power > 0.0, (weight * cosine * response).sum(axis=1) / np.where(power > 0.0, power, 1.0), np.nan)

@@ -1,7 +1,8 @@
-"""Readings that alone deny the model, such as a shadow that nobody modelled or a reading that was doubled.
+"""Search for single observations that contradict the model, such as one in an unmodelled shadow.
 
-The scan's sums over observations give those without any one of them by a subtraction: what each observation costs is
-known over the whole range of μ for about two scans more, wherever the outlier itself has led least squares.
+The sums of the scan without one observation follow from the sums with all by a subtraction. So the least sum of squares
+without each observation is found over the whole range of μ, at the cost of about two more scans. It does not matter how
+far the outlier has pulled the fit away.
 """
 
 import numpy as np
@@ -29,18 +30,19 @@ from irodori.reflection import lobes as lobe_kernels
 
 @uncounted(error_model="numpy")
 def least_without(rows, problem, fixed, box, sums):
-    """Fill the row of the lobe with the least sum of squares without each observation, infinite where it has no weight.
+    """Fill the row `LOBE` with the least sum of squares without each observation; infinite if it has no weight.
 
     Parameters
     ----------
     rows : (ROWS, P) float64
-        Of one texel.
+        Rows of one texel.
     problem : irodori.fitting.texels.Problem
     fixed : tuple of four
+        Σ w c², Σ w c ρ, Σ w ρ², Σ w.
     box : (4,) tuple
         Bounds of α, then of β.
     sums : (SUMS, nodes) float64
-        Of the scan with all observations.
+        Sums of the scan with all observations.
     """
     lobes, nodes = problem.lobes, problem.nodes
     for j in range(vectors_of(rows)):
@@ -67,7 +69,7 @@ def least_without(rows, problem, fixed, box, sums):
 
 @uncounted()
 def two_least(rows):
-    """Return the two observations without which the sum of squares is least, the second -1 where there is one only."""
+    """Return the two observations without which the sum of squares is least; the second is -1 if there is only one."""
     first, second = 0, -1
     for j in range(1, rows.shape[1]):
         if rows[LOBE, j] < rows[LOBE, first]:

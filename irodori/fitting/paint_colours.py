@@ -1,19 +1,20 @@
-"""Paints of an object, found from the colours of its texels alone: how many there are, and which texel has which.
+"""Clustering of the colours of an object's texels into paints: number of paints, and the paint of each texel.
 
-A colour is a texel's diffuse response in every band, on a scale on which the spread that noise and light give one paint
-is about 1 in each band. Texels whose neighbours have their colour are the cores of painted areas; at a seam, where a
-texel shows a mixture, there are none. Cores are covered with balls, and balls that overlap are one paint: two colours
-are two paints where no chain of colours leads from one to the other.
+A colour is the diffuse response of a texel in all bands, on a scale on which the colours of one paint scatter by about
+1 in each band because of noise and light. Texels with the same colour as all their neighbours are the *cores* of
+painted areas; at a seam, where a texel shows a mixture, there are none. The colours of the cores are covered with
+balls, and balls that touch belong to one paint: two colours belong to different paints if no chain of colours connects
+them.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
-#: Relative difference that two colours of one paint may have in a band (1 %): what light and pose leave.
+#: Relative scatter of the colours of one paint in a band (1 %), from errors of light and pose.
 STEP = 0.01
 MOST_CORES = 20000  # texels from which the paints of an object are found
-_LEAST_SHARE = 0.002  # of the cores, below which a ball is a mixture or an outlier and no paint
+_LEAST_SHARE = 0.002  # share of the cores below which a ball counts as a mixture or an outlier
 _LEAST_CORES = 8
 _MOST_BALLS = 400
 
@@ -29,7 +30,7 @@ class Colours:
     centre : (balls, bands) float64
         Centres of the balls that cover the cores, on the scale of `scaled`.
     paint : (balls,) int
-        Number of the paint that a ball belongs to.
+        Number of the paint to which a ball belongs.
     """
 
     floor: np.ndarray
@@ -42,16 +43,23 @@ class Colours:
         return int(self.paint.max()) + 1 if self.paint.size else 0
 
     def scaled(self, response: np.ndarray) -> np.ndarray:
-        """Return responses, (..., bands), on a scale on which one paint spreads by about 1 in each band."""
+        """Convert responses, (..., bands), to a scale on which one paint scatters by about 1 in each band."""
         return np.log1p(np.maximum(response, -0.5 * self.floor) / self.floor) / STEP
 
     def nearest(self, response: np.ndarray, variance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the paint nearest in colour, -1 without a colour, and the rms distance a band, in its spread.
+        """Find the paint with the nearest colour for each texel.
 
         Parameters
         ----------
         response, variance : (texels, bands) float
-            A variance that is not known counts as none.
+            Diffuse responses and their variances; an unknown variance (NaN) counts as 0.
+
+        Returns
+        -------
+        paint : (texels,) int
+            Number of the paint; -1 for a texel without a colour.
+        distance : (texels,) float64
+            RMS distance over the bands, in units of the scatter of the texel's colour; infinite without a colour.
         """
         out, distance = np.full(len(response), -1), np.full(len(response), np.inf)
         known = np.isfinite(response).all(axis=1)
@@ -68,14 +76,15 @@ class Colours:
         return out, distance
 
 
-#: Distance, in rms a band, up to which two texels of one paint lie apart: both spread by 1.
+#: Typical RMS distance over the bands between two texels of one paint, each with a scatter of 1.
 NEAR = float(np.sqrt(2.0))
 
 
 def noise_floor(variance: np.ndarray, response: np.ndarray) -> np.ndarray:
-    """Return the response at which noise is `STEP` of it in each band, from texels of an object, (texels, bands).
+    """Return the response in each band at which the noise is the share `STEP` of the response, (bands,).
 
-    Where the camera's noise is not known it is a hundredth of the median response; without a texel it is 1.
+    ``variance`` and ``response`` are those of texels of an object, (texels, bands). The result is at least a hundredth
+    of the median response, which is used alone if the camera's noise is unknown; without texels it is 1.
     """
     if not len(response):
         return np.ones(response.shape[1])
@@ -87,14 +96,16 @@ def noise_floor(variance: np.ndarray, response: np.ndarray) -> np.ndarray:
 
 
 def cores(response: np.ndarray, floor: np.ndarray, chosen: np.ndarray) -> np.ndarray:
-    """Return the texels whose eight neighbours all have their colour, (height, width) bool; a border has fewer.
+    """Return the texels that have the same colour as all their neighbours, (height, width) bool.
+
+    There are eight neighbours, fewer at the border.
 
     Parameters
     ----------
     response : (height, width, bands) float
     floor : (bands,) float
     chosen : (height, width) bool
-        Texels whose colour is to be believed; the others are no cores, and neighbours of none.
+        Texels with a reliable colour; the others are never cores, and are ignored as neighbours.
     """
     colour = Colours(floor, np.empty((0, len(floor))), np.empty(0, dtype=int)).scaled(response)
     out = chosen & np.isfinite(response).all(axis=-1)
@@ -112,9 +123,9 @@ def cores(response: np.ndarray, floor: np.ndarray, chosen: np.ndarray) -> np.nda
 
 
 def find_colours(response: np.ndarray, floor: np.ndarray) -> Colours:
-    """Return the paints of the cores with these responses, (cores, bands).
+    """Cluster the responses of cores, (cores, bands), into paints; paint 0 has the most cores.
 
-    The paints are numbered by falling number of cores.
+    ``floor`` is that of `Colours`.
     """
     from scipy.sparse.csgraph import connected_components  # slow to import
 
@@ -127,7 +138,7 @@ def find_colours(response: np.ndarray, floor: np.ndarray) -> Colours:
     while free.any() and len(centres) < _MOST_BALLS:
         left = np.flatnonzero(free)
         seed = colour[left[0]]
-        for _ in range(3):  # towards the middle of what is near
+        for _ in range(3):  # move the seed to the median of the colours near it
             near = _apart(colour[left], seed) <= NEAR
             seed = np.median(colour[left[near]], axis=0) if near.any() else seed
         near = _apart(colour[left], seed) <= NEAR

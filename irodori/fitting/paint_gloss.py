@@ -1,8 +1,9 @@
-"""Gloss of a paint from all its texels together, how far it varies among them, and each texel's own in that light.
+"""Gloss of a paint, fitted to all its texels together, and the gloss of each texel with that of its paint as prior.
 
-A texel that sees a highlight once cannot tell β from μ; thousands of one paint can. log β and log μ of a texel are
-taken to be normal about the paint's; the covariance, found from the texels' own slopes and normal equations, says how
-much of a texel's gloss is the paint's and how much its own (empirical Bayes; Efron and Morris, JASA 70, 1975).
+A texel that sees a highlight once cannot separate β from μ; thousands of texels of one paint can. log β and log μ of
+the texels are assumed to be normally distributed about those of the paint. Their covariance is estimated from the
+gradients and normal equations of the texels. It determines how strongly the gloss of a texel is drawn towards that of
+its paint (empirical Bayes; Efron and Morris, JASA 70, 1975).
 """
 
 from dataclasses import dataclass, fields
@@ -16,32 +17,32 @@ from irodori.fitting.judge import SEEN as LEAST_SEEN
 
 _STEPS = 12
 _SETTLED = 1e-6
-_CLOSE = 1e-2  # step of a texel's own gloss after which its square no longer counts
-_LONGEST = 0.5  # step of log β or log μ
-_FOREIGN = 4.0  # times the median misfit, beyond which a texel has no part in its paint's gloss
-_ROUNDS = 300  # of expectation and maximisation
-_FIRST, _ANY = 0.1**2, 0.5**2  # variance of log β or log μ at the start, and of gloss that may be any
-_LEAST_FREE = 0.5  # observations by which a texel must be free to differ, to be found foreign
-_LEAST_PHOTOGRAPHS = 4  # whose scatter says anything
-_LEAST_VARYING = 1e-8  # variance of log β or log μ: a hundredth of a per cent
+_CLOSE = 1e-2  # step of a texel's log β or log μ below which the iteration ends: its square is negligible
+_LONGEST = 0.5  # longest step of log β or log μ
+_FOREIGN = 4.0  # multiple of the median misfit beyond which a texel is left out of the fit of its paint's gloss
+_ROUNDS = 300  # largest number of rounds of expectation maximisation
+_FIRST, _ANY = 0.1**2, 0.5**2  # initial variance of log β and log μ, and a variance that hardly constrains them
+_LEAST_FREE = 0.5  # fewest degrees of freedom of a texel to compare its misfit
+_LEAST_PHOTOGRAPHS = 4  # fewest photographs for a jackknife
+_LEAST_VARYING = 1e-8  # smallest variance of log β and log μ: a standard deviation of 0.01 %
 
 
 @dataclass(frozen=True)
 class PaintGloss:
-    """The gloss of a paint.
+    """Gloss of a paint, with errors.
 
     Parameters
     ----------
     log_gloss : (2,) float64
         log β and log μ.
     error : (2, 2) float64
-        Their covariance.
+        Covariance of the errors of log β and log μ.
     varying : (2, 2) float64
-        Covariance of the texels' log β and log μ about them.
+        Covariance of the texels' log β and log μ about those of the paint.
     excess : float
-        By what the variances of observations are multiplied, at least 1: what the paint's texels leave unexplained.
+        Factor on the variances of observations, at least 1, that explains the residuals of the paint's texels.
     texels : int
-        How many it comes from.
+        Number of texels in the fit.
     """
 
     log_gloss: np.ndarray
@@ -53,15 +54,15 @@ class PaintGloss:
 
 @dataclass(frozen=True)
 class TexelGloss:
-    """Parameters of texels in the light of their paints, one entry a texel; NaN where nothing is known.
+    """Parameters of texels fitted with the gloss of their paints as prior; NaN where unknown.
 
     Parameters
     ----------
     alpha, beta, mu, alpha_error, beta_error, mu_error, residual_rms, relative_residual : (texels,) float64
     own : (texels,) float64
-        How much of the gloss is the texel's own, 0 to 1; the rest is its paint's.
+        Share of the information on the gloss that comes from the texel, 0 to 1; the rest comes from its paint.
     agrees : (texels,) bool
-        Whether the texel's observations allow this gloss.
+        Whether χ² of the texel is compatible with this gloss.
     """
 
     alpha: np.ndarray
@@ -76,12 +77,12 @@ class TexelGloss:
     agrees: np.ndarray
 
     def __getitem__(self, chosen) -> "TexelGloss":
-        """Return the texels chosen."""
+        """Return the parameters of selected texels; ``chosen`` is any NumPy index."""
         return TexelGloss(**{one.name: getattr(self, one.name)[chosen] for one in fields(self)})
 
     @classmethod
     def joined(cls, several: list["TexelGloss"]) -> "TexelGloss":
-        """Return the texels of several, in their order."""
+        """Concatenate the texels of several instances."""
         if not several:
             nothing = np.empty(0)
             return cls(**{one.name: nothing for one in fields(cls)})
@@ -90,19 +91,25 @@ class TexelGloss:
 
 
 def _matrices(part: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the slopes (texels, 2) and the normal matrices (texels, 2, 2)."""
+    """Return negative gradients, (texels, 2), and normal matrices, (texels, 2, 2), from contributions of texels."""
     entries = part[:, [sums.BETA_BETA, sums.BETA_MU, sums.BETA_MU, sums.MU_MU]]
     return part[:, [sums.DOWN_BETA, sums.DOWN_MU]], entries.reshape(-1, 2, 2)
 
 
 def _inverse(matrix: np.ndarray) -> np.ndarray:
-    """Return the inverses of symmetric positive (..., 2, 2) matrices."""
+    """Return the inverses of symmetric, positive definite matrices, (..., 2, 2)."""
     a, b, d = matrix[..., 0, 0], matrix[..., 0, 1], matrix[..., 1, 1]
     return np.stack([d, -b, -b, a], axis=-1).reshape(matrix.shape) / (a * d - b * b)[..., None, None]
 
 
 def _start(surface: SearchedTexels, nodes: np.ndarray) -> tuple[np.ndarray, float] | None:
-    """Return log β and log μ of the lowest joint parabola and by how much it lies under no gloss; None if none does."""
+    """Find log β and log μ with the least joint sum of squares over the nodes.
+
+    Returns
+    -------
+    ((2,) float64, float) or None
+        log β and log μ, and the decrease of the sum of squares compared with no gloss; None if there is no decrease.
+    """
     _, b, c = sums.parabolas(surface, nodes).sum(axis=0).T
     gain = np.where((b > 0.0) & (c > 0.0), b * b / np.where(c > 0.0, c, 1.0), 0.0)
     best = int(gain.argmax())
@@ -113,7 +120,10 @@ def _start(surface: SearchedTexels, nodes: np.ndarray) -> tuple[np.ndarray, floa
 
 
 def _minimum(surface: SearchedTexels, start: np.ndarray) -> np.ndarray | None:
-    """Return log β and log μ of the joint least sum of squares; None where the search leaves the bounds."""
+    """Return log β and log μ at the minimum of the joint sum of squares.
+
+    None if the minimum lies outside the bounds, or if β and μ cannot be separated.
+    """
     rules, place, damping = surface.rules, start, 0.0
     part = sums.parts(surface, np.tile(place, (len(surface.blocks), 1)))
     for _ in range(_STEPS):
@@ -135,7 +145,7 @@ def _minimum(surface: SearchedTexels, start: np.ndarray) -> np.ndarray | None:
 
 
 def _is_told(part: np.ndarray, varying: np.ndarray, excess: float) -> bool:
-    """Return whether texels tell that their gloss varies, by Schwarz's criterion for the three numbers of that."""
+    """Return whether the variation of gloss among texels is significant, by Schwarz's criterion for 3 parameters."""
     slope, normal = (one / excess for one in _matrices(part))
     gain = np.einsum("ti,tij,tj->", slope, _inverse(normal + np.linalg.inv(varying)), slope)
     cost = np.log(np.linalg.det(np.eye(2) + varying @ normal)).sum()
@@ -143,9 +153,10 @@ def _is_told(part: np.ndarray, varying: np.ndarray, excess: float) -> bool:
 
 
 def _of_photographs(surface: SearchedTexels, place: np.ndarray) -> np.ndarray:
-    """Return the covariance of log β and log μ by the jackknife over photographs.
+    """Return the covariance of log β and log μ by the jackknife over photographs, (2, 2).
 
-    What is wrong with a photograph, known or not, is wrong in all its texels: only photographs are independent.
+    The errors of a photograph are common to all its texels, so only photographs are independent. Zero if there are too
+    few photographs.
     """
     moved, told = sums.without_each(surface, place)
     count = int(told.sum())
@@ -156,7 +167,7 @@ def _of_photographs(surface: SearchedTexels, place: np.ndarray) -> np.ndarray:
 
 
 def _larger(expected: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """Return the covariance that is as large as the larger of two in every direction."""
+    """Return the smallest covariance that is in every direction at least as large as both of the given ones."""
     root = np.linalg.cholesky(expected)
     inverse = np.linalg.inv(root)
     size, along = np.linalg.eigh(inverse @ seen @ inverse.T)
@@ -165,14 +176,19 @@ def _larger(expected: np.ndarray, seen: np.ndarray) -> np.ndarray:
 
 
 def gloss_of_paint(surface: SearchedTexels, nodes: np.ndarray) -> PaintGloss | None:
-    """Return the gloss that texels of one paint share; None where they show none, or leave it open.
+    """Fit the common gloss of the texels of one paint.
 
     Parameters
     ----------
     surface : SearchedTexels
-        The texels, cores of the paint.
+        Texels of the paint.
     nodes : (nodes,) float
-        log μ that are tried first.
+        Values of log μ for the initial scan.
+
+    Returns
+    -------
+    PaintGloss or None
+        None if the texels show no gloss, or do not determine it.
     """
     found = _start(surface, nodes)
     place = None if found is None else _minimum(surface, found[0])
@@ -199,7 +215,7 @@ def gloss_of_paint(surface: SearchedTexels, nodes: np.ndarray) -> PaintGloss | N
         varying = _LEAST_VARYING * np.eye(2)
     observations = part[:, sums.USED].sum()
     if not found[1] / excess > 2.0 * np.log(observations) or not part[:, sums.SEEN].max() >= LEAST_SEEN:
-        return None  # Schwarz's criterion for β and μ, and a lobe whose top nobody saw
+        return None  # gloss is not significant by Schwarz's criterion, or no texel sees the lobe near its peak
     _, normal = _matrices(part)
     inverse = np.linalg.inv(normal.sum(axis=0))
     spread = np.einsum("tij,jk,tkl->il", normal, varying, normal)
@@ -211,7 +227,7 @@ def gloss_of_paint(surface: SearchedTexels, nodes: np.ndarray) -> PaintGloss | N
 
 
 def share(surface: SearchedTexels, gloss: PaintGloss) -> TexelGloss:
-    """Return what the texels of a paint have of its gloss and of their own."""
+    """Fit the texels of a paint with the gloss of the paint as prior."""
     count, place = len(surface.blocks), gloss.log_gloss
     precision = np.linalg.inv(gloss.varying)
     own = np.tile(place, (count, 1))
@@ -226,7 +242,7 @@ def share(surface: SearchedTexels, gloss: PaintGloss) -> TexelGloss:
     part = sums.parts(surface, own)
     _, normal = _matrices(part)
     after = _inverse(normal / gloss.excess + precision)
-    kept = after @ precision  # of the paint's own deviation
+    kept = after @ precision  # share of an error of the paint's gloss that remains in the texel's gloss
     covariance = after + kept @ gloss.error @ np.swapaxes(kept, 1, 2)
     rules = surface.rules
     with np.errstate(invalid="ignore", divide="ignore"):

@@ -1,4 +1,4 @@
-"""Paint stage: fitted tiles of an object in; its paints, and the fit with their gloss, out."""
+"""Paint stage: reads the fitted tiles of an object; writes its paints, and the fit with the gloss of the paints."""
 
 import math
 import time
@@ -28,11 +28,11 @@ from irodori.material.material_file import Status
 from irodori.spectra.coordinates import require_bands, write_bands
 
 _RESPONSE = "diffuse_response", "diffuse_variance"
-_OWN = 0.5  # share of its own in a texel's gloss from which it is called the texel's
+_OWN = 0.5  # smallest share of a texel's own information on its gloss with which it keeps the status OK
 
 
 def _colours(tiles: list) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Yield of every tile the diffuse responses and variances, (rows, width, bands), and where they are believed."""
+    """Yield diffuse responses and variances, (rows, width, bands), and whether they are reliable, for each tile."""
     for path in tiles:
         with store.open_file(path) as file:
             response, variance, status = (file.read(name) for name in (*_RESPONSE, "status"))
@@ -46,7 +46,7 @@ def _colours(tiles: list) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]
 
 
 def _find_colours(tiles: list) -> Colours:
-    """Return the paints of an object's fitted tiles, by colour."""
+    """Find the paints of an object by the colours in its fitted tiles."""
     most, found = max(MOST_CORES // len(tiles), 200), []
     floors = [noise_floor(variance[told], response[told]) for response, variance, told in _colours(tiles) if told.any()]
     floor = np.median(floors, axis=0) if floors else np.ones(next(_colours(tiles))[0].shape[-1])
@@ -57,12 +57,12 @@ def _find_colours(tiles: list) -> Colours:
 
 
 def _read_tile(observations, fitted, levels: Sequence) -> tuple[Tile, dict[str, np.ndarray], dict]:
-    """Return a tile's texels, the maps of its fit, and the attributes that are passed on.
+    """Read the texels of a tile, the maps of its fit, and the attributes that are passed on.
 
     Raises
     ------
     InputError
-        If the fit is of other texels than the observations.
+        If the numbers of texels of fit and observations differ.
     """
     observed = read_observations(observations, levels)
     with store.open_file(fitted) as file:
@@ -79,7 +79,7 @@ def _read_tile(observations, fitted, levels: Sequence) -> tuple[Tile, dict[str, 
 
 
 def _indexed(tile: Tile, optics: GlossModel) -> Tile:
-    """Return the texels with a refractive index where theirs is not known."""
+    """Return the tile with the nominal refractive index for texels with an unknown one."""
     index = np.where(np.isfinite(tile.index), tile.index, optics.fresnel.n)
     return Tile(tile.observed, index, tile.status, tile.response, tile.variance)
 
@@ -92,17 +92,19 @@ def share_gloss(
     Parameters
     ----------
     observations, tiles : list of path
-        Of the same tiles: what was seen, and what was fitted texel by texel.
+        Files of observations, and the separate fits of their texels, in the same order.
     output, options, n, k, calibration, levels
-        As in `irodori.fitting.stage.fit_brdf`, and so are the datasets.
+        As in `irodori.fitting.stage.fit_brdf`, which also describes the datasets.
 
     Notes
     -----
-    A texel keeps status OK where at least half of its gloss is its own; else it is PAINT. One that no paint explains
-    keeps what its own fit says, and so do all where there are two lobes. Further datasets of one lobe, for each paint:
-    ``/paints/log_gloss``, log β and log μ, NaN where not known; ``/paints/error``, their covariance;
-    ``/paints/varying``, that of the texels about them; ``/paints/excess``, the factor of the variance of observations;
-    ``/paints/texels``, from how many it comes.
+    A texel keeps the status OK if at least half of the information on its gloss is its own; otherwise it gets the
+    status PAINT. Texels that no paint explains keep their own fit. With two lobes, all texels do.
+
+    With one lobe there are further datasets with one entry for each paint: ``/paints/log_gloss``, log β and log μ, NaN
+    if unknown; ``/paints/error``, the covariance of their errors; ``/paints/varying``, the covariance of the texels'
+    log β and log μ about them; ``/paints/excess``, the factor on the variance of observations; ``/paints/texels``, the
+    number of texels in the fit.
     """
     options = with_common_error(options, levels)
     colours = _find_colours(tiles) if len(options.lobes) == 1 else None
@@ -145,7 +147,7 @@ def share_gloss(
 
 
 def _reserve(out: store.Writer, maps: dict[str, np.ndarray], texels: int, lobes: tuple[str, ...]) -> dict:
-    """Return a dataset for every map of a fit, for all texels of an object."""
+    """Create an empty dataset for every map of a fit, with room for all texels of an object."""
     found = {}
     for name, (units, quantity) in fitted_maps(lobes).items():
         values, dims = maps[name], ",".join(FITTED_AXES[: maps[name].ndim])
@@ -155,7 +157,7 @@ def _reserve(out: store.Writer, maps: dict[str, np.ndarray], texels: int, lobes:
 
 
 def _share_tile(tile: Tile, maps: dict[str, np.ndarray], paints: Paints, width: int, optics: GlossModel) -> int:
-    """Put what a tile's texels have of their paints into its maps; return how many have something."""
+    """Write parameters with the gloss of the paints into the maps of a tile; return the number of such texels."""
     found = share_by_paint(tile, paints, width, optics)
     here, shared, options = found.texel, found.shared, optics.options
     for name in ("alpha", "beta", "mu", "alpha_error", "beta_error", "mu_error", "residual_rms", "relative_residual"):

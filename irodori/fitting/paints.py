@@ -1,9 +1,10 @@
-"""Paints of an object: found from all its tiles, and shared with the texels of each.
+"""Paints of an object: found from samples of all its tiles, then assigned to the texels of each tile.
 
-Objects vary faster in colour than in gloss, and what is painted with one paint has one gloss. The paints are found
-from the colours (`irodori.fitting.paint_colours`), each one's gloss from its texels together
-(`irodori.fitting.paint_gloss`). A texel has the paint that explains its responses: the one under whose gloss its
-diffuse responses have the paint's colour. So one observation is enough for a colour.
+Objects vary more in colour than in gloss, and areas of the same paint have the same gloss. The paints are found from
+the colours (`irodori.fitting.paint_colours`), and the gloss of each is fitted to its texels together
+(`irodori.fitting.paint_gloss`). A texel is assigned the paint that explains its responses: with the gloss of this paint
+subtracted, its diffuse responses have the colour of the paint. Therefore a single observation suffices to find the
+colour of a texel.
 """
 
 from collections.abc import Iterable
@@ -20,12 +21,13 @@ from irodori.fitting.solvers import FitOptions, problem_of
 from irodori.fitting.stage import GREEN, Observed, without_gloss
 from irodori.material.material_file import Status
 
-MOST_TEXELS = 600  # of one paint, from which its gloss comes
-_LEAST_OF_TILE = 100  # texels of one paint that a tile gives at least, where it has them
-_SEAM = 5  # texels across a seam, where a picture shows a mixture
-_WORTH = 0.3  # relative standard error of α beyond which a colour is not stated,
-_DARK = 0.01  # where its standard error is more than this
-#: Statuses with a colour: what denies a model of gloss, such as two lobes that are fitted as one, has one as well.
+MOST_TEXELS = 600  # largest number of texels from which the gloss of a paint is fitted
+_LEAST_OF_TILE = 100  # texels of one paint that are taken from a tile, if it has as many
+_SEAM = 5  # width of a seam in texels, within which a picture shows a mixture
+_WORTH = 0.3  # a colour is not stated if the relative standard error of α exceeds this
+_DARK = 0.01  # and its standard error exceeds this
+#: Statuses with a reliable colour. A contradicted fit, such as of two lobes as one, has a wrong gloss but a usable
+#: colour.
 BELIEVED = (Status.OK, Status.DIFFUSE_ONLY, Status.CONTRADICTED)
 
 
@@ -37,7 +39,7 @@ class Paints:
     ----------
     colours : Colours
     gloss : list of PaintGloss or None
-        Of each paint; None where it shows none or leaves it open.
+        Gloss of each paint; None if it shows none or does not determine it.
     """
 
     colours: Colours
@@ -45,13 +47,13 @@ class Paints:
 
     @property
     def known(self) -> list[int]:
-        """Numbers of the paints whose gloss is known."""
+        """Numbers of the paints with a known gloss."""
         return [paint for paint, gloss in enumerate(self.gloss) if gloss is not None]
 
 
 @dataclass(frozen=True)
 class GlossModel:
-    """Model by which an object's gloss is fitted: the options of its fit and its refractive index."""
+    """Options and refractive index with which the gloss of an object is fitted."""
 
     options: FitOptions
     fresnel: BandGloss
@@ -59,7 +61,7 @@ class GlossModel:
 
 @dataclass(frozen=True)
 class Tile:
-    """Texels of a tile and the results of their own fit.
+    """Texels of a tile, with the results of their separate fits.
 
     Parameters
     ----------
@@ -68,7 +70,7 @@ class Tile:
         Real refractive index.
     status : (texels,) int8
     response, variance : (texels, bands) float64
-        Diffuse response by their own fit, and what the camera's noise gives it.
+        Diffuse responses from the separate fits, and their variance by the camera's noise.
     """
 
     observed: Observed
@@ -78,12 +80,12 @@ class Tile:
     variance: np.ndarray
 
     def __getitem__(self, chosen) -> "Tile":
-        """Return the texels chosen."""
+        """Return a tile with selected texels; ``chosen`` is any NumPy index."""
         index, status, response = self.index[chosen], self.status[chosen], self.response[chosen]
         return Tile(self.observed[chosen], index, status, response, self.variance[chosen])
 
     def surface(self, optics: GlossModel) -> SearchedTexels:
-        """Return the green observations, packed."""
+        """Pack the observations of the green band for the joint fit of gloss."""
         seen, k = self.observed, optics.fresnel.k
         problem = problem_of(
             seen.response[..., GREEN], seen.geometry, seen.weight, self.index, k, optics.options,
@@ -92,7 +94,7 @@ class Tile:
         return gloss_sums.pack(*problem)
 
     def under(self, log_gloss: np.ndarray, optics: GlossModel) -> tuple[np.ndarray, np.ndarray]:
-        """Return diffuse responses and their variance supposing a gloss, log β and log μ."""
+        """Return diffuse responses and their variances, (texels, bands) each, assuming a gloss (log β, log μ)."""
         gloss = np.tile(np.exp(log_gloss), (len(self.status), 1))
         options = optics.options
         return without_gloss(
@@ -101,12 +103,12 @@ class Tile:
 
 
 def believed(tile: Tile) -> np.ndarray:
-    """Return the texels whose own fit tells their colour, (texels,) bool."""
+    """Return the texels with a reliable colour from their separate fits, (texels,) bool."""
     return np.isin(tile.status, BELIEVED)
 
 
 def seams(paint: np.ndarray) -> np.ndarray:
-    """Return where two paints are near each other, (height, width) bool; ``paint`` is -1 where not known."""
+    """Return the texels near a border between two paints, (height, width) bool; ``paint`` is -1 where unknown."""
     from scipy import ndimage  # slow to import
 
     size = {"size": _SEAM, "mode": "nearest"}
@@ -115,14 +117,14 @@ def seams(paint: np.ndarray) -> np.ndarray:
 
 
 def sample(tile: Tile, colours: Colours, width: int, tiles: int) -> Tile:
-    """Return texels away from seams by which the gloss of the paints is told: so many of each paint, and of none.
+    """Draw a sample of texels away from seams for the fit of gloss, of limited size for each paint and for no paint.
 
     Parameters
     ----------
     tile : Tile
         Texels in rows of ``width``.
     tiles : int
-        How many the object has.
+        Number of tiles of the object.
     """
     paint = by_colour(tile, colours)
     free = ~seams(paint.reshape(-1, width)).ravel() & (tile.observed.weight > 0.0).any(axis=1)
@@ -134,23 +136,23 @@ def sample(tile: Tile, colours: Colours, width: int, tiles: int) -> Tile:
 
 
 def by_colour(tile: Tile, colours: Colours) -> np.ndarray:
-    """Return the paint of each texel by the colour that its own fit gives, (texels,) int; -1 where none is near."""
+    """Return the paint nearest in colour to the separate fit of each texel, (texels,) int; -1 if none is near."""
     paint, apart = colours.nearest(tile.response, tile.variance)
     return np.where(apart <= 2.0 * NEAR, paint, -1)
 
 
 def assign(tile: Tile, paint: np.ndarray, paints: Paints, optics: GlossModel, mixed: np.ndarray | bool = False):
-    """Return the paint of each texel, (texels,) int, -1 where no paint explains it.
+    """Assign a paint to each texel, (texels,) int; -1 if no paint explains it.
 
-    Texels that their own fit tells the colour of, and that have that of a paint of known gloss, have that paint. The
-    others have the paint under whose gloss their responses have its colour best.
+    A texel with a reliable colour near that of a paint with known gloss gets this paint. Each other texel gets the
+    paint for which its diffuse responses, after subtraction of the paint's gloss, are nearest to the paint's colour.
 
     Parameters
     ----------
     paint : (texels,) int
-        See `by_colour`.
+        Paints from `by_colour`.
     mixed : (texels,) bool
-        Which texels lie at a seam, and have a mixture where their own fit tells them well.
+        Texels at a seam: those with a reliable colour show a mixture and keep their paint from `by_colour`.
     """
     paint, own = paint.copy(), believed(tile)
     done = own & (np.isin(paint, paints.known) | mixed)
@@ -167,15 +169,16 @@ def assign(tile: Tile, paint: np.ndarray, paints: Paints, optics: GlossModel, mi
 
 
 def find_paints(samples: list[Tile], colours: Colours, optics: GlossModel) -> Paints:
-    """Return the paints of an object with their gloss.
+    """Fit the gloss of the paints of an object.
 
-    A wide lobe that a texel's own fit has not seen is in its colour. Gloss is therefore searched twice: in texels of
-    one colour, then in those that a paint explains with the gloss found.
+    Where the separate fit of a texel has missed a wide lobe, the lobe has changed the texel's colour. Gloss is
+    therefore fitted twice: to texels with the colour of a paint, then to those that `assign` gives to a paint with the
+    gloss found first.
 
     Parameters
     ----------
     samples : list of Tile
-        See `sample`.
+        Texels from `sample`, for each tile.
     """
     first = [by_colour(tile, colours) for tile in samples]
     paints = _with_gloss(samples, first, Paints(colours, []), range(colours.count), optics)
@@ -187,7 +190,7 @@ def find_paints(samples: list[Tile], colours: Colours, optics: GlossModel) -> Pa
 def _with_gloss(
     samples: list[Tile], labels: list[np.ndarray], paints: Paints, numbers: Iterable[int], optics: GlossModel
 ) -> Paints:
-    """Return the paints with the gloss of those numbers from the texels with their labels."""
+    """Return the paints after fitting the gloss of those in ``numbers`` to the texels labelled with them."""
     nodes = replace(optics.options, scan_per_octave=2).nodes()
     gloss = dict(enumerate(paints.gloss))
     for number in numbers:
@@ -202,16 +205,16 @@ def _with_gloss(
 
 @dataclass(frozen=True)
 class Painted:
-    """Parameters that a tile's texels take over from their paints.
+    """Parameters of the texels of a tile that were fitted with the gloss of a paint.
 
     Parameters
     ----------
     paint : (texels,) int
-        Number of the paint that a texel shares the gloss of, -1 where it has none.
+        Number of the paint of each texel, -1 for none.
     texel : (shared,) int
-        The texels that have one.
+        Indices of the texels that have a paint.
     shared : TexelGloss
-        Their parameters.
+        Parameters of these texels.
     """
 
     paint: np.ndarray
@@ -220,7 +223,7 @@ class Painted:
 
 
 def share_by_paint(tile: Tile, paints: Paints, width: int, optics: GlossModel) -> Painted:
-    """Return the parameters of a tile's texels in the light of the paints.
+    """Fit the texels of a tile with the gloss of their paints as prior.
 
     Parameters
     ----------
@@ -233,7 +236,7 @@ def share_by_paint(tile: Tile, paints: Paints, width: int, optics: GlossModel) -
     mixed = seams(paint.reshape(-1, width)).ravel()
     found = assign(tile, paint, paints, optics, mixed).reshape(-1, width)
     if (found >= 0).any():
-        # At a seam a texel has a mixture of colours, and the gloss of the paint beside it.
+        # At a seam a texel has a mixture of colours; it gets the gloss of the nearest paint.
         far, place = ndimage.distance_transform_edt(found < 0, return_indices=True)
         mixed |= (found < 0).ravel()
         found = np.where(far <= 0.5 * _SEAM, found[tuple(place)], -1)
@@ -242,7 +245,7 @@ def share_by_paint(tile: Tile, paints: Paints, width: int, optics: GlossModel) -
         gloss, here = paints.gloss[number], np.flatnonzero(found.ravel() == number)
         assert gloss is not None
         one = share(tile[here].surface(optics), gloss)
-        # What a mixture leaves unexplained is no gloss of its own.
+        # A mixture may fit badly without having a gloss of its own.
         good = (one.agrees | mixed[here]) & (one.alpha_error <= np.maximum(_WORTH * one.alpha, _DARK))
         paint[here[good]] = number
         texels.append(here[good])

@@ -1,4 +1,4 @@
-"""Parameters stored for each texel: those that its data determines; NaN and a status for the others."""
+"""Parameters stored for each texel: those that its data determine; NaN and a status for the others."""
 
 import math
 
@@ -13,23 +13,23 @@ _ALPHA, _BETA, _MU, _ALPHA_ERROR, _BETA_ERROR, _MU_ERROR, _RMS, _RELATIVE = rang
 _NAMES = (
     "alpha", "beta", "mu", "alpha_error", "beta_error", "mu_error", "residual_rms", "relative_residual",
 )  # fmt: skip
-_CHUNK = 16384  # texels that a thread reports before it asks for more
+_CHUNK = 16384  # texels that a thread takes at a time
 _IS_OK, _AT_BOUND = int(judge.Status.OK), int(judge.Status.AT_BOUND)
 _CONTRADICTED = int(judge.Status.CONTRADICTED)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _report_some(out, stated, gloss, first, last):
-    """Fill what a fit states of some texels: NaN where a parameter is not determined."""
+    """Fill the reported parameters of a range of texels: NaN where a parameter is not determined."""
     for t in range(first, last):
         status, model, nan = out.status[t], out.model[t], np.nan
         known = status == _IS_OK or (status == _CONTRADICTED and model >= judge.GLOSS_ALONE)
         alpha_error, mu = out.table[t, judge.ALPHA_ERROR], math.exp(out.table[t, judge.LOG_MU])
         sure = math.isfinite(alpha_error)
-        # α is 0 by choice of the model where it has no error, and not told apart from gloss anywhere else.
+        # Without an error, α is 0 if the model is gloss alone; otherwise it cannot be separated from the gloss.
         stated[_ALPHA, t] = out.table[t, judge.ALPHA] if sure or model == judge.GLOSS_ALONE else nan
         stated[_BETA, t], stated[_MU, t] = out.table[t, judge.BETA] if known else nan, mu if known else nan
-        # At a bound of gloss, what the bound does to α is not in its error.
+        # At a bound of the gloss, the error of α would not include the effect of the bound.
         stated[_ALPHA_ERROR, t] = alpha_error if sure and status != _AT_BOUND else nan
         stated[_BETA_ERROR, t] = out.table[t, judge.BETA_ERROR] if known else nan
         stated[_MU_ERROR, t] = out.table[t, judge.LOG_MU_ERROR] * mu if known else nan

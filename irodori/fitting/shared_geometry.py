@@ -1,6 +1,6 @@
-"""Precomputed lobes at the nodes of the scan, for texels with one common geometry.
+"""Precomputed lobes at the nodes of the scan, for texels that all have the same geometry.
 
-At the nodes the lobes of all observations are a matrix, and a texel's sums are products of a vector with it.
+The lobes of all observations at all nodes form a matrix; the sums of a texel are products of a vector with this matrix.
 """
 
 from typing import NamedTuple
@@ -22,12 +22,12 @@ _eight_times_nodes = lanes_times_tables(GROUP)
 
 
 class Shared(NamedTuple):
-    """Tables of one geometry that all texels share; empty where texels have geometries of their own.
+    """Tables for the geometry that all texels share; empty if texels have separate geometries.
 
     Parameters
     ----------
     rows : (ROWS, P) float64
-        A texel's rows with that geometry.
+        Rows of a texel with this geometry.
     nodes : (4, blocks, P, WIDTH) float64
         g, dg/dt, g² and d(g²)/dt at the nodes, t = log μ, in blocks of `WIDTH` nodes, the last padded with zeros.
     """
@@ -38,12 +38,12 @@ class Shared(NamedTuple):
 
 @njit(cache=True)
 def no_shared():
-    """Return what texels with geometries of their own share: nothing."""
+    """Return the empty `Shared` for texels with separate geometries."""
     return Shared(np.zeros((0, 0)), np.zeros((4, 0, 0, WIDTH)))
 
 
 def _table(values: np.ndarray) -> np.ndarray:
-    """Return an aligned copy without the tails of the lobe: denormal numbers are a hundred times slower."""
+    """Return an aligned copy with tiny values set to 0, because denormal numbers are a hundred times slower."""
     out = aligned(values.size).reshape(values.shape)
     out[...] = np.where(np.abs(values) > LEAST_LOBE, values, 0.0)
     return out
@@ -61,16 +61,16 @@ def _at_nodes(rows, lobes, nodes, out):
 
 
 def tabulate(rows: np.ndarray, lobes, nodes: np.ndarray) -> Shared:
-    """Return the tables of one geometry.
+    """Compute the tables for one geometry.
 
     Parameters
     ----------
     rows : (ROWS, P) float64
-        Of which the gloss and its features are read.
+        Rows of a texel; gloss and features are read.
     lobes : Lobes
         One lobe.
     nodes : (nodes,) float64
-        log μ, falling.
+        log μ of the scan, in decreasing order.
     """
     width = padded_nodes(nodes.size)
     at_nodes = np.zeros((4, rows.shape[1], width))
@@ -95,7 +95,7 @@ def _node_sums(shared, kind, rows, row, sums, into):
 
 @uncounted(error_model="numpy")
 def scan_shared(rows, shared, sums, changed):
-    """Fill a texel's sums of all nodes; those without the response stay as they are unless ``changed``."""
+    """Fill the sums of one texel at all nodes; sums without the response only if ``changed`` (the weights)."""
     _node_sums(shared, 0, rows, WEIGHTED_RESPONSE, sums, RG)
     _node_sums(shared, 1, rows, WEIGHTED_RESPONSE, sums, RG1)
     if changed:
@@ -107,7 +107,7 @@ def scan_shared(rows, shared, sums, changed):
 
 @uncounted()
 def scan_shared_eight(rows, shared, sums, changed):
-    """Fill the sums of all nodes of eight texels; those without the response stay as they are unless ``changed``."""
+    """Fill the sums of eight texels at all nodes; sums without the response only if ``changed`` (the weights)."""
     blocks, height, captures = shared.nodes.shape[1], shared.nodes.shape[2], rows.shape[1] // LANES
     table, row, step = height * WIDTH, rows.shape[1], sums.shape[1]
     flat = blocks * table

@@ -1,4 +1,4 @@
-"""Solvers of equation (7), behind one interface with one result type."""
+"""Solvers of equation (7), with a common interface and result type."""
 
 import ctypes
 import math
@@ -37,30 +37,30 @@ class FitOptions:
     ----------
     solver : str
         ``varpro`` (variable projection), ``nlopt`` (NLopt's L-BFGS in a compiled loop over texels) or
-        ``nlopt-reference`` (the same from Python, one callback a step).
+        ``nlopt-reference`` (the same from Python, with a callback for each evaluation).
     scan_per_octave : int
-        Values of μ, equally spaced in log μ, that the scan tries for every factor 2 in μ: 2 or 4.
+        Number of values of μ in the scan for every factor 2, equally spaced in log μ: 2 or 4.
     weights : str
-        ``noise``: observations count by inverse variance where the camera's noise is known; ``equal``.
+        ``noise``: weighted by inverse variance if the camera's noise is known; ``equal``: equally weighted.
     model_error : float
         Relative error of an observation apart from the camera's noise: drift of the light, the model itself.
     pose_error_deg : float
         Standard deviation of an angle of light or camera, degrees.
     level_error : float
-        Relative error that all observations share: of the white reference's reflectance, and of the lamp's level
-        between the white reference and the object.
+        Relative error common to all observations: that of the white reference's reflectance, and the change of the
+        lamp's level between the photographs of white reference and object.
     level_by_photograph : bool
-        Whether the lamp's level in every photograph is estimated, see `irodori.fitting.level_estimate`; `fit` itself
-        takes responses as they are.
+        Whether the lamp's level in every photograph is estimated, see `irodori.fitting.level_estimate`; `fit` ignores
+        it and takes responses as they are.
     refractive_index : str
-        ``fixed``: as given; ``fitted``: each texel's own real part n, within its bounds.
+        ``fixed``: as given; ``fitted``: the real part n is fitted to each texel within its bounds.
     gloss_by_paint : bool
-        Whether the texels of an object share the gloss of their paints, see `irodori.fitting.paints`; `fit` itself
-        knows one texel at a time.
+        Whether the texels of an object share the gloss of their paints, see `irodori.fitting.paints`; `fit` ignores it
+        and treats texels separately.
     bounds : dict
-        ``alpha``, ``beta``, ``mu_rad``, ``n``: lower and upper bound.
+        Lower and upper bound by name: ``alpha``, ``beta``, ``mu_rad``, ``n``.
     lobes : tuple of str
-        Lobes of the gloss, one or two, see `irodori.reflection.registry`; the bounds of μ are in the unit of each.
+        Lobes of the gloss, one or two, see `irodori.reflection.registry`. The bounds of μ are in the unit of the lobe.
     """
 
     solver: str = "varpro"
@@ -97,7 +97,7 @@ class FitOptions:
                 raise ValueError(f"fit.{name} {value!r} of an object with two lobes; accepted: {accepted!r}")
 
     def limits(self, name: str) -> tuple[float, float]:
-        """Return lower and upper bound of a parameter; those of μ lie within what its lobes are defined for."""
+        """Return lower and upper bound of a parameter; those of μ are limited to the domain of the lobes."""
         low, high = (_BOUNDS | (self.bounds or {}))[name]
         if name == "mu_rad":
             defined = [lobe(one).roughness for one in self.lobes]
@@ -105,7 +105,10 @@ class FitOptions:
         return float(low), float(high)
 
     def nodes(self) -> np.ndarray:
-        """Return log μ of the scan, falling from the upper bound in steps of √2 or its root, to the lower one."""
+        """Return log μ of the scan, in decreasing order from the upper to the lower bound.
+
+        Successive μ differ by a factor √2, or its square root; the last step may be shorter.
+        """
         low, high = np.log(self.limits("mu_rad"))
         step = NODE_STEP / (self.scan_per_octave // 2)
         nodes = high - step * np.arange(int((high - low) / step + 1e-9) + 1)
@@ -114,33 +117,37 @@ class FitOptions:
 
 @dataclass(frozen=True)
 class FitResult:
-    """Result of a fit; every array has one entry a texel.
+    """Result of a fit; every array has one entry for each texel.
 
     Parameters
     ----------
     alpha, beta, mu : (n,) float64
-        NaN where the data does not determine them; μ in rad.
+        NaN where the data do not determine them; μ in rad.
     alpha_error, beta_error, mu_error : (n,) float64
         Standard errors (see `irodori.fitting.judge`), NaN likewise.
-    residual_rms : (n,) float64, in response, weighted
+    residual_rms : (n,) float64
+        Weighted RMS residual of the responses.
     relative_residual : (n,) float64
-        Residual over the root mean square response.
-    status : (n,) int8, see `Status`
+        Residual divided by the RMS response.
+    status : (n,) int8
+        See `Status`.
     model : (n,) int8
-        What the observations call for: 0 nothing, 1 diffuse reflection, 2 gloss, 3 both.
-    evaluations : (n,) int32, of the objective
-    nlopt_result : (n,) int8, NLopt's return code, 0 where it was not called
+        Terms needed to explain the observations: 0 none, 1 diffuse reflection, 2 gloss, 3 both.
+    evaluations : (n,) int32
+        Evaluations of the objective.
+    nlopt_result : (n,) int8
+        NLopt's return code; 0 if it was not called.
     gloss : (n, 2) float64
-        β and μ that explain the observations best, determined or not; β is 0 where gloss explains nothing. Of two lobes
-        (n, 4), the second's after the first's.
+        β and μ that explain the observations best, determined or not; β is 0 where gloss explains nothing. With two
+        lobes (n, 4): those of the first, then of the second.
     index, index_error : (n,) float64
-        Real refractive index and its standard error; NaN where it was fitted and is not determined. The error is NaN
+        Real refractive index and its standard error; NaN where it was fitted but is not determined. The error is NaN
         where the index was given.
     lobes : tuple of str
         Lobe of each component.
     beta_2, mu_2, beta_2_error, mu_2_error : (n,) float64
-        Of the second component; None where there is one lobe. Where the data calls for one component, the weight of
-        the other is 0 and its roughness NaN.
+        Parameters of the second component; None with one lobe. Where one component suffices, the weight of the other
+        is 0 and its roughness NaN.
     """
 
     alpha: np.ndarray
@@ -171,7 +178,7 @@ def check_lobes(lobes) -> None:
     Raises
     ------
     ValueError
-        For none or more than two, and for an unknown name, with the nearest one.
+        If there is none, more than two, or an unknown name; the message suggests the nearest known name.
     """
     if not 1 <= len(lobes) <= MAX_LOBES:
         raise ValueError(f"{len(lobes)} lobes; accepted: 1 to {MAX_LOBES}")
@@ -190,7 +197,7 @@ def _addresses() -> dict[str, int]:
 
 def _empty_output(count: int) -> texels.Output:
     return texels.Output(
-        table=np.empty((count, judge.COLUMNS)),  # each texel is written or given up
+        table=np.empty((count, judge.COLUMNS)),  # every row is written later, with NaN where there are too few data
         status=np.zeros(count, dtype=np.int8),
         model=np.zeros(count, dtype=np.int8),
         evaluations=np.zeros(count, dtype=np.int32),
@@ -218,7 +225,7 @@ def _solve_nlopt(problem: texels.Problem, rules: Rules, options: FitOptions) -> 
 
 
 def _cost(rows: np.ndarray, lobes, scale: np.ndarray, factor: float):
-    """Return the objective of one texel in NLopt's Python signature; the unknowns are those over their scale."""
+    """Return the objective of one texel with NLopt's Python signature; its unknowns are divided by their scales."""
     cosine, response, weight = rows[COSINE], rows[RESPONSE], rows[WEIGHT]
     lobe, slope = rows[LOBE], rows[LOBE_SLOPE]
 
@@ -236,7 +243,7 @@ def _cost(rows: np.ndarray, lobes, scale: np.ndarray, factor: float):
 
 
 def _solve_reference(problem: texels.Problem, rules: Rules, options: FitOptions) -> texels.Output:
-    """Fit with NLopt from Python: the yardstick for time and the witness for the compiled loops."""
+    """Fit with NLopt from Python: a reference for the speed of the compiled loops and a check of their results."""
     out = _empty_output(len(problem.response))
     task = texels.Task(problem, rules, no_shared())
     data, room = nlopt_loop.new_data(problem)
@@ -278,8 +285,14 @@ SOLVERS = {"varpro": _solve_varpro, "nlopt": _solve_nlopt, "nlopt-reference": _s
 def problem_of(
     response, geometry, weight, n, k, options: FitOptions, *, noise, clipped=None
 ) -> tuple[texels.Problem, Rules]:
-    """Return what the loops take; parameters and errors as in `fit`, n also (texels,)."""
-    # Types, strides and read-only arrays are types of their own to the compiler: all float32 or all float64, writeable.
+    """Convert the arguments of `fit` to the `Problem` and `Rules` of the compiled loops; n may also be (texels,).
+
+    Raises
+    ------
+    ValueError
+        If the shapes do not agree.
+    """
+    # All arrays float32 or all float64, contiguous and writeable: loops are compiled anew for every other combination.
     dtype = np.float32 if np.asarray(response).dtype == np.float32 else np.float64
     response, geometry, weight = (np.require(a, dtype, ["C", "W"]) for a in (response, geometry, weight))
     geometry = geometry[None] if geometry.ndim == 2 else geometry
@@ -318,23 +331,23 @@ def fit(
     noise: np.ndarray | None = None,
     clipped: np.ndarray | None = None,
 ) -> FitResult:
-    """Fit α, β, μ of equation (5) to every texel's observations [eq. 7].
+    """Fit α, β and μ of equation (5) to the observations of each texel [eq. 7].
 
     Parameters
     ----------
     response : (texels, J) float
         Responses of the green band.
     geometry : (texels, J, 4) or (J, 4) float
-        θ_i, θ_r, θ_H, φ in rad; one for all texels is much faster.
+        θ_i, θ_r, θ_H, φ in rad; a common geometry for all texels is much faster.
     weight : (texels, J) float
-        Zero leaves an observation out.
+        Weights; observations with 0 are ignored.
     n, k : float
         Complex refractive index.
     options : FitOptions
     noise : (J, 2) float
-        c0 and c1 of the variance c0 + c1 ρ of a response; NaN or None where not known, which gives equal weights.
+        c0 and c1 of the variance c0 + c1 ρ of a response. If None, or NaN for any capture, weights are equal.
     clipped : (texels, J) bool
-        Where the camera clips.
+        Observations that the camera clipped.
 
     Returns
     -------
@@ -343,7 +356,7 @@ def fit(
     Raises
     ------
     ValueError
-        For shapes that do not agree.
+        If the shapes do not agree.
     """
     options = options or FitOptions()
     problem, rules = problem_of(response, geometry, weight, n, k, options, noise=noise, clipped=clipped)
@@ -364,7 +377,7 @@ def fit(
 
 
 def _result(out: texels.Output, problem: texels.Problem) -> FitResult:
-    """Return what the fit states."""
+    """Convert the output of the loops to a `FitResult`."""
     count = len(out.status)
     stated, gloss = report_parameters(out)
     return FitResult(
@@ -381,7 +394,7 @@ def _result(out: texels.Output, problem: texels.Problem) -> FitResult:
 
 
 def _fit_two(problem: texels.Problem, rules: Rules, options: FitOptions) -> FitResult:
-    """Fit two components where the data calls for them, and one elsewhere."""
+    """Fit two gloss components where the data need them, and one elsewhere."""
     second = Lobes((options.lobes[1],))
     one = _solve_varpro(problem, rules, options)
     two = one if second == problem.lobes else _solve_varpro(problem._replace(lobes=second), rules, options)
@@ -402,7 +415,7 @@ def _fit_two(problem: texels.Problem, rules: Rules, options: FitOptions) -> FitR
     known = [np.isfinite(errors[:, i]) for i in range(two_lobes.PARAMETERS)]
     mu, mu_2 = np.exp(table[:, two_lobes.LOG_MU]), np.exp(table[:, two_lobes.LOG_MU_2])
     sure = known[0] | (found.model == judge.GLOSS_ALONE)
-    alone = np.where(np.isfinite(first.beta), 0.0, np.nan)  # weight of a component that the other leaves nothing to
+    alone = np.where(np.isfinite(first.beta), 0.0, np.nan)  # weight of a component that is not needed
     alone_2 = np.where(np.isfinite(other.beta), 0.0, np.nan)
     power, squares = table[:, two_lobes.POWER], table[:, two_lobes.SQUARES]
     nothing = np.tile([0.0, 1.0], (len(both), 1))

@@ -1,4 +1,4 @@
-"""Fit stage: observations of a tile in, parameters and diffuse responses out."""
+"""Fit stage: reads the observations of a tile; writes fitted parameters and diffuse responses."""
 
 import math
 import time
@@ -25,10 +25,10 @@ from irodori.reflection.lobes import Lobes
 from irodori.spectra.coordinates import require_bands, write_bands
 
 GREEN = 1  # green without the filter, the band of equation (7)
-_RESPONSE_NOISE = 0.01  # where the camera's is not known
+_RESPONSE_NOISE = 0.01  # standard deviation of a response if the camera's noise is unknown
 _LEAST_VARIANCE = 1e-12
 _GLOSS_MODEL_ERROR = 0.1
-_FAR, _AN_OUTLIER_IN = 6.0, 8  # standard deviations; observations, of which one may be an outlier
+_FAR, _AN_OUTLIER_IN = 6.0, 8  # distance of an outlier in standard deviations; at most one observation in 8 is one
 
 
 _CHUNK = 2048  # texels that a thread takes at a time
@@ -48,7 +48,7 @@ CARRIED = {"rows": list, "width": int, "filters": list}
 
 
 class Model(IntEnum):
-    """Terms of the model that a texel's observations tell."""
+    """Terms of the reflection model that the observations of a texel determine."""
 
     NOTHING = judge.NOTHING
     DIFFUSE_ALONE = judge.DIFFUSE_ALONE
@@ -68,7 +68,7 @@ class Observed:
     weight : (texels, J) float
     clipped : (texels, J) uint8
     noise : (J, bands, 2) float64
-        c0 and c1 of the variance c0 + c1 ρ that the camera's noise gives a response.
+        c0 and c1 of the variance c0 + c1 ρ of a response ρ by the camera's noise.
     """
 
     response: np.ndarray
@@ -78,13 +78,13 @@ class Observed:
     noise: np.ndarray
 
     def __getitem__(self, chosen) -> "Observed":
-        """Return the observations of the texels chosen."""
+        """Return the observations of selected texels; ``chosen`` is any NumPy index."""
         response, geometry, weight = self.response[chosen], self.geometry[chosen], self.weight[chosen]
         return Observed(response, geometry, weight, self.clipped[chosen], self.noise)
 
 
 class Fitted(NamedTuple):
-    """Observations of texels in all bands, and the gloss that was fitted to them.
+    """Observations of texels in all bands, and the gloss fitted to them.
 
     Parameters
     ----------
@@ -93,18 +93,18 @@ class Fitted(NamedTuple):
         θ_i, θ_r, θ_H, φ in rad.
     weight : (texels, J) float
     noise : (J, bands, 2) float64
-        c0 and c1 of the variance c0 + c1 ρ that the camera's noise gives a response.
+        c0 and c1 of the variance c0 + c1 ρ of a response ρ by the camera's noise.
     model_error : float
         Relative error of an observation apart from noise.
     lobes : tuple of Lobes
-        Of each component.
+        Lobe of each component.
     gloss : (texels, 2 or 4) float64
         β and μ of each component.
     n : (texels,) float64
     k : float
         Complex refractive index of the fit.
     ratio : (bands, angles) float64
-        F of a band over that of the fit, by θ_H from 0 to π/2.
+        Fresnel reflectance of each band divided by that of the fit, at equally spaced θ_H from 0 to π/2.
     """
 
     response: np.ndarray
@@ -121,7 +121,10 @@ class Fitted(NamedTuple):
 
 @njit(cache=True, error_model="numpy")
 def _expected(given, j, b, gloss, fitted):
-    """Return the variance of an observation: of noise and light at the ``fitted`` response, else of an even camera."""
+    """Return the variance of an observation j in band b from noise, light and the error of the gloss.
+
+    The noise is that at the ``fitted`` response. If it is unknown, a constant is used.
+    """
     noise = given.noise
     own = noise[j, b, 0] + noise[j, b, 1] * max(fitted, 0.0) + (given.model_error * fitted) ** 2
     own = max(own, _LEAST_VARIANCE) if math.isfinite(own) else _RESPONSE_NOISE**2
@@ -130,9 +133,10 @@ def _expected(given, j, b, gloss, fitted):
 
 @njit(cache=True, error_model="numpy")
 def _leave_out(t, given, rows, fitted):
-    """Mark in the row of weights the observations of a texel that count: 1, or 0 for none and for outliers in green.
+    """Set the weights of the valid observations of a texel to 1, and those of invalid ones and of outliers to 0.
 
-    An outlier is further than `_FAR` standard deviations from what the others tell; one observation in eight may be.
+    An outlier is more than `_FAR` standard deviations away from the prediction by the other observations, in green. At
+    most one observation in eight is left out.
     """
     response, weight, used, b = given.response[t], given.weight[t], 0, min(GREEN, given.response.shape[2] - 1)
     for j in range(response.shape[0]):
@@ -165,13 +169,13 @@ def _leave_out(t, given, rows, fitted):
 
 @njit(cache=True, error_model="numpy")
 def _combine_texel(t, given, rows, fitted, out, variance):
-    """Fill the diffuse response of every band of a texel and its variance, (bands,), from its fitted gloss, (P,)."""
+    """Fill diffuse responses and variances of a texel, (bands,) each; ``fitted`` is its gloss in green, (P,)."""
     response, weight, noise, ratio = given.response[t], given.weight[t], given.noise, given.ratio
     theta_h = given.geometry[t, :, 2]
     step = 0.5 * math.pi / (ratio.shape[1] - 1)
     _leave_out(t, given, rows, fitted)
     for b in range(response.shape[1]):
-        diffuse = np.nan  # not known in the first of two rounds
+        diffuse = np.nan  # unknown in the first of two rounds
         for _ in range(2):
             top, bottom, spread = 0.0, 0.0, 0.0
             for j in range(response.shape[0]):
@@ -193,7 +197,7 @@ def _combine_texel(t, given, rows, fitted, out, variance):
 
 @njit(cache=True, error_model="numpy")
 def _add_gloss(t, given, component, lobes, rows, fitted):
-    """Add a component's gloss to that of every observation of a texel, and fill the rows of its geometry."""
+    """Fill the rows of a texel's geometry, and add the gloss of a component to ``fitted``, (P,)."""
     beta, mu = given.gloss[t, 2 * component], given.gloss[t, 2 * component + 1]
     pack_geometry(given.geometry[t], lobes, given.n[t], given.k, rows)
     if beta > 0.0:
@@ -217,10 +221,11 @@ def _combine_chunk(given, out, variance, first, last):
 def diffuse_response(
     response, geometry, weight, result: FitResult, fresnel: BandGloss, noise, *, model_error: float = 0.01
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return each texel's response to its diffuse reflectance alone, all observations combined, and its variance.
+    """Combine the observations of each texel to its diffuse response, without gloss, in every band.
 
-    The fitted gloss is subtracted from every observation and the rest, divided by cosθ_i, is averaged by inverse
-    variance, without outliers; where the gloss is strong its model error makes an observation count for less.
+    The fitted gloss is subtracted from every observation. The remainder, divided by cosθ_i, is averaged with inverse
+    variances as weights and without outliers. Observations with strong gloss have less weight because of the error of
+    the gloss model.
 
     Parameters
     ----------
@@ -229,15 +234,18 @@ def diffuse_response(
     weight : (texels, J) float
     result : FitResult
     fresnel : BandGloss
-        n and k of the fit, and F of every band.
+        n and k of the fit, and the Fresnel reflectance of each band.
     noise : (J, bands, 2) float
-        c0 and c1 of the variance c0 + c1 ρ that the camera's noise gives a response.
+        c0 and c1 of the variance c0 + c1 ρ of a response ρ by the camera's noise.
+    model_error : float
+        Relative error of an observation apart from noise.
 
     Returns
     -------
-    response : (texels, bands) float64, NaN where there is no observation
+    response : (texels, bands) float64
+        NaN where there is no observation.
     variance : (texels, bands) float64
-        From the camera's noise alone; NaN where that is not known, or without observation.
+        Variance by the camera's noise alone; NaN where the noise is unknown or there is no observation.
     """
     observed = Observed(response, geometry, weight, np.empty((0, 0), np.uint8), noise)
     index = np.where(np.isfinite(result.index), result.index, fresnel.n)
@@ -247,7 +255,7 @@ def diffuse_response(
 def without_gloss(
     observed: Observed, gloss, index, lobes: tuple[str, ...], fresnel: BandGloss, *, model_error: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return what `diffuse_response` does, for any gloss.
+    """Compute diffuse responses and variances as `diffuse_response` does, for a given gloss.
 
     Parameters
     ----------
@@ -257,7 +265,9 @@ def without_gloss(
     index : (texels,) float64
         Real refractive index.
     lobes : tuple of str
-        Of the components.
+        Lobe of each component.
+    fresnel, model_error
+        As in `diffuse_response`.
     """
     out, variance = np.empty((2, len(observed.response), observed.response.shape[2]))
     noise = np.ascontiguousarray(observed.noise, dtype=np.float64)
@@ -271,13 +281,14 @@ def without_gloss(
 
 
 def _of_near_light(noise, gain, weight) -> np.ndarray:
-    """Return the noise model of responses that a near light's gain has scaled: gain² c0 + gain c1 ρ.
+    """Return the noise model of responses multiplied by the gain for a near light: variance gain² c0 + gain c1 ρ.
 
-    One model a capture: with its mean gain and mean squared gain over the texels seen.
+    Each capture has one model, with the mean gain and the mean squared gain over the texels seen.
 
     Parameters
     ----------
     noise : (J, bands, 2) float
+        c0 and c1 without gain.
     gain, weight : (texels, J) float
     """
     seen = np.maximum(weight.sum(axis=0), 1e-30)
@@ -286,7 +297,24 @@ def _of_near_light(noise, gain, weight) -> np.ndarray:
 
 
 def fresnel_of(n, k, calibration, bands: int) -> BandGloss:
-    """Return n and k of the fit and F of every band; ``calibration`` is needed where n or k varies."""
+    """Return n and k for the fit, and the Fresnel reflectance of every band.
+
+    Parameters
+    ----------
+    n, k : float or (61,) float
+        Complex refractive index.
+    calibration : path or None
+        Calibration of the camera; required if n or k varies with wavelength.
+    bands : int
+        Number of bands.
+
+    Raises
+    ------
+    ValueError
+        If n or k varies and there is no calibration.
+    InputError
+        If n or k varies and the calibration has no response model.
+    """
     if not varies(n, k):
         return uniform(np.mean(n), np.mean(k), bands)
     if calibration is None:
@@ -301,7 +329,7 @@ def fresnel_of(n, k, calibration, bands: int) -> BandGloss:
 
 
 def fitted_maps(lobes: tuple[str, ...]) -> dict[str, tuple[Units, str]]:
-    """Return what a file keeps of a fit with these lobes, one entry a texel: name -> (units, quantity)."""
+    """Return the datasets of a fit with these lobes, one entry for each texel: name -> (units, quantity)."""
     gloss: dict[str, tuple[Units, str]] = {}
     for name, (unit, quantity) in gloss_maps(lobes).items():
         gloss |= {name: (unit, quantity), f"{name}_error": (unit, f"standard error of {name}")}
@@ -324,7 +352,7 @@ def fitted_maps(lobes: tuple[str, ...]) -> dict[str, tuple[Units, str]]:
 
 
 def write_fitted(output, maps: dict, attributes: dict, lobes: tuple[str, ...], provenance: store.Provenance) -> None:
-    """Write a fitted tile: maps by the names of `fitted_maps`, and attributes of the file."""
+    """Write a fitted tile: the maps named in `fitted_maps`, and attributes of the file."""
     described = fitted_maps(lobes)
     with store.create(output, provenance) as out:
         write_bands(out, attributes["filters"])
@@ -334,19 +362,21 @@ def write_fitted(output, maps: dict, attributes: dict, lobes: tuple[str, ...], p
 
 
 def read_observations(path, levels: Sequence = ()) -> Observed:
-    """Return the observations of a tile under one level of the lamp; a near light's gain is in their noise.
+    """Read the observations of a tile; their noise model includes the gain for a near light and the lamp's levels.
 
     Parameters
     ----------
     path : path
+        Tile of observations.
     levels : sequence of path
-        The lamp's level in every photograph, see `irodori.material.photograph_levels`; where there is no file, the
-        responses stay as they are.
+        File of the lamp's level in every photograph, see `irodori.material.photograph_levels`, by which responses are
+        divided. If empty, responses stay as they are.
 
     Raises
     ------
     InputError
-        If a file is none, is damaged, or its datasets do not fit together.
+        If the file is not a tile of observations, is damaged, or has datasets of inconsistent shapes, or if the levels
+        are those of other captures.
     """
     with store.open_file(path) as file:
         file.require_axes(_AXES, angle=4, coefficient=2)
@@ -379,20 +409,20 @@ def fit_brdf(
     observations, output : path
     options : FitOptions
     n, k : float or (61,) float
-        Complex refractive index; where it varies with the wavelength, every band has the F that it sees.
+        Complex refractive index. If it varies with wavelength, each band has its own Fresnel reflectance.
     calibration : path, optional
-        Of the camera; needed where n or k varies.
+        Calibration of the camera; required if n or k varies.
     levels : sequence of path
         As in `read_observations`; the file also gives the error that all observations share.
 
     Notes
     -----
-    Datasets, one entry a texel: ``/alpha``, ``/beta``, ``/mu`` (in the unit of the lobe), of a second lobe ``/beta_2``
-    and ``/mu_2``, their ``*_error``, ``/residual_rms``,
-    ``/status`` (see `Status`), ``/model``, ``/paint``, ``/evaluations``, ``/nlopt_result``, ``/refractive_index``
-    and ``/refractive_index_error`` (NaN where the index was given), ``/diffuse_response`` (texel, bands) and
-    ``/diffuse_variance``, what the camera's noise gives it; ``/texel``, 0 where the texture shows no surface. The
-    attribute ``common_error`` is the relative error of α and β that all texels share; their stated errors include it.
+    Datasets, one entry for each texel: ``/alpha``, ``/beta``, ``/mu`` (in the unit of the lobe), with a second lobe
+    ``/beta_2`` and ``/mu_2``, their ``*_error``, ``/residual_rms``, ``/relative_residual``, ``/status`` (see `Status`),
+    ``/model``, ``/paint``, ``/evaluations``, ``/nlopt_result``, ``/refractive_index`` and ``/refractive_index_error``
+    (NaN where the index was given), ``/diffuse_response`` (texel, bands) and ``/diffuse_variance``, its variance by the
+    camera's noise; ``/texel``, 0 where the texture shows no surface. The attribute ``common_error`` is the relative
+    error of α and β that all texels share; the stated errors of the texels include it.
     """
     observed, options = read_observations(observations, levels), with_common_error(options, levels)
     with store.open_file(observations) as file:
@@ -406,7 +436,7 @@ def fit_brdf(
     if options.weights == "noise" and not np.isfinite(noise[:, GREEN]).all():
         LOGGER.info("the camera's noise is not known in every capture: observations have equal weights")
     green, of_green = response[..., GREEN], noise[:, GREEN]
-    # Compile before the clock starts.
+    # Compile before the time is measured.
     fit(green[:2], geometry[:2], weight[:2], n, k, options, noise=of_green, clipped=clipped[:2])
     start = time.perf_counter()
     result = fit(green, geometry, weight, n, k, options, noise=of_green, clipped=clipped)

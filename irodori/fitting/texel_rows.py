@@ -1,10 +1,10 @@
 """Rows of observations for compiled loops: those of one texel, or of eight texels side by side.
 
-A row is a line of numbers that loops take eight at a time. Where the rows are one texel's, the eight are its
-observations, the last padded with observations of weight 0; where they are eight texels', one observation of each. A
-function that loops over rows is the same for both, for only what is summed over observations differs, and `folded` adds
-that up for one texel and leaves it alone for eight. Which of the two is meant is told by the type of an argument, often
-a parameter of the texel, else ``zero``: a number where rows are one texel's, lanes where they are eight texels'.
+Loops process a row eight numbers at a time, called *lanes*. In the rows of one texel, these are eight of its
+observations, and the row is padded with observations of weight 0. In the rows of eight texels, they are the same
+observation of each texel. The same functions loop over both kinds of rows. They differ only in sums over observations,
+where `folded` adds up the lanes for one texel and keeps them for eight. The type of an argument selects the kind: often
+a parameter of the texel, otherwise ``zero``, is a number for the rows of one texel, and lanes for those of eight.
 """
 
 import math
@@ -19,39 +19,49 @@ from irodori.jit.vectors import LANES
 from irodori.reflection import lobes as lobe_kernels
 from irodori.reflection.fresnel import fresnel
 
-#: cosθ_i; the gloss for a lobe's value of 1, F times its factor; the lobe's features; what is not a number; response,
-#: weight, expected variance, weight times cosine and times response; of the last lobe that was summed the gloss for
-#: β = 1 and its slope along log μ; weights at the last scan, and before outliers lose theirs; the response that the
-#: variance was taken at.
+#: Rows: cosθ_i; the gloss for a lobe of 1 (F times its factor); three features of the lobe; NaN where an angle is not
+#: finite, else 0; response; weight; expected variance; weight times cosine, and times response; the gloss of the
+#: last lobe for β = 1, and its slope along log μ; the weights at the last scan; the weights before outliers are left
+#: out; the response for which the variance was computed.
 (
     COSINE, GLOSS, F0, F1, F2, SPOILED, RESPONSE, WEIGHT, VARIANCE, WEIGHTED_COSINE, WEIGHTED_RESPONSE, LOBE,
     LOBE_SLOPE, BEFORE, TRUST, ASSUMED,
 ) = range(16)  # fmt: skip
 ROWS = 16
-_ANGLES = RESPONSE  # θ_i, θ_r, θ_H, φ stand in this row and the next three until the responses do
+_ANGLES = RESPONSE  # this row and the next three hold θ_i, θ_r, θ_H, φ until responses are loaded
 _HALF_PI_HIGH, _HALF_PI_LOW = 1.5707963267948966, 6.123233995736766e-17
 
 
 @njit(cache=True, forceinline=True)
 def vectors_of(rows):
-    """Return how many times eight numbers a row has."""
+    """Return the number of groups of eight numbers in a row."""
     return rows.shape[1] // LANES
 
 
 @njit(cache=True, forceinline=True)
 def get(rows, row, j):
-    """Return eight numbers of a row."""
+    """Return the eight numbers of group j in a row."""
     return load(rows, row * rows.shape[1] + j * LANES)
 
 
 @njit(cache=True, forceinline=True)
 def put(rows, row, j, value):
-    """Store eight numbers of a row."""
+    """Store the eight numbers of group j in a row."""
     store(rows, row * rows.shape[1] + j * LANES, value)
 
 
 def _by_kind(about: str, names: str, number, lanes):
-    """Return a function for compiled code that is one thing for one texel and another for eight, told by its last."""
+    """Make a function for compiled code with one implementation for one texel and another for eight.
+
+    Parameters
+    ----------
+    about : str
+        Docstring of the function.
+    names : str
+        Its arguments; the type of the last, a number or lanes, selects the implementation.
+    number, lanes : callable
+        Implementations for one texel and for eight.
+    """
     namespace: dict = {"number": number, "lanes": lanes, "types": types}
     last = names.split(", ")[-1]
     exec(
@@ -138,7 +148,7 @@ def cosine_of(angle):
 
 @uncounted(error_model="numpy")
 def _fill_geometry(rows, lobes, n, k):
-    """Fill cosine, gloss, features and what is not a number from the angles; n is a number or lanes."""
+    """Fill cosine, gloss, lobe features and the mark for non-finite angles from the angles; n is a number or lanes."""
     for j in range(vectors_of(rows)):
         theta_i, theta_r = get(rows, _ANGLES, j), get(rows, _ANGLES + 1, j)
         theta_h, phi = get(rows, _ANGLES + 2, j), get(rows, _ANGLES + 3, j)
@@ -150,23 +160,25 @@ def _fill_geometry(rows, lobes, n, k):
         put(rows, F0, j, f0)
         put(rows, F1, j, f1)
         put(rows, F2, j, f2)
-        # Light and eye are on the outer side, or no light is carried.
+        # 0 unless light and camera are above the horizon of the surface.
         put(rows, COSINE, j, select((cos_i > 0.0) & (cos_r > 0.0), cos_i, 0.0))
 
 
 @uncounted(error_model="numpy")
 def pack_geometry(geometry, lobes, n, k, rows):
-    """Fill what a texel's geometry gives, and NaN where an observation's angles are not all finite.
+    """Fill the rows of a texel that depend on its geometry; `SPOILED` is NaN if an angle is not finite, else 0.
 
     Parameters
     ----------
     geometry : (J, 4) float
-        θ_i, θ_r, θ_H, φ in rad; where one is not finite, what is filled is of no use, but finite.
+        θ_i, θ_r, θ_H, φ in rad. For observations with an angle that is not finite, the other rows get meaningless but
+        finite values.
     lobes : Lobes
         One lobe.
     n, k : float
+        Complex refractive index.
     rows : (ROWS, P) float64
-        P is J padded to a multiple of eight; the rows of responses and weights are used as scratch.
+        P is J rounded up to a multiple of eight. Four rows from `RESPONSE` on are overwritten with the angles.
     """
     for i in range(4):
         for j in range(geometry.shape[0]):
@@ -178,7 +190,7 @@ def pack_geometry(geometry, lobes, n, k, rows):
 
 @uncounted(error_model="numpy")
 def pack_eight(problem, first, last, rows):
-    """Fill the rows of the geometries of eight texels; the last stands for those beyond the end."""
+    """Fill the rows of eight texels that depend on their geometries; beyond the end, the last texel is repeated."""
     captures, many = problem.geometry.shape[1], problem.n.size > 1
     for i in range(LANES):
         t = min(first + i, last - 1)
@@ -191,7 +203,7 @@ def pack_eight(problem, first, last, rows):
 
 @uncounted()
 def spread_geometry(common, rows):
-    """Fill the rows of eight texels with the geometry that all share."""
+    """Fill the geometry rows of eight texels with the geometry that all texels share."""
     for row in range(SPOILED + 1):
         for j in range(vectors_of(rows)):
             put(rows, row, j, spread(common[row, j]))
@@ -199,7 +211,7 @@ def spread_geometry(common, rows):
 
 @uncounted(error_model="numpy")
 def fill_lobe(rows, lobes, log_mu):
-    """Fill the gloss of every observation for β = 1."""
+    """Fill the row `LOBE` with the gloss of every observation for β = 1."""
     constant = lobe_kernels.constants(lobes, log_mu)
     for j in range(vectors_of(rows)):
         value = lobe_kernels.value(lobes, constant, get(rows, F0, j), get(rows, F1, j), get(rows, F2, j))
@@ -208,13 +220,13 @@ def fill_lobe(rows, lobes, log_mu):
 
 @njit(cache=True)
 def padded(observations: int) -> int:
-    """Return a row's length for one texel: observations, rounded up to a multiple of eight."""
+    """Return the length of a row for one texel: the number of observations, rounded up to a multiple of eight."""
     return (observations + LANES - 1) // LANES * LANES
 
 
 @njit(cache=True)
 def new_rows(observations):
-    """Return empty rows for one texel."""
+    """Allocate rows for one texel."""
     width = padded(observations)
     rows = aligned(ROWS * width).reshape((ROWS, width))
     for j in range(width):
@@ -224,7 +236,7 @@ def new_rows(observations):
 
 @njit(cache=True)
 def new_rows_of_eight(observations):
-    """Return empty rows for eight texels."""
+    """Allocate rows for eight texels."""
     rows = aligned(ROWS * observations * LANES).reshape((ROWS, observations * LANES))
     for j in range(observations * LANES):
         rows[BEFORE, j] = math.nan

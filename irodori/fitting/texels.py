@@ -1,4 +1,4 @@
-"""Loop over texels: load, minimise, assess, store."""
+"""Loop over texels: load observations, minimise, assess, store the results."""
 
 import math
 from typing import NamedTuple
@@ -29,14 +29,14 @@ from irodori.jit.vector_memory import aligned
 from irodori.jit.vectors import LANES
 from irodori.reflection.lobes import Lobes
 
-_CHUNK = 8192  # texels that a thread fits before it asks for more
-_WORTH = 9.0  # what leaving out an outlier takes from χ² at least, in multiples of what is left for a degree of freedom
-_AN_OUTLIER_IN = 8  # observations, at most
-_LEAST_READINGS = 12  # of which one can be left out, and the others tell that the model is right
+_CHUNK = 8192  # texels that a thread takes at a time
+_WORTH = 9.0  # smallest decrease of χ² by leaving out an outlier, over the remaining χ² per degree of freedom
+_AN_OUTLIER_IN = 8  # smallest number of observations per outlier
+_LEAST_READINGS = 12  # fewest observations that can confirm the model after one of them was left out
 
 
 class Problem(NamedTuple):
-    """Input of a fit.
+    """Input of a fit: observations of the fitted band, refractive index, noise, and the scan.
 
     Parameters
     ----------
@@ -46,13 +46,13 @@ class Problem(NamedTuple):
     n : (texels,) or (1,) float64
     k : float
     noise : (2, P) float64
-        c0 and c1 of the camera's variance c0 + c1 ρ, by capture.
+        c0 and c1 of the variance c0 + c1 ρ of a response ρ by the camera's noise, for each capture.
     nodes : (nodes,) float64
-        log μ of the scan, falling.
+        log μ of the scan, in decreasing order.
     chains : int
-        Steps of the nodes in √2.
+        Number of nodes for every factor √2 in μ.
     lobes : Lobes
-        The one lobe that is fitted.
+        The lobe to fit.
     """
 
     response: np.ndarray
@@ -68,7 +68,7 @@ class Problem(NamedTuple):
 
 
 class Output(NamedTuple):
-    """Arrays that the loop fills: see the columns of `irodori.fitting.judge`."""
+    """Arrays that the loop fills; `irodori.fitting.judge` defines the columns of the table."""
 
     table: np.ndarray  # (texels, COLUMNS)
     status: np.ndarray  # (texels,) int8
@@ -94,16 +94,17 @@ class Room(NamedTuple):
 
 @njit(cache=True)
 def new_sums(problem):
-    """Return room for a texel's sums of the scan."""
+    """Allocate the sums of the scan of one texel."""
     nodes = padded_nodes(problem.nodes.size)
     return aligned(SUMS * nodes).reshape((SUMS, nodes))
 
 
 @uncounted(error_model="numpy")
 def conclude(t, task, room, evidence, found, sure):
-    """Choose the model by BIC, state errors and status; the scan's sums are those of the rows.
+    """Choose the model of a texel by Schwarz's criterion; return parameters, errors and status as a `Verdict`.
 
-    What is not ``sure``, see `without_outliers`, is contradicted where it would be right.
+    The sums in ``room`` must belong to its rows. If not ``sure``, see `without_outliers`, the status is CONTRADICTED in
+    place of OK.
     """
     problem, rules, (rows, sums), (used, floor, fixed) = task.problem, task.rules, room, evidence
     lobes, clipped, unknown = problem.lobes, clipped_of(t, problem), math.log(used)
@@ -118,7 +119,7 @@ def conclude(t, task, room, evidence, found, sure):
         criterion = judge.information_criterion(both.squares, used, floor, 3.0 * unknown)
         if criterion < best or rules.low_beta > 0.0:
             model, best, errors = judge.BOTH, criterion, both
-        # That gloss alone explains the data says nothing where the data cannot tell α from gloss.
+        # Gloss alone is tried only if α is known to be small, not if it merely cannot be separated from gloss.
         dark = judge.shown_dark(found.alpha, both.alpha, fixed)
         if rules.low_alpha == 0.0 and not found.alpha > SURE * both.alpha and dark:
             box = (0.0, 0.0, rules.low_beta, rules.high_beta)
@@ -147,13 +148,13 @@ def conclude(t, task, room, evidence, found, sure):
 
 @njit(cache=True, inline="always")
 def clipped_of(t, problem):
-    """Return which observations of a texel clip; empty where that is not known."""
+    """Return the marks of clipped observations of a texel; empty if clipping is unknown."""
     return problem.clipped[t if problem.clipped.shape[0] > 1 else 0]
 
 
 @uncounted()
 def write(out, t, verdict, fixed):
-    """Store a verdict."""
+    """Store the `Verdict` on texel t in the output."""
     out.status[t], out.model[t], out.evaluations[t] = verdict.status, verdict.model, verdict.evaluations
     row = out.table[t]
     row[judge.ALPHA], row[judge.BETA], row[judge.LOG_MU] = verdict.alpha, verdict.beta, verdict.log_mu
@@ -172,14 +173,14 @@ def _scan(task, room):
 
 @uncounted(error_model="numpy")
 def _search(task, room, fixed):
-    """Return the `Minimum` of a texel whose rows are weighted."""
+    """Scan, and return the `Minimum` of a texel after its rows were weighted."""
     _scan(task, room)
     return minimise(room.rows, task.problem.lobes, fixed, box_of(task.rules), task.problem.nodes, room.sums)
 
 
 @uncounted(error_model="numpy")
 def _fit_texel(t, task, room, loaded, out):
-    """Scan, polish and judge one loaded texel."""
+    """Fit and assess one texel after its observations were loaded."""
     problem, rules, rows, (used, floor) = task.problem, task.rules, room.rows, loaded
     evidence = Evidence(used, floor, weigh(rows, 0.0))
     found = _search(task, room, evidence.fixed)
@@ -196,7 +197,7 @@ def _fit_texel(t, task, room, loaded, out):
 
 @njit(cache=True, forceinline=True)
 def is_noisy(evidence, rules):
-    """Return whether weights of noisy responses would pull α by more than a fifth of its standard error."""
+    """Return whether weights from noisy responses would change α by more than a fifth of its standard error."""
     return rules.weighted and evidence.used * evidence.used * evidence.floor > NOISY * evidence.fixed[2]
 
 
@@ -213,7 +214,7 @@ def _chi2(rows, lobes, found, rules):
 
 @uncounted(error_model="numpy")
 def _searched_without(j, task, room):
-    """Return the `Minimum` without observation j, and its χ²; the weights are left without it."""
+    """Return the `Minimum` without observation j, and its χ²; sets the weight of j to 0."""
     rows = room.rows
     rows[WEIGHT, j] = 0.0
     found = _search(task, room, weigh(rows, 0.0))
@@ -222,15 +223,20 @@ def _searched_without(j, task, room):
 
 @uncounted(error_model="numpy")
 def without_outliers(task, room, evidence, found):
-    """Return the `Evidence` and the `Minimum` without readings that alone deny the model: a shadow, a doubled one.
+    """Leave out single observations that contradict the model, such as one in a shadow.
 
-    Where χ² is not allowed, observations are left out one by one: of the two without which the sum of squares could be
-    least, the one without which χ² is least. Where what is left still denies the model, or an observation is not worth
-    `_WORTH` times what the others leave unexplained on average, none is an outlier and nothing is left out. The rows
-    are left with the weights and the scan's sums of what is returned.
+    If χ² is too large, observations are left out one by one: of the two without which the sum of squares is least, the
+    one without which χ² is smaller. If the remaining observations still contradict the model, or the decrease of χ² is
+    less than `_WORTH` times the remaining χ² per degree of freedom, no observation is left out.
 
-    Also returned is whether the model may be right. Of a wrong one, too, the readings that are left may fit: those of
-    a few, or those that no longer deny it and yet fit worse than with nearly all right models.
+    Returns
+    -------
+    evidence : Evidence
+    found : Minimum
+        The sums and the minimum without outliers. ``room`` has the corresponding weights and sums of the scan.
+    sure : bool
+        Whether the model may be correct. After outliers were left out, the rest may also fit a wrong model by chance,
+        so this is False if there are few observations or χ² is still larger than in nearly all correct models.
     """
     problem, rules, rows = task.problem, task.rules, room.rows
     lobes, start, used, evaluations = problem.lobes, found, evidence.used, found.evaluations
@@ -282,21 +288,29 @@ def write_too_few(t, used, problem, rows, out):
 
 @uncounted(error_model="numpy")
 def load_texel(t, problem, rules, rows):
-    """Fill responses, variances and weights of a texel; return its observations and the expected w r²."""
+    """Fill responses, variances and weights of a texel.
+
+    Returns
+    -------
+    used : int
+        Number of observations from `telling`.
+    floor : float
+        Expected weighted square of a residual.
+    """
     used, floor = load_one(problem.response[t], problem.weight[t], problem.noise, rules, rows)
     return telling(rows, problem.response.shape[1], used), floor
 
 
 @uncounted(error_model="numpy")
 def pack_texel(t, problem, rows):
-    """Fill what the geometry of a texel gives."""
+    """Fill the rows that depend on the geometry of texel t."""
     n = problem.n[t if problem.n.size > 1 else 0]
     pack_geometry(problem.geometry[t if problem.geometry.shape[0] > 1 else 0], problem.lobes, n, problem.k, rows)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _fit_chunk(problem, rules, shared, out, first, last):
-    """Fit some texels, each with a geometry of its own unless there is something ``shared``."""
+    """Fit a range of texels, with separate geometries or the ``shared`` one."""
     room = Room(new_rows(problem.response.shape[1]), new_sums(problem))
     eight = new_eight(problem.response.shape[1], problem.nodes.size)
     if shared.rows.size > 0:
@@ -307,7 +321,7 @@ def _fit_chunk(problem, rules, shared, out, first, last):
 
 @uncounted(error_model="numpy")
 def _fit_range(task, room, eight, out, first, last):
-    """Fit texels eight at a time, and alone those that are not done then."""
+    """Fit texels eight at a time, and singly those for which that is not possible."""
     problem, rules, shared = task
     together = problem.geometry.shape[0] > 1 or shared.nodes.shape[1] > 0
     for batch in range(first, last, LANES):
@@ -320,7 +334,7 @@ def _fit_range(task, room, eight, out, first, last):
 
 @uncounted(error_model="numpy")
 def _fit_alone(t, task, room, out):
-    """Load, fit and judge one texel."""
+    """Load, fit and assess one texel."""
     problem, rows = task.problem, room.rows
     if task.shared.nodes.shape[1] == 0:
         pack_texel(t, problem, rows)
@@ -333,14 +347,14 @@ def _fit_alone(t, task, room, out):
 
 @njit(cache=True)
 def _common_rows(geometry, lobes, n, k):
-    """Return rows with the geometry that all texels share."""
+    """Allocate rows and fill them with the geometry that all texels share."""
     rows = new_rows(geometry.shape[0])
     pack_geometry(geometry, lobes, n, k, rows)
     return rows
 
 
 def fit_texels(problem: Problem, rules: Rules, out: Output) -> None:
-    """Fit every texel by variable projection, with the geometry of its own or the one that all share."""
+    """Fit every texel by variable projection, with separate geometries or a shared one; fills ``out``."""
     shared = no_shared()
     if problem.geometry.shape[0] == 1 and problem.n.size == 1:
         rows = _common_rows(problem.geometry[0], problem.lobes, problem.n[0], problem.k)

@@ -1,9 +1,9 @@
-"""Gloss of two components: α, β_1, β_2 in closed form, the two roughnesses by a scan over pairs and Newton.
+"""Fit of two gloss components: α, β_1, β_2 in closed form, the two roughnesses by a scan over pairs and Newton steps.
 
-The weighted sum of squares with the best α, β_1, β_2 within their bounds is Φ(log μ_1, log μ_2). Over all pairs of
-nodes of the scan it takes only the sums of products of lobes; the lowest of its dips on that grid are polished with
-exact derivatives (variable projection: Golub and Pereyra 1973). A texel is stated with two components where Schwarz's
-criterion prefers them to the model that it has with one (`irodori.fitting.texels`), with errors as there.
+Φ(log μ_1, log μ_2) is the weighted sum of squares with the best α, β_1, β_2 within their bounds. At all pairs of nodes
+of the scan it follows from sums of products of lobes. The lowest local minima on this grid are refined with exact
+derivatives (variable projection: Golub and Pereyra 1973). A texel gets two components if Schwarz's criterion prefers
+them to the model with one (`irodori.fitting.texels`); standard errors are computed as there.
 """
 
 import math
@@ -43,17 +43,17 @@ from irodori.reflection import lobes as lobe_kernels
 from irodori.reflection.lobes import Lobes
 
 PARAMETERS = 5  # α, β_1, log μ_1, β_2, log μ_2
-#: Columns of the outcome; the errors follow their parameters in the order above.
+#: Columns of the table of results; the errors have the order of `PARAMETERS`.
 ALPHA, BETA, LOG_MU, BETA_2, LOG_MU_2, ERRORS, SQUARES, POWER = 0, 1, 2, 3, 4, 5, 10, 11
 COLUMNS = 12
-_CURVATURE = BEFORE  # row of the second derivative of a lobe; the scan over one roughness is over
-_REGULAR = 1e-12  # of the determinant of three columns of unit length: under it they cannot be told apart
+_CURVATURE = BEFORE  # row of the second derivative of a lobe; the scan over one roughness no longer needs it
+_REGULAR = 1e-12  # smallest determinant of three normalised columns for which they can be separated
 _SINGULAR = 1e-10
-_DIPS = 6  # of the grid that are polished
+_DIPS = 6  # number of local minima on the grid that are refined
 _MAX_STEPS = 60
 _MAX_TRIALS = 14
 _CONVERGED = 1e-7
-_LONGEST = 0.7  # step of log μ
+_LONGEST = 0.7  # longest step of log μ
 _BETA_ERROR, _MU_ERROR = judge.MAX_RELATIVE_ERROR["beta"], judge.MAX_RELATIVE_ERROR["mu"]
 _CHUNK = 256
 _OK, _AT_BOUND = int(Status.OK), int(Status.AT_BOUND)
@@ -67,14 +67,14 @@ class TwoTask(NamedTuple):
     Parameters
     ----------
     problem : Problem
-        Of the first lobe.
+        Observations, with the first lobe.
     second : Lobes
-        The other lobe alone.
+        The second lobe.
     same : bool
-        Whether both are of one kind.
+        Whether both components have the same lobe.
     rules : Rules
     one, two : Output
-        The fits with one component of the first and of the second lobe.
+        Fits of one component, with the first lobe and with the second.
     """
 
     problem: Problem
@@ -86,20 +86,20 @@ class TwoTask(NamedTuple):
 
 
 class ScanTable(NamedTuple):
-    """A lobe at the nodes of the scan."""
+    """Values of a lobe at the nodes of the scan, and sums over the observations."""
 
     values: np.ndarray  # (nodes, P)
     sums: np.ndarray  # (3, nodes): Σ w c g, Σ w ρ g, Σ w g²
 
 
 class Covariance(NamedTuple):
-    """Scratch for the errors; parameters in the order α, β_1, log μ_1, β_2, log μ_2."""
+    """Buffers for the standard errors; parameters in the order α, β_1, log μ_1, β_2, log μ_2."""
 
-    normal: np.ndarray  # (PARAMETERS, PARAMETERS)
-    middle: np.ndarray  # (PARAMETERS, PARAMETERS)
-    inverse: np.ndarray  # (PARAMETERS, PARAMETERS), of ``normal``
-    column: np.ndarray  # (PARAMETERS,), derivatives of an observation
-    scale: np.ndarray  # (PARAMETERS,), of ``normal`` to a unit diagonal
+    normal: np.ndarray  # (PARAMETERS, PARAMETERS), Σ w J Jᵀ
+    middle: np.ndarray  # (PARAMETERS, PARAMETERS), Σ w² v J Jᵀ
+    inverse: np.ndarray  # (PARAMETERS, PARAMETERS), inverse of ``normal``
+    column: np.ndarray  # (PARAMETERS,), J of an observation
+    scale: np.ndarray  # (PARAMETERS,), factors that give ``normal`` a unit diagonal
     product: np.ndarray  # (PARAMETERS,)
 
 
@@ -109,25 +109,25 @@ class TwoRoom(NamedTuple):
     rows: np.ndarray  # (ROWS, P), with the first lobe
     other: np.ndarray  # (ROWS, P), with the second lobe
     first: ScanTable
-    second: ScanTable  # whose values are times the weights
+    second: ScanTable  # its values are multiplied by the weights
     grid: np.ndarray  # (nodes, nodes), Φ at pairs of nodes
-    taken: np.ndarray  # (nodes, nodes) uint8, dips that were polished
+    taken: np.ndarray  # (nodes, nodes) uint8, local minima that were refined
     covariance: Covariance
 
 
 class TwoOutput(NamedTuple):
-    """Results of a fit of two components, beside those of one.
+    """Results of a fit of two components.
 
     Parameters
     ----------
     table : (texels, COLUMNS) float64
-        Written where ``both`` is set.
+        Valid where ``both`` is set.
     both : (texels,) uint8
-        Whether the texel is stated with two components.
+        Whether the texel has two components.
     second : (texels,) uint8
-        Else: whether its one component is of the second lobe.
+        Whether a single component has the second lobe.
     status, model : (texels,) int8
-        Where ``both`` is set.
+        Valid where ``both`` is set.
     evaluations : (texels,) int32
     """
 
@@ -148,17 +148,17 @@ def _value(g, a, b1, b2):
 
 @uncounted(error_model="numpy")
 def best_triple(g, box):
-    """Return α, β_1, β_2 within their bounds that minimise the sum of squares, and that sum.
+    """Return α, β_1, β_2 within bounds that minimise the sum of squares, and the minimum.
 
-    Where the free minimum lies outside, the bounded one lies on a face that the free one violates, and on a face it is
-    that of two variables.
+    If the unbounded minimum lies outside the bounds, the bounded one lies on a face of the box whose bound the
+    unbounded one violates. On a face, two variables are left (`best_pair`).
 
     Parameters
     ----------
     g : tuple of ten
-        Σ w c², Σ w c ρ, Σ w ρ², Σ w c g_1, Σ w ρ g_1, Σ w g_1², the last three of g_2, Σ w g_1 g_2.
+        Σ w c², Σ w c ρ, Σ w ρ², Σ w c g_1, Σ w ρ g_1, Σ w g_1², Σ w c g_2, Σ w ρ g_2, Σ w g_2², Σ w g_1 g_2.
     box : tuple of four
-        Bounds of α, then of β.
+        Lower and upper bound of α, then of β.
     """
     cc, cr, rr, c1, r1, g11, c2, r2, g22, g12 = g
     low_a, high_a, low_b, high_b = box
@@ -197,7 +197,7 @@ def best_triple(g, box):
 
 @uncounted(error_model="numpy")
 def _fill_derivatives(rows, lobes, log_mu):
-    """Fill the gloss of every observation for β = 1 and its two derivatives along log μ."""
+    """Fill the rows with the gloss of every observation for β = 1, and its first two derivatives along log μ."""
     constant = lobe_kernels.constants(lobes, log_mu)
     for j in range(vectors_of(rows)):
         v, v1, v2 = lobe_kernels.derivatives(lobes, constant, get(rows, F0, j), get(rows, F1, j), get(rows, F2, j))
@@ -209,7 +209,7 @@ def _fill_derivatives(rows, lobes, log_mu):
 
 @uncounted(error_model="numpy")
 def _lobe_sums(rows, other):
-    """Return Σ w c g, Σ w ρ g, Σ w g² of the lobe of ``other``; cosines, responses and weights are those of rows."""
+    """Return Σ w c g, Σ w ρ g, Σ w g² for the lobe in ``other``, with cosines, responses and weights from ``rows``."""
     zero = spread(0.0)
     cg, rg, gg = zero, zero, zero
     for j in range(vectors_of(rows)):
@@ -221,7 +221,7 @@ def _lobe_sums(rows, other):
 
 @uncounted(error_model="numpy")
 def _product(one, i, other, j):
-    """Return the sum of the products of two rows."""
+    """Return the scalar product of two rows."""
     total = spread(0.0)
     for v in range(vectors_of(one)):
         total = total + get(one, i, v) * get(other, j, v)
@@ -230,7 +230,10 @@ def _product(one, i, other, j):
 
 @uncounted(error_model="numpy")
 def tabulate(rows, other, lobes, nodes, table, weighted):
-    """Fill the lobe at every node, times the weights if asked, and its sums with cosine, response and itself."""
+    """Fill a table with the lobe at every node, and its sums Σ w c g, Σ w ρ g, Σ w g².
+
+    If ``weighted``, the tabulated values are multiplied by the weights.
+    """
     for i in range(nodes.size):
         fill_lobe(other, lobes, nodes[i])
         table.sums[0, i], table.sums[1, i], table.sums[2, i] = _lobe_sums(rows, other)
@@ -241,7 +244,7 @@ def tabulate(rows, other, lobes, nodes, table, weighted):
 
 @uncounted(error_model="numpy")
 def _fill_grid(fixed, room, given):
-    """Fill Φ at all pairs of nodes; of two lobes of one kind the first is the broader."""
+    """Fill Φ at all pairs of nodes; if both components have the same lobe, only pairs with the broader one first."""
     one, two, grid, box = room.first.sums, room.second.sums, room.grid, box_of(given.rules)
     for i in range(grid.shape[0]):
         for j in range(grid.shape[1]):
@@ -254,7 +257,7 @@ def _fill_grid(fixed, room, given):
 
 @uncounted(error_model="numpy")
 def _next_dip(grid, taken):
-    """Return the pair of nodes of the lowest dip that is not taken yet, and take it; -1 where there is none."""
+    """Return the pair of nodes of the lowest local minimum that is not marked yet, and mark it; -1 if there is none."""
     rows, columns = grid.shape
     best, at, to = np.inf, -1, -1
     for i in range(rows):
@@ -274,7 +277,7 @@ def _next_dip(grid, taken):
 
 @uncounted(error_model="numpy")
 def _gram(rows, other, fixed):
-    """Return what `best_triple` takes for the lobes at hand."""
+    """Return the ten sums for `best_triple` from the current lobes."""
     c1, r1, g11 = _lobe_sums(rows, rows)
     c2, r2, g22 = _lobe_sums(rows, other)
     total = spread(0.0)
@@ -285,7 +288,15 @@ def _gram(rows, other, fixed):
 
 @uncounted(error_model="numpy")
 def evaluate(room, given, fixed, t1, t2):
-    """Fill both lobes with their derivatives; return the sums of their products, α, β_1, β_2, and Φ."""
+    """Fill both lobes and their derivatives at log μ_1 = t1 and log μ_2 = t2.
+
+    Returns
+    -------
+    g : tuple of ten
+        Sums for `best_triple`.
+    found : tuple of four
+        Best α, β_1, β_2, and Φ.
+    """
     _fill_derivatives(room.rows, given.problem.lobes, t1)
     _fill_derivatives(room.other, given.second, t2)
     g = _gram(room.rows, room.other, fixed)
@@ -294,7 +305,7 @@ def evaluate(room, given, fixed, t1, t2):
 
 @uncounted(error_model="numpy")
 def slopes(rows, other, g, found, box):
-    """Return half the gradient and half the Hessian of Φ, (2) and (3) numbers, after `evaluate`."""
+    """Return half the gradient (2 numbers) and half the Hessian (3 numbers) of Φ; call it after `evaluate`."""
     a, b1, b2 = found[0], found[1], found[2]
     zero = spread(0.0)
     e1, e2, d1, d2, a11, a12, a22 = zero, zero, zero, zero, zero, zero, zero
@@ -310,7 +321,7 @@ def slopes(rows, other, g, found, box):
         p1, q11, q12 = p1 + w1 * c, q11 + w1 * g1, q12 + w1 * g2
         p2, q21, q22 = p2 + w2 * c, q21 + w2 * g1, q22 + w2 * g2
     r1, r2 = folded(e1, 0.0), folded(e2, 0.0)
-    # What a step of log μ does to the slopes along α, β_1, β_2; none where a bound holds them.
+    # Mixed derivatives of log μ with α, β_1, β_2; 0 for those at a bound.
     x, y, z = a > box[0] and a < box[1], b1 > box[2] and b1 < box[3], b2 > box[2] and b2 < box[3]
     v = (b1 * folded(p1, 0.0) if x else 0.0, b1 * folded(q11, 0.0) + r1 if y else 0.0,
          b1 * folded(q12, 0.0) if z else 0.0)  # fmt: skip
@@ -327,7 +338,7 @@ def slopes(rows, other, g, found, box):
 
 @uncounted(error_model="numpy")
 def _forms(m, v, u):
-    """Return v M⁻¹ v, v M⁻¹ u and u M⁻¹ u of a symmetric M in six numbers; 0 where M is singular."""
+    """Return v M⁻¹ v, v M⁻¹ u and u M⁻¹ u for a symmetric 3 x 3 matrix M, given by six numbers; 0 if M is singular."""
     a, b, c, d, e, f = m
     i00, i01, i02 = d * f - e * e, c * e - b * f, b * e - c * d
     i11, i12, i22 = a * f - c * c, b * c - a * e, a * d - b * b
@@ -347,7 +358,7 @@ def _forms(m, v, u):
 
 @uncounted(error_model="numpy")
 def _step(gradient, hessian, damping, held1, held2):
-    """Return Newton's step with something added to the Hessian's diagonal; 0 along what a bound holds."""
+    """Return Newton's step with ``damping`` added to the diagonal of the Hessian; 0 for variables held at a bound."""
     h11, h12, h22 = hessian[0] + damping, hessian[1], hessian[2] + damping
     if held1 and held2:
         return 0.0, 0.0
@@ -363,7 +374,17 @@ def _step(gradient, hessian, damping, held1, held2):
 
 @uncounted(error_model="numpy")
 def polish(room, given, fixed, t1, t2):
-    """Return log μ_1, log μ_2 of the minimum of Φ near a start, α, β_1, β_2 and Φ there, and the evaluations."""
+    """Find the minimum of Φ near a start (t1, t2).
+
+    Returns
+    -------
+    t1, t2 : float
+        log μ_1 and log μ_2 at the minimum.
+    found : tuple of four
+        α, β_1, β_2 and Φ.
+    count : int
+        Evaluations of Φ.
+    """
     low, high, box = given.rules.low_log_mu, given.rules.high_log_mu, box_of(given.rules)
     g, found = evaluate(room, given, fixed, t1, t2)
     damping, count = 0.0, 1
@@ -389,7 +410,7 @@ def polish(room, given, fixed, t1, t2):
             damping = max(10.0 * damping, 1e-4 * scale)
         if not moved or change < _CONVERGED:
             break
-    # The rows are to hold what is returned, not the last trial.
+    # Fill the rows at the returned minimum: they may hold a rejected trial.
     _, found = evaluate(room, given, fixed, t1, t2)
     return t1, t2, found, count
 
@@ -403,7 +424,7 @@ def _clear(matrix):
 
 @uncounted(error_model="numpy")
 def _invert(m, inverse):
-    """Fill the inverse of a symmetric matrix of unit diagonal, which is destroyed; return whether it is regular."""
+    """Invert a symmetric matrix with a unit diagonal, overwriting it; return whether it is regular."""
     size = m.shape[0]
     for i in range(size):
         for j in range(size):
@@ -426,7 +447,7 @@ def _invert(m, inverse):
 
 @uncounted(error_model="numpy")
 def _column(rows, other, j, b1, b2, out):
-    """Fill the derivatives of an observation by α, β_1, log μ_1, β_2, log μ_2."""
+    """Fill the derivatives of an observation with respect to α, β_1, log μ_1, β_2, log μ_2."""
     out[0] = rows[COSINE, j]
     out[1], out[2] = rows[LOBE, j], b1 * rows[LOBE_SLOPE, j]
     out[3], out[4] = other[LOBE, j], b2 * other[LOBE_SLOPE, j]
@@ -434,11 +455,11 @@ def _column(rows, other, j, b1, b2, out):
 
 @uncounted(error_model="numpy")
 def _spread_of(room, given, constants, found, j):
-    """Return the variance of an observation: of noise and light, and of an error of the pose."""
+    """Return the variance of observation j from noise, light, and pose error."""
     rows, other = room.rows, room.other
     one = lobe_kernels.flank(given.problem.lobes, constants[0], rows[F0, j], rows[F1, j], rows[F2, j])[1]
     two = lobe_kernels.flank(given.second, constants[1], other[F0, j], other[F1, j], other[F2, j])[1]
-    # Both components fall with φ.
+    # Both components decrease with φ, so their changes add.
     fall = found[1] * rows[LOBE, j] * math.sqrt(one) + found[2] * other[LOBE, j] * math.sqrt(two)
     pose = 0.5 * fall * fall + found[0] * found[0] * (1.0 - rows[COSINE, j] * rows[COSINE, j])
     return rows[VARIANCE, j] + given.rules.pose_variance * pose
@@ -446,10 +467,14 @@ def _spread_of(room, given, constants, found, j):
 
 @uncounted(error_model="numpy")
 def errors_of(room, given, at, found, used, out):
-    """Fill the standard errors of the five parameters, infinite where the data does not tell them apart.
+    """Fill the standard errors of the five parameters; infinite if they cannot be separated.
 
-    Returns whether the observations allow the model. The covariance is the one of `irodori.fitting.judge`; rows hold
-    the lobes at the minimum.
+    The covariance is computed as in `irodori.fitting.judge`. The rows must hold the lobes at the minimum.
+
+    Returns
+    -------
+    bool
+        Whether χ² is compatible with the model.
     """
     normal, middle, inverse, column, scale, _ = room.covariance
     rows, other, rules, (a, b1, b2, _) = room.rows, room.other, given.rules, found
@@ -475,7 +500,7 @@ def errors_of(room, given, at, found, used, out):
     for i in range(PARAMETERS):
         for k in range(PARAMETERS):
             normal[i, k] *= scale[i] * scale[k]
-    # α at its bound of 0 is no unknown.
+    # α at its lower bound is not counted as an unknown.
     dark = a <= rules.low_alpha
     if dark:
         for i in range(PARAMETERS):
@@ -501,7 +526,7 @@ def errors_of(room, given, at, found, used, out):
 
 @uncounted(error_model="numpy")
 def _variance(room, i, excess):
-    """Return the variance of a parameter by the covariance's parts, with those of observations times ``excess``."""
+    """Return the variance of parameter i, with the variances of observations multiplied by ``excess``."""
     _, middle, inverse, _, scale, product = room.covariance
     for k in range(PARAMETERS):
         product[k] = 0.0
@@ -515,7 +540,7 @@ def _variance(room, i, excess):
 
 @uncounted(error_model="numpy")
 def _scatter(room, found):
-    """Fill Σ w² v J Jᵀ with the variances of the residuals; see `judge.scatter`."""
+    """Fill Σ w² v J Jᵀ with variances v from the residuals, see `judge.scatter`."""
     rows, other, (_, middle, inverse, column, scale, _) = room.rows, room.other, room.covariance
     _clear(middle)
     for j in range(rows.shape[1]):
@@ -537,7 +562,7 @@ def _scatter(room, found):
 
 @uncounted(error_model="numpy")
 def _is_seen(rows, weights, lobes, log_mu):
-    """Return whether observations with weight enough lie where a lobe is high."""
+    """Return whether at least two observations with weight lie near the peak of a lobe."""
     constant, seen = lobe_kernels.constants(lobes, log_mu), 0
     for j in range(rows.shape[1]):
         share = lobe_kernels.flank(lobes, constant, rows[F0, j], rows[F1, j], rows[F2, j])[0]
@@ -547,13 +572,13 @@ def _is_seen(rows, weights, lobes, log_mu):
 
 @uncounted(error_model="numpy")
 def is_determined(b, error, log_mu_error, seen):
-    """Return whether the data determines a component."""
+    """Return whether the data determine a component: small errors of β and log μ, and a lobe that is seen."""
     return error < _BETA_ERROR * b and log_mu_error < _MU_ERROR and seen
 
 
 @uncounted(error_model="numpy")
 def _status(t, room, given, row, fits):
-    """Return the status of a texel with two components, and make errors infinite where one is not determined."""
+    """Return the status of a texel with two components; set the errors of undetermined components to infinity."""
     rows, other, problem, second, rules = room.rows, room.other, given.problem, given.second, given.rules
     clipped = clipped_of(t, problem)
     if judge.highlight_clips(rows, problem.lobes, clipped, row[LOG_MU], True):
@@ -584,7 +609,7 @@ def _status(t, room, given, row, fits):
 
 @uncounted(error_model="numpy")
 def _criterion(t, rows, other, lobes, known, evidence):
-    """Return Schwarz's criterion of a texel's fit of one component, with the weights at hand."""
+    """Return Schwarz's criterion of a fit of one component, evaluated with the current weights."""
     a, b, log_mu = known.table[t, judge.ALPHA], known.table[t, judge.BETA], known.table[t, judge.LOG_MU]
     if known.model[t] == judge.DIFFUSE_ALONE or known.model[t] == judge.NOTHING:
         b, log_mu = 0.0, 0.0
@@ -594,14 +619,14 @@ def _criterion(t, rows, other, lobes, known, evidence):
     for j in range(vectors_of(rows)):
         off = a * get(rows, COSINE, j) + b * get(other, LOBE, j) - get(rows, RESPONSE, j)
         squares = squares + get(rows, WEIGHT, j) * off * off
-    unknowns = known.model[t]  # which is their number
+    unknowns = known.model[t]  # the code of the model is its number of unknowns
     used = evidence.used
     return judge.information_criterion(folded(squares, 0.0), used, evidence.floor, unknowns * math.log(used))
 
 
 @uncounted(error_model="numpy")
 def _search(room, given, fixed):
-    """Return the lowest minimum of Φ: log μ_1, log μ_2, α, β_1, β_2 with Φ, and the evaluations."""
+    """Return log μ_1, log μ_2, (α, β_1, β_2, Φ) at the lowest minimum of Φ, and the number of evaluations."""
     nodes = given.problem.nodes
     tabulate(room.rows, room.rows, given.problem.lobes, nodes, room.first, False)
     tabulate(room.rows, room.other, given.second, nodes, room.second, True)
@@ -621,7 +646,7 @@ def _search(room, given, fixed):
 
 @uncounted(error_model="numpy")
 def _fit_texel(t, given, room, out):
-    """Fit a texel with two components and choose between that and one."""
+    """Fit two components to a texel, and choose between two and one."""
     rows, other, problem, rules, one = room.rows, room.other, given.problem, given.rules, given.one
     n = problem.n[t if problem.n.size > 1 else 0]
     geometry = problem.geometry[t if problem.geometry.shape[0] > 1 else 0]
@@ -685,12 +710,12 @@ def _new_room(problem):
 @uncounted(error_model="numpy")
 def _fit_range(given, room, out, first, last):
     for t in range(first, last):
-        if given.one.model[t] > 0:  # neither too few observations nor nothing to be seen
+        if given.one.model[t] > 0:  # enough observations, and visible reflection
             _fit_texel(t, given, room, out)
 
 
 def fit_two(problem: Problem, second, rules: Rules, one: Output, two: Output) -> TwoOutput:
-    """Fit every texel with two components; parameters as in `TwoTask`."""
+    """Fit two components to every texel; parameters as in `TwoTask`."""
     count = len(problem.response)
     out = TwoOutput(
         table=np.full((count, COLUMNS), np.nan),

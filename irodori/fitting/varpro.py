@@ -1,12 +1,13 @@
-"""Variable projection: scan Φ(log μ), then safeguarded Newton in each interval that brackets a minimum.
+"""Variable projection: a scan of Φ(log μ), then safeguarded Newton steps in intervals that bracket a minimum.
 
-Where a lobe is an exponential whose exponent goes with 1 / μ² it is squared from one roughness of the scan to the next,
-smaller by √2: a scan costs one exponential an observation. Value and slope at every node tell which intervals hold a
-minimum, and a cubic through them where; the best is polished, and any other that may come as low. Texels that share
-one geometry share tables of lobes (`irodori.fitting.shared_geometry`), and where their weights agree too, the scan's
-sums but those with the response.
+If a lobe is an exponential with an exponent proportional to 1 / μ², its value at the next roughness of the scan,
+smaller by √2, is its square; a scan then takes one exponential for each observation. From value and slope at the nodes
+follows which intervals contain a minimum, and a cubic through them estimates its place. The best minimum is refined,
+and every other that may be as low. Texels with the same geometry share tables of lobes
+(`irodori.fitting.shared_geometry`), and if their weights agree too, all sums of the scan except those with the
+response.
 
-All but `find_intervals` and `minimise` is for one texel and for eight, see `irodori.fitting.texel_rows`.
+All functions except `find_intervals` and `minimise` work on one texel or on eight, see `irodori.fitting.texel_rows`.
 """
 
 import math
@@ -38,31 +39,31 @@ from irodori.jit.functions import lower_of, magnitude, negated, root, select, up
 from irodori.jit.vector_memory import spread
 from irodori.reflection import lobes as lobe_kernels
 
-NODE_STEP = 0.5 * math.log(2.0)  # of log μ
-RIVAL = 1.05  # an interval whose estimate is below this multiple of the best is polished too
+NODE_STEP = 0.5 * math.log(2.0)  # step of log μ for a factor √2
+RIVAL = 1.05  # intervals with an estimate below this multiple of the best are refined too
 LEAST_LOBE = 1e-74  # keeps squares of squares from becoming denormal numbers, which are slow
-_CONVERGED = 3e-5  # last Newton step of log μ; what is left is of the order of its square
+_CONVERGED = 3e-5  # Newton step of log μ at which the iteration ends; the remaining error is of the order of its square
 _MAX_STEPS = 24
-#: Rows of sums at the nodes of the scan: Σ w c g, Σ w ρ g, Σ w g², their slopes along log μ, Φ, Φ', and for one texel
-#: of the interval below the node the estimated minimum and its place.
+#: Rows of sums at the nodes of the scan: Σ w c g, Σ w ρ g, Σ w g², their slopes along log μ, Φ, Φ', and, for one texel
+#: only, the estimated minimum in the interval below the node, and its place.
 CG, RG, GG, CG1, RG1, GG1, VALUE, DESCENT, ESTIMATE, PLACE = range(10)
 SUMS = 10
 
 
 class Bracket(NamedTuple):
-    """Interval in which Newton's method searches log μ of one texel, or of each of eight.
+    """Interval of log μ in which Newton's method searches for a minimum, for one texel or for eight.
 
     Parameters
     ----------
     start : float or lanes
     low, high : float or lanes
-        Ends between which a minimum lies.
+        Ends of the interval.
     low_slope, high_slope : float or lanes
-        Φ' there; NaN where that is not known.
+        Φ' at the ends; NaN if unknown.
     flat_above : bool or mask
-        Where β is at its bound, Φ is flat: says on which side of the minimum.
+        Whether a place with Φ' = 0 because β is at its bound lies above the minimum.
     wanted : bool or mask
-        Which texels are asked for.
+        Texels to search.
     """
 
     start: float
@@ -84,7 +85,7 @@ def moments(rows, lobes, log_mu):
 
 @uncounted(error_model="numpy")
 def _exponential_moments(rows, lobes, log_mu):
-    """Return the moments of a lobe exp(x), x ∝ 1 / μ², whose derivatives are multiples of it: half the numbers."""
+    """Return the moments of a lobe exp(x), x ∝ 1 / μ²; faster, because its derivatives are multiples of it."""
     constant = lobe_kernels.constants(lobes, log_mu)
     cg, cg1, cg2, rg, rg1 = spread(0.0), spread(0.0), spread(0.0), spread(0.0), spread(0.0)
     rg2, gg, gg1, gg2 = spread(0.0), spread(0.0), spread(0.0), spread(0.0)
@@ -149,7 +150,7 @@ def _put_node(sums, i, found, zero):
 
 @uncounted(error_model="numpy")
 def _sum_squared_node(steepness, rows, sums, i, zero):
-    """Fill the sums of node i and square the lobe; the slope of its logarithm along log μ is ``steepness`` times f0."""
+    """Fill the sums of node i, and square the lobe; its logarithm has the slope ``steepness`` f0 along log μ."""
     cg, rg, gg, cg1, rg1, gg1 = spread(0.0), spread(0.0), spread(0.0), spread(0.0), spread(0.0), spread(0.0)
     for j in range(vectors_of(rows)):
         lobe = get(rows, LOBE, j)
@@ -166,7 +167,7 @@ def _sum_squared_node(steepness, rows, sums, i, zero):
 
 @uncounted(error_model="numpy")
 def _sum_node(lobes, log_mu, rows, sums, i, zero):
-    """Fill the sums of node i of any lobe."""
+    """Fill the sums of node i for any lobe."""
     constant = lobe_kernels.constants(lobes, log_mu)
     cg, rg, gg, cg1, rg1, gg1 = spread(0.0), spread(0.0), spread(0.0), spread(0.0), spread(0.0), spread(0.0)
     for j in range(vectors_of(rows)):
@@ -181,15 +182,16 @@ def _sum_node(lobes, log_mu, rows, sums, i, zero):
 
 @uncounted(error_model="numpy")
 def scan(rows, problem, sums, zero):
-    """Fill the sums of all nodes.
+    """Fill the sums at all nodes of the scan.
 
     Parameters
     ----------
     rows : (ROWS, P) float64
     problem : irodori.fitting.texels.Problem
-        Its nodes, log μ, fall by `NODE_STEP` / ``chains``, but for the last, the smallest.
+        Its nodes, log μ, decrease in steps of `NODE_STEP` / ``chains``; the last step may be smaller.
     sums : (SUMS, nodes) float64, or for eight texels (SUMS, 8 nodes)
     zero : float or lanes
+        0 of the type that selects one texel or eight.
     """
     lobes, count = problem.lobes, problem.nodes.size
     if lobe_kernels.squares_at_half_octave(lobes):
@@ -208,7 +210,7 @@ def scan(rows, problem, sums, zero):
 
 @uncounted(error_model="numpy")
 def value_nodes(fixed, sums, nodes, box, zero):
-    """Fill Φ and Φ' of all nodes; return the least and its node."""
+    """Fill Φ and Φ' at all nodes; return the smallest Φ and the index of its node."""
     least, top = zero + np.inf, zero
     for i in range(nodes):
         cg, rg, gg = item(sums, CG, i, zero), item(sums, RG, i, zero), item(sums, GG, i, zero)
@@ -223,7 +225,7 @@ def value_nodes(fixed, sums, nodes, box, zero):
 
 @njit(cache=True, error_model="numpy", forceinline=True)
 def _cubic_minimum(width, f0, f1, d0, d1):
-    """Return where in an interval, from 0 to its width, the cubic through values and slopes is least, and its value."""
+    """Return place (0 to ``width``) and value of the minimum of the cubic with given values and slopes at the ends."""
     u = d0 + d1 - 3.0 * (f1 - f0) / width
     half = root(upper_of(u * u - d0 * d1, 0.0))
     bottom = d1 - d0 + 2.0 * half
@@ -236,17 +238,25 @@ def _cubic_minimum(width, f0, f1, d0, d1):
 
 @njit(cache=True, error_model="numpy", forceinline=True)
 def interval_minimum(width, f0, f1, d0, d1):
-    """Return the estimated minimum within an interval and its place from the lower end; infinite where it holds none.
+    """Estimate the minimum of Φ within an interval.
 
     Parameters
     ----------
     width : float
+        Width of the interval in log μ.
     f0, f1, d0, d1 : float or lanes
-        Φ at the ends, the smaller μ first, and Φ'.
+        Φ at the ends, the smaller μ first, and Φ' there.
+
+    Returns
+    -------
+    value : float or lanes
+        Estimated minimum; infinite if there is none.
+    offset : float or lanes
+        Its distance from the lower end.
     """
-    # A slope of 0 is where the best β is at its bound.
+    # The slope is 0 where the best β is at its bound.
     sure = (d0 <= 0.0) & (d1 >= 0.0) & (d0 < d1)
-    # Slopes of one sign may enclose one all the same. All times the width: a division in every interval is costly.
+    # An interval with slopes of one sign may contain a minimum, too. Multiplied by the width to avoid slow divisions.
     both, u = d0 * d1 * (width * width), (d0 + d1) * width - 3.0 * (f1 - f0)
     holds = sure | ((both > 0.0) & (u * d0 > 0.0) & (u * u > both))
     if not any_of(holds):
@@ -258,13 +268,13 @@ def interval_minimum(width, f0, f1, d0, d1):
 
 @uncounted(error_model="numpy")
 def find_intervals(nodes, sums, best):
-    """Fill the estimated minimum of every interval of one texel, infinite where it holds none."""
+    """Fill the estimated minimum of every interval of one texel, and its place; infinite if there is none."""
     value, slope, estimate, place = sums[VALUE], sums[DESCENT], sums[ESTIMATE], sums[PLACE]
     for i in range(nodes.size - 1):
         width = nodes[i] - nodes[i + 1]  # node i + 1 has the smaller μ
         estimate[i], offset = interval_minimum(width, value[i + 1], value[i], slope[i + 1], slope[i])
         place[i] = nodes[i + 1] + offset
-    # The interval to which Φ falls from the best node: its far end is higher, so it holds a minimum.
+    # Φ decreases from the best node into this interval and is higher at its other end, so it contains a minimum.
     if slope[best] > 0.0 and best + 1 < nodes.size and estimate[best] == np.inf:
         estimate[best] = value[best]
         place[best] = 0.8 * nodes[best] + 0.2 * nodes[best + 1]
@@ -275,9 +285,9 @@ def find_intervals(nodes, sums, best):
 
 @njit(cache=True, error_model="numpy", forceinline=True)
 def _through_ends(slope, curvature, low, high, slopes):
-    """Return where the cubic through Φ' and Φ'' at 0 and through Φ' at both ends of the bracket is 0.
+    """Return the zero of the cubic with the values Φ' and Φ'' at 0, and Φ' at both ends of the bracket.
 
-    What Newton's first step would leave to the second.
+    It is more accurate than Newton's first step, and saves the second.
     """
     above = (slopes[1] - slope - curvature * high) / (high * high)
     below = (slopes[0] - slope - curvature * low) / (low * low)
@@ -293,14 +303,21 @@ def _through_ends(slope, curvature, low, high, slopes):
 
 @uncounted(error_model="numpy")
 def newton(rows, lobes, fixed, box, bracket, most):
-    """Return the `Minimum` in a `Bracket`, its evaluations as float or lanes, and where it converged.
+    """Find the minimum of Φ in a bracket by safeguarded Newton steps.
 
     Parameters
     ----------
     rows, lobes, fixed, box
+        Rows of observations, lobe, sums without lobe, and bounds, see `irodori.fitting.closed_form`.
     bracket : Bracket
     most : int
-        Evaluations, at most.
+        Largest number of evaluations.
+
+    Returns
+    -------
+    found : Minimum
+        With evaluations as float or lanes.
+    converged : bool or mask
     """
     zero, low, high = 0.0 * bracket.start, bracket.low, bracket.high
     t, a, b, steps, active = bracket.start, zero, zero, zero, bracket.wanted
@@ -328,14 +345,14 @@ def newton(rows, lobes, fixed, box, bracket, most):
 
 @uncounted(error_model="numpy")
 def pair_at(rows, lobes, fixed, box, log_mu):
-    """Return the best α and β at one log μ, and the sum of squares."""
+    """Return the best α and β at one log μ, and their sum of squares."""
     m = moments(rows, lobes, log_mu)
     return best_pair(fixed, m[0], m[3], m[6], box)
 
 
 @uncounted(error_model="numpy")
 def minimise(rows, lobes, fixed, box, nodes, sums):
-    """Return the lowest `Minimum` of one texel; the scan has been made."""
+    """Return the lowest `Minimum` of one texel from the sums of a finished scan."""
     best, found = value_nodes(fixed, sums, nodes.size, box, 0.0)
     top = int(found)
     find_intervals(nodes, sums, top)
@@ -350,7 +367,7 @@ def minimise(rows, lobes, fixed, box, nodes, sums):
         if not sums[ESTIMATE, i] <= RIVAL * best:
             break
         low_slope, high_slope = sums[DESCENT, i + 1], sums[DESCENT, i]
-        # Where slopes of both signs enclose it the minimum is lower than both nodes; any other has to be compared.
+        # If the slopes at the ends have opposite signs, the minimum is below both nodes; otherwise compare.
         sure = low_slope <= 0.0 <= high_slope and (i == top or i + 1 == top)
         enclosed = low_slope < 0.0 < high_slope
         slopes = (low_slope, high_slope) if enclosed else (np.nan, np.nan)

@@ -1,8 +1,8 @@
 """Variable projection of eight texels at once, for the ordinary case.
 
-A texel takes this way where one interval of the scan certainly holds the lowest minimum, no other comes near, and the
-data calls for both diffuse light and gloss, and allows them. Every formula is that of one texel
-(`irodori.fitting.texels`); where a lane meets anything else it is handed back, to be fitted alone.
+A texel is ordinary if one interval of the scan certainly contains the lowest minimum, no other is nearly as low, and
+the data need, and are compatible with, both diffuse reflection and gloss. The formulas are those for one texel
+(`irodori.fitting.texels`). Texels that turn out not to be ordinary are left to be fitted singly.
 """
 
 from typing import NamedTuple
@@ -29,9 +29,9 @@ from irodori.jit.functions import log, lower_of, negated, select, upper_of
 from irodori.jit.vector_memory import aligned, mask_bits, spread, store
 from irodori.jit.vectors import LANES
 
-NOISY = 0.01  # relative variance of an observation times their number, from which on weights are of the fitted response
-SURE = 4.0  # standard errors of α from zero, from which on a model without diffuse light is not tried
-_MAX_STEPS = 12  # of Newton; a texel that takes more is fitted alone
+NOISY = 0.01  # relative variance times number of observations above which weights come from the fitted response
+SURE = 4.0  # α in standard errors above which a model without diffuse reflection is not tried
+_MAX_STEPS = 12  # Newton steps after which a texel is left to be fitted singly
 
 
 class Eight(NamedTuple):
@@ -44,7 +44,7 @@ class Eight(NamedTuple):
 
 @njit(cache=True)
 def new_eight(captures, nodes):
-    """Return buffers for so many photographs and nodes of the scan."""
+    """Allocate the buffers for a number of photographs and of nodes of the scan."""
     width = (nodes + GROUP - 1) // GROUP * GROUP * LANES
     sums = aligned(SUMS * width).reshape((SUMS, width))
     return Eight(new_rows_of_eight(captures), sums, np.zeros((judge.COLUMNS + 2, LANES)))
@@ -52,7 +52,7 @@ def new_eight(captures, nodes):
 
 @uncounted(error_model="numpy")
 def _best_interval(problem, sums, least, top, wanted):
-    """Return the `Bracket` of the lowest minimum, in which only lanes that have no other are wanted."""
+    """Return the `Bracket` of the lowest minimum; only lanes without a second candidate are wanted."""
     zero = spread(0.0)
     best, rival = zero + np.inf, zero + np.inf
     place, low, high, ordinary, low_slope, high_slope = zero, zero, zero, zero, zero, zero
@@ -76,7 +76,7 @@ def _best_interval(problem, sums, least, top, wanted):
 
 @uncounted(error_model="numpy")
 def _minimise(problem, shared, rules, rows, sums, ordinary):
-    """Return the fixed sums, the `Minimum`, and which lanes stayed ordinary."""
+    """Return the sums without lobe, the `Minimum`, and the mask of lanes that are still ordinary."""
     box, zero = box_of(rules), spread(0.0)
     fixed = weigh(rows, zero)
     if shared.nodes.shape[1] == 0:
@@ -91,7 +91,7 @@ def _minimise(problem, shared, rules, rows, sums, ordinary):
 
 @uncounted(error_model="numpy")
 def _judge(rows, lobes, evidence, found, rules, results):
-    """Fill the results of lanes that call for diffuse light and gloss; return which they are."""
+    """Fill the results of all lanes; return the mask of lanes that need, and are compatible with, both terms."""
     (used, floor, fixed), (a, b, log_mu, steps) = evidence, found
     squares, chi2, sums, middle, seen = judge.sums_at_minimum(rows, lobes, found, rules, rules.known)
     normal = judge.correlations(sums)
@@ -130,14 +130,19 @@ def _judge(rows, lobes, evidence, found, rules, results):
 
 @uncounted(error_model="numpy")
 def fit_eight(problem, shared, rules, first, last, eight):
-    """Fit texels ``first`` .. ``first + 7``, those before ``last``; return a bit for each that is done.
+    """Fit the eight texels from ``first`` on, as far as they are before ``last``.
 
     Parameters
     ----------
     problem, shared, rules
-        As in `irodori.fitting.texels`; the rows of a shared geometry are filled already.
+        As in `irodori.fitting.texels`; the rows of a shared geometry must be filled already.
     eight : Eight
-        Its results are filled.
+        Buffers; the results are filled.
+
+    Returns
+    -------
+    int
+        A bit for each texel, set if it is done.
     """
     captures, rows, sums = problem.response.shape[1], eight.rows, eight.sums
     if shared.nodes.shape[1] == 0:
@@ -161,7 +166,7 @@ def fit_eight(problem, shared, rules, first, last, eight):
 
 @uncounted()
 def _unclipped(problem, first, last):
-    """Return a bit for each texel of which no observation clips."""
+    """Return a bit for each texel, set if none of its observations is clipped."""
     found = (1 << min(LANES, last - first)) - 1
     for i in range(min(LANES, last - first)):
         t = first + i if problem.clipped.shape[0] > 1 else 0
@@ -173,7 +178,7 @@ def _unclipped(problem, first, last):
 
 @uncounted()
 def write_eight(results, done, first, out):
-    """Store the results of the lanes that are ``done`` as those of the texels from ``first`` on."""
+    """Store the results of lanes with their bit in ``done`` set in the output, for the texels from ``first`` on."""
     for i in range(LANES):
         if done >> i & 1:
             for column in range(judge.COLUMNS):

@@ -1,1 +1,1 @@
-"""Frames, cameras, shapes and ray tracing. Lengths are in mm."""
+"""Coordinate frames, cameras, shapes and ray tracing. Lengths are in mm."""

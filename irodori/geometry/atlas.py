@@ -1,7 +1,8 @@
-"""Texel centres of a mesh's UV atlas, mapped to triangles and points.
+"""Mapping of texel centres in the UV atlas of a mesh to triangles and points of the surface.
 
-Edges are decided by the same numbers from either side, and a centre exactly on an edge goes to the triangle for which
-it is a top or a left edge, so that each centre inside a chart belongs to one triangle.
+Both triangles at an edge compute on which side of it a texel centre lies from the same numbers, and a centre exactly on
+the edge belongs to the triangle that has it as a top or left edge. So each centre inside a chart belongs to exactly one
+triangle.
 """
 
 import math
@@ -14,34 +15,34 @@ from irodori.geometry.mesh import Mesh
 from irodori.jit.compilation import njit
 
 NO_FACE = -1
-#: Neighbours whose common edge was rounded apart may both own a centre this near to it, texels; they do not overlap.
+#: Distance from a common edge, in texels, within which two neighbours may both own a centre because of rounding.
 _ROUNDING = 1e-6
 
 
 class Texels(NamedTuple):
-    """Points under the texel centres of some rows.
+    """Points of the surface at the texel centres of some rows of a texture.
 
-    ``normal`` is that of shading and ``facet`` that of the surface itself; they differ on a mesh alone.
+    ``normal`` is the shading normal and ``facet`` the geometric normal; they differ only on meshes.
     """
 
-    position: np.ndarray  # (height, width, 3) float64, object frame, mm; NaN where no surface lies under the centre
-    normal: np.ndarray  # (height, width, 3) float64, unit; NaN likewise
-    facet: np.ndarray  # (height, width, 3) float64, unit; NaN likewise
-    covered: np.ndarray  # (height, width) bool, where a surface lies under the centre; elsewhere is no texel
+    position: np.ndarray  # (height, width, 3) float64, object frame, mm; NaN where there is no surface
+    normal: np.ndarray  # (height, width, 3) float64, unit vectors; NaN likewise
+    facet: np.ndarray  # (height, width, 3) float64, unit vectors; NaN likewise
+    covered: np.ndarray  # (height, width) bool, whether the texel lies on the surface
 
 
 class _Triangles(NamedTuple):
-    """A mesh for compiled loops, see `irodori.geometry.mesh.Mesh`."""
+    """Arrays of a mesh for compiled loops, see `irodori.geometry.mesh.Mesh`."""
 
     vertices: np.ndarray  # (v, 3) mm
     faces: np.ndarray  # (n, 3)
-    normals: np.ndarray  # (n, 3, 3) at the corners
-    facets: np.ndarray  # (n, 3)
+    normals: np.ndarray  # (n, 3, 3), shading normals at the corners
+    facets: np.ndarray  # (n, 3), geometric normals
 
 
 @njit(cache=True, forceinline=True, error_model="numpy")
 def _edge(ax, ay, bx, by, x, y):
-    """Return twice the signed area of a, b, p: the same number with the other sign from b to a."""
+    """Return twice the signed area of the triangle a, b, (x, y); exchanging a and b changes exactly the sign."""
     if ax < bx or (ax == bx and ay < by):
         return (bx - ax) * (y - ay) - (by - ay) * (x - ax)
     return -((ax - bx) * (y - by) - (ay - by) * (x - bx))
@@ -49,7 +50,7 @@ def _edge(ax, ay, bx, by, x, y):
 
 @njit(cache=True, forceinline=True, error_model="numpy")
 def _holds(xy, face, x, y):
-    """Return whether a triangle owns a point, and how far inside its nearest edge the point lies, texels."""
+    """Return whether a triangle owns a point, and the signed distance of the point inside its nearest edge, texels."""
     ax, ay, bx, by = xy[face, 0, 0], xy[face, 0, 1], xy[face, 1, 0], xy[face, 1, 1]
     cx, cy = xy[face, 2, 0], xy[face, 2, 1]
     turn = 1.0 if _edge(ax, ay, bx, by, cx, cy) > 0.0 else -1.0
@@ -70,10 +71,10 @@ def _holds(xy, face, x, y):
 
 @njit(cache=True, error_model="numpy")
 def _overlap(xy, face, other, depth, x, y):
-    """Whether two triangles that both own a point cover each other there."""
+    """Return whether two triangles that both own a point overlap there."""
     if depth > _ROUNDING or _holds(xy, other, x, y)[1] > _ROUNDING:
         return True
-    # On an edge of both: neighbours part on the way to the centre of one, copies do not.
+    # On an edge of both: a point moved towards the centre of one leaves a neighbour, but not an overlapping triangle.
     cx = (xy[face, 0, 0] + xy[face, 1, 0] + xy[face, 2, 0]) / 3.0
     cy = (xy[face, 0, 1] + xy[face, 1, 1] + xy[face, 2, 1]) / 3.0
     return _holds(xy, other, x + 1e-2 * (cx - x), y + 1e-2 * (cy - y))[1] > 0.0
@@ -81,7 +82,10 @@ def _overlap(xy, face, other, depth, x, y):
 
 @njit(cache=True, error_model="numpy")
 def _rasterise(xy, face_of, overlaps):
-    """Fill the triangle of each texel centre and mark those that two triangles hold; xy counts texels from centre 0."""
+    """Fill the triangle at each texel centre, and mark centres where two triangles overlap.
+
+    ``xy`` has the corners of the triangles in texels, with integers at texel centres.
+    """
     height, width = face_of.shape
     for face in range(xy.shape[0]):
         if _edge(xy[face, 0, 0], xy[face, 0, 1], xy[face, 1, 0], xy[face, 1, 1], xy[face, 2, 0], xy[face, 2, 1]) == 0.0:
@@ -137,12 +141,12 @@ def _in_texels(mesh: Mesh, width: int, height: int) -> np.ndarray:
 
 
 def rasterise(mesh: Mesh, width: int, height: int, file="mesh") -> np.ndarray:
-    """Return the triangle under each texel centre, (height, width) int32; `NO_FACE` outside the charts.
+    """Return the index of the triangle at each texel centre, (height, width) int32; `NO_FACE` outside the charts.
 
     Raises
     ------
     InputError
-        If charts overlap, with the number of texels concerned, or no texel centre lies in a chart.
+        If charts overlap (the message states in how many texels), or no texel centre lies in a chart.
     """
     face_of = np.full((height, width), NO_FACE, dtype=np.int32)
     overlaps = np.zeros((height, width), dtype=np.uint8)
@@ -157,7 +161,7 @@ def rasterise(mesh: Mesh, width: int, height: int, file="mesh") -> np.ndarray:
 
 
 def mesh_texels(mesh: Mesh, face_of: np.ndarray, rows: tuple[int, int] | None = None) -> Texels:
-    """Return what lies under the texel centres of some rows.
+    """Compute positions and normals of the surface at the texel centres of some rows.
 
     Parameters
     ----------
@@ -165,7 +169,7 @@ def mesh_texels(mesh: Mesh, face_of: np.ndarray, rows: tuple[int, int] | None = 
     face_of : (height, width) int32
         From `rasterise`, all rows.
     rows : (int, int), optional
-        First and last-plus-one row; all where absent.
+        First row, and one after the last; all rows by default.
     """
     height, width = face_of.shape
     first, last = rows or (0, height)

@@ -1,12 +1,12 @@
 """Lens distortion in OpenCV's model, and its inverse.
 
-A point x, y of the plane at unit distance is seen at
+A point (x, y) of the plane at unit distance from the camera is imaged at
 
     x'' = x R + 2 p1 x y + p2 (r² + 2 x²)        R = (1 + k1 r² + k2 r⁴ + k3 r⁶) / (1 + k4 r² + k5 r⁴ + k6 r⁶)
     y'' = y R + p1 (r² + 2 y²) + 2 p2 x y
 
-Far from the axis the polynomial comes back on itself: two points are seen in one place. There the model does not hold
-any more, and neither direction gives an answer.
+Far from the axis the polynomial folds back, so that two points have the same image. The model is not valid there, and
+both functions return NaN.
 """
 
 import math
@@ -22,26 +22,27 @@ if TYPE_CHECKING:
 
 COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 _STEPS = 60
-_TOLERANCE = 1e-13  # of coordinates at unit distance; a pixel is some 1e-4
+_TOLERANCE = 1e-13  # error of coordinates at unit distance, where a pixel is about 1e-4 wide
 
 
 def coefficients_of(definition: "Distortion | None") -> np.ndarray:
-    """Return a configuration's `distortion` block in the order of COEFFICIENTS, (8,) float64; zeros for none."""
+    """Return the values of a configuration's ``distortion`` in the order of `COEFFICIENTS`, (8,); zeros for None."""
     return np.array([getattr(definition, name, 0.0) for name in COEFFICIENTS], dtype=np.float64)
 
 
 def fold_radius(coefficients) -> float:
-    """Return the largest distance from the axis up to which the radial part grows; infinite where it always does.
+    """Return the distance from the axis, at unit depth, at which the radial distortion stops increasing, or infinity.
 
     Parameters
     ----------
     coefficients : (8,) float
+        In the order of `COEFFICIENTS`.
     """
     k1, k2, _p1, _p2, k3, k4, k5, k6 = (float(c) for c in coefficients)
     above, below = np.poly1d([k3, k2, k1, 1.0]), np.poly1d([k6, k5, k4, 1.0])  # in s = r²
     # d(r R)/dr = (N D + 2 s (N' D - N D')) / D².
     slope = above * below + 2 * np.poly1d([1.0, 0.0]) * (above.deriv() * below - above * below.deriv())
-    # Roots in 1/s: both polynomials are 1 at s = 0, so that none is divided by a coefficient next to nothing.
+    # Roots in 1/s: both polynomials are 1 at s = 0, so there is no division by a tiny leading coefficient.
     inverse = np.concatenate([np.roots(polynomial.coeffs[::-1]) for polynomial in (slope, below)])
     real = inverse.real[np.abs(inverse.imag) <= 1e-9 * np.abs(inverse)] if inverse.size else inverse.real
     nearest = real.max(initial=0.0)
@@ -70,7 +71,7 @@ def _forward(c, x, y):
 
 @njit(cache=True, error_model="numpy")
 def distort(coefficients, fold, x, y):
-    """Return where a point at unit distance is seen; NaN where the map folds.
+    """Return the distorted image of a point at unit distance; NaN where the map folds.
 
     Parameters
     ----------
@@ -78,7 +79,7 @@ def distort(coefficients, fold, x, y):
     fold : float
         `fold_radius` of the coefficients.
     x, y : float
-        The point over its depth.
+        Coordinates of the point divided by its depth.
     """
     if not x * x + y * y < fold * fold:
         return math.nan, math.nan
@@ -90,10 +91,10 @@ def distort(coefficients, fold, x, y):
 
 @njit(cache=True, error_model="numpy")
 def undistort(coefficients, fold, u, v):
-    """Return the point at unit distance that is seen at u, v; NaN where the map folds.
+    """Return the point at unit distance with the distorted image u, v; NaN where the map folds.
 
-    Newton's method from the axis outward; a step that would not bring the picture nearer, or leaves the part where
-    the map is one to one, is halved.
+    Newton's method, starting on the axis. Steps that do not reduce the error, or leave the region in which the map is
+    one-to-one, are halved.
     """
     x, y = 0.0, 0.0
     fu, fv, xx, xy, yx, yy = _forward(coefficients, x, y)
@@ -116,7 +117,7 @@ def undistort(coefficients, fold, u, v):
             step *= 0.5
         if not moved:
             break
-    # What rounding leaves of the last step; 1e-10 at unit distance is a millionth of a pixel.
+    # Accept errors from rounding: 1e-10 at unit distance is a millionth of a pixel.
     if error <= 1e-12 * max(1.0, math.hypot(u, v)):
         return x, y
     return math.nan, math.nan
@@ -124,13 +125,13 @@ def undistort(coefficients, fold, u, v):
 
 @njit(cache=True, parallel=True, nogil=True)
 def distort_all(coefficients, fold, points, out):
-    """Fill (n, 2) by `distort`."""
+    """Fill ``out``, (n, 2), with the results of `distort` for all points, (n, 2)."""
     for i in numba.prange(points.shape[0]):
         out[i, 0], out[i, 1] = distort(coefficients, fold, points[i, 0], points[i, 1])
 
 
 @njit(cache=True, parallel=True, nogil=True)
 def undistort_all(coefficients, fold, points, out):
-    """Fill (n, 2) by `undistort`."""
+    """Fill ``out``, (n, 2), with the results of `undistort` for all points, (n, 2)."""
     for i in numba.prange(points.shape[0]):
         out[i, 0], out[i, 1] = undistort(coefficients, fold, points[i, 0], points[i, 1])

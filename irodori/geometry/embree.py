@@ -1,8 +1,8 @@
-"""Embree through the C interface of the library that embreex ships.
+"""Ray tracing with Embree, through the C interface of the library that the package embreex contains.
 
-embreex binds triangle meshes only; its Embree has exact spheres too, and compiled loops can call it without
-returning to Python. The addresses of Embree's functions are passed to the kernels as integers, so that numba can
-cache the compiled code between processes.
+embreex itself supports triangle meshes only. The C interface also has exact spheres, and compiled loops can call it
+without returning to Python. The addresses of Embree's functions are passed to the compiled functions as integers, so
+that numba can cache these between processes.
 """
 
 import ctypes
@@ -30,7 +30,7 @@ _HIGH_QUALITY = 2
 
 NO_HIT = -1
 # RTCRayHit as 32-bit words: origin 0-2, tnear 3, direction 4-6, time 7, tfar 8, mask 9, id 10, flags 11,
-# Ng 12-14, u 15, v 16, primID 17, geomID 18, instID 19. Twice the room, to align it by hand.
+# Ng 12-14, u 15, v 16, primID 17, geomID 18, instID 19. Twice the size, so that an aligned part can be used.
 _WORDS = 64
 _CHUNK = 4096  # rays that a thread takes at a time
 
@@ -87,9 +87,9 @@ def _address(name: str) -> int:
 
 
 class Ray(NamedTuple):
-    """A ray and its hit as Embree lays them out, for compiled loops; one a thread.
+    """Memory of a ray and its hit in Embree's layout, for compiled loops; each thread has its own.
 
-    ``f`` and ``i`` are two views of the same words, which begin at index ``at``.
+    ``f`` and ``i`` are a float and an integer view of the same words, which begin at index ``at``.
     """
 
     f: np.ndarray
@@ -115,7 +115,7 @@ class _Hits(NamedTuple):
 
 @njit(cache=True)
 def new_ray():
-    """Return a ray whose words are aligned to 64 bytes."""
+    """Allocate a ray with its words aligned to 64 bytes."""
     f = np.empty(_WORDS, np.float32)
     skip = (64 - f.ctypes.data % 64) % 64
     return Ray(f, f.view(np.int32), np.uintp(f.ctypes.data + skip), skip // 4)
@@ -123,7 +123,18 @@ def new_ray():
 
 @njit(cache=True, inline="always")
 def trace(function, scene, ray, origin, direction, far):
-    """Call rtcIntersect1 or rtcOccluded1; `hit_shape`, `hit_distance` and `is_blocked` read the answer."""
+    """Trace a ray by rtcIntersect1 or rtcOccluded1; `hit_shape`, `hit_distance` and `is_blocked` read the result.
+
+    Parameters
+    ----------
+    function, scene : int
+        Address of the function, and Embree's scene, from `Tracer`.
+    ray : Ray
+    origin, direction : (3,) float
+        In the world, mm; and a unit vector.
+    far : float
+        Largest distance, mm.
+    """
     f, i, at = ray.f, ray.i, ray.at
     f[at], f[at + 1], f[at + 2], f[at + 3] = origin[0], origin[1], origin[2], 0.0
     f[at + 4], f[at + 5], f[at + 6], f[at + 7] = direction[0], direction[1], direction[2], 0.0
@@ -141,7 +152,7 @@ def hit_shape(ray):
 
 @njit(cache=True, inline="always")
 def hit_distance(ray):
-    """Return the distance of the hit, mm; infinite where nothing was hit."""
+    """Return the distance of the hit, mm; infinite if nothing was hit."""
     return ray.f[ray.at + 8]
 
 
@@ -153,13 +164,13 @@ def hit_primitive(ray):
 
 @njit(cache=True, inline="always")
 def hit_barycentric(ray):
-    """Return the weights of a hit triangle's second and third corner."""
+    """Return the barycentric weights of the second and third corner of the triangle that was hit."""
     return ray.f[ray.at + 15], ray.f[ray.at + 16]
 
 
 @njit(cache=True, inline="always")
 def is_blocked(ray):
-    """Return whether rtcOccluded1 found anything on the ray."""
+    """Return whether rtcOccluded1 found an obstacle on the ray."""
     return ray.f[ray.at + 8] < 0.0
 
 
@@ -182,43 +193,51 @@ def _occluded(function, scene, segments, out, first, last):
 
 
 class Primitive(NamedTuple):
-    """Geometry as Embree takes it: its type and its buffers, each with type, format, items and their dtype."""
+    """Geometry for Embree: its type, and its buffers, each with buffer type, format, items and their dtype."""
 
     kind: int
     buffers: tuple[tuple[int, int, np.ndarray, str], ...]
 
 
 def triangles(vertices_mm: np.ndarray, faces: np.ndarray) -> Primitive:
-    """Return triangles, (n, 3) corners of (m, 3) vertices in the world, counter-clockwise seen from their front."""
+    """Return the geometry of triangles.
+
+    Parameters
+    ----------
+    vertices_mm : (m, 3) float
+        In the world.
+    faces : (n, 3) int
+        Indices of corners, counter-clockwise seen from the front.
+    """
     vertices = (_VERTEX_BUFFER, _FLOAT3, vertices_mm, "f4")
     return Primitive(_TRIANGLE, (vertices, (_INDEX_BUFFER, _UINT3, faces, "u4")))
 
 
 def sphere_point(centre_mm: np.ndarray, radius_mm: float) -> Primitive:
-    """Return a sphere in the world."""
+    """Return the geometry of a sphere; the centre, (3,), is in the world."""
     return Primitive(_SPHERE_POINT, ((_VERTEX_BUFFER, _FLOAT4, np.append(centre_mm, radius_mm)[None], "f4"),))
 
 
 def oriented_disc(centre_mm: np.ndarray, normal: np.ndarray, radius_mm: float) -> Primitive:
-    """Return a disc in the world."""
+    """Return the geometry of a disc; the centre, (3,), and the unit normal, (3,), are in the world."""
     centre = (_VERTEX_BUFFER, _FLOAT4, np.append(centre_mm, radius_mm)[None], "f4")
     return Primitive(_ORIENTED_DISC_POINT, (centre, (_NORMAL_BUFFER, _FLOAT3, normal[None], "f4")))
 
 
 class Tracer:
-    """Ray tracer over placed shapes, by Embree.
+    """Ray tracer for placed shapes, using Embree.
 
     Parameters
     ----------
     placements : sequence of Placement
-        Shape i gets the identifier i, and is what `Shape.primitive` says.
+        Shape i has the identifier i; its geometry comes from `Shape.primitive`.
 
     Attributes
     ----------
     scene, intersect_address, occluded_address : int
-        For compiled loops that call `trace` themselves.
+        Arguments of `trace`, for compiled loops.
     intersect16_address, occluded16_address : int
-        For those that lay out packets of sixteen rays.
+        Addresses of the functions for packets of sixteen rays.
     """
 
     def __init__(self, placements: "Sequence[Placement]") -> None:
@@ -249,7 +268,7 @@ class Tracer:
         self._library.rtcReleaseGeometry(geometry)
 
     def _share(self, geometry, buffer_type, buffer_format, items, dtype) -> None:
-        # Embree reads 16 bytes from every vertex, so the buffer has one item to spare.
+        # Embree reads 16 bytes at every vertex, so the buffer has one item more.
         array = np.zeros((len(items) + 1, items.shape[1]), dtype=dtype)
         array[:-1] = items
         self._buffers.append(array)
@@ -263,17 +282,20 @@ class Tracer:
             self.scene = None
 
     def intersect(self, origins, directions) -> tuple[np.ndarray, np.ndarray]:
-        """Return the nearest hit of each ray.
+        """Find the nearest hit of each ray.
 
         Parameters
         ----------
-        origins, directions : (n, 3) float, mm and unit vectors
+        origins, directions : (n, 3) float
+            In mm, and unit vectors.
 
         Returns
         -------
-        distance : (n,) float64, mm; infinite where nothing is hit. The single-precision hit is polished in double
-            precision on the sphere or on the plane of the triangle.
-        shape : (n,) int32, identifier of the shape, `NO_HIT` where nothing is hit
+        distance : (n,) float64
+            In mm; infinite where nothing is hit. Embree's single-precision distances are refined in double precision,
+            see `polish`.
+        shape : (n,) int32
+            Identifier of the shape; `NO_HIT` where nothing is hit.
         """
         origins = np.ascontiguousarray(origins, dtype=np.float64)
         directions = np.ascontiguousarray(directions, dtype=np.float64)
@@ -291,8 +313,11 @@ class Tracer:
         return distance, shape
 
     def occluded(self, origins, directions, far=np.inf) -> np.ndarray:
-        """Return whether anything stands on each ray up to ``far`` (mm), (n,) bool."""
-        # Arrays that cannot be written would compile a loop of their own.
+        """Return whether each ray meets an obstacle before the distance ``far`` (mm), (n,) bool.
+
+        ``origins`` (mm) and ``directions`` (unit vectors) are (n, 3).
+        """
+        # Writeable arrays only: for read-only ones the loop would be compiled again.
         origins = np.require(origins, np.float64, ("C", "W"))
         directions = np.require(directions, np.float64, ("C", "W"))
         out = np.empty(len(origins), dtype=np.bool_)
@@ -303,10 +328,10 @@ class Tracer:
 
 
 def polish(placement: "Placement", origins, directions, distance, triangle=None) -> np.ndarray:
-    """Return hit distances recomputed in double precision on the shape's own equation, (n,) mm.
+    """Recompute hit distances in double precision from the equation of the shape, (n,) mm.
 
-    The root nearest to the traced distance is kept, so that a ray that starts inside a sphere keeps its exit. Of
-    a mesh, ``triangle`` (n,) says which triangle was hit.
+    Of several solutions, the one nearest to the traced distance is returned, also for a ray that starts inside a
+    sphere. For a mesh, ``triangle``, (n,), has the indices of the triangles that were hit.
     """
     local_o = (origins - placement.translation_mm) @ placement.rotation / placement.scale
     local_d = directions @ placement.rotation / placement.scale

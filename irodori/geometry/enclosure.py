@@ -1,22 +1,21 @@
-"""Test of a point against a placed shape: balls, and meshes without a gap, enclose it or not."""
+"""Test whether a point lies inside a placed shape: a ball or a closed mesh."""
 
 import numpy as np
 
 from irodori.geometry.shapes.placement import Placement
 
-#: A closed mesh winds a whole number of times about a point; one with a gap of more than this part of the sphere does
-#: not.
+#: Largest deviation of a winding number from an integer for a closed mesh: a gap covers a larger share of the sphere.
 _CLOSED = 1e-3
 
 
 def encloses(thing: Placement, point_mm: np.ndarray) -> bool:
-    """Return whether a point lies inside a ball, or inside a mesh that is closed; nothing else has an inside.
+    """Return whether a point lies inside a ball or a closed mesh; False for other shapes, which have no inside.
 
     Parameters
     ----------
     thing : Placement
     point_mm : (3,) float
-        In the world.
+        Point in the world.
     """
     local = (np.asarray(point_mm, dtype=np.float64) - thing.translation_mm) @ thing.rotation / thing.scale
     shape = thing.shape
@@ -29,7 +28,7 @@ def encloses(thing: Placement, point_mm: np.ndarray) -> bool:
 
 
 def winding_number(vertices_mm: np.ndarray, faces: np.ndarray, point_mm: np.ndarray) -> float:
-    """Return how often triangles wind about a point: their solid angles over 4π (Van Oosterom and Strackee 1983).
+    """Return the winding number of triangles about a point: their solid angles over 4π (Van Oosterom, Strackee 1983).
 
     Parameters
     ----------
@@ -37,7 +36,7 @@ def winding_number(vertices_mm: np.ndarray, faces: np.ndarray, point_mm: np.ndar
     faces : (m, 3) int
         Counter-clockwise seen from outside.
     point_mm : (3,) float
-        On no triangle.
+        A point that does not lie on a triangle.
     """
     towards = vertices_mm - point_mm
     far = np.linalg.norm(towards, axis=1)

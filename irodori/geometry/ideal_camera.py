@@ -1,4 +1,4 @@
-"""Resampling of photographs to an ideal camera without distortion, as the renderer uses."""
+"""Resampling of photographs to an ideal camera without distortion, like that of the renderer."""
 
 import math
 from dataclasses import dataclass
@@ -9,23 +9,23 @@ from irodori.config.models import PerspectiveView, ScenePhotograph, Size
 from irodori.geometry.pinhole import Pinhole, samples_from_superpixels
 
 _BORDER = 65  # points along each side of the sensor
-_VALID = 1.0 - 1e-4  # part of the weights that must fall on valid samples; the rest is rounding
+_VALID = 1.0 - 1e-4  # share of the weights that must fall on valid samples; the rest allows for rounding
 
 
 @dataclass(frozen=True)
 class IdealView:
-    """A pinhole picture that covers all that a camera sees.
+    """Undistorted pinhole picture with the same centre of projection and axis as a camera.
 
     Parameters
     ----------
     pinhole : Pinhole
-        The camera.
+        The camera, with distortion.
     block : int
-        Superpixels of the camera along the side of a pixel, at the camera's axis.
+        Side of a pixel of this picture in superpixels of the camera, at the camera's axis.
     focal_px : float
         Focal length in pixels.
     width, height : int
-        Even, so that the axis lies between pixels.
+        Size in pixels; even, so that the axis lies between pixels.
     """
 
     pinhole: Pinhole
@@ -36,7 +36,7 @@ class IdealView:
 
     @classmethod
     def covering(cls, pinhole: Pinhole, block: int, margin_px: float = 0.0) -> "IdealView":
-        """Return the view that just covers a sensor and a margin (mosaic pixels) around it."""
+        """Return the smallest view that covers the sensor and a margin (mosaic pixels) around it."""
         x, y = (np.linspace(-margin_px, side + margin_px, _BORDER) for side in (pinhole.width_px, pinhole.height_px))
         ends = [
             np.stack(np.broadcast_arrays(a, b), axis=-1) for a, b in ((x, y[:1]), (x, y[-1:]), (x[:1], y), (x[-1:], y))
@@ -54,11 +54,11 @@ class IdealView:
 
     @property
     def image(self) -> Size:
-        """Size as a scene's ``image`` has it."""
+        """Size of the picture, in the form of a scene's ``image``."""
         return Size(width=self.width, height=self.height)
 
     def view(self, placed: ScenePhotograph) -> PerspectiveView:
-        """Return the view of a scene from where the camera of a photograph stands."""
+        """Return the view of a scene from the place of a photograph's camera."""
         return PerspectiveView(
             position_mm=placed.position_mm,
             target_mm=placed.target_mm,
@@ -67,51 +67,53 @@ class IdealView:
         )
 
     def rays(self) -> np.ndarray:
-        """Return unit directions of the pixels' centres in the camera's axes (x right, y down), (height, width, 3)."""
+        """Return unit vectors to the pixel centres, (height, width, 3), in camera axes: x right, y down, z forward."""
         x = (np.arange(self.width) + 0.5 - self.width / 2) / self.focal_px
         y = (np.arange(self.height) + 0.5 - self.height / 2) / self.focal_px
         local = np.stack(np.broadcast_arrays(x[None, :], y[:, None], 1.0), axis=-1)
         return local / np.linalg.norm(local, axis=-1, keepdims=True)
 
     def pixels_of(self, mosaic_xy: np.ndarray) -> np.ndarray:
-        """Return where the picture shows what falls on places of the mosaic.
+        """Convert places of the camera's mosaic to places in this picture.
 
         Parameters
         ----------
         mosaic_xy : (..., 2) float
+            Mosaic coordinates, x then y.
 
         Returns
         -------
-        (..., 2) float64, x then y; the centre of a pixel has integer coordinates
+        (..., 2) float64
+            Pixels, x then y, with integers at pixel centres.
         """
         direction = self.pinhole.directions(mosaic_xy, np.eye(3))
         centre = (np.array([self.width, self.height]) - 1.0) / 2.0
         return direction[..., :2] / direction[..., 2:] * self.focal_px + centre
 
     def resample(self, picture: np.ndarray, valid: np.ndarray, sample_px: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return a camera's picture as this view shows it: the mean over each pixel.
+        """Resample a picture of the camera to this view, averaging over each pixel.
 
-        A pixel is looked at in as many places as the camera has samples in it, interpolated between samples.
+        Each pixel is sampled on a grid as dense as the samples of the camera, with linear interpolation.
 
         Parameters
         ----------
         picture : (rows, columns, n) float
         valid : (rows, columns) bool
         sample_px : int
-            Mosaic pixels along the side of a sample.
+            Side of a sample in mosaic pixels.
 
         Returns
         -------
         mean : (height, width, n) float64
-            Of the valid samples; NaN where there are none.
+            Mean of the valid samples; NaN where there are none.
         whole : (height, width) bool
-            Where every sample that takes part is valid.
+            Whether all samples in the mean are valid.
         """
         side = self.block * 2 // sample_px
         fine = IdealView(self.pinhole, 1, self.focal_px * side, self.width * side, self.height * side)
         place = fine.pinhole.project(fine.rays(), np.zeros(3), np.eye(3))
         x, y = np.moveaxis(samples_from_superpixels(place, sample_px), -1, 0)
-        # A direction without place lies outside of the picture.
+        # Directions that the camera does not image are treated as outside the picture.
         at = np.nan_to_num(np.stack([y, x]), nan=-10.0)
 
         def looked_up(values: np.ndarray) -> np.ndarray:
@@ -128,7 +130,18 @@ class IdealView:
         return mean, share > _VALID
 
     def gathered(self, fine: np.ndarray) -> np.ndarray:
-        """Return this view of a finer one of the same camera, one superpixel a pixel, at least as wide: block means."""
+        """Average a finer picture of the same camera, with one pixel per superpixel, to the pixels of this view.
+
+        Parameters
+        ----------
+        fine : (rows, columns, ...) float
+            Picture that is centred on the axis and covers at least this view.
+
+        Raises
+        ------
+        ValueError
+            If it is too small.
+        """
         rows, columns = ((a - self.block * b) // 2 for a, b in zip(fine.shape, (self.height, self.width), strict=False))
         if min(rows, columns) < 0:
             raise ValueError(

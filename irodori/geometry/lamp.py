@@ -1,10 +1,11 @@
-"""The rig's lamp, far or near: direction and irradiance at each point.
+"""Lamp of the rig, near or far: direction and irradiance at each point.
 
-Responses count against a perfect diffuser lit at normal incidence *where it stands*: a near lamp's inverse-square
-fall-off is divided out per texel. The white reference has already divided a picture by the fall-off over its own
-plane, in its own pose; for the object that is the wrong one. Rectification multiplies it back in (`Lamp.on_white`) and
-divides by the texel's own (`Lamp.seen_from`); on the white's plane, in its pose, the two differ by the cosine alone.
-Vignetting, which the white reference measures in the same pixels, stays divided out.
+A response is relative to a perfect diffuser at the same place, lit at normal incidence, so the inverse-square fall-off
+of a near lamp has to be divided out at each texel. Division by the white reference has already removed a fall-off, but
+that over the plane and in the pose of the white reference, not that over the object. Therefore rectification multiplies
+by the irradiance on the white reference (`Lamp.on_white`) and divides by the irradiance at the texel
+(`Lamp.seen_from`). On the plane of the white reference, in its pose, the two differ only by a cosine. Vignetting, which
+the white reference measures in the same pixels, stays divided out.
 """
 
 import math
@@ -25,28 +26,28 @@ class Lamp:
     Parameters
     ----------
     distance_mm : float
-        From the origin of the rig; infinite for a far light.
+        Distance from the origin of the rig; infinite for a far lamp.
     """
 
     distance_mm: float = math.inf
 
     @classmethod
     def at(cls, distance_mm: float | None) -> "Lamp":
-        """Return the lamp at the `light.distance_mm` of a rig; a far one for None."""
+        """Return the lamp at the distance ``light.distance_mm`` of a rig's definition; a far lamp for None."""
         return FAR if distance_mm is None else cls(distance_mm)
 
     @property
     def is_near(self) -> bool:
-        """Whether its distance matters."""
+        """Whether the lamp has a finite distance."""
         return math.isfinite(self.distance_mm)
 
     def seen_from(self, position, pose: Pose) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return how points are lit.
+        """Return direction, irradiance and distance of the lamp at points.
 
         Parameters
         ----------
         position : (..., 3) float
-            In the rig's frame, mm.
+            Points in the rig's frame, mm.
         pose : Pose
 
         Returns
@@ -54,9 +55,9 @@ class Lamp:
         direction : (..., 3) float64
             Unit vectors to the lamp.
         power : (...) float64
-            Irradiance normal to the beam, 1 at the origin.
+            Irradiance normal to the beam, relative to that at the origin.
         distance : (...) float64
-            To the lamp, mm; infinite for a far one.
+            Distance to the lamp, mm; infinite for a far lamp.
         """
         position = np.asarray(position, dtype=np.float64)
         if not self.is_near:
@@ -67,21 +68,22 @@ class Lamp:
         return way / distance[..., None], (self.distance_mm / distance) ** 2, distance
 
     def on_white(self, mosaic_xy, pinhole: Pinhole, camera_distance_mm: float, pose: Pose) -> np.ndarray:
-        """Return the irradiance of the white reference over that at its centre, (...) float64.
+        """Return the irradiance on the white reference, relative to that at its centre, (...) float64.
 
         Parameters
         ----------
         mosaic_xy : (..., 2) float
-            Where the picture shows it, mosaic coordinates.
+            Places in the picture, mosaic coordinates.
         pinhole : Pinhole
         camera_distance_mm : float
         pose : Pose
-            In which it is photographed, its face through the origin, as the table is tilted.
+            Pose in which the white reference was photographed. Its face contains the origin and is tilted like the
+            table.
 
         Raises
         ------
         InputError
-            If a pixel does not see its lit side.
+            If a pixel does not see the lit side of the white reference.
         """
         mosaic_xy = np.asarray(mosaic_xy, dtype=np.float64)
         if not self.is_near:

@@ -1,7 +1,7 @@
-"""Triangle meshes with texture coordinates, validated.
+"""Validated triangle meshes with texture coordinates.
 
-Coordinates are those of the object's frame, mm; u runs right and v down the texture, as `irodori.geometry.shapes` has
-it, while files count v from below.
+Coordinates are in the object's frame, mm. In the texture, u runs to the right and v down, as in
+`irodori.geometry.shapes`; files have v from the bottom.
 """
 
 from dataclasses import dataclass
@@ -13,22 +13,23 @@ from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER
 from irodori.geometry.normals import corner_normals
 
-#: A triangle whose double area is under this part of the mesh's squared extent has no normal.
+#: Twice the area of a triangle, relative to the squared extent of the mesh, below which it has no normal.
 _NO_AREA = 1e-15
-#: Coordinates may leave the texture by rounding.
+#: Texture coordinates may exceed 0..1 by this much because of rounding.
 _UV_ROUNDING = 1e-6
 ACCEPTED_UV = "one UV atlas over the whole surface (unwrap it in the program that made it, and export with UV)"
 
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """Triangles, counter-clockwise seen from outside.
+    """Triangle mesh with texture coordinates and shading normals.
 
     Parameters
     ----------
     vertices_mm : (n, 3) float64
-        Each position once, whatever its texture coordinates and normals.
+        Each position once, even if it has several texture coordinates or normals.
     faces : (m, 3) int32
+        Indices of the corners, counter-clockwise seen from outside.
     uv : (m, 3, 2) float64
         Texture coordinates of each triangle's corners, 0..1, v from the top.
     normals : (m, 3, 3) float64
@@ -42,7 +43,7 @@ class Mesh:
 
     @cached_property
     def facets(self) -> np.ndarray:
-        """Unit normals of the triangles, (m, 3)."""
+        """Unit geometric normals of the triangles, (m, 3)."""
         across = _across(self.vertices_mm, self.faces)
         return across / np.linalg.norm(across, axis=1, keepdims=True)
 
@@ -53,11 +54,11 @@ class Mesh:
 
     @property
     def bottom_mm(self) -> float:
-        """The smallest z, mm."""
+        """Smallest z of a vertex, mm."""
         return float(self.vertices_mm[:, 2].min())
 
     def samples(self, count: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return positions (count, 3) in mm and unit normals (count, 3), spread evenly over the area."""
+        """Return positions, (count, 3) mm, and unit normals, (count, 3), of points spread evenly over the area."""
         area = np.cumsum(np.linalg.norm(_across(self.vertices_mm, self.faces), axis=1))
         chosen = np.searchsorted(area, (np.arange(count) + 0.5) / count * area[-1])
         normal = self.normals[chosen].mean(axis=1)
@@ -72,9 +73,9 @@ def _across(vertices, faces) -> np.ndarray:
 
 
 def make_mesh(corners_mm, uv, normals=None, crease_deg: float = 40.0, file="mesh") -> Mesh:
-    """Return a mesh of triangles, after a check of all that would make its maps or its pictures wrong.
+    """Make a mesh of triangles after checking it for errors that would spoil its maps or pictures.
 
-    Triangles without area are left out: no ray meets them and they have no texel.
+    Triangles without area are left out, because no ray meets them and they have no texels.
 
     Parameters
     ----------
@@ -83,17 +84,17 @@ def make_mesh(corners_mm, uv, normals=None, crease_deg: float = 40.0, file="mesh
     uv : (m, 3, 2) float or None
         Texture coordinates of the corners, v from the top.
     normals : (m, 3, 3) float, optional
-        Shading normals of the corners, of any length; `irodori.geometry.normals.corner_normals` where absent.
+        Shading normals of the corners, of any length; computed by `irodori.geometry.normals.corner_normals` if absent.
     crease_deg : float
-        Where normals are computed: neighbours that meet at a larger angle keep an edge, degrees.
+        Angle between neighbouring triangles, degrees, above which computed normals show an edge.
     file : path
-        Where the mesh came from, for the error message.
+        Source of the mesh, for error messages.
 
     Raises
     ------
     InputError
-        Without texture coordinates or with some outside 0..1; with numbers that are not finite; without area; where
-        neighbours are wound against each other, or a closed surface looks inward; where the normals look inward.
+        If texture coordinates are missing or outside 0..1, a number is not finite, no triangle has an area,
+        neighbouring triangles have opposite orientations, a closed surface is inside out, or most normals point inward.
     """
     corners = np.asarray(corners_mm, dtype=np.float64).reshape(-1, 3, 3)
     if uv is None:
@@ -123,7 +124,10 @@ def make_mesh(corners_mm, uv, normals=None, crease_deg: float = 40.0, file="mesh
 
 
 def _weld(corners) -> tuple[np.ndarray, np.ndarray]:
-    """Return each position once, and the triangles on them; seams of the texture are none of the surface."""
+    """Merge equal positions; return vertices, (n, 3), and triangles, (m, 3).
+
+    So a seam of the texture is not a boundary of the surface.
+    """
     points = corners.reshape(-1, 3) + 0.0  # -0.0 becomes 0.0
     order = np.lexsort(points.T)
     ordered = points[order]
@@ -135,9 +139,9 @@ def _weld(corners) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _check_winding(vertices, faces, file) -> None:
-    """Refuse neighbours wound against each other, and a closed surface that is inside out.
+    """Raise `InputError` if neighbouring triangles have opposite orientations, or a closed surface is inside out.
 
-    An edge of three and more triangles says nothing: such surfaces are traced and shaded like any other.
+    Edges with three or more triangles are not checked: such surfaces are traced and shaded like others.
     """
     start, end = faces.astype(np.int64).ravel(), np.roll(faces, -1, axis=1).astype(np.int64).ravel()
     edge = np.minimum(start, end) * len(vertices) + np.maximum(start, end)
@@ -157,7 +161,10 @@ def _check_winding(vertices, faces, file) -> None:
 
 
 def _unit(normals, vertices, faces, file) -> np.ndarray:
-    """Return a file's normals at unit length; a corner without one takes its triangle's."""
+    """Normalise the normals of a file, (m, 3, 3); corners without a normal get that of their triangle.
+
+    Raises `InputError` if most normals point inward.
+    """
     facet = _across(vertices, faces)
     facet = np.repeat((facet / np.linalg.norm(facet, axis=1, keepdims=True))[:, None], 3, axis=1)
     length = np.linalg.norm(normals, axis=2, keepdims=True)

@@ -1,4 +1,4 @@
-"""Reading of OBJ, PLY and glTF meshes through trimesh."""
+"""Reading of OBJ, PLY and glTF meshes with the library trimesh."""
 
 import logging
 from pathlib import Path
@@ -13,7 +13,7 @@ from irodori.geometry.mesh_sizes import check_declared
 from irodori.geometry.mesh_sources import mesh_files
 
 MM_IN = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "inch": 25.4}
-#: A thousand kilometres; squares and cubes of it are far from what a double holds.
+#: Largest coordinate (1000 km): its square and cube are far below the largest double-precision number.
 _FARTHEST_MM = 1e9
 _Z_FROM = {"z": np.eye(3), "y": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])}
 
@@ -26,13 +26,13 @@ def read_mesh(path, unit: str, up: str = "z", pivot_mm=None, crease_deg: float =
     path : path
         OBJ, PLY, GLB or glTF; all its parts share one texture.
     unit : {"mm", "cm", "m", "inch"}
-        Of the file's coordinates.
+        Unit of the coordinates in the file.
     up : {"z", "y"}
-        Axis of the file that points up; y becomes the object's z, as glTF has it.
+        Axis of the file that points up and becomes the object's z; it is y in glTF.
     pivot_mm : (3,) float, optional
-        The point, in mm after unit and up, that stands at the origin; the middle of the bounding box where absent.
+        Point that becomes the origin, in mm after unit and up; the centre of the bounding box by default.
     crease_deg : float
-        See `irodori.geometry.normals.corner_normals`; used where the file has no normals.
+        See `irodori.geometry.normals.corner_normals`; used if the file has no normals.
 
     Raises
     ------
@@ -48,11 +48,11 @@ def read_mesh(path, unit: str, up: str = "z", pivot_mm=None, crease_deg: float =
     held = sum(Path(file).stat().st_size for file in files)
     check_declared(path, held)
     try:
-        with np.errstate(all="ignore"):  # what is not finite is said below
+        with np.errstate(all="ignore"):  # numbers that are not finite raise an error below
             corners, uv, normals = _parts(path, files, held)
     except InputError:
         raise
-    except Exception as error:  # trimesh raises whatever its parsers meet, some of it when it is asked for a part
+    except Exception as error:  # trimesh passes on exceptions of any kind from its parsers
         kind, reason = Path(path).suffix.lower().removeprefix(".").upper(), " ".join(str(error).split())[:200]
         found = f"{type(error).__name__}: {reason}"
         raise InputError(path, "", found, f"a valid {kind} file of triangles") from None
@@ -74,7 +74,15 @@ def read_mesh(path, unit: str, up: str = "z", pivot_mm=None, crease_deg: float =
 
 
 def _parts(path, files: list[str], held: int) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None]:
-    """Return corners (m, 3, 3), UV (m, 3, 2) from the top or None, and normals (m, 3, 3) or None, of all parts."""
+    """Read the triangles of all parts of a file.
+
+    Returns
+    -------
+    corners : (m, 3, 3) float64
+    uv : (m, 3, 2) float64 or None
+        Texture coordinates with v from the top.
+    normals : (m, 3, 3) float64 or None
+    """
     scene = _load(path, files)
     # trimesh sorts the vertices of a PLY by texture coordinates and leaves the normals in the old order.
     unsorted = _load(path, files, fix_texture=False) if Path(path).suffix.lower() == ".ply" else scene
@@ -109,14 +117,14 @@ def _parts(path, files: list[str], held: int) -> tuple[np.ndarray, np.ndarray | 
 
 
 def _joined(parts: list[np.ndarray | None]) -> np.ndarray | None:
-    """Return the arrays of all parts one after the other, None where a part has none."""
+    """Concatenate the arrays of all parts; None if any part has none."""
     known = [part for part in parts if part is not None]
     return np.concatenate(known) if len(known) == len(parts) else None
 
 
 def _normals(part, world) -> np.ndarray | None:
-    """Return the normals that the file gives to the corners of a part, None where it gives none."""
-    # trimesh computes normals on request; those of the file are the ones that it holds before anyone asks.
+    """Return the normals of a part's corners that are stored in the file; None if there are none."""
+    # trimesh computes missing normals on access; only those of the file are in its cache before.
     if "vertex_normals" not in part._cache.cache:
         return None
     normals = np.asarray(part._cache.cache["vertex_normals"], dtype=np.float64)
@@ -130,13 +138,13 @@ def _is_gltf(path) -> bool:
 
 
 class _OwnBuffers:
-    """Resolver of files that a mesh's file names: the checked buffers alone, no picture and no material library."""
+    """Resolver, for trimesh, of files to which a mesh refers: only the checked buffers, no pictures or materials."""
 
     def __init__(self, files: list[str]) -> None:
         self._folder, self._files = Path(files[0]).parent, files
 
     def get(self, name: str) -> bytes:
-        """Return a buffer's bytes."""
+        """Return the content of a buffer; raise KeyError for any other file."""
         path = self._folder / unquote(name)
         if str(path) not in self._files:
             raise KeyError(name)
@@ -146,7 +154,7 @@ class _OwnBuffers:
 
 
 def _load(path, files: list[str], **options):
-    """Return the trimesh scene of a file, its vertices as they are."""
+    """Load a file as a trimesh scene, without processing its vertices."""
     import trimesh
 
     logging.getLogger("trimesh").setLevel(logging.ERROR)  # it reports pictures that the project does not read

@@ -1,4 +1,4 @@
-"""Sizes that a mesh's file declares, compared with what it holds before anything is made of it."""
+"""Check of the amount of data that a mesh file declares against its size, before memory is allocated for it."""
 
 import json
 import struct
@@ -14,24 +14,24 @@ _PLY_BYTES = {
 _LONGEST_HEADER = 1 << 16
 _GLTF_BYTES = {5120: 1, 5121: 1, 5122: 2, 5123: 2, 5125: 4, 5126: 4}
 _GLTF_NUMBERS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
-#: Values of a glTF that may stand in several accessors at once, as a factor on its bytes.
+#: Largest plausible factor by which accessors of a glTF share the same bytes.
 _SHARED = 4
 _JSON_CHUNK = b"JSON"
 
 
 def check_declared(path, held: int) -> None:
-    """Refuse a PLY, GLB or glTF that declares more than it holds; an OBJ declares nothing.
+    """Check that a PLY, GLB or glTF does not declare more data than it contains; an OBJ declares nothing.
 
     Parameters
     ----------
     path : path
     held : int
-        Bytes of the file and of the buffers that it names.
+        Size in bytes of the file and the buffers to which it refers.
 
     Raises
     ------
     InputError
-        Also for a header that cannot be read.
+        If it declares more, or its header cannot be read.
     """
     suffix = Path(path).suffix.lower()
     try:
@@ -50,7 +50,7 @@ def check_declared(path, held: int) -> None:
 
 
 def _ply_bytes(path) -> float:
-    """Return the least number of bytes that the elements of a header take."""
+    """Return the smallest number of bytes that the elements declared in the header of a PLY can take."""
     with open(path, "rb") as file:
         header = file.read(_LONGEST_HEADER).split(b"end_header", 1)[0].decode("ascii", "replace")
     least, count, is_text, total = 0, 0, True, 0.0
@@ -63,17 +63,17 @@ def _ply_bytes(path) -> float:
             if count < 0:
                 raise ValueError(header)
         elif words[:1] == ["property"]:
-            # Of a list no more than its length is sure to be there; of text a digit and what parts it from the next.
+            # A list has at least its length; a number in text has at least a digit and a separator.
             least += 2 if is_text else _PLY_BYTES[words[2] if words[1] == "list" else words[1]]
     return total + count * max(least, 1)
 
 
 def _gltf_bytes(path, binary: bool) -> float:
-    """Return the number of bytes that the accessors of a glTF stand for."""
+    """Return the number of bytes that the accessors of a glTF declare."""
     with open(path, "rb") as file:
         if binary:
             magic, _, _, length, kind = struct.unpack("<4sIII4s", file.read(20))
-            # Not read(length): so much memory is taken first, whatever the file holds.
+            # Not read(length), which would allocate that much memory even if the file is shorter.
             content = file.read()[:length]
             if magic != b"glTF" or kind != _JSON_CHUNK or len(content) != length:
                 raise ValueError(magic)

@@ -1,4 +1,4 @@
-"""Names of the files that make up a mesh, found with the standard library alone."""
+"""Paths of the files that make up a mesh, found with the standard library only."""
 
 import json
 from pathlib import Path
@@ -15,19 +15,19 @@ MESH_SUFFIXES = (".obj", ".ply", ".glb", ".gltf")
 
 
 def mesh_files(path) -> list[str]:
-    """Return a mesh's file and the buffers that it refers to, all of which decide its shape.
+    """Return the paths of a mesh file and of the buffers to which it refers.
 
     Parameters
     ----------
     path : path
-        OBJ, PLY, GLB or glTF. Only a glTF refers to others that hold geometry; pictures and material libraries are
-        not read by the project.
+        OBJ, PLY, GLB or glTF. Only a glTF refers to other files with geometry; pictures and material libraries are not
+        read.
 
     Raises
     ------
     InputError
-        If there is no such file, its kind is not known, a glTF or one of its buffers cannot be read, or a buffer stands
-        outside the glTF's folder.
+        If the file does not exist or has an unknown suffix, a glTF or one of its buffers cannot be read, or a buffer
+        lies outside the folder of the glTF.
     """
     path = Path(path)
     if path.suffix.lower() not in MESH_SUFFIXES:
@@ -53,18 +53,18 @@ def mesh_files(path) -> list[str]:
 
 
 def shape_files(shape: "ObjectShape", root: str | Path = "") -> list[str]:
-    """Return the files that a shape is made of, none where its block of configuration names none.
+    """Return the paths of the files that define a shape; empty unless its configuration names a file.
 
     Parameters
     ----------
     shape : ObjectShape
     root : path
-        Where relative paths start.
+        Folder to which relative paths refer.
 
     Raises
     ------
     InputError
-        As `mesh_files`.
+        See `mesh_files`.
     """
     file = getattr(shape, "file", None)
     return [] if file is None else mesh_files(Path(root, file))

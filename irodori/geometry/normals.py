@@ -1,6 +1,6 @@
-"""Shading normals of a mesh without any: angle-weighted means over the triangles at a vertex.
+"""Computation of shading normals for a mesh without normals: angle-weighted means over the triangles at a vertex.
 
-Weights: Thürmer and Wüthrich, *Computing vertex normals from polygonal facets*, Journal of Graphics Tools 3(1), 1998.
+Source: Thürmer and Wüthrich, *Computing vertex normals from polygonal facets*, Journal of Graphics Tools 3(1), 1998.
 """
 
 import math
@@ -33,7 +33,7 @@ def _angles(vertices, faces, out):
 
 @njit(cache=True)
 def _gather(first, members, facets, angle, cosine, out):
-    """Fill the corners' normals; ``members`` lists the corners of vertex i from ``first[i]`` on."""
+    """Fill the normals of all corners; ``members`` lists the corners at vertex i from the index ``first[i]`` on."""
     total = np.empty(3)
     for vertex in range(first.size - 1):
         for i in range(first[vertex], first[vertex + 1]):
@@ -53,16 +53,16 @@ def _gather(first, members, facets, angle, cosine, out):
 
 
 def corner_normals(vertices, faces, crease_deg: float) -> np.ndarray:
-    """Return unit normals of every triangle's corners, (m, 3, 3) float64.
+    """Compute unit shading normals at the corners of every triangle, (m, 3, 3) float64.
 
     Parameters
     ----------
     vertices : (n, 3) float
-        Each position once.
+        Vertices, each position once.
     faces : (m, 3) int
-        Triangles with an area.
+        Triangles, all with an area.
     crease_deg : float
-        A triangle does not share the normals of those about the vertex whose own differ from its by more, degrees.
+        Largest angle, degrees, between the normals of two triangles at a vertex that enter a common mean.
     """
     corners = vertices[faces]
     facets = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -72,6 +72,6 @@ def corner_normals(vertices, faces, crease_deg: float) -> np.ndarray:
     members = np.argsort(faces.ravel(), kind="stable")
     first = np.searchsorted(faces.ravel()[members], np.arange(len(vertices) + 1))
     out = np.empty((*faces.shape, 3))
-    # The cosine of 0 degrees is out of reach of two equal normals by rounding.
+    # With rounding, the scalar product of two equal normals may be below the cosine of 0 degrees.
     _gather(first, members, facets, angle, math.cos(math.radians(crease_deg)) - 1e-9, out)
     return out

@@ -1,7 +1,7 @@
-"""Pinhole camera with lens distortion, over the mosaic of a sensor.
+"""Pinhole camera with lens distortion, in coordinates of the sensor's mosaic.
 
-Superpixel coordinates: a superpixel is 2 x 2 mosaic pixels, and its centre has integer coordinates, x right, y down.
-Mosaic coordinates run from 0 at the left edge of the first mosaic pixel.
+Superpixel coordinates: a superpixel is 2 x 2 mosaic pixels, and its centre has integer coordinates, x to the right, y
+down. Mosaic coordinates are in mosaic pixels, and start with 0 at the outer corner of the first.
 """
 
 from dataclasses import dataclass
@@ -16,35 +16,37 @@ from irodori.geometry.distortion import COEFFICIENTS, coefficients_of, distort_a
 if TYPE_CHECKING:
     from irodori.config.models import Optics
 
-#: Beyond its edge the picture must have directions too: pixels gather light about them, plates shift it.
+#: Margin around the picture that must have view directions too, because of blur and of shifts by a filter, mosaic
+#: pixels.
 _MARGIN_PX = 16
 
 
 def samples_from_superpixels(xy, sample_px: int):
-    """Turn superpixel coordinates into those of a picture's samples.
+    """Convert superpixel coordinates to coordinates in samples of a picture.
 
     Parameters
     ----------
     xy : (..., 2) float
         Superpixels; the centre of a superpixel has integer coordinates.
     sample_px : int
-        Mosaic pixels along the side of a sample: 2 for superpixels, 1 at full resolution.
+        Side of a sample in mosaic pixels: 2 for superpixels, 1 at full resolution.
 
     Returns
     -------
-    (..., 2) float64, samples; the centre of a sample has integer coordinates
+    (..., 2) float64
+        Samples; the centre of a sample has integer coordinates.
     """
     return (np.asarray(xy, dtype=np.float64) + 0.5) * (2.0 / sample_px) - 0.5
 
 
 def superpixels_from_samples(xy, sample_px: int):
-    """Turn coordinates of a picture's samples into superpixels, the inverse of `samples_from_superpixels`."""
+    """Convert coordinates in samples of a picture to superpixels; the inverse of `samples_from_superpixels`."""
     return (np.asarray(xy, dtype=np.float64) + 0.5) * (sample_px / 2.0) - 0.5
 
 
 @dataclass(frozen=True)
 class Pinhole:
-    """A camera, its lens distorting as OpenCV counts it [`irodori.geometry.distortion`].
+    """Pinhole camera with lens distortion in OpenCV's model (`irodori.geometry.distortion`).
 
     Parameters
     ----------
@@ -66,7 +68,7 @@ class Pinhole:
 
     @classmethod
     def from_optics(cls, optics: "Optics") -> "Pinhole":
-        """Return the camera of a configuration's `optics` (focal length in mm, pitch in µm).
+        """Return the camera of the block ``optics`` of a configuration (focal length in mm, pixel pitch in µm).
 
         Raises
         ------
@@ -90,11 +92,11 @@ class Pinhole:
 
     @cached_property
     def fold(self) -> float:
-        """Distance from the axis, at unit distance, beyond which the distortion does not hold."""
+        """Distance from the axis, at unit depth, beyond which the distortion model is not valid."""
         return fold_radius(self.distortion)
 
     def _check_fold(self) -> None:
-        """Refuse a distortion by which some pixel has no direction."""
+        """Raise `InputError` if the distortion leaves a pixel without a view direction."""
         if not self.is_distorted:
             return
         x = np.linspace(-_MARGIN_PX, self.width_px + _MARGIN_PX, 65)
@@ -116,14 +118,18 @@ class Pinhole:
 
         Parameters
         ----------
-        points : (..., 3) float, mm
-        position : (3,) float, mm
+        points : (..., 3) float
+            Points in the world, mm.
+        position : (3,) float
+            Centre of projection in the world, mm.
         world_from_camera : (3, 3) float
+            Rotation.
 
         Returns
         -------
-        (..., 2) float64, x then y; NaN for points not in front of the camera, and for those so far from its axis
-        that the distortion does not hold
+        (..., 2) float64
+            x then y; NaN for points that are not in front of the camera, or so far from its axis that the distortion
+            model is not valid.
         """
         local = (np.asarray(points, dtype=np.float64) - position) @ world_from_camera
         depth = np.where(local[..., 2] > 1e-6, local[..., 2], np.nan)
@@ -133,7 +139,10 @@ class Pinhole:
         return (plane * self.focal_px + self.centre_px) / 2.0 - 0.5
 
     def directions(self, mosaic_xy, world_from_camera) -> np.ndarray:
-        """Return unit view directions of mosaic coordinates, (..., 2) to (..., 3); NaN where the distortion folds."""
+        """Return unit view directions in the world, (..., 3), of mosaic coordinates, (..., 2).
+
+        NaN where the distortion folds.
+        """
         plane = (np.asarray(mosaic_xy, dtype=np.float64) - self.centre_px) / self.focal_px
         if self.is_distorted:
             plane = self._through(undistort_all, plane)

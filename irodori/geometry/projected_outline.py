@@ -1,4 +1,4 @@
-"""The outline of an object in a typed pose, as its rig's camera would see it: what is drawn over photographs."""
+"""Outline of an object in a stated pose, as the camera of the rig would see it, for drawing over photographs."""
 
 import math
 from dataclasses import dataclass
@@ -17,20 +17,20 @@ if TYPE_CHECKING:
     from irodori.config.capture_table import Pose
     from irodori.config.models import ObjectShape, Optics
 
-#: Widest grid of samples on which an outline is looked for: what small pictures of photographs have.
+#: Largest number of columns of the grid on which an outline is computed; previews of photographs are as wide.
 _SAMPLES = 900
 
 
 @dataclass(frozen=True)
 class Outline:
-    """Outline of an object in a photograph if everything stands as the definitions say.
+    """Outline of an object in a photograph, if object, camera and pose are as defined.
 
     Parameters
     ----------
     path : str
-        Path of SVG in superpixels, superpixel (0, 0) from 0 to 1; empty where nothing of it is in the picture.
+        SVG path in superpixels, with superpixel (0, 0) from 0 to 1; empty if the object is outside the picture.
     box : (4,) tuple of int, optional
-        First and last column, first and last row that it covers, superpixels; None where it covers none.
+        First and last column, first and last row covered, superpixels; None if the object is outside the picture.
     size : (2,) tuple of int
         Columns and rows of the picture, superpixels.
     """
@@ -61,7 +61,7 @@ class Outline:
 
 
 class ProjectedOutlines:
-    """Outlines of one object before one camera, each pose found once.
+    """Outlines of one object before one camera; the outline of each pose is computed once.
 
     Parameters
     ----------
@@ -78,11 +78,11 @@ class ProjectedOutlines:
 
     @cached_property
     def _seen(self) -> tuple[Shape, Pinhole]:
-        """The shape and the camera; a mesh may be large."""
+        """Shape and camera, loaded on first use because a mesh may be large."""
         return Shape.from_definition(self._definition), Pinhole.from_optics(self._optics)
 
     def of(self, pose: "Pose") -> Outline:
-        """Return the outline in a pose, its edges on those of the samples of a small picture.
+        """Return the outline in a pose, along the edges of blocks of superpixels.
 
         Raises
         ------
@@ -103,7 +103,7 @@ class ProjectedOutlines:
 
 
 def silhouette(shape: Shape, pinhole: Pinhole, distance_mm: float, pose: "Pose", side: int = 1) -> np.ndarray:
-    """Return which blocks of superpixels have their centre covered by an object in a pose.
+    """Return the blocks of superpixels with their centre covered by an object in a pose.
 
     Parameters
     ----------
@@ -113,17 +113,17 @@ def silhouette(shape: Shape, pinhole: Pinhole, distance_mm: float, pose: "Pose",
         From the origin of the rig to the centre of projection.
     pose : Pose
     side : int
-        Superpixels along the side of a block.
+        Side of a block in superpixels.
 
     Returns
     -------
     (rows, columns) bool
-        Blocks that the picture's end cuts are among them.
+        Includes incomplete blocks at the right and lower edges of the picture.
     """
     rows, columns = (-(-(length // 2) // side) for length in (pinhole.height_px, pinhole.width_px))
     mask = np.zeros((rows, columns), dtype=bool)
     axes, eye = rig_from_camera(pose), distance_mm * to_camera(pose)
-    # Rays are sent where the ball about the object may be seen.
+    # Rays are traced only where the cube around the object may be seen.
     reach = shape.reach_mm * 1.05
     across = np.stack(np.meshgrid(*[(-reach, 0.0, reach)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
     seen = (pinhole.project(across, eye, axes) + 0.5) / side
@@ -146,7 +146,7 @@ def silhouette(shape: Shape, pinhole: Pinhole, distance_mm: float, pose: "Pose",
 
 
 def svg_path(mask: np.ndarray, side: int = 1) -> str:
-    """Return the edges between covered and other blocks as a path of SVG, block (0, 0) from 0 to `side`."""
+    """Return the edges between covered and other blocks as an SVG path, with block (0, 0) from 0 to ``side``."""
     padded = np.pad(mask, 1)
     parts = []
     for row, column, length in _runs(padded[1:, 1:-1] != padded[:-1, 1:-1]):

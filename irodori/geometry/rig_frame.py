@@ -1,8 +1,8 @@
-"""Rotations and the gonio rig's frame [design, §4].
+"""Rotations, and the coordinate frame of the gonio-reflectance rig [design, §4].
 
-The rig's plane of incidence is x-z, z up. Light and camera angles are measured from +z, the light toward +x and the
-camera toward -x; a lamp beside that plane stands at an azimuth about z, from +x towards +y. The table tilts about y
-towards the light and turns about its own normal; both axes pass through the origin, at which the camera looks.
+The plane of incidence is x-z, with z up. Light and camera angles are measured from +z, the light's towards +x and the
+camera's towards -x. A lamp outside this plane has an azimuth about z, from +x towards +y. The table tilts about y
+towards the light, and turns about its own normal. Both axes pass through the origin, at which the camera looks.
 """
 
 import math
@@ -35,19 +35,19 @@ def rotation_xyz(angles_deg) -> np.ndarray:
 
 
 def to_light(pose) -> np.ndarray:
-    """Return L, the (3,) unit vector to the light of a pose (`irodori.config.capture_table.Pose`)."""
+    """Return the (3,) unit vector L from the origin to the light in a pose (`irodori.config.capture_table.Pose`)."""
     angle, azimuth = math.radians(pose.light_deg), math.radians(pose.light_azimuth_deg)
     return np.array([math.sin(angle) * math.cos(azimuth), math.sin(angle) * math.sin(azimuth), math.cos(angle)])
 
 
 def to_camera(pose) -> np.ndarray:
-    """Return the (3,) unit vector from the origin to the camera of a pose."""
+    """Return the (3,) unit vector from the origin to the camera in a pose."""
     angle = math.radians(pose.camera_deg)
     return np.array([-math.sin(angle), 0.0, math.cos(angle)])
 
 
 def rig_from_object(pose) -> np.ndarray:
-    """Return the (3, 3) rotation that the table's turn and tilt give the object."""
+    """Return the (3, 3) rotation from the object's frame to the rig, by turn and tilt of the table."""
     return rotation_y(math.radians(pose.tilt_deg)) @ rotation_z(math.radians(pose.turn_deg))
 
 
@@ -60,12 +60,12 @@ def rig_from_camera(pose) -> np.ndarray:
 
 
 def look_at(position, target, up) -> np.ndarray:
-    """Return the (3, 3) rotation from camera axes (x right, y down, z forward) of a camera looking at a target.
+    """Return the (3, 3) rotation from the axes of a camera that looks at a target (x right, y down, z forward).
 
     Raises
     ------
     ValueError
-        If position and target coincide, or the view runs along ``up``.
+        If position and target coincide, or the view direction is parallel to ``up``.
     """
     forward = np.asarray(target, dtype=np.float64) - np.asarray(position, dtype=np.float64)
     distance = np.linalg.norm(forward)

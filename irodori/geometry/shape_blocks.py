@@ -1,7 +1,7 @@
-"""Variants of the key ``shape`` in configuration, read from the shapes' files without importing them.
+"""Schema variants of the key ``shape``, read from the files of the shapes without importing them.
 
-Light enough for the Snakefile, nothing but the standard library is imported: a shape's file has its variants of the key
-``shape`` as the literal ``SCHEMA``, and whether it is flat as the literal ``IS_FLAT``.
+Only the standard library is imported, so that the Snakefile can use this module quickly. The file of a shape has its
+variants of the key ``shape`` as the literal ``SCHEMA``, and the literal ``IS_FLAT``.
 """
 
 import ast
@@ -13,7 +13,7 @@ _FOLDER = Path(__file__).resolve().parent / "shapes"
 
 
 class _Block(NamedTuple):
-    schema: dict[str, dict]  # of each schema that has the shape, its variant
+    schema: dict[str, dict]  # variant of the key by the name of the schema, ``object`` or ``scene``
     is_flat: bool
 
     @property
@@ -25,7 +25,7 @@ _outside: list[_Block] = []
 
 
 def add_block(schema: dict[str, dict], is_flat: bool) -> None:
-    """Make the variants of a shape from outside the package known; before the first definition is read."""
+    """Register the schema variants of a shape from outside the package; call it before any definition is read."""
     _outside.append(_Block(schema, is_flat))
 
 
@@ -48,24 +48,24 @@ def variants(of: str) -> list[dict]:
     Parameters
     ----------
     of : {"object", "scene"}
-        Objects that are photographed, or bodies of a scene.
+        The schema: of photographed objects, or of scenes with bodies.
     """
     return [block.schema[of] for block in [*_own(), *_outside] if of in block.schema]
 
 
 def outside_schema(name: str) -> dict | None:
-    """Return a variant of the key ``shape`` that a shape from outside the package brings, None if there is none."""
+    """Return the schema variant of a shape from outside the package, by its name; None if there is none."""
     found = [variant for block in _outside if block.name == name for variant in block.schema.values()]
     return found[0] if found else None
 
 
 def is_flat(name: str) -> bool:
-    """Return whether a shape lies in one plane and faces one way, by its name in configuration.
+    """Return whether the shape with this name is flat: lies in one plane and has only one visible side.
 
     Raises
     ------
     ValueError
-        If there is no such shape.
+        If the name is unknown.
     """
     known = {block.name: block.is_flat for block in [*_own(), *_outside]}
     if name not in known:

@@ -1,7 +1,7 @@
-"""Compiled functions that choose among the shapes: a chain of comparisons with their numbers.
+"""Compiled functions that call the function of the right shape, by a chain of comparisons with the shape's number.
 
-A chain is made when its module is imported, from the shapes that are registered then, and is inlined where it is used:
-the loops are the ones that a chain written by hand would give. Shapes that share a function share a branch.
+A chain is made when the module that uses it is imported, from the shapes registered by then. It is inlined, so compiled
+loops are the same as with a chain written by hand. Shapes with the same function share a branch.
 """
 
 from collections.abc import Callable
@@ -12,7 +12,7 @@ from irodori.jit.functions import select
 
 
 def _branches(kernel: str, module: str) -> list[tuple[Callable, list[int]]]:
-    """Return the functions that shapes have, each with their numbers; that of the first shape last, for the rest."""
+    """Return the different functions of the shapes, each with the numbers of its shapes; the first shape's is last."""
     found: dict[Callable, list[int]] = {}
     for number, shape in enumerate(settle(module)):
         function = getattr(shape.kernels, kernel)
@@ -22,7 +22,7 @@ def _branches(kernel: str, module: str) -> list[tuple[Callable, list[int]]]:
 
 
 def _is_one_of(numbers: list[int], join: str) -> str:
-    # The number is a float32 in the rows of the interactive integrator, whole in the surfaces.
+    # The number is a float32 in the rows of the interactive integrator, and an integer in `Surfaces`.
     return f" {join} ".join(f"(kind == {number})" for number in numbers)
 
 
@@ -33,18 +33,18 @@ def _made(name: str, source: str, known: dict, **options) -> Callable:
 
 
 def chain(kernel: str, parameters: str, module: str, **options) -> Callable:
-    """Return a compiled function ``(kind, *parameters)`` that calls the kernel of the shape of a number.
+    """Make a compiled function ``(kind, *parameters)`` that calls a function of the shape with the number ``kind``.
 
     Parameters
     ----------
     kernel : str
-        Field of `irodori.geometry.shapes.shape.Kernels`.
+        Name of the function, a field of `irodori.geometry.shapes.shape.Kernels`.
     parameters : str
         Names of its parameters, separated by commas.
     module : str
-        That asks.
+        Name of the module that uses the chain.
     **options
-        Of `irodori.jit.compilation.uncounted`.
+        Options of `irodori.jit.compilation.uncounted`.
     """
     branches = _branches(kernel, module)
     lines = [f"def {kernel}(kind, {parameters}):"]
@@ -56,14 +56,17 @@ def chain(kernel: str, parameters: str, module: str, **options) -> Callable:
 
 
 def lane_chain(kernel: str, parameters: str, results: int, module: str) -> Callable:
-    """Return what `chain` returns for lanes of any shapes: each lane takes the results of its own shape's function.
+    """Make the function of `chain` for vectors whose lanes may have different shapes.
 
-    Shapes whose kernel is None have the results of any.
+    The functions of all shapes are called, and each lane takes the results of its own shape. For shapes without this
+    function (None) the results are undefined.
 
     Parameters
     ----------
+    kernel, parameters, module
+        As in `chain`.
     results : int
-        Number of vectors that the kernel returns.
+        Number of vectors that the function returns.
     """
     branches = _branches(kernel, module)
     last = len(branches) - 1
@@ -80,12 +83,16 @@ def lane_chain(kernel: str, parameters: str, results: int, module: str) -> Calla
 
 
 def lanes_are(holds: Callable, name: str, module: str) -> Callable:
-    """Return a compiled function ``(kind) -> mask`` of lanes whose shapes have a property.
+    """Make a compiled function ``(kind) -> mask`` that marks the lanes with shapes that have a property.
 
     Parameters
     ----------
     holds : callable
-        ``(shape class) -> bool``.
+        The property: ``(shape class) -> bool``.
+    name : str
+        Name of the function.
+    module : str
+        Name of the module that uses it.
     """
     numbers = [number for number, shape in enumerate(settle(module)) if holds(shape)]
     source = f"def {name}(kind):\n    return {_is_one_of(numbers, '|') if numbers else 'kind != kind'}\n"

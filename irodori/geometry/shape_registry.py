@@ -1,4 +1,4 @@
-"""Registry of the shapes: which there are, and their numbers.
+"""Registry of the shapes, with the numbers that identify them in compiled loops.
 
 A shape of the package is one file in ``irodori/geometry/shapes/`` and a line in `_own`. A shape from outside the
 package is registered with `register`.
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from irodori.geometry.shapes.shape import Shape
 
 _outside: list[type["Shape"]] = []
-#: Modules whose compiled loops know the shapes that there were when they were made.
+#: Modules with compiled loops that were made for the shapes registered by then.
 _settled: list[str] = []
 
 
@@ -30,7 +30,7 @@ def _own() -> list[type["Shape"]]:
 
 
 def shapes() -> list[type["Shape"]]:
-    """Return all shapes; the place in the list is the shape's number in compiled loops."""
+    """Return all shapes; the index in the list is the number of the shape in compiled loops."""
     return [*_own(), *_outside]
 
 
@@ -49,20 +49,21 @@ def number_of(shape: "Shape") -> int:
 
 
 def register(shape: type["Shape"]) -> type["Shape"]:
-    """Make a shape from outside the package known; may decorate its class.
+    """Register a shape from outside the package; can be used as a class decorator.
 
-    Compiled loops are specialised on the shapes that there are, so this comes before a module that has such loops is
-    imported (`irodori.geometry.surfaces` and what imports it). The loops are then kept apart from those without it.
+    Compiled loops are specialised on the registered shapes, so a shape must be registered before any module with such
+    loops is imported (`irodori.geometry.surfaces` and modules that import it). Their cache is separate from that of the
+    loops without the shape.
 
     Parameters
     ----------
     shape : subclass of `irodori.geometry.shapes.shape.Shape`
-        With everything declared that the interface asks for: nothing has a silent default.
+        Must define all methods and class attributes of the interface; none has a default.
 
     Raises
     ------
     ValueError
-        If compiled loops were made already, the name is taken, or the class leaves something undeclared.
+        If compiled loops exist already, the name is taken, or the class lacks a method or an attribute.
     """
     if _settled:
         raise ValueError(f"the shape {shape.name!r} comes too late: the loops of {_settled[0]} are made without it")
@@ -82,6 +83,6 @@ def _is_declared(shape: type, name: str) -> bool:
 
 
 def settle(module: str) -> list[type["Shape"]]:
-    """Return all shapes for the compiled loops of a module; from then on none is registered."""
+    """Return all shapes for the compiled loops of a module; afterwards no shape can be registered any more."""
     _settled.append(module)
     return shapes()

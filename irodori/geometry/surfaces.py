@@ -12,23 +12,22 @@ from irodori.jit.compilation import njit
 
 
 class Surfaces(NamedTuple):
-    """Placed shapes; the first axis of the first block counts them, that of the second all triangles."""
+    """Arrays of placed shapes, and of the triangles of all meshes among them."""
 
-    kind: np.ndarray  # (shapes,)
+    kind: np.ndarray  # (shapes,), number of the shape in `irodori.geometry.shape_registry`
     rotation: np.ndarray  # (shapes, 3, 3) world_from_object
     translation_mm: np.ndarray  # (shapes, 3)
     scale: np.ndarray  # (shapes,)
     size_mm: np.ndarray  # (shapes, 2)
-    first_face: np.ndarray  # (shapes,)
-
-    faces: np.ndarray  # (triangles, 3) into `vertices_mm`
+    first_face: np.ndarray  # (shapes,), index of the first triangle of each shape
+    faces: np.ndarray  # (triangles, 3), indices into `vertices_mm`
     vertices_mm: np.ndarray  # (vertices, 3) object frame
     uv: np.ndarray  # (triangles, 3, 2)
     normals: np.ndarray  # (triangles, 3, 3) object frame
 
 
 def make_surfaces(placements: Sequence[Placement]) -> Surfaces:
-    """Return placed shapes in flat arrays; shape i is placement i."""
+    """Collect placed shapes in flat arrays; shape i is placement i."""
     meshes = [p.shape.triangles for p in placements if p.shape.triangles is not None]
     sizes = np.array(
         [len(p.shape.triangles.faces) if p.shape.triangles is not None else 0 for p in placements], dtype=np.int64
@@ -51,9 +50,9 @@ def make_surfaces(placements: Sequence[Placement]) -> Surfaces:
 
 
 def _joined(arrays: list[np.ndarray], *shape: int, dtype=np.float64) -> np.ndarray:
-    """Return arrays one after the other, row by row; the array itself where there is one, for meshes are large."""
+    """Concatenate arrays; a single array is not copied, because meshes are large."""
     if len(arrays) == 1:
-        return np.ascontiguousarray(arrays[0])  # another order would compile kernels of its own
+        return np.ascontiguousarray(arrays[0])  # compiled loops exist for this memory order
     return np.concatenate(arrays) if arrays else np.zeros((0, *shape), dtype=dtype)
 
 
@@ -70,25 +69,26 @@ def surface_at(surfaces, index, ray, point, normal, facet):
     index : int
         Shape that was hit.
     ray : irodori.geometry.embree.Ray
-        That met it; of a mesh the triangle and the place in it are read from here.
+        Ray that hit the shape; for a mesh it contains the triangle and the place in it.
     point : (3,) float64
         Traced point, mm; moved onto the surface.
     normal, facet : (3,) float64
-        Filled with the unit shading normal and the unit normal of the surface itself, outward.
+        Filled with the outward unit shading normal and the outward unit geometric normal.
 
     Returns
     -------
-    u, v : float, 0..1
+    u, v : float
+        Texture coordinates, 0..1.
     """
     return _surface_at(surfaces.kind[index], surfaces, index, ray, point, normal, facet)
 
 
 @njit(cache=True, forceinline=True)
 def face_viewer(normal, facet, direction):
-    """Return the cosine between the shading normal and the way back to the viewer; not positive seen from behind.
+    """Return the cosine between the shading normal and the direction to the viewer; not positive if seen from behind.
 
-    Where the surface is seen from its front and the shading normal alone looks away, as it may at the outline of
-    a coarse mesh, the surface's own normal takes its place.
+    At the outline of a coarse mesh, the shading normal may face away although the surface faces the viewer. It is then
+    replaced by the geometric normal.
     """
     front = -(facet[0] * direction[0] + facet[1] * direction[1] + facet[2] * direction[2])
     if front <= 0.0:

@@ -1,5 +1,5 @@
-"""RAW ingestion: linear responses from a camera's files.
+"""RAW ingestion: linear responses from the files of a camera.
 
-A superpixel is 2 x 2 mosaic pixels: red, the mean of the two greens, blue; nothing is interpolated. Bands are red,
-green, blue without the filter, then with it where it was used; their number comes from the shots, not from the code.
+A superpixel is made of 2 x 2 mosaic pixels and has red, the mean of the two greens, and blue; nothing is interpolated.
+The bands are red, green and blue without the filter, followed by those with the filter if it was used.
 """

@@ -22,21 +22,21 @@ from irodori.spectra.white_reference import white_reflectance
 
 @dataclass(frozen=True)
 class Reference:
-    """A camera's reference, as `ingest_reference` writes it.
+    """Normalisation data of a camera, from a file of `ingest_reference`.
 
     Parameters
     ----------
     dark : Dark or None
     white : dict
-        Filter state -> (3, 15) coefficients of the response rate of a perfect diffuser lit at normal incidence, full
+        Filter state -> (3, 15) coefficients of the response rate of a perfect diffuser lit at normal incidence, in full
         scales per second of relative exposure; empty without white reference.
     noise : PhotonTransfer
     size_px : (width, height)
-        Of the mosaic; (0, 0) where there is neither dark frame nor white reference.
+        Size of the mosaic; (0, 0) if there is neither a dark frame nor a white reference.
     known : list of str
-        Which of iso and f_number are part of the relative exposure.
+        Those of ``iso`` and ``f_number`` that are part of the relative exposure.
     alignment : Alignment or None
-        The filter's nominal transform, from the chart.
+        Nominal transform due to the filter, from the chart.
     """
 
     dark: Dark | None
@@ -48,7 +48,7 @@ class Reference:
 
     @classmethod
     def load(cls, path) -> "Reference":
-        """Read a file of `ingest_reference`."""
+        """Read a file that `ingest_reference` wrote."""
         with store.open_file(path) as file:
             dark = _load_dark(file)
             states = file.attribute("filters")
@@ -65,7 +65,7 @@ class Reference:
             return cls(dark, dict(zip(states, white, strict=True)), noise, size, file.attribute("known"), alignment)
 
     def flat(self, state: str) -> np.ndarray:
-        """Return the flat field of a filter state on superpixels, (height, width, 3) float32."""
+        """Evaluate the flat field of a filter state at the superpixels, (height, width, 3) float32."""
         width, height = self.size_px
         return evaluate_flat(self.white[state], height // 2, width // 2)
 
@@ -87,32 +87,32 @@ def _load_dark(file: store.Reader) -> Dark | None:
 def ingest_reference(
     table, folder, output, provenance: store.Provenance, white_factor: float | str, options: IngestOptions
 ) -> None:
-    """Turn a camera's dark frames, white references and chart into the file that normalises its captures.
+    """Compute the normalisation data of a camera from its dark frames, white references and chart, and write them.
 
     Parameters
     ----------
     table, folder : path
-        Capture table of the camera and the folder of its files.
+        Capture table of the camera, and the folder of its files.
     white_factor : float or str
-        Reflectance factor of the white reference, or its measured spectrum, whose mean is taken: the bands'
-        sensitivities are not known here. How far it varies is the attribute ``white_factor_uncertainty``.
+        Reflectance factor of the white reference; or the name or file of its measured spectrum, which is averaged,
+        because the sensitivities of the bands are unknown at this stage. The attribute ``white_factor_uncertainty``
+        states the variation of the spectrum.
     options : IngestOptions
 
     Raises
     ------
     InputError
-        If a file has changed since the table noted its hash, a white reference is saturated or uneven, the camera is
-        less linear than the options allow, or the chart's two shots cannot be registered.
+        If a file has changed since its hash was recorded in the table, a white reference is saturated or uneven, the
+        camera is less linear than the options allow, or the two shots of the chart cannot be registered.
 
     Notes
     -----
-    Datasets, absent where the table has no such shots: ``/dark_offset`` and ``/dark_rate`` (H, W) int16 over the
-    mosaic, in the steps that the attributes give, DN and DN/s above the black level; ``/hot_px`` (n, 2) row and column
-    of hot mosaic pixels; ``/white`` (filters, 3, 15) coefficients of x^i y^j over the picture
-    [`irodori.ingest.flat_field`],
-    full scales per second of relative exposure; ``/gain`` (3, 2) electrons per DN of red, green and blue and their
-    standard errors; ``/linearity`` (n) deviation over relative exposures; ``/registration`` (4). Attributes of the
-    noise are NaN where it is not measurable.
+    Datasets, absent if the table has no such shots: ``/dark_offset`` and ``/dark_rate`` (H, W) int16 over the mosaic,
+    in steps stated by the attributes, DN and DN/s above the black level; ``/hot_px`` (n, 2) row and column of hot
+    mosaic pixels; ``/white`` (filters, 3, 15) coefficients of x^i y^j over the picture (`irodori.ingest.flat_field`),
+    in full scales per second of relative exposure; ``/gain`` (3, 2) electrons per DN of red, green and blue, and their
+    standard errors; ``/linearity`` (n) deviation at each relative exposure; ``/registration`` (4). Attributes of the
+    noise are NaN if it cannot be measured.
     """
     shots, size = _settled_shots(table, folder)
     whites = [s for s in shots if s.role == "white"]
@@ -150,7 +150,7 @@ def ingest_reference(
 
 
 def _settled_shots(table, folder) -> tuple[list[Shot], tuple[int, int]]:
-    """Return a camera's shots with what their files know, and the size of its dark frames or white references, px."""
+    """Return the shots of a camera with settings completed from their files, and the size of its mosaics, px."""
     settled, size = [], (0, 0)
     shots = [shot for shot in read_captures(table, folder) if shot.role in ("dark", "white", "chart")]
     check_unchanged(table, folder, shots)
@@ -189,7 +189,7 @@ def _write_noise(out: store.Writer, noise: PhotonTransfer) -> None:
 
 
 def _repeats(group: list[Shot]) -> list[list[Shot]]:
-    """Return brackets of distinct exposures: the first shot of each exposure, then the second of each, and so on."""
+    """Group shots into brackets of distinct exposures: the first shots of each exposure, then the second, and so on."""
     rounds: list[list[Shot]] = []
     seen: dict[tuple, int] = {}
     for shot in group:
@@ -202,12 +202,12 @@ def _repeats(group: list[Shot]) -> list[list[Shot]]:
 
 
 def _white(reference: Reference, group: list[Shot], table, folder, reflectance: float, options: IngestOptions):
-    """Return the coefficients of a perfect diffuser's response rate from the white reference of one filter state."""
+    """Return the coefficients of the response rate of a perfect diffuser, (3, 15), for one filter state."""
     cosine = np.cos(flat_incidence_rad(group[0].pose))
     path = shot_path(group[0], table, folder)
     coefficients = []
     for bracket in _repeats(group):
-        # The white reference itself is needed as it lies on the sensor, whatever the captures' demosaicing.
+        # The flat field is measured on superpixels, also if captures are demosaiced.
         state = develop(reference, bracket, table, folder, options.superpixels(), white=None)
         valid = ~(state.clipped | state.hot)
         if valid.mean() < 0.5:

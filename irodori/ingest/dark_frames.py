@@ -12,25 +12,25 @@ from irodori.jit.chunks import run_chunks
 from irodori.jit.compilation import njit
 
 _HOT_SIGMAS = 8.0
-_HOT_CHANCE = 1e-9  # of a sound pixel to show such a variance
+_HOT_CHANCE = 1e-9  # probability that a normal pixel has such a variance
 _SAMPLES = 1_000_000  # pixels that suffice for a median
-_ROWS = 64  # that a thread takes at a time
+_ROWS = 64  # rows that a thread takes at a time
 _STEPS = 32_767
 
 
 @dataclass(frozen=True)
 class Dark:
-    """Signal without light, above the black level: offset + rate x exposure time.
+    """Dark signal of each mosaic pixel above the black level: offset + rate x exposure time.
 
     Parameters
     ----------
     offset : (height, width) int16 or None
-        In steps of `offset_step_dn`; None where all dark frames have one exposure time.
+        Offset in steps of `offset_step_dn`; None if all dark frames have the same exposure time.
     rate : (height, width) int16
-        In steps of `rate_step_dn_per_s`.
+        Rate in steps of `rate_step_dn_per_s`.
     offset_step_dn, rate_step_dn_per_s : float
     iso : float
-        ISO of the dark frames, 0 where unknown; the rate grows in proportion to it.
+        ISO of the dark frames, 0 if unknown; the dark signal is proportional to it.
     exposures_s : tuple of float
         Exposure times of the frames, ascending, s.
     hot_px : (n, 2) int32
@@ -46,7 +46,7 @@ class Dark:
     hot_px: np.ndarray
 
     def signal_dn(self, exposure_s: float) -> np.ndarray:
-        """Return the dark signal above black, (height, width) float32, DN."""
+        """Return the dark signal above the black level, (height, width) float32, DN."""
         signal = np.float32(self.rate_step_dn_per_s * exposure_s) * self.rate
         return signal if self.offset is None else signal + np.float32(self.offset_step_dn) * self.offset
 
@@ -66,14 +66,16 @@ def _add(values, black, total, squares, first, last):
 
 
 def hot_pixels(level_dn: np.ndarray, variance_dn2: np.ndarray | None, freedom: int) -> np.ndarray:
-    """Return which pixels are hot: too bright in the dark, or too restless.
+    """Return the hot pixels: those that are too bright in the dark, or too noisy.
 
     Parameters
     ----------
     level_dn : (height, width) float
         Dark signal, mean of the frames.
     variance_dn2 : (height, width) float, optional
-        Sample variance between equal frames, with `freedom` degrees of freedom.
+        Sample variance between equal frames.
+    freedom : int
+        Degrees of freedom of the variance.
 
     Returns
     -------
@@ -81,10 +83,10 @@ def hot_pixels(level_dn: np.ndarray, variance_dn2: np.ndarray | None, freedom: i
 
     Notes
     -----
-    Too bright: more than 8 standard deviations above the median of all pixels, the standard deviation taken from the
-    median absolute deviation (and at least that of rounding). Too restless: a variance that a sound pixel shows with
-    a chance of 1e-9, by the chi-square distribution scaled to the median variance. Median and median absolute
-    deviation do not move while hot pixels are a minority.
+    Too bright: more than 8 standard deviations above the median of all pixels, with a standard deviation from the
+    median absolute deviation, at least that of rounding. Too noisy: a variance that a normal pixel exceeds with a
+    probability of 1e-9, by the chi-squared distribution scaled to the median variance. A minority of hot pixels hardly
+    changes these medians.
     """
     from scipy import special  # slow to import; captures only read what is measured here
 
@@ -100,10 +102,10 @@ def hot_pixels(level_dn: np.ndarray, variance_dn2: np.ndarray | None, freedom: i
 
 
 def measure_dark(shots: list[Shot], table, folder) -> Dark | None:
-    """Return the dark signal of a camera from its dark frames, or None where there are none.
+    """Measure the dark signal of a camera from its dark frames; None if there are none.
 
-    A straight line in exposure time is fitted to each pixel. Dark frames of one exposure time fix its slope alone: the
-    file's black level then counts as the signal at no exposure.
+    A straight line over exposure time is fitted to each pixel. With a single exposure time only its slope is fitted,
+    and the signal at zero exposure is taken to be the black level of the file.
 
     Raises
     ------
@@ -145,7 +147,7 @@ def measure_dark(shots: list[Shot], table, folder) -> Dark | None:
 
 
 def _sum_frames(group: list[Shot], table, folder, sums) -> tuple[np.ndarray, np.ndarray]:
-    """Return sum and sum of squares of the signals above black of equal frames, float32."""
+    """Return the sum, and the sum of squares, of the signals above black in equal frames, (height, width) float32."""
     total: np.ndarray | None = None
     squares: np.ndarray | None = None
     for shot in group:
@@ -164,7 +166,7 @@ def _sum_frames(group: list[Shot], table, folder, sums) -> tuple[np.ndarray, np.
 
 
 def _line(sums: dict, times: np.ndarray, frames: np.ndarray):
-    """Return each pixel's offset (None with one exposure time) and rate by least squares over all frames."""
+    """Return offset (None with a single exposure time) and rate of each pixel by least squares over all frames."""
     count, t1, t2 = frames.sum(), (frames * times).sum(), (frames * times**2).sum()
     if len(times) == 1:
         return None, sums["plain"] / np.float32(t1)
@@ -174,7 +176,7 @@ def _line(sums: dict, times: np.ndarray, frames: np.ndarray):
 
 
 def _in_steps(values: np.ndarray, hot: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return values as whole steps, and the step; hot pixels, which would make it coarse, are 0."""
+    """Return values as integer multiples of a step, and the step; hot pixels are 0, to keep the step fine."""
     values = np.where(hot, 0.0, values)
     step = max(float(np.abs(values).max()) / _STEPS, float(np.finfo(np.float32).tiny))
     return np.rint(values / step).astype(np.int16), step

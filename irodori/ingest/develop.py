@@ -1,4 +1,4 @@
-"""Decoding and merging of the photographs of one filter state into responses."""
+"""Decoding of the photographs of one filter state, and merging of their exposures into responses."""
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -13,18 +13,18 @@ from irodori.ingest.ingest_options import IngestOptions
 from irodori.ingest.merge import ABSENT, ExposureBracket, PatternPlanes, merge
 from irodori.ingest.mosaic import Mosaic, decode, demosaic
 
-_PEDESTAL = 512  # digital numbers that stand for black in a demosaiced picture
-#: How far, in mosaic pixels, an algorithm carries a pixel's value (measured with single outliers on noise). DCB and DHT
-#: choose directions over more than that; hot pixels are replaced before, so that no outlier steers the choice.
+_PEDESTAL = 512  # digital number that represents black in a demosaiced picture
+#: Distance, in mosaic pixels, to which an algorithm spreads the value of a pixel (measured with single outliers on
+#: noise). DCB and DHT choose directions from a larger area; hot pixels are replaced before, so as not to influence it.
 REACH_PX = {"linear": 1, "vng": 2, "ppg": 4, "ahd": 5, "dcb": 5, "dht": 5}
-_MERGED_SHARE = 0.5  # of the samples that an exposure must give to count in the noise model
+_MERGED_SHARE = 0.5  # smallest share of a band's samples with which an exposure counts in the noise model
 
 
 @dataclass(frozen=True)
 class Frame:
-    """One decoded photograph: its shot with ISO and aperture settled, its mosaic, its demosaiced bands if asked for.
+    """One decoded photograph: its shot with ISO and aperture completed, its mosaic, and its demosaiced bands or None.
 
-    ``black`` and ``clip`` are the digital numbers of no light and of the clip level in the demosaiced bands.
+    ``black`` and ``clip`` are the digital numbers of black and of the clip level in the demosaiced bands.
     """
 
     shot: Shot
@@ -41,15 +41,15 @@ class Developed:
     Parameters
     ----------
     response : (height, width, 3) float32
-        0 where clipped.
+        Responses; 0 where clipped.
     clipped : (height, width) bool
-        Where a band is at or above the clip level in every exposure.
+        Pixels with a band at or above the clip level in every exposure.
     hot : (height, width) bool
-        Where a hot pixel takes part.
+        Pixels that a hot mosaic pixel affects.
     noise : (3, 2) float64
-        Variance of the response c0 + c1 x response at the centre, NaN where not known.
+        c0 and c1 of the variance c0 + c1 x response at the centre of the picture; NaN if unknown.
     pattern : str
-        Colours of the mosaic's first 2 x 2 pixels; empty for a picture that is no mosaic.
+        Colours of the first 2 x 2 pixels of the mosaic; empty for a picture that is not a mosaic.
     """
 
     response: np.ndarray
@@ -60,12 +60,12 @@ class Developed:
 
     @property
     def valid(self) -> np.ndarray:
-        """Pixels whose three bands were all measured, (height, width) bool."""
+        """Pixels with three measured bands, (height, width) bool."""
         return ~(self.clipped | self.hot)
 
 
 def load_frames(reference, shots: list[Shot], table, folder, options: IngestOptions) -> list[Frame]:
-    """Decode photographs, as many at a time as there are threads.
+    """Decode photographs in parallel.
 
     Raises
     ------
@@ -90,7 +90,7 @@ def load_frames(reference, shots: list[Shot], table, folder, options: IngestOpti
 
 
 def _is_sensor(reference, shot: Shot, mosaic: Mosaic) -> bool:
-    """Whether a picture lies on the sensor as it is; a stitched panorama does not."""
+    """Return whether pixels of a picture correspond to pixels of the sensor; those of a stitched panorama do not."""
     return shot.role != "environment" or mosaic.size == tuple(reference.size_px)
 
 
@@ -102,12 +102,12 @@ def _check_size(reference, shot: Shot, mosaic: Mosaic, path) -> None:
 
 
 def _dark_seconds(reference, shot: Shot) -> float:
-    """Return the exposure time that counts for the dark signal, with the amplification relative to the dark frames'."""
+    """Return the exposure time for the dark signal: multiplied by the amplification relative to the dark frames, s."""
     return shot.exposure_s * iso_ratio(shot, reference.dark.iso if reference.dark else 0.0)
 
 
 def _demosaiced(reference, shot: Shot, mosaic: Mosaic, path, options: IngestOptions) -> Frame:
-    """Return a frame interpolated to full resolution; what clipping reaches stands at the clip level."""
+    """Demosaic a photograph to full resolution; pixels that clipping affects are set to the clip level."""
     height, width = mosaic.values.shape
     offset = np.tile(mosaic.black.astype(np.float32), (height // 2, width // 2))
     if reference.dark is not None:
@@ -125,7 +125,7 @@ def _demosaiced(reference, shot: Shot, mosaic: Mosaic, path, options: IngestOpti
     for row, column, band in mosaic.places():
         share = 0.5 if band == 1 else 1.0
         mean = float(np.mean(offset[row::2, column::2], dtype=np.float64))
-        # LibRaw counts in whole numbers: what rounding the offset left is subtracted as the mean of each colour.
+        # LibRaw works with integers: the mean rounding error of the offset is subtracted later for each colour.
         rest[band] += share * (mean - float(np.mean(whole[row::2, column::2], dtype=np.float64)))
         level[band] = min(level[band], np.ceil(_PEDESTAL + clip[row, column] - mean))
     clipped = mosaic.values >= np.tile(clip, (height // 2, width // 2))
@@ -134,7 +134,7 @@ def _demosaiced(reference, shot: Shot, mosaic: Mosaic, path, options: IngestOpti
 
 
 def _reached(mask: np.ndarray, options: IngestOptions) -> np.ndarray:
-    """Return where marked mosaic pixels take part in the interpolation."""
+    """Return the pixels that marked mosaic pixels affect by interpolation."""
     from scipy import ndimage  # slow to import, and superpixels never need it
 
     reach = REACH_PX[options.demosaic]
@@ -150,9 +150,9 @@ def merge_frames(reference, frames: list[Frame], options: IngestOptions, white, 
     frames : list of Frame
     options : IngestOptions
     white : (3, 15) float64 or None
-        Flat field; a panorama takes the level at its centre.
+        Coefficients of the flat field; for a panorama only its value at the centre is used.
     out : (height, width, 3) float32, optional
-        Receives the responses.
+        Array to fill with the responses.
     """
     frames = sorted(frames, key=lambda f: relative_exposure_s(f.shot))
     first = frames[0].mosaic
@@ -175,9 +175,9 @@ def merge_frames(reference, frames: list[Frame], options: IngestOptions, white, 
 
 
 def empty_response(height: int, width: int, states: int) -> np.ndarray:
-    """Return room for the responses of some filter states, (height, width, 3 states) float32.
+    """Allocate the responses of some filter states, (height, width, 3 states) float32.
 
-    The bands of one state are never contiguous in it: the loops are compiled for strided pictures alone.
+    The bands of one state are never contiguous in memory, because the loops are compiled only for strided pictures.
     """
     bands = 3 * states
     return np.empty((height, width, max(bands, 4)), dtype=np.float32)[..., :bands]
@@ -200,9 +200,9 @@ def _bracket(reference, frames: list[Frame]) -> ExposureBracket:
 
 def _planes(reference, frames: list[Frame], options: IngestOptions, on_sensor: bool) -> PatternPlanes:
     if options.sample_px == 1:
-        pictures = [f.bands for f in frames if f.bands is not None]  # all have them: they were demosaiced
+        pictures = [f.bands for f in frames if f.bands is not None]  # all frames have bands: they were demosaiced
         stack = pictures[0][None] if len(pictures) == 1 else np.stack(pictures)
-        # Green stands twice, like its two places in a mosaic, so that the loops are compiled for four places only.
+        # Green is listed twice, as in a mosaic, so that the loops are compiled only for four places.
         bands = np.array([0, 1, 1, 2])
         black, clip = (
             np.ascontiguousarray(np.array([getattr(f, n) for f in frames]).T[bands]) for n in ("black", "clip")
@@ -234,7 +234,7 @@ def _mean_dark(dark, seconds: float) -> float:
 
 
 def _hot(reference, shape, options: IngestOptions) -> np.ndarray:
-    """Return where hot mosaic pixels take part in a sample."""
+    """Return the samples that hot mosaic pixels affect, (height, width) bool."""
     side = options.sample_px
     hot_px = np.zeros((0, 2), int) if reference.dark is None else reference.dark.hot_px
     mask = np.zeros((shape[0] // side, shape[1] // side), dtype=np.bool_)
@@ -245,15 +245,15 @@ def _hot(reference, shape, options: IngestOptions) -> np.ndarray:
 def _noise_model(
     bracket: ExposureBracket, white, shares: np.ndarray, options: IngestOptions, greens: float
 ) -> np.ndarray:
-    """Return c0 and c1 of each band at the centre of the picture for the exposures merged there, (3, 2).
+    """Return c0 and c1 of the noise model of each band at the centre of the picture, (3, 2).
 
-    An exposure counts where it gave at least half of a band's samples; the shortest always does. A sample of green is
-    the mean of ``greens`` mosaic pixels with noise of their own.
+    Exposures count if they contribute at least half of a band's samples; the shortest always counts. A sample of green
+    is the mean of ``greens`` independent mosaic pixels.
     """
     unknown = (
         white is None or not np.isfinite(bracket.electrons_per_dn).all() or not np.isfinite(bracket.read_dn2).all()
     )
-    # Interpolation averages neighbours by a rule of its own: its noise is not that of a sample.
+    # Demosaicing averages neighbouring pixels, so the noise differs from that of a single sample.
     if unknown or options.sample_px == 1:
         return np.full((3, 2), np.nan)
     merged = shares >= _MERGED_SHARE

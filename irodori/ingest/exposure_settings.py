@@ -7,20 +7,20 @@ from irodori.config.capture_table import FILTERS, Shot
 from irodori.core.errors import InputError
 from irodori.ingest.mosaic import Mosaic
 
-#: Relative difference up to which a file agrees with its table. Cameras round: 1/50 s stands as 0.01976, ISO 640 as
-#: 635, f/5.6 as 5.66; the nearest other setting is a third of a stop away, which is 26 % in time and ISO, 12 % in f.
+#: Largest relative difference between file and table. Cameras round: 1/50 s is written as 0.01976, ISO 640 as 635,
+#: f/5.6 as 5.66; the nearest other setting is a third of a stop away, 26 % in time and ISO, 12 % in f-number.
 TOLERANCE = 0.05
 _COLUMNS = ("exposure_s", "iso", "f_number")
 _OPTIONAL = ("iso", "f_number")
 
 
 def settle(shot: Shot, mosaic: Mosaic, table) -> Shot:
-    """Return a shot with the file's own ISO and aperture where its table is silent.
+    """Return a shot with ISO and aperture taken from the file if the table does not state them.
 
     Raises
     ------
     InputError
-        If the file's exposure time, ISO or f-number differ from the table's by more than 5 %.
+        If exposure time, ISO or f-number in the file differ from those in the table by more than 5 %.
     """
     found = {}
     for column in _COLUMNS:
@@ -32,15 +32,15 @@ def settle(shot: Shot, mosaic: Mosaic, table) -> Shot:
 
 
 def settle_set(shots: list[Shot], table) -> list[Shot]:
-    """Return the shots of one set with ISO and f-number known for all of them, or for none.
+    """Complete ISO and f-number in a set of shots, so that each is known for all shots or for none.
 
-    Where some shots know a setting and others do not, those that do must agree within 5 %; the others are taken to
-    have the same. A dark frame's aperture lets no light in and does not count.
+    If a setting is known for some shots only, these must agree within 5 %, and the others are assumed to have the same.
+    The aperture of dark frames is ignored, because no light passes it.
 
     Raises
     ------
     InputError
-        If shots without a setting stand beside shots that differ in it.
+        If the setting is unknown for some shots and differs among the others.
     """
     for column in _OPTIONAL:
         concerned = [s for s in shots if column == "iso" or s.role != "dark"]
@@ -57,22 +57,22 @@ def settle_set(shots: list[Shot], table) -> list[Shot]:
 
 
 def relative_exposure_s(shot: Shot) -> float:
-    """Return exposure time x ISO / 100 / f-number², with 1 for what is not known, s."""
+    """Return exposure time x (ISO / 100) / f-number², s; unknown factors count as 1."""
     return shot.exposure_s * (shot.iso / 100.0 if shot.iso else 1.0) / (shot.f_number**2 if shot.f_number else 1.0)
 
 
 def iso_ratio(shot: Shot, iso: float) -> float:
-    """Return the amplification of a shot relative to that at another ISO, 1 where either is not known."""
+    """Return the amplification of a shot relative to that at another ISO; 1 if either is unknown."""
     return shot.iso / iso if shot.iso and iso else 1.0
 
 
 def known_settings(shots: Iterable[Shot]) -> list[str]:
-    """Return which of iso and f_number the shots know, after `settle_set`."""
+    """Return those of ``iso`` and ``f_number`` that are known for the shots, after `settle_set`."""
     lit = [s for s in shots if s.role != "dark"]
     return [column for column in _OPTIONAL if any(getattr(s, column) for s in lit)]
 
 
 def filter_states(shots: Iterable[Shot]) -> list[str]:
-    """Return the filter states of shots in the order of the bands, whatever the order of the table's lines."""
+    """Return the filter states that occur in shots, in the order of the bands."""
     shots = list(shots)
     return [state for state in FILTERS if any(shot.filter == state for shot in shots)]

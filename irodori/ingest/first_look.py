@@ -1,4 +1,4 @@
-"""First check of a set of RAW files: every file is decoded and looked at once before any long work."""
+"""First check of a set of RAW files: every file is decoded and checked once before any long computation."""
 
 from irodori.config.capture_table import Shot, check_unchanged, read_captures, shot_path, write_captures
 from irodori.core.custody import content_sha256
@@ -8,34 +8,34 @@ from irodori.ingest.exposure_settings import settle, settle_set
 from irodori.ingest.mosaic import Mosaic, decode
 from irodori.ingest.set_plausibility import FocalRange, SetLook
 
-#: White level of pictures that hold too few steps for dark colours, and what is said of them.
+#: White level at or below which pictures have too few steps for dark colours, and the warning.
 COARSE = 255.0
 COARSE_WARNING = "8 bits a band: a tenth of the range has 25 steps, so that dark colours are coarse; 16 bits are better"
 
 
 def check_captures(table, folder, output, roles, size_px=None, lens_mm=None) -> None:
-    """Decode every RAW file of a set once, look at it, and write the set's table with hashes, ISO and f-number.
+    """Decode and check every RAW file of a set once, and write the set's table with hashes, ISO and f-number.
 
     Parameters
     ----------
     table, folder : path
     output : path
-        Table of the set's own shots; ISO and f-number are those of the files where `table` does not state them.
+        Table to write, with the shots of the set; ISO and f-number come from the files if `table` does not state them.
     roles : sequence of str
-        The roles that the set uses; a table may serve several sets.
+        Roles of the shots in the set; a table may contain several sets.
     size_px : (width, height), optional
-        Size of the mosaic that the definition states; otherwise that of the first file counts. Charts in a room are
-        held against the camera's reference when they are read in, as what a stitched panorama is made of.
+        Size of the mosaic from the definition; by default that of the first file. The size of charts in a room is not
+        checked here but compared with the camera's reference when they are ingested.
     lens_mm : (focal length, distance of the subject), optional
-        As the definitions state them, mm; what the files state must agree.
+        Values from the definitions, mm; the focal length in the files must agree.
 
     Raises
     ------
     InputError
-        If a file is missing, truncated, changed since the table noted its hash, or of another size than stated; if its
-        own exposure time, ISO or f-number differ from the table's by more than 5 %, or the last two are known for a
-        part of the set only; or if a photograph cannot be what the table says, see `irodori.ingest.plausibility`. What
-        is merely unlikely is logged.
+        If a file is missing, truncated, changed since its hash was recorded, or of the wrong size; if exposure time,
+        ISO or f-number in the file differ from the table by more than 5 %; if ISO or f-number is unknown for some shots
+        and differs among the others; or if a photograph cannot be what the table states, see
+        `irodori.ingest.plausibility`. Unlikely photographs are logged only.
     """
     shots = [shot for shot in read_captures(table, folder) if shot.role in roles]
     check_unchanged(table, folder, shots)
@@ -57,19 +57,19 @@ def check_captures(table, folder, output, roles, size_px=None, lens_mm=None) -> 
 
 
 class SetSize:
-    """The size that all mosaics of a set have.
+    """Check that all mosaics of a set have the same size.
 
     Parameters
     ----------
     size_px : (width, height), optional
-        As a definition states it; that of the first file where absent.
+        Size from a definition; by default that of the first file.
     """
 
     def __init__(self, size_px=None) -> None:
         self._wanted = None if size_px is None else tuple(side // 2 * 2 for side in size_px)
 
     def check(self, shot: Shot, path, mosaic: Mosaic) -> None:
-        """Refuse a photograph of another size by an InputError; a chart in a room fills the sensor and may have any."""
+        """Raise `InputError` for a photograph of another size; a chart in a room may have any size."""
         if shot.role == "room-chart":
             return
         self._wanted = self._wanted or mosaic.size

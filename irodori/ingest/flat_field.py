@@ -1,7 +1,7 @@
 """Flat field: a smooth surface fitted to a picture of the white reference.
 
-The surface is a polynomial of degree 4 in x and y, each from -1 to 1 over the picture, so that the white reference's
-noise and dust do not enter the object, and 15 numbers a band replace a picture.
+The surface is a polynomial of degree 4 in x and y, each from -1 to 1 over the picture. So noise and dust of the white
+reference do not affect the pictures of objects, and 15 numbers for each band replace a picture.
 """
 
 from typing import NamedTuple
@@ -12,13 +12,13 @@ from irodori.jit.chunks import run_chunks
 from irodori.jit.compilation import njit
 
 DEGREE = 4
-POWERS = [(i, j) for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)]  # of x, of y
-_ROWS = 64  # that a thread takes at a time
-_MAX_RESIDUAL = 0.05  # of the mean; pixel noise of a white reference is far below
+POWERS = [(i, j) for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)]  # powers of x and of y
+_ROWS = 64  # rows that a thread takes at a time
+_MAX_RESIDUAL = 0.05  # largest RMS residual relative to the mean; pixel noise of a white reference is far below
 
 
 def fit_flat(image: np.ndarray, valid: np.ndarray) -> np.ndarray:
-    """Return the polynomial surface nearest to a flat-field picture.
+    """Fit the polynomial surface to a flat-field picture by least squares.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ def fit_flat(image: np.ndarray, valid: np.ndarray) -> np.ndarray:
     Raises
     ------
     ValueError
-        If the picture is not that of an even surface that fills it.
+        If the picture does not show an even surface that fills it.
     """
     if not valid.any():
         raise ValueError("a picture without a single valid pixel")
@@ -58,14 +58,14 @@ def fit_flat(image: np.ndarray, valid: np.ndarray) -> np.ndarray:
 
 
 def evaluate_flat(coefficients: np.ndarray, height: int, width: int) -> np.ndarray:
-    """Return the surface of a flat field, (height, width, bands) float32."""
+    """Evaluate the surface of a flat field, (height, width, bands) float32."""
     x_powers = axis(width)[:, None] ** np.arange(DEGREE + 1)
     y_powers = axis(height)[:, None] ** np.arange(DEGREE + 1)
     return np.einsum("yj,xi,bij->yxb", y_powers, x_powers, grid(coefficients), optimize=True).astype(np.float32)
 
 
 def grid(coefficients: np.ndarray) -> np.ndarray:
-    """Return coefficients as (bands, power of x, power of y), 0 beyond the degree."""
+    """Arrange coefficients, (bands, 15), as (bands, power of x, power of y), with 0 beyond the degree."""
     out = np.zeros((len(coefficients), DEGREE + 1, DEGREE + 1))
     for term, (i, j) in enumerate(POWERS):
         out[:, i, j] = coefficients[:, term]
@@ -73,17 +73,17 @@ def grid(coefficients: np.ndarray) -> np.ndarray:
 
 
 def axis(size: int) -> np.ndarray:
-    """Return the coordinates of a picture's columns or rows, -1 to 1."""
+    """Return the coordinates of the columns or rows of a picture, -1 to 1, (size,)."""
     return np.linspace(-1.0, 1.0, size) if size > 1 else np.zeros(1)
 
 
 class _RowSums(NamedTuple):
     """Sums over the valid pixels of each row of a picture (height, width, bands)."""
 
-    moments: np.ndarray  # (height, 2 DEGREE + 1) of x^i
-    products: np.ndarray  # (height, bands, DEGREE + 1) of the picture times x^i
-    squares: np.ndarray  # (height, bands) of the picture's squares
-    counts: np.ndarray  # (height,) int64 valid pixels
+    moments: np.ndarray  # (height, 2 DEGREE + 1), Σ x^i
+    products: np.ndarray  # (height, bands, DEGREE + 1), Σ picture x^i
+    squares: np.ndarray  # (height, bands), Σ picture²
+    counts: np.ndarray  # (height,) int64, number of valid pixels
 
 
 @njit(cache=True, nogil=True)
@@ -112,7 +112,7 @@ def _sum_rows(image, valid, x, sums, first, last):
 
 
 def _row_moments(image, valid):
-    """Return the sums over the valid pixels of each row."""
+    """Compute the sums over the valid pixels of each row."""
     height, _, bands = image.shape
     moments, products = np.zeros((height, 2 * DEGREE + 1)), np.zeros((height, bands, DEGREE + 1))
     sums = _RowSums(moments, products, np.zeros((height, bands)), np.zeros(height, dtype=np.int64))

@@ -14,7 +14,7 @@ class IngestOptions:
     Parameters
     ----------
     saturation : float
-        Fraction of the range from black to white from which a sample is clipped.
+        Fraction of the range from black to white at and above which a sample counts as clipped.
     demosaic : str
         ``superpixel``, or an algorithm of LibRaw for full resolution.
     register : bool
@@ -38,9 +38,9 @@ class IngestOptions:
 
     @property
     def sample_px(self) -> int:
-        """Mosaic pixels along the side of a sample."""
+        """Side of a sample in mosaic pixels."""
         return 2 if self.demosaic == SUPERPIXEL else 1
 
     def superpixels(self) -> "IngestOptions":
-        """Return the same options on superpixels."""
+        """Return the options with superpixels instead of demosaicing."""
         return replace(self, demosaic=SUPERPIXEL)

@@ -1,11 +1,12 @@
-"""TIFF and PNG pictures of three bands whose numbers go with the light, in place of RAW files.
+"""Linear TIFF and PNG pictures with three bands, in place of RAW files: their numbers are proportional to the light.
 
-Each pixel of a picture becomes 2 x 2 equal mosaic pixels of one colour each, red, green, green and blue, so that a
-superpixel is the picture's own pixel and nothing is interpolated or averaged. Only the user can say that a picture is
-linear. A tone curve is refused where the numbers themselves show it: a program that applies one to whole numbers leaves
-out numbers in the dark part, where the curve is steep, and none or fewer in the bright part. A curve that was applied
-before the picture was rounded to fewer steps, or before an interpolation filled the gaps, leaves no such trace. An
-exposure series of a white surface shows it (`irodori.ingest.linearity`).
+Each pixel of a picture becomes 2 x 2 mosaic pixels (red, green, green, blue), so that a superpixel is exactly a pixel
+of the picture.
+
+Only the user can know whether a picture is linear. A picture with a tone curve is refused if its numbers reveal the
+curve: applied to integers, a curve leaves gaps between the numbers in the dark part, where it is steep, and fewer or
+none in the bright part. There is no such trace if the picture was rounded to fewer steps or interpolated after the
+curve; then an exposure series of a white surface reveals the curve (`irodori.ingest.linearity`).
 """
 
 import math
@@ -24,15 +25,16 @@ _SETTINGS = {
     "iso": "Exif:PhotographicSensitivity",
     "focal_mm": "Exif:FocalLength",
 }
-#: An octave of numbers tells its step where each number that occurs does so this often on average, and so many occur.
+#: An octave is used if its mean count per distinct number is at least the first, and it has more than the second
+#: count of distinct numbers.
 _OFTEN, _FEWEST = 20.0, 4
-#: Steps of octaves of one picture differ by less than this factor if it is linear, and gaps of one octave by less.
+#: Largest ratio between the steps of octaves of a linear picture, and of a gap to the median gap within an octave.
 _LARGEST_RATIO, _REGULAR = 2.0, 4.0
-_DARKEST_OCTAVE = 3  # numbers below 8 are few
+_DARKEST_OCTAVE = 3  # octaves below 8 have too few numbers
 
 
 def read_picture(path) -> dict[str, Any]:
-    """Read a linear picture as the fields of an `irodori.ingest.mosaic.Mosaic`.
+    """Read a linear picture, and return the fields of an `irodori.ingest.mosaic.Mosaic`.
 
     Parameters
     ----------
@@ -42,12 +44,12 @@ def read_picture(path) -> dict[str, Any]:
     -------
     dict
         ``values`` (2 height, 2 width) uint16, ``pattern``, ``black`` 0 and ``white``, the largest number that the file
-        can hold; exposure time, ISO, f-number and focal length as the file states them, 0 where it does not.
+        can hold; exposure time, ISO, f-number and focal length stated in the file, 0 if it does not state them.
 
     Raises
     ------
     InputError
-        If there is no such file, it cannot be read, has other numbers or bands, or shows a tone curve.
+        If the file does not exist, cannot be read, has other data types or bands, or shows a tone curve.
     """
     if not Path(path).is_file():
         raise InputError(path, "", "no such file", _ACCEPTED)
@@ -78,12 +80,12 @@ def _positive(value) -> float:
 
 
 def refuse_tone_curve(path, samples: np.ndarray) -> None:
-    """Refuse a picture whose numbers lie further apart in the dark than in the bright, or the other way round.
+    """Raise `InputError` if the gaps between the numbers of a picture differ between dark and bright octaves.
 
     Parameters
     ----------
     path : path
-        For the message.
+        Name of the picture for the message.
     samples : (height, width, bands) uint8 or uint16
 
     Raises
@@ -104,12 +106,14 @@ def refuse_tone_curve(path, samples: np.ndarray) -> None:
 
 
 def steps_by_octave(counts: np.ndarray) -> dict[int, float]:
-    """Return the mean distance of the numbers that occur, by the first number of each octave that tells it.
+    """Return the mean gap between the numbers that occur in each octave, by the first number of the octave.
+
+    Octaves with too few numbers or irregular gaps are left out.
 
     Parameters
     ----------
     counts : (n,) int
-        How often each number occurs.
+        Number of occurrences of each number.
     """
     found = {}
     for octave in range(_DARKEST_OCTAVE, 16):
@@ -119,7 +123,7 @@ def steps_by_octave(counts: np.ndarray) -> dict[int, float]:
         if len(there) <= _FEWEST or part.sum() < _OFTEN * len(there):
             continue
         gaps = np.diff(there)
-        # Where a picture simply has no such tones, the gap is no step.
+        # A single large gap only means that the picture has no such tones.
         if gaps.max() < _REGULAR * max(float(np.median(gaps)), 1.0):
             found[first] = float(gaps.mean())
     return found

@@ -1,4 +1,4 @@
-"""Linearity of a camera from an exposure series of one subject."""
+"""Linearity of a camera, measured from an exposure series of one subject."""
 
 from dataclasses import dataclass
 
@@ -11,8 +11,8 @@ from irodori.ingest.dark_frames import Dark
 from irodori.ingest.exposure_settings import iso_ratio, relative_exposure_s
 from irodori.ingest.mosaic import Mosaic, decode
 
-_MAX_LEVEL = 0.9  # of the range to saturation, in the longest exposure that counts
-_MIN_LEVEL = 0.005  # of the range: below, black level and stray light rule
+_MAX_LEVEL = 0.9  # largest usable level, relative to saturation
+_MIN_LEVEL = 0.005  # smallest usable level, relative to saturation: below, black level and stray light dominate
 _SIGMAS = 2.0
 
 
@@ -25,10 +25,10 @@ class Linearity:
     exposure_s : tuple of float
         Relative exposures of the series, s, ascending.
     deviation : tuple of float
-        Rate of each exposure over the mean of all, minus 1, of the colour where it is largest; the part that a drift of
-        the light, a straight line over the shots in their order, explains is taken out where frames repeat.
+        Rate of each exposure relative to the mean of all, minus 1, for the colour with the largest deviation. If
+        exposures are repeated, a linear drift of the light over the series is removed.
     repeatability : float
-        Standard error of a deviation, from frames of equal exposure; NaN where none repeats.
+        Standard error of a deviation, from frames of equal exposure; NaN if no exposure is repeated.
     """
 
     exposure_s: tuple[float, ...]
@@ -37,7 +37,7 @@ class Linearity:
 
     @property
     def largest(self) -> float:
-        """Largest deviation without its sign."""
+        """Largest absolute deviation."""
         return max(abs(d) for d in self.deviation)
 
 
@@ -47,14 +47,17 @@ def linear_fit(exposure: np.ndarray, rate: np.ndarray) -> tuple[np.ndarray, np.n
     Parameters
     ----------
     exposure : (shots,) float
-    rate : (shots,) float, in the order of the photographs
+        Relative exposures, s.
+    rate : (shots,) float
+        Response rates, in the order of the photographs.
 
     Returns
     -------
-    exposures : (n,) float, ascending
+    exposures : (n,) float
+        Different exposures, ascending.
     deviation : (n,) float
     repeatability : float
-        Standard error of a deviation, NaN where no exposure repeats.
+        Standard error of a deviation; NaN if no exposure is repeated.
     """
     levels, index = np.unique(exposure, return_inverse=True)
     shots, count = len(rate), len(levels)
@@ -62,7 +65,7 @@ def linear_fit(exposure: np.ndarray, rate: np.ndarray) -> tuple[np.ndarray, np.n
     design = (index[:, None] == np.arange(count)).astype(float)
     time = np.linspace(-0.5, 0.5, shots)
     with_drift = np.concatenate([design, time[:, None]], axis=1)
-    # Where exposures do not repeat, drift and deviation are one; where they follow each other in blocks, nearly so.
+    # Drift and deviation cannot be separated unless exposures are repeated, and hardly if repeats follow in blocks.
     if shots > count + 1 and np.linalg.cond(with_drift) < 100.0:
         design = with_drift
     solution, *_ = np.linalg.lstsq(design, relative, rcond=None)
@@ -77,7 +80,7 @@ def linear_fit(exposure: np.ndarray, rate: np.ndarray) -> tuple[np.ndarray, np.n
 
 
 def _plane_rates(series: list[Shot], table, folder, dark: Dark | None) -> np.ndarray:
-    """Return the mean rate of each shot and band over what the longest exposure leaves unclipped, (shots, 3)."""
+    """Return the mean response rate of each shot and band over pixels unclipped in the longest exposure, (shots, 3)."""
     ordered = sorted(range(len(series)), key=lambda i: -relative_exposure_s(series[i]))
     good, rates = {}, np.full((len(series), 3), np.nan)
     for at in track(ordered, "linearity"):
@@ -103,7 +106,7 @@ def _plane_rates(series: list[Shot], table, folder, dark: Dark | None) -> np.nda
 
 
 def _usable(mosaic: Mosaic, place, row: int, column: int, dark: Dark | None) -> np.ndarray:
-    """Return which pixels of one place are below saturation in this frame, and not hot."""
+    """Return the pixels at one place of the mosaic pattern that are below saturation in this frame, and not hot."""
     black, white = float(mosaic.black[row, column]), float(mosaic.white[row, column])
     mask = mosaic.values < black + _MAX_LEVEL * (white - black)
     if dark is not None:
@@ -112,9 +115,9 @@ def _usable(mosaic: Mosaic, place, row: int, column: int, dark: Dark | None) -> 
 
 
 def exposure_series(shots: list[Shot]) -> list[Shot]:
-    """Return the shots of the white reference, else of the chart, that form the longest series of exposures.
+    """Return the longest series of exposures of the white reference, or else of the chart.
 
-    One chart, filter state and pose; an empty list where no two exposures differ.
+    The shots have the same chart, filter state and pose. The list is empty if no two exposures differ.
     """
     for role in ("white", "chart"):
         groups: dict[tuple, list[Shot]] = {}
@@ -127,13 +130,12 @@ def exposure_series(shots: list[Shot]) -> list[Shot]:
 
 
 def measure_linearity(shots: list[Shot], table, folder, dark: Dark | None, limit: float) -> Linearity | None:
-    """Return how far a camera is from linear, or None where the table has no exposure series.
+    """Measure the linearity of a camera; None if the table has no exposure series.
 
     Parameters
     ----------
     limit : float
-        Largest deviation accepted, ratio. What repeats of equal exposures scatter is allowed on top: twice its standard
-        error.
+        Largest accepted deviation, a ratio. Twice the standard error from repeated exposures is added to it.
 
     Raises
     ------

@@ -1,16 +1,16 @@
 """Merging of a bracket of exposures into responses, in one pass over the digital numbers.
 
-Brackets are merged by inverse variance. What decides about a sample must not depend on its own noise, or the mean
-leans:
+Exposures are merged with inverse variances as weights. The weight of a sample must not depend on its own noise, because
+that would bias the mean:
 
-* weights come from a signal that a block of 8 x 8 samples of one colour shares;
-* whether a longer exposure is near clipping is predicted from the block's mean in the shorter ones, and its weight
-  fades out between 60 % and 85 % of the range. Where the block varies by more than its noise, by texture or a
-  highlight, the weighted mean of the pixel's own exposures takes the place of the prediction: the fade is slow against
-  its noise;
-* in addition, no sample at or above the clip level is ever used.
+* weights are computed from the common signal of a block of 8 x 8 samples of one colour;
+* whether a longer exposure is near clipping is predicted from the mean of the block in the shorter ones, and its weight
+  fades out between 60 % and 85 % of the range. If the block varies by more than its noise, because of texture or a
+  highlight, the weighted mean of the pixel's exposures replaces the prediction; the fade is slow compared with the
+  noise of this mean;
+* in addition, samples at or above the clip level are never used.
 
-With one exposure nothing predicts, and the clip level alone decides.
+With a single exposure there is no prediction, and only the clip level counts.
 """
 
 from typing import NamedTuple
@@ -22,42 +22,41 @@ from irodori.jit.chunks import run_chunks
 from irodori.jit.compilation import njit
 
 _BLOCK = 8  # samples along the side of a block
-_CHUNKS = 32  # of rows of blocks, which threads take one after the other
-_FADE_FROM, _FADE_TO = 0.6, 0.85  # of the range from black to clip level
-#: Stands for a dark frame that is not there; strided like a view of one, so that the loops are compiled once.
+_CHUNKS = 32  # number of groups of rows of blocks, which the threads process
+_FADE_FROM, _FADE_TO = 0.6, 0.85  # shares of the range from black to the clip level
+#: Placeholder for a missing dark frame; strided like a view of one, so that the loops are compiled only once.
 ABSENT = np.zeros((4, 4), dtype=np.int16)[::2, ::2]
-_TEXTURE = 2.0  # variance of a block over that of its noise; noise alone scatters it by 18 %
+_TEXTURE = 2.0  # variance of a block, relative to its noise, that indicates texture; noise alone scatters it by 18 %
 
 
 class ExposureBracket(NamedTuple):
-    """Exposures of one filter state, in ascending order, as the merge takes them; each field (K,) float64.
+    """The K exposures of one filter state in ascending order; each field is (K,) float64.
 
-    Where the noise of an exposure is unknown, NaN, samples weigh by exposure, which is inverse variance where shot
-    noise rules.
+    If the noise of an exposure is unknown (NaN), samples are weighted by exposure, which is the inverse variance if
+    shot noise dominates.
     """
 
-    #: Digital numbers above black that a response rate of 1 leaves: relative exposure in s times full scale; each above
-    #: the one before.
+    #: Digital numbers above black for a response rate of 1: relative exposure in s times full scale; ascending.
     exposure_dn: np.ndarray
-    dark_s: np.ndarray  # for the dark signal's rate, s, times the amplification relative to the dark frames
+    dark_s: np.ndarray  # exposure time, s, times the amplification relative to the dark frames
     electrons_per_dn: np.ndarray
     read_dn2: np.ndarray
 
 
 class PatternPlanes(NamedTuple):
-    """Samples of each place of the mosaic's pattern, or of each band after demosaicing."""
+    """Samples at each place of the mosaic pattern, or of each band after demosaicing."""
 
-    samples: tuple  # of (K, height, width) uint16, one array a place; may be strided views
+    samples: tuple  # one array (K, height, width) uint16 for each place; may be strided views
     bands: np.ndarray  # (places,) int64
-    black: np.ndarray  # (places, K) float64 DN of no light, dark signal included where there is no dark frame
-    clip: np.ndarray  # (places, K) float64 DN from which a sample clips
-    offset: tuple  # of (height, width) int16, dark frame, one array a place; ABSENT where there is none
+    black: np.ndarray  # (places, K) float64, DN without light, including a constant dark signal
+    clip: np.ndarray  # (places, K) float64, DN at and above which a sample is clipped
+    offset: tuple  # one array (height, width) int16 of the dark frame for each place; ABSENT if there is none
     rate: tuple  # likewise
-    steps: tuple[float, float]  # DN of one step of offset, DN/s of one step of rate; 0 where there is no dark frame
+    steps: tuple[float, float]  # DN of one step of offset, and DN/s of one step of rate; 0 without a dark frame
 
 
 class _Place(NamedTuple):
-    """Samples of one place, fields as of `PatternPlanes`."""
+    """Samples of one place; the fields are those of `PatternPlanes`."""
 
     samples: np.ndarray  # (K, height, width)
     black: np.ndarray  # (K,)
@@ -68,10 +67,10 @@ class _Place(NamedTuple):
 
 
 class _Flat(NamedTuple):
-    """The flat field's polynomials."""
+    """Polynomials of the flat field."""
 
-    surface: np.ndarray  # (3, power of x, power of y) coefficients; empty where there is none
-    axes: tuple[float, float, float, float]  # coordinate of the first sample and step, along y and along x
+    surface: np.ndarray  # (3, power of x, power of y) coefficients; empty if there is no flat field
+    axes: tuple[float, float, float, float]  # coordinate of the first sample, and step, along y and along x
 
 
 class _Merged(NamedTuple):
@@ -79,35 +78,35 @@ class _Merged(NamedTuple):
 
     out: np.ndarray  # (height, width, 3) float32 responses, 0 where clipped
     clipped: np.ndarray  # (height, width) bool
-    counts: np.ndarray  # (blocks, 3, K) samples that each exposure gave, those near clipping in part
+    counts: np.ndarray  # (blocks, 3, K), samples contributed by each exposure, with fractions for those near clipping
 
 
 class _Rows(NamedTuple):
-    """Sums of one band over the places of a row of blocks."""
+    """Sums for one band over a row of blocks."""
 
-    first: int  # row of the picture
-    total: np.ndarray  # (rows, width) float32 of the merged samples
-    excess: np.ndarray  # (rows, width) float32, of all bands together; from 0 on where a band clips
+    first: int  # first row in the picture
+    total: np.ndarray  # (rows, width) float32, sum of the merged samples
+    excess: np.ndarray  # (rows, width) float32, common to all bands; 0 or more where a band is clipped
     counts: np.ndarray  # (K,)
 
 
 class _Weighing(NamedTuple):
-    """Decisions of the blocks of a row about their samples, (blocks, K)."""
+    """Weights and predicted levels of the exposures in each block of a row, (blocks, K)."""
 
     weights: np.ndarray
-    predicted: np.ndarray  # levels, DN above black and dark; NaN where nothing predicts
+    predicted: np.ndarray  # level, DN above black and dark signal; NaN if it cannot be predicted
 
 
 class _Sums(NamedTuple):
-    """Sums of one row of one place, (width,), and its dark signal, DN."""
+    """Dark signal and weighted sums for one row of one place, (width,) each."""
 
-    dark: np.ndarray
-    top: np.ndarray  # of weighted rates
-    bottom: np.ndarray  # of weights
+    dark: np.ndarray  # DN
+    top: np.ndarray  # sum of weighted rates
+    bottom: np.ndarray  # sum of weights
 
 
 class _Levels(NamedTuple):
-    """Levels of a single exposure, float32."""
+    """Levels and steps of a single exposure, float32."""
 
     offset_step: np.float32  # DN
     rate_step: np.float32  # DN
@@ -118,7 +117,7 @@ class _Levels(NamedTuple):
 
 @njit(cache=True, nogil=True, fastmath=True)
 def _add_single(samples, offset, rate, levels, total, excess):
-    """Add the scaled samples of one exposure of one place to a row; note by how much the largest passes its clip."""
+    """Add the scaled samples of a single exposure at one place to a row; update the excess over the clip level."""
     black, clip, scale = levels.black, levels.clip, levels.scale
     for x in range(samples.size):
         total[x] += (np.float32(samples[x]) - black) * scale
@@ -135,7 +134,7 @@ def _add_single(samples, offset, rate, levels, total, excess):
 
 @njit(cache=True, nogil=True)
 def _block_moments(values, first, last, left, right):
-    """Return mean and variance of a block."""
+    """Return the mean and variance of a block."""
     origin, total, square = float(values[first, left]), 0.0, 0.0
     for y in range(first, last):
         for x in range(left, right):
@@ -149,10 +148,10 @@ def _block_moments(values, first, last, left, right):
 
 @njit(cache=True, nogil=True)
 def _weigh_block(means, variances, bracket, room, weights, predicted):
-    """Set each exposure's inverse variance of the rate from the block's common signal, and the level predicted for it.
+    """Compute the weight of each exposure (the inverse variance of its rate) and its predicted level for one block.
 
-    ``means`` are levels above black and dark, DN; clipped samples counted with their clipped value. There is no
-    prediction, NaN, where the next shorter exposure varies by more than its noise: by texture.
+    ``means`` are mean levels above black and dark signal, DN, with clipped samples at their clipped values. The
+    prediction is NaN if the next shorter exposure varies by more than its noise because of texture.
     """
     exposure, gain, read = bracket.exposure_dn, bracket.electrons_per_dn, bracket.read_dn2
     signal, seconds = means[0], exposure[0]
@@ -175,7 +174,7 @@ def _weigh_block(means, variances, bracket, room, weights, predicted):
 
 @njit(cache=True, nogil=True)
 def _weigh_row(first, last, place, bracket, weighing):
-    """Fill what a row of blocks decides."""
+    """Fill the weights and predicted levels of a row of blocks."""
     samples, black, clip, offset, rate, steps = place
     count, dark_s = bracket.exposure_dn.size, bracket.dark_s
     means, variances, room = np.empty(count), np.empty(count), clip - black
@@ -191,7 +190,7 @@ def _weigh_row(first, last, place, bracket, weighing):
 
 @njit(cache=True, nogil=True)
 def _dark_row(offset, rate, step, slope, dark):
-    """Set the dark signal of a row, DN."""
+    """Compute the dark signal of a row, DN."""
     dark[:] = 0.0
     if step != 0.0:
         for x in range(dark.size):
@@ -203,7 +202,7 @@ def _dark_row(offset, rate, step, slope, dark):
 
 @njit(cache=True, nogil=True)
 def _add_exposure(place, seconds, k, y, weighing, sums):
-    """Add exposure k of a row to the sums; return the sum of its fades."""
+    """Add exposure k of a row to the sums; return the number of samples used, in fractions for those near clipping."""
     samples, black, clip, used = place.samples[k, y], place.black[k], place.clip[k], 0.0
     (dark, top, bottom), room = sums, clip - black
     for block in range(weighing.weights.shape[0]):
@@ -227,7 +226,7 @@ def _add_exposure(place, seconds, k, y, weighing, sums):
 
 @njit(cache=True, nogil=True)
 def _merge_place(place, bracket, scale, rows):
-    """Merge one place's samples in the rows of one row of blocks and add them, scaled, to the band's total."""
+    """Merge the exposures at one place in a row of blocks, and add them, scaled, to the total of the band."""
     first, total, excess, counts = rows
     last, steps, (count, _, width) = first + total.shape[0], place.steps, place.samples.shape
     blocks = (width + _BLOCK - 1) // _BLOCK
@@ -250,7 +249,7 @@ def _merge_place(place, bracket, scale, rows):
 
 @njit(cache=True, nogil=True)
 def _row(values, y):
-    """Return a row of a dark frame; one that is absent has few rows, and a step of 0."""
+    """Return a row of a dark frame; for `ABSENT`, which has few rows and a step of 0, any row."""
     return values[min(y, values.shape[0] - 1)]
 
 
@@ -270,7 +269,7 @@ def _flat_row(surface, y, x_start, x_step, row):
 
 @njit(cache=True, nogil=True)
 def _store_row(total, excess, out, clipped):
-    """Write one row of three bands; what clipped is 0."""
+    """Write one row of three bands, with 0 for clipped pixels."""
     for x in range(excess.size):
         if excess[x] >= 0.0:
             clipped[x] = True
@@ -281,7 +280,7 @@ def _store_row(total, excess, out, clipped):
 
 @njit(cache=True, nogil=True)
 def _add_singles(place, bracket, scale, rows):
-    """Add one place's samples of a single exposure in the rows of one row of blocks, scaled, to the band's total."""
+    """Add the samples of a single exposure at one place in a row of blocks, scaled, to the total of the band."""
     levels = _Levels(
         np.float32(place.steps[0]),
         np.float32(place.steps[1] * bracket.dark_s[0]),
@@ -339,19 +338,18 @@ def merge(
     planes : PatternPlanes
     bracket : ExposureBracket
     white : (3, 15) float64 or None
-        Coefficients of the flat field, see `irodori.ingest.flat_field`; or (3,) the level that applies to the whole
-        picture.
+        Coefficients of the flat field, see `irodori.ingest.flat_field`; or (3,), a constant for the whole picture.
     sample_px : int
-        Mosaic pixels a sample: 2 for superpixels, 1 after demosaicing.
+        Side of a sample in mosaic pixels: 2 for superpixels, 1 after demosaicing.
     out : (height, width, 3) float32
-        Receives the responses, 0 where clipped; may be a strided view.
+        Filled with the responses, 0 where clipped; may be a strided view.
     clipped : (height, width) bool
-        Is set where a band has no sample below its clip level in any exposure.
+        Set where a band has no sample below its clip level in any exposure.
 
     Returns
     -------
     (3, K) float64
-        Share of each band's samples that each exposure gave, those near clipping in part.
+        Share of each band's samples contributed by each exposure, with fractions for samples near clipping.
     """
     if white is None:
         surface = np.zeros((0, 0, 0))
@@ -372,7 +370,7 @@ def merge(
 
 
 def _axis(size: int, sample_px: int) -> tuple[float, float]:
-    """Return where the flat field's coordinate of the first sample lies, and its step."""
+    """Return the coordinate of the first sample in the flat field, and the step between samples."""
     superpixels = size * sample_px // 2
     if superpixels < 2:
         return 0.0, 0.0

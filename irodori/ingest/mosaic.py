@@ -1,7 +1,7 @@
-"""RAW files decoded by LibRaw, and linear pictures: digital numbers in the sensor's frame, and their superpixels.
+"""Decoding of RAW files by LibRaw, and of linear pictures, to digital numbers on the sensor and to superpixels.
 
-The orientation tag never turns the data: a camera that looks down sets it at random from its level sensor, and a
-picture that turns between two shots of one pose fits neither the other nor the camera's optics.
+The orientation tag is ignored: in a camera that looks down, the level sensor sets it at random, and a picture that is
+rotated between two shots of one pose would match neither the other shot nor the camera's optics.
 """
 
 import contextlib
@@ -17,7 +17,8 @@ from irodori.core.errors import InputError
 from irodori.core.file_kinds import kind_instead_of_raw
 from irodori.ingest.dng_levels import black_level_repeats
 
-#: Demosaicing of LibRaw by the name that the configuration uses; ``superpixel`` is ours and interpolates nothing.
+#: Demosaicing algorithms of LibRaw by their names in the configuration; ``superpixel`` is our own, without
+#: interpolation.
 ALGORITHMS = {
     "linear": rawpy.DemosaicAlgorithm.LINEAR,
     "vng": rawpy.DemosaicAlgorithm.VNG,
@@ -26,8 +27,8 @@ ALGORITHMS = {
     "dcb": rawpy.DemosaicAlgorithm.DCB,
     "dht": rawpy.DemosaicAlgorithm.DHT,
 }
-#: Algorithms of LibRaw that keep a variable of the whole process: two threads in one of them at once spoil each other's
-#: picture, or end the process. Photographs of one job are developed side by side, so these wait for each other.
+#: Locks for algorithms of LibRaw that use a global variable: two threads running one of them would corrupt each other's
+#: picture, or crash.
 _ONE_AT_A_TIME = {"vng": threading.Lock()}
 BAND_LETTERS = "RGB"
 _WHOLE = "a whole RAW file that LibRaw reads"
@@ -41,22 +42,23 @@ class Mosaic:
     Parameters
     ----------
     values : (height, width) uint16
-        Digital numbers of the visible area as the file holds them, in the sensor's own frame; even sides.
+        Digital numbers of the visible area as stored in the file, in the sensor's orientation; both sides are even.
     pattern : str
         Colours of the first 2 x 2 pixels row by row, such as ``RGGB``.
     black, white : (2, 2) float32
-        Digital numbers of no light and of saturation at the four places of the pattern.
+        Digital numbers without light, and at saturation, at the four places of the pattern.
     full_scale : float
         White level of the file minus its largest black level, digital numbers.
     exposure_s, iso, f_number : float
-        Exposure time in s, sensitivity (ISO 12232) and relative aperture as the file states them; 0 where it does not.
+        Exposure time in s, sensitivity (ISO 12232) and relative aperture stated in the file; 0 if it does not state
+        them.
     orientation : int
-        The file's orientation by LibRaw's code (0 none, 3 half a turn, 5 a quarter counter-clockwise, 6 clockwise).
+        Orientation of the file in LibRaw's code (0 none, 3 half a turn, 5 a quarter counter-clockwise, 6 clockwise).
     focal_mm : float
-        Focal length of the lens as the file states it, mm; 0 where it does not.
+        Focal length of the lens stated in the file, mm; 0 if it does not state it.
     linear : bool
-        Whether this is no mosaic but a picture of three bands: its 2 x 2 pixels are one pixel of the picture, whose
-        green stands twice, see `irodori.ingest.linear_pictures`.
+        Whether the data come from a linear picture with three bands instead of a mosaic: each block of 2 x 2 pixels is
+        one pixel of the picture, with green twice, see `irodori.ingest.linear_pictures`.
     """
 
     values: np.ndarray
@@ -82,7 +84,7 @@ class Mosaic:
 
     @property
     def superpixels(self) -> np.ndarray:
-        """Red, mean of the greens, blue of each 2 x 2 pixels, (height / 2, width / 2, 3) float32, DN above black."""
+        """Superpixels (red, mean of the greens, blue), (height / 2, width / 2, 3) float32, DN above black."""
         height, width = self.values.shape
         out = np.zeros((height // 2, width // 2, 3), dtype=np.float32)
         for row, column, band in self.places():
@@ -92,7 +94,7 @@ class Mosaic:
 
     @property
     def largest(self) -> np.ndarray:
-        """Largest of each 2 x 2 pixels as a fraction of the range from black to white, (height / 2, width / 2)."""
+        """Largest value in each superpixel, as a fraction of the range from black to white, (height / 2, width / 2)."""
         level = [
             (self.values[r::2, c::2] - self.black[r, c]) / (self.white[r, c] - self.black[r, c])
             for r, c, _ in self.places()
@@ -106,15 +108,15 @@ def decode(path, linear: bool = False) -> Mosaic:
     Parameters
     ----------
     path : path
-        A file of any format that LibRaw reads and any phase of the red-green-blue mosaic.
+        A file in any format that LibRaw reads, with any order of the red-green-blue mosaic.
     linear : bool
-        Whether the user says that it is a TIFF or PNG picture whose numbers go with the light.
+        Whether it is declared to be a TIFF or PNG picture with numbers proportional to the light.
 
     Raises
     ------
     InputError
-        If the file is missing, truncated, unknown to LibRaw, or not a 2 x 2 red-green-blue mosaic; if a picture is none
-        or shows a tone curve, see `irodori.ingest.linear_pictures`.
+        If the file is missing, truncated, unknown to LibRaw, or not a 2 x 2 red-green-blue mosaic; with ``linear``, if
+        it is not a TIFF or PNG picture, or shows a tone curve, see `irodori.ingest.linear_pictures`.
     """
     if linear:
         # OpenImageIO takes long to import, and RAW files never need it.
@@ -127,9 +129,9 @@ def decode(path, linear: bool = False) -> Mosaic:
 def demosaic(
     path, algorithm: str, offset: np.ndarray | None = None, pedestal: int = 0, masked_px: np.ndarray | None = None
 ) -> np.ndarray:
-    """Interpolate a RAW file to full resolution by LibRaw, linearly in the sense of the light.
+    """Demosaic a RAW file to full resolution with LibRaw; the result stays proportional to the light.
 
-    Black is not subtracted and nothing is clipped below it, there is no white balance, colour conversion, tone curve,
+    There is no subtraction of or clipping at the black level, and no white balance, colour conversion, tone curve,
     automatic brightness or rotation.
 
     Parameters
@@ -138,16 +140,17 @@ def demosaic(
     algorithm : str
         A key of ALGORITHMS.
     offset : (height, width) int, optional
-        Digital numbers subtracted from the mosaic first: black level and dark frame.
+        Digital numbers that are first subtracted from the mosaic: black level and dark frame.
     pedestal : int
-        Digital number that stands for `offset`, so that noise below it survives.
+        Digital number that is then added, so that noise below `offset` is kept.
     masked_px : (n, 2) int, optional
-        Row and column of pixels not to be trusted. They take the median of their neighbours of the same colour, only so
-        that they do not spread; the caller masks what they reach.
+        Row and column of unreliable pixels. They are replaced by the median of their neighbours of the same colour, so
+        that their values do not spread; the caller has to mask the pixels that they affect.
 
     Returns
     -------
-    (height, width, 3) uint16, digital numbers; even sides
+    (height, width, 3) uint16
+        Digital numbers; both sides are even.
 
     Raises
     ------
@@ -187,7 +190,7 @@ def demosaic(
 
 
 def _replace_masked(values: np.ndarray, masked_px: np.ndarray) -> None:
-    """Set pixels to the median of the eight nearest of the same colour, mirrored at the picture's edge."""
+    """Set pixels to the median of the eight nearest pixels at even distances, mirrored at the edges of the picture."""
     height, width = values.shape
     steps = [(dy, dx) for dy in (-2, 0, 2) for dx in (-2, 0, 2) if (dy, dx) != (0, 0)]
     rows, columns = masked_px[:, 0], masked_px[:, 1]
@@ -200,7 +203,7 @@ def _replace_masked(values: np.ndarray, masked_px: np.ndarray) -> None:
 
 
 def _read(path, use):
-    """Return what `use` makes of the open file and its mosaic."""
+    """Open a RAW file with LibRaw, and return the result of ``use(file, mosaic)``."""
     path = Path(path)
     if not path.is_file():
         raise InputError(path, "", "no such file", "a RAW file that LibRaw reads")
@@ -225,7 +228,7 @@ def _mosaic(path: Path, raw) -> Mosaic:
     black = np.asarray(raw.black_level_per_channel, dtype=np.float32)[colours]
     stated = raw.camera_white_level_per_channel
     white = np.full(4, white_level, dtype=np.float32) if stated is None else np.asarray(stated, dtype=np.float32)
-    # Some makers leave the value of a channel empty, or state one that the file never reaches.
+    # Some makers leave the white level of a channel empty, or state one that the data never reach.
     white = np.where((white > black.max()) & (white <= white_level), white, np.float32(white_level))[colours]
     if height < 2 or width < 2 or not (white > black).all():
         found = f"{width} x {height} pixels, black {black.max():g}, white {white_level:g}"
@@ -246,7 +249,7 @@ def _mosaic(path: Path, raw) -> Mosaic:
 
 
 def _pattern(path: Path, raw) -> tuple[str, np.ndarray]:
-    """Return the letters of the pattern and LibRaw's colour index at its four places, (2, 2)."""
+    """Return the letters of the mosaic pattern, such as ``RGGB``, and LibRaw's colour indices at its places, (2, 2)."""
     top, left = raw.sizes.top_margin, raw.sizes.left_margin
     side = range(_PATTERN_SIDE)
     seen = np.array([[raw.raw_color(top + row, left + column) for column in side] for row in side])
@@ -260,7 +263,7 @@ def _pattern(path: Path, raw) -> tuple[str, np.ndarray]:
 
 
 def _check_black_repeat(path: Path) -> None:
-    """Refuse a DNG whose black level repeats over more than 2 x 2 pixels: LibRaw's four levels do not hold it."""
+    """Raise `InputError` for a DNG with black levels that repeat over more than 2 x 2 pixels, unsupported by LibRaw."""
     if path.suffix.lower() != ".dng":
         return
     for rows, columns in black_level_repeats(path):
@@ -270,5 +273,5 @@ def _check_black_repeat(path: Path) -> None:
 
 
 def _stated(value: float) -> float:
-    """Return what a file says, 0 for what is no positive number."""
+    """Return a value stated in a file; 0 if it is not a positive finite number."""
     return float(value) if math.isfinite(value) and value > 0 else 0.0

@@ -1,9 +1,9 @@
-"""Noise model of a camera from photon transfer: variance of equal frames against their level.
+"""Noise model of a camera by photon transfer: the variance between equal frames as a function of their level.
 
-Shot noise of g electrons per digital number makes the variance grow by 1/g per digital number; what is left at no
-light is read noise and rounding (1/12 DN²). Pairs of frames are subtracted, so that what is fixed in the picture,
-flat field and pixel gain, falls out, and one frame of a pair is scaled to the other's mean, so that drift of the light
-does. [J. R. Janesick, Photon Transfer, SPIE 2007]
+With g electrons per digital number (DN), shot noise adds a variance of 1/g DN² per DN of level; the variance without
+light is read noise and rounding (1/12 DN²). Frames of a pair are subtracted, which removes fixed patterns such as flat
+field and pixel gain. One frame is first scaled to the mean of the other, which removes drift of the light [J. R.
+Janesick, Photon Transfer, SPIE 2007].
 """
 
 from dataclasses import dataclass
@@ -17,27 +17,28 @@ from irodori.jit.compilation import njit
 
 ROUNDING_DN2 = 1 / 12
 _TILE = 16  # pixels of one colour along the side of a tile
-_MAX_LEVEL = 0.9  # of the range to saturation
+_MAX_LEVEL = 0.9  # largest usable level, relative to saturation
 _MAX_PAIRS = 12
-_LEAST_VARIANCE_DN2 = 0.3  # below, rounding is no longer noise of 1/12
+_LEAST_VARIANCE_DN2 = 0.3  # below, rounding errors do not have a variance of 1/12
 _DARK_ROLE = "dark"
 
 
 @dataclass(frozen=True)
 class PhotonTransfer:
-    """Photon transfer of a camera, at one ISO.
+    """Gain and read noise of a camera at one ISO; NaN if not measurable.
 
     Parameters
     ----------
     gain_e_per_dn, gain_error : float
-        Electrons per digital number and its standard error, NaN where not measurable.
+        Electrons per digital number, and its standard error.
     read_noise_dn, read_noise_error : float
-        Standard deviation without light, rounding included, and its standard error.
+        Standard deviation without light, including rounding, and its standard error, DN.
     gain_by_colour : tuple of float
-        Gain from the red, green and blue pixels alone.
+        Gain from red, green and blue pixels separately.
     gain_error_by_colour : tuple of float
+        Standard errors of these.
     iso : float
-        ISO of the frames, 0 where unknown.
+        ISO of the frames, 0 if unknown.
     """
 
     gain_e_per_dn: float = np.nan
@@ -50,13 +51,13 @@ class PhotonTransfer:
 
     @property
     def read_noise_e(self) -> float:
-        """Standard deviation without light and without rounding, electrons."""
+        """Standard deviation without light, excluding rounding, electrons."""
         return float(np.sqrt(max(self.read_noise_dn**2 - ROUNDING_DN2, 0.0)) * self.gain_e_per_dn)
 
     def at(self, iso_ratio: float) -> tuple[float, float]:
-        """Return electrons per DN and the variance without light, DN², at another amplification.
+        """Return electrons per DN, and the variance without light in DN², at another amplification.
 
-        The read noise is taken to arise before the amplifier and grows with it; rounding does not.
+        Read noise is assumed to arise before the amplifier, so it scales with the amplification; rounding does not.
         """
         read = (self.read_noise_dn**2 - ROUNDING_DN2) * iso_ratio**2 + ROUNDING_DN2
         return self.gain_e_per_dn / iso_ratio, read
@@ -64,7 +65,7 @@ class PhotonTransfer:
 
 @njit(cache=True, nogil=True)
 def _tile_point(a, b, ratio, sound):
-    """Return count, mean of a, and the variance of a - ratio b within one tile."""
+    """Return number of pixels, mean of a, and variance of a - ratio b within one tile."""
     count, mean, level, square = 0, 0.0, 0.0, 0.0
     for y in range(a.shape[0]):
         for x in range(a.shape[1]):
@@ -92,7 +93,7 @@ def _points(a, b, ratio, sound, tile, out):
 
 
 def transfer_points(first: Mosaic, second: Mosaic, hot_px: np.ndarray) -> np.ndarray:
-    """Return the points that two equal frames add to the photon-transfer curve.
+    """Compute the points that a pair of equal frames contributes to the photon-transfer curve.
 
     Parameters
     ----------
@@ -103,8 +104,8 @@ def transfer_points(first: Mosaic, second: Mosaic, hot_px: np.ndarray) -> np.nda
     Returns
     -------
     (n, 5) float64
-        Band; pixels; level above black, DN; ratio of the first frame's level to the second's; variance of the first
-        frame minus ratio times the second, DN². Tiles near saturation are left out.
+        For each tile: band; number of pixels; level above black, DN; ratio of the first frame's level to the second's;
+        variance of the first frame minus ratio times the second, DN². Tiles near saturation are left out.
     """
     sound = np.ones(first.values.shape, dtype=np.bool_)
     sound[hot_px[:, 0], hot_px[:, 1]] = False
@@ -115,11 +116,11 @@ def transfer_points(first: Mosaic, second: Mosaic, hot_px: np.ndarray) -> np.nda
         a, b, black = first.values[at], second.values[at], float(first.black[row, column])
         out = np.empty((-(-a.shape[0] // _TILE) * -(-a.shape[1] // _TILE), 3))
         _points(a, b, ratio, sound[at], _TILE, out)
-        # a - ratio b holds black x (1 - ratio), a constant that a variance does not see.
+        # a - ratio b contains black x (1 - ratio), a constant that does not affect the variance.
         level = out[:, 1] - black
         keep = (out[:, 0] > _TILE) & (level < _MAX_LEVEL * (float(first.white[row, column]) - black))
         if not lit and keep.any():
-            # Without light the level is one, and a tile's own mean would carry the noise that is to be judged by it.
+            # Without light all tiles have the same level; the mean of a single tile would depend on its noise.
             level = np.full_like(level, level[keep].mean())
         count = int(keep.sum())
         points.append(
@@ -129,32 +130,32 @@ def transfer_points(first: Mosaic, second: Mosaic, hot_px: np.ndarray) -> np.nda
 
 
 def _level_ratio(first: Mosaic, second: Mosaic) -> tuple[float, bool]:
-    """Return by how much the light of the first frame exceeded that of the second, and whether there is any.
+    """Return the ratio of the light in the first frame to that in the second, and whether the frames are lit.
 
-    Below a hundredth of the range there is none, and the ratio is 1.
+    Frames with levels below a hundredth of the range count as unlit, and the ratio is 1.
     """
     top = total_a = total_b = 0.0
     for row, column, _ in first.places():
         a, b = (float(m.values[row::2, column::2].mean()) - float(m.black[row, column]) for m in (first, second))
         scale = float(first.white[row, column] - first.black[row, column])
-        if max(a, b) < _MAX_LEVEL * scale:  # a clipped plane knows no drift
+        if max(a, b) < _MAX_LEVEL * scale:  # clipped values would hide the drift
             total_a, total_b, top = total_a + a, total_b + b, max(top, a / scale)
     lit = top > 0.01 and total_b > 0
     return (total_a / total_b if lit else 1.0), lit
 
 
 def fit_transfer(points: np.ndarray) -> tuple[float, float, float, float]:
-    """Fit the straight line of photon transfer to points of `transfer_points`.
+    """Fit gain and read noise to points of `transfer_points`.
 
     Returns
     -------
     gain_e_per_dn, gain_error, read_noise_dn, read_noise_error : float
-        NaN where the points do not determine them.
+        NaN if the points do not determine them.
 
     Notes
     -----
-    The variance of a - r b is read² (1 + r²) + level (1 + r) / gain. Weights follow from the fitted line and not from
-    each point's own scatter, which would pull the fit down.
+    The variance of a - r b is read² (1 + r²) + level (1 + r) / gain. Weights are computed from the fitted line and not
+    from the variance of each point, which would bias the fit downwards.
     """
     nothing = (np.nan,) * 4
     _, count, level, ratio, variance = points.T
@@ -162,7 +163,7 @@ def fit_transfer(points: np.ndarray) -> tuple[float, float, float, float]:
         return nothing
     design = np.stack([1.0 + ratio**2, level * (1.0 + ratio)], axis=1)
     model = np.maximum(np.full_like(variance, variance.mean()), ROUNDING_DN2)
-    # Without light there is no gain to see; with little difference between levels no read noise.
+    # Unlit frames do not determine the gain.
     lit = level.max() > 100.0 * max(np.sqrt(variance.mean()), 1.0) or np.ptp(level) > 10.0 * np.sqrt(variance.mean())
     columns = [0, 1] if lit else [0]
     for _ in range(6):
@@ -174,10 +175,10 @@ def fit_transfer(points: np.ndarray) -> tuple[float, float, float, float]:
             return nothing
         solution = np.linalg.solve(normal, part.T @ (weight * variance))
         model = np.maximum(part @ solution, 0.1 * ROUNDING_DN2)
-    # Single electrons of many digital numbers scatter more than a normal distribution would.
+    # If an electron is worth many digital numbers, variances scatter more than for a normal distribution.
     scatter = np.sum(weight * (variance - model) ** 2) / max(len(variance) - len(columns), 1)
     error = np.sqrt(np.diag(np.linalg.inv(normal)) * max(scatter, 1.0))
-    # Rounding alone leaves this much; pairs without dark frames may extrapolate to less, even below zero.
+    # The variance of rounding is a lower limit; without dark frames the extrapolation may give less, even below zero.
     read = np.sqrt(max(float(solution[0]), ROUNDING_DN2))
     read_error = float(error[0] / (2.0 * read))
     if not lit or solution[1] <= 0:
@@ -186,7 +187,7 @@ def fit_transfer(points: np.ndarray) -> tuple[float, float, float, float]:
 
 
 def equal_pairs(shots: list[Shot]) -> list[tuple[Shot, Shot]]:
-    """Return pairs of shots that differ in nothing, each shot in one pair, next to each other in time."""
+    """Return pairs of successive shots with the same settings; each shot is in at most one pair."""
     groups: dict[tuple, list[Shot]] = {}
     for shot in shots:
         key = (shot.role, shot.pose, shot.filter, shot.exposure_s, shot.iso, shot.f_number)
@@ -195,9 +196,9 @@ def equal_pairs(shots: list[Shot]) -> list[tuple[Shot, Shot]]:
 
 
 def measure_noise(shots: list[Shot], table, folder, hot_px: np.ndarray) -> PhotonTransfer:
-    """Return a camera's noise from the pairs of equal frames among its dark frames and white references.
+    """Measure the noise of a camera from pairs of equal frames among its dark frames and white references.
 
-    Pairs of the ISO that most lit pairs have count; of more than 12 pairs the first of every level count.
+    Only pairs with the ISO of most lit pairs are used, and at most 12, chosen over as many levels as possible.
     """
     pairs = [pair for pair in equal_pairs(shots) if pair[0].role in (_DARK_ROLE, "white")]
     lit = [first.iso for first, _ in pairs if first.role != _DARK_ROLE] or [first.iso for first, _ in pairs]
@@ -227,7 +228,7 @@ def measure_noise(shots: list[Shot], table, folder, hot_px: np.ndarray) -> Photo
 
 
 def _spread(pairs: list) -> list:
-    """Return pairs in the order: the first of every level, then the second of every level, and so on."""
+    """Sort pairs: the first of every exposure level, then the second of every level, and so on."""
     seen: dict[tuple, int] = {}
     ranked = []
     for number, pair in enumerate(pairs):

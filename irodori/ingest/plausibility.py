@@ -1,10 +1,10 @@
-"""Plausibility of photographs: what a RAW file shows, and whether that can be what was asked for.
+"""Plausibility of photographs: whether the content of a RAW file can be what was requested.
 
-A session asks it of every shot as it comes, when the mistake can still be mended; `irodori.ingest.set_plausibility`
-asks it of a table whose photographs are all there. A photograph is compared with those that were found sound before it:
-of the same kind (role and filter), of the same capture with the other filter, and of the white reference. Nothing here
-is a measurement; limits are wide enough for the poses, brackets and highlights of a sound session, and what lies beyond
-them is said and left to a person.
+A capture session checks every shot at once, while a mistake can still be corrected; `irodori.ingest.set_plausibility`
+checks a table of photographs that exist already. A photograph is compared with earlier ones that passed: those of the
+same kind (role and filter), that of the same capture with the other filter, and the white reference. The limits are
+wide enough for the poses, brackets and highlights of a normal session; whatever exceeds them is reported, so that the
+user can decide.
 """
 
 import hashlib
@@ -21,64 +21,64 @@ from irodori.ingest.exposure_settings import relative_exposure_s
 from irodori.ingest.mosaic import Mosaic
 from irodori.ingest.tiff_tags import read_tags
 
-#: Least width of the small pictures that are compared, blocks of superpixels.
+#: Smallest width of the reduced pictures for comparison, blocks of superpixels.
 _SMALL_PX = 256
-#: And of those that are compared with all others of a set.
+#: Smallest width of the reduced pictures that are compared with all others of a set.
 _THUMBNAIL_PX = 64
 _MAKE, _MODEL, _TIME, _SERIAL, _LENS = 271, 272, 36867, 42033, 42036
-#: Lit is what exceeds this share of the range from black to white, and clipped what reaches that one.
+#: Shares of the range from black to white: pixels above the first are lit, pixels at or above the second are clipped.
 LIT, CLIPPED = 0.02, 0.995
-#: Places whose steps are the highest of a picture; few enough that a small object's outline holds them.
+#: Sharpness is measured at one in this number of positions, the steepest ones; the outline of a small object suffices.
 _STEEPEST = 500
-#: Of the colours of a picture.
+#: Quantiles of the colours of a picture that are compared.
 _QUANTILES = (0.1, 0.25, 0.5, 0.75, 0.9)
 _FEWEST_STEPS, _STEP_PX = 16, 4
-#: Of so many rows one is hashed: the noise of an eighth of a picture is not met twice.
+#: Every eighth row is hashed: the noise in an eighth of a picture does not occur twice.
 _HASHED = 8
-#: What is not lit at most of a photograph that is not black, a share: hot pixels are less than the rest.
+#: Share of unlit superpixels above which a photograph counts as black; the others are hot pixels.
 _BLACK = 0.997
-#: Doubts of which no sound photograph is known to be the cause: nothing is made from what they concern.
+#: Kinds of doubts that no correct photograph is known to raise: such photographs are refused.
 CERTAIN = ("identical", "size", "body", "lens", "focal length", "black", "blown", "light", "filter", "order")
-#: Of each kind so many are looked at again when a session goes on.
+#: Number of photographs of each kind that are read again when a session is continued.
 _RECALLED = 3
-#: Clipped superpixels, a share, that leave the ratio of background to highlights as it is.
+#: Largest share of clipped superpixels with which the ratio of background to highlights is still reliable.
 _FEW = 1e-3
 
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits of a photograph's difference from what its session leads to expect; shares and ratios.
+    """Limits for the differences between a photograph and others of its session; shares and ratios.
 
     Parameters
     ----------
     clipped : float
-        Largest clipped part of what is lit, in the shortest exposure of a bracket.
+        Largest clipped share of the lit superpixels in the shortest exposure of a bracket.
     black, capped : float
-        Level (99th percentile, part of the range) that a lit picture reaches at least, and a dark frame at most.
+        Level (99th percentile, as a share of the range): smallest of a lit picture, and largest of a dark frame.
     dimmest, to_white : float
-        Smallest level for the exposure time beside the darkest photograph of its kind, and beside the white reference.
+        Smallest level per exposure relative to the darkest photograph of the same kind, and to the white reference.
     ambient : float
-        Largest level of the darkest tenth beside the brightest hundredth, and above twice all earlier ones of its kind.
-    sharpness : float
-        Smallest sharpness beside the median of its kind, which counts as `sharpest` at most.
+        Ratio of the darkest tenth to the brightest hundredth above which ambient light is suspected, if it also exceeds
+        twice the largest earlier ratio of the same kind.
+    sharpness, sharpest : float
+        Smallest sharpness relative to the median of the same kind; this median counts as at most `sharpest`.
     repeat : float
-        Largest relative change of a view that is photographed again.
+        Largest relative change of the light in a repeated view.
     pair, unfiltered : float
-        Largest factor between the filter's transmittance in this pair of photographs and in earlier ones;
-        transmittance above which there is no filter, where all bands exceed it.
-    colour : float
-        A photograph is of the other filter state where its colour is closer to that by this factor, and
-    colour_step : float
-        farther than this from its own, in logarithms of the ratios of bands.
+        Largest factor between the transmittance of the filter in this pair of photographs and in earlier ones;
+        transmittance above which, if exceeded in all bands, there is no filter.
+    colour, colour_step : float
+        A photograph is assigned to the other filter state if its distance in colour to that state is less than `colour`
+        times the distance to its own state, and the latter exceeds `colour_step` (logarithms of ratios of bands).
     moved, moved_first : float
-        Largest shift between the two photographs of a capture beyond that of earlier pairs, and of the first pair;
-        parts of the picture's width.
+        Largest shift between the two photographs of a capture in excess of that in earlier pairs, and in the first
+        pair; shares of the picture's width.
     moved_px : float
-        Smallest shift that counts, superpixels; for the first pair twice as many.
+        Smallest shift that counts, superpixels; twice this for the first pair.
     chart : (float, float)
-        Smallest and largest ratio of a chart's brightest patch to the white reference.
+        Smallest and largest ratio of the brightest patch of a chart to the white reference.
     grazing_deg : float
-        Beyond it, light or camera may leave a flat sample black.
+        Angle of light or camera beyond which a flat sample may appear black.
     """
 
     clipped: float = 0.25
@@ -110,20 +110,20 @@ class Look:
     size : (width, height)
         Mosaic pixels.
     pixels : str
-        Hash of every eighth row of pixels alone: a file that is delivered again may have other tags.
+        Hash of every eighth row of pixels, without tags, which may differ between copies of a picture.
     camera, lens, time : str
-        Maker, model and serial number of the body; lens; the camera's own clock, ISO 8601. Empty where the file does
-        not say.
+        Maker, model and serial number of the body; lens; time of the camera's clock, ISO 8601. Empty if the file does
+        not state them.
     clipped, dark : float
-        Share of superpixels of which one pixel is saturated, and of those that are not lit.
+        Shares of superpixels with a saturated pixel, and of unlit ones.
     sharpness : float
-        Part of the highest steps over four superpixels that lies within one of them; NaN without such steps.
+        Share of the highest steps over four superpixels that occurs within one superpixel; NaN without such steps.
     picture : (rows, columns, 3) float32
-        Red, green, blue of blocks of superpixels, parts of the range from black to white.
+        Red, green and blue of blocks of superpixels, as shares of the range from black to white.
     whole : (rows, columns) bool
-        Blocks in which nothing is clipped.
+        Blocks without clipped superpixels.
     focal_mm : float
-        Focal length as the file states it, mm; 0 where it does not.
+        Focal length stated in the file, mm; 0 if it does not state it.
     """
 
     size: tuple[int, int]
@@ -143,21 +143,21 @@ class Look:
 
     @cached_property
     def level(self) -> float:
-        """99th percentile of the brightest band, part of the range."""
+        """99th percentile over the blocks of the brightest band, as a share of the range from black to white."""
         return float(np.percentile(self.picture.max(axis=2), 99.0))
 
     @cached_property
     def background(self) -> float:
-        """Tenth percentile of green beside the 99th, a ratio."""
+        """Ratio of the 10th to the 99th percentile of green."""
         low, high = np.percentile(self.picture[..., 1], [10.0, 99.0])
         return float(low / max(high, 1e-6))
 
     @cached_property
     def colour(self) -> np.ndarray:
-        """Quantiles of the logarithms of red and blue to green over what is lit and whole, (10,); NaN where nothing is.
+        """Quantiles of the logarithms of red/green and blue/green over lit, unclipped blocks, (10,); NaN without any.
 
-        A filter shifts all of them. Where another pose lights other parts of an object of several colours, some jump
-        from one colour to the next and others stay. Their distances are root mean squares over the quantiles.
+        A filter shifts all quantiles. If another pose lights other parts of a multicoloured object, some quantiles jump
+        from one colour to another while others stay. The scale makes distances root mean squares over the quantiles.
         """
         bands = self.picture[self.whole & (self.picture.min(axis=2) > LIT / 4.0)]
         if len(bands) < _FEWEST_STEPS:
@@ -168,14 +168,14 @@ class Look:
 
 @dataclass(frozen=True)
 class Doubt:
-    """Something about a photograph that cannot be as it was asked for.
+    """A reason to doubt that a photograph is what was requested.
 
     Parameters
     ----------
     kind : str
         Short name, such as ``blown``.
     words : str
-        What was found and what is to be looked at, a clause for the person at the bench.
+        Clause for the user: what was found, and what to check.
     """
 
     kind: str
@@ -183,12 +183,12 @@ class Doubt:
 
     @property
     def is_certain(self) -> bool:
-        """Whether no sound photograph is known to raise it."""
+        """Whether no correct photograph is known to raise this doubt."""
         return self.kind in CERTAIN
 
 
 def delivered_again(file: str) -> Doubt:
-    """Return the doubt about a photograph that is another one, whose file is named."""
+    """Return the doubt about a photograph that is identical to another file."""
     return Doubt("identical", f"the very picture of {file}: was it delivered twice?")
 
 
@@ -201,9 +201,9 @@ class Drift:
     file, repeats : str
         Names of the two files.
     light : float
-        Green light of this one beside that of the other, a ratio.
+        Ratio of the green light in the drift frame to that in the photograph.
     shift_px : float
-        How far its contours lie from those of the other, superpixels; NaN where there are none.
+        Distance between the contours in the two pictures, superpixels; NaN if there are no contours.
     """
 
     file: str
@@ -216,22 +216,22 @@ class Drift:
         return f"{self.file}: light {self.light - 1.0:+.1%} against {self.repeats}{moved}"
 
     def plain(self) -> dict[str, str | float | None]:
-        """Return it for a record in JSON, which has no NaN."""
+        """Return the fields for a record in JSON, with None for NaN."""
         shift = None if math.isnan(self.shift_px) else round(self.shift_px, 2)
         return {"file": self.file, "repeats": self.repeats, "light": round(self.light, 4), "shift_px": shift}
 
 
 def look_at(path, mosaic: Mosaic, *, thumbnail: bool = False) -> Look:
-    """Return what a decoded photograph shows.
+    """Measure a decoded photograph.
 
     Parameters
     ----------
     path : path
-        Its file, of which the tags are read.
+        File of the photograph; its tags are read.
     mosaic : Mosaic
     thumbnail : bool
-        Whether a picture of 64 to 127 columns will do, and no measure of sharpness: half the time, and little to keep
-        of a large set; neither focus nor place are doubted then.
+        Whether to make a smaller picture (64 to 127 columns) without a measure of sharpness, which takes half the time
+        and little memory; focus and position are not checked then.
     """
     side = _side(mosaic, _THUMBNAIL_PX if thumbnail else _SMALL_PX)
     bands, clipped, dark = _reduced(mosaic, side)
@@ -258,7 +258,7 @@ def _side(mosaic: Mosaic, columns: int = _SMALL_PX) -> int:
 
 
 def _reduced(mosaic: Mosaic, side: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the small picture, and which superpixels are clipped and which are not lit."""
+    """Return the reduced picture, and masks of the superpixels that are clipped and that are unlit."""
     height, width = mosaic.values.shape
     clipped, dark = np.zeros((height // 2, width // 2), dtype=bool), np.ones((height // 2, width // 2), dtype=bool)
     bands: list[list[np.ndarray]] = [[], [], []]
@@ -272,7 +272,7 @@ def _reduced(mosaic: Mosaic, side: int) -> tuple[np.ndarray, np.ndarray, np.ndar
 
 
 def _blocks(picture: np.ndarray, side: int) -> np.ndarray:
-    """Return means over blocks, (rows, columns) float32."""
+    """Return means over blocks of ``side`` x ``side`` pixels, (rows, columns) float32."""
     rows, columns = picture.shape[0] // side, picture.shape[1] // side
     cut = picture[: rows * side, : columns * side]
     lines = np.add.reduce(cut.reshape(rows, side, -1), axis=1, dtype=np.uint32)
@@ -280,11 +280,11 @@ def _blocks(picture: np.ndarray, side: int) -> np.ndarray:
 
 
 def _sharpness(mosaic: Mosaic) -> float:
-    """Return the part of the picture's highest steps that lies within one superpixel, NaN where there is no step."""
+    """Return the share of the highest steps that occurs within one superpixel; NaN if there are no steps."""
     row, column, _ = next(place for place in mosaic.places() if place[2] == 1)
     green = (mosaic.values[row::2, column::2].astype(np.float32) - mosaic.black[row, column]) / mosaic.full_scale
     wide, narrow = [], []
-    # Of a large picture a part of the lines will do.
+    # In a large picture some of the lines suffice.
     for picture in (green[:: _side(mosaic)], np.ascontiguousarray(green[:, :: _side(mosaic)].T)):
         if picture.shape[1] <= _STEP_PX:
             continue
@@ -297,16 +297,16 @@ def _sharpness(mosaic: Mosaic) -> float:
     high, steep = np.concatenate(wide), np.concatenate(narrow)
     count = min(high.size, max(_FEWEST_STEPS, high.size // _STEEPEST))
     places = np.argpartition(high, -count)[-count:]
-    # An evenly lit picture has the steps of its noise alone.
+    # An evenly lit picture has only steps due to noise.
     if np.median(high[places]) < max(LIT, 0.25 * float(np.percentile(green[::4, ::4], 99.0))):
         return math.nan
     return float(np.median(steep[places] / high[places]))
 
 
 def _shift_between(first: Look, second: Look) -> np.ndarray | None:
-    """Return how far the second picture lies from the first, (columns, rows), parts of the picture's width.
+    """Return the shift of the second picture against the first, (columns, rows), as shares of the picture's width.
 
-    None where one of them has no contours.
+    None if one of them has no contours.
     """
     if first.picture.shape != second.picture.shape or not (
         math.isfinite(first.sharpness) and math.isfinite(second.sharpness)
@@ -330,7 +330,7 @@ def _shift_between(first: Look, second: Look) -> np.ndarray | None:
 
 
 def _outline(look: Look) -> np.ndarray:
-    """Return the height of the steps of the green picture, of what is whole, each at most that of a clear contour."""
+    """Return the gradient magnitude of the green picture, 0 below noise and limited to that of a clear contour."""
     green = look.picture[..., 1]
     scale = np.percentile(green, 99.0)
     rows, columns = np.gradient(np.minimum(green / max(float(scale), 1e-6), 1.0))
@@ -339,12 +339,12 @@ def _outline(look: Look) -> np.ndarray:
 
 
 class Series:
-    """Photographs of a session that were found sound, and what the next one must agree with.
+    """Accepted photographs of a session, with which the next one is compared.
 
     Parameters
     ----------
     planned : iterable of Shot
-        The whole session: which exposure of a bracket is the shortest and which the longest.
+        All shots of the session; they determine the shortest and longest exposure of each bracket.
     limits : Limits
     """
 
@@ -354,17 +354,17 @@ class Series:
         for shot in planned:
             self._brackets[shot.capture, shot.filter].append(shot.exposure_s)
         self._seen: list[tuple[Shot, Look]] = []
-        #: By subject: capture, transmittance of the filter, and shift from the picture without it to that with it.
+        #: By subject: capture, transmittance of the filter, and shift from the unfiltered to the filtered picture.
         self._pairs: dict[str, list[tuple[str, np.ndarray | None, np.ndarray | None]]] = defaultdict(list)
 
     def add(self, shot: Shot, look: Look) -> None:
-        """Take a photograph that was found sound among those that the next ones are compared with."""
+        """Add an accepted photograph to those with which later ones are compared."""
         if (partner := self._partner(shot)) is not None:
             self._pairs[shot.subject].append((shot.capture, *_compared(*partner, shot, look)))
         self._seen.append((shot, look))
 
     def forget(self, shot: Shot) -> None:
-        """Drop a photograph that is to be taken again: the new one need not be like it."""
+        """Remove a photograph that is to be retaken; the new one need not agree with it."""
         self._seen = [(s, seen) for s, seen in self._seen if s.file != shot.file]
         self._pairs[shot.subject] = [pair for pair in self._pairs[shot.subject] if pair[0] != shot.capture]
 
@@ -373,17 +373,20 @@ class Series:
         return next(((s, k) for s, k in self._seen if s.capture == shot.capture and s.filter != shot.filter), None)
 
     def doubts(self, shot: Shot, look: Look) -> list[Doubt]:
-        """Return what about a photograph cannot be as it was asked for, the plainest first; empty where it is sound."""
+        """Return the doubts about a photograph, the most obvious first; empty if there are none."""
         found = list(self._of_the_file(shot, look))
         if not found:
             found = list(self._of_the_level(shot, look))
-        # What is black or blown shows nothing else, and would be doubted for all else too.
+        # A black or overexposed picture would fail all other checks too.
         if not found and shot.role != "dark":
             found = [*self._of_the_light(shot, look), *self._of_the_view(shot, look)]
         return found
 
     def drift(self, shot: Shot, look: Look) -> Drift | None:
-        """Return what a drift frame shows, None for any other one, and where it shares no light with it."""
+        """Compare a drift frame with the photograph that it repeats.
+
+        None for other photographs, and if the two have no lit area in common.
+        """
         found = self._repeated(shot) if shot.role == DRIFT else None
         if found is None or (change := _transmittance(*found, shot, look)) is None:
             return None
@@ -392,11 +395,11 @@ class Series:
         return Drift(shot.file, found[0].file, float(change[1]), aside)
 
     def _repeated(self, shot: Shot) -> tuple[Shot, Look] | None:
-        """Return the first photograph of the same view: same capture and filter."""
+        """Return the first photograph of the same view, that is of the same capture and filter."""
         return next(((s, k) for s, k in self._seen if (s.capture, s.filter) == (shot.capture, shot.filter)), None)
 
     def _in_doubt(self, shot: Shot) -> str:
-        """Return which photographs a drift frame that shows a change puts in doubt; nothing for other photographs."""
+        """Return a clause naming the photographs that a changed drift frame puts in doubt; empty for other roles."""
         if shot.role != DRIFT:
             return ""
         frames = [at for at, (s, _) in enumerate(self._seen) if s.role == DRIFT]
@@ -407,12 +410,12 @@ class Series:
         return [(s, seen) for s, seen in self._seen if (s.subject, s.filter) == (shot.subject, shot.filter)]
 
     def _of_the_file(self, shot: Shot, look: Look) -> Iterator[Doubt]:
-        """Yield what the file itself says: size, body, lens, and whether it was delivered before."""
+        """Yield doubts from the file: a picture delivered before, or another size, body or lens."""
         for earlier, seen in self._seen:
             if seen.pixels == look.pixels:
                 yield delivered_again(earlier.file)
                 return
-        # A panorama is stitched or unwrapped: it has not the sensor's size, which the charts of its place have.
+        # A panorama is stitched or unwrapped, so its size differs from that of the charts in the same set.
         alike = [(s, k) for s, k in self._seen if (s.role == "environment") == (shot.role == "environment")]
         if not alike:
             return
@@ -427,7 +430,7 @@ class Series:
                 yield Doubt(kind, f"taken with {mine!r}, {shot.file} with {other!r}: is this the right one?")
 
     def _of_the_level(self, shot: Shot, look: Look) -> Iterator[Doubt]:
-        """Yield whether it is as bright as a photograph of its role can be."""
+        """Yield doubts about the brightness of a photograph for its role."""
         limits, rate = self.limits, look.level / relative_exposure_s(shot)
         if shot.role == "dark":
             if look.level > limits.capped:
@@ -455,13 +458,13 @@ class Series:
             yield Doubt("chart", f"{found}, between {low:g} and {high:g} is expected: have lamp or aperture changed?")
 
     def _white_rate(self, shot: Shot) -> float:
-        """Return the level of the white reference for a second of exposure, 0 where none was seen."""
+        """Return the level of the white reference per second of relative exposure; 0 if there is none."""
         whites = [(s, w) for s, w in self._seen if s.role == "white" and s.filter == shot.filter]
         rates = [w.level / relative_exposure_s(s) for s, w in whites]
         return float(np.median(rates)) if rates else 0.0
 
     def _of_the_light(self, shot: Shot, look: Look) -> Iterator[Doubt]:
-        """Yield whether lamp, filter and room are as they were."""
+        """Yield doubts about changes of lamp, filter or ambient light."""
         limits = self.limits
         if (repeated := self._repeated(shot)) is not None:
             change = _transmittance(*repeated, shot, look)
@@ -486,7 +489,7 @@ class Series:
             yield Doubt("light changed", f"{found}: was a door opened, or another lamp switched on?")
 
     def _of_the_pair(self, shot: Shot, passed: np.ndarray) -> Iterator[Doubt]:
-        """Compare the filter's transmittance in this capture with that of earlier captures of the role."""
+        """Yield doubts about the transmittance of the filter, compared with earlier captures of the same subject."""
         brightest = float(passed.max())
         if brightest > 1.0 / self.limits.unfiltered:
             found = f"it is {brightest:.1f} times as bright with the filter in as with the filter out"
@@ -510,7 +513,7 @@ class Series:
         return math.isfinite(same) and same > self.limits.colour_step and other < self.limits.colour * same
 
     def _of_the_view(self, shot: Shot, look: Look) -> Iterator[Doubt]:
-        """Yield whether it is sharp, and shows its subject where its pair, or the same view, shows it."""
+        """Yield doubts about sharpness, and about a shift against the same view or the other photograph of the pair."""
         limits = self.limits
         known = [seen.sharpness for _, seen in self._kind(shot) if math.isfinite(seen.sharpness)]
         if known and look.sharpness < limits.sharpness * min(float(np.median(known)), limits.sharpest):
@@ -523,7 +526,7 @@ class Series:
             yield Doubt("moved", f"{found}: has object or camera moved, or a motor lost steps?{self._in_doubt(shot)}")
 
     def _moved(self, earlier: Shot, seen: Look, shot: Shot, look: Look) -> float | None:
-        """Return the shift beyond what the filter's plate explains, superpixels; None where it is small or unknown."""
+        """Return the shift in excess of that due to the filter plate, superpixels; None if it is small or unknown."""
         width, limits = look.size[0] / 2.0, self.limits
         usual, limit = np.zeros(2), max(limits.moved * width, limits.moved_px)
         if earlier.filter == shot.filter:
@@ -542,10 +545,9 @@ class Series:
 
 
 def worth_recalling(kept: Iterable[Shot], missing: Iterable[Shot]) -> list[Shot]:
-    """Return those of a session's earlier photographs that the missing ones are to be compared with.
+    """Return the earlier photographs of a session that are needed for comparison with the missing ones.
 
-    They are the first of each kind, the drift frames with the views that they repeat, and the captures that are not
-    complete.
+    They are the first of each kind, drift frames with the views that they repeat, and incomplete captures.
     """
     kept, chosen = list(kept), []
     open_captures = {shot.capture for shot in (*missing, *(s for s in kept if s.role == DRIFT))}
@@ -558,14 +560,17 @@ def worth_recalling(kept: Iterable[Shot], missing: Iterable[Shot]) -> list[Shot]
 
 
 def _compared(first: Shot, seen: Look, second: Shot, other: Look) -> tuple[np.ndarray | None, np.ndarray | None]:
-    """Return the filter's transmittance by band, and the shift from out to in, of the two photographs of a capture."""
+    """Return transmittance of the filter by band, and shift from unfiltered to filtered, for the pair of a capture."""
     if first.filter == "in":
         first, seen, second, other = second, other, first, seen
     return _transmittance(first, seen, second, other), _shift_between(seen, other)
 
 
 def _transmittance(first: Shot, seen: Look, second: Shot, other: Look) -> np.ndarray | None:
-    """Return the second photograph's light beside the first's for equal times, (3,); None where neither is lit."""
+    """Return the ratio of the second photograph's light to the first's at equal exposure, (3,).
+
+    None if too few blocks are lit and unclipped in both.
+    """
     if seen.picture.shape != other.picture.shape:
         return None
     common = seen.whole & other.whole & (seen.picture[..., 1] > LIT / 2.0)
@@ -576,7 +581,7 @@ def _transmittance(first: Shot, seen: Look, second: Shot, other: Look) -> np.nda
 
 
 def _exposure_ratio(one: Shot, other: Shot) -> float:
-    """Return the exposure of a photograph beside another's; ISO and f-number count where both are known."""
+    """Return the ratio of the exposures of two photographs, with ISO and f-number if known for both."""
     ratio = one.exposure_s / other.exposure_s
     if one.iso and other.iso:
         ratio *= one.iso / other.iso

@@ -1,4 +1,4 @@
-"""A photograph as it is shown at the rig: a small picture, where it is blown or dark, and its histogram."""
+"""Preview of a photograph at the rig: a small picture, an overlay of overexposed and dark areas, and a histogram."""
 
 import io
 from dataclasses import dataclass
@@ -10,31 +10,31 @@ from irodori.colour.tone_curves import SRGB
 from irodori.ingest.mosaic import Mosaic
 from irodori.ingest.plausibility import CLIPPED, LIT
 
-#: Width of the small picture, and lines of superpixels that the histogram counts, at most about.
+#: Largest width of the small picture, and approximate number of lines of superpixels in the histogram.
 _WIDTH_PX, _COUNTED_LINES = 900, 150
 _BINS = 64
 _LEVELS = 4096
 _SRGB_OF_LEVEL = (255.0 * SRGB.code(np.linspace(0.0, 1.0, _LEVELS)) + 0.5).astype(np.uint8)
-#: Blown, dark: red and blue, opaque enough to be seen on a phone in a lit room.
+#: Colours of overexposed (red) and dark (blue) areas, opaque enough to be seen on a phone in a lit room.
 _OVERLAY = [0, 0, 0, 0, 255, 40, 40, 200, 40, 90, 255, 130]
 _BARS = " ▁▂▃▄▅▆▇█"
 
 
 @dataclass(frozen=True)
 class Preview:
-    """A photograph made small.
+    """Small version of a photograph.
 
     Parameters
     ----------
     jpeg : bytes
-        Part of the range from black to white of each block, as sRGB, in the sensor's frame.
+        Blocks of superpixels in sRGB, in the sensor's orientation; white is the white level.
     overlay : bytes
-        PNG of the same size: red where a pixel of the block is saturated, blue where nothing of it is lit.
+        PNG of the same size: red for blocks with a saturated pixel, blue for unlit blocks.
     histogram : (3, 64) float
-        Red, green, blue: share of the pixels in equal parts of the range from black to white; what is outside is in the
-        first and the last one.
+        For red, green, blue: share of the pixels in equal parts of the range from black to white. Values outside count
+        in the first or last part.
     extent : (2,) tuple of int
-        Columns and rows of superpixels that it shows, from the first on; those that fill no sample are left out.
+        Columns and rows of superpixels shown, from the first; incomplete blocks at the edge are left out.
     """
 
     jpeg: bytes
@@ -43,14 +43,14 @@ class Preview:
     extent: tuple[int, int]
 
     def sketch(self) -> str:
-        """Return the histogram for a terminal, a line for each colour; roots of shares, so that few pixels show."""
+        """Return the histogram as text with a line for each colour; heights are square roots, to show small shares."""
         heights = np.sqrt(self.histogram.reshape(3, _BINS // 2, 2).sum(axis=2))
         steps = np.ceil(heights / max(float(heights.max()), 1e-9) * (len(_BARS) - 1)).astype(int)
         return "\n".join(f"{name} |{''.join(_BARS[s] for s in row)}|" for name, row in zip("RGB", steps, strict=True))
 
 
 def preview_of(mosaic: Mosaic, width_px: int = _WIDTH_PX) -> Preview:
-    """Return a decoded photograph made small, at most so many samples wide."""
+    """Make the preview of a decoded photograph, at most ``width_px`` wide."""
     side = max(1, -(-(mosaic.size[0] // 2) // width_px))
     rows, columns = mosaic.size[1] // 2 // side, mosaic.size[0] // 2 // side
     picture, places = np.zeros((rows, columns, 3), dtype=np.float32), np.zeros(3, dtype=np.float32)
@@ -61,7 +61,7 @@ def preview_of(mosaic: Mosaic, width_px: int = _WIDTH_PX) -> Preview:
         black, white = float(mosaic.black[row, column]), float(mosaic.white[row, column])
         values = mosaic.values[row::2, column::2][: rows * side, : columns * side]
         total, brightest = np.zeros((rows, columns), dtype=np.uint32), np.zeros((rows, columns), dtype=np.uint16)
-        # By the places within a block: reductions over short axes take five times as long.
+        # Loop over the places within a block: reductions over short axes would take five times as long.
         for at in np.ndindex(side, side):
             part = values[at[0] :: side, at[1] :: side]
             total += part

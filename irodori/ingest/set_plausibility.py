@@ -1,8 +1,8 @@
-"""Plausibility of a whole set of photographs: what a session asks shot by shot, asked of a table that is there already.
+"""Plausibility of a whole set of photographs: the checks of a capture session, applied to an existing table.
 
-Beyond that it asks what only a whole set can tell: whether the photographs with the filter show the poses that those
-without it show, and whether lenses agree with the definition. A photograph with a reason in the column ``accepted`` of
-its table is not doubted, and is no measure for others.
+Additional checks need the whole set: whether the photographs with the filter show the same poses as those without it,
+and whether the focal lengths agree with the definition. A photograph with a reason in the column ``accepted`` of its
+table is not checked, and others are not compared with it.
 """
 
 from collections.abc import Iterable
@@ -16,27 +16,27 @@ from irodori.core.errors import InputError
 from irodori.ingest.mosaic import Mosaic
 from irodori.ingest.plausibility import Doubt, Look, Series, look_at
 
-#: The two photographs of a pose are of different ones where each has another pose's that is this many times as like it,
+#: The photographs of a capture show different poses if each is this many times more similar to one of another capture,
 _LIKER = 2.0
-#: and they are unlike each other by more than this, 1 less the correlation of the pictures.
+#: and their dissimilarity (1 minus the correlation of the pictures) exceeds this.
 _UNLIKE = 0.02
-#: Part of its files' focal length by which a definition may differ: makers round, and a lens in focus is another.
+#: Largest relative difference between the focal length in a file and that expected: makers round the values.
 _FOCAL = 0.15
 _FEWEST_BLOCKS, _NAMED = 64, 3
-#: Doubts about photographs that tell no pose: nothing is to be seen in them, or they are said by a plainer mistake.
+#: Doubts with which a photograph is not compared for its pose: it shows nothing, or the mistake explains a mismatch.
 _TELLS_NO_POSE = ("identical", "size", "black", "blown", "filter")
-#: Captures before and behind, in the order of the table, with which each is compared.
+#: Number of captures before and after, in the order of the table, with which each is compared.
 _NEIGHBOURS = 16
 
 
 @dataclass(frozen=True)
 class Doubted:
-    """A photograph of a set that cannot be what its table says.
+    """A doubt about a photograph of a set.
 
     Parameters
     ----------
     path : path
-        Its file.
+        File of the photograph.
     doubt : Doubt
     """
 
@@ -46,14 +46,14 @@ class Doubted:
 
 @dataclass(frozen=True)
 class FocalRange:
-    """Focal lengths that files may state for a lens.
+    """Range of the focal lengths that files may state for a lens.
 
     Parameters
     ----------
     stated_mm : float
-        What the definition says: the distance from lens to sensor, as a calibration finds it, mm.
+        Focal length in the definition: the distance from lens to sensor, as found by a calibration, mm.
     least_mm, most_mm : float
-        Smallest and largest focal length of the lens at infinity that is compatible, mm.
+        Smallest and largest compatible focal length of the lens at infinity, mm.
     """
 
     stated_mm: float
@@ -62,15 +62,15 @@ class FocalRange:
 
     @classmethod
     def of(cls, focal_length_mm: float, distance_mm: float) -> "FocalRange":
-        """Return the range for a definition's focal length, mm, before a subject at a distance, mm.
+        """Compute the range from the focal length in a definition, mm, and the distance of the subject, mm.
 
-        In focus a lens stands up to 1 + m of its focal length before the sensor, with m the magnification.
+        A focused lens is up to 1 + m times its focal length away from the sensor, where m is the magnification.
         """
         closer = 1.0 + focal_length_mm / max(distance_mm - focal_length_mm, focal_length_mm)
         return cls(focal_length_mm, focal_length_mm * (1.0 - _FOCAL) / closer, focal_length_mm * (1.0 + _FOCAL))
 
     def doubt(self, found_mm: float) -> Doubt | None:
-        """Return the doubt about a file that states a focal length, None where it agrees or states none (0)."""
+        """Return the doubt about a focal length stated in a file; None if it agrees, or the file states none (0)."""
         if not found_mm or self.least_mm <= found_mm <= self.most_mm:
             return None
         found = f"taken at {found_mm:g} mm, the camera's optics.focal_length_mm is {self.stated_mm:g}"
@@ -78,16 +78,16 @@ class FocalRange:
 
 
 class SetLook:
-    """Looks at the photographs of a set, capture by capture.
+    """Checks of the photographs of a set, capture by capture.
 
     Parameters
     ----------
     shots : iterable of Shot
         The whole set.
     focal : FocalRange, optional
-        Of its camera's lens.
+        Range for the lens of the camera.
     whites : iterable of (Shot, Look)
-        Photographs of the camera's white reference that were found sound, where they stand in another set.
+        Accepted photographs of the camera's white reference from another set.
     """
 
     def __init__(
@@ -97,15 +97,15 @@ class SetLook:
         self._focal, self._series = focal, Series(self.shots)
         for shot, look in whites:
             self._series.add(shot, look)
-        #: Photographs of the white reference that were found sound.
+        #: Accepted photographs of the white reference.
         self.whites: list[tuple[Shot, Look]] = []
         self._found: list[Doubted] = []
         self._pairs: dict[str, dict[str, tuple[Path, Look]]] = {}
 
     def see(self, shot: Shot, path: Path, mosaic: Mosaic) -> None:
-        """Take the next photograph, in the order of `shots`, with its ISO and f-number where its file knows them.
+        """Check the next photograph, in the order of `shots`, with ISO and f-number completed from its file.
 
-        What is doubted is no measure for the next ones.
+        Later photographs are not compared with doubtful ones.
         """
         if shot.taken.accepted:
             return
@@ -119,26 +119,26 @@ class SetLook:
             if shot.role == "white":
                 self.whites.append((shot, look))
         if shot.role == "object" and not any(doubt.kind in _TELLS_NO_POSE for doubt in doubts):
-            # Of a bracket that in which least clips, and of those the brightest, shows most.
+            # From a bracket take the least clipped photograph, and among equals the brightest.
             states = self._pairs.setdefault(shot.capture, {})
             best = states.get(shot.filter)
             if best is None or (look.clipped, -look.level) < (best[1].clipped, -best[1].level):
                 states[shot.filter] = path, look
 
     def doubted(self) -> list[Doubted]:
-        """Return what was found, photographs that show other poses than their names say first."""
+        """Return all doubts, first those about photographs that show another pose than their table states."""
         elsewhere = _of_other_poses(list(self._pairs.values()))
-        # Light and place that differ from the pair's other photograph follow from that.
+        # A wrong pose explains other differences from the other photograph of the pair.
         explained = {one.path for one in elsewhere}
         return [*elsewhere, *(one for one in self._found if one.path not in explained)]
 
     def refuse(self, table) -> list[Doubted]:
-        """Refuse what cannot be, and return what is merely unlikely.
+        """Raise an error if any doubt is certain; otherwise return all doubts.
 
         Raises
         ------
         InputError
-            For the first photograph that cannot be what its table says, with how many others there are.
+            For the first photograph that cannot be what its table states; the message gives the number of others.
         """
         found = self.doubted()
         certain = [one for one in found if one.doubt.is_certain]
@@ -152,7 +152,7 @@ class SetLook:
 
 
 def in_captures(shots: Iterable[Shot]) -> list[Shot]:
-    """Return shots with those of a capture side by side, captures in the order of their first photographs."""
+    """Sort shots by capture, with captures in the order of their first photographs."""
     groups: dict[str, list[Shot]] = {}
     for shot in shots:
         groups.setdefault(shot.capture, []).append(shot)
@@ -160,9 +160,10 @@ def in_captures(shots: Iterable[Shot]) -> list[Shot]:
 
 
 def _of_other_poses(captures: list[dict[str, tuple[Path, Look]]]) -> list[Doubted]:
-    """Return the photographs with the filter that, as their partners, are far liker to one of another pose.
+    """Return doubts about filtered photographs that seem to show another pose than their unfiltered partners.
 
-    One of the two alone may be: under grazing light noise, or gloss that clips, makes some pictures unlike all others.
+    Both photographs of the pair must be far more similar to one of another pose. A single one may differ from all
+    others, because of noise under grazing light or clipped gloss.
     """
     pairs = [states for states in captures if len(states) == 2]
     if len({look.picture.shape for states in pairs for _, look in states.values()}) != 1:
@@ -183,7 +184,7 @@ def _of_other_poses(captures: list[dict[str, tuple[Path, Look]]]) -> list[Doubte
 
 
 def _unlikeness(first: Look, second: Look) -> float:
-    """Return 1 less the correlation of two green pictures where neither clips, 1 where too little is left."""
+    """Return 1 minus the correlation of two green pictures over unclipped blocks; 1 if there are too few."""
     common = first.whole & second.whole
     if common.sum() < _FEWEST_BLOCKS:
         return 1.0

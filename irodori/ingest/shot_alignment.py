@@ -1,4 +1,4 @@
-"""Alignment of the two shots of a pose on one grid."""
+"""Alignment of the two shots of a pose, without and with the filter, on one grid."""
 
 from dataclasses import dataclass, replace
 
@@ -13,7 +13,7 @@ from irodori.ingest.exposure_settings import filter_states
 from irodori.ingest.ingest_options import IngestOptions
 from irodori.ingest.registration.similarity import Registration, bayer_offsets_px, meets_marked, register, resample
 
-#: Predicted standard error of a registration, superpixels, above which the picture has too little content for it.
+#: Predicted standard error of a registration, superpixels, above which the picture has too little content.
 MAX_SIGMA_PX = 0.1
 
 
@@ -26,11 +26,12 @@ class Alignment:
     transform : (4,) tuple of float
         dx and dy in superpixels, rotation in rad, scale, about the picture's centre.
     residual_px : float
-        Rms of what local blocks still find, superpixels; NaN where not measured.
+        RMS shift that remains in local blocks, superpixels; NaN if not measured.
     sigma_px : float
         Predicted standard error, superpixels.
     source : str
-        ``capture``, or ``chart`` where the capture had too little content; ``none`` where the chart had too.
+        Source of the transform: ``capture``; ``chart`` if the capture has too little content; ``none`` if the chart has
+        too little, too.
     """
 
     transform: tuple[float, float, float, float]
@@ -39,7 +40,7 @@ class Alignment:
     source: str
 
     def write(self, out: store.Writer) -> None:
-        """Write ``/registration`` (4) and its attributes."""
+        """Write the dataset ``/registration``, (4,), and its attributes."""
         units = ["{superpixel}", "{superpixel}", "rad", "1"]
         out.coordinate("parameter", ["dx", "dy", "rotation", "scale"], units="1", quantity="what is aligned")
         out.write("parameter_unit", np.array(units, "S"), units="1", dims="parameter", quantity="its unit")
@@ -51,7 +52,7 @@ class Alignment:
 
     @classmethod
     def read(cls, file: store.Reader) -> "Alignment":
-        """Read what `write` wrote."""
+        """Read an alignment that `write` wrote."""
         names = ("registration_residual_px", "registration_sigma_px", "registration_source")
         return cls(tuple(file.read("registration").tolist()), *(file.attribute(name) for name in names))
 
@@ -60,10 +61,10 @@ UNMOVED = Alignment((0.0, 0.0, 0.0, 1.0), float("nan"), float("inf"), "none")
 
 
 def _align(fixed: Developed, moving: Developed, start: Alignment | None, sample_px: int) -> Alignment:
-    """Register two filter states by the module `irodori.ingest.registration`."""
+    """Register two filter states with `irodori.ingest.registration`."""
     pictures = [_superpixels(state.response, state.valid, sample_px) for state in (fixed, moving)]
     (image_a, valid_a), (image_b, valid_b) = pictures
-    # The colours of a superpixel lie apart; what LibRaw interpolated, or was no mosaic, lies on one place.
+    # The bands of a superpixel have different positions; those of demosaiced or non-mosaic pictures coincide.
     offsets = bayer_offsets_px(fixed.pattern) if sample_px == 2 and fixed.pattern else None
     guess = None if start is None else _registration(start)
     found = register(image_a, image_b, valid_a, valid_b, guess, band_offsets_px=offsets)
@@ -72,13 +73,13 @@ def _align(fixed: Developed, moving: Developed, start: Alignment | None, sample_
 
 
 def _registration(alignment: Alignment, scale: float = 1.0) -> Registration:
-    """Return the transform in samples of 1 / scale superpixels."""
+    """Convert an alignment to a transform in samples with a side of 1 / ``scale`` superpixels."""
     dx, dy, rotation, magnification = alignment.transform
     return Registration(scale * dx, scale * dy, rotation, magnification, alignment.residual_px, alignment.sigma_px)
 
 
 def _superpixels(image: np.ndarray, valid: np.ndarray, sample_px: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return a picture and its mask on superpixels."""
+    """Average a picture and its mask to superpixels."""
     if sample_px == 2:
         return image, valid
     blocks = [image[row::2, column::2] for row in (0, 1) for column in (0, 1)]
@@ -89,14 +90,14 @@ def _superpixels(image: np.ndarray, valid: np.ndarray, sample_px: int) -> tuple[
 def align_states(
     fixed: Developed, moving: Developed, nominal: Alignment | None, options: IngestOptions, file, capture: str
 ) -> Alignment:
-    """Return where the filtered picture of a capture lies on the unfiltered one.
+    """Determine the transform from the unfiltered to the filtered picture of a capture.
 
     Parameters
     ----------
     fixed, moving : Developed
-        Without and with the filter.
+        Pictures without and with the filter.
     nominal : Alignment or None
-        The filter's transform from the chart: the start, and the answer where the capture has too little content.
+        Transform from the chart: the start, and the result if the capture has too little content.
     file : path
         Table of the capture, for the error message.
     capture : str
@@ -104,11 +105,11 @@ def align_states(
     Raises
     ------
     InputError
-        If local blocks still find a residual above the limit: something moved between the shots.
+        If the remaining shift in local blocks exceeds the limit, because something moved between the shots.
     """
     found = _align(fixed, moving, nominal, options.sample_px)
-    # Judged before the content is: what moved between the shots makes the fit uncertain too, and would pass for a lack
-    # of content. Noise does not enter the residual.
+    # Checked before the content: a movement between the shots makes the fit uncertain too, and would be mistaken for a
+    # lack of content. The residual does not include noise.
     if found.residual_px > options.max_registration_px:
         text = f"shots of the capture {capture} that differ by {found.residual_px:.2f} superpixels after registration"
         accepted = f"at most {options.max_registration_px:g} superpixels (ingest.max_registration_px); nothing may move"
@@ -123,7 +124,7 @@ def align_states(
 
 
 def move(state: Developed, alignment: Alignment, sample_px: int, out: np.ndarray) -> Developed:
-    """Return a filtered picture on the grid of the unfiltered one, its responses in ``out``."""
+    """Resample a filtered picture to the grid of the unfiltered one; the responses are written to ``out``."""
     registration = _registration(alignment, 2.0 / sample_px)
     response, valid = resample(state.response, state.valid, registration, out)
     clipped = meets_marked(state.clipped, valid, registration) if state.clipped.any() else state.clipped
@@ -131,7 +132,10 @@ def move(state: Developed, alignment: Alignment, sample_px: int, out: np.ndarray
 
 
 def nominal_alignment(reference, white: dict, shots: list[Shot], table, folder, options: IngestOptions):
-    """Return the filter's nominal transform from the chart's two shots, None where there is nothing to register."""
+    """Return the nominal transform of the filter from the two shots of the chart.
+
+    None if there is only one filter state, registration is switched off, or the chart has too little content.
+    """
     states = filter_states(shots)
     if not options.register or len(states) < 2:
         return None

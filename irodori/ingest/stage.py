@@ -1,4 +1,4 @@
-"""Ingestion stage: RAW files of one capture in, linear responses out."""
+"""Ingestion stage: reads the RAW files of one capture; writes linear responses."""
 
 from dataclasses import astuple, replace
 
@@ -22,7 +22,7 @@ _ENVIRONMENT = "environment"
 def ingest_raw(
     table, folder, capture: str, reference, output, provenance: store.Provenance, *, options: IngestOptions
 ) -> None:
-    """Turn the RAW files of one capture into linear responses.
+    """Compute linear responses from the RAW files of one capture, and write them.
 
     Parameters
     ----------
@@ -37,17 +37,18 @@ def ingest_raw(
     Raises
     ------
     InputError
-        If a file contradicts the table, its hash there or the reference, or the filter states do not register.
+        If a file contradicts the table, its hash in the table, or the reference, or the filter states cannot be
+        registered.
 
     Notes
     -----
-    Datasets: ``/response`` (H, W, bands) float32, 1 = a perfect diffuser lit at normal incidence (full scales per
-    second of relative exposure where there is no white reference), 0 where not valid; ``/valid`` (H, W) uint8, 1 where
-    every band was measured; ``/clipped`` (H, W) uint8, 1 where a band is at or above the clip level in every exposure
-    of its bracket, so that what is neither valid nor clipped is hot or out of the picture; ``/noise_model`` (bands, 2),
-    variance of the response = c0 + c1 * response at the picture's centre for the exposures merged, NaN where the
-    camera's noise was not measured; ``/registration`` (4), see `irodori.ingest.shot_alignment`, where there are two
-    filter states. ``sample_px`` is the number of mosaic pixels along the side of a sample.
+    Datasets: ``/response`` (H, W, bands) float32, 1 = a perfect diffuser lit at normal incidence (without a white
+    reference: full scales per second of relative exposure), 0 where not valid; ``/valid`` (H, W) uint8, 1 where every
+    band was measured; ``/clipped`` (H, W) uint8, 1 where a band is at or above the clip level in every exposure of its
+    bracket (a pixel that is neither valid nor clipped is hot or outside the picture); ``/noise_model`` (bands, 2),
+    coefficients of the variance c0 + c1 * response at the picture's centre for the exposures merged, NaN if the
+    camera's noise was not measured; ``/registration`` (4), see `irodori.ingest.shot_alignment`, with two filter states.
+    The attribute ``sample_px`` is the side of a sample in mosaic pixels.
     """
     shots = [s for s in read_captures(table, folder) if s.capture == capture]
     if not shots:
@@ -69,7 +70,7 @@ def ingest_raw(
         if group[0].mosaic.values.shape != frames[0].mosaic.values.shape:
             found = f"{group[0].mosaic.size} pixels"
             raise InputError(group[0].shot.file, "size", found, f"{frames[0].mosaic.size}, as the other filter state")
-        # What will be moved is resampled from room of its own into the response.
+        # A picture that will be resampled needs its own memory; the result goes into ``response``.
         out = None if align and number else response[..., _BANDS * number : _BANDS * (number + 1)]
         developed.append(merge_frames(camera, group, options, camera.white.get(state), out))
     alignment = None
@@ -88,7 +89,7 @@ def _check_filters(camera: Reference, states: list[str], capture: str, table) ->
 
 
 def _check_settings(camera: Reference, shots: list[Shot], table) -> None:
-    """Refuse ISO or aperture known here but not for the white reference, or the other way round."""
+    """Raise `InputError` if ISO or aperture is known for the capture or for the white reference, but not for both."""
     known = known_settings(shots)
     if camera.white and set(known) != set(camera.known):
         column = sorted(set(known) ^ set(camera.known))[0]

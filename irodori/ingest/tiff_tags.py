@@ -1,7 +1,7 @@
-"""Tags of TIFF files, as which most makers write their RAW files, that LibRaw does not report.
+"""Reading of TIFF tags that LibRaw does not report; most RAW formats are based on TIFF.
 
-Read directly, for a damaged header must not cost more than its file: libraries that read whole directories make as many
-objects as a count in them says, which after one flipped bit may be a thousand million.
+The tags are read directly, to limit time and memory for damaged files: libraries that read whole directories create as
+many objects as a count in the file states, which after a single bit error may be a thousand million.
 """
 
 import mmap
@@ -14,15 +14,15 @@ SHORT, LONG, RATIONAL = 3, 4, 5
 _ASCII, _IFD = 2, 13
 _SUB_DIRECTORIES, _EXIF = 330, 34665
 _ENTRY_BYTES, _LONGEST_TEXT = 12, 256
-#: A RAW file has a handful of directories; what claims more is damaged and is LibRaw's to refuse.
+#: Largest number of directories that are read; a RAW file has a handful, and a damaged one may claim more.
 _MOST_DIRECTORIES = 64
 
 
 @dataclass(frozen=True)
 class Tag:
-    """One entry of a directory: its number, TIFF's code of its kind, and its values (numbers, or one text).
+    """One entry of a directory: tag number, TIFF's code of the data type, and values (numbers, or a single text).
 
-    A rational number is two values, numerator and denominator.
+    A rational number is stored as two values, numerator and denominator.
     """
 
     number: int
@@ -31,12 +31,12 @@ class Tag:
 
 
 def read_tags(path, wanted: tuple[int, ...]) -> list[Tag]:
-    """Return the wanted tags of every directory, the Exif directory and sub-directories included.
+    """Read the wanted tags of every directory, including the Exif directory and sub-directories.
 
     Parameters
     ----------
     path : path
-        Any file; one that is no TIFF has no tags, and what a damaged one says beyond its end is left out.
+        Any file. A file that is not a TIFF has no tags; tags beyond the end of a truncated file are ignored.
     wanted : tuple of int
         Numbers of tags that hold a few integers or rational numbers, or a text.
     """
@@ -81,7 +81,7 @@ def _tag(content, order: str, at: int, tag: int) -> Iterator[Tag]:
 
 
 def _numbers(content, order: str, at: int, kind: int, count: int) -> list[int]:
-    """Return numbers from a place of the file, none where they reach beyond its end."""
+    """Read ``count`` integers at a position of the file; an empty list if they reach beyond its end."""
     layout = f"{order}{count}{'H' if kind == SHORT else 'I'}"
     whole = at <= len(content) - struct.calcsize(layout)
     return list(struct.unpack_from(layout, content, at)) if whole else []

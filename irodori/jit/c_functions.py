@@ -1,7 +1,7 @@
-"""C functions that compiled loops call by address.
+"""Calls of C functions by their address from compiled loops.
 
-numba cannot cache code that holds the address of a C function; here the address is an argument, so that kernels are
-kept on disk and shared by every process.
+numba cannot cache code that contains the address of a C function. Here the address is an argument, so that kernels can
+be stored on disk and used by all processes.
 """
 
 from llvmlite import ir
@@ -11,7 +11,7 @@ from numba.extending import intrinsic
 
 
 def c_function(result, *arguments):
-    """Return a function for compiled code that calls a C function by its address.
+    """Make a function, for use in compiled code, that calls a C function by its address.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ def c_function(result, *arguments):
 
         return signature, codegen
 
-    # intrinsic() reads the parameters of the function it decorates, so it is given one with the right count.
+    # intrinsic() inspects the parameters of the decorated function, so a function with the right number is made.
     names = ", ".join(f"a{i}" for i in range(len(arguments)))
     namespace = {"call": call}
     exec(f"def typed(typingctx, address, {names}):\n    return call(typingctx, address, {names})\n", namespace)
@@ -46,7 +46,7 @@ def c_function(result, *arguments):
 
 @intrinsic
 def cycles(typingctx):
-    """Return the processor's count of cycles, for profiles."""
+    """Return the cycle counter of the processor, for profiling."""
 
     def codegen(context, builder, sig, args):
         function = ir.FunctionType(ir.IntType(64), [])

@@ -1,4 +1,4 @@
-"""Kernels run in chunks on several threads."""
+"""Execution of kernels in chunks on several threads."""
 
 from concurrent.futures import ThreadPoolExecutor
 
@@ -6,20 +6,20 @@ import numba
 
 
 def run_chunks(kernel, count: int, chunk: int, *arguments) -> None:
-    """Run ``kernel(*arguments, first, last)`` over 0..count in chunks, on as many threads as numba may use.
+    """Run ``kernel(*arguments, first, last)`` for chunks of the range from 0 to ``count``, on the threads of numba.
 
-    The code of a parallel loop of numba's takes a third longer to compile. The types of the arguments, a millisecond
-    for nested tuples, are worked out once for all chunks.
+    This is used instead of parallel loops of numba, which take a third longer to compile. The types of the arguments
+    are determined once for all chunks, as this takes a millisecond for nested tuples.
 
     Parameters
     ----------
     kernel : callable
-        Compiled with ``nogil``; chunks may run in any order.
+        Function compiled with ``nogil``; chunks may run in any order.
     """
     pieces = [(first, min(first + chunk, count)) for first in range(0, count, chunk)]
     if not pieces:
         return
-    if hasattr(kernel, "compile"):  # not where numba is switched off
+    if hasattr(kernel, "compile"):  # False if compilation by numba is disabled
         kernel = kernel.compile(tuple(numba.typeof(argument) for argument in (*arguments, *pieces[0])))
     threads = min(numba.get_num_threads(), len(pieces))
     if threads == 1:

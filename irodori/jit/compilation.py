@@ -1,7 +1,7 @@
-"""Decorators that compile the package's loops: `njit`, `uncounted` and `cfunc`.
+"""Decorators that compile the loops of the package: `njit`, `uncounted` and `cfunc`.
 
-Every module takes them from here, so that what they set holds for all loops of the package: whole vectors of the
-machine, calls of copies of their own, and the cache of `irodori.jit.kernel_cache`.
+All modules use these instead of those of numba, so that the same settings apply to all loops: the full vector width of
+the processor, calls of own copies of inlined functions, and the cache of `irodori.jit.kernel_cache`.
 """
 
 import gc
@@ -22,10 +22,11 @@ from irodori.jit.kernel_cache import KernelCache, cache_folder
 
 
 def use_whole_vectors() -> None:
-    """Let loops that are compiled from now on use vectors of 512 bits where the processor has them.
+    """Make the compiler use vectors of 512 bits from now on if the processor has them.
 
-    LLVM keeps to 256 on server processors, which once slowed their clocks for longer vectors. The loops of the fit take
-    half the time with 512. Without effect elsewhere, and where ``NUMBA_CPU_FEATURES`` is set.
+    LLVM limits vectors to 256 bits on server processors, because early ones reduced their clock rate for longer
+    vectors. With 512 bits the loops of the fit take half the time. There is no effect on other processors, or if
+    ``NUMBA_CPU_FEATURES`` is set.
     """
     if numba.config.CPU_FEATURES is None:
         features = binding.get_host_cpu_features()
@@ -33,12 +34,13 @@ def use_whole_vectors() -> None:
             numba.config.CPU_FEATURES = f"{features.flatten()},-prefer-256-bit"
 
 
-#: Packages whose compiled functions, kernels apart, are parts of kernels only; bodies of parallel loops are dynamic.
+#: Packages whose compiled functions, except kernels, are used only within kernels. The module name of bodies of
+#: parallel loops is ``<dynamic>``.
 _NEVER_CALLED_BY_PYTHON = ("numba", "<dynamic>", "irodori")
 
 
 class _Library(JITCodeLibrary):
-    """Compiled code; its declarations of what is defined elsewhere are not handed to the optimiser one by one."""
+    """Compiled code; function passes of the optimiser run only on defined functions, not on declarations."""
 
     def _optimize_functions(self, ll_module) -> None:
         ll_module.data_layout = self._codegen._data_layout
@@ -49,16 +51,16 @@ class _Library(JITCodeLibrary):
 
 
 class _SeparateCopies(_Library):
-    """Compiled code that calls the copies of other functions that it was compiled with.
+    """Compiled code that always calls the copies of other functions with which it was compiled.
 
-    numba links them as weak symbols: of all copies that a process holds the one loaded first serves every caller, and
-    copies differ in the last place of their results by what was optimised around them. A process that compiles, which
-    holds each function alone as well, then computed other bits than one that reads its loops from the disk.
+    numba links such copies as weak symbols: of all copies in a process, the one loaded first is used by all callers.
+    The last digits of results can differ between copies, since each is optimised with its surrounding code. Without
+    this class, a process that compiles could obtain slightly different results than one that loads stored kernels.
     """
 
     def _optimize_final_module(self) -> None:
         for function in self._final_module.functions:
-            # Functions of numba's runtime keep their names: passes that count references look for them.
+            # Functions of the numba runtime keep their linkage: the passes for reference counting need their names.
             weak = function.linkage == binding.Linkage.linkonce_odr and not function.is_declaration
             if weak and function.name.startswith("_ZN"):
                 function.linkage = binding.Linkage.internal
@@ -66,7 +68,7 @@ class _SeparateCopies(_Library):
 
 
 class _ForLinking(_Library):
-    """Code that is only ever linked into that of a caller, and optimised and turned into machine code there."""
+    """Code that is only linked into callers, where it is optimised and converted to machine code."""
 
     def _optimize_final_module(self) -> None:
         pass
@@ -79,7 +81,7 @@ class _ForLinking(_Library):
 
 @contextmanager
 def _uncollected() -> Iterator[None]:
-    """Leave Python's collector of cycles off: the compiler leaves few, and it took an eighth of the compiling time."""
+    """Disable garbage collection; it takes an eighth of the compilation time, and the compiler makes few cycles."""
     enabled = gc.isenabled()
     gc.disable()
     try:
@@ -91,7 +93,7 @@ def _uncollected() -> Iterator[None]:
 
 @contextmanager
 def _libraries(codegen, kind: type) -> Iterator[None]:
-    """Make the libraries that are compiled meanwhile of a kind; others of the process stay as they are."""
+    """Use a class of library for code that is compiled within the context; other code is not affected."""
     with global_compiler_lock:
         usual = codegen._library_class
         codegen._library_class = kind
@@ -103,10 +105,10 @@ def _libraries(codegen, kind: type) -> Iterator[None]:
 
 @contextmanager
 def _only_linked(context) -> Iterator[None]:
-    """Neither optimise nor turn into machine code, on their own, the parts of a kernel that is compiled meanwhile.
+    """Compile parts of a kernel within the context for linking only, without separate optimisation and machine code.
 
-    numba does so with its own functions, and up to three times with the body of a parallel loop: alone, in a wrapper,
-    and in the kernel that it is linked into, the only one that needs it.
+    numba would generate machine code for each of its own functions, and up to three times for the body of a parallel
+    loop: separately, in a wrapper, and in the kernel. Only the one in the kernel is needed.
     """
     usual = context.get_executable
 
@@ -127,7 +129,7 @@ def _only_linked(context) -> Iterator[None]:
 
 
 class _KernelCompiler(_FunctionCompiler):
-    """Compiler of what Python calls: one library of machine code, whatever the function calls."""
+    """Compiler of functions that Python calls: all functions that they call are compiled into one library."""
 
     def _compile_core(self, args, return_type):
         flags = Flags()
@@ -144,7 +146,7 @@ class _KernelCompiler(_FunctionCompiler):
 
 
 class _InnerCompiler(_FunctionCompiler):
-    """Compiler of functions that other compiled functions call: no wrappers for Python, no machine code."""
+    """Compiler of functions that only compiled functions call: without wrappers for Python and machine code."""
 
     def _compile_core(self, args, return_type):
         flags = Flags()
@@ -162,12 +164,12 @@ class _InnerCompiler(_FunctionCompiler):
 class Kernel(CPUDispatcher):
     """A compiled function of this package.
 
-    What Python calls is kept by `irodori.jit.kernel_cache` and calls its own copies of other functions. A kernel that
-    another one calls is compiled as a part of it: numba would first optimise it, turn it into machine code and wrap it
-    for Python on its own, at every level of calls anew, which made half of the time that a fit took to compile.
+    Functions called by Python are stored by `irodori.jit.kernel_cache` and call their own copies of other functions. A
+    kernel that is called by another one is compiled as a part of it. numba would also optimise it, convert it to
+    machine code and make a Python wrapper, at each level of calls; this took half of the compilation time of a fit.
     """
 
-    _depth = 0  # of kernels being compiled, one within the other; the compiler's lock is held meanwhile
+    _depth = 0  # nesting depth of kernels being compiled; changed only while the compiler lock is held
 
     def __init__(self, *given, **options) -> None:
         super().__init__(*given, **options)
@@ -180,7 +182,7 @@ class Kernel(CPUDispatcher):
         self._kept = False
 
     def enable_caching(self) -> None:
-        """Keep what is compiled, where there is a place for it; found when something is, for most kernels are parts."""
+        """Store compiled code on disk if possible; the folder is determined at the first compilation from Python."""
         self._kept = True
 
     def compile(self, sig):
@@ -204,7 +206,7 @@ class Kernel(CPUDispatcher):
                     self._cache.release()
 
     def _compile_part(self, sig):
-        """Compile the function as a part of the kernel that is being compiled."""
+        """Compile the function as a part of the kernel that is currently compiled."""
         args, return_type = normalize_signature(sig)
         args = tuple(args)
         if args not in self.overloads:
@@ -218,11 +220,11 @@ class Kernel(CPUDispatcher):
 
 
 class _Part:
-    """Stand-in for the address of a function that has none."""
+    """Placeholder for the address of a function that has none."""
 
 
 def njit(function=None, *, cache=False, boundscheck=None, **options):
-    """Return a `Kernel` of a function, or a decorator that makes one; the options are those of ``numba.njit``."""
+    """Make a `Kernel` of a function, or return a decorator that does so; options are those of ``numba.njit``."""
     if function is None:
         return lambda decorated: njit(decorated, cache=cache, boundscheck=boundscheck, **options)
     if numba.config.DISABLE_JIT:
@@ -234,7 +236,7 @@ def njit(function=None, *, cache=False, boundscheck=None, **options):
 
 
 def cfunc(signature, **options):
-    """Return ``numba.cfunc(signature, ...)``, which calls its own copies of other functions as kernels do."""
+    """Return the decorator ``numba.cfunc(signature, ...)`` for code that calls its own copies of functions."""
 
     def made(function):
         with global_compiler_lock:
@@ -249,12 +251,13 @@ def cfunc(signature, **options):
 
 
 def uncounted(*, cache=True, **options):
-    """Return `njit` for a function that allocates nothing: no references to its arrays are counted.
+    """Return the decorator `njit` for a function that allocates nothing, without reference counting of arrays.
 
-    A loop that hands tuples of arrays from function to function otherwise spends most of its time counting, with
-    operations that two threads do in turn. What such a function calls for the first time is compiled in the same way,
-    so it may call only what allocates nothing. It may make views; it returns them, or what holds them, only to another
-    uncounted function, for elsewhere they would be given up too early. An array that it allocates is never freed.
+    Otherwise loops that pass tuples of arrays between functions spend most of their time on reference counting, with
+    atomic operations for which threads wait. Functions that are first compiled for such a function are also compiled
+    without counting, so it may call only functions that do not allocate. It may make views of arrays, but may return
+    them only to another uncounted function: elsewhere they would be freed too early. An array that it allocates is
+    never freed.
     """
     return njit(cache=cache, _nrt=False, **options)
 

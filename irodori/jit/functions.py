@@ -1,8 +1,8 @@
-"""Functions of numbers and of `irodori.jit.vectors` alike, so that a formula has one source for both.
+"""Elementary functions for numbers and for `irodori.jit.vectors`, so that one formula serves both.
 
-A float32 stays one, other numbers become float64 (but numba computes a float32 number with a float64 constant in
-float64). What is emitted has no branches and calls no library, so that the compiler vectorises a loop over numbers
-that calls it, too. In nopython code only.
+The result for float32 is float32, and float64 for other numbers (but numba computes an expression of a float32 number
+and a float64 constant in float64). The code has no branches or library calls, so that the compiler can vectorise loops
+over numbers that use these functions. They are for nopython code only.
 """
 
 import math
@@ -15,14 +15,15 @@ from numba.extending import intrinsic
 
 from irodori.jit.vectors import FLAGS, Vector, common, constant, llvm_type, scalar_of, widened
 
-#: Bits of the mantissa, and the exponent's bias.
+#: Number of bits of the mantissa, and bias of the exponent.
 _FORMAT = {types.float32: (23, 127), types.float64: (52, 1023)}
-#: The logarithm of 2 in two parts: the higher has so few digits that its product with an exponent is exact.
+#: ln 2 as a sum of two parts; the larger part has so few digits that its product with an exponent is exact.
 _LN2 = {
     types.float32: (0.693145751953125, 1.42860682030941723212e-06),
     types.float64: (6.93147180369123816490e-01, 1.90821492927058770002e-10),
 }
-#: Denormal numbers are slow: exp ends where its result's products with weights, of float64 its square, too, are normal.
+#: Smallest argument of exp; smaller ones are replaced by it. Denormal numbers are slow: products of the result with
+#: weights, and for float64 also its square, remain normal numbers.
 _SMALLEST_EXPONENT = {types.float32: -80.0, types.float64: -170.0}
 _SQUARE_ROOT_OF_HALF = {types.float32: 0x3F3504F3, types.float64: 0x3FE6A09E667F3BCD}  # bits
 _EXP_DEGREE = {types.float32: 7, types.float64: 13}
@@ -30,7 +31,7 @@ _LOG_TERMS = {types.float32: 5, types.float64: 10}
 
 
 def _elementwise(arguments: int, codegen, about: str):
-    """Return a function of one or two numbers or vectors; ``codegen(builder, kind, *values)`` emits it."""
+    """Make a function of one or two numbers or vectors, with code from ``codegen(builder, kind, *values)``."""
 
     def typed(*given):
         kind = common(*given)
@@ -52,7 +53,7 @@ def _elementwise(arguments: int, codegen, about: str):
 
 
 def suffix(kind) -> str:
-    """Return the end of the names of LLVM's functions for a kind."""
+    """Return the suffix of the names of LLVM intrinsics for a type, such as ``v8f64``."""
     bits = f"{'f' if isinstance(scalar_of(kind), types.Float) else 'i'}{scalar_of(kind).bitwidth}"
     return f"v{kind.count}{bits}" if isinstance(kind, Vector) else bits
 
@@ -99,8 +100,8 @@ def _exp(builder, kind, x):
     mantissa, bias = _FORMAT[scalar]
     integers, (high, low) = _integers_like(kind), _LN2[scalar]
     x = _upper(builder, kind, x, constant(kind, _SMALLEST_EXPONENT[scalar]))
-    # Added to a number so large that its last bit is one, x is rounded to a whole number, which stands in the last
-    # bits: few processors have a vector instruction for a conversion. FLAGS keep the sum from being undone.
+    # Adding a large number whose last bit represents 1 rounds to an integer, which is then in the last bits of the sum.
+    # Few processors have a vector instruction for the conversion. FLAGS do not allow the compiler to cancel the sum.
     large = constant(kind, 1.5 * 2.0**mantissa)
     rounded = _add(builder, _multiply(builder, x, constant(kind, 1.0 / math.log(2.0))), large)
     whole = _subtract(builder, rounded, large)
@@ -117,12 +118,12 @@ def _log(builder, kind, x):
     mantissa, bias = _FORMAT[scalar]
     integers, (high, low) = _integers_like(kind), _LN2[scalar]
     word, one = builder.bitcast(x, llvm_type(integers)), constant(kind, 1.0)
-    # The fraction is taken within √½ .. √2, where the series in s = (m - 1) / (m + 1) converges fast.
+    # The fraction m is in the range √½ to √2, where the series in s = (m - 1) / (m + 1) converges fast.
     shift, zero = constant(integers, mantissa), bias << mantissa
     exponent = builder.lshr(builder.add(word, constant(integers, zero - _SQUARE_ROOT_OF_HALF[scalar])), shift)
     fraction = builder.sub(builder.add(word, constant(integers, zero)), builder.shl(exponent, shift))
     fraction = builder.bitcast(fraction, llvm_type(kind))
-    # The exponent as the last bits of a number so large that its last bit is one, see `_exp`.
+    # The exponent is put into the last bits of a large number whose last bit represents 1; see `_exp`.
     whole = builder.or_(exponent, constant(integers, (bias + mantissa) << mantissa))
     whole = _subtract(builder, builder.bitcast(whole, llvm_type(kind)), constant(kind, 2.0**mantissa + bias))
     above = _subtract(builder, fraction, one)
@@ -130,7 +131,7 @@ def _log(builder, kind, x):
     z = _multiply(builder, s, s)
     series = [2.0 / (2 * i + 1) for i in range(_LOG_TERMS[scalar], 0, -1)]
     tail = _multiply(builder, z, _polynomial(builder, kind, z, series))
-    # 2 s is m - 1 - s (m - 1): the difference of the fraction from 1 is exact, the quotient is not.
+    # 2 s = m - 1 - s (m - 1), where m - 1 is exact, but the quotient s is not.
     tail = _multiply(builder, s, _subtract(builder, tail, above))
     tail = _add(builder, tail, _multiply(builder, whole, constant(kind, low)))
     return _add(builder, _multiply(builder, whole, constant(kind, high)), _add(builder, above, tail))
@@ -154,7 +155,7 @@ log = _elementwise(1, _log, "Return the natural logarithm of normal positive num
 
 @intrinsic
 def select(typingctx, mask, x, y):
-    """Return x where the mask is set, y elsewhere; a mask with two numbers gives a vector of their type."""
+    """Return x where the mask is set, and y elsewhere; with a vector mask, numbers are extended to vectors."""
     kind = common(x, y)
     if isinstance(mask, Vector) and mask.dtype == types.boolean and kind is not None:
         kind = kind if isinstance(kind, Vector) else Vector(kind, mask.count)
@@ -172,7 +173,7 @@ def select(typingctx, mask, x, y):
 
 @intrinsic
 def negated(typingctx, mask):
-    """Return the mask, or the truth value, that is set where one is not."""
+    """Return the logical negation of a mask or truth value."""
     if scalar_of(mask) != types.boolean:
         raise TypingError(f"negated found {mask}; accepted: a mask or a truth value")
 

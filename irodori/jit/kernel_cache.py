@@ -1,11 +1,10 @@
-"""On-disk cache of compiled kernels, keyed by everything that they are compiled from.
+"""On-disk cache of compiled kernels, with keys that depend on all sources from which they are compiled.
 
-A kernel lies in a folder that is named after its module and after the hash of the module's import closure: the syntax
-trees, without docstrings and comments, of the module and of all local modules that it imports, directly or not. An edit
-elsewhere leaves it valid; an edit of a function that it calls does not. numba's index inside the folder tells
-processors, signatures and versions of Python apart, so that hosts which share a folder never load each other's code.
-
-Of several processes that need the same kernel one compiles it, and the others wait for it and load what it stored.
+The folder of a kernel is named after its module and the hash of the import closure of the module: the syntax trees,
+without docstrings and comments, of the module and all local modules that it imports, directly or indirectly. A kernel
+remains valid after edits elsewhere, but not after an edit of a function that it calls. The numba index in the folder
+distinguishes processors, signatures and versions of Python, so that computers that share a folder do not load each
+other's code. If several processes need the same kernel, one compiles it; the others wait and load the stored code.
 """
 
 import fcntl
@@ -32,26 +31,27 @@ from irodori.jit.outside_sources import outside_sources, revision
 _LOGGER = logging.getLogger("irodori")
 _PACKAGE = Path(__file__).resolve().parents[1]
 _DIGITS = 16
-#: File, beside the kernels, of what was read out of sources that have not changed.
+#: File with results of the parsing of source files, for those that have not changed since.
 _SOURCES = "sources.json"
-#: States of a module whose kernels are kept, besides every one that was used within the last days.
+#: Number of earlier states of a module whose kernels are kept, and time (s) since the last use until others are
+#: removed.
 _KEPT_STATES, _KEPT_S = 2, 14 * 24 * 3600.0
 
 
 def closure_hash(module: str, root: Path) -> str:
-    """Return the hash of a module's import closure: 16 hexadecimal digits.
+    """Return the hash of the import closure of a module: 16 hexadecimal digits.
 
     Parameters
     ----------
     module : str
         Dotted name.
     root : path
-        Folder of the module's top package; what is imported from elsewhere does not count, but for the versions of the
-        compiler and of NumPy, and for the files of `irodori.jit.outside_sources`.
+        Folder that contains the top-level package of the module. Of imports from elsewhere, only the versions of numba,
+        llvmlite and NumPy, the modules of Irodori, and the files of `irodori.jit.outside_sources` are included.
     """
     digest = hashlib.sha256(f"{numba.__version__} {llvmlite.__version__} {np.__version__}\n".encode())
     sources = local_sources(module, root)
-    if root != _PACKAGE.parent:  # what stands outside the package and uses it
+    if root != _PACKAGE.parent:  # a module outside the package that uses it
         for name in {used for file in sources.values() for used in imported_modules(file, _PACKAGE.parent)}:
             sources |= local_sources(name, _PACKAGE.parent)
     for name, file in sorted(sources.items()):
@@ -62,7 +62,7 @@ def closure_hash(module: str, root: Path) -> str:
 
 
 def is_private(folder: Path) -> bool:
-    """Return whether nobody but this user and the superuser can have written into a folder, which is no link."""
+    """Return whether a path is a folder, not a link, into which only this user and the superuser can write."""
     try:
         status = folder.lstat()
     except OSError:
@@ -71,7 +71,7 @@ def is_private(folder: Path) -> bool:
 
 
 def _usable(folder: Path) -> bool:
-    """Make a folder for this user alone if it is not there; return whether it is one and can be written."""
+    """Create a private folder if it does not exist; return whether it is private and writable."""
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     except OSError:
@@ -81,10 +81,11 @@ def _usable(folder: Path) -> bool:
 
 @functools.cache
 def cache_folder() -> Path | None:
-    """Return where compiled kernels are kept, or None, with a warning, where there is no safe place.
+    """Return the folder for compiled kernels; if there is no safe one, log a warning and return None.
 
-    ``NUMBA_CACHE_DIR`` if it is set; else beside the package; else the user's cache folder, which is said when it is
-    made. A loaded kernel is executed, so a folder that another user owns or may write into is never taken.
+    This is ``NUMBA_CACHE_DIR`` if it is set, else a folder in the package, else the cache folder of the user; when the
+    latter is created, a warning is logged. Since loaded kernels are executed, a folder that another user owns or can
+    write to is never used.
     """
     given = numba.config.CACHE_DIR
     if given and _usable(Path(given)):
@@ -106,7 +107,7 @@ def cache_folder() -> Path | None:
 
 
 def prune(base: Path, module: str, kept: Path) -> None:
-    """Remove folders of earlier states of a module's kernels that were not used for a fortnight, newest two apart."""
+    """Remove kernels of earlier states of a module that were not used for two weeks, except the two newest states."""
 
     def used(folder: Path) -> float:
         try:
@@ -130,7 +131,7 @@ def _folder_of(module: str, file: str, _revision: int) -> Path | None:
     parts = source.with_suffix("").parts
     if depth < len(source.parents) and ".".join(parts[len(parts) - depth - 1 :]).removesuffix(".__init__") == module:
         root = source.parents[depth]
-    else:  # a script, or a module that was loaded under another name than its file's
+    else:  # a script, or a module that was loaded under another name than that of its file
         module, root = source.stem, source.parent
     if not _folder_of.cache_info().currsize:
         recall(base / _SOURCES)
@@ -145,7 +146,7 @@ def _folder_of(module: str, file: str, _revision: int) -> Path | None:
 
 
 class _Locator(_CacheLocator):
-    """Locator of numba's cache: the folder says which sources a kernel was compiled from, so that it needs no stamp."""
+    """Locator for the cache of numba, without a source stamp: the folder name contains a hash of the sources."""
 
     def __init__(self, py_func, py_file) -> None:
         self._py_func, self._py_file = py_func, py_file
@@ -153,20 +154,20 @@ class _Locator(_CacheLocator):
         self._folder = _folder_of(py_func.__module__, py_file, revision())
 
     def get_cache_path(self) -> str:
-        """Return the folder."""
+        """Return the folder of the kernels of the module."""
         return str(self._folder)
 
     def get_source_stamp(self):
-        """Return nothing that changes: the folder's name holds the hash of the sources."""
+        """Return a constant, as the name of the folder contains the hash of the sources."""
         return ""
 
     def get_disambiguator(self):
-        """Return the position of the function in its file, which tells functions of one name apart."""
+        """Return None: file names do not need the position of a function."""
         return None
 
     @classmethod
     def from_function(cls, py_func, py_file):
-        """Return the locator, or None where kernels cannot be kept."""
+        """Return the locator, or None if kernels cannot be stored."""
         if not os.path.isfile(py_file):
             return None
         made = cls(py_func, py_file)
@@ -177,7 +178,7 @@ class _Implementation(CompileResultCacheImpl):
     _locator_classes = [_Locator]  # noqa: RUF012 (as numba declares it)
 
     def get_filename_base(self, fullname, abiflags):
-        """Return the name of a kernel's files: its own, without the line it stands at, which no code depends on."""
+        """Return the base name of the files of a kernel: its name without its line number, which may change."""
         name = self._qualified_name.replace("<", "").replace(">", "")
         return f"{name}-py{sys.version_info[0]}{sys.version_info[1]}{abiflags}"
 
@@ -186,7 +187,7 @@ class _Implementation(CompileResultCacheImpl):
         super().__init__(py_func)
 
     def rebuild(self, target_context, payload):
-        """Return a stored kernel; one that hashes needs symbols which numba's own functions define when imported."""
+        """Load a stored kernel; for kernels that use hashes, first load the symbols that numba defines for these."""
         _, _, (machine_code, _) = payload[0]
         if b"_numba_hashsecret" in machine_code:
             target_context.refresh()
@@ -194,9 +195,9 @@ class _Implementation(CompileResultCacheImpl):
 
 
 class KernelCache(FunctionCache):
-    """Cache of one kernel, with a lock by which one process compiles while others wait.
+    """Cache of one kernel, with a lock so that one process compiles while others wait.
 
-    Unlike numba's, it loads without the import of all that numba can compile, 0.4 s of CPU time a process.
+    Unlike the cache of numba, it does not import everything that numba can compile, which takes 0.4 s of CPU time.
     """
 
     _impl_class = _Implementation
@@ -207,8 +208,8 @@ class KernelCache(FunctionCache):
         self._locked: int | None = None
 
     def load_overload(self, sig, target_context):
-        """Return the stored kernel; else None, with the lock held, so that this process compiles it."""
-        rtsys.initialize(target_context)  # what compiled code allocates with
+        """Return the stored kernel; if there is none, acquire the lock and return None: the caller then compiles."""
+        rtsys.initialize(target_context)  # memory allocation for compiled code
         found = self._load_overload(sig, target_context)
         if found is None and self._locked is None:
             self._lock()
@@ -220,7 +221,7 @@ class KernelCache(FunctionCache):
     def _lock(self) -> None:
         try:
             descriptor = os.open(self._lock_file, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
-        except OSError:  # full or removed disk: compile without company
+        except OSError:  # full or removed disk: compile without a lock
             return
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX)
@@ -230,7 +231,7 @@ class KernelCache(FunctionCache):
         self._locked = descriptor
 
     def release(self) -> None:
-        """Let other processes load the kernel, or compile it if this one failed to."""
+        """Release the lock, so that other processes can load the kernel, or compile it if this one failed."""
         if self._locked is not None:
             os.close(self._locked)
             self._locked = None

@@ -1,6 +1,6 @@
-"""Sums of vectors times tables that stay in registers; a compiler that is given the loops keeps them in memory.
+"""Sums of products of vectors and tables, kept in registers; from loops, the compiler would keep them in memory.
 
-Arrays are C-contiguous, places count from their first number, and nothing is checked.
+Arrays are C-contiguous, positions are flat indices from their first element, and nothing is checked.
 """
 
 from typing import NamedTuple
@@ -15,12 +15,12 @@ from irodori.jit.vector_memory import load_vector, pointer, store_vector
 from irodori.jit.vectors import FLAGS, LANES, Vector, constant, repeated
 
 TILE = 32  # pixels that `blend_tile` takes: two vectors of 512 bits in single precision, four in double
-OUTPUTS = 6  # sums that it keeps in registers
+OUTPUTS = 6  # rows of sums that it keeps in registers
 _EIGHT = Vector(types.float64, LANES)
 
 
 class Place(NamedTuple):
-    """An array and the flat place of the first of its numbers that are meant."""
+    """An array and the flat index of the first element to use."""
 
     array: np.ndarray
     first: int
@@ -33,11 +33,11 @@ class Tables(NamedTuple):
     ----------
     array : (...) float64
     first : int
-        Flat place of the first number of the first table.
+        Flat index of the first element of the first table.
     apart : int
-        Numbers from there to the first of the second table.
+        Offset from there to the first element of the second table.
     stride : int
-        Numbers from a row to the next.
+        Offset from a row to the next.
     """
 
     array: np.ndarray
@@ -47,7 +47,7 @@ class Tables(NamedTuple):
 
 
 def _unpacked(context, builder, kind, value):
-    """Return the pointer by place to the array that is first in a named tuple, and its other fields, intp."""
+    """Unpack a named tuple: return a function from index to pointer for its first field, an array, and other fields."""
     array, *numbers = (builder.extract_value(value, i) for i in range(len(kind.types)))
     casted = [
         context.cast(builder, number, given, types.intp) for number, given in zip(numbers, kind.types[1:], strict=True)
@@ -69,14 +69,15 @@ def _moved(builder, index, by: int):
 
 
 def lanes_times_tables(width: int):
-    """Return a function for compiled code: sums of lanes times the numbers in some columns of two tables.
+    """Make a function, for use in compiled code, for sums of vectors times elements in columns of two tables.
 
     Returns
     -------
     callable ``(lanes, count, tables, sums, step)``, in nopython code only
-        ``lanes`` is the `Place` of ``count`` vectors of `LANES`. Sets the vectors c `LANES` behind the `Place` ``sums``
-        to the sums over the rows j of lanes j times column c of the first of the `Tables`, for all c below ``width``;
-        those ``step`` further to that of the second. Arrays are float64.
+        ``lanes`` is the `Place` of ``count`` vectors of `LANES` elements. For each column c below ``width``, the vector
+        at offset c `LANES` from the `Place` ``sums`` is set to the sum over rows j of vector j times element (j, c) of
+        the first of the `Tables`. The vector at offset ``step`` from there is set to the sum for the second table.
+        Arrays are float64.
     """
 
     def codegen(context, builder, sig, args):
@@ -109,23 +110,23 @@ def lanes_times_tables(width: int):
 
 
 def vector_times_table(width: int, parts: int):
-    """Return a function for compiled code: a vector times the rows of a table, without a sum across a vector's lanes.
+    """Make a function, for use in compiled code, for the product of a vector and a table, without sums across lanes.
 
-    A compiler that is given the loops vectorises each column's sum and spends most of the time adding up lanes.
+    From loops, the compiler would vectorise the sum for each column, and adding up lanes would take most of the time.
 
     Parameters
     ----------
     width : int
         Columns of the table, a multiple of `LANES`.
     parts : int
-        Interleaved partial sums that are added at the end, to hide the latency of an addition: 1, 2, 4 or 8.
+        Number of interleaved partial sums that hide the latency of additions: 1, 2, 4 or 8. They are added at the end.
 
     Returns
     -------
     callable ``(vectors, v, table, sums)``, in nopython code only
-        Sets the ``width`` numbers at the `Place` ``sums`` to the sum over j of ``vectors[v, j]`` times the ``width``
-        numbers that stand ``j width`` behind the `Place` ``table``. Arrays are float64, and the length of a vector is a
-        multiple of ``parts``.
+        Sets the ``width`` elements at the `Place` ``sums`` to the sum over j of ``vectors[v, j]`` times row j of the
+        table, which is at offset ``j width`` from the `Place` ``table``. Arrays are float64, and the length of a vector
+        is a multiple of ``parts``.
     """
     columns = width // LANES
 
@@ -162,13 +163,11 @@ def vector_times_table(width: int, parts: int):
 
 @intrinsic
 def blend_tile(typingctx, shares, members, table, sums, corner):
-    """Set `OUTPUTS` rows and `TILE` columns of sums, from the ``corner`` (row, column) on, to shares times a table.
+    """Compute a tile of `OUTPUTS` rows and `TILE` columns of ``sums``, with its corner at (row, column).
 
-    Row ``row + q`` becomes Σ_r shares[r, column...] table[OUTPUTS members[r] + q] over all members, from the `Place`
-    ``table`` on.
-
-    shares and sums are (rows, columns), table and members (n,), members int64, the others of one type, float32 or
-    float64.
+    Row ``row + q`` is set to Σ_r shares[r, column...] table[OUTPUTS members[r] + q], with table indices relative to the
+    `Place` ``table``. The arrays ``shares`` and ``sums`` are (rows, columns), ``table`` and ``members`` are (n,).
+    Members are int64, and the others of one type, float32 or float64.
     """
     kind = Vector(shares.dtype, 512 // shares.dtype.bitwidth)
     parts = [p * kind.count for p in range(TILE // kind.count)]
@@ -207,9 +206,9 @@ def blend_tile(typingctx, shares, members, table, sums, corner):
 
 @intrinsic
 def any_above_zero(typingctx, rows, row, column):
-    """Return whether any of `TILE` numbers of (rows, columns) from a place on is above zero.
+    """Return whether any of `TILE` elements of ``rows``, a matrix, is positive, from (row, column) on.
 
-    The vectors are compared whole, without a sum across their lanes.
+    Whole vectors are compared, without sums across lanes.
     """
     kind = Vector(rows.dtype, TILE)
 

@@ -1,7 +1,7 @@
-"""Vectors from numbers and arrays and back: load, store, gather, lanes, sums over lanes.
+"""Conversion between vectors and numbers or arrays: load, store, gather, access to lanes, reductions.
 
-Arrays are C-contiguous, of any number of dimensions; a place counts numbers from their first one, and is not checked.
-In nopython code only; a width is a literal.
+Arrays are C-contiguous, with any number of dimensions; a place is a flat index, which is not checked. The functions are
+for nopython code only, and widths are literals.
 """
 
 import numpy as np
@@ -15,7 +15,7 @@ from irodori.jit.compilation import njit
 from irodori.jit.functions import suffix
 from irodori.jit.vectors import FLAGS, LANES, SCALARS, Vector, constant, llvm_type, widened
 
-#: uint16 are read as halves.
+#: Types that are converted when loaded; uint16 contains the bits of half-precision numbers.
 _READ_AS = {types.uint16: types.float32}
 
 
@@ -27,7 +27,7 @@ def _dtype_of(array):
 
 
 def _width(count) -> int:
-    """Return a width as it is given: a literal, or what stands for one that is not."""
+    """Return the width from a literal, or from the default value of the argument if it is not given."""
     return int(count) if isinstance(count, int) else count.literal_value
 
 
@@ -36,17 +36,17 @@ def _given(count):
 
 
 def pointer(context, builder, array_type, array, index):
-    """Return LLVM's pointer to the number at a flat place."""
+    """Return the LLVM pointer to the element at a flat index."""
     return builder.gep(context.make_array(array_type)(context, builder, value=array).data, [index])
 
 
 def load_vector(builder, at, kind: Vector):
-    """Return the vector that begins at a pointer to its first number."""
+    """Load a vector from a pointer to its first element."""
     return builder.load(builder.bitcast(at, llvm_type(kind).as_pointer()), align=kind.dtype.bitwidth // 8)
 
 
 def store_vector(builder, value, at, kind: Vector) -> None:
-    """Write a vector from a pointer to its first number on."""
+    """Store a vector at a pointer to its first element."""
     builder.store(value, builder.bitcast(at, llvm_type(kind).as_pointer()), align=kind.dtype.bitwidth // 8)
 
 
@@ -60,19 +60,19 @@ def _load(context, builder, sig, args):
 
 @intrinsic(prefer_literal=True)
 def load(typingctx, array, place, count=LANES):
-    """Return ``count`` numbers of an array from a place on."""
+    """Load a vector of ``count`` elements of an array, starting at a flat index."""
     return Vector(_dtype_of(array), _width(count))(array, types.intp, _given(count)), _load
 
 
 @intrinsic
 def load_like(typingctx, array, place, like):
-    """Return as many numbers of an array as ``like`` has, from a place on."""
+    """Load a vector with the width of ``like`` from an array, starting at a flat index."""
     return Vector(_dtype_of(array), like.count)(array, types.intp, like), _load
 
 
 @intrinsic
 def store(typingctx, array, place, value):
-    """Write a vector to an array of its type from a place on."""
+    """Store a vector in an array of the same type, starting at a flat index."""
     if not isinstance(value, Vector) or _dtype_of(array) != value.dtype or array.dtype in _READ_AS:
         raise TypingError(f"store found {value} for {array}; accepted: a vector of the array's type")
 
@@ -85,7 +85,7 @@ def store(typingctx, array, place, value):
 
 @intrinsic
 def gather(typingctx, array, indices):
-    """Return the numbers of an array at a vector of places."""
+    """Load the elements of an array at a vector of flat indices."""
     kind = Vector(_dtype_of(array), indices.count)
     if array.dtype in _READ_AS:
         raise TypingError(f"gather found {array}; accepted: numbers of the vector's type")
@@ -105,7 +105,7 @@ def gather(typingctx, array, indices):
 
 @intrinsic
 def compress(typingctx, array, place, mask, value):
-    """Write the numbers of the lanes that a mask chooses, close together, to an array from a place on."""
+    """Store the lanes selected by a mask contiguously in an array, starting at a flat index."""
 
     def codegen(context, builder, sig, args):
         at = pointer(context, builder, sig.args[0], args[0], args[1])
@@ -120,7 +120,7 @@ def compress(typingctx, array, place, mask, value):
 
 @intrinsic(prefer_literal=True)
 def spread(typingctx, number, count=LANES):
-    """Return a vector of ``count`` equal numbers: float32 and float64 as they are, integers as int32."""
+    """Return a vector of ``count`` equal numbers; the type of float32 and float64 is kept, integers become int32."""
     given = types.unliteral(number)
     kind = Vector(given if isinstance(given, types.Float) else types.int32, _width(count))
 
@@ -132,7 +132,7 @@ def spread(typingctx, number, count=LANES):
 
 @intrinsic
 def zeros_like(typingctx, like):
-    """Return a vector of zeros of the type and width of another."""
+    """Return a vector of zeros with the type and width of another."""
 
     def codegen(context, builder, sig, args):
         return constant(like, 0.0)
@@ -153,7 +153,7 @@ def numbered(typingctx, count):
 
 @intrinsic
 def channel_count(typingctx, like):
-    """Return how many numbers a vector has, a constant."""
+    """Return the number of elements of a vector, a constant."""
 
     def codegen(context, builder, sig, args):
         return ir.Constant(ir.IntType(64), like.count)
@@ -163,7 +163,7 @@ def channel_count(typingctx, like):
 
 @intrinsic
 def lane(typingctx, value, number):
-    """Return the number in one lane of a vector, counted from 0."""
+    """Return the element in one lane of a vector; lanes are counted from 0."""
 
     def codegen(context, builder, sig, args):
         return builder.extract_element(args[0], args[1])
@@ -173,7 +173,7 @@ def lane(typingctx, value, number):
 
 @intrinsic
 def mask_bits(typingctx, mask):
-    """Return a mask as an integer, lane 0 in the lowest bit."""
+    """Convert a mask to an integer with lane 0 in the lowest bit."""
 
     def codegen(context, builder, sig, args):
         bits = builder.bitcast(args[0], ir.IntType(mask.count))
@@ -183,7 +183,7 @@ def mask_bits(typingctx, mask):
 
 
 def _reduction(name: str, about: str, *start):
-    """Return a function of a vector by one of LLVM's reductions, with a number to start from where it takes one."""
+    """Make a function from one of the reductions of LLVM, with a start value for those that need one."""
 
     def typed(typingctx, value):
         def codegen(context, builder, sig, args):
@@ -214,7 +214,7 @@ def _halves(builder, value, kind: Vector):
 
 @intrinsic
 def pair_mixed(typingctx, value, share):
-    """Return (1 - share) times the first half of a vector plus share times its second."""
+    """Return (1 - share) times the first half of a vector plus share times its second half."""
     kind = Vector(value.dtype, value.count // 2)
 
     def codegen(context, builder, sig, args):
@@ -229,7 +229,7 @@ def pair_mixed(typingctx, value, share):
 
 @njit(cache=True)
 def aligned(count):
-    """Return ``count`` zeros, (count,) float64, that begin with a line of the cache: no vector of them spans two."""
+    """Return zeros, (count,) float64, aligned to a cache line, so that no vector in them spans two cache lines."""
     room = np.zeros(count + LANES)
     first = (-(room.ctypes.data // 8)) % LANES
     return room[first : first + count]

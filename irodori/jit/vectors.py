@@ -1,14 +1,14 @@
-"""Vectors of a few numbers as values in compiled code: texels of a fit, rays of a packet, channels of a colour.
+"""Vectors (SIMD) as values in compiled code: texels of a fit, rays of a packet, channels of a colour.
 
-numba has no such type, and whether its compiler forms vectors from loops over arrays hangs on what it can prove about
-them. Here type and width of the numbers are part of the type: ``load(array, place, 16) * 2.0`` is one multiplication
-on a machine with vectors of 512 bits, and two or four elsewhere.
+numba has no such type, and its compiler vectorises loops over arrays only if it can prove that this is valid. Here the
+type and number of the elements are part of the type: ``load(array, place, 16) * 2.0`` with float32 is one
+multiplication on a machine with vectors of 512 bits, and two or four elsewhere.
 
-Numbers are float32, float64 or int32, or truth values (masks, from comparisons). ``+ - * /``, unary minus and
-comparisons work between vectors of one type, and between a vector and a number, which takes the vector's type;
-``& | ~`` between masks; ``& | << >>`` between integers. So one formula, written with the functions of
-`irodori.jit.functions` and with `select` in place of branches, serves a number, lanes of texels and packets of rays.
-In nopython code only.
+Elements are float32, float64, int32, int64, or truth values (masks, the results of comparisons). ``+ - * /``, unary
+minus and comparisons are defined between vectors of one type, and between a vector and a number, which is converted to
+the type of the vector; ``& | ~`` between masks; ``& | << >>`` between integers. Thus one formula, with functions of
+`irodori.jit.functions` and `select` instead of branches, can be used for numbers, vectors of texels and packets of
+rays. All this is for nopython code only.
 """
 
 import operator
@@ -20,11 +20,12 @@ from numba.core import typeconv
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import lower_builtin, lower_cast, models, register_model
 
-#: Width where none is given: float64 in 512 bits, a few shorter vectors where the processor has no such long ones.
+#: Default width: float64 in 512 bits, which is compiled to several shorter vectors if the processor has no such long
+#: ones.
 LANES = 8
-#: Products may be fused with sums; NaN and infinity keep their meaning.
+#: LLVM flags: products may be fused with sums; NaN and infinity are treated correctly.
 FLAGS = ("contract",)
-#: LLVM's types of a vector's numbers.
+#: LLVM types for the elements of vectors.
 SCALARS = {
     types.float32: ir.FloatType(), types.float64: ir.DoubleType(), types.int32: ir.IntType(32),
     types.int64: ir.IntType(64), types.boolean: ir.IntType(1),
@@ -32,14 +33,14 @@ SCALARS = {
 
 
 class Vector(types.Type):
-    """The type of ``count`` numbers of a type, a key of `SCALARS`."""
+    """The numba type of a vector with ``count`` elements of ``dtype``, a key of `SCALARS`."""
 
     def __init__(self, dtype, count: int) -> None:
         self.dtype, self.count = dtype, count
         super().__init__(name=f"Vector({dtype}, {count})")
 
     def can_convert_from(self, typingctx, other):
-        """Let numbers stand for equal lanes."""
+        """Allow implicit conversion of numbers to vectors with equal lanes."""
         return typeconv.Conversion.safe if _takes(self, other) else None
 
 
@@ -50,31 +51,31 @@ class _VectorModel(models.PrimitiveModel):
 
 
 def llvm_type(kind):
-    """Return LLVM's type of a vector, or of a number."""
+    """Return the LLVM type for the type of a vector or number."""
     return ir.VectorType(SCALARS[kind.dtype], kind.count) if isinstance(kind, Vector) else SCALARS[kind]
 
 
 def scalar_of(kind):
-    """Return the type of a vector's numbers, or of a number itself."""
+    """Return the type of the elements of a vector, or the type of a number itself."""
     return kind.dtype if isinstance(kind, Vector) else kind
 
 
 def constant(kind, value):
-    """Return LLVM's constant of a kind, a vector's in every lane."""
+    """Return an LLVM constant of a type; for vectors it has the value in every lane."""
     return ir.Constant(llvm_type(kind), [value] * kind.count if isinstance(kind, Vector) else value)
 
 
 def _takes(vector: Vector, kind) -> bool:
-    """Return whether a kind is a number that can stand in every lane of a vector."""
+    """Return whether a type is that of numbers that can be converted to the elements of a vector."""
     if isinstance(vector.dtype, types.Float):
         return isinstance(kind, (types.Float, types.Integer))
     return isinstance(vector.dtype, types.Integer) and isinstance(kind, types.Integer)
 
 
 def common(*kinds):
-    """Return the type that all of some kinds can take, None where there is none.
+    """Return the type to which values of all given types can be converted, or None.
 
-    That of the vectors if there are any; else float32 if all numbers are float32, and float64 otherwise.
+    This is the type of the vectors if there are any; else float32 if all numbers are float32, and float64 otherwise.
     """
     vectors = [k for k in kinds if isinstance(k, Vector)]
     if vectors:
@@ -86,14 +87,14 @@ def common(*kinds):
 
 
 def repeated(builder, number, kind: Vector):
-    """Return a vector of equal numbers."""
+    """Emit code for a vector with the number in every lane."""
     empty = ir.Constant(llvm_type(kind), ir.Undefined)
     first = builder.insert_element(empty, number, ir.Constant(ir.IntType(32), 0))
     return builder.shuffle_vector(first, first, ir.Constant(ir.VectorType(ir.IntType(32), kind.count), None))
 
 
 def widened(context, builder, value, given, kind):
-    """Return a value of a given type as the kind that `common` found."""
+    """Emit code that converts a value from type ``given`` to ``kind``, a result of `common`."""
     if given == kind:
         return value
     number = context.cast(builder, value, given, scalar_of(kind))
@@ -101,7 +102,7 @@ def widened(context, builder, value, given, kind):
 
 
 def width_of(count: int) -> int:
-    """Return the smallest usual width, a power of two from 4, that holds a count of numbers."""
+    """Return the smallest width, a power of two of at least 4, for ``count`` numbers."""
     return max(4, 1 << int(np.ceil(np.log2(count))))
 
 
@@ -124,10 +125,10 @@ def _is_mask(kind: Vector) -> bool:
 
 
 def _add_operator(function, result, codegen) -> None:
-    """Give a binary operator to vectors, and to a vector and a number.
+    """Define a binary operator between vectors, and between a vector and a number.
 
-    ``result(kind)`` is the type of the result for operands that become a kind, None where there is none;
-    ``codegen(builder, kind, a, b)`` emits the operation.
+    ``result(kind)`` returns the type of the result for operands converted to ``kind``, or None if the operator is not
+    defined for it. ``codegen(builder, kind, a, b)`` emits the operation.
     """
 
     @infer_global(function)

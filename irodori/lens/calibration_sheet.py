@@ -1,4 +1,4 @@
-"""The printed sheet that a lens is calibrated with: a chessboard whose white squares hold markers (ChArUco)."""
+"""The printed sheet for calibration of a lens: a chessboard with markers in its white squares (ChArUco)."""
 
 from functools import cache
 from pathlib import Path
@@ -10,11 +10,11 @@ from PIL import Image, ImageDraw, ImageFont
 from irodori.core.atomic_files import written_whole
 from irodori.core.errors import InputError
 
-#: Squares along the long and the short side; the corners between them are what is measured.
+#: Squares along the long and the short side; the corners between them are measured.
 COLUMNS, ROWS = 11, 7
-#: Width and height of a sheet of paper and the side of a square on it, mm.
+#: Width and height of the paper, and side of a square on it, mm.
 PAPERS_MM = {"A4": (297.0, 210.0, 25.0), "A3": (420.0, 297.0, 36.0), "letter": (279.4, 215.9, 23.0)}
-#: Side of a marker over a square's: within a fifth of a square of a corner, only the black squares are seen.
+#: Side of a marker relative to that of a square; no marker lies within a fifth of a square of a corner.
 _MARKER = 0.6
 _FREE = 0.5 * (1.0 - _MARKER)
 _DOTS_PER_INCH = 600
@@ -22,13 +22,13 @@ _DOTS_PER_INCH = 600
 
 @cache
 def board() -> cv2.aruco.CharucoBoard:
-    """Return the board in units of its squares: corner (0, 0) is the sheet's upper left one."""
+    """Return the board with the side of a square as unit of length; corner (0, 0) is the upper left of the sheet."""
     dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
     return cv2.aruco.CharucoBoard((COLUMNS, ROWS), 1.0, _MARKER, dictionary)
 
 
 def board_picture(square_px: int) -> np.ndarray:
-    """Return the board black on white, (ROWS * square_px, COLUMNS * square_px) uint8."""
+    """Draw the board in black on white, (ROWS * square_px, COLUMNS * square_px) uint8."""
     return board().generateImage((COLUMNS * square_px, ROWS * square_px))
 
 
@@ -38,14 +38,14 @@ def write_sheet(path, paper: str = "A4") -> None:
     Parameters
     ----------
     path : path
-        Name that ends in ``.pdf``.
+        File name that ends in ``.pdf``.
     paper : str
         One of PAPERS_MM.
 
     Raises
     ------
     InputError
-        If the name has another ending, or its folder is not there.
+        If the name has another ending, or its folder does not exist.
     """
     path = Path(path)
     if path.suffix.lower() != ".pdf":
@@ -76,17 +76,17 @@ def find_corners(green: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     Returns
     -------
     plane : (n, 2) float32
-        Corners on the sheet, in squares; none where the sheet is not seen.
+        Positions of the found corners on the sheet, in squares; n is 0 if the sheet was not found.
     seen : (n, 2) float32
-        The same corners in the picture, samples; the centre of a sample has integer coordinates.
+        Positions of the same corners in the picture, samples; the centre of a sample has integer coordinates.
     """
     top = float(np.percentile(green, 99.5))
     if not top > 0.0:
         return np.zeros((0, 2), np.float32), np.zeros((0, 2), np.float32)
-    # A root brings dark print and bright paper near each other, as the detector expects of a picture for the eye.
+    # The square root approximates the gamma encoding of pictures for which the detector is made.
     shown = np.sqrt(np.clip(green / top, 0.0, 1.0)).astype(np.float32)
     picture = np.round(255.0 * shown).astype(np.uint8)
-    # Markers that a first search passes over are looked for where the others say that they lie.
+    # Search again for missed markers at the positions predicted from the found ones.
     parameters = cv2.aruco.CharucoParameters()
     parameters.tryRefineMarkers = True
     found, numbers, _, _ = cv2.aruco.CharucoDetector(board(), parameters).detectBoard(picture)
@@ -94,7 +94,7 @@ def find_corners(green: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return np.zeros((0, 2), np.float32), np.zeros((0, 2), np.float32)
     plane = np.array(board().getChessboardCorners(), dtype=np.float32)[numbers.ravel(), :2]
     seen = found.reshape(-1, 1, 2).astype(np.float32)
-    # Half of the window around a corner, in which no marker may lie.
+    # Half the side of the window around a corner; the window must not contain a part of a marker.
     window = max(2, int(0.9 * _FREE * _smallest_square_px(plane, seen.reshape(-1, 2))))
     stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-4)
     refined = cv2.cornerSubPix(shown, seen, (window, window), (-1, -1), stop)
@@ -102,7 +102,7 @@ def find_corners(green: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _smallest_square_px(plane: np.ndarray, seen: np.ndarray) -> float:
-    """Return the smallest distance in the picture of corners that are neighbours on the sheet, samples."""
+    """Return the smallest distance in the picture, in samples, between corners that are neighbours on the sheet."""
     apart = np.linalg.norm(plane[:, None] - plane[None], axis=-1)
     pairs = np.argwhere((apart > 0.5) & (apart < 1.2))
     if len(pairs) == 0:

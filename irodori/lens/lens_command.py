@@ -1,4 +1,4 @@
-"""The subcommand ``lens``: the block ``optics`` of a camera from photographs of a printed sheet."""
+"""The subcommand ``lens``: measure the block ``optics`` of a camera file from photographs of a printed sheet."""
 
 import argparse
 import sys
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from irodori.lens.lens_models import Lens, Sheet
 
 _PAPERS = ("A4", "A3", "letter")
-#: Of the picture's parts that no corner reached: beyond it the distortion there is extrapolated.
+#: Smallest share of the picture with corners that gives no warning; elsewhere the distortion is extrapolated.
 _LEAST_COVERED = 0.8
 
 
@@ -69,7 +69,7 @@ def _need_opencv() -> None:
 
 
 def _measure(folder: Path, pitch_um: float | None) -> None:
-    """Print the optics of a lens, and on the standard error how well they are known."""
+    """Print the optics of a lens, and their accuracy to the standard error stream."""
     from irodori.lens.lens_models import LEAST_PHOTOGRAPHS, covered, fit_lens
 
     sheets, size, pitch_um = _sheets(folder, pitch_um)
@@ -90,7 +90,7 @@ def _measure(folder: Path, pitch_um: float | None) -> None:
 
 
 def _sheets(folder: Path, pitch_um: float | None) -> "tuple[list[Sheet], tuple[int, int], float]":
-    """Return the sheets of all photographs, the size of the picture in superpixels, and the pitch of the pixels, µm."""
+    """Return the sheets found in all photographs, the size of a picture in superpixels, and the pixel pitch in µm."""
     from irodori.lens.calibration_sheet import find_corners
     from irodori.lens.lens_models import LEAST_CORNERS, Sheet
 
@@ -119,7 +119,7 @@ def _sheets(folder: Path, pitch_um: float | None) -> "tuple[list[Sheet], tuple[i
 
 
 def optics_of(lens: "Lens", size: tuple[int, int], pitch_um: float) -> dict:
-    """Return the block ``optics`` of a camera's file.
+    """Return the block ``optics`` of the file of a camera.
 
     Parameters
     ----------
@@ -128,11 +128,11 @@ def optics_of(lens: "Lens", size: tuple[int, int], pitch_um: float) -> dict:
     size : (int, int)
         Width and height of the picture, superpixels.
     pitch_um : float
-        Distance of the sensor's pixels, µm.
+        Pixel pitch of the sensor, µm.
     """
     from irodori.lens.lens_models import MODELS
 
-    # Mosaic coordinates count from the edge of the first pixel, samples from the centre of the first superpixel.
+    # Mosaic coordinates start at the edge of the first pixel, sample coordinates at the centre of the first superpixel.
     centre = 2.0 * (lens.centre + 0.5)
     optics: dict = {
         "focal_length_mm": float(f"{2.0 * lens.focal * pitch_um / 1000.0:.6g}"),
@@ -149,7 +149,7 @@ def optics_of(lens: "Lens", size: tuple[int, int], pitch_um: float) -> dict:
 
 
 def _words(lens: "Lens", sheets: "Sequence[Sheet]", pitch_um: float, share: float) -> list[str]:
-    """Return what a person should know of the result, a line each."""
+    """Return lines of text about the accuracy of the result."""
     focal_mm, error_mm = (2.0 * value * pitch_um / 1000.0 for value in (lens.focal, lens.focal_error))
     corners = sum(len(sheet.plane) for sheet in sheets)
     lines = [

@@ -1,8 +1,8 @@
-"""Fit of a lens to the corners of a flat sheet, with no more distortion than left-out photographs call for.
+"""Fit of a lens to the corners of a flat sheet, with selection of the distortion model by cross-validation.
 
-The model is OpenCV's, as in `irodori.geometry.distortion`, with one focal length for both axes. Every model is fitted
-to some of the photographs; of the others, each sheet's pose is fitted, and the distances of its corners are the error.
-The simplest model within one standard error of the best is taken.
+The models are those of OpenCV, as in `irodori.geometry.distortion`, with one focal length for both axes. Each model is
+fitted to some of the photographs. For the others only the pose of the sheet is fitted, and the distances of its corners
+are the error. The simplest model within one standard error of the best is selected.
 """
 
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ import numpy as np
 
 from irodori.core.errors import PlainError
 
-#: Coefficients that are fitted, by the name of the model, from the simplest on.
+#: Fitted coefficients of each model, by its name, simplest first.
 MODELS = {
     "none": (),
     "k1": ("k1",),
@@ -22,12 +22,12 @@ MODELS = {
     "k1 k2 p1 p2 k3": ("k1", "k2", "p1", "p2", "k3"),
     "k1 to k6, p1 p2": ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
 }
-#: Photographs that a lens needs, and corners that one must show.
+#: Smallest number of photographs, and of corners in each.
 LEAST_PHOTOGRAPHS, LEAST_CORNERS = 5, 20
-#: A photograph whose corners are so many times further off than the median photograph's is left out.
+#: Largest RMS distance of the corners of a photograph relative to the median; photographs above it are left out.
 _FAR = 3.0
 _FOLDS = 5
-#: By how much the focal length is held off where its error is told, a ratio.
+#: Relative change of the focal length with which its standard error is estimated.
 _HELD_OFF = 0.02
 
 
@@ -40,9 +40,9 @@ class Sheet:
     name : str
         Name of the photograph, for messages.
     plane : (n, 2) float32
-        Corners on the sheet, in squares.
+        Positions of the corners on the sheet, in squares.
     seen : (n, 2) float32
-        Corners in the picture, samples.
+        Positions of the corners in the picture, samples.
     """
 
     name: str
@@ -51,13 +51,13 @@ class Sheet:
 
     @property
     def points(self) -> np.ndarray:
-        """Corners in space, (n, 3) float32."""
+        """Corners as points in space with z = 0, (n, 3) float32."""
         return np.column_stack([self.plane, np.zeros(len(self.plane))]).astype(np.float32)
 
 
 @dataclass(frozen=True)
 class Lens:
-    """A fitted lens, in samples of the picture.
+    """A fitted lens; its lengths are in samples of the picture.
 
     Parameters
     ----------
@@ -68,11 +68,11 @@ class Lens:
     centre, centre_error : (2,) float64
         Principal point, x then y, and its standard errors, samples.
     coefficients, coefficient_errors : (8,) float64
-        k1, k2, p1, p2, k3, k4, k5, k6 and their standard errors; 0 where the model has none.
+        k1, k2, p1, p2, k3, k4, k5, k6 and their standard errors; 0 for coefficients that the model does not have.
     rms : float
-        Root of the mean squared distance of the corners, samples.
+        RMS distance of the corners from their predicted positions, samples.
     left_out : float
-        The same of photographs that were left out of the fit, samples.
+        The same for photographs that were left out of the fit, samples.
     """
 
     model: str
@@ -99,12 +99,12 @@ def fit_lens(sheets: Sequence[Sheet], size: tuple[int, int]) -> tuple[Lens, list
     -------
     Lens
     list of Sheet
-        Those that were left out because they fit no lens that fits the others: a sheet that was bent, or had moved.
+        Photographs that were left out because they are inconsistent with the others: the sheet was bent, or moved.
 
     Raises
     ------
     PlainError
-        If fewer than LEAST_PHOTOGRAPHS are left, or they do not determine the focal length.
+        If fewer than LEAST_PHOTOGRAPHS remain, or they do not determine the focal length to 1 %.
     """
     used, far = list(sheets), []
     while True:
@@ -122,7 +122,7 @@ def fit_lens(sheets: Sequence[Sheet], size: tuple[int, int]) -> tuple[Lens, list
     model = simplest(errors)
     lens, _ = _fit(used, size, model)
     lens = replace(lens, focal_error=_focal_error(used, size, lens), left_out=float(np.sqrt(np.mean(errors[model]))))
-    # Flat sheets that all face the camera fit every focal length, each with another distance.
+    # If all sheets face the camera, every focal length fits, with a different distance for each.
     if not lens.focal_error < 0.01 * lens.focal:
         raise PlainError(
             f"found a focal length known to {100 * lens.focal_error / lens.focal:.1f} %; accepted: 1 % or better: tilt "
@@ -137,8 +137,8 @@ def simplest(errors: dict[str, np.ndarray]) -> str:
     Parameters
     ----------
     errors : dict of (photographs,) float64
-        Mean squared distance of the corners of each photograph when it was left out, by model, the simplest first. The
-        standard error is that of the difference to the best model, over photographs.
+        Mean squared distance of the corners of each left-out photograph, by model, simplest first. The standard error
+        is that of the mean difference to the best model over photographs.
     """
     best = min(errors, key=lambda model: float(np.mean(errors[model])))
     for model, own in errors.items():
@@ -149,9 +149,9 @@ def simplest(errors: dict[str, np.ndarray]) -> str:
 
 
 def left_out_errors(sheets: Sequence[Sheet], size: tuple[int, int], model: str) -> np.ndarray:
-    """Return the mean squared distance of each photograph's corners to a lens fitted without it, samples².
+    """Return the mean squared distance of the corners of each photograph for a lens fitted without it, samples².
 
-    Photographs are left out in up to five groups. A fit that fails counts as an infinite error.
+    Photographs are left out in up to five groups. If a fit fails, the error is infinite.
     """
     out = np.full(len(sheets), np.inf)
     folds = min(_FOLDS, len(sheets))
@@ -167,7 +167,7 @@ def left_out_errors(sheets: Sequence[Sheet], size: tuple[int, int], model: str) 
 
 
 def _pose_error(sheet: Sheet, lens: Lens) -> float:
-    """Return the mean squared distance of a sheet's corners in its best pose under a lens, samples²."""
+    """Return the mean squared distance of the corners of a sheet, in its best pose for a lens, samples²."""
     matrix = _matrix(lens.focal, lens.centre)
     ok, rotation, translation = cv2.solvePnP(sheet.points, sheet.seen, matrix, lens.coefficients)
     if not ok:
@@ -184,11 +184,11 @@ def _matrix(focal: float, centre: np.ndarray) -> np.ndarray:
 
 
 def _focal_error(sheets: Sequence[Sheet], size: tuple[int, int], lens: Lens) -> float:
-    """Return the standard error of the focal length, samples; infinite where every focal length fits as well.
+    """Return the standard error of the focal length, samples; infinite if all focal lengths fit equally well.
 
-    All else is fitted once more beside a focal length that is held a little off, and the growth of the squared
-    distances tells the error. OpenCV's own error inverts equations that may be singular: of sheets that all face the
-    camera it states next to nothing.
+    All other parameters are fitted again with the focal length fixed at slightly different values, and the error is
+    computed from the increase of the squared distances. The error stated by OpenCV is not used: it is from the inverse
+    of a matrix that may be singular, and is much too small if all sheets face the camera.
     """
     corners = sum(len(sheet.plane) for sheet in sheets)
     free = 2 * corners - 6 * len(sheets) - 3 - len(MODELS[lens.model])
@@ -205,9 +205,9 @@ def _focal_error(sheets: Sequence[Sheet], size: tuple[int, int], lens: Lens) -> 
 def _fit(
     sheets: Sequence[Sheet], size: tuple[int, int], model: str, focal: float | None = None
 ) -> tuple[Lens, np.ndarray]:
-    """Return a lens of a model, and the rms distance of the corners of each photograph, samples.
+    """Fit a lens of a model; return it and the RMS distance of the corners of each photograph, samples.
 
-    A focal length that is given is held.
+    A given focal length is kept fixed.
     """
     middle = (np.array(size, dtype=np.float64) - 1.0) / 2.0
     points, seen = [sheet.points for sheet in sheets], [sheet.seen for sheet in sheets]
@@ -232,7 +232,7 @@ def _fit(
     coefficients, errors = np.zeros(8), np.zeros(8)
     count = min(8, found.size)
     coefficients[:count] = found.ravel()[:count]
-    # OpenCV lists fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, ...; what is held fixed has 0.
+    # The order in OpenCV is fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, ...; fixed parameters have 0.
     sigma = deviation.ravel()
     errors[:count] = sigma[4 : 4 + count]
     return (
@@ -252,7 +252,7 @@ def _fit(
 
 
 def covered(sheets: Sequence[Sheet], size: tuple[int, int], cells: int = 4) -> float:
-    """Return the share of the picture, in cells x cells parts, that holds a corner of some photograph."""
+    """Return the share of ``cells`` x ``cells`` parts of the picture in which a corner of any photograph lies."""
     seen = np.concatenate([sheet.seen for sheet in sheets])
     at = np.clip((seen + 0.5) / np.array(size) * cells, 0, cells - 1).astype(int)
     return len({tuple(cell) for cell in at}) / cells**2

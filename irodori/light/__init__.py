@@ -1,1 +1,1 @@
-"""Light from all directions: recovery, irradiance, blurred light and sampling."""
+"""Light from all directions: recovery of spectra, irradiance, and blurred light for gloss."""

@@ -1,8 +1,9 @@
-"""Environment convolved with von Mises-Fisher lobes of increasing width.
+"""Convolution of an environment with von Mises-Fisher lobes of increasing width.
 
-A lobe of width s is κ / (2π (1 - exp(-2κ))) exp(κ (cosγ - 1)) with κ = 1 / s², the Gaussian of the sphere. Along a row
-the convolution is a product of Fourier series, which closes at the seam; from row to row the lobe itself is evaluated
-on the sphere. A pixel shines evenly over its area: where it is wide against the lobe its row is divided.
+A lobe of width s is κ / (2π (1 - exp(-2κ))) exp(κ (cosγ - 1)) with κ = 1 / s², the analogue of a Gaussian on the
+sphere. Along rows, the convolution is a product of Fourier series, which is periodic across the seam; between rows, the
+lobe is evaluated on the sphere. Each pixel has uniform radiance over its area: rows that are wide compared with the
+lobe are divided.
 """
 
 from concurrent.futures import ThreadPoolExecutor
@@ -16,35 +17,35 @@ from irodori.light.environment_file import directions
 WIDTHS_RAD = 0.01 * 2.0 ** (0.5 * np.arange(-1, 13))
 _SAMPLES_PER_WIDTH = 3.0
 _FEWEST_ROWS = 12
-_CUT = 4.5  # widths beyond which the lobe is nothing
-_ROWS_PER_WIDTH = 5.0  # rows of the source over the width, at least, where it is thinned
-_FINEST_OF_PITCH = 0.6  # a lobe narrower than this part of a pixel would show the pixels one by one
-_PARTS_PER_WIDTH = 4.0  # rows of the source over the width, at least, into which coarse rows are divided
+_CUT = 4.5  # distance, in widths, beyond which the lobe is negligible
+_ROWS_PER_WIDTH = 5.0  # smallest number of source rows per width after thinning
+_FINEST_OF_PITCH = 0.6  # smallest width of a lobe relative to a pixel: a narrower one would resolve single pixels
+_PARTS_PER_WIDTH = 4.0  # smallest number of source rows per width after division
 _ROWS_AT_A_TIME = 64
-_NARROW = 300.0  # κ sinθ sinθ' from which a row's lobe is narrow enough for the asymptotic series
+_NARROW = 300.0  # κ sinθ sinθ' above which a row's lobe is narrow enough for the asymptotic series
 
 
 def level_height(width_rad: float) -> int:
-    """Return the rows of the map of a width: three to the width; columns are twice as many."""
+    """Return the number of rows of the map for a width: three rows per width; there are twice as many columns."""
     return max(int(np.ceil(_SAMPLES_PER_WIDTH * np.pi / width_rad)), _FEWEST_ROWS)
 
 
 def first_level(height: int, width: int) -> int:
-    """Return the finest level of the ladder that a picture of a size fills."""
+    """Return the finest level of `WIDTHS_RAD` that a picture of this size can resolve."""
     pitch = max(np.pi / height, 2 * np.pi / width)
     return min(int(np.searchsorted(WIDTHS_RAD, _FINEST_OF_PITCH * pitch)), len(WIDTHS_RAD) - 1)
 
 
 def _row_series(coefficients: np.ndarray, terms: int) -> np.ndarray:
-    """Return the Fourier series along every row of the power of the pixels, (height, terms, k) complex64."""
-    from scipy import fft  # slow to import, and whoever reads stored levels blurs nothing
+    """Return the Fourier series along rows of radiance times solid angle, (height, terms, k) complex64."""
+    from scipy import fft  # slow to import, and not needed to read stored levels
 
     height, width, bases = coefficients.shape
     solid_angle = directions(1, height)[1][:, 0] / width
     order = np.arange(terms)
-    # Powers at points have a series without end, which repeats with the number of columns.
+    # The series of point powers is periodic in the number of columns.
     index = order % width
-    # The place of column 0, and the series of a pixel's width.
+    # Position of column 0, and the series of a pixel's width.
     phase = (np.exp(-1j * np.pi * order / width) * np.sinc(order / width))[:, None]
     out = np.empty((height, terms, bases), dtype=np.complex64)
     for first in range(0, height, _ROWS_AT_A_TIME):
@@ -59,13 +60,13 @@ def _row_series(coefficients: np.ndarray, terms: int) -> np.ndarray:
 
 
 def row_angles(height: int) -> np.ndarray:
-    """Return the polar angle, rad, at which each row's power counts: the mean of the cosine over the row."""
+    """Return an effective polar angle for each row, rad: its cosine is the mean cosine over the row."""
     edges = np.cos(np.pi * np.arange(height + 1) / height)
     return np.arccos(0.5 * (edges[1:] + edges[:-1]))
 
 
 def _divided(series: np.ndarray, parts: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return every row of light divided into parts by solid angle, and their angles."""
+    """Divide every row of light into parts in proportion to solid angle; return the parts and their polar angles."""
     cosine = np.cos(np.pi * np.arange(len(series) * parts + 1) / (len(series) * parts))
     share = (cosine[:-1] - cosine[1:]).reshape(-1, parts)
     share = (share / share.sum(axis=1, keepdims=True)).ravel().astype(np.float32)
@@ -73,7 +74,10 @@ def _divided(series: np.ndarray, parts: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _thinned(series: np.ndarray, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return half the rows and their angles; the power of each is shared by the two nearest: its place is kept."""
+    """Halve the number of rows; return the new rows and their polar angles.
+
+    The power of each old row is shared between the two nearest new rows so that its mean position is kept.
+    """
     from scipy import sparse  # slow to import
 
     height, terms, bases = series.shape
@@ -86,7 +90,7 @@ def _thinned(series: np.ndarray, theta: np.ndarray) -> tuple[np.ndarray, np.ndar
     out = np.zeros((rows, terms * bases), dtype=np.complex64)
     for target, weight in ((lower, 1.0 - share), (lower + 1, share)):
         inside = (target >= 0) & (target < rows)
-        # Beyond a pole lies the opposite meridian, half a turn away in azimuth.
+        # Beyond a pole is the opposite meridian, half a turn away in azimuth.
         for chosen, turned in ((inside, False), (~inside, True)):
             where = np.flatnonzero(chosen)
             matrix = sparse.csr_array(
@@ -98,7 +102,7 @@ def _thinned(series: np.ndarray, theta: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 
 def _concentration(width_rad: float, pitch_rad: float) -> float:
-    """Return κ of the lobe that has a width after bilinear look-up at a pitch, which adds pitch²/6 to its square."""
+    """Return κ of a lobe that has the given width after bilinear look-up, which adds pitch²/6 to the squared width."""
     return 1.0 / (width_rad**2 - pitch_rad**2 / 6.0)
 
 
@@ -108,7 +112,7 @@ def _bessel_series(meridian: np.ndarray, parallel: np.ndarray, terms: int) -> np
     Its terms are exp(-z) I_m(z) by the uniform expansion [Abramowitz and Stegun 9.7.7], to the second order in 1 / z.
     """
     square = np.arange(terms) ** 2 / parallel
-    # The second term of the exponent is held where it would outgrow the first: nothing is left of the series there.
+    # The second term of the exponent is limited where it would exceed the first; the series is negligible there.
     exponent = meridian + 0.125 / parallel
     exponent = exponent - square * (0.5 + 0.25 / parallel - np.minimum(square / (24.0 * parallel), 0.25))
     with np.errstate(under="ignore"):
@@ -116,7 +120,7 @@ def _bessel_series(meridian: np.ndarray, parallel: np.ndarray, terms: int) -> np
 
 
 def _level(series: np.ndarray, source: np.ndarray, width_rad: float, pool: ThreadPoolExecutor) -> np.ndarray:
-    """Return the map of one width, (h, 2 h, k) float32, from rows at polar angles ``source`` (rad)."""
+    """Compute the map for one width, (h, 2 h, k) float32, from Fourier series of rows at polar angles ``source``."""
     from scipy import fft  # slow to import
 
     height = level_height(width_rad)
@@ -151,21 +155,21 @@ def _level(series: np.ndarray, source: np.ndarray, width_rad: float, pool: Threa
 
 
 def prefiltered(coefficients: np.ndarray, levels: tuple[int, int] | None = None) -> tuple[int, list[np.ndarray]]:
-    """Return the blurred maps of an environment.
+    """Compute the blurred maps of an environment.
 
     Parameters
     ----------
     coefficients : (height, width, k) float
         Radiance, equirectangular.
     levels : (int, int), optional
-        First and last-plus-one level of `WIDTHS_RAD` that is wanted; all that the picture fills where absent.
+        First level of `WIDTHS_RAD`, and one after the last; by default all that the picture can resolve.
 
     Returns
     -------
     first : int
-        The finest level returned: that which was wanted, or the finest that the picture fills.
+        The finest level returned: the first wanted, or the finest that the picture can resolve.
     levels : list of (h, 2 h, k) float32
-        From that level on; each is the mean radiance under a lobe of its width.
+        Maps from this level on; each is the mean radiance weighted by a lobe of its width.
     """
     height, width = coefficients.shape[:2]
     first = first_level(height, width)

@@ -1,7 +1,7 @@
 """Environment files: light from all directions, stored and loaded for rendering.
 
-Equirectangular: rows are the angle from the zenith (+z), columns the azimuth from +x towards +y, both at pixel
-centres. Radiance is relative: 1 is a perfect diffuser lit at normal incidence by the rig's light.
+The pictures are equirectangular: rows are the angle from the zenith (+z), columns the azimuth from +x towards +y, both
+at pixel centres. Radiance is relative: 1 is that of a perfect diffuser lit at normal incidence by the rig's light.
 """
 
 from dataclasses import dataclass, replace
@@ -15,13 +15,13 @@ from irodori.material.coefficients import read_coefficients, write_coefficients
 from irodori.spectra.coordinates import write_wavelength
 from irodori.spectra.grid import SAMPLES
 
-#: What the coefficients of an environment are.
+#: Description of the coefficients in the file.
 QUANTITY = "coefficients of the radiance"
 
 
 @dataclass(frozen=True)
 class Environment:
-    """Spectral light on a basis.
+    """Spectral light from all directions, as coefficients on a basis.
 
     Parameters
     ----------
@@ -31,10 +31,12 @@ class Environment:
     irradiance : (h, w, k) float32
         I_d of equation (8) for normals on the same kind of grid, on the same basis.
     file : Path, optional
-        Where the coefficients were read from: blurred light that stands there is theirs, whatever the basis.
+        File from which the coefficients were read; blurred light stored there belongs to them, independent of the
+        basis.
     basis_errors : (q, 61, k) float, optional
-        Of recovered light, independent errors of the basis: times a standard normal number each, they sum to a draw of
-        what the camera's responses leave open, which is the same wherever a lamp's light falls.
+        For recovered light: independent errors of the basis. Their sum, each multiplied by a standard normal number, is
+        a random error that the camera's responses allow. It is an error of the basis because it is the same wherever
+        the light of a lamp falls.
     """
 
     coefficients: np.ndarray
@@ -54,7 +56,7 @@ class Environment:
         storage: str = "single",
         codec: str = "gzip",
     ) -> None:
-        """Write an environment's file.
+        """Write the file of an environment.
 
         Parameters
         ----------
@@ -64,7 +66,7 @@ class Environment:
         gloss : irodori.light.gloss.gloss_maps.GlossMaps, optional
             Blurred light for rough reflection.
         origin : dict, optional
-            Where the light came from and what was assumed about it.
+            Source of the light, and assumptions about it.
         storage, codec : str
             See `irodori.material.coefficients`.
         """
@@ -75,7 +77,7 @@ class Environment:
             self.write_rest(out, errors, origin)
 
     def write_rest(self, out: store.Writer, errors: dict | None = None, origin: dict | None = None) -> None:
-        """Write all but the coefficients and the blurred light into an open file; see `save`."""
+        """Write everything except the coefficients and the blurred light into an open file; see `save`."""
         write_wavelength(out)
         out.write("basis", self.basis, units="1", dims="wavelength,component", quantity="spectral basis of the light")
         names = {"units": "sr", "dims": "theta,azimuth,component", "quantity": "coefficients of the irradiance map"}
@@ -88,12 +90,13 @@ class Environment:
 
     @classmethod
     def load(cls, path) -> "Environment":
-        """Read an environment's file.
+        """Read the file of an environment.
 
         Raises
         ------
         InputError
-            If it is none, damaged, its datasets do not fit together, or a number is not finite.
+            If it is not the file of an environment, is damaged, has datasets of inconsistent shapes, or a number is not
+            finite.
         """
         axes = {
             "coefficients": "row,column,component",
@@ -116,16 +119,16 @@ class Environment:
             )
 
     def drawn(self, rng: np.random.Generator) -> "Environment":
-        """Return a light that the photograph could have been of.
+        """Return the light with a random error of its basis: another light that is compatible with the photograph.
 
         Raises
         ------
         ValueError
-            If the light states no error.
+            If the light has no stated errors.
         """
         if self.basis_errors is None:
             raise ValueError("a light without errors; accepted: one that was recovered from a photograph")
-        # The irradiance map is on the same basis, so that a change of the basis is all there is.
+        # The irradiance map has the same basis, so only the basis changes.
         error = np.tensordot(rng.standard_normal(len(self.basis_errors)), self.basis_errors, axes=1)
         return replace(self, basis=self.basis + error)
 
@@ -135,9 +138,9 @@ class Environment:
 
 
 def directions(width: int, height: int, rows: slice = slice(None)) -> tuple[np.ndarray, np.ndarray]:
-    """Return the unit vector (height, width, 3) and the solid angle in sr (height, width) of every pixel, or of rows.
+    """Return unit vectors, (height, width, 3), and solid angles in sr, (height, width), of the pixels of some rows.
 
-    Solid angles are exact: the difference of the cosines of a row's edges times its width in azimuth.
+    Solid angles are exact: the difference of the cosines of a row's edges times the width of a pixel in azimuth.
     """
     edges = np.linspace(0.0, np.pi, height + 1)
     theta = 0.5 * (edges[1:] + edges[:-1])[rows]

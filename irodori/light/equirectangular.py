@@ -1,4 +1,4 @@
-"""Interpolated look-up in equirectangular pictures, across the seam and the poles."""
+"""Bilinear look-up in equirectangular pictures, continuous across the seam and the poles."""
 
 import math
 from typing import NamedTuple
@@ -13,14 +13,14 @@ TWO_PI = 2.0 * math.pi
 
 @njit(cache=True, forceinline=True)
 def direction_uv(x, y, z):
-    """Return equirectangular u, v of a unit direction, both 0..1."""
+    """Return the equirectangular coordinates u, v of a unit vector, both 0..1."""
     u = math.atan2(y, x) / TWO_PI
     return (u if u >= 0.0 else u + 1.0), math.acos(min(max(z, -1.0), 1.0)) / math.pi
 
 
 @njit(cache=True, forceinline=True)
 def _row_and_shift(row, height, width):
-    """Return the row that lies at a row's place and the columns to turn: beyond a pole is the opposite meridian."""
+    """Return the valid row for a row index, and a shift of columns: beyond a pole is the opposite meridian."""
     if row < 0:
         return 0, width // 2
     if row >= height:
@@ -29,10 +29,10 @@ def _row_and_shift(row, height, width):
 
 
 class StackedPicture(NamedTuple):
-    """One of some pictures that stand after each other in an array."""
+    """One of several pictures stored after each other in an array."""
 
     pixels: np.ndarray  # (all pixels, k) float
-    first: int  # pixel of the picture
+    first: int  # index of the first pixel of this picture
     width: int
     height: int
 
@@ -44,10 +44,12 @@ def add_interpolated(picture, direction, scale, out):
     Parameters
     ----------
     picture : StackedPicture
-        Rows from the zenith; an even width closes exactly over the poles.
-    direction : tuple of 3 float, unit
+        Rows start at the zenith; with an even width the picture is continuous over the poles.
+    direction : tuple of 3 float
+        Unit vector.
     scale : float
     out : (k,) float
+        Array to which the value is added.
     """
     pixels, first, width, height = picture
     u, v = direction_uv(direction[0], direction[1], direction[2])
@@ -68,7 +70,7 @@ def add_interpolated(picture, direction, scale, out):
 
 @njit(cache=True, parallel=True, nogil=True)
 def look_up(picture, directions, out):
-    """Fill ``out`` (n, k) with an equirectangular picture (height, width, k) in unit directions (n, 3)."""
+    """Fill ``out``, (n, k), with the values of an equirectangular picture, (height, width, k), in directions (n, 3)."""
     height, width, bases = picture.shape
     pixels = picture.reshape(height * width, bases)
     for i in numba.prange(directions.shape[0]):

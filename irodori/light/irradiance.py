@@ -1,8 +1,8 @@
-"""Irradiance map I_d(N) = Σ cosθ L(ω) dΩ of equation (8), on the coefficients.
+"""Irradiance map I_d(N) = Σ cosθ L(ω) dΩ of equation (8), computed on the coefficients.
 
-The picture is kept as a quadtree of cells of constant size in angle, each with Σ L ω dΩ. For a normal N a cell wholly
-above the horizon gives N · Σ L ω dΩ exactly, one wholly below gives nothing, one that the horizon cuts is divided, down
-to the pixel, until what it may err is a small part of the irradiance.
+The picture is stored as a quadtree of cells of constant angular size, each with Σ L ω dΩ. For a normal N, a cell
+entirely above the horizon contributes exactly N · Σ L ω dΩ, and one entirely below contributes nothing. A cell that the
+horizon cuts is divided, down to the pixels, until its possible error is a small share of the irradiance.
 """
 
 import math
@@ -18,27 +18,27 @@ from irodori.light.equirectangular import look_up
 
 _BLOCK = 8  # pixels along each side of the smallest cell that is stored
 _TOP_CELLS = 32
-_COARSE_CELLS = 1024  # cells by which the irradiance is bounded from below before the tolerance is set
-_TOLERANCE = 2e-4  # power times angular radius of a cut cell that is not divided, over the irradiance
-_SPREAD = 0.55  # half the extent of a cell's heights over the horizon, over its angular radius
-_DARKEST = 1e-7  # irradiance over power under which the tolerance sinks no further
+_COARSE_CELLS = 1024  # cells from which a lower bound of the irradiance, and so the tolerance, is computed
+_TOLERANCE = 2e-4  # largest power times angular radius of an undivided cut cell, relative to the irradiance
+_SPREAD = 0.55  # half the range of heights above the horizon within a cell, relative to its angular radius
+_DARKEST = 1e-7  # ratio of irradiance to power below which the tolerance is not reduced further
 _STACK = 1024
-_NORMALS = 256  # that a thread takes at a time
+_NORMALS = 256  # normals that a thread takes at a time
 _SMALLEST_HEIGHT = 32
 _MIDPOINTS = 1 << 15
 
 
 class Cells(NamedTuple):
-    """The quadtree; cells of all levels one after the other, finest level first.
+    """Quadtree of a picture, with the cells of all levels in sequence, the finest level first.
 
-    ``power`` of a cell is Σ |L| dΩ, with |L| the length of a pixel's coefficients.
+    ``power`` of a cell is Σ |L| dΩ, where |L| is the norm of a pixel's coefficients.
     """
 
     first: np.ndarray  # (levels,)
     rows: np.ndarray  # (levels,)
     columns: np.ndarray  # (levels,)
     centre: np.ndarray  # (cells, 3)
-    sine: np.ndarray  # (cells,) sine of the angular radius that holds the cell's pixels, 2 from 90 degrees on
+    sine: np.ndarray  # (cells,) sine of the angular radius that contains the cell's pixels; 2 for 90 degrees or more
     radius: np.ndarray  # (cells,) rad
     power: np.ndarray  # (cells,)
     power_moment: np.ndarray  # (cells, 3)
@@ -46,7 +46,7 @@ class Cells(NamedTuple):
 
 
 class Pixels(NamedTuple):
-    """The picture with the directions and solid angles of its rows and columns."""
+    """A picture, with directions and solid angles for its rows and columns."""
 
     values: np.ndarray  # (height, width, k)
     sin_theta: np.ndarray  # (height,)
@@ -57,7 +57,7 @@ class Pixels(NamedTuple):
 
 
 def make_pixels(coefficients: np.ndarray) -> Pixels:
-    """Return a picture, (height, width, k), with its tables; directions are those of the pixels' centres."""
+    """Make the tables of a picture, (height, width, k); directions are those of pixel centres."""
     height, width = coefficients.shape[:2]
     edges = np.linspace(0.0, np.pi, height + 1)
     theta = 0.5 * (edges[1:] + edges[:-1])
@@ -68,7 +68,7 @@ def make_pixels(coefficients: np.ndarray) -> Pixels:
         np.cos(theta),
         np.cos(azimuth),
         np.sin(azimuth),
-        # The difference of cosines without its cancellation at the poles.
+        # The difference of cosines, in a form without cancellation at the poles.
         2.0 * np.sin(theta) * np.sin(0.5 * np.pi / height) * (2 * np.pi / width),
     )
 
@@ -120,13 +120,13 @@ def _geometry(rows: int, columns: int, side: int, height: int, width: int):
     centre[..., 0], centre[..., 1] = np.outer(np.sin(middle), np.cos(turn)), np.outer(np.sin(middle), np.sin(turn))
     centre[..., 2] = np.cos(middle)[:, None]
     widest = np.where((theta[0] < np.pi / 2) & (theta[1] > np.pi / 2), 1.0, np.sin(theta).max(axis=0))
-    # From the middle along the meridian, then along the parallel: no pixel is farther.
+    # An upper bound: from the centre along the meridian, then along the parallel.
     radius = 0.5 * np.ptp(theta, axis=0)[:, None] + widest[:, None] * (0.5 * np.ptp(azimuth, axis=0))[None]
     return centre.reshape(-1, 3), radius.ravel()
 
 
 def make_cells(pixels: Pixels) -> Cells:
-    """Return the quadtree of a picture."""
+    """Make the quadtree of a picture."""
     height, width, bases = pixels.values.shape
     rows, columns = -(-height // _BLOCK), -(-width // _BLOCK)
     power, power_moment = np.zeros(rows * columns), np.zeros((rows * columns, 3))
@@ -158,7 +158,7 @@ def make_cells(pixels: Pixels) -> Cells:
 
 @njit(cache=True)
 def _lower_bound(cells, level, normal):
-    """Return what the cells of a level that are wholly above the horizon give to the irradiance of |L|, and Σ |L|."""
+    """Return the irradiance of |L| from the cells of a level that are entirely above the horizon, and Σ |L| dΩ."""
     first, (nx, ny, nz) = cells.first[level], normal
     found, total = 0.0, 0.0
     for j in range(first, first + cells.rows[level] * cells.columns[level]):
@@ -172,7 +172,7 @@ def _lower_bound(cells, level, normal):
 
 @njit(cache=True)
 def _add_pixels(pixels, i, j, normal, out):
-    """Add the pixels of a block one by one."""
+    """Add the irradiance from the pixels of a block one by one."""
     values, (nx, ny, nz) = pixels.values, normal
     height, width, bases = values.shape
     for row in range(i * _BLOCK, min(height, (i + 1) * _BLOCK)):
@@ -187,7 +187,7 @@ def _add_pixels(pixels, i, j, normal, out):
 
 @njit(cache=True)
 def _add_irradiance(cells, pixels, coarse, normal, stack, out):
-    """Add the irradiance of a normal; ``stack`` has the levels and the places of the cells to look at."""
+    """Add the irradiance for a normal; ``stack`` is memory for the levels and indices of cells to process."""
     (nx, ny, nz), (levels, places) = normal, stack
     bound, total = _lower_bound(cells, coarse, normal)
     limit = _TOLERANCE * max(bound, _DARKEST * total)
@@ -218,7 +218,7 @@ def _add_irradiance(cells, pixels, coarse, normal, stack, out):
         m, c = cells.moment[j], cells.centre[j]
         spread = _SPREAD * cells.radius[j]
         if abs(height) < spread:
-            # Light even over the heights from the centre's less to the centre's plus the spread.
+            # Assume that the light is uniform over the heights within ``spread`` of the centre.
             mean = (height + spread) ** 2 / (4.0 * spread)
             for b in range(out.size):
                 out[b] += mean * (c[0] * m[b, 0] + c[1] * m[b, 1] + c[2] * m[b, 2])
@@ -236,7 +236,7 @@ def _add_irradiances(light, normals, out, first, last):
 
 
 class Integrator:
-    """Irradiance of any normal under one environment.
+    """Irradiance for any normal under one environment.
 
     Parameters
     ----------
@@ -251,7 +251,7 @@ class Integrator:
         self._coarse = int(np.argmax(counts <= max(_COARSE_CELLS, counts[-1])))
 
     def __call__(self, normals: np.ndarray) -> np.ndarray:
-        """Return the irradiance, (..., k) float64 in radiance unit times sr, of unit normals (..., 3)."""
+        """Compute the irradiance, (..., k) float64 in radiance unit times sr, for unit normals, (..., 3)."""
         flat = np.ascontiguousarray(np.reshape(normals, (-1, 3)), dtype=np.float64)
         out = np.zeros((len(flat), self.pixels.values.shape[2]))
         light = self.cells, self.pixels, self._coarse
@@ -260,7 +260,7 @@ class Integrator:
 
 
 def irradiance_at(irradiance: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """Return an irradiance map, (h, w, k), looked up at unit normals (..., 3), as (..., k) float64."""
+    """Look up an irradiance map, (h, w, k), at unit normals, (..., 3); return (..., k) float64."""
     flat = np.ascontiguousarray(np.reshape(normals, (-1, 3)), dtype=np.float64)
     out = np.empty((len(flat), irradiance.shape[2]))
     look_up(np.ascontiguousarray(irradiance), flat, out)
@@ -268,15 +268,15 @@ def irradiance_at(irradiance: np.ndarray, normals: np.ndarray) -> np.ndarray:
 
 
 def midpoints(height: int) -> np.ndarray:
-    """Return the normals farthest from those of a map of a height and twice that width, and the poles, (n, 3).
+    """Return the normals half-way between those of a map with ``height`` rows, and the poles, (n, 3).
 
-    Of more than 32768 an even choice.
+    If there are more than 32768, an even selection is returned.
     """
     theta = np.pi * np.arange(1, height) / height
     azimuth = np.pi * np.arange(2 * height) / height
     theta, azimuth = (grid.ravel() for grid in np.meshgrid(theta, azimuth, indexing="ij"))
     if theta.size > _MIDPOINTS:
-        # Multiples of the golden ratio: no row and no column is preferred.
+        # Multiples of the golden ratio, which favour no row or column.
         chosen = np.unique((np.arange(_MIDPOINTS) * 0.6180339887498949 % 1.0 * theta.size).astype(int))
         theta, azimuth = theta[chosen], azimuth[chosen]
     unit = np.stack([np.sin(theta) * np.cos(azimuth), np.sin(theta) * np.sin(azimuth), np.cos(theta)], axis=-1)
@@ -286,7 +286,7 @@ def midpoints(height: int) -> np.ndarray:
 def fitted_irradiance_map(
     coefficients: np.ndarray, max_error: float, max_height: int, integrate: Integrator | None = None
 ) -> tuple[np.ndarray, dict]:
-    """Return the smallest irradiance map that looks up between its normals well enough.
+    """Compute the smallest irradiance map with a sufficiently small interpolation error.
 
     Parameters
     ----------
@@ -295,13 +295,14 @@ def fitted_irradiance_map(
     max_error : float
         Largest error of the look-up at the midpoints between the map's normals, relative to the largest irradiance.
     max_height : int
-        Rows at which the map stops growing, px; columns are twice as many. Heights are 32, 64, 128...
+        Largest number of rows; there are twice as many columns. Heights tried are 32, 64, 128...
     integrate : Integrator, optional
-        Of the same picture, where there is one already.
+        Integrator of the same picture, if there is one already.
 
     Returns
     -------
-    map : (height, 2 * height, k) float32, radiance unit times sr
+    map : (height, 2 * height, k) float32
+        In radiance unit times sr.
     errors : dict
         ``height`` of the map, ``max_error`` and ``mean_error`` at the midpoints, relative to the largest irradiance.
     """

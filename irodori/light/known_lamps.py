@@ -1,7 +1,7 @@
-"""Lamps of a place that its user knows: named as published ones, or given by measured spectra.
+"""Lamps that the user of a place knows: names of published lamps, or measured spectra.
 
-They make the prior's families in place of all published lamps. A place with other light than theirs would be recovered
-as their mixture, so that the panorama is asked first whether any published lamps explain it far better.
+The prior is then built from these lamps instead of all published ones. Light of other lamps would be recovered as a
+mixture of the given ones; therefore it is first tested whether published lamps explain the panorama far better.
 """
 
 from collections.abc import Sequence
@@ -14,20 +14,20 @@ from irodori.light.light_recovery import Directions, ResponseModel, evidence
 from irodori.spectra.published import light
 from irodori.spectra.spectral_files import SUFFIXES
 
-#: Standard deviation of what differs smoothly from a lamp, relative: of one lamp from the published one of its type,
-#: and of the reading of a field spectroradiometer.
+#: Standard deviations of smooth relative differences in spectrum: of a lamp from the published one of its type, and of
+#: a measurement with a field spectroradiometer from the true spectrum.
 _OF_TYPE, _OF_MEASURED = 0.05, 0.02
-#: By which published lamps may explain a panorama better; being many they can follow noise that the lamps given cannot.
+#: Accepted log evidence ratio of published over given lamps; being many, published lamps can also fit some noise.
 _ODDS = np.log(1e4)
 
 
 def is_measured(lamp: str) -> bool:
-    """Whether a lamp is given by the file of its spectrum, as against a published name."""
+    """Return whether a lamp is given by the file of a measured spectrum instead of a published name."""
     return lamp.lower().endswith(SUFFIXES)
 
 
 def told_by(lamps: Sequence[str]) -> str:
-    """Return in words what tells of some lamps: their names, their measured spectra, or both."""
+    """Describe in words how lamps were given: by names, by measured spectra, or both."""
     kinds = (
         ("named lamps", [lamp for lamp in lamps if not is_measured(lamp)]),
         ("measured spectra", [lamp for lamp in lamps if is_measured(lamp)]),
@@ -36,30 +36,35 @@ def told_by(lamps: Sequence[str]) -> str:
 
 
 def known_prior(lamps: Sequence[str]) -> LightPrior:
-    """Return the prior of a place that is lit by some lamps alone, each a published name or the path of a spectrum.
+    """Return the prior for a place lit only by the given lamps, each a published name or the path of a spectrum.
 
     Raises
     ------
     InputError
-        For an unknown name, and for a file that holds no spectrum of a light.
+        For an unknown name, or a file without the spectrum of a light.
     """
     return given_prior(np.stack([light(lamp) for lamp in lamps]), np.array([is_measured(lamp) for lamp in lamps]))
 
 
 def given_prior(spectra: np.ndarray, measured: np.ndarray) -> LightPrior:
-    """Return the prior that lamps make, (lamps, 61), of which some were measured and the others are of that type."""
+    """Return the prior from spectra of lamps, (lamps, 61).
+
+    ``measured``, (lamps,) bool, states whether each is a measured spectrum or that of a published type of lamp.
+    """
     return light_prior(of_luminance_one(spectra), np.where(measured, _OF_MEASURED, _OF_TYPE))
 
 
 def require_lamps_seen(
     lamps: Sequence[str], directions: Directions, model: ResponseModel, known: LightPrior, published: LightPrior, file
 ) -> None:
-    """Refuse lamps where the published ones explain a panorama ten thousand times better; never of a black one.
+    """Raise an error if published lamps explain a panorama ten thousand times better than the given lamps.
+
+    A black panorama is always accepted.
 
     Raises
     ------
     InputError
-        Which names the panorama's file and the lamps.
+        The message names the file of the panorama and the lamps.
     """
     if not directions.lit:
         return

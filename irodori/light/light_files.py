@@ -1,4 +1,4 @@
-"""Environments from other programs' files: high-dynamic-range RGB pictures and spectral EXR."""
+"""Environments from files of other programs: high-dynamic-range RGB pictures and spectral EXR."""
 
 from collections.abc import Iterator
 
@@ -18,23 +18,23 @@ _RGB_ASSUMPTION = (
 )
 
 
-#: Red, green, blue and white of linear sRGB (ITU-R BT.709), x and y of each.
+#: Chromaticities x, y of red, green, blue and white of linear sRGB (ITU-R BT.709).
 _SRGB = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
 _CHROMATICITY_ROUNDING = 2e-3
-#: How far a panorama may be from twice as wide as high, as a share of its width: cut pixels of a rescaled one.
+#: Accepted deviation of the width from twice the height, relative to the width; rescaling can cut pixels off.
 _ODD_SHARE = 0.01
 
 
 def mallett_basis() -> np.ndarray:
-    """Return the spectra of the linear sRGB primaries (Mallett and Yuksel 2019), (61, 3), times D65, 100 at 560 nm.
+    """Return the spectra of the linear sRGB primaries (Mallett and Yuksel 2019), (61, 3), times D65 (100 at 560 nm).
 
-    Their sum is D65, and an RGB of linear sRGB relative to D65 = (1, 1, 1) has its own colour.
+    Their sum is D65. The sum weighted with linear sRGB values, where D65 is (1, 1, 1), has the colour of these values.
     """
     return published_table("srgb_primaries").at(WAVELENGTH_NM).T * light("D65")[:, None]
 
 
 def _panorama_header(path) -> Header:
-    """Return the header of a panorama; refuse one that holds a part of its picture."""
+    """Read the header of a panorama; raise an error if the file contains only a part of the picture."""
     header = picture_header(path)
     if header.size != header.shown:
         (height, width), (whole_height, whole_width) = header.size, header.shown
@@ -44,7 +44,7 @@ def _panorama_header(path) -> Header:
 
 
 def _panorama(size: tuple[int, int], basis: np.ndarray, read, path, origin: dict) -> OmnidirectionalPicture:
-    """Return the picture of a file; refuse one that cannot be all directions on an equirectangular grid."""
+    """Make the picture of a file; raise an error if its size is not that of a full equirectangular panorama."""
     height, width = size
     if abs(width - 2 * height) > _ODD_SHARE * width:
         accepted = "an equirectangular panorama of all directions, twice as wide as high"
@@ -53,7 +53,7 @@ def _panorama(size: tuple[int, int], basis: np.ndarray, read, path, origin: dict
 
 
 def _finite(band: np.ndarray, first: int, path) -> np.ndarray:
-    """Return a band of a picture; refuse one with a pixel that is not finite."""
+    """Return a band of a picture; raise an error if a pixel is not finite."""
     bad = int((~np.isfinite(band)).any(axis=-1).sum())
     if bad:
         found = f"{bad} pixels that are not finite in rows {first} to {first + len(band) - 1}"
@@ -62,7 +62,7 @@ def _finite(band: np.ndarray, first: int, path) -> np.ndarray:
 
 
 class _NotNegative:
-    """Bands of a picture with what is negative set to 0 and counted; the counts are those of one reading."""
+    """Clip negative values in bands of a picture to 0 and count them; repeated reading does not change the counts."""
 
     def __init__(self, origin: dict) -> None:
         self._origin = origin
@@ -70,7 +70,7 @@ class _NotNegative:
         origin |= {"negative_pixels": 0, "negative_sum_over_positive": 0.0}
 
     def __call__(self, band: np.ndarray, first: int) -> np.ndarray:
-        """Return a band (rows, width, n) of which the first row has a number."""
+        """Return the clipped band, (rows, width, n); ``first`` is the index of its first row."""
         out = np.maximum(band, 0.0)
         removed = out - band
         self._counts[first] = (
@@ -82,26 +82,28 @@ class _NotNegative:
 
 
 def rgb_picture(path, scale: float = 1.0, centre_azimuth_deg: float = 0.0) -> OmnidirectionalPicture:
-    """Return the light of an RGB panorama, spectra by Mallett and Yuksel (2019), an assumption.
+    """Open the light of an RGB panorama; its spectra are assumed, after Mallett and Yuksel (2019).
 
     Parameters
     ----------
     path : path
-        EXR, Radiance HDR or TIFF of half or float samples; linear sRGB primaries; clockwise, the zenith on top.
+        EXR, Radiance HDR or TIFF with half or float samples; linear sRGB primaries; seen from inside, zenith at the
+        top.
     scale : float
         Radiance of RGB (1, 1, 1), relative: 1 has the luminance of D65 as tabulated, 100 at 560 nm.
     centre_azimuth_deg : float, degrees
-        Azimuth of the middle of the picture.
+        Azimuth of the centre of the picture.
 
     Raises
     ------
     InputError
-        If the file cannot be read, has no R, G and B, states other primaries, is a part of a picture, is not twice as
-        wide as high, or is made for a display; while it is read, if it is truncated or a pixel is not finite.
+        If the file cannot be read, lacks R, G or B, states other primaries, contains only a part of the picture, is not
+        twice as wide as high, or has integer samples. While the bands are read: if the file is truncated or a pixel is
+        not finite.
 
     Notes
     -----
-    Negative values, which lossy compression and wide gamuts leave, are set to 0 and counted in ``origin``.
+    Negative values, which result from lossy compression and wide gamuts, are set to 0 and counted in ``origin``.
     """
     header = _panorama_header(path)
     names, depth = header.channels, header.depth
@@ -128,22 +130,23 @@ def rgb_picture(path, scale: float = 1.0, centre_azimuth_deg: float = 0.0) -> Om
 
 
 def spectral_picture(path, scale: float = 1.0, centre_azimuth_deg: float = 0.0) -> OmnidirectionalPicture:
-    """Return the light of a spectral EXR in the published layout, brought to the 61 wavelengths.
+    """Open the light of a spectral EXR in the published layout, resampled to the 61 wavelengths.
 
     Parameters
     ----------
     path : path
-        Emissive layers ``S0.<wavelength>`` of any wavelengths that cover 400 to 700 nm; clockwise, the zenith on top.
+        File with emissive layers ``S0.<wavelength>``, at any wavelengths that cover 400 to 700 nm; seen from inside,
+        zenith at the top.
     scale : float
-        Factor on the file's radiance.
+        Factor on the radiance in the file.
     centre_azimuth_deg : float, degrees
 
     Raises
     ------
     InputError
-        If the file cannot be read, holds no emissive layers (a picture of reflectances is no light), is a part of a
-        picture, is not twice as wide as high, or does not cover the wavelengths; while it is read, if it is truncated
-        or a value is not finite.
+        If the file cannot be read, has no emissive layers (as a picture of reflectances), contains only a part of the
+        picture, is not twice as wide as high, or does not cover the wavelengths. While the bands are read: if the file
+        is truncated or a value is not finite.
     """
     header = _panorama_header(path)
     wavelength_nm, channels = layers_of(header.channels, "S0", path)

@@ -1,4 +1,4 @@
-"""Prior over the light that reaches a camera in a room: known lamps, alone and beside others, on reflectances."""
+"""Prior for the light that reaches a camera in a room: direct light of known lamps, mixtures, and reflections."""
 
 from dataclasses import dataclass
 
@@ -12,33 +12,33 @@ from irodori.spectra.published import chart_spectra, spectrum
 from irodori.spectra.published_names import ILLUMINANTS
 from irodori.spectra.published_tables import published_table
 
-#: The chart whose patches, their mixtures as paints and their products stand for walls, wood and cloth.
+#: Chart whose patches, mixtures of them as paints, and products of two represent walls, wood and textiles.
 _CHART = "BabelColor Average"
-#: Standard deviation of what differs from a published lamp.
+#: Standard deviation of the relative difference between a lamp and the published one.
 _OF_LAMPS = 0.05
-#: Correlation length, nm, of that, and both of what differs from a known reflectance.
+#: Correlation length (nm) of this difference; standard deviation and correlation length for reflectances.
 _LENGTH_NM, _OF_SURFACES = 20.0, (0.1, 80.0)
-_ALIKE = 5  # lamps that make a kind: their mixtures and what lies between them
+_ALIKE = 5  # number of similar lamps that form a kind
 #: Peaks, nm, of blue, green and red LEDs as manufacturers' data sheets list them, and their widths [Ohno 2005].
 _LED_PEAKS_NM, _LED_WIDTHS_NM = ((445.0, 475.0), (515.0, 540.0), (615.0, 645.0)), (23.0, 34.0, 18.0)
 _LED_TEMPERATURES_K = (2700.0, 3000.0, 4000.0, 5000.0, 6500.0)  # among the nominal ones of ANSI C78.377
 _LED_STEPS = 6  # of each peak
 _C2_NM_K = 1.438777e7  # second radiation constant of Planck's law
-#: Weight of a lamp itself, of the lamp on coloured surfaces, of its kind, and of any mixture of all lamps.
+#: Weights of the families: each lamp, each lamp reflected by coloured surfaces, each kind of lamp, and all lamps.
 _BARE, _COLOURED, _KIND, _ANY = 1.0, 2.0, 1.0, 1.0
 
 
 @dataclass(frozen=True)
 class LightPrior:
-    """A mixture of families of light; of each the second moment of its spectra, brought to luminance 1, is known.
+    """Prior as a mixture of families of spectra; each is described by the second moment of spectra of luminance 1.
 
     Parameters
     ----------
     moment : (n, 61, 61) float64
     share : (n,) float64
-        Of a family before a picture was seen; sums to one.
+        Prior probability of each family; the sum is one.
     broad : int
-        So many families at the end hold any light: they are kept whatever a picture shows.
+        Number of families, at the end of the list, that comprise any light. They are always kept.
     """
 
     moment: np.ndarray
@@ -47,10 +47,10 @@ class LightPrior:
 
 
 def published_lamps() -> np.ndarray:
-    """Return the illuminants and measured lamps of colour-science, each of luminance 1, (lamps, 61).
+    """Return the illuminants and measured lamps of colour-science, scaled to luminance 1, (lamps, 61).
 
-    CIE A to E, the D series, fluorescent, high-pressure and LED illuminants, indoor daylight, those of ISO 7589, and
-    measured discharge lamps, incandescent lamps and LEDs.
+    These are CIE A to E, the D series, fluorescent, high-pressure and LED illuminants, indoor daylight, the illuminants
+    of ISO 7589, and measured discharge lamps, incandescent lamps and LEDs.
     """
     lamps = np.concatenate(
         [np.stack([spectrum(name) for name in ILLUMINANTS]), published_table("light_sources").at(WAVELENGTH_NM)]
@@ -82,12 +82,12 @@ def led_lamps() -> np.ndarray:
 
 
 def of_luminance_one(lamps: np.ndarray) -> np.ndarray:
-    """Return spectra of lamps, (lamps, 61), each brought to luminance 1."""
+    """Scale spectra of lamps, (lamps, 61), to luminance 1 each."""
     return lamps / (lamps @ colour_matching_weights()[1])[:, None]
 
 
 def _surfaces() -> np.ndarray:
-    """Return the second moment of reflectances of mean 1: patches, paints mixed of them, light off two of them."""
+    """Return the second moment of reflectances of mean 1: patches, mixed paints, and products for two reflections."""
     patches = chart_spectra(_CHART)[1]
     first, second = np.triu_indices(len(patches))
     known = np.concatenate([patches, mix_paints(patches), patches[first] * patches[second]])
@@ -101,22 +101,25 @@ def _spread(spread: tuple[float, float]) -> np.ndarray:
 
 
 def _alike(moments: np.ndarray, count: int) -> np.ndarray:
-    """Return which lamps are most alike to every one by their second moments, itself the first, (lamps, count)."""
+    """Return the indices of the lamps most similar to each one, itself first, (lamps, count).
+
+    The similarity is the cosine between second moments.
+    """
     size = np.sqrt(np.einsum("nij,nij->n", moments, moments))
     flat = moments.reshape(len(moments), -1)
     return np.argsort(-(flat @ flat.T) / (size[:, None] * size), axis=1, kind="stable")[:, :count]
 
 
 def families_of(lamps: np.ndarray, alike: int = _ALIKE, deviation: float | np.ndarray = _OF_LAMPS) -> LightPrior:
-    """Return the prior that lamps make, each given by the second moment of its spectrum, (lamps, 61, 61).
+    """Make the prior from lamps, each given by the second moment of its spectrum.
 
     Parameters
     ----------
     lamps : (n, 61, 61) float64
     alike : int
-        Lamps that make a kind.
+        Number of similar lamps that form a kind.
     deviation : float or (n,) float
-        Standard deviation of what differs smoothly from a lamp, relative.
+        Standard deviation of the smooth relative difference from a given lamp.
     """
     variance = np.broadcast_to(np.square(deviation), len(lamps))[:, None, None]
     bare, surfaces = lamps * (1.0 + variance * smooth_covariance(_LENGTH_NM)), _surfaces()
@@ -132,17 +135,17 @@ def families_of(lamps: np.ndarray, alike: int = _ALIKE, deviation: float | np.nd
 
 
 def light_prior(lamps: np.ndarray, deviation: float | np.ndarray = _OF_LAMPS) -> LightPrior:
-    """Return the prior that a list of lamps, (lamps, 61), makes; for the deviation see `families_of`."""
+    """Make the prior from spectra of lamps, (lamps, 61); for the deviation see `families_of`."""
     return families_of(lamps[:, :, None] * lamps[:, None, :], deviation=deviation)
 
 
 def prior_of_any_lamp(lamps: np.ndarray | None = None) -> LightPrior:
-    """Return the prior of a place of which nothing is said: published lamps, and those of three LEDs.
+    """Make the prior of a place whose lamps are unknown: published lamps and lamps of three LEDs.
 
     Parameters
     ----------
     lamps : (n, 61) float64, optional
-        The published lamps; all of them where absent.
+        Spectra of published lamps, by default all of them.
     """
     lamps, leds = published_lamps() if lamps is None else lamps, led_lamps()
     of_leds = leds.swapaxes(1, 2) @ leds / leds.shape[1]

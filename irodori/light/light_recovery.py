@@ -1,11 +1,12 @@
-"""Recovery of light from a camera's responses: the posterior mean under a mixture, and what it leaves open.
+"""Estimation of spectra of light from responses of a camera: posterior mean and covariance for a mixture prior.
 
-A camera that was calibrated on a chart under one lamp answers to a light L(λ) with Σ R_b L dλ, where the calibration's
-response model tells R_b and how well it knows it. Of each family of the prior (`irodori.light.light_prior`) the second
-moment is known. A light of unknown brightness from it makes responses of the angular central Gaussian density
-|S|^(-1/2) (ρᵀ S⁻¹ ρ)^(-bands/2) [Tyler 1987], with S the second moment of its responses, and the light of least
-expected squared error is linear in them. Families share a direction by that density. A room has few kinds of lamps:
-the families' own shares follow from all directions by expectation and maximisation.
+The camera was calibrated on a chart under one lamp. Its response to a light L(λ) is Σ R_b L dλ; R_b and its uncertainty
+are given by the response model of the calibration. For each family of the prior (`irodori.light.light_prior`) the
+second moment is known. For light of unknown brightness from a family, the responses ρ have the angular central Gaussian
+density |S|^(-1/2) (ρᵀ S⁻¹ ρ)^(-bands/2) [Tyler 1987], where S is the second moment of the responses, and the light with
+the least expected squared error is linear in the responses. This density also gives the probabilities of the families
+in each direction. Since a room has few kinds of lamps, the prior probabilities of families are re-estimated from all
+directions by expectation maximisation.
 """
 
 from collections.abc import Iterable
@@ -18,18 +19,18 @@ from irodori.core.errors import InputError
 from irodori.light.light_prior import LightPrior, prior_of_any_lamp
 from irodori.light.recovery_loops import mixture_weights
 
-#: So many times the variance of the response model counts: its errors are common to all directions, whose densities are
-#: multiplied as if each had its own. Chosen on lamps of the CIE in made-up rooms.
+#: Factor on the variance of the response model. Its errors are common to all directions, but the densities are
+#: multiplied as if they were independent. Chosen in simulated rooms with lamps of the CIE.
 _COMMON = 1.5
-_LEAST_NOISE = 3e-4  # of a response, relative, whatever the response model says
-#: So many observations, beside one of every family, each direction counts as that differs from the first by `_ALIKE`:
-#: all share the errors of the response model, and what a room shows a million times tells little more than once.
+_LEAST_NOISE = 3e-4  # smallest relative noise of a response that is assumed
+#: Weight of each further distinct colour of the room, in observations, against one prior observation per family;
+#: distance of colours that are distinct; steps of the iteration. Repeated views of one colour share the same errors.
 _EVIDENCE, _ALIKE, _STEPS = 300.0, 0.1, 30
-_FAMILIES = 16  # that are kept for a picture at most
-_BASES = 8  # of the light at most: one row of vectors
+_FAMILIES = 16  # largest number of families kept for a picture
+_BASES = 8  # largest number of basis spectra of the light
 _DRAWS = 64  # directions drawn from each part of a picture
-_COMPARED = 1000  # of them that are compared in colour
-_ERRORS = 24  # independent errors that are kept at most
+_COMPARED = 1000  # approximate number of directions that are compared in colour
+_ERRORS = 24  # largest number of independent errors that are kept
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,7 @@ class ResponseModel:
         Raises
         ------
         InputError
-            If the calibration states none or not how well it knows it; it names the calibration's path.
+            If the calibration contains no response model or no covariance of it; the message names ``path``.
         """
         model, covariance = calibration.band_response, calibration.band_response_covariance
         if model is None or covariance is None:
@@ -62,14 +63,14 @@ class ResponseModel:
         return cls(model / light, covariance / (light[:, None] * light))
 
     def given(self, light: np.ndarray, response: np.ndarray, noise: np.ndarray) -> "ResponseModel":
-        """Return the model as answers to known light leave it.
+        """Return the model conditioned on responses to known light.
 
         Parameters
         ----------
         light : (n, 61) float64
         response : (n, bands) float64
         noise : (bands, n, n) float64
-            Covariance of the answers, what is unknown of the light included.
+            Covariance of the responses due to noise and to the uncertainty of the light.
         """
         cross = light @ self.covariance
         gain = np.linalg.solve(cross @ light.T + noise, cross).swapaxes(1, 2)
@@ -80,14 +81,14 @@ class ResponseModel:
 
 @dataclass(frozen=True)
 class Directions:
-    """Responses in some directions of a picture, and what share of its light each stands for.
+    """Responses in some directions of a picture, each representing a share of its light.
 
     Parameters
     ----------
     response : (n, bands) float64
     share : (n,) float64, sum 1
     lit : bool
-        False of a black picture, whose one direction could be of any colour.
+        False for a black picture, which is represented by one direction of arbitrary colour.
     """
 
     response: np.ndarray
@@ -95,7 +96,7 @@ class Directions:
     lit: bool = True
 
     def different(self) -> float:
-        """Return how many directions differ in colour; one where all are alike."""
+        """Return the effective number of directions with distinct colours; 1 if all have the same colour."""
         some = slice(None, None, -(-len(self.share) // _COMPARED))
         scaled = self.response[some] / np.abs(self.response[some]).mean(axis=0)
         colour = scaled / np.linalg.norm(scaled, axis=1, keepdims=True)
@@ -104,12 +105,12 @@ class Directions:
 
 
 def draw_directions(parts: Iterable[tuple[np.ndarray, np.ndarray | float]], seed: int = 0) -> Directions:
-    """Return directions drawn from every part of a picture in proportion to their light.
+    """Draw directions from each part of a picture, with probabilities proportional to their light.
 
     Parameters
     ----------
     parts : iterable of ((n, bands) float, (n,) float or one number for all)
-        Responses and solid angles; what is not finite is never drawn.
+        Responses and solid angles; pixels that are not finite are never drawn.
     seed : int
     """
     rng, responses, shares = np.random.default_rng(seed), [], []
@@ -129,16 +130,16 @@ def draw_directions(parts: Iterable[tuple[np.ndarray, np.ndarray | float]], seed
 
 @dataclass(frozen=True)
 class _Families:
-    """Families of the prior as a camera sees them.
+    """Families of the prior, in terms of the responses of a camera.
 
     Parameters
     ----------
     share : (n,) float64
     factor : (n, bands, bands) float64
-        Inverse of the Cholesky factor of the responses' second moment.
+        Inverse of the Cholesky factor of the second moment of the responses.
     light_from_response : (n, 61, bands) float64
     open : (n, 61, 61) float64
-        Covariance that the responses leave, per squared scale of the light.
+        Covariance of the light given the responses, per squared scale of the light.
     """
 
     share: np.ndarray
@@ -148,7 +149,7 @@ class _Families:
 
     @classmethod
     def seen(cls, prior: LightPrior, model: ResponseModel) -> "_Families":
-        """Return the families of a prior as a camera sees them."""
+        """Compute the families of a prior for a camera."""
         cross = model.mean @ prior.moment
         moment = cross @ model.mean.T
         of_band = np.arange(len(model.mean))
@@ -159,36 +160,44 @@ class _Families:
         return cls(prior.share, factor, gain, prior.moment - gain @ cross)
 
     def chosen(self, index: np.ndarray, share: np.ndarray) -> "_Families":
-        """Return some of the families with other shares."""
+        """Return a selection of the families, with new shares."""
         of_index = (getattr(self, name)[index] for name in ("factor", "light_from_response", "open"))
         return _Families(share[index] / share[index].sum(), *of_index)
 
     def weight(self) -> np.ndarray:
-        """Return the shares over the square roots of the determinants, relative to the largest, (n,)."""
+        """Return the shares divided by the square roots of the determinants, relative to the largest, (n,)."""
         logarithm = np.log(self.share) + np.log(np.einsum("nbb->nb", self.factor)).sum(axis=1)
         return np.exp(logarithm - logarithm.max())
 
     def squares(self, response: np.ndarray) -> np.ndarray:
-        """Return ρᵀ S⁻¹ ρ of responses (m, bands), (m, n)."""
+        """Return ρᵀ S⁻¹ ρ, (m, n), for responses, (m, bands)."""
         turned = np.einsum("nij,mj->mni", self.factor, response, optimize=True)
         return np.maximum(np.einsum("mni,mni->mn", turned, turned), np.finfo(float).tiny)
 
     def log_likelihoods(self, response: np.ndarray) -> np.ndarray:
-        """Return the logarithm of the density of responses (m, bands) in every family, up to a constant, (m, n)."""
+        """Return the log density of responses, (m, bands), in every family, up to a constant, (m, n)."""
         logarithm = np.log(np.einsum("nbb->nb", self.factor)).sum(axis=1)
         return logarithm - 0.5 * response.shape[1] * np.log(self.squares(response))
 
     def likelihoods(self, response: np.ndarray) -> np.ndarray:
-        """Return the density of responses (m, bands) in every family, relative to the largest of each, (m, n)."""
+        """Return densities, (m, n), of responses, (m, bands), in all families, relative to the largest of each."""
         logarithm = self.log_likelihoods(response)
         return np.exp(logarithm - logarithm.max(axis=1, keepdims=True))
 
     def shares(self, response: np.ndarray) -> np.ndarray:
-        """Return the families' shares in directions of responses (m, bands), (m, n)."""
+        """Return the posterior shares of the families, (m, n), given responses, (m, bands)."""
         return _parted(self.share, self.likelihoods(response))
 
     def room_shares(self, directions: Directions) -> tuple[np.ndarray, np.ndarray]:
-        """Return the families' shares in a room, by expectation and maximisation, and those last seen, each (n,)."""
+        """Estimate the shares of the families in a room by expectation maximisation.
+
+        Returns
+        -------
+        shares : (n,) float64
+            Shares, with the prior shares included as observations.
+        seen : (n,) float64
+            Mean posterior shares over directions, from the last step.
+        """
         shares, count = self.share, len(self.share)
         evidence = _EVIDENCE * (directions.different() - 1.0)
         likelihoods = self.likelihoods(directions.response)
@@ -198,19 +207,19 @@ class _Families:
         return shares, seen
 
     def of_room(self, directions: Directions, broad: int) -> "_Families":
-        """Return the families of a room that explain most of it, and those of any light."""
+        """Select the families that explain most of a room, and the ``broad`` ones that comprise any light."""
         (shares, seen), count = self.room_shares(directions), len(self.share)
-        # What a lamp seen nowhere else shines like is found among the families that hold any light.
+        # The broad families are kept for directions lit by a lamp that is seen nowhere else.
         last = np.arange(count - broad, count)
         most = np.argsort(-seen[: last[0]], kind="stable")[: _FAMILIES - broad]
         return self.chosen(np.concatenate([most, last]), shares)
 
 
 def evidence(prior: LightPrior, model: ResponseModel, directions: Directions) -> float:
-    """Return the logarithm of the density that a prior gives a room, its shares found in it, up to a constant.
+    """Return the log density of a room under a prior with shares estimated in the room, up to a constant.
 
-    Directions count by how many differ in colour. The constant is common to all priors seen by one camera in one room,
-    so that differences compare them.
+    The number of directions counted is that of distinct colours. The constant is the same for all priors with one
+    camera and room, so that differences can be used for comparison.
     """
     families = _Families.seen(prior, model)
     shares, _ = families.room_shares(directions)
@@ -219,22 +228,23 @@ def evidence(prior: LightPrior, model: ResponseModel, directions: Directions) ->
 
 
 def _parted(shares: np.ndarray, likelihoods: np.ndarray) -> np.ndarray:
-    """Return the shares of families (n,) in directions, where a direction has been seen, (m, n)."""
+    """Return the posterior shares of families, (m, n), from prior shares, (n,), and likelihoods, (m, n)."""
     found = shares * likelihoods
     return found / found.sum(axis=1, keepdims=True)
 
 
 @dataclass(frozen=True)
 class LightRecovery:
-    """Map from the responses of a picture to its light, with its error.
+    """Mapping from responses of a picture to spectra of its light, with errors.
 
     Parameters
     ----------
     basis : (61, r) float64, orthonormal columns
         L(λ) = basis @ weights.
     errors : (q, 61, r) float64
-        Independent errors of the basis: times a standard normal number each, they sum to a draw of what the responses
-        leave open. They are of the basis because what is open of a lamp is the same wherever its light falls.
+        Independent errors of the basis. Their sum, each multiplied by a standard normal number, is a random error that
+        the responses allow. It is an error of the basis because the error of the spectrum of a lamp is the same
+        wherever its light falls.
     weight, factor, maps : see `irodori.light.recovery_loops.mixture_weights`
     """
 
@@ -246,16 +256,16 @@ class LightRecovery:
 
     @classmethod
     def of_room(cls, model: ResponseModel, directions: Directions, prior: LightPrior | None = None) -> "LightRecovery":
-        """Return the recovery of a room's light.
+        """Determine the mapping for a room.
 
         Parameters
         ----------
         model : ResponseModel
-            Of the camera.
+            Response model of the camera.
         directions : Directions
-            Of the room.
+            Directions of the room.
         prior : LightPrior, optional
-            That of any lamp where absent.
+            By default that of `prior_of_any_lamp`.
         """
         prior = prior_of_any_lamp() if prior is None else prior
         known = _Families.seen(prior, model)
@@ -266,11 +276,11 @@ class LightRecovery:
         response, shares = directions.response, families.shares(directions.response)
         by_family = np.einsum("nlb,mb->mnl", families.light_from_response, response, optimize=True)
         mean = np.einsum("mn,mnl->ml", shares, by_family)
-        # All directions count by their share of the light, whatever their brightness.
+        # Directions are weighted by their shares of the light, independent of the magnitude of their responses.
         relative = np.sqrt(directions.share) / np.linalg.norm(response, axis=1)
         basis = np.linalg.svd(relative[:, None] * mean, full_matrices=False)[2][:_BASES].T
         maps = basis.T @ families.light_from_response
-        # What a family leaves open, and what its mean is off the mean of all, as functions of the weights.
+        # Covariance within families, and differences of their means from the total mean, as functions of the weights.
         weights = relative[:, None] * (mean @ basis)
         scale = np.sqrt(shares * families.squares(response) / response.shape[1])
         of_scale = np.linalg.lstsq(weights, relative[:, None] * scale, rcond=None)[0].T
@@ -287,7 +297,7 @@ class LightRecovery:
         return cls(basis, _strongest(errors), families.weight(), families.factor, maps)
 
     def weights(self, response: np.ndarray) -> np.ndarray:
-        """Return the weights of the light on the basis, (..., bands) to (..., r) float32; NaN where not finite."""
+        """Compute weights on the basis, (..., r) float32, from responses, (..., bands); NaN where not finite."""
         flat = np.ascontiguousarray(response.reshape(-1, response.shape[-1]), dtype=np.float32)
         out = np.empty((len(flat), self.maps.shape[1]), dtype=np.float32)
         mixture_weights(flat, self.weight, self.factor, self.maps, out)
@@ -295,7 +305,7 @@ class LightRecovery:
 
 
 def _strongest(errors: np.ndarray) -> np.ndarray:
-    """Return independent errors (q, 61, r) of the same covariance, the weakest left out."""
+    """Return the strongest principal components, (q, 61, r), of the covariance of independent errors."""
     flat = errors.reshape(len(errors), -1)
     values, vectors = np.linalg.eigh(flat.T @ flat)
     kept = slice(-_ERRORS, None)

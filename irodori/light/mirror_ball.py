@@ -1,8 +1,9 @@
-"""Omnidirectional picture from a photograph of a mirror ball, divided by the ball's reflectance.
+"""Omnidirectional picture from a photograph of a mirror ball, divided by the reflectance of the ball.
 
-The camera is far away: all its rays are parallel (orthographic), and the ball shows, at the distance s·radius from its
-centre, what lies at 2 asin(s) from the direction back to the camera. Near its rim a ball squeezes a whole circle of
-directions about the point opposite the camera into few pixels; those beyond `RIM` are taken from the rim.
+The camera is assumed to be far away, with parallel rays (orthographic). A point of the image at the distance s·radius
+from the centre of the ball then shows the direction at an angle of 2 asin(s) from the direction to the camera. Near the
+edge of the ball, directions opposite to the camera are compressed into few pixels. For directions seen beyond `RIM` the
+values at `RIM` are used.
 """
 
 import math
@@ -21,7 +22,7 @@ from irodori.reflection.fresnel import fresnel
 from irodori.spectra.grid import SAMPLES
 from irodori.spectra.published import refractive_index, spectrum
 
-#: Part of the ball's radius that is used; beyond it a pixel spans many degrees.
+#: Largest used distance from the centre, relative to the radius; beyond it a pixel covers many degrees.
 RIM = 0.98
 _ANGLES = 96
 _RANK_TOLERANCE = 1e-5
@@ -29,13 +30,13 @@ _LEAST_SHARE = 1e-3
 
 
 def ball_reflectance(source: MirrorBallSource, cos_h: np.ndarray) -> np.ndarray:
-    """Return the reflectance of the ball at cosines of its angle of incidence, (n, 61).
+    """Return the reflectance of the ball, (n, 61), at cosines of the angle of incidence.
 
     Parameters
     ----------
     source : MirrorBallSource
-        Its ``reflectance_factor``, a number or a spectrum, is the same at all angles; of its ``refractive_index`` the
-        exact Fresnel reflectance is taken.
+        A ``reflectance_factor``, number or spectrum, applies to all angles; from a ``refractive_index`` the exact
+        Fresnel reflectance is computed.
     cos_h : (n,) float
     """
     given = source.reflectance_factor
@@ -49,7 +50,7 @@ def ball_reflectance(source: MirrorBallSource, cos_h: np.ndarray) -> np.ndarray:
 
 
 def inverse_reflectance(source: MirrorBallSource, cos_h: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return 1 / F over angle and wavelength as a short sum: factors (n, t) of the angle, spectra (61, t)."""
+    """Decompose 1 / F into a sum of few products: factors per angle, (n, t), and spectra, (61, t)."""
     angles = np.linspace(math.sqrt(1.0 - RIM**2), 1.0, _ANGLES)
     reflectance = ball_reflectance(source, angles)
     if (reflectance <= 1e-3).any():
@@ -63,17 +64,17 @@ def inverse_reflectance(source: MirrorBallSource, cos_h: np.ndarray) -> tuple[np
 def ball_places(
     source: MirrorBallSource, width: int, height: int, rows: slice = slice(None)
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return where an equirectangular picture's directions, all or those of rows, are seen in the ball's photograph.
+    """Return the positions in the photograph of a ball at which directions of an equirectangular picture are seen.
 
     Returns
     -------
     x_px, y_px : (height, width) float64
         Pixel coordinates, 0 at the centre of the first pixel, y down.
     sine : (height, width) float64
-        Distance from the ball's centre over its radius, before it is held at `RIM`.
+        Distance from the centre of the ball relative to its radius, before it is limited to `RIM`.
     """
     to_camera = direction_of(source.camera_azimuth_deg, source.camera_elevation_deg)
-    # The upright camera's frame, turned by its roll about the line of sight.
+    # The frame of an upright camera, rotated by the roll angle about the line of sight.
     azimuth, roll = np.radians([source.camera_azimuth_deg, source.roll_deg])
     right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
     up = np.cross(to_camera, right)
@@ -90,10 +91,10 @@ def ball_places(
 
 
 def _bilinear(values: np.ndarray, valid: np.ndarray, x: np.ndarray, y: np.ndarray, path) -> np.ndarray:
-    """Return pixels looked up between their centres, masked ones left out; refuse where all four are masked."""
+    """Interpolate pixels bilinearly, without masked ones; raise an error if all four neighbours are masked."""
     height, width = valid.shape
     x0, y0 = np.floor(x).astype(int), np.floor(y).astype(int)
-    # The three others count for a little even where a masked pixel's own centre is looked up.
+    # Weights are never zero, so that a look-up at the centre of a masked pixel uses the three others.
     x, y = (first + np.clip(at - first, _LEAST_SHARE, 1.0 - _LEAST_SHARE) for at, first in ((x, x0), (y, y0)))
     total, weight = np.zeros((*x.shape, values.shape[-1])), np.zeros(x.shape)
     for dy in (0, 1):
@@ -115,13 +116,13 @@ def _bilinear(values: np.ndarray, valid: np.ndarray, x: np.ndarray, y: np.ndarra
 def unwrapped(
     source: MirrorBallSource, image: Size, response, valid, recovery: LightRecovery, path
 ) -> OmnidirectionalPicture:
-    """Return the light around a mirror ball; the photograph is held whole, for its pixels are wanted in no order.
+    """Make the omnidirectional picture from a mirror ball; the whole photograph is kept in memory.
 
     Parameters
     ----------
     source : MirrorBallSource
     image : Size
-        Of the equirectangular picture, px.
+        Size of the equirectangular picture, px.
     response : (rows, columns, bands) float
         The photograph.
     valid : (rows, columns) bool
@@ -132,21 +133,21 @@ def unwrapped(
     Raises
     ------
     InputError
-        If the ball does not lie within the photograph; while it is read, if masked pixels stand together.
+        If the ball does not lie within the photograph. While the picture is read: if four adjacent pixels are masked.
     """
     rows, columns = valid.shape
     (x, y), radius = source.centre_px, source.radius_px
     if min(x, y) - radius < -0.5 or x + radius > columns - 0.5 or y + radius > rows - 0.5:
         found = f"a ball about {x:g}, {y:g} of radius {radius:g}, beyond the photograph"
         raise InputError(path, "response", found, f"a ball within {columns} x {rows} pixels")
-    # The directions beyond the rim are a cone about the line of sight, of half the angle π - 2 asin(RIM).
+    # The directions beyond the rim form a cone around the line of sight with a half-angle of π - 2 asin(RIM).
     blind = 1.0 - RIM**2
     LOGGER.info("mirror ball: %.1f %% of the sphere lies behind it and takes the values of its rim", 100 * blind)
     size = image.height, image.width
     weights, inverse = recovery.weights(response), inverse_reflectance(source, np.ones(1))[1]
 
     def divided(basis: np.ndarray) -> np.ndarray:
-        """Return spectra (..., 61, r) divided by each part of the reflectance, (..., 61, parts r)."""
+        """Multiply spectra, (..., 61, r), by each of the spectra of 1 / F; return (..., 61, parts r)."""
         return np.einsum("lt,...lr->...ltr", inverse, basis).reshape(*basis.shape[:-1], -1)
 
     def read() -> Iterator[np.ndarray]:

@@ -1,7 +1,7 @@
 """Omnidirectional pictures on a spectral basis, and their orientation.
 
-Here columns run with the azimuth, from +x towards +y, which is counter-clockwise seen from above: a picture painted on
-the outside of a globe. A photographed panorama shows what stands around the eye, so that its columns run clockwise.
+Here columns are in the order of the azimuth, from +x towards +y, which is counter-clockwise when seen from above: the
+picture is as on the outside of a globe. A photographed panorama is as seen from inside: its columns run clockwise.
 """
 
 from collections.abc import Callable, Iterator
@@ -11,13 +11,13 @@ import numpy as np
 
 from irodori.light.environment_file import directions
 
-#: Rows of a picture that are read together; EXR packs 16 or 32.
+#: Rows of a picture that are read at a time; EXR compresses 16 or 32 rows together.
 BAND_ROWS = 32
 
 
 @dataclass(frozen=True)
 class OmnidirectionalPicture:
-    """Light from every direction, read a band of rows at a time, as often as wanted.
+    """Light from all directions, which is read in bands of rows, repeatedly if needed.
 
     Parameters
     ----------
@@ -25,13 +25,13 @@ class OmnidirectionalPicture:
     basis : (61, r) float
         L(λ) = basis @ weights.
     read : callable
-        Returns an iterator over bands (rows, width, r) float32 from the zenith down.
+        Function that returns an iterator over bands, (rows, width, r) float32, from the zenith down.
     file : path
-        Named in error messages.
+        File named in error messages.
     origin : dict
-        What it was made from and what was assumed; counts are complete when all bands have been read.
+        Source of the picture, and assumptions; counts in it are complete after all bands have been read.
     basis_errors : (q, 61, r) float, optional
-        Independent errors of the basis, see `irodori.light.light_recovery`; of given light there are none.
+        Independent errors of the basis, see `irodori.light.light_recovery`; None for light that was not recovered.
     """
 
     size: tuple[int, int]
@@ -45,19 +45,19 @@ class OmnidirectionalPicture:
         return iter(self.read())
 
     def errors_on(self, basis: np.ndarray) -> np.ndarray | None:
-        """Return the errors of another basis (61, k) of the same light, (q, 61, k); None where there are none."""
+        """Convert the errors to another basis, (61, k), of the same light, (q, 61, k); None if there are no errors."""
         if self.basis_errors is None:
             return None
         return self.basis_errors @ (np.linalg.pinv(self.basis) @ basis)
 
     @property
     def weights(self) -> np.ndarray:
-        """The whole picture, (height, width, r) float32; for small ones."""
+        """The whole picture, (height, width, r) float32; only for small pictures."""
         return np.concatenate(list(self))
 
 
 class MeanLight:
-    """Mean of a picture's pixels over the sphere, gathered while tiles of it are read in any order.
+    """Mean of a picture over the sphere, computed while parts of it are read in any order.
 
     Parameters
     ----------
@@ -70,36 +70,36 @@ class MeanLight:
         self._sums: dict[int, np.ndarray] = {}
 
     def add(self, rows: np.ndarray, first: int) -> None:
-        """Take in pixels (n, r) of which the first has a number."""
+        """Add consecutive pixels, (n, r); ``first`` is the index of the first one."""
         share = self._share[(first + np.arange(len(rows))) // self._width]
         self._sums[first] = share @ rows
 
     def light(self, basis: np.ndarray) -> np.ndarray:
-        """Return the mean radiance, (61,), what is negative left out; equal energy where it is dark."""
+        """Return the mean radiance, (61,), with negative values set to 0; equal energy if all light is zero."""
         mean = np.maximum(basis @ np.sum([self._sums[first] for first in sorted(self._sums)], axis=0), 0.0)
         return mean if mean.any() else np.ones_like(mean)
 
 
 def bands(height: int) -> Iterator[slice]:
-    """Yield the rows of each band."""
+    """Yield the row slice of each band."""
     for first in range(0, height, BAND_ROWS):
         yield slice(first, min(first + BAND_ROWS, height))
 
 
 def _shift(width: int, centre_azimuth_deg: float) -> float:
-    """Return the source column of column 0; column c has the one c columns to the left of it."""
+    """Return the panorama column for column 0 of the picture; column c corresponds to c columns to its left."""
     return 0.5 * width - 1.0 + width * centre_azimuth_deg / 360.0
 
 
 def from_panorama(panorama: np.ndarray, centre_azimuth_deg: float = 0.0) -> np.ndarray:
-    """Return a photographed panorama, (height, width, n), with its columns in the order of the azimuth.
+    """Convert a photographed panorama, (height, width, n), to columns in the order of the azimuth.
 
     Parameters
     ----------
     panorama : (height, width, n) float
-        Clockwise, the zenith on top.
+        Panorama as seen from inside, zenith at the top.
     centre_azimuth_deg : float, degrees
-        Azimuth of the middle of the picture. Where this falls between columns they are interpolated.
+        Azimuth of the centre of the picture. If it needs a shift by a fraction of a column, columns are interpolated.
     """
     width = panorama.shape[1]
     place = (_shift(width, centre_azimuth_deg) - np.arange(width)) % width
@@ -112,9 +112,9 @@ def from_panorama(panorama: np.ndarray, centre_azimuth_deg: float = 0.0) -> np.n
 
 
 def to_panorama(picture: np.ndarray) -> np.ndarray:
-    """Return a picture in the order of the azimuth as a panorama whose middle is at azimuth 0, for other programs.
+    """Convert a picture in the order of the azimuth to a panorama with azimuth 0 at its centre, for other programs.
 
-    The inverse of `from_panorama` for even widths; of an odd width the middle of the panorama is half a column off.
+    This is the inverse of `from_panorama` for even widths; for odd widths the centre is off by half a column.
     """
     width = picture.shape[1]
     return picture[:, (width // 2 - 1 - np.arange(width)) % width]

@@ -1,4 +1,4 @@
-"""Environments made of lights of known spectrum in given directions, each a disc or a single texel."""
+"""Environments made of lights with known spectra in given directions, each a disc or a single pixel."""
 
 from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING
@@ -13,18 +13,18 @@ from irodori.spectra.published import light
 if TYPE_CHECKING:
     from irodori.config.models import PlacedLight
 
-_PARTS = 16  # points along each side of a pixel that a disc's edge crosses
+_PARTS = 16  # sample points along each side of a pixel that is crossed by the edge of a disc
 
 
 def unit_luminance(name: str) -> np.ndarray:
-    """Return the spectrum of a light with the luminance of D65 as tabulated (100 at 560 nm): radiance 1, (61,)."""
+    """Return the spectrum of a light, (61,), scaled to the luminance of D65 as tabulated (100 at 560 nm)."""
     luminance = colour_matching_weights()[1]
     spectrum = light(name)
     return spectrum * (luminance @ light("D65")) / (luminance @ spectrum)
 
 
 def direction_of(azimuth_deg: float, elevation_deg: float) -> np.ndarray:
-    """Return a unit vector, (3,): azimuth from +x towards +y, elevation from the horizon up, degrees."""
+    """Return a unit vector, (3,), for an azimuth from +x towards +y and an elevation above the horizon, degrees."""
     azimuth, elevation = np.radians([azimuth_deg, elevation_deg])
     return np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
 
@@ -36,7 +36,7 @@ def _texel(towards: np.ndarray, width: int, height: int) -> tuple[int, int]:
 
 
 def _coverage(towards: np.ndarray, radius: float, size: tuple[int, int], rows: slice) -> np.ndarray:
-    """Return the share of every pixel of some rows that lies in a disc of an angular radius (rad), (rows, width)."""
+    """Return the share of each pixel of some rows, (rows, width), that lies in a disc with an angular radius (rad)."""
     height, width = size
     reach = 0.5 * np.hypot(np.pi / height, 2 * np.pi / width)
     theta = np.pi * (np.arange(height)[rows] + 0.5) / height
@@ -56,15 +56,15 @@ def _coverage(towards: np.ndarray, radius: float, size: tuple[int, int], rows: s
 
 
 def raster(definition: "PlacedLight", size: tuple[int, int]) -> Callable[[slice], np.ndarray]:
-    """Return what gives the radiance of one light over rows of a picture, (rows, width) float64, its energy kept.
+    """Return a function of a row slice that returns the radiance of a light in these rows, (rows, width) float64.
 
     Parameters
     ----------
     definition : PlacedLight
-        With either ``radiance`` or ``irradiance``: of a surface that faces the light, 1 where a perfect diffuser there
-        has radiance 1.
+        Light with either ``radiance`` or ``irradiance``. The latter is that on a surface that faces the light, and is 1
+        if a perfect diffuser there has radiance 1.
     size : (height, width)
-        A disc smaller than a pixel is one pixel with its energy.
+        Size of the picture, px. A disc smaller than a pixel is replaced by one pixel of the same energy.
     """
     height, width = size
     towards = direction_of(definition.azimuth_deg, definition.elevation_deg)
@@ -93,7 +93,7 @@ def raster(definition: "PlacedLight", size: tuple[int, int]) -> Callable[[slice]
         part = part * solid_angle
         power, facing = power + part.sum(), facing + (part * np.maximum(unit @ towards, 0.0)).sum()
     if definition.irradiance is not None:
-        # Σ L cosψ dΩ of a surface that faces the light is π times the radiance of a perfect diffuser.
+        # Σ L cosψ dΩ on a surface that faces the light is π times the radiance of a perfect diffuser.
         factor = np.pi * definition.irradiance / facing
     else:
         assert definition.radiance is not None  # one of the two is given
@@ -102,7 +102,7 @@ def raster(definition: "PlacedLight", size: tuple[int, int]) -> Callable[[slice]
 
 
 def lights_picture(lights: "Sequence[PlacedLight]", width: int, height: int) -> OmnidirectionalPicture:
-    """Return the light of placed lights, one basis vector a light.
+    """Make the picture of placed lights, with one basis vector per light.
 
     Parameters
     ----------

@@ -1,7 +1,8 @@
-"""Compiled loop of the recovery of light: the posterior mean under a mixture, pixel by pixel.
+"""Compiled loop for recovery of light: posterior means under a mixture prior for all pixels.
 
-Pixels are taken `LANES` at a time, each quantity a row with one number a pixel, so that the compiler turns the loop
-over a row into vector instructions. No sum runs over pixels: a pixel's bits do not depend on its neighbours.
+Pixels are processed `_LANES` at a time. Each quantity is a row with one number per pixel, so that the compiler
+vectorises loops over rows. There are no sums over pixels: the exact result for a pixel does not depend on its
+neighbours.
 """
 
 import math
@@ -12,15 +13,15 @@ from irodori.jit.chunks import run_chunks
 from irodori.jit.compilation import njit
 
 _LANES = 64
-_ROWS = 8  # that are summed at a time
+_ROWS = 8  # rows that are summed at a time
 _BLOCK = 16 * _LANES  # pixels that a thread takes at a time
-_FAST = {"contract", "reassoc", "nsz", "arcp"}  # infinities and NaN keep their meaning
-_LEAST = np.float32(1e-30)  # squared length that a black pixel is given, so that it has shares
+_FAST = {"contract", "reassoc", "nsz", "arcp"}  # infinity and NaN are still treated correctly
+_LEAST = np.float32(1e-30)  # added to squared lengths, so that shares are defined for black pixels
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
 def _combine(rows, weight, total):
-    """Fill total (_LANES,) with the weighted sum of rows; there are a multiple of 8."""
+    """Fill ``total``, (_LANES,), with the weighted sum of rows; their number is a multiple of 8."""
     for j in range(_LANES):
         total[j] = 0.0
     for r in range(0, rows.shape[0], _ROWS):
@@ -35,7 +36,7 @@ def _combine(rows, weight, total):
 
 @njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
 def _shares(square, share, bands):
-    """Turn squares (families, _LANES) into shares that sum to one: share square^(-bands / 2), divided by all."""
+    """Replace squares, (families, _LANES), by posterior shares: share square^(-bands / 2), normalised to sum one."""
     least, total = square[0].copy(), np.zeros(_LANES, np.float32)
     for c in range(1, square.shape[0]):
         for j in range(_LANES):
@@ -83,24 +84,24 @@ def _fill_means(response, constants, out, first, last):
 
 
 def _padded(matrix: np.ndarray) -> np.ndarray:
-    """Return a matrix in single precision with zeros appended to its rows, up to a multiple of 8."""
+    """Convert a matrix to single precision and append zeros to its rows, up to a length that is a multiple of 8."""
     spare = -matrix.shape[-1] % _ROWS
     wide = np.pad(matrix, [(0, 0)] * (matrix.ndim - 1) + [(0, spare)])
     return np.ascontiguousarray(wide, dtype=np.float32)
 
 
 def mixture_weights(response, share, factor, maps, out) -> None:
-    """Fill out with the posterior means of pixels.
+    """Fill ``out`` with the posterior means of pixels.
 
     Parameters
     ----------
     response : (n, bands) float32
     share : (families,) float64
-        Of a family before the pixel was seen, over the square root of the determinant of its covariance.
+        Prior share of each family, divided by the square root of the determinant of its covariance.
     factor : (families, bands, bands) float64
-        Of its inverse the product with the transpose is the covariance of the family's responses.
+        Inverse of the Cholesky factor of the covariance of the responses of each family.
     maps : (families, bases, bands) float64
-        Posterior mean of a family.
+        Matrix of each family that maps responses to the posterior mean.
     out : (n, bases) float32
         NaN where a response is not finite.
     """

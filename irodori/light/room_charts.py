@@ -1,11 +1,10 @@
-"""Light on colour charts that stand in a room, and what it tells of the room's lamps.
+"""Estimation of the lamps of a room from photographs of colour charts in it.
 
-A chart of known reflectances r_p(λ) under a light L(λ) answers with Σ R_b r_p L dλ: 24 patches in six bands are far
-more than the six numbers of a wall. Light of the prior's families is seen here as everywhere else
-(`irodori.light.light_recovery`), but through the patches, and the response model's errors are common to them all.
-
-Where charts stand in several places their lamps light them in several proportions. The light of one from which as much
-of another is taken as leaves nothing negative is nearer to a single lamp than either.
+The responses to a chart with known reflectances r_p(λ) under a light L(λ) are Σ R_b r_p L dλ. With 24 patches and six
+bands they contain much more information than the six numbers of a wall. The estimation is that of
+`irodori.light.light_recovery`, with responses to the patches, to which the errors of the response model are common.
+Charts in different places are lit by different mixtures of the lamps. If as much as possible of the light on one chart
+is subtracted from that on another without negative values, the rest is closer to the light of a single lamp.
 """
 
 import itertools
@@ -23,17 +22,17 @@ from irodori.light.light_prior import LightPrior, families_of
 from irodori.light.light_recovery import Directions, LightRecovery, ResponseModel
 from irodori.spectra.published import chart_spectra
 
-_NOISE = 2e-3  # of a patch's response, relative: shadows, gloss and noise
-#: Shares of a room's prior: its own lamps, each published one, any mixture of these, for what the charts do not see.
+_NOISE = 2e-3  # relative error of the response of a patch due to shadows, gloss and noise
+#: Shares in the prior of a room: its own lamps; published lamps; any mixture of these, for light not on the charts.
 _OWN, _PUBLISHED, _ANY = 0.5, 0.02, 0.48
-_OF_OWN_LAMPS = 0.005  # standard deviation of what differs from the room's lamps beside what the charts leave open
-_LEAST_LEFT = 0.1  # of a light's luminance that remains where another is taken from it
-_FLOOR = 0.02  # of a light's mean, below which what is taken from it is noise
-_MAX_INVALID = 0.05  # of a patch's samples, beyond which it is left out
-_LEAST_WHOLE = 0.75  # of a chart's patches
-_VECTORS = 8  # principal vectors of a chart's reflectances: any of the CIE's lamps on it is held by them to 1.1 %
-_MAX_MISFIT = 0.08  # rms of the patches' responses, relative; a chart turned or mirrored is beyond 0.4
-_MAX_OUTSIDE = 0.05  # rms of a chart's bands that light from the room's directions cannot make, relative
+_OF_OWN_LAMPS = 0.005  # relative standard deviation of lamps of the room, in addition to their posterior covariance
+_LEAST_LEFT = 0.1  # smallest share of the luminance that remains after subtraction of another light
+_FLOOR = 0.02  # values of a spectrum below this share of its mean count as noise in the subtraction
+_MAX_INVALID = 0.05  # largest share of invalid samples of a patch; patches with more are not used
+_LEAST_WHOLE = 0.75  # smallest share of the patches that must be usable
+_VECTORS = 8  # principal vectors of reflectances; they represent a chart under any lamp of the CIE to 1.1 %
+_MAX_MISFIT = 0.08  # largest relative RMS misfit of responses; it is above 0.4 for a rotated or mirrored chart
+_MAX_OUTSIDE = 0.05  # largest relative RMS of responses not explained by light from directions of the room
 
 
 @dataclass(frozen=True)
@@ -43,10 +42,10 @@ class ChartResponses:
     Parameters
     ----------
     name : str
-        Of its place.
+        Name of the chart, as in the definition.
     file : path
     response : (patches, bands) float64
-        Of even light, in any unit.
+        Responses under uniform light, in any unit.
     reflectance : (patches, 61) float64
     """
 
@@ -57,13 +56,13 @@ class ChartResponses:
 
 
 def read_room_charts(files: Mapping[str, tuple[object, Chart]], calibration: Calibration) -> list[ChartResponses]:
-    """Return what charts in a room answered, from the linear file and the definition of each, by its name.
+    """Read the responses to charts in a room, from the linear file and definition of each, by name.
 
     Raises
     ------
     InputError
-        If a chart is not found, more than a few of its patches are saturated or masked, or it was photographed in other
-        filter states than the camera's own chart.
+        If a chart is not found, more than a quarter of its patches are saturated or masked, or it was photographed with
+        other filter states than the chart of the calibration.
     """
     charts = []
     for name, (file, chart) in files.items():
@@ -81,7 +80,7 @@ def read_room_charts(files: Mapping[str, tuple[object, Chart]], calibration: Cal
 
 @dataclass(frozen=True)
 class RoomLight:
-    """The light on a chart, brought to luminance 1.
+    """The light on a chart, scaled to luminance 1.
 
     Parameters
     ----------
@@ -94,12 +93,12 @@ class RoomLight:
 
     @classmethod
     def of(cls, mean: np.ndarray, covariance: np.ndarray) -> "RoomLight":
-        """Return a light of any luminance with its error, brought to luminance 1."""
+        """Scale a light of any luminance, and its covariance, to luminance 1."""
         luminance = colour_matching_weights()[1] @ mean
         return cls(mean / luminance, covariance / luminance**2)
 
     def without(self, other: "RoomLight") -> "RoomLight":
-        """Return the light less as much of another as leaves nothing negative."""
+        """Subtract as much of another light as leaves no significantly negative values; scale to luminance 1."""
         floor = _FLOOR * other.mean.mean()
         share = np.min((np.maximum(self.mean, 0.0) + _FLOOR * self.mean.mean()) / np.maximum(other.mean, floor))
         share = min(share, 1.0 - _LEAST_LEFT)
@@ -107,15 +106,15 @@ class RoomLight:
 
 
 def require_own_patches(chart: ChartResponses) -> None:
-    """Refuse a chart whose patches answer as no light on their reflectances makes them: another, or read otherwise.
+    """Raise an error if no light can explain the responses to a chart: another chart, or one read incorrectly.
 
-    Whatever the light and the camera, a band answers with a weighted sum of the reflectance over the wavelengths; of
-    paints a few principal vectors hold all of it.
+    For any light and camera, the response of a band is a weighted sum of the reflectance over wavelength. It is
+    therefore a combination of few principal vectors of the reflectances.
 
     Raises
     ------
     InputError
-        Which names the chart.
+        The message names the chart.
     """
     principal = np.linalg.svd(chart.reflectance, full_matrices=False)[0][:, :_VECTORS]
     missed = chart.response - principal @ (principal.T @ chart.response)
@@ -127,11 +126,11 @@ def require_own_patches(chart: ChartResponses) -> None:
 
 
 def light_on(chart: ChartResponses, model: ResponseModel, prior: LightPrior) -> RoomLight:
-    """Return the light on a chart: the posterior mean of a prior's families, and what the patches leave open."""
+    """Estimate the light on a chart: posterior mean and covariance for the mixture prior."""
     from scipy.linalg import solve_triangular  # slow to import
 
     bands, patches = len(model.mean), len(chart.reflectance)
-    # Band by band, so that the errors of a band's model, common to its patches, are blocks of the diagonal.
+    # Responses are ordered by band, so that errors of the response model, common to all patches, are diagonal blocks.
     seen = (model.mean[:, None] * chart.reflectance).reshape(bands * patches, -1)
     answer = chart.response.T.ravel()
     of_all = np.arange(len(answer))
@@ -158,15 +157,15 @@ def light_on(chart: ChartResponses, model: ResponseModel, prior: LightPrior) -> 
 
 
 def require_in_room(charts: Sequence[ChartResponses], directions: Directions) -> None:
-    """Refuse a chart under light that the room's directions do not hold.
+    """Raise an error if a chart is lit by light that does not occur in the room.
 
-    What falls on a chart is a sum of the room's light: the answers of its greyest light patch, which shows that light
-    as it is, are a sum of the directions' answers with positive weights.
+    The light on a chart is a sum of light from directions of the room. Therefore the responses to its most neutral
+    light patch must be a sum of responses of directions with positive weights.
 
     Raises
     ------
     InputError
-        Which names the chart.
+        The message names the chart.
     """
     from scipy.optimize import nnls  # slow to import
 
@@ -183,7 +182,7 @@ def require_in_room(charts: Sequence[ChartResponses], directions: Directions) ->
 
 
 def room_prior(lights: Sequence[RoomLight], published: LightPrior) -> LightPrior:
-    """Return the prior of a room whose charts are lit so: their lamps, and with less weight the published ones."""
+    """Return the prior of a room from the lights on its charts, combined with the published lamps."""
     parted = [first.without(second) for first, second in itertools.permutations(lights, 2)]
     lamps = [*lights, *parted]
     moments = np.stack([lamp.mean[:, None] * lamp.mean + lamp.covariance for lamp in lamps])
@@ -197,11 +196,11 @@ def room_prior(lights: Sequence[RoomLight], published: LightPrior) -> LightPrior
 
 
 def refined_model(model: ResponseModel, charts: Sequence[ChartResponses], lights: Sequence[RoomLight]) -> ResponseModel:
-    """Return what a camera answers as charts tell it whose light is known: of that light more than before."""
+    """Update the response model with the responses to charts, given the estimated light on them."""
     for chart, light in zip(charts, lights, strict=True):
         light_on_patches = chart.reflectance * light.mean
         expected = light_on_patches @ model.mean.T
-        # Only the light's colour was found; its amount is what the answers are as a whole.
+        # Only the relative spectrum of the light is known; responses are scaled to fit on average.
         response = chart.response * (np.sum(expected**2) / np.sum(expected * chart.response))
         noise = np.stack(
             [
@@ -217,12 +216,12 @@ def refined_model(model: ResponseModel, charts: Sequence[ChartResponses], lights
 def recovery_with(
     charts: Sequence[ChartResponses], model: ResponseModel, directions: Directions, prior: LightPrior
 ) -> LightRecovery:
-    """Return the recovery of a room's light with what its charts tell, of any number, none as well.
+    """Determine the recovery of the light of a room, with the help of any number of charts, also none.
 
     Raises
     ------
     InputError
-        If a chart disagrees with the room or with its reflectances; it names the chart.
+        If a chart is inconsistent with the room or with its reflectances; the message names the chart.
     """
     for chart in charts:
         require_own_patches(chart)

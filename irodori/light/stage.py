@@ -1,4 +1,4 @@
-"""Light stage: an omnidirectional picture in; compressed light, irradiance and gloss maps out [eq. 8, 9]."""
+"""Stage ``light``: compress an omnidirectional picture and compute its irradiance and gloss maps [eq. 8, 9]."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
@@ -36,19 +36,19 @@ from irodori.material.principal_components.pixel_tiles import Tiles
 from irodori.material.principal_components.second_moments import second_moments
 from irodori.spectra.published import spectrum
 
-#: Of the test colours of CIE 224 those least alike: light that keeps its colours on them keeps them on others.
+#: The most different test colours of CIE 224; if colours on these are preserved, those on other surfaces are too.
 SURFACES = ("TCS2", "TCS56", "TCS77")
 _WHOLE = CapturesSource()
 _READERS = {"rgb": rgb_picture, "spectral": spectral_picture}
 
 
 def lost_neighbours(masked: np.ndarray) -> int:
-    """Return how many masked pixels have a masked neighbour in their row, which closes on itself: (height, width)."""
+    """Count masked pixels, (height, width), with a masked neighbour in their row, which is regarded as a circle."""
     return int((masked & (np.roll(masked, 1, axis=1) | np.roll(masked, -1, axis=1))).sum())
 
 
 def fill_masked(response: np.ndarray, masked: np.ndarray) -> np.ndarray:
-    """Return rows of a panorama, (rows, width, bands), whose masked pixels take the mean of their two neighbours."""
+    """Replace masked pixels in rows of a panorama, (rows, width, bands), by the mean of their two neighbours."""
     filled = response.copy()
     rows, columns = np.nonzero(masked)
     width = response.shape[1]
@@ -57,13 +57,13 @@ def fill_masked(response: np.ndarray, masked: np.ndarray) -> np.ndarray:
 
 
 def _read_masks(linear, part=None) -> tuple[np.ndarray, list[str]]:
-    """Return where a photograph is valid and its filter states; refuse one that is saturated where it is used.
+    """Read the valid pixels of a photograph and its filter states; raise an error if used pixels are saturated.
 
     Parameters
     ----------
     linear : path
     part : callable, optional
-        (height, width) -> (height, width) bool, the pixels that are used; all where absent.
+        Function (height, width) -> (height, width) bool that returns which pixels are used; by default all.
     """
     with store.open_file(linear) as file:
         valid, clipped = file.read("valid").astype(bool), file.read("clipped").astype(bool)
@@ -78,9 +78,9 @@ def _read_masks(linear, part=None) -> tuple[np.ndarray, list[str]]:
 def _photographed(
     linear, calibration: Calibration, centre_azimuth_deg: float, recovery_of: Callable[[Directions], LightRecovery]
 ) -> OmnidirectionalPicture:
-    """Return the light of an equirectangular photograph, whose brackets were merged when it was read in.
+    """Make the picture of the light from an equirectangular photograph with merged brackets.
 
-    Its columns run clockwise, as they do in every photograph taken from within.
+    Its columns run clockwise, as in every panorama seen from inside.
     """
     valid, filters = _read_masks(linear)
     calibration.require_filters(filters, linear)
@@ -118,7 +118,7 @@ def _mirror_ball(
     image: Size,
     recovery_of: Callable[[Directions], LightRecovery],
 ) -> OmnidirectionalPicture:
-    """Return the light around a photographed mirror ball."""
+    """Make the picture of the light around a photographed mirror ball."""
     (x, y), radius = source.centre_px, source.radius_px
 
     def ball(height: int, width: int) -> np.ndarray:
@@ -129,7 +129,7 @@ def _mirror_ball(
     with store.open_file(linear) as file:
         response = file.read("response")
     response = np.where(valid[..., None], response, 0.0)
-    # Seen from afar every part of the ball's disc shows as much of the sphere.
+    # For a distant camera, equal areas of the image of the ball show equal solid angles.
     drawn = draw_directions([(response[ball(*valid.shape)], 1.0)])
     recovery = recovery_of(drawn)
     return unwrapped(source, image, response, valid, recovery, linear)
@@ -150,35 +150,36 @@ def prepare_environment(
     room_charts: Mapping[str, tuple[object, Chart]] | None = None,
     lamps: Sequence[str] = (),
 ) -> None:
-    """Write an environment's file from the linear responses of its omnidirectional picture or of a mirror ball.
+    """Write the file of an environment from linear responses of its omnidirectional picture or of a mirror ball.
 
-    The camera was calibrated on reflectances under the rig's light; of what other light answers alike the expected one
-    is recovered, see `irodori.light.light_recovery`.
+    The camera was calibrated on reflectances under the light of the rig. Since different lights can give the same
+    responses, the expected light is estimated; see `irodori.light.light_recovery`.
 
     Parameters
     ----------
     linear, calibration_file : path
     output, options, irradiance_options, provenance, gloss_lobes : see `write_environment`
     source : CapturesSource or MirrorBallSource
-        A panorama with its middle at azimuth 0 where absent.
+        By default a panorama with its centre at azimuth 0.
     image : Size, optional
-        Of what a mirror ball is unwrapped to.
+        Size of the picture to which a mirror ball is unwrapped.
     prior : LightPrior, optional
-        That of the published lamps where absent.
+        By default that of the published lamps.
     room_charts : mapping of str to (path, Chart), optional
-        Linear file and definition of each chart in the place, by its name.
+        Linear file and definition of each chart in the place, by name.
     lamps : sequence of str
-        All lamps of the place, published names or paths of measured spectra; any published ones where empty.
+        All lamps of the place, as published names or paths of measured spectra; if empty, any published lamps.
 
     Raises
     ------
     InputError
-        If a pixel is saturated in every bracket, or masked pixels stand beside each other; if a chart in the place
-        cannot be read, or it or the lamps disagree with the panorama.
+        If a pixel is saturated in every bracket, or masked pixels are adjacent; if a chart in the place cannot be read,
+        or a chart or the lamps are inconsistent with the panorama.
 
     Notes
     -----
-    A single masked pixel, hot in the camera, is filled from its neighbours along the row; the log says how many.
+    Single masked pixels, such as hot pixels, are replaced by the mean of their neighbours in the row; their number is
+    logged.
     """
     calibration = Calibration.load(calibration_file)
     charts = read_room_charts(room_charts or {}, calibration)
@@ -200,7 +201,7 @@ def prepare_environment(
     sources = [f"charts in the room ({', '.join(room_charts)})"] if room_charts else []
     picture.origin["lamps"] = " and ".join([*sources, *([told_by(lamps)] if lamps else [])]) or "published lamps"
     LOGGER.info("source of the lamps' spectra: %s", picture.origin["lamps"])
-    # The colour of the light is judged against the rig's light as white.
+    # Colour errors of the light are computed with the light of the rig as white.
     write_environment(
         picture, calibration.light, output, options, irradiance_options, provenance, gloss_lobes=gloss_lobes
     )
@@ -216,21 +217,21 @@ def make_environment(
     *,
     gloss_lobes: Sequence[str] = (),
 ) -> None:
-    """Write an environment's file from a file of another program or from lights placed in directions.
+    """Write the file of an environment from a file of another program or from lights in given directions.
 
     Parameters
     ----------
     source : RgbSource, SpectralSource or LightsSource
     image : Size or None
-        Of the picture of placed lights.
+        Size of the picture of placed lights.
     output, options, irradiance_options, provenance, gloss_lobes : see `write_environment`
 
     Raises
     ------
     InputError
-        If the file is at fault.
+        If the file is not usable.
     ValueError
-        For lights without the size of their picture.
+        If placed lights are given without the size of their picture.
     """
     if isinstance(source, RgbSource | SpectralSource):
         picture = _READERS[source.kind](source.file, source.scale, source.centre_azimuth_deg)
@@ -242,9 +243,10 @@ def make_environment(
 
 
 def observers(white: np.ndarray) -> dict:
-    """Return how the colours of a light are judged: seen directly, and on surfaces, for `basis_count.choose`.
+    """Return the observers for colour errors of a light in `basis_count.choose`: of the light itself and on surfaces.
 
-    Directly seen light has three numbers for the eye; three bases would do, and say little of how it looks on pigments.
+    The colour of directly seen light has only three values. Three bases would suffice for these, but could be wrong for
+    the colours of pigments under the light.
     """
     matrix = xyz_from_radiance(white)
     seen = {"light": matrix} | {f"light on {name}": matrix * spectrum(name) for name in SURFACES}
@@ -261,28 +263,28 @@ def write_environment(
     *,
     gloss_lobes: Sequence[str] = (),
 ) -> None:
-    """Compress an omnidirectional picture, integrate its maps and write the environment's file.
+    """Compress an omnidirectional picture, compute its maps and write the file of the environment.
 
-    The picture is read twice, a band of rows at a time; its k coefficients a pixel are held for the maps.
+    The picture is read twice, in bands of rows; its coefficients (k per pixel) are kept in memory for the maps.
 
     Parameters
     ----------
     picture : OmnidirectionalPicture
     white : (61,) float or None
-        Radiance as which white is judged; the mean over the sphere where None.
+        Radiance of white for colour errors; if None, the mean over the sphere.
     output : path
     options : CompressOptions
     irradiance_options : IrradianceMap
         See `irodori.light.irradiance.fitted_irradiance_map`.
     provenance : Provenance
     gloss_lobes : sequence of str
-        Lobes of `irodori.reflection.registry` with which gloss is looked up: gloss maps are made, and their errors with
-        each; none are made where it is empty.
+        Lobes of `irodori.reflection.registry` for which gloss is looked up: gloss maps are made, and their errors are
+        determined for each lobe. If empty, none are made.
 
     Raises
     ------
     InputError
-        If a pixel of the picture is not finite, every direction has its light; or a lobe has no table.
+        If a pixel of the picture is not finite, or a lobe has no table.
     """
     mean = MeanLight(picture.size)
     tiles = Tiles(picture)

@@ -1,8 +1,9 @@
 """Storage of spectral coefficients: precision, chunks and compression.
 
-Half precision has 11 significant bits from 6.1e-5 to 65504. A basis whose largest coefficient is scaled to about 32768
-keeps them down to 2e-9 of it, so that a picture with a light a million times its shadows loses nothing in the shadows.
-Scales are powers of two: scaling is exact, and what was rounded once is not rounded again.
+Half precision has 11 significant bits from 6.1e-5 to 65504. If the largest coefficient of a basis vector is scaled to
+about 32768, all coefficients down to 2e-9 of the largest keep these 11 bits. A picture with a light a million times
+brighter than its shadows therefore loses nothing in the shadows. Scales are powers of two, so that scaling is exact and
+decoding and encoding again changes nothing.
 """
 
 from collections.abc import Callable, Iterator
@@ -41,12 +42,12 @@ def require_storage(storage: str, codec: str = "gzip") -> None:
 
 
 def half_scale(largest: np.ndarray) -> np.ndarray:
-    """Return the power of two by which each basis is divided for half precision.
+    """Return the power of two by which the coefficients of each basis vector are divided for half precision.
 
     Parameters
     ----------
     largest : (k,) float
-        Bound on the magnitude of each basis's coefficients.
+        Bound on the magnitude of the coefficients of each basis vector.
 
     Returns
     -------
@@ -67,9 +68,10 @@ def half_scale(largest: np.ndarray) -> np.ndarray:
 
 @lru_cache(maxsize=1)
 def _converters() -> tuple[Callable, Callable]:
-    """Return what converts flat single to half precision and back: OpenCV's, where it starts, or numpy's.
+    """Return two functions that convert flat arrays from single to half precision and back.
 
-    Both give the same bits, numpy at a tenth of the speed; OpenCV wants libGL, which a bare machine has not.
+    They call OpenCV if it can be imported, else NumPy. Both give the same bits, NumPy at a tenth of the speed. OpenCV
+    needs the library libGL, which a minimal system does not have.
     """
     try:
         import cv2
@@ -90,10 +92,10 @@ def rounded_to_half(values: np.ndarray) -> np.ndarray:
 
 
 def scale_of(coefficients: np.ndarray) -> np.ndarray:
-    """Return `half_scale` of a whole picture, (..., k) float, whose NaN count for nothing."""
+    """Return the scales of `half_scale` for the coefficients of a whole picture, (..., k) float; NaN are ignored."""
     last = coefficients.shape[-1]
     flat = coefficients.reshape(-1, last)
-    # Many pixels side by side in one row: reduced several numbers at once.
+    # NumPy reduces long rows with vector instructions: many pixels are put side by side in one row.
     whole = len(flat) // _SIDE_BY_SIDE * _SIDE_BY_SIDE
     largest = np.zeros(last)
     for part in (flat[:whole].reshape(-1, _SIDE_BY_SIDE * last), flat[whole:]):
@@ -109,14 +111,14 @@ def to_half(coefficients: np.ndarray, scale: np.ndarray) -> np.ndarray:
 
 
 def from_half(stored: np.ndarray, scale: np.ndarray) -> np.ndarray:
-    """Return the coefficients that `to_half` rounded, (..., k) float32."""
+    """Return coefficients decoded from the half precision that `to_half` made, (..., k) float32."""
     out = np.empty(stored.shape, dtype=np.float32)
     _decode(stored.reshape(-1, stored.shape[-1]), np.asarray(scale), out.reshape(-1, stored.shape[-1]))
     return out
 
 
 def _decode(stored: np.ndarray, scale: np.ndarray, out: np.ndarray) -> None:
-    """Decode pixels (n, k), a cacheful at a time and in one flat piece, which converts several numbers at once."""
+    """Decode the coefficients of pixels (n, k) into ``out``, in flat pieces that fit the processor's cache."""
     pixels, to_single = max(1, _CACHED_VALUES // max(scale.size, 1)), _converters()[1]
     scales = np.tile(scale, min(pixels, len(stored)))
     for first in range(0, len(stored), pixels):
@@ -137,13 +139,13 @@ def write_coefficients(
     basis: str = "basis",
     decoded: np.ndarray | None = None,
 ) -> None:
-    """Write coefficients of pixels, NaN where there are none.
+    """Write the coefficients of a picture's pixels; those of pixels without data are NaN.
 
     Parameters
     ----------
     out : store.Writer
     name : str
-        Dataset; for half precision ``<name>_scale`` (k,) is written beside it.
+        Name of the dataset; for half precision the dataset ``<name>_scale`` (k,) is written too.
     coefficients : (height, width, k) float
     quantity : str
     storage : str
@@ -151,11 +153,11 @@ def write_coefficients(
     codec : str
         ``gzip`` or ``lzf``.
     dims : str
-        Names of the axes; the last is ``component`` where the numbers are coefficients on a basis.
+        Names of the axes; the last is ``component`` if the numbers are coefficients on a basis.
     basis : str
-        Dataset of that basis, (61, k), for who reads the file without this module.
+        Name of the dataset of that basis, (61, k), which the attribute ``decoding`` states.
     decoded : (height, width, k) float32, optional
-        Filled with the coefficients as they come back from storage.
+        Filled with the coefficients after rounding to the stored precision.
     """
     coefficients = np.asarray(coefficients)
     scale = scale_of(coefficients) if storage == "half" else None
@@ -191,7 +193,9 @@ def reserve_coefficients(
     dims: str = AXES,
     basis: str = "basis",
 ) -> h5py.Dataset:
-    """Return a dataset for coefficients to be written in pieces of rows; those of half precision already divided.
+    """Create and return an empty dataset for coefficients, to be filled a block of rows at a time.
+
+    In half precision the caller writes coefficients that `to_half` made, already divided by their scale.
 
     Parameters
     ----------
@@ -218,7 +222,7 @@ def reserve_coefficients(
 
 
 def _decoding(name: str, dims: str, basis: str, half: bool) -> str:
-    """Return how stored numbers become spectra, for whoever reads a file without this module."""
+    """Return the formula from stored numbers to spectra, for readers that use the file without this module."""
     picture, _, last = dims.rpartition(",")
     stored = f"/{name}[{dims}]" + (f" * /{name}{_SUFFIX}[{last}]" if half else "")
     if last != _COMPONENT:
@@ -227,7 +231,7 @@ def _decoding(name: str, dims: str, basis: str, half: bool) -> str:
 
 
 def read_coefficients(file: store.Reader, name: str, rows: slice = slice(None)) -> np.ndarray:
-    """Return coefficients as single precision, whichever way they are stored.
+    """Return coefficients in single precision, from a dataset of half or single precision.
 
     Parameters
     ----------
@@ -238,12 +242,12 @@ def read_coefficients(file: store.Reader, name: str, rows: slice = slice(None)) 
 
     Returns
     -------
-    (height, width, k) float32, or the axes of the dataset: rows are along the first
+    (height, width, k) float32, or with the axes of the dataset if it has others; rows are along the first
 
     Raises
     ------
     InputError
-        If the dataset is absent, damaged, of another kind, or half precision without its scale.
+        If the dataset is absent, damaged, of another element type, or half precision without its scale.
     """
     dataset = file.dataset(name)
     if dataset.dtype not in (np.float16, np.float32):
@@ -268,7 +272,7 @@ def read_coefficients(file: store.Reader, name: str, rows: slice = slice(None)) 
 
 
 def _read_halves(dataset: h5py.Dataset, scale: np.ndarray, first: int, last: int, out: np.ndarray) -> None:
-    """Fill ``out`` from rows in half precision: a tile is decoded while the next is read and unpacked."""
+    """Fill ``out`` from rows ``first`` to ``last`` in half precision; decode a tile while the next is read."""
     with ThreadPoolExecutor(1, "decode") as pool:
         waiting = None
         for part, tile in _row_tiles(dataset, first, last):
@@ -281,7 +285,7 @@ def _read_halves(dataset: h5py.Dataset, scale: np.ndarray, first: int, last: int
 
 
 def _row_tiles(dataset: h5py.Dataset, first: int, last: int) -> Iterator[tuple[slice, slice]]:
-    """Yield rows of a dataset, whole chunks where they fit, and the same rows counted from the first."""
+    """Yield slices of tiles of rows, aligned to the dataset's chunks: in the dataset, and relative to ``first``."""
     rows = max(1, _TILE_VALUES // max(int(np.prod(dataset.shape[1:])), 1))
     chunk = (dataset.chunks or (1,))[0]
     rows = -(-rows // chunk) * chunk

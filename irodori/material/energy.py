@@ -1,10 +1,11 @@
-"""The albedo of materials: the share of light that a surface sends back, and where that is more than reaches it.
+"""The albedo of materials: the share of incident light that a surface reflects, and texels where it exceeds 1.
 
-The reflection model is a sum (equation 5): nothing in it takes from the diffuse light what gloss and mirror reflect.
-Two figures are therefore told apart. The *albedo* is what is sent back of even light, over all directions together, or
-towards any direction up to 60 degrees from the normal, whichever is more. Above 1 the surface brightens a furnace. The
-*rim albedo* is the largest share at any angle. It exceeds 1 on every bright surface under a smooth coat, since F goes
-to 1 at grazing incidence and the diffuse light is still added in full.
+The reflection model (equation 5) adds the diffuse, gloss and mirror terms; the diffuse term is not reduced by what
+gloss and mirror reflect. The sum may therefore exceed the incident light, and two figures are computed. The *albedo* is
+the share of uniform light from all sides that is reflected, over all directions together or towards any direction up to
+60 degrees from the normal, whichever is more. Above 1, the surface gains energy (it fails the furnace test). The *rim
+albedo* is the largest share towards any direction. It exceeds 1 on every bright surface under a smooth coat, since F
+approaches 1 at grazing incidence and the diffuse light is still added in full.
 """
 
 import math
@@ -29,25 +30,25 @@ _STEEP_DEG = 60.0
 _ROUGHNESSES, _DIRECTIONS, _CHUNK = 97, 12, 1 << 16
 _AT_ONCE = 1 << 18  # texels, so that a large texture is not copied as a whole
 _ROUNDING = 1e-3  # of a perfect white in half precision
-#: Columns of what a texel is judged by.
+#: Columns of the array that `AlbedoModel.of` returns.
 ALBEDO, RIM, RIM_COSINE, ERROR, _FOUND = 0, 1, 2, 3, 4
 
 
 class Errors(NamedTuple):
-    """Standard errors of texels; 0 or not finite where they are not known."""
+    """Standard errors of the parameters of texels; an error that is not known is 0 or not finite and adds nothing."""
 
     reflectance: np.ndarray  # (texels,) of S, rms over wavelengths
-    alpha: np.ndarray  # (texels,) of α, over α
-    gloss: np.ndarray  # (texels, components) of β μ², over it, at most
+    alpha: np.ndarray  # (texels,) of α, relative to α
+    gloss: np.ndarray  # (texels, components) of β μ², relative to it, an upper bound
 
     @classmethod
     def none(cls, texels: int, components: int) -> "Errors":
-        """Return errors of which nothing is known."""
+        """Return errors of 0, for parameters with unknown standard errors."""
         return cls(np.zeros(texels), np.zeros(texels), np.zeros((texels, components)))
 
 
 class Reflecting(NamedTuple):
-    """Colour and gloss of texels."""
+    """Diffuse reflectance (coefficients on a basis) and gloss parameters β and μ of texels."""
 
     coefficients: np.ndarray  # (texels, r) of α S / S_G
     basis: np.ndarray  # (61, r)
@@ -84,7 +85,7 @@ def _judge(tables, texels, errors, out, first, last):
             continue
         albedo, rim, at, below, shiny = -np.inf, -np.inf, 1.0, 0.0, 0.0
         for band in range(bands):
-            # Where one index serves all bands the brightest of the diffuse light decides.
+            # If the refractive index is the same in all bands, the band of the largest diffuse reflectance decides.
             under = peak if bands == 1 else diffuse[band]
             for direction in range(directions):
                 glossy = 0.0
@@ -112,12 +113,12 @@ def _judge(tables, texels, errors, out, first, last):
 
 
 class AlbedoModel:
-    """The albedo of texels of one object.
+    """Computes the albedo of texels of one object, from tables over roughness and angle.
 
     Parameters
     ----------
     lobes : sequence of str
-        Of the gloss components.
+        Names of the lobes of the gloss components.
     n, k : (61,) float
         Complex refractive index.
     mirror : float
@@ -133,7 +134,7 @@ class AlbedoModel:
         cosine = np.concatenate([node, [math.cos(math.radians(_STEEP_DEG)), 1.0]])
 
         def with_mean(values: np.ndarray) -> np.ndarray:
-            """Return values over (..., directions, bands) with their mean in even light as a further direction."""
+            """Append the mean under uniform light to values (..., directions, bands), as a further direction."""
             even = np.einsum("c,...cb->...b", 2.0 * node * weight, values[..., : len(node), :])
             return np.concatenate([values, even[..., None, :]], axis=-2)
 
@@ -141,18 +142,18 @@ class AlbedoModel:
         for component, name in enumerate(lobes):
             bounds = lobe(name).roughness
             mu = np.geomspace(bounds.low, bounds.high, _ROUGHNESSES)
-            # Over μ² it hardly varies from a roughness to the next.
+            # Divided by μ², the gloss albedo varies little between neighbouring roughnesses.
             tables[component] = with_mean(gloss_albedo(name, mu, cosine, n, k)) / mu[:, None, None] ** 2
             ladder[component] = math.log(mu[0]), math.log(mu[1] / mu[0])
         fresnel = np.stack([fresnel_array(cosine, a, b) for a, b in zip(n, k, strict=True)], axis=-1)
         is_steep = np.append(cosine >= math.cos(math.radians(_STEEP_DEG)) - 1e-12, True)
-        # The mean has no angle; it never is the largest at any angle, but where there is one value for all.
+        # The mean has no angle and stands with cosine 1: it is the largest value only if all directions are equal.
         self._tables = tables, mirror * with_mean(fresnel), np.append(cosine, 1.0), is_steep, ladder
 
     def of(self, texels: Reflecting, errors: Errors) -> np.ndarray:
-        """Return albedo, rim albedo, the cosine at which that is, and the albedo's standard error, (texels, 4).
+        """Return albedo, rim albedo, cosine of the rim albedo's angle, and standard error of the albedo, (texels, 4).
 
-        Each is the largest of all wavelengths; NaN where colour or gloss is not known.
+        Both albedos are the largest over all wavelengths; NaN where colour or gloss is not known.
         """
         out = np.empty((len(texels.beta), _FOUND))
         arrays = Reflecting(*(np.ascontiguousarray(x, dtype=np.float64) for x in texels))
@@ -163,12 +164,12 @@ class AlbedoModel:
 
 @dataclass(frozen=True)
 class Energy:
-    """Light that the texels of an object send back, over what reaches them.
+    """Summary of the albedos of an object's texels.
 
     Parameters
     ----------
     texels : int
-        Those whose colour and gloss are known; the shares are of these.
+        Number of texels with known colour and gloss; the shares below are of these.
     albedo_max : float
         Largest albedo.
     gain_fraction : float
@@ -176,9 +177,9 @@ class Energy:
     certain_fraction : float
         Share of texels whose albedo is above 1 by more than `CERTAIN` standard errors.
     certain_max : float
-        Largest albedo of those; 0 without any.
+        Largest albedo of the texels that ``certain_fraction`` counts; 0 if there is none.
     rim_max, rim_deg : float
-        Largest rim albedo, and the angle from the normal at which it is.
+        Largest rim albedo, and its angle from the normal, degrees.
     rim_fraction : float
         Share of texels whose rim albedo is above 1.
     """
@@ -194,7 +195,7 @@ class Energy:
 
     @classmethod
     def of(cls, found: np.ndarray) -> "Energy":
-        """Return the summary of what `AlbedoModel.of` found of texels; those that are not known are left out."""
+        """Return the summary of the array that `AlbedoModel.of` returned; texels with NaN are left out."""
         found = found[np.isfinite(found[:, ALBEDO])]
         if not len(found):
             return cls()
@@ -214,11 +215,11 @@ class Energy:
 
     @property
     def gains(self) -> bool:
-        """Whether more texels certainly send back more light than reaches them than chance makes seem so."""
+        """Whether the share of texels with an albedo certainly above 1 exceeds what noise alone would produce."""
         return self.certain_fraction > CHANCE
 
     def joined(self, other: "Energy") -> "Energy":
-        """Return the summary of the texels of both."""
+        """Return the summary of the texels of this summary and another one together."""
         texels = self.texels + other.texels
         if not texels:
             return self
@@ -238,7 +239,7 @@ class Energy:
 
 
 def energy_of(material: "Material", albedo_error: np.ndarray | None = None) -> Energy:
-    """Return what the observed texels of a material send back, gloss that is not known taken as in rendering.
+    """Return the summary of the albedos of a material's observed texels; unknown gloss is the object's typical gloss.
 
     Parameters
     ----------

@@ -10,7 +10,7 @@ from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER
 from irodori.material.material_file import NloptResult, Status, gloss_maps, gloss_names, read_lobes
 
-#: What a material's file keeps of the fit beside α, β and μ, whatever the lobes: units and quantity.
+#: Maps of the fit, other than α, β and μ, that a material's file keeps for any lobes: units and quantity.
 COLUMNS: dict[str, tuple[store.Units, str]] = {
     "texel": (store.Mask, "whether a surface lies under the texel's centre"),
     "alpha_error": ("1", "standard error of alpha"),
@@ -27,19 +27,19 @@ SPEED = ("fit_seconds", "texels_fitted")
 
 
 def columns(lobes: tuple[str, ...]) -> dict[str, tuple[store.Units, str]]:
-    """Return `COLUMNS` and the standard errors of β and μ of every gloss component: name -> (units, quantity)."""
+    """Return units and quantities of the maps `COLUMNS` and of the errors of β and μ: name -> (units, quantity)."""
     errors = {f"{name}_error": (units, f"standard error of {name}") for name, (units, _) in gloss_maps(lobes).items()}
     return COLUMNS | errors
 
 
 class FittedTiles:
-    """The tiles of one object from the top down.
+    """The fitted tiles of one object, read from the top row of the texture down.
 
     Parameters
     ----------
     paths : list of path
     height, width : int
-        Of the texture, texels.
+        Size of the texture, texels.
 
     Attributes
     ----------
@@ -90,7 +90,7 @@ class FittedTiles:
         self._tiles = sorted(tiles, key=lambda tile: tile[:2])
 
     def read(self, *names: str) -> Iterator[tuple[slice, dict[str, np.ndarray]]]:
-        """Yield the rows of every tile and its maps of these names, (rows, width, ...)."""
+        """Yield, for every tile, the slice of its texture rows and its maps of the given names, (rows, width, ...)."""
         for first, last, path, start in self._tiles:
             shape = last - first, self.width
             part = slice(start * self.width, (start + last - first) * self.width)
@@ -99,10 +99,10 @@ class FittedTiles:
             yield slice(first, last), {name: one.reshape(*shape, *one.shape[1:]) for name, one in maps.items()}
 
     def typical_gloss(self) -> tuple[float, ...]:
-        """Return the medians of β and μ over the better-determined half of the texels, a pair for each component.
+        """Return β and μ of each gloss component in turn: their medians over the half of texels that know μ best.
 
-        A component that no texel has is (0, 1). One of several that most of the texels which state it lack, β = 0, has
-        a β of 0.
+        A component that no texel has gets β = 0, μ = 1. Of several components, one that is known to be absent (β = 0)
+        in more texels than it is present in gets β = 0.
         """
         typical: list[float] = []
         for component in range(len(self.lobes)):
@@ -123,12 +123,12 @@ class FittedTiles:
         return tuple(typical)
 
     def is_noise_known(self) -> bool:
-        """Whether the camera's noise was measured for all texels that have a diffuse response.
+        """Return whether the camera's noise was measured for all texels that have a diffuse response.
 
         Raises
         ------
         InputError
-            If no texel has one, and a diffuse weight.
+            If no texel has both a diffuse response and a diffuse weight α.
         """
         measured = unknown = observed = 0
         for _, maps in self.read("diffuse_response", "diffuse_variance", "alpha"):

@@ -1,4 +1,4 @@
-"""Materials as labelled arrays of xarray, whose numbers are read from the file when they are asked for."""
+"""Materials as labelled arrays of xarray; numbers are read from the file only when they are used."""
 
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
@@ -15,15 +15,15 @@ if TYPE_CHECKING:
 
 _INDEX = {"refractive_index_n": "refractive_index/n", "refractive_index_k": "refractive_index/k"}
 _AXES = {2: ("row", "column"), 3: ("row", "column", "wavelength")}
-_TOGETHER = 1 << 22  # decoded numbers that are held at once beside those that are asked for
+_TOGETHER = 1 << 22  # decoded numbers that are held at once in addition to the result
 
 
 class MissingPackageError(PlainError, ImportError):
-    """A package that an optional part of the project needs and that is not installed."""
+    """Raised if a Python package that an optional feature needs is not installed."""
 
 
 class _Spectra:
-    """Spectra of a material, decoded from a part of its coefficients.
+    """Array of a material's spectra, (rows, columns, 61), of which any part can be decoded from its coefficients.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ class _Spectra:
         self._basis: np.ndarray | None = None
 
     def read(self, key: tuple) -> np.ndarray:
-        """Return the part of (rows, columns, 61) that integers and slices name, a few rows at a time."""
+        """Return the part of (rows, columns, 61) that three integers or slices select, decoded a few rows at a time."""
         rows, columns, wavelengths = key
         if self._basis is None:
             basis, scale = self.file.read(BASIS), f"{COEFFICIENTS}_scale"
@@ -65,12 +65,12 @@ class _Spectra:
 
 
 def _slice(numbers: range) -> slice:
-    """Return the slice of the numbers of a range, which has no negative step."""
+    """Return a range with a positive step as a slice."""
     return slice(numbers.start, numbers.stop, numbers.step) if len(numbers) else slice(0, 0)
 
 
 class _Map:
-    """A dataset as it is stored."""
+    """A stored dataset, of which parts can be read."""
 
     def __init__(self, file: store.Reader, name: str) -> None:
         self.file, self.name = file, name
@@ -78,15 +78,15 @@ class _Map:
         self.shape, self.dtype = layout.shape, layout.dtype
 
     def read(self, key: tuple) -> np.ndarray:
-        """Return a part."""
+        """Return the part that integers and slices select."""
         return self.file.read(self.name, key)
 
 
 def open_material(path) -> "xarray.Dataset":
-    """Open a material's file as an `xarray.Dataset`, without reading its numbers.
+    """Open a material's file as an `xarray.Dataset` that reads numbers only when they are used.
 
     The maps have the axes ``row`` and ``column``; ``reflectance`` (row, column, wavelength) float32 is the absolute
-    reflectance factor S(λ) of each texel, decoded from its coefficients when a part of it is asked for, and
+    reflectance factor S(λ) of each texel, decoded from its coefficients when a part of it is used, and
     ``wavelength`` is in nm. The diffuse term of a rendering is ``alpha * reflectance / green_response``. Numbers are
     NaN where the data does not determine them, and ``status`` says why (its attribute ``flag_meanings``). The file
     stays open until ``close()``, or the end of a ``with`` block.
@@ -99,8 +99,8 @@ def open_material(path) -> "xarray.Dataset":
     Raises
     ------
     InputError
-        If the file is missing, none of this project, of a newer version, or no material. That its content is that of
-        its record is looked at when the first of its numbers is read, which then raises this.
+        If the file is missing, was not written by this project, is of a newer version, or is no material. The checksum
+        of its content is compared only when the first number is read, which may then raise this error.
     MissingPackageError
         If xarray is not installed.
     """
@@ -113,7 +113,7 @@ def open_material(path) -> "xarray.Dataset":
         raise MissingPackageError(wanted) from None
 
     class Lazy(BackendArray):
-        """Array through which xarray reads parts of a file's numbers when it needs them."""
+        """Array from which xarray reads a part of a dataset when that part is used."""
 
         def __init__(self, source: _Map | _Spectra) -> None:
             self.shape, self.dtype, self._source = source.shape, source.dtype, source

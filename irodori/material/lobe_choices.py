@@ -1,4 +1,4 @@
-"""The file of a choice of lobes: which an object has, and how the photographs preferred them."""
+"""The file that records which gloss lobes were chosen for an object, with the prediction errors of all candidates."""
 
 from dataclasses import dataclass
 
@@ -15,19 +15,21 @@ _FIGURES = {
 
 @dataclass(frozen=True)
 class LeftOut:
-    """Prediction error of left-out photographs with some lobes.
+    """Cross-validation of one candidate set of lobes: errors in predicting photographs that the fit left out.
 
     Parameters
     ----------
     lobes : tuple of str
+        Lobe of each gloss component of the candidate.
     deviation : float
-        Median size of a prediction's error in stated standard deviations of a reading, 1 = as a normal error of that
-        size; NaN without any.
+        Median error of a predicted reading in units of the reading's stated standard deviation, scaled so that normal
+        errors of that deviation give 1; NaN without readings.
     behind : float
-        How much worse than with the best candidate: by the mean over photographs of a reading's log(1 + z²), z its
-        error in stated standard deviations times the least ``deviation`` of all candidates, where that exceeds 1.
+        Excess of the mean of log(1 + z²) over photographs above that of the best candidate. z is the error of a reading
+        over its stated standard deviation, which is first multiplied by the least ``deviation`` of all candidates if
+        that exceeds 1.
     behind_error : float
-        Standard error of that, from its scatter over photographs.
+        Standard error of ``behind``, from its scatter over photographs.
     """
 
     lobes: tuple[str, ...]
@@ -37,23 +39,23 @@ class LeftOut:
 
 
 def lobes_text(lobes: tuple[str, ...] | list[str]) -> str:
-    """Return the names of an object's lobes as a sum."""
+    """Return the names of an object's lobes joined as a sum, for example ``gaussian + ggx``."""
     return " + ".join(lobes)
 
 
 def write_choice(
     output, chosen: tuple[str, ...], found: list[LeftOut], texels: int, provenance: store.Provenance
 ) -> None:
-    """Write what was chosen, attribute ``lobes``, and the figures of every candidate, the simplest first.
+    """Write the chosen lobes (attribute ``lobes``) and the prediction errors of every candidate, the simplest first.
 
     Parameters
     ----------
     output : path
     chosen : tuple of str
     found : list of LeftOut
-        Of all candidates.
+        Prediction errors of all candidates.
     texels : int
-        By which they were judged.
+        Number of texels that the prediction errors come from.
     provenance : Provenance
     """
     with store.create(output, provenance) as out:
@@ -67,14 +69,14 @@ def write_choice(
 
 
 def chosen_lobes(named: list[str], choices: list) -> tuple[str, ...]:
-    """Return an object's lobes: those named or, where there is a file of a choice, those chosen.
+    """Return an object's lobes: the chosen ones if there is a file of a choice, else those that its definition names.
 
     Parameters
     ----------
     named : list of str
-        By the object's definition.
+        Lobes in the object's definition.
     choices : list of path
-        The file, or nothing where the definition names lobes.
+        The file of the choice; empty if the definition names the lobes.
     """
     if not choices:
         return tuple(named)
@@ -83,7 +85,7 @@ def chosen_lobes(named: list[str], choices: list) -> tuple[str, ...]:
 
 
 def read_choice(choices: list) -> list[LeftOut]:
-    """Return the figures of all candidates in the file of a choice, the simplest first; none without a file."""
+    """Return the prediction errors of all candidates in a choice's file, the simplest first; none without a file."""
     found = []
     for path in choices:
         with store.open_file(path) as file:

@@ -15,9 +15,9 @@ from irodori.spectra.spectral_files import REFLECTANCE
 from irodori.spectra.tables import LEAST_N, MOST_K, MOST_N
 
 _DARKEST_GREEN = 1e-3
-#: Texels along a side that a file's reflectance is judged by.
+#: Largest number of texels along a side at which a file's reflectance is checked.
 _LOOKED_AT = 500
-#: Maps of a material's own file beside those of its gloss: units and quantity.
+#: Maps of a material's file other than those of gloss: units and quantity.
 MAPS = {
     "alpha": ("1", "diffuse weight"),
     "green_response": ("1", "green-band response of S"),
@@ -28,7 +28,7 @@ BASIS, COEFFICIENTS, QUANTITY = (
     "coefficients of the reflectance factor",
 )
 _ERROR = "reflectance_error"
-#: The first version of the files that names the lobes; before it there was one, the Gaussian.
+#: First version of the files that names the lobes; earlier ones have a single Gaussian lobe.
 _LOBES_SINCE = 2
 
 
@@ -36,19 +36,19 @@ class Status(IntEnum):
     """Outcome of a texel's fit."""
 
     OK = 0
-    MU_UNIDENTIFIABLE = 1  # gloss is there, but the data leaves β or μ open: both are NaN
+    MU_UNIDENTIFIABLE = 1  # there is gloss, but the data does not determine β or μ: both are NaN
     AT_BOUND = 2
     TOO_FEW_OBSERVATIONS = 3
-    NON_FINITE = 4  # too few observations, because those with weight are not numbers
+    NON_FINITE = 4  # too few observations, because those with weight are not finite
     DIFFUSE_ONLY = 5  # the observations show no gloss
     SATURATED = 6  # the camera clips where the highlight is
     DARK = 7  # no light beyond the noise
-    PAINT = 8  # β and μ are mostly those of its paint, which its own observations allow
-    CONTRADICTED = 9  # the observations deny the model that explains them best by more than their errors
+    PAINT = 8  # β and μ are mostly those of all texels of its paint, and agree with its own observations
+    CONTRADICTED = 9  # even the best fit of the model misses the observations by more than their errors
 
 
 class NloptResult(IntEnum):
-    """Return code of NLopt, as its manual has them."""
+    """Return codes of the optimisation library NLopt, with the names and numbers of its manual."""
 
     FORCED_STOP = -5
     ROUNDOFF_LIMITED = -4
@@ -65,12 +65,12 @@ class NloptResult(IntEnum):
 
 
 def gloss_names(component: int) -> tuple[str, str]:
-    """Return the datasets of β and μ of a gloss component, counted from 0: ``beta``, ``mu``; ``beta_2``, ``mu_2``."""
+    """Return the dataset names of β and μ of a gloss component: ``beta``, ``mu`` of 0, ``beta_2``, ``mu_2`` of 1."""
     return ("beta", "mu") if component == 0 else (f"beta_{component + 1}", f"mu_{component + 1}")
 
 
 def gloss_maps(lobes: tuple[str, ...]) -> dict[str, tuple[str, str]]:
-    """Return the datasets of the gloss components of these lobes: name -> (units, quantity)."""
+    """Return the dataset names of the gloss components of the given lobes: name -> (units, quantity)."""
     maps = {}
     for component, name in enumerate(lobes):
         beta, mu = gloss_names(component)
@@ -83,7 +83,7 @@ def gloss_maps(lobes: tuple[str, ...]) -> dict[str, tuple[str, str]]:
 def read_lobes(file: store.Reader) -> tuple[str, ...]:
     """Return the lobes of the gloss components in an open file of fitted tiles or of a material.
 
-    Files of schema version 1 do not name them: in all of them it is one Gaussian lobe.
+    Files of schema version 1 do not name lobes: all of them have one Gaussian lobe.
 
     Raises
     ------
@@ -118,8 +118,8 @@ class Material:
         Complex refractive index.
     mirror : float, χ
     typical_gloss : tuple of float
-        β and μ of the object's well-determined texels, for those whose own data is silent; one pair after the other
-        for each component.
+        β and μ of each component in turn, from the object's well-determined texels; used where a texel's own data do
+        not determine its gloss.
     extra : dict
         Further maps: name -> (values, units, quantity).
     lobes : tuple of str
@@ -130,7 +130,7 @@ class Material:
     Raises
     ------
     ValueError
-        For an unknown lobe, or another number of components in ``further_gloss`` or ``typical_gloss`` than of lobes.
+        For an unknown lobe, or if ``further_gloss`` or ``typical_gloss`` does not fit the number of ``lobes``.
     """
 
     alpha: np.ndarray
@@ -167,7 +167,7 @@ class Material:
         lobes: tuple[str, ...] = DEFAULT_LOBES,
         further_gloss: tuple[tuple[float, float], ...] = (),
     ) -> "Material":
-        """Return the same parameters everywhere.
+        """Return a material with the same parameters in every texel.
 
         Parameters
         ----------
@@ -180,7 +180,7 @@ class Material:
         lobes : tuple of str
             Lobe of each gloss component.
         further_gloss : tuple of (beta, mu)
-            Of the components after the first.
+            Parameters of the components after the first, a pair of float each.
         """
         one = np.ones((2, 2))
         spectrum, n, k = (np.broadcast_to(np.asarray(v, dtype=np.float64), SAMPLES).copy() for v in (reflectance, n, k))
@@ -209,9 +209,9 @@ class Material:
         storage: str = "single",
         codec: str = "gzip",
     ) -> None:
-        """Write ``material.h5``; ``errors`` is kept as an attribute.
+        """Write ``material.h5``, with ``errors`` as an attribute.
 
-        ``storage`` and ``codec`` are those of `irodori.material.coefficients`.
+        ``storage`` and ``codec`` are as in `irodori.material.coefficients.write_coefficients`.
         """
         with store.create(path, provenance) as out:
             maps = {name: (getattr(self, name), units, what) for name, (units, what) in MAPS.items()}
@@ -239,8 +239,9 @@ class Material:
         Raises
         ------
         InputError
-            If it is none, damaged, its datasets do not fit together, it has a lobe that is not registered, an index or
-            a basis that is not finite or that no material has, or reflects more than falls on it.
+            If the file is no material or damaged, its datasets do not fit together, a lobe is not registered, the basis
+            is not finite, the refractive index is outside the range of real materials, or the surface reflects more
+            light than falls on it.
         """
         axes = {
             COEFFICIENTS: "row,column,component",
@@ -275,7 +276,7 @@ class Material:
         return found
 
     def _check_reflectance(self, error: np.ndarray, path) -> None:
-        """Refuse a surface that reflects more light than falls on it; single texels may, by their errors.
+        """Raise an error if the median texel reflects more light than falls on it by more than its standard deviation.
 
         Parameters
         ----------
@@ -298,47 +299,47 @@ class Material:
 
     @property
     def gloss(self) -> list[tuple[str, np.ndarray, np.ndarray]]:
-        """Lobe, β and μ of every gloss component."""
+        """Lobe, map of β and map of μ of every gloss component."""
         return [(n, *pair) for n, pair in zip(self.lobes, [(self.beta, self.mu), *self.further_gloss], strict=True)]
 
     def with_gloss(self, pairs) -> "Material":
-        """Return a copy with other maps of (β, μ), one pair a component."""
+        """Return a copy with other maps (β, μ), one pair for each gloss component."""
         (beta, mu), *further = pairs
         return replace(self, beta=beta, mu=mu, further_gloss=tuple(further))
 
     def rows(self, part: slice) -> "Material":
-        """Return some rows of the maps as a material of their own; views, nothing is copied."""
+        """Return some rows of the maps as a material; its maps are views, nothing is copied."""
         gloss = [(beta[part], mu[part]) for _, beta, mu in self.gloss]
         maps = {name: getattr(self, name)[part] for name in (*MAPS, "coefficients")}
         return replace(self.with_gloss(gloss), **maps)
 
     @property
     def observed(self) -> np.ndarray:
-        """Texels with a diffuse reflectance of their own, (height, width) bool."""
+        """Mask of the texels with a diffuse reflectance from their own observations, (height, width) bool."""
         finite = np.isfinite(self.alpha) & np.isfinite(self.coefficients).all(axis=-1)
         return finite & np.isfinite(self.green_response)
 
     @property
     def spectrum_scale(self) -> np.ndarray:
-        """The factor α / S_G that rendering puts on S(λ), (height, width); 1 where S_G is too dark to divide by."""
+        """Factor α / S_G by which rendering multiplies S(λ), (height, width); 1 where S_G is too dark to divide by."""
         return spectrum_scale(self.alpha, self.green_response)
 
     def typically_filled(self) -> list[tuple[str, np.ndarray, np.ndarray]]:
-        """Lobe, β and μ of every gloss component, the object's typical gloss where it is not known."""
+        """Return lobe, β and μ of every gloss component; where gloss is unknown, it is the object's typical gloss."""
         return typically_filled(self.lobes, [(beta, mu) for _, beta, mu in self.gloss], self.typical_gloss)
 
     def filled(self, covered: np.ndarray | None = None) -> tuple["Material", float]:
         """Return a copy without gaps, and the share of texels that were filled.
 
-        A texel that no capture determined takes colour and gloss of the nearest observed texel (the texture's sides are
-        joined), and gloss that is not known there either is the object's typical gloss. Of several components one
-        that reflects nothing in a texel, β = 0, stays so.
+        A texel that no capture determined takes colour and gloss of the nearest observed texel (the left and right
+        sides of the texture are joined). Gloss that is not known there either is the object's typical gloss. If a
+        material has several components, one with β = 0 in a texel keeps β = 0.
 
         Parameters
         ----------
         covered : (height, width) bool, optional
-            Which texels lie on the surface, all where absent. The others are filled too, with the gloss of the nearest
-            texel that is one, and count for nothing in the share.
+            Mask of the texels that lie on the surface; all by default. The others are filled too, from the nearest
+            texel of the surface, but are not counted in the share.
         """
         from scipy import ndimage  # slow to import
 
@@ -361,7 +362,7 @@ class Material:
         return filled, float(1.0 - observed.mean())
 
     def _padded(self, covered: np.ndarray) -> tuple["Material", float]:
-        """Fill the texels of the surface from each other, then those beside it from the nearest of the surface."""
+        """Fill gaps on the surface from observed texels, then texels off the surface from the nearest texel on it."""
         from scipy import ndimage  # slow to import
 
         observed = self.observed & covered
@@ -383,9 +384,9 @@ def spectrum_scale(alpha: np.ndarray, green_response: np.ndarray) -> np.ndarray:
 
 
 def typically_filled(lobes, gloss, typical_gloss) -> list[tuple[str, np.ndarray, np.ndarray]]:
-    """Return lobe, β and μ of every gloss component, typical ones where they are not known.
+    """Return lobe, β and μ of every gloss component; unknown values are replaced by typical ones.
 
-    Of several components one that reflects nothing in a texel, β = 0, stays so.
+    If there are several components, one with β = 0 in a texel keeps β = 0.
 
     Parameters
     ----------
@@ -399,7 +400,7 @@ def typically_filled(lobes, gloss, typical_gloss) -> list[tuple[str, np.ndarray,
     typical = zip(typical_gloss[::2], typical_gloss[1::2], strict=True)
     for name, (beta, mu), (usual_beta, usual_mu) in zip(lobes, gloss, typical, strict=True):
         known = np.isfinite(beta) & np.isfinite(mu)
-        # A component that the others of the texel leave nothing to has no roughness, but its weight is known: 0.
+        # A component that is absent from a texel has no roughness, but its weight is known: 0.
         weighed = known | (beta == 0.0) if len(lobes) > 1 else known
         found.append((name, np.where(weighed, beta, usual_beta), np.where(known, mu, usual_mu)))
     return found
@@ -416,7 +417,7 @@ def write_constants(
     lobes: tuple[str, ...],
     typical_gloss: tuple[float, ...],
 ) -> None:
-    """Write what a material's file holds beside its maps into an open file; see `Material` and `Material.save`."""
+    """Write basis, refractive index, mirror weight, lobes, typical gloss and errors of a material to an open file."""
     write_wavelength(out)
     out.write(BASIS, basis, units="1", dims="wavelength,component", quantity="spectral basis")
     names = {"units": "1", "dims": "wavelength", "quantity": "complex refractive index n + ik"}

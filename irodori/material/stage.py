@@ -1,6 +1,6 @@
-"""Material stage: fitted tiles in; maps, spectra by equation (4) and their compression out.
+"""Material stage: reads fitted tiles; writes parameter maps and compressed spectra, recovered by equation (4).
 
-Tiles are read three times and never held: for what is known of the whole texture, for the second moments of its
+Tiles are read three times, one at a time: for the statistics of the whole texture, for the second moments of its
 spectra, and to write the material's file.
 """
 
@@ -49,7 +49,7 @@ _ALBEDO_MAPS = (
 
 @dataclass(frozen=True)
 class _Reflectance:
-    """The spectra of a texture on the recovery basis, tile by tile; NaN where nothing is known."""
+    """Coefficients of a texture's spectra on the recovery basis, tile by tile; NaN where nothing is known."""
 
     fitted: FittedTiles
     calibration: Calibration
@@ -60,11 +60,11 @@ class _Reflectance:
             yield self.of(maps)
 
     def variance(self, maps: dict) -> np.ndarray | None:
-        """Return the variance of the responses of a tile, None where the camera's noise was not measured."""
+        """Return the variance of a tile's diffuse responses, or None if the camera's noise was not measured."""
         return maps["diffuse_variance"] if self.is_noise_known else None
 
     def of(self, maps: dict) -> np.ndarray:
-        """Return weights (rows, width, r) of a tile's maps."""
+        """Return the coefficients (rows, width, r) of the spectra of a tile, recovered from its diffuse responses."""
         weights = self.calibration.weights(maps["diffuse_response"], self.variance(maps))
         weights[~np.isfinite(maps["alpha"])] = np.nan
         return weights
@@ -72,14 +72,14 @@ class _Reflectance:
 
 @dataclass(frozen=True)
 class _Sent:
-    """Light that texels send back, over what reaches them: the model of an object, and its typical gloss."""
+    """Albedo of the texels of fitted tiles: the albedo model of an object, its lobes and its typical gloss."""
 
     model: AlbedoModel
     lobes: tuple[str, ...]
     typical_gloss: tuple[float, ...]
 
     def of(self, maps: dict, weights: np.ndarray, basis: np.ndarray, reflectance_error: np.ndarray) -> np.ndarray:
-        """Return what `AlbedoModel.of` finds of a tile's texels, NaN where the colour is not known."""
+        """Return the array of `AlbedoModel.of` for a tile's texels, NaN where the colour is not known."""
         alpha, scale = maps["alpha"].ravel(), spectrum_scale(maps["alpha"], maps["diffuse_response"][..., _GREEN])
         names = [gloss_names(component) for component in range(len(self.lobes))]
         pairs = typically_filled(self.lobes, [(maps[beta], maps[mu]) for beta, mu in names], self.typical_gloss)
@@ -98,7 +98,7 @@ class _Sent:
 
 @dataclass
 class _Gathered:
-    """Data of the observed texels of all tiles."""
+    """Counts, errors and albedos of the observed texels, collected over all tiles."""
 
     observed: int = 0
     texels: int = 0
@@ -124,7 +124,7 @@ class _Gathered:
 
 
 def confidence(posterior: Posterior, response, variance) -> dict[str, tuple]:
-    """Return what is unknown of recovered spectra, as datasets for ``material.h5``.
+    """Return the uncertainty of recovered spectra, as datasets for ``material.h5``.
 
     Parameters
     ----------
@@ -132,14 +132,14 @@ def confidence(posterior: Posterior, response, variance) -> dict[str, tuple]:
     response : (height, width, bands) float
         Diffuse responses; NaN where there is none.
     variance : (height, width, bands) float or None
-        What the camera's noise gives them; None where that was not measured.
+        Variance of the responses from the camera's noise; None if the noise was not measured.
 
     Returns
     -------
     dict of (values, units, dims, quantity)
         ``spectral_error``: standard deviation of the reflectance factor at `ERROR_NM`,
-        ``reflectance_error``: its root mean square over all wavelengths, ``delta_e_error``: the CIEDE2000 to the true
-        colour under D65 that is not exceeded with a probability of 0.68.
+        ``reflectance_error``: its root mean square over all wavelengths, ``delta_e_error``: the CIEDE2000 under D65
+        within which the true colour lies with a probability of 0.68.
     """
     found = posterior.of(response, variance, stated=variance is not None)
     noise = "" if variance is None else " and the camera's noise"
@@ -172,9 +172,10 @@ def compress_reflectance(
     definition : Object or Surface
     options : CompressOptions
     lights : list of str
-        Under each of which the colours are compared.
+        Names of the lights under which colours are compared to choose the number of basis vectors.
     lobe_choice : sequence of LeftOut
-        Of the candidates among which photographs chose the object's lobes; none where its definition names them.
+        Prediction errors of the candidates if the object's lobes were chosen by cross-validation; empty if the
+        definition names the lobes.
     """
     fitted = FittedTiles(tiles, definition.texels.height, definition.texels.width)
     calibration = Calibration.load(calibration_file)
@@ -242,7 +243,7 @@ def _write_maps(
 
 
 def compress_maps(weights, basis: np.ndarray, observers: dict, options: CompressOptions) -> tuple[Compression, dict]:
-    """Return the compression of reflectance maps, and its attributes for the material's file.
+    """Return the compression of reflectance maps, and its errors as attributes for the material's file.
 
     Parameters
     ----------
@@ -257,8 +258,8 @@ def compress_maps(weights, basis: np.ndarray, observers: dict, options: Compress
     -------
     compression : Compression
     errors : dict
-        Its summary, with ``storage`` and ``weighting``; ``weightings``: the same summary for each weighting on this
-        image; ``drift``: see `irodori.material.principal_components.repeated_reflection.drift`.
+        Summary of the compression, with ``storage`` and ``weighting``; ``weightings``: the summary for each weighting
+        on this image; ``drift``: see `irodori.material.principal_components.repeated_reflection.drift`.
     """
     moments = second_moments(weights)
     made = {name: choose(moments, basis, observers, replace(options, weighting=name)) for name in WEIGHTINGS}

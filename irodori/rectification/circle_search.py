@@ -1,8 +1,9 @@
-"""Search for the outline of a ball in photographs of one fixed camera: the circle that most edges lie on.
+"""Search for the outline of a ball in photographs of one fixed camera: the circle on which most edges lie (Hough).
 
-Edges point towards or away from the centre of the circle that they lie on. Every edge votes for the places along its
-direction, the centre with most votes is taken, and its radius is that at which most edges lie. The circle is then
-fitted to the edges near it. Edges of a stand, of the terminator or of what the ball mirrors lie on other circles.
+The gradient at an edge points towards or away from the centre of the circle on which the edge lies. Every edge votes
+for the points along its gradient. The point with most votes becomes the centre, and the distance at which most edges
+lie becomes the radius. The circle is then fitted to the edges near it. Edges of a stand, of the terminator (the border
+of light and shadow) or of reflections in the ball lie on other circles.
 """
 
 import math
@@ -12,15 +13,16 @@ import numpy as np
 
 from irodori.core.errors import InputError
 
-#: Pixels of the steepest slopes that may be edges, a share; radii that are tried, shares of the picture's shorter side.
+#: Share of pixels, those with the steepest gradients, that may be edges; range of radii, as shares of the shorter side.
 _EDGES, _RADII = 0.15, (0.08, 0.52)
-#: Votes are counted at so many places along the shorter side.
+#: Cells along the shorter side in which votes are counted.
 _CELLS = 120
-#: How far an edge may lie from the circle in the rounds of its fit, shares of the radius, and how far it may turn.
+#: Largest distance of an edge from the circle in each round of the fit, as a share of the radius; largest deviation of
+#: its gradient from the radial direction, as a cosine.
 _NEAR, _TURN = (0.08, 0.04, 0.02, 0.012, 0.012), math.cos(math.radians(20.0))
-#: Of the circle, the share beside which an edge has to be found.
+#: Least share of the circle along which edges have to be found.
 _LEAST_SEEN = 0.4
-#: How near its circle an edge lies before the circle is fitted, a share of the radius.
+#: Largest distance of an edge from a circle that is not fitted yet, as a share of the radius.
 _RING = 0.02
 _SECTORS, _ROUNDS = 72, 8
 
@@ -52,7 +54,7 @@ class Circle(NamedTuple):
 
 
 def find_circle(picture, path) -> Circle:
-    """Return the outline of the one ball in a picture.
+    """Return the circular outline of the only ball in a picture.
 
     Parameters
     ----------
@@ -64,11 +66,11 @@ def find_circle(picture, path) -> Circle:
     Raises
     ------
     InputError
-        If there is no circle of which edges show two fifths.
+        If there is no circle with edges along at least two fifths of it.
     """
     from scipy import ndimage  # slow to import
 
-    # Roots of brightness: dim and bright parts of an outline count about alike.
+    # Square roots of brightness give dim and bright parts of an outline about the same weight.
     picture = ndimage.gaussian_filter(np.sqrt(np.maximum(picture, 0.0)), 1.0)
     slope = np.stack([ndimage.sobel(picture, axis=1), ndimage.sobel(picture, axis=0)], axis=-1)
     place, towards = _edges(slope)
@@ -88,7 +90,7 @@ def find_circle(picture, path) -> Circle:
 
 
 def _edges(slope: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return places (n, 2), x then y, where brightness changes most along its own slope, and the slopes' directions."""
+    """Return points (n, 2), x then y, where the brightness gradient is largest along its direction, and directions."""
     from scipy import ndimage
 
     strength = np.hypot(slope[..., 0], slope[..., 1])
@@ -109,7 +111,7 @@ def _edges(slope: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _voted(place: np.ndarray, towards: np.ndarray, shape) -> Circle:
-    """Return the circle that edges vote for, to about a cell."""
+    """Return the circle with most votes of edges, accurate to about one cell of the grid of votes."""
     from scipy import ndimage
 
     cell = min(shape) / _CELLS
@@ -121,7 +123,7 @@ def _voted(place: np.ndarray, towards: np.ndarray, shape) -> Circle:
             at = (place + sign * radius * towards) / cell
             inside = ((at >= 0.0) & (at < [size[1], size[0]])).all(axis=1)
             column, row = at[inside].astype(int).T
-            # A long way has more room for chance: each radius votes by its share of the circle.
+            # Long circles collect more edges by chance: a vote counts by the share of the circle that it covers.
             np.add.at(votes, (row, column), 1.0 / radius)
     votes = ndimage.gaussian_filter(votes, 1.0)
     best: tuple[float, Circle] | None = None
@@ -140,14 +142,14 @@ def _voted(place: np.ndarray, towards: np.ndarray, shape) -> Circle:
 
 
 def _outermost(place: np.ndarray, towards: np.ndarray, circle: Circle, shape) -> Circle:
-    """Return the largest circle about this centre of which edges show two fifths: a ball may be painted in rings."""
+    """Return the largest concentric circle with edges along two fifths of it, because a ball may have painted rings."""
     larger = np.arange(circle.radius, _RADII[1] * min(shape), min(shape) / _CELLS)
     rings = [circle._replace(radius=float(radius)) for radius in larger]
     return next((ring for ring in rings[::-1] if _seen(place, towards, ring, _RING) >= _LEAST_SEEN), circle)
 
 
 def _facing(place: np.ndarray, towards: np.ndarray, circle: Circle, near: float) -> np.ndarray:
-    """Return which edges lie near a circle and along it."""
+    """Return a mask of the edges that lie near a circle and run along it, (n,) bool."""
     away = place - [circle.x, circle.y]
     distance = np.maximum(np.hypot(*away.T), 1e-9)
     along = np.abs(np.sum(away * towards, axis=1)) > _TURN * distance
@@ -155,9 +157,9 @@ def _facing(place: np.ndarray, towards: np.ndarray, circle: Circle, near: float)
 
 
 def _fitted(place: np.ndarray, towards: np.ndarray, circle: Circle, near: float) -> Circle | None:
-    """Return the circle of least squares through the edges near one, every part of the outline with equal weight.
+    """Return the least-squares circle through the edges near a circle, all sectors with equal weight; None if too few.
 
-    Edges that lie off it count for less and less (Cauchy): those within a mirror ball, of what it shows at its rim.
+    Cauchy weights reduce the influence of outliers, such as edges of reflections near the rim of a mirror ball.
     """
     used = place[_facing(place, towards, circle, near)]
     if len(used) < _SECTORS:
@@ -186,12 +188,12 @@ def _seen(place: np.ndarray, towards: np.ndarray, circle: Circle, near: float) -
 
 
 def circle_of_mask(mask, path) -> Circle:
-    """Return the circle of a mask, bright on the ball, by its centroid and its area.
+    """Return the circle with the centroid and the area of a mask's largest bright region, which shows the ball.
 
     Raises
     ------
     InputError
-        If what is bright is no disc.
+        If the bright region is no disc.
     """
     from scipy import ndimage
 
@@ -200,7 +202,7 @@ def circle_of_mask(mask, path) -> Circle:
     largest = int(np.argmax(np.bincount(numbers.ravel())[1:])) + 1 if numbers.any() else 0
     rows, columns = np.nonzero(numbers == largest)
     circle = Circle(float(columns.mean()), float(rows.mean()), math.sqrt(len(rows) / math.pi))
-    # Of a disc, nothing lies outside the circle of its area but rounded edges.
+    # No pixel of a disc lies outside the circle of the same area, apart from pixels at the edge.
     outside = np.hypot(columns - circle.x, rows - circle.y) > circle.radius + 2.0
     if largest == 0 or outside.mean() > 0.01:
         raise InputError(path, "", "a mask that is no disc", "a picture that is bright on the ball and black elsewhere")

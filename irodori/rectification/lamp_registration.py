@@ -1,9 +1,10 @@
-"""Levels and directions of lamps by the shading of an object of known shape before a fixed camera.
+"""Estimation of the brightness and direction of lamps from the shading of an object of known shape.
 
-Lamps of a dome are not equally bright, and one that is moved by hand does not come back to the same place. Both are
-found together from all photographs: a surface with a diffuse weight of its own at every place, and one gloss, is to
-explain them. The diffuse weights are eliminated in closed form, the rest is a robust least squares. A direction is
-also held by what is known of it beforehand. Only ratios of levels can be told: their geometric mean is 1.
+Lamps of a dome are not equally bright, and a lamp that is moved by hand does not return to exactly the same place.
+Brightness levels and directions are estimated together from all photographs of a fixed camera. The surface model has a
+diffuse weight at every point and one gloss lobe for all points. The diffuse weights are eliminated in closed form; the
+rest is a robust least-squares fit, with the directions that were known beforehand as a prior. Only ratios of levels can
+be determined, so that their geometric mean is set to 1.
 """
 
 from dataclasses import dataclass
@@ -14,7 +15,7 @@ from irodori.reflection.equation5 import angles_from_directions
 from irodori.reflection.fresnel import fresnel_array
 from irodori.reflection.lobe_arrays import evaluate
 
-#: What a photograph differs from the model by, share of its mean; and by how many independent readings it counts.
+#: Expected misfit of a photograph to the model, relative to its mean; independent readings that a photograph counts as.
 _MISFIT, _READINGS = 0.02, 100.0
 #: Roughness from which the search begins, rad.
 _STARTS = (0.1, 0.4)
@@ -23,14 +24,14 @@ _LOG_BETA = (-7.0, 5.0)
 
 @dataclass(frozen=True)
 class Lamps:
-    """Lamps of photographs.
+    """Directions and levels of the lamps of J photographs, one lamp each.
 
     Parameters
     ----------
     direction : (J, 3) float64
-        To the lamps.
+        Unit vectors to the lamps.
     level : (J,) float64
-        Relative; their geometric mean is 1.
+        Relative brightness; the geometric mean is 1.
     moved_deg : (J,) float64
         Angle between each direction and the one that was known beforehand.
     """
@@ -41,31 +42,31 @@ class Lamps:
 
 
 def geometry_of(normal, view, direction) -> np.ndarray:
-    """Return θ_i, θ_r, θ_H, φ of places (T, 3) under lamps (J, 3), (T, J, 4) rad."""
+    """Return the angles θ_i, θ_r, θ_H, φ, (T, J, 4) rad, of T points with their normals under J lamps."""
     return angles_from_directions(normal[:, None, :], direction[None], view[:, None, :])
 
 
 def register_lamps(
     response, normal, view, weight, direction, *, error_deg: float, n: float, k: float, lobe: str = "gaussian"
 ) -> Lamps:
-    """Find levels and directions of lamps.
+    """Estimate levels and directions of the lamps of J photographs from the responses of T points.
 
     Parameters
     ----------
     response : (T, J) float
-        Of places in photographs, proportional to the light.
+        Responses of points in photographs, proportional to the light.
     normal, view : (T, 3) float
-        Unit vectors.
+        Unit vectors of the surface normals and towards the camera.
     weight : (T, J) float
-        0 where a place is not seen, not lit, near the terminator, or clips.
+        0 where a point is not seen, not lit, near the border of light and shadow, or clipped.
     direction : (J, 3) float
         Unit vectors to the lamps as known beforehand.
     error_deg : float
-        Their standard deviation, degrees; 0 where they are exact.
+        Standard deviation of these directions, degrees; 0 if they are exact.
     n, k : float
         Complex refractive index of the surface.
     lobe : str
-        Of the gloss.
+        Name of the gloss lobe.
 
     Raises
     ------
@@ -97,7 +98,7 @@ def register_lamps(
         off, power = level * (response / scale / level - gloss), weight * (level * cosine) ** 2
         alpha = (weight * off * level * cosine).sum(axis=1) / np.maximum(power.sum(axis=1), 1e-12)
         left = part * (off - alpha[:, None] * level * cosine)
-        # Soft absolute values count instead of squares beyond the misfit that is expected; priors keep their squares.
+        # Residuals beyond the expected misfit count by about their absolute value (soft L1), priors by their square.
         unit = np.sqrt(_READINGS / weight.sum(axis=0))
         z = (left / unit) ** 2
         robust = np.sign(left) * unit * np.sqrt(2.0 * (np.sqrt(1.0 + z) - 1.0))
@@ -119,7 +120,7 @@ def register_lamps(
 
 
 def _beside(direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return two unit vectors at right angles to each direction and to each other, (J, 3) each."""
+    """Return two unit vectors perpendicular to each direction and to each other, (J, 3) each."""
     axis = np.eye(3)[np.abs(direction).argmin(axis=1)]
     first = np.cross(direction, axis)
     first /= np.linalg.norm(first, axis=1)[:, None]

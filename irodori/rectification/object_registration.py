@@ -1,9 +1,10 @@
-"""Registration of an object to its photographs: where object, camera and light really stand [design, §9].
+"""Registration of an object to its photographs: estimates where object, camera and light really stand [design, §9].
 
-What the definitions say is a prior. The photographs say more by the outline of the object and by its texture, all of
-them together; the most probable values are found by Gauss-Newton steps from coarse to fine, and their covariance is
-that of the last step. What no photograph tells keeps the standard deviation of its prior, and what they do not tell
-from what was typed stays exactly as typed: a correction by less than it is known to would harm what was right.
+The user's definitions of object, camera and rig are the prior. The outline and the texture of the object in all
+photographs correct it: Gauss-Newton steps from coarse to fine resolution find the most probable values, and the last
+step gives their covariance. A value that the photographs do not determine, or whose correction is not significant,
+stays exactly as defined, because a correction smaller than its own error would do harm. Such a value keeps the standard
+deviation of the prior if no photograph depends on it.
 """
 
 import math
@@ -40,64 +41,65 @@ if TYPE_CHECKING:
     from irodori.config.models import Object, Placing
     from irodori.config.parts import TexturedObject
 
-_TEXELS = 3600  # of the object's own, of which the texture is compared
+_TEXELS = 3600  # texels of the object, at most, whose texture is compared
 _FINEST_REACH = 4.0  # samples to either side of an outline, at the end of the search
 _COARSEST_REACH = 40.0
-_MARGIN = 80.0  # superpixels about an object in what is read of a photograph
-_PRIOR_SIGMAS = 2.5  # of the prior, seen in the pictures, that the search goes to either side at first
-_PART_OF_OBJECT = 0.35  # of its smaller half side that it may go at most
-_ROUNDS = 6  # in which an outline's displacement and its outliers are found in turn
-_STEPS = 4  # Gauss-Newton steps of a level
+_MARGIN = 80.0  # superpixels around the object in the part of a photograph that is read
+_PRIOR_SIGMAS = 2.5  # standard deviations of the prior, projected into the pictures, that the first search covers
+_PART_OF_OBJECT = 0.35  # upper limit of the first search, as a share of the object's smaller half side
+_ROUNDS = 6  # iterations of the robust fit of an outline's displacement
+_STEPS = 4  # Gauss-Newton steps, at most, of each level of resolution
 _LAST_STEPS = 8
 #: Blur of the pictures whose textures are compared: at least so many samples, and this part of a texel.
 _FINEST_BLUR, _PART_OF_TEXEL = 1.0, 0.6
 _STILL = 0.02  # standard deviations of the posterior within which a step ends the search
-_LEAST_COSINE = 0.15  # of incidence, under which an outline is too dark
+_LEAST_COSINE = 0.15  # cosine of incidence below which an outline is too dark
 _LEAST_POINTS = 12
-# Mean square of slopes of the logarithm, a superpixel, in the direction of the least.
+# Mean square of the gradient of log reflectance per superpixel, in the direction in which it is least.
 _LEAST_TEXTURE = 1e-5
 _LEAST_MATT = 0.3  # mean weight of the texels of a photograph that is judged by its texture
-#: Standard deviation of a single measurement at least: what pictures of edges and textures are off by systematically.
+#: Least standard deviation of a single measurement: the systematic errors of edges and of textures in pictures.
 _OUTLINE_FLOOR_PX, _TEXTURE_FLOOR = 0.1, 0.01
-_OUTLINE_MOST_PX = 0.4  # standard deviation that outlines are granted at most: what lies further off is an outlier
-#: Neighbouring measurements share their errors: so many count as one. Those of a block of texels and its bands do.
+_OUTLINE_MOST_PX = 0.4  # largest standard deviation of outline points in the last level; points beyond are outliers
+#: Neighbouring measurements have common errors: number that counts as one (for textures, a block of texels and bands).
 _OUTLINE_SHARED, _TEXTURE_SHARED = 5.0, 75.0
-_OUTLINED = 0.5  # of the photographs: where so many show the outline, coarse pictures are compared by it alone
-_TOLD = 0.5  # of the prior's standard deviation; what stays above it is not told by the photographs
-_SIGNIFICANT = 2.0  # standard errors of zero within which a correction is none
-#: As `QUANTITIES`: what registration is asked to be good for, 0.1 mm and 0.05 degrees, and what moves the rim of an
-#: object of a hand's size by as much. An outline in the half-dark has a bias that standard errors do not know.
+_OUTLINED = 0.5  # share of photographs with an outline from which on coarse levels use outlines alone
+_TOLD = 0.5  # share of the prior's standard deviation; a value with a larger error is not determined by the photographs
+_SIGNIFICANT = 2.0  # standard errors that a significant correction exceeds
+#: Accuracy that registration aims at, in the order of `QUANTITIES`: 0.1 mm and 0.05 degrees, and what moves the rim of
+#: an object of a hand's size by as much. Standard errors do not include the bias of an outline in dim light.
 _ACCURACY = np.array([0.1] * 3 + [0.05] * 3 + [2.0, 0.2] + [0.5] * 2 + [0.05] * 2)
-_FLAT = 1e-6  # that normals differ by at most where an object is flat
+_FLAT = 1e-6  # largest range of the components of the normals of a flat object
 _NUMERIC = np.array([0.01] * 3 + [0.01] * 3 + [0.1, 0.01, 0.1, 0.1, 0.01, 0.01])  # steps of derivatives, as QUANTITIES
-#: What may be wrong with the pose of one photograph -> the angle that is tried. Where an object appears is told by the
-#: sum of the camera's angle and the tilt.
+#: What may be wrong with the pose of one photograph -> the angle that is varied. The place of the object in the picture
+#: depends only on the sum of the camera's angle and the tilt.
 _POSE_ANGLES = {"camera_deg or tilt_deg": "camera_deg", "turn_deg": "turn_deg"}
 
 
 @dataclass(frozen=True)
 class Registered:
-    """Place of an object, its camera and its light as the photographs tell it.
+    """Result of a registration: the place of object, camera and light, with errors and residuals.
 
     Parameters
     ----------
     correction : Correction
-        Most probable where all that is not told from what was typed is as typed: exactly 0 there.
+        Most probable corrections of the definitions; exactly 0 for values that the photographs do not determine or do
+        not change significantly.
     covariance : (12, 12) float64
-        Of the most probable values of all twelve together.
+        Covariance of the most probable values if all twelve are estimated together.
     prior : (12,) float64
-        Standard deviations before.
+        Standard deviations of the prior.
     own_camera_deg : (J,) float64
-        What each photograph's camera angle is off on its own.
+        Additional correction of the camera angle of each photograph.
     residual_px : (J,) float64
-        How far, root mean square, each photograph shows the object from where it is expected by its pose and the
-        correction that all share; superpixels, NaN where it shows nothing that could be measured.
+        Root-mean-square distance, superpixels, of the object in each photograph from the place that its pose and the
+        common correction predict; NaN if nothing could be measured in the photograph.
     mm_per_px : float
-        At the object.
+        Millimetres per superpixel at the distance of the object.
     outline_points : (J,) int
-        Of which the edge was found.
+        Number of points of the outline at which an edge was found.
     suspects : tuple of J (str, float)
-        What of each photograph's pose explains its residual best, and by how many degrees it would be off.
+        Angle of each photograph's pose whose error would explain the residual best, and that error in degrees.
     """
 
     correction: Correction
@@ -111,31 +113,31 @@ class Registered:
 
     @property
     def sigma(self) -> np.ndarray:
-        """Standard errors, (12,)."""
+        """Standard errors of the most probable values, (12,)."""
         return np.sqrt(np.diag(self.covariance))
 
     @property
     def is_told(self) -> np.ndarray:
-        """Mask of the values that the photographs determine each on its own, (12,) bool."""
+        """Mask of the values that the photographs determine, (12,) bool: error below half of the prior's."""
         return self.sigma < _TOLD * self.prior
 
 
 class _Texels(NamedTuple):
-    """Points of the object whose colours are compared, in its frame."""
+    """Points on the object whose texture is compared between photographs, in the object's frame."""
 
     position: np.ndarray  # (n, 3)
     normal: np.ndarray
     facet: np.ndarray
-    number: np.ndarray  # (n,) among all of the grid
+    number: np.ndarray  # (n,) index in the whole grid
     columns: int
     rows: int
 
 
 @dataclass
 class _View:
-    """One photograph, and what it shows at the present level."""
+    """One photograph, with the outline and the texture weights of the current level of resolution."""
 
-    pose: Pose  # as typed
+    pose: Pose  # as in the capture table
     picture: Picture = field(init=False)
     level: Level = field(init=False)  # for the texture
     search: Level = field(init=False)  # for the outline
@@ -146,7 +148,7 @@ class _View:
 
 @dataclass
 class _Problem:
-    """Constants of an object's registration, and the unknowns: the 12 shared ones, then one a photograph."""
+    """State of an object's registration: data and unknowns, 12 common ones and one camera angle of each photograph."""
 
     shape: Shape
     setup: RigSetup
@@ -158,14 +160,15 @@ class _Problem:
 
     @property
     def tells_texture(self) -> bool:
-        """Whether the texture is compared: of flat objects alone.
+        """Whether textures are compared, which is done for flat objects only.
 
-        On the default run's spheres, which lie as typed, it put a tenth of a degree into the camera angles.
+        On the spheres of the default run, which lie as defined, textures biased the camera angles by a tenth of a
+        degree.
         """
         return bool(np.ptp(self.texels.normal, axis=0).max() < _FLAT)
 
     def seen(self, view: int, points: np.ndarray, values: np.ndarray) -> np.ndarray:
-        """Return where points of the object appear in a photograph, superpixels, for given unknowns."""
+        """Return the projections of points of the object into a photograph, (n, 2) superpixels, for given unknowns."""
         correction, pose = self.standing(view, values)
         camera = self.setup.corrected(correction)
         placed = correction.placements(self.shape, pose, 0.0)[0]
@@ -173,7 +176,7 @@ class _Problem:
         return camera.pinhole.project(placed.points(points), eye, rig_from_camera(pose))
 
     def shading(self, view: int) -> np.ndarray:
-        """Return the cosine of incidence of every texel times the lamp's power; NaN where the light is behind it."""
+        """Return every texel's cosine of incidence times the irradiance normal to the beam; NaN if lit from behind."""
         correction, pose = self.standing(view, self.unknowns)
         placed = correction.placements(self.shape, pose, 0.0)[0]
         light, power, _ = self.setup.lamp.seen_from(placed.points(self.texels.position), pose)
@@ -181,18 +184,18 @@ class _Problem:
         return np.where(cosine > 0.0, cosine * power, np.nan)
 
     def on_grid(self, values: np.ndarray) -> np.ndarray:
-        """Return values of the texels, (n, m), over their grid, (rows, columns, m); NaN where there is none."""
+        """Arrange values of the texels, (n, m), on their grid, (rows, columns, m); NaN where there is no texel."""
         grid = np.full((self.texels.rows * self.texels.columns, values.shape[1]), np.nan)
         grid[self.texels.number] = values
         return grid.reshape(self.texels.rows, self.texels.columns, -1)
 
     def standing(self, view: int, values: np.ndarray) -> tuple[Correction, Pose]:
-        """Return correction and pose of a photograph for given unknowns."""
+        """Return the common correction and the corrected pose of a photograph for given unknowns."""
         correction = Correction.of(values[:COUNT])
         return correction, correction.pose(self.views[view].pose, float(values[COUNT + view]))
 
     def derivative(self, function, view: int) -> np.ndarray:
-        """Return the derivatives of a function of the unknowns by the shared ones, on a new last axis."""
+        """Return numerical derivatives of ``function(view, unknowns)`` by the common unknowns, on a new last axis."""
         parts = []
         for number, step in enumerate(_NUMERIC):
             ends = []
@@ -207,17 +210,17 @@ class _Problem:
 def register(
     linear: Sequence, definition: "Object | TexturedObject", setup: RigSetup, placing: "Placing"
 ) -> Registered:
-    """Return the place of an object, its camera and its light, as photographs determine them.
+    """Estimate the place of an object, its camera and its light from photographs.
 
     Parameters
     ----------
     linear : sequence of path
-        Linear responses of the captures.
+        Files of linear responses, one for each capture.
     definition : Object or TexturedObject
     setup : RigSetup
-        As typed.
+        Camera and rig as defined, without correction.
     placing : Placing
-        How well it is known.
+        Standard deviations of the definitions.
     """
     problem = _problem(linear, definition, setup, placing)
     sigma = problem.sigma
@@ -246,7 +249,7 @@ def register(
 
 
 def _problem(linear: Sequence, definition: "Object | TexturedObject", setup: RigSetup, placing: "Placing") -> _Problem:
-    """Read what of the photographs may show an object, wherever the prior lets it lie; arguments as of `register`."""
+    """Read the parts of the photographs that may show the object and return the problem; arguments as in `register`."""
     shape = Shape.from_definition(definition.shape)
     texels = _texels(shape, definition.texels.width, definition.texels.height)
     sigma = np.concatenate([prior_sigma(placing), np.full(len(linear), placing.camera_deg)])
@@ -260,7 +263,16 @@ def _problem(linear: Sequence, definition: "Object | TexturedObject", setup: Rig
 
 
 def _descend(problem: _Problem, reach: float, most_steps: int) -> np.ndarray:
-    """Take Gauss-Newton steps of the unknowns that have room at one level, and return the last one's matrix."""
+    """Take Gauss-Newton steps at one level of resolution and return the last normal matrix.
+
+    Parameters
+    ----------
+    problem : _Problem
+        Its unknowns with a positive standard deviation of the prior are changed.
+    reach : float
+        Distance to either side of the expected outline that is searched, samples.
+    most_steps : int
+    """
     spacing = _spacing(problem)
     blur = max(_FINEST_BLUR, reach / 3.0, _PART_OF_TEXEL * spacing)
     texels = problem.texels
@@ -277,20 +289,21 @@ def _descend(problem: _Problem, reach: float, most_steps: int) -> np.ndarray:
 
 
 def _only_what_is_told(unknowns: np.ndarray, matrix: np.ndarray, sigma: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the unknowns without what the photographs do not tell, and their priors' standard deviations, 0 of those.
+    """Reset unknowns that the photographs do not determine; return all unknowns and standard deviations of the prior.
 
-    One after the other, the shared unknown that is told least goes back to what was typed and the others are solved
-    again, for two that only their sum is told of are told each when the other is fixed. Then go those that differ from
-    what was typed by less than their standard error, or the method's own, can tell.
+    One after the other, the least determined of the common unknowns is fixed at 0, its value in the definitions, and
+    the others are solved again: if only the sum of two unknowns is determined, fixing one determines the other. Then
+    unknowns whose correction is not significant, or is below the accuracy of the method, are fixed in the same way. The
+    returned standard deviation of a fixed unknown is 0.
 
     Parameters
     ----------
     unknowns : (n,) float
-        Most probable, the 12 shared ones first.
+        Most probable values, the 12 common ones first.
     matrix : (n, n) float
-        Of the normal equations there, with the prior.
+        Normal matrix at these values, with the prior.
     sigma : (n,) float
-        Of the prior.
+        Standard deviations of the prior.
     """
     values, room = unknowns.copy(), sigma.copy()
     while True:
@@ -318,9 +331,9 @@ def _texels(shape: Shape, width: int, height: int) -> _Texels:
 
 
 def _window(problem: _Problem, view: int, margin: float) -> tuple[float, float, float, float]:
-    """Return first and last x and y of the object in a photograph with a margin, superpixels.
+    """Return the bounding box of the object in a photograph plus a margin: x0, y0, x1, y1, superpixels.
 
-    It goes on beyond the centres of its outermost texels by half a texel.
+    The box extends half a texel beyond the centres of the outermost texels.
     """
     xy = problem.seen(view, problem.texels.position, problem.unknowns)
     xy = xy[np.isfinite(xy).all(axis=1)]
@@ -333,7 +346,7 @@ def _window(problem: _Problem, view: int, margin: float) -> tuple[float, float, 
 
 
 def _first_reach(problem: _Problem) -> float:
-    """Return how far from its expected place the outline may be, samples: from the prior, bounded by the object."""
+    """Return the distance that the first search for outlines covers, samples, from the prior and the object's size."""
     found, half = [], []
     for view in range(len(problem.views)):
         moved = problem.derivative(lambda v, values: problem.seen(v, problem.texels.position, values), view)
@@ -347,7 +360,7 @@ def _first_reach(problem: _Problem) -> float:
 
 
 def _prepare(problem: _Problem, number: int, reach: float, blur: float) -> None:
-    """Find what a photograph shows as things stand: its outline, and the texels whose colours it tells."""
+    """Compute a photograph's lit outline points and the weights of its texels for the present unknowns."""
     view, texels = problem.views[number], problem.texels
     correction, pose = problem.standing(number, problem.unknowns)
     camera = problem.setup.corrected(correction)
@@ -368,7 +381,7 @@ def _prepare(problem: _Problem, number: int, reach: float, blur: float) -> None:
         nearest = cKDTree(texels.position).query(view.rim)[1]
         lit = observe(placed.points(view.rim), normal[nearest], tracer, pose, camera, facet[nearest])
         bright = lit.lit & (np.cos(lit.geometry[:, 0]) > _LEAST_COSINE)
-        # The table's background spreads over the outline by blur.
+        # Blur mixes the background into texels near the outline: they get no weight.
         apart = cKDTree(lit.xy).query(np.nan_to_num(sight.xy))[0] * view.picture.scale
         weight = np.where(apart > 2.0 * blur + 1.5, weight, 0.0)
         view.rim, view.outward = view.rim[bright], view.outward[bright]
@@ -376,9 +389,16 @@ def _prepare(problem: _Problem, number: int, reach: float, blur: float) -> None:
 
 
 def _outline(problem: _Problem, number: int, reach: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return how far a photograph's outline lies off, the derivatives of its places, and which points were found.
+    """Measure a photograph's outline against its expected place.
 
-    Distances are (n,) superpixels, derivatives (n, 12); the last, (m,) bool, counts all points of the rim.
+    Returns
+    -------
+    distance : (n,) float
+        Distances of the found edges from the expected outline along its outward normals, superpixels.
+    derivative : (n, 12) float
+        Derivatives of the expected place along the normals by the common unknowns.
+    found : (m,) bool
+        Mask of the points of the outline at which an edge was found.
     """
     view = problem.views[number]
     nothing = np.zeros(0), np.zeros((0, COUNT)), np.zeros(len(view.rim), dtype=bool)
@@ -395,17 +415,17 @@ def _outline(problem: _Problem, number: int, reach: float) -> tuple[np.ndarray, 
 
 
 def _scatter(values: np.ndarray, floor: float, most: float = math.inf) -> float:
-    """Return the standard deviation of measurements about zero, of which outliers know nothing."""
+    """Return a robust standard deviation of measurements about zero, from their median magnitude, within limits."""
     return min(max(1.4826 * float(np.median(np.abs(values))), floor), most) if values.size else floor
 
 
 def _cauchy(values: np.ndarray, sigma: float) -> np.ndarray:
-    """Return weights of measurements by which outliers have little say."""
+    """Return Cauchy weights of residuals, which give outliers little influence."""
     return 1.0 / (1.0 + (values / (2.0 * sigma)) ** 2)
 
 
 def _equations(problem: _Problem, reach: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return matrix and right side of the normal equations of a Gauss-Newton step, with the prior."""
+    """Return the normal matrix and right-hand side of a Gauss-Newton step, with the prior."""
     is_last = reach <= _FINEST_REACH
     size = len(problem.unknowns)
     matrix, right = np.zeros((size, size)), np.zeros(size)
@@ -429,7 +449,7 @@ def _equations(problem: _Problem, reach: float) -> tuple[np.ndarray, np.ndarray]
 
 
 def _textures(problem: _Problem) -> list[TextureRows]:
-    """Return the texture as each photograph shows it."""
+    """Return the linearised texture of every photograph."""
     texels, views = problem.texels, problem.views
     places = [problem.seen(view, texels.position, problem.unknowns) for view in range(len(views))]
     values, weights = [], []
@@ -441,7 +461,7 @@ def _textures(problem: _Problem) -> list[TextureRows]:
     found = []
     for number, place in enumerate(places):
         moved = problem.derivative(lambda v, unknowns: problem.seen(v, texels.position, unknowns), number)
-        # Behind the shared unknowns, shifts of the photograph on its own.
+        # After the common unknowns: shifts of this photograph alone along x and y.
         moved = np.concatenate([moved, np.broadcast_to(np.eye(2), (len(place), 2, 2))], axis=2)
         slope = picture_slope(mean, problem.on_grid(place)).reshape(-1, mean.shape[2], 2)[texels.number]
         found.append(texture_rows(values[number], slope, moved, weights[number], problem.block))
@@ -449,7 +469,7 @@ def _textures(problem: _Problem) -> list[TextureRows]:
 
 
 def _spacing(problem: _Problem) -> float:
-    """Return the distance of neighbouring texels in the pictures, samples."""
+    """Return the median distance of neighbouring texels in the pictures, samples."""
     found = []
     for number, view in enumerate(problem.views):
         place = problem.on_grid(problem.seen(number, problem.texels.position, problem.unknowns)) * view.picture.scale
@@ -459,8 +479,8 @@ def _spacing(problem: _Problem) -> float:
 
 
 def _add_texture(rows: list[TextureRows], matrix: np.ndarray, right: np.ndarray) -> None:
-    """Add to normal equations what the photographs' textures differ by, the colours of all texels eliminated."""
-    # Of a texel that one photograph alone shows nothing is compared.
+    """Add the differences between the photographs' textures to normal equations, the texels' colours eliminated."""
+    # A texel that only one photograph shows cannot be compared.
     both = np.sum([row.weight > 0 for row in rows], axis=0) > 1
     if not both.any():
         return
@@ -486,7 +506,7 @@ def _add_texture(rows: list[TextureRows], matrix: np.ndarray, right: np.ndarray)
 
 
 def _solve(matrix: np.ndarray, right: np.ndarray, sigma: np.ndarray) -> np.ndarray:
-    """Return the step of the unknowns that have room, 0 of the others."""
+    """Return the step of the unknowns with a positive standard deviation ``sigma``; 0 for the others."""
     free = sigma > 0
     step = np.zeros(len(right))
     scaled = np.outer(sigma[free], sigma[free]) * matrix[np.ix_(free, free)]
@@ -507,9 +527,10 @@ def _diagonal_of_inverse(matrix: np.ndarray, sigma: np.ndarray) -> np.ndarray:
 
 
 def _residuals(problem: _Problem, reach: float) -> tuple[np.ndarray, np.ndarray, tuple[tuple[str, float], ...]]:
-    """Return how far each photograph is from the correction that all share, its outline's points, and what explains it.
+    """Return residuals (J,) in superpixels, counts of outline points (J,), and the suspect angle of every photograph.
 
-    Outlines are looked for further away than they were at the end of the search: one that lies there says so.
+    Residuals are relative to the common correction. Outlines are searched over ``reach`` samples, further than at the
+    end of the registration, so that a photograph with a wrong pose gets a large residual instead of none.
     """
     residual, count = np.full(len(problem.views), np.nan), np.zeros(len(problem.views), dtype=int)
     rows = _textures(problem)
@@ -530,19 +551,19 @@ def _residuals(problem: _Problem, reach: float) -> tuple[np.ndarray, np.ndarray,
 
 
 def _displacement(xy: np.ndarray, outward: np.ndarray, distance: np.ndarray) -> float:
-    """Return by how much an outline as a whole is moved, turned or stretched along its normals, root mean square.
+    """Return the root-mean-square displacement of an outline along its normals, by a robust affine fit, superpixels.
 
-    Single points at another edge have little say; half of all points are not single ones: of a plate that is moved
-    along one of its sides two sides stay where they were.
+    Outliers, at edges of something else, have little influence. The mean is over all points: if a rectangular plate is
+    moved along one of its sides, half of its outline stays in place and still counts.
 
     Parameters
     ----------
     xy : (n, 2) float
-        Where the outline is expected, superpixels.
+        Expected points of the outline, superpixels.
     outward : (n, 2) float
         Unit normals.
     distance : (n,) float
-        Of the outline from there, superpixels.
+        Distance of the measured outline from them, superpixels.
     """
     affine = np.concatenate([outward, outward * xy[:, :1], outward * xy[:, 1:]], axis=1)
     weight, explained = np.ones(len(distance)), distance
@@ -555,19 +576,19 @@ def _displacement(xy: np.ndarray, outward: np.ndarray, distance: np.ndarray) -> 
 
 
 def _suspect(problem: _Problem, number: int, distance: np.ndarray, found: np.ndarray, shift) -> tuple[str, float]:
-    """Return which angle of a photograph's pose explains best how it differs, and how far that would be off, degrees.
+    """Return the angle of a photograph's pose whose error would explain its displacement best, and that error, degrees.
 
     Parameters
     ----------
     problem : _Problem
     number : int
-        Of the photograph.
+        Index of the photograph.
     distance : (n,) float
-        Of its outline, superpixels.
+        Displacement of its outline at the found points, superpixels.
     found : (m,) bool
-        Of which points of its rim.
+        Mask of the outline points at which an edge was found.
     shift : (2,) float
-        Of its texture, superpixels.
+        Displacement of its texture, superpixels; used if no outline was found.
     """
     view = problem.views[number]
     if len(distance):
@@ -592,10 +613,10 @@ def _suspect(problem: _Problem, number: int, distance: np.ndarray, found: np.nda
 
 
 def _shift(row: TextureRows, mean: np.ndarray, total: np.ndarray) -> np.ndarray:
-    """Return how far a photograph's texture lies beside that of the others, (2,) superpixels; NaN for too little."""
+    """Return the displacement of a photograph's texture from that of the others, (2,) superpixels; NaN if too weak."""
     others = total - row.weight
     used = (row.weight > 0) & (others > 1e-6 * row.weight)
-    # In the directions of gloss a texture is another: it tells a place too little to be judged by it.
+    # Gloss changes the texture near mirror directions: with mostly such texels, the place cannot be determined.
     if not used.any() or row.weight[used].mean() < _LEAST_MATT:
         return np.full(2, np.nan)
     share = row.weight[used] / others[used]
@@ -617,31 +638,33 @@ def register_object(
     output,
     provenance: store.Provenance,
 ) -> None:
-    """Write where an object, its camera and its light stand by its photographs.
+    """Estimate the place of an object, its camera and its light from photographs and write it to a file.
 
     Parameters
     ----------
     linear : sequence of path
-        Linear responses of the captures, each file named after its capture.
+        Files of linear responses, each named after its capture.
     definition : Object or TexturedObject
     setup : RigSetup
-        As typed.
+        Camera and rig as defined, without correction.
     placing : Placing
-        How well it is known.
+        Standard deviations of the definitions, and the largest residual that is accepted.
 
     Raises
     ------
     InputError
-        If a photograph shows the object elsewhere than its pose and the others say.
+        If the object in a photograph is further than ``max_residual_px`` from the place that its pose and the common
+        correction predict.
 
     Notes
     -----
-    Datasets: ``/correction`` (12) in the order of ``/quantity`` and the units of ``/quantity_unit``, to be added to
-    what was typed, 0 of what stays as typed; ``/sigma`` (12), standard errors of the most probable values, each by
-    itself; ``/prior_sigma`` (12); ``/covariance`` (12, 12); ``/own_camera_deg`` (J),
-    what each camera angle is off on its own; ``/residual_px`` and ``/residual_mm`` (J), how far a photograph shows the
-    object from where the correction puts it, NaN where it shows nothing that could be measured; ``/outline_points``
-    (J). ``told`` says which numbers the photographs tell, ``captures`` names them, ``sentence`` says all in words.
+    Datasets: ``/correction`` (12) in the order of ``/quantity`` and the units of ``/quantity_unit``, to be added to the
+    values of the definitions, 0 for values that stay as defined; ``/sigma`` (12), standard errors of the most probable
+    values, square roots of the diagonal of ``/covariance`` (12, 12); ``/prior_sigma`` (12), standard deviations of the
+    definitions; ``/own_camera_deg`` (J), additional correction of each camera angle; ``/residual_px`` and
+    ``/residual_mm`` (J), distance of the object in a photograph from its predicted place, NaN where nothing could be
+    measured; ``/outline_points`` (J). Attributes: ``told``, for each quantity whether the photographs determine it;
+    ``captures``, names of the photographs; ``sentence``, a summary in words.
     """
     found = register(linear, definition, setup, placing)
     names = [Path(path).stem for path in linear]
@@ -652,7 +675,7 @@ def register_object(
         out.coordinate("capture", names, units="1", quantity="name of the capture")
         units = np.array(["{px}" if one.unit == "px" else one.unit for one in QUANTITIES], "S")
         for axis in ("quantity", "other_quantity"):
-            out.coordinate(axis, [one.name for one in QUANTITIES], units="1", quantity="what may be corrected")
+            out.coordinate(axis, [one.name for one in QUANTITIES], units="1", quantity="names of the corrections")
             out.write(f"{axis}_unit", units, units="1", dims=axis, quantity="its unit")
         for name, values, quantity in (
             ("correction", found.correction.values, "to be added to what was typed"),
@@ -663,7 +686,11 @@ def register_object(
         covariance = {"units": "{quantity_unit}.{other_quantity_unit}", "dims": "quantity,other_quantity"}
         out.write("covariance", found.covariance, **covariance, quantity="covariance of the most probable values")
         out.write(
-            "own_camera_deg", found.own_camera_deg, units="deg", dims="capture", quantity="camera angle beside all"
+            "own_camera_deg",
+            found.own_camera_deg,
+            units="deg",
+            dims="capture",
+            quantity="own part of the camera angle's correction",
         )
         off = "distance between where a capture shows the object and where it is expected"
         out.write("residual_px", found.residual_px, units="{superpixel}", dims="capture", quantity=off)
@@ -678,7 +705,7 @@ def register_object(
 
 
 def _refuse_far(found: Registered, linear: Sequence, most_px: float) -> None:
-    """Refuse the photograph that shows the object furthest from where it is expected, if that is too far."""
+    """Raise an error that names the photograph with the largest residual if that exceeds ``most_px`` superpixels."""
     if np.isnan(found.residual_px).all():
         return
     worst = int(np.nanargmax(found.residual_px))
@@ -693,12 +720,12 @@ def _refuse_far(found: Registered, linear: Sequence, most_px: float) -> None:
 
 
 def in_words(found: Registered) -> str:
-    """Return in one sentence which places photographs correct, confirm, and leave undetermined."""
+    """Return one sentence that lists which quantities the photographs correct, confirm and leave undetermined."""
     said, confirmed, silent = [], [], []
     for quantity, value, sigma, told in zip(
         QUANTITIES, found.correction.values, found.sigma, found.is_told, strict=True
     ):
-        # Where only the others' being as typed lets it be told, its standard error on its own would mislead.
+        # If a value is determined only because others are fixed, its joint standard error would mislead.
         error = f"± {sigma:.2f} " if told else ""
         if value:
             said.append(f"{quantity.text} {value:+.2f} {error}{quantity.unit}")

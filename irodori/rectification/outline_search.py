@@ -1,7 +1,7 @@
-"""Outline of an object in a photograph: where it is expected, and how far from there the picture has its edge.
+"""Outline of an object in a photograph: its expected points, and their distances from the edge in the picture.
 
-As in contour tracking (C. Harris, *Tracking with rigid models*, in Active Vision, 1992): the picture is searched along
-the normals of the expected outline, and what is measured is the distance along them alone.
+As in contour tracking (C. Harris, *Tracking with rigid models*, in Active Vision, 1992), the picture is searched for an
+edge along the normals of the expected outline, and only the distance along the normals is measured.
 """
 
 from typing import NamedTuple
@@ -12,39 +12,40 @@ from irodori.geometry.embree import Tracer
 from irodori.geometry.pinhole import Pinhole
 from irodori.rectification.reduced_pictures import DARK, GREEN, Level, Picture
 
-_GRID = 160  # rays along the longer side of the object, between which the outline is looked for
-_ROUNDS = 16  # of halving the way between a ray that meets the object and one that does not
-_SMOOTH = 1.5  # steps of the grid over which it is told what is outside
-_NEIGHBOURS = 12  # points through which the outline's direction is taken
-_ROUGH = 0.02  # of their extent, which points may be off a smooth curve
-_MOST = 200  # points of an outline
+_GRID = 160  # rays along the longer side of the object, between which the outline is searched
+_ROUNDS = 16  # bisections between a ray that hits the object and one that does not
+_SMOOTH = 1.5  # blur of the object's mask that gives the outward direction, in grid steps
+_NEIGHBOURS = 12  # points through which the outline's direction is fitted
+_ROUGH = 0.02  # largest distance of these points from a smooth curve, as a share of their spread
+_MOST = 200  # points of an outline, at most
 _STEP = 0.5  # samples between readings along a normal
-_READINGS = 4  # of an edge, each about where the one before found it
-_INNER, _OUTER = 2.5, 6.0  # samples from an edge between which the two sides' levels are read
+_READINGS = 4  # iterations of an edge's place, each centred on the result of the one before
+_INNER, _OUTER = 2.5, 6.0  # range of distances from an edge, samples, over which the level of each side is averaged
 _LEAST_LOG_STEP = 0.25
 _LEAST_SIGMAS = 6.0
 _UNKNOWN_NOISE = 0.01
 
 
 class Rim(NamedTuple):
-    """Points of an outline."""
+    """Points of an object's outline as seen by a camera, with their normals in the picture."""
 
     point: np.ndarray  # (n, 3) on the object, in its frame, mm
     outward: np.ndarray  # (n, 2) unit vectors in the picture, x then y
 
 
 def find_rim(tracer: Tracer, pinhole: Pinhole, eye, axes, window) -> Rim:
-    """Return points of the outline of a scene's shape 0 as a camera sees it.
+    """Find points of the outline of an object as a camera sees it, by tracing rays.
 
     Parameters
     ----------
     tracer : Tracer
+        Scene; the object is its shape 0.
     pinhole : Pinhole
     eye : (3,) float
         Centre of projection in the scene, mm.
     axes : (3, 3) float, scene_from_camera
     window : (4,) float
-        First x and y and last x and y of the object in the picture, superpixels.
+        Bounding box of the object in the picture: x0, y0, x1, y1, superpixels.
     """
     from scipy import ndimage
 
@@ -88,16 +89,17 @@ def find_rim(tracer: Tracer, pinhole: Pinhole, eye, axes, window) -> Rim:
 
 
 def _normals(on: np.ndarray, away: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return unit normals of a curve at its points, (n, 2), and where it is smooth, (n,) bool.
+    """Return unit normals of a curve at its points, (n, 2), and a mask of the points where it is smooth, (n,) bool.
 
-    A parabola through the neighbours of each point, for a normal that is off by little would turn round objects.
+    A parabola is fitted through the neighbours of each point. A straight line would be less accurate, and errors of the
+    normals would appear as a rotation of a round object.
 
     Parameters
     ----------
     on : (n, 2) float
-        Points on the curve, in no order.
+        Points on the curve, in any order.
     away : (n, 2) float
-        Roughly outward.
+        Approximate outward directions.
     """
     from scipy.spatial import cKDTree
 
@@ -114,23 +116,24 @@ def _normals(on: np.ndarray, away: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def edge_distances(picture: Picture, level: Level, xy, outward, reach: float) -> np.ndarray:
-    """Return how far out from where an outline is expected its photograph has an edge.
+    """Return the distances of the edges in a photograph from the expected points of an outline, outward positive.
 
-    Of all places within reach that is the one with the largest step of brightness, by ratio; where exactly is told
-    by the area under the profile between the levels of both sides, of which the inner may rise evenly. It therefore
-    depends neither on the height of the step nor on the sharpness of the picture.
+    The edge is the place within reach with the largest ratio of brightness between its sides; places near the expected
+    point are preferred. Its exact position follows from the area under the brightness profile between the levels of
+    both sides, where the inner side may have a constant slope. It therefore depends neither on the height of the step
+    nor on the sharpness of the picture.
 
     Parameters
     ----------
     picture : Picture
     level : Level
-        Of the picture, in which the step is looked for.
+        Blurred version of the picture in which edges are searched.
     xy : (n, 2) float
-        Expected places, superpixels.
+        Expected points, superpixels.
     outward : (n, 2) float
         Unit normals.
     reach : float
-        Samples to either side.
+        Distance searched to either side, samples.
 
     Returns
     -------
@@ -151,7 +154,8 @@ def edge_distances(picture: Picture, level: Level, xy, outward, reach: float) ->
     score = np.where(clear, ratio * (1.0 - 0.5 * (offset[candidates] / (reach + 1.0)) ** 2), -1.0)
     best = np.argmax(score, axis=1)
     centre = candidates[best]
-    # The greatest ratio lies to the dark side of an edge: read about there, its own blur would tilt the inner line.
+    # The largest ratio lies on the dark side of an edge, and the edge's blur there would tilt the fitted inner line:
+    # the reading is centred again on the edge that it finds.
     for _ in range(_READINGS):
         area = _edge_beside(profile, centre)
         found = offset[centre] + area
@@ -162,27 +166,27 @@ def edge_distances(picture: Picture, level: Level, xy, outward, reach: float) ->
 
 
 def _edge_beside(profile: np.ndarray, centre: np.ndarray) -> np.ndarray:
-    """Return how far behind samples of profiles their edges lie, (n,) samples of the picture.
+    """Return the distances of edges from given readings of their profiles, outward positive, (n,) picture samples.
 
     Parameters
     ----------
     profile : (n, width) float
         Readings along the normals, `_STEP` samples apart.
     centre : (n,) int
-        Of which reading each, at least `_OUTER` samples from both ends.
+        Index of a reading near the edge, at least `_OUTER` samples from both ends of the profile.
     """
     far = round(_OUTER / _STEP)
     along = np.arange(-far, far + 1) * _STEP
     around = np.take_along_axis(profile, centre[:, None] + np.arange(-far, far + 1), axis=1)
     inside = along <= -_INNER
-    # The inner side's own slope: a round object darkens or brightens towards its outline.
+    # The inner side has a slope, because a round object darkens or brightens towards its outline.
     middle = along[inside].mean()
     lean = (around[:, inside] @ (along[inside] - middle)) / np.sum((along[inside] - middle) ** 2)
     inner_line = around[:, inside].mean(axis=1)[:, None] + lean[:, None] * (along - middle)
     outer_level = around[:, along >= _INNER].mean(axis=1)[:, None]
     with np.errstate(divide="ignore", invalid="ignore"):
         share = (around - outer_level) / (inner_line - outer_level)
-        # The area from the first reading on, less that up to the centre itself: half a reading at both ends.
+        # Trapezoidal area over the readings around the edge, less the area of a step exactly at the centre.
         within = (along >= -_INNER - _STEP) & (along <= _INNER + _STEP)
         weights = np.full(within.sum(), _STEP)
         weights[[0, -1]] *= 0.5

@@ -1,4 +1,4 @@
-"""Correction of where an object, its camera and its light stand, beside what their definitions say."""
+"""Correction of the place of an object, its camera and its light, relative to their definitions."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class Quantity(NamedTuple):
-    """One number of a correction: what it is called, its unit, and what it says in a sentence."""
+    """Name, unit and description of one number of a correction; the description is used in sentences."""
 
     name: str
     unit: str
@@ -41,7 +41,7 @@ QUANTITIES = (
     Quantity("light_deg", "deg", "every light angle"),
 )
 COUNT = len(QUANTITIES)
-#: Place of the camera angle, which each photograph also has an error of its own in.
+#: Index of the camera angle, of which each photograph also has an individual correction.
 CAMERA = [quantity.name for quantity in QUANTITIES].index("camera_deg")
 
 
@@ -49,30 +49,30 @@ CAMERA = [quantity.name for quantity in QUANTITIES].index("camera_deg")
 class Correction:
     """Corrections added to the definitions of an object, its camera and its rig.
 
-    The object is turned about the origin of its frame, about x, then y, then z of the table, and then moved along the
-    table's axes; the table's axes are those of the rig at no tilt and no turn.
+    The object is rotated about the origin of its frame, around x, then y, then z of the table, and then moved along the
+    table's axes. The table's axes coincide with those of the rig at zero tilt and zero turn.
 
     Parameters
     ----------
     values : sequence of 12 float
-        In the order and the units of `QUANTITIES`.
+        Corrections in the order and the units of `QUANTITIES`.
     """
 
     values: tuple[float, ...] = (0.0,) * COUNT
 
     @classmethod
     def of(cls, values: Sequence[float] | np.ndarray) -> "Correction":
-        """Return the correction by numbers of any kind."""
+        """Return the correction with the given 12 numbers, converted to float."""
         return cls(tuple(float(value) for value in values))
 
     @classmethod
     def load(cls, path) -> "Correction":
-        """Read the correction of a file of `irodori.rectification.object_registration.register_object`.
+        """Read the correction from a file that `irodori.rectification.object_registration.register_object` wrote.
 
         Raises
         ------
         InputError
-            If the file holds other numbers than these.
+            If the file does not hold 12 finite corrections.
         """
         with store.open_file(path) as file:
             file.require_axes({"correction": "quantity"}, quantity=COUNT)
@@ -80,31 +80,31 @@ class Correction:
 
     @property
     def table_from_object(self) -> np.ndarray:
-        """The (3, 3) rotation of the object on the table."""
+        """Rotation matrix (3, 3) of the object on the table."""
         return rotation_xyz(self.values[3:6])
 
     @property
     def translation_mm(self) -> np.ndarray:
-        """The (3,) way of the object's origin on the table."""
+        """Displacement (3,) of the object's origin on the table, mm."""
         return np.array(self.values[:3])
 
     def pinhole(self, typed: Pinhole) -> Pinhole:
-        """Return the camera with the focal length and the principal point that it has."""
+        """Return a camera with its focal length and principal point corrected."""
         _, percent, x, y = self.values[6:10]
         centre = typed.centre_px[0] + x, typed.centre_px[1] + y
         return replace(typed, focal_px=typed.focal_px * (1.0 + percent / 100.0), centre_px=centre)
 
     def camera_distance_mm(self, typed: float) -> float:
-        """Return the distance at which the camera stands."""
+        """Return the corrected distance of the camera, mm."""
         return typed + self.values[6]
 
     def pose(self, typed: Pose, own_camera_deg: float = 0.0) -> Pose:
-        """Return the pose that a photograph really has, which may be off by an angle of the camera of its own."""
+        """Return the corrected pose of a photograph, with an individual correction of its camera angle, degrees."""
         camera, light = self.values[CAMERA], self.values[CAMERA + 1]
         return replace(typed, light_deg=typed.light_deg + light, camera_deg=typed.camera_deg + camera + own_camera_deg)
 
     def placements(self, shape: Shape, pose: Pose, table_radius_mm: float) -> list[Placement]:
-        """Return the object as it lies (shape 0) and the table under it (shape 1; absent for radius 0) in the rig."""
+        """Return the corrected placements of object (0) and table (1, absent for radius 0) in the rig's frame."""
         rotation = rig_from_object(pose)
         _, *table = on_table(shape, rotation, table_radius_mm)
         height = rotation @ np.array([0.0, 0.0, self.values[2]])
@@ -116,7 +116,7 @@ AS_TYPED = Correction()
 
 
 def prior_sigma(placing: "Placing") -> np.ndarray:
-    """Return the standard deviations of what was typed, (12,) in the order and the units of `QUANTITIES`."""
+    """Return the standard deviations of the definitions, (12,) in the order and the units of `QUANTITIES`."""
     return np.array(
         [placing.translation_mm] * 3
         + [placing.rotation_deg] * 3

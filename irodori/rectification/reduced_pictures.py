@@ -1,4 +1,4 @@
-"""Pictures for registration: the part that may show the object, binned to a bounded size, blurred by levels."""
+"""Pictures for registration: the part that may show the object, binned to a limited size, at several levels of blur."""
 
 from dataclasses import dataclass
 
@@ -6,12 +6,12 @@ import numpy as np
 
 from irodori.core import store
 
-_BANDS = 3  # of the first filter state: the other's are moved onto it, with an error of their own
-GREEN = 1  # the one band whose samples lie evenly about the middle of a superpixel
+_BANDS = 3  # bands of the first filter state; those of the second were shifted onto it, which adds an error
+GREEN = 1  # the only band whose samples lie symmetrically about the centre of a superpixel
 _MOST = 1000  # samples along each side of a picture
-#: Added to responses before their logarithm is taken: what is darker says little.
+#: Added to responses before taking logarithms, because darker values carry little information.
 DARK = 0.01
-_HALF = 0.5  # of a blurred sample's weight that must come from valid ones
+_HALF = 0.5  # least share of a blurred sample's weight that comes from valid samples
 
 
 @dataclass(frozen=True)
@@ -25,11 +25,11 @@ class Picture:
     valid : (height, width) float32
         1 where all bands are measured, else 0.
     scale : float
-        Samples along a superpixel.
+        Samples per superpixel along one side.
     corner : (2,) float64
-        Of the first sample's corner, x then y, in samples of the binned whole picture.
+        Corner of the first sample, x then y, in samples of the binned whole picture.
     noise : (2,) float64
-        c0 and c1 of the variance of a green sample, NaN where not known.
+        c0 and c1 of the variance c0 + c1 ρ of a green sample, NaN if not known.
     """
 
     response: np.ndarray
@@ -40,13 +40,13 @@ class Picture:
 
     @classmethod
     def load(cls, path, window: tuple[float, float, float, float] | None = None) -> "Picture":
-        """Read the part of a linear file that a window shows.
+        """Read the part of a file of linear responses that lies in a window.
 
         Parameters
         ----------
         path : path
         window : (4,) float, optional
-            First x and y and last x and y, superpixels; the whole picture where absent.
+            x0, y0, x1, y1, superpixels; the whole picture by default.
 
         Raises
         ------
@@ -73,11 +73,11 @@ class Picture:
         return cls(response, valid, density / bins, np.array([x0, y0]) / bins, noise)
 
     def place(self, xy) -> np.ndarray:
-        """Turn superpixels into places among the samples, whose centres have integer coordinates; (..., 2), x, y."""
+        """Convert superpixels (..., 2), x then y, to coordinates in samples, whose centres have integer coordinates."""
         return (np.asarray(xy) + 0.5) * self.scale - self.corner - 0.5
 
     def level(self, sigma: float) -> "Level":
-        """Return the picture blurred by a Gaussian of so many samples."""
+        """Return the picture blurred by a Gaussian with a standard deviation of ``sigma`` samples."""
         from scipy import ndimage  # slow to import
 
         if sigma <= 0.0:
@@ -92,13 +92,13 @@ class Picture:
 
 @dataclass(frozen=True)
 class Level:
-    """A blurred picture: responses (bands, height, width) float32 and which are known, (height, width) 0 or 1."""
+    """A blurred picture: responses (bands, height, width) float32 and a mask of valid samples (height, width)."""
 
     bands: np.ndarray
     valid: np.ndarray
 
     def sampled(self, pictures: np.ndarray, place: np.ndarray) -> np.ndarray:
-        """Return pictures (n, height, width) interpolated at places (points, 2), bilinearly; NaN where not known."""
+        """Interpolate pictures (n, height, width) bilinearly at points (p, 2); (p, n), NaN where not known."""
         from scipy import ndimage
 
         rows_columns = place.T[::-1]
@@ -111,7 +111,7 @@ class Level:
 
 
 def _binned(values: np.ndarray, bins: int) -> np.ndarray:
-    """Return sums over squares of samples; what is left over at the right and at the bottom is dropped."""
+    """Return sums over squares of ``bins`` x ``bins`` samples; incomplete squares at right and bottom are dropped."""
     height, width = (side // bins for side in values.shape[:2])
     cut = values[: height * bins, : width * bins]
     return cut.reshape(height, bins, width, bins, *values.shape[2:]).sum(axis=(1, 3))

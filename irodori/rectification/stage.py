@@ -1,7 +1,8 @@
 """Rectification stage: response and geometry of every texel in every capture [design, §4].
 
-Responses count against a perfect diffuser at normal incidence. Where the light is near, the irradiance is that at the
-texel: see `irodori.geometry.lamp` for what the white reference has divided already and what is divided here.
+Responses are relative to a perfect diffuser at normal incidence. Under a near lamp, they are relative to the irradiance
+at the texel; `irodori.geometry.lamp` explains which part of the lamp's fall-off the white reference has removed already
+and which part is removed here.
 """
 
 import math
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
     from irodori.config.models import Object, Optics, RigPose
     from irodori.config.parts import RigGeometry, TexturedObject
 
-#: Of a sample's noise power, what bilinear interpolation leaves on average over the places between samples.
+#: Share of a sample's noise variance that remains after bilinear interpolation, on average over positions.
 _INTERPOLATED = 4.0 / 9.0
 _POSE = tuple(angle.name for angle in fields(Pose))
 _CHUNK = 8192  # texels that a thread takes at a time
@@ -39,7 +40,7 @@ _CHUNK = 8192  # texels that a thread takes at a time
 
 @dataclass(frozen=True)
 class RigSetup:
-    """The parts of rig and camera that place a texel in a picture.
+    """Geometry of rig and camera that determines where a texel appears in a picture and how it is lit.
 
     Parameters
     ----------
@@ -50,9 +51,9 @@ class RigSetup:
         Half the side of the table's top; 0 for none.
     lamp : Lamp
     white_pose : Pose, optional
-        In which the white reference was photographed; needed where the lamp is near.
+        Pose in which the white reference was photographed; needed if the lamp is near.
     correction : Correction
-        Of the object's place and the angles; pinhole and distance contain their parts of it already.
+        Correction of the object's place and the angles; pinhole and distance are corrected already.
     """
 
     pinhole: Pinhole
@@ -71,12 +72,12 @@ class RigSetup:
         optics : Optics
         rig : RigGeometry
         white_pose : RigPose, optional
-            Of the white reference; needed where the lamp is near.
+            Pose of the white reference; needed if the lamp is near.
 
         Raises
         ------
         InputError
-            If the lamp is near and nothing says where the white reference stood.
+            If the lamp is near and the pose of the white reference is not given.
         """
         lamp = Lamp.at(rig.lamp_distance_mm)
         if lamp.is_near and white_pose is None:
@@ -91,30 +92,30 @@ class RigSetup:
         )
 
     def corrected(self, correction: Correction) -> "RigSetup":
-        """Return the setup with a correction that the photographs call for."""
+        """Return a copy of the setup with a correction from the photographs applied."""
         distance = correction.camera_distance_mm(self.camera_distance_mm)
         pinhole = correction.pinhole(self.pinhole)
         return replace(self, pinhole=pinhole, camera_distance_mm=distance, correction=correction)
 
     def light_gain(self, xy, power) -> np.ndarray:
-        """Return the factors that turn responses of a picture into those under each texel's own irradiance, (n,).
+        """Return factors (n,) that make responses relative to each texel's irradiance instead of the white reference's.
 
         Parameters
         ----------
         xy : (n, 2) float
-            Where the texels appear, superpixels.
+            Positions of the texels in the picture, superpixels.
         power : (n,) float
-            Their irradiance normal to the beam, 1 at the origin.
+            Irradiance of the texels normal to the beam, 1 at the origin.
         """
         if not self.lamp.is_near:
             return np.ones(len(xy))
-        assert self.white_pose is not None  # a near lamp has the white reference's
+        assert self.white_pose is not None  # required for a near lamp
         white = self.lamp.on_white(2.0 * (xy + 0.5), self.pinhole, self.camera_distance_mm, self.white_pose)
         return white / power
 
 
 class _Window(NamedTuple):
-    """A window of a picture."""
+    """A rectangular part of a picture: responses, masks and its position."""
 
     response: np.ndarray  # (height, width, bands)
     valid: np.ndarray  # (height, width)
@@ -124,10 +125,10 @@ class _Window(NamedTuple):
 
 @njit(cache=True, nogil=True)
 def _sample(window, xy, out, marks, first, last):
-    """Interpolate responses bilinearly; a texel is good where all neighbours with weight are inside and valid.
+    """Interpolate responses bilinearly at points ``xy`` and mark which points are good and which clip.
 
-    It clips where one of them does. Coordinates are those of the whole picture, so that a texel gets the same bits
-    whatever tile it belongs to.
+    A point is good if all neighbours with weight are in the window and valid; it clips if one of them clips.
+    Coordinates are those of the whole picture, so that a texel gets the same bits in whichever tile it is.
     """
     (response, valid, clipped, corner), (good, clips) = window, marks
     height, width, bands = response.shape
@@ -139,7 +140,7 @@ def _sample(window, xy, out, marks, first, last):
         left, top_row = math.floor(x), math.floor(y)
         fx, fy = x - left, y - top_row
         x0, y0 = left - corner[1], top_row - corner[0]
-        # A neighbour without weight is not looked at: it may lie outside the picture, or the window.
+        # A neighbour without weight is not read, because it may lie outside the window or the picture.
         x1, y1 = x0 + (1 if fx > 0.0 else 0), y0 + (1 if fy > 0.0 else 0)
         if x0 < 0 or y0 < 0 or x1 > width - 1 or y1 > height - 1:
             continue
@@ -154,10 +155,11 @@ def _sample(window, xy, out, marks, first, last):
 
 
 class Sight(NamedTuple):
-    """Projection of texels into a capture.
+    """Position, angles and visibility of texels in a capture.
 
-    ``xy`` (n, 2) superpixels; ``geometry`` (n, 4) θ_i, θ_r, θ_H, φ in rad; ``visible``, ``lit`` (n,) bool, by the
-    angles with the normal and by shadow rays; ``power`` (n,) irradiance normal to the beam, 1 at the origin.
+    ``xy`` (n, 2) position in the picture, superpixels; ``geometry`` (n, 4) θ_i, θ_r, θ_H, φ in rad; ``visible``,
+    ``lit`` (n,) bool, from the angles with the normal and from shadow rays; ``power`` (n,) irradiance normal to the
+    beam, 1 at the origin.
     """
 
     xy: np.ndarray
@@ -168,19 +170,19 @@ class Sight(NamedTuple):
 
 
 def observe(position, normal, tracer: Tracer, pose: Pose, setup: RigSetup, facet=None) -> Sight:
-    """Return where texels appear in a capture, their geometry and whether they are seen and lit.
+    """Return the positions of texels in a capture, their angles, and whether they are seen and lit.
 
     Parameters
     ----------
     position, normal : (n, 3) float
-        Texels in the rig's frame, mm and unit vectors.
+        Positions in mm and unit normals of the texels, in the rig's frame.
     tracer : Tracer
         Object and table in the rig's frame; the object is shape 0.
     pose : Pose
     setup : RigSetup
     facet : (n, 3) float, optional
-        Unit normals of the surface itself where they differ from the shading normals. A texel is seen and lit from
-        the front of both.
+        Unit normals of the facets if they differ from the shading normals. A texel is seen or lit only from the front
+        side of both.
     """
     facet = normal if facet is None else facet
     light, power, lamp_distance = setup.lamp.seen_from(position, pose)
@@ -198,7 +200,7 @@ def observe(position, normal, tracer: Tracer, pose: Pose, setup: RigSetup, facet
 
 
 def _window(xy: np.ndarray, height: int, width: int) -> tuple[slice, slice]:
-    """Return the rows and columns of a picture that hold the samples around all given points; none where none is."""
+    """Return slices of rows and columns that contain the samples around all finite points; empty without points."""
     inside = xy[np.isfinite(xy).all(axis=1)]
     first = np.floor(inside.min(axis=0, initial=np.inf))
     last = np.ceil(inside.max(axis=0, initial=0.0)) + 1.0
@@ -231,7 +233,7 @@ def sample_picture(file: store.Reader, xy, within) -> tuple[np.ndarray, np.ndarr
 
 
 class _Observed(NamedTuple):
-    """One capture's observations of n texels: what `rectify_object` stores, before the largest angle."""
+    """One capture's observations of n texels as `rectify_object` stores them, before the limit of angles is applied."""
 
     response: np.ndarray
     geometry: np.ndarray
@@ -242,7 +244,7 @@ class _Observed(NamedTuple):
 
 
 def _observe_file(path, shape: Shape, texels: Texels, setup: RigSetup) -> _Observed:
-    """Return responses, geometry, which texels are seen and lit, lie in shadow, and clip, from one capture's file."""
+    """Return the observations of all texels in the capture of one file of linear responses."""
     with store.open_file(path) as file:
         pose = setup.correction.pose(Pose(*file.attribute("pose_deg")))
         placements = setup.correction.placements(shape, pose, setup.table_radius_mm)
@@ -253,7 +255,7 @@ def _observe_file(path, shape: Shape, texels: Texels, setup: RigSetup) -> _Obser
         visible = sight.visible
         xy = samples_from_superpixels(sight.xy, file.attribute("sample_px"))
         sampled, good, clips = sample_picture(file, xy, xy[visible])
-    # What hides a texel is not its own: without this, the window of a tile would decide what is stored here.
+    # A hidden texel's samples show another surface, and whether they were read depends on the window of the tile.
     sampled[~visible], clips[~visible] = 0.0, 0
     gain = np.ones(len(xy))
     gain[good] = setup.light_gain(sight.xy[good], sight.power[good])
@@ -264,7 +266,7 @@ def _observe_file(path, shape: Shape, texels: Texels, setup: RigSetup) -> _Obser
 
 
 def _spread(values: np.ndarray, covered: np.ndarray) -> np.ndarray:
-    """Return values of the covered texels among all, zeros for what is no texel."""
+    """Return an array of all texels with the given values at the covered ones and zeros elsewhere."""
     out = np.zeros((covered.size, *values.shape[1:]), dtype=values.dtype)
     out[covered.ravel()] = values
     return out
@@ -280,12 +282,12 @@ def _noise_models(linear: list) -> np.ndarray:
 
 
 def _poses_and_filters(linear: list) -> tuple[np.ndarray, list[str]]:
-    """Return the pose of every capture, (J, 4) in deg, and the filter states that all share.
+    """Return the pose of every capture, (J, 4) in deg, and the filter states that all captures have in common.
 
     Raises
     ------
     InputError
-        If one capture has others: its bands would be mistaken for those of the rest.
+        If the filter states of captures differ, because then their bands differ too.
     """
     first: list[str] | None = None
     poses = []
@@ -301,7 +303,7 @@ def _poses_and_filters(linear: list) -> tuple[np.ndarray, list[str]]:
 
 
 def _maps(observed: _Observed, weight, texels: Texels, near: bool) -> dict:
-    """Return what `rectify_object` writes for each texel: name -> (values, units, quantity)."""
+    """Return the datasets that `rectify_object` writes for each texel: name -> (values, units, quantity)."""
     shadowed, covered = observed.shadowed.astype(np.uint8), texels.covered.ravel().astype(np.uint8)
     maps = {
         "response": (observed.response, "1", "response, 1 = perfect diffuser at normal incidence"),
@@ -332,7 +334,7 @@ def rectify_object(
     Parameters
     ----------
     linear : list of path
-        Linear responses of the J captures; only the window that the tile covers is read.
+        Files of linear responses of the J captures; only the window that the tile covers is read.
     definition : Object or TexturedObject
     setup : RigSetup
     rows : (int, int)
@@ -343,20 +345,22 @@ def rectify_object(
     Raises
     ------
     InputError
-        If captures differ in their filter states or have other bands than these, the shape is a mesh that is refused,
-        or a near lamp stands within the object.
+        If captures differ in their filter states, their bands do not fit the filter states, the shape is a mesh that is
+        refused, or a near lamp stands within the reach of the object.
 
     Notes
     -----
     Datasets: ``/response`` (texel, J, bands) float32; ``/geometry`` (texel, J, 4) float32, θ_i, θ_r, θ_H, φ in rad;
     ``/weight`` (texel, J) float32, 1 where the texel is seen, lit and validly measured, else 0; ``/shadowed`` (texel,
-    J) uint8; ``/clipped`` (texel, J) uint8, 1 where the texel is seen and a sample under it clips in every exposure, so
-    that a highlight can be told from a hot pixel or the picture's edge; ``/texel`` (texel,) uint8, 0 outside the UV
-    charts of a mesh: such an entry is no texel, is zero throughout and is nothing to be fitted; ``/noise_model``
-    (J, bands, 2), variance of a response = c0 + c1 * response, NaN where the camera's noise was not measured.
+    J) uint8, 1 where the texel faces the light but another surface blocks it; ``/clipped`` (texel, J) uint8, 1 where
+    the texel is seen and a sample under it clips in every exposure, which distinguishes a highlight from a hot pixel or
+    the edge of the picture; ``/texel`` (texel,) uint8, 0 outside the UV charts of a mesh: such an entry is zero in all
+    datasets and is not fitted; ``/noise_model`` (J, bands, 2), variance of a response = c0 + c1 * response, NaN where
+    the camera's noise was not measured.
 
-    Under a near light, ``/light_gain`` (texel, J) float32 is the factor that put a response from the white reference's
-    irradiance to the texel's own; its variance is then gain² c0 + gain c1 * response.
+    Under a near light, ``/light_gain`` (texel, J) float32 is the factor by which a response was multiplied: irradiance
+    of the white reference over irradiance of the texel. The variance of a response is then
+    gain² c0 + gain c1 * response.
     """
     shape = Shape.from_definition(definition.shape)
     width = definition.texels.width

@@ -1,8 +1,9 @@
-"""Texture of an object as photographs tell it, and how far they must move to agree about it.
+"""Texture of an object in its photographs, and its derivatives by the shifts that would make photographs agree.
 
-The diffuse part of a texel's response is its colour times the cosine of incidence, so that logarithms over that cosine
-are one number in all photographs, but for the level of the lamp, gloss and all else that changes slowly over a surface.
-These drop out with the level of a block of texels; what is left is the texture, whose colours are eliminated.
+The diffuse part of a texel's response is its colour times the cosine of incidence. The logarithm of response over
+cosine is therefore the same in all photographs, apart from the level of the lamp, gloss and other differences that vary
+slowly over the surface. Subtracting the mean of each block of texels removes these differences; what remains is the
+texture. The unknown colours of the texels are eliminated from the equations.
 """
 
 from typing import NamedTuple
@@ -11,33 +12,34 @@ import numpy as np
 
 from irodori.rectification.reduced_pictures import DARK, Level, Picture
 
-_MATT_RAD = 0.35  # of an angle between normal and half vector under which gloss has its say
+_MATT_RAD = 0.35  # angle between normal and half vector below which gloss may matter
 _BLOCK_SIGMAS = 8.0  # side of a block, in standard deviations of the blur
-_ROUNDS = 6  # in which levels of blocks and colours of texels are found in turn
-_LEAST_BLOCK = 3  # texels with a weight, below which a block says nothing
+_ROUNDS = 6  # iterations that estimate levels of blocks and colours of texels in turn
+_LEAST_BLOCK = 3  # texels with weight that a block needs to be used
 
 
 class TextureRows(NamedTuple):
-    """Linearised texture of one photograph: what each texel shows, and how that changes with each unknown."""
+    """Linearised texture of one photograph: value of each texel, its weight, and derivatives by each unknown."""
 
-    weight: np.ndarray  # (n,) 0 where the texel says nothing
+    weight: np.ndarray  # (n,) 0 where the texel is not used
     value: np.ndarray  # (n, bands)
     change: np.ndarray  # (n, bands, unknowns)
 
 
 def matt_weight(phi: np.ndarray) -> np.ndarray:
-    """Return the weight of observations by their angle between normal and half vector, rad: little where gloss is."""
+    """Return weights of observations from the angle φ between normal and half vector, rad: low near the highlight."""
     return np.clip(phi / _MATT_RAD, 0.0, 1.0) ** 2
 
 
 def blocks(columns: int, rows: int, texel_samples: float, blur: float) -> np.ndarray:
-    """Return the block of each texel, (rows * columns,) int.
+    """Divide a grid of texels into square blocks and return the block number of each texel, (rows * columns,) int.
 
     Parameters
     ----------
     columns, rows : int
+        Size of the grid.
     texel_samples : float
-        Samples of the pictures along a texel.
+        Size of a texel in the pictures, samples.
     blur : float
         Standard deviation of the blur, samples.
     """
@@ -47,16 +49,16 @@ def blocks(columns: int, rows: int, texel_samples: float, blur: float) -> np.nda
 
 
 def picture_slope(values: np.ndarray, place: np.ndarray) -> np.ndarray:
-    """Return how values on the grid of texels change over a picture, (rows, columns, bands, 2) a superpixel.
+    """Return gradients in a picture of values on the grid of texels, (rows, columns, bands, 2) per superpixel.
 
     NaN where a neighbour has no value.
 
     Parameters
     ----------
     values : (rows, columns, bands) float
-        NaN where there is none.
+        NaN where there is no value.
     place : (rows, columns, 2) float
-        Where the texels appear, superpixels.
+        Positions of the texels in the picture, superpixels.
     """
     down, across = np.gradient(values, axis=(0, 1))
     place_down, place_across = np.gradient(place, axis=(0, 1))
@@ -68,24 +70,24 @@ def picture_slope(values: np.ndarray, place: np.ndarray) -> np.ndarray:
 
 
 def texel_values(picture: Picture, level: Level, place, shading) -> np.ndarray:
-    """Return logarithms of what texels reflect, (n, bands); NaN where a photograph does not show them.
+    """Return logarithms of the texels' responses over their irradiance, (n, bands); NaN where not in the photograph.
 
     Parameters
     ----------
     picture : Picture
     level : Level
-        Of the picture.
+        Blurred version of the picture.
     place : (n, 2) float
-        Where texels appear, superpixels.
+        Positions of the texels in the picture, superpixels.
     shading : (n,) float
-        Cosine of incidence times the lamp's power; NaN where the light is behind.
+        Cosine of incidence times the irradiance normal to the beam; NaN if lit from behind.
     """
     found = level.sampled(level.bands, picture.place(place))
     return np.log(np.maximum(found, 0.0) / shading[:, None] + DARK)
 
 
 def mean_texture(values: list[np.ndarray], weights: list[np.ndarray]) -> np.ndarray:
-    """Return the mean of what photographs show of each texel, finite (n, bands); NaN where it has no weight."""
+    """Return the weighted mean of each texel's values over photographs, (n, bands); NaN for a texel without weight."""
     total = np.sum(weights, axis=0)
     summed = sum(w[:, None] * v for v, w in zip(values, weights, strict=True))
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -93,7 +95,7 @@ def mean_texture(values: list[np.ndarray], weights: list[np.ndarray]) -> np.ndar
 
 
 def _block_means(values: np.ndarray, weight: np.ndarray, block: np.ndarray) -> np.ndarray:
-    """Return the weighted mean of each block, (blocks, ...), 0 of one without weight."""
+    """Return the weighted mean of the values in each block, (blocks, ...); 0 for a block without weight."""
     total = np.bincount(block, weight, block.max() + 1)
     sums = np.zeros((len(total), *values.shape[1:]))
     used = weight > 0.0
@@ -102,16 +104,17 @@ def _block_means(values: np.ndarray, weight: np.ndarray, block: np.ndarray) -> n
 
 
 def without_levels(values: list[np.ndarray], weights: list[np.ndarray], block: np.ndarray) -> list[np.ndarray]:
-    """Return values of each photograph, (n, bands), without what it has more than the others over a block.
+    """Return the values of each photograph, (n, bands), less the photograph's offset in each block from the others.
 
-    Photographs show different parts of a block, so that its level and the colours of its texels are found together.
+    Photographs show different parts of a block, so that offsets and mean texture are estimated in turn.
 
     Parameters
     ----------
     values : list of (n, bands) float
-        NaN only where there is no weight.
+        One array for each photograph; NaN only where the weight is 0.
     weights : list of (n,) float
     block : (n,) int
+        Block of each texel.
     """
     own = [np.where(w[:, None] > 0.0, v, 0.0) for v, w in zip(values, weights, strict=True)]
     totals = np.array([np.bincount(block, w, block.max() + 1) for w in weights])
@@ -125,19 +128,20 @@ def without_levels(values: list[np.ndarray], weights: list[np.ndarray], block: n
 
 
 def texture_rows(values: np.ndarray, slope: np.ndarray, moved: np.ndarray, weight, block) -> TextureRows:
-    """Return the texture of texels as a photograph shows it, with its change less the mean of each block.
+    """Return the linearised texture of a photograph, with the mean of each block subtracted from the derivatives.
 
     Parameters
     ----------
     values : (n, bands) float
-        Those of `without_levels`.
+        Values that `without_levels` returned for the photograph.
     slope : (n, bands, 2) float
-        Of the texture that all photographs tell, a superpixel of this one: their own slopes are those of shading and
-        gloss as well. Where it is not finite, the texel says nothing.
+        Gradient of the mean texture per superpixel of this photograph; the photograph's own gradient would contain
+        shading and gloss too. A texel where it is not finite is not used.
     moved : (n, 2, unknowns) float
-        How the places of the texels change, superpixels.
+        Derivatives of the texels' positions by the unknowns, superpixels.
     weight : (n,) float
     block : (n,) int
+        Block of each texel.
     """
     weight = np.where(np.isfinite(slope).all(axis=(1, 2)), weight, 0.0)
     change = np.where(weight[:, None, None] > 0.0, slope, 0.0) @ moved

@@ -1,4 +1,4 @@
-"""Division of a texture into tiles, with the standard library alone."""
+"""Division of a texture into tiles of whole rows."""
 
 
 def tile_rows(height: int, width: int, tile_texels: int) -> list[tuple[int, int]]:
@@ -6,7 +6,8 @@ def tile_rows(height: int, width: int, tile_texels: int) -> list[tuple[int, int]
 
     Parameters
     ----------
-    height, width : int, texels
+    height, width : int
+        Size of the texture, texels.
     tile_texels : int
         Upper bound on the texels of a tile; a tile has at least one row.
     """

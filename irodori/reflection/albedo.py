@@ -17,28 +17,29 @@ _ROUGHNESSES, _COSINES, _ROUNDING = 25, 17, 1e-12
 
 
 class AlbedoTable(NamedTuple):
-    """Albedo of a lobe over roughness and cosine.
+    """Albedo of a lobe, tabulated over roughness and cosine of the angle.
 
-    ``albedo`` is ∫ D G / cosθ_r dω_i / π, what a view at cosθ_r has of even light for β F = 1. Lobes are reciprocal: it
-    is also the share of light from that angle that is reflected to anywhere.
+    ``albedo`` is ∫ D G / cosθ_r dω_i / π: the radiance towards an angle θ_r under uniform light of radiance 1, for
+    β F = 1. Lobes are reciprocal, so it is also the share of light from that angle that is reflected in all directions.
     """
 
     mu: np.ndarray  # (m,) in the unit of the lobe
     cosine: np.ndarray  # (c,) above 0
     albedo: np.ndarray  # (m, c)
-    error: np.ndarray  # (m,) largest difference along the cosines from a quadrature of half as many nodes
+    error: np.ndarray  # (m,) largest difference, over the cosines, from a quadrature with half as many nodes
 
 
 @njit(cache=True, error_model="numpy")
 def _integrate(lobes, mu, cos_r, rule, index, out):
-    """Fill ``out`` with ∫ D G / cosθ_r dω_i / π and the same of F D G / cosθ_r for each index; φ = μ sinh t.
+    """Fill ``out`` with ∫ D G / cosθ_r dω_i / π, then ∫ F D G / cosθ_r dω_i / π for each refractive index.
 
-    ``rule`` has nodes and weights of 0..1, ``index`` n and k.
+    ``rule`` has the nodes and weights of a quadrature over 0..1, ``index`` arrays of n and k. The angle of the half
+    vector is substituted by φ = μ sinh t.
     """
     (node, weight), (n, k) = rule, index
     constant = constants(lobes, math.log(mu))
     sin_r = math.sqrt(max(1.0 - cos_r * cos_r, 0.0))
-    # Half vectors further out have light above the horizon nowhere.
+    # For larger φ, no direction of light lies above the horizon.
     furthest = 0.25 * math.pi + 0.5 * math.acos(min(cos_r, 1.0))
     most = math.asinh(furthest / mu)
     out[:] = 0.0
@@ -46,7 +47,7 @@ def _integrate(lobes, mu, cos_r, rule, index, out):
         t = most * node[i]
         phi = mu * math.sinh(t)
         sine, cos_phi = math.sin(phi), math.cos(phi)
-        # Light is above the horizon, cosθ_i > 0, up to an azimuth from the view; there the lobe has a corner.
+        # The light is above the horizon, cosθ_i > 0, up to this azimuth from the view, where the integrand has a kink.
         last = _last_azimuth(cos_r, sin_r, cos_phi, sine)
         ring = 2.0 * most / math.pi * weight[i] * sine * mu * math.cosh(t) * last
         for j in range(node.size):
@@ -61,8 +62,8 @@ def _integrate(lobes, mu, cos_r, rule, index, out):
 
 @njit(cache=True, error_model="numpy")
 def _last_azimuth(cos_r, sin_r, cos_phi, sine):
-    """Return the azimuth from the view up to which a half vector mirrors the view above the horizon."""
-    least = cos_r / (2.0 * cos_phi) - cos_phi * cos_r  # cosθ_H of light at the horizon, less its even part
+    """Return the azimuth from the view up to which a half vector reflects the view direction above the horizon."""
+    least = cos_r / (2.0 * cos_phi) - cos_phi * cos_r  # cosθ_H of light at the horizon, less its part without azimuth
     across = sine * sin_r
     if least <= -across:
         return math.pi
@@ -77,7 +78,7 @@ def _fill(lobes, mu, cosine, rule, index, out):
 
 
 def _integrals(name: str, mu: np.ndarray, cosine: np.ndarray, nodes: int, n: np.ndarray, k: np.ndarray) -> np.ndarray:
-    """Return the integrals of `_integrate` with so many nodes each way, (m, c, 1 + indices)."""
+    """Return the integrals of `_integrate` with ``nodes`` nodes along each angle, (m, c, 1 + indices)."""
     node, weight = np.polynomial.legendre.leggauss(nodes)
     out = np.empty((len(mu), len(cosine), 1 + len(n)))
     _fill(Lobes.of(name), mu, cosine, (0.5 * (node + 1.0), 0.5 * weight), (n, k), out)
@@ -85,18 +86,18 @@ def _integrals(name: str, mu: np.ndarray, cosine: np.ndarray, nodes: int, n: np.
 
 
 def albedo_table(name: str, mu=None, cosine=None, nodes: int = _NODES) -> AlbedoTable:
-    """Return the albedo of a lobe for β F = 1.
+    """Return the albedo of a lobe for β F = 1 over roughness and viewing angle.
 
     Parameters
     ----------
     name : str
-        Of a registered lobe.
+        Name of a registered lobe.
     mu : (m,) float, optional
-        Roughnesses; where absent 25 from one bound of the lobe to the other, evenly in their logarithm.
+        Roughnesses; by default 25 between the bounds of the lobe, evenly spaced in their logarithm.
     cosine : (c,) float, optional
-        Cosines of the view's angle, above 0; where absent 17 from 0.01 to 1, the angles evenly spread.
+        Cosines of the viewing angle, above 0; by default 17 from 0.01 to 1, evenly spaced in the angle.
     nodes : int
-        Of the quadrature, along the angle from the normal and around it.
+        Number of quadrature nodes along the angle from the normal and around it.
 
     Raises
     ------
@@ -119,11 +120,11 @@ def gloss_albedo(name: str, mu, cosine, n, k) -> np.ndarray:
     Parameters
     ----------
     name : str
-        Of a registered lobe.
+        Name of a registered lobe.
     mu : (m,) float
         Roughnesses.
     cosine : (c,) float
-        Cosines of the view's angle, above 0.
+        Cosines of the viewing angle, above 0.
     n, k : (i,) float
         Complex refractive indices.
 

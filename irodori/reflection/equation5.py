@@ -1,7 +1,7 @@
-"""The reflection model of equation (5): its geometry, and the rough terms over arrays.
+"""The reflection model of equation (5): its angles, and its diffuse and gloss terms over arrays.
 
-The forms of the rough gloss itself are the lobes of `irodori.reflection.registry`. Angles are in rad, directions are
-unit vectors, refractive index is n + ik.
+The shapes of the gloss term are the lobes of `irodori.reflection.registry`. Angles are in rad, directions are unit
+vectors, the refractive index is n + ik.
 """
 
 import math
@@ -13,7 +13,7 @@ from irodori.reflection.lobe_arrays import evaluate
 
 
 def reflect(alpha, reflectance, beta, mu, geometry, *, n=1.5, k=0.0, lobe: str = "gaussian"):
-    """Return π L_o / E_n of diffuse reflection and one component of rough gloss [eq. 5].
+    """Return π L_o / E_n, reflected radiance over irradiance, of diffuse reflection and one gloss component [eq. 5].
 
     Parameters
     ----------
@@ -24,8 +24,9 @@ def reflect(alpha, reflectance, beta, mu, geometry, *, n=1.5, k=0.0, lobe: str =
     geometry : (..., 4) float
         θ_i, θ_r, θ_H, φ in rad.
     n, k : float
+        Complex refractive index.
     lobe : str
-        Of `irodori.reflection.registry`.
+        Name of a lobe in `irodori.reflection.registry`.
 
     Returns
     -------
@@ -38,7 +39,7 @@ def reflect(alpha, reflectance, beta, mu, geometry, *, n=1.5, k=0.0, lobe: str =
 
 
 def angles_from_directions(normal, to_light, to_camera) -> np.ndarray:
-    """Return θ_i, θ_r, θ_H, φ of unit directions.
+    """Return the angles θ_i, θ_r, θ_H, φ of the reflection model from unit directions.
 
     Parameters
     ----------
@@ -47,7 +48,7 @@ def angles_from_directions(normal, to_light, to_camera) -> np.ndarray:
 
     Returns
     -------
-    (..., 4) float64, rad. Computed with atan2, so that small angles keep their digits.
+    (..., 4) float64, rad. Computed with atan2, so that small angles keep full relative precision.
     """
     normal, to_light, to_camera = np.broadcast_arrays(normal, to_light, to_camera)
     half = to_light + to_camera

@@ -1,4 +1,4 @@
-"""The paper's lobe: Gaussian facets with the attenuation of V-shaped grooves [eq. 5].
+"""The lobe of the paper: Gaussian distribution of facets with the attenuation of V-shaped grooves [eq. 5].
 
 D = exp(-(φ/μ)²) and G = min(1, 2 cosφ cosθ_r / cosθ_H, 2 cosφ cosθ_i / cosθ_H).
 """
@@ -20,7 +20,7 @@ _REACH = 3.0  # exp(-9) is 1.2e-4
 
 @njit(cache=True, forceinline=True, error_model="numpy")
 def features(cos_i, cos_r, cos_phi, cos_h, phi):
-    """Return G / cosθ_r, bounded by 2 cosφ / cosθ_H however small cosθ_r becomes; φ², and nothing else."""
+    """Return G / cosθ_r, which is at most 2 cosφ / cosθ_H for any cosθ_r, and φ²; the other two features are 0."""
     facet = 2.0 * cos_phi / (cos_h + _TINY)
     bounded = lower_of(lower_of(facet * cos_i, 1.0) / (cos_r + _TINY), facet)
     lit = (cos_i > 0.0) & (cos_r > 0.0) & (cos_h > 0.0) & (cos_phi > 0.0)
@@ -30,19 +30,19 @@ def features(cos_i, cos_r, cos_phi, cos_h, phi):
 
 @njit(cache=True, forceinline=True, error_model="numpy")
 def constants(t):
-    """Return -1 / μ²."""
+    """Return -1 / μ² and 0."""
     return -exp(-2.0 * t), 0.0
 
 
 @njit(cache=True, forceinline=True, error_model="numpy")
 def value(constant, f0, f1, f2):
-    """Return D."""
+    """Return D = exp(-(φ/μ)²)."""
     return exp(constant[0] * f0)
 
 
 @njit(cache=True, forceinline=True, error_model="numpy")
 def derivatives(constant, f0, f1, f2):
-    """Return D and its derivatives by ln μ."""
+    """Return D and its first two derivatives by ln μ."""
     x = constant[0] * f0
     d = exp(x)
     return d, -2.0 * x * d, 4.0 * x * (x + 1.0) * d
@@ -56,13 +56,13 @@ def flank(constant, f0, f1, f2):
 
 @njit(cache=True, forceinline=True)
 def _inside(mu):
-    """Return 1 - exp(-(π/2μ)²), the share of the facets' law that lies within a quarter turn."""
+    """Return 1 - exp(-(π/2μ)²), the probability of φ < π/2 for the density 2φ/μ² exp(-(φ/μ)²)."""
     return -math.expm1(-((0.5 * math.pi / mu) ** 2))
 
 
 @njit(cache=True, forceinline=True, error_model="numpy")
 def draw(mu, v0, v1, v2, u0, u1):
-    """Draw φ with the density 2φ/μ² exp(-(φ/μ)²) / inside, cut at π/2: D(φ) dω but for a factor sinφ/φ."""
+    """Sample a half vector; φ has the density 2φ/μ² exp(-(φ/μ)²) below π/2, which is D(φ) dω but for sinφ/φ."""
     phi = mu * math.sqrt(-math.log1p(-u0 * _inside(mu)))
     azimuth, sine = 2.0 * math.pi * u1, math.sin(phi)
     return sine * math.cos(azimuth), sine * math.sin(azimuth), math.cos(phi)
@@ -70,7 +70,7 @@ def draw(mu, v0, v1, v2, u0, u1):
 
 @njit(cache=True, forceinline=True, error_model="numpy")
 def density(mu, cos_r, cos_phi, cos_h, phi):
-    """Return a quarter of the half vector's density over V·H."""
+    """Return the density of the light direction, 1/sr: that of the half vector over 4 V·H."""
     ratio = phi / mu
     sine = math.sin(phi)
     spread = phi / sine if sine > 1e-9 else 1.0
@@ -79,11 +79,11 @@ def density(mu, cos_r, cos_phi, cos_h, phi):
 
 @njit(cache=True, forceinline=True)
 def strength(mu):
-    """Return 4 μ², which is ∫ 4 D dω_H / π of small μ."""
+    """Return 4 μ², which equals ∫ 4 D dω_H / π for small μ."""
     return 4.0 * mu * mu
 
 
 @njit(cache=True, forceinline=True)
 def reach(mu):
-    """Return three roughnesses, at most a quarter turn."""
+    """Return 3 μ, at most π/2."""
     return min(_REACH * mu, 0.5 * math.pi)

@@ -1,11 +1,11 @@
 """The GGX lobe with Smith's height-correlated masking and shadowing.
 
 Walter et al., *Microfacet models for refraction through rough surfaces*, EGSR 2007; Heitz, *Understanding the
-masking-shadowing function in microfacet-based BRDFs*, JCGT 3(2), 2014; visible normals are drawn as in Heitz, *Sampling
-the GGX distribution of visible normals*, JCGT 7(4), 2018.
+masking-shadowing function in microfacet-based BRDFs*, JCGT 3(2), 2014; visible normals are sampled as in Heitz,
+*Sampling the GGX distribution of visible normals*, JCGT 7(4), 2018.
 
-With D scaled to 1 at φ = 0 the term is D G₂ / (4 cosθ_r cosθ_i) times 4 cosθ_i / (D scaled to the area of the facets):
-β = 1 / (4 μ²) is the surface whose facets cover it exactly once.
+D is scaled to 1 at φ = 0, so that the gloss term is β F D G₂ / cosθ_r. A surface with the usual normalisation of D, in
+which the projected area of the facets equals that of the surface, has β = 1 / (4 μ²).
 """
 
 import math
@@ -22,7 +22,7 @@ SQUARES_AT_HALF_OCTAVE = False
 
 @njit(cache=True, forceinline=True, error_model="numpy")
 def features(cos_i, cos_r, cos_phi, cos_h, phi):
-    """Return 2 cosθ_i, and sin²φ, cosθ_i, cosθ_r; φ near 0 gives the digits that cosφ has lost."""
+    """Return 2 cosθ_i, then sin²φ, cosθ_i and cosθ_r; near 0, sin²φ is computed from φ, because 1 - cos²φ cancels."""
     lit = (cos_i > 0.0) & (cos_r > 0.0) & (cos_h > 0.0) & (cos_phi > 0.0)
     square = 1.0 - cos_phi * cos_phi
     p2 = phi * phi
@@ -40,7 +40,7 @@ def constants(t):
 
 @njit(cache=True, forceinline=True, error_model="numpy")
 def value(constant, f0, f1, f2):
-    """Return D over the sum of Smith's two roots."""
+    """Return D over the denominator of Smith's G₂, a sum of two square roots."""
     m2 = constant[0]
     ratio = m2 / (m2 * (1.0 - f0) + f0)
     q_i, q_r = f1 * f1 + m2 * (1.0 - f1 * f1), f2 * f2 + m2 * (1.0 - f2 * f2)
@@ -49,7 +49,7 @@ def value(constant, f0, f1, f2):
 
 @njit(cache=True, forceinline=True, error_model="numpy")
 def derivatives(constant, f0, f1, f2):
-    """Return the value and its derivatives by ln μ, from those of its logarithm."""
+    """Return the value and its first two derivatives by ln μ, from the derivatives of its logarithm."""
     m2 = constant[0]
     facing = m2 * (1.0 - f0)
     base = facing + f0
@@ -69,7 +69,7 @@ def derivatives(constant, f0, f1, f2):
 
 @njit(cache=True, forceinline=True, error_model="numpy")
 def flank(constant, f0, f1, f2):
-    """Return D scaled to 1 at φ = 0, and the square of its logarithm's slope along φ."""
+    """Return D scaled to 1 at φ = 0, and the squared derivative of its logarithm by φ."""
     m2 = constant[0]
     base = m2 * (1.0 - f0) + f0
     ratio, slope = m2 / base, (1.0 - m2) / base
@@ -78,7 +78,7 @@ def flank(constant, f0, f1, f2):
 
 @njit(cache=True, forceinline=True, error_model="numpy")
 def draw(mu, v0, v1, v2, u0, u1):
-    """Draw a facet's normal as often as the viewer sees it."""
+    """Sample a facet normal with the distribution of normals that are visible to the viewer."""
     s0, s1, s2 = mu * v0, mu * v1, max(v2, 1e-7)
     length = math.sqrt(s0 * s0 + s1 * s1 + s2 * s2)
     s0, s1, s2 = s0 / length, s1 / length, s2 / length
@@ -104,7 +104,7 @@ def draw(mu, v0, v1, v2, u0, u1):
 
 @njit(cache=True, forceinline=True, error_model="numpy")
 def density(mu, cos_r, cos_phi, cos_h, phi):
-    """Return D G₁ / (4 cosθ_r), D scaled to the area of the facets."""
+    """Return D G₁ / (4 cosθ_r) with normalised D, the density of the light direction, 1/sr."""
     m2 = mu * mu
     sine = math.sin(phi)
     s2 = sine * sine
@@ -114,11 +114,11 @@ def density(mu, cos_r, cos_phi, cos_h, phi):
 
 @njit(cache=True, forceinline=True)
 def strength(mu):
-    """Return 4 μ²: a surface that its facets cover once reflects nearly everything of a steep view."""
+    """Return 4 μ², because a surface with β = 1 / (4 μ²) and F = 1 has an albedo near 1 for a view near the normal."""
     return 4.0 * mu * mu
 
 
 @njit(cache=True, forceinline=True)
 def reach(mu):
-    """Return the angle at which D has fallen to 1e-4, tanφ = 10 μ."""
+    """Return arctan(10 μ), the angle at which D has fallen to about 1e-4."""
     return math.atan(10.0 * mu)

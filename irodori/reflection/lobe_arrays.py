@@ -27,7 +27,7 @@ def evaluate_with_derivatives(name: str, mu, geometry) -> np.ndarray:
     Parameters
     ----------
     name : str
-        Of a registered lobe.
+        Name of a registered lobe.
     mu : float or (...) float
         Roughness, in the unit of the lobe.
     geometry : (..., 4) float
@@ -56,7 +56,7 @@ def evaluate(name: str, mu, geometry) -> np.ndarray:
 
     Examples
     --------
-    The Gaussian lobe of roughness 0.1 rad, for light and camera at the normal, and for facets that lean by 0.1 rad:
+    The Gaussian lobe of roughness 0.1 rad, for light and camera at the normal, and for facets tilted by 0.1 rad:
 
     >>> evaluate("gaussian", 0.1, [[0.0, 0.0, 0.0, 0.0], [0.1, 0.1, 0.0, 0.1]]).round(3).tolist()
     [1.0, 0.37]

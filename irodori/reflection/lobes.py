@@ -1,12 +1,12 @@
-"""Lobes as a compile-time constant: loops that are given a `Lobes` are compiled for the lobes that it names.
+"""Lobes as a compile-time constant: a loop with a `Lobes` argument is compiled for the lobes that it names.
 
-A `Lobes` is an argument like any other in Python. In compiled code it has no value, only a type, which holds the names
-of the lobes and the hashes of their sources; the functions below become calls of those lobes' own kernels, and a chain
-of comparisons where there are several. A loop for one lobe is therefore the code that would stand there without
-any choice. The hashes keep the kernels of lobes from outside the package apart; those of the package are part of the
-import closure of whatever uses them.
+In Python, a `Lobes` is an ordinary argument. In compiled code it has no value, only a type, which holds the names of
+the lobes and the hashes of their sources. The functions below become calls of the kernels of these lobes; with several
+lobes, a chain of comparisons selects one. A loop for one lobe thus compiles to the same code as if the lobe were
+written into it. The hashes distinguish the kernels of lobes from outside the package; the sources of the package's own
+lobes are part of the hash under which compiled kernels are cached anyway.
 
-Functions whose second argument is ``which`` take the number of one lobe of several; the others take a `Lobes` of one.
+Functions with a second argument ``which`` take the number of one lobe of several; the others take a `Lobes` of one.
 """
 
 from collections.abc import Sequence
@@ -23,12 +23,12 @@ from irodori.reflection.registry import lobe
 
 @dataclass(frozen=True)
 class Lobes:
-    """The lobes that occur where a loop is run.
+    """Names of the lobes for which a loop is compiled.
 
     Parameters
     ----------
     names : tuple of str
-        Of registered lobes; their places count from 0.
+        Names of registered lobes; the argument ``which`` counts them from 0.
     """
 
     names: tuple[str, ...]
@@ -39,12 +39,12 @@ class Lobes:
 
     @classmethod
     def of(cls, names: Sequence[str] | str) -> "Lobes":
-        """Return the lobes of the names, each once, in the order in which they first occur."""
+        """Return the `Lobes` of one or several names, without duplicates, in order of first occurrence."""
         return cls(tuple(dict.fromkeys([names] if isinstance(names, str) else names)))
 
 
 class LobesType(types.Type):
-    """The type of a `Lobes` in compiled code."""
+    """Numba type of a `Lobes` in compiled code."""
 
     def __init__(self, names: tuple[str, ...], digests: tuple[str, ...]) -> None:
         self.names, self.digests = names, digests
@@ -52,7 +52,7 @@ class LobesType(types.Type):
 
     @property
     def key(self):
-        """Return what tells one type from another."""
+        """Names and source hashes of the lobes, by which numba compares types."""
         return self.names, self.digests
 
 
@@ -78,7 +78,7 @@ def _unbox(kind, value, context):
 
 
 def _specialised(name: str, arguments: str, about: str, choosing: bool, kernel: str = ""):
-    """Return a function for compiled code that calls the kernel of a name, or of its own, of the lobes it is given."""
+    """Return a function for compiled code that calls the kernel ``kernel`` (or ``name``) of its argument's lobes."""
     kernel = kernel or name
     head = f"lobes, which, {arguments}" if choosing else f"lobes, {arguments}"
     namespace: dict = {}
@@ -96,7 +96,7 @@ def _specialised(name: str, arguments: str, about: str, choosing: bool, kernel: 
         exec(source, inner)
         return inner[name]
 
-    # An overload is told apart by its parameters, which must be those of the function.
+    # numba requires that an overload has the same parameters as the function.
     chooser: dict = {"build": build}
     exec(f"def chosen({head}):\n    return build(lobes)\n", chooser)
     overload(made, jit_options={"error_model": "numpy", "forceinline": True})(chooser["chosen"])
@@ -119,7 +119,7 @@ value_of = _specialised("value_of", "constant, f0, f1, f2", "See `Lobe.value`; o
 
 
 def squares_at_half_octave(lobes):
-    """See `Lobe.squares_at_half_octave`; of one lobe, in compiled code only."""
+    """Return `Lobe.squares_at_half_octave` of a `Lobes` of one, in compiled code only."""
     raise NotImplementedError("in compiled code only")
 
 

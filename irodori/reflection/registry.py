@@ -1,27 +1,27 @@
-"""Lobes by name. A lobe of the package is added by its file and its line here; others register themselves."""
+"""Registry of lobes by name. The package's own lobes are listed here; others are added with `register`."""
 
 from irodori.reflection import gaussian, ggx
 from irodori.reflection.lobe import Lobe
 
-#: Lobes of an object that names none: the paper's.
+#: Lobes of an object that names none: the one of the paper.
 DEFAULT_LOBES = (gaussian.NAME,)
 
 _LOBES: dict[str, Lobe] = {}
 
 
 def register(lobe: Lobe) -> Lobe:
-    """Add a lobe, or the new state of one of the same name; return it."""
+    """Add a lobe to the registry, replacing one of the same name, and return it."""
     _LOBES[lobe.name] = lobe
     return lobe
 
 
 def lobe(name: str) -> Lobe:
-    """Return a lobe.
+    """Return the lobe with a given name.
 
     Raises
     ------
     ValueError
-        If there is none of that name; the names are listed.
+        If there is none of that name; the message lists the names.
     """
     if name not in _LOBES:
         raise ValueError(f"no lobe {name!r}; lobes: {', '.join(sorted(_LOBES))}")

@@ -1,20 +1,20 @@
-"""Calls of compiled loops whose arguments have types that take long to work out."""
+"""Faster calls of compiled loops whose arguments have complicated types."""
 
 import numba
 
 
 def resolved(kernel, *arguments):
-    """Return what a kernel runs for arguments of these types.
+    """Return the compiled function that a kernel would run for arguments of these types.
 
-    Calling a kernel works out the types of all arguments anew, a millisecond for a scene of nested tuples; calling
-    what is returned does not, and arguments of other types are not allowed.
+    A call of the kernel determines the types of all arguments again, which takes a millisecond for a scene of nested
+    tuples. A call of the returned function does not, but all its arguments must have the same types.
 
     Parameters
     ----------
     kernel : callable
-        Made by `irodori.jit.compilation.njit`.
+        Kernel made by `irodori.jit.compilation.njit`.
     arguments
-        Of one call.
+        Arguments of any one call.
     """
     if not hasattr(kernel, "compile"):
         return kernel  # numba is switched off

@@ -1,4 +1,4 @@
-"""Refusal of scenes whose materials send back more light than reaches them."""
+"""Refusal of scenes with materials that reflect more light than falls on them."""
 
 from collections.abc import Sequence
 
@@ -14,27 +14,27 @@ _KEY = "allow_energy_gain"
 
 
 def load_materials(scene: Scene, files: Sequence) -> list[Material]:
-    """Return the materials of a scene's objects; parameters and errors as of `refuse_energy_gain`."""
+    """Load and check the materials of a scene's objects; arguments and errors as in `refuse_energy_gain`."""
     materials = [Material.load(path) for path in files]
     refuse_energy_gain(scene, files, materials)
     return materials
 
 
 def refuse_energy_gain(scene: Scene, files: Sequence, materials: Sequence[Material]) -> None:
-    """Refuse a scene with a material whose albedo is above 1 beyond its error, unless it allows that.
+    """Raise an error if a material's albedo exceeds 1 by more than its error, unless the scene allows that.
 
     Parameters
     ----------
     scene : Scene
     files : sequence of path
-        Of the objects' materials, in the order of the scene.
+        Files of the objects' materials, in the order of the scene.
     materials : sequence of Material
-        As loaded from these files.
+        Materials loaded from these files.
 
     Raises
     ------
     InputError
-        With the object, the share of its texels, and the largest albedo.
+        The message names the object, the share of its texels and the largest albedo.
     """
     known: dict[str, Energy] = {}
     for item, path, material in zip(scene.objects, files, materials, strict=True):
@@ -55,7 +55,7 @@ def refuse_energy_gain(scene: Scene, files: Sequence, materials: Sequence[Materi
 
 
 def body_fault(index: int, body: Body) -> tuple[str, str, str] | None:
-    """Return field, fault and what is accepted of a body that sends back more light than reaches it, else None."""
+    """Return field, fault and accepted values of a body that reflects more light than it receives, else None."""
     energy = energy_of(body_material(body))
     return (f"bodies[{index}].material", *_words("a body", energy)) if energy.gains else None
 

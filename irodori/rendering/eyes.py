@@ -1,4 +1,4 @@
-"""Refusal of views whose eye is inside a thing: the backs of surfaces are black, and so would be the picture."""
+"""Refusal of views from inside an object: surfaces are black from behind, and the picture would be black."""
 
 import numpy as np
 
@@ -11,19 +11,19 @@ from irodori.rendering.scene_arrays import make_placements
 
 
 def eye_inside(view: str, thing: str) -> tuple[str, str, str]:
-    """Return field, fault and what is accepted of a view from inside a thing, for `InputError`."""
-    return f"views.{view}.position_mm", f"an eye inside {thing}", "a position outside of all things, in mm"
+    """Return field, fault and accepted values for the `InputError` about a view from inside an object."""
+    return f"views.{view}.position_mm", f"an eye inside {thing}", "a position outside every object, in mm"
 
 
 def refuse_enclosed_eye(scene: Scene, view_name: str, shapes: list[Shape]) -> None:
-    """Refuse a perspective view from inside a ball or a closed mesh; parallel rays start on no single point.
+    """Raise an error for a perspective view from inside a sphere or closed mesh; orthographic views have no eye point.
 
     Parameters
     ----------
     scene : Scene
     view_name : str
     shapes : list of Shape
-        One an object of the scene.
+        Shape of each object of the scene.
 
     Raises
     ------

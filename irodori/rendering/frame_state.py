@@ -1,7 +1,8 @@
 """Animation state of a frame: rotations of objects, eye, lights and environment, and the light's colour.
 
-All turn about one vertical axis, so that only the angles between them are seen: a picture is the same if every angle
-grows by as much. An integrator that cannot turn one of the four takes the moment as seen from it.
+All four are rotated about one vertical axis, so that only the differences of their angles matter: adding the same angle
+to all leaves the picture unchanged. An integrator that cannot rotate one of them uses the equivalent moment in which
+that part is not rotated, see `Moment.seen_from`.
 """
 
 from dataclasses import replace
@@ -16,7 +17,7 @@ from irodori.rendering.scene_lights import Lights
 
 
 class Moment(NamedTuple):
-    """A moment of a scene; angles in degrees from +x towards +y, against the scene's definition."""
+    """State of a scene in one frame: rotations relative to its definition, degrees from +x towards +y, and a filter."""
 
     objects_deg: float = 0.0
     eye_deg: float = 0.0
@@ -26,24 +27,24 @@ class Moment(NamedTuple):
     filter: tuple[float, ...] | None = None  # (61,) factor on all light
 
     def seen_from(self, part: str) -> "Moment":
-        """Return the moment that looks the same and in which a part, such as ``objects``, is not turned."""
+        """Return the equivalent moment in which a part, such as ``objects``, is not rotated."""
         angle = getattr(self, f"{part}_deg")
         parts = ("objects_deg", "eye_deg", "lights_deg", "environment_deg")
         return self._replace(**{name: getattr(self, name) - angle for name in parts})
 
     def rotation(self, part: str) -> np.ndarray:
-        """Return the rotation of a part, (3, 3)."""
+        """Return the rotation matrix of a part, such as ``objects``, (3, 3)."""
         return rotation_z(np.radians(getattr(self, f"{part}_deg")))
 
     def environment(self, environment: Environment) -> Environment:
-        """Return the environment in this moment's colour, not turned; its coefficients are those of the other."""
+        """Return an environment with this moment's filter applied, but not rotated; coefficients are not copied."""
         if self.filter is None:
             return environment
         basis = environment.basis * np.asarray(self.filter)[:, None]
         return replace(environment, basis=basis)
 
     def lights(self, lights: Lights) -> Lights:
-        """Return lights in this moment's colour, not turned."""
+        """Return lights with this moment's filter applied, but not rotated."""
         if self.filter is None:
             return lights
         spectrum = lights.spectrum.copy()
@@ -51,7 +52,7 @@ class Moment(NamedTuple):
         return lights._replace(spectrum=spectrum, power=spectrum.sum(axis=1, dtype=np.float64))
 
 
-#: What stands somewhere, turned.
+#: Parts of a scene that have a position and a rotation.
 Standing = TypeVar("Standing", PlacedObject, Body, RectangleLight)
 
 #: The scene as it is defined.
@@ -59,7 +60,7 @@ STILL = Moment()
 
 
 def turned_scene(scene: Scene, moment: Moment) -> Scene:
-    """Return a scene's definition with its objects, bodies, views and lights turned; the environment is not read."""
+    """Return a scene's definition with rotated objects, bodies, views and lights; the environment is not rotated."""
     return replace(
         scene,
         objects=tuple(_turned_body(item, moment, "objects") for item in scene.objects),

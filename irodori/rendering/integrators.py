@@ -1,4 +1,4 @@
-"""Dispatch of a scene to the integrator that it names."""
+"""Rendering of a scene by the integrator that its definition names, `interactive` or `reference`."""
 
 import time
 from abc import ABC, abstractmethod
@@ -20,9 +20,9 @@ from irodori.rendering.scene_arrays import make_objects, make_placements, make_v
 from irodori.rendering.scene_white import scene_white
 from irodori.spectra.published import refractive_index, spectrum
 
-#: Options where a configuration gives none.
+#: Options if a configuration has none.
 DEFAULTS = Render()
-#: Up to which what rays met is kept between frames, 60 bytes a pixel.
+#: Largest number of pixels for which hits are kept between frames, 60 bytes a pixel.
 _KEPT_PIXELS = 1 << 22
 
 
@@ -46,36 +46,38 @@ def render_image(
     ----------
     scene : Scene
     view_name : str
-    shapes, materials : one an object of the scene
+    shapes, materials : sequence
+        One of each for every object of the scene.
     environment : Environment
     options : Render
     tiles_folder : path, optional
-        Where the `reference` integrator keeps finished tiles until the picture is whole.
+        Folder in which the integrator `reference` keeps finished tiles until the picture is complete.
     maps_file : path, optional
-        Light maps that were baked of this scene; where the scene's integrator asks for some and there is no file, they
-        are baked here.
+        File of light maps that were baked for this scene. If the scene's integrator uses light maps and there is no
+        file, they are baked here.
     plan : ScenePlan, optional
-        What to model, see `irodori.rendering.planning`; everything where absent.
+        Simplifications to make, see `irodori.rendering.planning`; none by default.
     check : bool
-        Whether a planned picture is checked: one of the integrator `interactive` against the full model, one of
+        Whether a picture rendered by a plan is checked: with the integrator `interactive` against the full model, with
         `reference` by ``distance``.
     distance : bool
-        Whether the picture's distance to the path-traced one is measured, `irodori.rendering.reference.distance`, and a
-        picture refused that does not keep its plan's tolerance.
+        Whether to measure the picture's distance to the path-traced one, see `irodori.rendering.reference.distance`,
+        and to raise an error if it exceeds the tolerance of the plan.
 
     Returns
     -------
-    radiance : (height, width, 61) float32; by a plan without all bands (height, width, 3) XYZ, Y = 100 its white
+    radiance : (height, width, 61) float32; by a plan without all bands (height, width, 3) XYZ with Y = 100 for white
     figures : dict
-        Integrator, seconds, pixels and rays or paths per second, share of filled texels by object; of the `reference`
-        integrator the standard error of the pixels too; ``delta_e_to_reference`` where the distance is measured.
+        Integrator, seconds, pixels and rays or paths per second, and share of filled texels by object; for the
+        integrator `reference` also the standard error of the pixels; ``delta_e_to_reference`` if the distance is
+        measured.
 
     Raises
     ------
     ValueError
-        If the integrator cannot render what the scene asks for.
+        If the integrator cannot render something in the scene.
     irodori.rendering.planning.planned_check.ToleranceError
-        If a planned picture errs by more than the scene tolerates.
+        If the error of a picture rendered by a plan exceeds the scene's tolerance.
     """
     scene = with_planned_samples(scene, plan)
     renderer = make_renderer(scene, shapes, materials, environment, options, maps_file=maps_file)
@@ -92,24 +94,24 @@ def render_image(
 
 
 def with_planned_samples(scene: Scene, plan: ScenePlan | None) -> Scene:
-    """Return a scene of the integrator `reference` with its plan's paths a pixel, any other as it is."""
+    """Return a scene of the integrator `reference` with the plan's number of paths per pixel, others unchanged."""
     if plan is None or not isinstance(scene.integrator, ReferenceIntegrator):
         return scene
     return replace(scene, integrator=replace(scene.integrator, samples=plan.decisions["samples"]))
 
 
 def has_ambient(scene: Scene) -> bool:
-    """Whether shapes of a scene of the integrator `interactive` hide light from all sides from each other."""
+    """Return whether shapes occlude ambient light: an option of `interactive`, always true for `reference`."""
     return not isinstance(scene.integrator, InteractiveIntegrator) or scene.integrator.ambient
 
 
 def has_light_maps(scene: Scene) -> bool:
-    """Whether a scene of the integrator `interactive` is lit by light maps."""
+    """Return whether a scene is rendered by the integrator `interactive` with light maps."""
     return isinstance(scene.integrator, InteractiveIntegrator) and scene.integrator.light_maps
 
 
 def _planned(renderer: "Renderer", view_name: str, plan: ScenePlan, check: bool) -> tuple[np.ndarray, dict]:
-    """Render a view by a plan, see `irodori.rendering.planning`, which is loaded only where it is asked for."""
+    """Render a view by a plan; `irodori.rendering.planning` is imported only here."""
     from irodori.rendering.planning.planned_picture import parts_of, render_planned
 
     scene, tracer = renderer.scene, Tracer(make_placements(renderer.scene, renderer.shapes))
@@ -118,7 +120,10 @@ def _planned(renderer: "Renderer", view_name: str, plan: ScenePlan, check: bool)
 
 
 def _to_reference(renderer: "Renderer", view_name: str, picture: np.ndarray, plan: ScenePlan | None) -> dict:
-    """Return how far a picture, bands or XYZ, is from the path-traced one; refuse it where a plan tolerates less."""
+    """Measure a picture's distance to the path-traced one; raise an error if it exceeds the tolerance of a plan.
+
+    The picture has 61 bands or XYZ. Returns the fields of `irodori.rendering.reference.distance.Distance` and seconds.
+    """
     from irodori.rendering.reference.converging_picture import make_scene
     from irodori.rendering.reference.distance import distance_to_reference, object_pixels
 
@@ -149,10 +154,10 @@ def make_renderer(
     *,
     maps_file=None,
 ) -> "Renderer":
-    """Return what renders any view of a scene at any moment; parameters and errors as of `render_image`.
+    """Return a renderer for any view of a scene at any moment; parameters and errors as in `render_image`.
 
-    With a ``white``, (61,) radiance, pictures are asked for as XYZ whose white has Y = 100, and are (height, width, 3)
-    where the integrator has them cheaper than the 61 bands and as exact.
+    With a ``white``, (61,) radiance, the renderer may return XYZ with Y = 100 for that white, (height, width, 3), if
+    the integrator can compute them with less work than the 61 bands and as exactly.
     """
     made: type[Renderer] = _Reference if isinstance(scene.integrator, ReferenceIntegrator) else InteractiveRenderer
     renderer = made(scene, shapes, materials, environment, options, white)
@@ -161,10 +166,10 @@ def make_renderer(
 
 
 class Renderer(ABC):
-    """A scene and an integrator, which keeps from picture to picture what does not change; see `make_renderer`."""
+    """A scene with its integrator; data that do not change between pictures are kept. Made by `make_renderer`."""
 
     kind = ""
-    #: Where light maps of the scene are stored, None where they are not.
+    #: File of the scene's light maps, or None.
     maps_file = None
 
     def __init__(
@@ -187,7 +192,7 @@ class Renderer(ABC):
 
     @abstractmethod
     def check(self) -> None:
-        """Refuse what the integrator cannot render.
+        """Raise an error if the integrator cannot render something in the scene.
 
         Raises
         ------
@@ -195,18 +200,18 @@ class Renderer(ABC):
         """
 
     def light(self, moment: Moment):
-        """Return the light of a moment as the integrator wants it: made anew only where its colour has changed."""
+        """Return the light of a moment in the integrator's form; it is made again only if its filter has changed."""
         if not self._lit or self._lit[0] != moment.filter:
             self._lit = moment.filter, self.make_light(moment)
         return self._lit[1]
 
     @abstractmethod
     def make_light(self, moment: Moment):
-        """Return what depends on the colour of a moment's light, and on no angle."""
+        """Return the data that depend on the filter of a moment, but on none of its angles."""
 
     @abstractmethod
     def render(self, view_name: str, moment: Moment, keep: bool, tiles_folder) -> tuple[np.ndarray, dict]:
-        """Return radiance and the integrator's own figures."""
+        """Render a view; return the picture and the integrator's own figures."""
 
     def picture(
         self, view_name: str, moment: Moment = STILL, keep: bool = False, tiles_folder=None
@@ -218,36 +223,36 @@ class Renderer(ABC):
         view_name : str
         moment : Moment
         keep : bool
-            Whether pictures of the same view, with the same angle between eye and objects, follow.
+            Whether to keep hits for later pictures of the same view with the same angle between eye and objects.
         tiles_folder : path, optional
 
         Returns
         -------
-        As `render_image`.
+        Picture and figures as in `render_image`.
         """
         return self.described(*self.render(view_name, moment, keep, tiles_folder))
 
     def described(self, picture: np.ndarray, figures: dict) -> tuple[np.ndarray, dict]:
-        """Return a picture and its figures with those that every integrator has."""
+        """Add the figures that all integrators have to those of a picture; return picture and figures."""
         figures["pixels_per_second"] = picture.shape[0] * picture.shape[1] / figures["seconds"]
         return picture, {"integrator": self.kind, **figures, "filled_fraction": self.filled}
 
 
 def with_bodies(scene: Scene, shapes: list[Shape], materials: list[Material]) -> tuple[list[Shape], list[Material]]:
-    """Return shapes and materials of a scene's objects, then of its bodies."""
+    """Return shapes and materials of a scene's objects, followed by those of its bodies."""
     made = [body_material(body) for body in scene.bodies]
     return [*shapes, *(Shape.from_definition(body.shape) for body in scene.bodies)], [*materials, *made]
 
 
 def body_material(body: Body) -> Material:
-    """Return the material of a scene's body, the same all over it."""
+    """Return the uniform material of a scene's body."""
     own = body.material
     n, k = refractive_index(own.refractive_index)
     return Material.uniform(spectrum(own.spectrum), beta=own.beta, mu=own.mu_rad, mirror=own.mirror, n=n, k=k)
 
 
 class InteractiveRenderer(Renderer):
-    """By look-ups alone, see `irodori.rendering.interactive`, which is loaded only where it is asked for."""
+    """Renderer by precomputed look-ups; `irodori.rendering.interactive` is imported only when it renders."""
 
     kind = "interactive"
     compiled = False
@@ -255,12 +260,12 @@ class InteractiveRenderer(Renderer):
     representation, why = "spectral", "the picture is asked for in all bands"
 
     def check(self) -> None:
-        """Refuse lights that throw soft shadows."""
+        """Raise an error for area lights, whose soft shadows the integrator cannot render."""
         if any(light.kind != "collimated" for light in self.scene.lights):
             raise ValueError("area lights in a scene of the integrator 'interactive'; accepted: collimated lights")
 
     def make_light(self, moment: Moment):
-        """Return the scene prepared for the frames of a moment's light."""
+        """Return the scene prepared for frames in the light of a moment."""
         from irodori.rendering.interactive.channels import exact_representation
         from irodori.rendering.interactive.frame_renderer import light_of, prepare_scene
         from irodori.rendering.interactive.prepared_scene import gloss_for
@@ -297,12 +302,12 @@ class InteractiveRenderer(Renderer):
 
     @cached_property
     def baked(self):
-        """The scene's light maps, from their file where there is one; baked or read once.
+        """Light maps of the scene, read from their file if there is one, else baked.
 
         Raises
         ------
         InputError
-            If the file has maps of something else.
+            If the file has light maps of another scene.
         """
         from irodori.rendering.light_maps import LightMaps
         from irodori.rendering.reference.baking import bake_maps, maps_key
@@ -314,11 +319,11 @@ class InteractiveRenderer(Renderer):
         return bake_maps(placements, self.objects, self.environment, self.scene.lights, key=key)
 
     def render(self, view_name, moment, keep, tiles_folder):
-        """Return radiance and figures of a frame."""
+        """Render a frame; return the picture and its figures."""
         from irodori.rendering.interactive.frame_renderer import CollimatedLamp, render_frame
         from irodori.rendering.scene_lights import make_lights
 
-        # Its objects cannot be turned without preparing them anew, all else can.
+        # Rotated objects would have to be prepared again: all else is rotated instead.
         moment = moment.seen_from("objects")
         if has_light_maps(self.scene):
             turned = moment.environment_deg or (self.scene.lights and moment.lights_deg)
@@ -353,13 +358,13 @@ class InteractiveRenderer(Renderer):
 
 
 class _Reference(Renderer):
-    """By paths, see `irodori.rendering.reference`, which is loaded only where it is asked for."""
+    """Renderer by path tracing; `irodori.rendering.reference` is imported only when it renders."""
 
     kind = "reference"
     compiled = False
 
     def check(self) -> None:
-        """Refuse nothing: paths render all that a scene may hold."""
+        """Do nothing, because path tracing can render every scene."""
 
     def make_light(self, moment: Moment):
         from irodori.rendering.reference.sky_sampling import make_sky
@@ -376,7 +381,7 @@ class _Reference(Renderer):
         )
 
         scene = turned_scene(self.scene, moment.seen_from("environment"))
-        assert isinstance(scene.integrator, ReferenceIntegrator)  # what `make_renderer` chose this one by
+        assert isinstance(scene.integrator, ReferenceIntegrator)  # `make_renderer` chooses this class for it
         samples, seed = scene.integrator.samples, scene.integrator.seed
         placements = make_placements(scene, self.shapes)
         prepared = make_scene(placements, self.objects, self.light(moment), scene.lights)
@@ -418,7 +423,7 @@ class _Reference(Renderer):
 
 
 def _finished(picture) -> tuple[np.ndarray, dict]:
-    """Return the radiance to show of a path-traced picture, filtered if it has its halves, and its errors."""
+    """Return the radiance of a path-traced picture, denoised if it has two halves, and its errors."""
     from irodori.rendering.reference.converging_picture import pooled
 
     traced = _relative(pooled(picture.standard_error[..., 0]), picture.radiance)
@@ -443,7 +448,7 @@ def _finished(picture) -> tuple[np.ndarray, dict]:
 
 
 def _tell_unsteady(errors: dict, most: float) -> None:
-    """Write into the figures, and the log, whether a pixel has a larger relative standard error than is wanted."""
+    """Note in the figures, and warn, if a pixel's relative standard error exceeds the accepted maximum."""
     largest = errors["relative_standard_error"]["max"]
     errors["beyond_max_relative_standard_error"] = largest > most
     if largest > most:
@@ -458,7 +463,7 @@ def _tell_unsteady(errors: dict, most: float) -> None:
 
 
 def count_fireflies(picture) -> int:
-    """Return the number of pixels whose own standard error is more than the median radiance of 7 × 7 about them."""
+    """Return the number of pixels with a standard error above the median radiance of the 7 × 7 pixels around them."""
     from scipy.ndimage import median_filter  # slow to import
 
     around = median_filter(picture.radiance.mean(axis=-1), 7, mode="nearest")

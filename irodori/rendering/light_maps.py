@@ -1,9 +1,9 @@
 """Light maps: the light that falls on objects, baked on their own textures by path tracing.
 
-A map holds, for each of its texels, what a perfect diffuser there would reflect of the environment after shadows and
-reflections between objects. The integrator `interactive` looks it up in place of the environment's irradiance, which
-knows of no neighbours. A map belongs to one arrangement of objects in one light: its key is a hash of everything it
-depends on, and a map of another key is refused.
+A map holds, for each of its texels, the radiance of a perfect diffuser under the environment, with shadows and
+reflections between objects. The integrator `interactive` looks it up instead of the environment's irradiance, which
+does not account for neighbouring objects. A map is valid for one arrangement of objects in one light: its key is a hash
+of everything on which it depends, and a map with another key is refused.
 """
 
 from dataclasses import dataclass, replace
@@ -16,7 +16,7 @@ from irodori.core.errors import InputError
 from irodori.spectra.coordinates import write_wavelength
 from irodori.spectra.grid import SAMPLES
 
-#: What the basis of the maps leaves out, over all that they hold; the square root of a share of the energy.
+#: Relative norm of the part of the maps that their basis leaves out, the square root of its share of the energy.
 LEFT_OUT = 1e-3
 
 
@@ -24,24 +24,25 @@ class Bake(NamedTuple):
     """Size and errors of a map; errors are shares of the mean light on the object."""
 
     texels: int
-    paths: int  # a texel
-    noise: float  # root mean square standard error of a texel
-    error: float  # root mean square distance between the texels, the noise of what it is compared with taken out
+    paths: int  # per texel
+    noise: float  # root mean square of the standard errors of the texels
+    error: float  # root mean square interpolation error between texels, with the noise of the comparison removed
 
 
 @dataclass(frozen=True)
 class LightMaps:
-    """The light that falls on the objects of a scene.
+    """Baked light on the objects of a scene.
 
     Parameters
     ----------
     maps : tuple of (rows, columns, k) float32
-        Of each object, coefficients of the radiance of a perfect diffuser in place of the surface; without rows where
-        an object has none, see `irodori.rendering.reference.baking.has_map`.
+        For each object, coefficients of the radiance of a perfect diffuser in place of the surface; without rows if
+        the object has no map, see `irodori.rendering.reference.baking.has_map`.
     basis : (61, k) float
     key : str
-        Of everything that the maps depend on, see `irodori.rendering.reference.baking.maps_key`.
+        Hash of everything on which the maps depend, see `irodori.rendering.reference.baking.maps_key`.
     bakes : tuple of Bake
+        Size and errors of each map.
     """
 
     maps: tuple[np.ndarray, ...]
@@ -54,19 +55,20 @@ class LightMaps:
         return self.maps[index] @ self.basis.T.astype(np.float32)
 
     def under(self, filter_ratio) -> "LightMaps":
-        """Return the maps where all light is multiplied by a spectrum, (61,); shadows and reflections stay theirs.
+        """Return the maps for light that is multiplied by a spectrum, (61,), without tracing again.
 
-        Light is carried wavelength by wavelength, so that the light on a surface is multiplied as its sources are.
+        Light transport is linear and separate for each wavelength, so that the light on surfaces changes by the same
+        factors as the sources.
         """
         return replace(self, basis=self.basis * np.asarray(filter_ratio, dtype=np.float64)[:, None])
 
     def weighted_basis(self) -> np.ndarray:
-        """Return the basis, each vector as long as what the maps hold of it, (61, k)."""
+        """Return the basis, (61, k), each vector scaled by the norm of its coefficients over all maps."""
         squares = sum((np.square(one, dtype=np.float64).sum(axis=(0, 1)) for one in self.maps), np.zeros(1))
         return self.basis * np.sqrt(squares)
 
     def save(self, path, provenance: store.Provenance) -> None:
-        """Write the maps."""
+        """Write the maps to a file."""
         with store.create(path, provenance) as out:
             write_wavelength(out)
             out.write(
@@ -82,12 +84,12 @@ class LightMaps:
 
     @classmethod
     def load(cls, path, key: str) -> "LightMaps":
-        """Read maps.
+        """Read maps from a file.
 
         Raises
         ------
         InputError
-            If the file is damaged, or its maps were baked of something else than the key says.
+            If the file is damaged, or its key differs from the given one.
         """
         with store.open_file(path) as file:
             if file.attribute("key", str) != key:
@@ -107,7 +109,7 @@ class LightMaps:
 
 
 def look_up(picture: np.ndarray, u: np.ndarray, v: np.ndarray, wraps: bool) -> np.ndarray:
-    """Return a texture (rows, columns, k) bilinearly at u and v (n,) as renderers do; joined sides continue."""
+    """Interpolate a texture (rows, columns, k) bilinearly at u and v (n,); with ``wraps`` the sides are joined."""
     rows, columns, _ = picture.shape
     x, y = u * columns - 0.5, np.clip(v * rows - 0.5, 0.0, rows - 1.0)
     column, row = np.floor(x).astype(int), np.minimum(np.floor(y).astype(int), max(rows - 2, 0))

@@ -1,4 +1,4 @@
-"""Radiance before a camera in a scene, by path tracing in two independent halves that show its noise."""
+"""Path-traced radiance in front of a camera in a scene, in two independent halves whose difference shows the noise."""
 
 from collections.abc import Sequence
 
@@ -16,7 +16,7 @@ from irodori.material.material_file import Material
 from irodori.rendering.integrators import render_image
 from irodori.spectra.coordinates import write_wavelength
 
-#: Mosaic pixels around the sensor that are rendered too: a filter's plate shifts what falls on it.
+#: Width of the rendered margin around the sensor, mosaic pixels, because a filter plate shifts the picture.
 MARGIN_PX = 16
 HALVES = 2
 
@@ -32,20 +32,21 @@ def render_halves(
     samples: int,
     seed: int,
 ) -> np.ndarray:
-    """Return a scene as seen by a camera in it, twice, by the integrator `reference` with other random numbers.
+    """Render a scene as seen by a camera twice with the integrator `reference`, with independent random numbers.
 
     Parameters
     ----------
     scene : Staging
     placed : ScenePhotograph
-        Where the camera stands.
+        Pose of the camera.
     ideal : IdealView
-    shapes, materials : one an object of the scene
+    shapes, materials : sequence
+        One of each for every object of the scene.
     environment : Environment
     samples : int
-        Paths a pixel of both halves together, a multiple of 16.
+        Paths per pixel in both halves together, a multiple of 16.
     seed : int
-        Of the first half; the second has the next.
+        Seed of the first half; the second uses ``seed + 1``.
 
     Returns
     -------
@@ -56,7 +57,7 @@ def render_halves(
         seen = Scene(
             environment="photographed",
             image=ideal.image,
-            # Filtered, the halves would have a bias in common, which their difference does not show.
+            # Denoising would give both halves the same bias, which their difference does not show.
             integrator=ReferenceIntegrator(samples=samples // HALVES, seed=seed + half, denoise=False),
             views={"photograph": ideal.view(placed)},
             objects=scene.objects,
@@ -80,19 +81,19 @@ def render_photographed(
     output,
     provenance: store.Provenance,
 ) -> None:
-    """Render what stands before a virtual camera in a scene, a pixel a superpixel of the camera.
+    """Render the true radiance in front of a virtual camera in a scene, one pixel for each superpixel, into a file.
 
     Parameters
     ----------
     scene : Staging
     placed : ScenePhotograph
     optics : Optics
-        Of the camera.
+        Optics of the camera.
     shapes : sequence of ObjectShape
     material_files, environment_file : path
-        What really stands there, and the light that really falls.
+        True materials of the objects, and true light.
     output : path
-        ``/radiance`` (2, rows, columns, 61), half precision with its scale: two halves of the paths.
+        ``/radiance`` (2, rows, columns, 61), half precision with its scale: the two halves of the paths.
     """
     radiance = render_halves(
         scene,

@@ -21,14 +21,15 @@ _COARSEST_ROWS = 4
 
 
 class Objects(NamedTuple):
-    """Materials of the objects; the first axis counts them. Bases have the wavelength last, where the loops run.
+    """Materials of the objects; the first axis counts the objects, and bases have the wavelength on the last axis.
 
-    ``texels`` holds, a row a texel, the coefficients of α S / S_G, then β and μ of each gloss component; where an
-    object has fewer than another, β is 0. ``lobe`` says which of ``lobes`` a component is. ``grey`` is 1 where the
-    refractive index does not vary with the wavelength, so that one Fresnel reflectance serves all bands.
+    ``texels`` has one row per texel: the coefficients of α S / S_G, then β and μ of each gloss component. An object
+    with fewer components than another has β = 0 in the rest. ``lobe`` is each component's index in ``lobes``.
+    ``grey`` is 1 if the refractive index does not vary with the wavelength, so that all bands have the same Fresnel
+    reflectance.
     """
 
-    wraps: np.ndarray  # (objects,) 1 where the texture's left and right sides are joined
+    wraps: np.ndarray  # (objects,) 1 if the texture's left and right sides are joined
     first_texel: np.ndarray  # (objects,)
     texture_size: np.ndarray  # (objects, 2) width, height
     texels: np.ndarray  # (texels, k + 2 c) float32
@@ -43,12 +44,12 @@ class Objects(NamedTuple):
 
 
 def coefficients_of(objects: Objects, texels: np.ndarray) -> np.ndarray:
-    """Return the coefficients of rows of texels, (..., k)."""
+    """Return the part of texel rows that holds the coefficients of α S / S_G, (..., k)."""
     return texels[..., : objects.texels.shape[1] - 2 * objects.lobe.shape[1]]
 
 
 def gloss_of(objects: Objects, texels: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Return β and μ of each gloss component of rows of texels, each (...); β is 0 where there is no roughness."""
+    """Return β and μ of each gloss component in texel rows, (...) each; β is 0 where μ is 0."""
     pairs = texels[..., objects.texels.shape[1] - 2 * objects.lobe.shape[1] :]
     betas, mus = np.moveaxis(pairs[..., ::2], -1, 0), np.moveaxis(pairs[..., 1::2], -1, 0)
     return [(np.where(mu > 0, beta, 0.0), mu) for beta, mu in zip(betas, mus, strict=True)]
@@ -63,7 +64,7 @@ def textures(objects: Objects) -> list[np.ndarray]:
 
 
 class Light(NamedTuple):
-    """The environment: a ladder of ever smaller pictures, finest first, and the irradiance map."""
+    """Environment as a series of pictures of decreasing resolution, finest first, with its irradiance map."""
 
     pixels: np.ndarray  # (all pixels, k) float32
     first_pixel: np.ndarray  # (levels,)
@@ -76,9 +77,9 @@ class Light(NamedTuple):
 class View(NamedTuple):
     """A camera of the scene; x to the right of the picture, y down, z along the line of sight."""
 
-    position_mm: np.ndarray  # (3,) the eye, the lens' centre, or the middle of the plane where parallel rays start
+    position_mm: np.ndarray  # (3,) eye, centre of the lens, or centre of the plane where parallel rays start
     world_from_camera: np.ndarray  # (3, 3)
-    focal_px: float  # of a perspective view; pixels a mm of an orthographic one
+    focal_px: float  # focal length of a perspective view; pixels per mm of an orthographic one
     width: int
     height: int
     kind: int = PERSPECTIVE
@@ -86,12 +87,12 @@ class View(NamedTuple):
     focus_mm: float = 1.0  # along the line of sight to the plane in focus; not read without a lens
 
     def finer(self, side: int) -> "View":
-        """Return the view whose pixels are the rays of this one's, so many along each side of a pixel."""
+        """Return the view with ``side`` times the resolution: each pixel is divided along both sides."""
         return self._replace(focal_px=side * self.focal_px, width=side * self.width, height=side * self.height)
 
 
 def make_placements(scene: "Scene | Staging", shapes: list[Shape]) -> list[Placement]:
-    """Return where the scene's objects stand, then its bodies."""
+    """Return the placements of the scene's objects, followed by those of its bodies."""
     items: tuple[PlacedObject | Body, ...] = (*scene.objects, *scene.bodies)
     return [
         Placement(shape, rotation_xyz(item.rotation_deg), np.asarray(item.position_mm, float), item.scale)
@@ -100,10 +101,10 @@ def make_placements(scene: "Scene | Staging", shapes: list[Shape]) -> list[Place
 
 
 def make_objects(placements: list[Placement], materials: list[Material]) -> tuple[Objects, list[float]]:
-    """Flatten objects for the integrator.
+    """Convert the materials of objects to flat arrays for the integrators.
 
-    A texel that lies on no surface takes the values of the nearest that does, so that looking up between texels at
-    the edge of a mesh's chart finds nothing foreign.
+    A texel off the surface gets the values of the nearest texel on it, so that interpolation at the edge of a mesh's
+    chart uses only values of the surface.
 
     Returns
     -------
@@ -147,13 +148,13 @@ def make_objects(placements: list[Placement], materials: list[Material]) -> tupl
 def _fill_texels(
     placement: Placement, material: Material, coefficients: np.ndarray, gloss: np.ndarray
 ) -> tuple[np.ndarray, float]:
-    """Fill an object's texels, (n, bases) and (n, 2 components).
+    """Fill an object's coefficients, (n, bases), and gloss parameters, (n, 2 components).
 
     Returns
     -------
     basis : (k, 61)
     share : float
-        Of the texels without data.
+        Share of the texels that had no data.
     """
     whole, share = material.filled(placement.shape.is_covered(*material.alpha.shape[::-1]))
     count = whole.basis.shape[1]
@@ -165,7 +166,7 @@ def _fill_texels(
 
 
 def make_light(environment: Environment) -> Light:
-    """Return the ladder of an environment; each level halves the one before, weighted by solid angle."""
+    """Return the levels of an environment, each half the size of the one before, averaged by solid angle."""
     pixels, sizes = [], []
     height, width = environment.coefficients.shape[:2]
     solid_angle = directions(width, height)[1][..., None]
@@ -202,7 +203,7 @@ def make_view(view: "SeenFrom", image: "Size") -> View:
     ----------
     view : PerspectiveView or OrthographicView
     image : Size
-        Of the picture, px.
+        Size of the picture, px.
     """
     diameter_mm, focus_mm = 0.0, 1.0
     if view.kind == "orthographic":

@@ -1,7 +1,7 @@
-"""Lights placed in a scene: collimated, rectangles and spheres, of any spectrum.
+"""Lights placed in a scene: collimated lights, rectangles and spheres with any spectrum.
 
-Radiance and irradiance count as in an environment of placed lights: a radiance of 1 has the luminance of D65 as
-tabulated (100 at 560 nm), and an irradiance of 1 gives a perfect diffuser that faces the light the radiance 1.
+The units are those of an environment of placed lights: a radiance of 1 has the luminance of D65 as tabulated (100 at
+560 nm), and an irradiance of 1 gives a perfect diffuser that faces the light a radiance of 1.
 """
 
 import math
@@ -24,18 +24,19 @@ if TYPE_CHECKING:
 COLLIMATED, RECTANGLE, BALL = 0, 1, 2
 KINDS = {"collimated": COLLIMATED, "rectangle": RECTANGLE, "sphere": BALL}
 BANDS, PADDED = 61, 64
-#: Cosine at the light under which its share of the choice does not fall: light along its plane is not left to chance.
+#: Least cosine at a rectangle for its probability of being chosen, so that grazing light is still sampled.
 _LEAST_COSINE = 0.05
-#: From which a rectangle is drawn by its solid angle, sr; under it, it is too small a difference of angles.
+#: Least solid angle, sr, at which a rectangle is sampled by solid angle; below, the difference of angles is inaccurate.
 _LEAST_SOLID_ANGLE = 1e-4
-_PARTS = 64  # along each side of a rectangle, for the white of the picture
+_PARTS = 64  # parts along each side of a rectangle in the sum for the picture's white
 
 
 class Lights(NamedTuple):
-    """Placed lights for compiled loops; the first axis counts them.
+    """Placed lights for compiled loops; the first axis counts the lights.
 
-    ``spectrum`` is the radiance of an area light, or the irradiance of a surface that faces a collimated one (radiance
-    times steradians), padded with zeros. ``surface`` is the light's place among all traced shapes, -1 for none.
+    ``spectrum`` is the radiance of an area light, or the irradiance of a surface that faces a collimated light (in
+    units of radiance times sr), padded with zeros. ``surface`` is the light's index among all traced shapes, -1 for
+    none.
     """
 
     kind: np.ndarray  # (lights,)
@@ -48,13 +49,13 @@ class Lights(NamedTuple):
 
 
 def make_lights(definitions: "Sequence[SceneLight]", first_surface: int) -> tuple[Lights, list[Placement]]:
-    """Return the lights of a scene, and the shapes of those that have one.
+    """Return the lights of a scene, and the placements of the area lights' shapes.
 
     Parameters
     ----------
     definitions : sequence of SceneLight
     first_surface : int
-        Number of the first light's shape among all shapes that are traced.
+        Index of the first light's shape among all traced shapes.
     """
     count = len(definitions)
     lights = Lights(
@@ -92,9 +93,9 @@ def _placement(light: "RectangleLight | SphereLight") -> Placement:
 
 
 def upward_radiance(lights: Lights) -> np.ndarray:
-    """Return the radiance of a perfect diffuser at the scene's origin that faces up and sees every light whole, (61,).
+    """Return the radiance of an unobstructed perfect diffuser at the scene's origin that faces up, (61,).
 
-    A sphere whose centre is under the horizon, and a part of a rectangle there, give nothing.
+    A sphere with its centre below the horizon and the part of a rectangle below it contribute nothing.
     """
     total = np.zeros(BANDS)
     steps = (np.arange(_PARTS) + 0.5) / _PARTS - 0.5
@@ -117,7 +118,7 @@ def upward_radiance(lights: Lights) -> np.ndarray:
 
 @uncounted(forceinline=True)
 def _towards(lights, light, point):
-    """Return the squared distance to a light's centre, mm², and the height of a point over the light's plane, mm."""
+    """Return the squared distance of a point to a light's centre, mm², and its height above the light's plane, mm."""
     squared, height = 0.0, 0.0
     for axis in range(3):
         away = point[axis] - lights.position_mm[light, axis]
@@ -128,9 +129,9 @@ def _towards(lights, light, point):
 
 @uncounted(forceinline=True)
 def unobstructed(lights, light, point):
-    """Return about what irradiance a light gives at a point, summed over the wavelengths; 0 where it gives none.
+    """Return the approximate irradiance of a light at a point without occlusion, summed over the wavelengths.
 
-    What lights are chosen by: never 0 where the light shines.
+    Lights are chosen with probabilities in proportion to it. It is 0 only where the light does not shine.
     """
     if lights.kind[light] == COLLIMATED:
         return lights.power[light]
@@ -147,16 +148,17 @@ def unobstructed(lights, light, point):
 
 @uncounted(forceinline=True)
 def _cap(lights, light, squared):
-    """Return 1 - cos of the half angle under which a sphere is seen from a squared distance."""
+    """Return 1 - cos of the angular radius of a spherical light at a squared distance."""
     sine2 = lights.size_mm[light, 0] ** 2 / squared
     return sine2 / (1.0 + math.sqrt(1.0 - sine2))
 
 
 @uncounted(forceinline=True)
 def _corners(a, b, c, p, q, r):
-    """Return arccos(-a b) + arccos(-b c), from 0 to 2π, with its digits at both ends.
+    """Return arccos(-a b) + arccos(-b c), from 0 to 2π, accurate at both ends of the range.
 
-    ``p``, ``q``, ``r`` are 1 - a², 1 - b², 1 - c². The angles are those of two complex numbers, added in their product.
+    ``p``, ``q``, ``r`` are 1 - a², 1 - b², 1 - c². The angles are the arguments of two complex numbers, and their sum
+    is the argument of the product.
     """
     x, y = -a * b, math.sqrt(p + a * a * q)
     u, v = -b * c, math.sqrt(q + b * b * r)
@@ -165,22 +167,22 @@ def _corners(a, b, c, p, q, r):
 
 
 class _Rectangle(NamedTuple):
-    """A rectangle as a point beside its plane sees it."""
+    """A rectangular light relative to a point, with quantities for sampling by solid angle (Ureña et al. 2013)."""
 
-    x: float  # mm, of the corner of least coordinates in the light's frame, from the point
+    x: float  # mm, corner of least coordinates in the light's frame, relative to the point
     y: float
     z: float  # not positive
     width: float  # mm
     height: float
     first: float  # third coordinate of the normal of the plane through the point and the side of least y
-    second: float  # and of greatest y
-    rest: float  # rad, what the angles at the two corners of least x leave of a full turn
+    second: float  # the same for the side of greatest y
+    rest: float  # rad, full turn less the angles at the two corners of least x
     solid_angle: float  # sr
 
 
 @uncounted(forceinline=True, error_model="numpy")
 def _rectangle(lights, light, point):
-    """Return a rectangle as a point beside its plane sees it."""
+    """Return the `_Rectangle` of a rectangular light for a point off its plane."""
     x, y, z = 0.0, 0.0, 0.0
     for axis in range(3):
         away = lights.position_mm[light, axis] - point[axis]
@@ -201,7 +203,7 @@ def _rectangle(lights, light, point):
 
 @uncounted(forceinline=True, error_model="numpy")
 def _draw_rectangle(seen, u, v):
-    """Return a place on a `_Rectangle`, mm from its corner of least coordinates, even in solid angle."""
+    """Sample a point on a `_Rectangle`, uniform in solid angle, mm from its corner of least coordinates."""
     x, y, z, width, height, first, second, rest, solid_angle = seen
     angle = rest + u * solid_angle
     sine = math.sin(angle)
@@ -218,7 +220,7 @@ def _draw_rectangle(seen, u, v):
 
 @uncounted(forceinline=True)
 def density_towards(lights, light, point, direction):
-    """Return the density in 1/sr with which `sample_towards` draws a direction that meets the light; 0 from behind."""
+    """Return the density in 1/sr with which `sample_towards` samples a direction that hits the light; 0 from behind."""
     squared, height = _towards(lights, light, point)
     if lights.kind[light] == BALL:
         radius = lights.size_mm[light, 0]
@@ -237,9 +239,9 @@ def density_towards(lights, light, point, direction):
 
 @uncounted(forceinline=True)
 def sample_towards(lights, light, point, u, v, direction):
-    """Fill a unit direction from a point to a light, even in solid angle; of a rectangle that looks small, in area.
+    """Sample a unit direction from a point to a light, uniform in solid angle, or in area for a small rectangle.
 
-    A rectangle is drawn as Ureña et al. (2013) do.
+    Rectangles are sampled as in Ureña et al. (2013).
 
     Parameters
     ----------
@@ -247,13 +249,13 @@ def sample_towards(lights, light, point, u, v, direction):
     light : int
     point : (3,) float, mm
     u, v : float
-        Even in [0, 1).
+        Uniform random numbers in [0, 1).
     direction : (3,) float
 
     Returns
     -------
     float, 1/sr
-        Density of the direction, 1 for a collimated light, 0 where the light does not shine.
+        Density of the direction, 1 for a collimated light, 0 if the light does not shine on the point.
     """
     turn = lights.rotation
     if lights.kind[light] == COLLIMATED:

@@ -11,12 +11,13 @@ from irodori.light.environment_file import Environment
 def scene_white(scene: Scene | Staging, environment: Environment) -> tuple[np.ndarray, float]:
     """Return the radiance that pictures of a scene show as white, and their exposure.
 
+    White is the radiance of a perfect diffuser that faces up at the scene's origin, divided by the exposure.
+
     Parameters
     ----------
     scene : Scene or Staging
-        Its ``lights`` are those that a perfect diffuser that faces up sees from the scene's origin beside the
-        environment; its ``display.exposure`` is the factor on that diffuser's radiance before it is shown. ``auto``
-        is 1: it is white.
+        Its ``lights`` and the environment light the diffuser; its ``display.exposure`` is the factor on the diffuser's
+        radiance before display. With ``auto`` it is 1, and the diffuser is shown as white.
     environment : Environment
 
     Returns
@@ -35,12 +36,12 @@ def scene_white(scene: Scene | Staging, environment: Environment) -> tuple[np.nd
 
 
 def shown_white(scene: Scene, environment: Environment, environment_file) -> tuple[np.ndarray, float]:
-    """Return `scene_white`, against which a picture is made.
+    """Return `scene_white` for making a picture, and raise an error if there is no light.
 
     Raises
     ------
     InputError
-        If nothing lights that diffuser: there is no white, and no picture.
+        If no light falls on the diffuser that defines white.
     """
     white, exposure = scene_white(scene, environment)
     if not white.any():

@@ -1,6 +1,6 @@
-"""Frame sequence stage: turntable, light sweep, change of illuminant; PNG frames, animated PNG and figures.
+"""Frame sequence stage: renders a turntable, a light sweep or a change of illuminant to PNG frames and an animated PNG.
 
-Finished frames stay in a folder beside the final one, so that an interrupted sequence goes on where it stopped.
+Finished frames are kept in a folder next to the final one, so that an interrupted sequence continues where it stopped.
 """
 
 import hashlib
@@ -44,15 +44,15 @@ from irodori.rendering.scene_white import shown_white
 from irodori.rendering.stage import write_picture
 from irodori.spectra.grid import WAVELENGTH_NM
 
-#: An illuminant must have this part of its peak everywhere to be divided by.
+#: Least power of an illuminant, relative to its peak, that allows division by it.
 _LEAST_POWER = 1e-4
 _KEY = "key.txt"
-#: Every so many pixels of a frame its loss is measured, which takes a fifth of a second of a whole picture.
+#: Step of the pixels at which the loss of a frame is measured; for all pixels, that takes a fifth of a second.
 _JUDGED_STEP = 4
 
 
 def make_moments(frames: Frames) -> list[tuple[dict, Moment]]:
-    """Return what each frame of a sequence shows, for its figures, and its moment.
+    """Return for each frame of a sequence its settings, as written to the figures, and its moment.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ def make_moments(frames: Frames) -> list[tuple[dict, Moment]]:
     Raises
     ------
     InputError
-        If an illuminant is to be divided by that is dark somewhere.
+        If the first illuminant, by which the light is divided, has too little power at some wavelength.
     """
     if isinstance(frames, IlluminantChange):
         return list(_illuminants(frames))
@@ -77,7 +77,7 @@ def make_moments(frames: Frames) -> list[tuple[dict, Moment]]:
 
 
 def _illuminants(frames: IlluminantChange) -> Iterator[tuple[dict, Moment]]:
-    """Yield the frames of an illuminant change; between two illuminants their power is mixed."""
+    """Yield the frames of an illuminant change; between two illuminants, their spectra are mixed."""
     name = frames.from_illuminant
     source = unit_luminance(name)
     least = source.argmin()
@@ -96,7 +96,7 @@ def _illuminants(frames: IlluminantChange) -> Iterator[tuple[dict, Moment]]:
 
 
 def sequence_key(scene: Scene, view_name: str, shapes: Sequence[ObjectShape], options: Render, inputs: list) -> str:
-    """Return a hash of everything that frames depend on: definition, files and this code."""
+    """Return a hash of everything on which frames depend: definition, files and this code."""
     seen = replace(scene, views={view_name: scene.views[view_name]})
     text = json.dumps(as_plain([seen, shapes, options]), sort_keys=True)
     digest = hashlib.blake2b(f"{code_hash(__name__)} {text}".encode(), digest_size=16)
@@ -106,7 +106,7 @@ def sequence_key(scene: Scene, view_name: str, shapes: Sequence[ObjectShape], op
 
 
 class _Frames:
-    """Finished frames of one sequence in a folder, each a PNG and the figures that were written after it."""
+    """Folder of the finished frames of one sequence, each a PNG and a JSON of figures, which is written last."""
 
     def __init__(self, folder: Path, key: str) -> None:
         self.folder = folder
@@ -124,14 +124,14 @@ class _Frames:
         return self.folder / f"{number:05d}.json"
 
     def finish(self, number: int, figures: dict) -> None:
-        """Note that a frame's picture is whole."""
+        """Write a frame's figures, which marks its picture as complete."""
         _write_json(self.figures(number), figures)
 
     def is_finished(self, number: int) -> bool:
         return self.figures(number).is_file()
 
     def move_to(self, final: Path) -> None:
-        """Leave nothing but the pictures, under the final name."""
+        """Remove everything except the pictures and rename the folder to its final name."""
         for path in self.folder.iterdir():
             if path.is_dir():
                 shutil.rmtree(path)
@@ -148,7 +148,7 @@ def _write_json(path, content: dict) -> None:
 
 
 class _Pictures:
-    """Pictures in files, read one by one, each closed before the next is read; Pillow goes through them twice."""
+    """Iterable over picture files that holds one open at a time; Pillow iterates over it twice."""
 
     def __init__(self, files: list[Path]) -> None:
         self.files = files
@@ -162,7 +162,7 @@ class _Pictures:
 
 
 def write_animation(path, pictures: list[Path], frames_per_second: float) -> None:
-    """Write PNG pictures as one animated PNG that repeats for ever; every pixel and the profile are theirs."""
+    """Write PNG pictures as one endlessly repeating animated PNG, with their pixels and ICC profile unchanged."""
     from PIL import Image
 
     with written_whole(path) as temporary, Image.open(pictures[0]) as first:
@@ -190,11 +190,12 @@ def render_frames(
     Parameters
     ----------
     scene : Scene
-        With ``frames``.
+        Scene with ``frames``.
     inputs : list of path
-        All files that frames depend on; frames that an interrupted run left are used while these are the same.
+        All files on which frames depend; frames of an interrupted run are used if these files have not changed.
     folder, animation, figures_file : path
-        Where the frames go as ``00000.png``, ``00001.png``, ...; what is finished is in ``FOLDER.part`` until all are.
+        Outputs. The frames in the folder are ``00000.png``, ``00001.png``, ...; until all are finished, they are in
+        ``FOLDER.part``.
 
     Other parameters are those of `irodori.rendering.stage.render_view`.
     """
@@ -214,7 +215,7 @@ def render_frames(
     if scene.tolerance_ciede2000 is not None:
         LOGGER.info("frames are rendered in full: a plan is made for the scene's own moment")
     if has_light_maps(scene) and not keeps_light(frames):
-        # All frames alike, those too in which nothing has turned yet: a sequence does not flicker.
+        # No frame uses light maps, not even the unrotated first one, so that the sequence does not flicker.
         LOGGER.info("frames are rendered without light maps, because light or objects turn")
         scene = replace(scene, integrator=InteractiveIntegrator(ambient=has_ambient(scene)))
     renderer = make_renderer(scene, made, materials, environment, options, white, maps_file=maps_file)

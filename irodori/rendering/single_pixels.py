@@ -1,4 +1,4 @@
-"""One-pixel views, and rays, of chosen points of a large picture."""
+"""Views of single pixels, and rays through chosen points, of a large picture."""
 
 import numpy as np
 
@@ -7,15 +7,15 @@ from irodori.rendering.view_cameras import ORTHOGRAPHIC
 
 
 def pixel_view(view: View, x: float, y: float) -> View:
-    """Return the view of a single pixel, for who sends one ray through its centre.
+    """Return a view of one pixel, whose central ray passes through a point (x, y) of a view's picture.
 
-    That ray is the one through the point (x, y) of the view's picture, in pixels from the upper left corner, and its
-    cone is as wide as a pixel's of the view.
+    The point is given in pixels from the upper left corner. The cone of the ray is as wide as that of a pixel of the
+    original view.
 
     Raises
     ------
     ValueError
-        If the view has a lens: its rays are many.
+        If the view has a lens, because many rays then pass through each point.
     """
     if view.lens_mm > 0.0:
         raise ValueError(f"one ray of a view with a lens of {view.lens_mm:g} mm; accepted: a view without a lens")
@@ -23,7 +23,7 @@ def pixel_view(view: View, x: float, y: float) -> View:
         return sheared_view(view, x, y)
     away = np.array([*_from_axis(view, x, y), 1.0])
     forward = view.world_from_camera @ (away / np.linalg.norm(away))
-    # The camera's own sides, turned as little as possible: edges of the pixel stay along the picture's.
+    # The camera's axes are rotated as little as possible, so that edges of the pixel stay parallel to the picture's.
     right = view.world_from_camera[:, 0] - forward * (view.world_from_camera[:, 0] @ forward)
     right /= np.linalg.norm(right)
     rotation = np.stack([right, np.cross(forward, right), forward], axis=1)
@@ -31,10 +31,10 @@ def pixel_view(view: View, x: float, y: float) -> View:
 
 
 def sheared_view(view: View, x: float, y: float) -> View:
-    """Return the view of the pixel about a point (x, y) of a view's picture, for `irodori.rendering.view_cameras.aim`.
+    """Return a view of the pixel around a point (x, y) of a view's picture, for `irodori.rendering.view_cameras.aim`.
 
-    All its rays are those of the view: the line of sight is sheared, and the plane of the picture, and of the lens,
-    stays. Parallel rays start beside the view's own.
+    Its rays are exactly those of the original view: the line of sight is sheared, while the planes of the picture and
+    the lens stay the same. For parallel rays, the position is shifted instead.
     """
     sides, away = view.world_from_camera[:, :2], _from_axis(view, x, y)
     if view.kind == ORTHOGRAPHIC:
@@ -44,13 +44,13 @@ def sheared_view(view: View, x: float, y: float) -> View:
 
 
 def middle_rays(view: View, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return origins and directions, (n, 3) each, of the rays of a view's points through the middle of its lens.
+    """Return origins and directions, (n, 3) each, of rays through points of a view's picture and the lens centre.
 
     Parameters
     ----------
     view : View
     places : (n, 2) float
-        In pixels from the upper left corner.
+        Column and row of the points, in pixels from the upper left corner.
     """
     sides, (x, y) = view.world_from_camera[:, :2], np.asarray(places, dtype=np.float64).T
     across, middle = _from_axis(view, x, y).T @ sides.T, np.broadcast_to(view.position_mm, (x.size, 3))
@@ -62,5 +62,5 @@ def middle_rays(view: View, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 
 
 def _from_axis(view: View, x, y) -> np.ndarray:
-    """Return how far points of the picture lie from its middle: slopes, or mm of parallel rays, (2, ...)."""
+    """Return the offsets of points from the picture's centre, (2, ...): slopes of rays, or mm for parallel rays."""
     return np.array([x - 0.5 * view.width, y - 0.5 * view.height]) / view.focal_px

@@ -1,4 +1,4 @@
-"""Rendering stage: materials, light and a scene in; spectral EXR, PNG and figures out."""
+"""Rendering stage: reads materials, light and a scene; writes a spectral EXR, a PNG and figures."""
 
 import json
 from collections.abc import Sequence
@@ -40,13 +40,13 @@ def render_view(
 ) -> None:
     """Render a view from files into an EXR, a PNG and a JSON of figures.
 
-    The EXR holds spectra, or XYZ where a plan does not carry them. With ``check`` the figures have the picture's
-    distance to the path-traced one, and nothing is written of a picture that does not keep its plan's tolerance.
+    The EXR holds spectra, or XYZ if a plan does not compute spectra. With ``check``, the figures include the picture's
+    distance to the path-traced one, and nothing is written if that exceeds the plan's tolerance.
 
     Raises
     ------
     InputError
-        If the view's eye is inside a thing, a material makes light, or there is no light to see by.
+        If the view's eye is inside an object, a material reflects more light than falls on it, or there is no light.
     """
     plan = read_plan(plan_file) if plan_file else None
     display = make_display(scene.display.device)
@@ -93,7 +93,7 @@ def bake_light(
     output,
     provenance: Provenance,
 ) -> None:
-    """Bake the light maps of a scene, which all its views share, into a file.
+    """Bake the light maps of a scene, which are the same for all its views, into a file.
 
     Parameters are those of `render_view`.
     """
@@ -107,10 +107,10 @@ def bake_light(
 def write_picture(
     path, xyz: np.ndarray, white_xyz: np.ndarray, display: Display, bits: int = 8, judged_step: int = 1
 ) -> dict[str, float]:
-    """Write XYZ (height, width, 3) as a picture for a display; return, and log, what that display cannot show.
+    """Write XYZ (height, width, 3) as a picture for a display; return and log the share of out-of-gamut colours.
 
-    The file states its loss, that is what the code values round and colours outside the display's gamut, measured on
-    every ``judged_step``-th pixel of every so many rows.
+    The file states its loss by rounding to code values and by colours outside the display's gamut. It is measured on
+    every ``judged_step``-th pixel of every ``judged_step``-th row.
     """
     linear = display.linear_rgb(xyz, white_xyz)
     pixels, gamut = display.encode(linear, bits)
@@ -125,7 +125,7 @@ def write_picture(
 
 
 def write_xyz(scene: Scene, exr, environment_file, output) -> None:
-    """Write the XYZ of a rendered view, not adapted; Y = 100 is the scene's white.
+    """Write the XYZ of a rendered view without chromatic adaptation; Y = 100 is the scene's white.
 
     Parameters
     ----------
@@ -149,13 +149,13 @@ def _xyz_attributes(xyz: np.ndarray, white_xyz: np.ndarray) -> dict[str, str]:
 
 
 def write_tiff(scene: Scene, exr, environment_file, output) -> None:
-    """Write a rendered view for its display with 16 bits a channel; parameters as of `write_xyz`."""
+    """Write a rendered view for its display with 16 bits per channel; parameters as in `write_xyz`."""
     display = make_display(scene.display.device)
     write_picture(output, *_view_xyz(scene, exr, environment_file), display, bits=16)
 
 
 def _view_xyz(scene: Scene, exr, environment_file) -> tuple[np.ndarray, np.ndarray]:
-    """Return the XYZ of a view's EXR, (height, width, 3), and of its white."""
+    """Return the XYZ of a view's EXR, (height, width, 3), and the XYZ of its white, (3,)."""
     white, _ = scene_white(scene, Environment.load(environment_file))
     matrix = xyz_from_radiance(white)
     return read_xyz(exr, matrix), matrix @ white

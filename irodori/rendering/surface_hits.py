@@ -19,7 +19,7 @@ def frame(normal):
 
 @njit(cache=True, forceinline=True)
 def _interpolate(picture, u, v, out):
-    """Fill the bilinear value of a picture at u, v in 0..1; columns wrap, rows end."""
+    """Interpolate a picture bilinearly at u, v in 0..1; columns wrap around, rows end."""
     pixels, first, width, height = picture
     x, y = u * width - 0.5, min(max(v * height - 0.5, 0.0), height - 1.0)
     x0, y0 = math.floor(x), int(y)
@@ -40,13 +40,13 @@ def surface(world, index, ray, work):
     Parameters
     ----------
     world : NamedTuple
-        With ``surfaces`` (`irodori.geometry.surfaces.Surfaces`) and
-        ``objects`` (`irodori.rendering.scene_arrays.Objects`), one for one.
+        Has ``surfaces`` (`irodori.geometry.surfaces.Surfaces`) and ``objects``
+        (`irodori.rendering.scene_arrays.Objects`) in the same order.
     index : int
-        The surface that was met.
-    ray : as of `irodori.geometry.embree.trace`
+        Number of the surface that was hit.
+    ray : as in `irodori.geometry.embree.trace`
     work : irodori.rendering.reference.world.Work
-        Of which ``point``, ``normal`` (that of shading), ``facet`` (that of the surface itself) and ``texel``.
+        Its ``point`` is moved; ``normal`` (for shading), ``facet`` (of the surface itself) and ``texel`` are filled.
     """
     u, v = surface_at(world.surfaces, index, ray, work.point, work.normal, work.facet)
     objects = world.objects

@@ -1,9 +1,9 @@
 """Cameras of views: perspective with an optional thin lens, or orthographic.
 
-A thin lens gathers over its disc what a place of the plane in focus sends: a point at the depth z (mm along the axis)
-is spread over a circle of the diameter ``A |z - f| / z`` in that plane, with A the lens' diameter and f the focus
-distance; in the picture it is ``A |z - f| / (z f)`` times the focal length (Potmesil and Chakravarty 1982). A pixel is
-the mean radiance over the lens: no fall-off towards the corners is added.
+All rays from a thin lens through a pixel meet in one point of the plane in focus. A point at depth z (mm along the
+axis) is blurred to a circle of diameter ``A |z - f| / z`` in that plane, with the lens diameter A and the focus
+distance f; in the picture, the diameter is ``A |z - f| / (z f)`` times the focal length (Potmesil and Chakravarty
+1982). A pixel is the mean radiance over the lens, without the fall-off of a real lens towards the corners.
 """
 
 import math
@@ -16,15 +16,15 @@ KINDS = {"perspective": PERSPECTIVE, "orthographic": ORTHOGRAPHIC}
 
 @uncounted(forceinline=True)
 def aim(view, place, on_lens, origin, direction):
-    """Fill where the ray through a place of the picture starts, and its unit direction.
+    """Compute origin and unit direction of the ray through a point of the picture.
 
     Parameters
     ----------
     view : irodori.rendering.scene_arrays.View
     place : (x, y)
-        From the picture's left and upper edge, px.
+        Point, px from the picture's left and upper edge.
     on_lens : (u, v)
-        Place on the lens, even in [0, 1); not read without one.
+        Random numbers, uniform in [0, 1), that select a point on the lens; not read without a lens.
     origin, direction : (3,) float64
     """
     (x, y), (u, v) = place, on_lens

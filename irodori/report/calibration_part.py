@@ -1,4 +1,4 @@
-"""Calibration section of the report: errors of unseen patches, choice of estimator, chart quality."""
+"""Calibration section of the report: errors of left-out chart patches, choice of estimator, chart quality."""
 
 import csv
 
@@ -16,7 +16,7 @@ _WAYS = {"leave_one_out": "left out patch by patch", "leave_one_chart_out": "lef
 
 
 def camera_calibrations(cameras: list[str], calibrations: list, errors: list, selections: list) -> list[dict]:
-    """Return what ``calibration.html.j2`` shows of each camera.
+    """Return the data of the template ``calibration.html.j2``, one dictionary for each camera.
 
     Parameters
     ----------
@@ -44,8 +44,8 @@ def guideline_rows(verdicts: list[dict]) -> list[dict]:
     Parameters
     ----------
     verdicts : list of dict
-        Attribute of ``calibration.h5``: the fields of `irodori.calibration.verdict.Tolerance`, ``measured`` and
-        ``passes``; the levels of a guideline stand from the strictest on.
+        Attribute ``verdicts`` of ``calibration.h5``: the fields of `irodori.calibration.verdict.Tolerance`,
+        ``measured`` and ``passes``; the levels of each guideline are in order from the strictest.
     """
     groups: dict[tuple, list[dict]] = {}
     for v in verdicts:
@@ -66,7 +66,7 @@ def _guideline_row(levels: list[dict]) -> dict:
 
 
 def _means(file: store.Reader, way: str) -> dict[str, float]:
-    """Return the mean error of the patches left out in a way: {light: CIEDE2000}, and ``rmse`` of the spectra."""
+    """Return mean errors of a cross-validation of patches: {light: CIEDE2000}, and ``rmse`` of the spectra."""
     of = {light: f"delta_e_{light.lower()}" for light in file.attribute("lights")} | {"rmse": "rmse"}
     return {label: float(np.nanmean(file.read(f"{way}/{name}"))) for label, name in of.items()}
 

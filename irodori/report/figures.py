@@ -17,7 +17,7 @@ from irodori.material.material_file import Material, Status
 from irodori.reflection.registry import lobe
 from irodori.spectra.grid import WAVELENGTH_NM
 
-# Titles stay above their axes: to look whether ticks are in the way, every axis is laid out twice.
+# Titles have a fixed place: if matplotlib checks for overlap with ticks, it lays out every axis twice.
 matplotlib.rcParams["axes.titley"] = 1.0
 
 _UNSEEN_GREY = 208
@@ -36,7 +36,7 @@ _STATUS_COLOURS = (
 
 
 class _Margins(NamedTuple):
-    """Space about the axes of a figure, inches."""
+    """Margins around and between the axes of a figure, inches."""
 
     left: float
     right: float
@@ -50,7 +50,7 @@ _OF_MAPS = _Margins(left=0.1, right=0.5, bottom=0.1, top=0.45, between=0.4)
 
 
 def _subplots(rows: int, columns: int, size_in: tuple[float, float], margins: _Margins):
-    """Return a figure and its axes in given margins; matplotlib would draw all of it twice more to find its own."""
+    """Return a figure and its axes with fixed margins; automatic margins would make matplotlib draw it twice more."""
     width, height = size_in
     across = (width - margins.left - margins.right - (columns - 1) * margins.between) / columns
     down = (height - margins.bottom - margins.top - (rows - 1) * margins.between) / rows
@@ -82,9 +82,9 @@ def _map(axes, figure, values, title: str, unit: str) -> None:
 
 
 def material_figure(material: Material, maps: dict[str, np.ndarray], truth: Material | None) -> str:
-    """Return the maps of a fitted object: colour, parameters, outcome, confidence, and ΔE where the truth is known.
+    """Return a figure of an object's maps: colour, parameters, status of the fit, errors, and ΔE if the truth is known.
 
-    ``maps`` holds ``status``, ``residual_rms``, ``reflectance_error`` and ``delta_e_error``.
+    ``maps`` holds ``status``, ``residual_rms``, ``reflectance_error`` and ``delta_e_error``, (height, width) each.
     """
     rows = 1 + len(material.lobes)
     figure, axes = _subplots(rows, 5, (15, 2.8 * rows), _OF_MAPS)
@@ -128,7 +128,7 @@ def material_figure(material: Material, maps: dict[str, np.ndarray], truth: Mate
 
 
 def spectra_figure(material: Material, truth: Material) -> str:
-    """Return recovered against true spectra: the median of each true material's texels."""
+    """Return a figure of true spectra and recovered ones, the medians over the texels of each true spectrum."""
     figure, axes = _subplots(1, 1, (6.5, 3.6), _OF_PLOTS)
     index = truth.coefficients.argmax(axis=-1)
     for m, exact in enumerate(truth.basis.T):
@@ -145,12 +145,12 @@ def spectra_figure(material: Material, truth: Material) -> str:
 
 
 def planning_figure(rows) -> str:
-    """Return the error of each parameter against the number of poses, a line a design.
+    """Return a figure of each parameter's error against the number of poses, one line for each design of poses.
 
     Parameters
     ----------
     rows : list of irodori.evaluation.result_tables.PlanRow
-        Of one object. Solid lines are medians, dashed ones 95th percentiles.
+        Rows of one object. Solid lines are medians, dashed ones 95th percentiles.
     """
     labels = {"alpha": "|Δα|", "beta": "|Δβ| / β", "mu": "|Δμ| / μ"}
     figure, axes = _subplots(1, 4, (13, 3.6), _OF_PLOTS)
@@ -162,7 +162,7 @@ def planning_figure(rows) -> str:
             count = [row.poses for row in own]
             ax.plot(count, [row.median for row in own], "o-", ms=3, color=colour, label=design)
             ax.plot(count, [row.p95 for row in own], "--", lw=1, color=colour)
-        # β and μ are stated together: the last of `own` is μ.
+        # β and μ are identified together: `own` and `count` are those of μ, the last parameter.
         axes[3].plot(count, [row.identified_fraction for row in own], "o-", ms=3, color=colour, label=design)
     for ax, label in zip(axes, labels.values(), strict=False):
         ax.set_yscale("log")
@@ -175,12 +175,12 @@ def planning_figure(rows) -> str:
 
 
 def selection_figure(header: list[str], rows: list[list[str]]) -> str:
-    """Return errors of the estimators against the time that a pixel takes; the one in use is ringed.
+    """Return a figure of the estimators' errors against computing time per pixel; a ring marks the one in use.
 
     Parameters
     ----------
     header, rows : list
-        Of a camera's ``calibration_selection.csv``.
+        Header and rows of a camera's ``calibration_selection.csv``.
     """
     columns = {name: [row[i] for row in rows] for i, name in enumerate(header)}
     time_ns = np.array(columns["evaluation_ns_per_pixel"], dtype=float)
@@ -207,16 +207,16 @@ def selection_figure(header: list[str], rows: list[list[str]]) -> str:
 
 
 def comparison_figure(output, photograph, rendering, difference: np.ndarray, figures: dict) -> None:
-    """Write a photograph, the rendering of its view and the CIEDE2000 between them side by side as a PNG.
+    """Write a photograph, the rendering of its view and a map of their CIEDE2000 side by side to a PNG.
 
     Parameters
     ----------
     output, photograph, rendering : path
-        Of PNG files.
+        PNG files.
     difference : (height, width) float
         CIEDE2000, NaN where not compared; the scale ends at its 99th percentile.
     figures : dict
-        ``delta_e`` and ``noise_floor``, summaries.
+        ``delta_e`` and ``noise_floor``: summaries of CIEDE2000, the second of the camera's noise alone.
     """
     figure, axes = _subplots(1, 3, (15, 4.2), _OF_MAPS)
     titles = ("photograph", "rendered from the fitted materials")
@@ -233,7 +233,18 @@ def comparison_figure(output, photograph, rendering, difference: np.ndarray, fig
 
 
 def front_figure(rows: list[dict], front: list[str], default: str | None, metric: str) -> str:
-    """Return throughput against error of variants of one unit; those on the front are joined, the default is ringed."""
+    """Return a figure of throughput against error of variants; a line joins the Pareto front, a ring marks the default.
+
+    Parameters
+    ----------
+    rows : list of dict
+        Rows of a benchmark's table that have the same unit.
+    front : list of str
+        Variants on the front, fastest first.
+    default : str, optional
+    metric : str
+        Label of the error axis.
+    """
     figure, axes = _subplots(1, 1, (7.5, 4.2), _OF_PLOTS)
     places = {r["variant"]: (float(r["throughput"]), float(r["error"])) for r in rows}
     for name, (speed, error) in places.items():

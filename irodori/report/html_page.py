@@ -1,4 +1,4 @@
-"""HTML pages from the templates beside this module: self-contained, and escaped unless a template says otherwise."""
+"""Self-contained HTML pages from the templates in this folder; values are escaped unless a template says otherwise."""
 
 import base64
 import math
@@ -12,7 +12,7 @@ from irodori.reflection.registry import lobe
 
 
 def number(value: str | float) -> str:
-    """Return four digits of a number, a dash for NaN."""
+    """Return a number as text with four significant digits, or a dash for NaN."""
     value = float(value)
     return "–" if math.isnan(value) else f"{value:.4g}"
 
@@ -23,7 +23,7 @@ def data_uri(path) -> str:
 
 
 def _grouped(rows: Iterable, *names: str) -> dict:
-    """Return {value: rows} by a field, or {values: rows} by several, in order of first appearance."""
+    """Group rows by one field, {value: rows}, or by several, {tuple of values: rows}, in order of first appearance."""
     found: dict = {}
     for row in rows:
         values = tuple(row[name] if isinstance(row, dict) else getattr(row, name) for name in names)
@@ -43,25 +43,25 @@ _TEMPLATES.globals["lobe_named"] = lobe
 
 
 def fragment(template: str, **context) -> str:
-    """Return a template filled in; a name that it uses and nobody gave is an error.
+    """Return the text of a template filled with data.
 
     Parameters
     ----------
     template : str
-        Name of a file in ``templates``. Its filters beside Jinja's own: ``number``, four digits or a dash;
-        ``show``, a Python format specification; ``grouped``, rows by their fields.
+        Name of a file in ``templates``. Filters in addition to those of Jinja: ``number``, four digits or a dash;
+        ``show``, a Python format specification; ``grouped``, rows grouped by fields.
     **context
-        What the template shows.
+        Data of the template.
 
     Raises
     ------
     jinja2.UndefinedError
-        If a name is missing.
+        If the template uses a name that is not in the context.
     """
     return _TEMPLATES.get_template(template).render(**context)
 
 
 def write_page(path, template: str, **context) -> None:
-    """Write a page that needs nothing beside it, whole or not at all; for the arguments see `fragment`."""
+    """Write a self-contained page, replacing the file only when complete; for the arguments see `fragment`."""
     with written_whole(path) as temporary:
         temporary.write_text(fragment(template, **context), encoding="utf-8")

@@ -29,7 +29,7 @@ _CAMERA_FIGURES = {
 
 
 def rendered_views(names: list[str], pictures: list, figures: list, truths: dict) -> list[dict]:
-    """Return what ``views.html.j2`` shows: of each view its PNG, its JSON, and its true picture if known."""
+    """Return the data of ``views.html.j2``: name, picture, figures and, if known, true picture of each view."""
     return [view | {"truth": data_uri(truths[view["name"]]) if view["name"] in truths else None}
             for view in _pictures(names, pictures, figures)]  # fmt: skip
 
@@ -42,7 +42,7 @@ def _pictures(names: list[str], pictures: list, figures: list) -> list[dict]:
 
 
 def typical_gloss_text(material: Material) -> str:
-    """Return β and μ of the object's typical gloss with the unit and the title of the lobe, of every component."""
+    """Return a line of text with β, μ, unit and lobe of every component of the object's typical gloss."""
     parts = []
     for component, name in enumerate(material.lobes):
         kind = lobe(name)
@@ -72,12 +72,12 @@ def _object(name: str, path, truth_file) -> dict:
 
 
 def objects(names: list[str], files: list, truths: dict) -> list[dict]:
-    """Return what ``objects.html.j2`` shows of materials, with the files of true ones by name where they are known."""
+    """Return the data of ``objects.html.j2`` for material files; ``truths`` maps names to files of true materials."""
     return [_object(name, path, truths.get(name)) for name, path in zip(names, files, strict=True)]
 
 
 def environments(names: list[str], files: list) -> list[dict]:
-    """Return what ``light.html.j2`` shows of the files of `irodori.light.stage`."""
+    """Return the data of ``light.html.j2`` from environment files that `irodori.light.stage` wrote."""
     found = []
     for name, path in zip(names, files, strict=True):
         with store.open_file(path) as file:
@@ -87,7 +87,7 @@ def environments(names: list[str], files: list) -> list[dict]:
 
 
 def _rules(folder) -> list[tuple[str, int, float, float]]:
-    """Return rule, jobs, seconds and peak MB from the benchmark files of the jobs that ran, the longest first."""
+    """Return rule, number of jobs, total seconds and peak MB from Snakemake's benchmark files, the longest first."""
     totals: dict[str, tuple[int, float, float]] = {}
     for path in sorted(Path(folder).glob("*/*.tsv")):
         with path.open(newline="", encoding="utf-8") as stream:
@@ -104,7 +104,7 @@ def _plans(rows: list[PlanRow]) -> dict[str, dict]:
 
 
 def registrations(objects: list[str], tables: list) -> dict:
-    """Return what ``registration.html.j2`` shows: the summary of each object's table."""
+    """Return the data of ``registration.html.j2``: the summary of each object's table of registrations."""
     return {name: summarise(read_rows(path, RegistrationRow)) for name, path in zip(objects, tables, strict=True)}
 
 
@@ -119,12 +119,12 @@ def write_report(inputs: dict, names: dict, benchmarks, output) -> None:
     Parameters
     ----------
     inputs : dict
-        Files: errors, planning, imperfections; lists of budgets, references, registrations, materials, true_materials,
-        environments, sessions, calibrations, calibration_errors, selections, pictures, figures, true_pictures,
-        comparisons, comparison_figures.
+        Files by kind. One file each: errors, planning, imperfections; lists: budgets, references, registrations,
+        materials, true_materials, environments, sessions, calibrations, calibration_errors, selections, pictures,
+        figures, true_pictures, comparisons, comparison_figures.
     names : dict
-        objects, virtual_objects, environments, cameras, views, virtual_views, photographs, in the order of the files;
-        pages, the classroom pages beside the report.
+        Names in the order of the files: objects, virtual_objects, environments, cameras, views, virtual_views,
+        photographs; and pages, the classroom pages in the folder of the report.
     benchmarks : path
         Folder of the benchmark files of the run.
     output : path

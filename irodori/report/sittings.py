@@ -1,4 +1,4 @@
-"""Summary of rig and lamp while photographs were taken, for the report."""
+"""Summary of the checks of rig and lamp during photography, for the report."""
 
 import json
 from collections.abc import Sequence
@@ -8,19 +8,19 @@ from pathlib import Path
 
 @dataclass(frozen=True)
 class Sitting:
-    """The worst that the sittings of one subject have shown.
+    """Largest deviations of rig and lamp in all photographing sessions of one object or camera.
 
     Parameters
     ----------
     name : str
-        Of the object or camera.
+        Name of the object or camera.
     photographs : int
-        How many were held against the rig's limit switches.
+        Number of photographs covered by checks of the rig's position against its limit switches.
     lost_deg : dict
-        Axis: how far it stood off its count, degrees, with its sign.
+        Axis -> largest difference between true and counted position, degrees, with its sign.
     light, shift_px : float or None
-        Of the drift frames: light beside the photograph that one repeats, a ratio, and how far contours lie aside,
-        superpixels; None without such frames.
+        From the drift frames, repeats of an earlier photograph: ratio of light to that photograph that is furthest from
+        1, and largest shift of contours, superpixels; None without such frames.
     """
 
     name: str
@@ -31,7 +31,7 @@ class Sitting:
 
 
 def sittings(records: Sequence) -> list[Sitting]:
-    """Return what ``sittings.html.j2`` shows of the records of sessions; those without a rig have no line.
+    """Return the data of ``sittings.html.j2``; session records without position checks and drift frames are left out.
 
     Parameters
     ----------

@@ -10,7 +10,7 @@ from irodori.core.errors import InputError
 from irodori.report.figures import front_figure
 from irodori.report.html_page import write_page
 
-#: The variant of each stage that the workflow uses unless it is told otherwise.
+#: The variant of each stage that the workflow uses by default.
 DEFAULTS = {
     "ingest": "superpixel-registered",
     "calibrate": "pinv",
@@ -30,7 +30,7 @@ def read_rows(path) -> list[dict]:
     Raises
     ------
     InputError
-        If its columns are not those of the design, section 6.
+        If its columns are not `COLUMNS`.
     """
     with open(path, newline="", encoding="utf-8") as stream:
         reader = csv.DictReader(stream)
@@ -41,14 +41,14 @@ def read_rows(path) -> list[dict]:
 
 
 def is_measured(row: dict) -> bool:
-    """Whether a row has figures; one of a peer that could not run has the reason as its metric and nothing else."""
+    """Return whether a row has measurements; for a program that could not run, it has only the reason, as metric."""
     return bool(row["seconds"])
 
 
 def front(rows: Sequence[dict]) -> list[str]:
-    """Return the variants that no other one of the same unit beats in both throughput and error, fastest first.
+    """Return the Pareto front: variants that no other of the same unit beats in throughput and error, fastest first.
 
-    Variants without an error, which stand beside the others as a measure of time alone, are on no front.
+    Variants without an error, which are listed as measurements of time only, are on no front.
     """
     known = [r for r in rows if is_measured(r) and math.isfinite(float(r["error"]))]
     found = [
@@ -79,22 +79,22 @@ def _stage(name: str, rows: list[dict]) -> dict:
 
 
 def write_speed_report(tables: Sequence, materials, size: str, output, page_file) -> None:
-    """Write ``speed_error.csv`` and its page.
+    """Write ``speed_error.csv``, the rows of all benchmarks, and the page that shows them.
 
     Parameters
     ----------
     tables : sequence of path
-        One a stage, as the benchmarks write them.
+        Tables of the benchmarks, one for each stage.
     materials : path
-        Table of `benchmarks.materials`; empty where there was no data.
+        Table of `benchmarks.materials`; without rows if there was no data.
     size : str
-        What was measured, for the page.
+        Size of the measured problems, shown on the page.
     output, page_file : path
 
     Raises
     ------
     InputError
-        If a table is not one.
+        If a file is no table of benchmarks.
     """
     groups = {Path(path).stem: read_rows(path) for path in tables}
     with open(materials, newline="", encoding="utf-8") as stream:

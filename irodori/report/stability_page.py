@@ -6,7 +6,7 @@ from irodori.core.errors import InputError
 from irodori.report.html_page import write_page
 
 COLUMNS = ("part", "stage", "case", "expected", "tests", "passed", "failed", "skipped", "outcome")
-#: Outcomes of a case whose tests all passed, and of one with a test that failed; others say why nothing was tried.
+#: Outcomes of a case if all its tests passed, and if one failed; other texts give the reason why it was not tried.
 EXPECTED, UNEXPECTED = "as expected", "NOT as expected"
 
 
@@ -16,7 +16,7 @@ def read_outcomes(path) -> list[dict]:
     Raises
     ------
     InputError
-        If it is no such table.
+        If the file is missing or has other columns.
     """
     try:
         with open(path, newline="", encoding="utf-8") as stream:
@@ -41,6 +41,6 @@ def write_stability_page(outcomes, page_file) -> None:
     Raises
     ------
     InputError
-        If the table is missing or another one.
+        If the table is missing or has other columns.
     """
     write_page(page_file, "stability.html.j2", rows=read_outcomes(outcomes), expected=EXPECTED)

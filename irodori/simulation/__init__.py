@@ -1,1 +1,1 @@
-"""Simulated hardware: a virtual rig that makes RAW files, and motion controllers."""
+"""Simulated hardware: a virtual rig and camera that write RAW files, and simulated motion controllers."""

@@ -19,7 +19,7 @@ _GRID = ("SPECTRAL_BANDS", "SPECTRAL_START_NM", "SPECTRAL_END_NM")
 
 @dataclass
 class _Table:
-    """One table of a file: its keywords with their lines, its columns, its data by line."""
+    """One table of a CGATS file: keywords with line numbers, names of columns, and rows with line numbers."""
 
     keywords: dict[str, tuple[int, str]] = field(default_factory=dict)
     columns: list[str] = field(default_factory=list)
@@ -27,7 +27,7 @@ class _Table:
 
     @property
     def bands(self) -> dict[int, float]:
-        """Return the columns that hold spectral values, and the wavelengths in their names."""
+        """Indices of the columns with spectral values -> wavelengths in their names, nm."""
         found = {i: _BAND.fullmatch(name) for i, name in enumerate(self.columns)}
         return {i: float(match[1]) for i, match in found.items() if match}
 
@@ -35,22 +35,22 @@ class _Table:
 def cgats_table(path) -> tuple[list[str], list[float], list[list[float]]]:
     """Read the spectra of a CGATS file.
 
-    Values are divided by SPECTRAL_NORM, so that a reflectance stored from 0 to 100 becomes one from 0 to 1; without
-    that keyword they are taken as they are. Wavelengths are those of SPECTRAL_START_NM, SPECTRAL_END_NM and
-    SPECTRAL_BANDS, from which the columns' names may differ by rounding; without the keywords they are those of the
-    names.
-    A sample is named by SAMPLE_LOC, its place on the chart, or else by SAMPLE_NAME or SAMPLE_ID.
+    Values are divided by SPECTRAL_NORM if the file has it, so that a reflectance stored from 0 to 100 becomes one from
+    0 to 1. Wavelengths follow from SPECTRAL_START_NM, SPECTRAL_END_NM and SPECTRAL_BANDS, from which the names of the
+    columns may differ by rounding; without these keywords they are read from the names. A sample is named by
+    SAMPLE_LOC, its place on the chart, or else by SAMPLE_NAME or SAMPLE_ID.
 
     Returns
     -------
-    names : list of str, one a sample
+    names : list of str, one for each sample
     wavelength_nm : list of float
-    values : list of rows
+    values : list of rows, one for each sample
 
     Raises
     ------
     InputError
-        Naming file, line or keyword, for what is not such a file, has no spectral column, or several spectral tables.
+        If the file is no CGATS file, has no spectral column, or several spectral tables; the message names file, line
+        or keyword.
     """
     tables = [table for table in _tables(path) if table.bands]
     if len(tables) != 1:
@@ -71,7 +71,7 @@ def cgats_table(path) -> tuple[list[str], list[float], list[list[float]]]:
 
 
 def named_columns(path, names: list[str]) -> list[list[float]]:
-    """Read columns of numbers of a CGATS file by their names.
+    """Read columns of numbers from a CGATS file by their names.
 
     Returns
     -------
@@ -80,7 +80,7 @@ def named_columns(path, names: list[str]) -> list[list[float]]:
     Raises
     ------
     InputError
-        If no table, or more than one, has all of them.
+        If not exactly one table has all of these columns.
     """
     tables = [table for table in _tables(path) if set(names) <= set(table.columns)]
     if len(tables) != 1:
@@ -94,7 +94,7 @@ def named_columns(path, names: list[str]) -> list[list[float]]:
 
 
 def _tables(path) -> list[_Table]:
-    """Return all tables of a file, those without spectra too."""
+    """Return all tables of a file, also those without spectra."""
     tables, table, section = [], _Table(), ""
     for line, text in enumerate(read_text(path, "a CGATS file").splitlines(), start=1):
         tokens = [token.strip('"') for token in _TOKEN.findall(text) if not token.startswith("#")]
@@ -142,7 +142,7 @@ def _wavelengths(table: _Table, path) -> list[float]:
 
 
 def _whole_rows(table: _Table, path) -> list[tuple[int, list[str]]]:
-    """Return one row a sample; a sample may be broken over lines where NUMBER_OF_SETS tells how many there are."""
+    """Return one row for each sample; samples may span several lines if NUMBER_OF_SETS gives their number."""
     width = len(table.columns)
     rows = table.rows
     stated = int(_keyword(table, "NUMBER_OF_SETS", path)) if "NUMBER_OF_SETS" in table.keywords else None

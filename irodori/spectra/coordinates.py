@@ -1,4 +1,4 @@
-"""Coordinates of the axes that files of several stages share: wavelength and band."""
+"""Coordinates of the axes ``wavelength`` and ``band``, which files of several stages have in common."""
 
 from collections.abc import Sequence
 
@@ -15,7 +15,7 @@ def write_wavelength(out: Writer) -> None:
 
 
 def require_bands(filters: Sequence[str], bands: int, path) -> None:
-    """Refuse a file of responses whose bands are not three for each of its filter states.
+    """Raise an error unless a file of responses has three bands for each of its filter states.
 
     Raises
     ------
@@ -33,7 +33,7 @@ def write_bands(out: Writer, filters: Sequence[str]) -> None:
     ----------
     out : Writer
     filters : sequence of str
-        Filter states of the bands in order, three bands each: ``out`` and ``in`` give ``out_red`` to ``in_blue``.
+        Filter states in order, three bands each: for ``out`` and ``in`` the bands are ``out_red`` to ``in_blue``.
     """
     names = [f"{state}_{colour}" for state in filters for colour in _COLOURS]
     out.coordinate("band", names, units="1", quantity="state of the filter and colour of the sensor")

@@ -1,4 +1,4 @@
-"""Spectra by name, from colour-science or from files."""
+"""Spectra by name: published ones, from tables of the library colour-science, or from files."""
 
 import re
 from pathlib import Path
@@ -30,12 +30,12 @@ _PATCH_NAME = re.compile(r"[A-Z]\d+")
 
 
 def read_spectra(path) -> tuple[list[str], np.ndarray]:
-    """Read reflectances, transmittances or sensitivities from a file of any kind of `irodori.spectra.spectral_files`.
+    """Read reflectances, transmittances or sensitivities from a file of any format in `irodori.spectra.spectral_files`.
 
     Returns
     -------
-    names : list of str, one a spectrum
-    spectra : (spectra, 61) float64, brought to the grid by Sprague's interpolation or linearly, see `resample`
+    names : list of str, one for each spectrum
+    spectra : (spectra, 61) float64, resampled to the grid by Sprague's or linear interpolation, see `resample`
     """
     table = spectral_table(path)
     return table.names, _on_grid(table, path)
@@ -43,7 +43,7 @@ def read_spectra(path) -> tuple[list[str], np.ndarray]:
 
 def _on_grid(table: SpectralTable, path, is_light: bool = False) -> np.ndarray:
     wavelength_nm = np.array(table.wavelength_nm)
-    # A lamp's narrow lines would be missed or counted twice by values picked at the grid's wavelengths.
+    # Sampling at the grid's wavelengths would miss the narrow lines of a lamp or give them too much power.
     method = "average" if (is_light or table.is_power) and is_finer_than_grid(wavelength_nm) else "auto"
     return resample(wavelength_nm, np.array(table.values), path, method=method)
 
@@ -56,7 +56,7 @@ def _one_spectrum(path) -> SpectralTable:
 
 
 def _synthetic(kind: str, temperature_k: float) -> np.ndarray:
-    """Return CIE daylight or a blackbody on the grid, 100 at 560 nm."""
+    """Return the spectrum of CIE daylight or of a blackbody on the grid, (61,), 100 at 560 nm."""
     import colour  # slow, and seldom needed
 
     if kind == "D":
@@ -73,10 +73,10 @@ def spectrum(name: str) -> np.ndarray:
     Parameters
     ----------
     name : str
-        A CIE illuminant of colour-science (``D65``, ``A``, ``FL11``, ``LED-B3``); ``D<n>``, daylight of the CIE of a
+        A CIE illuminant in colour-science (``D65``, ``A``, ``FL11``, ``LED-B3``); ``D<n>``, CIE daylight with a
         correlated colour temperature of 4000 to 25000 K (``D5500``; CIE 15:2018, 4.1.2; note that ``D65`` is 6504 K);
-        ``P<n>``, Planck's radiator of 1000 to 20000 K (``P2856``; c₂ = 1.4388e-2 m K); ``TCS0``..``TCS98`` (the
-        measured materials of CIE 224:2017, reflectance 0..1); or the path of a file, see
+        ``P<n>``, a Planckian radiator of 1000 to 20000 K (``P2856``; c₂ = 1.4388e-2 m K); ``TCS0``..``TCS98``, the
+        measured materials of CIE 224:2017, reflectance 0..1; or the path of a file, see
         `irodori.spectra.spectral_files`.
 
     Returns
@@ -103,9 +103,10 @@ def spectrum(name: str) -> np.ndarray:
 
 
 def light(name: str) -> np.ndarray:
-    """Return the spectrum of a light; as `spectrum`, but a file is checked and brought to the grid as power is.
+    """Return the spectrum of a light by its name or from a file; names are those of `spectrum`.
 
-    A file finer than the grid is averaged over ±5 nm, so that narrow lines keep their power, see `resample`.
+    A file must hold spectral power. If it is finer than the grid, it is averaged over ±5 nm, so that narrow lines keep
+    their power, see `resample`.
 
     Returns
     -------
@@ -114,7 +115,7 @@ def light(name: str) -> np.ndarray:
     Raises
     ------
     InputError
-        If it is dark, or negative by more than a hundredth of its peak.
+        If the spectrum is zero everywhere, or negative by more than a hundredth of its peak.
     """
     if not is_file(name):
         return spectrum(name)
@@ -124,11 +125,13 @@ def light(name: str) -> np.ndarray:
 
 
 def chart_spectra(name: str) -> tuple[list[str], np.ndarray]:
-    """Return the patches of a colour chart: a chart of colour-science, or a file, see `irodori.spectra.spectral_files`.
+    """Return the reflectances of a colour chart's patches.
+
+    ``name`` is a chart in colour-science or the path of a file, see `irodori.spectra.spectral_files`.
 
     Returns
     -------
-    names : list of str, row by row; patches that are all named like A1 are put in order of letter, then number
+    names : list of str, row by row; patches that are all named like A1 are sorted by letter, then number
     reflectance : (patches, 61) float64, 0..1
 
     Raises
@@ -151,13 +154,13 @@ def chart_spectra(name: str) -> tuple[list[str], np.ndarray]:
 
 
 def camera_sensitivities(name: str) -> np.ndarray:
-    """Return spectral sensitivities R_b(λ) of an RGB camera, relative.
+    """Return the relative spectral sensitivities R_b(λ) of an RGB camera.
 
     Parameters
     ----------
     name : str
-        A camera of colour-science, or a file of three spectra, red, green and blue, such as a CSV with columns
-        wavelength_nm, r, g, b.
+        A camera in colour-science, or the path of a file with three spectra, red, green and blue, such as a CSV with
+        columns wavelength_nm, r, g, b.
 
     Returns
     -------
@@ -174,12 +177,12 @@ def camera_sensitivities(name: str) -> np.ndarray:
 
 
 def refractive_index(definition: "RefractiveIndex") -> tuple[np.ndarray, np.ndarray]:
-    """Return complex refractive index n + ik on the grid.
+    """Return the complex refractive index n + ik on the grid.
 
     Parameters
     ----------
     definition : ConstantIndex or IndexTable
-        Of a file with columns wavelength_nm, n, k.
+        One index for all wavelengths, or a file with columns wavelength_nm, n, k.
 
     Returns
     -------
@@ -193,6 +196,6 @@ def refractive_index(definition: "RefractiveIndex") -> tuple[np.ndarray, np.ndar
 
 
 def refractive_index_at(definition: "RefractiveIndex", wavelength_nm: float = 550.0) -> tuple[float, float]:
-    """Return n and k at one wavelength, by default where a green band is centred."""
+    """Return n and k at one wavelength in nm, by default the centre of a green band."""
     n, k = refractive_index(definition)
     return float(np.interp(wavelength_nm, WAVELENGTH_NM, n)), float(np.interp(wavelength_nm, WAVELENGTH_NM, k))

@@ -1,6 +1,6 @@
 """Names of published spectra and colour data, checked without loading colour-science.
 
-A test compares them with colour-science, from which the spectra themselves are, see `irodori.spectra.published_tables`.
+The spectra are those of colour-science, see `irodori.spectra.published_tables`; a test compares the names with it.
 """
 
 import re
@@ -28,7 +28,7 @@ _SYNTHETIC = re.compile(r"([DP])(\d{4,5})")
 
 
 def synthetic_light(name: str) -> tuple[str, int] | None:
-    """Return ``D`` or ``P`` and the temperature in K of a light such as ``D5500`` or ``P2856``; None for others."""
+    """Split the name of a light such as ``D5500`` or ``P2856`` into letter and temperature in K; None for others."""
     match = _SYNTHETIC.fullmatch(name)
     if match is None:
         return None

@@ -1,4 +1,4 @@
-"""Tables of colour-science that ship with this package: importing that library costs every process two seconds.
+"""Tables of the library colour-science that ship with this package, because importing that library takes two seconds.
 
 Run ``python -m irodori.spectra.write_published_tables`` after an update of colour-science; a test fails until then.
 """
@@ -14,11 +14,11 @@ TABLES = Path(__file__).with_name("published_tables.h5")
 
 
 class PublishedTable(NamedTuple):
-    """Spectra as they were published, at wavelengths of their own.
+    """Published spectra at their original wavelengths.
 
     wavelength_nm : (n,) float64, ascending
     spectra : (spectra, n) float64
-    names : tuple of str, one a spectrum
+    names : tuple of str, one for each spectrum
     """
 
     wavelength_nm: np.ndarray
@@ -26,13 +26,13 @@ class PublishedTable(NamedTuple):
     names: tuple[str, ...]
 
     def at(self, wavelength_nm: np.ndarray) -> np.ndarray:
-        """Return the spectra at other wavelengths, (spectra, wavelengths): linear between samples, held at the ends."""
+        """Return the spectra at other wavelengths by linear interpolation, constant beyond the ends, (spectra, m)."""
         return np.stack([np.interp(wavelength_nm, self.wavelength_nm, row) for row in self.spectra])
 
 
 @cache
 def published_table(name: str) -> PublishedTable:
-    """Return a table by its name in the file.
+    """Return a table of published spectra by its name in the package's file.
 
     Parameters
     ----------
@@ -54,17 +54,18 @@ def published_table(name: str) -> PublishedTable:
 
 @cache
 def published_matrix(name: str) -> np.ndarray:
-    """Return a matrix by its name in the file, not to be written to.
+    """Return a published colour matrix by its name in the package's file, as a read-only array.
 
     Parameters
     ----------
     name : str
-        ``xyz_from_rgb/`` (of linear RGB, white has Y = 1), ``white_xyz/`` (Y = 1) and a display, or ``rgb_from_rgb/``
-        (linear sRGB as a dichromat sees it, Machado et al. 2009) and a deficiency of `irodori.spectra.published_names`.
+        ``xyz_from_rgb/`` (from linear RGB, white has Y = 1) or ``white_xyz/`` (Y = 1) followed by a display, or
+        ``rgb_from_rgb/`` (linear sRGB as seen by a dichromat, Machado et al. 2009) followed by a deficiency in
+        `irodori.spectra.published_names`.
 
     Returns
     -------
-    (3, 3) float64; (3,) of a white
+    (3, 3) float64; (3,) for a white
 
     Raises
     ------

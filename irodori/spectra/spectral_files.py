@@ -1,7 +1,7 @@
-"""Spectral files of every accepted format, told apart by suffix and content; without numpy.
+"""Reader for spectral files of all accepted formats, recognised by suffix and content; it does not need NumPy.
 
-* `.csv`, `.tsv`: wide (a name, then a column a wavelength), columns (the wavelength, then a column a spectrum), long
-  (rows of name, wavelength, value), or two columns of numbers;
+* `.csv`, `.tsv`: wide (a name, then one column for each wavelength), columns (the wavelength, then one column for each
+  spectrum), long (rows of name, wavelength, value), or two columns of numbers;
 * `.txt`: any of these, two columns of numbers between comments, or CGATS;
 * `.ti3`, `.cgats`, `.it8`, `.cie`, `.sp`: CGATS, see `irodori.spectra.cgats`;
 * `.spd`: two columns of numbers, wavelength and value, between comments;
@@ -47,17 +47,17 @@ _ACCEPTED = f"a name that ends in one of {', '.join(SUFFIXES)}"
 
 
 class SpectralTable(NamedTuple):
-    """Content of a file of spectra.
+    """Spectra read from a file.
 
     Parameters
     ----------
     names : list of str
-        One a spectrum.
+        Name of each spectrum.
     wavelength_nm : list of float
     values : list of lists of float
-        One a spectrum.
+        Values of each spectrum.
     is_power : bool
-        The format is one for spectral power: SPD text, Argyll's .sp, TM-27 of a source.
+        Whether the format is one for spectral power: SPD text, Argyll's .sp, TM-27 of a source.
     """
 
     names: list[str]
@@ -67,13 +67,14 @@ class SpectralTable(NamedTuple):
 
 
 def spectral_table(path) -> SpectralTable:
-    """Read a file of spectra of any accepted kind.
+    """Read a file of spectra in any accepted format.
 
     Raises
     ------
     InputError
-        Naming file, line or field, what was found and what is accepted: for an unknown suffix, a content that is none
-        of its kinds, a missing or non-finite value, wavelengths that do not increase or do not cover 400..700 nm.
+        For an unknown suffix, content in no format of its suffix, a missing or non-finite value, or wavelengths that do
+        not increase or do not cover 400..700 nm. The message names file, line or field, what was found and what is
+        accepted.
     """
     suffix = Path(path).suffix.lower()
     if suffix not in SUFFIXES:
@@ -91,7 +92,7 @@ def spectral_table(path) -> SpectralTable:
 
 
 def check_reflectance(table: SpectralTable, path) -> None:
-    """Refuse values that no reflectance factor has: under -0.01, or over 1.2, which percent are.
+    """Raise an error for values outside the range of reflectance factors, -0.01 to 1.2, such as percentages.
 
     Raises
     ------
@@ -103,7 +104,7 @@ def check_reflectance(table: SpectralTable, path) -> None:
 
 
 def check_transmittance(table: SpectralTable, path) -> None:
-    """Refuse values that no transmittance has: under -0.01 or over 1.02, beyond a measurement's noise.
+    """Raise an error for values outside the range of transmittances with measurement noise, -0.01 to 1.02.
 
     Raises
     ------
@@ -114,7 +115,7 @@ def check_transmittance(table: SpectralTable, path) -> None:
 
 
 def _check_range(table: SpectralTable, limits: tuple[float, float], accepted: str, path) -> None:
-    """Refuse the first value outside limits, and say where the whole table looks like percent."""
+    """Raise an error for the first value outside limits; the message says if the table seems to be in percent."""
     percent = max(max(row) for row in table.values) > 2.0
     for name, row in zip(table.names, table.values, strict=True):
         for at, value in zip(table.wavelength_nm, row, strict=True):
@@ -124,13 +125,13 @@ def _check_range(table: SpectralTable, limits: tuple[float, float], accepted: st
 
 
 def filter_row(table: SpectralTable, name: str | None, path) -> list[float]:
-    """Return the transmittances of the one filter of a table, or of the one of a name.
+    """Return the transmittances of the filter with a given name, or of the only filter in a table.
 
     Raises
     ------
     InputError
-        If the table holds several and no name is given, or none of the name; if a value is no transmittance, or all of
-        the filter are zero.
+        If the table holds several filters and no name is given, or no filter with the name; if a value is no
+        transmittance, or all values are zero.
     """
     if name is None and len(table.names) != 1:
         raise InputError(path, "", f"{len(table.names)} spectra and no name", f"a name, such as {table.names[0]}")
@@ -144,7 +145,7 @@ def filter_row(table: SpectralTable, name: str | None, path) -> list[float]:
 
 
 def check_power(table: SpectralTable, path) -> None:
-    """Refuse the spectrum of a light that is dark, or negative beyond a spectroradiometer's noise (1 % of its peak).
+    """Raise an error for a light without power, or negative by more than a spectroradiometer's noise, 1 % of the peak.
 
     Raises
     ------
@@ -161,7 +162,7 @@ def check_power(table: SpectralTable, path) -> None:
 
 
 def _csv_table(path, suffix: str) -> SpectralTable:
-    """Read a CSV, whose header tells of which kind it is, or two columns of numbers."""
+    """Read a CSV, whose layout follows from its header, or two columns of numbers."""
     lines = [line for line in read_text(path, _CSV_WORDS).splitlines() if line.strip()]
     separator = next((mark for mark in (";", "\t", ",") if lines and mark in lines[0]), ",")
     header = [cell.strip().strip('"') for cell in lines[0].split(separator)] if lines else []
@@ -178,7 +179,7 @@ def _csv_table(path, suffix: str) -> SpectralTable:
 
 
 def _long_table(path) -> SpectralTable:
-    """Read rows of name, wavelength and value, in any order; every spectrum has every wavelength, once."""
+    """Read rows of name, wavelength and value in any order; every spectrum must have every wavelength exactly once."""
     rows = csv_rows(path)
     spectra: dict[str, dict[float, float]] = {}
     for line, row in rows[1:]:
@@ -199,7 +200,7 @@ def _long_table(path) -> SpectralTable:
 
 
 def _two_columns(path) -> SpectralTable:
-    """Read lines of wavelength and value between comments; one line of words may stand above them."""
+    """Read lines of wavelength and value between comments; the first line may be a header."""
     accepted = "two columns of numbers, wavelength in nm and value; comments start with " + " ".join(_COMMENTS)
     rows = []
     for line, text in enumerate(read_text(path, accepted).splitlines(), start=1):
@@ -222,7 +223,7 @@ def _two_columns(path) -> SpectralTable:
 
 
 def _tm27_table(path) -> SpectralTable:
-    """Read IES TM-27, as colour-science writes and reads it; its own reader would load all of that library."""
+    """Read an IES TM-27 file in the form that colour-science writes, without the slow import of that library."""
     accepted = "an IES TM-27 document"
     try:
         root = ElementTree.fromstring(read_text(path, accepted))

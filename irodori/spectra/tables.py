@@ -1,4 +1,4 @@
-"""CSV tables of spectra, read and checked without numpy: `irodori.core.text_tables` says how they may be written."""
+"""CSV tables of spectra, read and checked without NumPy; `irodori.core.text_tables` describes the accepted notation."""
 
 import math
 from itertools import pairwise
@@ -16,13 +16,14 @@ LEAST_N, MOST_N, MOST_K = 1e-3, 10.0, 20.0
 
 
 def check_wavelengths(wavelength_nm, file, field: str = "wavelength", max_gap_nm: float = MAX_GAP_NM) -> None:
-    """Refuse wavelengths that do not increase, do not cover 400 to 700 nm, or stand too far apart.
+    """Raise an error for wavelengths that do not increase, do not cover 400 to 700 nm, or are too far apart.
 
     Parameters
     ----------
     wavelength_nm : sequence of float, nm
-    file, field : where they came from, for the error message
-    max_gap_nm : float, nm
+    file, field : origin of the wavelengths, for the error message
+    max_gap_nm : float
+        Largest accepted step, nm.
 
     Raises
     ------
@@ -45,18 +46,18 @@ def check_wavelengths(wavelength_nm, file, field: str = "wavelength", max_gap_nm
 
 
 def wide_table(path) -> tuple[list[str], list[float], list[list[float]]]:
-    """Read a wide CSV: a name, then one column a wavelength in nm.
+    """Read a wide CSV of spectra: a name, then one column for each wavelength in nm.
 
     Returns
     -------
-    names : list of str, one a row
+    names : list of str, one for each row
     wavelength_nm : list of float
     values : list of rows
 
     Raises
     ------
     InputError
-        Naming file, line, wavelength and value; a wavelength without a value is an error.
+        For an invalid or missing value or invalid wavelengths; the message names file, line, wavelength and value.
     """
     rows = csv_rows(path)
     header = rows[0][1]
@@ -71,11 +72,11 @@ def wide_table(path) -> tuple[list[str], list[float], list[list[float]]]:
 
 
 def column_table(path, max_gap_nm: float = MAX_GAP_NM) -> tuple[list[str], list[float], list[list[float]]]:
-    """Read a CSV whose first column is the wavelength in nm and whose others are quantities.
+    """Read a CSV with the wavelength in nm in the first column and quantities in the others.
 
     Returns
     -------
-    names : list of str, one a column after the first
+    names : list of str, one for each column after the first
     wavelength_nm : list of float
     values : list of columns
     """
@@ -125,12 +126,12 @@ def brdf_table(path) -> tuple[list[float], list[list[float]], list[list[float]]]
 
 
 def csv_rows(path) -> list[tuple[int, list[str]]]:
-    """Return the rows of a table of spectra, see `irodori.core.text_tables.table_rows`.
+    """Return line number and cells of each row of a table of spectra, see `irodori.core.text_tables.table_rows`.
 
     Raises
     ------
     InputError
-        Also for a table without a row under its header, or of one column.
+        Also for a table without a row under its header, or with only one column.
     """
     rows = table_rows(path, "a CSV of spectra")
     if len(rows) < 2 or len(rows[0][1]) < 2:
@@ -139,12 +140,12 @@ def csv_rows(path) -> list[tuple[int, list[str]]]:
 
 
 def number_rows(rows: list[tuple[int, list[str]]], path) -> list[list[float]]:
-    """Return what the rows of `csv_rows` under the header hold, a number under each name.
+    """Return the rows of `csv_rows` after the header as numbers.
 
     Raises
     ------
     InputError
-        For a row of another length than the header, and for a cell that holds no finite number.
+        For a row with another length than the header, or a cell that is no finite number.
     """
     header, found = rows[0][1], []
     for line, row in rows[1:]:
@@ -154,13 +155,13 @@ def number_rows(rows: list[tuple[int, list[str]]], path) -> list[list[float]]:
 
 
 def check_length(row: list, header: list, path, line: int) -> None:
-    """Refuse a row that has not as many cells as the header."""
+    """Raise an error for a row with another number of cells than the header."""
     if len(row) != len(header):
         raise InputError(path, f"line {line}", f"{len(row)} columns", f"{len(header)} columns")
 
 
 def number(text: str, path, field: str) -> float:
-    """Return the finite number that a cell holds.
+    """Return the finite number in a cell of a table.
 
     Raises
     ------

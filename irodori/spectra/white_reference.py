@@ -9,31 +9,30 @@ from irodori.spectra.spectral_files import REFLECTANCE
 
 
 def white_reflectance(definition: float | str, weights: np.ndarray | None = None) -> tuple[np.ndarray, float]:
-    """Return the reflectance factor by which a white reference's responses are divided, and how well it is known.
+    """Return the reflectance factor of a white reference in each camera band, and its relative uncertainty.
 
     Parameters
     ----------
     definition : float or str
         The reflectance factor itself, or a measured spectrum of it: ``TCS<n>`` or the path of a file.
     weights : (bands, 61) float, optional
-        Sensitivity times light times wavelength step of each band, of any scale; known on the virtual rig, and on a
-        real one where the sensitivities were measured.
+        Sensitivity times light times wavelength step of each band, in any scale. They are known on the virtual rig, and
+        on a real one if the camera's sensitivities were measured.
 
     Returns
     -------
-    factor : (bands,) float64, or () where `weights` is absent
-        With weights, the mean of the spectrum that each band sees [eq. 1], exact. Without them nothing tells where in
-        the spectrum a band lies: the mean over 400..700 nm, the same for all bands.
+    factor : (bands,) float64, or () without `weights`
+        With weights, the exact mean of the spectrum as weighted by each band [eq. 1]. Without them, the position of a
+        band in the spectrum is unknown, and the factor is the mean over 400..700 nm, the same for all bands.
     relative_uncertainty : float
-        Standard deviation of the spectrum over 400..700 nm, relative to its mean: the standard uncertainty of the
-        factor of a narrow band that may lie anywhere; a band as broad as a camera's is nearer to the mean. 0 with
+        Standard deviation of the spectrum over 400..700 nm, relative to its mean. It is the standard uncertainty of the
+        factor for a narrow band at an unknown wavelength, an upper estimate for the broad bands of a camera. 0 with
         weights or for a single number.
 
     Raises
     ------
     InputError
-        For a spectrum that cannot be read, or whose values are no reflectance factors of a white: 0 and below, over
-        1.2.
+        For a spectrum that cannot be read, or with values that no white has: 0 and below, or over 1.2.
     """
     if not isinstance(definition, str):
         count = () if weights is None else np.shape(weights)[0]

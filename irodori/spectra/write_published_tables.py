@@ -1,4 +1,4 @@
-"""Write the tables that `irodori.spectra.published_tables` reads, from colour-science.
+"""Script that writes the tables that `irodori.spectra.published_tables` reads, from the library colour-science.
 
 Run ``python -m irodori.spectra.write_published_tables``.
 """
@@ -36,7 +36,7 @@ _QUANTITIES = {
     "observers": "colour-matching function",
     "srgb_primaries": "component of a reflectance factor",
 }
-#: What a kind of matrix turns into what, and its axes.
+#: Kind of matrix -> its quantity and its axes.
 _MATRICES: dict[str, tuple[str, ...]] = {
     "xyz_from_rgb": ("tristimulus values of linear RGB", "tristimulus", "primary"),
     "white_xyz": ("tristimulus values of the white", "tristimulus"),
@@ -46,7 +46,7 @@ _LETTERS = {"tristimulus": ("X", "Y", "Z"), "primary": ("R", "G", "B"), "seen": 
 
 
 def library_tables() -> Iterator[tuple[str, PublishedTable]]:
-    """Yield the name of every table in the file, and the table as colour-science has it."""
+    """Yield name and content of every table of the file, from colour-science."""
     for name in ILLUMINANTS:
         yield f"illuminants/{name}", _table([name], [colour.SDS_ILLUMINANTS[name]])
     # Their names have slashes, which part the groups of the file: one table, of those published every 5 nm.
@@ -65,20 +65,20 @@ def library_tables() -> Iterator[tuple[str, PublishedTable]]:
 
 
 def library_matrices() -> Iterator[tuple[str, np.ndarray]]:
-    """Yield the name of every matrix in the file, and the matrix as colour-science has it."""
+    """Yield name and content of every matrix of the file, from colour-science."""
     for name in DISPLAYS:
         space = colour.RGB_COLOURSPACES[name]
         yield f"xyz_from_rgb/{name}", space.matrix_RGB_to_XYZ
         yield f"white_xyz/{name}", colour.xy_to_XYZ(space.whitepoint)
     for name in DEFICIENCIES:
         with warnings.catch_warnings():
-            # Of tritanomaly: that it is an approximation, which a page says too.
+            # The library warns that tritanomaly is an approximation; the page states that too.
             warnings.simplefilter("ignore", colour.utilities.ColourUsageWarning)
             yield f"rgb_from_rgb/{name}", colour.matrix_cvd_Machado2009(name, 1.0)
 
 
 def _table(names, distributions) -> PublishedTable:
-    """Return spectra that colour-science keeps one by one; those of a chart share their wavelengths."""
+    """Return a table of single spectral distributions of colour-science, which must have the same wavelengths."""
     distributions = list(distributions)
     return PublishedTable(
         distributions[0].wavelengths, np.stack([one.values for one in distributions]), tuple(map(str, names))
@@ -90,7 +90,7 @@ def _columns(names, distributions) -> PublishedTable:
 
 
 def write_published_tables(path: Path = TABLES) -> None:
-    """Write the file: a group for each table and each kind of matrix, every axis with its dimension scale."""
+    """Write the HDF5 file: one group for each table and each kind of matrix, every axis with its dimension scale."""
     with h5py.File(path, "w") as file:
         for name, table in library_tables():
             given = {"spectrum": table.names, "wavelength": table.wavelength_nm}
@@ -102,7 +102,7 @@ def write_published_tables(path: Path = TABLES) -> None:
 
 
 def _write(group: h5py.Group, name: str, values: np.ndarray, axes: dict, quantity: str) -> None:
-    """Write a dataset and, where the group has none yet, the scales of its axes."""
+    """Write a dataset and the dimension scales of its axes that the group does not have yet."""
     packed = {"compression": "gzip", "shuffle": True} if values.size > 1000 else {}
     dataset = group.create_dataset(name, data=values, track_times=False, **packed)
     dataset.attrs.update({"units": "1", "dims": ",".join(axes), "quantity": quantity})

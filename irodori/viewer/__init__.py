@@ -1,1 +1,1 @@
-"""The classroom page: a scene as one offline HTML file."""
+"""The classroom page: an interactive rendering of a scene in one HTML file that works offline."""

@@ -1,6 +1,6 @@
-"""A page in a browser without a window, for the errors that it states and for the tests.
+"""Pages in a headless browser, to measure the errors that a page states and for tests.
 
-The client is Playwright, which is asked for where pages are checked and nowhere else; the browser is the system's own.
+The client is Playwright, which is imported only where pages are checked; the browser is the one of the system.
 """
 
 import atexit
@@ -18,21 +18,21 @@ import numpy as np
 
 from irodori.core.errors import PlainError
 
-#: No dependency of the package: pages are written without it, and then say that they were not checked.
+#: No dependency of the package: without it, pages are written unchecked and state that.
 _CLIENT = "playwright"
 #: Commands by which systems know Chromium.
 COMMANDS = ("chromium", "chromium-browser", "google-chrome")
-#: WebGL2 by a renderer in software: the same numbers on every machine. The page around the picture is not put together
-#: by that renderer, for which it would be most of the work.
+#: WebGL2 in a software renderer gives the same numbers on every machine. That renderer does not compose the rest of the
+#: page, which would take most of its time.
 FLAGS = (
     "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox",
     "--disable-gpu-compositing",
 )  # fmt: skip
 _PATIENCE_MS = 180_000
-#: Small: what the page draws for its own window is not read, and is drawn in software.
+#: A small window, because the page draws it in software and its content is not read.
 _WINDOW = {"width": 360, "height": 320}
 _USUAL = {"width": 1280, "height": 720}
-#: What a page says in place of a picture.
+#: JavaScript expression for the text that a page shows instead of a picture.
 _SAID = "!document.getElementById('poster').hidden && document.getElementById('poster-text').textContent"
 _READ = """([state, width, height]) => {
   const values = Irodori.renderer.readXYZ(state, width, height), bytes = new Uint8Array(values.buffer);
@@ -43,40 +43,40 @@ _READ = """([state, width, height]) => {
 
 
 def browser_command() -> str | None:
-    """Return the browser's file, None where there is no browser or no client."""
+    """Return the path of the browser's executable, or None without a browser or without Playwright."""
     if importlib.util.find_spec(_CLIENT) is None:
         return None
     return next((found for found in map(shutil.which, COMMANDS) if found), None)
 
 
 def is_told_by_page(message: str) -> bool:
-    """Return whether a message of the console is the page's, and not the driver's remark that reading takes time."""
+    """Return whether a console message comes from the page, and is not the driver's warning about slow reading."""
     return "GPU stall due to ReadPixels" not in message
 
 
 class OpenPage:
-    """A page that draws; see `opened`."""
+    """A page that is open in the browser and can draw; see `opened`."""
 
     def __init__(self, page, messages: list[str]) -> None:
         self.page, self.messages = page, messages
 
     def default_state(self) -> dict:
-        """Return the state that the page begins with."""
+        """Return the initial state of the page: view, light, observer and other settings."""
         return json.loads(self.page.evaluate("JSON.stringify(Irodori.renderer.defaultState())"))
 
     def read_xyz(self, state: dict, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return XYZ, (height, width, 3), and the objects seen, (height, width), -1 for none."""
+        """Draw a state; return XYZ, (height, width, 3), and object indices, (height, width), -1 for the background."""
         raw = base64.b64decode(self.page.evaluate(_READ, [state, width, height]))
         values = np.frombuffer(raw, dtype="<f4").reshape(height, width, 4)
         return values[..., :3].astype(np.float64), values[..., 3].astype(int)
 
     def wait_for(self, condition: str) -> None:
-        """Wait until an expression is true in the page, whose policy lets nothing be asked anew as text.
+        """Wait until a JavaScript expression is true; it polls within the page, whose policy forbids evaluating text.
 
         Raises
         ------
         PlainError
-            If it is not within three minutes.
+            If the expression is not true within three minutes.
         """
         loop = f"""async (end) => {{
           while (!({condition}) && performance.now() < end) await new Promise((go) => setTimeout(go, 20));
@@ -86,14 +86,14 @@ class OpenPage:
             raise PlainError(f"The page was not ready within {_PATIENCE_MS / 1000:g} s; waited for {condition}.")
 
     def milliseconds(self) -> dict[str, float]:
-        """Return how long the page took to its first frame, and how long its programs took to link."""
+        """Return the times until the first frame was drawn and for linking the shader programs, ms."""
         found = self.page.evaluate("[performance.now(), Irodori.renderer.figures().programs_linked_ms]")
         return dict(zip(("to_first_frame", "programs_linked"), found, strict=True))
 
 
 @lru_cache(maxsize=1)
 def client():
-    """Return the client, started once a process: two at a time in one thread it refuses."""
+    """Return the Playwright client, started once per process, because it allows only one per thread."""
     started = importlib.import_module(f"{_CLIENT}.sync_api").sync_playwright().start()
     atexit.register(started.stop)
     return started
@@ -101,12 +101,12 @@ def client():
 
 @lru_cache(maxsize=4)
 def browser(flags: tuple[str, ...] = FLAGS):
-    """Return the browser with these flags, started once a process: pages that are open in it share nothing.
+    """Return the browser with the given flags, started once per process; pages open in it share no data.
 
     Raises
     ------
     PlainError
-        If there is none.
+        If there is no browser.
     """
     command = browser_command()
     if command is None:
@@ -124,16 +124,16 @@ def opened(path, flags: tuple[str, ...] = FLAGS, wait: bool = True, cold: bool =
     ----------
     path : path
     flags : tuple of str
-        Of the browser.
+        Command-line flags of the browser.
     wait : bool
         Whether to wait for the renderer; a page that cannot draw has none.
     cold : bool
-        Whether the browser is started anew, with nothing left of pages before and a window of the usual size.
+        Whether to start a new browser, with empty caches and a window of the usual size.
 
     Raises
     ------
     PlainError
-        If there is no browser, or the page says why it does not draw.
+        If there is no browser, or the page cannot draw; the message is then the reason that the page states.
     """
     if cold:
         browser.cache_clear()

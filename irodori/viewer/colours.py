@@ -1,4 +1,4 @@
-"""Lights, observers and displays that a classroom page offers, as tables."""
+"""Tables of the illuminants, observers, displays and colour deficiencies that a classroom page offers."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ from irodori.spectra.grid import WAVELENGTH_NM
 from irodori.spectra.published import light
 from irodori.spectra.published_tables import published_matrix, published_table
 
-#: Name in a page, and what it is called there.
+#: Name in a page -> description in the page.
 ILLUMINANTS = {
     "D65": "CIE D65, daylight",
     "D50": "CIE D50, daylight of the morning",
@@ -23,19 +23,19 @@ ILLUMINANTS = {
     "LED-V1": "CIE LED-V1, LED with a violet pump",
     "E": "CIE E, the same power everywhere",
 }
-#: Name in a page: what colour-science calls the observer, and what the page does.
+#: Name in a page -> name in colour-science, and description in the page.
 OBSERVERS = {
     "CIE 1931 2°": ("CIE 1931 2 Degree Standard Observer", "small fields; what the other figures are computed with"),
     "CIE 1964 10°": ("CIE 1964 10 Degree Standard Observer", "large fields"),
     "CIE 2015 2°": ("CIE 2015 2 Degree Standard Observer", "from cone fundamentals, small fields"),
     "CIE 2015 10°": ("CIE 2015 10 Degree Standard Observer", "from cone fundamentals, large fields"),
 }
-#: Dichromats: name in a page, and what colour-science calls them.
+#: Dichromats: name in a page -> name in colour-science.
 DEFICIENCIES = {"protan": "Protanomaly", "deutan": "Deuteranomaly", "tritan": "Tritanomaly"}
 
 
 def illuminants() -> list[dict]:
-    """Return the lights, each with its relative power at the 61 samples."""
+    """Return the illuminants, each with its relative spectral power at the 61 wavelengths."""
     return [
         {"name": name, "label": label, "power": [float(x) for x in light(name) / light(name).max()]}
         for name, label in ILLUMINANTS.items()
@@ -43,7 +43,7 @@ def illuminants() -> list[dict]:
 
 
 def observers() -> list[dict]:
-    """Return the observers, each with the weights that take a spectrum of 61 samples to its X, Y and Z."""
+    """Return the observers, each with the weights that integrate a spectrum of 61 samples into X, Y and Z."""
     return [
         {"name": name, "label": label, "xyz": [[float(x) for x in row] for row in colour_matching_weights(table).T]}
         for name, (table, label) in OBSERVERS.items()
@@ -51,12 +51,12 @@ def observers() -> list[dict]:
 
 
 def daylight() -> list[list[float]]:
-    """Return the three components of CIE daylight, (3, 61), for daylight of any colour temperature."""
+    """Return the mean and the two principal components of CIE daylight, (3, 61), which give any colour temperature."""
     return published_table("daylight").at(WAVELENGTH_NM).tolist()
 
 
 def displays() -> list[dict]:
-    """Return the displays of standard primaries: linear RGB of XYZ whose white has Y = 1, and the white."""
+    """Return the displays of standard primaries, each with its matrix from XYZ to linear RGB and its white (Y = 1)."""
     return [
         {
             "name": name,
@@ -68,7 +68,7 @@ def displays() -> list[dict]:
 
 
 def deficiencies() -> list[dict]:
-    """Return the dichromats of Machado et al. (2009), as matrices on linear sRGB."""
+    """Return the matrices on linear sRGB that simulate dichromats, after Machado et al. (2009)."""
     return [
         {"name": name, "rgb_from_rgb": published_matrix(f"rgb_from_rgb/{table}").tolist()}
         for name, table in DEFICIENCIES.items()

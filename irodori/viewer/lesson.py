@@ -1,4 +1,4 @@
-"""The lesson of a scene as the classroom page reads it: plain values, its pictures inside."""
+"""Conversion of a scene's lesson into plain values with embedded pictures, as the classroom page reads it."""
 
 import base64
 from pathlib import Path
@@ -11,20 +11,20 @@ __all__ = ["lesson_for_page"]
 
 
 def lesson_for_page(lesson: Lesson | None, root: Path = Path()) -> dict[str, Any] | None:
-    """Return a lesson, ready for JSON, with each picture's bytes in place of its path.
+    """Return a lesson as values for JSON, with each picture embedded in place of its path.
 
     Parameters
     ----------
     lesson : Lesson or None
-        Checked with the scene that it belongs to; None where the scene has none.
+        A lesson that was checked with its scene; None if the scene has none.
     root : path
-        Where the paths of pictures start.
+        Folder to which the paths of pictures are relative.
 
     Returns
     -------
     dict or None
-        Keys and values as in the scene's file, defaults written out; ``picture`` is a ``data:`` address, and
-        ``picture_file`` beside it the path.
+        Keys and values as in the scene's file, with defaults; ``picture`` is a ``data:`` URI, and ``picture_file`` the
+        path.
     """
     if lesson is None:
         return None

@@ -1,4 +1,4 @@
-"""Distance of a page from the product's own renderer, CIEDE2000, and what it is measured with."""
+"""Colour differences, CIEDE2000, between a page's rendering and that of the package, and the scenes to measure them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -19,7 +19,7 @@ from irodori.viewer.scene_data import BORDER, HALVED_FROM, LightMaps, decoded_sh
 
 @dataclass(frozen=True)
 class FrameParts:
-    """Parts that a scene's frames are made from.
+    """Parts of a scene from which its frames are rendered.
 
     Parameters
     ----------
@@ -29,10 +29,13 @@ class FrameParts:
     lamps : (n, 61) float
         Spectral irradiance of the collimated lights.
     directions : (n, 3) float
-        Towards them.
+        Directions towards the collimated lights.
     max_bounces : int
+        Mirror reflections to follow.
     least_throughput : float
+        Throughput below which a path ends.
     ambient : bool
+        Whether shapes hide ambient light from each other.
     """
 
     objects: Objects
@@ -47,7 +50,7 @@ class FrameParts:
 
 @dataclass(frozen=True)
 class Decoded:
-    """Scene as decoded from a payload.
+    """Scene data decoded from a page's payload.
 
     Parameters
     ----------
@@ -63,9 +66,9 @@ class Decoded:
 
 
 def prepared(parts: FrameParts, decoded: Decoded | None = None) -> Prepared:
-    """Return a scene for frames of 61 bands; with what a payload holds of it where given."""
+    """Prepare a scene for frames of 61 bands, with objects, light and shadows decoded from a payload if given."""
     maps = None if decoded is None else decoded.maps
-    # The light's coefficients are then those of the maps, which are on vectors of their own.
+    # The coefficients of decoded light are on the basis vectors of the maps.
     light = parts.environment if maps is None else replace(parts.environment, basis=maps.basis.T)
     objects = parts.objects if decoded is None else decoded.objects
     found = prepare_scene(
@@ -89,7 +92,7 @@ def prepared(parts: FrameParts, decoded: Decoded | None = None) -> Prepared:
 
 def _fields(scene: Prepared, maps: LightMaps) -> dict:
     """Return the fields of a `PreparedWorld` that hold light, from the maps of a payload."""
-    assert maps.sky is not None and maps.irradiance is not None  # asked before
+    assert maps.sky is not None and maps.irradiance is not None  # checked by the caller
     lanes, levels = scene.layout.light, [_bordered(np.moveaxis(maps.sky, 0, -1))]
     while levels[-1].shape[1] - 2 > 4:
         inner = levels[-1][:, 1:-1, 1:-1]
@@ -116,21 +119,21 @@ def _fields(scene: Prepared, maps: LightMaps) -> dict:
 
 
 def looked_up(maps: LightMaps) -> list[np.ndarray]:
-    """Return the blurred levels as they are looked up, (k, 6, side + 2, side + 2)."""
+    """Return the levels of blurred light at the resolution of look-ups, (k, 6, side + 2, side + 2) each."""
     pairs = zip(maps.gloss, maps.sides, strict=True)
     return [finer(level) if side > HALVED_FROM and level.shape[-1] == side // 2 + 2 * BORDER else level
             for level, side in pairs]  # fmt: skip
 
 
 def _bordered(inner: np.ndarray) -> np.ndarray:
-    """Return a cube, (6, side, side, k), with its border filled."""
+    """Return a cube map, (6, side, side, k), with a filled border, (6, side + 2, side + 2, k)."""
     stored = np.pad(inner, [(0, 0), (1, 1), (1, 1), (0, 0)])
     fill_borders(stored)
     return stored
 
 
 def _joined(name: str, levels: list[np.ndarray], lanes: int) -> dict:
-    """Return the fields of maps one after the other, with their last axis filled up."""
+    """Return the fields of maps that are concatenated into one flat array, with their last axis padded to ``lanes``."""
     flat = [padded(level, lanes) for level in levels]
     sizes = [len(values) for values in flat]
     sides = [level.shape[1] - 2 for level in levels]
@@ -142,24 +145,24 @@ def _joined(name: str, levels: list[np.ndarray], lanes: int) -> dict:
 
 
 def frame_bands(scene: Prepared, view: View, parts: FrameParts, world_from_light=None) -> np.ndarray:
-    """Return a frame's radiance, (height, width, 61)."""
+    """Render a frame and return its radiance, (height, width, 61)."""
     lamps = tuple(CollimatedLamp(direction) for direction in parts.directions)
     return render_frame(scene, view, world_from_light=world_from_light, lamps=lamps, bands=True)
 
 
 def differences(bands: np.ndarray, other: np.ndarray, white: np.ndarray) -> np.ndarray:
-    """Return CIEDE2000 between two pictures of radiance, (..., 61), against a white, (61,); 2° observer."""
+    """Return CIEDE2000 between two pictures of radiance, (..., 61), for a white, (61,), and the 2° observer."""
     matrix = colour_matching_weights()
     matrix = matrix * (100.0 / (matrix[1] @ white))
     return xyz_differences(bands @ matrix.T, other @ matrix.T, matrix @ white)
 
 
 def xyz_differences(xyz: np.ndarray, other: np.ndarray, white_xyz: np.ndarray) -> np.ndarray:
-    """Return CIEDE2000 between two pictures of tristimulus values."""
+    """Return CIEDE2000 between two pictures of tristimulus values, (..., 3), for a white, (3,)."""
     return delta_e(lab_from_xyz(xyz, white_xyz), lab_from_xyz(other, white_xyz))
 
 
 def mean_and_p99(values: Sequence[np.ndarray]) -> dict[str, float]:
-    """Return mean and 99th percentile over pictures."""
+    """Return mean and 99th percentile of values over all pixels of several pictures."""
     joined = np.concatenate([np.ravel(part) for part in values])
     return {"mean": round(float(joined.mean()), 4), "p99": round(float(np.percentile(joined, 99)), 4)}

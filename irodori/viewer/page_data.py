@@ -42,21 +42,21 @@ from irodori.viewer.scene_data import (
     lobe_entries,
 )
 
-#: How a page marks a texel: measured; its gloss that of its paint; its colour that of a neighbour; its gloss
-#: unknown, and shown as the object's typical one.
+#: Codes of a texel's origin: measured; gloss of its paint; colour of a neighbour; gloss unknown and shown as the
+#: object's typical one.
 MEASURED, PAINT, FILLED, UNKNOWN = 0, 1, 2, 3
 #: Wavelengths that stand for a spectrum where mirrors have colours; the shader has room for 16.
 _WAVELENGTHS = 14
 _SINGLE_PLANE_BITS = 8
-#: Field of view that a page's state has beside parallel rays, which do not use it.
+#: Field of view in the page's state for a view with parallel rays, which do not use it.
 _FOV_DEG = 34.0
-#: Sine of the angle to the vertical under which a line of sight has no azimuth.
+#: Sine of the angle to the vertical below which a line of sight has no azimuth.
 _VERTICAL = 1e-6
 
 
 @dataclass(frozen=True)
 class SceneSources:
-    """A scene and the files that it is made from.
+    """A scene and the result files from which its page is made.
 
     Parameters
     ----------
@@ -65,9 +65,9 @@ class SceneSources:
     shapes : tuple of ObjectShape
     materials : tuple of path
     environments : tuple of path
-        Of the rooms that `irodori.config.pages.page_rooms` names.
+        Environment files of the rooms that `irodori.config.pages.page_rooms` names.
     least_throughput : float
-        Under which a path ends.
+        Throughput below which a path ends.
     """
 
     name: str
@@ -80,7 +80,7 @@ class SceneSources:
 
 @dataclass(frozen=True)
 class PageData:
-    """Data that a page is written from.
+    """Header, planes and rooms from which a page is written.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ class PageData:
         JSON of the payload, see docs/viewer.md.
     planes : StoredPlanes
     rooms : tuple of FrameParts
-        The same scene for the product's own renderer, in each of the page's environments.
+        The same scene for the package's renderer, in each of the page's environments.
     """
 
     header: dict
@@ -97,16 +97,16 @@ class PageData:
 
     @property
     def parts(self) -> FrameParts:
-        """The scene in its own environment."""
+        """The scene in its own environment, the first of the rooms."""
         return self.rooms[0]
 
     def payload(self, stated_errors: dict) -> str:
-        """Return the payload with the errors that were measured."""
+        """Return the payload of the page, with the given measured errors in its header."""
         return write_payload({**self.header, "stated_errors": stated_errors}, self.planes)
 
 
 def _status(material: Material) -> np.ndarray:
-    """Return what is known of each texel, (height, width) uint8."""
+    """Return for each texel whether it was measured, filled, of a paint or of unknown gloss, (height, width) uint8."""
     found = np.full(material.alpha.shape, MEASURED, dtype=np.uint8)
     if "status" in material.extra:
         fit = material.extra["status"]
@@ -117,7 +117,7 @@ def _status(material: Material) -> np.ndarray:
 
 
 def _with_maps(path) -> tuple[Material, np.ndarray]:
-    """Return a material with the outcome of its fit, and the standard error of its reflectance."""
+    """Return a material with the status map of its fit, and the standard error of its reflectance, (height, width)."""
     material = Material.load(path)
     with store.open_file(path) as file:
         status = file.read("status") if "status" in file else np.zeros(material.alpha.shape, np.int8)
@@ -127,9 +127,9 @@ def _with_maps(path) -> tuple[Material, np.ndarray]:
 
 
 def _camera(view: PerspectiveView | OrthographicView) -> dict:
-    """Return a view as the page turns it: about its target, leaning by a roll; a height in mm for parallel rays.
+    """Return a view as an orbit around its target: azimuth, elevation, roll, distance, and field of view or height.
 
-    Straight down or up the azimuth says which side of the picture is which, and nothing leans.
+    For a view straight down or up, the azimuth gives the orientation of the picture, and the roll is 0.
     """
     right, _, forward = look_at(view.position_mm, view.target_mm, view.up).T
     slant = math.hypot(forward[0], forward[1])
@@ -149,15 +149,15 @@ def _camera(view: PerspectiveView | OrthographicView) -> dict:
 
 
 def _views(scene: Scene) -> list[dict]:
-    """Return the views that a page can show."""
+    """Return names and cameras of the views that a page can show."""
     return [{"name": name, "camera": _camera(scene.views[name])} for name in page_views(scene)]
 
 
 def _lamps(scene: Scene) -> list[dict]:
-    """Return the scene's own lamps as the page moves them."""
+    """Return the scene's collimated lights in the form of the page's movable lamps."""
     found = []
     for item in scene.lights:
-        assert isinstance(item, CollimatedLight)  # what a scene with a page has
+        assert isinstance(item, CollimatedLight)  # checked: a scene with a page has no other lights
         direction = make_lights([item], 0)[0].rotation[0, :, 2]
         found.append(
             {
@@ -173,7 +173,7 @@ def _lamps(scene: Scene) -> list[dict]:
 
 
 def _add_quadrature(planes: StoredPlanes, number: int, parts: FrameParts) -> dict:
-    """Add the moments of what paths carry in a room; return the places of the wavelengths that stand for them."""
+    """Solve a room's spectral quadrature; store the second moments of path spectra, return the wavelengths' indices."""
     spectra = path_spectra(parts.objects, light_of(parts.environment), parts.lamps, parts.max_bounces)
     weights = colour_matching_weights()
     level = spectra @ weights[1]
@@ -185,18 +185,18 @@ def _add_quadrature(planes: StoredPlanes, number: int, parts: FrameParts) -> dic
 
 
 def _names(scene: Scene) -> list[str]:
-    """Return a name of each object and body, each its own."""
+    """Return a unique name for each object and body."""
     given = [item.object for item in scene.objects] + [f"body-{i + 1}" for i in range(len(scene.bodies))]
     return [f"{name}#{given[: i + 1].count(name)}" if name in given[:i] else name for i, name in enumerate(given)]
 
 
 def page_data(sources: SceneSources) -> PageData:
-    """Return what the page of a scene is written from.
+    """Return header, planes and rooms from which the page of a scene is written.
 
     Raises
     ------
     PlainError
-        If the page cannot show what the scene holds, or a material makes light.
+        If the page cannot show the scene, or a material reflects more light than falls on it.
     """
     name, scene, material_files = sources.name, sources.scene, sources.materials
     fault = page_fault(scene)
@@ -276,6 +276,6 @@ def page_data(sources: SceneSources) -> PageData:
 
 
 def store_hash(path) -> str:
-    """Return the hash of the code and the configuration that a file was made by."""
+    """Return the hashes of the configuration and the code that produced a result file, joined by a hyphen."""
     with store.open_file(path) as file:
         return "-".join(str(file.attribute(name)) for name in ("config_hash", "code_hash"))

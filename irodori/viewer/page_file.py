@@ -1,4 +1,4 @@
-"""The page as one HTML file: its parts one after the other in a stated order, and the payload."""
+"""Assembly of the page as one HTML file, from its scripts in a fixed order, styles, texts and payload."""
 
 import html
 import json
@@ -8,8 +8,7 @@ from pathlib import Path
 from irodori.core.atomic_files import written_whole
 from irodori.report.html_page import data_uri
 
-#: Scripts of the page, in the order in which they stand in it: what draws, what the page is made of, and what people do
-#: in it.
+#: Scripts of the page in their order: the renderer, the parts of the page, and the interaction.
 SCRIPTS = (
     *("payload.js", "spectra.js", "maps.js", "moved_shadows.js", "renderer.js", "selftest.js"),
     *("text.js", "state.js", "screens.js", "png.js", "plot.js", "lesson.js", "view.js", "controls.js", "legend.js"),
@@ -32,7 +31,7 @@ def _names(suffix: str) -> list[str]:
 
 
 def _languages() -> str:
-    """Return the words of the page by language and key, as JSON that can stand in HTML."""
+    """Return the texts of the page by language and key, as JSON that is safe inside HTML."""
     folder = resources.files("irodori.viewer") / "page" / "languages"
     files = sorted(folder.iterdir(), key=lambda file: file.name)
     tables = {Path(file.name).stem: json.loads(file.read_text(encoding="utf-8")) for file in files}
@@ -40,20 +39,20 @@ def _languages() -> str:
 
 
 def _script(text: str) -> str:
-    """Return a script as HTML; nothing in it may look like its end."""
+    """Return a script as an HTML element, with closing tags inside the script escaped."""
     return "<script>\n" + text.replace("</script", "<\\/script") + "\n</script>"
 
 
 def page_html(title: str, payload: str, poster: Path | None = None) -> str:
-    """Return the whole page.
+    """Return the HTML of the page.
 
     Parameters
     ----------
     title : str
     payload : str
-        Base64 of `irodori.viewer.payload`.
+        Base64 text made by `irodori.viewer.payload`.
     poster : path, optional
-        PNG to show where the page cannot draw.
+        PNG to show if the page cannot draw.
     """
     sources = {name: _text(name) for name in _names(".glsl")}
     scripts = [f"var Irodori = Irodori || {{}};\nIrodori.sources = {json.dumps(sources)};"]
@@ -74,6 +73,6 @@ def page_html(title: str, payload: str, poster: Path | None = None) -> str:
 
 
 def write_page(path, title: str, payload: str, poster=None) -> None:
-    """Write the page, whole or not at all; for the arguments see `page_html`."""
+    """Write the page, replacing the file only when complete; for the arguments see `page_html`."""
     with written_whole(path) as temporary:
         temporary.write_text(page_html(title, payload, poster), encoding="utf-8")

@@ -1,10 +1,10 @@
-"""Payload of a classroom page: a JSON header and planes of numbers, deflated and written as base64.
+"""Payload of a classroom page: a JSON header and planes of numbers, compressed and written as base64.
 
-Under the base64 is one gzip stream, whose CRC-32 finds damage (the sum of a zlib stream missed one byte in the midst of
-smooth planes). Unfolded it is: the length of the header in bytes
-as a little-endian uint32; the header, JSON in UTF-8; then the planes one after the other, each as its entry of the
-header's ``planes`` says. A plane's whole numbers q are stored as differences, zigzagged (0, -1, 1, -2 ... become 0, 1,
-2, 3 ...), all lowest bytes first, then all second bytes, and so on. ``irodori/viewer/page/payload.js`` reads the same.
+The base64 text holds one gzip stream, whose CRC-32 detects damage (the checksum of a zlib stream missed a wrong byte in
+smooth planes). Decompressed, it holds the length of the header in bytes as a little-endian uint32; the header, JSON in
+UTF-8; and the planes in order, each in the form that its entry of ``planes`` in the header describes. The integers q of
+a plane are stored as differences in zigzag coding (0, -1, 1, -2 ... become 0, 1, 2, 3 ...): first the lowest bytes of
+all numbers, then the second bytes, and so on. ``irodori/viewer/page/payload.js`` reads the same format.
 """
 
 import base64
@@ -20,38 +20,40 @@ import numpy as np
 from irodori.core.errors import InputError
 
 SCHEMA_VERSION = 1
-#: Bytes that a payload may unfold to: more is no page of ours.
+#: Largest accepted size of a decompressed payload, bytes: no page of this package is larger.
 MOST_BYTES = 1 << 28
 _GZIP = 16 + zlib.MAX_WBITS
-#: What the stream begins with: no name, no time.
+#: First bytes of the stream: a gzip header without name and time.
 _HEAD = zlib.compress(b"", wbits=_GZIP)[:9]
 _BITS = 10
 #: Steps of light: of the logarithm of the first coefficient, octaves, and of the others over the first.
 LOG_STEP, RATIO_STEP = 1.0 / 256.0, 1.0 / 448.0
-_FLOOR = 1e-4  # of the mean first coefficient: what is darker is told apart less finely
+_FLOOR = 1e-4  # share of the mean first coefficient below which steps are no longer proportional to the level
 CODES, DELTAS = ("linear", "log", "light", "float"), ("row", "above")
 
 
 @dataclass(frozen=True)
 class StoredPlane:
-    """A plane as it is stored.
+    """Entry of the header that describes a stored plane: its shape and the coding of its numbers.
 
     Parameters
     ----------
     name : str
     shape : tuple of int
-        Channels, then the rest; the last axis is a row's.
+        Channels first; the last axis runs along a row.
     code : str
-        ``linear``: low + q step, by channel. ``log``: floor (2^(q step) - 1). ``light``: channel 0 as of ``log``, the
-        others (channel 0 + floor) (low + q step). ``float``: little-endian float32, byte after byte.
+        How integers q become values. ``linear``: low + q step, by channel. ``log``: floor (2^(q step) - 1). ``light``:
+        channel 0 as in ``log``, the others (channel 0 + floor) (low + q step). ``float``: no integers, but
+        little-endian float32.
     delta : str
-        ``row``: what is stored is the difference to the number before in the row; ``above``: that difference less the
-        one in the row above.
+        ``row``: differences to the preceding number in the row are stored; ``above``: these differences less those in
+        the row above.
     width : int
-        Bytes a number.
+        Bytes per number.
     low, step : tuple of float
-        One a channel.
+        Offset and step of each channel.
     floor : float
+        Scale of the logarithm.
     """
 
     name: str
@@ -70,20 +72,20 @@ class StoredPlane:
 
 
 class StoredPlanes:
-    """Planes that are written one after the other."""
+    """Planes of a payload, to which new ones are added."""
 
     def __init__(self) -> None:
         self.entries: list[StoredPlane] = []
         self.content: list[bytes] = []
 
     def add_floats(self, name: str, values: np.ndarray) -> None:
-        """Add numbers as single precision."""
+        """Add a plane in single precision, without quantisation."""
         values = np.ascontiguousarray(values, dtype="<f4")
         self.entries.append(StoredPlane(name, values.shape, "float"))
         self.content.append(values.tobytes())
 
     def add_linear(self, name: str, values: np.ndarray, bits: int = _BITS) -> None:
-        """Add channels, (channels, ...), each evenly quantised between its least and its largest number."""
+        """Add channels, (channels, ...), each quantised uniformly between its least and its largest number."""
         flat = np.asarray(values, dtype=np.float64).reshape(len(values), -1)
         low, high = flat.min(axis=1), flat.max(axis=1)
         step = np.where(high > low, (high - low) / (2**bits - 1), 1.0)
@@ -91,14 +93,14 @@ class StoredPlanes:
         self._add(StoredPlane(name, np.shape(values), "linear", low=tuple(low), step=tuple(step)), q)
 
     def add_integers(self, name: str, values: np.ndarray) -> None:
-        """Add whole numbers from 0 on exactly, of any shape."""
+        """Add non-negative integers, (channels, ...), exactly."""
         count = len(values)
         self._add(
             StoredPlane(name, np.shape(values), "linear", low=(0.0,) * count, step=(1.0,) * count), np.asarray(values)
         )
 
     def add_log(self, name: str, values: np.ndarray, bits: int = _BITS) -> None:
-        """Add channels of numbers from 0 on, finer for small ones."""
+        """Add channels of non-negative numbers, (channels, ...), quantised on a logarithmic scale."""
         flat = np.maximum(np.asarray(values, dtype=np.float64), 0.0).reshape(len(values), -1)
         floor = _FLOOR * flat.max() or 1.0
         octaves = np.log2(flat / floor + 1.0)
@@ -107,10 +109,10 @@ class StoredPlanes:
         self._add(plane, np.rint(octaves / step))
 
     def add_light(self, name: str, values: np.ndarray, basis: np.ndarray) -> None:
-        """Add coefficients of light, (k, ...), on a basis, (k, 61): its level by its logarithm, its colour beside it.
+        """Add coefficients of light, (k, ...), on a basis, (k, 61): logarithm of the level, colour relative to it.
 
-        Steps of the colour are those of the spectrum: a vector that is shorter than the first is stepped as much more
-        coarsely. The first coefficient is held at 0 where recovery made it negative.
+        The first coefficient is the level; if spectral recovery made it negative, it is set to 0. The steps of the
+        others are equal steps of the spectrum: they are larger for a basis vector that is shorter than the first.
         """
         flat = np.asarray(values, dtype=np.float64).reshape(len(values), -1)
         level = np.maximum(flat[0], 0.0)
@@ -137,7 +139,7 @@ class StoredPlanes:
             if delta == "above":
                 difference = np.diff(difference, axis=-2, prepend=0)
             found[delta] = ((difference << 1) ^ (difference >> 63)).astype(np.uint64)
-        # Bits of the two, the fewer the better; of one row there is nothing above.
+        # The coding with the fewer bits is used; a single row has no row above.
         costs = {d: float(np.log2(z + 1.0).sum()) for d, z in found.items() if d == "row" or q.ndim > 1}
         delta = min(costs, key=lambda name: costs[name])
         stored = found[delta]
@@ -148,25 +150,25 @@ class StoredPlanes:
 
 
 def write_payload(header: dict, planes: StoredPlanes) -> str:
-    """Return a payload as base64; the header is any JSON, to which version and planes are added."""
+    """Return a payload as base64; the schema version and the list of planes are added to the header."""
     whole = {"schema_version": SCHEMA_VERSION, **header, "planes": [asdict(entry) for entry in planes.entries]}
     return _packed(whole, b"".join(planes.content))
 
 
 def _packed(header: dict, planes: bytes | memoryview) -> str:
-    """Return a payload of a whole header and the planes that it lists."""
+    """Return a payload as base64 from a complete header and the bytes of its planes."""
     text = json.dumps(header, ensure_ascii=False, allow_nan=False, separators=(",", ":")).encode()
     stream = b"".join([struct.pack("<I", len(text)), text, planes])
     return base64.b64encode(zlib.compress(stream, wbits=_GZIP)).decode("ascii")
 
 
 def payload_header(text: str, source="payload") -> dict:
-    """Return the header of a payload; parameters and what is raised are those of `read_payload`."""
+    """Return the header of a payload; parameters and errors are those of `read_payload`."""
     return _header(_unfolded(text, source), source)[0]
 
 
 def with_stated_errors(text: str, errors: dict, source="payload") -> str:
-    """Return a payload with other errors stated; parameters and what is raised are those of `read_payload`."""
+    """Return a copy of a payload with other stated errors; other parameters and errors are those of `read_payload`."""
     stream = _unfolded(text, source)
     header, first = _header(stream, source)
     return _packed({**header, "stated_errors": errors}, memoryview(stream)[first:])
@@ -177,7 +179,7 @@ def _fault(source, found: str, accepted: str = "a payload that irodori wrote", f
 
 
 def _plane(source, number: int, entry) -> StoredPlane:
-    """Return an entry of the header as a plane."""
+    """Check an entry of the header and return it as a `StoredPlane`."""
     place = f"planes.{number}"
     names = {f.name for f in fields(StoredPlane)}
     if not isinstance(entry, dict) or set(entry) != names:
@@ -198,7 +200,7 @@ def _plane(source, number: int, entry) -> StoredPlane:
 
 
 def _values(plane: StoredPlane, content: memoryview) -> np.ndarray:
-    """Return the numbers of a plane."""
+    """Decode the numbers of a plane, float32."""
     if plane.code == "float":
         return np.frombuffer(content, dtype="<f4").reshape(plane.shape)
     parts = np.frombuffer(content, dtype=np.uint8).reshape(plane.width, *plane.shape)
@@ -219,19 +221,19 @@ def _values(plane: StoredPlane, content: memoryview) -> np.ndarray:
 
 
 def read_payload(text: str, source="payload") -> tuple[dict, dict[str, np.ndarray]]:
-    """Return header and planes, float32, of a payload.
+    """Decode a payload and return its header and its planes by name, float32.
 
     Parameters
     ----------
     text : str
-        Base64.
+        Payload as base64.
     source : path or str
         For error messages.
 
     Raises
     ------
     InputError
-        If it is damaged or of another version.
+        If the payload is damaged or of another version.
     """
     stream = _unfolded(text, source)
     header, first = _header(stream, source)
@@ -248,7 +250,7 @@ def read_payload(text: str, source="payload") -> tuple[dict, dict[str, np.ndarra
 
 
 def _unfolded(text: str, source) -> bytes:
-    """Return what is under a payload's base64 and its compression."""
+    """Decode and decompress a payload into its bytes."""
     try:
         packed = base64.b64decode(text, validate=True)
     except (binascii.Error, ValueError):
@@ -266,7 +268,7 @@ def _unfolded(text: str, source) -> bytes:
 
 
 def _header(stream: bytes, source) -> tuple[dict, int]:
-    """Return the header and where the planes begin."""
+    """Return the header and the offset in bytes at which the planes begin."""
     length = struct.unpack("<I", stream[:4])[0] if len(stream) >= 4 else MOST_BYTES
     try:
         header = json.loads(stream[4 : 4 + length].decode("utf-8")) if 4 + length <= len(stream) else None

@@ -1,7 +1,8 @@
-"""A classroom page in numbers: shapes, materials, light and views of a scene, ready for its payload.
+"""Encoding of a scene's shapes, materials, light and shadows into the planes of a classroom page's payload.
 
-The maps are those of `irodori.rendering.interactive`, whose transport the page repeats: light as cube maps with a
-border of one texel, its blurred levels, rows of round lobes. What the scene does not have has no plane.
+The data are those of `irodori.rendering.interactive`, because the page uses the same algorithm: light as cube maps with
+a border of one texel, levels of blurred light, gloss lobes as rows of round lobes. Data that the scene does not have
+get no plane.
 """
 
 from collections.abc import Iterator
@@ -27,30 +28,30 @@ from irodori.viewer.payload import StoredPlanes
 LOBES = ("gaussian", "ggx")
 #: Texels along the side of a cube of light, at most: the finest levels of a finer one are left out.
 MOST_SIDE = 256
-#: Blurred levels wider than this many texels are stored at half their side, with a border that is as wide as the
+#: Levels of blurred light with more texels along the side are stored at half the side, with a border as wide as the
 #: interpolation of `finer` needs.
 HALVED_FROM, BORDER = 32, 4
 
 
 @dataclass(frozen=True)
 class LightMaps:
-    """Light of one environment, as the page looks it up.
+    """Light of one environment as the maps that the page looks up.
 
     Parameters
     ----------
     basis : (k, 61) float64
     white : (61,) float64
         Radiance of a perfect diffuser that faces up.
-    sky : (k, 6, side, side) float, or None where the environment is dark
+    sky : (k, 6, side, side) float, or None if the environment is dark
         Radiance, without border.
     irradiance : (k, 6, side + 2, side + 2) float, or None
-        In radiance unit times sr.
+        Irradiance, in the unit of radiance times sr.
     gloss : list of (k, 6, n, n) float
-        Blurred radiance as stored: with a border of `BORDER` at half its side, or with one of 1.
+        Levels of blurred radiance as stored: at half the side with a border of `BORDER`, or with a border of 1.
     sides : list of int
-        Texels along the side of the blurred levels as they are looked up.
+        Texels along the side of each level when it is looked up.
     first : int
-        Level of `irodori.light.blurred_light.WIDTHS_RAD` that the first has.
+        Index of the first level in `irodori.light.blurred_light.WIDTHS_RAD`.
     """
 
     basis: np.ndarray
@@ -63,16 +64,16 @@ class LightMaps:
 
 
 def interpolation(offset: float) -> np.ndarray:
-    """Return the weights of Lagrange's polynomial through eight numbers, 3 before to 4 after, at a place past 0."""
+    """Return the weights of Lagrange interpolation at ``offset`` from values at the eight integers -3 to 4."""
     nodes = np.arange(-3, 5)
     return np.array([np.prod([(offset - m) / (n - m) for m in nodes if m != n]) for n in nodes])
 
 
 def finer(stored: np.ndarray) -> np.ndarray:
-    """Return a level of (..., n + 8, n + 8) at twice the side with a border of 1, (..., 2 n + 2, 2 n + 2).
+    """Interpolate a stored level, (..., n + 8, n + 8), to twice the side with a border of 1, (..., 2 n + 2, 2 n + 2).
 
-    Texels of the finer level lie a quarter of a coarse one beside its centres. A blurred level is smooth: of a lobe one
-    and a half texels wide, what Lagrange's polynomial leaves is under a thousandth.
+    Centres of the fine texels lie a quarter of a coarse texel beside the coarse centres. Blurred levels are smooth: for
+    a lobe one and a half texels wide, the error of Lagrange interpolation is less than a thousandth.
     """
     for axis in (-2, -1):
         moved = np.moveaxis(stored, axis, -1)
@@ -88,7 +89,10 @@ def finer(stored: np.ndarray) -> np.ndarray:
 
 
 def _cube(picture: np.ndarray, side: int, border: int) -> np.ndarray:
-    """Return an equirectangular picture, (h, w, k), as a cube with a border, (k, 6, side + 2 border, ...) float32."""
+    """Resample an equirectangular picture, (h, w, k), to a cube map with a border, (k, 6, s, s) float32.
+
+    ``s`` is side + 2 border.
+    """
     if border == 1:
         faces = list(from_equirectangular(picture, side))
     else:
@@ -99,10 +103,10 @@ def _cube(picture: np.ndarray, side: int, border: int) -> np.ndarray:
 
 
 def _principal(environment: Environment) -> tuple[np.ndarray, np.ndarray]:
-    """Return an environment's principal vectors, (k, 61), and their coefficients' matrix from the stored ones, (k, k).
+    """Return an environment's principal vectors, (k, 61), and the matrix from stored to principal coefficients, (k, k).
 
-    The first is positive, as light is, and so is its coefficient everywhere, which a payload stores as a logarithm; a
-    file may be on other vectors of the same space.
+    The stored coefficients may be on another basis of the same space. The first principal vector is positive, as light
+    is, and so is its coefficient everywhere, so that a payload can store its logarithm.
     """
     vectors, stored = np.linalg.qr(environment.basis.astype(np.float64))
     flat = environment.coefficients.reshape(-1, environment.basis.shape[1]).astype(np.float32)
@@ -113,7 +117,7 @@ def _principal(environment: Environment) -> tuple[np.ndarray, np.ndarray]:
 
 
 def light_maps(environment: Environment, objects: Objects) -> LightMaps:
-    """Return the maps of an environment that a scene's objects need."""
+    """Return the maps of an environment that the materials of a scene's objects need."""
     white = environment.upward_white()
     if not environment.coefficients.any():
         return LightMaps(environment.basis.T.astype(np.float64), white, None, None, [], [], 0)
@@ -143,7 +147,7 @@ def light_maps(environment: Environment, objects: Objects) -> LightMaps:
 
 
 def add_light(planes: StoredPlanes, number: int, maps: LightMaps) -> dict:
-    """Add an environment's planes; return its entry in the header."""
+    """Add the planes of an environment's maps and return the environment's entry for the header."""
     name = f"light/{number}"
     planes.add_floats(f"{name}/basis", maps.basis)
     planes.add_floats(f"{name}/white", maps.white)
@@ -156,7 +160,7 @@ def add_light(planes: StoredPlanes, number: int, maps: LightMaps) -> dict:
 
 
 def decoded_light(planes: dict[str, np.ndarray], number: int, entry: dict) -> LightMaps:
-    """Return an environment's maps from the planes of a payload."""
+    """Return the maps of an environment from decoded planes and its entry in the header."""
     name = f"light/{number}"
     gloss = [planes[f"{name}/gloss/{level}"] for level in range(len(entry["gloss_sides"]))]
     basis, white = (planes[f"{name}/{part}"].astype(np.float64) for part in ("basis", "white"))
@@ -165,7 +169,7 @@ def decoded_light(planes: dict[str, np.ndarray], number: int, entry: dict) -> Li
 
 
 def check_lobes(lobes: Lobes) -> None:
-    """Refuse a lobe that the page's shader does not know.
+    """Raise an error for a lobe that the page's shader does not have.
 
     Raises
     ------
@@ -177,7 +181,7 @@ def check_lobes(lobes: Lobes) -> None:
 
 
 def add_materials(planes: StoredPlanes, objects: Objects) -> list[dict]:
-    """Add the objects' materials; return the entry of each in the header."""
+    """Add the planes of the objects' materials and return each object's entry for the header."""
     check_lobes(objects.lobes)
     means, entries = mean_spectra(objects), []
     for i, texels in enumerate(textures(objects)):
@@ -215,13 +219,13 @@ def add_materials(planes: StoredPlanes, objects: Objects) -> list[dict]:
 
 
 def lobe_entries(objects: Objects) -> list[dict]:
-    """Return the lobes' entry in the header: name, and ln μ at the first place of the ladder with its step."""
+    """Return the lobes' entry for the header: names, and first ln μ and step of their tables over roughness."""
     pairs = zip(objects.lobes.names, ladder(objects.lobes), strict=True)
     return [{"name": name, "ladder": [float(first), float(step)]} for name, (first, step) in pairs]
 
 
 def decoded_objects(objects: Objects, planes: dict[str, np.ndarray], entries: list[dict]) -> Objects:
-    """Return a scene's objects with the texels that a payload gives them."""
+    """Return a copy of a scene's objects with the texels decoded from a payload."""
     texels = np.zeros_like(objects.texels)
     found = objects._replace(texels=texels)
     gloss = objects.texels.shape[1] - 2 * objects.lobe.shape[1]
@@ -237,10 +241,10 @@ def decoded_objects(objects: Objects, planes: dict[str, np.ndarray], entries: li
 
 
 def _mesh_planes(planes: StoredPlanes, name: str, mesh: Mesh) -> None:
-    """Add a mesh: its corners, each once, and the triangles between them."""
+    """Add the planes of a mesh: its distinct corners, and the triangles as indices of corners."""
     corners = np.concatenate([mesh.vertices_mm[mesh.faces], mesh.normals, mesh.uv], axis=-1).reshape(-1, 8)
     unique, inverse = np.unique(corners.astype(np.float32), axis=0, return_inverse=True)
-    # In the order in which the triangles meet them: neighbours lie near each other, and differences are small.
+    # Corners are in the order of first use by triangles, so that neighbours are close and differences small.
     order = np.argsort(np.unique(inverse.ravel(), return_index=True)[1], kind="stable")
     place = np.empty(len(order), dtype=np.int64)
     place[order] = np.arange(len(order))
@@ -252,19 +256,19 @@ def _mesh_planes(planes: StoredPlanes, name: str, mesh: Mesh) -> None:
 
 
 def _shadow_shape(grid: np.ndarray, nodes: int) -> tuple[int, ...]:
-    """Return the shape of a shape's nodes: rows and columns of a grid, a row of a mesh's."""
+    """Return the array shape of a shadow grid: rows and columns, or a single row for the nodes of a mesh."""
     return (int(grid[ROWS]), int(grid[COLUMNS])) if grid[COLUMNS] else (1, nodes)
 
 
 def add_shadows(planes: StoredPlanes, placements: list[Placement], shadows: MeshShadows | None) -> list[dict | None]:
-    """Add what meshes hide at the nodes of all shapes; return the entry of each in the header, None where it has none.
+    """Add the planes of ambient occlusion by meshes; return each shape's entry for the header, None for no occlusion.
 
     Parameters
     ----------
     planes : StoredPlanes
     placements : list of Placement
     shadows : MeshShadows, optional
-        None where the scene has no shadows of meshes.
+        None if the scene has no shadows of meshes.
     """
     entries: list[dict | None] = [None] * len(placements)
     if shadows is None:
@@ -291,7 +295,7 @@ def add_shadows(planes: StoredPlanes, placements: list[Placement], shadows: Mesh
 
 
 def shadow_values(shadows: MeshShadows) -> Iterator[tuple[int, np.ndarray]]:
-    """Yield the shapes that meshes hide light from, and the numbers of their nodes, a view (numbers, nodes) float32."""
+    """Yield index and occlusion values, a view (values, nodes) float32, of each shape from which meshes hide light."""
     numbers = shadows.numbers.reshape(-1, SHAPE_NUMBERS)
     shapes = np.flatnonzero(numbers[:, STRIDE])
     ends = [*numbers[shapes[1:], FIRST], len(shadows.values)]
@@ -300,7 +304,7 @@ def shadow_values(shadows: MeshShadows) -> Iterator[tuple[int, np.ndarray]]:
 
 
 def decoded_shadows(planes: dict[str, np.ndarray], shadows: MeshShadows) -> MeshShadows:
-    """Return shadows with the numbers of a payload's planes."""
+    """Return a copy of shadows with the occlusion values decoded from a payload."""
     found = shadows._replace(values=shadows.values.copy())
     for i, values in shadow_values(found):
         values[:] = planes[f"object/{i}/shadow/values"].reshape(values.shape)
@@ -308,7 +312,7 @@ def decoded_shadows(planes: dict[str, np.ndarray], shadows: MeshShadows) -> Mesh
 
 
 def add_shapes(planes: StoredPlanes, placements: list[Placement]) -> list[dict]:
-    """Add the meshes among placed shapes; return the header's entries of each shape and its place."""
+    """Add the planes of all meshes and return each shape's entry for the header: kind, size and placement."""
     entries = []
     for i, (placement, reach) in enumerate(zip(placements, reaches(placements), strict=True)):
         shape = placement.shape

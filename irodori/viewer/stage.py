@@ -1,4 +1,4 @@
-"""Viewer stage: materials, light and a scene in; one page out, with the errors that it states of itself."""
+"""Viewer stage: reads materials, light and a scene; writes one page, which states its own measured errors."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -32,25 +32,25 @@ from irodori.viewer.page_file import write_page
 from irodori.viewer.payload import payload_header, read_payload, with_stated_errors
 from irodori.viewer.scene_data import decoded_light, decoded_objects
 
-#: What a page is checked with: turns of the light, illuminants (none is the light as it was recovered), and observers.
+#: Conditions of a page's checks: rotations of the light, illuminants (None is the recovered light), and observers.
 TURNS_DEG, ILLUMINANTS, OBSERVERS = (0.0, 110.0), (None, "A", "FL11"), (0, 1)
-#: Loss of the format, CIEDE2000, over which a page's maker is warned; the page states its own in any case.
+#: Loss of the format, CIEDE2000, above which a warning is logged; the page states its loss in any case.
 LOSS_MEAN, LOSS_P99 = 0.1, 0.3
 _SIZE = Size(width=160, height=120)
 _SELFTEST_SIZE = Size(width=40, height=30)
 
 
 def export_viewer(sources: SceneSources, *, output, poster=None, picture=None) -> dict:
-    """Write the page of a scene; return the errors that it states.
+    """Write the page of a scene and return the errors that it states.
 
     Parameters
     ----------
     sources : SceneSources
     output : path
     poster : path, optional
-        PNG that is shown where the page cannot draw.
+        PNG that is shown if the page cannot draw.
     picture : path, optional
-        EXR of the page's first view by the scene's integrator, which the page is compared with too.
+        EXR of the page's first view, rendered by the scene's integrator, with which the page is also compared.
     """
     with TemporaryDirectory(dir=Path(output).parent) as folder:
         payload = Path(folder) / "viewer.payload"
@@ -61,13 +61,13 @@ def export_viewer(sources: SceneSources, *, output, poster=None, picture=None) -
 
 
 def encode_viewer(sources: SceneSources, *, output) -> dict:
-    """Write the payload of a scene's page, with the errors that need no picture of the scene; return these.
+    """Write the payload of a scene's page; measure, store and return the errors that need no rendered picture.
 
     Parameters
     ----------
     sources : SceneSources
     output : path
-        Text, base64.
+        Text file, base64.
     """
     data = page_data(sources)
     first_view = sources.scene.views[data.header["views"][0]["name"]]
@@ -91,17 +91,17 @@ def encode_viewer(sources: SceneSources, *, output) -> dict:
 
 
 def finish_viewer(payload, scene: Scene, environment, *, output, poster=None, picture=None) -> dict:
-    """Write a page from its payload; return the errors that it states.
+    """Write a page from its payload and return the errors that it states.
 
     Parameters
     ----------
     payload : path
-        Written by `encode_viewer`.
+        File that `encode_viewer` wrote.
     scene : Scene
     environment : path
     output : path
     poster, picture : path, optional
-        As of `export_viewer`.
+        As in `export_viewer`.
     """
     text = Path(payload).read_text(encoding="ascii", errors="replace")
     errors = payload_header(text, payload)["stated_errors"]
@@ -120,7 +120,7 @@ def _write(payload: str, output, poster=None) -> None:
 
 @contextmanager
 def _drawn(payload: str, output) -> Iterator[OpenPage]:
-    """Open a payload's page in the browser; it stands beside an output meanwhile."""
+    """Write a payload's page to a temporary folder next to the output and open it in the browser."""
     with TemporaryDirectory(dir=Path(output).parent) as folder:
         draft = Path(folder) / "draft.html"
         _write(payload, draft)
@@ -129,7 +129,7 @@ def _drawn(payload: str, output) -> Iterator[OpenPage]:
 
 
 def measured_loss(data: PageData, payload: str, originals: Sequence[Prepared], view: View) -> dict:
-    """Return CIEDE2000 between frames from the decoded planes and from the originals, mean and 99th percentile."""
+    """Return mean and 99th percentile of CIEDE2000 between frames from decoded planes and from the original data."""
     header, planes = read_payload(payload)
     objects = decoded_objects(data.parts.objects, planes, header["objects"])
     found = []
@@ -147,20 +147,20 @@ def _turned(degrees: float) -> np.ndarray:
 
 
 def white_of(parts: FrameParts) -> np.ndarray:
-    """Return the radiance of a perfect diffuser that faces up, (61,), under the light and the scene's lamps."""
+    """Return the radiance of a perfect diffuser that faces up, (61,), under the environment and the scene's lamps."""
     lamps = np.maximum(parts.directions[:, 2], 0.0) @ parts.lamps / np.pi
     return parts.environment.upward_white() + lamps
 
 
 def swapped(data: PageData, name: str, parts: FrameParts) -> np.ndarray:
-    """Return the factor on a room's light, (61,), that gives its white an illuminant's spectrum, and its luminance."""
+    """Return the factor (61,) on a room's light that gives its white an illuminant's spectrum at equal luminance."""
     power = np.array(next(entry["power"] for entry in data.header["illuminants"] if entry["name"] == name))
     white, luminance = parts.environment.upward_white(), colour_matching_weights()[1]
     return power / white * (luminance @ white) / (luminance @ power)
 
 
 def add_selftest(data: PageData, originals: Sequence[Prepared], view: View) -> None:
-    """Add small frames of `checks` to a page's planes, for the check that it makes of itself."""
+    """Add small reference frames of `checks` to a page's planes, with which the page tests itself."""
     entries: list[dict] = []
     for check in checks(data, originals, view):
         data.planes.add_floats(f"selftest/{len(entries)}", check.wanted)
@@ -170,16 +170,18 @@ def add_selftest(data: PageData, originals: Sequence[Prepared], view: View) -> N
 
 @dataclass(frozen=True)
 class Check:
-    """A frame that a page is checked with.
+    """Reference frame for the check of a page.
 
     Parameters
     ----------
     light : dict
-        What it changes in the light of the page's state.
+        Changes to the light in the page's state.
     observer : str
+        Name of the observer.
     wanted : (height, width, 3) float
-        XYZ by the interactive renderer.
+        XYZ from the interactive renderer.
     white_xyz : (3,) float
+        XYZ of the white.
     """
 
     light: dict
@@ -189,9 +191,9 @@ class Check:
 
 
 def checks(data: PageData, originals: Sequence[Prepared], view: View) -> Iterator[Check]:
-    """Yield what a page is checked with: every room, turned, under some illuminants and for some observers.
+    """Yield reference frames of every room, for several rotations of the light, illuminants and observers.
 
-    The light is exchanged where it is all that lights the scene.
+    Illuminants are exchanged only if the scene has no lamps and the room's light has power at all wavelengths.
     """
     for name, parts, original in zip(data.header["environments"], data.rooms, originals, strict=True):
         white = parts.environment.upward_white()
@@ -209,9 +211,9 @@ def checks(data: PageData, originals: Sequence[Prepared], view: View) -> Iterato
 
 
 def measured_page(page: OpenPage, data: PageData, originals: Sequence[Prepared], view: View) -> dict:
-    """Return CIEDE2000 between what a page draws and the interactive renderer, over `checks`.
+    """Return mean and 99th percentile of CIEDE2000 between a page and the interactive renderer, over `checks`.
 
-    The page begins with the same view; pixels at which both see different things, at outlines, are left in.
+    ``view`` must be the initial view of the page. Pixels at outlines, where both may show different objects, count too.
     """
     found = []
     state = page.default_state()
@@ -223,7 +225,7 @@ def measured_page(page: OpenPage, data: PageData, originals: Sequence[Prepared],
 
 
 def measured_reference(page: OpenPage, scene: Scene, environment, picture) -> dict:
-    """Return CIEDE2000 between what a page draws and a picture of the scene's own integrator, its noise included."""
+    """Return mean and 99th percentile of CIEDE2000 between a page and a picture by the scene's integrator."""
     from irodori.light.environment_file import Environment
 
     white, _ = shown_white(scene, Environment.load(environment), environment)

@@ -1,4 +1,4 @@
-"""Write the classroom page of a scene, or print what a page holds."""
+"""Write the classroom page of a scene, or list what an existing page contains."""
 
 import argparse
 import json
@@ -15,12 +15,12 @@ _PAYLOAD = re.compile(r'<script type="application/octet-stream" id="payload">([^
 
 
 def payload_of(path) -> str:
-    """Return the payload of a page, base64.
+    """Return the payload of a page's file, base64.
 
     Raises
     ------
     InputError
-        If there is no such page.
+        If there is no file, or it has no payload.
     """
     if not is_file(path):
         raise InputError(path, "", "no file", "a page that irodori wrote")
@@ -31,7 +31,7 @@ def payload_of(path) -> str:
 
 
 def inspected(path) -> str:
-    """Return what a page holds, as JSON: its header, long lists of numbers told by their length, and its planes."""
+    """Return a page's header as JSON, with the value range of each plane; long lists are replaced by their length."""
     from irodori.viewer.payload import read_payload
 
     header, planes = read_payload(payload_of(path), path)
@@ -50,7 +50,7 @@ def _shortened(value):
 
 
 def write_scene(name: str, output: Path | None) -> Path:
-    """Write a scene's page from the results in the working directory; return its file.
+    """Write a scene's page from the results in the working directory and return its path.
 
     Raises
     ------
@@ -84,7 +84,7 @@ def write_scene(name: str, output: Path | None) -> Path:
 
 
 def main(arguments: list[str] | None = None, prog: str = "python -m irodori.viewer.viewer_command") -> int:
-    """Run the command; return 0, or 2 after a fault said in one sentence."""
+    """Run the command; return 0, or 2 after an error, which is printed in one sentence."""
     parser = argparse.ArgumentParser(prog=prog, description=__doc__)
     parser.add_argument("scene", help="name of a scene of config/config.yaml's folder")
     parser.add_argument("--output", type=Path, help="page to write, results/SCENE/viewer.html where absent")

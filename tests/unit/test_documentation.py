@@ -199,7 +199,7 @@ def test_the_reference_has_every_command_every_key_and_the_docstrings(site):
     for key in load_schema("scene")["properties"]:
         assert f"<code>{key}" in keys, key
     verdict = text_of(site / "reference" / "package" / "calibration.html")
-    assert "irodori.calibration.verdict" in verdict and "Hold recovered reflectances against every tolerance" in verdict
+    assert "irodori.calibration.verdict" in verdict and "Compare recovered reflectances with every tolerance" in verdict
 
 
 @pytest.mark.heavy

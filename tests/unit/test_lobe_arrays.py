@@ -129,13 +129,16 @@ def test_a_module_without_a_kernel_is_no_lobe():
         Lobe.of_module(lobes)
 
 
-def test_a_module_is_the_lobe_that_it_defines_and_its_digest_that_of_its_source(tmp_path):
+def test_a_module_is_the_lobe_that_it_defines_and_its_digest_that_of_its_code(tmp_path):
     found = Lobe.of_module(ggx)
     assert found == lobe("ggx") and found.digest == lobe("ggx").digest
     assert (found.name, found.draw, found.roughness) == ("ggx", ggx.draw, ggx.ROUGHNESS)
-    path = tmp_path / "other.py"
-    path.write_text(Path(ggx.__file__).read_text("utf-8") + "\n# changed\n", "utf-8")
-    spec = importlib.util.spec_from_file_location("other", path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    assert Lobe.of_module(module).digest != found.digest
+    digests = []
+    for number, added in enumerate(("# a comment\n", "CHANGED = 1\n")):
+        path = tmp_path / f"other{number}.py"
+        path.write_text(Path(ggx.__file__).read_text("utf-8") + added, "utf-8")
+        spec = importlib.util.spec_from_file_location(path.stem, path)
+        module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+        digests.append(Lobe.of_module(module).digest)
+    assert digests[0] == found.digest != digests[1]

@@ -42,9 +42,9 @@ class Calibration:
     training : (m, bands) float, optional
         Responses of the chart, for `band_scale`.
     band_response : (bands, 61) float, optional
-        Response per unit reflectance at each wavelength, as the chart tells it.
+        Response per unit reflectance at each wavelength, estimated from the chart.
     band_response_covariance : (bands, 61, 61) float, optional
-        What the chart leaves open of it; bands are independent.
+        Posterior covariance of the band response; bands are independent.
     """
 
     basis: np.ndarray
@@ -58,7 +58,7 @@ class Calibration:
 
     @property
     def weights_from_response(self) -> np.ndarray | None:
-        """M, (bands, k) float; None where the estimator is not linear."""
+        """Matrix M, (bands, k) float; None if the estimator is not linear."""
         return self.mapping.matrix if isinstance(self.mapping, LinearMapping) else None
 
     @classmethod
@@ -68,7 +68,8 @@ class Calibration:
         Raises
         ------
         InputError
-            If it is none, damaged, of an unknown kind, its datasets do not fit together, or a number is not finite.
+            If the file is not a calibration, is damaged, of an unknown kind, has datasets that do not fit together, or
+            a number that is not finite.
         """
         with store.open_file(path) as file:
             kind = file.attribute("mapping", str) if file.has_attribute("mapping") else LinearMapping.kind
@@ -100,7 +101,7 @@ class Calibration:
             )
 
     def write(self, out: store.Writer) -> None:
-        """Write what `load` reads into an open file."""
+        """Write the calibration into an open file, in the form that `load` reads."""
         write_wavelength(out)
         if self.filters:
             write_bands(out, self.filters)
@@ -134,12 +135,12 @@ class Calibration:
         out.attribute("mapping", self.mapping.kind)
 
     def require_filters(self, filters, path) -> None:
-        """Refuse responses whose bands are not those of the chart.
+        """Raise an error for responses with other bands than those of the chart.
 
         Raises
         ------
         InputError
-            Naming the file of the responses, its filter states and those of the calibration.
+            The message names the file of the responses, its filter states and those of the calibration.
         """
         if tuple(filters) != self.filters:
             found = ", ".join(filters) or "none"
@@ -148,8 +149,8 @@ class Calibration:
     def weights(self, response: np.ndarray, response_variance: np.ndarray | None = None) -> np.ndarray:
         """Return basis weights of responses.
 
-        Positively homogeneous of degree 1 in the response; where a variance is given, in the response and its standard
-        deviation together. Only ``local`` makes use of the variance.
+        The weights are positively homogeneous of degree 1 in the response; if a variance is given, in the response and
+        its standard deviation together. Only the estimator ``local`` uses the variance.
 
         Parameters
         ----------
@@ -183,7 +184,7 @@ class Calibration:
         Raises
         ------
         ValueError
-            If the calibration carries no responses of its chart.
+            If the calibration does not have the responses of its chart.
         """
         if self.training is None:
             raise ValueError("a calibration without the responses of its chart; accepted: one that the stage wrote")

@@ -1,7 +1,7 @@
 """Compiled loops of `LocalMapping`: matrices of anchors, blended pixel by pixel.
 
-A group of `LANES` pixels shares one product of shares and matrices for each level of noise that occurs in it. What a
-pixel does not take counts as an exact zero, so that its bits do not depend on its neighbours.
+A group of `LANES` pixels shares one product of weights and matrices for each level of noise that occurs in it. A matrix
+that a pixel does not use has a weight of exactly zero, so that not a bit of its result depends on its neighbours.
 """
 
 import math
@@ -48,7 +48,7 @@ def columns_of(matrix: np.ndarray) -> np.ndarray:
 
 @njit(cache=True, nogil=True)
 def _product(rows, members, count, table, sums):
-    """Fill sums with the transpose of a table (`columns_of`) of members times as many rows (count, LANES)."""
+    """Fill sums with the product of a transposed table (`columns_of`) and rows (count, LANES), for members alone."""
     flat, group = table.ravel(), members[:count]
     for column in range(table.shape[0]):
         for j in range(0, LANES, TILE):
@@ -57,7 +57,7 @@ def _product(rows, members, count, table, sums):
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
 def _load_variance(variance, first, count, inverse_square, own):
-    """Fill own (LANES,) with the mean over bands of the variances of scaled responses; one row serves all pixels."""
+    """Fill own (LANES,) with the variances of scaled responses, averaged over bands; a single row is for all pixels."""
     bands = variance.shape[1]
     for j in range(LANES):
         own[j] = 0.0
@@ -71,7 +71,7 @@ def _load_variance(variance, first, count, inverse_square, own):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _place_levels(blending, own, length, position, inverse):
-    """Fill where each pixel's relative variance lies among the levels, and one over its squared width.
+    """Fill the position of each pixel's relative variance among the levels, and the inverse of its squared width.
 
     A variance of zero, or below the lowest level, counts as the lowest level, an infinite one as the highest. Where the
     variance is negative or NaN, the length becomes NaN, and so does the pixel.
@@ -84,7 +84,7 @@ def _place_levels(blending, own, length, position, inverse):
         squared = length[j] * length[j]
         signal = max(squared - bands * own[j], _LEAST_SIGNAL * squared)
         ratio = own[j] / signal
-        # Comparisons are so that 0 / 0 and NaN give the lowest level.
+        # The comparisons are written so that 0 / 0 and NaN yield the lowest level.
         ratio = ratio if ratio > _LEAST_RATIO else _LEAST_RATIO
         ratio = ratio if ratio < _LARGEST_RATIO else _LARGEST_RATIO
         length[j] = length[j] if own[j] >= 0.0 else np.nan
@@ -98,9 +98,9 @@ def _place_levels(blending, own, length, position, inverse):
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
 def _shares(count, inverse, share, largest, total):
-    """Turn cosines to anchors, share (count.., LANES), into how much of each anchor's matrices a pixel takes, sum one.
+    """Replace the cosines to the anchors, share (count.., LANES), by each pixel's weights of the anchors, with sum 1.
 
-    Least shares are zero.
+    Very small weights become zero.
     """
     least_exponent, least_share = share.dtype.type(_LEAST_EXPONENT), share.dtype.type(_LEAST_SHARE)
     zero, one = share.dtype.type(0.0), share.dtype.type(1.0)
@@ -127,7 +127,7 @@ def _shares(count, inverse, share, largest, total):
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
 def _pack(share, count, members):
-    """Move the rows of share that are not zero throughout to the front; return how many, and whose in members."""
+    """Move rows of share with a value above zero to the front; fill members with their indices; return their number."""
     taken = 0
     for a in range(count):
         some = False
@@ -144,7 +144,7 @@ def _pack(share, count, members):
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
 def _apply(blend, x, values):
-    """Add to values (k, LANES) what blended matrices, all bands of one output together, make of x (bands, LANES)."""
+    """Add to values (k, LANES) the products of the pixels' matrices, blend (k * bands, LANES), and x (bands, LANES)."""
     bands = x.shape[0]
     for k in range(values.shape[0]):
         for b in range(bands):
@@ -154,14 +154,14 @@ def _apply(blend, x, values):
 
 @njit(cache=True, nogil=True)
 def _local_block(blending, response, variance, out, first, last):
-    """Blend the matrices of the anchors for some pixels, see `LocalMapping`."""
+    """Apply the blended matrices to the pixels from ``first`` to ``last``, see `LocalMapping`."""
     scale, anchors, width, levels, _, maps = blending
     bands, bases, count = scale.size, out.shape[1], maps.shape[2]
     kind = maps.dtype
     x, c, length = np.empty((bands, LANES)), np.empty((bands, LANES)), np.empty(LANES)
     own, position, inverse = np.empty(LANES), np.zeros(LANES), np.empty(LANES)
     inverse[:] = 1.0 / (width * width)
-    # What follows from these is of the type of the response.
+    # The arrays below have the type of the response.
     direction, faded = np.empty((bands, LANES), kind), np.empty((bands, LANES), kind)
     sharpness, largest, total = np.empty(LANES, kind), np.empty(LANES, kind), np.empty(LANES, kind)
     share, blend = np.empty((anchors.shape[0] * OUTPUTS, LANES), kind), np.empty((maps.shape[1] * OUTPUTS, LANES), kind)
@@ -184,7 +184,7 @@ def _local_block(blending, response, variance, out, first, last):
         faded[:] = x
         for level in range(lowest, highest):
             if variance.size > 0:
-                # Matrices are interpolated between levels: each of the group's counts where it is less than one away.
+                # Matrices are interpolated between levels: a level counts for pixels less than one level away.
                 for b in range(bands):
                     for j in range(LANES):
                         faded[b, j] = x[b, j] * max(0.0, 1.0 - abs(position[j] - (level - 1)))

@@ -21,21 +21,21 @@ FAST = {"contract", "reassoc", "nsz", "arcp"}  # infinities and NaN keep their m
 
 @njit(cache=True)
 def _rows(count):
-    """Return a number of rows that can be summed: the count, rounded up to a multiple of 8."""
+    """Return the count of rows rounded up to a multiple of 8, as `_combine` requires."""
     return (count + _ROWS - 1) // _ROWS * _ROWS
 
 
 class Group(NamedTuple):
-    """Scaled responses of the pixels that are taken at a time."""
+    """Scaled responses of a group of `LANES` pixels."""
 
     x: np.ndarray  # (bands, LANES)
-    direction: np.ndarray  # (bands, LANES) the same over their length
+    direction: np.ndarray  # (bands, LANES) x divided by its length
     length: np.ndarray  # (LANES,)
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
 def load(response, first, count, inverse_scale, group):
-    """Fill a `Group` with responses from the ``first`` on; pixels beyond ``count`` are 1 in every band."""
+    """Fill a `Group` with ``count`` responses from the index ``first``; its further pixels are 1 in every band."""
     x, c, length = group
     bands = x.shape[0]
     for b in range(bands):
@@ -122,7 +122,7 @@ def _polynomial_block(first, last, response, scale, coefficients, out):
 
 
 def polynomial_weights(response, scale, coefficients, out):
-    """Fill out (n, k) for responses (n, bands); coefficients are (k, monomials), each row in one piece."""
+    """Fill out (n, k) for responses (n, bands); coefficients are (k, monomials), C-contiguous."""
     if len(response) <= SERIAL:
         _polynomial_block(0, len(response), response, scale, coefficients, out)
     else:

@@ -1,7 +1,7 @@
 """Mappings from responses to basis weights: a matrix, a blend of matrices, a polynomial.
 
-All are positively homogeneous of degree 1: twice the light gives twice the weights. Each takes (n, bands) and gives
-(n, k) in the type of the response, float32 or float64; what it holds is what ``calibration.h5`` stores of it.
+All are positively homogeneous of degree 1: twice the light yields twice the weights. Each maps (n, bands) to (n, k) in
+the type of the response, float32 or float64; the fields of its dataclass are stored in ``calibration.h5``.
 """
 
 from dataclasses import dataclass, replace
@@ -30,15 +30,15 @@ class Mapping(Protocol):
         """Return the derivatives ∂w_k/∂ρ_b at responses (n, bands), (n, bands, k) float64."""
 
     def on_basis(self, basis: np.ndarray) -> "Mapping":
-        """Return the mapping whose outputs, taken as spectra (61), are brought to an orthonormal basis (61, k)."""
+        """Return the mapping with its outputs, spectra (61), projected on an orthonormal basis (61, k)."""
 
     def multiply_adds(self) -> int:
-        """Return the multiplications with addition that a pixel costs, exponentials counted as 10."""
+        """Return the number of multiply-add operations for a pixel, with an exponential counted as 10."""
 
 
 @dataclass(frozen=True)
 class LinearMapping:
-    """One matrix.
+    """Mapping by one matrix.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ class LinearMapping:
     kind: ClassVar[str] = "linear"
 
     def weights(self, response, variance, out) -> None:
-        """See `Mapping`; the variance has no say."""
+        """See `Mapping`; the variance is ignored."""
         matrix = self.matrix.astype(response.dtype)
         for first in range(0, len(response), _TILE):
             np.matmul(response[first : first + _TILE], matrix, out=out[first : first + _TILE])
@@ -68,7 +68,7 @@ class LinearMapping:
 
 
 class _Differences(Mapping, Protocol):
-    """The derivatives of a mapping that is not linear, by central differences."""
+    """Non-linear mapping with derivatives by central differences."""
 
     scale: np.ndarray
 
@@ -94,13 +94,13 @@ class _Differences(Mapping, Protocol):
 
 @dataclass(frozen=True)
 class LocalMapping(_Differences):
-    """Matrices around anchors, blended by how close a response's direction is to each.
+    """Blend of matrices that belong to anchors, weighted by the closeness of a response's direction to each anchor.
 
-    A response is divided by ``scale``; its direction c meets the anchors z with shares exp((c·z - 1) / width²), which
-    sum to one. Where the variance of a response is given, the matrices are those of its relative noise, interpolated
-    between levels, and the width grows with it; without, they are those of ``maps[0]``. A variance of zero counts as
-    the lowest level, an infinite one as the highest; where it is NaN or negative, the weights are NaN. float32
-    responses are blended in float32.
+    A response is divided by ``scale``. The weights of the anchors z are proportional to exp((c·z - 1) / width²) for its
+    direction c, with the sum 1. If the variance of a response is given, the matrices are those of its relative noise,
+    interpolated between levels, and the width grows with it; otherwise they are those of ``maps[0]``. A variance of
+    zero counts as the lowest level, an infinite one as the highest; if it is NaN or negative, the results are NaN.
+    float32 responses are blended in float32.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ class LocalMapping(_Differences):
     levels : (l,) float64
         Natural logarithms of relative noise variance, equally spaced, increasing; two or more.
     spread : float
-        How much of the relative variance adds to the squared width.
+        Factor with which the relative variance is added to the squared width.
     maps : (l + 1, a, bands, k) float64
     """
 
@@ -133,7 +133,7 @@ class LocalMapping(_Differences):
         if variance is None:
             variance = np.empty((0, self.scale.size), response.dtype)
         elif variance.strides[0] == 0 or len(variance) == 1:
-            variance = variance[:1].copy()  # what cannot be written to would compile the loop once more
+            variance = variance[:1].copy()  # a read-only array would compile the loop once more
         maps = self.maps.astype(response.dtype).swapaxes(-1, -2)
         blending = Blending(
             scale=self.scale,
@@ -163,7 +163,7 @@ class PolynomialMapping(_Differences):
     ----------
     scale : (bands,) float64
     coefficients : (f, k) float64
-        Of x_i, x_i c_j (i ≤ j) and x_i c_j c_l (i ≤ j ≤ l), with x the scaled response and c its direction.
+        Coefficients of x_i, x_i c_j (i ≤ j) and x_i c_j c_l (i ≤ j ≤ l); x is the scaled response, c its direction.
     """
 
     scale: np.ndarray
@@ -176,7 +176,7 @@ class PolynomialMapping(_Differences):
         return self.coefficients.shape[1]
 
     def weights(self, response, variance, out) -> None:
-        """See `Mapping`; the variance has no say."""
+        """See `Mapping`; the variance is ignored."""
         coefficients = np.ascontiguousarray(self.coefficients.T)
         polynomial_weights(np.ascontiguousarray(response), self.scale, coefficients, out)
 

@@ -1,15 +1,15 @@
-"""Posterior covariance of recovered reflectances: what the chart, the bands and the noise leave open in a spectrum.
+"""Posterior covariance of recovered reflectances: the uncertainty that chart, bands and noise leave in a spectrum.
 
-A camera of six bands does not see most of a spectrum. What it misses is taken as a smooth Gaussian process K whose size
-follows the spectrum that was recovered: one that varies much varies more than the bands show, above all where it is
-steep, and at the ends of the range, which cameras hardly see. An estimator of the derivative J, with the camera's
-response H per unit reflectance, is then off by
+Six bands do not determine a spectrum. The part that they miss is modelled as a smooth Gaussian process with the
+covariance K. Its size depends on the recovered spectrum: it is larger for a spectrum that varies much, above all where
+it is steep, and at the ends of the range, where cameras are hardly sensitive. For an estimator with the derivative J
+and a camera with the response H per unit reflectance, the covariance of the error is
 
     Σ = (1 - J H) K (1 - J H)ᵀ + J (V + U) Jᵀ
 
-where V is the variance of the response and U what the chart leaves open of H. This holds for every estimator, since all
-are homogeneous of degree 1. The constants of K were taken from measured reflectances of several sets;
-`docs/method/calibration.md` says how the statements hold on a set that had no part in that.
+where V is the variance of the response and U the variance of the response due to the uncertainty of H. This holds for
+every estimator, since all are homogeneous of degree 1. The constants of K were taken from several sets of measured
+reflectances; `docs/method/calibration.md` compares predicted and actual errors on a set that was not used for this.
 """
 
 from dataclasses import dataclass
@@ -21,16 +21,16 @@ from irodori.calibration.response_model import smooth_covariance
 from irodori.colour.colorimetry import delta_e, lab_from_xyz, xyz_from_reflectance
 from irodori.spectra.grid import SAMPLES, WAVELENGTH_NM
 
-#: Correlation length of what the bands miss, nm.
+#: Correlation length of the part of a spectrum that the bands miss, nm.
 _LENGTH_NM = 25.0
-#: At the ends of the range what is missed is so many times larger, and over so many nm.
+#: Relative size of an additional missed part at both ends of the range, and the lengths of its decay, nm.
 _ENDS, _REACH_NM = 1.8, (15.0, 30.0)
 _RANK = 24  # of the covariance; what is beyond has under 1e-3 of the variance
-#: Shares of the variance of what the bands miss in the squared level, in the mean squared slope, and in that nearby.
+#: Coefficients of the missed part's variance: of the squared level, of the mean squared slope, and of the local one.
 _LEVEL, _SLOPE, _NEARBY = 5e-4, 3e-3, 0.1
-#: What the bands miss is multiplied with this, the size that six measured sets ask for on average.
+#: Factor of the missed part: the mean of those that fit six measured sets.
 SIZE = 0.81
-_SLOPE_NM, _NEAR_NM = 50.0, 30.0  # what a slope is over, and how far nearby reaches
+_SLOPE_NM, _NEAR_NM = 50.0, 30.0  # interval of a slope, and width of the local mean
 _STRIDE = 4  # of the grid, between wavelengths at which errors are stated, closer than their correlation length
 #: Wavelengths, nm, at which errors are stated.
 ERROR_NM = WAVELENGTH_NM[::_STRIDE]
@@ -47,7 +47,7 @@ class Uncertainty:
     Parameters
     ----------
     standard_deviation : (..., 16) float32
-        Of the reflectance factor at each of `ERROR_NM`; NaN where the response or its variance is none.
+        Standard deviation of the reflectance factor at each of `ERROR_NM`; NaN for an invalid response or variance.
     rms : (...) float32
         Root mean square of the standard deviation over the wavelengths.
     delta_e : (...) float32
@@ -60,13 +60,13 @@ class Uncertainty:
 
 
 class Posterior:
-    """Posterior covariance of what a calibration recovers.
+    """Posterior covariance of the reflectances that a calibration recovers.
 
     Parameters
     ----------
     calibration : Calibration
     size : float
-        Of what the bands miss.
+        Factor of the part of a spectrum that the bands miss.
 
     Raises
     ------
@@ -81,7 +81,7 @@ class Posterior:
         self.calibration = calibration
         self._basis = calibration.basis[::_STRIDE].astype(np.float32)
         missed, xyz = size * _missed(), xyz_from_reflectance("D65")
-        # The size of what is missed is linear between the wavelengths at which errors are stated.
+        # The size of the missed part is linear between the wavelengths at which errors are stated.
         self._hat = np.stack([np.interp(WAVELENGTH_NM, ERROR_NM, row) for row in np.eye(len(ERROR_NM))])
         self._missed = missed[::_STRIDE].astype(np.float32)
         self._seen, self._coloured = (
@@ -94,15 +94,15 @@ class Posterior:
         self._open = np.einsum("wk,bwv,vl->bkl", calibration.basis, open_part, calibration.basis)
 
     def factor(self, response: np.ndarray, variance: np.ndarray | None = None, stated: bool = False) -> np.ndarray:
-        """Return matrices Z whose Z Zᵀ are the covariances Σ of recovered reflectances at `ERROR_NM`.
+        """Return square roots Z of the covariances Σ = Z Zᵀ of recovered reflectances at `ERROR_NM`.
 
         Parameters
         ----------
         response : (n, bands) float
         variance : (n, bands) float, optional
-            Of the response; where absent, there is no noise.
+            Variance of the response; zero if absent.
         stated : bool
-            Whether the calibration is told the variance as it recovers spectra.
+            Whether the calibration uses the variance when it recovers spectra.
 
         Returns
         -------
@@ -111,7 +111,7 @@ class Posterior:
         return self._roots(np.asarray(response, dtype=np.float64), variance, stated)[1]
 
     def of(self, response: np.ndarray, variance: np.ndarray | None = None, stated: bool = False) -> Uncertainty:
-        """Return what is unknown of the reflectances of responses (..., bands); see `factor`."""
+        """Return the uncertainty of reflectances recovered from responses (..., bands); parameters as in `factor`."""
         response = np.asarray(response, dtype=np.float64)
         flat, shape = response.reshape(-1, response.shape[-1]), response.shape[:-1]
         noise = None if variance is None else np.broadcast_to(variance, response.shape).reshape(flat.shape)
@@ -125,7 +125,7 @@ class Posterior:
         return Uncertainty(deviation.reshape(*shape, -1), rms.reshape(shape), colour.reshape(shape))
 
     def _roots(self, response: np.ndarray, variance, stated: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the weights (n, k) of responses and the factors of the covariances of reflectance and of XYZ."""
+        """Return the weights (n, k) of responses, and square roots of the covariances of reflectance and of XYZ."""
         variance = np.zeros_like(response) if variance is None else np.asarray(variance, dtype=np.float64)
         variance = np.where(variance >= 0.0, variance, np.nan)
         told = variance if stated else None
@@ -147,7 +147,7 @@ class Posterior:
 
 
 def _missed() -> np.ndarray:
-    """Return a matrix (61, 24) whose product with its transpose is K for a spectrum of unit size."""
+    """Return a square root (61, 24) of the covariance K of a missed part of unit size."""
     away = np.abs(WAVELENGTH_NM - WAVELENGTH_NM[[0, -1], None])
     ends = _ENDS * np.exp(-away / np.array(_REACH_NM)[:, None]).sum(axis=0)
     smooth = smooth_covariance(_LENGTH_NM)
@@ -158,14 +158,15 @@ def _missed() -> np.ndarray:
 def _delta_e(xyz: np.ndarray, root: np.ndarray, white: np.ndarray) -> np.ndarray:
     """Return the CIEDE2000 that normal errors of XYZ do not exceed with a probability of 0.68, (n,).
 
-    About a colour the square of CIEDE2000 is a quadratic form of the errors. Its quantile is that of the multiple of a
-    χ² variable of the same mean and variance (Satterthwaite 1946), by the cube root (Wilson and Hilferty 1931).
+    Near a colour the square of CIEDE2000 is a quadratic form of the errors. It is approximated by a scaled χ² variable
+    with the same mean and variance (Satterthwaite 1946); the quantile follows by the cube root (Wilson and Hilferty
+    1931).
 
     Parameters
     ----------
     xyz : (n, 3) float
     root : (n, 3, r) float
-        Matrices whose products with their transposes are the covariances of XYZ.
+        Square roots of the covariances of XYZ: each is the product of a matrix with its transpose.
     white : (3,) float
     """
     lab = lab_from_xyz(xyz, white)
@@ -185,7 +186,7 @@ def _delta_e(xyz: np.ndarray, root: np.ndarray, white: np.ndarray) -> np.ndarray
 
 
 def _lab_slopes(ratio: np.ndarray) -> np.ndarray:
-    """Return the derivatives of CIELAB by XYZ over the white, (n, 3, 3), at such ratios (n, 3)."""
+    """Return the derivatives of CIELAB with respect to XYZ divided by the white, (n, 3, 3), at such ratios (n, 3)."""
     linear = ratio <= (6 / 29) ** 3
     x, y, z = np.where(linear, (29 / 6) ** 2 / 3, np.where(linear, 1.0, ratio) ** (-2.0 / 3.0) / 3.0).T
     none = np.zeros_like(x)

@@ -1,7 +1,7 @@
 """Camera driver over USB through python-gphoto2; RAW files go straight to the computer.
 
-libgphoto2 speaks to the camera; this module sets exposure, aperture, sensitivity, white balance and file format,
-releases the shutter and waits for the file. `gphoto_line` repeats what a busy camera or a bad line refused.
+This module sets exposure, aperture, sensitivity, white balance and file format through libgphoto2, releases the shutter
+and waits for the file. `gphoto_line` repeats requests that fail because of a busy camera or a bad connection.
 Source: the documentation of libgphoto2 2.5 and of its PTP driver.
 """
 
@@ -19,7 +19,7 @@ from irodori.config.models import CameraDriver
 from irodori.core.atomic_files import written_whole
 from irodori.core.progress import LOGGER
 
-#: Ends of the names of RAW files, by maker as libgphoto2 begins its models; the first is expected before a photograph.
+#: Suffixes of RAW files by maker (first word of libgphoto2's model); the first is expected before a photograph.
 RAW_SUFFIXES = {
     "Canon": (".cr2", ".cr3", ".crw"),
     "Nikon": (".nef", ".nrw"),
@@ -30,7 +30,7 @@ RAW_SUFFIXES = {
     "Pentax": (".pef", ".dng"),
 }
 _ANY_RAW = (".dng", *(suffix for suffixes in RAW_SUFFIXES.values() for suffix in suffixes))
-#: Facts that a camera reports: names of the widget, the first that it has.
+#: Names of libgphoto2's widgets for each fact that a camera reports; the first that it has is used.
 _REPORTS = {
     "serial_number": ("eosserialnumber", "serialnumber"),
     "battery": ("batterylevel",),
@@ -39,19 +39,19 @@ _REPORTS = {
 _FOCUS = ("focusmode",)
 _RAM = "Internal RAM"
 _EVENT_S = 0.5
-#: A camera without news for so long has delivered all files of a photograph; other news is heard so long at most.
+#: Silence after which a camera has delivered all files of a photograph, and longest wait for such a silence, s.
 _QUIET_S, _SETTLE_S = 0.2, 2.0
 _LOW_BATTERY_PERCENT = 25.0
 
 
 class GphotoCamera(CameraDevice):
-    """One camera that libgphoto2 knows. Opened when made; used by one thread.
+    """Camera that libgphoto2 supports. The constructor opens it; only one thread may use it.
 
     Parameters
     ----------
     driver : CameraDriver
     sleep, now : callable
-        Waiting and time, s; handed over so that a simulated camera need not be waited for.
+        Functions that wait and return the time, s; replaced for a simulated camera, so that tests need not wait.
 
     Raises
     ------
@@ -63,9 +63,9 @@ class GphotoCamera(CameraDevice):
     `suffix` is a guess from the maker until the first photograph, then that of the camera's own file name.
     """
 
-    #: Names of the widget of each setting. A setting without widgets here is left alone.
+    #: Names of libgphoto2's widgets for each setting. A setting without widgets is not changed.
     widgets: Mapping[str, tuple[str, ...]] = WIDGETS
-    #: Ends of the names of files that are RAW.
+    #: Suffixes of RAW files.
     raw_suffixes: tuple[str, ...] = _ANY_RAW
 
     def __init__(
@@ -89,7 +89,7 @@ class GphotoCamera(CameraDevice):
     # ---- the contract
 
     def capture(self, shot: Shot, path: Path) -> None:
-        """Take one photograph and store the RAW file at `path`, whole; a second file (JPEG) is thrown away."""
+        """Take one photograph and store the complete RAW file at `path`; a second file (JPEG) is deleted."""
         name, data = self._line.insist(lambda end: self._photograph(shot, end), shot.exposure_s)
         suffix = PurePosixPath(name).suffix.lower()
         if suffix != self.suffix:
@@ -99,7 +99,7 @@ class GphotoCamera(CameraDevice):
             temporary.write_bytes(data)
 
     def prepare(self, shots: Sequence[Shot]) -> None:
-        """Refuse what the camera does not offer or cannot do as it stands: settings, focus, a card without room."""
+        """Raise an error for settings that the camera does not offer, for autofocus, and for a full card."""
         self._line.insist(lambda end: self._check(shots, end))
 
     def status(self) -> dict[str, str]:
@@ -107,7 +107,7 @@ class GphotoCamera(CameraDevice):
         return self._line.insist(self._report)
 
     def close(self) -> None:
-        """Let go of the camera; harmless when repeated."""
+        """Close the connection to the camera; a second call has no effect."""
         self._line.close()
 
     def _begin(self, end: float) -> None:
@@ -120,7 +120,7 @@ class GphotoCamera(CameraDevice):
     # ---- settings
 
     def _put(self, setting: str, wanted: float | str, end: float) -> None:
-        """Set one setting and see that the camera took it."""
+        """Change one setting and check that the camera accepted it."""
         name = self._widget_name(setting)
         widget = self._line.ask(end, "get_single_config", name)
         stands = str(widget.get_value())
@@ -165,7 +165,7 @@ class GphotoCamera(CameraDevice):
         if self._driver.f_number == "manual":
             del wanted["f_number"]
         if not self._line.names.intersection(self.widgets["capture_target"]):
-            del wanted["capture_target"]  # where the file lies does not matter: it is fetched and then deleted
+            del wanted["capture_target"]  # the file's place does not matter: it is downloaded and then deleted
         for setting, value in wanted.items():
             if setting in self.widgets:
                 self._put(setting, value, end)
@@ -188,15 +188,15 @@ class GphotoCamera(CameraDevice):
                 faults += [f"{name} {value} is not on offer; {offer(setting, value, choices)}" for value in absent]
         if faults:
             raise CommandError(f"{self.model}: {'; '.join(faults)}")
-        # What is read-only now, and what the camera does not take, shows when it is set.
+        # Read-only settings and values that the camera refuses show only when they are set.
         self._set_all(shots[0], end)
 
     def _in_the_way(self, end: float) -> Iterator[str]:
-        """Yield what keeps the shutter from falling, as far as the camera tells: autofocus, a card without room."""
+        """Yield the known obstacles to an exposure, as phrases: autofocus, a full card."""
         focus = self._read(_FOCUS, end)
         if focus != NOT_REPORTED and not re.search(r"manual|\bmf\b", focus, re.IGNORECASE):
             yield f"it focuses on its own (focusmode {focus}): switch the lens to manual focus"
-        # Where the file goes into the camera's memory, the card may be full or missing.
+        # If the file can be sent to the camera's memory, a full or missing card does not matter.
         if not self._line.names.intersection(self.widgets.get("capture_target", ())):
             gp = self._gp
             for store in self._stores(end) or ():
@@ -206,7 +206,7 @@ class GphotoCamera(CameraDevice):
                     yield f"no room on its card {store.basedir}: empty it"
 
     def _release(self, end: float) -> None:
-        """Release the shutter; where the camera does not say why it will not, look for the cause."""
+        """Release the shutter; if the camera refuses without a reason, look for the cause."""
         try:
             self._line.ask(end, "trigger_capture")
         except self._gp.GPhoto2Error as error:
@@ -235,7 +235,7 @@ class GphotoCamera(CameraDevice):
     # ---- one photograph
 
     def _photograph(self, shot: Shot, end: float) -> tuple[str, bytes]:
-        """Return name and content of the RAW file of one photograph."""
+        """Take one photograph, and return the name and the content of its RAW file."""
         if self._unsettled:
             # An earlier photograph may still arrive; taken for this one, it would be a wrong measurement.
             self._settle(end, _QUIET_S + shot.exposure_s)
@@ -259,7 +259,7 @@ class GphotoCamera(CameraDevice):
         raise DeadlineError(f"{self.model}: {found} in {waited:g} s after the shutter was released")
 
     def _next_file(self, end: float, wait_s: float) -> tuple[str, str]:
-        """Return folder and name of a file that has appeared on the camera, empty where none did in that time."""
+        """Return folder and name of a new file on the camera, empty if none appears within ``wait_s`` seconds."""
         kind, data = self._line.ask(end, "wait_for_event", max(1, round(1000.0 * wait_s)))
         return (data.folder, data.name) if kind == self._gp.GP_EVENT_FILE_ADDED else ("", "")
 
@@ -274,7 +274,7 @@ class GphotoCamera(CameraDevice):
         return data
 
     def _delete(self, folder: str, name: str, end: float) -> None:
-        """Delete a file on the camera; one in its memory may be gone on its own."""
+        """Delete a file on the camera; the camera itself may already have removed one in its memory."""
         try:
             self._line.ask(end, "file_delete", folder, name)
         except self._gp.GPhoto2Error as error:
@@ -284,7 +284,7 @@ class GphotoCamera(CameraDevice):
                 LOGGER.warning("%s: keeps %s/%s; gphoto2 says %s", self.model, folder, name, error)
 
     def _finish(self, folder: str, name: str, end: float) -> None:
-        """Clear the camera after a photograph that is already in hand: no fault here may cost it."""
+        """Delete the file of a downloaded photograph on the camera; a fault here must not cost the photograph."""
         try:
             self._delete(folder, name, end)
             self._settle(end, _QUIET_S)
@@ -294,7 +294,7 @@ class GphotoCamera(CameraDevice):
             self._line.let_go()
 
     def _settle(self, end: float, quiet_s: float) -> None:
-        """Throw away files until the camera has no news for a time."""
+        """Delete new files on the camera until it reports nothing for a time, s."""
         limit = min(end, self._line.now() + _SETTLE_S + quiet_s)
         while self._line.now() < limit:
             kind, data = self._line.ask(end, "wait_for_event", max(1, round(1000.0 * quiet_s)))
@@ -321,7 +321,7 @@ class GphotoCamera(CameraDevice):
         return str(self._line.ask(end, "get_single_config", name).get_value()).strip() or NOT_REPORTED
 
     def _stores(self, end: float) -> list | None:
-        """Return gphoto2's records of the camera's cards, None where it does not tell."""
+        """Return gphoto2's records of the camera's cards, None if the camera reports none."""
         try:
             return list(self._line.ask(end, "get_storageinfo"))
         except self._gp.GPhoto2Error as error:

@@ -1,6 +1,7 @@
 """Connection to a USB camera through python-gphoto2, with retries while busy and after a lost connection.
 
-python-gphoto2 is imported when a camera is opened, since only the bench needs it (``requirements-rig.txt``).
+python-gphoto2 is imported when a camera is opened, since only the computer at the rig needs it
+(``requirements-rig.txt``).
 Source: the documentation of libgphoto2 2.5.
 """
 
@@ -17,24 +18,24 @@ FIRST_WAIT_S, LONGEST_WAIT_S = 0.1, 5.0
 
 
 class _AbsentError(LinkError):
-    """The camera is not on the cable, or not switched on."""
+    """Error for a camera that is not connected, or not switched on."""
 
 
 class GphotoLine:
-    """The line to one camera; nothing is opened before the first call of `insist`.
+    """Connection to one camera; it is opened by the first call of `insist`.
 
     Parameters
     ----------
     model : str
-        As libgphoto2 names it.
+        Model name in libgphoto2.
     port : str or None
         Such as ``usb:001,004``; None for the only camera of the model.
     deadline_s : float
-        Time that an action may take with all its repetitions.
+        Longest time for an action with all its repetitions, s.
     retries : int
-        Repetitions of what was refused (count).
+        Largest number of repetitions of a request.
     sleep, now : callable
-        Waiting and time, s; handed over so that a simulated camera need not be waited for.
+        Functions that wait and return the time, s; replaced for a simulated camera, so that tests need not wait.
 
     Raises
     ------
@@ -58,7 +59,7 @@ class GphotoLine:
         self.names: frozenset[str] = frozenset()
         self._camera: Any = None  # gphoto2's, which has no types
         self._closed = self._was_open = False
-        #: A setting that could be read: what answers on a line that is up.
+        #: A setting that could be read, to test later whether the connection works.
         self._readable = ""
         self._lost_codes = {
             gp.GP_ERROR_IO,
@@ -71,23 +72,23 @@ class GphotoLine:
             gp.GP_ERROR_TIMEOUT,
             gp.GP_ERROR_MODEL_NOT_FOUND,
         }
-        # What libgphoto2's PTP driver says on a dead port, and of much else: a full card, no focus, a wrong value.
+        # Codes of libgphoto2's PTP driver for a dead port, and also for a full card, no focus, a wrong value.
         self._doubtful_codes = {gp.GP_ERROR, gp.GP_ERROR_BAD_PARAMETERS}
 
     def insist(self, action: Callable, allowance_s: float = 0.0):
-        """Return ``action(end)``; a lost line is opened again and the action repeated, until a number or a time.
+        """Return ``action(end)``; if the connection is lost, open it again and repeat the action, within limits.
 
         Parameters
         ----------
         action : callable
-            Takes the time at which it must have ended.
+            Function of the time at which it must have ended.
         allowance_s : float
-            What the action may take beyond `deadline_s`, such as an exposure.
+            Time that the action may take beyond `deadline_s`, such as an exposure, s.
 
         Raises
         ------
         DeviceError
-            With gphoto2's own words.
+            The message contains that of gphoto2.
         """
         if self._closed:
             raise DeviceError(f"{self.model}: closed; open it again before using it")
@@ -113,14 +114,14 @@ class GphotoLine:
             wait = min(2.0 * wait, LONGEST_WAIT_S)
 
     def ask(self, end: float, method: str, *arguments):
-        """Return what a method of gphoto2's camera returns; a busy camera is asked again, at growing intervals.
+        """Call a method of gphoto2's camera object and return its result; repeat it while the camera is busy.
 
         Raises
         ------
         DeadlineError
-            If the camera stays busy to the last repetition or to `end`.
+            If the camera is still busy at the last repetition or at the time `end`.
         GPhoto2Error
-            For every other fault; `insist` words it.
+            For every other fault, which `insist` turns into a `DeviceError`.
         """
         wait, tries = FIRST_WAIT_S, 0
         while True:
@@ -140,7 +141,7 @@ class GphotoLine:
             wait = min(2.0 * wait, LONGEST_WAIT_S)
 
     def is_loss(self, error) -> bool:
-        """Return whether an error of gphoto2 means that the line is lost; where it may, a setting is asked for."""
+        """Return whether an error of gphoto2 means a lost connection; in doubtful cases a setting is read as a test."""
         if error.code not in self._doubtful_codes:
             return error.code in self._lost_codes
         name = self._readable or min(self.names, default="")
@@ -153,14 +154,14 @@ class GphotoLine:
         return False
 
     def let_go(self) -> None:
-        """Let go of the camera until the next `insist`."""
+        """Close the connection until the next `insist`."""
         camera, self._camera = self._camera, None
         if camera is not None:
-            with suppress(self.gp.GPhoto2Error):  # the line may be the very thing that is lost
+            with suppress(self.gp.GPhoto2Error):  # the connection may already be lost
                 camera.exit()
 
     def close(self) -> None:
-        """Let go of the camera for good; harmless when repeated."""
+        """Close the connection permanently; a second call has no effect."""
         self._closed = True
         self.let_go()
 
@@ -184,7 +185,7 @@ class GphotoLine:
 
     def _init_at(self, port: str, end: float) -> None:
         gp, ports = self.gp, self.gp.PortInfoList()
-        # What libgphoto2 says of a port where nothing stands, or something else.
+        # Codes of libgphoto2 for a port without a camera, or with another device.
         absent = (gp.GP_ERROR_UNKNOWN_PORT, gp.GP_ERROR_BAD_PARAMETERS, gp.GP_ERROR_MODEL_NOT_FOUND)
         try:
             ports.load()
@@ -204,7 +205,7 @@ class GphotoLine:
             raise DeviceError(f"libgphoto2 knows no camera {self.model!r}; nearest names: {near}") from None
 
     def _find_port(self) -> str:
-        """Return the port of the one camera of the model on the bus."""
+        """Return the port of the only camera of the model on the bus."""
         found = self.gp.Camera.autodetect()
         seen = [(found.get_name(index), found.get_value(index)) for index in range(found.count())]
         ports = [port for model, port in seen if model == self.model]
@@ -216,7 +217,7 @@ class GphotoLine:
         return ports[0]
 
     def _raise_unless_lost(self, error) -> None:
-        """Word an error that opening the camera again does not mend."""
+        """Raise a `DeviceError` for an error of gphoto2, unless it means a lost connection."""
         if error.code in (self.gp.GP_ERROR_IO_USB_CLAIM, self.gp.GP_ERROR_IO_LOCK):
             raise LinkError(
                 f"{self.model}: another program holds the camera, on a desktop most often the file manager's gvfs; "
@@ -227,7 +228,7 @@ class GphotoLine:
 
 
 def _library():
-    """Return python-gphoto2."""
+    """Import and return python-gphoto2; raise `DeviceError` if it is missing."""
     try:
         import gphoto2
     except ImportError as error:
@@ -238,6 +239,6 @@ def _library():
 
 
 def _leaves(widget) -> list[str]:
-    """Return the names of the settings in a tree of widgets."""
+    """Return the names of the settings, which are the leaves in a camera's tree of widgets."""
     children = [widget.get_child(index) for index in range(widget.count_children())]
     return [name for child in children for name in _leaves(child)] if children else [widget.get_name()]

@@ -9,8 +9,8 @@ import math
 import re
 from collections.abc import Iterable
 
-#: Setting: names of the widget that holds it, the first that a camera has. A Nikon's ``shutterspeed`` is rounded to
-#: 0.1 ms, its ``shutterspeed2`` is not.
+#: Names of libgphoto2's widgets for each setting; the first that a camera has is used. A Nikon's ``shutterspeed`` is
+#: rounded to 0.1 ms, its ``shutterspeed2`` is not.
 WIDGETS = {
     "iso": ("iso",),
     "f_number": ("aperture", "f-number"),
@@ -19,7 +19,7 @@ WIDGETS = {
     "image_format": ("imageformat", "imagequality"),
     "capture_target": ("capturetarget",),
 }
-#: Settings whose choices mean numbers.
+#: Settings with numeric choices.
 NUMERIC = ("iso", "f_number", "exposure_s")
 #: Relative difference up to which a choice is the wanted number: 0.0167 is 1/60, and 0.033 is not 1/30.
 TOLERANCE = 0.005
@@ -30,7 +30,7 @@ _NUMBER = re.compile(
 
 
 def parse_number(text: str) -> float | None:
-    """Return the number that a choice means: ``1/50``, ``0.0200s``, ``f/8``, ``ISO 100``; None where it means none.
+    """Return the number that the text of a choice represents, such as ``1/50``, ``0.0200s``, ``f/8`` or ``ISO 100``.
 
     Returns
     -------
@@ -45,12 +45,12 @@ def parse_number(text: str) -> float | None:
 
 
 def find_choice(setting: str, wanted: float | str, choices: Iterable[str]) -> str | None:
-    """Return the choice that equals the wanted value, None where none does.
+    """Return the choice that equals the wanted value, None if there is none.
 
     Parameters
     ----------
     setting : str
-        Of WIDGETS; those of NUMERIC compare numbers within TOLERANCE, the others compare text without regard to case.
+        One of WIDGETS; those in NUMERIC compare numbers within TOLERANCE, the others compare text ignoring case.
     wanted : float or str
     choices : iterable of str
     """
@@ -61,7 +61,7 @@ def find_choice(setting: str, wanted: float | str, choices: Iterable[str]) -> st
 
 
 def means(setting: str, choice: str, wanted: float | str) -> bool:
-    """Return whether a choice of a setting is the wanted value."""
+    """Return whether a choice of a setting equals the wanted value."""
     if setting not in NUMERIC:
         return choice.strip().casefold() == str(wanted).strip().casefold()
     number = parse_number(choice)
@@ -69,7 +69,7 @@ def means(setting: str, choice: str, wanted: float | str) -> bool:
 
 
 def offer(setting: str, wanted: float | str, choices: Iterable[str]) -> str:
-    """Return ``nearest 1/50; on offer: 1/40, 1/50``: what a camera takes where it does not take the wanted value."""
+    """Return a phrase with the choices of a camera that lacks a value: ``nearest 1/50; on offer: 1/40, 1/50``."""
     choices = list(choices)
     if setting in NUMERIC:
         near = _nearest_number(float(wanted), choices)
@@ -82,6 +82,6 @@ def offer(setting: str, wanted: float | str, choices: Iterable[str]) -> str:
 
 
 def _nearest_number(wanted: float, choices: Iterable[str]) -> str | None:
-    """Return the choice at the smallest ratio to a positive number."""
+    """Return the choice with the smallest ratio to a positive number."""
     numbers = [(choice, number) for choice in choices if (number := parse_number(choice))]
     return min(numbers, key=lambda pair: abs(math.log(pair[1] / wanted)), default=(None, 0.0))[0]

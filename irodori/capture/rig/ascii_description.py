@@ -10,7 +10,7 @@ from irodori.capture.rig.devices import GarbledError
 from irodori.config.models import AsciiProtocol
 
 LINE_ENDS = {"lf": b"\n", "cr": b"\r", "crlf": b"\r\n"}
-#: Command: placeholders that it must have, and those that it may have.
+#: Placeholders of each command: those that it must have, and those that it may have.
 COMMANDS = {
     "home": ((), ("axis",)),
     "move": (("target",), ("axis",)),
@@ -20,11 +20,11 @@ COMMANDS = {
 }
 #: Commands that a controller may lack.
 OPTIONAL = {"resume": ((), ())}
-#: Reply: groups that its pattern must have.
+#: Groups that the pattern of each reply must have.
 REPLIES = {"accepted": (), "position": ("position",), "status": ("state",), "refused": ()}
 #: Keys that list the words of a state.
 STATES = ("idle", "busy", "hold", "alarm")
-#: What stands for a placeholder where a template is tried.
+#: Values of the placeholders with which templates are tested.
 SAMPLES = {"axis": "A", "target": 12.5, "position": 12.5, "state": "X", "message": "why"}
 _NUMBER = r"[-+]?\d{1,9}(?:\.\d{0,9})?"
 
@@ -35,7 +35,7 @@ def placeholders(template: str) -> list[str]:
     Raises
     ------
     ValueError
-        If it is no template, or a placeholder has no name.
+        If the text is not a valid template, or a placeholder has no name.
     """
     found = []
     for _, name, _, _ in string.Formatter().parse(template):
@@ -47,7 +47,7 @@ def placeholders(template: str) -> list[str]:
 
 
 def template_pattern(template: str) -> re.Pattern:
-    """Return the pattern of what a template can become; ``axis`` and ``target`` are groups of it."""
+    """Return a pattern that matches every command made from a template, with the groups ``axis`` and ``target``."""
     text = ""
     for literal, name, _, _ in string.Formatter().parse(template):
         text += re.escape(literal)
@@ -58,17 +58,17 @@ def template_pattern(template: str) -> re.Pattern:
 
 @dataclass(frozen=True)
 class Description:
-    """The block ``motion.ascii`` of a rig's file.
+    """Text protocol of a controller, from the block ``motion.ascii`` of a rig's file.
 
     Parameters
     ----------
     line_end : bytes
     commands : dict
-        Name of a command: template. Those of `OPTIONAL` may be absent.
+        {name of a command: template}. Those of `OPTIONAL` may be absent.
     replies : dict
-        Name of a reply: pattern of a whole line. ``refused`` may be absent.
+        {name of a reply: pattern of a whole line}. ``refused`` may be absent.
     idle, busy, hold, alarm : tuple of str
-        Words of the state, as the pattern of the status finds them.
+        The controller's words for each state, as the pattern of the status extracts them.
     """
 
     line_end: bytes
@@ -81,7 +81,7 @@ class Description:
 
     @classmethod
     def of(cls, block: AsciiProtocol) -> "Description":
-        """Return the description that a validated block gives."""
+        """Return the description from a validated block of the rig's file."""
         return cls(
             LINE_ENDS[block.line_end],
             {name: text for name in (*COMMANDS, *OPTIONAL) if (text := getattr(block, name)) is not None},
@@ -94,16 +94,16 @@ class Description:
         return self.commands[command].format(**values).encode("ascii") + self.line_end
 
     def per_axis(self, command: str) -> bool:
-        """Return whether a command is for one axis."""
+        """Return whether a command is sent for each axis."""
         return "axis" in placeholders(self.commands[command])
 
     def match(self, reply: str, line: str) -> re.Match:
-        """Return what a line says as a reply.
+        """Return the match of a line with the pattern of a reply.
 
         Raises
         ------
         GarbledError
-            If it is no such reply.
+            If the line does not match.
         """
         found = self.replies[reply].fullmatch(line)
         if not found:
@@ -113,12 +113,12 @@ class Description:
         return found
 
     def state(self, word: str) -> str:
-        """Return ``idle``, ``run``, ``hold`` or ``alarm`` for a word of the controller.
+        """Return the state, ``idle``, ``run``, ``hold`` or ``alarm``, for the controller's word for it.
 
         Raises
         ------
         GarbledError
-            If it is none of those in the rig's file.
+            If the rig's file does not have the word.
         """
         words = {"idle": self.idle, "run": self.busy, "hold": self.hold, "alarm": self.alarm}
         for state, own in words.items():

@@ -1,4 +1,4 @@
-"""Rig driver for controllers whose text protocol the rig's definition describes."""
+"""Rig driver for controllers with a text protocol that the rig's definition describes."""
 
 import contextlib
 import re
@@ -20,29 +20,29 @@ from irodori.capture.rig.devices import (
 )
 from irodori.capture.rig.drives import Drive
 
-#: Homing: way that it may take, as a multiple of the reach, at the speed of the axis.
+#: Longest way of homing, as a multiple of the reach, at the speed of the axis.
 _HOMING_REACH = 3.0
 _STOP_TRIES = 3
-#: How often a question is asked before its answer is missing.
+#: Number of times that a question is asked before its answer counts as missing.
 _QUESTIONS = 3
 
 
 class AsciiRig(ControlledRig):
-    """A rig whose commands and replies are a description.
+    """Rig with a controller that has the text protocol of a `Description`.
 
-    One question is on its way at a time. The controller is taken to lose its position with its power: where the rig has
-    limit switches, it must be homed once each time that it is opened, and a position that changes between two commands
-    counts as lost. Homing is done twice, for the same reason.
+    The driver sends one question at a time. It assumes that the controller loses its position without power: a rig with
+    limit switches must be homed each time it is opened, and a position that changes between two commands counts as
+    lost. For the same reason homing is done twice.
 
     Parameters
     ----------
     link : Link
-        Closed by `close`; where this constructor raises, it is the caller's to close.
+        Closed by `close`; if this constructor raises an error, the caller must close it.
     drives : dict
-        Angle of a pose: drive.
+        {angle of a pose: drive}.
     description : Description
     timeout_s : float
-        Time that an answer may take, s.
+        Longest time for a reply, s.
     homing : bool
         Whether the axes have limit switches.
 
@@ -63,13 +63,13 @@ class AsciiRig(ControlledRig):
         super().__init__(drives, timeout_s, homing)
         self._link, self._words = link, description
         self._in_step, self._homed = True, not homing
-        # Where the axes were left, and where a move that is under way takes them, controller units.
+        # Last known positions of the axes, and the targets of the present move, controller units.
         self._last: dict[str, float] = {}
         self._goal: dict[str, float] = {}
         self._last = self._wake()
 
     def move(self, targets_deg: Mapping[str, float]) -> None:
-        """Move axes, each at its own speed, and wait until they stand there; see `RigDevice.move`."""
+        """Move axes, each at its own speed, and wait until they have arrived; see `RigDevice.move`."""
         self.check(targets_deg)
         if not targets_deg:
             return
@@ -94,14 +94,14 @@ class AsciiRig(ControlledRig):
         return RigStatus(state, named, self._homed)
 
     def close(self) -> None:
-        """Let go of the line."""
+        """Close the connection."""
         self._link.close()
 
     # ---- steps of the above
 
     def _wake(self) -> dict[str, float]:
-        """Bring a controller in whatever state to rest, and return where its axes stand, controller units."""
-        # Replies to whoever spoke to it last may still be on their way.
+        """Bring a controller from any state to rest, and return the positions of its axes, controller units."""
+        # Replies to another program may still be on their way.
         self._settle()
         knocking = Deadline(self._timeout_s)
         while True:
@@ -115,7 +115,7 @@ class AsciiRig(ControlledRig):
                 self._settle()
 
     def _halt(self) -> None:
-        """Stop the axes and wait until they stand."""
+        """Stop the axes and wait until they are at rest."""
         for left in reversed(range(_STOP_TRIES)):
             self._link.write(self._words.line("stop"))
             try:
@@ -138,7 +138,7 @@ class AsciiRig(ControlledRig):
         self._last, self._goal = places, {}
 
     def _settle(self) -> None:
-        """Read on until nothing comes."""
+        """Read and discard lines until none arrives."""
         deadline = Deadline(self._timeout_s / _STOP_TRIES)
         with contextlib.suppress(DeadlineError):
             while not deadline.passed:
@@ -151,7 +151,7 @@ class AsciiRig(ControlledRig):
 
     def _find_switches(self) -> None:
         self._get_in_step()
-        # Twice: a controller whose power drops out on the way counts from 0 wherever that was, and looks homed.
+        # Twice: a controller that loses power on the way counts from 0 at that position, and looks homed.
         for _ in range(2):
             self._home_once()
         self._last = self._places()
@@ -199,18 +199,18 @@ class AsciiRig(ControlledRig):
             )
 
     def _strayed(self, places: Mapping[str, float]) -> str:
-        """Return an axis that is not where it was left, empty where there is none."""
+        """Return the name of an axis that is not at its last known position, empty if there is none."""
         for name, drive in self.drives.items():
             if abs(places[name] - self._last[name]) > self._tolerance(drive):
                 return name
         return ""
 
     def _tolerance(self, drive: Drive) -> float:
-        """Return how far from a target an axis may come to rest: half of its smallest step."""
+        """Return the largest accepted distance of an axis from its target at rest: half of its smallest step."""
         return 0.5 * drive.axis.step_deg * abs(drive.units_per_deg)
 
     def _order_motion(self, command: str, **values) -> None:
-        """Send a command that moves; once more where it, or its answer, was lost: it ends at the same place."""
+        """Send a command that moves; send it again if it or its answer was lost, which leads to the same position."""
         try:
             self._order(command, **values)
         except DeadlineError:
@@ -227,7 +227,7 @@ class AsciiRig(ControlledRig):
             raise
 
     def _inquire(self, question: str, drive: Drive) -> re.Match:
-        """Return the answer to a question for an axis, asked again where it is lost or garbled on the way."""
+        """Return the answer to a question for an axis; the question is repeated if it is lost or garbled."""
         asked = 0
         while True:
             asked += 1
@@ -240,21 +240,21 @@ class AsciiRig(ControlledRig):
                 if asked == _QUESTIONS:
                     raise
                 continue
-            # Answers to the questions before may yet come, and are none to the next question.
+            # Late answers to the earlier questions must not be taken for answers to the next one.
             with contextlib.suppress(DeadlineError, GarbledError):
                 for _ in range(asked - 1):
                     self._link.read_line(self._timeout_s / _QUESTIONS)
             return answer
 
     def _ask(self, command: str, timeout_s: float | None = None, **values) -> str:
-        """Send a command and return its reply, which may take so long, s; `timeout_s` of the rig if None.
+        """Send a command and return its reply, waiting for at most ``timeout_s`` (by default the rig's), s.
 
         Raises
         ------
         CommandError
-            If it is refused.
+            If the command is refused.
         """
-        # A reply that came too late for the question before is no reply to this one.
+        # A late reply to the question before must not be taken for the reply to this one.
         self._link.discard_input()
         self._link.write(self._words.line(command, **values))
         deadline = Deadline(self._timeout_s if timeout_s is None else timeout_s)
@@ -268,7 +268,7 @@ class AsciiRig(ControlledRig):
         return line
 
     def _states(self) -> str:
-        """Return ``alarm`` where an axis is, else ``run`` where one is, else ``hold``, else ``idle``."""
+        """Return the state of all axes: the first of ``alarm``, ``run``, ``hold``, ``idle`` that any axis has."""
         found = set()
         for drive in self.drives.values():
             found.add(self._words.state(self._inquire("status", drive)["state"]))
@@ -277,7 +277,7 @@ class AsciiRig(ControlledRig):
         return next(state for state in ("alarm", "run", "hold", "idle") if state in found)
 
     def _places(self) -> dict[str, float]:
-        """Return where the axes stand, controller units."""
+        """Return the positions of the axes, controller units."""
         places = {}
         for name, drive in self.drives.items():
             found = self._inquire("position", drive)

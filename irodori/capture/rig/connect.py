@@ -1,4 +1,4 @@
-"""Opening of a rig from its definition: a controller on its port, or a simulator started for it."""
+"""Opening of a rig from its definition: with the controller on its port, or with a simulated controller."""
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
@@ -34,20 +34,21 @@ def _description(motion: Motion) -> Description:
 
 @contextmanager
 def open_rig(rig: Rig, checked: bool = True) -> Iterator[RigDevice]:
-    """Open the rig of a definition; stop it on an exception, and let go of its line at the end.
+    """Open the rig of a definition; stop it on an exception, and close its connection at the end.
 
     Parameters
     ----------
     rig : Rig
         With the block ``motion``. The port ``simulator`` starts a simulated controller.
     checked : bool
-        Whether a controller whose settings contradict the definition is refused; see `GrblRig`.
+        Whether a controller with settings that contradict the definition is refused; see `GrblRig`.
 
     Yields
     ------
     RigDevice
-        Its ``simulator`` is an `irodori.simulation.controllers.peer_client.Simulator` on the port ``simulator``, else
-        None: what a virtual camera asks where the axes truly stand (see `true_position_deg`).
+        On the port ``simulator``, its attribute ``simulator`` is the
+        `irodori.simulation.controllers.peer_client.Simulator`, from which a virtual camera gets the true positions of
+        the axes (see `true_position_deg`); otherwise it is None.
 
     Raises
     ------
@@ -70,8 +71,8 @@ def open_rig(rig: Rig, checked: bool = True) -> Iterator[RigDevice]:
 
 @contextmanager
 def start_simulator(rig: Rig) -> "Iterator[Simulator]":
-    """Start the simulated controller of a definition, set up as the definition wants it; see `open_rig`."""
-    # A real rig waits for no simulator's import.
+    """Start a simulated controller with settings that agree with a rig's definition; see `open_rig`."""
+    # Imported here, so that a real rig does not wait for the simulator's import.
     from irodori.simulation.controllers import ascii_simulator, grbl_simulator
 
     motion = _motion(rig)
@@ -87,13 +88,14 @@ def start_simulator(rig: Rig) -> "Iterator[Simulator]":
 
 
 def grbl_settings(drives: Mapping[str, Drive], homing: bool) -> dict[int, float]:
-    """Return the ``$`` settings that fit drives: what a person at the bench would set for such a rig.
+    """Return Grbl's ``$`` settings that agree with drives, as a person would set them for such a rig.
 
-    The pull-off ends where machine position and reach begin, so that the axis stands within its limits after homing.
+    The pull-off is 1 unit, or less if the limits of an axis begin at a smaller distance from its switch, so that after
+    homing every axis is at its first limit or between this limit and the switch.
     """
     pull_off = min([1.0, *(-drive.reach[1] for drive in drives.values() if drive.reach[1] < 0.0)])
     settings: dict[int, float] = {20: int(homing), 21: int(homing), 22: int(homing), 26: 25, 27: round(pull_off, 3)}
-    # Axes of the controller that are not the rig's are homed with the others, and must not hold them up.
+    # Controller axes that the rig does not use are homed with the others, and must not delay them.
     others = {TRAVEL: 10.0, ACCELERATION: max(drive.acceleration for drive in drives.values())}
     settings |= {first + index: value for first, value in others.items() for index in range(3)}
     for drive in drives.values():
@@ -108,10 +110,10 @@ def grbl_settings(drives: Mapping[str, Drive], homing: bool) -> dict[int, float]
 
 
 def true_position_deg(rig: RigDevice) -> dict[str, float]:
-    """Return where the axes of a simulated rig truly stand, degrees: what a camera before it would see.
+    """Return the true angles of a simulated rig's axes, degrees, as a camera would see them.
 
-    The mechanics are counted from the limit switches: after an ideal homing this is what the controller reports, and it
-    stays true when the controller loses count.
+    The angles are measured from the limit switches: after an ideal homing they are those that the controller reports,
+    and they remain correct when the controller loses steps.
 
     Raises
     ------

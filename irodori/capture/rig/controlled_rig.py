@@ -10,45 +10,45 @@ from irodori.capture.rig.devices import AlarmError, Axis, CommandError, Deadline
 from irodori.capture.rig.drives import Drive
 
 POLL_S = 0.03
-#: A moment after a command was accepted the controller may still say that it is idle, s.
+#: Time after the acceptance of a command in which the controller may still report that it is idle, s.
 START_S = 0.3
-#: Part of its computed time that a move may take longer.
+#: Share of its computed time by which a move may take longer.
 MARGIN = 0.25
 
 
 class ControlledRig(RigDevice):
-    """A rig whose axes one controller moves.
+    """Rig with one controller for all axes.
 
-    A feed hold that is reported while a move waits, or before one begins, is the person's: `on_hold` is asked once the
-    axes stand, then the controller is told to go on and the deadline of the move starts anew. Where nobody can be
-    asked the move is given up. A hold that was there when the rig was opened is ended like any other motion: the
-    controller forgets what it was doing.
+    A feed hold (a pause, usually by the controller's button) that is reported before or during a move is taken for the
+    person's: once the axes are at rest, `on_hold` is called, then the controller is told to resume, and the deadline of
+    the move starts anew. If nobody can be asked, the move fails. A hold that existed when the rig was opened is
+    cancelled like any other motion: the controller discards its move.
 
     Parameters
     ----------
     drives : dict
-        Angle of a pose: drive.
+        {angle of a pose: drive}.
     timeout_s : float
-        Time that an answer may take, s.
+        Longest time for a reply, s.
     homing : bool
         Whether the axes have limit switches.
     """
 
-    #: What helps a rig without limit switches that does not know where it stands.
+    #: Advice for a rig without limit switches that has lost its position.
     _without_switches = "put it where it was switched on and start anew"
 
     def __init__(self, drives: Mapping[str, Drive], timeout_s: float, homing: bool) -> None:
         self.axes: Mapping[str, Axis] = {name: drive.axis for name, drive in drives.items()}
         self.drives, self._timeout_s, self._homing = dict(drives), timeout_s, homing
         self._brake_s = max((d.speed / d.acceleration for d in drives.values()), default=0.0)
-        #: Whether the last stop was answered; where not, the rig is stopped before anything else.
+        #: Whether the last stop was answered; if not, the next command first stops the rig.
         self._in_step = self._homed = False
 
     # ---- what a controller's language decides
 
     @abstractmethod
     def _look(self) -> tuple[str, dict[str, float]]:
-        """Return ``idle``, ``run`` or ``hold`` (once the axes stand), and where they stand, controller units.
+        """Return the state, ``idle``, ``run`` or ``hold`` (once the axes are at rest), and positions, controller units.
 
         Raises
         ------
@@ -58,38 +58,38 @@ class ControlledRig(RigDevice):
 
     @abstractmethod
     def _halt(self) -> None:
-        """Bring the axes to rest; the controller then holds no move. Raises `DeviceError` where it does not answer."""
+        """Bring the axes to rest and discard all moves. Raises `DeviceError` if the controller does not answer."""
 
     @abstractmethod
     def _get_in_step(self) -> None:
-        """Stop the rig where the last stop was not answered."""
+        """Stop the rig if the last stop was not answered."""
 
     @abstractmethod
     def _find_switches(self) -> None:
-        """Home all axes, and wait until they stand where homing ends."""
+        """Home all axes, and wait until they are at rest at their positions after homing."""
 
     @abstractmethod
     def _send_resume(self) -> None:
-        """Tell the controller to go on after a feed hold, without waiting for what it does."""
+        """Tell the controller to resume after a feed hold, without waiting for it."""
 
     @abstractmethod
     def _tolerance(self, drive: Drive) -> float:
-        """Return how far from a target a drive may come to rest, units."""
+        """Return the largest accepted distance of a drive from its target at rest, controller units."""
 
     @abstractmethod
     def _astray(self, what: str) -> DeviceError:
-        """Return the error for axes that are where no command sends them."""
+        """Return the error for axes that are off the way of their command."""
 
     def _check_resume(self) -> None:
-        """Refuse to end a hold where the controller has no command for it. Raises `CommandError`."""
+        """Raise `CommandError` if the controller has no command to end a hold."""
 
     def _check_places(self, places: Mapping[str, float]) -> None:
-        """Refuse to move from where the axes stand, controller units. Raises `AlarmError`."""
+        """Raise `AlarmError` if no move may start from the present positions, controller units."""
 
     # ---- what every rig does
 
     def home(self) -> None:
-        """Find the limit switches; see `RigDevice.home`."""
+        """Move all axes to their limit switches; see `RigDevice.home`."""
         if not self._homing:
             raise CommandError("this rig has no limit switches (motion.homing is false): it cannot be homed")
         with self._stopping_on_failure():
@@ -98,15 +98,15 @@ class ControlledRig(RigDevice):
             self._homed = True
 
     def stop(self) -> None:
-        """Stop all axes; never raises for a line that is lost."""
+        """Stop all axes; never raises an error, even if the line is lost."""
         try:
             self._halt()
         except DeviceError:
-            # What stops it is sent, as far as the line takes it; the next command brings it to rest first.
+            # The stop was sent as far as the line permits; the next command first brings the rig to rest.
             self._in_step = False
 
     def resume(self) -> None:
-        """End a feed hold and wait until the axes stand; see `RigDevice.resume`."""
+        """End a feed hold and wait until the axes are at rest; see `RigDevice.resume`."""
         self._get_in_step()
         self._check_resume()
         slowing = Deadline(self._brake_s * (1 + MARGIN) + self._timeout_s)
@@ -117,7 +117,7 @@ class ControlledRig(RigDevice):
         reach = {n: d.axis.min_deg for n, d in self.drives.items()}, {n: d.axis.max_deg for n, d in self.drives.items()}
         with self._stopping_on_failure():
             self._end_hold()
-            # Of what was under way nothing is known but that it ends within the reach.
+            # All that is known of the resumed move is that it ends within the reach.
             deadline = Deadline(self.travel_s(*reach) * (1 + MARGIN) + self._timeout_s)
             while (state := self._look()[0]) != "idle":
                 if state == "hold":
@@ -130,7 +130,7 @@ class ControlledRig(RigDevice):
 
     @contextlib.contextmanager
     def _stopping_on_failure(self) -> Iterator[None]:
-        """Stop the rig whatever ends the block before its time, Ctrl-C included."""
+        """Stop the rig if the block ends with an exception, also with Ctrl-C."""
         try:
             yield
         except BaseException as error:
@@ -140,7 +140,7 @@ class ControlledRig(RigDevice):
             raise
 
     def _ready(self) -> dict[str, float]:
-        """Return where the axes stand, controller units, once the controller takes a move."""
+        """Wait until the controller accepts a move, and return the positions of the axes, controller units."""
         self._get_in_step()
         state, places = self._look()
         if state == "hold":
@@ -157,7 +157,7 @@ class ControlledRig(RigDevice):
         return places
 
     def _await_arrival(self, corners: Sequence[Mapping[str, float]], deadline: Deadline) -> None:
-        """Wait until the axes stand at the last of the corners; watch that they stay between them all on the way."""
+        """Wait until the axes are at rest at the last corner of a path; check that they stay within its range."""
         began = Deadline(START_S)
         while True:
             state, places = self._look()
@@ -179,7 +179,7 @@ class ControlledRig(RigDevice):
             time.sleep(POLL_S)
 
     def _go_on(self, places: Mapping[str, float]) -> None:
-        """Have a person clear the cause of a feed hold, then end it."""
+        """Ask a person to clear the cause of a feed hold, then end the hold."""
         where = ", ".join(f"{name} {self.drives[name].to_deg(place):.4g}" for name, place in places.items())
         self._check_resume()
         if self.on_hold is None:
@@ -190,7 +190,7 @@ class ControlledRig(RigDevice):
             self._end_hold()
 
     def _end_hold(self) -> None:
-        """Tell the controller to go on, once: told again it could end a hold that was pressed since."""
+        """Tell the controller to resume, only once: a second command could end a later hold."""
         self._send_resume()
         deadline = Deadline(self._timeout_s)
         while self._look()[0] == "hold":
@@ -199,7 +199,7 @@ class ControlledRig(RigDevice):
             time.sleep(POLL_S)
 
     def _off_target(self, places: Mapping[str, float], target: Mapping[str, float]) -> str:
-        """Return in words which axis is off its target, empty where none is."""
+        """Return a phrase that names an axis off its target; empty if there is none."""
         for name, drive in self.drives.items():
             if abs(places[name] - target[name]) > self._tolerance(drive):
                 return f"{name} at {drive.to_deg(places[name]):.6g} instead of {drive.to_deg(target[name]):.6g} degrees"

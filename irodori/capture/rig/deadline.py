@@ -4,7 +4,7 @@ import time
 
 
 class Deadline:
-    """A moment, counted from now on a clock that is never set.
+    """Moment in the future on a monotonic clock.
 
     Parameters
     ----------
@@ -18,7 +18,7 @@ class Deadline:
 
     @property
     def remaining_s(self) -> float:
-        """Time left, s; 0 where the moment has passed."""
+        """Time left, s; 0 if the moment has passed."""
         return max(0.0, self._end - time.monotonic())
 
     @property

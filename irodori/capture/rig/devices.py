@@ -1,8 +1,8 @@
 """Interfaces of rigs and cameras, and the errors that they raise.
 
-A device *has* a `Link`; it is handed over from outside, so that a driver cannot tell a controller on a cable from a
-simulator on a pseudo-terminal. Every wait has a deadline; a target out of reach raises before anything moves.
-Angles are in degrees, times in seconds. Axes bear the names of a pose's angles (`irodori.config.capture_table.Pose`).
+A device receives its `Link` from the caller, so that its driver cannot distinguish a controller on a cable from a
+simulator on a pseudo-terminal. Every wait has a deadline; a target out of reach raises an error before anything moves.
+Angles are in degrees, times in seconds. Axes have the names of a pose's angles (`irodori.config.capture_table.Pose`).
 """
 
 import math
@@ -20,58 +20,58 @@ if TYPE_CHECKING:
     from irodori.simulation.controllers.peer_client import Simulator
 
 ANGLE_TOLERANCE_DEG = 1e-6
-#: What a camera's status says where the camera does not tell.
+#: Value in a camera's status for what the camera does not report.
 NOT_REPORTED = "not reported"
 
 
 class DeviceError(PlainError):
-    """A device at fault; the message is one sentence for the person at the bench."""
+    """Error of a device; the message is one sentence for the person at the bench."""
 
 
 class LimitError(DeviceError):
-    """A target out of reach; nothing has moved."""
+    """Error for a target out of reach; nothing has moved."""
 
 
 class LinkError(DeviceError):
-    """The line to a device is lost, garbled, or in use by another process."""
+    """Error for a connection that is lost, garbled, or in use by another process."""
 
 
 class GarbledError(LinkError):
-    """A line arrived that the device does not send: the line is up, but bytes were lost or changed on it."""
+    """Error for received text that the device never sends: the connection works, but bytes were lost or changed."""
 
 
 class DeadlineError(DeviceError):
-    """A device did not answer, or did not arrive, in the time that the request may take."""
+    """Error for a device that did not answer, or did not reach its target, in time."""
 
 
 class AlarmError(DeviceError):
-    """A controller stopped on its own and may have lost its position: home it before anything else."""
+    """Error for a controller that stopped by an alarm and may have lost its position: home it before anything else."""
 
 
 class CommandError(DeviceError):
-    """A controller refused a command; it stands where it stood."""
+    """Error for a command that the controller refused; nothing has moved."""
 
 
 class HeldError(DeviceError):
-    """A rig in feed hold, and nobody who could say that it may go on; it stands, and forgets its move."""
+    """Error for a rig in feed hold when nobody can be asked to resume; it is at rest, and its move is discarded."""
 
 
 class SettingError(DeviceError):
-    """A controller's own settings contradict the rig's file; nothing has moved."""
+    """Error for controller settings that contradict the rig's file; nothing has moved."""
 
 
 @dataclass(frozen=True)
 class Axis:
-    """One motorised axis.
+    """Motorised axis.
 
     Parameters
     ----------
     name : str
         An angle of a pose, such as ``camera_deg``.
     min_deg, max_deg, step_deg : float
-        Reach; steps count from `min_deg`.
+        Reach and step; steps count from `min_deg`.
     speed_deg_per_s, acceleration_deg_per_s2 : float
-        What the axis does at most, for deadlines and time estimates.
+        Largest speed and acceleration, for deadlines and time estimates.
     """
 
     name: str
@@ -116,7 +116,7 @@ class RigStatus:
     homed : bool
         Whether the position is trustworthy.
     message : str
-        The controller's own words, empty where it has none.
+        Message of the controller; empty if there is none.
     """
 
     state: str
@@ -126,115 +126,114 @@ class RigStatus:
 
 
 class Link(ABC):
-    """A line to a device: bytes out, lines in."""
+    """Connection to a device: it sends bytes and receives lines."""
 
     @abstractmethod
     def write(self, data: bytes) -> None:
-        """Send bytes. Raises `LinkError` where the line is lost, `DeadlineError` where it does not take them."""
+        """Send bytes. Raises `LinkError` if the connection is lost, `DeadlineError` if it does not accept them."""
 
     @abstractmethod
     def read_line(self, timeout_s: float) -> str:
-        """Return the next line without its end. Raises `DeadlineError` after the time, `LinkError` where lost."""
+        """Return the next line without its end. Raises `DeadlineError` after the time, `LinkError` if it is lost."""
 
     @abstractmethod
     def discard_input(self) -> None:
-        """Forget what has arrived and was not read."""
+        """Discard received bytes that were not read."""
 
     @abstractmethod
     def close(self) -> None:
-        """Let go of the line and its lock; harmless when repeated."""
+        """Close the connection and release its lock; a second call has no effect."""
 
 
 class RigDevice(ABC):
-    """Mechanics that move camera and table. A context manager: it stops on an exception and closes its connection."""
+    """Motorised rig. As a context manager it stops all motion on an exception and closes its connection at the end."""
 
-    #: Motorised axes by name; the others of a pose are set by hand.
+    #: Motorised axes by name; the other angles of a pose are set by hand.
     axes: Mapping[str, Axis]
-    #: How each of them is driven.
+    #: Drive of each axis.
     drives: "Mapping[str, Drive]"
     #: Handle on the simulated controller, None for a real one; see `irodori.capture.rig.connect`.
     simulator: "Simulator | None" = None
-    #: Asked, with a sentence, when a move meets a feed hold: returns once the rig may go on, raises where it may not.
-    #: Where it is None, a hold ends the move with `HeldError`.
+    #: Called with a request for the person when a move meets a feed hold: returns once the rig may resume, raises an
+    #: error if it may not. If it is None, a hold ends the move with `HeldError`.
     on_hold: Callable[[str], None] | None = None
 
     @abstractmethod
     def home(self) -> None:
-        """Find the reference position of every axis. Blocks."""
+        """Move every axis to its reference position and wait for the end."""
 
     def recount(self) -> dict[str, float]:
-        """Hold the controller's count against the limit switches, and home. Blocks.
+        """Measure lost motor steps by comparing the controller's position with the limit switches, then home.
 
         Returns
         -------
         dict
-            Axis: how far it stood above the angle that the controller counted, degrees; what its motor lost in steps.
+            {axis: true angle minus the angle that the controller counted, degrees}.
 
         Raises
         ------
         CommandError
-            Where `cannot_recount` says why.
+            If the comparison is not possible; `cannot_recount` is the reason.
         HeldError, AlarmError, LinkError, DeadlineError
-            A stop was sent.
+            After a stop was sent.
         """
         raise CommandError(self.cannot_recount)
 
     @property
     def cannot_recount(self) -> str:
-        """Reason why the count cannot be held against limit switches, in words; empty where it can."""
+        """Reason, as a phrase, why `recount` is not possible; empty if it is."""
         return "its controller does not tell where a limit switch closes"
 
     @abstractmethod
     def move(self, targets_deg: Mapping[str, float]) -> None:
-        """Move axes and wait until they stand there.
+        """Move axes to angles, degrees, and wait until they are at rest there.
 
         Every target is checked before anything moves; the wait ends at a deadline derived from distance and speed.
-        A feed hold (somebody presses it at the bench) asks `on_hold`; then the rig goes on, and the deadline starts
-        anew.
+        On a feed hold (a button at the rig) `on_hold` is called; then the rig resumes, and the deadline starts anew.
 
         Raises
         ------
         LimitError, CommandError, HeldError, AlarmError, LinkError, DeadlineError
-            After the last four, and after KeyboardInterrupt, a stop was sent. What was sent over a lost line does not
-            arrive: there the axes end the move that they were in, whose target was checked, and stand.
+            Before the last four, and before a KeyboardInterrupt, a stop was sent. If the connection is lost, the stop
+            does not arrive: the axes then finish their present move, to a target that was checked.
         """
 
     @abstractmethod
     def resume(self) -> None:
-        """End a feed hold (the state ``hold``), and wait until the rig is idle; `move` does so on its own.
+        """End a feed hold (the state ``hold``), and wait until the rig is idle; `move` does this itself.
 
-        The wait ends at a deadline, the time of the whole reach. Opening a rig ends a hold too, but gives up the move.
+        The wait ends at a deadline, the time of a move over the whole reach. Opening a rig ends a hold too, but
+        discards its move.
 
         Raises
         ------
         CommandError
-            In every other state, an alarm aside, and where the controller has no command for it.
+            In every other state except an alarm, and if the controller has no command for it.
         HeldError, AlarmError, LinkError, DeadlineError
-            A stop was sent.
+            After a stop was sent.
         """
 
     def jog(self, name: str, by_deg: float) -> None:
-        """Move one axis by an angle from where it stands, degrees; see `move`."""
+        """Move one axis by an angle relative to its present position, degrees; see `move`."""
         self.check({name: self.axes[name].min_deg} if name in self.axes else {name: by_deg})
         self.move({name: self.position()[name] + by_deg})
 
     @abstractmethod
     def status(self) -> RigStatus:
-        """Return the state that the rig reports now.
+        """Return the state that the rig reports now; an alarm is a state and raises no error.
 
         Raises
         ------
         LinkError, DeadlineError
-            An alarm is a state, not an error.
         """
 
     @abstractmethod
     def stop(self) -> None:
-        """Stop all motion at once; never raises for a line that is already lost."""
+        """Stop all motion at once; raises no error if the connection is already lost."""
 
     @abstractmethod
     def close(self) -> None:
-        """Let go of the line; harmless when repeated."""
+        """Close the connection; a second call has no effect."""
 
     def position(self) -> dict[str, float]:
         """Return the angle of each axis, degrees."""
@@ -255,7 +254,7 @@ class RigDevice(ABC):
             self.axes[name].check(target)
 
     def travel_s(self, from_deg: Mapping[str, float], to_deg: Mapping[str, float]) -> float:
-        """Return the time of a move whose axes run side by side, s; in a straight line it takes somewhat longer."""
+        """Return the time of a move with independent axes, s; a straight line takes somewhat longer."""
         return max((self.axes[name].travel_s(from_deg[name], to_deg[name]) for name in to_deg), default=0.0)
 
     def __enter__(self) -> "RigDevice":
@@ -272,34 +271,34 @@ class RigDevice(ABC):
 class CameraDevice(ABC):
     """Camera: a context manager that closes its connection."""
 
-    #: End of the names of its RAW files, with the dot.
+    #: Suffix of the names of its RAW files, with the dot.
     suffix: str
-    #: Whether its photographs are computed, at no time of any day.
+    #: Whether its photographs are computed, so that they have no time of day.
     is_virtual = False
 
     @abstractmethod
     def capture(self, shot: "Shot", path: Path) -> None:
-        """Take one photograph and store the RAW file at `path`, whole.
+        """Take one photograph and store the complete RAW file at `path`.
 
         Parameters
         ----------
         shot : Shot
-            Its ``exposure_s`` is what a real camera is told; a virtual one also sees what stands before it.
+            Settings of the photograph; a virtual camera also uses its subject and pose.
         path : Path
 
         Raises
         ------
         DeviceError
-            If the camera refuses, is busy beyond the deadline, or cannot be set to what the shot wants.
+            If the camera refuses, is busy beyond the deadline, or cannot be set as the shot requires.
         """
 
     def prepare(self, shots: Sequence["Shot"]) -> None:  # noqa: B027, a camera that takes everything checks nothing
-        """Refuse shots that the camera will not take as it stands, before anything moves.
+        """Raise an error for shots that the camera cannot take in its present state, before anything moves.
 
         Raises
         ------
         DeviceError
-            With everything that is in the way.
+            The message lists all obstacles.
         """
 
     @abstractmethod
@@ -308,7 +307,7 @@ class CameraDevice(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """Let go of the camera; harmless when repeated."""
+        """Close the connection to the camera; a second call has no effect."""
 
     def __enter__(self) -> "CameraDevice":
         return self

@@ -12,15 +12,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Drive:
-    """One axis and the channel of the controller that moves it.
+    """Axis with the controller channel that drives it.
 
     Parameters
     ----------
     axis : Axis
     channel : str
-        Letter or name by which the controller knows it.
+        Letter or name of the axis in the controller's commands.
     units_per_deg : float
-        Controller units in a degree; negative where they count the other way.
+        Controller units per degree; negative if they count in the opposite direction.
     zero_deg : float
         Angle at the controller's position 0, degrees.
     """
@@ -61,7 +61,7 @@ def drives_of(rig: "Rig") -> dict[str, Drive]:
     Parameters
     ----------
     rig : Rig
-        Without ``motion`` it has none.
+        Definition; without the block ``motion`` there are no drives.
     """
     drives = {}
     axes = vars(rig.motion.axes) if rig.motion else {}
@@ -76,12 +76,12 @@ def drives_of(rig: "Rig") -> dict[str, Drive]:
 
 
 def along(move: list[float], speeds: list[float], accelerations: list[float]) -> tuple[float, float]:
-    """Return speed and acceleration along a straight move whose axes each keep to their own.
+    """Return the largest speed and acceleration along a straight move that keep every axis within its limits.
 
     Parameters
     ----------
     move, speeds, accelerations : list of float
-        For each axis: distance with its sign (units), units/s and units/s^2.
+        For each axis: signed distance (units), largest speed (units/s) and acceleration (units/s^2).
 
     Returns
     -------
@@ -92,7 +92,7 @@ def along(move: list[float], speeds: list[float], accelerations: list[float]) ->
     if not length:
         return math.inf, math.inf
     parts = [(abs(d) / length, v, a) for d, v, a in zip(move, speeds, accelerations, strict=True)]
-    # A share so small that it underflows holds nothing up.
+    # A share so small that it underflows to zero limits nothing.
     return (
         min((v / part for part, v, _ in parts if part), default=math.inf),
         min((a / part for part, _, a in parts if part), default=math.inf),
@@ -100,7 +100,7 @@ def along(move: list[float], speeds: list[float], accelerations: list[float]) ->
 
 
 def straight_s(move: list[float], speeds: list[float], accelerations: list[float]) -> float:
-    """Return the time of a straight move with a trapezoidal profile of speed, s; see `along`."""
+    """Return the time of a straight move with a trapezoidal profile of speed, s; parameters as in `along`."""
     length = math.hypot(*move)
     if not length:
         return 0.0

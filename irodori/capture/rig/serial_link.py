@@ -10,27 +10,28 @@ from irodori.capture.rig.devices import DeadlineError, Link, LinkError
 
 #: A line longer than this means another baud rate or another device.
 _MAX_LINE_BYTES = 4096
-#: pyserial returns as soon as a byte arrives; this is how often a deadline is looked at.
+#: pyserial returns as soon as a byte arrives; a deadline is checked at least this often.
 _WAIT_S = 0.02
 
 
 class SerialLink(Link):
-    """A serial port: 8 data bits, no parity, 1 stop bit.
+    """Connection through a serial port: 8 data bits, no parity, 1 stop bit.
 
-    The port is locked (``flock`` of the device, which holds on pseudo-terminals too and ends with the process): a
-    second opener that asks for the lock, in this process or another, is refused. Reads and writes are made by the
-    caller's own thread: replies are small beside the kernel's buffer of 4096 bytes, so nothing needs a reader between.
+    The port is locked (``flock`` of the device, which also works on pseudo-terminals and ends with the process): a
+    second program that asks for the lock, or a second link of this process, is refused. The caller's own thread reads
+    and writes: replies are small compared with the kernel's buffer of 4096 bytes, so that no thread for reading is
+    needed.
 
     Parameters
     ----------
     port : str
         Path of the device.
     baud : int
-        Bits a second.
+        Bits per second.
     write_timeout_s : float
-        Time that the line may take to accept bytes, s.
+        Longest time until the port accepts bytes, s.
     line_end : bytes
-        What ends a line of the device; a carriage return before it is dropped.
+        End of a line from the device; a carriage return before it is dropped.
 
     Raises
     ------
@@ -58,7 +59,7 @@ class SerialLink(Link):
             raise self._lost(error) from None
 
     def read_line(self, timeout_s: float) -> str:
-        """Return the next line, bytes that are not ASCII as their hexadecimal code; see `Link.read_line`."""
+        """Return the next line, with bytes that are not ASCII as hexadecimal codes; see `Link.read_line`."""
         deadline = Deadline(timeout_s)
         while self._line_end not in self._buffer:
             if len(self._buffer) > _MAX_LINE_BYTES:
@@ -72,7 +73,7 @@ class SerialLink(Link):
         return line.removesuffix(b"\r").decode("ascii", "backslashreplace")
 
     def discard_input(self) -> None:
-        """Forget what has arrived and was not read; see `Link.discard_input`."""
+        """Discard received bytes that were not read; see `Link.discard_input`."""
         self._buffer = b""
         try:
             self._serial.reset_input_buffer()
@@ -80,11 +81,11 @@ class SerialLink(Link):
             raise self._lost(error) from None
 
     def close(self) -> None:
-        """Let go of the line and its lock; harmless when repeated, and on a line that is lost."""
+        """Close the port and release its lock; safe to call repeatedly, and after the connection was lost."""
         try:
             self._serial.close()
         except (serial.SerialException, OSError, termios.error):
-            # A device that was pulled out cannot be closed in order either; its descriptor is gone with it.
+            # A device that was unplugged cannot be closed properly; its descriptor is gone too.
             self._serial.is_open = False
 
     def _read(self) -> bytes:
@@ -100,10 +101,10 @@ class SerialLink(Link):
 
 
 def _reason(error: Exception) -> str:
-    """Return a cause in a few words, without pyserial's wrapping of the operating system's."""
+    """Return the cause of an error as a short phrase, taken from the operating system's error inside pyserial's."""
     number = getattr(error, "errno", None)
     if number is None and error.__context__ is not None:
-        number = next(iter(error.__context__.args), None)  # of what pyserial gave up for
+        number = next(iter(error.__context__.args), None)  # the errno of the system's error behind pyserial's
     text = str(error)
     if "exclusively lock" in text or number in (errno.EWOULDBLOCK, errno.EBUSY):
         return "in use by another program, or opened twice"

@@ -1,17 +1,16 @@
 """Selection of K observations with the largest joint information: greedy, then Fedorov's exchange.
 
-A design is judged by the precision P of (ln α, ln β, ln μ) of each case, prior included; every criterion is a mean over
-the cases, larger for the better design:
+A *design* is a set of poses. It is judged by the precision matrix P of (ln α, ln β, ln μ) of each case, prior included;
+every criterion is a mean over the cases, larger for a better design:
 
-``determinant``      ln det P, where P is the Fisher information: D-optimality, the volume of what remains possible
+``determinant``      ln det P, where P is the Fisher information: D-optimality, the volume of the confidence region
 ``variance``         minus the trace of P⁻¹: A-optimality, the sum of the relative variances
 ``fit-determinant``, ``fit-variance``
-                     the same for the precision that the fit reaches with the weights that it gives
+                     the same for the precision that the fit reaches with its own weights
 
 Fisher information grows by a matrix of rank one with each observation, so that a candidate is judged without a new
 inversion (the matrix determinant lemma; Sherman and Morrison). The precision of the fit, N (Σ w² v J Jᵀ)⁻¹ N with
-N = Σ w J Jᵀ, is computed anew for each candidate; it may fall with one more observation, if that weighs more than it
-should.
+N = Σ w J Jᵀ, is computed anew for each candidate; a further observation can decrease it if its weight is too large.
 """
 
 import math
@@ -30,12 +29,12 @@ _SINGULAR = 1e-10  # determinant over the product of the diagonal
 
 
 class TooFewPoses(ValueError):
-    """The rig has fewer poses than a design wants."""
+    """Error for a rig that has fewer poses than a design requires."""
 
 
 @njit(cache=True)
 def _adjugate(a):
-    """Return determinant and adjugate of a symmetric matrix; six numbers 00, 01, 02, 11, 12, 22."""
+    """Return determinant and adjugate of a symmetric 3 x 3 matrix, given as its elements 00, 01, 02, 11, 12, 22."""
     c00 = a[3] * a[5] - a[4] * a[4]
     c01 = a[2] * a[4] - a[1] * a[5]
     c02 = a[1] * a[4] - a[2] * a[3]
@@ -48,7 +47,7 @@ def _adjugate(a):
 
 @njit(cache=True)
 def _with_row(a, row, weight):
-    """Return a symmetric matrix plus weight row rowᵀ."""
+    """Return a symmetric matrix (six elements) plus the weighted outer product of a row with itself."""
     x, y, z = row[0], row[1], row[2]
     return (
         a[0] + weight * x * x,
@@ -68,13 +67,13 @@ def _score(precision, by_determinant):
 
 @njit(cache=True)
 def _times(a, x, y, z):
-    """Return a symmetric matrix times a column."""
+    """Return the product of a symmetric matrix (six elements) and the column x, y, z."""
     return a[0] * x + a[1] * y + a[2] * z, a[1] * x + a[3] * y + a[4] * z, a[2] * x + a[4] * y + a[5] * z
 
 
 @njit(cache=True, error_model="numpy")
 def _fit_precision(prior, normal, middle, count):
-    """Return the prior plus N M⁻¹ N; the prior alone where the fit has too few observations."""
+    """Return the precision matrix prior + N M⁻¹ N, or the prior alone if the fit has too few observations."""
     determinant, m = _adjugate(middle)
     enough = count > PARAMETERS and determinant > _SINGULAR * middle[0] * middle[3] * middle[5]
     if not (enough and _adjugate(normal)[0] > _SINGULAR * normal[0] * normal[3] * normal[5]):
@@ -125,7 +124,7 @@ def _judge_fit(jacobian, variance, weight, state, prior, by_determinant):
 
 @njit(cache=True, parallel=True, nogil=True)
 def _judge_all(seen, state, prior, allowed, criterion, out):
-    """Fill in the criterion of the design with each candidate added; it is of the fit or not, by determinant or not."""
+    """Fill out with the criterion of the design plus each candidate; ``criterion`` is (of_fit, by_determinant)."""
     (jacobian, variance, _, weight), (of_fit, by_determinant) = seen, criterion
     for p in numba.prange(allowed.size):
         if not allowed[p]:
@@ -145,18 +144,18 @@ def _sums(weight, jacobian) -> np.ndarray:
 
 
 class Selection:
-    """The search for the best design among candidates.
+    """Search for the best design among candidate poses.
 
     Parameters
     ----------
     seen : Observations
-        What each candidate shows of each case.
+        Expected observations of each case in each candidate pose.
     prior : float
         Precision of each parameter before the first observation, above 0.
     setting : (candidates,) int
-        What a person sets by hand for a candidate; equal numbers need no step in between.
+        Number of each candidate's settings by hand; candidates with equal numbers need no change by hand in between.
     max_manual : int
-        How many different settings a design may have.
+        Largest number of different settings by hand in a design.
     criterion : str
         One of CRITERIA.
 
@@ -177,7 +176,7 @@ class Selection:
         self.by_determinant = criterion.endswith("determinant")
 
     def _state(self, chosen: list[int]) -> np.ndarray:
-        """Return the sums of a design, (cases, 13): Fisher information with prior, or N, Σ w² v J Jᵀ, and the count."""
+        """Return the sums of a design, (cases, 13): Fisher information plus prior, or N, Σ w² v J Jᵀ and the count."""
         jacobian, variance, _, weight = self.seen.of(chosen)
         seen = np.isfinite(variance)
         state = np.zeros((self.seen.variance.shape[1], 13))
@@ -198,7 +197,7 @@ class Selection:
         return _judge_fisher(jacobian[0], nothing, state, self.by_determinant)
 
     def _additions(self, chosen: list[int]) -> np.ndarray:
-        """Return the criterion with each candidate added, (candidates,); minus infinity where that is not allowed."""
+        """Return the criterion with each candidate added, (candidates,); minus infinity if it may not be added."""
         allowed = np.ones(len(self.seen.variance), dtype=np.bool_)
         allowed[chosen] = False
         used = np.unique(self.setting[chosen]) if chosen else np.empty(0, dtype=int)
@@ -213,7 +212,7 @@ class Selection:
         return out
 
     def _fill(self, chosen: list[int], count: int) -> tuple[list[int], float]:
-        """Return a design of `count` with the best additions, the first of equals, and its criterion."""
+        """Return a design extended to `count` candidates by the best additions, the first of equals; and its value."""
         chosen = list(chosen)
         while len(chosen) < count:
             chosen.append(int(np.argmax(self._additions(chosen))))
@@ -224,10 +223,10 @@ class Selection:
         return self._fill([], count)[0]
 
     def improve(self, chosen: list[int]) -> list[int]:
-        """Return a design of the same size that no exchange tried improves.
+        """Return a design of the same size that none of the tried exchanges improves.
 
-        Exchanged are each candidate for any other, and all candidates of one setting for those of the settings whose
-        best candidate would add most.
+        Tried are exchanges of each candidate for any other, and of all candidates with one setting by hand for
+        candidates with the most promising other settings.
         """
         best, value = list(chosen), self.value(chosen)
         for _ in range(_MAX_PASSES):
@@ -239,7 +238,7 @@ class Selection:
                 for start in self._starts(kept) if len(leave) > 1 else [kept]:
                     try:
                         trial, gained = self._fill(start, len(best))
-                    except TooFewPoses:  # this setting has fewer candidates than the one that left
+                    except TooFewPoses:  # this setting has fewer candidates than the removed one
                         continue
                     if gained > value + _MIN_GAIN:
                         best, value = trial, gained
@@ -254,7 +253,7 @@ class Selection:
         return list(groups.values())
 
     def _starts(self, kept: list[int]) -> list[list[int]]:
-        """Return designs with one candidate more: the best of each of the most promising settings."""
+        """Return designs with one candidate more: the best one of each of the most promising settings by hand."""
         additions = self._additions(kept)
         starts: dict[int, list[int]] = {}
         for index in np.argsort(-additions, kind="stable"):
@@ -267,8 +266,8 @@ class Selection:
 def choose(seen: Observations, prior: float, setting, count: int, max_manual: int, criterion: str) -> list[int]:
     """Return the indices of `count` candidates, none twice; parameters as in `Selection`.
 
-    Greedy forward selection by Fisher information, which alone says something of fewer than four observations; then
-    exchange by the criterion asked for.
+    The method is greedy forward selection by Fisher information, the only criterion that is defined for fewer than four
+    observations, followed by exchanges by the criterion in question.
 
     Raises
     ------

@@ -1,13 +1,13 @@
 """Fisher information of photographs about α, β and μ of equation (5), and predicted standard errors.
 
 The parameters are (ln α, ln β, ln μ), so that their errors are relative. The determinant of the information then has
-no unit: other units of light or angle multiply a material's parameters, which moves their logarithms and leaves the
-derivatives as they are. Any other scale fixed for each material would shift the criterion by a constant and choose the
-same poses; a sum of variances, though, depends on the scale, and relative errors of β and μ are what the report states.
+no unit: other units of light or angle multiply a material's parameters, which shifts their logarithms and leaves the
+derivatives unchanged. With any other scale fixed for each material the determinant criterion would choose the same
+poses. A sum of variances depends on the scale; relative errors are chosen because the report states those of β and μ.
 
-A *case* is one material on one texel; cases run over texels first: case = texel * materials + material. A material has
-one gloss component here. What poses tell of two at once is judged by materials of either lobe alone: the poses have to
-serve both, but how the two components of one texel are told apart is not in it, and their errors are larger than this.
+A *case* is one material on one texel: case = texel * materials + material. A material here has one gloss component.
+For an object with two, materials with either lobe alone are used. The poses then serve both lobes, but the separation
+of the two components of one texel is not part of the prediction, and the errors are larger than predicted.
 """
 
 import math
@@ -33,12 +33,12 @@ if TYPE_CHECKING:
 
 PARAMETERS = 3
 _OFFSET_MM = 1e-3
-_SINGULAR = 1e-10  # determinant, scaled to a unit diagonal, under which parameters cannot be told apart
+_SINGULAR = 1e-10  # determinant, scaled to a unit diagonal, below which parameters cannot be separated
 
 
 @dataclass(frozen=True)
 class ObservationNoise:
-    """Variance of one observation ρ: shot and read noise, and the errors that the model of the rig leaves.
+    """Parameters of the variance of one observation ρ: shot and read noise, drift of the light, and pose error.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ class ObservationNoise:
     pose_rms_deg : float
         Standard deviation of the light angle and of the camera angle, degrees.
     saturation_response : float
-        An observation from this response on is clipped and tells nothing; infinite where brackets reach every response.
+        Response at and above which an observation is clipped and not used; infinite if exposures cover every response.
     """
 
     read_variance: float = 6e-8
@@ -68,10 +68,10 @@ class ObservationNoise:
         ----------
         sensor : SensorOptions
         exposures_s : sequence of float
-            Exposure times of a bracket, s; the longest sets the noise and the shortest what saturates. The base
-            exposure where empty.
+            Exposure times of a bracket, s; the longest determines the noise and the shortest the saturation. If empty,
+            the base exposure is used.
         **others
-            Further fields.
+            Further fields of `ObservationNoise`.
         """
         base = sensor.base_exposure_s
         exposures = list(exposures_s) or [base]
@@ -110,22 +110,22 @@ class Weighting:
             raise ValueError(f"weights {self.weights!r}; accepted: noise, equal")
 
 
-#: The fit's own where the configuration says nothing.
+#: Default of the fit.
 WEIGHTING = Weighting()
 
 
 @dataclass(frozen=True)
 class Materials:
-    """Materials to tell apart.
+    """Materials with parameters that the photographs are to determine.
 
     Parameters
     ----------
     alpha, beta, mu : (m,) float
-        Weights, at least 0; roughness in the unit of the lobe, above 0.
+        Diffuse and gloss weights, at least 0; roughness in the unit of the lobe, above 0.
     n, k : float
-        Complex refractive index n + ik of all.
+        Complex refractive index n + ik of all materials.
     lobes : tuple of str
-        Of `irodori.reflection.registry`; the first so many materials have the first, and so on, in equal parts.
+        Names of lobes in `irodori.reflection.registry`; the materials are divided among them in equal parts, in order.
     """
 
     alpha: np.ndarray
@@ -136,7 +136,7 @@ class Materials:
     lobes: tuple[str, ...] = DEFAULT_LOBES
 
     def of_lobes(self) -> list[tuple[str, np.ndarray]]:
-        """Return every lobe with the indices of its materials."""
+        """Return (name of a lobe, indices of its materials) for every lobe."""
         which = np.arange(len(self.alpha)) * len(self.lobes) // len(self.alpha)
         return [(name, np.flatnonzero(which == number)) for number, name in enumerate(self.lobes)]
 
@@ -156,7 +156,7 @@ class RigSubject:
         Object frame, mm and unit vectors.
     camera_distance_mm : float
     table_radius_mm : float
-        Half the side of the table's top, 0 for none.
+        Half the side of the table's top; 0 if there is no table.
     """
 
     shape: Shape
@@ -177,7 +177,7 @@ class RigSubject:
         return angles_from_directions(normal, light, view / np.linalg.norm(view, axis=-1, keepdims=True))
 
     def unobstructed(self, poses: list[Pose]) -> np.ndarray:
-        """Return whether neither object nor table stands between a texel and the light or the camera, (poses, t)."""
+        """Return whether neither object nor table hides a texel from the light or the camera, (poses, t) bool."""
         out = np.empty((len(poses), len(self.position)), dtype=bool)
         groups: dict[tuple, list[int]] = {}
         for index, pose in enumerate(poses):
@@ -202,18 +202,18 @@ class RigSubject:
 class Observations(NamedTuple):
     """Expected observations of every case in every pose, float64."""
 
-    jacobian: np.ndarray  # (poses, cases, 3) ∂ρ / ∂(ln α, ln β, ln μ); zero where there is nothing to observe
-    variance: np.ndarray  # (poses, cases) of ρ; infinite where there is nothing to observe
-    response: np.ndarray  # (poses, cases) ρ; zero where there is nothing to observe
-    weight: np.ndarray  # (poses, cases) that of the fit; zero where there is nothing to observe
+    jacobian: np.ndarray  # (poses, cases, 3) ∂ρ / ∂(ln α, ln β, ln μ); zero without an observation
+    variance: np.ndarray  # (poses, cases) of ρ; infinite without an observation
+    response: np.ndarray  # (poses, cases) ρ; zero without an observation
+    weight: np.ndarray  # (poses, cases) weight in the fit; zero without an observation
 
     def of(self, chosen) -> "Observations":
-        """Return the observations of poses by their place, none where none is chosen."""
+        """Return the observations of the poses with the given indices."""
         chosen = np.asarray(chosen, dtype=np.intp)
         return Observations(self.jacobian[chosen], self.variance[chosen], self.response[chosen], self.weight[chosen])
 
     def scaled(self) -> np.ndarray:
-        """Return the Jacobian over the standard deviation, (poses, cases, 3): row · rowᵀ is the information."""
+        """Return the Jacobian divided by the standard deviation, (poses, cases, 3); rowᵀ row is the information."""
         return self.jacobian / np.sqrt(self.variance)[..., None]
 
 
@@ -225,7 +225,7 @@ def observe(
     max_angle_deg: float = 80.0,
     weighting: Weighting = WEIGHTING,
 ) -> Observations:
-    """Return what each pose would show of each texel with each material.
+    """Return the expected observations of each texel with each material in each pose.
 
     Parameters
     ----------
@@ -234,9 +234,9 @@ def observe(
     materials : Materials
     noise : ObservationNoise
     max_angle_deg : float
-        Observations with θ_i or θ_r beyond it carry no weight in the fit and tell nothing here, degrees.
+        Observations with θ_i or θ_r beyond this angle have no weight in the fit and are not used here, degrees.
     weighting : Weighting
-        How the fit will weigh them.
+        Weights of the observations in the fit.
 
     Returns
     -------
@@ -244,9 +244,10 @@ def observe(
 
     Notes
     -----
-    The pose error enters as the mean square change of ρ when the light, then the camera, moves by one standard
-    deviation to either side. To first order this is (∂ρ/∂θ σ)²; at the lobe's top, where the derivative is zero, the
-    curvature remains. Observations on steep flanks are therefore not taken for better than they are.
+    The variance due to the pose error is the mean square change of ρ when the light, then the camera, moves by one
+    standard deviation to either side. To first order this is (∂ρ/∂θ σ)²; at the lobe's top, where the derivative is
+    zero, the curvature remains. It prevents that observations on steep flanks of the lobe count for more than they
+    contribute.
     """
     shifts = [("light_deg", -1), ("light_deg", 1), ("camera_deg", -1), ("camera_deg", 1)]
     moved = [poses] + [
@@ -261,7 +262,7 @@ def observe(
     cases = geometry.shape[1] * len(parameters)
     shape = (len(poses), cases)
     out = Observations(np.zeros((*shape, PARAMETERS)), np.full(shape, np.inf), np.zeros(shape), np.zeros(shape))
-    # Without weights of its own the fit takes all variances for one.
+    # With equal weights the fit assumes a variance of 1 for all observations.
     expected = weighting.model_error if weighting.weights == "noise" else -1.0
     spread = _Spread(noise.read_variance, noise.shot_variance, noise.relative, noise.saturation_response, expected)
     for name, chosen in materials.of_lobes():
@@ -271,7 +272,7 @@ def observe(
 
 @njit(cache=True, error_model="numpy")
 def _features(lobes, geometry, reflectance, out):
-    """Fill cosθ_i, F times the lobe's factor, and its features, of a pose and those moved from it, (5,) each."""
+    """Fill cosθ_i, F times the lobe's factor, and the lobe's three features of a pose and its shifted poses, (5, 5)."""
     for s in range(5):
         # Beyond the horizon there is no light: the cosine of a moved pose must not turn negative.
         cosine = math.cos(min(geometry[s, 0], 0.5 * math.pi))
@@ -281,7 +282,7 @@ def _features(lobes, geometry, reflectance, out):
 
 
 class _Seen(NamedTuple):
-    """Texels in every pose, and in those moved from it."""
+    """Geometry and visibility of the texels in every pose and its four shifted poses."""
 
     geometry: np.ndarray  # (poses, t, 5, 4) θ_i, θ_r, θ_H, φ, rad
     reflectance: np.ndarray  # (poses, t, 5) Fresnel reflectance
@@ -289,14 +290,14 @@ class _Seen(NamedTuple):
 
 
 class _Group(NamedTuple):
-    """Some of the materials: those of one lobe."""
+    """Materials with one lobe."""
 
-    parameters: np.ndarray  # (materials, 3) α, β, μ of all
-    chosen: np.ndarray  # indices of those that are meant
+    parameters: np.ndarray  # (materials, 3) α, β, μ of all materials
+    chosen: np.ndarray  # indices of the materials with this lobe
 
 
 class _Spread(NamedTuple):
-    """Variance of an observation, as of `ObservationNoise`, and what the fit expects of it."""
+    """Parameters of an observation's variance, as in `ObservationNoise`, and of the variance that the fit assumes."""
 
     read: float
     shot: float
@@ -344,9 +345,9 @@ def standard_errors(observations: Observations) -> np.ndarray:
     """Return the expected relative standard errors of α, β, μ of the fit, (cases, 3); infinite where undetermined.
 
     With the weights w of the fit of equation (7) its covariance is N⁻¹ (Σ w² v J Jᵀ) N⁻¹ with N = Σ w J Jᵀ, as
-    `irodori.fitting.judge` computes it from the photographs. It is more than the inverse of the information by what the
-    best weights would gain: those of the fit know noise and model error, but not what an error of the pose does. An
-    error that all photographs share, which the fit adds to those of α and β, is not in it.
+    `irodori.fitting.judge` computes it from the photographs. It exceeds the inverse of the information, because the
+    weights of the fit are not optimal: they include noise and model error, but not the effect of pose errors. An error
+    that all photographs share, which the fit adds to the errors of α and β, is not included.
     """
     jacobian, weight = observations.jacobian, observations.weight
     seen = np.isfinite(observations.variance)

@@ -30,30 +30,30 @@ from irodori.spectra.published import refractive_index_at
 AXES = ("light_deg", "camera_deg", "tilt_deg", "turn_deg")
 #: Largest distance between candidates along each axis, degrees; the rig's own step where that is larger.
 COARSE_DEG = {"light_deg": 5.0, "camera_deg": 2.0, "tilt_deg": 15.0, "turn_deg": 45.0}
-#: A sphere shows all its normals at once: neighbouring poses differ little, and there are turns to try.
+#: Distances for curved shapes, which show many normals at once: neighbouring poses differ little, and turns matter.
 SPHERE_COARSE_DEG = {"light_deg": 15.0, "camera_deg": 10.0, "tilt_deg": 15.0, "turn_deg": 45.0}
 _SPHERE_TEXELS = 64
 _FLAT_MATERIALS, _SPHERE_MATERIALS = 40, 16
 _PRIOR_RELATIVE_ERROR = 1.0  # of each parameter before any photograph: known to a factor of e
 _TOLERANCE_DEG = 1e-6
 DEFAULT_CRITERION = "fit-variance"
-#: Relative standard errors from which on the fit states β and μ as not known.
+#: Relative standard errors from which the fit reports β and μ as not known.
 KNOWN_RELATIVE_ERROR = {"beta": 0.3, "mu": 0.2}
 
 
 @dataclass(frozen=True)
 class MaterialRange:
-    """The materials that an object may show.
+    """Range of the materials that an object may have.
 
     Parameters
     ----------
     alpha, beta, mu_rad : (2,) tuple of float
-        Smallest and largest value; α evenly spread in between, β and μ evenly in their logarithm. μ is in the unit of
-        the lobe.
+        Smallest and largest value; α is spread evenly in between, β and μ evenly in their logarithms. μ is in the unit
+        of the lobe.
     n, k : float
         Complex refractive index in the green band.
     lobes : tuple of str
-        Lobes of the object's gloss components. Of two, materials of either alone are planned for, half each, see
+        Lobes of the object's gloss components. With two, half of the materials have either lobe alone, see
         `irodori.capture.shot_planner.fisher_information`.
     """
 
@@ -79,14 +79,14 @@ class MaterialRange:
     def from_definition(cls, definition: Object | PlannedObject) -> "MaterialRange":
         """Return the range of an object's validated definition: ``plan``, ``refractive_index`` and ``lobes``.
 
-        Lobes that photographs are to choose are planned for as equation (5)'s.
+        If the lobes are to be chosen from photographs, the lobe of equation (5) is assumed.
         """
         n, k = refractive_index_at(definition.refractive_index)
         plan, lobes = definition.plan, DEFAULT_LOBES if AUTO in definition.lobes else definition.lobes
         return cls(alpha=plan.alpha, beta=plan.beta, mu_rad=plan.mu_rad, n=n, k=k, lobes=lobes)
 
     def at(self, unit: np.ndarray) -> Materials:
-        """Return the materials at points of the unit cube, (m, 3)."""
+        """Return the materials at points of the unit cube, (m, 3), which spans the range."""
         (a0, a1), (b0, b1), (m0, m1) = self.alpha, self.beta, self.mu_rad
         return Materials(
             alpha=a0 + unit[:, 0] * (a1 - a0),
@@ -98,7 +98,7 @@ class MaterialRange:
         )
 
     def spread(self, count: int) -> Materials:
-        """Return materials that fill the range evenly: a Halton sequence, the same every time."""
+        """Return materials that fill the range evenly: a Halton sequence, which is always the same."""
         from scipy.stats import qmc  # slow to import
 
         return self.at(qmc.Halton(3, scramble=False).random(count + 1)[1:])
@@ -106,22 +106,22 @@ class MaterialRange:
 
 @dataclass(frozen=True)
 class Plan:
-    """Chosen poses and what a fit of their photographs is expected to reach.
+    """Chosen poses, and the errors that are expected of a fit to their photographs.
 
     Parameters
     ----------
     poses : list of Pose
         In the order of their manual steps: by light angle and tilt, then turn, then camera angle.
     expected : dict
-        Parameter -> (median, 95th percentile) of the standard error over the determined cases of the range: ``alpha``
+        {parameter: (median, 95th percentile) of the standard error} over the determined cases of the range: ``alpha``
         absolute, ``beta`` and ``mu`` relative.
     determined_fraction : float
-        Cases (materials on texels) whose β and μ a fit would state as known, see KNOWN_RELATIVE_ERROR; of a sphere's
-        texels few are seen in enough poses, and its underside in none.
+        Share of cases (materials on texels) with β and μ that a fit would report as known, see KNOWN_RELATIVE_ERROR.
+        It is small for a sphere: few of its texels are seen in enough poses, and its underside in none.
     candidates : int
-        Poses that were open to choice.
+        Number of poses from which these were chosen.
     manual_settings : int
-        Different light angles and tilts, which a person sets.
+        Number of different settings of light angle and tilt, which a person sets.
     """
 
     poses: list[Pose]
@@ -131,7 +131,7 @@ class Plan:
     manual_settings: int
 
     def lines(self) -> list[str]:
-        """Return the plan in words, one line for each group of a manual setting and one for each expected error."""
+        """Return the plan as text: one line for each setting by hand and turn, and one for each expected error."""
         groups: dict[tuple, list[str]] = {}
         for pose in self.poses:
             groups.setdefault((pose.light_deg, pose.tilt_deg, pose.turn_deg), []).append(f"{pose.camera_deg:g}")
@@ -142,7 +142,7 @@ class Plan:
         return out + self.expectations()
 
     def expectations(self) -> list[str]:
-        """Return what a fit of the photographs is expected to reach, in words."""
+        """Return the expected errors of a fit to the photographs as lines of text."""
         out = []
         for name, (median, p95) in self.expected.items():
             kind = "absolute" if name == "alpha" else "relative"
@@ -151,7 +151,7 @@ class Plan:
 
 
 def subject_of(definition: Object | PlannedObject, rig: Rig) -> RigSubject:
-    """Return the texels that stand for an object.
+    """Return sample texels of an object on the rig, for which poses are planned.
 
     Parameters
     ----------
@@ -164,22 +164,22 @@ def subject_of(definition: Object | PlannedObject, rig: Rig) -> RigSubject:
 
 
 def axis_angles(limit: AxisLimit, coarse_deg: float) -> np.ndarray:
-    """Return angles of an axis from its smallest on, on its steps, about `coarse_deg` apart, degrees.
+    """Return angles of an axis, degrees, from its smallest in multiples of its step, about `coarse_deg` apart.
 
     Parameters
     ----------
     limit : AxisLimit
     coarse_deg : float
-        Largest distance between two angles; one step where that is larger.
+        Largest distance between two angles; one step of the axis if that is larger.
     """
     step = limit.step * max(1, math.floor(coarse_deg / limit.step + _TOLERANCE_DEG))
     count = math.floor((limit.max - limit.min) / step + _TOLERANCE_DEG) + 1
-    # Sums of steps such as 0.1 leave digits that no one set.
+    # Multiples of steps such as 0.1 have rounding errors in their last digits.
     return np.round(limit.min + step * np.arange(count), 9)
 
 
 def candidate_poses(limits: RigLimits, coarse_deg: Mapping[str, float], clearance_deg: float) -> list[Pose]:
-    """Return the poses of a rig on a coarse grid of its steps where the camera does not stand in the light's way.
+    """Return the poses of a rig on a coarse grid of its steps in which the camera does not block the light.
 
     Parameters
     ----------
@@ -187,13 +187,13 @@ def candidate_poses(limits: RigLimits, coarse_deg: Mapping[str, float], clearanc
     coarse_deg : dict
         Distance of the candidates along each axis of AXES, degrees.
     clearance_deg : float
-        Smallest angle between the directions to the light and to the camera, degrees. A rig's definition does not say
-        how large its camera is.
+        Smallest angle between the directions to the light and to the camera, degrees. A rig's definition does not have
+        the size of its camera.
 
     Raises
     ------
     ValueError
-        If `coarse_deg` lacks an axis or has one more, listing the axes.
+        If `coarse_deg` lacks an axis or has an unknown one; the message lists the axes.
     """
     if set(coarse_deg) != set(AXES):
         raise ValueError(f"coarse_deg for {', '.join(coarse_deg) or 'nothing'}; accepted: {', '.join(AXES)}")
@@ -206,7 +206,7 @@ def candidate_poses(limits: RigLimits, coarse_deg: Mapping[str, float], clearanc
 def open_poses(
     shape: Shape, limits: RigLimits, clearance_deg: float = 5.0, coarse_deg: Mapping | None = None
 ) -> list[Pose]:
-    """Return the candidates for a shape: `candidate_poses` on its default grid; no turns for a flat one."""
+    """Return the candidate poses for a shape, by default on a grid for its kind; a flat shape is not turned."""
     if not shape.is_flat:
         return candidate_poses(limits, coarse_deg or SPHERE_COARSE_DEG, clearance_deg)
     still = replace(limits.turn_deg, max=limits.turn_deg.min)
@@ -214,7 +214,7 @@ def open_poses(
 
 
 class StatedErrors(Protocol):
-    """Errors that a fit reckons with: the configuration's ``fit``, or the options of the fit made of it."""
+    """Errors that a fit assumes, as in the configuration's block ``fit`` or in the options of a fit."""
 
     @property
     def model_error(self) -> float:
@@ -228,18 +228,18 @@ class StatedErrors(Protocol):
 def default_noise(
     rig: Rig, sensor: SensorOptions | None = None, exposures_s=(), fit: StatedErrors | None = None
 ) -> ObservationNoise:
-    """Return the noise of a rig and of its camera where their definitions state it, else what the fit reckons with.
+    """Return the noise that the definitions of a rig and its camera state, otherwise the noise that the fit assumes.
 
     Parameters
     ----------
     rig : Rig
-        Its ``virtual.imperfections`` give light drift and pose error.
+        Light drift and pose error are those of its ``virtual.imperfections``, if it has them.
     sensor : SensorOptions, optional
-        Of a virtual camera.
+        Sensor of a virtual camera.
     exposures_s : sequence of float
-        Bracket of the unfiltered photographs, s.
+        Exposure times of the photographs without the filter, s.
     fit : StatedErrors, optional
-        Its ``model_error`` and ``pose_error_deg``, where the rig's own are not stated.
+        Assumed errors for a rig whose definition does not state them.
     """
     own = {"relative": fit.model_error, "pose_rms_deg": fit.pose_error_deg} if fit else {}
     if rig.virtual is not None:
@@ -252,29 +252,29 @@ def default_noise(
 
 
 class Planner:
-    """An object on a rig, its candidates looked at once, for plans of any number of poses.
+    """Planner of poses for an object on a rig; it evaluates all candidates once, for plans with any number of poses.
 
     Parameters
     ----------
     definition : Object or PlannedObject
     rig : Rig
     materials : MaterialRange, optional
-        The object's own where absent.
-    noise : Noise, optional
-        `default_noise` of the rig where absent.
+        By default that of the object.
+    noise : ObservationNoise, optional
+        By default `default_noise` of the rig.
     max_angle_deg : float
-        ``rectify.max_angle_deg``: beyond it an observation tells nothing, degrees.
+        ``rectify.max_angle_deg``: observations beyond this angle are not used, degrees.
     clearance_deg : float
         See `candidate_poses`, degrees.
     coarse_deg : dict, optional
-        See `candidate_poses`; finer grids cost time in proportion.
+        See `candidate_poses`; the time is proportional to the number of candidates.
     weighting : Weighting
-        How the fit will weigh the observations.
+        Weights of the observations in the fit.
 
     Attributes
     ----------
     poses : list of Pose
-        Candidates in which something of the object is lit and seen.
+        Candidates in which a part of the object is lit and seen.
     """
 
     def __init__(
@@ -324,7 +324,7 @@ class Planner:
         return Plan([self.poses[i] for i in order], expected, fraction, len(self.poses), len(set(setting[order])))
 
     def expected(self, poses: list[Pose]) -> dict[str, tuple[float, float]]:
-        """Return what a fit of any poses is expected to reach, as in `Plan`."""
+        """Return the expected errors of a fit to photographs in given poses, as in `Plan`."""
         return expected_errors(self._observe(poses), self.sample)[0]
 
     def _observe(self, poses: list[Pose]) -> Observations:
@@ -339,21 +339,20 @@ def plan_best(
     criterion: str = DEFAULT_CRITERION,
     **others,
 ) -> Plan:
-    """Choose the poses that tell most about α, β, μ over a range of materials.
+    """Choose the poses that best determine α, β and μ over a range of materials.
 
     Parameters
     ----------
     definition : Object or PlannedObject
     rig : Rig
     count : int, optional
-        How many poses, at least 4: three parameters and one observation more; 6 for two gloss components.
-        ``plan.count`` where absent.
+        Number of poses, at least 4 (one more than the three parameters), or 6 for two gloss components; by default
+        ``plan.count``.
     max_manual : int, optional
-        How many different settings of light angle and tilt a person is willing to make; ``plan.max_manual`` where
-        absent.
+        Largest number of different settings of light angle and tilt by hand; by default ``plan.max_manual``.
     criterion : str
-        See `irodori.capture.shot_planner.exchange`. The default gave the smallest errors of simulated fits: it knows
-        what the fit's weights do not, and counts observations that saturate.
+        See `irodori.capture.shot_planner.exchange`. The default gave the smallest errors in simulated fits: it includes
+        pose errors, which the weights of the fit leave out, and saturated observations.
     **others
         Further parameters of `Planner`: ``materials``, ``noise``, ``max_angle_deg``, ``clearance_deg``, ``coarse_deg``,
         ``weighting``.
@@ -367,7 +366,7 @@ def plan_best(
     ValueError
         For too small a count, less than one manual setting or an unknown criterion.
     TooFewPoses
-        Where the rig has fewer poses than wanted.
+        If the rig has fewer poses than required.
     """
     planner = Planner(definition, rig, **others)
     return planner.best(definition.plan.count if count is None else count, max_manual, criterion)
@@ -379,14 +378,14 @@ def expected_errors(seen: Observations, materials: Materials) -> tuple[dict[str,
     Parameters
     ----------
     seen : Observations
-        Of the poses of a design.
+        Expected observations in the poses of a design.
     materials : Materials
-        Those of the observations.
+        Materials of the observations.
 
     Returns
     -------
     expected : dict
-        As in `Plan`; NaN where no case is determined.
+        As in `Plan`; NaN if no case is determined.
     determined_fraction : float
     """
     errors = standard_errors(seen)
@@ -400,5 +399,5 @@ def expected_errors(seen: Observations, materials: Materials) -> tuple[dict[str,
 
 
 def _hand(pose: Pose) -> tuple[float, float]:
-    """Return what a person sets for a pose: light angle and tilt, degrees."""
+    """Return the angles of a pose that a person sets: light angle and tilt, degrees."""
     return pose.light_deg, pose.tilt_deg

@@ -20,7 +20,7 @@ from irodori.config.models import AxisLimit, Captures, Exposures, PoseGroup, Rig
 from irodori.core.errors import InputError, is_file
 
 _ANGLE_TOLERANCE_DEG = 1e-6
-#: The chart and the white reference are divided by cosθ_i, which is nothing near 90 degrees.
+#: Responses of the chart and the white reference are divided by cosθ_i, which vanishes at 90 degrees.
 _MAX_INCIDENCE_DEG = 80.0
 _AXES = ("light_deg", "camera_deg", "tilt_deg", "turn_deg", "light_azimuth_deg")
 
@@ -39,7 +39,7 @@ class Reach:
         self.limits, self.file = limits, file
 
     def check_angle(self, axis: str, angle: float, file, field: str, step: bool = True) -> None:
-        """Refuse an angle outside the limits or, where `step` is set, off the steps."""
+        """Refuse an angle outside the limits or, if `step` is set, between the steps."""
         limit: AxisLimit | None = getattr(self.limits, axis)
         if limit is None:
             if angle != 0.0:
@@ -55,15 +55,15 @@ class Reach:
             raise InputError(file, field, f"{angle:.10g}", accepted)
 
     def check_shots(self, shots: list[Shot], table) -> None:
-        """Refuse photographs outside the limits, or in another unit."""
+        """Refuse photographs with angles outside the limits, or probably in radians."""
         check_degrees(shots, table)
         for shot in shots:
             for axis in _AXES:
-                # Angles of a real rig are read, not set: they need not stand on its steps.
+                # Angles of a real rig are read from it, and need not be multiples of its steps.
                 self.check_angle(axis, getattr(shot.pose, axis), table, f"{axis} of {shot.file}", step=False)
 
     def check_poses(self, groups: Iterable[PoseGroup], file) -> None:
-        """Refuse poses of an object that the virtual rig cannot take, or that come twice."""
+        """Refuse poses of an object that the rig cannot take, or that occur twice."""
         for index, group in enumerate(groups):
             for axis, angles in group.given().items():
                 for item, angle in enumerate(angles):
@@ -96,7 +96,7 @@ def table_and_folder(captures: Captures, root: Path) -> tuple[Path, Path]:
 
 
 def read_table(captures: Captures | None, root: Path, file) -> tuple[Path, list[Shot]]:
-    """Return the table of a set of photographs and what it lists, all files being there."""
+    """Return the path of a table and its photographs, after a check that all files exist."""
     assert captures is not None  # checked: photographs that others take have a table
     table, folder = table_and_folder(captures, root)
     if not is_file(table):
@@ -112,7 +112,7 @@ def read_table(captures: Captures | None, root: Path, file) -> tuple[Path, list[
 
 
 def of_role(shots: list[Shot], role: str, table: Path) -> list[Shot]:
-    """Return the photographs of a role: one or more, each capture with the filter out as well."""
+    """Return the photographs of a role; raise an error for none, or for a capture without a photograph unfiltered."""
     wanted = [shot for shot in shots if shot.role == role]
     if not wanted:
         roles = ", ".join(sorted({shot.role for shot in shots}))
@@ -125,7 +125,7 @@ def of_role(shots: list[Shot], role: str, table: Path) -> list[Shot]:
 
 
 def by_chart(shots: list[Shot], further: Iterable[str], table: Path, file) -> list[list[Shot]]:
-    """Return the photographs of each chart, the first chart's first; refuse charts that only one side knows."""
+    """Return the photographs of each chart, the first chart's first; refuse charts without counterpart."""
     wanted = ["", *further]
     groups: dict[str, list[Shot]] = {name: [] for name in wanted}
     for shot in shots:
@@ -142,7 +142,7 @@ def by_chart(shots: list[Shot], further: Iterable[str], table: Path, file) -> li
 
 
 def check_room_charts(shots: list[Shot], wanted: Iterable[str], table: Path, file) -> list[Shot]:
-    """Return the photographs of charts in a place; refuse charts that only its table or only its definition has."""
+    """Return the photographs of charts in an environment; refuse charts that only its table or definition has."""
     given, known = [shot for shot in shots if shot.role == "room-chart"], set(wanted)
     for shot in given:
         if shot.chart not in known:
@@ -155,7 +155,7 @@ def check_room_charts(shots: list[Shot], wanted: Iterable[str], table: Path, fil
 
 
 def check_states(shots: list[Shot], table: Path, wanted: set[str], chart_file: Path) -> None:
-    """Refuse a capture in other filter states than those in `chart_file`, for which alone the calibration holds."""
+    """Refuse a capture in other filter states than those of the chart, for which the calibration is valid."""
     for capture, states in _states_of_captures(shots).items():
         if states != wanted:
             accepted = f"the filter states {_listed(wanted)}, as the chart has in {chart_file}"
@@ -165,7 +165,7 @@ def check_states(shots: list[Shot], table: Path, wanted: set[str], chart_file: P
 
 
 def check_one_pose(shots: list[Shot], table: Path) -> None:
-    """Refuse photographs of the chart or of the white reference in several poses, or in one that light misses."""
+    """Refuse photographs of the chart or white reference in several poses, or not lit from the front."""
     first = shots[0]
     for shot in shots:
         check_incidence(shot.pose, table, f"light_deg of {shot.file}")

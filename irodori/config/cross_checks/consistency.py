@@ -46,7 +46,7 @@ from irodori.spectra.tables import brdf_table
 #: Folders that stand in results/ beside those of objects and scenes.
 _RESERVED = ("benchmark", "benchmarks", "cameras", "environments", "logs", "rig")
 _BANDS_OF_A_STATE = 3
-#: Keys that not every kind of rig reads: which of them a definition must give, and which it may.
+#: Keys that not every kind of rig uses, and below those that a definition must have for each kind of rig.
 _TAKEN_HERE = ("poses", "exposure_s", "dark_frames", "white_frames", "linearity_exposure_s")
 _ONLY_SOME = (*_TAKEN_HERE, "virtual", "driver", "captures")
 _NEEDED: dict[str, dict[str, tuple[str, ...]]] = {
@@ -65,7 +65,7 @@ _NEEDED: dict[str, dict[str, tuple[str, ...]]] = {
 
 
 def _accepted_keys(rig_kind: str, kind: str) -> tuple[str, ...]:
-    """Return which of ``_ONLY_SOME`` a definition may give."""
+    """Return the keys of ``_ONLY_SOME`` that a definition may have."""
     needed = _NEEDED[rig_kind][kind]
     return needed if "exposure_s" not in needed else (*needed, *_TAKEN_HERE)
 
@@ -77,13 +77,13 @@ def check_agreement(loaded: Loaded, root: Path, config_file, file, *, photograph
     ----------
     loaded : Loaded
     root : path
-        Where relative paths start.
+        Folder at which relative paths start.
     config_file : path
-        Where the configuration came from, for the error message.
+        File of the configuration, for the error message.
     file : callable
         ``file(kind, name)`` is the path of a definition, for the error message.
     photographs : bool
-        Whether the tables of photographs that somebody takes have to be there already.
+        Whether tables of photographs that a person takes must already exist.
 
     Raises
     ------
@@ -109,7 +109,7 @@ def check_agreement(loaded: Loaded, root: Path, config_file, file, *, photograph
 
 
 class _Checks:
-    """One check for each kind of definition."""
+    """Checks of loaded definitions, with one method for each kind."""
 
     def __init__(self, loaded: Loaded, root: Path, file, photographs: bool) -> None:
         self.all, self.root, self.file, self.photographs = loaded, root, file, photographs
@@ -143,7 +143,7 @@ class _Checks:
             states = {shot.filter for shot in self.charts[name][1]}
         bands, calibration = _BANDS_OF_A_STATE * len(states), camera.calibration
         bases = calibration.bases
-        # The other estimators know more than the responses: their weights may outnumber the bands.
+        # The other estimators use more than the responses: they may have more bases than there are bands.
         if calibration.estimator == "pinv" and isinstance(bases, int) and bases > bands:
             listed = ", ".join(sorted(states))
             accepted = f"1 to {bands}, {_BANDS_OF_A_STATE} for each filter state of the chart ({listed})"
@@ -231,7 +231,7 @@ class _Checks:
             raise InputError(file, "lights", found, "integrator: {kind: reference}, or collimated lights alone")
 
     def folders(self) -> None:
-        """Refuse a table or a folder into which two sessions would write: their photographs bear the same names."""
+        """Refuse a table or a folder that two sessions would use: their photographs have the same names."""
         taken: dict[tuple[str, Path], Path] = {}
         for kind in ("cameras", "objects"):
             for name, definition in getattr(self.all, kind).items():
@@ -254,11 +254,11 @@ class _Checks:
         return states_of(self.all.cameras[camera].exposure_s)
 
     def _is_taken_here(self, kind: str, name: str) -> bool:
-        """Whether the workflow itself takes the photographs, as against reading what somebody took."""
+        """Whether the workflow itself takes the photographs, rather than reading those of a person."""
         return "exposure_s" in _NEEDED[self.all.rig_of(kind, name).kind][kind]
 
     def _is_to_come(self, captures: Captures | None) -> bool:
-        """Whether somebody is still to take photographs, which is no fault where they are only planned."""
+        """Whether a table of photographs does not exist yet, and need not, because they are only planned."""
         assert captures is not None  # checked: photographs that others take have a table
         return not self.photographs and not is_file(table_and_folder(captures, self.root)[0])
 
@@ -266,7 +266,7 @@ class _Checks:
         return Reach(self.all.rigs[camera.rig].limits, self.file("rigs", camera.rig))
 
     def _check_keys(self, kind: str, name: str) -> None:
-        """Refuse a definition without the keys that its rig's kind needs, or with keys that it never reads."""
+        """Refuse a definition that lacks keys required for its kind of rig, or has keys that this kind does not use."""
         file, given = self.file(kind, name), self.all.photographed(kind, name).given()
         rig = self.all.rig_of(kind, name).kind
         for key in _NEEDED[rig][kind]:
@@ -279,7 +279,7 @@ class _Checks:
                 raise InputError(file, key, found, f"to leave it out ({rig_file} is of kind {rig})")
 
     def _check_session(self, camera: Camera, file) -> None:
-        """Check the photographs that calibrate a camera, which the workflow takes itself."""
+        """Check the session of the workflow that takes a camera's calibration photographs."""
         poses: dict[str, RigPose] = camera.poses.given() if camera.poses else {}
         _require(poses, "white", file, self.all.rigs[camera.rig].kind, "poses.white")
         if camera.virtual is not None:
@@ -293,7 +293,7 @@ class _Checks:
             check_incidence(pose, file, f"poses.{role}.light_deg")
 
     def _check_chart_and_white(self, name: str, camera: Camera, file) -> None:
-        """Check the photographs that calibrate a camera of a real rig; what it photographs is divided by its white."""
+        """Check the user's calibration photographs of a camera; a camera in use needs a white reference."""
         table, shots = read_table(camera.captures, self.root, file)
         photographed = of_role(shots, "chart", table)
         charts = by_chart(photographed, camera.further_charts, table, file)
@@ -315,7 +315,7 @@ class _Checks:
             check_one_pose(group, table)
 
     def _user_of(self, camera: str) -> Path | None:
-        """Return the file of an object, environment or scene that a camera photographs, None where there is none."""
+        """Return the file of an object, environment or scene that a camera photographs; None if there is none."""
         for kind in ("objects", "environments"):
             for name, definition in getattr(self.all, kind).items():
                 if definition.camera == camera:
@@ -326,7 +326,7 @@ class _Checks:
         return None
 
     def _check_exposures(self, kind: str, name: str) -> None:
-        """Refuse other filter states than those of the chart, for which alone the calibration holds."""
+        """Refuse exposures in other filter states than those of the chart, for which the calibration is valid."""
         file, camera = self.file(kind, name), self.all.camera_of(kind, name)
         given, wanted = states_of(self.all.photographed(kind, name).exposure_s), self._states(camera)
         if given != wanted:
@@ -335,7 +335,7 @@ class _Checks:
             raise InputError(file, "exposure_s", f"the filter states {found}", accepted)
 
     def _check_photographs(self, kind: str, name: str) -> tuple[Path, list[Shot]]:
-        """Return the table of an object or an environment of a real rig and its photographs."""
+        """Check the user's photographs of an object or an environment; return their table and the photographs."""
         table, shots = read_table(self.all.photographed(kind, name).captures, self.root, self.file(kind, name))
         wanted, camera = of_role(shots, kind.removesuffix("s"), table), self.all.camera_of(kind, name)
         chart_file = self.charts[camera][0] if camera in self.charts else self.file("cameras", camera)
@@ -364,7 +364,7 @@ def _check_bounds(config: Config, file) -> None:
 
 
 def _check_names(loaded: Loaded, file) -> None:
-    """Refuse objects and scenes whose folders in results/ would be those of something else."""
+    """Refuse objects and scenes with a folder in results/ that something else uses."""
     for kind, names in (("objects", loaded.objects), ("scenes", loaded.scenes)):
         for name in names:
             if name in _RESERVED:

@@ -9,15 +9,15 @@ _MEASURED = (".csv", ".ti3")
 
 
 def check_display(device: DisplayDevice, root: Path, file) -> None:
-    """Refuse a display whose file is not there, or whose white its primaries cannot mix.
+    """Refuse a display with a missing file, or with a white outside the triangle of its primaries.
 
     Parameters
     ----------
     device : DisplayDevice
     root : path
-        Where relative paths start.
+        Folder at which relative paths start.
     file : path
-        The scene's definition, for the error message.
+        File of the scene's definition, for the error message.
 
     Raises
     ------
@@ -42,5 +42,5 @@ def check_display(device: DisplayDevice, root: Path, file) -> None:
 
 
 def _side(point, a, b) -> float:
-    """Return on which side of the line from a to b a point lies, by the sign."""
+    """Return a number whose sign tells on which side of the line from a to b a point lies."""
     return (b[0] - a[0]) * (point[1] - a[1]) - (b[1] - a[1]) * (point[0] - a[0])

@@ -18,12 +18,12 @@ _OF_A_CAMERA = ("camera", "captures", "exposure_s", "room_charts", "lamps", "vir
 
 
 def is_photographed(environment: EnvironmentDefinition) -> bool:
-    """Whether a camera photographs the place, as against a file of another program or placed lights."""
+    """Whether a camera photographs the environment, which otherwise is a picture file or placed lights."""
     return isinstance(environment.source, CapturesSource | MirrorBallSource)
 
 
 def check_source(environment: EnvironmentDefinition, root: Path, file) -> None:
-    """Refuse an environment whose keys are not those of its source, or whose files are not there.
+    """Refuse an environment with missing or unused keys for its kind of source, or with a missing file.
 
     Raises
     ------
@@ -55,7 +55,7 @@ def check_source(environment: EnvironmentDefinition, root: Path, file) -> None:
 
 
 def check_placed_charts(environment: EnvironmentDefinition, room: VirtualRoom, file) -> None:
-    """Refuse charts of a virtual room that stand nowhere, outside it, or face no side; and places without a chart.
+    """Refuse charts of a virtual room without a position, outside the room or without a direction, and vice versa.
 
     Raises
     ------

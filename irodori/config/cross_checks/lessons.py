@@ -1,4 +1,4 @@
-"""Checks of a scene's lesson against the scene: what its steps name has to be there."""
+"""Checks of a scene's lesson against the scene: everything that its steps name must exist."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -9,15 +9,15 @@ from irodori.config.validation import suggest
 from irodori.core.errors import InputError, is_file
 from irodori.spectra.published_names import ILLUMINANTS
 
-#: First bytes of the pictures that a lesson shows, and the kind that a page names them by.
+#: Media types of a lesson's pictures, by their first bytes.
 PICTURE_KINDS = {b"\x89PNG\r\n\x1a\n": "image/png", b"\xff\xd8\xff": "image/jpeg"}
 _MOST_BYTES = 1_000_000
-#: Lamps with a size that the page's renderer follows at once.
+#: Most lamps with a size that the page's renderer supports at once.
 _MOST_BALLS = 4
 
 
 def check_lesson(scene: Scene, root: Path, file) -> None:
-    """Refuse a lesson that names a view, an object, an illuminant or a picture that is not there.
+    """Raise an error for a lesson that names a view, object, illuminant or picture that does not exist.
 
     Raises
     ------
@@ -71,7 +71,7 @@ def _check_picture(step: LessonStep, root: Path, file, field: str) -> None:
 
 
 def picture_kind(path: Path) -> str | None:
-    """Return the media type of a picture by its first bytes; None where it is neither PNG nor JPEG."""
+    """Return the media type of a picture by its first bytes; None if it is neither PNG nor JPEG."""
     with path.open("rb") as stream:
         head = stream.read(8)
     return next((kind for start, kind in PICTURE_KINDS.items() if head.startswith(start)), None)

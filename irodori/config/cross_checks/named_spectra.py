@@ -20,12 +20,12 @@ from irodori.spectra.published_names import (
 from irodori.spectra.spectral_files import SUFFIXES, check_power, check_reflectance, filter_row, spectral_table
 from irodori.spectra.tables import index_table
 
-#: Rows and columns of the charts that are found without corners, and the same in words.
+#: Rows and columns of the charts that can be detected without corners, and the same as text.
 FOUND_LAYOUTS = ((4, 6), (10, 14), (14, 10))
 FOUND_WORDS = "4 x 6 patches, a ColorChecker Classic, or 14 x 10 (letter by letter) or 10 x 14, a Digital SG"
 _BANDS = (("r", "red"), ("g", "green"), ("b", "blue"))
 
-#: Kind of spectrum: the names that are published, and the same in words.
+#: Published names of each kind of spectrum, and the same as text.
 _PUBLISHED = {
     "light": (
         ILLUMINANTS,
@@ -39,18 +39,18 @@ _PUBLISHED = {
 
 
 def check_spectra(value, path: tuple, root: Path, file) -> None:
-    """Refuse a spectrum that is neither published nor a table that holds what its key asks for.
+    """Refuse spectra that are neither published names nor tables with the quantity that their key requires.
 
     Parameters
     ----------
     value : Definition, mapping, sequence or scalar
         A definition, or a part of one.
     path : tuple of str and int
-        Where `value` stands in its definition.
+        Keys and indices of `value` in its definition.
     root : path
-        Where relative paths start.
+        Folder at which relative paths start.
     file : path
-        The definition, for the error message.
+        File of the definition, for the error message.
 
     Raises
     ------
@@ -68,7 +68,7 @@ def check_spectra(value, path: tuple, root: Path, file) -> None:
 
 
 def check_index(index: RefractiveIndex, root: Path, file, field: str) -> None:
-    """Refuse a table of refractive indices that is not there, or is none."""
+    """Refuse a table of refractive indices that does not exist or is not valid."""
     if isinstance(index, IndexTable):
         if not is_file(root / index.file):
             raise InputError(file, f"{field}.file", f"no such file: {index.file}", "a CSV of wavelength_nm, n, k")
@@ -76,7 +76,7 @@ def check_index(index: RefractiveIndex, root: Path, file, field: str) -> None:
 
 
 def check_filter(given: GivenFilter, root: Path, file) -> None:
-    """Refuse a filter whose table is not there, does not hold it, or holds no transmittances over 400 to 700 nm."""
+    """Refuse a filter if its table is missing, lacks it, or has no transmittances over 400 to 700 nm."""
     if not is_file(root / given.transmittance):
         accepted = f"the path of a file whose name ends in {', '.join(SUFFIXES)}"
         raise InputError(file, "comb_filter.transmittance", f"no such file: {given.transmittance}", accepted)
@@ -84,7 +84,7 @@ def check_filter(given: GivenFilter, root: Path, file) -> None:
 
 
 def check_chart(chart: Chart, root: Path, file, key: str = "chart") -> None:
-    """Refuse a chart whose rows and columns do not hold as many patches as its spectra."""
+    """Refuse a chart with other numbers of patches in its rows and columns and in its spectra."""
     name, patches = chart.spectra, chart.rows * chart.columns
     count = CHART_PATCHES[name] if name in CHART_PATCHES else len(spectral_table(root / name).names)
     if patches != count:
@@ -94,7 +94,7 @@ def check_chart(chart: Chart, root: Path, file, key: str = "chart") -> None:
 
 
 def _check_places(chart: Chart, file, key: str) -> None:
-    """Refuse a chart whose patches are placed twice, or nowhere."""
+    """Refuse a chart with both or neither of given and detected positions, or without a side of its patches."""
     find, given = chart.find, chart.centres_px is not None
     if find == "chart":
         if given:
@@ -115,7 +115,7 @@ def _check_places(chart: Chart, file, key: str) -> None:
 
 
 def _kind(path: tuple) -> str | None:
-    """Return what the value at a path is a spectrum of; None where it is no spectrum."""
+    """Return the kind of the spectrum that a definition has at a path of keys; None if it is not a spectrum."""
     keys = [part for part in path if isinstance(part, str)]
     if keys[-1] in ("ambient_light", "lights", "lamps", "illuminants", "from_illuminant"):
         return "light"
@@ -161,7 +161,7 @@ def _looks_like_a_path(text: str) -> bool:
 
 
 def _nearest(word: str, names: tuple[str, ...]) -> str:
-    """Return ``did you mean 'D65' or 'D60'? Accepted are ``, or nothing where no name is near."""
+    """Return the beginning of a hint, ``did you mean 'D65' or 'D60'? Accepted are ``; empty if no name is similar."""
     by_small = {name.lower(): name for name in names}
     near = [repr(by_small[small]) for small in difflib.get_close_matches(word.lower(), by_small, n=5)]
     return f"did you mean {' or '.join(near)}? Accepted are " if near else ""

@@ -1,17 +1,17 @@
-"""The lobes of an object and of its virtual materials; settings of the fit that do not go with two lobes."""
+"""Checks of the lobes of an object and of its virtual materials, and of fit settings for objects with two lobes."""
 
 from irodori.config.models import Fit, ModelledMaterial, Object
 from irodori.config.validation import suggest
 from irodori.core.errors import InputError
 
-#: In place of lobes: those that predict left-out photographs best.
+#: Value in place of lobes: the lobes that predict left-out photographs best are chosen.
 AUTO = "auto"
-#: Settings of the fit that an object with two lobes must leave as they are.
+#: Values that settings of the fit must have for an object with two lobes.
 SETTINGS_WITH_TWO_LOBES = {"solver": "varpro", "refractive_index": "fixed"}
 
 
 def check_lobes(definition: Object, fit: Fit, file) -> None:
-    """Refuse lobes that are not registered, and settings of the fit that do not go with two.
+    """Refuse lobes that are not registered, and settings of the fit that are incompatible with two lobes.
 
     Raises
     ------
@@ -37,7 +37,7 @@ def _check_names(definition: Object, file) -> None:
                 named[f"virtual.materials[{m}].further_gloss[{c}].lobe"] = further.lobe
     if set(named.values()) <= set(Object.lobes):  # the default, which is registered
         return
-    from irodori.reflection.registry import names  # with the compiler behind it, which most configurations do not need
+    from irodori.reflection.registry import names  # imports the compiler, which most configurations do not need
 
     for place, name in named.items():
         if name not in names():

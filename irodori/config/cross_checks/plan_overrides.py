@@ -3,7 +3,7 @@
 from irodori.config.models import InteractiveIntegrator, Scene
 from irodori.core.errors import InputError
 
-#: Overrides that each integrator's plan knows.
+#: Overrides that the plan of each integrator supports.
 _OF = {
     "interactive": (
         "gloss",
@@ -21,7 +21,7 @@ _OF = {
 
 
 def check_plan(scene: Scene, file) -> None:
-    """Refuse overrides that nothing reads.
+    """Refuse overrides that have no effect with the scene's integrator, or without a tolerance.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Checks of lengths and angles that only another unit explains: metres for millimetres, radians for degrees."""
+"""Checks for lengths and angles that are probably in a wrong unit: metres for millimetres, radians for degrees."""
 
 import math
 from collections.abc import Iterable
@@ -9,16 +9,16 @@ from irodori.config.models import Optics
 from irodori.core.errors import InputError
 
 _AXES = ("light_deg", "camera_deg", "tilt_deg", "turn_deg", "light_azimuth_deg")
-#: People set and note angles in such steps, degrees; in radians these are odd numbers, written to three digits or more.
+#: Step in which people set and write angles, degrees, and rounding of the same angles in radians, with 3 decimals.
 _STEP_DEG, _ROUNDING_RAD = 0.5, 0.001
-#: Width of an object in the picture, pixels: fewer hold no texel of its own beside its border.
+#: Smallest width of an object in the picture, pixels: with fewer, all its texels are at its border.
 _FEWEST_PX = 16
-#: Part of an object's outline in the frame: of what lies outside in every pose no photograph tells anything.
+#: Smallest share of an object's outline in the frame: parts outside of it in every pose are never photographed.
 _LEAST_INSIDE = 0.25
 
 
 def check_degrees(shots: Iterable[Shot], table) -> None:
-    """Refuse a table whose angles are all odd numbers of degrees below 2π, and round ones if they were radians.
+    """Refuse a table with angles that are probably radians: up to 2π, and round numbers of degrees after conversion.
 
     Raises
     ------
@@ -44,16 +44,16 @@ def _is_multiple(value: float, step: float, tolerance: float) -> bool:
 
 
 def check_in_frame(shape: Any, optics: Optics, distance_mm: float, file, rig_file) -> None:
-    """Refuse an object that the camera stands in, that is a speck in its picture, or lies outside of it.
+    """Refuse an object that contains the camera, is a speck in its picture, or lies mostly outside the frame.
 
-    A mesh is passed over: its size stands in its file.
+    Meshes are not checked, because their size is in their file.
 
     Parameters
     ----------
     shape : block of an object's definition
     optics : Optics
     distance_mm : float
-        From the camera to the middle of the rig.
+        Distance from the camera to the middle of the rig.
     file, rig_file : path
         Definitions of the object and of the rig, for the error message.
 

@@ -17,7 +17,7 @@ def check_motion(rig: Rig, file) -> None:
     ----------
     rig : Rig
     file : path
-        Where it came from, for the error message.
+        File of the rig's definition, for the error message.
 
     Raises
     ------
@@ -57,7 +57,7 @@ def _check_ascii(block: AsciiProtocol, channels: list[str], file) -> None:
         if template is None:
             continue
         field = f"motion.ascii.{command}"
-        # With several axes, a move and a position mean nothing without one.
+        # With several axes, a move and a position must name their axis.
         must = {*needed, *(("axis",) if len(channels) > 1 and command in ("move", "position") else ())}
         _check_template(template, must, {*needed, *allowed}, file, field)
     patterns = {}
@@ -77,7 +77,7 @@ def _check_ascii(block: AsciiProtocol, channels: list[str], file) -> None:
 
 
 def _check_template(text: str, needed: set[str], allowed: set[str], file, field: str) -> str:
-    """Return a template filled with samples."""
+    """Return a template filled with sample values, after a check of its placeholders."""
     try:
         found = set(placeholders(text))
         filled = text.format(**{name: SAMPLES[name] for name in allowed}) if found <= allowed else ""

@@ -11,7 +11,7 @@ from irodori.core.errors import InputError
 
 
 def check_aim(placed: View | ScenePhotograph, file, field: str) -> None:
-    """Refuse a camera or an eye that looks at itself, or along its own up direction."""
+    """Refuse a camera or an eye that has its target at its own position, or looks along its up direction."""
     forward = [b - a for a, b in zip(placed.position_mm, placed.target_mm, strict=True)]
     if not any(forward):
         raise InputError(file, f"{field}.target_mm", "the eye's own position", "another point")
@@ -34,15 +34,16 @@ def check_photograph(loaded: Loaded, scene: Scene, label: str, states: set[str],
     states : set of str
         Filter states of the camera's chart.
     root : path
-        Where relative paths start.
+        Folder at which relative paths start.
     file : callable
         ``file(kind, name)`` is the path of a definition; the scene's is ``file("scenes")``.
 
     Raises
     ------
     InputError
-        If it looks nowhere, its camera has no optics or no white reference, a key is missing for its kind of rig or not
-        read by it, a virtual camera's scene is not known, or filter states differ from the chart's.
+        If it has no valid direction of view, its camera has no optics or no white reference, a key is missing for the
+        kind of rig or not used by it, the truth of a virtual camera's scene is unknown, or filter states differ from
+        those of the chart.
     """
     placed, own, field = scene.photographs[label], file("scenes"), f"photographs.{label}"
     check_aim(placed, own, field)
@@ -70,7 +71,7 @@ def check_photograph(loaded: Loaded, scene: Scene, label: str, states: set[str],
 
 
 def _check_known(loaded: Loaded, scene: Scene, file, field: str) -> None:
-    """Refuse a virtual photograph of what nobody knows: a real object or room, or a reflection that is not rendered."""
+    """Refuse a virtual photograph without a known truth: of a real object or room, or of measured materials."""
     place = scene.environment
     if is_photographed(loaded.environments[place]) and not loaded.is_virtual("environments", place):
         found = f"a virtual camera in the real place {place!r}"

@@ -1,7 +1,7 @@
-"""Discs, and the closed form of what they hide of the cosine-weighted sky, clipped at the horizon.
+"""Discs, and a closed form of the share of the cosine-weighted hemisphere that a disc hides, clipped at the horizon.
 
-Lambert's sum over a polygon's edges becomes, over a circle r(t) = c + ρ (e₁ cos t + e₂ sin t) seen from the origin, the
-integral of n · (r × dr) / |r|²: a quotient of first-order trigonometric polynomials, whose primitive is elementary.
+For a circle r(t) = c + ρ (e₁ cos t + e₂ sin t) seen from the origin, Lambert's sum over the edges of a polygon becomes
+the integral of n · (r × dr) / |r|²: a quotient of first-order trigonometric polynomials with an elementary primitive.
 """
 
 import math
@@ -52,14 +52,14 @@ SCHEMA = {
     }
 }
 
-#: Sides of the polygon that stands for a disc.
+#: Number of sides of the polygon that approximates a disc.
 _SIDES = 128
-#: Relative variation of |r|² over the circle under which it counts as constant.
+#: Relative variation of |r|² over the circle below which it counts as constant.
 _CENTRED = 1e-7
 
 
 class _Quotient(NamedTuple):
-    """(a + b cos τ + s sin τ) / (k + swing cos τ), and what its integral takes from the denominator."""
+    """Coefficients of (a + b cos τ + s sin τ) / (k + swing cos τ), with two values that its integral needs."""
 
     a: float
     b: float
@@ -72,17 +72,13 @@ class _Quotient(NamedTuple):
 
 @njit(cache=True, error_model="numpy")
 def _primitive(quotient, tau):
-    """Return the integral of a `_Quotient` from 0 to τ, which is within ±2π."""
+    """Return the integral of a `_Quotient` from 0 to τ, for τ within ±2π."""
     a, b, s, k, swing, root, ratio = quotient
     if swing <= _CENTRED * k:
         return (a * tau + b * math.sin(tau) + s * (1.0 - math.cos(tau))) / k
     plain = 2.0 / root * math.atan2(ratio * math.sin(0.5 * tau), math.cos(0.5 * tau))
     rise = math.log1p(swing * (math.cos(tau) - 1.0) / (k + swing))
     return b / swing * tau + (a - b * k / swing) * plain - s / swing * rise
-
-
-# Lambert's sum over a polygon's edges becomes, over a circle r(t) = c + ρ (e₁ cos t + e₂ sin t) seen from the origin,
-# the integral of n · (r × dr) / |r|²: a quotient of first-order trigonometric polynomials with an elementary primitive.
 
 
 @njit(cache=True, error_model="numpy")
@@ -94,7 +90,7 @@ def hidden_by_disc(normal, centre, axes, radius):
     normal : tuple of 3 float
         Unit normal at the point.
     centre : tuple of 3 float
-        Of the disc, from the point, mm.
+        Centre of the disc relative to the point, mm.
     axes : tuple of 3 tuples of 3 float
         Two perpendicular unit vectors in the disc, and their cross product.
     radius : float, mm
@@ -110,7 +106,7 @@ def hidden_by_disc(normal, centre, axes, radius):
     low, high = (radius - across) ** 2 + cg * cg, (radius + across) ** 2 + cg * cg
     if low <= 0.0:
         return 0.0
-    # Heights of the circle's points above the horizon.
+    # Heights of the points of the circle above the horizon: ``middle`` plus or minus up to ``swing``.
     middle, swing = ce * ne + cf * nf + cg * ng, radius * math.hypot(ne, nf)
     if middle <= -swing:
         return 0.0
@@ -130,7 +126,7 @@ def hidden_by_disc(normal, centre, axes, radius):
     quotient = _Quotient(a, -b, -s, k, change, math.sqrt(low * high), math.sqrt(low / high))
     found = _primitive(quotient, end) - _primitive(quotient, start)
     if half < math.pi:
-        # Back along the horizon, from the second point of the circle that lies in it to the first.
+        # Close the path along the horizon, between the two points where the circle meets it.
         pe, pf = ce + radius * math.cos(top + half), cf + radius * math.sin(top + half)
         qe, qf = ce + radius * math.cos(top - half), cf + radius * math.sin(top - half)
         turned = ne * (pf * cg - cg * qf) + nf * (cg * qe - pe * cg) + ng * (pe * qf - pf * qe)
@@ -160,7 +156,7 @@ def _distance(row, at, centre, direction, along):
 
 @dataclass(frozen=True)
 class Disc(FlatShape):
-    """A disc about the origin; its texture is that of the square about it.
+    """A disc centred on the origin; its texture covers the square around it.
 
     Parameters
     ----------
@@ -184,12 +180,12 @@ class Disc(FlatShape):
 
     @classmethod
     def from_block(cls, block: "DiscShape") -> "Disc":
-        """Return the disc of a block with its radius."""
+        """Return the disc with the radius given in a configuration block."""
         return cls(float(block.radius_mm))
 
     @property
     def size_mm(self) -> tuple[float, float]:
-        """The diameter twice."""
+        """The diameter, for both sides."""
         return 2.0 * self.radius_mm, 2.0 * self.radius_mm
 
     @property
@@ -198,11 +194,11 @@ class Disc(FlatShape):
         return self.radius_mm
 
     def primitive(self, placement: Placement) -> Primitive:
-        """Return Embree's own disc, which is exact."""
+        """Return Embree's disc, which is exact."""
         return oriented_disc(placement.translation_mm, placement.rotation[:, 2], self.radius_mm * placement.scale)
 
     def facetted(self, reach_mm: float) -> Mesh:
-        """Return a polygon of 128 sides, 0.03 % of the radius within the rim at most."""
+        """Return a polygon with 128 sides; its edges are at most 0.03 % of the radius inside the rim."""
         angle = 2.0 * np.pi * np.arange(_SIDES + 1) / _SIDES
         rim = np.stack([np.cos(angle), np.sin(angle)], axis=1)
         rim[-1] = rim[0]
@@ -211,6 +207,6 @@ class Disc(FlatShape):
         return make_mesh(corners, 0.5 + flat * [0.5, -0.5])
 
     def samples(self, count: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return the centre and four points of the rim: there the camera's angles differ most."""
+        """Return the centre and four points of the rim, where the angles of the camera differ most."""
         position = self.radius_mm * np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]], dtype=float)
         return position, np.tile([0.0, 0.0, 1.0], (len(position), 1))

@@ -1,6 +1,6 @@
-"""Common parts of flat shapes, which lie in z = 0 of their frame, face +z, and have u along +x and v along -y.
+"""Common parts of flat shapes: they lie in z = 0 of their frame and face +z, with u along +x and v along -y.
 
-So the texture reads as seen from above.
+So the texture has its usual orientation when seen from above.
 """
 
 import numpy as np
@@ -42,7 +42,7 @@ def uv_of_flat(size_x, size_y, x, y):
 
 @njit(cache=True, forceinline=True)
 def onto_plane(surfaces, index, point, normal, facet):
-    """Move a point onto the plane of a flat shape and fill its normals; return where it was in the shape's frame."""
+    """Move a point onto the plane of a flat shape, fill its normals, and return its x and y in the shape's frame."""
     ox, oy, oz = in_frame(surfaces, index, point)
     offset = oz * surfaces.scale[index]
     for a in range(3):
@@ -54,14 +54,14 @@ def onto_plane(surfaces, index, point, normal, facet):
 
 @njit(cache=True, forceinline=True)
 def surface_at_flat(surfaces, index, ray, point, normal, facet):
-    """Do what `irodori.geometry.surfaces.surface_at` does."""
+    """Move a hit onto its surface; see `irodori.geometry.surfaces.surface_at`."""
     ox, oy = onto_plane(surfaces, index, point, normal, facet)
     return uv_of_flat(surfaces.size_mm[index, 0], surfaces.size_mm[index, 1], ox, oy)
 
 
 @njit(cache=True, forceinline=True)
 def flat_point(offset, facing, radius):
-    """Return points of lanes moved onto their planes, and the planes' normals."""
+    """Move points onto their planes; return them and the normals of the planes, in lanes."""
     x, y, z = offset
     height = x * facing[0] + y * facing[1] + z * facing[2]
     return (
@@ -76,13 +76,13 @@ def flat_point(offset, facing, radius):
 
 @njit(cache=True, forceinline=True)
 def flat_texture(local, wide, high):
-    """Return texture coordinates of lanes."""
+    """Return the texture coordinates of points in the shape's frame, in lanes."""
     return local[0] * wide + 0.5, 0.5 - local[1] * high
 
 
 @njit(cache=True)
 def frame_axes(row, at):
-    """Return the axes of a shape's frame in the world."""
+    """Return the three axes of a shape's frame as vectors in the world."""
     return (
         (np.float64(row[at + TURN]), np.float64(row[at + TURN + 3]), np.float64(row[at + TURN + 6])),
         (np.float64(row[at + TURN + 1]), np.float64(row[at + TURN + 4]), np.float64(row[at + TURN + 7])),
@@ -92,7 +92,7 @@ def frame_axes(row, at):
 
 @njit(cache=True)
 def nodes_about_flat(shadows, own, row, hit):
-    """Return the nodes about a hit, and their weights, from its place on the grid of `flat_nodes`."""
+    """Return the four nodes around a hit, and their weights, from its place on the grid of `FlatShape.nodes`."""
     grid, at, point = shadows.grid, own * GRID, hit.point
     columns, rows = grid_size(grid, own)
     x, y, z = point[0] - row[hit.at + CENTRE], point[1] - row[hit.at + CENTRE + 1], point[2] - row[hit.at + CENTRE + 2]
@@ -106,7 +106,7 @@ def nodes_about_flat(shadows, own, row, hit):
 
 
 def rectangle(half_x: float, half_y: float) -> Mesh:
-    """Return two triangles about the origin that have the whole texture; sizes in mm."""
+    """Return a rectangle of two triangles, centred on the origin, with the whole texture; half sides in mm."""
     corners = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
     uv = np.array([[0.0, 1.0], [1.0, 1.0], [1.0, 0.0], [0.0, 0.0]])
     faces = np.array([[0, 1, 2], [0, 2, 3]])
@@ -114,7 +114,7 @@ def rectangle(half_x: float, half_y: float) -> Mesh:
 
 
 class FlatShape(Shape):
-    """A shape in z = 0 of its frame."""
+    """Base class of shapes that lie in z = 0 of their frame."""
 
     is_flat = True
     is_convex = True
@@ -126,43 +126,43 @@ class FlatShape(Shape):
 
     @property
     def table_height_mm(self) -> float:
-        """The face is at the origin, the table under the shape's thickness."""
+        """Height of the table's top: below the face, which is at z = 0, by the thickness of flat objects."""
         return -THICKNESS_MM
 
     def refined(self, origin, direction, distance, triangle) -> np.ndarray:
-        """Return distances to the plane; along it there is none, and the traced one is kept."""
+        """Return distances to the plane; for rays parallel to it the traced distance is kept."""
         with np.errstate(divide="ignore", invalid="ignore"):
             exact = -origin[:, 2] / direction[:, 2]
         return np.where(np.isfinite(exact), exact, distance)
 
     def atlas(self, width: int, height: int, rows: tuple[int, int] | None = None) -> Texels:
-        """Return the texels of the rectangle about the shape."""
+        """Return the texels of the bounding rectangle of the shape."""
         u, v = texel_centres(width, height, rows)
         position = np.stack([(u - 0.5) * self.size_mm[0], (0.5 - v) * self.size_mm[1], np.zeros_like(u)], axis=-1)
         normal = np.broadcast_to(np.array([0.0, 0.0, 1.0]), position.shape).copy()
         return Texels(position, normal, normal, np.ones(u.shape, dtype=bool))
 
     def facetted(self, reach_mm: float) -> Mesh:
-        """Return the rectangle of the size."""
+        """Return a rectangle with the sides ``size_mm``."""
         return rectangle(0.5 * self.size_mm[0], 0.5 * self.size_mm[1])
 
     def curvature_per_mm(self, scale: float) -> float:
-        """None."""
+        """Return 0, because the shape is flat."""
         return 0.0
 
     def texture_per_mm(self, scale: float) -> tuple[float, float]:
-        """From the size."""
+        """Return the inverses of the sides in the world, 1/mm."""
         return 1.0 / (self.size_mm[0] * scale), 1.0 / (self.size_mm[1] * scale)
 
     def grid_ends(self, axis: int, scale: float, middle_mm: float, reach_mm: float) -> np.ndarray:
-        """Return the first and the last place of the grid of nodes along an axis, see `shadow_nodes.warped`."""
+        """Return the first and last place of the grid of nodes along an axis, as defined by `shadow_nodes.warped`."""
         half = 0.5 * self.size_mm[axis] * scale
         return warped((np.array([-half, half]) - middle_mm) / reach_mm)
 
     def nodes(self, placement: Placement, reach_mm: float, points: list[np.ndarray]) -> Nodes:
-        """Return a grid whose middle lies where the shapes stand that hide by rays: even there, from there on coarser.
+        """Return a grid of nodes that is regular near the shapes that cast shadows by rays, and coarser farther away.
 
-        So an endless plane has a finite one.
+        So the grid is finite also on an endless plane.
         """
         turn, origin = placement.rotation, self.frame_origin(placement)
         middle, reach = middle_and_reach([(p - origin) @ turn for p in points])

@@ -1,7 +1,8 @@
-"""Nodes of a triangle mesh for what is hidden by rays, and how a hit finds those about it.
+"""Shadow nodes of a triangle mesh, and look-up of the nodes around a hit.
 
-Triangles are divided evenly into as many smaller ones as the nodes allow; those of a fine mesh are not, and share nodes
-at their corners.
+Nodes are points at which the ambient light that other shapes hide is computed (`irodori.geometry.shapes.shadow_nodes`).
+Triangles are divided evenly into as many smaller ones as the number of nodes allows. Those of a fine mesh are not
+divided, and share nodes at their corners.
 """
 
 import math
@@ -16,22 +17,25 @@ from irodori.jit.compilation import njit
 if TYPE_CHECKING:
     from irodori.geometry.shapes.placement import Placement
 
-#: Nodes of a mesh, as far as its own corners are not more.
+#: Largest number of nodes of a mesh, unless it has more vertices.
 MESH_NODES = 1 << 14
-#: Nodes at an edge or a crease keep this part of their distance from the middle of the triangle away from it.
+#: Nodes at an edge or a crease are moved by this share of their distance towards the centre of the triangle.
 _INSET = 0.05
-#: Corners share a node where their normals agree in so many steps between -1 and 1.
+#: Number of steps between -1 and 1 to which components of normals are rounded when they are compared for equality.
 _NORMAL_STEPS = 1022
 
 
 def lattice(parts: int) -> np.ndarray:
-    """Return the weights of a triangle's corners at the places of a division, (places, 3), row by row."""
+    """Return barycentric weights of the points of a divided triangle, (points, 3), row by row.
+
+    Each edge is divided into ``parts``.
+    """
     rows = [(parts - i - j, i, j) for j in range(parts + 1) for i in range(parts + 1 - j)]
     return np.array(rows, dtype=np.float64) / parts
 
 
 def _lattice_cells(parts: int) -> np.ndarray:
-    """Return the small triangles of a division, (parts², 3) places."""
+    """Return the small triangles of a divided triangle, (parts², 3), as indices of the points of `lattice`."""
     start = [j * (parts + 1) - j * (j - 1) // 2 for j in range(parts + 2)]
     cells = []
     for j in range(parts):
@@ -44,7 +48,15 @@ def _lattice_cells(parts: int) -> np.ndarray:
 
 
 def _divisions(longest: np.ndarray, corners: int) -> np.ndarray:
-    """Return into how many parts to divide the edges of triangles by the length of their longest, (m,) int."""
+    """Return the number of parts into which to divide the edges of each triangle, (m,) int.
+
+    Parameters
+    ----------
+    longest : (m,) float
+        Length of the longest edge of each triangle.
+    corners : int
+        Number of vertices of the mesh.
+    """
     ones = np.ones(len(longest), dtype=np.int64)
     if corners >= MESH_NODES:
         return ones
@@ -60,10 +72,17 @@ def _divisions(longest: np.ndarray, corners: int) -> np.ndarray:
 
 
 def _shared_corners(mesh: Mesh, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the node of each corner of chosen triangles, and each node's first corner and whether it has a whole ring.
+    """Find the nodes shared by corners of selected triangles; corners share a node if vertex and normal are equal.
 
-    A node is a vertex and a normal. Its ring is whole where the triangles that share it lie all around the vertex:
-    neither an edge of the surface nor a crease is there.
+    Returns
+    -------
+    node : (corners,) int
+        Node of each corner.
+    first : (nodes,) int
+        First corner with each node.
+    whole : (nodes,) bool
+        Whether the triangles with the node lie all around the vertex, so that it is not on an edge of the surface or on
+        a crease.
     """
     faces = mesh.faces[chosen].astype(np.int64)
     steps = np.round((mesh.normals[chosen] + 1.0) * (0.5 * _NORMAL_STEPS)).astype(np.int64)
@@ -78,7 +97,7 @@ def _shared_corners(mesh: Mesh, chosen: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 
 def mesh_nodes(mesh: Mesh, placement: "Placement") -> Nodes:
-    """Return the nodes of a placed mesh."""
+    """Lay out the shadow nodes of a placed mesh."""
     world = placement.points(mesh.vertices_mm)
     a, b, c = (world[mesh.faces[:, k]] for k in range(3))
     longest = np.sqrt(np.max([((p - q) ** 2).sum(axis=1) for p, q in ((a, b), (b, c), (c, a))], axis=0))
@@ -105,21 +124,29 @@ def mesh_nodes(mesh: Mesh, placement: "Placement") -> Nodes:
 
 
 def _unit(vectors: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Return vectors at unit length, others where they have none."""
+    """Normalise vectors, (..., 3); those without length are replaced by ``other``."""
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
     return np.where(length > 1e-6, vectors / np.maximum(length, 1e-6), other)
 
 
 def _corner_nodes(mesh: Mesh, chosen: np.ndarray) -> tuple[tuple, np.ndarray]:
-    """Return nodes at the corners of triangles (points, normals, facets, probes), and those of each triangle."""
+    """Lay out nodes at the corners of selected triangles.
+
+    Returns
+    -------
+    tuple
+        Points, normals, facet normals and probes of the nodes, (nodes, 3) each, in the object frame.
+    (triangles, 3) int
+        Nodes of each triangle.
+    """
     node, first, whole = _shared_corners(mesh, chosen)
     triangle, corner = chosen[first // 3], first % 3
     vertex = mesh.vertices_mm[mesh.faces[triangle, corner]]
     centre = mesh.vertices_mm[mesh.faces[triangle]].mean(axis=1)
     facet = mesh.facets[triangle]
     normal = _unit(mesh.normals[triangle, corner], facet)
-    # All about a vertex the surface falls away or rises: its own normal is as good as that of any triangle. At an edge
-    # the node lies in one triangle, clear of what the edge touches.
+    # A vertex surrounded by triangles uses its own normal, which is as good as that of any triangle. At an edge or a
+    # crease, the node is moved into one triangle, away from whatever the edge touches.
     inset = np.where(whole, 0.0, _INSET)[:, None]
     point = vertex + inset * (centre - vertex)
     facet = np.where(whole[:, None], normal, facet)
@@ -127,10 +154,10 @@ def _corner_nodes(mesh: Mesh, chosen: np.ndarray) -> tuple[tuple, np.ndarray]:
 
 
 def _divided_nodes(mesh: Mesh, chosen: np.ndarray, parts: int) -> tuple[tuple, np.ndarray]:
-    """Do what `_corner_nodes` does for triangles that are divided and share no nodes."""
+    """Lay out nodes as `_corner_nodes` does, for triangles that are divided and share no nodes."""
     weights, middle = lattice(parts), np.full(3, 1.0 / 3.0)
     inset = weights + _INSET / parts * (middle - weights)
-    # As far away as the middle of a small triangle is from its corner.
+    # Probes are displaced by the distance from a corner of a small triangle to its centre.
     beside = weights + (middle - weights) / parts
     vertices = mesh.vertices_mm[mesh.faces[chosen]]
     point, probe = (np.einsum("pk,fkx->fpx", w, vertices).reshape(-1, 3) for w in (inset, beside))
@@ -142,7 +169,10 @@ def _divided_nodes(mesh: Mesh, chosen: np.ndarray, parts: int) -> tuple[tuple, n
 
 @njit(cache=True)
 def lattice_place(parts, b, c):
-    """Return the three places about a point of a triangle, the last of them twice, and their weights."""
+    """Return the three points of a divided triangle around a place, the last of them twice, and their weights.
+
+    ``b`` and ``c`` are the barycentric weights of the second and third corner.
+    """
     x, y = min(max(b, 0.0), 1.0) * parts, min(max(c, 0.0), 1.0) * parts
     j = min(int(y), parts - 1)
     i = min(int(x), parts - 1 - j)
@@ -150,7 +180,7 @@ def lattice_place(parts, b, c):
     here = j * (parts + 1) - j * (j - 1) // 2 + i
     above = here + parts + 1 - j
     if i + j == parts - 1 and fx + fy > 1.0:
-        # Beyond the triangle's third edge by rounding, where no further places are.
+        # Beyond the third edge of the triangle by rounding.
         fx = fx / (fx + fy)
         fy = 1.0 - fx
     if i + j == parts - 1 or fx + fy <= 1.0:
@@ -160,7 +190,7 @@ def lattice_place(parts, b, c):
 
 @njit(cache=True)
 def nodes_about_mesh(shadows, own, row, hit):
-    """Return the nodes about a hit, and their weights, from its place in its triangle."""
+    """Return the four nodes around a hit, and their weights, from its place in its triangle."""
     places, weights = lattice_place(np.int64(shadows.parts[hit.triangle]), hit.b, hit.c)
     first = shadows.first_corner[hit.triangle]
     corners = shadows.corners

@@ -1,4 +1,4 @@
-"""Placed shapes: where shapes stand in a world, and an object on the rig's table."""
+"""Placement of shapes in a world, and of an object on the table of the rig."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -10,12 +10,13 @@ from irodori.geometry.shapes.shape import Shape
 
 @dataclass(frozen=True)
 class Placement:
-    """A shape standing in a world: ``world = scale * rotation @ object + translation``.
+    """A shape placed in a world: ``world = scale * rotation @ object + translation``.
 
     Parameters
     ----------
     shape : Shape
-    rotation : (3, 3) float, world_from_object
+    rotation : (3, 3) float
+        world_from_object.
     translation_mm : (3,) float
     scale : float
     """
@@ -26,7 +27,7 @@ class Placement:
     scale: float = 1.0
 
     def points(self, position: np.ndarray) -> np.ndarray:
-        """Return world positions of object-frame positions, (..., 3) mm."""
+        """Convert positions from the object frame to the world, (..., 3) mm."""
         return self.scale * (position @ self.rotation.T) + self.translation_mm
 
     def corners(self) -> np.ndarray:
@@ -37,9 +38,9 @@ class Placement:
 
 
 def reaches(placements: Sequence[Placement]) -> np.ndarray:
-    """Return the reach of each placed shape about its own origin, (n,) mm: what lengths at its surface compare to.
+    """Return the size scale of each placed shape, (n,) mm: the largest distance of its points from its origin.
 
-    That of an endless shape is the largest of the others, 1 mm where there is none.
+    Endless shapes get the largest reach of the other shapes, or 1 mm if there are none.
     """
     found = np.array([p.shape.reach_mm * p.scale for p in placements])
     endless = np.array([p.shape.is_endless for p in placements])
@@ -48,7 +49,10 @@ def reaches(placements: Sequence[Placement]) -> np.ndarray:
 
 
 def on_table(shape: Shape, rotation: np.ndarray, table_radius_mm: float) -> list[Placement]:
-    """Return an object (shape 0) on the rig's table (shape 1, a square; absent for radius 0) in the rig's frame."""
+    """Place an object on the table of the rig, in the rig's frame.
+
+    Shape 0 is the object, shape 1 the table, a square; it is absent for radius 0.
+    """
     from irodori.geometry.shapes.plate import Plate
 
     placements = [Placement(shape, rotation)]

@@ -43,9 +43,9 @@ SCHEMA = {
     }
 }
 
-#: An endless plane is a disc of this radius: its edge is nearer to the horizon than single precision tells.
+#: Radius of the disc that represents an endless plane: in single precision, its edge coincides with the horizon.
 RADIUS_MM = 1e12
-#: Half the side of the square that stands for the plane, over the reach of what stands about it.
+#: Half the side of the square that approximates the plane, relative to the reach of the shapes on it.
 _CUT = 100.0
 
 
@@ -57,7 +57,10 @@ def _surface_at(surfaces, index, ray, point, normal, facet):
 
 @njit(cache=True)
 def hidden_by_plane(cosine):
-    """Return the share that an endless plane hides, by the cosine between the point's normal and its own."""
+    """Return the share of the cosine-weighted hemisphere that an endless plane hides.
+
+    ``cosine`` is that of the angle between the normal at the point and the normal of the plane.
+    """
     return 0.5 * (1.0 - cosine)
 
 
@@ -72,7 +75,7 @@ def _hides(row, at, x, y, z, normal):
 
 @njit(cache=True, forceinline=True)
 def distance_to_plane(row, at, centre, direction):
-    """Return distances along rays to a shape's plane, negative behind them; not a number in the plane."""
+    """Return distances along rays to the plane of a shape; negative behind the origin, NaN for rays in the plane."""
     x, y, z = centre
     dx, dy, dz = direction
     nx, ny, nz = row[at + TURN + 2], row[at + TURN + 5], row[at + TURN + 8]
@@ -87,7 +90,7 @@ def _distance(row, at, centre, direction, along):
 
 @dataclass(frozen=True)
 class Plane(FlatShape):
-    """All of z = 0; everywhere it has the middle of its texture."""
+    """The endless plane z = 0; the centre of its texture applies everywhere."""
 
     name = "plane"
     schema = SCHEMA
@@ -104,40 +107,40 @@ class Plane(FlatShape):
 
     @classmethod
     def from_block(cls, block: "PlaneShape") -> "Plane":
-        """Return the plane; there is but one."""
+        """Return the plane; it has no parameters."""
         return cls()
 
     @property
     def size_mm(self) -> tuple[float, float]:
-        """None."""
+        """Zeros, because the plane has no size."""
         return 0.0, 0.0
 
     @property
     def reach_mm(self) -> float:
-        """None, see `irodori.geometry.shapes.placement.reaches`."""
+        """Zero; `irodori.geometry.shapes.placement.reaches` replaces it by the reach of other shapes."""
         return 0.0
 
     def frame_origin(self, placement: Placement) -> np.ndarray:
-        """Return the point that is nearest to the world's origin, from which all places are rounded least."""
+        """Return the point of the plane nearest to the world's origin, which minimises rounding errors."""
         axis = placement.rotation[:, 2]
         return (placement.translation_mm @ axis) * axis
 
     def primitive(self, placement: Placement) -> Primitive:
-        """Return a disc whose edge nobody sees."""
+        """Return a disc so large that its edge is never visible."""
         return oriented_disc(self.frame_origin(placement), placement.rotation[:, 2], RADIUS_MM)
 
     def facetted(self, reach_mm: float) -> Mesh:
-        """Return a square whose middle is the origin, a hundred times as far to its sides as what stands on it."""
+        """Return a square centred on the origin, with half a side of 100 times the reach of the shapes on it."""
         return rectangle(_CUT * reach_mm, _CUT * reach_mm)
 
     def samples(self, count: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return the origin."""
+        """Return the origin, with the normal +z."""
         return np.zeros((1, 3)), np.array([[0.0, 0.0, 1.0]])
 
     def texture_per_mm(self, scale: float) -> tuple[float, float]:
-        """None: one place of the texture is everywhere."""
+        """Return zeros, because the whole plane has the same texture coordinates."""
         return 0.0, 0.0
 
     def grid_ends(self, axis: int, scale: float, middle_mm: float, reach_mm: float) -> np.ndarray:
-        """Return the ends of all places, but half a node."""
+        """Return -1 and 1, reduced by half a node."""
         return np.array([-1.0, 1.0]) * (1.0 - 1.0 / flat.FLAT_SIDE)

@@ -82,7 +82,11 @@ _CORNERS = 4
 
 @njit(cache=True, error_model="numpy")
 def _edge(normal, a, b):
-    """Return an edge's part of Lambert's sum: the angle that it spans times the cosine of its plane with the normal."""
+    """Return the term of an edge in Lambert's formula.
+
+    It is the angle that the edge spans as seen from the point, times the cosine between the surface normal and the
+    normal of the plane through edge and point.
+    """
     cx, cy, cz = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
     sine = math.sqrt(cx * cx + cy * cy + cz * cz)
     if sine <= 0.0:
@@ -93,13 +97,14 @@ def _edge(normal, a, b):
 
 @njit(cache=True, error_model="numpy")
 def hidden_by_corners(normal, corners):
-    """Return the share of the cosine-weighted hemisphere that a flat polygon hides.
+    """Return the share of the cosine-weighted hemisphere that a flat quadrilateral hides.
 
     Parameters
     ----------
     normal : tuple of 3 float
+        Unit normal at the point.
     corners : tuple of 4 tuples of 3 float
-        From the point, in order about the polygon, mm; what lies under the horizon is cut off.
+        Corners relative to the point, in order around the polygon, mm. The part below the horizon is cut off.
     """
     found = 0.0
     first = last = (0.0, 0.0, 0.0)
@@ -117,7 +122,7 @@ def hidden_by_corners(normal, corners):
         else:
             start, end = a, b
         if begun:
-            # Along the horizon, where two edges were cut; of no length elsewhere.
+            # Along the horizon between two edges that were cut; of zero length otherwise.
             found += _edge(normal, last, start)
         else:
             first, begun = start, True
@@ -168,12 +173,12 @@ def _distance(row, at, centre, direction, along):
 
 @dataclass(frozen=True)
 class Plate(FlatShape):
-    """A rectangle about the origin.
+    """A rectangle centred on the origin.
 
     Parameters
     ----------
     width_mm, height_mm : float
-        Along x and y.
+        Sides along x and y.
     """
 
     width_mm: float
@@ -194,7 +199,7 @@ class Plate(FlatShape):
 
     @classmethod
     def from_block(cls, block: "PlateShape") -> "Plate":
-        """Return the plate of a block with its two sizes."""
+        """Return the plate with the sides given in a configuration block."""
         return cls(float(block.width_mm), float(block.height_mm))
 
     @property
@@ -208,14 +213,14 @@ class Plate(FlatShape):
         return math.hypot(self.width_mm, self.height_mm) / 2.0
 
     def primitive(self, placement: Placement) -> Primitive:
-        """Return two triangles."""
+        """Return two triangles for Embree."""
         return triangles(placement.corners(), np.array([[0, 1, 2], [0, 2, 3]]))
 
     def samples(self, count: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return centre and corners.
+        """Return the centre and the corners.
 
-        A plate has one normal, but the camera is near: its corners are seen up to some degrees apart, and what is good
-        for the centre alone may lie beyond the largest angle for them.
+        A plate has one normal, but the camera is near: the viewing angles of its corners differ by some degrees, so a
+        pose that suits the centre may exceed the largest angle at a corner.
         """
         signs = np.array([[0, 0, 0], [-1, -1, 0], [-1, 1, 0], [1, -1, 0], [1, 1, 0]])
         position = signs * [self.width_mm / 2, self.height_mm / 2, 0.0]

@@ -1,7 +1,7 @@
-"""Points of a surface at which what others hide by rays is worked out, and how a hit finds those about it.
+"""Shadow nodes: points of a surface at which the ambient light hidden by other shapes is computed by ray tracing.
 
-Every shape lays out its own (`irodori.geometry.shapes.shape.Shape.nodes`): flat ones and spheres on a grid, meshes on
-their triangles. A hit takes the values of the three or four nodes about it.
+Every shape lays out its nodes (`irodori.geometry.shapes.shape.Shape.nodes`): flat shapes and spheres on a grid, meshes
+on their triangles. At a hit, the values of the three or four nodes around it are interpolated.
 """
 
 from dataclasses import dataclass, field
@@ -11,31 +11,31 @@ import numpy as np
 
 from irodori.jit.compilation import njit
 
-#: Nodes rise this part of their coordinates, or of their shape's reach, above the surface, as hits do.
+#: Height of nodes above the surface, relative to their coordinates or their shape's reach; hits have the same.
 _RISE = 2.0**-18
 
 
 @dataclass(frozen=True)
 class Nodes:
-    """Nodes of one shape, in the world.
+    """Shadow nodes of one shape, in the world.
 
     Parameters
     ----------
     origin : (n, 3) float64
-        Where rays begin, mm.
+        Origins of rays, mm.
     normal, facet : (n, 3) float64
-        Unit shading normal, and the unit normal of the surface itself.
+        Unit shading normals, and unit geometric normals.
     probe : (n, 3) float64
-        A point above the surface near each node that sees it, unless something is pushed through the surface between
-        them; the node's own origin where there is none.
+        A point above the surface near each node. The node and its probe see each other unless another shape penetrates
+        the surface between them. It is the origin of the node if there is none.
     cells : (c, 3 or 4) int
-        Nodes that are interpolated between, a tuple of arrays where their number differs.
+        Groups of nodes between which values are interpolated.
     grid : (GRID,) float64
-        Of a flat shape or a sphere, see `Grid`; zeros of a mesh.
+        Numbers of the grid of a flat shape or a sphere, see `COLUMNS` and the following; zeros for a mesh.
     parts : (triangles,) int32
-        Of a mesh: into how many parts each edge of a triangle is divided.
+        For a mesh: number of parts into which each edge of a triangle is divided.
     corners : (places,) int32
-        Of a mesh: the nodes of its triangles' places, one triangle after the other, row by row from the first edge.
+        For a mesh: nodes at the points of each divided triangle in turn, row by row from the first edge.
     """
 
     origin: np.ndarray
@@ -48,49 +48,49 @@ class Nodes:
     corners: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int32))
 
 
-#: Numbers of a grid: columns, rows; of a flat one, along both axes of its frame, the middle, the reach (mm) within
-#: which it is even, the place of the first node, and nodes a unit of places, see `warped`.
+#: Indices of the numbers of a grid: columns, rows; for flat shapes also, for each of the two axes, the middle, the
+#: reach (mm) within which the grid is regular, the place of the first node, and nodes per unit of place, see `warped`.
 COLUMNS, ROWS, MIDDLE, REACH, LOW, DENSITY, GRID = 0, 1, 2, 4, 6, 8, 10
-#: Part of a mesh's height, from its lowest point on, by which it stands on something.
+#: Share of a mesh's height, from its lowest point, that counts as its foot.
 _FOOT = 0.1
-#: Part of a grid's larger reach that the smaller one has at least.
+#: Smallest reach of a grid along an axis, relative to the largest distance of the shapes above it.
 _LEAST = 0.02
 
 
 def warped(offset: np.ndarray) -> np.ndarray:
-    """Return places, -1..1, of offsets in units of the reach: half of them within it, evenly."""
+    """Map offsets, in units of the reach, to places -1..1: linear to -0.5..0.5 within the reach, compressed outside."""
     away = np.maximum(np.abs(offset), 1.0)
     return np.where(np.abs(offset) <= 1.0, 0.5 * offset, np.sign(offset) * (1.0 - 0.5 / away))
 
 
 def unwarped(place: np.ndarray) -> np.ndarray:
-    """Return the offsets of places, see `warped`."""
+    """Map places -1..1 to offsets in units of the reach; the inverse of `warped`."""
     left = np.maximum(1.0 - np.abs(place), 1e-12)
     return np.where(np.abs(place) <= 0.5, 2.0 * place, np.sign(place) * 0.5 / left)
 
 
 def raised(point: np.ndarray, facet: np.ndarray, reach_mm: float) -> np.ndarray:
-    """Return points, (n, 3) mm, lifted along their facets by what single precision needs."""
+    """Lift points, (n, 3) mm, along their geometric normals by more than the rounding errors of single precision."""
     size = np.maximum(np.abs(point).max(axis=-1, keepdims=True), reach_mm)
     return point + _RISE * size * facet
 
 
 def quadrangles(number: np.ndarray) -> np.ndarray:
-    """Return the cells of a grid of nodes, (c, 4)."""
+    """Return the cells of a grid of nodes, (c, 4); ``number`` has the node at each row and column."""
     corners = number[:-1, :-1], number[:-1, 1:], number[1:, :-1], number[1:, 1:]
     return np.stack([corner.ravel() for corner in corners], axis=1)
 
 
 def middle_and_reach(points: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Return middle and reach of a flat shape's grid along both axes, (2,) each, mm.
+    """Return middle and reach of the grid of a flat shape along both axes, (2,) each, mm.
 
-    The grid is even as far as meshes stand on the shape, as half of what they hang over, and as half of the height of
-    the lowest where none stands on it: what is far above throws soft shadows.
+    Within the reach, the grid is regular. The reach covers the feet of the meshes on the shape, and half the extent of
+    the meshes. It is at least half the height of the lowest mesh, because shapes far above cast soft shadows.
 
     Parameters
     ----------
     points : list of (vertices, 3) float
-        Of each mesh, in the shape's frame, mm.
+        Vertices of each mesh, in the frame of the flat shape, mm.
     """
     above = [p for p in points if p[:, 2].max() > 0.0] or points
     above = [np.column_stack([p[:, :2], np.maximum(p[:, 2], 0.0)]) for p in above]
@@ -105,20 +105,20 @@ def middle_and_reach(points: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
 
 
 class NodeHit(NamedTuple):
-    """A hit for which the nodes about it are wanted."""
+    """A hit, with the data needed to find the nodes around it."""
 
     u: float
     v: float
-    triangle: int  # among those of all surfaces
-    b: float
-    c: float
+    triangle: int  # index among the triangles of all surfaces
+    b: float  # barycentric weight of the second corner
+    c: float  # barycentric weight of the third corner
     point: tuple[float, float, float]  # mm
-    at: int  # where the numbers of the shape begin
+    at: int  # start of the numbers of the shape in their table
 
 
 @njit(cache=True, error_model="numpy")
 def warped_place(offset):
-    """Return the place of an offset in units of a grid's reach, see `warped`."""
+    """Map an offset, in units of a grid's reach, to a place; `warped` for a single number."""
     away = abs(offset)
     if away <= 1.0:
         return 0.5 * offset
@@ -127,7 +127,7 @@ def warped_place(offset):
 
 @njit(cache=True)
 def grid_place(column, row, columns, rows, wraps):
-    """Return the four nodes about a place of a grid, and their weights."""
+    """Return the four nodes around a place of a grid, and their bilinear weights; columns wrap around if ``wraps``."""
     y = min(max(row, 0.0), rows - 1.0)
     j = min(int(y), rows - 2)
     x = column if wraps else min(max(column, 0.0), columns - 1.0)
@@ -141,5 +141,5 @@ def grid_place(column, row, columns, rows, wraps):
 
 @njit(cache=True)
 def grid_size(grid, own):
-    """Return the columns and rows of a shape's grid."""
+    """Return the numbers of columns and rows of the grid of shape ``own``."""
     return np.int64(grid[own * GRID + COLUMNS]), np.int64(grid[own * GRID + ROWS])

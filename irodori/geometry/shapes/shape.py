@@ -1,8 +1,7 @@
-"""The interface of a shape: everything that the package asks of one.
+"""Interface of a shape: everything that the package needs from it.
 
-A shape declares all of it: `irodori.geometry.shape_registry.register` refuses one that leaves something out. Where it
-has no answer it says so with a value that is meant for that, such as `hides_nothing`, `no_nodes` or lanes that are
-None.
+A shape must define all of it; `irodori.geometry.shape_registry.register` refuses an incomplete one. A function that
+does not apply to a shape is given as a placeholder, such as `hides_nothing`, `no_nodes` or None.
 """
 
 from abc import ABC, abstractmethod
@@ -24,35 +23,37 @@ if TYPE_CHECKING:
     from irodori.geometry.shapes.placement import Placement
     from irodori.geometry.shapes.shadow_nodes import Nodes
 
-#: Rays leave a surface this part of the shape's reach above it: some hundred steps of single precision.
+#: Height above a surface at which rays start, relative to the shape's reach: some hundred steps of single precision.
 _RAY_OFFSET = 3e-5
 
 
 class Kernels(NamedTuple):
-    """Compiled functions of a shape. Loops choose among those of all shapes, see `irodori.geometry.shape_dispatch`.
+    """Compiled functions of a shape. `irodori.geometry.shape_dispatch` selects among those of all shapes.
 
-    ``row`` and ``at`` are a table and the place in it at which the shape's numbers begin, see
-    `irodori.geometry.shapes.shape_rows`. Lanes are vectors of `irodori.jit.vectors`, one ray each.
+    ``row`` and ``at`` are a table, and the index at which the numbers of the shape begin, see
+    `irodori.geometry.shapes.shape_rows`. Lanes are vectors of `irodori.jit.vectors` with one number for each ray.
 
     Parameters
     ----------
     surface_at : (surfaces, index, ray, point, normal, facet) -> u, v
         See `irodori.geometry.surfaces.surface_at`.
     hides : (row, at, x, y, z, normal) -> share, facing
-        Share of the cosine-weighted hemisphere about a unit normal that the shape hides, its centre being at x, y, z
-        (mm) from the point; and the unit normal of its side that faces the point, zeros where that reflects nothing.
-        `hides_nothing` of a shape whose shadow of the ambient light is found by rays, or is left out.
+        Share of the cosine-weighted hemisphere about a unit normal that the shape hides from a point, with its centre
+        at (x, y, z) mm relative to the point; and the unit normal of its side that faces the point, zeros if this side
+        is black. `hides_nothing` for a shape with ambient shadows that are traced or left out.
     distance : (row, at, centre, direction, along) -> distances, or None
-        How far along rays the shape is first met from either side, mm, in lanes: its centre from their origins (mm),
-        their unit directions, and how far along them the centre lies. Infinite where the shape is not met. None of a
-        shape that has no such formula: Embree meets it.
+        Distance, mm, at which rays first meet the shape from either side, in lanes; infinite where they miss it.
+        Arguments: its centre relative to the origins of the rays (mm), their unit directions, and the distance along
+        them to the point nearest to the centre. None for a shape without such a formula, which Embree traces.
     may_be_met : (row, at, centre, direction, along) -> mask, or None
-        Whether rays may meet a shape without a formula, true where in doubt; None of the others.
+        For a shape without ``distance``: whether rays may meet it, true if in doubt. None for other shapes.
     point : (offset, facing, radius) -> (x, y, z, nx, ny, nz), or None
-        Points and normals of lanes from traced points, all from the shape's centre in the world; ``facing`` is the z
-        axis of the shape's frame. None where rays are brought to the shape one by one by ``surface_at``.
+        Points moved onto the surface, and normals, in lanes; ``offset`` and the result are relative to the shape's
+        centre in the world, and ``facing`` is the z axis of the shape's frame. None if each hit is moved by
+        ``surface_at`` instead.
     texture : (local, wide, high) -> (u, v), or None
-        Texture coordinates of points in the shape's frame, in world units, with the row's ``WIDE`` and ``HIGH``.
+        Texture coordinates of points in the axes of the shape's frame, in world units; ``wide`` and ``high`` are the
+        row's ``WIDE`` and ``HIGH``.
     nodes_about : (shadows, own, row, hit) -> nodes, weights
         See `irodori.rendering.interactive.shadow_look_up.nodes_about`.
     """
@@ -67,9 +68,9 @@ class Kernels(NamedTuple):
 
 
 class Shape(ABC):
-    """A surface in its own frame, mm, with a texture on it."""
+    """A textured surface in its own coordinate frame, mm."""
 
-    #: What `irodori.geometry.shape_registry.register` asks for besides the methods.
+    #: Class attributes that `irodori.geometry.shape_registry.register` requires besides the methods.
     DECLARED: ClassVar[frozenset[str]] = frozenset(
         [
             "name",
@@ -85,115 +86,118 @@ class Shape(ABC):
             "border",
         ]
     )
-    name: ClassVar[str]  # in configuration
+    name: ClassVar[str]  # name in configuration files
     schema: ClassVar[dict[str, dict]]  # variants of the key ``shape`` in the schemas ``object`` and ``scene``
     kernels: ClassVar[Kernels]
     is_flat: ClassVar[bool]  # lies in z = 0 of its frame and faces +z
-    is_convex: ClassVar[bool]  # shades none of its own points that face the light
-    is_endless: ClassVar[bool]  # has no size of its own
-    is_curved: ClassVar[bool]  # rounding may turn a point of its outline away from who sees it
-    has_inside: ClassVar[bool]  # what meets its back is inside it
-    hides_by_rays: ClassVar[bool]  # what it hides of the ambient light is found by rays when a scene is prepared
-    wraps: ClassVar[bool]  # the texture's left and right sides are joined
-    border: ClassVar[str]  # beyond the texture's sides: "joined" (columns alone), "black", or "unknown"
+    is_convex: ClassVar[bool]  # casts no shadow on its own points that face the light
+    is_endless: ClassVar[bool]  # has no finite size
+    is_curved: ClassVar[bool]  # by rounding, a visible point at its outline may seem to face away
+    has_inside: ClassVar[bool]  # a ray that meets its back comes from inside
+    hides_by_rays: ClassVar[bool]  # the ambient light that it hides is computed by rays when a scene is prepared
+    wraps: ClassVar[bool]  # the left and right side of the texture are joined
+    border: ClassVar[str]  # surroundings of the texture: "joined" (columns only), "black", or "unknown"
 
     @classmethod
     @abstractmethod
     def from_block(cls, block: Any) -> "Shape":
-        """Return the shape of a validated block of configuration, whose keys are attributes."""
+        """Return the shape defined by a validated configuration block, which has its keys as attributes."""
 
     @property
     @abstractmethod
     def size_mm(self) -> tuple[float, float]:
-        """Two lengths that ``surface_at`` reads from the surfaces' ``size_mm``."""
+        """Two lengths that ``surface_at`` finds in ``Surfaces.size_mm``."""
 
     @property
     @abstractmethod
     def reach_mm(self) -> float:
-        """Largest distance of a point of the shape from the origin of its frame; 0 of an endless one."""
+        """Largest distance of a point of the shape from the origin of its frame; 0 for an endless shape."""
 
     @property
     @abstractmethod
     def table_height_mm(self) -> float:
-        """Height of the table's top under the shape."""
+        """Height z, in the shape's frame, of the table's top on which the shape stands."""
 
     @abstractmethod
     def primitive(self, placement: "Placement") -> Primitive:
-        """Return what Embree traces for the placed shape."""
+        """Return the geometry that Embree traces for the placed shape."""
 
     @abstractmethod
     def refined(self, origin, direction, distance, triangle) -> np.ndarray:
-        """Return hit distances recomputed in double precision on the shape's own equation, (n,).
+        """Recompute hit distances in double precision from the equation of the shape, (n,).
 
-        The root nearest to the traced distance is kept, so that a ray that starts inside keeps its exit.
+        Of several solutions, the one nearest to the traced distance is returned, also for a ray that starts inside.
 
         Parameters
         ----------
         origin, direction : (n, 3) float64
-            In the shape's frame; a direction is as long as the distance counts, in mm of the shape.
+            In the shape's frame. Distances are in units of the length of ``direction``.
         distance : (n,) float
-            As traced.
+            Traced distances.
         triangle : (n,) int, or None
-            Which triangle of the primitive was met.
+            Index of the triangle that was hit, for meshes.
         """
 
     @abstractmethod
     def atlas(self, width: int, height: int, rows: tuple[int, int] | None = None) -> Texels:
-        """Return what lies under the texel centres of some rows, of all where ``rows`` is absent.
+        """Return the surface points at the texel centres of some rows, by default of all.
 
         Raises
         ------
         InputError
-            If the charts of a mesh overlap, or hold no texel, see `irodori.geometry.atlas.rasterise`.
+            If the charts of a mesh overlap, or contain no texel centre, see `irodori.geometry.atlas.rasterise`.
         """
 
     @abstractmethod
     def samples(self, count: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return points that stand for the whole, positions (n, 3) in mm and unit normals (n, 3), about ``count``."""
+        """Return about ``count`` points that represent the shape: positions, (n, 3) mm, and unit normals, (n, 3)."""
 
     @abstractmethod
     def curvature_per_mm(self, scale: float) -> float:
-        """Return the sum of the principal curvatures when enlarged, 1/mm: by it a cone of mirrored rays opens."""
+        """Return the sum of the principal curvatures of the scaled shape, 1/mm; it widens a cone of mirrored rays."""
 
     @abstractmethod
     def texture_per_mm(self, scale: float) -> tuple[float, float]:
-        """Return what u and -v rise by a mm along x and y when enlarged; zeros where they are none of x and y."""
+        """Return the slopes of u along x and of -v along y of the scaled shape, 1/mm.
+
+        Zeros if u and v are not linear in x and y.
+        """
 
     @abstractmethod
     def nodes(self, placement: "Placement", reach_mm: float, points: list[np.ndarray]) -> "Nodes | None":
-        """Return the points at which what others hide by rays is worked out; None where nothing hides anything.
+        """Lay out the nodes at which the ambient light hidden by other shapes is computed; None if none are needed.
 
         Parameters
         ----------
         placement : Placement
         reach_mm : float
-            See `irodori.geometry.shapes.placement.reaches`.
+            Reach of the placed shape, see `irodori.geometry.shapes.placement.reaches`.
         points : list of (vertices, 3) float
-            Of each of the scene's shapes that hide by rays, in the world, mm.
+            Points in the world, mm, of each shape of the scene with ``hides_by_rays``.
         """
 
     @abstractmethod
     def facetted(self, reach_mm: float) -> Mesh:
-        """Return triangles that stand for the shape where nothing else is known, in its frame, mm.
+        """Return an approximation by triangles, in the shape's frame, for programs that support no other shapes.
 
         Parameters
         ----------
         reach_mm : float
-            Size of what stands about it, in its own mm: where an endless shape is cut.
+            Size of the surrounding scene in units of the shape's frame, which limits endless shapes.
         """
 
-    # --- what follows from these, or has one answer for most ------------------------------------------------------
+    # --- derived from the above, or the same for most shapes ------------------------------------------------------
 
     @classmethod
     def from_definition(cls, shape: "ObjectShape | BodyShape") -> "Shape":
-        """Return the shape of a configuration's `shape` block; a mesh is read from its file.
+        """Return the shape defined by the block ``shape`` of a configuration; a mesh is read from its file.
 
         Raises
         ------
         ValueError
             If the kind is unknown.
         InputError
-            If a mesh is refused, see `irodori.geometry.mesh_files.read_mesh`.
+            If a mesh cannot be used, see `irodori.geometry.mesh_files.read_mesh`.
         """
         known = {one.name: one for one in shapes()}
         if shape.kind not in known:
@@ -202,36 +206,36 @@ class Shape(ABC):
 
     @classmethod
     def from_mesh(cls, mesh: Mesh, file: str = "mesh") -> "Shape":
-        """Return the shape of triangles."""
+        """Return the shape of a triangle mesh."""
         from irodori.geometry.shapes.triangle_mesh import TriangleMesh
 
         return TriangleMesh(mesh, str(file))
 
     @property
     def triangles(self) -> Mesh | None:
-        """Triangles that ``surface_at`` reads, None where it needs none."""
+        """Triangles that ``surface_at`` reads; None if it needs none."""
         return None
 
     @property
     def ball_mm(self) -> float | None:
-        """Radius of the ball that the shape is, its texture by azimuth and angle from +z; None of other shapes.
+        """Radius if the shape is a ball with a texture by azimuth and polar angle; None for other shapes.
 
-        So programs that have balls of their own need no triangles.
+        Exports use it for programs that have exact balls.
         """
         return None
 
     @property
     def hull_mm(self) -> np.ndarray:
-        """Points whose hull holds the shape, (n, 3); asked of what hides by rays."""
+        """Points with a convex hull that contains the shape, (n, 3); needed only with ``hides_by_rays``."""
         raise NotImplementedError(f"a {self.name} hides by rays and has no hull")
 
     @property
     def ray_offset_mm(self) -> float:
-        """Height above the surface at which rays leave it, mm: out of reach of the tracer's single precision."""
+        """Height above the surface at which rays start, mm, so that rounding errors do not make them hit it again."""
         return _RAY_OFFSET * self.reach_mm
 
     def frame_origin(self, placement: "Placement") -> np.ndarray:
-        """Return the point about which compiled loops reckon the placed shape, (3,) mm."""
+        """Return the origin of the placed shape's frame for compiled loops, (3,) mm in the world."""
         return placement.translation_mm
 
     def texels(self, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
@@ -240,7 +244,7 @@ class Shape(ABC):
         return found.position, found.normal
 
     def is_covered(self, width: int, height: int) -> np.ndarray:
-        """Return which texels lie on the surface, (height, width) bool."""
+        """Return the texels that lie on the surface, (height, width) bool."""
         return np.ones((height, width), dtype=bool)
 
 
@@ -255,7 +259,7 @@ def texel_centres(width: int, height: int, rows: tuple[int, int] | None) -> tupl
 
 @njit(cache=True, inline="always")
 def in_frame(surfaces, index, point):
-    """Return a point in the frame of a placed shape, mm of the shape."""
+    """Convert a point from the world to the frame of a placed shape, in mm of that frame."""
     x = point[0] - surfaces.translation_mm[index, 0]
     y = point[1] - surfaces.translation_mm[index, 1]
     z = point[2] - surfaces.translation_mm[index, 2]
@@ -268,28 +272,31 @@ def in_frame(surfaces, index, point):
     return ox, oy, oz
 
 
-# --- answers for shapes that have none of their own ------------------------------------------------------------------
+# --- placeholders for shapes to which a function does not apply ------------------------------------------------------
 
 
 @njit(cache=True)
 def hides_nothing(row, at, x, y, z, normal):
-    """Return that a shape hides nothing: its contact shadow is left out, or found by rays."""
+    """Return zeros: for shapes with ambient shadows that are left out or computed by rays."""
     return 0.0, (0.0, 0.0, 0.0)
 
 
 @njit(cache=True)
 def no_nodes(shadows, own, row, hit):
-    """Return no node: of a shape from which nothing is hidden by rays this is never asked."""
+    """Return zeros as a placeholder; never called, because shapes that use it have no nodes."""
     return (0, 0, 0, 0), (0.0, 0.0, 0.0, 0.0)
 
 
-#: Bounds of shapes are wider by this part of their size and of the distance.
+#: Relative enlargement of bounding balls, by their size and by the distance, against rounding errors.
 _SLACK = 1e-4
 
 
 @njit(cache=True, forceinline=True)
 def ball_may_be_met(row, at, centre, direction, along):
-    """Return whether rays may meet the ball of the shape's reach about its centre; one that they leave bounds none."""
+    """Return whether rays may meet the bounding ball of a shape, in lanes.
+
+    Rays that start outside and move away from it do not.
+    """
     x, y, z = centre
     dx, dy, dz = direction
     radius = row[at + RADIUS]

@@ -1,4 +1,4 @@
-"""Layout of a placed shape's numbers in the table that the interactive integrator reads."""
+"""Layout of the numbers of a placed shape in the table that the interactive integrator reads."""
 
 from typing import TYPE_CHECKING
 
@@ -7,13 +7,13 @@ import numpy as np
 if TYPE_CHECKING:
     from irodori.geometry.shapes.placement import Placement
 
-#: Numbers of a shape.
+#: Count of numbers for each shape, and the index of each number.
 SHAPE = 24
 CENTRE, RADIUS, CURVATURE, TURN, WIDE, HIGH, KIND, MIRROR, COLUMNS, ROWS = 0, 3, 4, 5, 14, 15, 16, 17, 18, 19
 
 
 def shape_row(placement: "Placement", reach_mm: float, number: int, dtype=np.float32) -> np.ndarray:
-    """Return the numbers of a placed shape, (SHAPE,), those of its material zero.
+    """Return the numbers of a placed shape, (SHAPE,), with zeros for its material.
 
     Parameters
     ----------
@@ -23,7 +23,7 @@ def shape_row(placement: "Placement", reach_mm: float, number: int, dtype=np.flo
     number : int
         See `irodori.geometry.shape_registry.number_of`.
     dtype : type
-        float32 as the integrator reads them, or float64.
+        float32, which the integrator reads, or float64.
     """
     row = np.zeros(SHAPE, dtype=dtype)
     shape = placement.shape

@@ -53,9 +53,9 @@ SCHEMA = {
     },
 }
 
-#: Nodes along the equator; there are half as many rows.
+#: Number of nodes along the equator; there are half as many rows.
 EQUATOR = 128
-#: Columns of the triangles that stand for a sphere.
+#: Number of columns of the triangles that approximate a sphere.
 _MERIDIANS = 128
 
 
@@ -86,7 +86,7 @@ def _surface_at(surfaces, index, ray, point, normal, facet):
 def _distance(row, at, centre, direction, along):
     x, y, z = centre
     dx, dy, dz = direction
-    # By the distance of the ray from the centre: what a small sphere far away is cancels in the usual discriminant.
+    # Uses the distance of the ray from the centre: the usual discriminant loses precision for small, distant spheres.
     px, py, pz = x - along * dx, y - along * dy, z - along * dz
     square = row[at + RADIUS] * row[at + RADIUS] - (px * px + py * py + pz * pz)
     half = root(upper_of(square, 0.0))
@@ -105,7 +105,7 @@ def _point(offset, facing, radius):
 
 @njit(cache=True, forceinline=True)
 def arc_tangent(y, x):
-    """Return atan2 of vectors within 1e-5 rad."""
+    """Return atan2 of lanes with an error below 1e-5 rad."""
     ax, ay = magnitude(x), magnitude(y)
     ratio = lower_of(ax, ay) / upper_of(upper_of(ax, ay), 1e-30)
     s = ratio * ratio
@@ -131,10 +131,11 @@ def hidden_by_sphere(cosine, distance, radius):
     Parameters
     ----------
     cosine : float
-        Of the angle between the normal and the way to the centre.
+        Cosine of the angle between the normal and the direction to the centre.
     distance : float
-        To the centre, mm; a point inside is hidden by nothing.
-    radius : float, mm
+        Distance to the centre, mm; for a point inside the result is 0.
+    radius : float
+        In mm.
     """
     if distance <= radius:
         return 0.0
@@ -169,7 +170,7 @@ def _nodes_about(shadows, own, row, hit):
 
 @dataclass(frozen=True)
 class Sphere(Shape):
-    """A sphere about the origin; v runs from the pole +z to -z, u is the azimuth from +x towards +y over 2π.
+    """A sphere centred on the origin; v runs from the pole +z to -z, u is the azimuth from +x towards +y over 2π.
 
     Parameters
     ----------
@@ -200,12 +201,12 @@ class Sphere(Shape):
 
     @classmethod
     def from_block(cls, block: "SphereShape") -> "Sphere":
-        """Return the sphere of a block with its radius."""
+        """Return the sphere with the radius given in a configuration block."""
         return cls(float(block.radius_mm))
 
     @property
     def size_mm(self) -> tuple[float, float]:
-        """The radius twice."""
+        """The radius, for both lengths."""
         return self.radius_mm, self.radius_mm
 
     @property
@@ -220,38 +221,38 @@ class Sphere(Shape):
 
     @property
     def table_height_mm(self) -> float:
-        """The centre is at the origin."""
+        """Height z of the table's top: one radius below the centre."""
         return -self.radius_mm
 
     def primitive(self, placement: Placement) -> Primitive:
-        """Return Embree's own sphere, which is exact."""
+        """Return Embree's sphere, which is exact."""
         return sphere_point(placement.translation_mm, self.radius_mm * placement.scale)
 
     def refined(self, origin, direction, distance, triangle) -> np.ndarray:
-        """Return the root of the sphere's equation that is nearer to the traced distance."""
+        """Return the solution of the sphere's equation that is nearer to the traced distance."""
         a = np.sum(direction**2, axis=1)
         b = np.sum(origin * direction, axis=1)
-        # The discriminant by the distance of the ray from the centre: no cancellation for far rays.
+        # The discriminant from the distance of the ray from the centre loses no precision for distant rays.
         perpendicular = origin - direction * (b / a)[:, None]
         root = np.sqrt(np.maximum(self.radius_mm**2 - np.sum(perpendicular**2, axis=1), 0.0) / a)
         near, far = -b / a - root, -b / a + root
         return np.where(np.abs(near - distance) <= np.abs(far - distance), near, far)
 
     def atlas(self, width: int, height: int, rows: tuple[int, int] | None = None) -> Texels:
-        """Return texels of longitude by latitude."""
+        """Return the texels of the texture, with columns along longitude and rows along latitude."""
         u, v = texel_centres(width, height, rows)
         theta, azimuth = np.pi * v, 2 * np.pi * u
         normal = np.stack([np.sin(theta) * np.cos(azimuth), np.sin(theta) * np.sin(azimuth), np.cos(theta)], axis=-1)
         return Texels(self.radius_mm * normal, normal, normal, np.ones(u.shape, dtype=bool))
 
     def facetted(self, reach_mm: float) -> Mesh:
-        """Return triangles between the nodes of a grid of angles, 0.03 % of the radius within the sphere at most."""
+        """Return triangles on a grid of longitude and latitude, at most 0.03 % of the radius inside the sphere."""
         u, v = np.meshgrid(np.arange(_MERIDIANS + 1) / _MERIDIANS, np.arange(_MERIDIANS // 2 + 1) * 2.0 / _MERIDIANS)
-        azimuth = 2.0 * np.pi * (u % 1.0)  # the last column is the first, to the bit
+        azimuth = 2.0 * np.pi * (u % 1.0)  # the last column is identical to the first
         ring = np.where((v > 0.0) & (v < 1.0), np.sin(np.pi * v), 0.0)
         normal = np.stack([ring * np.cos(azimuth), ring * np.sin(azimuth), np.cos(np.pi * v)], axis=-1)
         cells = quadrangles(np.arange(u.size).reshape(u.shape))
-        # The corners of a cell come row by row, and v runs down.
+        # The corners of a cell are listed row by row, and v runs down.
         faces = np.concatenate([cells[:, [0, 2, 3]], cells[:, [0, 3, 1]]])
         normals = normal.reshape(-1, 3)[faces]
         return make_mesh(self.radius_mm * normals, np.stack([u.ravel(), v.ravel()], axis=1)[faces], normals)
@@ -265,15 +266,15 @@ class Sphere(Shape):
         return self.radius_mm * normal, normal
 
     def curvature_per_mm(self, scale: float) -> float:
-        """Twice that of a great circle."""
+        """Return twice the curvature of a great circle, 1/mm."""
         return 2.0 / (self.radius_mm * scale)
 
     def texture_per_mm(self, scale: float) -> tuple[float, float]:
-        """None: the texture lies along angles."""
+        """Return zeros, because the texture follows angles."""
         return 0.0, 0.0
 
     def nodes(self, placement: Placement, reach_mm: float, points: list[np.ndarray]) -> Nodes:
-        """Return the middles of the texels that a texture of `EQUATOR` columns would have."""
+        """Return nodes at the texel centres of a texture with `EQUATOR` columns."""
         columns, rows = EQUATOR, EQUATOR // 2
         azimuth = (np.arange(columns) + 0.5) * 2.0 * np.pi / columns
         theta = (np.arange(rows) + 0.5) * np.pi / rows

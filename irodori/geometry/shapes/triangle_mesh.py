@@ -59,12 +59,13 @@ SCHEMA = {
     }
 }
 
-# Fields are indexed in full: a view of an array counts its owners, and two threads would fight over the count.
+# All array elements are indexed individually: views would update a reference count shared by the threads, which is
+# slow.
 
 
 @njit(cache=True, error_model="numpy")
 def _surface_at(surfaces, index, ray, point, normal, facet):
-    """Fill point and normals of a hit on a mesh from its barycentric coordinates; return u, v."""
+    """Fill point and normals of a hit on a mesh from its barycentric coordinates; return its texture coordinates."""
     face = surfaces.first_face[index] + hit_primitive(ray)
     b, c = hit_barycentric(ray)
     b, c = max(float(b), 0.0), max(float(c), 0.0)
@@ -104,14 +105,14 @@ def _surface_at(surfaces, index, ray, point, normal, facet):
 
 @dataclass(frozen=True)
 class TriangleMesh(Shape):
-    """Triangles with the texture coordinates of their file.
+    """A triangle mesh with the texture coordinates of its file.
 
     Parameters
     ----------
     mesh : Mesh
-        In the object's frame.
+        The triangles, in the object's frame.
     file : str
-        Where they came from, for error messages.
+        Source of the mesh, for error messages.
     """
 
     mesh: Mesh
@@ -139,7 +140,7 @@ class TriangleMesh(Shape):
 
     @classmethod
     def from_block(cls, block: "MeshShape") -> "TriangleMesh":
-        """Return the mesh of a block that names its file."""
+        """Read the mesh from the file named in a configuration block."""
         from irodori.geometry.mesh_files import read_mesh
 
         mesh = read_mesh(block.file, unit=block.unit, up=block.up, pivot_mm=block.pivot_mm, crease_deg=block.crease_deg)
@@ -152,17 +153,17 @@ class TriangleMesh(Shape):
 
     @property
     def size_mm(self) -> tuple[float, float]:
-        """The reach twice."""
+        """The reach, for both lengths."""
         return self.reach_mm, self.reach_mm
 
     @property
     def reach_mm(self) -> float:
-        """Of the farthest vertex."""
+        """Distance of the farthest vertex from the origin."""
         return self.mesh.reach_mm
 
     @property
     def table_height_mm(self) -> float:
-        """A mesh stands on its lowest point."""
+        """Height z of the table's top: that of the lowest point of the mesh."""
         return self.mesh.bottom_mm
 
     @property
@@ -171,26 +172,26 @@ class TriangleMesh(Shape):
         return self.mesh.vertices_mm
 
     def primitive(self, placement: Placement) -> Primitive:
-        """Return the triangles."""
+        """Return the triangles for Embree."""
         return triangles(placement.points(self.mesh.vertices_mm), self.mesh.faces)
 
     def refined(self, origin, direction, distance, triangle) -> np.ndarray:
-        """Return distances to the planes of the triangles that were met."""
+        """Return distances to the planes of the triangles that were hit."""
         mesh = self.mesh
         corner, facet = mesh.vertices_mm[mesh.faces[triangle, 0]], mesh.facets[triangle]
         steepness = np.sum(direction * facet, axis=1)
         with np.errstate(divide="ignore", invalid="ignore"):
             exact = np.sum((corner - origin) * facet, axis=1) / steepness
-        # Along its plane a triangle is met at an edge, of which the plane knows nothing.
+        # A ray nearly parallel to a triangle meets it at an edge, which the plane does not determine.
         steep = np.abs(steepness) > 1e-4 * np.linalg.norm(direction, axis=1)
         return np.where(steep & np.isfinite(exact), exact, distance)
 
     def atlas(self, width: int, height: int, rows: tuple[int, int] | None = None) -> Texels:
-        """Return the texels of the charts."""
+        """Return the texels in the charts of the mesh."""
         return mesh_texels(self.mesh, rasterise(self.mesh, width, height, self.file), rows)
 
     def is_covered(self, width: int, height: int) -> np.ndarray:
-        """Return which texels lie in a chart."""
+        """Return the texels that lie in a chart, (height, width) bool."""
         return rasterise(self.mesh, width, height, self.file) >= 0
 
     def facetted(self, reach_mm: float) -> Mesh:
@@ -198,17 +199,17 @@ class TriangleMesh(Shape):
         return self.mesh
 
     def samples(self, count: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return points spread evenly over the area."""
+        """Return ``count`` points spread evenly over the area."""
         return self.mesh.samples(count)
 
     def curvature_per_mm(self, scale: float) -> float:
-        """None: triangles are flat."""
+        """Return 0, because triangles are flat."""
         return 0.0
 
     def texture_per_mm(self, scale: float) -> tuple[float, float]:
-        """None: a texture coordinate goes with a triangle."""
+        """Return zeros, because texture coordinates depend on the triangle."""
         return 0.0, 0.0
 
     def nodes(self, placement: Placement, reach_mm: float, points: list[np.ndarray]) -> Nodes:
-        """Return nodes on the triangles."""
+        """Lay out shadow nodes on the triangles."""
         return mesh_nodes(self.mesh, placement)

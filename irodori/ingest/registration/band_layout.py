@@ -5,18 +5,18 @@ from numpy.lib.stride_tricks import as_strided
 
 
 def flatten(image) -> tuple[np.ndarray, int]:
-    """Return the samples of a picture as one contiguous row, and how far its pixels lie apart in it.
+    """Return the samples of a picture as a contiguous row, and the distance of its pixels in this row.
 
     Parameters
     ----------
     image : (height, width, bands) float32
-        A picture, or some neighbouring bands of a picture with more; anything else is copied.
+        A picture, or neighbouring bands of a picture with more bands; other arrays are copied.
 
     Returns
     -------
     values : (n,) float32
-        Band b of pixel (y, x) is ``values[(y * width + x) * step + b]``. Loops compiled for it fit every picture, and
-        load neighbours together, which they cannot where the distance of two bands is known at run time only.
+        Band b of pixel (y, x) is ``values[(y * width + x) * step + b]``. The same compiled loops work for every
+        picture, and can load neighbouring bands together, because their distance is known at compile time.
     step : int
     """
     image = np.asarray(image, dtype=np.float32)

@@ -1,10 +1,10 @@
-"""Compiled loops of `irodori.ingest.registration.similarity_fit`: interpolated gradients and their sums.
+"""Compiled loops of `irodori.ingest.registration.similarity_fit`: interpolated gradients and sums over them.
 
-Pictures of the pyramid are (height, width, 4) float32: three bands and the share of valid pixels. Derivatives are
-those of the picture convolved with a quintic B-spline, taken at any place: the spline's weights sum to one and its
-derivatives' to zero at every fraction of a pixel, so neither brightness nor noise leaks into a gradient with the
-fraction (M. Unser, "Splines", IEEE Signal Processing Magazine 16(6), 1999). Its response is sinc⁶(f): 0.067 at
-Nyquist, which keeps what superpixels alias down.
+Pictures of the pyramid are (height, width, 4) float32: three bands and the share of valid pixels. Derivatives are those
+of the picture convolved with a quintic B-spline, at any place. At every fraction of a pixel, the weights of the spline
+sum to one and those of its derivatives to zero, so neither brightness nor noise biases a gradient depending on the
+fraction (M. Unser, "Splines", IEEE Signal Processing Magazine 16(6), 1999). The frequency response is sinc⁶(f), 0.067
+at the Nyquist frequency, which suppresses the aliasing of superpixels.
 """
 
 import math
@@ -17,7 +17,7 @@ from irodori.jit.compilation import njit
 
 TAPS = 6
 _SUMS = 4 + 16 + 5
-_ROWS, _CELLS = 64, 256  # that a thread takes at a time
+_ROWS, _CELLS = 64, 256  # rows, or cells, that a thread takes at a time
 
 
 @njit(cache=True, forceinline=True)
@@ -44,20 +44,20 @@ def _quintic(t):
 
 @njit(cache=True, forceinline=True)
 def _second(t):
-    """Return the weights of the quintic's second derivative: second differences of the cubic."""
+    """Return the weights of the second derivative of the quintic B-spline: second differences of the cubic."""
     c0, c1, c2, c3 = _cubic(t)
     return c0, c1 - 2.0 * c0, c2 - 2.0 * c1 + c0, c3 - 2.0 * c2 + c1, c2 - 2.0 * c3, c3
 
 
 def spline_power() -> tuple[float, float, float]:
-    """Return the sums of the squared weights of the spline and of its two derivatives, at a pixel."""
+    """Return the sums of the squared weights of the spline and of its first two derivatives, at a pixel's centre."""
     own, first, second = (float(np.square(weights).sum()) for weights in (*_quintic(0.0), _second(0.0)))
     return own, first, second
 
 
 @njit(cache=True, forceinline=True, fastmath={"contract"})
 def _row(values, p, w):
-    """Return the weighted sum of six pixels of a row of a level in the band where ``p`` lies."""
+    """Return the weighted sum of six pixels of a row, in the band to which index ``p`` points."""
     four = np.uint64(4)
     a, b = w[0] * values[p], w[1] * values[p + four]
     p += four + four
@@ -69,13 +69,13 @@ def _row(values, p, w):
 
 @njit(cache=True, forceinline=True)
 def _less(a, b):
-    # One instruction for eight numbers; min() has more to say about NaN.
+    # Compiles to one instruction for eight numbers, unlike min() with its rules for NaN.
     return a if a < b else b
 
 
 @njit(cache=True, nogil=True)
 def _least_along_rows(level, along, first, last):
-    """Fill the least share of valid pixels among the taps -2..3 along rows."""
+    """Fill the smallest share of valid pixels among the taps -2..3 along rows."""
     for y in range(first, last):
         share, out = level[y, :, 3].copy(), along[y]
         for i in range(share.size - 5):
@@ -85,7 +85,7 @@ def _least_along_rows(level, along, first, last):
 
 @njit(cache=True)
 def _least_of_six(along, y, out):
-    """Fill the least of six rows, from two above ``y`` to three below it."""
+    """Fill the minimum of six rows, from two above ``y`` to three below it."""
     r0, r1, r2, r3, r4, r5 = along[y - 2], along[y - 1], along[y], along[y + 1], along[y + 2], along[y + 3]
     for i in range(out.size):
         out[i] = _less(_less(_less(r0[i], r1[i]), _less(r2[i], r3[i])), _less(r4[i], r5[i]))
@@ -98,7 +98,7 @@ def _least_of_rows(along, least, first, last):
 
 
 def least_share(level):
-    """Return the least share of valid pixels under the spline's 6 x 6 taps around each pixel, (h, w); 0 at borders."""
+    """Return the smallest share of valid pixels in the 6 x 6 taps of the spline at each pixel, (h, w); 0 at borders."""
     along, out = np.zeros(level.shape[:2], dtype=np.float32), np.zeros(level.shape[:2], dtype=np.float32)
     run_chunks(_least_along_rows, len(along), _ROWS, level, along)
     run_chunks(_least_of_rows, len(along), _ROWS, along, out)
@@ -106,32 +106,32 @@ def least_share(level):
 
 
 class Places(NamedTuple):
-    """Places of the fixed picture that are compared, cell by cell."""
+    """Places of the fixed picture at which gradients are compared, by cell."""
 
     xy: np.ndarray  # (cells, quota, 2) int32, x then y
-    counts: np.ndarray  # (cells,) int64, of which so many count
-    offsets: np.ndarray  # (3, 2) places of the bands, pixels of the level
-    #: (4,) superpixels in a pixel of the level; centre x, y and rms radius of the picture, superpixels.
+    counts: np.ndarray  # (cells,) int64, number of places in each cell
+    offsets: np.ndarray  # (3, 2) positions of the bands, pixels of the level
+    #: (4,) superpixels per pixel of the level; centre x, y and RMS radius of the picture, superpixels.
     geometry: np.ndarray
 
 
 class Fixed(NamedTuple):
-    """The fixed picture at its places, float32."""
+    """Derivatives of the fixed picture at the places, float32."""
 
     gradient: np.ndarray  # (cells, quota, 3, 2) along x and y
     curvature: np.ndarray  # (cells, quota, 3, 3) second derivatives xx xy yy
-    weight: np.ndarray  # (cells, quota) least share of valid pixels under the kernel, 0 outside
+    weight: np.ndarray  # (cells, quota) smallest share of valid pixels under the kernel, 0 outside
 
 
 class Moving(NamedTuple):
-    """The moving picture at the images of the places, float32."""
+    """Gradients of the moving picture at the transformed places, float32."""
 
     gradient: np.ndarray  # (cells, quota, 3, 2) along the fixed picture's axes
     valid: np.ndarray  # (cells, quota) the smaller share of valid pixels of the two pictures
 
 
 class Residuals(NamedTuple):
-    """Expected statistics of the gradients' residuals."""
+    """Colour map, and expected statistics of the residuals of the gradients."""
 
     colour: np.ndarray  # (cells, 3, 3) map from fixed to moving gradients
     sigma: np.ndarray  # (3,) standard deviation in each band
@@ -177,13 +177,13 @@ def _template_some(values, least, places, fixed, first, last):
 
 
 def template(level, least, places):
-    """Return the fixed picture at its places, `Fixed`.
+    """Compute the derivatives of the fixed picture at the places; return them as `Fixed`.
 
     Parameters
     ----------
     level : (h, w, 4) float32
     least : (h, w) float32
-        Of the level, see `least_share`.
+        From `least_share`.
     places : Places
     """
     cells, quota = places.xy.shape[:2]
@@ -195,7 +195,7 @@ def template(level, least, places):
 
 
 class _Picture(NamedTuple):
-    """A level of the moving picture, and its map."""
+    """A level of the moving picture, and the transform."""
 
     values: np.ndarray  # (h * w * 4,)
     least: np.ndarray  # (h, w), see `least_share`
@@ -256,15 +256,15 @@ def _sample_some(picture, places, fixed, moving, first, last):
 
 
 def sample(level, least, affine, places, fixed):
-    """Return the moving picture at the images of the places, `Moving`.
+    """Compute the gradients of the moving picture at the transformed places; return them as `Moving`.
 
     Parameters
     ----------
     level : (h, w, 4) float32
     least : (h, w) float32
-        Of the level, see `least_share`.
+        From `least_share`.
     affine : (2, 3) float64
-        Moving from fixed coordinates of this level.
+        Transform from fixed to moving coordinates of this level.
     places : Places
     fixed : Fixed
     """
@@ -295,14 +295,14 @@ def gradient_moments(counts, fixed, moving, weight):
 
 @njit(cache=True, nogil=True)
 def residuals(fixed, moving, colour, chosen):
-    """Return what the colour map predicts and what it leaves at some places.
+    """Return the gradients that the colour map predicts at some places, and the residuals.
 
     Parameters
     ----------
     fixed, moving : (cells, quota, 3, 2) float32
     colour : (cells, 3, 3) float64
     chosen : (n,) int64
-        Numbers of the places in the order of memory.
+        Indices of the places in flattened order.
 
     Returns
     -------
@@ -322,10 +322,10 @@ def residuals(fixed, moving, colour, chosen):
 
 
 class Scores(NamedTuple):
-    """Sums of score and information of each cell, in superpixels, and the weights of the places."""
+    """Score (gradient of the log-likelihood) and Fisher information of each cell, in superpixels, and weights."""
 
     #: (cells, 25) float64: 0-3 score of t_x, t_y, a, b; 4-19 upper half of their information; 20-22 information xx, xy,
-    #: yy of a translation; 23 Σw; 24 Σ of weighted squared residuals.
+    #: yy of a translation; 23 Σw; 24 sum of weighted squared residuals.
     sums: np.ndarray
     weight: np.ndarray  # (cells, quota) float32
 
@@ -361,7 +361,7 @@ def _score_cell(chosen, at_fixed, at_moving, expected, scores, cell):
             bx += inverse * (hxx * rx + hxy * ry)
             by += inverse * (hxy * rx + hyy * ry)
         length = math.sqrt(misfit / 6.0)
-        # Huber's weight, squared beyond: what lies far off pulls less and less.
+        # Huber's weight, squared: the influence of outliers decreases with their distance.
         w = 1.0 if length <= 1.5 else (1.5 / length) ** 2
         w *= valid[n] ** 4
         weight[n] = w
@@ -398,7 +398,7 @@ def _score_some(places, pictures, expected, scores, first, last):
 
 
 def score(places, fixed, moving, expected):
-    """Return the `Scores` of the cells.
+    """Compute the `Scores` of the cells.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
-"""Image pyramids with invalid pixels, and their points of strong gradient.
+"""Image pyramids with invalid pixels, and selection of places with strong gradients.
 
-A level is (height, width, 4) float32: three bands and the share of valid pixels. Each halving takes the mean of the
-valid pixels of 2 x 2.
+A level is (height, width, 4) float32: three bands and the share of valid pixels. A pixel of the next level is the mean
+of the valid pixels of a block of 2 x 2.
 """
 
 import math
@@ -13,7 +13,7 @@ from irodori.jit.chunks import run_chunks
 from irodori.jit.compilation import njit
 
 _LEAST_NOISE = 1e-9
-_ROWS, _CELLS = 64, 256  # that a thread takes at a time
+_ROWS, _CELLS = 64, 256  # rows, or cells, that a thread takes at a time
 
 
 @njit(cache=True)
@@ -38,7 +38,7 @@ def _halve_rows(out, source, first, last):
 
 
 def halve(source):
-    """Return the mean of the valid pixels of each 2 x 2, (h, w, 4) to (h // 2, w // 2, 4)."""
+    """Average the valid pixels of each block of 2 x 2: (h, w, 4) to (h // 2, w // 2, 4)."""
     out = np.empty((source.shape[0] // 2, source.shape[1] // 2, 4), dtype=np.float32)
     run_chunks(_halve_rows, len(out), _ROWS, out, source)
     return out
@@ -71,7 +71,7 @@ def _pack_rows(out, image, step, valid, first, last):
 
 
 def pack(image, valid):
-    """Return level 0, (h, w, 4): invalid and non-finite pixels are zero and have no weight."""
+    """Make level 0, (h, w, 4), in which invalid and non-finite pixels are zero and have no weight."""
     out = np.empty((*valid.shape, 4), dtype=np.float32)
     run_chunks(_pack_rows, len(out), _ROWS, out, *flatten(image), valid)
     return out
@@ -103,7 +103,7 @@ def _pack_halve_rows(out, image, step, valid, first, last):
 
 
 def pack_halve(image, valid):
-    """Return level 1 without building level 0."""
+    """Make level 1 directly, without level 0."""
     out = np.empty((valid.shape[0] // 2, valid.shape[1] // 2, 4), dtype=np.float32)
     run_chunks(_pack_halve_rows, len(out), _ROWS, out, *flatten(image), valid)
     return out
@@ -111,7 +111,10 @@ def pack_halve(image, valid):
 
 @njit(cache=True, forceinline=True)
 def _energy(level, noise, y, x):
-    """Return the squared central differences of all bands over their noise, 0 beside an invalid pixel."""
+    """Return the sum over the bands of squared central differences divided by noise variance.
+
+    ``noise`` has the inverse variances. The result is 0 beside an invalid pixel.
+    """
     left, right, up, down = level[y, x - 1], level[y, x + 1], level[y - 1, x], level[y + 1, x]
     total = np.float32(0.0)
     for c in range(3):
@@ -129,9 +132,9 @@ def _energies(level, inverse, out, first, last):
 
 
 def noise_of(level) -> np.ndarray:
-    """Return the standard deviation of a pixel's noise in each band, (3,) float64, or the little texture above it.
+    """Estimate the standard deviation of the noise of a pixel in each band, (3,) float64, including fine texture.
 
-    From the lower quartile of the differences between pixels two apart, which edges do not reach.
+    It is computed from the lower quartile of the differences between pixels two apart, which edges hardly affect.
     """
     rows, step = level[:: max(1, level.shape[0] // 64)], max(1, level.shape[1] // 256)
     right, left = rows[:, 2::step], rows[:, :-2:step]
@@ -144,7 +147,7 @@ def noise_of(level) -> np.ndarray:
 
 
 def gradient_energy(level, noise) -> np.ndarray:
-    """Return squared gradients in units of the bands' noise, summed over the bands, (h, w) float32; border 0."""
+    """Return squared gradients in units of the noise, summed over the bands, (h, w) float32; 0 at the border."""
     out = np.zeros(level.shape[:2], dtype=np.float32)
     run_chunks(_energies, len(out), _ROWS, level, (noise**-2.0).astype(np.float32), out)
     return out
@@ -152,9 +155,9 @@ def gradient_energy(level, noise) -> np.ndarray:
 
 @njit(cache=True)
 def _select(values, count, place):
-    """Return the number at a place, counted from 0, of the first ``count`` in rising order; reorders them.
+    """Return the element with index ``place`` of the first ``count`` values in ascending order; reorders them.
 
-    Hoare's selection. `numpy.partition` does the same, and takes twenty seconds to compile.
+    Hoare's quickselect. `numpy.partition` does the same, but takes twenty seconds to compile.
     """
     first, last = 0, count - 1
     while first < last:
@@ -178,7 +181,10 @@ def _select(values, count, place):
 
 @njit(cache=True)
 def _choose(energy, places, counts, cell, grid, gate):
-    """Fill the places of the largest energies of one cell; ``grid`` is columns of cells, height and width of one."""
+    """Fill the places with the largest energies in one cell.
+
+    ``grid`` has the number of columns of cells, and height and width of a cell.
+    """
     (columns, height, width), quota = grid, places.shape[1]
     y0, x0 = (cell // columns) * height, (cell % columns) * width
     bottom, right = min(y0 + height, energy.shape[0]), min(x0 + width, energy.shape[1])
@@ -207,13 +213,13 @@ def _choose_some(energy, chosen, grid, gate, first, last):
 
 
 def choose(energy, height, width, quota, gate):
-    """Return the places of each cell with the largest gradients, all of at least the energy ``gate``.
+    """Choose in each cell the places with the largest gradient energies, all at least ``gate``.
 
     Returns
     -------
     places : (cells, quota, 2) int32, x then y
     counts : (cells,) int64
-        Cells run along the rows; two neighbours in a row are consecutive and their number in a row is even.
+        Number of places in each cell. Cells are numbered along the rows, and each row has an even number of them.
     """
     columns = 2 * max(1, energy.shape[1] // (2 * width))
     rows = max(1, energy.shape[0] // height)
@@ -225,7 +231,7 @@ def choose(energy, height, width, quota, gate):
 
 
 class Pyramid:
-    """Levels of a picture, made when asked for."""
+    """Image pyramid with levels that are computed on first access."""
 
     def __init__(self, image, valid) -> None:
         self._image, self._valid = np.asarray(image, dtype=np.float32), np.ascontiguousarray(valid, dtype=bool)

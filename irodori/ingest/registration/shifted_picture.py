@@ -8,7 +8,7 @@ from irodori.ingest.registration.band_layout import flatten
 from irodori.jit.chunks import run_chunks
 from irodori.jit.compilation import njit
 
-_ROWS = 64  # that a thread takes at a time
+_ROWS = 64  # rows that a thread takes at a time
 
 
 @njit(cache=True, forceinline=True)
@@ -24,7 +24,7 @@ def _keys(t):
 
 @njit(cache=True)
 def _reached_row(reached, valid, y):
-    """Mark in a row the pixels whose 4 x 4 neighbours -1..2 are all in the picture and valid."""
+    """Mark the pixels of a row for which all 4 x 4 neighbours, -1..2, are in the picture and valid."""
     width = valid.shape[1]
     column = np.empty(width, dtype=np.bool_)
     for x in range(width):
@@ -43,7 +43,7 @@ def _four(image, p, step, w):
 
 @njit(cache=True, forceinline=True, fastmath={"contract"})
 def _cubic(image, p, step, line, wx, wy):
-    """Return one band of the cubic of 4 x 4 pixels, the first of which lies at ``p``; rows are ``line`` apart."""
+    """Return the cubic interpolation from 4 x 4 pixels in one band; the first is at ``p``, rows are ``line`` apart."""
     top = wy[0] * _four(image, p, step, wx) + wy[1] * _four(image, p + line, step, wx)
     p += line + line
     return top + wy[2] * _four(image, p, step, wx) + wy[3] * _four(image, p + line, step, wx)
@@ -51,14 +51,14 @@ def _cubic(image, p, step, line, wx, wy):
 
 @njit(cache=True, forceinline=True)
 def _linear(image, p, step, line, tx, ty):
-    """Return one band of the linear mean of 2 x 2 pixels, the first of which lies at ``p``."""
+    """Return the bilinear interpolation from 2 x 2 pixels in one band; the first is at ``p``."""
     top = (1.0 - tx) * image[p] + tx * image[p + step]
     bottom = (1.0 - tx) * image[p + line] + tx * image[p + line + step]
     return np.float32((1.0 - ty) * top + ty * bottom)
 
 
 class _Picture(NamedTuple):
-    """A picture of three bands, flat."""
+    """A picture of three bands as a flat array, and its mask."""
 
     samples: np.ndarray  # band b of pixel (y, x) is samples[(y * width + x) * step + b]
     step: int
@@ -80,7 +80,7 @@ def _resample_row(moved, picture, reached, affine, y):
             tx, ty, at = fx - ix, fy - iy, iy * line + ix * step
             if reached[iy, ix]:
                 wx, wy, good = _keys(tx), _keys(ty), True
-                # Indices without a sign: numba would look for negative ones.
+                # Unsigned indices save numba the handling of negative ones.
                 first, right, down, one = np.uint64(at - line - step), np.uint64(step), np.uint64(line), np.uint64(1)
                 r = _cubic(image, first, right, down, wx, wy)
                 g = _cubic(image, first + one, right, down, wx, wy)
@@ -108,22 +108,28 @@ def _resample_rows(moved, picture, reached, affine, first, last):
 
 
 def resample_affine(image, valid, affine, out=None) -> tuple[np.ndarray, np.ndarray]:
-    """Return a picture at the places that a map gives, and where it is valid.
+    """Resample a picture under an affine map.
 
     Parameters
     ----------
     image : (height, width, 3) float32
-        At least 2 x 2; see `irodori.ingest.registration.band_layout` for what is read without a copy.
+        At least 2 x 2 pixels; `irodori.ingest.registration.band_layout` states which layouts are read without a copy.
     valid : (height, width) bool
     affine : (2, 3) float64
-        Source from destination coordinates, x then y.
+        Map from destination to source coordinates, x then y.
     out : (height, width, 3) float32, optional
-        Receives the picture; neighbouring bands of a contiguous picture, apart from ``image``.
+        Array for the result: neighbouring bands of a contiguous picture that does not overlap ``image``.
 
     Returns
     -------
-    image : (height, width, 3) float32, 0 where invalid
+    image : (height, width, 3) float32
+        0 where invalid.
     valid : (height, width) bool
+
+    Raises
+    ------
+    ValueError
+        If ``out`` has another shape or layout, is read-only, or overlaps ``image``.
     """
     out = np.empty(image.shape, dtype=np.float32) if out is None else out
     flat_out, out_step = flatten(out)
@@ -159,7 +165,11 @@ def _marked_rows(out, mask, valid, affine, first, last):
 
 
 def marked_affine(mask, valid, affine):
-    """Return where a resampled picture is not valid and within two samples of a marked one, (height, width) bool."""
+    """Return the invalid pixels of a resampled picture with a marked source sample nearby, (height, width) bool.
+
+    Nearby is within two samples of the nearest one. Parameters as in
+    `irodori.ingest.registration.similarity.meets_marked`, with ``affine`` from destination to source coordinates.
+    """
     out = np.empty(mask.shape, dtype=np.bool_)
     run_chunks(_marked_rows, len(mask), _ROWS, out, mask, valid, affine)
     return out

@@ -1,30 +1,31 @@
 """Similarity transform between two shots of one object, without and with a filter plate.
 
-The plate moves, turns and scales the picture by little and changes its colours by much: an edge may weaken, vanish or
-change its sign in a band. So intensities are not compared. The gradients of the moving picture, looked up at the
-transformed places, are explained as a linear colour map of the fixed picture's gradients; the map follows in closed
-form from each trial transform (variable projection: Golub, Pereyra, Inverse Problems 19, 2003), and what remains
-drives a Gauss-Newton step of the transform. Steps are taken in the fixed picture's frame (inverse composition: Baker,
-Matthews, Int. J. Computer Vision 56(3), 2004), so that the derivatives come from one picture, the residual's noise
-at the new places from the other, and noise does not pull towards half or whole pixels.
+The plate shifts, rotates and scales the picture slightly but changes its colours strongly: an edge may weaken, vanish
+or change its sign in a band. Therefore intensities are not compared. Instead, the gradients of the moving picture at
+the transformed places are modelled as a linear colour map of the gradients of the fixed picture. For each trial
+transform the colour map follows in closed form (variable projection: Golub, Pereyra, Inverse Problems 19, 2003), and
+the residuals determine a Gauss-Newton step of the transform. Steps are taken in the frame of the fixed picture (inverse
+composition: Baker, Matthews, Int. J. Computer Vision 56(3), 2004). So the derivatives come from one picture and the
+noise of the residuals at the new places from the other, and noise does not bias the result towards half or whole
+pixels.
 
-* The colour map varies from cell to cell of some dozen pixels, held to the whole picture's map where a cell tells
-  little: two edges of different paints do not follow one matrix.
-* It maps a band to the same band, unless the places of the bands inside a superpixel are given. The red, green and
-  blue samples of a mosaic lie half a mosaic pixel apart, so a map that mixed bands without knowing their places
-  would shift the result by some hundredths of a superpixel.
-* Only the places with the largest gradients of each cell are compared; derivatives are those of a quintic B-spline
+* The colour map varies between cells of some dozen pixels, because edges between different paints do not follow the
+  same matrix. In cells with little information it is drawn towards the map of the whole picture.
+* It maps each band to the same band, unless the positions of the bands within a superpixel are given. Red, green and
+  blue are sampled at different positions, successive bands half a mosaic pixel apart along each axis, so a map that
+  mixed bands without knowing their positions would shift the result by some hundredths of a superpixel.
+* Only the places with the largest gradients in each cell are compared; derivatives are those of a quintic B-spline
   (`irodori.ingest.registration.gradient_sums`).
-* Residuals are weighted by their spread in each band, which grows with the gradient; outliers (metamers, highlights,
-  dust) by Huber's weight squared.
-* The first shift comes from the masked normalised correlation of gradient magnitudes at a coarse level of a pyramid
+* Residuals are weighted by their spread in each band, which increases with the gradient, and outliers (metamers,
+  highlights, dust) by the square of Huber's weight.
+* The initial shift comes from the masked normalised correlation of gradient magnitudes at a coarse level of a pyramid
   (Padfield, IEEE Trans. Image Processing 21(5), 2012); magnitudes do not depend on the sign of an edge.
-* Superpixels alias. An edge exactly along the rows or columns is displaced by a little that depends on where it lies
-  in its superpixel. Where few such edges alone are the content (a plate of squares that stands upright in the
-  picture), the result is off by up to 0.03 superpixel, without noise 0.05, and by up to 0.09 on a sensor without an
-  optical low-pass filter; ``sigma_px`` tells about half of that. A coarser level is no remedy: the displacement is a
-  share of its pixel.
-* Weak priors as wide as a plate's effect (8 superpixels, 0.5 degrees, 1 %) hold what the content leaves open.
+* Because of aliasing, an edge exactly along rows or columns appears slightly displaced, depending on its position in
+  the superpixel. If a few such edges are the only content (a plate of squares that is upright in the picture), the
+  error is up to 0.03 superpixel, 0.05 without noise, and up to 0.09 on a sensor without an optical low-pass filter;
+  ``sigma_px`` covers about half of it. A coarser level does not help, because the displacement scales with its pixels.
+* Parameters that the content does not determine are constrained by weak priors, as wide as the effect of a plate
+  (8 superpixels, 0.5 degrees, 1 %).
 """
 
 import math
@@ -45,23 +46,23 @@ from irodori.ingest.registration.similarity_fit import (
     search,
 )
 
-_COARSEST_PX = 160  # longest side at which the search runs
-_SHORTEST_PX = 24  # no level gets a shorter side than this
-_FINEST_PIXELS = 800_000  # the finest level has no more, unless the error asks for it
-_PLACES = (30_000, 8_000, 4_000)  # compared at the finest level, at the others, in the search
-_GOOD_PX = 0.02  # a predicted error with which no finer level is tried
-_STEP, _LAST_STEP = 1e-2, 1e-3  # at which the iteration ends, pixels of the level; a step leaves a fifth of itself
+_COARSEST_PX = 160  # longest side of the level used for the search
+_SHORTEST_PX = 24  # shortest side that a level may have
+_FINEST_PIXELS = 800_000  # largest number of pixels of the finest level, unless the error requires a finer one
+_PLACES = (30_000, 8_000, 4_000)  # places compared at the finest level, at other levels, and in the search
+_GOOD_PX = 0.02  # predicted error with which no finer level is tried
+_STEP, _LAST_STEP = 1e-2, 1e-3  # steps that end the iteration, pixels of the level; a fifth of a step remains as error
 _UNDETERMINED_PX = 1.0
-_SURE_COHERENCE = 0.25  # a fit from the start alone that is less coherent, or less certain, is not believed
+_SURE_COHERENCE = 0.25  # smallest coherence, and largest error, with which a fit from the start alone is accepted
 _SURE_PX = 0.05
-_NOISE_RATIO = 1.5  # information, in its weakest direction, over that which noise alone seems to hold
-_CLUSTERS = 6  # along each side
-_FLOOR_PX = 0.05  # blocks that know better than this count alike in the residual
+_NOISE_RATIO = 1.5  # smallest information, in its weakest direction, relative to that which noise alone simulates
+_CLUSTERS = 6  # number of blocks along each side for the scatter between parts of the picture
+_FLOOR_PX = 0.05  # blocks with a smaller error than this have equal weights in the residual
 _LEAST_COHERENCE = 0.1
 
 
 def bayer_offsets_px(pattern: str) -> np.ndarray:
-    """Return where red, green and blue lie in a superpixel, (3, 2), x then y, superpixels from its centre.
+    """Return the positions of red, green and blue in a superpixel, (3, 2), x then y, in superpixels from its centre.
 
     Parameters
     ----------
@@ -71,7 +72,7 @@ def bayer_offsets_px(pattern: str) -> np.ndarray:
     Raises
     ------
     ValueError
-        If it is not made of one red, two greens and one blue.
+        If the pattern does not have one red, two greens and one blue.
     """
     if sorted(pattern) != ["B", "G", "G", "R"]:
         raise ValueError(f"mosaic pattern {pattern!r}; accepted: one R, two G, one B, such as 'RGGB'")
@@ -81,10 +82,10 @@ def bayer_offsets_px(pattern: str) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Registration:
-    """The similarity that leads from the fixed to the moving picture: c + scale R(rotation) (p - c) + (dx, dy).
+    """Similarity transform from the fixed to the moving picture: p -> c + scale R(rotation) (p - c) + (dx, dy).
 
-    Superpixel coordinates, x right, y down; the centre of a superpixel is an integer. A positive rotation turns x
-    towards y.
+    Coordinates are superpixels, x right, y down, with integers at the centres of superpixels. A positive rotation turns
+    x towards y.
 
     Parameters
     ----------
@@ -92,11 +93,11 @@ class Registration:
     rotation_rad : float, rad
     scale : float
     residual_px : float, superpixels
-        Displacement (rms over local blocks, weighted with what each block can tell, without its noise) that the
-        similarity leaves unexplained. It comes out some 10 to 40 % too small, because one linear step finds it and
-        corners tell least. NaN where nothing could be measured.
+        RMS displacement of local blocks that the similarity does not explain, weighted by the information of each block
+        and without noise. It is about 10 to 40 % too small, because it is estimated by a single linear step and corners
+        contribute least. NaN if nothing could be measured.
     sigma_px : float, superpixels
-        Predicted standard error of the alignment, rms over the picture; inf where the content does not determine it.
+        Predicted standard error of the alignment, RMS over the picture; infinite if the content does not determine it.
     centre_px : (2,) tuple of float, superpixels
         Centre c of the picture, x then y: ((W - 1) / 2, (H - 1) / 2).
     """
@@ -111,11 +112,11 @@ class Registration:
 
     @classmethod
     def identity(cls) -> "Registration":
-        """Return the map that moves nothing, taken as exact; it needs no centre."""
+        """Return the identity transform, with an error of 0; it needs no centre."""
         return cls(0.0, 0.0, 0.0, 1.0, 0.0, 0.0)
 
     def affine(self, centre_px=None) -> np.ndarray:
-        """Return the (2, 3) matrix moving_from_fixed, about another centre if one is given."""
+        """Return the (2, 3) matrix moving_from_fixed, about ``centre_px`` if given, else about the picture's centre."""
         centre = complex(*(self.centre_px if centre_px is None else centre_px))
         return affine_of_level(*self.complex_parts(), centre, 1.0)
 
@@ -128,30 +129,31 @@ class Registration:
 def register(
     fixed, moving, fixed_valid, moving_valid, start: Registration | None = None, *, band_offsets_px=None
 ) -> Registration:
-    """Find the similarity that leads from one picture to another of the same object in other colours.
+    """Estimate the similarity transform between two pictures of the same object with different colours.
 
     Parameters
     ----------
     fixed, moving : (H, W, 3) float32
         Responses without and with the filter, 1 = perfect diffuser.
     fixed_valid, moving_valid : (H, W) bool or uint8
-        0 where a sample is saturated or hot. Non-finite samples count as invalid.
+        0 for saturated or hot samples. Non-finite samples count as invalid.
     start : Registration, optional
-        A guess. The search (which reaches 12 superpixels) is left out where the fit that begins there is certain;
-        otherwise the guess is tried beside the shifts that the search proposes.
+        Initial guess. If the fit that starts there is certain, the search (which reaches 12 superpixels) is skipped;
+        otherwise the guess is tried in addition to the shifts from the search.
     band_offsets_px : (3, 2) float, optional
-        Where the bands lie in a superpixel, see `bayer_offsets_px`; the colour map then mixes bands.
+        Positions of the bands within a superpixel, see `bayer_offsets_px`; the colour map then mixes bands.
 
     Returns
     -------
     Registration
-        The identity with ``sigma_px`` inf and ``residual_px`` NaN where the pictures have nothing in common. With
-        ``sigma_px`` inf otherwise, what the content leaves open is held by the prior of a plate that does nothing.
+        If the pictures have nothing in common: the identity with an infinite ``sigma_px`` and a ``residual_px`` of NaN.
+        If only ``sigma_px`` is infinite, the content does not determine the transform, which is held by a prior about
+        the identity.
 
     Raises
     ------
     ValueError
-        If the shapes differ or are not pictures of three bands.
+        If the shapes differ, or the pictures do not have three bands.
     """
     shape = np.shape(fixed)[:2]
     if np.shape(fixed) != (*shape, 3) or np.shape(moving) != (*shape, 3):
@@ -163,7 +165,7 @@ def register(
         return nothing
     pair = _Pair(Pyramid(fixed, fixed_valid), Pyramid(moving, moving_valid), shape, band_offsets_px)
     if start is not None:
-        # From the coarsest level, where a weave or a halftone that would hold a wrong period is averaged away.
+        # Start at the coarsest level, where periodic textures that would allow a wrong period are averaged out.
         found, coherence = pair.from_start(start, nothing)
         if coherence >= _SURE_COHERENCE and found.sigma_px <= _SURE_PX:
             return found
@@ -173,7 +175,7 @@ def register(
 
 @dataclass(frozen=True)
 class _Pair:
-    """Two pyramids that are registered, and the levels at which that happens."""
+    """Pyramids of the two pictures to register."""
 
     fixed: Pyramid
     moving: Pyramid
@@ -182,13 +184,13 @@ class _Pair:
 
     @property
     def coarsest(self) -> int:
-        """The level of the search."""
+        """Level of the search."""
         level = math.ceil(math.log2(max(max(self.shape) / _COARSEST_PX, 1.0)))
         return min(level, int(math.log2(max(min(self.shape) / _SHORTEST_PX, 1.0))))
 
     @property
     def finest(self) -> int:
-        """The finest level that is tried unless the error asks for a finer one."""
+        """Finest level that is used, unless the error requires a finer one."""
         pixels = self.shape[0] * self.shape[1]
         return min(self.coarsest, math.ceil(math.log(max(pixels / _FINEST_PIXELS, 1.0), 4.0)))
 
@@ -205,7 +207,7 @@ class _Pair:
         )
 
     def first(self, start: Registration | None) -> SimilarityFit | None:
-        """Return the most coherent fit at the coarsest level from all starting points."""
+        """Return the most coherent of the fits at the coarsest level from all starting points."""
         n = self.coarsest
         shifts, level = search(self.fixed[n], self.moving[n], float(2**n)), self.level(n, _PLACES[2], False)
         starts = [(complex(1.0), d) for d in shifts] + ([] if start is None else [start.complex_parts()])
@@ -213,12 +215,12 @@ class _Pair:
         return max((fit for fit in fits if fit is not None), key=lambda fit: fit.coherence, default=None)
 
     def from_start(self, start: Registration, nothing: Registration) -> tuple[Registration, float]:
-        """Return the registration that begins at ``start`` at the coarsest level, and its coherence."""
+        """Register from ``start`` at the coarsest level; return the registration and its coherence."""
         fit = _settled(self.level(self.coarsest, _PLACES[2], False), *start.complex_parts())
         return (nothing, 0.0) if fit is None else self.descend(self.coarsest, fit.turn, fit.shift, nothing)
 
     def descend(self, top: int, turn: complex, shift: complex, nothing: Registration) -> tuple[Registration, float]:
-        """Return the best registration from level ``top`` down, and the coherence of its fit."""
+        """Refine from level ``top`` to finer levels; return the best registration, and the coherence of its fit."""
         best, coherence = nothing, 0.0
         for n in range(top, -1, -1):
             if n < self.finest and best.sigma_px <= _GOOD_PX:
@@ -237,7 +239,7 @@ class _Pair:
 
 
 def _settled(level: Level, turn: complex, shift: complex) -> SimilarityFit | None:
-    """Return the fit at the coarsest level from one starting point, the shift before the rest."""
+    """Fit at the coarsest level from one starting point: first the shift alone, then all parameters."""
     fit = align(level, turn, shift, 3, _STEP, (0, 1))
     return fit and align(level, fit.turn, fit.shift, 5, _STEP)
 
@@ -259,9 +261,9 @@ def _report(level: Level, fit: SimilarityFit) -> Registration:
 
 
 def _noise_information(level: Level, fit: SimilarityFit) -> np.ndarray:
-    """Return the information that gradients of noise alone would seem to hold with these weights, (4, 4).
+    """Return the Fisher information that noise alone would simulate with these weights, (4, 4).
 
-    The ratio of white noise's variance in a curvature to that in a gradient is the kernel's.
+    The variances of curvatures and gradients due to white noise follow from the kernel of the derivatives.
     """
     value, first, second = spline_power()
     share = fit.noise_share * (second / first + first / value) / level.scale**2
@@ -273,7 +275,7 @@ def _noise_information(level: Level, fit: SimilarityFit) -> np.ndarray:
 
 
 def _sigma_px(level: Level, fit: SimilarityFit) -> float:
-    """Return the predicted rms error over the picture: the larger of model and scatter between parts of the picture."""
+    """Return the predicted RMS error over the picture: the larger of model error and scatter between its parts."""
     information, noise = information_of(fit.sums), _noise_information(level, fit)
     root = np.linalg.cholesky(noise + 1e-12 * np.trace(noise) * np.eye(4))
     white = np.linalg.solve(root, np.linalg.solve(root, information).T)
@@ -282,9 +284,9 @@ def _sigma_px(level: Level, fit: SimilarityFit) -> float:
     covariance = np.linalg.inv(information - noise)
     if np.linalg.eigvalsh(covariance)[-1] > _UNDETERMINED_PX**2:
         return math.inf
-    # Errors of neighbouring cells hang together where one edge runs through both, so scores are summed over parts
+    # Errors of neighbouring cells are correlated if the same edge runs through both, so scores are summed over parts
     # before they are squared (the cluster-robust covariance: Liang, Zeger, Biometrika 73(1), 1986). Parts are blocks,
-    # and strips along rows and columns: all samples of an axis-parallel edge alias alike.
+    # and strips along rows and columns, because all samples of an axis-parallel edge have the same aliasing error.
     row, column = np.divmod(np.arange(level.places.counts.size), level.columns)
     rows = level.places.counts.size // level.columns
     block = row * _CLUSTERS // rows * _CLUSTERS + column * _CLUSTERS // level.columns
@@ -293,7 +295,7 @@ def _sigma_px(level: Level, fit: SimilarityFit) -> float:
 
 
 def _spread(covariance, cell_scores, part) -> float:
-    """Return the trace of the covariance that the scatter of the scores of ``part`` implies."""
+    """Return the trace of the covariance implied by the scatter of the scores between parts of the picture."""
     scores = np.zeros((int(part.max()) + 1, 4))
     np.add.at(scores, part, cell_scores)
     parts = int(np.count_nonzero(np.abs(scores).sum(axis=1)))
@@ -302,11 +304,11 @@ def _spread(covariance, cell_scores, part) -> float:
 
 
 def _residual_px(level: Level, fit: SimilarityFit) -> float:
-    """Return the rms displacement that cells still find.
+    """Estimate the RMS displacement of local blocks that the transform does not explain.
 
-    What the two halves of a block find is multiplied: a deformation is alike in both, noise is not, so its variance
-    does not enter. A half's displacement is information⁻¹ score; both are damped, lest a few strong blocks decide
-    alone.
+    The displacements of the two halves of a block are multiplied: a deformation is the same in both, but noise is
+    independent, so its variance does not enter. The displacement of a half is information⁻¹ score; damping prevents a
+    few strong blocks from dominating.
     """
     xx, xy, yy = fit.sums[:, 20:23].T
     information = np.stack([xx, xy, xy, yy], axis=-1).reshape(-1, 2, 2)
@@ -317,16 +319,16 @@ def _residual_px(level: Level, fit: SimilarityFit) -> float:
 
 
 def resample(image, valid, registration: Registration, out=None) -> tuple[np.ndarray, np.ndarray]:
-    """Bring the moving picture onto the fixed one's grid.
+    """Resample the moving picture to the grid of the fixed one.
 
     Parameters
     ----------
     image : (H, W, 3) float32
     valid : (H, W) bool or uint8
     registration : Registration
-        Taken about this picture's centre.
+        Applied about the centre of this picture.
     out : (H, W, 3) float32, optional
-        Receives the picture; not where ``image`` lies.
+        Array for the result, which must not overlap ``image``.
 
     Returns
     -------
@@ -351,20 +353,21 @@ def resample(image, valid, registration: Registration, out=None) -> tuple[np.nda
 
 
 def meets_marked(mask, valid, registration: Registration) -> np.ndarray:
-    """Return where a resampled picture is not valid and a marked sample lies near the place it shows.
+    """Return the pixels of a resampled picture that are invalid and lie near a marked sample of the original.
 
     Parameters
     ----------
     mask : (H, W) bool
-        Samples of the picture before it was resampled.
+        Marked samples of the picture before resampling.
     valid : (H, W) bool
-        Of the resampled picture, see `resample`.
+        Valid pixels of the resampled picture, from `resample`.
     registration : Registration
 
     Returns
     -------
     (H, W) bool
-        Near is within two samples of the nearest one, along rows and columns: the cubic's reach, and rounding.
+        Near means within two samples of the nearest one along rows and columns, which is the reach of the cubic
+        interpolation, with rounding.
     """
     height, width = np.shape(mask)
     affine = registration.affine(((width - 1) / 2.0, (height - 1) / 2.0))

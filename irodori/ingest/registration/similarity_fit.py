@@ -9,62 +9,68 @@ from irodori.ingest.registration import gradient_sums
 from irodori.ingest.registration.gradient_sums import Fixed, Places
 from irodori.ingest.registration.pyramid import choose, gradient_energy, noise_of
 
-_REACH_PX = 12.0  # of the search, superpixels
+_REACH_PX = 12.0  # largest shift in the search, superpixels
 _CANDIDATES = 3
 _PRIOR = (8.0, math.radians(0.5), 0.01)  # shift in superpixels, rotation in rad, scale
 _SLOPE = 0.1  # spread of a residual as a share of its gradient
-_PULL = 0.1  # of the picture's colour map on a cell's, as a share of a cell's mean gradient energy
-_GATE = 12.0  # gradient energy of a place over the 5 % quantile; noise alone passes it with 2 in a thousand
+_PULL = 0.1  # weight of the whole picture's colour map in that of a cell, as a share of the mean gradient energy
+_GATE = 12.0  # smallest gradient energy of a place over the 5 % quantile; noise exceeds it with a probability of 0.2 %
 _LEAST_PLACES = 16
-_MEDIAN_PLACES = 4096  # at most twice as many tell the spread of residuals; 8192 values tell it within 2 %
+_MEDIAN_PLACES = 4096  # places, up to twice as many, for the spread of residuals; 8192 values determine it to 2 %
 
 
 def affine_of_level(turn: complex, shift: complex, centre: complex, scale: float) -> np.ndarray:
-    """Return the (2, 3) map in the pixels of a level, each ``scale`` superpixels wide."""
+    """Return a similarity as a (2, 3) matrix in pixels of a level, each ``scale`` superpixels wide.
+
+    ``turn`` (rotation and scale), ``shift`` and ``centre`` are complex numbers, in superpixels.
+    """
     half = 0.5 + 0.5j
     offset = (centre + shift + half + turn * (scale * half - half - centre)) / scale - half
     return np.array([[turn.real, -turn.imag, offset.real], [turn.imag, turn.real, offset.imag]])
 
 
 class Level(NamedTuple):
-    """A level of the two pyramids with the places of the fixed picture that are compared there."""
+    """A level of the two pyramids, with the places that are compared."""
 
-    scale: float  # superpixels in one of its pixels
+    scale: float  # superpixels per pixel of the level
     moving: np.ndarray  # (h, w, 4)
     least: np.ndarray  # (h, w) share of valid pixels of the moving picture, see `least_share`
     places: Places
-    columns: int  # of cells
+    columns: int  # number of columns of cells
     mixed: bool  # whether the colour map mixes bands
     local: bool  # whether it varies from cell to cell
     fixed: Fixed
-    first_weight: np.ndarray  # (cells, quota) in the first colour map
-    noise: np.ndarray  # (3,) variance that noise gives a gradient of the fixed picture
+    first_weight: np.ndarray  # (cells, quota), weights of the places for the first colour map
+    noise: np.ndarray  # (3,) variance of a gradient of the fixed picture due to noise
 
 
 class SimilarityFit(NamedTuple):
-    """A similarity p -> c + turn (p - c) + shift, places as complex numbers, with the sums at it."""
+    """A similarity p -> c + turn (p - c) + shift, with places as complex numbers, and the sums evaluated there."""
 
     turn: complex
     shift: complex
-    sums: np.ndarray  # (cells, 25)
+    sums: np.ndarray  # (cells, 25), see `irodori.ingest.registration.gradient_sums.Scores`
     weight: np.ndarray  # (cells, quota)
-    coherence: float  # of predicted and found gradients, -1..1
-    places: int  # that lie in both pictures
-    noise_share: float  # of the variance of residuals that is the fixed picture's noise, at most 1/2, over the bands
+    coherence: float  # of predicted and measured gradients, -1..1
+    places: int  # number of places that lie in both pictures
+    noise_share: float  # share of the residuals' variance due to noise of the fixed picture, summed over bands
 
 
 def make_level(fixed, moving, scale: float, *, shape, count: int, offsets_px, local: bool) -> Level:
-    """Choose the places of one level and take the fixed picture's derivatives there; ``shape`` is that of level 0."""
+    """Choose the places of a level, and compute the derivatives of the fixed picture there.
+
+    ``shape`` is the shape of level 0, ``count`` the approximate number of places.
+    """
     cell = int(min(32, max(8, min(fixed.shape[:2]) // 6)))
     noise = noise_of(fixed)
     energy = gradient_energy(fixed, noise)
     some = energy[1 :: max(1, energy.shape[0] // 64)]
-    some = some[some > 0.0]  # which the border is not
+    some = some[some > 0.0]  # without the border
     gate = _GATE * float(np.quantile(some, 0.05)) if some.size else 0.0
     columns = 2 * max(1, fixed.shape[1] // (2 * (cell // 2)))
     cells = columns * max(1, fixed.shape[0] // cell)
     quota = int(min(cell * (cell // 2), max(8, count // cells)))
-    # A band that samples left of the centre shows a place of the scene further right in its own array.
+    # In the array of a band that is sampled left of the centre, a point of the scene appears further right.
     offsets = np.zeros((3, 2)) if offsets_px is None else -np.asarray(offsets_px, dtype=np.float64) / scale
     reach = math.sqrt((shape[0] ** 2 + shape[1] ** 2) / 12.0)
     geometry = np.array([scale, (shape[1] - 1) / 2.0, (shape[0] - 1) / 2.0, reach])
@@ -85,7 +91,7 @@ def make_level(fixed, moving, scale: float, *, shape, count: int, offsets_px, lo
 
 
 def _colour_maps(level: Level, cells: np.ndarray) -> np.ndarray:
-    """Return the map from fixed to moving gradients of each cell, (cells, 3, 3), from the gradients' `moments`."""
+    """Return the colour map from fixed to moving gradients in each cell, (cells, 3, 3), from `gradient_moments`."""
     if not level.mixed:
         cells *= np.eye(3)
     common = cells.sum(axis=0)
@@ -99,17 +105,17 @@ def _colour_maps(level: Level, cells: np.ndarray) -> np.ndarray:
 
 
 def evaluate(level: Level, turn: complex, shift: complex, weight: np.ndarray) -> SimilarityFit | None:
-    """Return the sums at a similarity, with the places weighted as given in the colour map; None without overlap."""
+    """Evaluate a similarity, with the given weights of places for the colour map; None with too little overlap."""
     affine = affine_of_level(turn, shift, complex(level.places.geometry[1], level.places.geometry[2]), level.scale)
     moving = gradient_sums.sample(level.moving, level.least, affine, level.places, level.fixed)
     used = np.flatnonzero(moving.valid > 0.0)
     if used.size < _LEAST_PLACES:
         return None
     colour = _colour_maps(level, gradient_sums.gradient_moments(level.places.counts, level.fixed, moving, weight))
-    some = np.ascontiguousarray(used[:: -(-used.size // _MEDIAN_PLACES)])  # strided, it would compile a loop of its own
+    some = np.ascontiguousarray(used[:: -(-used.size // _MEDIAN_PLACES)])  # contiguous: avoids compiling another loop
     predicted, left = gradient_sums.residuals(level.fixed.gradient, moving.gradient, colour, some)
     found = predicted + left
-    # The floor keeps noiseless pictures from dividing by nothing.
+    # The lower limit avoids a division by zero for pictures without noise.
     sigma = 1.4826 * np.median(np.abs(left).reshape(3, -1), axis=1)
     sigma = np.maximum(sigma, 1e-3 * math.sqrt(np.einsum("ina,ina->", found, found) / found.size) + 1e-12)
     expected = gradient_sums.Residuals(colour, sigma, _SLOPE)
@@ -123,7 +129,7 @@ def evaluate(level: Level, turn: complex, shift: complex, weight: np.ndarray) ->
 
 
 def information_of(sums: np.ndarray) -> np.ndarray:
-    """Return the (4, 4) information of all cells on shift, and on scale and rotation times the picture's radius."""
+    """Return the Fisher information, (4, 4), of all cells on the shift, and on scale and rotation times the radius."""
     upper = sums[:, 4:20].sum(axis=0).reshape(4, 4)
     return np.triu(upper) + np.triu(upper, 1).T
 
@@ -131,9 +137,10 @@ def information_of(sums: np.ndarray) -> np.ndarray:
 def align(
     level: Level, turn: complex, shift: complex, iterations: int, tolerance: float, free=(0, 1, 2, 3)
 ) -> SimilarityFit | None:
-    """Return the Gauss-Newton solution at one level, over some of: shift x, y, scale, rotation.
+    """Find the similarity at one level by Gauss-Newton steps; None without overlap.
 
-    Ends with a step below ``tolerance``, pixels of the level; the sums of the result are those before that step.
+    ``free`` lists the parameters to fit: 0 and 1 shift x and y, 2 scale, 3 rotation. The iteration ends with a step
+    below ``tolerance``, pixels of the level; the sums in the result are those before this step.
     """
     reach, weight = level.places.geometry[3], level.first_weight
     precision = np.array([_PRIOR[0], _PRIOR[0], _PRIOR[2] * reach, _PRIOR[1] * reach]) ** -2.0
@@ -142,7 +149,7 @@ def align(
         fit = evaluate(level, turn, shift, weight)
         if fit is None:
             return None
-        # A step of the fixed frame is minus a step of the map, to first order.
+        # To first order, a step in the fixed frame is the negative of a step of the transform.
         state = np.array([shift.real, shift.imag, (turn.real - 1.0) * reach, turn.imag * reach])
         pull = fit.sums[:, :4].sum(axis=0) + precision * state
         step = np.zeros(4)
@@ -158,7 +165,7 @@ def align(
 
 
 def search(fixed, moving, scale: float) -> list[complex]:
-    """Return the likeliest shifts in superpixels, from the gradient magnitudes of one level."""
+    """Return the likeliest shifts, complex, superpixels, from the correlation of gradient magnitudes at one level."""
     from scipy import fft  # slow to import, and a good start needs no search
 
     parts = []

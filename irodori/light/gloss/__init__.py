@@ -1,5 +1,5 @@
-"""Rough reflection of the environment by look-up [eq. 5, 9].
+"""Gloss reflection of the environment on rough surfaces, by look-up in blurred light [eq. 5, 9].
 
-``gloss_maps`` looks up; ``lobe_table`` has its tables, made by ``make_lobe_table``; ``point_sources`` sums the lobes
-that are too wide for the tables; ``look_up_errors`` compares all of it with the true lobes.
+``gloss_maps`` has the look-up, with the tables of ``lobe_table``, which ``make_lobe_table`` makes. ``point_sources``
+sums lobes that are too wide for the tables. ``look_up_errors`` compares the results with the exact lobes.
 """

@@ -1,16 +1,16 @@
-"""Gloss maps: rough reflection from blurred light and the table of lobes [eq. 5, 9].
+"""Gloss maps: gloss reflection of rough surfaces from blurred light and a table of lobes [eq. 5, 9].
 
-A compiled loop takes `GlossMaps.tables` of a lobe once and calls `add_gloss_radiance` with them, a normal, the
-direction to the eye and a roughness, and has the k coefficients of the radiance on the environment's basis:
+A compiled loop gets the tables of a lobe from `GlossMaps.tables`. With these, a normal, the direction to the eye and a
+roughness, `add_gloss_radiance` computes the k coefficients of the radiance on the environment's basis:
 
     tables = GlossMaps.load("results/environments/room.h5").tables("ggx")  # a NamedTuple of arrays
     add_gloss_radiance(tables, Seen(normal, to_eye), (beta, mu), (n, k), coefficients)  # adds to (bases,) float64
 
-`gloss_radiance` does the same for arrays. Up to a roughness of 0.32 an entry of the table asks for at most forty
-bilinear look-ups, and four entries are mixed; from 0.4 on the true lobe is summed over the light as about 1300 points
-(`irodori.light.gloss.point_sources`), so that the horizon cuts it exactly; between the two both are mixed. Errors
-against the sum of the true lobe over the light are those of `irodori.light.gloss.look_up_errors`, and stand in the
-environment's file and the report.
+`gloss_radiance` does the same for arrays. Up to a roughness of 0.32, four entries of the table are interpolated, each
+with at most forty bilinear look-ups. From 0.4 on, the exact lobe is summed over the light in the form of about 1300
+points (`irodori.light.gloss.point_sources`), so that the horizon cuts the lobe exactly. Between these roughnesses, both
+are mixed. `irodori.light.gloss.look_up_errors` measures the errors against the exact integral; they are stored in the
+environment's file and shown in the report.
 """
 
 import math
@@ -32,20 +32,21 @@ from irodori.material.coefficients import read_coefficients, write_coefficients
 from irodori.reflection.fresnel import fresnel
 from irodori.reflection.lobes import Lobes
 
-#: Up to the first roughness blurred light is looked up; from the second the light is points; both between.
+#: Up to the first roughness blurred light is looked up; from the second on points are summed; both between.
 _SMOOTH, _ROUGH = 0.32, 0.4
-_AT_A_TIME = 64  # places that a thread takes
+_AT_A_TIME = 64  # places that a thread takes at a time
 
 
 class GlossTables(NamedTuple):
-    """Gloss maps of one lobe as compiled loops want them.
+    """Gloss maps and the table of one lobe as flat arrays for compiled loops.
 
-    From ``mu`` on as `irodori.light.gloss.lobe_table.LobeTable`, from ``direction`` on as `PointLights`.
+    The fields from ``mu`` on are those of `irodori.light.gloss.lobe_table.LobeTable`, the last two those of
+    `PointLights`.
     """
 
-    lobes: Lobes  # the one
+    lobes: Lobes  # the lobe
     pixels: np.ndarray  # (all pixels, k) float32
-    first_pixel: np.ndarray  # (widths,) of the map of a width; the finest there is for finer ones
+    first_pixel: np.ndarray  # (widths,), first pixel of the map for each width; finer ones use the finest map
     size: np.ndarray  # (widths, 2) columns, rows
     mu: np.ndarray  # (m,) in the unit of the lobe
     theta_r: np.ndarray  # (t,) rad
@@ -65,11 +66,11 @@ class GlossMaps:
     Parameters
     ----------
     first : int
-        Level of `irodori.light.blurred_light.WIDTHS_RAD` that the finest map has.
+        Level of the finest map in `irodori.light.blurred_light.WIDTHS_RAD`.
     levels : tuple of (h, 2 h, k) float32
-        Mean radiance under lobes of growing width.
+        Mean radiance weighted by lobes of increasing width.
     points : PointLights
-        The light for very rough surfaces.
+        The light as points, for very rough surfaces.
     """
 
     first: int
@@ -78,14 +79,14 @@ class GlossMaps:
 
     @classmethod
     def of(cls, coefficients: np.ndarray) -> "GlossMaps":
-        """Return the maps of an equirectangular picture, (height, width, k)."""
+        """Compute the maps of an equirectangular picture, (height, width, k)."""
         first, levels = prefiltered(coefficients)
         return cls(first, tuple(levels), point_lights(coefficients))
 
     def write(self, out, storage: str = "single") -> "GlossMaps":
-        """Write ``/gloss`` into an open file of `irodori.core.store`; return the maps as they come back from it.
+        """Write ``/gloss`` into an open file of `irodori.core.store`; return the maps as they will be read from it.
 
-        ``storage`` is that of `irodori.material.coefficients`.
+        ``storage`` is described in `irodori.material.coefficients`.
         """
         widths = WIDTHS_RAD[self.first :]
         out.write("gloss/width", widths, units="rad", dims="level", quantity="width 1/√κ of the blurring lobe")
@@ -109,9 +110,9 @@ class GlossMaps:
 
     @classmethod
     def stored(cls, environment: Environment, levels: tuple[int, int] | None = None) -> "GlossMaps | None":
-        """Return the maps that an environment's file has of it; None where it has none, or no file.
+        """Read the maps from the file of an environment; None if there is no file, or it has no maps.
 
-        Parameters and errors as of `load`.
+        Other parameters and errors are those of `load`.
         """
         if environment.file is None:
             return None
@@ -122,19 +123,19 @@ class GlossMaps:
 
     @classmethod
     def load(cls, path, levels: tuple[int, int] | None = None) -> "GlossMaps":
-        """Read ``/gloss`` of an environment's file.
+        """Read ``/gloss`` from the file of an environment.
 
         Parameters
         ----------
         path : path
         levels : (int, int), optional
-            First and last-plus-one level of `irodori.light.blurred_light.WIDTHS_RAD` that is wanted, as of
+            First level of `irodori.light.blurred_light.WIDTHS_RAD`, and one after the last, as in
             `irodori.light.blurred_light.prefiltered`.
 
         Raises
         ------
         InputError
-            If the file has none, or has the ladder of another version.
+            If the file has no maps, or maps with the widths of another version.
         """
         with store.open_file(path) as file:
             widths = file.read("gloss/width")
@@ -149,17 +150,17 @@ class GlossMaps:
             return cls(first, maps, PointLights(file.read("gloss/direction"), file.read("gloss/power")))
 
     def tables(self, lobe: str = "gaussian") -> GlossTables:
-        """Return the maps and the table of a lobe flat, for `add_gloss_radiance`.
+        """Return the maps and the table of a lobe as flat arrays for `add_gloss_radiance`.
 
         Raises
         ------
         InputError
-            If the lobe has no table, with the command that makes one.
+            If the lobe has no table; the message names the command that makes one.
         """
         sizes = np.array([level.shape[1::-1] for level in self.levels])
         starts = np.concatenate([[0], np.cumsum(sizes.prod(axis=1))[:-1]])
         pixels = np.concatenate([level.reshape(-1, level.shape[2]) for level in self.levels])
-        # A width finer than the picture is looked up in the finest map there is.
+        # Widths finer than the picture use the finest map.
         of_width = np.maximum(np.arange(len(WIDTHS_RAD)) - self.first, 0)
         maps = pixels, starts[of_width], sizes[of_width]
         return GlossTables(Lobes.of(lobe), *maps, *fitted_lobes(lobe), *self.points)
@@ -167,7 +168,10 @@ class GlossMaps:
 
 @njit(cache=True, forceinline=True)
 def _between(ladder, value):
-    """Return the entry of a growing ladder below a value and the part of the way to the next; ends are held."""
+    """Return the index of the interval of an ascending ladder that contains a value, and the fraction within it.
+
+    Values beyond the ends are clamped.
+    """
     last = ladder.size - 2
     i = min(max(np.searchsorted(ladder, value) - 1, 0), last)
     part = (value - ladder[i]) / (ladder[i + 1] - ladder[i])
@@ -176,7 +180,7 @@ def _between(ladder, value):
 
 @njit(cache=True)
 def _across(normal, view, cos_r):
-    """Return the unit vectors in the plane of incidence, away from the view, and across it; and the view angle, rad."""
+    """Return two unit tangents, in the plane of incidence away from the view and across it, and the view angle, rad."""
     tx, ty, tz = cos_r * normal[0] - view[0], cos_r * normal[1] - view[1], cos_r * normal[2] - view[2]
     sin_r = math.sqrt(tx * tx + ty * ty + tz * tz)
     if sin_r > 1e-9:
@@ -191,9 +195,9 @@ def _across(normal, view, cos_r):
 
 @njit(cache=True, error_model="numpy")
 def _add_entry(maps, entry, share, frame, index, out):
-    """Add what one entry of the table, of a roughness and a view angle, looks up, times ``share``.
+    """Add the look-ups of one entry of the table (a roughness and a view angle), multiplied by ``share``.
 
-    ``frame`` is the normal, and what `_across` returns.
+    ``frame`` is the normal, and the result of `_across`.
     """
     (i, j), (normal, (tx, ty, tz, bx, by, bz, theta_r)) = entry, frame
     for lobe in range(maps.weight.shape[2]):
@@ -224,7 +228,7 @@ def _add_from_maps(maps, seen, mu, index, scale, out):
     held = min(max(mu, lowest), highest)
     scale *= (min(mu, lowest) / lowest) ** 2
     i, _ = _between(maps.mu, held)
-    # Between two lobes of squared roughnesses a and b, parts of a line in the square keep both peak and power.
+    # Interpolation that is linear in the squared roughness keeps both the peak and the power of the lobe.
     part_i = (held**2 - maps.mu[i] ** 2) / (maps.mu[i + 1] ** 2 - maps.mu[i] ** 2)
     j, part_j = _between(maps.theta_r, frame[6])
     for corner in range(4):
@@ -241,16 +245,17 @@ def add_gloss_radiance(maps, seen, gloss, index, out):
     ----------
     maps : GlossTables
     seen : Seen
-        One place.
+        A single place.
     gloss : (beta, mu)
-        Weight and roughness; NaN or 0 gives nothing.
+        Weight and roughness; with NaN or 0 nothing is added.
     index : (n, k)
-        Refractive index at one wavelength; where it varies call once for each.
+        Refractive index at one wavelength; if it varies, call the function for each wavelength.
     out : (bases,) float
+        Array to which the coefficients are added.
 
     Notes
     -----
-    Under the smallest roughness of the ladder, 0.01, the light is as blurred as there, its power exact.
+    Below the smallest roughness of the table, 0.01, the light is blurred as for 0.01, but its power is exact.
     """
     (normal, view), (beta, mu) = seen, gloss
     cos_r = normal[0] * view[0] + normal[1] * view[1] + normal[2] * view[2]
@@ -276,7 +281,8 @@ def gloss_radiance(maps: GlossTables, normal, view, beta, mu, index: tuple[float
     Parameters
     ----------
     maps : GlossTables
-    normal, view : (..., 3) float, unit; broadcast against each other
+    normal, view : (..., 3) float
+        Unit vectors, broadcast against each other.
     beta, mu : (...) float
     index : (n, k)
         Refractive index.

@@ -1,13 +1,13 @@
-"""Gloss lobes as few Gaussians of the sphere: the tables that `irodori.light.gloss` looks up with, one a lobe.
+"""Gloss lobes as sums of few spherical Gaussians: the tables for look-ups in `irodori.light.gloss`, one per lobe.
 
-The lobe D G / cosθ_r of `irodori.reflection.registry` about (θ_r, μ) is neither round nor centred on the mirror
-direction: it is long in the plane of incidence and narrow across, it leans from the mirror direction, and the horizon
-cuts it. For a ladder of roughnesses and view angles it is therefore a sum with positive weights of the lobes of
-`irodori.light.blurred_light`, on the plane of incidence and in pairs on both sides of it. Each keeps the angle θ_H at
-which its light is reflected, and the Fresnel
-reflectance F(n, k, θ_H) multiplies it at look-up: one table serves every refractive index.
-`irodori.light.gloss.make_lobe_table` makes the tables; those of the package's own lobes are stored beside this module,
-that of any other lobe is made when it is first asked for, and kept beside the kernels.
+The lobe D G / cosθ_r of `irodori.reflection.registry` for given θ_r and μ is neither round nor centred on the mirror
+direction: it is long in the plane of incidence and narrow across it, its peak is off the mirror direction, and the
+horizon cuts it. For a set of roughnesses and view angles it is therefore represented as a sum, with positive weights,
+of the round lobes of `irodori.light.blurred_light`, in the plane of incidence and in pairs on both sides of it. For
+each round lobe the angle θ_H at which its light is reflected is stored, and the Fresnel reflectance F(n, k, θ_H) is
+multiplied in at look-up, so that one table serves all refractive indices. The tables are computed by
+`irodori.light.gloss.make_lobe_table`. Those of the lobes of the package are stored in the folder of this module; that
+of any other lobe is computed at its first use, and stored in the folder of compiled kernels.
 """
 
 import logging
@@ -22,18 +22,21 @@ from irodori.core.errors import InputError
 from irodori.jit.kernel_cache import cache_folder
 from irodori.reflection.registry import lobe
 
-#: Roughnesses of the ladder, a factor √2 apart; rougher surfaces are for `irodori.light.gloss.point_sources`.
+#: Roughnesses of the table, a factor √2 apart; rougher surfaces use `irodori.light.gloss.point_sources`.
 MU = 0.01 * 2.0 ** (0.5 * np.arange(12))
-#: View angles of the ladder, rad.
+#: View angles of the table, rad.
 THETA_R_RAD = np.radians([0.0, 20.0, 40.0, 50.0, 60.0, 67.5, 75.0, 80.0, 84.0, 87.0, 89.0])
-#: Changes whenever the table is made anew, so that what was made with another is made again.
+#: Version of the table, to be changed whenever it is made anew, so that results of older versions are recomputed.
 TABLE = 2
 _FOLDER = Path(__file__).parent
 _LOGGER = logging.getLogger("irodori")
 
 
 def path_of(name: str) -> Path:
-    """Return the file of the table of a lobe: the package's own, else one beside the kernels, by the lobe's source."""
+    """Return the path of the table of a lobe: in the package, or else in the folder of compiled kernels.
+
+    The name of the latter contains a hash of the lobe's source.
+    """
     stored, kept = _FOLDER / f"lobe_table-{name}.h5", cache_folder()
     if stored.is_file() or kept is None:
         return stored
@@ -41,23 +44,24 @@ def path_of(name: str) -> Path:
 
 
 class LobeTable(NamedTuple):
-    """The fitted table of a lobe, over roughnesses and view angles; a weight of 0 ends the lobes of an entry.
+    """Table of a gloss lobe as sums of spherical Gaussians, over roughnesses and view angles.
 
-    ``weight`` is ∫ D G / cosθ_r dω of the lobe, of both where it is a pair. ``offset`` is the angle of its axis from
-    the normal within the plane of incidence, away from the view, less θ_r; ``across`` its angle out of that plane, 0 or
-    that of a pair. ``incidence`` is the angle θ_H at which its light is reflected, less θ_r.
+    A weight of 0 ends the list of Gaussians of an entry. ``weight`` is the contribution of the Gaussian (or of both in
+    a pair) to ∫ D G / cosθ_r dω. ``offset`` is the angle of its axis from the normal in the plane of incidence, away
+    from the view, minus θ_r. ``across`` is the angle of the axis out of this plane, 0 unless it is a pair.
+    ``incidence`` is the angle θ_H at which its light is reflected, minus θ_r.
     """
 
     mu: np.ndarray  # (m,) in the unit of the lobe
     theta_r: np.ndarray  # (t,) rad
-    width: np.ndarray  # (m, t, lobes) of `irodori.light.blurred_light.WIDTHS_RAD`, its number
+    width: np.ndarray  # (m, t, lobes), index in `irodori.light.blurred_light.WIDTHS_RAD`
     offset: np.ndarray  # (m, t, lobes) rad
     across: np.ndarray  # (m, t, lobes) rad
     weight: np.ndarray  # (m, t, lobes) sr
     incidence: np.ndarray  # (m, t, lobes) rad
 
 
-#: Attributes of a table's datasets after the ladders: units and quantity.
+#: Units and quantity of the table's datasets other than roughnesses and view angles.
 COLUMNS = {
     "width": ("1", "number of the lobe's width on the ladder"),
     "offset": ("rad", "axis within the plane of incidence, less the view angle"),
@@ -69,14 +73,15 @@ COLUMNS = {
 
 @lru_cache(maxsize=8)
 def fitted_lobes(name: str = "gaussian") -> LobeTable:
-    """Return the table of a lobe; one that the package does not have is made, which takes minutes.
+    """Read the table of a lobe; one that does not exist yet is computed, which takes minutes.
 
     Raises
     ------
     InputError
-        If it is another version's, or there is none and no place to keep one; the command that makes it is named.
+        If the table is of another version, or there is none and no place to store one; the message names the command
+        that makes it.
     ValueError
-        If there is no lobe of that name.
+        If there is no lobe with this name.
     """
     path, command = path_of(lobe(name).name), f"python -m irodori.light.gloss.make_lobe_table {name}"
     if not path.is_file():

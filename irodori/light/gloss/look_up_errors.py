@@ -14,12 +14,12 @@ from irodori.light.irradiance import Integrator
 from irodori.reflection.fresnel import fresnel
 from irodori.reflection.lobes import Lobes, constants, features, value
 
-#: Roughnesses, in the unit of the lobe, and view angles (degrees) of the table.
+#: Roughnesses (in the unit of the lobe) and view angles (degrees) at which errors are measured.
 MU = (0.01, 0.02, 0.05, 0.1, 0.2, 0.36, 0.8, 1.2)
 THETA_R_DEG = (0.0, 30.0, 60.0, 75.0, 80.0, 85.0)
 _PLACES = 3
-_CELLS_PER_WIDTH = 10.0  # light is summed in cells that are small against the lobe
-_LOST = 1.9e-5  # share of a lobe's facets that may lie beyond what is summed; 3.3 roughnesses of a Gaussian
+_CELLS_PER_WIDTH = 10.0  # smallest ratio of the lobe's width to the cells over which light is summed
+_LOST = 1.9e-5  # share of a lobe's facets that may be left out of the sum; 3.3 roughnesses of a Gaussian
 _PARTS_PER_WIDTH, _MOST_PARTS = 4.0, 8
 _INDEX = (1.5, 0.0)
 
@@ -27,9 +27,9 @@ _INDEX = (1.5, 0.0)
 class _Surface(NamedTuple):
     """Reflection parameters of a surface, for compiled loops."""
 
-    lobes: Lobes  # one
+    lobes: Lobes  # the lobe
     mu: float
-    reach: float  # rad about the mirror direction beyond which the lobe is nothing
+    reach: float  # angle from the mirror direction, rad, beyond which the lobe is negligible
     n: float
     k: float
 
@@ -64,7 +64,7 @@ def _mirrored(seen):
 
 @njit(cache=True)
 def _mean_lobe(pixels, pixel, parts, surface, constant, seen):
-    """Return the mean of the lobe over a pixel (row, column), ``parts`` points along each side."""
+    """Return the mean of the lobe over a pixel (row, column), from ``parts`` points along each side."""
     (row, column), (height, width) = pixel, pixels.values.shape[:2]
     total = 0.0
     for a in range(parts):
@@ -79,7 +79,7 @@ def _mean_lobe(pixels, pixel, parts, surface, constant, seen):
 
 @njit(cache=True)
 def _add_from_pixels(pixels, parts, surface, seen, i, out):
-    """Add the radiance of place ``i``, (k,), summed over the pixels, each in ``parts`` by as many points."""
+    """Add the radiance at place ``i``, (k,), summed over pixels with ``parts`` x ``parts`` points each."""
     place = place_of(seen, i)
     mirror, reach, constant = _mirrored(place), surface.reach, constants(surface.lobes, math.log(surface.mu))
     height, width, bases = pixels.values.shape
@@ -100,7 +100,7 @@ def _add_from_pixels(pixels, parts, surface, seen, i, out):
 
 @njit(cache=True)
 def _add_from_cells(cells, level, surface, seen, i, out):
-    """Add the radiance of place ``i``, (k,), summed over the cells of a level."""
+    """Add the radiance at place ``i``, (k,), summed over the cells of a level of the quadtree."""
     first, place = cells.first[level], place_of(seen, i)
     mirror, reach, constant = _mirrored(place), surface.reach, constants(surface.lobes, math.log(surface.mu))
     for j in range(first, first + cells.rows[level] * cells.columns[level]):
@@ -136,10 +136,10 @@ def _sum_pixels(light, surface, seen, out, first, last):
 def true_gloss(
     integrator: Integrator, normal: np.ndarray, view: np.ndarray, mu: float, index=_INDEX, lobe: str = "gaussian"
 ) -> np.ndarray:
-    """Return β/π ∫ L F D G / cosθ_r dω of a lobe for β = 1 summed over the light, (n, bases) float64.
+    """Compute the gloss radiance β/π ∫ L F D G / cosθ_r dω for β = 1 by summation over the light, (n, bases) float64.
 
-    The light is taken in cells of at most a tenth of the roughness, each at its centre of power, or pixel by pixel,
-    where a pixel shines evenly and is sampled up to 8 x 8 times so that a narrow lobe is not missed.
+    The light is summed over cells of at most a tenth of the roughness, each at its centre of power, or else over
+    pixels. A pixel has uniform radiance and is sampled at up to 8 x 8 points, so that a narrow lobe is not missed.
     """
     cells, pixels = integrator.cells, integrator.pixels
     height, width = pixels.values.shape[:2]
@@ -149,7 +149,7 @@ def true_gloss(
     parts = int(np.clip(np.ceil(_PARTS_PER_WIDTH * pixel / narrow), 1, _MOST_PARTS))
     out = np.zeros((len(normal), pixels.values.shape[2]))
     seen = Seen(np.ascontiguousarray(normal), np.ascontiguousarray(view))
-    # A facet that leans by φ moves light by twice φ.
+    # A facet tilted by φ deflects light by 2 φ.
     surface = _Surface(Lobes.of(lobe), float(mu), min(2.0 * farthest(lobe, mu, _LOST), math.pi), *map(float, index))
     if fine.size:
         run_chunks(_sum_cells, len(out), 1, (cells, int(fine[-1])), surface, seen, out)
@@ -159,7 +159,7 @@ def true_gloss(
 
 
 def places(theta_r: float, count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """Return random normals and views at an angle (rad) between them, (count, 3) each."""
+    """Draw random normals, and view directions at the angle θ_r (rad) from them, (count, 3) each."""
     rng = np.random.default_rng(seed)
     normal, other = rng.normal(size=(2, count, 3))
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
@@ -169,7 +169,10 @@ def places(theta_r: float, count: int, seed: int = 0) -> tuple[np.ndarray, np.nd
 
 
 def lit_places(cells, mu: float, theta_r: float, count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """Return normals and views, (count, 3) each, that mirror within about a roughness (rad) of the light's power."""
+    """Draw normals and view directions, (count, 3) each, with mirror directions near bright parts of the light.
+
+    Mirror directions are drawn in proportion to the power of the light, with a scatter of about a roughness (rad).
+    """
     rng = np.random.default_rng(seed)
     blocks = cells.rows[0] * cells.columns[0]
     power = cells.power[:blocks]
@@ -186,14 +189,13 @@ def lit_places(cells, mu: float, theta_r: float, count: int, seed: int = 0) -> t
 
 
 def gloss_errors(integrator: Integrator, maps: GlossMaps, lobe: str = "gaussian") -> list[dict]:
-    """Return the errors of the look-up of a lobe by roughness and view angle, for n = 1.5.
+    """Measure the errors of the look-up of a lobe for each roughness and view angle, for n = 1.5.
 
     Returns
     -------
     list of dict
-        ``lobe``, ``mu`` in its unit, ``theta_r_deg``;
-        ``rms``: root mean square error over that of the radiance, at 3 random normals and
-        views and at 3 that mirror about where light comes from; ``max``: the largest error over the largest radiance.
+        ``lobe``; ``mu``, in the unit of the lobe; ``theta_r_deg``; ``rms``: RMS error divided by RMS radiance, over 3
+        random places and 3 that mirror bright parts of the light; ``max``: largest error divided by largest radiance.
     """
     tables, rows = maps.tables(lobe), []
     for mu in MU:

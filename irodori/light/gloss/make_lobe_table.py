@@ -1,9 +1,10 @@
-"""Construction of the table of a gloss lobe: ``python -m irodori.light.gloss.make_lobe_table LOBE``, some minutes.
+"""Construction of the table of a gloss lobe: ``python -m irodori.light.gloss.make_lobe_table LOBE`` (some minutes).
 
-For each roughness and view angle the lobe D G / cosθ_r is sampled on a grid over the sphere of light, what lies under
-the horizon included, where it is nothing. Of a few thousand lobes of `irodori.light.blurred_light` the one that
-explains most of what is left is taken in turn, and the weights of all that were taken are solved for again, none
-negative (orthogonal matching pursuit), until there are so many or the rest is small.
+For each roughness and view angle, the lobe D G / cosθ_r is sampled on a grid over the whole sphere of light directions,
+including those below the horizon, where it is zero. It is approximated by lobes of `irodori.light.blurred_light` by
+non-negative orthogonal matching pursuit: of a few thousand candidates, the one that explains most of the residual is
+added, and the weights of all chosen lobes are solved for again, until their number reaches a limit or the residual is
+small.
 """
 
 import argparse
@@ -21,20 +22,20 @@ from irodori.reflection.equation5 import angles_from_directions
 from irodori.reflection.lobe_arrays import evaluate
 from irodori.reflection.registry import lobe, names
 
-_LOOKUPS = 40  # of blurred light an entry may ask for; a pair asks for two
-_REST = 0.01  # root of the squared distance over that of the lobe at which an entry is good enough
-_GRID = (110, 45)  # samples within the plane of incidence and out of it
-_REACH = 2.4  # widths of the lobe, or parts of that of the Gaussian, up to which the half vector of an axis lies
-_SPACING = 0.6  # of the candidates' axes, in their widths
-_FINEST, _FINEST_ACROSS, _NARROWEST = 0.25, 0.6, 0.1  # widths of candidates, over that of the lobe
-_FINEST_RAD = 0.2  # what the horizon's cut through a rough lobe asks for
-_SINGLE_RAD = 0.12  # smoother surfaces have a lobe without curvature: axes in the plane of incidence suffice
-_LOST = 2.2e-8  # share of the facets beyond which nothing is sampled; at 4.2 roughnesses of a Gaussian
+_LOOKUPS = 40  # largest number of look-ups in blurred light for an entry; a pair takes two
+_REST = 0.01  # relative root-mean-square residual with which an entry is accepted
+_GRID = (110, 45)  # number of samples within the plane of incidence and out of it
+_REACH = 2.4  # largest tilt of a candidate's half vector, relative to the width of the lobe or of the candidate
+_SPACING = 0.6  # spacing of the candidates' axes, in their widths
+_FINEST, _FINEST_ACROSS, _NARROWEST = 0.25, 0.6, 0.1  # smallest widths of candidates, relative to that of the lobe
+_FINEST_RAD = 0.2  # width needed to represent the cut of the horizon through a rough lobe
+_SINGLE_RAD = 0.12  # smoother surfaces have straight lobes: axes in the plane of incidence suffice
+_LOST = 2.2e-8  # share of facets that are not sampled; beyond 4.2 roughnesses of a Gaussian
 _ENERGY_WEIGHT = 3.0
 
 
 class FittedEntry(NamedTuple):
-    """One entry of the table, strongest lobe first, and its ``rest``: root mean square difference over the lobe's."""
+    """One entry of the table, strongest lobe first; ``rest`` is the relative RMS difference to the true lobe."""
 
     width: np.ndarray
     offset: np.ndarray
@@ -45,28 +46,28 @@ class FittedEntry(NamedTuple):
 
 
 def unit(along: np.ndarray, across: np.ndarray) -> np.ndarray:
-    """Return directions (..., 3) at an angle from +z towards +x and one out of that plane, rad."""
+    """Return unit vectors, (..., 3), at angles ``along`` from +z to +x and ``across`` out of the x-z plane (rad)."""
     return np.stack([np.cos(across) * np.sin(along), np.sin(across), np.cos(across) * np.cos(along)], axis=-1)
 
 
 def grid_cells(scale: float, low: float, high: float, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return middles and widths of cells that are narrowest about 0."""
+    """Return centres and widths of ``count`` cells between ``low`` and ``high`` that are narrowest around 0."""
     edges = scale * np.sinh(np.linspace(math.asinh(low / scale), math.asinh(high / scale), count + 1))
     return 0.5 * (edges[1:] + edges[:-1]), np.diff(edges)
 
 
 class Extent(NamedTuple):
-    """Spread of a lobe's facets about the normal, rad; for the Gaussian lobe both are its roughness."""
+    """Spread of a lobe's facet normals about the normal, rad; for the Gaussian lobe both are its roughness."""
 
     core: float  # φ at which D has fallen to 1/e
-    tail: float  # the roughness of the Gaussian that has lost as much at the end of the samples
+    tail: float  # roughness of a Gaussian with the same share of facets beyond the sampled range
 
 
 def _facets(name: str, mu: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return φ from 0 to π/2, D, and the share of the facets' area that leans by less."""
+    """Return φ from 0 to π/2, D, and the cumulative share of the facets' projected area up to φ."""
     phi = np.sinh(np.linspace(0.0, math.asinh(0.5 * math.pi / mu), 20_001)) * mu
     facing = np.zeros((len(phi), 4))
-    facing[:, 3] = phi  # light and view at the normal of the facet: D alone is left
+    facing[:, 3] = phi  # light and view along the facet's normal: only D is left
     d = np.where(phi < 0.5 * math.pi, evaluate(name, mu, facing), 0.0)
     power = d * np.sin(phi) * np.cos(phi)
     gathered = np.concatenate([[0.0], np.cumsum(0.5 * (power[1:] + power[:-1]) * np.diff(phi))])
@@ -75,7 +76,7 @@ def _facets(name: str, mu: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 @lru_cache(maxsize=256)
 def farthest(name: str, mu: float, lost: float) -> float:
-    """Return the angle from the normal beyond which no more than a share of a lobe's facets lean, rad."""
+    """Return the angle from the normal beyond which only the share ``lost`` of a lobe's facets are tilted, rad."""
     phi, _, share = _facets(name, mu)
     return float(np.interp(1.0 - lost, share, phi))
 
@@ -89,20 +90,22 @@ def extent(name: str, mu: float) -> Extent:
 
 
 def lobe_samples(mu: float, theta_r: float, grid: tuple[int, int] = _GRID, name: str = "gaussian"):
-    """Return samples of the true lobe over half the sphere of light; the other half is its mirror image.
+    """Return samples of the true lobe over half of the sphere of light directions; the other half is symmetric.
 
     Returns
     -------
     direction : (n, 3) float64
-        Of the light; the normal is +z, the view in the x-z plane at x < 0.
-    value : (n,) float64, D G / cosθ_r
+        Directions to the light; the normal is +z, the view is in the x-z plane with x < 0.
+    value : (n,) float64
+        D G / cosθ_r.
     cos_h : (n,) float64
-    solid_angle : (n,) float64, sr; both halves together
+    solid_angle : (n,) float64
+        In sr, for both halves together.
     """
     core, tail = extent(name, mu)
     width = math.sqrt(2.0) * core
     reach = min(8.4 * tail, 2.0 * math.pi) + 0.02
-    # A long tail has cells of its own.
+    # A long tail gets additional cells.
     more = math.asinh(2.0 * reach / width) / math.asinh(2.0 * min(8.4 * core + 0.02, reach) / width)
     along_cells, across_cells = (round(more * count) for count in grid)
     low, high = max(-reach, -0.5 * math.pi - 0.3 - theta_r), min(reach, 0.5 * math.pi + min(reach, 1.5) - theta_r)
@@ -115,7 +118,7 @@ def lobe_samples(mu: float, theta_r: float, grid: tuple[int, int] = _GRID, name:
 
 
 def gaussians(direction: np.ndarray, axis: np.ndarray, width_rad: np.ndarray) -> np.ndarray:
-    """Return lobes of unit power, or the mean of a pair on both sides of the x-z plane, at samples: (n, lobes)."""
+    """Evaluate lobes of unit power, averaged over both sides of the x-z plane, at directions: (n, lobes)."""
     kappa = 1.0 / width_rad**2
     scale = kappa / (2.0 * np.pi * -np.expm1(-2.0 * kappa))
     both = (axis, axis * [1.0, -1.0, 1.0])
@@ -124,7 +127,7 @@ def gaussians(direction: np.ndarray, axis: np.ndarray, width_rad: np.ndarray) ->
 
 
 def _candidates(name: str, mu: float, theta_r: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the number of the width, and the axis' angles along and across, of lobes that may serve."""
+    """Return index of the width, and angles of the axis along and across the plane of incidence, of all candidates."""
     core, tail = extent(name, mu)
     width, view = math.sqrt(2.0) * core, unit(np.array(-theta_r), np.array(0.0))
     finest = min(width * max(_NARROWEST, min(_FINEST, _FINEST_ACROSS * math.cos(theta_r))), _FINEST_RAD)
@@ -134,7 +137,7 @@ def _candidates(name: str, mu: float, theta_r: float) -> tuple[np.ndarray, np.nd
         own = WIDTHS_RAD[number]
         step, reach = _SPACING * own, max(7.0 * core, 4.8 * own)
         low, high = max(theta_r - reach, -0.5 * math.pi), min(theta_r + reach, 0.5 * math.pi + 0.5 * step)
-        # The mirror direction is one of them.
+        # The mirror direction is one of the axes.
         along = theta_r + step * np.arange(math.ceil((low - theta_r) / step), math.floor((high - theta_r) / step) + 1)
         beside = min(max(3.0 * width, 2.9 * own), 1.4)
         across = np.arange(0.0, beside, step) if max(core, own / 1.5) > _SINGLE_RAD else np.zeros(1)
@@ -148,7 +151,21 @@ def _candidates(name: str, mu: float, theta_r: float) -> tuple[np.ndarray, np.nd
 
 
 def _pursue(rows: np.ndarray, target: np.ndarray, cost: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return which columns make up a target, and their weights, by non-negative orthogonal matching pursuit."""
+    """Approximate a target by columns with non-negative weights, by orthogonal matching pursuit.
+
+    Parameters
+    ----------
+    rows : (samples, candidates) float
+    target : (samples,) float
+    cost : (candidates,) int
+        Look-ups that each candidate takes.
+
+    Returns
+    -------
+    chosen : (n,) int
+        Indices of the chosen columns.
+    weights : (n,) float
+    """
     from scipy.optimize import nnls  # slow to import
 
     length = np.linalg.norm(rows, axis=0)
@@ -161,7 +178,7 @@ def _pursue(rows: np.ndarray, target: np.ndarray, cost: np.ndarray) -> tuple[np.
         if gain[best] < 1e-4:
             break
         chosen = np.append(chosen, best)
-        # The least squares of many samples are those of the triangle of their columns.
+        # A QR decomposition reduces the least-squares problem to the triangular factor.
         q, triangle = np.linalg.qr(rows[:, chosen])
         weights = nnls(triangle, q.T @ target)[0]
         chosen, weights = chosen[weights > 0.0], weights[weights > 0.0]
@@ -172,13 +189,13 @@ def _pursue(rows: np.ndarray, target: np.ndarray, cost: np.ndarray) -> tuple[np.
 
 
 def fit_lobe(mu: float, theta_r: float, name: str = "gaussian") -> FittedEntry:
-    """Return the Gaussians of the sphere that make up one true lobe; rad."""
+    """Approximate one true lobe by spherical Gaussians; angles in rad."""
     direction, value, cos_h, solid_angle = lobe_samples(mu, theta_r, name=name)
     power = float((value * solid_angle).sum())
     scale = np.sqrt(solid_angle) / math.sqrt(float((value**2 * solid_angle).sum()))
     number, along, across = _candidates(name, mu, theta_r)
     shapes = gaussians(direction, unit(along, across), WIDTHS_RAD[number])
-    # The last row keeps the power: constant light is reflected as it is.
+    # The last row preserves the power of the lobe under constant light.
     rows = np.vstack([shapes * (scale[:, None] * power), np.full((1, len(number)), _ENERGY_WEIGHT)])
     chosen, weight = _pursue(rows, np.append(value * scale, _ENERGY_WEIGHT), np.where(across > 0.0, 2, 1))
     order = np.argsort(weight)[::-1]
@@ -186,7 +203,7 @@ def fit_lobe(mu: float, theta_r: float, name: str = "gaussian") -> FittedEntry:
     parts = shapes[:, chosen] * weight
     total = parts.sum(axis=1)
     share = parts / np.maximum(total, 1e-300)[:, None] * (value * solid_angle)[:, None]
-    # Fresnel's rise towards grazing is about (1 - cosθ_H)^5: its mean, not that of the angle, is kept.
+    # The Fresnel reflectance rises as (1 - cosθ_H)^5 towards grazing: the mean of this is preserved, not of the angle.
     mean = (share * ((1.0 - cos_h) ** 5)[:, None]).sum(axis=0) / np.maximum(share.sum(axis=0), 1e-300)
     incidence = np.arccos(np.clip(1.0 - mean**0.2, 0.0, 1.0)) - theta_r
     rest = float(np.linalg.norm((total - value) * scale))
@@ -194,7 +211,7 @@ def fit_lobe(mu: float, theta_r: float, name: str = "gaussian") -> FittedEntry:
 
 
 def write_table(path, name: str) -> None:
-    """Fit every entry of the ladder and write the table of a lobe."""
+    """Fit a lobe at every roughness and view angle, and write its table."""
     fits = [[fit_lobe(mu, theta_r, name) for theta_r in THETA_R_RAD] for mu in track(MU, "lobes")]
     most = max(len(fit.weight) for row in fits for fit in row)
     roughness = lobe(name).roughness

@@ -1,8 +1,8 @@
-"""Very rough reflection: exact sum of the lobe over a thousand point sources.
+"""Gloss of very rough surfaces: exact sum of the lobe over about a thousand point sources.
 
-From a roughness of 0.4 on a lobe is so wide, and cut so hard by the horizon, that blurred light would need more
-look-ups than there are parts of the sphere worth telling apart. The sphere is divided into cells of a tenth of a
-radian; each is a point at its centre of power, so that a small sun stands where it stands.
+From a roughness of 0.4 on, a lobe is so wide, and cut so strongly by the horizon, that blurred light would need more
+look-ups than there are relevant directions. Therefore the sphere is divided into cells of a tenth of a radian. Each is
+replaced by a point at its centre of power, so that a small sun keeps its direction.
 """
 
 import math
@@ -17,25 +17,25 @@ from irodori.reflection.fresnel import fresnel
 from irodori.reflection.lobes import constants, features, reach, value
 
 _ROWS = 32
-_FEWEST_ROWS = 64  # of the picture; coarser pixels are divided, for they shine evenly
+_FEWEST_ROWS = 64  # smallest number of rows of the picture; coarser pixels are divided, as they are uniform
 
 
 class PointLights(NamedTuple):
-    """Light as points."""
+    """Light in the form of point sources at infinity."""
 
-    direction: np.ndarray  # (n, 3) unit
+    direction: np.ndarray  # (n, 3) unit vectors
     power: np.ndarray  # (n, k) float64, radiance unit times sr
 
 
 class Seen(NamedTuple):
-    """Places of a surface as they are seen."""
+    """Normals and view directions of places on a surface."""
 
-    normal: np.ndarray  # (3,) unit, or (n, 3) of several
-    to_eye: np.ndarray  # of the same shape, unit
+    normal: np.ndarray  # (3,) unit vector, or (n, 3) for several places
+    to_eye: np.ndarray  # unit vectors of the same shape
 
 
 def point_lights(coefficients: np.ndarray) -> PointLights:
-    """Return the points of an equirectangular picture, (height, width, k)."""
+    """Convert an equirectangular picture, (height, width, k), to point sources."""
     for axis, least in enumerate((_FEWEST_ROWS, 2 * _FEWEST_ROWS)):
         if coefficients.shape[axis] < least:
             coefficients = coefficients.repeat(-(-least // coefficients.shape[axis]), axis=axis)
@@ -46,7 +46,7 @@ def point_lights(coefficients: np.ndarray) -> PointLights:
 
 
 def _band(pixels, rows: slice) -> tuple[np.ndarray, np.ndarray]:
-    """Return directions and powers of the cells of some rows; those without light are left out."""
+    """Return directions and powers of the cells in some rows; those without light are left out."""
     width = pixels.values.shape[1]
     sine, parts = pixels.sin_theta[rows], (pixels.values, pixels.solid_angle, pixels.sin_theta, pixels.cos_theta)
     power = np.zeros((width, pixels.values.shape[2]))
@@ -67,13 +67,13 @@ def _band(pixels, rows: slice) -> tuple[np.ndarray, np.ndarray]:
 
 @njit(cache=True, forceinline=True)
 def place_of(seen, i):
-    """Return one of several places."""
+    """Return place i of several."""
     return Seen(seen.normal[i], seen.to_eye[i])
 
 
 @njit(cache=True, error_model="numpy")
 def add_from_points(lights, seen, mu, index, scale, out):
-    """Add ``scale`` times Σ F D G / cosθ_r L dω over the points; arguments as of `irodori.light.gloss.gloss_maps`."""
+    """Add ``scale`` times Σ F D G / cosθ_r L dω over the points; arguments as in `irodori.light.gloss.gloss_maps`."""
     normal, view = seen
     cos_r = normal[0] * view[0] + normal[1] * view[1] + normal[2] * view[2]
     least, constant = math.cos(reach(lights.lobes, 0, mu)), constants(lights.lobes, math.log(mu))

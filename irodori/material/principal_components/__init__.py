@@ -1,5 +1,6 @@
 """Principal components of one spectral image [section 7 of the paper].
 
-Two passes over tiles of it: second moments, then coefficients. An image recovered from a few bands has their number
-as its rank, so its decomposition is a problem of that size: the 61 bands are never built.
+The image is read twice, tile by tile: for its second moments, then for its coefficients. The rank of an image recovered
+from a few bands is the number of these bands. Its decomposition is a problem of that size, and its spectra of 61
+wavelengths are never built.
 """

@@ -1,4 +1,4 @@
-"""Smallest number of bases within a colour tolerance, and the pass that writes the coefficients."""
+"""Choice of the smallest number of basis vectors within a colour tolerance, and writing of the coefficients."""
 
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -35,12 +35,12 @@ class CompressOptions:
     Parameters
     ----------
     target_delta_e_mean, target_delta_e_p99 : float
-        Bounds on mean and 99th percentile of CIEDE2000 under every light, storage included; where a sample stands for
-        the picture, on what they are with 99 % confidence.
+        Limits of the mean and the 99th percentile of CIEDE2000 under every light, rounding in storage included. If only
+        a sample of the picture is compared, they apply to upper bounds at 99 % confidence.
     align : int
-        The number of bases is rounded up to a multiple of this, but not beyond the picture's rank.
+        The number of basis vectors is rounded up to a multiple of this, but not beyond the picture's rank.
     weighting : str
-        ``nothing``: all wavelengths count alike; ``visual``: as colour-matching functions and lights weigh them.
+        ``nothing``: all wavelengths have equal weight; ``visual``: weights by colour-matching functions and lights.
     storage : str
         ``half`` or ``single`` precision.
     codec : str
@@ -64,7 +64,7 @@ class CompressOptions:
 
 @dataclass(frozen=True)
 class Compression:
-    """A basis for one picture, how its coefficients are made, and what that costs.
+    """A spectral basis for one picture, the matrix that computes coefficients on it, and the errors.
 
     Parameters
     ----------
@@ -72,22 +72,24 @@ class Compression:
     encoder : (k, r) float64
         ``coefficients = encoder @ pixel``.
     scale : (k,) float32
-        By which coefficients are divided in half precision; 1 in single precision.
+        Divisors of the coefficients in half precision; 1 in single precision.
     storage : str
+        ``half`` or ``single``.
     errors : dict
-        light -> mean, p95, p99, max of CIEDE2000 between the sample's spectra before and after, storage included, the
-        count of pixels compared, and ``mean_bound`` and ``p99_bound``, under which the whole picture's are with 99 %
-        confidence.
+        light -> mean, p95, p99, max of CIEDE2000 between the sample's spectra before and after compression, rounding in
+        storage included; the count of pixels compared; and ``mean_bound`` and ``p99_bound``, upper bounds for the whole
+        picture at 99 % confidence.
     rmse : float
-        Root mean square error of the sample's spectra over all samples.
+        Root mean square error of the sample's spectra over pixels and wavelengths.
     budget_met : bool
-        False where even all bases leave more than the target; the errors say how much.
+        False if the errors exceed the target, even with all basis vectors.
     rank, pixels, masked : int
-        Directions of the picture with energy; all pixels; those that are not finite and have no coefficients.
+        Rank of the picture's second moments; number of all pixels; number of those that are not finite, which have no
+        coefficients.
     negative : Negative
-        Of the decoded sample.
+        Negative values in the decoded sample.
     sample : (n, r) float32
-        Pixels that the errors are of.
+        Pixels from which the errors are computed.
     """
 
     basis: np.ndarray
@@ -105,12 +107,12 @@ class Compression:
 
     @property
     def bases(self) -> int:
-        """Number of bases."""
+        """Number of basis vectors."""
         return self.basis.shape[1]
 
     def encode(self, rows: np.ndarray) -> np.ndarray:
-        """Return the coefficients of pixels as they are stored, (n, r) to (n, k) half or single; NaN where masked."""
-        # Scales are powers of two: to divide the encoder by them is to divide the coefficients.
+        """Return the coefficients (n, k) of pixels (n, r) in stored form, half or single; NaN for pixels not finite."""
+        # Scales are powers of two: dividing the encoder instead of the coefficients gives the same bits.
         encoder = (self.encoder / self.scale[:, None]).T.astype(np.float32)
         with np.errstate(invalid="ignore", over="ignore"):
             out = np.asarray(rows, dtype=np.float32) @ encoder
@@ -124,7 +126,7 @@ class Compression:
         return from_half(stored, self.scale) if self.storage == "half" else stored
 
     def summary(self) -> dict:
-        """Return what a file keeps of the compression: numbers and dictionaries."""
+        """Return counts and errors of the compression, to be stored as attributes of a file."""
         return {
             "bases": self.bases,
             "rank": self.rank,
@@ -137,7 +139,7 @@ class Compression:
         }
 
     def tiles(self, source) -> Iterator[np.ndarray]:
-        """Yield the stored coefficients of a picture tile by tile: the second pass."""
+        """Yield the coefficients of a picture in stored form, tile by tile: the second pass over the picture."""
         tiles = source if isinstance(source, Tiles) else Tiles(source)
         yield from tiles.map(lambda rows, first, worker: self.encode(rows))
 
@@ -163,7 +165,7 @@ class Compression:
         size : (height, width)
         quantity, codec : str
         decoded : (height, width, k) float32, optional
-            Filled with the coefficients as they come back from storage.
+            Filled with the coefficients after rounding to the stored precision.
         """
         height, width = size
         shape = (height, width, self.bases)
@@ -192,19 +194,20 @@ def analyse(
     *,
     bases: int | None = None,
 ) -> Compression:
-    """Read a picture once and return its compression: the first pass, and the choice of the bases.
+    """Read a picture once and return its compression, with as few basis vectors as the colour tolerance allows.
 
     Parameters
     ----------
     source : Tiles, or what `Tiles` takes
-        Pixels are spectra (61), or coefficients (r) on ``basis``: then everything is of the size of r.
+        Pixels are spectra (61), or coefficients (r) on ``basis``; with coefficients, all matrices are of size r.
     basis : (61, r) float or None
+        None if pixels are spectra.
     observers : dict
-        light -> ((3, 61) matrix to XYZ, (3,) XYZ of white). Brighter than white is scaled down to it before the
-        comparison, because CIELAB is for surfaces.
+        light -> ((3, 61) matrix to XYZ, (3,) XYZ of white). Colours brighter than white are scaled down to its
+        luminance before the comparison, because CIELAB is defined for surface colours.
     options : CompressOptions
     bases : int, optional
-        That many, or the rank if that is less, whatever the target.
+        Use this number of basis vectors, or the rank if that is less, whatever the target.
 
     Raises
     ------
@@ -218,7 +221,7 @@ def analyse(
 def choose(
     moments: Moments, basis: np.ndarray | None, observers: dict, options: CompressOptions, *, bases: int | None = None
 ) -> Compression:
-    """Return the compression with the fewest bases that meet the targets; see `analyse`."""
+    """Return the compression with the fewest basis vectors that meets the targets; see `analyse` for the arguments."""
     width = moments.root.shape[1]
     if width != (SAMPLES if basis is None else basis.shape[1]):
         expected = f"{SAMPLES} bands" if basis is None else f"{basis.shape[1]}, one for each vector of the basis"
@@ -236,14 +239,14 @@ def choose(
         if made.budget_met or count == counts[-1]:
             break
     if not (made.budget_met or bases is not None or rank == len(found.energies)):
-        # Under a light far brighter than the rest, directions that look like rounding may still be colours.
+        # In a picture with a very bright light, directions with no more energy than rounding may be visible colours.
         full = trial.compression(len(found.energies))
         made = full if full.budget_met else made
     return trial.finished(made)
 
 
 class _Trial:
-    """Numbers of bases on one picture, and what each does to the colours of its sample."""
+    """Trial of different numbers of basis vectors on one picture, by the colour errors of its sample."""
 
     def __init__(
         self, found: Decomposition, moments: Moments, spectra: np.ndarray, observers: dict, options: CompressOptions
@@ -253,13 +256,13 @@ class _Trial:
         self._before = {light: spectra @ matrix.T for light, (matrix, _) in observers.items()}
 
     def cannot_reach_limits(self, count: int) -> bool:
-        """Return whether so few bases miss a limit by twice on a part of the sample, so that the whole is not tried."""
+        """Return whether ``count`` vectors exceed twice a limit on part of the sample, so that the rest is skipped."""
         errors = self._errors(self._made(count), slice(_FIRST_LOOK))
         mean, p99 = self._options.target_delta_e_mean, self._options.target_delta_e_p99
         return any(e["mean"] > 2 * mean or e["p99"] > 2 * p99 for e in errors.values())
 
     def compression(self, count: int) -> Compression:
-        """Return the compression with its colour errors."""
+        """Return the compression with ``count`` basis vectors and its colour errors."""
         made, options = self._made(count), self._options
         errors = self._errors(made, slice(None))
         mean, p99 = options.target_delta_e_mean, options.target_delta_e_p99
@@ -267,7 +270,7 @@ class _Trial:
         return replace(made, errors=errors, budget_met=met)
 
     def finished(self, made: Compression) -> Compression:
-        """Return a compression with its spectral error and what it leaves below zero."""
+        """Return a copy of a compression with its spectral error and its count of negative values filled in."""
         decoded = made.decode(made.encode(self._moments.sample)) @ made.basis.T
         rmse = float(np.sqrt(np.mean((self._spectra - decoded) ** 2)))
         return replace(made, rmse=rmse, negative=count_negative(decoded))
@@ -293,7 +296,7 @@ class _Trial:
                 for light, (matrix, white) in self._observers.items()
             ]
 
-        # A cacheful at a time, and several at once.
+        # Pieces fit the processor's cache and are computed in parallel.
         with ThreadPoolExecutor(numba.get_num_threads()) as pool:
             pieces = list(pool.map(of_piece, range(0, len(sample), _PIECE)))
         errors = (np.concatenate(of_light) for of_light in zip(*pieces, strict=True))
@@ -302,7 +305,7 @@ class _Trial:
         }
 
     def _bounds(self, values: np.ndarray) -> dict[str, float]:
-        """Return under what the whole picture's mean and 99th percentile are, by the spread of the sample's."""
+        """Return 99 % upper bounds for mean and 99th percentile over the whole picture, from errors of the sample."""
         moments, count = self._moments, len(values)
         deviations = _DEVIATIONS if len(moments.sample) < moments.pixels - moments.masked else 0.0
         share = min(0.99 + deviations * np.sqrt(0.99 * 0.01 / count), 1.0)

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 WEIGHTINGS = ("nothing", "visual")
-#: Share of the visual weighting that counts all wavelengths alike: what no light shows is kept last, not lost.
+#: Share of equal weights for all wavelengths in the visual weighting, so that parts of a spectrum that are invisible
+#: under all lights come last instead of being undetermined.
 _SPECTRAL_SHARE = 1e-3
 #: Singular values below this share of the first are rounding of single-precision pixels.
 _RANK_SHARE = 1e-8
@@ -18,15 +19,15 @@ class Decomposition:
     Parameters
     ----------
     orthonormal : (61, r) float64
-        Basis of the span in which the picture lies.
+        Orthonormal basis of the space that the picture's spectra span.
     upper : (r, r) float64
         ``orthonormal @ upper`` is the basis of the picture's own coefficients.
     directions : (r, r) float64
-        Columns, by falling energy, in the metric.
+        Principal directions as columns, by falling energy, in coordinates where the metric is the identity.
     energies : (r,) float64
-        Root of the energy along each, in the metric.
+        Square root of the energy (sum of squares over all pixels) along each direction.
     metric_root : (r, r) float64 or None
-        Symmetric root of the metric; None for the identity.
+        Symmetric square root of the metric that weights spectral errors; None for the identity.
     """
 
     orthonormal: np.ndarray
@@ -37,21 +38,22 @@ class Decomposition:
 
     @property
     def rank(self) -> int:
-        """Number of directions with energy, at least 1."""
+        """Number of directions with energy above rounding error, at least 1."""
         return max(1, int((self.energies > _RANK_SHARE * self.energies[0]).sum()))
 
     def truncated(self, count: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return a basis of so many vectors and what gives its coefficients.
+        """Return the basis of the first ``count`` principal vectors and the matrix that computes coefficients on it.
 
-        The vectors are orthonormal, the largest sample of each is positive, and their coefficients are uncorrelated
-        over the picture, by falling energy. With a
-        metric the coefficients are not projections along the vectors: they are chosen so that the weighted error is
-        least, and the vectors are the least-squares regression of the spectra on them.
+        The vectors are orthonormal and sorted by falling energy, the sample of each with the largest magnitude is
+        positive, and their coefficients are uncorrelated over the picture. With a metric, the coefficients are not
+        projections on the vectors: they minimise the weighted error, and the vectors are the least-squares regression
+        of the spectra on them.
 
         Returns
         -------
         basis : (61, count) float64
         encoder : (count, r) float64
+            ``encoder @ pixel`` are the coefficients of a pixel.
         """
         chosen = self.directions[:, :count]
         if self.metric_root is None:
@@ -63,7 +65,7 @@ class Decomposition:
 
 
 def _signed(basis: np.ndarray, encoder: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the vectors with the sign that makes the largest sample of each positive: LAPACK leaves it to chance."""
+    """Flip signs so that each vector's sample of largest magnitude is positive: LAPACK's signs are arbitrary."""
     sign = np.where(basis[np.abs(basis).argmax(axis=0), np.arange(basis.shape[1])] < 0.0, -1.0, 1.0)
     return basis * sign, encoder * sign[:, None]
 
@@ -77,9 +79,10 @@ def decompose(root: np.ndarray, basis: np.ndarray | None, matrices=None) -> Deco
         ``root.T @ root`` are the second moments of the pixels, see
         `irodori.material.principal_components.second_moments`.
     basis : (61, r) float or None
-        What the pixels are coefficients of; None where they are spectra.
+        Basis on which the pixels are coefficients; None if the pixels are spectra.
     matrices : list of (3, 61) float, optional
-        To XYZ under each light, white at Y = 100: the visual weighting. None: all wavelengths count alike.
+        Matrices from spectra to XYZ under each light, white at Y = 100, for the visual weighting. None: all wavelengths
+        have equal weight.
     """
     if basis is None:
         orthonormal, upper = np.eye(root.shape[1]), np.eye(root.shape[1])
@@ -90,7 +93,7 @@ def decompose(root: np.ndarray, basis: np.ndarray | None, matrices=None) -> Deco
     if matrices is not None:
         metric_root = _visual_root(orthonormal, matrices)
         own = own @ metric_root
-    # At least as many rows as columns, so that all directions come out.
+    # The decomposition returns all directions only if there are at least as many rows as columns.
     padded = np.concatenate([own, np.zeros((max(own.shape[1] - len(own), 0), own.shape[1]))])
     _, energies, transposed = np.linalg.svd(padded, full_matrices=False)
     return Decomposition(orthonormal, upper, transposed.T, energies, metric_root)

@@ -1,8 +1,8 @@
 """Negative values in reconstructed spectra: their number, depth, and the effect of clipping them.
 
 A truncated basis, or recovery from a few bands, leaves some samples of dark or vivid spectra below zero. Setting them
-to zero adds light, always of the same sign, and repeated reflections multiply it. They are stored as they are;
-rendering, which decodes them, also scales the rest of a spectrum down until the total is what it was.
+to zero always adds light, and repeated reflections multiply the error. Negative values are therefore stored unchanged.
+When rendering clips them, it also scales the rest of the spectrum down, so that the total stays the same.
 """
 
 from dataclasses import asdict, dataclass
@@ -12,21 +12,21 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Negative:
-    """Samples of decoded spectra that are below zero.
+    """Statistics of the samples of decoded spectra that are below zero.
 
     Parameters
     ----------
     pixels : int
-        Pixels looked at.
+        Number of pixels examined.
     fraction : float
         Share of samples (pixel and wavelength) below zero.
     pixel_fraction : float
-        Share of pixels with such a sample.
+        Share of pixels with at least one such sample.
     depth_p99, depth_max : float
-        How deep the lowest sample of a pixel lies, as a share of the pixel's largest magnitude, over the pixels that
-        have one; 0 where none has.
+        99th percentile and maximum, over the pixels with such a sample, of the magnitude of their lowest sample
+        relative to their largest magnitude; 0 if no pixel has one.
     clipping_bias : float
-        Light that setting them to zero would add, as a share of all light.
+        Light that setting these samples to zero would add, as a share of all light.
     """
 
     pixels: int
@@ -42,7 +42,7 @@ class Negative:
 
 
 def count_negative(spectra: np.ndarray) -> Negative:
-    """Return what lies below zero in spectra (n, 61), n >= 1."""
+    """Return statistics of the negative samples of spectra (n, 61), n >= 1."""
     low = spectra.min(axis=1)
     below = low < 0
     depth = -low[below] / np.abs(spectra[below]).max(axis=1)

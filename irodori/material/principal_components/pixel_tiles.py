@@ -1,6 +1,6 @@
 """Iteration over a picture's pixels by tiles: arrays, memory maps, HDF5 datasets, generators.
 
-One tile is read while others are worked on; a picture may be read as often as wanted.
+One tile is read while others are processed; a picture may be read any number of times.
 """
 
 import mmap
@@ -24,22 +24,22 @@ class Tiles:
     Parameters
     ----------
     source : array, h5py.Dataset, or iterable of arrays
-        Array-like: (pixels, bands) or (height, width, bands). Iterable: tiles of either kind, the same each time it is
-        iterated. Values are brought to float32.
+        Array-like: (pixels, bands) or (height, width, bands). Iterable: tiles of either shape, the same tiles at each
+        iteration. Values are converted to float32.
     tile_bytes : int
-        Size of a tile as float32, about; a worker holds one. Tiles of an iterable are taken as they are, and two
-        for each worker are held: they must not be overwritten meanwhile.
+        Approximate size of a tile as float32; each worker holds one. Tiles of an iterable keep their size, and up to
+        two for each worker are held at once: the iterable must not overwrite them meanwhile.
 
     Raises
     ------
     ValueError
-        If the source has other axes, no pixel, or can be iterated once only.
+        If the source has other axes, has no pixel, or can be iterated only once.
     """
 
     def __init__(self, source, tile_bytes: int = TILE_BYTES) -> None:
         self._source, self._bytes = source, tile_bytes
         self._is_array = hasattr(source, "shape") and hasattr(source, "dtype")
-        # Asked once: a dataset answers only when no other thread is in HDF5, where writing holds it for a whole chunk.
+        # Read once: HDF5 locks the file while another thread writes a chunk, and reading the shape would wait for it.
         self._shape: tuple[int, ...] = tuple(source.shape) if self._is_array else ()
         self._place = _place_in_file(source)
         if self._is_array:
@@ -55,14 +55,14 @@ class Tiles:
     def map(self, function: Callable[[np.ndarray, int, int], object]) -> Iterator:
         """Yield ``function(tile, first, worker)`` for every tile, in order.
 
-        As many workers as numba has threads each take every so-manieth tile, read it and work on it; none waits for
-        another. BLAS has one thread meanwhile.
+        There are as many workers, w, as numba has threads. Each reads and processes every w-th tile without waiting for
+        the others. Meanwhile BLAS is limited to one thread.
 
         Parameters
         ----------
         function : callable
-            Takes a tile (pixels, bands) float32, contiguous, that is valid during the call only; the number of its
-            first pixel; and the number of the worker, whose tiles come in order and one at a time.
+            Called with a contiguous tile (pixels, bands) float32, which is valid only during the call; the number of
+            its first pixel; and the number of the worker, which processes its tiles in order and one at a time.
         """
         workers = numba.get_num_threads()
         buffers = [np.empty(0, dtype=np.float32) for _ in range(workers)]
@@ -109,7 +109,7 @@ class Tiles:
         return tile
 
     def _parts(self) -> Iterator[tuple[slice, ...]]:
-        """Yield slices of the leading axes: rows, a multiple of the file's chunks; parts of a row that is long."""
+        """Yield slices of the leading axes for each tile: whole rows, aligned to chunks, or parts of a long row."""
         shape = self._shape
         row_bytes = int(np.prod(shape[1:])) * 4
         if len(shape) == 3 and row_bytes > self._bytes:
@@ -137,7 +137,7 @@ class _Place(NamedTuple):
     first_byte: int
 
     def mapped(self, part: tuple[slice, ...], shape: tuple[int, ...]) -> np.ndarray:
-        """Return a tile as the system holds the file, without a copy; it is let go with the array."""
+        """Return a tile as a memory map of the file, without a copy; the map is released with the array."""
         strides = [int(np.prod(shape[axis + 1 :])) * 4 for axis in range(len(part))]
         begin = self.first_byte + sum(s.start * stride for s, stride in zip(part, strides, strict=True))
         page = begin // mmap.ALLOCATIONGRANULARITY * mmap.ALLOCATIONGRANULARITY
@@ -153,7 +153,7 @@ class _Place(NamedTuple):
 
 
 def _place_in_file(source) -> _Place | None:
-    """Return the place of a plain HDF5 dataset of single precision, None for any other."""
+    """Return the position of a contiguous HDF5 dataset of float32 in a file open for reading; None for the rest."""
     plain = hasattr(source, "id") and hasattr(source, "chunks") and source.chunks is None
     if not plain or source.dtype != np.float32 or source.file.mode != "r":
         return None

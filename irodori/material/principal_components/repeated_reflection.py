@@ -1,4 +1,4 @@
-"""Compression error after repeated reflection, where products of spectra leave the span of the basis."""
+"""Compression error of light after repeated reflection: products of spectra do not lie in the span of the basis."""
 
 import numpy as np
 
@@ -9,9 +9,9 @@ _CHAINS = 20_000
 
 
 def colour_error(before: np.ndarray, after: np.ndarray, white: np.ndarray) -> np.ndarray:
-    """Return CIEDE2000 between tristimulus values (n, 3); brighter than white is scaled down to it, both alike.
+    """Return CIEDE2000 between tristimulus values (n, 3); pairs brighter than white are scaled down to its luminance.
 
-    CIELAB is for surfaces; without the scale a lamp's error would count by its brightness.
+    CIELAB is defined for surface colours; without the scaling, the error of a lamp would grow with its brightness.
     """
     scale = np.maximum(before[:, 1:2] / white[1], 1.0)
     return delta_e(lab_from_xyz(before / scale, white), lab_from_xyz(after / scale, white))
@@ -25,10 +25,11 @@ def drift(
     reflections: int = REFLECTIONS,
     seed: int = 0,
 ) -> list[dict]:
-    """Return the errors of light that is reflected several times within a picture.
+    """Return the colour and spectral errors that compression causes in light reflected several times.
 
-    A chain is a product of the spectra of pixels drawn at random. Every product is exposed so that the mean
-    luminance of the true ones is that of a single reflection: an error is not small because little light is left.
+    Chains of reflections are simulated as products of the spectra of pixels drawn at random. After each reflection all
+    chains are scaled by one exposure, so that the true ones are as bright on average as the picture: errors do not look
+    small because little light is left.
 
     Parameters
     ----------
@@ -43,9 +44,9 @@ def drift(
     Returns
     -------
     list of dict
-        For 1 to ``reflections``: ``reflections``; ``delta_e``, light -> summary of CIEDE2000; ``rmse``, mean over the
-        chains; and both again as ``projected_delta_e`` and ``projected_rmse`` where each product is brought back to
-        the basis before it goes on, as a renderer does that keeps coefficients and no spectra.
+        One for each number of reflections: ``reflections``; ``delta_e``, light -> summary of CIEDE2000; ``rmse``, mean
+        over the chains; and both again as ``projected_delta_e`` and ``projected_rmse`` if every product is projected on
+        the basis, as in a renderer that keeps coefficients instead of spectra.
     """
     rng = np.random.default_rng(seed)
     count = len(truth) if len(truth) < 2 else min(_CHAINS, 4 * len(truth))
@@ -59,7 +60,7 @@ def drift(
         projected = (projected * decoded[chosen]) @ basis @ basis.T
         level = np.abs(exact).mean()
         exposure = brightness / level if level > 0 else 1.0
-        # Exposure multiplies three sums a chain, not its 61 products.
+        # The exposure is applied to the matrices: less work than on the 61 samples of every chain.
         matrices = {light: (exposure * matrix.T, white) for light, (matrix, white) in observers.items()}
         wanted = {light: exact @ matrix for light, (matrix, _) in matrices.items()}
         row: dict[str, object] = {"reflections": number}

@@ -1,7 +1,8 @@
 """First pass over a picture: second moments in double precision and a sample of pixels.
 
-Pixels are gathered by brightness, a factor of 1024 to a class, and each class has a matrix of its own: squares span
-twice the decades of what is squared, and a sun would leave nothing of the shadows in the last digits of one sum.
+Pixels are sorted into classes of brightness, each a factor of 1024 wide, and the moments of each class are summed
+separately. Squares span twice as many decades as the values; in a single sum, the shadows of a picture with the sun
+would be lost to rounding.
 """
 
 import math
@@ -38,7 +39,7 @@ class Moments:
     largest_norm : float
         Largest Euclidean length of a pixel.
     sample : (n, bands) float32
-        Pixels drawn at random without repetition; all of them where there are no more.
+        Pixels drawn at random without repetition; all finite pixels if the picture has no more than the sample.
     """
 
     root: np.ndarray
@@ -50,7 +51,7 @@ class Moments:
 
 @uncounted(nogil=True, fastmath={"reassoc", "contract"}, error_model="numpy")
 def _take(rows, p, blocks, level, place):
-    """Copy a pixel into the block of a class; return its squared length."""
+    """Copy pixel ``p`` of ``rows`` into the block of a class and return its squared length."""
     total = 0.0
     for j in range(rows.shape[1]):
         value = np.float64(rows[p, j])
@@ -61,7 +62,7 @@ def _take(rows, p, blocks, level, place):
 
 @uncounted(nogil=True, error_model="numpy")
 def _multiply_two(block, side, i, j, moment):
-    """Add the products of eight columns, from i on, with sixteen, from j on."""
+    """Add to a moment matrix the products of 8 columns of a block, from ``i`` on, with 16 columns, from ``j`` on."""
     a0 = a1 = a2 = a3 = a4 = a5 = a6 = a7 = spread(0.0)
     b0 = b1 = b2 = b3 = b4 = b5 = b6 = b7 = spread(0.0)
     for p in range(0, _BLOCK * side, side):
@@ -80,7 +81,7 @@ def _multiply_two(block, side, i, j, moment):
 
 @uncounted(nogil=True, error_model="numpy")
 def _multiply_one(block, side, i, j, moment):
-    """Add the products of eight columns, from i on, with eight, from j on."""
+    """Add to a moment matrix the products of 8 columns of a block, from ``i`` on, with 8 columns, from ``j`` on."""
     a0 = a1 = a2 = a3 = a4 = a5 = a6 = a7 = spread(0.0)
     for p in range(0, _BLOCK * side, side):
         y, x = load(block, p + j), p + i
@@ -93,7 +94,7 @@ def _multiply_one(block, side, i, j, moment):
 
 @uncounted(nogil=True, error_model="numpy")
 def _add(moment, side, place, rows):
-    """Add eight rows of eight to a matrix, the first at a flat place."""
+    """Add 8 rows of 8 numbers to a flat matrix with rows of ``side``, the first at flat index ``place``."""
     for row in rows:
         store(moment, place, load(moment, place) + row)
         place += side
@@ -101,7 +102,7 @@ def _add(moment, side, place, rows):
 
 @uncounted(nogil=True, error_model="numpy")
 def _multiply(block, side, moment):
-    """Add the products of a block's columns with one another, upper blocks of 8 x 8; both flat, rows of ``side``."""
+    """Add the products of a block's columns to a moment matrix, upper 8 x 8 blocks; both are flat, rows of ``side``."""
     for i in range(0, side, LANES):
         j = i
         while j + LANES < side:
@@ -113,10 +114,10 @@ def _multiply(block, side, moment):
 
 @uncounted(nogil=True, error_model="numpy")
 def _accumulate(rows, blocks, flat_blocks, waiting, moments, totals):
-    """Add pixels; ``totals`` holds the masked pixels and the largest squared length."""
+    """Add pixels to the moments of their classes; ``totals`` gets the masked count and the largest squared length."""
     level = 0
     for p in range(rows.shape[0]):
-        # Neighbours are mostly of one class: the pixel goes there while its length is measured.
+        # Neighbours are mostly of one class: the pixel is copied there while its length is computed.
         square = _take(rows, p, blocks, level, waiting[level])
         if not square < np.inf:
             totals[0] += 1.0
@@ -146,7 +147,7 @@ def _finish(side, blocks, waiting, moments):
 
 
 class _Sums:
-    """Buffers of one worker, for the sums of one tile after the other."""
+    """Buffers in which one worker computes the moments of its tiles, one after the other."""
 
     def __init__(self, bands: int) -> None:
         self.bands, self._side = bands, -(-bands // LANES) * LANES
@@ -154,7 +155,7 @@ class _Sums:
         self._blocks, self._waiting = np.zeros((_CLASSES, _BLOCK, self._side)), np.zeros(_CLASSES, dtype=np.int64)
 
     def of(self, rows: np.ndarray) -> "_OfTile":
-        """Return the sums of a tile, (pixels, bands)."""
+        """Return the moments of a tile, (pixels, bands)."""
         self._moments[:], self._waiting[:] = 0.0, 0
         totals, flat = np.zeros(2), self._blocks.reshape(_CLASSES, -1)
         _accumulate(rows, self._blocks, flat, self._waiting, self._moments, totals)
@@ -167,7 +168,7 @@ class _Sums:
 
 
 class _OfTile(NamedTuple):
-    """Pixels of a tile, those that are masked, the largest squared length, and the moments (bands, bands) by class."""
+    """Number of pixels in a tile and of masked ones, largest squared length, moments (bands, bands) of each class."""
 
     pixels: int
     masked: int
@@ -176,7 +177,7 @@ class _OfTile(NamedTuple):
 
 
 class _Sampler:
-    """Draws pixels without repetition: each gets a random number, and those with the least are kept."""
+    """Random sample of pixels without repetition: each pixel gets a random number, and the least numbers are kept."""
 
     def __init__(self, size: int, seed: int) -> None:
         self._size, self._seed, self._lock = size, seed, threading.Lock()
@@ -185,7 +186,7 @@ class _Sampler:
         self._limit = 2.0
 
     def add(self, rows: np.ndarray, first: int) -> None:
-        """Take in a tile; in whatever order tiles come, the sample is the same."""
+        """Add the pixels of a tile; the sample does not depend on the order of the tiles."""
         keys = np.random.default_rng((self._seed, first)).random(len(rows))
         chosen = np.flatnonzero(keys < self._limit)
         picked = rows[chosen]
@@ -222,10 +223,10 @@ def second_moments(
     source : Tiles, or what `Tiles` takes
     sample_pixels : int
     seed : int
-        Of the sample.
+        Seed of the random sample.
     also : callable, optional
-        Takes every tile (pixels, bands) and the number of its first pixel, from several threads: what else one reading
-        can give.
+        Called in several threads with every tile (pixels, bands) and the number of its first pixel, for other
+        statistics from the same pass.
 
     Returns
     -------
@@ -234,7 +235,7 @@ def second_moments(
     Raises
     ------
     ValueError
-        If no pixel is finite, or tiles differ in their bands.
+        If no pixel is finite, or tiles differ in their number of bands.
     """
     tiles = source if isinstance(source, Tiles) else Tiles(source)
     workers: dict[int, _Sums] = {}
@@ -254,7 +255,7 @@ def second_moments(
 
     pixels, masked, largest = 0, 0, 0.0
     moments: dict[int, np.ndarray] = {}
-    # Tile by tile in their order, so that the sums have the same bits with any number of threads.
+    # Tiles are added in order, so that the sums have the same bits with any number of threads.
     for tile in tiles.map(add):
         pixels, masked, largest = pixels + tile.pixels, masked + tile.masked, max(largest, tile.largest)
         for level, values in tile.moments.items():
@@ -266,7 +267,7 @@ def second_moments(
 
 
 def _root(moments: list[np.ndarray], bands: int) -> np.ndarray:
-    """Return rows whose products sum to those of the classes, (m, bands); a row of zeros where all is black."""
+    """Return R (m, bands) such that R.T @ R is the sum of the classes' moments; one row of zeros if all is black."""
     rows = [np.zeros((1, bands))]
     for moment in moments:
         values, vectors = np.linalg.eigh(moment)

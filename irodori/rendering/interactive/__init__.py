@@ -5,6 +5,6 @@ A scene is prepared once for a representation of colour and then rendered frame 
     prepared = prepare_scene(objects, light_of(environment), gloss_maps, tracer, "coefficients", white)
     xyz = render_frame(prepared, view)
 
-Light from all sides comes from an irradiance map for the diffuse term and from blurred light for gloss; mirrors are
-followed ray by ray; collimated lamps have hard shadows.
+The diffuse term looks up the environment's irradiance map, and gloss looks up blurred maps of the environment. Mirror
+reflections are followed ray by ray. Collimated lamps have hard shadows.
 """

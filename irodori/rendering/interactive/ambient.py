@@ -1,11 +1,12 @@
 """Ambient occlusion by neighbouring objects in closed form: contact shadows.
 
-What a sphere or a flat shape hides of the cosine-weighted sky is known exactly, the horizon's cut included: the form
-factor of a sphere (Snyder 1996), Lambert's sum over a polygon's edges, and its like for discs and planes. Each shape
-brings its own (``hides`` in `irodori.geometry.shapes.shape.Kernels`). Several objects hide as if they did so on their
-own, and each sends the diffuse light that its mean colour reflects on the side that faces the point, so that a white
-object on white leaves no shadow in a white furnace. What meshes hide, from themselves too, was found out by rays when
-the scene was prepared (`irodori.rendering.interactive.mesh_shadows`).
+The share of the cosine-weighted hemisphere that a sphere or a flat shape hides has an exact formula, also if the shape
+is cut by the horizon: the form factor of a sphere (Snyder 1996), Lambert's sum over a polygon's edges, and similar ones
+for discs and planes. Each shape has its own (``hides`` in `irodori.geometry.shapes.shape.Kernels`). Several objects are
+treated as if they hid light independently of each other. Each object sends back the diffuse light that its mean colour
+reflects on the side that faces the point, so that a white object on a white surface leaves no shadow under uniform
+light. The occlusion by meshes, also of themselves, is found by rays when the scene is prepared
+(`irodori.rendering.interactive.mesh_shadows`).
 """
 
 import numpy as np
@@ -35,7 +36,7 @@ from irodori.rendering.interactive.packets import (
 from irodori.rendering.interactive.representation_layout import surface_lanes
 from irodori.rendering.interactive.shadow_look_up import mixed, nodes_about
 
-#: Squared length of a mean of unit normals under which it points nowhere: they face each other.
+#: Squared length of a mean of unit normals below which they cancel and the mean has no direction.
 _NO_SIDE = 1e-4
 
 
@@ -44,7 +45,7 @@ _hidden = chain("hides", "row, at, x, y, z, normal", __name__)
 
 @uncounted()
 def _reflected(job, shape, facing, like):
-    """Return the light that a shape's side reflects, in the channels that texels are multiplied with."""
+    """Return the diffuse light that the side of a shape facing a direction reflects, in the channels of texels."""
     world, turn = job.world, job.frame.light_from_world
     x = turn[0] * facing[0] + turn[1] * facing[1] + turn[2] * facing[2]
     y = turn[3] * facing[0] + turn[4] * facing[1] + turn[5] * facing[2]
@@ -62,7 +63,7 @@ def _reflected(job, shape, facing, like):
 
 @uncounted()
 def _reflected_by_meshes(job, own, about, normal, like):
-    """Return the light that the meshes about a hit reflect to it, in the channels that texels are multiplied with."""
+    """Return the light that the meshes around a hit reflect towards it, in the channels of texels."""
     shadows, out = job.world.shadows, zeros_like(like)
     for layer in range(shadows.numbers[own * SHAPE_NUMBERS + COUNT]):
         at = LAYERS + LAYER * layer
@@ -80,7 +81,7 @@ def _reflected_by_meshes(job, own, about, normal, like):
 
 @uncounted()
 def ambient_light(job, hits, ray, light):
-    """Return the light of a hit's normal, less what other objects hide, plus what they reflect."""
+    """Return the ambient light at a hit: the environment's reduced by occlusion, plus light from other objects."""
     world, hit, table = job.world, hits.f, job.world.shape
     own = hits.i[OBJECT * RAYS + ray]
     point = (hit[POINT * RAYS + ray], hit[(POINT + 1) * RAYS + ray], hit[(POINT + 2) * RAYS + ray])

@@ -1,21 +1,21 @@
-"""Four representations of colour along a path, for one and the same kernel.
+"""Four representations of colour along a path, which share one rendering kernel.
 
-A hit adds texel * light, number by number, to its pixel; the sky and blurred light are added as they are stored. What
-the numbers mean is the representation's:
+At a hit, the numbers of the texel are multiplied with those of the light, one by one, and added to the pixel; light
+from the sky and from blurred maps is added in its stored form. The representation determines what the numbers mean:
 
 ``spectral``
-    61 bands. Throughput is a spectrum, stored light is decoded at every look-up: nothing is shortened, so this is what
-    the others are compared with.
+    61 bands. Throughput is a spectrum, and stored light is decoded at every look-up. Nothing is simplified; the other
+    representations are compared with this one.
 ``quadrature``
-    Radiance at a few wavelengths, whose weights integrate the scene's own spectra into XYZ.
+    Radiance at a few wavelengths, with weights that integrate the scene's own spectra into XYZ.
 ``coefficients``
-    Light is its coefficients; a texel holds the bilinear form that takes them to XYZ. Exact while throughput is one
-    number for all wavelengths, after any number of reflections: each path has one surface between the light and the
-    mirrors, and mirrors of constant n + ik are grey.
+    Light is given by its coefficients on a basis; a texel holds the bilinear form from coefficients to XYZ. This is
+    exact, after any number of reflections, while the throughput is the same for all wavelengths: each path has one
+    diffuse or glossy surface between the light and the mirrors, and mirrors with constant n + ik are grey.
 ``rgb``
-    Three products, as a plain renderer forms them.
+    Three products, as in an ordinary RGB renderer.
 
-Everything is linear: samples below zero, which recovery and compression leave, are carried as they are.
+All operations are linear: negative samples, which spectral recovery and compression leave, are kept.
 """
 
 from collections.abc import Callable
@@ -29,12 +29,12 @@ from irodori.rendering.scene_arrays import Light, Objects, gloss_of, textures
 from irodori.spectra.grid import SAMPLES
 
 REPRESENTATIONS = ("spectral", "coefficients", "quadrature", "rgb")
-#: Vectors, at most, for the light that objects reflect on each other, beside those of the light.
+#: Largest number of basis vectors, in addition to those of the light, for light reflected between objects.
 REFLECTED = 3
-#: Lanes of the light of ``spectral``, at least: four would make a picture about a twentieth faster, and its loop, which
-#: takes longest of all to compile, would be compiled once more.
+#: Least number of lanes of the light in ``spectral``. With four, a picture would be about a twentieth faster, but the
+#: loop, which takes longest of all to compile, would have to be compiled once more.
 _LEAST_SPECTRAL_LIGHT = 8
-#: Part of what objects reflect on each other that is rounding.
+#: Share of the light reflected between objects that is considered rounding error.
 _ROUNDING = 1e-6
 #: Linear sRGB primaries and D65, for `rgb`: XYZ of 1, 1, 1 is the white of D65 with Y = 1.
 _XYZ_FROM_RGB = np.array(
@@ -44,35 +44,37 @@ _XYZ_FROM_RGB = np.array(
 
 @dataclass(frozen=True)
 class Channels:
-    """A representation of one scene; spectra go to channels, channels to XYZ.
+    """Matrices of one representation for one scene: from spectra to channels, and from channels to XYZ.
 
     Parameters
     ----------
     count : int
-        Numbers of a texel that are multiplied with light.
+        Number of channels, the numbers of a texel that are multiplied with light.
     surface, light : int
         Lanes of a texel and of stored light, see `irodori.rendering.interactive.representation_layout.Layout`.
     coloured : bool
+        Whether the throughput differs between channels.
     texel_from_weights : tuple of (count, k) float64
-        For each object, from its coefficients of S(λ).
+        For each object, from the coefficients of S(λ) to the channels of a texel.
     irradiance_from_light : (count, k) float64
-        What a texel is multiplied with, from the coefficients of the irradiance; 1 / π is in it.
+        From the coefficients of the irradiance to the light factor of a texel, 1 / π included.
     stored_from_light : (s, k) float64
-        The light that is stored, from its coefficients.
+        From the coefficients of the light to the form in which it is stored.
     baked_from_radiance : (count, 61) float64
-        What a texel is multiplied with, from the radiance of a perfect diffuser in its place.
+        From the radiance of a perfect diffuser in the texel's place to the light factor of the texel.
     lamp_light, lamp_colour : (lamps, count) float64
-        What texels are multiplied with for a lamp of irradiance E(λ), and the colour of E / π itself.
+        Light factor of texels for a lamp of irradiance E(λ), and the colour of E / π itself.
     index : (objects, 2, count) float64
         n and k by channel.
     xyz_from_colour : (3, count) float64
+        From channels to XYZ.
     xyz_from_light : (3, s) float64
-        Of stored light.
+        From stored light to XYZ.
     colour_from_light : (count, s) float64
-        Stored light as a colour; unused where paths are not coloured.
+        From stored light to channels; unused if ``coloured`` is false.
     reflected : callable
-        From a mean reflectance, (61,), to (inputs, count): the light that texels are multiplied with, after it was
-        reflected, from the first ``inputs`` of its channels before.
+        From a mean reflectance, (61,), to a matrix (inputs, count), by which the first ``inputs`` channels of the light
+        that falls on a surface give the light factor of the texels that the surface lights.
     """
 
     count: int
@@ -107,7 +109,7 @@ def mean_spectra(objects: Objects) -> list[np.ndarray]:
 
 
 def _by_channel(values: np.ndarray, objects: Objects, light: Light, lamps, xyz_from_colour, coloured: bool) -> Channels:
-    """Return channels in which surfaces and light are multiplied one by one; ``values`` is (count, 61)."""
+    """Return channels that are linear functionals of the spectrum, the rows of ``values``, (count, 61)."""
     count = len(values)
     basis = light.basis.T
     lamp = lamps @ values.T / np.pi
@@ -134,12 +136,12 @@ def _by_channel(values: np.ndarray, objects: Objects, light: Light, lamps, xyz_f
 
 
 def spectral_light_width(count: int) -> int:
-    """Return the lanes of stored light of a count of vectors where there are all bands: a power of two from 8."""
+    """Return the lanes of stored light on ``count`` basis vectors in ``spectral``: a power of two, at least 8."""
     return max(width_of(count), _LEAST_SPECTRAL_LIGHT)
 
 
 def spectral_channels(objects: Objects, light: Light, lamps: np.ndarray, matrix: np.ndarray) -> Channels:
-    """Return the 61 bands."""
+    """Return the channels of the representation ``spectral``, the 61 bands."""
     bands = _by_channel(np.eye(SAMPLES), objects, light, lamps, matrix, True)
     return replace(bands, light=spectral_light_width(light.basis.shape[0]))
 
@@ -147,13 +149,13 @@ def spectral_channels(objects: Objects, light: Light, lamps: np.ndarray, matrix:
 def quadrature_channels(
     objects: Objects, light: Light, lamps: np.ndarray, quadrature: Quadrature, coloured: bool
 ) -> Channels:
-    """Return the wavelengths of a quadrature."""
+    """Return the channels of the representation ``quadrature``, the wavelengths of a spectral quadrature."""
     chosen = np.eye(SAMPLES)[quadrature.samples]
     return _by_channel(chosen, objects, light, lamps, quadrature.weights, coloured)
 
 
 def rgb_channels(objects: Objects, light: Light, lamps: np.ndarray, matrix: np.ndarray, white, coloured) -> Channels:
-    """Return three products: linear sRGB of the light, times sRGB of the surface under the white over that of white."""
+    """Return the channels of ``rgb``: linear sRGB of the light times that of the surface under white, over white's."""
     rgb = np.linalg.solve(_XYZ_FROM_RGB, matrix)
     of_white = rgb @ white
     basis = light.basis.T
@@ -179,15 +181,15 @@ def rgb_channels(objects: Objects, light: Light, lamps: np.ndarray, matrix: np.n
 
 
 def reflected_basis(objects: Objects, basis: np.ndarray, most: int = REFLECTED) -> np.ndarray:
-    """Return the vectors beside the light's basis that what objects reflect of it needs most, (61, up to ``most``)."""
+    """Return vectors that extend the light's basis to the light reflected by objects, (61, m), m up to ``most``."""
     spectra = np.concatenate([mean[:, None] * basis for mean in mean_spectra(objects)], axis=1)
     return further_basis(spectra, basis, most, _ROUNDING)
 
 
 def further_basis(spectra: np.ndarray, basis: np.ndarray, most: int, least: float) -> np.ndarray:
-    """Return the vectors beside a basis (61, k) that spectra (61, n) need most, (61, up to ``most``).
+    """Return the vectors (61, m), m up to ``most``, that best extend a basis (61, k) to the span of spectra (61, n).
 
-    Of all that the spectra hold, a vector stands for ``least`` or more.
+    Vectors that carry less than the share ``least`` of the norm of the spectra are left out.
     """
     rest = spectra - basis @ (np.linalg.pinv(basis) @ spectra)
     left, values, _ = np.linalg.svd(rest, full_matrices=False)
@@ -197,15 +199,15 @@ def further_basis(spectra: np.ndarray, basis: np.ndarray, most: int, least: floa
 def coefficient_channels(
     objects: Objects, light: Light, lamps: np.ndarray, matrix: np.ndarray, further: np.ndarray
 ) -> Channels:
-    """Return the bilinear forms from coefficients to XYZ: X, Y, Z one after the other, each over the light's basis.
+    """Return the channels of ``coefficients``: bilinear forms for X, Y and Z in turn, each over the light's basis.
 
-    Where objects throw light on each other it leaves that basis, and the forms have ``further`` vectors for it, (61,
-    m): the one place where coefficients err by more than their rounding.
+    Light that objects reflect onto each other is not in the span of that basis. The forms have ``further`` vectors for
+    it, (61, m); only this part has errors larger than rounding.
 
     Raises
     ------
     ValueError
-        If a mirror or gloss is coloured: the light that it passes on leaves the basis.
+        If a mirror or gloss is coloured, because the light that it reflects is not in the span of the basis.
     """
     if not is_grey(objects):
         raise ValueError(
@@ -251,17 +253,18 @@ def coefficient_channels(
 def exact_representation(
     objects: Objects, light: Light, lamps: int, ambient: bool, baked: np.ndarray | None = None
 ) -> tuple[str, int, str]:
-    """Return the cheapest representation whose XYZ are those of the 61 bands within rounding.
+    """Return the representation with the least work whose XYZ equal those of the 61 bands within rounding.
 
-    ``baked`` is the basis of the scene's light maps, (61, k), of which the products carry all but a thousandth.
+    ``baked`` is the basis of the scene's light maps, (61, k), of which a thousandth may be neglected.
 
     Returns
     -------
     representation : str
         ``coefficients`` or ``spectral``.
     reflected : int
-        Vectors for the light that objects throw on each other, all that it needs.
+        Number of further basis vectors that the light reflected between objects needs.
     why : str
+        Reason, for the log.
     """
     if not is_grey(objects):
         return "spectral", 0, "gloss or a mirror has a refractive index that varies with the wavelength"
@@ -277,7 +280,7 @@ def exact_representation(
 
 
 def is_grey(objects: Objects) -> bool:
-    """Return whether no gloss and no mirror of the scene has a colour of its own."""
+    """Return whether all gloss and all mirrors of the scene are grey: n + ik is the same for all wavelengths."""
     shines = objects.mirror > 0
     for i, texels in enumerate(textures(objects)):
         shines[i] |= any(beta.any() for beta, _ in gloss_of(objects, texels))

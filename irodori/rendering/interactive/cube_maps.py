@@ -1,10 +1,10 @@
 """Cube maps of pictures over the sphere, smooth across the edges.
 
-Each face is the gnomonic picture of its side, stored with a border of one texel that continues it beyond the edges, so
-that bilinear look-up needs no case and errs with the square of a texel everywhere. (Between texels on either side of a
-fold, an octahedral map errs with the texel itself: 0.8 % with 128 of them.) Faces follow each other as +x, -x, +y, -y,
-+z, -z; on that of an axis the two others are read in cyclic order. Maps are flat: with ``stride = side + 2``, texel
-(row, column) of a face and channel c stands at
+Each face is the gnomonic projection of its side, stored with a border of one texel that continues it beyond the edges.
+Bilinear look-up therefore needs no special case at edges, and its error is of second order in the texel size
+everywhere. (At the folds of an octahedral map, the error is of first order: 0.8 % for a side of 128.) Faces are in the
+order +x, -x, +y, -y, +z, -z; the coordinates on a face are the two other axes in cyclic order. Maps are flat arrays:
+with ``stride = side + 2``, channel c of texel (row, column) of a face has the index
 ``first + ((face * stride + row + 1) * stride + column + 1) * channels + c``.
 """
 
@@ -23,12 +23,12 @@ from irodori.light.equirectangular import direction_uv, look_up
 
 FACES = 6
 _COARSEST_SIDE = 4
-#: Points along each side of a texel of an environment, and rows of it that are made at a time.
+#: Samples along each side of a texel of an environment, and rows of texels that are computed at a time.
 _PARTS, _ROWS = 3, 64
 
 
 def _on_face(face: int, u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Return the unit vectors at places (...) of a face, (..., 3)."""
+    """Return the unit vectors (..., 3) at coordinates u, v (...) on a face."""
     axis, sign = face // 2, 1.0 - 2.0 * (face % 2)
     unit = np.empty((*u.shape, 3))
     unit[..., axis], unit[..., (axis + 1) % 3], unit[..., (axis + 2) % 3] = sign, u, v
@@ -36,7 +36,7 @@ def _on_face(face: int, u: np.ndarray, v: np.ndarray) -> np.ndarray:
 
 
 def _on_faces(u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Return the unit vectors at places (...) of all faces, (6, ..., 3)."""
+    """Return the unit vectors (6, ..., 3) at coordinates u, v (...) on all faces."""
     return np.stack([_on_face(face, u, v) for face in range(FACES)])
 
 
@@ -47,21 +47,21 @@ def _texel_places(side: int, border: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def face_directions(face: int, side: int, border: int = 0) -> np.ndarray:
-    """Return the unit vectors of a face's texels' centres, borders included, (side, side, 3) float64."""
+    """Return the unit vectors at the centres of a face's texels, border included, (s, s, 3), s = side + 2 border."""
     return _on_face(face, *_texel_places(side, border))
 
 
 def places_of(unit: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the faces of directions (..., 3) and their places u, v on them, -1..1."""
+    """Return the faces that directions (..., 3) hit, and the coordinates u, v on them, -1..1."""
     axis = np.argmax(np.abs(unit), axis=-1)
     main, a, b = (np.take_along_axis(unit, ((axis + i) % 3)[..., None], axis=-1)[..., 0] for i in range(3))
     return 2 * axis + (main < 0), a / np.abs(main), b / np.abs(main)
 
 
 def look_up_cube(stored: np.ndarray, unit: np.ndarray, reach: float = 0.5) -> np.ndarray:
-    """Return a stored map, (6, side + 2, side + 2, k), bilinearly in directions (..., 3), as (..., k).
+    """Interpolate a stored map, (6, side + 2, side + 2, k), bilinearly in directions (..., 3); returns (..., k).
 
-    ``reach`` is how far beyond the outermost texels' centres places may lie, in texels: 0 uses no border.
+    Coordinates are limited to ``reach`` texels beyond the outermost texel centres; with 0 the border is not used.
     """
     side = stored.shape[1] - 2
     face, u, v = places_of(unit)
@@ -73,12 +73,12 @@ def look_up_cube(stored: np.ndarray, unit: np.ndarray, reach: float = 0.5) -> np
 
 
 def fill_borders(stored: np.ndarray) -> None:
-    """Fill the borders of a map, (6, side + 2, side + 2, k) of any float, from what the other faces show there."""
+    """Fill the borders of a map, (6, side + 2, side + 2, k) float of any precision, from the adjoining faces."""
     edge = np.ones(stored.shape[1:3], dtype=bool)
     edge[1:-1, 1:-1] = False
     u, v = _texel_places(stored.shape[1] - 2, 1)
     stored[:, edge] = look_up_cube(stored, _on_faces(u[edge], v[edge]), reach=0.0)
-    # A corner lies between the outermost texels of the two other faces.
+    # A corner is the mean of the outermost texels of the two adjoining faces.
     corners = _on_faces(u[:: len(u) - 1, :: len(u) - 1], v[:: len(u) - 1, :: len(u) - 1])
     for face, row, column in itertools.product(range(FACES), (0, 1), (0, 1)):
         sides = np.repeat(corners[face, row, column][None], 2, axis=0)
@@ -89,9 +89,9 @@ def fill_borders(stored: np.ndarray) -> None:
 
 
 def from_equirectangular(picture: np.ndarray, side: int) -> Iterator[np.ndarray]:
-    """Yield the faces of an equirectangular picture, (h, w, k), looked up at a map's texels.
+    """Resample an equirectangular picture, (h, w, k), to a cube map; yield its faces, (side + 2, side + 2, k) float64.
 
-    Each is (side + 2, side + 2, k) float64. Of a fine map all faces together would take several times its memory.
+    Faces are yielded one by one because all together would need several times the memory of a fine map.
     """
     picture = np.ascontiguousarray(picture, dtype=np.float32)
     for face in range(FACES):
@@ -102,7 +102,7 @@ def from_equirectangular(picture: np.ndarray, side: int) -> Iterator[np.ndarray]
 
 
 class CubePyramid(NamedTuple):
-    """A map and its halvings, finest first."""
+    """A cube map and its levels of half the side each, finest first."""
 
     texels: np.ndarray  # flat; uint16 holds half-precision floats
     first: np.ndarray  # (levels,) int64, of numbers
@@ -126,7 +126,7 @@ def _add_pixel(pixels, index, weight, out):
 
 @njit(cache=True)
 def _fill_row(picture, face, row, out, total):
-    """Fill a row of texels, (side, k), with the means of the bilinear picture at even points of the face."""
+    """Fill a row of a face's texels, (side, k), with means of the interpolated picture over a grid in each texel."""
     pixels, height, width = picture
     side, sign = out.shape[0], 1.0 - 2.0 * (face % 2)
     for column in range(side):
@@ -137,7 +137,7 @@ def _fill_row(picture, face, row, out, total):
             axis = face // 2
             x, y, z = (sign, a, b) if axis == 0 else ((b, sign, a) if axis == 1 else (a, b, sign))
             u, v = direction_uv(x, y, z / np.sqrt(x * x + y * y + z * z))
-            # A texel spans several pixels at the poles: there the row itself stands for what lies beyond it.
+            # Beyond the first and last row, at the poles, the row itself is used.
             left, upper = u * width - 0.5, min(max(v * height - 0.5, 0.0), height - 1.0)
             i, first = int(upper), int(np.floor(left))
             fx, fy, j = left - first, upper - i, min(i + 1, height - 1)
@@ -157,7 +157,7 @@ def _fill_rows(picture, face, first, out):
 
 
 def give_back(array: np.ndarray) -> None:
-    """Give up the memory of an array's file where it is mapped from one; its pages come back when they are read."""
+    """Release the memory of an array that is mapped from a file; its pages are read again when used."""
     base: np.ndarray | None = array
     while isinstance(base, np.ndarray) and not isinstance(base, np.memmap):
         base = base.base
@@ -168,24 +168,24 @@ def give_back(array: np.ndarray) -> None:
 
 
 def environment_side(height: int) -> int:
-    """Return the side of a cube whose texels have the mean solid angle of an equirectangular picture's at its equator.
+    """Return the side of a cube map whose texels have on average the solid angle of an equirectangular equator pixel.
 
-    4 pi / (6 side²) is (pi / height)²; the side halves often.
+    4 π / (6 side²) = (π / height)², rounded up to a multiple of 64, so that the side can be halved several times.
     """
     return max(int(np.ceil(height * np.sqrt(2.0 / (3.0 * np.pi)) / 64.0)) * 64, 64)
 
 
 def environment_pyramid(picture: np.ndarray, stored_from_light: np.ndarray, channels: int, half: bool) -> CubePyramid:
-    """Return an environment as a cube of about its resolution, with its halvings.
+    """Return an environment as a cube map of about the same resolution, with its levels of half the side each.
 
     Parameters
     ----------
     picture : (height, width, k) float32 or float16
-        Radiance, equirectangular; without rows for a map without levels, which nothing may be looked up in.
+        Radiance, equirectangular; a picture without rows gives a map without levels, in which nothing may be looked up.
     stored_from_light : (s, k) float
-        What is stored of it.
+        Matrix from the coefficients of the radiance to the stored numbers.
     channels : int
-        Numbers a texel, s or more; the others are zero.
+        Numbers per texel, at least s; the rest are zero.
     half : bool
         Whether to store half-precision floats, each channel divided by a power of two so that none overflows.
     """
@@ -228,7 +228,7 @@ def environment_pyramid(picture: np.ndarray, stored_from_light: np.ndarray, chan
 
 @uncounted(forceinline=True)
 def face_of(x, y, z):
-    """Return faces, as float, and places on them, -1..1, of directions of any length; vectors of rays."""
+    """Return the faces, as float, that directions of any length hit, and coordinates on them, -1..1; lane vectors."""
     ax, ay, az = magnitude(x), magnitude(y), magnitude(z)
     along_x = (ax >= ay) & (ax >= az)
     along_y = ay >= az
@@ -242,11 +242,11 @@ def face_of(x, y, z):
 
 @uncounted(forceinline=True)
 def cell_of(face, u, v, side):
-    """Return where the four texels about places begin (their number), and the ways to the next.
+    """Return the index of the upper left of the four texels around each point, and the fractions to the next ones.
 
-    ``side`` is a vector of float, whole numbers.
+    ``side`` is a vector of integers as float.
     """
-    # A place that is not a number becomes the first texel: what is looked up there is never used.
+    # NaN becomes the first texel; values that are looked up there are never used.
     x = lower_of(upper_of((u + 1.0) * (side * 0.5) + 0.5, 0.0), side + 0.5)
     y = lower_of(upper_of((v + 1.0) * (side * 0.5) + 0.5, 0.0), side + 0.5)
     column, row, stride = truncated(x), truncated(y), truncated(side + 2.0)
@@ -255,32 +255,32 @@ def cell_of(face, u, v, side):
 
 
 class MapPlace(NamedTuple):
-    """A place in a flat map."""
+    """A point in a flat map, for bilinear interpolation."""
 
-    cell: int | np.integer  # number of the upper left of the four texels about it
-    x: float | np.floating  # the ways to the next column and the next row, 0..1
+    cell: int | np.integer  # index of the upper left of the four texels around it
+    x: float | np.floating  # fractions of the way to the next column and the next row, 0..1
     y: float | np.floating
 
 
 @uncounted(forceinline=True)
 def bilinear(texels, first, stride, place, like):
-    """Return the bilinear value at a place of a flat map.
+    """Interpolate a flat map bilinearly.
 
     Parameters
     ----------
     texels : flat array
     first : int
-        Number at which the map begins.
+        Index of the map's first number.
     stride : int
-        Texels a stored row.
+        Texels per stored row.
     place : MapPlace
     like : vector
-        As many channels as the map has.
+        Vector with as many lanes as the map has channels.
     """
     width, fx, fy = channel_count(like), place.x, place.y
     a = first + place.cell * width
     b = a + stride * width
-    # Weights, not differences: what is not negative stays so, beside a sun too.
+    # Sums with weights instead of differences: non-negative values stay non-negative, also next to a sun.
     left, upper = 1.0 - fx, 1.0 - fy
     top = left * load_like(texels, a, like) + fx * load_like(texels, a + width, like)
     bottom = left * load_like(texels, b, like) + fx * load_like(texels, b + width, like)

@@ -43,9 +43,9 @@ from irodori.rendering.scene_arrays import Light, Objects, View
 from irodori.rendering.view_cameras import ORTHOGRAPHIC
 from irodori.spectra.grid import SAMPLES
 
-#: Rays of a packet are near each other.
+#: Flag for Embree: the rays of a packet are coherent.
 _COHERENT = 1 << 16
-#: Reflections whose hits are kept while only the light moves; later ones are traced again.
+#: Number of reflections whose hits are kept while only the light moves; later ones are traced again.
 _KEPT_REFLECTIONS = 2
 _NO_LAMPS = np.zeros((0, SAMPLES))
 
@@ -57,9 +57,9 @@ class CollimatedLamp:
     Parameters
     ----------
     direction : (3,) float
-        From the scene towards the lamp, of any length.
+        Direction from the scene towards the lamp, of any length.
     strength : float
-        Factor on the spectral irradiance that `prepare_scene` was given.
+        Factor on the lamp's spectral irradiance in `prepare_scene`.
     """
 
     direction: np.ndarray
@@ -68,16 +68,16 @@ class CollimatedLamp:
 
 @dataclass
 class Prepared:
-    """A scene that `render_frame` renders; made by `prepare_scene`.
+    """A scene prepared for `render_frame`; made by `prepare_scene`.
 
     Attributes
     ----------
     representation : str
     quadrature : Quadrature or None
     lamps : int
-        How many collimated lights its frames have.
+        Number of collimated lights in its frames.
     world, layout, limits
-        For the kernel.
+        Data of the scene in the form of the rendering kernel.
     """
 
     representation: str
@@ -91,7 +91,7 @@ class Prepared:
     _kept: np.ndarray = field(default_factory=lambda: np.zeros((1, 0), np.float32))
 
     def forget(self) -> None:
-        """Give up the visibility that is kept from frame to frame, and its memory."""
+        """Discard the hits that are kept between frames, and free their memory."""
         self._seen, self._kept = None, np.zeros((1, 0), np.float32)
 
 
@@ -133,39 +133,39 @@ def prepare_scene(
     objects : Objects
         Object i is shape i of the tracer.
     light : Light
-        Of which the finest level and the irradiance are used; see `light_of`.
+        Environment, of which the finest level and the irradiance are used; see `light_of`.
     gloss : GlossMaps
-        The same light blurred.
+        Blurred maps of the same environment.
     tracer : Tracer
     representation : str
         ``spectral``, ``coefficients``, ``quadrature`` or ``rgb``, see `irodori.rendering.interactive.channels`.
     white : (61,) float
-        Radiance that gets Y = 100.
+        Radiance with Y = 100 in the returned XYZ.
     lamps : (n, 61) float
         Spectral irradiance of each collimated light, measured normal to its beam; a perfect diffuser that it lights at
         normal incidence has the radiance E / π.
     max_bounces : int
-        Mirror reflections to follow.
+        Number of mirror reflections to follow.
     least_throughput : float
-        Under which a path ends.
+        Throughput below which a path ends.
     ambient : bool
-        Whether shapes hide light from all sides from each other, and meshes from themselves, see
-        `irodori.rendering.interactive.ambient`. In a scene with meshes rays are cast for it, once for the same shapes
-        in the same places.
+        Whether shapes occlude ambient light from each other, and meshes also from themselves, see
+        `irodori.rendering.interactive.ambient`. In a scene with meshes this needs rays, which are cast once for the
+        same shapes in the same places.
     quadrature : Quadrature, optional
-        For the representation of that name; solved for the scene where absent.
+        For the representation of that name; solved for the scene by default.
     reflected : int
-        Vectors, at most, on which ``coefficients`` carry the light that objects throw on each other.
+        Largest number of basis vectors with which ``coefficients`` represents light reflected between objects.
     spare_texels : int
-        Room beside the objects' texels, for a caller that tries other textures.
+        Additional memory for texels, for a caller that tries other textures.
     maps : LightMaps, optional
-        Baked light that falls on the objects, in place of irradiance and ``ambient``. They are of this environment as
-        it is not turned, and of the objects where the tracer has them.
+        Baked light on the objects, used instead of irradiance and ``ambient``. They must be baked for this environment
+        without rotation and for the objects' places in the tracer.
 
     Raises
     ------
     ValueError
-        For an unknown representation; for ``coefficients`` where gloss or a mirror is coloured.
+        For an unknown representation, or ``coefficients`` with coloured gloss or a coloured mirror.
     """
     if representation not in REPRESENTATIONS:
         raise ValueError(f"unknown representation {representation!r}; accepted: {', '.join(REPRESENTATIONS)}")
@@ -193,7 +193,7 @@ def prepare_scene(
 
 
 def _further(objects: Objects, light: Light, ambient: bool, most: int, maps: LightMaps | None) -> np.ndarray:
-    """Return the vectors beside the light's basis that light takes which objects throw on each other, (61, m)."""
+    """Return vectors that extend the light's basis to light maps and to light reflected between objects, (61, m)."""
     basis = light.basis.T
     if maps is None:
         return reflected_basis(objects, basis, most) if ambient else np.zeros((SAMPLES, 0))
@@ -229,7 +229,7 @@ def _single(values) -> np.ndarray:
 
 
 def refuse_lens(view: View) -> None:
-    """Refuse a view through a lens: its places would have to be sampled.
+    """Raise an error for a view with a lens, because its aperture would have to be sampled.
 
     Raises
     ------
@@ -243,7 +243,7 @@ def refuse_lens(view: View) -> None:
 
 
 def frame_of(prepared: Prepared, view: View, world_from_light, lamps) -> FrameView:
-    """Return what the kernel reads of a frame; parameters and errors are those of `render_frame`."""
+    """Return view, light rotation and lamps of a frame for the kernel; parameters and errors as in `render_frame`."""
     rotation = np.eye(3) if world_from_light is None else np.asarray(world_from_light, dtype=np.float64)
     if len(lamps) != prepared.lamps:
         raise ValueError(f"{len(lamps)} lamps; accepted: the {prepared.lamps} that the scene was prepared for")
@@ -269,7 +269,7 @@ def frame_of(prepared: Prepared, view: View, world_from_light, lamps) -> FrameVi
 
 
 def _visibility(prepared: Prepared, view: View, keep: bool, tiles: int) -> PathLimits:
-    """Return the limits with what is to be done about hits, and make room for them."""
+    """Return the limits with the mode for kept hits (trace, store or recall), and allocate memory for them."""
     if not keep:
         return prepared.limits._replace(visibility=TRACED)
     seen = tuple(value.tobytes() if isinstance(value, np.ndarray) else value for value in view)
@@ -302,16 +302,17 @@ def render_frame(
     world_from_light : (3, 3) float, optional
         Rotation of the environment.
     lamps : tuple of Lamp
-        As many as the scene was prepared for.
+        Number of lamps as prepared.
     bands : bool
-        Whether to return the 61 bands; of the representation ``spectral`` only.
+        Whether to return the 61 bands; only for the representation ``spectral``.
     keep_visibility : bool
-        Keep what the rays met, and use it in frames of the same view. The picture is the same to the bit.
+        Whether to keep the hits of the rays and use them in later frames of the same view. The picture has the same
+        bits.
     figures : dict, optional
-        Filled with ``rays``, those that the shapes' bounds answer included; the ``hits`` among them, the ``glossy``
-        ones of these, and the ``misses``; and, if a scene was prepared by `profiled`, with the cycles of each stage,
-        all threads together.
-    out : optional
+        Filled with the number of ``rays``, including those decided by the shapes' bounds; of their ``hits``, ``glossy``
+        hits and ``misses``; and, for a scene from `profiled`, with the processor cycles of each stage, summed over all
+        threads.
+    out : array, optional
         Picture to fill.
 
     Returns
@@ -340,5 +341,5 @@ def render_frame(
 
 
 def profiled(prepared: Prepared) -> Prepared:
-    """Return the scene for frames that count the cycles of their stages."""
+    """Return a copy of the scene for frames that count the processor cycles of each stage."""
     return replace(prepared, layout=replace(prepared.layout, profiled=True), _seen=None)

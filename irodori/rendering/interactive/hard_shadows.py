@@ -16,7 +16,7 @@ _ORIGIN, _DIRECTION, _FAR = 0, 64, 128
 
 @uncounted(forceinline=True)
 def light_hits(world, frame, packet, hits, seen):
-    """Fill ``hits.lit`` with the cosine of each hit with each lamp, 0 where the hit looks away or is in shadow."""
+    """Fill ``hits.lit`` with the cosine of incidence of each lamp at each hit, 0 for hits facing away or in shadow."""
     f, i, hit = packet.f, packet.i, hits.f
     for lamp in range(frame.lamps):
         lx, ly, lz = (

@@ -1,4 +1,4 @@
-"""Light look-ups of a packet: sky radiance, and the four lobes of each hit in the blurred light."""
+"""Light look-ups of a packet of rays: sky radiance, and blurred light for the four lobes of each hit."""
 
 import numpy as np
 
@@ -36,7 +36,7 @@ LOOK_FIELDS, LOOK_NUMBERS = TAPS * _FIELDS, TAPS * _NUMBERS
 
 @uncounted(forceinline=True)
 def decoded(world, layout, light):
-    """Return stored light as a colour of the surface's lanes."""
+    """Return stored light as a colour, in the channels of a texel."""
     out = surface_black(layout)
     row = surface_lanes(layout)
     for channel in range(light_lanes(layout)):
@@ -46,7 +46,7 @@ def decoded(world, layout, light):
 
 @uncounted(forceinline=True)
 def logarithm(x):
-    """Return the binary logarithm of positive vectors within 0.01."""
+    """Return the binary logarithm of positive numbers in a lane vector, accurate to 0.01."""
     bits = bits_as_int(x)
     exponent = as_float((bits >> 23) - 127)
     mantissa = bits_as_float((bits & 0x007FFFFF) | 0x3F800000)
@@ -55,7 +55,7 @@ def logarithm(x):
 
 @uncounted(forceinline=True)
 def find_sky(world, frame, paths, base, hits):
-    """Fill where the directions of the paths from ``base`` on are looked up, at the two levels about their cones."""
+    """Compute where sixteen paths from ``base`` on look up the sky, in the two levels nearest to their cones' width."""
     dx, dy, dz = (
         load(paths.f, DIRECTION * STRIDE + base, 16),
         load(paths.f, (DIRECTION + 1) * STRIDE + base, 16),
@@ -81,7 +81,7 @@ def find_sky(world, frame, paths, base, hits):
 
 @uncounted(forceinline=True)
 def _place(hits, ray, number):
-    """Return where one ray's look-up of a number is: of a tap, or of one of the sky's two levels."""
+    """Return the map point of one ray's look-up ``number``: the number of a lobe, or of one of the sky's two levels."""
     cell = np.int64(hits.look_i[(number * _NUMBERS + _CELL) * RAYS + ray])
     look, at = hits.look, number * _FIELDS
     return MapPlace(cell, look[(at + _X) * RAYS + ray], look[(at + _Y) * RAYS + ray])
@@ -89,7 +89,7 @@ def _place(hits, ray, number):
 
 @uncounted(forceinline=True)
 def sky_at(world, layout, hits, ray):
-    """Return the stored light that one ray of the packet meets."""
+    """Return the sky's light, in stored form, for one ray of the packet."""
     like = light_black(layout)
     level = hits.look_i[_LEVEL * RAYS + ray]
     first, stride = world.environment_first[level], world.environment_side[level] + 2
@@ -104,7 +104,7 @@ def sky_at(world, layout, hits, ray):
 
 @uncounted(forceinline=True)
 def find_lobes(world, layout, hits, entries):
-    """Fill where a row of lobes of a packet's hits is looked up, from their entries of the table."""
+    """Compute where the four lobes of a row are looked up for a packet's hits, from their table entries."""
     hit, look, number = hits.f, hits.look, hits.look_i
     cosine = load(hit, COSINE * RAYS, 16)
     nx, ny, nz = (
@@ -147,7 +147,7 @@ def find_lobes(world, layout, hits, entries):
 
 @uncounted(forceinline=True)
 def lobe_at(world, layout, hits, ray, tap):
-    """Return the blurred light of one lobe of one hit, as it is stored, without its weight."""
+    """Return the blurred light for one lobe of one hit, in stored form, without the lobe's weight."""
     level = hits.look_i[_LEVEL * RAYS + ray]
     first, stride = world.gloss_first[level], world.gloss_side[level] + 2
     found = bilinear(world.gloss, first, stride, _place(hits, ray, tap), pair_black(layout))

@@ -1,13 +1,13 @@
-"""Ambient occlusion by triangle meshes: rays traced at preparation, a look-up at each hit.
+"""Ambient occlusion by triangle meshes: rays are traced when the scene is prepared, results are looked up at each hit.
 
-At every node of every shape (`irodori.geometry.shapes.shadow_nodes`) cosine-distributed rays say which share of
-the directions that no other kind of shape hides the meshes leave free, and which share meets the front of each mesh
-first, with the mean of the normals there. The closed forms of the shapes (`irodori.geometry.shapes`) go on hiding for
-spheres and flat shapes, so their shadows keep their edges; where a mesh and one of them hide the same directions these
-count once. A mesh hides light from itself too.
+From every node of every shape (`irodori.geometry.shapes.shadow_nodes`), cosine-distributed rays are traced. They give
+the share of directions that meshes leave free, among those that no other kind of shape hides, and the share that hits
+the front of each mesh first, with the mean normal there. Spheres and flat shapes keep their closed formulas
+(`irodori.geometry.shapes`), so that their shadows have exact edges; directions that both a mesh and such a shape hide
+count once. A mesh also hides light from itself.
 
-Objects never move, so the rays are cast once: `make_mesh_shadows` keeps what it found last for the next scene of the
-same shapes in the same places. All of it is deterministic, whatever the number of threads.
+Objects do not move, so that the rays are traced once: `make_mesh_shadows` keeps its last result for the next scene with
+the same shapes in the same places. The results do not depend on the number of threads.
 """
 
 from typing import NamedTuple
@@ -20,48 +20,48 @@ from irodori.geometry.shapes.shadow_nodes import GRID, Nodes
 from irodori.jit.chunks import run_chunks
 from irodori.jit.compilation import njit
 
-#: Rays of a node, a power of two; the least of them, where a scene has more nodes than `_FULL_NODES`.
+#: Rays per node, a power of two; the least number, in scenes with many more nodes than `_FULL_NODES`.
 RAYS_PER_NODE, _LEAST_RAYS, _FULL_NODES = 512, 64, 1 << 18
-#: Meshes whose reflected light a shape keeps apart: those that may hide most from it. What others hide counts as well,
-#: and sends back what the last of these would there.
+#: Number of meshes whose reflected light is kept separately for each shape: those that may hide most from it. Occlusion
+#: by other meshes counts too; their reflected light is taken to be that of the last of these.
 MOST_MESHES = 4
-#: A node from which this share of rays meets meshes from behind, or spheres from inside, lies within them.
+#: A node is inside a mesh or a sphere if this share of its rays hits surfaces from behind.
 _ENCLOSED = 0.9
-#: Directions of the hemisphere that lie under a surface of another normal are lifted so far above it.
+#: Directions above the shading normal's horizon but below the facet are lifted to this height above the facet.
 _LIFT = 1e-3
-#: Numbers of a node: what meshes leave of the directions that no other shape hides, what they leave to see of other
-#: shapes, the share of all directions in which they are met first; then of each mesh the share that meets its front
-#: and that share's sum of normals.
+#: Values of a node: share that meshes leave free of the directions that no other shape hides; share that they leave
+#: visible of other shapes; share of all directions in which they are hit first; then for each mesh the share that hits
+#: its front, and the sum of normals over that share.
 LEFT, UNCOVERED, HIDDEN, LAYERS, LAYER = 0, 1, 2, 3, 4
-#: Whole numbers of a shape: numbers a node (0 where meshes hide nothing from it), where its values begin, how many
-#: meshes it sees, and which.
+#: Integers of a shape: values per node (0 if meshes hide nothing from it), index of its first value, number of meshes
+#: that are kept separately, and their indices.
 STRIDE, FIRST, COUNT, SEEN, SHAPE_NUMBERS = 0, 1, 2, 3, 3 + MOST_MESHES
 _CHUNK = 256
 
 
 class MeshShadows(NamedTuple):
-    """Shadows of the meshes as the kernel reads them, flat."""
+    """Ambient occlusion by meshes as flat arrays for the kernel."""
 
     numbers: np.ndarray  # (objects * SHAPE_NUMBERS,) int64
     grid: np.ndarray  # (objects * GRID,) float64
     first_corner: np.ndarray  # (triangles,) int64, of all meshes
     parts: np.ndarray  # (triangles,) int32
-    corners: np.ndarray  # places' nodes, int32
+    corners: np.ndarray  # int32, nodes at the points of the triangles' grids
     values: np.ndarray  # float32
 
 
 def no_mesh_shadows() -> MeshShadows:
-    """Return what stands for the shadows of a scene without any."""
+    """Return the `MeshShadows` of a scene without meshes."""
     kinds = (np.int64, np.float64, np.int64, np.int32, np.int32, np.float32)
     return MeshShadows(*(np.zeros(1, kind) for kind in kinds))
 
 
 class Bounds(NamedTuple):
-    """Spheres about the meshes, for compiled loops."""
+    """Bounding spheres of the meshes, for compiled loops."""
 
     centre: np.ndarray  # (shapes, 3), mm
-    radius: np.ndarray  # (shapes,), mm; 0 of what hides by no rays
-    is_cast: np.ndarray  # (shapes,) bool, whether what the shape hides is found by these rays
+    radius: np.ndarray  # (shapes,), mm; 0 for shapes with a closed formula
+    is_cast: np.ndarray  # (shapes,) bool, whether the shape's occlusion is found by rays
     has_inside: np.ndarray  # (shapes,) bool
 
 
@@ -81,7 +81,7 @@ def _bounds(placements: tuple[Placement, ...]) -> Bounds:
 
 
 def _strongest(nodes: Nodes, bounds: Bounds) -> np.ndarray:
-    """Return the meshes whose bounds hide most from nodes on average, strongest first, at most `MOST_MESHES`."""
+    """Return up to `MOST_MESHES` meshes whose bounding spheres hide most from nodes on average, strongest first."""
     meshes = np.flatnonzero(bounds.is_cast)
     step = max(len(nodes.origin) // 1024, 1)
     hidden = np.zeros(len(meshes))
@@ -89,14 +89,14 @@ def _strongest(nodes: Nodes, bounds: Bounds) -> np.ndarray:
         away = bounds.centre[mesh] - nodes.origin[::step]
         square = (away**2).sum(axis=1)
         share = np.minimum(bounds.radius[mesh] ** 2 / np.maximum(square, 1e-300), 1.0)
-        # What lies under the horizon, as under the plate that others stand on, hides nothing.
+        # A mesh below the horizon, such as the plate on which other objects stand, hides nothing.
         rises = (away * nodes.normal[::step]).sum(axis=1) > -bounds.radius[mesh]
         hidden[place] = np.mean(share * rises)
     return meshes[np.argsort(-hidden, kind="stable")[:MOST_MESHES]]
 
 
 def _points(count: int) -> np.ndarray:
-    """Return the points of Hammersley in the unit square, (count, 2)."""
+    """Return Hammersley points in the unit square, (count, 2)."""
     number, mirrored, digit = np.arange(count), np.zeros(count), 0.5
     while number.any():
         mirrored += digit * (number & 1)
@@ -106,7 +106,7 @@ def _points(count: int) -> np.ndarray:
 
 @njit(cache=True, error_model="numpy")
 def _may_see(bounds, origin, normal):
-    """Return whether the bound of any mesh stands above a node's horizon."""
+    """Return whether the bounding sphere of any mesh rises above a node's horizon."""
     for mesh in range(bounds.radius.size):
         radius = bounds.radius[mesh]
         if radius <= 0.0:
@@ -123,7 +123,7 @@ def _may_see(bounds, origin, normal):
 
 @njit(cache=True, error_model="numpy")
 def _direction(normal, facet, tangent, bitangent, u, v):
-    """Return the direction of a point of the unit square, cosine-distributed about a normal, above the surface."""
+    """Map a point of the unit square to a direction, cosine-distributed around a normal and above the facet."""
     around, far = 2.0 * np.pi * v, np.sqrt(u)
     a, b, c = far * np.cos(around), far * np.sin(around), np.sqrt(max(1.0 - u, 0.0))
     x = a * tangent[0] + b * bitangent[0] + c * normal[0]
@@ -149,7 +149,7 @@ def _tangents(normal):
 
 
 class _Rays(NamedTuple):
-    """Addresses for Embree, and the scene without its meshes."""
+    """Addresses of Embree's functions, of the scene, and of the scene without its meshes."""
 
     intersect: int
     occluded: int
@@ -158,17 +158,17 @@ class _Rays(NamedTuple):
 
 
 class _Casting(NamedTuple):
-    """Scene at which rays are cast from a shape's nodes, and the rays' directions."""
+    """Scene into which rays are traced from the nodes of one shape, and sample points for their directions."""
 
     rays: _Rays
     bounds: Bounds
-    layer_of: np.ndarray  # (shapes,) int64, of those whose meeting is counted
-    points: np.ndarray  # (n, 2) of the unit square, a direction each
+    layer_of: np.ndarray  # (shapes,) int64, number of the mesh among those that are kept separately
+    points: np.ndarray  # (n, 2) in the unit square, one for each direction
 
 
 @njit(cache=True, error_model="numpy")
 def _add_ray(casting, ray, origin, direction, values, node):
-    """Add a ray to the sums of a node; return whether others leave it free, and whether it meets something's inside."""
+    """Add a traced ray to a node's sums; return whether no other shape hides it, and whether it hits an inside."""
     rays, bounds = casting.rays, casting.bounds
     trace(rays.intersect, rays.scene, ray, origin, direction, np.inf)
     shape = hit_shape(ray)
@@ -194,9 +194,9 @@ def _add_ray(casting, ray, origin, direction, values, node):
 
 @njit(cache=True, error_model="numpy")
 def _cast(casting, ray, nodes, number, values):
-    """Fill the values of a node; return whether it lies in the open.
+    """Compute the values of a node by rays; return whether it lies in the open, not inside or behind a surface.
 
-    ``nodes`` are origin, normal, facet and probe of all, (n, 3) each.
+    ``nodes`` has origin, normal, facet and probe of all nodes, (n, 3) each.
     """
     points = casting.points
     origin = (nodes[0][number, 0], nodes[0][number, 1], nodes[0][number, 2])
@@ -206,7 +206,7 @@ def _cast(casting, ray, nodes, number, values):
         values[number, LEFT] = values[number, UNCOVERED] = 1.0
         return True
     tangent, bitangent = _tangents(normal)
-    # Every node turns the points in its own way (Roberts' sequence): what is left of the error is noise, not steps.
+    # Every node shifts the points differently (Roberts' sequence), so that errors appear as noise and not as steps.
     shift_u, shift_v = (number * 0.7548776662466927) % 1.0, (number * 0.5698402909980532) % 1.0
     free = inside = 0
     for sample in range(points.shape[0]):
@@ -225,7 +225,7 @@ def _cast(casting, ray, nodes, number, values):
 
 @njit(cache=True, error_model="numpy")
 def _is_cut_off(rays, ray, probe, number, origin):
-    """Return whether something stands between a node and its probe."""
+    """Return whether a surface lies between a node and its probe point."""
     way = (probe[number, 0] - origin[0], probe[number, 1] - origin[1], probe[number, 2] - origin[2])
     length = np.sqrt(way[0] * way[0] + way[1] * way[1] + way[2] * way[2])
     if length <= 0.0:
@@ -243,7 +243,7 @@ def _cast_some(casting, nodes, values, is_open, first, last):
 
 
 def _extended(values: np.ndarray, is_open: np.ndarray, cells: np.ndarray) -> None:
-    """Give nodes that are not in the open the mean of the open ones that they are interpolated with, where any are."""
+    """Replace the values of nodes that are not in the open by the mean of open nodes in the same cells, if any."""
     opens = is_open[cells]
     mixed = opens.any(axis=1) & ~opens.all(axis=1)
     cells, opens = cells[mixed], opens[mixed]
@@ -258,7 +258,7 @@ def _extended(values: np.ndarray, is_open: np.ndarray, cells: np.ndarray) -> Non
 
 
 def _values(nodes: Nodes, rays: _Rays, bounds: Bounds, layers: np.ndarray, count: int) -> np.ndarray:
-    """Return the numbers of a shape's nodes, (n, LAYERS + LAYER * layers) float32."""
+    """Return the occlusion values of a shape's nodes, (n, LAYERS + LAYER * layers) float32."""
     layer_of = np.full(len(bounds.is_cast), len(layers) - 1, dtype=np.int64)
     layer_of[layers] = np.arange(len(layers))
     values = np.zeros((len(nodes.origin), LAYERS + LAYER * len(layers)), dtype=np.float32)
@@ -274,9 +274,9 @@ _found: list = []
 
 
 def make_mesh_shadows(tracer: Tracer) -> MeshShadows | None:
-    """Return the shadows of a scene's meshes, None where it has none that hides anything.
+    """Return the ambient occlusion by a scene's meshes, or None if no mesh hides light.
 
-    What was found last is kept and given again for the same shapes in the same places.
+    The last result is kept and returned again for the same shapes in the same places.
     """
     key = [(p.shape, p.rotation.tobytes(), p.translation_mm.tobytes(), p.scale) for p in tracer.placements]
     if not _found or _found[0] != key:

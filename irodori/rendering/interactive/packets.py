@@ -1,4 +1,4 @@
-"""Packets of sixteen rays: tracing by formulas and Embree, then points, normals and look-up places of the hits."""
+"""Packets of sixteen rays: tracing by formulas and Embree, then points, normals and texture coordinates of hits."""
 
 from typing import NamedTuple
 
@@ -18,9 +18,9 @@ from irodori.rendering.interactive.cube_maps import cell_of, face_of
 RAYS = 16
 TILE = 16  # pixels along a side
 PATHS = TILE * TILE
-#: A hit's points rise this part of their coordinates above the surface: 32 steps of single precision.
+#: Height, relative to the coordinates, by which points of hits are raised above the surface: 32 float32 steps.
 _RISE = 2.0**-18
-#: A curved shape seen at less than this cosine, rounding has turned from the viewer.
+#: Least cosine of a curved shape at a hit: rounding at the outline may make it slightly negative.
 _OUTLINE = -1e-3
 # RTCRayHit16 as 32-bit words, each field sixteen wide.
 _ORIGIN, _NEAR, _DIRECTION, _TIME, _FAR, _MASK, _FLAGS, _U, _V, _PRIMITIVE, _GEOMETRY, _WORDS = (
@@ -41,7 +41,7 @@ _trace = c_function(types.void, types.uintp, types.uintp, types.uintp, types.uin
 
 
 class Packet(NamedTuple):
-    """A packet of rays as Embree lays it out, sixteen masks before it, and a single ray for `surface_at`."""
+    """A packet of rays in Embree's layout, preceded by sixteen masks, and a single ray for `surface_at`."""
 
     f: np.ndarray
     i: np.ndarray
@@ -54,10 +54,10 @@ class Packet(NamedTuple):
 
 
 class TilePaths(NamedTuple):
-    """Paths of a tile that go on; field f of path j is at ``f * STRIDE + j``."""
+    """Active paths of a tile; field f of path j is at ``f * STRIDE + j``."""
 
     f: np.ndarray
-    slot: np.ndarray  # (STRIDE,) int32, which pixel of the tile
+    slot: np.ndarray  # (STRIDE,) int32, pixel of the tile
 
 
 STRIDE = PATHS + RAYS
@@ -71,17 +71,17 @@ LIT_NORMAL, LIT_MIRROR, NEXT, WIDTH = 20, 23, 26, 27
 SIZE = 29
 # The weights of a triangle's second and third corner.
 BARYCENTRIC_B, BARYCENTRIC_C, HIT_FIELDS = 28, 30, 31
-# Whole numbers of a packet's hits.
+# Integer fields of a packet's hits.
 OBJECT, TEXEL, NORMAL_CELL, TRIANGLE, HIT_NUMBERS = 0, 1, 2, 3, 4
 
 
-#: Numbers of float32 and of float64 that a packet takes.
+#: Number of float32 and of float64 in a packet.
 PACKET_SINGLES, PACKET_DOUBLES = _WORDS + RAYS + 32, 9
 
 
 @uncounted()
 def packet_in(singles, doubles):
-    """Return a packet in zeroed memory that begins with a line of the cache; its constant words are set."""
+    """Return a packet in zeroed memory, aligned to a cache line, with its constant words set."""
     i = singles.view(np.int32)
     for lane in range(RAYS):
         i[lane + RAYS + _MASK] = -1
@@ -96,7 +96,7 @@ def packet_in(singles, doubles):
 
 @uncounted(forceinline=True)
 def trace_packet(world, packet, paths, base, active):
-    """Let Embree meet those rays of the paths from ``base`` on that the mask ``active`` chooses."""
+    """Trace with Embree those of the sixteen rays from path ``base`` on that the mask ``active`` selects."""
     f, i = packet.f, packet.i
     for axis in range(3):
         store(f, RAYS + _ORIGIN + axis * RAYS, load(paths.f, (ORIGIN + axis) * STRIDE + base, 16))
@@ -109,17 +109,17 @@ def trace_packet(world, packet, paths, base, active):
 
 @uncounted(forceinline=True)
 def nearest_shapes(world, origin, direction):
-    """Return what rays meet by the formulas of shapes, and the mask of those that Embree has to decide.
+    """Intersect rays with the shapes that have formulas, and mark the rays that Embree has to trace.
 
     Returns
     -------
-    distance : vector of float, mm; infinite where nothing is met
-    shape : vector of int, `NO_HIT` where nothing is met
-    doubtful : mask of the rays that may meet a shape that has no formula
+    distance : vector of float, mm; infinite without a hit
+    shape : vector of int, `NO_HIT` without a hit
+    doubtful : mask of the rays that may hit a shape without a formula
     """
     ox, oy, oz = origin
     dx, dy, dz = direction
-    # Directions are of length 1 but for rounding, which would count where a centre is far.
+    # Directions have length 1 except for rounding, which matters if a centre is far away.
     scale = 1.0 / (dx * dx + dy * dy + dz * dz)
     nearest, met = spread(np.float32(np.inf), 16), spread(NO_HIT, 16)
     doubtful = scale < 0.0
@@ -140,7 +140,7 @@ def nearest_shapes(world, origin, direction):
 
 @uncounted(forceinline=True)
 def meet_by_formula(world, packet, paths, base, active):
-    """Fill what the rays of the paths from ``base`` on meet by formulas; return the mask of those left to Embree."""
+    """Intersect the rays from path ``base`` on by formulas; fill hits, return the mask of those left to Embree."""
     origin = (
         load(paths.f, ORIGIN * STRIDE + base, 16),
         load(paths.f, (ORIGIN + 1) * STRIDE + base, 16),
@@ -159,7 +159,7 @@ def meet_by_formula(world, packet, paths, base, active):
 
 @uncounted(forceinline=True)
 def keep_packet(packet, kept):
-    """Write what a packet met to the first `KEPT` numbers of ``kept``."""
+    """Write the hits of a packet to the first `KEPT` numbers of ``kept``."""
     store(kept, 0, load(packet.f, RAYS + _FAR, 16))
     store(kept, 16, load(packet.f, RAYS + _U, 16))
     store(kept, 32, load(packet.f, RAYS + _V, 16))
@@ -169,7 +169,7 @@ def keep_packet(packet, kept):
 
 @uncounted(forceinline=True)
 def recall_packet(packet, kept):
-    """Read what `keep_packet` wrote."""
+    """Read the hits of a packet that `keep_packet` wrote."""
     store(packet.f, RAYS + _FAR, load(kept, 0, 16))
     store(packet.f, RAYS + _U, load(kept, 16, 16))
     store(packet.f, RAYS + _V, load(kept, 32, 16))
@@ -179,7 +179,7 @@ def recall_packet(packet, kept):
 
 @uncounted(forceinline=True)
 def shapes_met(packet):
-    """Return the identifiers of the shapes that the rays met, `NO_HIT` where none."""
+    """Return the numbers of the shapes that the rays hit, `NO_HIT` for none."""
     return load(packet.i, RAYS + _GEOMETRY, 16)
 
 
@@ -191,7 +191,7 @@ def distances(packet):
 
 @uncounted(forceinline=True)
 def _onto_shapes(world, hit, shape, point):
-    """Move traced points onto their shapes; fill points, normals, and places in the textures."""
+    """Move hit points exactly onto their shapes; fill points, normals and texture coordinates."""
     table, at, (px, py, pz) = world.shape, shape * SHAPE, point
     cx, cy, cz = gather(table, at), gather(table, at + 1), gather(table, at + 2)
     radius, kind = gather(table, at + RADIUS), gather(table, at + KIND)
@@ -215,7 +215,7 @@ def _onto_shapes(world, hit, shape, point):
 
 @uncounted()
 def _onto_shape(world, packet, hits, lane, shape):
-    """Do for one ray what `_onto_shapes` does for those whose shapes have functions for lanes."""
+    """Move the hit point of one ray onto a shape without vector functions, as `_onto_shapes` does for the others."""
     hit, number = hits.f, hits.i
     ray, at = packet.ray, packet.ray.at
     ray.i[at + 17], ray.i[at + 18] = packet.i[RAYS + _PRIMITIVE + lane], shape
@@ -237,7 +237,7 @@ def _onto_shape(world, packet, hits, lane, shape):
 
 @uncounted(forceinline=True)
 def place_hits(world, scratch, base, met):
-    """Fill points, normals and texture places of the hits that the mask ``met`` chooses.
+    """Fill points, normals and texture coordinates of the hits that the mask ``met`` selects.
 
     Returns
     -------
@@ -263,15 +263,15 @@ def place_hits(world, scratch, base, met):
 
 @uncounted(forceinline=True)
 def turned(rotation, row, x, y, z):
-    """Return one coordinate of vectors turned by a flat (9,) matrix."""
+    """Return coordinate ``row`` of vectors rotated by a flat (9,) matrix."""
     return rotation[3 * row] * x + rotation[3 * row + 1] * y + rotation[3 * row + 2] * z
 
 
 @uncounted(forceinline=True)
 def prepare_hits(job, scratch, base, met, placed):
-    """Fill what shading looks up at the hits; return the mask of those seen from their front.
+    """Fill reflection directions, texels and look-up points of hits; return the mask of those seen from the front.
 
-    ``placed`` is what `place_hits` returned.
+    ``placed`` is the result of `place_hits`.
     """
     world, paths, hit, number = job.world, scratch.paths, scratch.hits.f, scratch.hits.i
     shape, kind, distance = placed
@@ -310,7 +310,7 @@ def prepare_hits(job, scratch, base, met, placed):
     store(hit, TEXEL_X * RAYS, x - as_float(column))
     store(hit, TEXEL_Y * RAYS, y - as_float(row))
     store(number, TEXEL * RAYS, row * (truncated(columns) + 2) + column)
-    # The light may be turned: what is looked up in it is turned back.
+    # The light may be rotated: directions are rotated back before they are looked up.
     turn = job.frame.light_from_world
     lx, ly, lz = turned(turn, 0, nx, ny, nz), turned(turn, 1, nx, ny, nz), turned(turn, 2, nx, ny, nz)
     store(hit, LIT_NORMAL * RAYS, lx)
@@ -329,7 +329,7 @@ def prepare_hits(job, scratch, base, met, placed):
 
 @uncounted(forceinline=True)
 def raised(hit, axis):
-    """Return one coordinate of the hits' points, raised from the surface by what single precision needs."""
+    """Return one coordinate of the hits' points, raised above the surface by the error of single precision."""
     facet = load(hit, (FACET + axis) * RAYS, 16)
     x, y, z = load(hit, POINT * RAYS, 16), load(hit, (POINT + 1) * RAYS, 16), load(hit, (POINT + 2) * RAYS, 16)
     reach = upper_of(upper_of(magnitude(x), magnitude(y)), upper_of(magnitude(z), load(hit, SIZE * RAYS, 16)))
@@ -338,5 +338,5 @@ def raised(hit, axis):
 
 @uncounted(forceinline=True)
 def active_lanes(count, base):
-    """Return the mask of the paths from ``base`` on that there are."""
+    """Return the mask of the lanes that hold a path: sixteen from ``base`` on, fewer at the end of ``count``."""
     return numbered(16) + base < count

@@ -14,18 +14,18 @@ from irodori.spectra.grid import SAMPLES
 
 
 def rays_through(view: View, places: np.ndarray) -> np.ndarray:
-    """Return the rays through points of a view's picture, (n, LISTED), each with the cone of a pixel.
+    """Return the rays through points of a view's picture, (n, LISTED) float32, each with the cone of a pixel.
 
     Parameters
     ----------
     view : View
     places : (n, 2) float
-        In pixels from the upper left corner.
+        Column and row in pixels from the upper left corner.
 
     Raises
     ------
     ValueError
-        If the view has a lens: its rays are many.
+        If the view has a lens, because many rays then pass through each point.
     """
     rays = np.zeros((len(places), LISTED), dtype=np.float32)
     for ray, place in zip(rays, places, strict=True):
@@ -44,19 +44,19 @@ def render_rays(
     bands: bool = False,
     figures: dict | None = None,
 ) -> np.ndarray:
-    """Render along rays of a view.
+    """Render the colours along given rays of a view.
 
     Parameters
     ----------
     prepared : Prepared
     view : View
     rays : (n, LISTED) float32
-        Of `rays_through`.
+        Rays made by `rays_through`.
     lamps : tuple of Lamp
     bands : bool
-        Whether to return the 61 bands; of the representation ``spectral`` only.
+        Whether to return the 61 bands; only for the representation ``spectral``.
     figures : dict, optional
-        Filled with what was counted, see `irodori.rendering.interactive.frame_renderer.render_frame`.
+        Filled with counts, see `irodori.rendering.interactive.frame_renderer.render_frame`.
 
     Returns
     -------
@@ -81,7 +81,7 @@ def render_rays(
 def render_pixels(
     prepared: Prepared, view: View, pixels: np.ndarray, side: int = 1, lamps: tuple[CollimatedLamp, ...] = ()
 ) -> np.ndarray:
-    """Return chosen pixels of a view, (n, 3) float64 XYZ: what `render_frame` has there, within its rounding.
+    """Render chosen pixels of a view, (n, 3) float64 XYZ, equal to those of `render_frame` within rounding.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ def render_pixels(
     pixels : (n, 2) int
         Column and row.
     side : int
-        Rays along each side of a pixel, whose mean is taken; their cones are as much narrower.
+        Number of rays along each side of a pixel, which are averaged; their cones are narrower by this factor.
     lamps : tuple of Lamp
     """
     fine = view.finer(side)

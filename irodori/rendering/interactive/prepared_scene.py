@@ -1,4 +1,4 @@
-"""A scene prepared for the interactive integrator, and its frames."""
+"""Arrays of a scene and of a frame for the kernel of the interactive integrator."""
 
 import math
 from dataclasses import replace
@@ -36,23 +36,23 @@ from irodori.rendering.interactive.shading import FURTHER
 from irodori.rendering.light_maps import LightMaps
 from irodori.rendering.scene_arrays import Light, Objects, gloss_of, textures
 
-#: Objects of a scene whose formulas and bounds are asked one by one.
+#: Largest number of objects for which formulas and bounds are tested one by one before Embree.
 _MOST_BOUNDED = 12
 
 
 class PreparedWorld(NamedTuple):
-    """Scene as the kernel reads it; flat float32 unless said otherwise."""
+    """Scene as the kernel reads it; arrays are flat float32 unless stated otherwise."""
 
     shape: np.ndarray  # (objects * SHAPE,)
     objects: int
-    ambient: np.ndarray  # of each object, rows by the channels of the light that it reflects
-    ambient_inputs: int  # channels of that light; 0 where nothing hides light from all sides
+    ambient: np.ndarray  # for each object, a matrix from channels of incident light to those of reflected light
+    ambient_inputs: int  # channels of that incident light; 0 without ambient occlusion
     shadows: MeshShadows
-    shadowed: int  # 1 where meshes hide light from all sides
+    shadowed: int  # 1 if meshes occlude ambient light
     surfaces: Surfaces
-    brought_singly: int  # how many of the objects rays are brought to one by one
-    scatters: int  # 1 where any surface has a diffuse or a rough term
-    bounded: int  # how many objects' formulas and bounds are asked before Embree: all, or none where they are many
+    brought_singly: int  # number of objects onto which hit points are moved one by one, without vector functions
+    scatters: int  # 1 if any surface has a diffuse or a gloss term
+    bounded: int  # number of objects whose formulas and bounds are tested before Embree: all, or none if too many
     texels: np.ndarray
     texture_first: np.ndarray  # (objects,) int64
     texture_stride: np.ndarray  # (objects,) int64
@@ -60,21 +60,21 @@ class PreparedWorld(NamedTuple):
     environment: np.ndarray
     environment_first: np.ndarray  # (levels,) int64
     environment_side: np.ndarray  # (levels,) int32
-    environment_levels: int  # 0 where no light is looked up in it; so the irradiance's side and the gloss' levels
+    environment_levels: int  # 0 if nothing is looked up in it; likewise for irradiance_side and gloss_levels
     texels_per_rad: float
     irradiance: np.ndarray
     irradiance_side: int
     baked: np.ndarray  # the light maps, each with a border of one texel
     baked_first: np.ndarray  # (objects,) int64
-    baked_size: np.ndarray  # (objects * 2,) columns and rows; 0 where an object has no map
-    baked_maps: int  # 1 where any object has one
-    gloss: np.ndarray  # as the environment; at each texel of a level the light of this level and of the next
+    baked_size: np.ndarray  # (objects * 2,) columns and rows; 0 if an object has no map
+    baked_maps: int  # 1 if any object has a map
+    gloss: np.ndarray  # like the environment; each texel of a level has the light of this level and of the next
     gloss_first: np.ndarray  # (levels,) int64
     gloss_side: np.ndarray  # (levels,) int32
     gloss_levels: int
-    gloss_level: float  # the finest's place in the ladder
+    gloss_level: float  # index of the finest level in `irodori.light.blurred_light.WIDTHS_RAD`
     lobes: Lobes
-    lobe: np.ndarray  # (objects * components,) int64 which of the lobes a gloss component is
+    lobe: np.ndarray  # (objects * components,) int64 index of each gloss component's lobe
     rows: np.ndarray  # see `irodori.rendering.interactive.round_lobes.joined_tables`
     ladder: np.ndarray  # (lobes * 2,) float64 ln μ of the first roughness, and the step
     further: np.ndarray  # (texels * FURTHER,) of the gloss components from the second on
@@ -91,30 +91,30 @@ class PreparedWorld(NamedTuple):
 
 
 class FrameView(NamedTuple):
-    """Values that change from frame to frame."""
+    """View, rotation of the light and lamps of one frame, for the kernel."""
 
     position_mm: np.ndarray  # (3,)
     world_from_camera: np.ndarray  # (9,)
-    pixel: float  # of the image plane at distance 1; mm where rays are parallel
-    parallel: int  # 1 where rays are parallel and start in the image plane, 0 where they start in the eye
+    pixel: float  # size of a pixel in the image plane at distance 1; in mm if rays are parallel
+    parallel: int  # 1 if rays are parallel and start in the image plane, 0 if they start at the eye
     width: int
     height: int
     light_from_world: np.ndarray  # (9,)
     lamps: int
     lamp_direction: np.ndarray  # (lamps * 3,) towards the lamp
     lamp_strength: np.ndarray  # (lamps,)
-    rays: np.ndarray  # (rays * LISTED,) of a list in place of a picture, see `irodori.rendering.interactive.tile_loop`
-    listed: int  # rays of the list, which fill a picture of TILE columns; 0 where there is none
+    rays: np.ndarray  # (rays * LISTED,) list instead of a picture, see `irodori.rendering.interactive.tile_loop`
+    listed: int  # number of listed rays, which fill a picture of TILE columns; 0 without a list
 
 
 def padded(rows: np.ndarray, width: int) -> np.ndarray:
-    """Return rows, (..., n), filled up with zeros to a width, as flat float32."""
+    """Pad rows, (..., n), with zeros to a width and return them as a flat float32 array."""
     room = width - rows.shape[-1]
     return np.pad(rows, [(0, 0)] * (rows.ndim - 1) + [(0, room)]).astype(np.float32).ravel()
 
 
 def make_shapes(tracer: Tracer, objects: Objects) -> np.ndarray:
-    """Return the numbers of the shapes, (objects * SHAPE,) float32."""
+    """Return the table of the shapes' parameters, (objects * SHAPE,) float32."""
     placed = zip(tracer.placements, reaches(tracer.placements), strict=True)
     table = np.stack([shape_row(placement, reach, number_of(placement.shape)) for placement, reach in placed])
     for row, size, mirror in zip(table, objects.texture_size, objects.mirror, strict=True):
@@ -124,22 +124,23 @@ def make_shapes(tracer: Tracer, objects: Objects) -> np.ndarray:
 
 
 def bordered_size(rows: int, columns: int) -> int:
-    """Return how many texels a texture takes with its border of one texel."""
+    """Return the number of texels of a texture with its border of one texel."""
     return (int(rows) + 2) * (int(columns) + 2)
 
 
 def stored_texels(
     objects: Objects, index: int, texels: np.ndarray, channels: Channels
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return an object's texture, (rows, columns, k + 2 c), as the kernel reads it, with a border of one texel.
+    """Convert an object's texture, (rows, columns, k + 2 c), to the kernel's form, with a border of one texel.
 
-    Sides that are joined have each other in the border, other edges themselves.
+    If the left and right sides of a texture are joined, the border repeats the opposite side; other edges repeat
+    themselves.
 
     Returns
     -------
     texels : (texels * surface lanes,) float32
     further : (texels * FURTHER,) float32
-        Empty where the scene's objects have one gloss component.
+        Gloss components from the second on; empty if the scene's objects have one component.
     """
     weights = texels[..., : objects.bases[index]].astype(np.float64)
     stored = np.zeros((*texels.shape[:2], channels.surface), dtype=np.float32)
@@ -160,7 +161,7 @@ def _has_further(objects: Objects) -> bool:
 
 
 def make_textures(objects: Objects, channels: Channels, spare: int = 0) -> dict:
-    """Return the fields of a `PreparedWorld` that hold the texels, with room for some that nothing points at."""
+    """Return the fields of a `PreparedWorld` that hold the texels, with memory for ``spare`` unused texels."""
     sizes = [bordered_size(rows, columns) for columns, rows in objects.texture_size]
     first = np.cumsum([0, *sizes]).astype(np.int64)
     widths = channels.surface, FURTHER if _has_further(objects) else 0
@@ -178,7 +179,7 @@ def make_textures(objects: Objects, channels: Channels, spare: int = 0) -> dict:
 
 
 def _bordered(texels: np.ndarray, wraps: bool) -> np.ndarray:
-    """Return a texture, (rows, columns, numbers), with a border of one texel, flat."""
+    """Return a texture, (rows, columns, numbers), with a border of one texel added, as a flat array."""
     stored = np.zeros((texels.shape[0] + 2, texels.shape[1] + 2, texels.shape[2]), dtype=np.float32)
     stored[1:-1, 1:-1] = texels
     stored[:, 0], stored[:, -1] = (stored[:, -2], stored[:, 1]) if wraps else (stored[:, 1], stored[:, -2])
@@ -187,7 +188,7 @@ def _bordered(texels: np.ndarray, wraps: bool) -> np.ndarray:
 
 
 def make_irradiance(light: Light, channels: Channels) -> tuple[np.ndarray, int]:
-    """Return the irradiance map for the texels' channels, flat, and its side, 0 where the light has none."""
+    """Return the irradiance map in the channels of texels, flat, and its side, 0 if the light has no irradiance."""
     width, height = light.irradiance_size
     if height == 0:
         return np.zeros(0, dtype=np.float32), 0
@@ -198,12 +199,12 @@ def make_irradiance(light: Light, channels: Channels) -> tuple[np.ndarray, int]:
 
 
 def make_baked(maps: LightMaps | None, objects: Objects, channels: Channels) -> dict:
-    """Return the fields of a `PreparedWorld` that hold the light maps, for the texels' channels."""
+    """Return the fields of a `PreparedWorld` that hold the light maps, in the channels of texels."""
     count, flat, first = len(objects.bases), [np.zeros(0, np.float32)], [0]
     size = np.zeros((count, 2), dtype=np.float32)
     for index, stored in enumerate(maps.maps if maps is not None else ()):
         if stored.size:
-            assert maps is not None  # what there are maps of
+            assert maps is not None  # the loop is empty without maps
             light = stored @ (channels.baked_from_radiance @ maps.basis).T.astype(np.float32)
             room = np.zeros((*light.shape[:2], channels.surface), dtype=np.float32)
             room[..., : channels.count] = light
@@ -219,31 +220,32 @@ def make_baked(maps: LightMaps | None, objects: Objects, channels: Channels) -> 
 
 
 def needed_gloss(gloss: GlossMaps, objects: Objects) -> GlossMaps:
-    """Return the maps without the finest ones, narrower than any lobe of the scene's materials at any view angle."""
+    """Return the blurred maps without the finest, which are narrower than any lobe of the scene's materials."""
     spare = min(max(_finest_level(objects) - gloss.first, 0), len(gloss.levels) - 1)
     return replace(gloss, first=gloss.first + spare, levels=gloss.levels[spare:])
 
 
 def gloss_for(environment: Environment, objects: Objects) -> GlossMaps:
-    """Return the maps of an environment that a scene's materials need, from its file where that has them.
+    """Return the blurred maps of an environment that a scene's materials need, read from its file or computed.
 
-    The finest maps are most of a file and narrower than most lobes: they are not read then.
+    The finest maps take most of a file and are narrower than most lobes; they are read only if needed.
     """
     levels = _finest_level(objects), len(WIDTHS_RAD)
     return GlossMaps.stored(environment, levels) or GlossMaps.of(environment.coefficients)
 
 
 def _finest_level(objects: Objects) -> int:
-    """Return the level of the finest map that a scene is looked up in; the coarsest where nothing has gloss."""
+    """Return the level of the finest blurred map that a scene uses; the coarsest if nothing has gloss."""
     finest = min((level for level, _ in levels_by_lobe(objects, whole=True)), default=math.inf)
     return int(min(max(math.floor(finest) if finest < math.inf else len(WIDTHS_RAD), 0), len(WIDTHS_RAD) - 1))
 
 
 def levels_by_lobe(objects: Objects, traced: tuple[bool, ...] | None = None, whole: bool = False) -> list:
-    """Return the finest and the coarsest level that each gloss component of the scene is looked up at, fractional.
+    """Return the finest and coarsest level, fractional, at which each gloss component of the scene is looked up.
 
-    Of a lobe's table all entries between the least and the largest roughness are taken, at every angle, from the least
-    on if ``whole``. Texels are interpolated: what has no gloss may lend its roughness to a neighbour.
+    All entries of the lobe's table between the least and the largest roughness of the texels are considered, at every
+    angle; with ``whole``, all from the least roughness on. Because texels are interpolated, ``whole`` also counts the
+    roughness of texels without gloss.
     """
     found = []
     for i, texels in enumerate(textures(objects)):
@@ -260,8 +262,8 @@ def levels_by_lobe(objects: Objects, traced: tuple[bool, ...] | None = None, who
 
 
 def make_gloss(gloss: GlossMaps, channels: Channels) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the blurred light, flat, with where each level begins and its side."""
-    # Texels in the middle of a face are as wide as the maps' rows are high.
+    """Return the blurred light as a flat array, the index at which each level begins, and the side of each level."""
+    # Texels in the centre of a face are as wide as a row of the equirectangular maps is high.
     sides = [int(np.ceil(level.shape[0] * 2.0 / np.pi)) for level in gloss.levels]
     first = np.cumsum([0] + [FACES * (side + 2) ** 2 * 2 * channels.light for side in sides])
     flat, stored = np.zeros(first[-1], np.float32), len(channels.stored_from_light)
@@ -275,7 +277,7 @@ def make_gloss(gloss: GlossMaps, channels: Channels) -> tuple[np.ndarray, np.nda
 
 
 def make_query(flags: int) -> np.ndarray:
-    """Return Embree's RTCIntersectArguments: flags, a mask of all features, and no functions; kept by the caller."""
+    """Return Embree's RTCIntersectArguments with flags, all features, no callbacks; the caller must keep the array."""
     query = np.zeros(16, dtype=np.uint32)
     query[0], query[1] = flags, 0xFFFFFFFF
     return query
@@ -293,7 +295,7 @@ def environment_fields(pyramid: CubePyramid) -> dict:
 
 
 def _light_fields(light: Light, gloss: GlossMaps, pyramid: CubePyramid, channels: Channels) -> dict:
-    """Return a `PreparedWorld`'s fields that are looked up in light."""
+    """Return the fields of a `PreparedWorld` that hold environment, irradiance and blurred light."""
     irradiance, irradiance_side = make_irradiance(light, channels)
     blurred, gloss_first, gloss_side = make_gloss(gloss, channels)
     return environment_fields(pyramid) | {
@@ -308,7 +310,7 @@ def _light_fields(light: Light, gloss: GlossMaps, pyramid: CubePyramid, channels
 
 
 def _surface_fields(objects: Objects, tracer: Tracer, channels: Channels, spare: int) -> dict:
-    """Return the fields of a `PreparedWorld` that shapes and materials fill."""
+    """Return the fields of a `PreparedWorld` that hold shapes and materials."""
     fields = make_textures(objects, channels, spare)
     index = np.concatenate(
         [channels.index, np.repeat(channels.index[..., -1:], channels.surface - channels.count, axis=2)], axis=2
@@ -332,7 +334,7 @@ def _surface_fields(objects: Objects, tracer: Tracer, channels: Channels, spare:
 
 
 def colour_fields(channels: Channels) -> dict:
-    """Return the fields of a `PreparedWorld` that lead from what light is stored in to colours."""
+    """Return the fields of a `PreparedWorld` with the matrices between stored light, channels and XYZ."""
     decode = padded(channels.colour_from_light, channels.light).reshape(channels.count, channels.light)
     return {
         "decode": padded(decode.T, channels.surface),
@@ -355,21 +357,21 @@ def make_world(
     spare: int,
     maps: LightMaps | None,
 ) -> PreparedWorld:
-    """Return the flat scene of a representation.
+    """Return the scene as flat arrays for one representation of colour.
 
     Parameters
     ----------
     objects, light, gloss, tracer
-        Shape i is object i.
+        Parts of the scene; shape i of the tracer is object i.
     channels : Channels
     functions : (int, int, int)
         Addresses of rtcIntersect16, rtcOccluded16 and of their arguments.
     ambient : bool
-        Whether objects hide light from all sides.
+        Whether objects occlude ambient light.
     spare : int
-        Texels to make room for beside the objects' own.
+        Number of additional texels to allocate.
     maps : LightMaps, optional
-        Baked light that falls on the objects.
+        Baked light on the objects.
     """
     columns, rows = light.size[0]
     picture = light.pixels[: columns * rows].reshape(rows, columns, light.pixels.shape[1])

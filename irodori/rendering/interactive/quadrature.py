@@ -7,7 +7,7 @@ import numpy as np
 from irodori.colour.colorimetry import delta_e, lab_from_xyz
 from irodori.rendering.scene_arrays import Light, Objects, coefficients_of
 
-#: Numbers of wavelengths that fill a vector of 8, 16, 32, 64 with the two numbers of gloss beside them.
+#: Numbers of wavelengths that fill a vector of 8, 16 or 32 lanes together with the two numbers of gloss.
 COUNTS = (6, 14, 30)
 _PATHS = 4000
 _SEED = 7
@@ -16,16 +16,16 @@ _RIDGE = 1e-9
 
 @dataclass(frozen=True)
 class Quadrature:
-    """Wavelengths and weights.
+    """Wavelengths and weights of a spectral quadrature, with its errors.
 
     Parameters
     ----------
     samples : (n,) int
-        Of the 61.
+        Indices among the 61 wavelengths.
     weights : (3, n) float64
         XYZ is ``weights @ radiance[samples]``.
     delta_e_mean, delta_e_p99 : float
-        CIEDE2000 over the paths that the weights were not solved on.
+        Mean and 99th percentile of CIEDE2000 over path spectra that were not used to solve for the weights.
     """
 
     samples: np.ndarray
@@ -35,9 +35,9 @@ class Quadrature:
 
 
 def path_spectra(objects: Objects, light: Light, lamps: np.ndarray, bounces: int, count: int = _PATHS) -> np.ndarray:
-    """Return spectra that paths of a scene may carry, (n, 61): its light, from its texels, in its coloured mirrors.
+    """Return random spectra of paths in a scene, (n, 61): light from the sky, off texels and through coloured mirrors.
 
-    Directions, normals and texels are drawn at random, from a fixed seed.
+    Directions, normals and texels are drawn at random with a fixed seed.
     """
     rng = np.random.default_rng(_SEED)
     sky = light.pixels[rng.integers(light.size[0, 0] * light.size[0, 1], size=count)].astype(np.float64) @ light.basis
@@ -63,7 +63,7 @@ def path_spectra(objects: Objects, light: Light, lamps: np.ndarray, bounces: int
 
 
 def _solve(chosen, moments, products):
-    """Return weights for chosen samples and the squared error they leave."""
+    """Return the least-squares weights for chosen wavelengths, and their squared error up to a constant."""
     gram = moments[np.ix_(chosen, chosen)]
     gram = gram + _RIDGE * np.trace(gram) / len(chosen) * np.eye(len(chosen))
     weights = np.linalg.solve(gram, products[chosen]).T
@@ -71,13 +71,13 @@ def _solve(chosen, moments, products):
 
 
 def _best(rest: list[int], moments: np.ndarray, products: np.ndarray) -> tuple[float, int]:
-    """Return the sample that leaves the least error beside others, after that error."""
+    """Return the least error that one more wavelength next to those in ``rest`` can give, and that wavelength."""
     left = (s for s in range(len(moments)) if s not in rest)
     return min((_solve([*rest, s], moments, products)[1], s) for s in left)
 
 
 def _select(count: int, moments: np.ndarray, products: np.ndarray) -> list[int]:
-    """Return samples chosen one by one, then exchanged while that helps."""
+    """Return ``count`` wavelengths, chosen greedily one by one and then exchanged while that reduces the error."""
     chosen: list[int] = []
     while len(chosen) < count:
         chosen.append(_best(chosen, moments, products)[1])
@@ -88,7 +88,7 @@ def _select(count: int, moments: np.ndarray, products: np.ndarray) -> list[int]:
         for place in range(count):
             rest = chosen[:place] + chosen[place + 1 :]
             error, sample = _best(rest, moments, products)
-            # Errors are differences from a large sum: less than its rounding is no gain.
+            # Errors are differences of large sums: a gain below their rounding does not count.
             if error < least - 1e-12 * abs(least):
                 chosen[place], least, improved = sample, error, True
     return sorted(chosen)
@@ -102,24 +102,24 @@ def solve_quadrature(
     target_p99: float = 0.5,
     counts: tuple[int, ...] = COUNTS,
 ) -> Quadrature:
-    """Return the smallest quadrature of some counts within targets, the largest where none is.
+    """Return the quadrature with the fewest wavelengths within the targets, or with the most if none is.
 
     Parameters
     ----------
     spectra : (n, 61) float
-        Radiances to integrate; every second one is left for the error.
+        Radiances to integrate; weights are solved on every second one, and errors measured on the others.
     matrix : (3, 61) float
-        XYZ from radiance.
+        Matrix from radiance to XYZ.
     white : (61,) float
     target_mean, target_p99 : float
-        CIEDE2000.
+        Limits of mean and 99th percentile of CIEDE2000.
     counts : tuple of int
-        Growing numbers of wavelengths to try.
+        Numbers of wavelengths to try, increasing.
     """
     white_xyz = matrix @ white
     luminance = spectra @ matrix[1]
     spectra = spectra[luminance > 1e-9 * luminance.max()]
-    # Equal weight to dark and bright; an error is seen against the brightness.
+    # Spectra are scaled to equal luminance, because errors are seen relative to the brightness.
     spectra = spectra / (spectra @ matrix[1])[:, None] * white_xyz[1]
     solved, held = spectra[::2], spectra[1::2]
     wanted = solved @ matrix.T

@@ -11,24 +11,24 @@ from irodori.jit.vectors import Vector, constant
 
 @dataclass(frozen=True)
 class Layout:
-    """Constants of a kernel; each value compiles its own.
+    """Compile-time constants of a kernel; the kernel is compiled for each combination.
 
     Parameters
     ----------
     surface : int
-        Lanes of a texel: the channels of the reflected colour, then the power and the place of the
-        roughness of the first gloss component.
+        Lanes of a texel: the channels of the reflected colour, then the power and the roughness coordinate of the first
+        gloss component.
     light : int
         Lanes of the environment's stored light.
     coloured : bool
-        Whether a path's throughput differs between channels. Where it does not, light is summed as it is stored and
-        becomes a colour once a pixel.
+        Whether a path's throughput differs between channels. If not, light is summed in its stored form and converted
+        to a colour once per pixel.
     profiled : bool
-        Whether cycles are counted by stage.
+        Whether processor cycles are counted for each stage.
     components : int
         Gloss components of a texel, at most 5.
     parts : int
-        Rows of round lobes that a component may have, see `irodori.rendering.interactive.round_lobes`.
+        Largest number of rows of round lobes per component, see `irodori.rendering.interactive.round_lobes`.
     """
 
     surface: int

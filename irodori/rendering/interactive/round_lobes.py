@@ -1,12 +1,13 @@
 """Gloss lobes as rows of four round lobes, tabulated for look-up at every hit.
 
-`irodori.light.gloss.lobe_table` has up to forty lobes to each entry of a table, of which a look-up mixes four entries.
-Here the lobe D G / cosθ_r of any form that is registered is one to three rows of four Gaussians of the sphere in the
-plane of incidence, those of a row of one width and evenly spaced. A lobe whose facets' law is nearly Gaussian takes one
-row; one with long tails is split by φ into parts that are, each with its row (`split`). Mean, spread along the plane
-and spread across it of a row are those of its part of the true lobe (where it is very long the row is as long as four
-lobes may be without gaps); the weights of all together are least squares of the lobe's shape and of its first and
-second moments. All entries have the same form, so the parameters of one look-up are interpolated, not its results.
+`irodori.light.gloss.lobe_table` has up to forty lobes in each entry of a table, and a look-up mixes four entries. Here,
+the lobe D G / cosθ_r of any registered kind is approximated by one to three rows of four spherical Gaussians in the
+plane of incidence; those of a row have the same width and equal spacing. A lobe with a nearly Gaussian distribution of
+facets needs one row; a lobe with long tails is split by φ into nearly Gaussian parts, each with its own row (`split`).
+Mean direction, spread along the plane and spread across it of each row equal those of its part of the true lobe; if
+that part is very long, the row is as long as four lobes without gaps can be. The weights are a least-squares fit of the
+lobe's shape and of its first and second moments. All entries have the same form, so that parameters are interpolated
+before a look-up, instead of the results of several look-ups.
 """
 
 import hashlib
@@ -30,30 +31,31 @@ from irodori.reflection.registry import lobe
 TAPS = 4
 #: Entries over ln μ and over the square root of cosθ_r.
 ROUGHNESSES, ANGLES = 17, 17
-#: Numbers an entry: level, then for each tap its weight, its place p and cosθ_H; then room for the hit's power; padded
-#: to a vector.
+#: Numbers of an entry: level, then weight, coordinate p and cosθ_H of each tap (each of the four lobes), then a place
+#: for the hit's power; padded to a vector.
 ENTRY, POWER = 16, 13
-#: Rows that a lobe may be split into, and the distance to the true lobe, where that is short, that fewer must keep.
+#: Largest number of rows of a lobe, and the largest distance to the true lobe, if that is short, with fewer rows.
 MOST_PARTS, _NEAR = 3, 0.12
-_PLACES, _ANGLES_RAD = (4, 7, 10), (0.01, 0.5, 0.9)  # where that is tried
+_PLACES, _ANGLES_RAD = (4, 7, 10), (0.01, 0.5, 0.9)  # roughnesses, as table rows, and angles at which that is tested
 _LONGEST = 7.0  # variance of the row over that of a lobe in it
 _NODES, _NODES_OF_PARTS = (48, 32), (72, 48)
-_STEPS = 60  # of the search for the parts
-_STARTS = {2: (0.7, 2.5), 3: (0.6, 1.6, 5.0)}  # widths of the parts, over that of a Gaussian of the lobe's strength
+_STEPS = 60  # iterations of the search for the parts
+_STARTS = {2: (0.7, 2.5), 3: (0.6, 1.6, 5.0)}  # initial widths of the parts, relative to a Gaussian of equal strength
 _ENERGY_WEIGHT = 3.0
 _MOMENT_WEIGHTS = np.array([5.0, 5.0, 2.5, 2.5, 2.5])  # mean direction; then squares and product of its coordinates
-_EVEN_WEIGHT = 0.02  # keeps the weights of lobes that nearly coincide from being any
+_EVEN_WEIGHT = 0.02  # regularisation, because weights of lobes that nearly coincide are otherwise undetermined
 _INDEX = 1.5  # for which the mean Fresnel reflectance of a lobe is kept
 _COSINES = np.linspace(0.0, 1.0, 2001)
 
 
 class LobeRows(NamedTuple):
-    """The rows of one form of lobe.
+    """Table of rows for one kind of lobe, over roughness and angle.
 
-    ``entries`` are (parts, ROUGHNESSES, ANGLES, ENTRY) float32: the level of
-    `irodori.light.blurred_light.WIDTHS_RAD`, fractional; then weight, place p and cosθ_H of each tap. A weight is the
-    power over π / 4 times the lobe's strength, π μ² of the Gaussian. With R the mirror direction and N the normal the
-    axis is p R + q N, its angle from N has the sine p sinθ_r. ``distance`` is ∫ |rows - lobe| dω / ∫ lobe dω.
+    ``entries`` are (parts, ROUGHNESSES, ANGLES, ENTRY) float32: the fractional level in
+    `irodori.light.blurred_light.WIDTHS_RAD`; then weight, coordinate p and cosθ_H of each tap, that is each of the four
+    lobes. A weight is the integral of the lobe divided by π / 4 times the strength (π μ² for the Gaussian). With mirror
+    direction R and normal N, the axis of a tap is p R + q N; its angle from N has the sine p sinθ_r. ``distance`` is
+    ∫ |rows - lobe| dω / ∫ lobe dω.
     """
 
     entries: np.ndarray
@@ -61,9 +63,9 @@ class LobeRows(NamedTuple):
 
 
 class Samples(NamedTuple):
-    """A lobe over half the sphere of light; the other half is its mirror image.
+    """Samples of a lobe over half the sphere of light directions; the other half is its mirror image.
 
-    The normal is +z, the view in the x-z plane at x < 0; ``solid_angle``, sr, is that of both halves together.
+    The normal is +z, the view lies in the x-z plane at x < 0; ``solid_angle``, sr, counts both halves.
     """
 
     direction: np.ndarray  # (n, 3)
@@ -74,37 +76,37 @@ class Samples(NamedTuple):
 
 
 class Row(NamedTuple):
-    """Rows of one lobe, see `fit_row`."""
+    """Rows fitted to one lobe at one roughness and angle, see `fit_row`."""
 
     width: np.ndarray  # (parts,) rad
     angle: np.ndarray  # (parts, 4) of the axes from the normal, away from the view, rad
     weight: np.ndarray  # (parts, 4) whose sum is 1
-    cos_h: np.ndarray  # (parts, 4) cosine of the incidence θ_H at which each one's light is reflected
+    cos_h: np.ndarray  # (parts, 4) cosine of the angle θ_H at which the light of each lobe is reflected
     power: float  # ∫ D G / cosθ_r dω
     distance: float
 
 
 def _step(name: str) -> tuple[float, float]:
-    """Return ln μ of the first roughness of a lobe's ladder, and the step."""
+    """Return ln μ of the first roughness in a lobe's table, and the step of ln μ."""
     bounds = lobe(name).roughness
     return math.log(bounds.low), math.log(bounds.high / bounds.low) / (ROUGHNESSES - 1)
 
 
 def roughness_place(mu, name: str = "gaussian") -> np.ndarray:
-    """Return the place in the ladder of a lobe's roughnesses, 0..ROUGHNESSES - 1; held at the bounds of μ."""
+    """Return the coordinate of μ in a lobe's table, 0..ROUGHNESSES - 1; μ is clipped to the lobe's bounds."""
     bounds = lobe(name).roughness
     place = np.log(np.clip(mu, bounds.low, bounds.high) / bounds.low)
     return place * ((ROUGHNESSES - 1) / math.log(bounds.high / bounds.low))
 
 
 def roughness_at(place, name: str = "gaussian"):
-    """Return μ at a place in the ladder."""
+    """Return μ at a coordinate in a lobe's table, the inverse of `roughness_place`."""
     first, step = _step(name)
     return math.exp(first) * np.exp(np.asarray(place) * step)
 
 
 def ladder(lobes: Lobes) -> np.ndarray:
-    """Return ln μ of the first roughness and the step of each lobe's ladder, (lobes, 2)."""
+    """Return first ln μ and step of ln μ in each lobe's table, (lobes, 2)."""
     return np.array([_step(name) for name in lobes.names])
 
 
@@ -115,7 +117,7 @@ def _strengths(lobes, mu, out):
 
 
 def gloss_power(beta: np.ndarray, mu: np.ndarray, name: str = "gaussian") -> np.ndarray:
-    """Return β times a quarter of the lobe's strength, (...) float64, 0 where μ is 0: β μ² of the Gaussian."""
+    """Return β times a quarter of the lobe's strength, (...) float64, 0 where μ is 0; for the Gaussian β μ²."""
     flat = np.where(mu > 0, mu, 1.0).astype(np.float64).ravel()
     out = np.empty_like(flat)
     _strengths(Lobes((name,)), flat, out)
@@ -124,7 +126,7 @@ def gloss_power(beta: np.ndarray, mu: np.ndarray, name: str = "gaussian") -> np.
 
 @njit(cache=True, error_model="numpy")
 def _fill_values(lobes, t, cos_r, angles, out):
-    """Fill D G / cosθ_r of directions of light; ``angles`` are their cosθ_i, cosφ, cosθ_H and φ, (n,) each."""
+    """Fill ``out`` with D G / cosθ_r for light directions; ``angles`` are cosθ_i, cosφ, cosθ_H and φ, (n,) each."""
     constant, (cos_i, cos_phi, cos_h, phi) = constants(lobes, t), angles
     for i in range(out.size):
         if cos_i[i] > 0.0 and cos_phi[i] > 0.0 and cos_h[i] > 1e-9:
@@ -133,7 +135,7 @@ def _fill_values(lobes, t, cos_r, angles, out):
 
 
 def samples_about_mirror(name: str, mu: float, theta_r: float, grid: tuple[int, int] = _NODES) -> Samples:
-    """Return samples of a lobe on a grid that is narrowest about the mirror direction; angles in rad."""
+    """Return samples of a lobe on a grid that is finest around the mirror direction; angles in rad."""
     law = lobe(name)
     width = math.sqrt(0.5 * law.strength(mu))
     reach = min(2.8 * law.reach(mu), 2.0 * math.pi) + 0.02
@@ -155,12 +157,12 @@ def samples_about_mirror(name: str, mu: float, theta_r: float, grid: tuple[int, 
 
 @lru_cache(maxsize=1)
 def _reflectance() -> np.ndarray:
-    """Return the Fresnel reflectance of the index `_INDEX` at `_COSINES`, falling."""
+    """Return the Fresnel reflectance for the refractive index `_INDEX` at `_COSINES`, which decreases."""
     return np.array([fresnel(float(cosine), _INDEX, 0.0) for cosine in _COSINES])
 
 
 def _moments(angle: np.ndarray, kappa: float) -> np.ndarray:
-    """Return the means of x, z, x², z² and x z over lobes of concentration κ, (5, lobes)."""
+    """Return the means of x, z, x², z² and x z over spherical Gaussians of concentration κ, (5, lobes)."""
     mean = 1.0 / math.tanh(kappa) - 1.0 / kappa
     even, along = mean / kappa, 1.0 - 3.0 * mean / kappa
     x, z = np.sin(angle), np.cos(angle)
@@ -173,10 +175,10 @@ def _moments_of(direction: np.ndarray, share: np.ndarray) -> np.ndarray:
 
 
 def split(name: str, mu: float, parts: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return shares and squared widths, rad², of the Gaussians of φ that a lobe is mixed from, each (parts,).
+    """Return shares and squared widths, rad², of a mixture of Gaussians of φ that approximates a lobe, each (parts,).
 
-    For a steep view, the likeliest mixture, by expectation and maximisation from widths that depend on the lobe's
-    strength alone, so that the parts of one roughness pass over into those of the next.
+    The mixture is fitted for a view near the normal by expectation maximisation. The initial widths depend only on the
+    lobe's strength, so that the parts change continuously with roughness.
     """
     if parts == 1:
         return np.ones(1), np.ones(1)
@@ -191,7 +193,7 @@ def split(name: str, mu: float, parts: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _belongs(phi: np.ndarray, share: np.ndarray, square: np.ndarray) -> np.ndarray:
-    """Return how much of a lobe at φ belongs to each of its parts, (n, parts)."""
+    """Return the share of each part of the mixture in the lobe at angles φ, (n, parts)."""
     if len(share) == 1:
         return np.ones((len(phi), 1))
     exponent = np.log(share / square) - phi[:, None] ** 2 / square
@@ -200,7 +202,7 @@ def _belongs(phi: np.ndarray, share: np.ndarray, square: np.ndarray) -> np.ndarr
 
 
 def _placed(direction: np.ndarray, share: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return the axes of a row, (4,) rad from the normal, and the variance of its lobes; ``share`` is of its part."""
+    """Return the axes of a row's lobes, (4,) rad from the normal, and their variance; ``share`` weights the samples."""
     middle = math.atan2(float(share @ direction[:, 0]), float(share @ direction[:, 2]))
     along = np.arcsin(np.clip(direction[:, 0] * math.cos(middle) - direction[:, 2] * math.sin(middle), -1.0, 1.0))
     across = np.arcsin(np.clip(direction[:, 1], -1.0, 1.0))
@@ -211,7 +213,7 @@ def _placed(direction: np.ndarray, share: np.ndarray) -> tuple[np.ndarray, float
 
 
 def fit_row(name: str, mu: float, theta_r: float, mixture: tuple[np.ndarray, np.ndarray]) -> Row:
-    """Fit the rows of one lobe; ``mixture`` is that of `split`."""
+    """Fit the rows to one lobe; ``mixture`` is the result of `split`."""
     from scipy.optimize import nnls  # slow to import
 
     parts = len(mixture[0])
@@ -242,8 +244,8 @@ def fit_row(name: str, mu: float, theta_r: float, mixture: tuple[np.ndarray, np.
     found = pieces.sum(axis=1)
     distance = float((np.abs(found - density) * solid_angle).sum())
     pieces = pieces / np.maximum(found, 1e-300)[:, None] * share[:, None]
-    # The angle at which a lacquer reflects the mean over the part of the lobe that each one stands for, and all
-    # together what the lobe does.
+    # θ_H of each lobe is chosen so that a lacquer reflects there the mean over the part that the lobe represents, and
+    # all lobes together as much as the true lobe.
     lacquer = _reflectance()
     reflected = np.interp(cos_h, _COSINES, lacquer)
     mean = pieces.T @ reflected / np.maximum(pieces.sum(axis=0), 1e-300)
@@ -253,7 +255,7 @@ def fit_row(name: str, mu: float, theta_r: float, mixture: tuple[np.ndarray, np.
 
 
 def parts_of(name: str) -> int:
-    """Return the fewest rows that keep near a lobe that is neither rough nor seen at grazing angles."""
+    """Return the fewest rows within `_NEAR` of a lobe, tested at low and middle roughness and non-grazing angles."""
     for parts in range(1, MOST_PARTS):
         rough = [float(mu) for mu in roughness_at(np.array(_PLACES), name)]
         mixtures = {mu: split(name, mu, parts) for mu in rough}
@@ -267,7 +269,7 @@ def _make_table(name: str) -> LobeRows:
     parts = parts_of(name)
     entries = np.zeros((parts, ROUGHNESSES, ANGLES, ENTRY), dtype=np.float32)
     distance = np.empty((ROUGHNESSES, ANGLES))
-    # At the ends of the ladder of angles the limit is taken from a little inside.
+    # At both ends of the range of angles, the row is fitted slightly inside the range.
     cosine = np.clip(np.linspace(0.0, 1.0, ANGLES) ** 2, 2e-3, math.cos(1e-2))
     for i, mu in enumerate(map(float, roughness_at(np.arange(ROUGHNESSES), name))):
         mixture, unit_power = split(name, mu, parts), np.pi * 0.25 * lobe(name).strength(mu)
@@ -283,7 +285,7 @@ def _make_table(name: str) -> LobeRows:
 
 
 def _table_file(name: str) -> Path | None:
-    """Return where a lobe's table is kept: beside the kernels, by the lobe's source and this module's."""
+    """Return the file of a lobe's table in the kernel cache, named by a hash of the lobe's and this module's source."""
     folder = cache_folder()
     if folder is None:
         return None
@@ -300,7 +302,7 @@ def _table(name: str, digest: str) -> LobeRows:
     table = _make_table(name)
     if path is not None:
         path.parent.mkdir(parents=True, exist_ok=True)
-        # Several processes may make it at once: the last one's stays.
+        # Several processes may write the table at once: the last one stays.
         temporary = path.with_name(f".{path.stem}.{os.getpid()}.npz")
         np.savez(temporary, entries=table.entries, distance=table.distance)
         os.replace(temporary, path)
@@ -308,12 +310,12 @@ def _table(name: str, digest: str) -> LobeRows:
 
 
 def lobe_table(name: str = "gaussian") -> LobeRows:
-    """Return the table of a lobe; made once in seconds, and kept beside the kernels."""
+    """Return the table of a lobe, read from the kernel cache or computed, which takes some time, and stored there."""
     return _table(name, lobe(name).digest)
 
 
 def joined_tables(lobes: Lobes) -> np.ndarray:
-    """Return the tables of lobes, (lobes, parts, ROUGHNESSES, ANGLES, ENTRY) float32; rows that one lacks weigh 0."""
+    """Return the tables of lobes, (lobes, parts, ROUGHNESSES, ANGLES, ENTRY) float32, padded with rows of weight 0."""
     tables = [lobe_table(name).entries for name in lobes.names]
     most = max(len(table) for table in tables)
     return np.stack([np.pad(table, ((0, most - len(table)), (0, 0), (0, 0), (0, 0))) for table in tables])

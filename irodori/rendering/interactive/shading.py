@@ -55,34 +55,34 @@ from irodori.rendering.interactive.representation_layout import (
 )
 from irodori.rendering.interactive.round_lobes import ANGLES, ENTRY, POWER, ROUGHNESSES, TAPS
 
-#: Numbers of a texel's further gloss components.
+#: Numbers per texel for the gloss components from the second on.
 FURTHER = 8
 
 
 class Sums(NamedTuple):
-    """Light gathered by a tile's pixels; pixel ``slot`` begins at ``slot`` times the lanes."""
+    """Light accumulated in the pixels of a tile; the numbers of pixel ``slot`` begin at ``slot`` times the lanes."""
 
     colour: np.ndarray  # (PATHS * surface lanes,) float32
-    light: np.ndarray  # (PATHS * light lanes,) float32, light as it is stored; not used where paths are coloured
-    throughput: np.ndarray  # (PATHS * surface lanes,) float32, used where paths are coloured
+    light: np.ndarray  # (PATHS * light lanes,) float32, light in stored form; not used if paths are coloured
+    throughput: np.ndarray  # (PATHS * surface lanes,) float32, used if paths are coloured
     texel: np.ndarray  # (surface lanes,) buffer
-    gloss: np.ndarray  # (FURTHER,) buffer: power and place of the second gloss component, of the third, ...
+    gloss: np.ndarray  # (FURTHER,) buffer: power and roughness coordinate of the second component, the third, ...
 
 
 class Hits(NamedTuple):
-    """Buffers of a packet's hits and look-ups, see `irodori.rendering.interactive.packets` and `light`."""
+    """Buffers of a packet's hits and look-ups, see `packets` and `look_ups` in `irodori.rendering.interactive`."""
 
     f: np.ndarray
     i: np.ndarray
     entries: np.ndarray  # (components * parts * RAYS * ENTRY,)
     look: np.ndarray
     look_i: np.ndarray
-    lit: np.ndarray  # (lamps * RAYS,) cosine with each lamp, 0 where it is hidden
+    lit: np.ndarray  # (lamps * RAYS,) cosine of incidence of each lamp, 0 in shadow
 
 
 @uncounted(forceinline=True)
 def shade_sky(job, scratch, base, missed):
-    """Add the environment to the pixels of the rays whose bits are set."""
+    """Add the environment's radiance to the pixels of the rays that missed all objects, given as bits."""
     world, layout, paths, hits, sums = job.world, job.layout, scratch.paths, scratch.hits, scratch.sums
     find_sky(world, job.frame, paths, base, hits)
     for ray in range(RAYS):
@@ -99,7 +99,7 @@ def shade_sky(job, scratch, base, missed):
 
 @uncounted(forceinline=True)
 def _add_coloured(layout, sums, slot, colour):
-    """Add a colour times a path's throughput to its pixel."""
+    """Add a colour times the path's coloured throughput to a pixel."""
     at = slot * surface_lanes(layout)
     passed = load_like(sums.throughput, at, colour) * colour
     store(sums.colour, at, load_like(sums.colour, at, colour) + passed)
@@ -107,7 +107,7 @@ def _add_coloured(layout, sums, slot, colour):
 
 @uncounted(forceinline=True)
 def _add_colour(layout, scratch, path, colour):
-    """Add a colour to the pixel of a path, times its throughput."""
+    """Add a colour times the path's throughput to the path's pixel."""
     paths, sums = scratch.paths, scratch.sums
     slot = np.int64(paths.slot[path])
     if is_coloured(layout):
@@ -120,7 +120,7 @@ def _add_colour(layout, scratch, path, colour):
 
 @uncounted(forceinline=True)
 def _component(layout, sums, component):
-    """Return power and place of a gloss component of the texel in the buffers."""
+    """Return power and roughness coordinate of a gloss component of the current texel."""
     if component > 0:
         return sums.gloss[2 * component - 2], sums.gloss[2 * component - 1]
     width = surface_lanes(layout)
@@ -129,7 +129,7 @@ def _component(layout, sums, component):
 
 @uncounted(forceinline=True)
 def _lobe_entry(job, hits, ray, component, power, place):
-    """Fill the entries of a hit's lobe from its place in the ladder of roughnesses, and its power."""
+    """Fill the table entries of a hit's lobe, interpolated over angle and roughness coordinate, and its power."""
     world, layout = job.world, job.layout
     cosine, parts = hits.f[COSINE * RAYS + ray], gloss_parts(layout)
     x, y = math.sqrt(cosine) * np.float32(ANGLES - 1), min(max(place, np.float32(0.0)), np.float32(ROUGHNESSES - 1))
@@ -145,7 +145,7 @@ def _lobe_entry(job, hits, ray, component, power, place):
 
 @uncounted(forceinline=True)
 def _baked_light(world, hits, ray, shape, like):
-    """Return the light of a hit's place in its object's light map."""
+    """Return the baked light at a hit, interpolated in its object's light map."""
     columns, rows = world.baked_size[2 * shape], world.baked_size[2 * shape + 1]
     half = np.float32(0.5)
     x = min(max(hits.f[TEXTURE_U * RAYS + ray] * columns + half, np.float32(0.0)), columns + half)
@@ -157,9 +157,10 @@ def _baked_light(world, hits, ray, shape, like):
 
 @uncounted(forceinline=True)
 def shade_surfaces(job, scratch, base, seen):
-    """Add the diffuse light of the hits whose bits are set; look up their lobes. Returns the bits of glossy hits.
+    """Add diffuse light and lamps' highlights of the hits given as bits; return the bits of glossy hits.
 
-    The bits of the first gloss component are the lowest sixteen, those of the second follow.
+    The lowest sixteen bits of the result are those of the first gloss component, the next those of the second. The
+    table entries of their lobes are filled.
     """
     world, frame, layout = job.world, job.frame, job.layout
     paths, hits, sums = scratch.paths, scratch.hits, scratch.sums
@@ -204,7 +205,7 @@ def shade_surfaces(job, scratch, base, seen):
 
 @uncounted()
 def _add_highlight(job, scratch, base, ray, lamp, component):
-    """Add β F D G / cosθ_r of a lamp and a gloss component to a pixel."""
+    """Add a lamp's highlight in one gloss component, β F D G / cosθ_r, to a pixel."""
     world, frame, layout = job.world, job.frame, job.layout
     paths, hits, sums = scratch.paths, scratch.hits, scratch.sums
     width = surface_lanes(layout)
@@ -236,7 +237,7 @@ def _add_highlight(job, scratch, base, ray, lamp, component):
 
 @uncounted(forceinline=True)
 def shade_gloss(job, scratch, base, glossy):
-    """Add the blurred light of the glossy hits' lobes; those with too little weight are left."""
+    """Add the blurred light of the glossy hits' lobes; lobes with a weight below the limit are skipped."""
     world, layout, paths, hits, sums = job.world, job.layout, scratch.paths, scratch.hits, scratch.sums
     width = surface_lanes(layout)
     for ray in range(RAYS):
@@ -267,7 +268,7 @@ def shade_gloss(job, scratch, base, glossy):
 
 @uncounted(forceinline=True)
 def reflect_packet(job, scratch, base, seen):
-    """Fill the throughput with which the hits' paths go on."""
+    """Compute the throughput of the hits' paths after the mirror reflection."""
     world, layout, paths, hits, sums = job.world, job.layout, scratch.paths, scratch.hits, scratch.sums
     width = surface_lanes(layout)
     shape = load(hits.i, OBJECT * RAYS, 16)
@@ -294,7 +295,7 @@ def reflect_packet(job, scratch, base, seen):
 
 @uncounted(forceinline=True)
 def advance(job, scratch, base, seen, after):
-    """Write the paths that go on close together from ``after`` on; return where they end."""
+    """Write the continuing paths contiguously from index ``after`` on; return the index after the last."""
     world, paths, hits = job.world, scratch.paths, scratch.hits
     throughput = load(hits.f, NEXT * RAYS, 16)
     going = seen & (throughput > job.limits.least_throughput)
@@ -320,7 +321,7 @@ def advance(job, scratch, base, seen, after):
 
 @uncounted(forceinline=True)
 def bits_set(mask):
-    """Return how many bits of a mask of sixteen are set."""
+    """Return the number of set bits in a mask of sixteen."""
     mask = mask - ((mask >> 1) & 0x5555)
     mask = (mask & 0x3333) + ((mask >> 2) & 0x3333)
     mask = (mask + (mask >> 4)) & 0x0F0F

@@ -21,7 +21,7 @@ _nodes_about = chain("nodes_about", "shadows, own, row, hit", __name__)
 
 @uncounted()
 def nodes_about(world, hits, ray, own, point):
-    """Return the nodes about a hit of a shape, (4,) int, and their weights, (4,) float, which add up to 1."""
+    """Return the nodes around a hit on a shape, (4,) int, and their interpolation weights, (4,) float, with sum 1."""
     f, at = hits.f, own * SHAPE
     hit = NodeHit(
         f[TEXTURE_U * RAYS + ray],
@@ -37,7 +37,7 @@ def nodes_about(world, hits, ray, own, point):
 
 @uncounted()
 def mixed(shadows, own, about, number):
-    """Return a number of the nodes about a hit, by their weights."""
+    """Return one of the nodes' values, interpolated at a hit from the nodes and weights in ``about``."""
     nodes, weights = about
     stride, first = shadows.numbers[own * SHAPE_NUMBERS + STRIDE], shadows.numbers[own * SHAPE_NUMBERS + FIRST]
     found = 0.0

@@ -1,4 +1,4 @@
-"""Loop over picture tiles: trace packets through mirrors, shade, accumulate."""
+"""Loop over the tiles of a picture: trace packets of rays through mirrors, shade hits and accumulate light."""
 
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -62,33 +62,33 @@ from irodori.rendering.interactive.shading import (
     shade_surfaces,
 )
 
-if TYPE_CHECKING:  # what else they import is none of the kernel's
+if TYPE_CHECKING:  # keeps their other imports out of the kernel's import closure
     from irodori.rendering.interactive.prepared_scene import FrameView, PreparedWorld
 
-#: Values of `PathLimits.visibility`, for the hits of earlier frames: trace all, trace and keep, use what was kept.
+#: Values of `PathLimits.visibility`: trace all rays, trace and store hits, recall the stored hits of an earlier frame.
 TRACED, STORED, RECALLED = 0, 1, 2
-#: Stages whose cycles are counted; then the rays, the surfaces that they meet, those with gloss, and what they miss.
+#: Stages whose processor cycles are counted; then the number of rays, hits, hits with gloss, and misses.
 STAGES = ("tracing", "geometry", "surfaces", "gloss", "sky", "mirror", "colour", "rays", "hits", "glossy", "misses")
 _TRACE, _PLACE, _SURFACE, _GLOSS, _SKY, _MIRROR, _COLOUR, _RAYS, _HITS, _GLOSSY, _MISSES = range(11)
 FIGURES = len(STAGES)
 
 
-#: Numbers of a listed ray: origin, mm; direction; width of its cone, mm, and its growth with the distance.
+#: Numbers of a listed ray: origin, mm; direction; width of its cone, mm, and growth of the width per distance.
 LISTED = 8
 
 
 class PathLimits(NamedTuple):
-    """Limits up to which paths are followed."""
+    """Limits at which paths end, and the treatment of hits between frames."""
 
     max_bounces: int
-    least_throughput: float  # of a path that goes on
-    least_lobe: float  # weight times throughput of a lobe that is looked up
+    least_throughput: float  # least throughput of a path that continues
+    least_lobe: float  # least weight times throughput of a lobe that is looked up
     visibility: int  # see `TRACED`
-    kept_bounces: int  # whose hits are kept, the eye's included
+    kept_bounces: int  # number of bounces whose hits are kept, including the rays from the eye
 
 
 class Job(NamedTuple):
-    """Input of one frame: a scene as it is seen then."""
+    """Input of the kernel for one frame: scene, view, layout and limits."""
 
     world: "PreparedWorld"
     frame: "FrameView"
@@ -97,12 +97,12 @@ class Job(NamedTuple):
 
 
 class FrameBuffers(NamedTuple):
-    """Arrays that a frame fills, flat."""
+    """Flat arrays that the kernel fills for one frame."""
 
     image: np.ndarray  # (height * width * channels,) float32
     channels: int
-    kept: np.ndarray  # (tiles * packets * KEPT,) float32 hits, nothing where none are kept
-    figures: np.ndarray  # (tiles * FIGURES,) int64 to add to; what several tiles count may stand at the first of them
+    kept: np.ndarray  # (tiles * packets * KEPT,) float32 hits, empty if none are kept
+    figures: np.ndarray  # (tiles * FIGURES,) int64 counters; counts of several tiles may all be added at the first one
 
 
 class Scratch(NamedTuple):
@@ -112,12 +112,12 @@ class Scratch(NamedTuple):
     paths: TilePaths
     hits: Hits
     sums: Sums
-    figures: np.ndarray  # (FIGURES,) int64, where it counts
+    figures: np.ndarray  # (FIGURES,) int64, counters of the thread
 
 
 @uncounted()
 def _singles(layout, lamps):
-    """Return how many float32 a thread's buffers take."""
+    """Return the number of float32 in a thread's buffers."""
     entries = gloss_components(layout) * gloss_parts(layout) * ENTRY
     fixed = PACKET_SINGLES + (PATH_FIELDS + 1) * STRIDE + (HIT_FIELDS + HIT_NUMBERS + entries + LOOK_FIELDS) * RAYS
     lanes = (2 * PATHS + 1) * surface_lanes(layout) + PATHS * light_lanes(layout)
@@ -126,7 +126,7 @@ def _singles(layout, lamps):
 
 @uncounted()
 def scratch_in(job, singles, doubles, figures):
-    """Return one thread's buffers in zeroed memory that begins with a line of the cache."""
+    """Return one thread's buffers in zeroed memory, aligned to a cache line."""
     layout, lamps, packet = job.layout, job.frame.lamps, packet_in(singles, doubles)
     at = singles[PACKET_SINGLES:]
     paths = TilePaths(at, at[PATH_FIELDS * STRIDE :].view(np.int32))
@@ -149,7 +149,7 @@ def scratch_in(job, singles, doubles, figures):
 
 @uncounted()
 def start_tile(frame, left, top, paths):
-    """Start a path at each pixel of a tile that lies in the picture; return how many."""
+    """Start a path for each pixel of a tile that lies in the picture; return their number."""
     count = 0
     for block in range(PATHS // RAYS):
         number = numbered(16)
@@ -157,7 +157,7 @@ def start_tile(frame, left, top, paths):
         inside = (x < frame.width) & (y < frame.height)
         px = (as_float(x) + (0.5 - 0.5 * frame.width)) * frame.pixel
         py = (as_float(y) + (0.5 - 0.5 * frame.height)) * frame.pixel
-        # One of the two is 0: either directions differ from pixel to pixel, or origins.
+        # One of the two is 0: either the directions or the origins differ between pixels.
         a, b = float(1 - frame.parallel), float(frame.parallel)
         scale = 1.0 / root(a * (px * px + py * py) + 1.0)
         turn = frame.world_from_camera
@@ -179,7 +179,7 @@ def start_tile(frame, left, top, paths):
 
 @uncounted()
 def start_rays(frame, tile, paths):
-    """Start a path at each of a tile's share of the frame's listed rays, which fill rows of TILE; return how many."""
+    """Start a path for each listed ray that falls to a tile, in rows of TILE pixels; return their number."""
     first = tile * PATHS
     count = min(frame.listed - first, PATHS)
     for number in range(count):
@@ -197,7 +197,7 @@ def start_rays(frame, tile, paths):
 
 @uncounted(forceinline=True)
 def _count(layout, figures, stage, since):
-    """Add the cycles since a count to a stage; return the count now."""
+    """Add the processor cycles since the count ``since`` to a stage and return the present count."""
     if is_profiled(layout):
         now = cycles()
         figures[stage] += now - since
@@ -207,7 +207,7 @@ def _count(layout, figures, stage, since):
 
 @uncounted()
 def _meet(job, scratch, base, count, bounce, kept):
-    """Let a packet meet the scene, or recall from ``kept`` what it met in an earlier frame."""
+    """Trace a packet or recall its hits from ``kept``; return the bits of rays that hit and of those that missed."""
     world, limits, active = job.world, job.limits, active_lanes(count, base)
     if limits.visibility == RECALLED and bounce < limits.kept_bounces:
         recall_packet(scratch.packet, kept)
@@ -225,7 +225,7 @@ def _meet(job, scratch, base, count, bounce, kept):
 
 @uncounted()
 def _shade_packet(job, scratch, base, count, bounce, after):
-    """Shade a packet's hits; return where the paths that go on end."""
+    """Shade a packet's hits and write the continuing paths from index ``after`` on; return the index after the last."""
     world, frame, layout = job.world, job.frame, job.layout
     packet, hits, figures = scratch.packet, scratch.hits, scratch.figures
     since = cycles() if is_profiled(layout) else 0
@@ -263,7 +263,7 @@ def _shade_packet(job, scratch, base, count, bounce, after):
 
 @uncounted()
 def _follow(job, scratch, count, kept):
-    """Follow the paths of a tile until none is left."""
+    """Follow the paths of a tile through mirrors until none is left or the limit of bounces is reached."""
     layout, figures, packets = job.layout, scratch.figures, 0
     for bounce in range(job.limits.max_bounces + 1):
         after = 0
@@ -286,7 +286,7 @@ def _follow(job, scratch, count, kept):
 
 @uncounted()
 def _finish_tile(job, sums, left, top, target):
-    """Turn what a tile's pixels have gathered into the picture's channels, and clear it."""
+    """Convert the light accumulated in a tile's pixels to the channels of the picture, and clear the sums."""
     world, frame, layout, image, channels = job.world, job.frame, job.layout, target.image, target.channels
     surface, light = surface_lanes(layout), light_lanes(layout)
     for block in range(PATHS // RAYS):
@@ -338,7 +338,7 @@ def _render_tiles(job, target, singles, doubles, first, last):
 
 @njit(cache=True, nogil=True)
 def render_tiles(job, target, first, last):
-    """Render the tiles ``first``..``last`` of a `Job`, numbered row by row, into a `FrameBuffers`."""
+    """Render the tiles from ``first`` to before ``last`` of a `Job`, numbered row by row, into a `FrameBuffers`."""
     room, doubles = np.zeros(_singles(job.layout, job.frame.lamps) + RAYS, np.float32), np.zeros(PACKET_DOUBLES)
     skip = (64 - room.ctypes.data % 64) % 64 // 4
     _render_tiles(job, target, room[skip:], doubles, first, last)

@@ -1,1 +1,1 @@
-"""Scene planning: the cheapest model of a scene within a colour tolerance [design, §2]."""
+"""Scene planning: the simplified model of a scene with the least work within a colour tolerance [design, §2]."""

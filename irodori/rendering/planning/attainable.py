@@ -1,4 +1,4 @@
-"""Tolerances that the integrator `interactive` cannot keep in a scene, and what would keep them."""
+"""Check whether the integrator `interactive` can keep a scene's tolerance at all, with advice if it cannot."""
 
 from irodori.colour.colorimetry import xyz_from_radiance
 from irodori.config.models import Scene
@@ -16,24 +16,26 @@ from irodori.rendering.scene_arrays import View, make_view
 def refuse_unattainable(
     scene_name: str, scene: Scene, parts: SceneParts, placements: list[Placement], side: int
 ) -> Distance:
-    """Return how far the full model is from the path-traced picture, in the view where the 99th percentile is largest.
+    """Return the full model's distance to path tracing in the worst view; raise an error if it exceeds the tolerance.
+
+    The worst view is the one with the largest 99th percentile.
 
     Parameters
     ----------
     scene_name : str
     scene : Scene
-        With ``tolerance_ciede2000``.
+        Scene with ``tolerance_ciede2000``.
     parts : SceneParts
-        Of the scene.
+        Parts of the scene.
     placements : list of Placement
-        Of its objects and bodies.
+        Placements of its objects and bodies.
     side : int
-        Rays along each side of a pixel.
+        Number of rays along each side of a pixel.
 
     Raises
     ------
     InputError
-        If that is more than the tolerance; the sentence says what was measured to keep it.
+        If the distance exceeds the tolerance; the message names measured settings that would keep it.
     """
     traced = make_scene(placements, parts.objects, parts.environment, scene.lights)
     views = [make_view(view, scene.image) for view in scene.views.values()]
@@ -60,7 +62,7 @@ def refuse_unattainable(
 def _of_full_model(
     scene: Scene, parts: SceneParts, traced: TracedScene, views: list[View], side: int, ambient: bool
 ) -> Distance:
-    """Return the distance of the full model, with or without `ambient`, in the view where it is largest."""
+    """Return the full model's distance, with or without `ambient`, in the view with the largest 99th percentile."""
     matrix = xyz_from_radiance(parts.white)
     lamps = tuple(CollimatedLamp(towards) for towards in parts.lamp_towards)
     prepared, found = prepare(parts, full_model(parts, scene.max_bounces, ambient), matrix), []

@@ -1,8 +1,8 @@
-"""Planning decisions of the interactive integrator, one after the other within a tolerance [design, §2].
+"""Planning decisions of the interactive integrator, taken in turn within a tolerance [design, §2].
 
-Every decision has candidates from cheap to exact. One is taken if what it costs in colour, by the probes, keeps under
-the decision's share of what is left of the tolerance, and the picture with all decisions so far keeps under the
-tolerance. What is left over goes to the decisions that follow.
+Every decision has candidates from cheap to exact. A candidate is taken if its colour error, measured at the probes
+(random rays of the pictures), is below the decision's share of the remaining tolerance, and if the error of the picture
+with all decisions so far is below the tolerance. Tolerance that is not used remains for the later decisions.
 """
 
 from dataclasses import replace
@@ -29,7 +29,7 @@ from irodori.rendering.scene_arrays import View, make_light
 
 _THROUGHPUTS = tuple(10.0 ** (-0.5 * n) for n in range(2, 11))
 _LEAST_ROWS = 32
-#: Objects at most whose lobes or textures are tried one by one.
+#: Largest number of objects for which lobes or textures are tried one by one.
 _MOST_TRIED = 32
 
 
@@ -44,35 +44,36 @@ def choose(
     overrides: PlanOverrides,
     where: str = "scene",
 ) -> ScenePlanner:
-    """Decide what to model of a scene.
+    """Decide which simplifications to make in a scene.
 
     Parameters
     ----------
     parts : SceneParts
     views : list of View
     names : list of str
-        Of the objects.
+        Names of the objects.
     tolerance : float
-        CIEDE2000 that 99 of 100 pixels have to keep.
+        Limit of CIEDE2000 for 99 of 100 pixels.
     max_bounces : int
-        Mirrors that the full model follows.
+        Number of mirror reflections in the full model.
     ambient : bool
-        Whether objects hide light from all sides in the full model.
+        Whether objects occlude ambient light in the full model.
     overrides : PlanOverrides
-        Decisions that the scene's file takes.
+        Decisions that the scene's definition states.
     where : str
-        The scene, for messages.
+        Name of the scene for error messages.
 
     Returns
     -------
     ScenePlanner
-        Whose ``model`` and ``decisions`` are made. A predicted error is what 99 of 100 pixels keep under, with a
-        certainty of 0.999 by the probes; of a lobe that is left out, what all probes do.
+        Planner with the final ``model`` and ``decisions``. A predicted error is an upper bound for 99 of 100 pixels
+        with a certainty of 0.999, estimated from the probes; for a lobe that is left out, it is the largest error of
+        all probes.
 
     Raises
     ------
     InputError
-        If an override asks for more than there is.
+        If an override is not among the candidates.
     """
     ladder, model = make_light(parts.environment), full_model(parts, max_bounces, ambient)
     probes = Probes(parts, model, ladder, views, PROBES * min(len(views), MOST_VIEWS), SEED)
@@ -89,7 +90,7 @@ def choose(
 
 
 def _traced(planner: ScenePlanner, name: str, own: tuple[bool, ...], asked: tuple[str, ...]) -> tuple[bool, ...]:
-    """Return the lobes that the scene's file asks for.
+    """Return for each object whether its lobe ``name`` is traced, by the list in the scene's definition.
 
     Raises
     ------
@@ -105,7 +106,7 @@ def _traced(planner: ScenePlanner, name: str, own: tuple[bool, ...], asked: tupl
 
 
 def _decide_lobes(planner: ScenePlanner) -> None:
-    """Leave out the lobes that have no weight, and those that nobody would miss at any probe."""
+    """Decide which gloss and mirror terms to leave out: those of weight 0, and those whose error fits at all probes."""
     for name in ("gloss", "mirror"):
         own = getattr(planner.model, name)
         asked = getattr(planner.overrides, name)
@@ -119,14 +120,14 @@ def _decide_lobes(planner: ScenePlanner) -> None:
 
 
 def _without(changes: Changes, name: str, objects: frozenset[int]) -> Changes:
-    """Return changes of which those without a lobe, ``gloss`` or ``mirror``, are the objects given."""
+    """Return changes with the given objects as those without a term, ``gloss`` or ``mirror``."""
     if name == "gloss":
         return replace(changes, without_gloss=objects)
     return replace(changes, without_mirror=objects)
 
 
 def _without_the_weakest(planner: ScenePlanner, name: str, own: tuple[bool, ...]) -> tuple[bool, ...]:
-    # Of many objects the weakest lobes are tried: each try is a picture.
+    # With many objects only the weakest lobes are tried, because each trial renders all probes.
     weight = [float(beta_of(planner.parts.objects, i).max(initial=0.0)) for i in range(len(own))]
     if name == "mirror":
         weight = list(planner.parts.objects.mirror)
@@ -148,9 +149,10 @@ def _without_the_weakest(planner: ScenePlanner, name: str, own: tuple[bool, ...]
 
 
 def _first_that_fits(planner: ScenePlanner, name: str, candidates: list, of) -> tuple:
-    """Return the first candidate that fits and what it costs alone; the one of the scene's file where it has one.
+    """Return the first candidate that fits, or the one that the scene's definition states, and the result of ``of``.
 
-    ``of`` returns, for a candidate, the error alone, all changes, and the way to XYZ. The last candidate is exact.
+    ``of(candidate)`` returns the candidate's own error, all changes so far with it, and the function from spectra to
+    XYZ. The last candidate is exact.
     """
     wanted = getattr(planner.overrides, name)
     if wanted is not None:
@@ -218,7 +220,7 @@ def _decide_light_bases(planner: ScenePlanner) -> None:
 
 
 def _decide_representation(planner: ScenePlanner) -> None:
-    """Take the cheapest representation that fits; what the others cost goes into the reason."""
+    """Decide for the representation with the least work that fits; the reason lists the work of all."""
     candidates = [("quadrature", nodes) for nodes in COUNTS] + [("spectral", planner.model.nodes)]
     if stays_grey(planner.parts.objects, planner.model):
         candidates.append(("coefficients", 0))
@@ -237,7 +239,7 @@ def _decide_representation(planner: ScenePlanner) -> None:
     planner.xyz = xyz
     why = f"numbers a ray: {others}"
     if wanted != (None, None):
-        planner.by_scene |= {"representation", "nodes"}  # one of them says much of the other
+        planner.by_scene |= {"representation", "nodes"}  # stating one of them restricts the other
     planner.decide("representation", alone, changes, why, representation=candidate[0], nodes=candidate[1])
     quadrature = planner.solve(candidate[1]) if candidate[0] == "quadrature" else None
     why = "wavelengths of a quadrature" if quadrature else "no quadrature"
@@ -246,7 +248,7 @@ def _decide_representation(planner: ScenePlanner) -> None:
 
 
 def _error_of(planner: ScenePlanner, representation: str, nodes: int):
-    """Return what a representation costs alone, the changes with it, and its way from spectra to XYZ."""
+    """Return a representation's own error, all changes so far with it, and its function from spectra to XYZ."""
     changes, alone = planner.changes, Changes()
     if representation == "spectral":
         return 0.0, changes, lambda spectra: spectra @ planner.matrix.T
@@ -267,7 +269,7 @@ def _error_of(planner: ScenePlanner, representation: str, nodes: int):
 
 
 def _lit_basis(planner: ScenePlanner) -> np.ndarray:
-    """Return the vectors on which coefficients carry light that objects throw on each other, (m, 61)."""
+    """Return the basis vectors of ``coefficients`` for light reflected between objects, (m, 61)."""
     basis = planner.parts.environment.basis
     if planner.model.light_bases < basis.shape[1]:
         basis = leading_basis(light_of(planner.parts.environment), planner.model.light_bases)[1].T
@@ -308,17 +310,17 @@ def _decide_textures(planner: ScenePlanner) -> None:
 
 
 def _showing_object(planner: ScenePlanner, index: int) -> np.ndarray:
-    """Return which probes show an object's texture, directly or in a mirror, (count,) bool."""
+    """Return a mask of the probes that show an object's texture, directly or in a mirror, (count,) bool."""
     return planner.showing(planner.probes.radiance(Changes(texture_level={index: BLACK})))
 
 
 def _texture_error(planner: ScenePlanner, seen: np.ndarray, index: int, level: int) -> float:
-    """Return what a halved texture costs at the probes that show its object."""
+    """Return the error bound of a texture halved ``level`` times, over the probes that show its object."""
     return planner.bound_where(seen, planner.probes.radiance(Changes(texture_level={index: level})))
 
 
 def _halvings_that_fit(planner: ScenePlanner, most: list[int]) -> dict[int, int]:
-    """Return how often each texture is halved, by what it costs where its object is seen."""
+    """Return the number of halvings of each texture that fit, by the errors at the probes that show its object."""
     sizes = planner.parts.objects.texture_size.prod(axis=1)
     largest = [int(i) for i in np.argsort(-sizes, kind="stable") if most[i]]
     share = (planner.tolerance - planner.spent) / planner.left
@@ -334,14 +336,14 @@ def _halvings_that_fit(planner: ScenePlanner, most: list[int]) -> dict[int, int]
         tried += 1
         if tried == _MOST_TRIED:
             break
-    # Each fits alone; where mirrors show several of them their errors add up.
+    # Each fits alone, but where mirrors show several of them, errors add up.
     while halvings and not planner.fits(0.0, replace(planner.changes, texture_level=halvings)):
         halvings = {i: level - 1 for i, level in halvings.items() if level > 1}
     return halvings
 
 
 def _decide_look_ups(planner: ScenePlanner) -> None:
-    """Note which maps are looked up at all, and how many levels of blurred light: nothing is lost by either."""
+    """Note which maps and which levels of blurred light are needed at all; these decisions cause no error."""
     model = planner.model
     levels = (0, 0)
     if model.environment:

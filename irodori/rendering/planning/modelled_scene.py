@@ -26,33 +26,36 @@ _MOMENT_ROWS = 256
 
 @dataclass(frozen=True)
 class Model:
-    """Everything that a plan decides for the interactive integrator.
+    """All decisions of a plan for the interactive integrator.
 
     Parameters
     ----------
     gloss, mirror : tuple of bool
-        Whether that lobe of each object is traced.
+        For each object, whether its gloss and its mirror term are rendered.
     max_bounces : int
+        Number of mirror reflections to follow.
     least_throughput : float
-        Under which a path, and a lobe, ends.
+        Throughput below which a path ends or a lobe is skipped.
     light_bases : int
-        Vectors that the environment is kept on.
+        Number of basis vectors of the environment's spectra.
     representation : str
     nodes : int
-        Wavelengths; of the representation ``quadrature``.
+        Number of wavelengths; for the representation ``quadrature``.
     environment_halvings : int
+        How often the resolution of the environment is halved.
     texture_halvings : tuple of int
-        Of each object.
+        How often the resolution of each object's texture is halved.
     gloss_levels : (int, int)
-        First and last-plus-one of `irodori.light.blurred_light.WIDTHS_RAD` that lobes are looked up in; equal for none.
+        First and last-plus-one index of the levels in `irodori.light.blurred_light.WIDTHS_RAD` that are looked up;
+        equal if there are none.
     diffuse : bool
         Whether any surface has a diffuse term.
     environment, irradiance : bool
-        Whether light is looked up in the environment, and in the irradiance map.
+        Whether the environment and the irradiance map are looked up.
     ambient : bool
-        Whether objects hide light from all sides.
+        Whether objects occlude ambient light.
     quadrature : Quadrature, optional
-        Of the nodes; solved for the scene where absent.
+        Wavelengths and weights; solved for the scene by default.
     """
 
     gloss: tuple[bool, ...]
@@ -74,9 +77,9 @@ class Model:
 
 @dataclass(frozen=True)
 class SceneParts:
-    """A scene as files give it, and its lamps.
+    """Objects, environment, tracer and lamps of a scene.
 
-    ``white`` is the radiance that the display shows as white, (61,); colour differences are seen against it.
+    ``white`` is the radiance that the display shows as white, (61,), to which colour differences refer.
     """
 
     objects: Objects
@@ -88,7 +91,7 @@ class SceneParts:
 
 
 def full_model(parts: SceneParts, max_bounces: int, ambient: bool) -> Model:
-    """Return the model that leaves out nothing but what is not there."""
+    """Return the model without simplifications; only terms that the scene does not have are left out."""
     objects, environment = parts.objects, parts.environment
     count, shines = len(objects.bases), bool(environment.coefficients.any())
     gloss = tuple(bool(beta_of(objects, i).any()) for i in range(count))
@@ -114,7 +117,7 @@ def full_model(parts: SceneParts, max_bounces: int, ambient: bool) -> Model:
 
 
 def coarser(texture: np.ndarray, level: int) -> np.ndarray:
-    """Return a texture whose texels are the means of squares of 2**level texels, fewer at the ends."""
+    """Return a texture whose texels are means over squares with sides of 2**level texels, smaller at the edges."""
     side = 2**level
     if level == 0:
         return texture
@@ -139,9 +142,10 @@ def beta_of(objects: Objects, index: int) -> np.ndarray:
 
 
 def levels_of_lobes(objects: Objects, gloss: tuple[bool, ...], finest: int) -> tuple[int, int]:
-    """Return the levels of blurred light that the lobes of some objects are looked up in, first and last-plus-one.
+    """Return first and last-plus-one level of blurred light in which the gloss of objects is looked up.
 
-    Of the table of lobes all entries between the objects' least and largest roughness are taken, at every angle.
+    ``gloss`` selects the objects. All entries of the lobes' tables between the least and the largest roughness of the
+    objects are considered, at every angle.
     """
     levels = levels_by_lobe(objects, gloss)
     if not levels:
@@ -153,12 +157,12 @@ def levels_of_lobes(objects: Objects, gloss: tuple[bool, ...], finest: int) -> t
 
 
 def leading_basis(light: Light, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the vectors that carry most of a light's spectra, and how its coefficients become theirs.
+    """Return the leading principal vectors of a light's spectra and the matrix to coefficients on them.
 
     Returns
     -------
     to : (k, count) float64
-        New coefficients are old ones times this.
+        ``coefficients @ to`` are the coefficients on the new basis.
     basis : (count, 61) float64
     """
     columns, rows = light.size[0]
@@ -169,14 +173,14 @@ def leading_basis(light: Light, count: int) -> tuple[np.ndarray, np.ndarray]:
     values, vectors = np.linalg.eigh(flat.T @ flat)
     root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
     basis = np.linalg.svd(root @ light.basis, full_matrices=False)[2][:count]
-    # The sign of a vector is anybody's: its largest number is positive, whatever the library.
+    # The sign of a vector depends on the library: the element of largest magnitude is made positive.
     largest = basis[np.arange(len(basis)), np.abs(basis).argmax(axis=1)]
     basis = basis * np.sign(largest)[:, None]
     return light.basis @ basis.T, basis
 
 
 def _light(light: Light, model: Model) -> Light:
-    """Return the environment of a model, from all of it with the level that the model has."""
+    """Return the environment of a model, reduced in resolution and in basis vectors, from one with all levels."""
     level = model.environment_halvings
     first, (columns, rows) = light.first_pixel[level], light.size[level]
     pixels, basis = light.pixels[first : first + columns * rows], light.basis
@@ -194,7 +198,7 @@ def _light(light: Light, model: Model) -> Light:
 
 
 def _gloss(parts: SceneParts, model: Model) -> GlossMaps:
-    """Return the blurred light of a model, on its basis; without levels where nothing is looked up in it."""
+    """Return the blurred light of a model on its basis, without levels if the model does not look it up."""
     count = model.light_bases
     nothing = PointLights(np.zeros((0, 3)), np.zeros((0, count)))
     if model.gloss_levels[0] == model.gloss_levels[1]:
@@ -212,12 +216,12 @@ def _gloss(parts: SceneParts, model: Model) -> GlossMaps:
 
 
 def _on_basis(coefficients: np.ndarray, to: np.ndarray | None) -> np.ndarray:
-    """Return coefficients on other vectors, float32; the same ones where there are none."""
+    """Return coefficients multiplied by the matrix ``to``, float32, or unchanged without a matrix."""
     return coefficients if to is None else (coefficients @ to).astype(np.float32)
 
 
 def reduced_objects(objects: Objects, model: Model) -> Objects:
-    """Return the objects of a model: without the lobes that are left out, with coarser textures."""
+    """Return the objects of a model, with coarser textures and without the gloss and mirror terms left out."""
     texels, first, sizes = [], [0], []
     for index in range(len(objects.bases)):
         texture = coarser(textures(objects)[index], model.texture_halvings[index])
@@ -236,7 +240,7 @@ def reduced_objects(objects: Objects, model: Model) -> Objects:
 
 
 def solved_nodes(parts: SceneParts, bounces: int, matrix: np.ndarray, count: int) -> Quadrature:
-    """Return the quadrature of a number of wavelengths for a scene."""
+    """Solve and return a quadrature of ``count`` wavelengths for a scene."""
     spectra = path_spectra(parts.objects, light_of(parts.environment), parts.lamp_spectra, bounces)
     return solve_quadrature(spectra, matrix, parts.white, counts=(count,))
 
@@ -251,9 +255,9 @@ def prepare(
     parts : SceneParts
     model : Model
     matrix : (3, 61) float
-        XYZ from radiance.
+        Matrix from radiance to XYZ.
     ladder : Light, optional
-        Of the environment; made where it is needed and absent.
+        Environment with all its levels; made here by default if the model needs it.
     spare_texels : int
         See `irodori.rendering.interactive.frame_renderer.prepare_scene`.
     """
@@ -280,30 +284,30 @@ def prepare(
 
 
 def stays_grey(objects: Objects, model: Model) -> bool:
-    """Return whether no lobe that a model traces has a colour of its own."""
+    """Return whether all gloss and mirror terms in a model are grey: n + ik is the same for all wavelengths."""
     shines = np.array(model.gloss) | (np.array(model.mirror) & (objects.mirror > 0))
     return bool((objects.grey[shines] == 1).all())
 
 
 @dataclass(frozen=True)
 class Widths:
-    """Lanes of a model's texels and of its light, and whether throughput has a colour."""
+    """Lanes of a model's texels and of its light, and other numbers that determine the work of a look-up."""
 
     surface: int
     light: int
     coloured: bool
-    reflected: int  # channels of the light that objects throw on each other
-    rows: int  # of round lobes that a glossy hit is looked up in
+    reflected: int  # channels of the light reflected between objects
+    rows: int  # rows of round lobes that are looked up at a glossy hit
 
 
 def objects_rows(objects: Objects) -> int:
-    """Return the rows of round lobes of the gloss components of the object that has most."""
+    """Return the largest number of rows of round lobes, summed over gloss components, of any object."""
     rows = np.array([len(lobe_table(name).entries) for name in objects.lobes.names])
     return int(rows[objects.lobe].sum(axis=1).max())
 
 
 def widths_of(parts: SceneParts, model: Model) -> Widths:
-    """Return how many numbers a model's look-ups take."""
+    """Return the widths of the vectors that a model's look-ups process."""
     rows = objects_rows(parts.objects)
     light, lamps, coloured = model.light_bases, len(parts.lamp_spectra), not stays_grey(parts.objects, model)
     if model.representation == "spectral":
@@ -318,7 +322,7 @@ def widths_of(parts: SceneParts, model: Model) -> Widths:
 
 
 def memory_mb(parts: SceneParts, model: Model, widths: Widths) -> float:
-    """Return what a model's maps and textures take, MB."""
+    """Return the memory of a model's maps and textures, MB."""
     numbers = 0.0
     height = parts.environment.coefficients.shape[0] >> model.environment_halvings
     if model.environment:
@@ -333,14 +337,14 @@ def memory_mb(parts: SceneParts, model: Model, widths: Widths) -> float:
 
 
 def look_up_numbers(model: Model, widths: Widths, met: dict[str, float], objects: int) -> float:
-    """Return how many numbers a pixel of one ray multiplies and adds, from what its path meets.
+    """Return the estimated work for a pixel with one ray: how many numbers are multiplied and added.
 
     Parameters
     ----------
     met : dict
-        ``hits``, ``glossy`` and ``misses`` a ray.
+        Mean number of ``hits``, ``glossy`` hits and ``misses`` per ray.
     objects : int
-        That may hide light from each other.
+        Number of objects that may occlude ambient light.
     """
     decoding = widths.light * widths.surface if widths.coloured else 0
     maps = int(model.diffuse or any(model.gloss)) + int(model.irradiance)

@@ -1,4 +1,4 @@
-"""Number of paths per pixel for a tolerance, from pairs of pictures of a few pixels."""
+"""Number of paths per pixel for a tolerance, estimated from two independent renderings of a few pixels."""
 
 import math
 
@@ -12,9 +12,9 @@ from irodori.rendering.reference.distance import traced_halves
 from irodori.rendering.scene_arrays import Objects, View
 from irodori.rendering.scene_white import scene_white
 
-#: Pixels of each view rendered twice for the plan, and the paths of each time.
+#: Number of pixels of each view that are rendered twice for the plan, and paths per pixel of each rendering.
 PILOTS, PILOT_PATHS = 400, 64
-#: Paths of a pixel, the fewest of a plan.
+#: Least number of paths per pixel of a plan.
 _LEAST = 8
 _PILOT_SEED = 101
 
@@ -28,17 +28,17 @@ def plan_reference(
     *,
     views: list[View],
 ) -> dict:
-    """Return the plan of a scene of the reference integrator: the paths of a pixel.
+    """Return the plan of a scene of the integrator `reference`: its number of paths per pixel.
 
-    The noise of a pixel falls with the root of the number of paths at least; it is taken from the difference of two
-    renderings of random pixels. The integrator's ``samples`` are the most that the plan takes.
+    The noise is estimated from the difference of two renderings of random pixels. It falls at least with the square
+    root of the number of paths. The integrator's ``samples`` are the maximum.
 
     Parameters
     ----------
     scene_name : str
     scene : Scene
     placements, objects, environment
-        As of `irodori.rendering.reference.converging_picture.make_scene`.
+        As in `irodori.rendering.reference.converging_picture.make_scene`.
     views : list of View
     """
     white, _ = scene_white(scene, environment)
@@ -50,9 +50,9 @@ def plan_reference(
         one, other = traced_halves(prepared, view, pixels, 2 * PILOT_PATHS, _PILOT_SEED) @ matrix.T
         bounds.append(bound_of_share(differences(one, other, matrix @ white)))
         found += len(pixels)
-    # Each picture is checked alone. Two differ by √2 times what one errs.
+    # The noisiest view counts. The difference of two renderings is √2 times the error of one.
     noise = max(bounds) / math.sqrt(2.0)
-    assert isinstance(scene.integrator, ReferenceIntegrator)  # whose plan this is
+    assert isinstance(scene.integrator, ReferenceIntegrator)  # checked by the caller
     assert scene.tolerance_ciede2000 is not None
     most = scene.integrator.samples
     samples = scene.plan.samples or _samples_for(noise, scene.tolerance_ciede2000, most)
@@ -78,7 +78,7 @@ def plan_reference(
 
 
 def _samples_for(noise: float, tolerance: float, most: int) -> int:
-    """Return the least power of two of paths whose noise keeps a tolerance, at most ``most``."""
+    """Return the least power of two of paths per pixel whose noise is within a tolerance, at most ``most``."""
     samples = _LEAST
     while samples < most and noise * math.sqrt(PILOT_PATHS / samples) > tolerance:
         samples *= 2

@@ -12,9 +12,9 @@ from irodori.rendering.planning.scene_plan import ScenePlan
 from irodori.rendering.planning.scene_planner import Decision, ScenePlanner
 from irodori.rendering.planning.tolerance import SHARE
 
-#: Digits of what is predicted: the last bits of a sum are the library's.
+#: Significant digits of predictions, because the last bits of a sum depend on the library.
 _DIGITS = 4
-#: Decisions that are fields of `Model` as they stand.
+#: Decisions that are fields of `Model` without conversion.
 _PLAIN = (
     "max_bounces",
     "least_throughput",
@@ -28,7 +28,7 @@ _PLAIN = (
 
 
 def rounded(value, digits: int = _DIGITS):
-    """Return plain numbers, lists and dictionaries; floats with a number of digits."""
+    """Convert a value to plain numbers, lists and dictionaries, floats rounded to ``digits`` significant digits."""
     if isinstance(value, dict):
         return {str(key): rounded(item, digits) for key, item in value.items()}
     if isinstance(value, list | tuple | np.ndarray):
@@ -39,7 +39,7 @@ def rounded(value, digits: int = _DIGITS):
 
 
 def cost_of(planner: ScenePlanner, model: Model, side: int) -> dict[str, float]:
-    """Return the predicted cost of a model: numbers multiplied and added, and rays, of a pixel; memory."""
+    """Return the predicted cost of a model: numbers multiplied and added per pixel, rays per pixel, and memory."""
     rays = side**2
     met = planner.met(model)
     return {
@@ -56,11 +56,11 @@ def document_of(scene_name: str, planner: ScenePlanner, side: int, kind: str = "
     ----------
     scene_name : str
     planner : ScenePlanner
-        After `irodori.rendering.planning.choices.choose`.
+        Planner that `irodori.rendering.planning.choices.choose` returned.
     side : int
-        Rays along each side of a pixel.
+        Number of rays along each side of a pixel.
     kind : str
-        Of the integrator.
+        Kind of the integrator.
     """
     decisions = {name: decision_block(decision) for name, decision in planner.decisions.items()}
     document = {
@@ -84,7 +84,7 @@ def document_of(scene_name: str, planner: ScenePlanner, side: int, kind: str = "
 
 
 def decision_block(decision: Decision) -> dict:
-    """Return a decision as the file has it."""
+    """Return a decision in the form of the plan's file."""
     return rounded({key: value for key, value in asdict(decision).items() if value is not None})
 
 
@@ -95,9 +95,9 @@ def model_of(plan: ScenePlan, full: Model, names: list[str]) -> Model:
     ----------
     plan : ScenePlan
     full : Model
-        Of the scene.
+        Full model of the scene.
     names : list of str
-        Of the objects, see `irodori.config.placed_names.object_names`.
+        Names of the objects, see `irodori.config.placed_names.object_names`.
     """
     values, found = plan.decisions, plan.quadrature
     quadrature = None
@@ -115,7 +115,7 @@ def model_of(plan: ScenePlan, full: Model, names: list[str]) -> Model:
 
 
 def write_plan(path, document: dict) -> None:
-    """Write a plan whole or not at all."""
+    """Write a plan to a YAML file, replacing the file only when complete."""
     text = yaml.safe_dump(document, sort_keys=False, width=120, allow_unicode=True)
     with written_whole(path) as temporary:
         temporary.write_text(text, encoding="utf-8")

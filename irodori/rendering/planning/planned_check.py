@@ -1,4 +1,4 @@
-"""Check of a planned picture at random pixels against the full model."""
+"""Check of a picture that was rendered by a plan, at random pixels, against the full model."""
 
 from dataclasses import dataclass
 
@@ -11,17 +11,17 @@ from irodori.rendering.planning.tolerance import SHARE, differences
 from irodori.rendering.reference.distance import Distance
 from irodori.rendering.scene_arrays import View
 
-#: Pixels that are computed in full, and the seed of their places: not those of the probes.
+#: Number of pixels computed with the full model, and their seed, which differs from that of the probes.
 PIXELS, SEED = 3000, 2
 
 
 class ToleranceError(PlainError):
-    """A picture that differs from the full model by more than its scene tolerates."""
+    """Raised if the error of a picture exceeds the tolerance of its scene."""
 
 
 @dataclass(frozen=True)
 class PixelDifferences:
-    """CIEDE2000 of pixels of a picture to the full model."""
+    """Statistics of CIEDE2000 between pixels of a picture and of the full model."""
 
     count: int
     mean: float
@@ -31,20 +31,20 @@ class PixelDifferences:
 
 
 def chosen_pixels(view: View, count: int = PIXELS, seed: int = SEED) -> np.ndarray:
-    """Return columns and rows of random pixels of a picture, (n, 2), each once; all of a picture that has fewer."""
+    """Return columns and rows of distinct random pixels, (n, 2); all pixels if the picture has fewer than ``count``."""
     size = view.width * view.height
     place = np.random.default_rng(seed).choice(size, min(count, size), replace=False)
     return np.stack([place % view.width, place // view.width], axis=1)
 
 
 def measure(planned: np.ndarray, full: np.ndarray, white_xyz: np.ndarray) -> PixelDifferences:
-    """Return the differences of pixels, (n, 3) XYZ each."""
+    """Return statistics of CIEDE2000 between pixels of a picture and of the full model, (n, 3) XYZ each."""
     found = summary(differences(full, planned, white_xyz))
     return PixelDifferences(int(found["count"]), found["mean"], found["p95"], found["p99"], found["max"])
 
 
 def refuse_above(measured: PixelDifferences, plan: ScenePlan, view: str) -> None:
-    """Refuse a picture whose pixels differ from the full model by more than its plan tolerates.
+    """Raise an error if a picture's pixels differ from the full model by more than the plan's tolerance.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ def refuse_above(measured: PixelDifferences, plan: ScenePlan, view: str) -> None
 
 
 def refuse_far(found: Distance, plan: ScenePlan, view: str) -> None:
-    """Refuse a picture that is further from the path-traced one than its plan tolerates.
+    """Raise an error if a picture is further from the path-traced one than the plan's tolerance.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Rendering of a planned scene with its check, for `irodori.rendering.integrators`."""
+"""Rendering of a view by a plan, with a check against the full model, for `irodori.rendering.integrators`."""
 
 import time
 from dataclasses import asdict
@@ -24,7 +24,7 @@ from irodori.rendering.scene_white import scene_white
 
 
 def parts_of(scene: Scene, objects: Objects, environment: Environment, tracer: Tracer) -> SceneParts:
-    """Return a scene as the planner wants it.
+    """Return the parts of a scene in the planner's form.
 
     Raises
     ------
@@ -52,17 +52,17 @@ def render_planned(
     options : Render
     plan : ScenePlan
     check : bool
-        Whether random pixels are computed in full.
+        Whether to compare random pixels with the full model.
 
     Returns
     -------
-    picture : (height, width, 61) radiance where the plan carries all bands, else (height, width, 3) XYZ; float32
+    picture : (height, width, 61) radiance if the plan computes all bands, else (height, width, 3) XYZ; float32
     figures : dict
 
     Raises
     ------
     irodori.rendering.planning.planned_check.ToleranceError
-        If the check finds more than the plan's tolerance.
+        If the check finds an error above the plan's tolerance.
     """
     side, matrix = options.pixel_side, xyz_from_radiance(parts.white)
     full = full_model(parts, scene.max_bounces, has_ambient(scene))

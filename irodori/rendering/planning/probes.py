@@ -1,7 +1,7 @@
-"""Rays through random points of a scene's pictures, rendered by the interactive integrator with what a plan changes.
+"""Probes: rays through random points of a scene's pictures, rendered with simplifications by `interactive`.
 
-The scene is prepared once, in full and in 61 bands. A change is a change of that prepared scene: a limit, an entry of
-a table, another picture of the environment; so that many candidates are rendered in little more time than one.
+The scene is prepared once, in full and in 61 bands. A simplification only changes that prepared scene: a limit, an
+entry of a table, or another picture of the environment. Many candidates are thus rendered in little more time than one.
 """
 
 from dataclasses import dataclass, field, replace
@@ -28,28 +28,30 @@ from irodori.rendering.interactive.shading import FURTHER
 from irodori.rendering.planning.modelled_scene import Model, SceneParts, coarser, prepare
 from irodori.rendering.scene_arrays import Light, View, textures
 
-#: In place of a level: a texture that reflects nothing.
+#: Value in place of a level for a texture that reflects nothing.
 BLACK = -1
 
 
 @dataclass(frozen=True)
 class Changes:
-    """Terms that a picture is computed without, or more coarsely; by default none.
+    """Simplifications of a picture relative to the full model; by default none.
 
     Parameters
     ----------
     max_bounces : int, optional
+        Number of mirror reflections.
     least_throughput : float
+        Throughput below which a path ends.
     without_gloss, without_mirror : frozenset of int
-        Objects.
+        Objects without gloss or mirror term.
     light_basis : (k, 61), optional
-        That stands for the environment's basis: what is left of it on fewer vectors.
+        Replacement of the environment's basis: its projection on fewer vectors.
     sky_level : int
-        Finest level of the environment's ladder.
+        Finest level of the environment that is used, 0 for full resolution.
     texture_level : dict
-        Object -> level, halvings of its texture, or `BLACK`.
+        Object -> number of halvings of its texture, or `BLACK`.
     reflected_basis : (m, 61), optional
-        On which light is thrown from object to object.
+        Basis on which light reflected between objects is projected.
     """
 
     max_bounces: int | None = None
@@ -64,7 +66,7 @@ class Changes:
 
 @dataclass(frozen=True)
 class Texture:
-    """Place of an object's texels in the prepared scene; of a level that is not yet made ``first`` is -1."""
+    """Size and first texel of a texture in the prepared scene; ``first`` is -1 for a level that is not made yet."""
 
     rows: int
     columns: int
@@ -72,21 +74,21 @@ class Texture:
 
 
 class Probes:
-    """Rays of a scene's pictures, and the scene prepared for them.
+    """Random rays of a scene's pictures, and the scene prepared for them.
 
     Parameters
     ----------
     parts : SceneParts
     model : Model
-        In full.
+        Full model.
     ladder : Light
-        Of the environment, with all its levels.
+        Environment with all its levels.
     views : list of View
-        Which have equal shares of the rays: ray i is of view i modulo their number.
+        Views with equal shares of the rays: ray i belongs to view i modulo their number.
     count : int
-        Rays.
+        Number of rays.
     seed : int
-        Of their places.
+        Seed of the random points.
     """
 
     def __init__(
@@ -111,13 +113,13 @@ class Probes:
         )
 
     def radiance(self, changes: Changes = Changes()) -> np.ndarray:
-        """Return the radiance of every ray, (count, 61) float64, of the picture with changes."""
+        """Render all rays with simplifications and return their radiance, (count, 61) float64."""
         return self._render(changes)[0]
 
     def met(self, changes: Changes) -> dict[str, float]:
-        """Return what a ray of the eye meets: rays traced, surfaces, glossy ones, and the environment.
+        """Return the mean numbers of traced rays, hits, glossy hits and misses per ray from the eye.
 
-        Only lobes, mirrors and the limits of paths count.
+        Of the changes, only those of gloss, mirrors and limits of paths matter.
         """
         limits = changes.max_bounces, changes.least_throughput, changes.without_gloss, changes.without_mirror
         if limits not in self._met:
@@ -142,7 +144,7 @@ class Probes:
         return found, figures
 
     def _with(self, changes: Changes) -> Prepared:
-        """Return the scene with all changes but the lobes that are left out."""
+        """Return the prepared scene with all changes except those of gloss."""
         world, limits = self._prepared.world, self._prepared.limits
         least = changes.least_throughput
         bounces = limits.max_bounces if changes.max_bounces is None else changes.max_bounces
@@ -203,7 +205,7 @@ class Probes:
         return places
 
     def _texture(self, index: int, level: int) -> Texture:
-        """Return where a texture of a level stands; it is made after all others when it is first asked for."""
+        """Return the position of an object's texture at a level; if it is new, make it and append it to the texels."""
         texture = self._levels[index, level]
         if texture.first >= 0:
             return texture
@@ -220,7 +222,7 @@ class Probes:
         return texture
 
     def _gloss_of(self, index: int, level: int) -> list[np.ndarray]:
-        """Return the powers of an object's gloss components, views of the prepared texels."""
+        """Return the powers of an object's gloss components as views of the prepared texels."""
         texture, world = self._texture(index, level), self._prepared.world
         chosen = slice(texture.first, texture.first + bordered_size(texture.rows, texture.columns))
         powers = [world.texels.reshape(-1, self._channels.surface)[chosen, -2]]
@@ -231,5 +233,5 @@ class Probes:
 
 
 def halvings_of(columns: int, rows: int) -> int:
-    """Return how often a texture can be halved."""
+    """Return the number of times that a texture's resolution can be halved."""
     return max(int(np.log2(max(min(int(columns), int(rows)), 1))) - 1, 0)

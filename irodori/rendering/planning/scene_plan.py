@@ -1,4 +1,4 @@
-"""A scene's plan as pictures are rendered by it, read from ``plan.yaml``."""
+"""A scene's plan in the form in which pictures are rendered by it, read from ``plan.yaml``."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -37,12 +37,12 @@ class ScenePlan:
 
     @classmethod
     def of(cls, document: Mapping[str, Any], file="plan.yaml") -> "ScenePlan":
-        """Return the plan that a document gives, see `irodori.rendering.planning.plan_file.document_of`.
+        """Return the plan in the content of a file, see `irodori.rendering.planning.plan_file.document_of`.
 
         Raises
         ------
         InputError
-            If it lacks one of a plan's keys.
+            If one of a plan's keys is missing.
         """
         try:
             return cls(
@@ -58,16 +58,16 @@ class ScenePlan:
 
     @property
     def figures(self) -> dict[str, object]:
-        """The numbers of the plan that a picture's figures repeat."""
+        """Numbers of the plan that are repeated in the figures of a picture."""
         return {"tolerance_ciede2000": self.tolerance_ciede2000, "predicted_delta_e": self.predicted_delta_e}
 
 
 def read_plan(path) -> ScenePlan:
-    """Read a plan.
+    """Read a plan from a YAML file.
 
     Raises
     ------
     InputError
-        If the file is no YAML, or no plan.
+        If the file is no YAML file or no plan.
     """
     return ScenePlan.of(read_yaml(path), path)

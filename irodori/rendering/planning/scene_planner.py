@@ -1,4 +1,4 @@
-"""State of the planner: decisions so far, their colour error on the probes, and their cost."""
+"""State of the planner: decisions so far, their colour errors at the probes, and their work."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -13,11 +13,11 @@ from irodori.rendering.planning.probes import Changes, Probes
 from irodori.rendering.planning.tolerance import bound_of_share, differences
 from irodori.rendering.scene_arrays import Light
 
-#: Probes of a view, and the seed of their places; pixels that are checked have another.
+#: Number of probes per view, and the seed of their points, which differs from that of the checked pixels.
 PROBES, SEED = 2000, 1
-#: Views with so many probes; more of them share these.
+#: Largest number of views for which the number of probes grows; more views share the same total.
 MOST_VIEWS = 4
-#: Decisions that may cost colour.
+#: Number of decisions that may cause a colour error.
 _LOSSY = 8
 
 
@@ -28,14 +28,15 @@ class Decision:
     Parameters
     ----------
     value, full
-        What is modelled, and what the full model has.
+        Chosen value, and value in the full model.
     predicted_delta_e : float
-        CIEDE2000 that this decision alone costs at most, see `irodori.rendering.planning.choices.choose`.
+        Upper bound of the error of this decision alone, CIEDE2000, see `irodori.rendering.planning.choices.choose`.
     numbers_per_ray : float
-        Numbers that are multiplied and added for a ray of the eye with this decision and those before it.
+        Numbers that are multiplied and added per ray from the eye with this decision and all before it.
     by : str
-        ``plan`` or ``scene``, whose file overrides the plan.
+        ``plan``, or ``scene`` if the scene's definition states the value.
     why : str
+        Reason.
     """
 
     value: object
@@ -48,7 +49,7 @@ class Decision:
 
 @dataclass
 class ScenePlanner:
-    """The state of planning: what is decided, by the plan or ``by_scene``, and what it costs."""
+    """State of planning: model and decisions so far, remaining tolerance, and the probes that measure errors."""
 
     parts: SceneParts
     probes: Probes
@@ -76,41 +77,41 @@ class ScenePlanner:
         self.xyz = lambda spectra: spectra @ self.matrix.T
 
     def errors(self, changes: Changes, xyz: Callable | None = None) -> np.ndarray:
-        """Return CIEDE2000 of every probe of the picture with changes."""
+        """Render all probes with changes and return CIEDE2000 of each to the full model, (count,)."""
         return self.differences(self.probes.radiance(changes), xyz)
 
     def differences(self, radiance: np.ndarray, xyz: Callable | None = None) -> np.ndarray:
-        """Return CIEDE2000 of every probe of a picture, (count, 61) radiance."""
+        """Return CIEDE2000 of the probes' radiance, (count, 61), to that of the full model, (count,)."""
         found = (xyz or (lambda spectra: spectra @ self.matrix.T))(radiance)
         return differences(self.truth, found, self.white_xyz)
 
     def bound(self, errors: np.ndarray) -> float:
-        """Return the bound of the share of pixels in the view where it is largest: each picture is checked alone."""
+        """Return the largest error bound of any view, see `bound_of_share`, because each picture is checked alone."""
         views = self.probes.views
         return max(bound_of_share(errors[view::views]) for view in range(min(views, len(errors))))
 
     def showing(self, radiance: np.ndarray) -> np.ndarray:
-        """Return which probes of a picture, (count, 61), differ from the full one at all, (count,) bool."""
+        """Return a mask of the probes whose radiance, (count, 61), differs from the full model at all, (count,)."""
         return (radiance != self.seen).any(axis=1)
 
     def bound_where(self, chosen: np.ndarray, radiance: np.ndarray) -> float:
-        """Return the bound of the share among chosen probes, so that what is small in the picture counts too."""
+        """Return the error bound over selected probes only, so that objects that are small in the picture count too."""
         return bound_of_share(self.differences(radiance)[chosen]) if chosen.any() else 0.0
 
     def solve(self, nodes: int) -> Quadrature:
-        """Return the quadrature of a number of wavelengths for the paths of the model."""
+        """Return the quadrature of ``nodes`` wavelengths for the paths of the model, solved once."""
         if nodes not in self.solved:
             self.solved[nodes] = solved_nodes(self.parts, self.model.max_bounces, self.matrix, nodes)
         return self.solved[nodes]
 
     def fits(self, alone: float, changes: Changes, xyz: Callable | None = None) -> bool:
-        """Return whether a decision keeps under its share, and all together under the tolerance."""
+        """Return whether a decision's own error is within its share, and that of all decisions within the tolerance."""
         if alone > (self.tolerance - self.spent) / self.left:
             return False
         return self.bound(self.errors(changes, xyz or self.xyz)) <= self.tolerance
 
     def decide(self, name: str, alone: float, changes: Changes, why: str, lossy: bool = True, **model) -> None:
-        """Note a decision."""
+        """Record a decision: change the model, subtract its error from the tolerance and note the reason."""
         before = {key: getattr(self.full, key) for key in model}
         self.model, self.changes = replace(self.model, **model), changes
         value, full = (self._named(name, next(iter(d.values()))) for d in (model, before))
@@ -127,7 +128,7 @@ class ScenePlanner:
         return list(value) if isinstance(value, tuple) else value
 
     def met(self, model: Model | None = None) -> dict[str, float]:
-        """Return what a ray of the eye meets: surfaces, glossy ones, the environment, and rays traced."""
+        """Return the mean numbers of hits, glossy hits, misses and traced rays per ray from the eye in a model."""
         model = model or self.model
 
         def without(before, after) -> frozenset:
@@ -138,6 +139,6 @@ class ScenePlanner:
         return self.probes.met(Changes(*limits, *left))
 
     def numbers(self, model: Model | None = None) -> float:
-        """Return the numbers that a ray of the eye costs."""
+        """Return how many numbers are multiplied and added per ray from the eye in a model."""
         model = model or self.model
         return look_up_numbers(model, widths_of(self.parts, model), self.met(model), len(self.names))

@@ -1,4 +1,4 @@
-"""Planning stage: a scene, its materials and its light in; ``plan.yaml`` out."""
+"""Planning stage: reads a scene, its materials and its light; writes ``plan.yaml``."""
 
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -29,15 +29,15 @@ def plan_scene(
     options: Render,
     output,
 ) -> None:
-    """Decide what to model of a scene and write it down.
+    """Decide which simplifications to make in a scene and write the plan to a file.
 
     Parameters
     ----------
     scene_name : str
     scene : Scene
-        With ``tolerance_ciede2000``.
+        Scene with ``tolerance_ciede2000``.
     shapes : sequence of ObjectShape
-        One an object.
+        Shape of each object.
     material_files, environment_file : paths
     options : Render
     output : path
@@ -45,8 +45,8 @@ def plan_scene(
     Raises
     ------
     InputError
-        If an override cannot be met, a material makes light, there is no light to see colours by, or the integrator
-        cannot keep the tolerance.
+        If an override is not possible, a material reflects more light than falls on it, the scene has no light, or the
+        integrator cannot keep the tolerance.
     """
     document = plan_of(
         scene_name,
@@ -76,10 +76,10 @@ def plan_of(
     *,
     to_reference: bool = False,
 ) -> dict:
-    """Return the content of the plan of a scene; parameters and errors are those of `plan_scene`.
+    """Return the content of a scene's plan; parameters and errors are those of `plan_scene`.
 
-    With ``to_reference`` the distance of the full model of the integrator `interactive` to the path-traced picture is
-    taken off the tolerance before anything is decided; otherwise the tolerance is to the full model alone.
+    With ``to_reference``, the distance of the full model of the integrator `interactive` to the path-traced picture is
+    subtracted from the tolerance first. Otherwise the tolerance refers to the full model.
     """
     if not scene_white(scene, environment)[0].any():
         found = "no light on a surface that faces up at the scene's origin"

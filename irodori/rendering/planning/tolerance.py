@@ -11,15 +11,15 @@ _CERTAINTY = 0.999
 
 
 def differences(xyz: np.ndarray, other: np.ndarray, white_xyz: np.ndarray) -> np.ndarray:
-    """Return CIEDE2000 between pixels, (n, 3) XYZ each, under a white."""
+    """Return CIEDE2000 between pixels, (n, 3) XYZ each, for a white, (3,) XYZ."""
     return delta_e(lab_from_xyz(xyz, white_xyz), lab_from_xyz(other, white_xyz))
 
 
 def bound_of_share(values: np.ndarray) -> float:
-    """Return what `SHARE` of a population keeps under, with certainty, by a random sample of it.
+    """Return an upper confidence bound for the quantile `SHARE` of a population, from a random sample of it.
 
-    The order statistic that exceeds the quantile unless luck is worse than 1 in 1000 (binomial, whatever the
-    distribution); the largest value where the sample is too small for that.
+    The bound is the order statistic that exceeds the quantile with a probability of 0.999 for any distribution
+    (binomial), or the largest value if the sample is too small for that.
     """
     from scipy.stats import binom  # slow to import
 

@@ -1,1 +1,1 @@
-"""Unbiased spectral path tracer; each path carries all bands [eq. 5]."""
+"""Unbiased spectral path tracer, in which each path carries all 61 bands [eq. 5]."""

@@ -1,7 +1,7 @@
 """Baking of light maps by path tracing.
 
-The size of a map and the number of its paths follow from its errors: both grow until what the map shows at places
-between its texels is as near to path tracing there as is asked for.
+The size of a map and its number of paths follow from its errors: both are increased until values interpolated between
+the texels are close enough to path tracing at the same points.
 """
 
 import hashlib
@@ -23,37 +23,37 @@ from irodori.rendering.reference.incident_light import incident_light, relative_
 from irodori.rendering.scene_arrays import Objects
 from irodori.spectra.grid import SAMPLES
 
-#: Root mean square error of a map between its texels, and the noise in its texels, over the mean light on its object.
+#: Largest root-mean-square error between a map's texels, and largest noise, relative to the mean light on its object.
 MOST_ERROR, MOST_NOISE = 0.02, 0.02
-#: Texels of a map and paths a texel, at first and at most.
+#: Texels of a map and paths per texel, initially and at most.
 _FEWEST_TEXELS, _MOST_TEXELS = 1 << 10, 1 << 16
 _FEWEST_PATHS, _MOST_PATHS = 64, 4096
-#: Places between texels that a map is judged by, and their seed, which is not that of the maps.
+#: Number of points between texels at which the error is measured, and their seed, which differs from that of the maps.
 _JUDGED, _SEED = 512, 307
 
 
 def has_map(shape: Shape) -> bool:
-    """Return whether objects of a shape get a map.
+    """Return whether objects of a shape get a light map.
 
-    Endless planes have no texture to hold it. Charts of a mesh's texture end anywhere, and texels as large as a map's
-    would carry light from one side of such an edge to the other.
+    Endless planes have no texture for it. The charts of a mesh's texture have edges at arbitrary places, and the large
+    texels of a map would spread light across them.
     """
     return not shape.is_endless and shape.triangles is None
 
 
 def maps_key(scene: Scene, shapes: Sequence[Shape], objects: Objects, environment: Environment) -> str:
-    """Return a hash of what the light maps of a scene depend on, this code included.
+    """Return a hash of everything on which the light maps of a scene depend, including this code.
 
-    It is made of definitions and of what stands in files, and of nothing that is computed from them: the last bits of
-    that may differ between the machines of a cluster, one of which bakes and another renders.
+    The hash is made from definitions and contents of files only. Values computed from them may differ in the last bits
+    between the machines of a cluster, where one bakes the maps and another renders with them.
 
     Parameters
     ----------
     scene : Scene
     shapes : sequence of Shape
-        Of the objects, then of the bodies.
+        Shapes of the objects, then of the bodies.
     objects, environment
-        As of `bake_maps`.
+        As in `bake_maps`.
     """
     stands = as_plain({"objects": scene.objects, "bodies": scene.bodies, "lights": scene.lights})
     text = [code_hash(__name__), json.dumps(stands, sort_keys=True), *objects.lobes.names]
@@ -81,13 +81,13 @@ def bake_maps(
     Parameters
     ----------
     placements, objects, environment, lights
-        As of `irodori.rendering.reference.converging_picture.make_scene`. Of the lights beside the environment the
-        maps hold what other surfaces reflect; what falls on a surface directly is the integrator's to add.
+        As in `irodori.rendering.reference.converging_picture.make_scene`. Of the lights other than the environment, the
+        maps contain only light that other surfaces reflect; the integrator adds their direct light.
     key : str
-        Names what the maps are of, see `maps_key`.
+        Key of the maps, see `maps_key`.
     most_error : float
-        Root mean square error between a map's texels, over the mean light on its object, up to which maps grow. A map
-        that has its largest size and errs more is kept, and the log says so.
+        Accepted root-mean-square error between a map's texels, relative to the mean light on its object. A map of the
+        largest size is kept even if its error is larger, with a warning.
     """
     scene = make_scene(list(placements), objects, environment, lights)
     spectra, bakes = [], []
@@ -104,7 +104,7 @@ def bake_maps(
 
 
 def _basis(spectra: list[np.ndarray]) -> np.ndarray:
-    """Return orthonormal vectors that hold all but `LEFT_OUT` of spectra (..., 61), (61, k)."""
+    """Return orthonormal vectors (61, k) that represent spectra (..., 61) up to the relative norm `LEFT_OUT`."""
     squares = sum((flat.T @ flat for flat in (one.reshape(-1, SAMPLES) for one in spectra)), np.zeros((SAMPLES,) * 2))
     values, vectors = np.linalg.eigh(squares)
     energy = np.maximum(values[::-1], 0.0)
@@ -114,14 +114,14 @@ def _basis(spectra: list[np.ndarray]) -> np.ndarray:
 
 
 def _size(shape: Shape, texels: int) -> tuple[int, int]:
-    """Return columns and rows of a map of about so many texels, as near to square as the shape's texture allows."""
+    """Return columns and rows of a map of about ``texels`` texels that are nearly square on the shape."""
     width, height = (2.0, 1.0) if shape.wraps else shape.size_mm
     columns = max(round(float(np.sqrt(texels * width / height))), 4)
     return columns, max(round(texels / columns), 4)
 
 
 def _bake(scene: TracedScene, index: int, placement: Placement, most_error: float) -> tuple[np.ndarray, Bake]:
-    """Return the spectra of an object's map, (rows, columns, 61) float64, and how good it is."""
+    """Return the spectra of an object's map, (rows, columns, 61) float64, and its size and errors."""
     if not has_map(placement.shape):
         return np.zeros((0, 0, SAMPLES)), Bake(0, 0, 0.0, 0.0)
     texels = _FEWEST_TEXELS
@@ -136,9 +136,9 @@ def _bake(scene: TracedScene, index: int, placement: Placement, most_error: floa
 
 
 def _traced(scene: TracedScene, index: int, placement: Placement, size: tuple[int, int], texels: np.ndarray, seed=0):
-    """Return the light at texels of a map of some size by two halves of paths, and how many these are.
+    """Return the light at texels of a map in two independent halves, (2, n, 61), and the number of paths per texel.
 
-    Paths are doubled until their noise is small enough.
+    The number of paths is doubled until the noise is small enough.
     """
     atlas = placement.shape.atlas(*size)
     point = placement.points(atlas.position).reshape(-1, 3)[texels]
@@ -149,15 +149,15 @@ def _traced(scene: TracedScene, index: int, placement: Placement, size: tuple[in
         noise = relative_noise(halves)
         if noise <= MOST_NOISE or paths >= _MOST_PATHS:
             return halves, paths
-        # The noise falls with the root of the paths, or faster; at most fourfold, so that a guess costs little.
+        # The noise falls at least with the square root of the number of paths.
         while paths < _MOST_PATHS and noise > MOST_NOISE:
             paths, noise = 2 * paths, noise / np.sqrt(2.0)
 
 
 def _error(scene: TracedScene, index: int, placement: Placement, found: np.ndarray) -> float:
-    """Return how far a map is from path tracing between its texels: root mean square over the mean light."""
+    """Return the root-mean-square error of a map between its texels, by path tracing, relative to the mean light."""
     rows, columns, _ = found.shape
-    size = (round(1.37 * columns), round(1.37 * rows))  # whose texels lie anywhere between those of the map
+    size = (round(1.37 * columns), round(1.37 * rows))  # its texels lie at varying positions between those of the map
     chosen = np.random.default_rng(_SEED).permutation(size[0] * size[1])[:_JUDGED]
     halves, _ = _traced(scene, index, placement, size, chosen, seed=_SEED)
     u, v = (chosen % size[0] + 0.5) / size[0], (chosen // size[0] + 0.5) / size[1]

@@ -16,7 +16,7 @@ _WIDTH = 16  # bands in a vector
 
 
 def padded(values: np.ndarray, fill: str = "zero") -> np.ndarray:
-    """Return spectra (..., 61) as (..., 64) float32; ``fill`` is ``zero``, or ``edge`` to repeat the last."""
+    """Pad spectra (..., 61) to (..., 64) float32; ``fill`` is ``zero``, or ``edge`` to repeat the last value."""
     width = [(0, 0)] * (values.ndim - 1) + [(0, PADDED - BANDS)]
     modes: dict[str, Literal["constant", "edge"]] = {"zero": "constant", "edge": "edge"}
     return np.ascontiguousarray(np.pad(values, width, mode=modes[fill]), dtype=np.float32)
@@ -24,10 +24,10 @@ def padded(values: np.ndarray, fill: str = "zero") -> np.ndarray:
 
 @uncounted(forceinline=True, fastmath=_SUMS)
 def decode(basis, index, count, coefficients, out):
-    """Fill a spectrum from the first ``count`` coefficients on ``basis[index]``.
+    """Fill ``out`` with the spectrum of the first ``count`` coefficients on ``basis[index]``.
 
-    Samples below zero, left by recovery and compression, are dark, and the others carry so much less that the sum
-    stays: setting them to zero alone would add light.
+    Negative samples, which spectral recovery and compression leave, are set to zero, and the others are scaled down so
+    that the sum stays the same: clipping alone would add light.
     """
     for band in range(PADDED):
         out[band] = _ZERO
@@ -83,7 +83,7 @@ def scale(a, factor):
 
 @uncounted(forceinline=True)
 def scale_by(a, b, factor):
-    """Multiply a spectrum by another times a number."""
+    """Multiply spectrum ``a`` by spectrum ``b`` and by a number, in place."""
     factor = np.float32(factor)
     for band in range(PADDED):
         a[band] *= b[band] * factor
@@ -91,7 +91,7 @@ def scale_by(a, b, factor):
 
 @uncounted(forceinline=True, fastmath={"contract"})
 def add_product(a, b, factor, out):
-    """Add the product of two spectra times a number."""
+    """Add the product of two spectra and a number to ``out``."""
     factor = np.float32(factor)
     for band in range(PADDED):
         out[band] += a[band] * b[band] * factor
@@ -115,7 +115,7 @@ def fill_mixture_grey(diffuse, a, b, out):
 
 @uncounted(forceinline=True)
 def fill_fresnel(cosine, n, k, index, out):
-    """Fill the Fresnel reflectance of every band; ``n`` and ``k`` are (objects, 64) float32."""
+    """Fill ``out`` with the Fresnel reflectance of every band; ``n`` and ``k`` are (objects, 64) float32."""
     c = spread(np.float32(cosine), _WIDTH)
     for band in range(0, PADDED, _WIDTH):
         place = index * PADDED + band

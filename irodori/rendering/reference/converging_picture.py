@@ -1,4 +1,4 @@
-"""Reference integrator: progressive pictures with standard errors, resumable by tile."""
+"""Reference integrator: path-traced pictures with standard errors, resumable tile by tile."""
 
 import hashlib
 from collections.abc import Callable, Sequence
@@ -29,27 +29,27 @@ from irodori.rendering.reference.world import SEEN, Bands, World
 from irodori.rendering.scene_arrays import Objects, View
 from irodori.rendering.scene_lights import BANDS, make_lights
 
-#: Independent sets of a pixel's samples, from whose spread the standard error comes. Points of one set cover the light
-#: the more evenly the more they are: to the same error two sets take 0.6 to 0.7 of the samples of eight.
+#: Number of independent sets of a pixel's samples, whose spread gives the standard error. Larger sets cover the light
+#: more uniformly: for the same error, two sets need 0.6 to 0.7 of the samples that eight sets need.
 REPLICATES = 2
 _NEIGHBOURS = 7  # pixels along the side of the square over which `pooled` takes its mean
-#: Rays leave a surface this part of its reach above it, and this part of its coordinates: single precision.
+#: Height above a surface at which rays start, relative to its size and to its coordinates, for single precision.
 _OFFSET, _STEPS = 3e-7, 1e-6
 
 
 class TracedScene(NamedTuple):
-    """A scene ready for paths; the tracer owns what the world's addresses point to."""
+    """A scene prepared for path tracing; the tracer must be kept because the world holds addresses of its data."""
 
     world: World
     tracer: Tracer
 
 
 class Picture(NamedTuple):
-    """Part of a picture, or all of it.
+    """A path-traced picture or some of its rows.
 
-    ``radiance`` is the mean and ``standard_error`` that of the mean; ``halves`` has the two sets apart where they are
-    asked for. ``cut`` counts the paths that were ended at `irodori.rendering.reference.paths.LONGEST` surfaces, the one
-    thing by which the mean can be too low.
+    ``radiance`` is the mean over all paths and ``standard_error`` the error of that mean; ``halves`` has the two
+    independent sets of paths if requested. ``cut`` counts the paths that were ended after
+    `irodori.rendering.reference.paths.LONGEST` surfaces, the only cause of a bias, which makes the mean too low.
     """
 
     radiance: np.ndarray  # (rows, width, 61) float32
@@ -61,14 +61,14 @@ class Picture(NamedTuple):
 def make_scene(
     placements: list[Placement], objects: Objects, environment: Environment | Sky, lights: Sequence[SceneLight] = ()
 ) -> TracedScene:
-    """Return a scene for `render_rows`.
+    """Prepare a scene for `render_rows`.
 
     Parameters
     ----------
     placements, objects
-        Of the objects, one for one, see `irodori.rendering.scene_arrays`.
+        Placements and materials of the objects in the same order, see `irodori.rendering.scene_arrays`.
     environment : Environment or Sky
-        A sky that is made already serves several scenes.
+        A `Sky` that was made once can be used for several scenes.
     lights : sequence of SceneLight
         See `irodori.rendering.scene_lights.make_lights`.
     """
@@ -83,12 +83,12 @@ def make_scene(
 
 
 def render_rows(scene: TracedScene, view: View, numbers: Numbers, rows: tuple[int, int]) -> Picture:
-    """Render a band of rows, on as many threads as numba may use; these do not change the result."""
+    """Render a band of rows on all threads of numba; the result does not depend on their number."""
     return render_places(scene, view, numbers, np.moveaxis(np.mgrid[slice(*rows), : view.width], 0, -1)[..., ::-1])
 
 
 def render_places(scene: TracedScene, view: View, numbers: Numbers, places: np.ndarray) -> Picture:
-    """Render pixels at their places in a view's picture, (rows, width, 2) column and row, as `render_rows` does."""
+    """Render pixels of a view given by column and row, (rows, width, 2), with the same result as `render_rows`."""
     places = np.ascontiguousarray(places, dtype=np.int64)
     count, width, _ = places.shape
     image, seen = (np.zeros((count, width, size), dtype=np.float32) for size in (BANDS, SEEN))
@@ -99,7 +99,7 @@ def render_places(scene: TracedScene, view: View, numbers: Numbers, places: np.n
 
 
 def check_samples(samples: int, replicates: int = REPLICATES) -> None:
-    """Refuse a number of samples that the replicates cannot share.
+    """Raise an error if the number of samples is no multiple of the number of replicates.
 
     Raises
     ------
@@ -129,27 +129,28 @@ def render(
     scene : TracedScene
     view : View
     samples : int
-        Paths a pixel, a multiple of ``replicates``; powers of two are spread best.
+        Paths per pixel, a multiple of ``replicates``; powers of two are distributed best.
     seed : int, from 0
     tile_rows : int
-        Rows between two reports of progress, and between two tiles on disk.
+        Rows of a tile; progress is reported and tiles are stored after each.
     label : str
-        Of the progress.
-    tiles : Tiles, optional
-        Where finished tiles are kept and looked for.
+        Label of the progress.
+    tiles : FinishedTiles, optional
+        Folder in which finished tiles are kept and searched.
     error_by_band : bool
-        Otherwise the standard error is its root mean square over the bands, (height, width, 1): half the memory.
-        Of two sets the plain mean would be a fifth too small where bands err apart from each other.
+        Whether the standard error is given for each band. If not, it is the root mean square over the bands, (height,
+        width, 1), which needs half the memory. (With two replicates, the plain mean over bands would be a fifth too
+        small if the errors of bands are independent.)
     replicates : int
-        Independent sets of the samples, 2 or more. The standard error of a pixel follows Student's law with one degree
-        of freedom less: of two sets it says little of a single pixel, see `pooled`.
+        Number of independent sets of samples, at least 2. The standard error of a pixel has one degree of freedom less
+        than that: with two sets it is a poor estimate for a single pixel, see `pooled`.
     halves : bool
-        Whether the picture is to have its `Halves`, for which it needs twice the memory and two replicates.
+        Whether to return the two `Halves`, which needs twice the memory and two replicates.
 
     Raises
     ------
     ValueError
-        If `samples` is no multiple of ``replicates``, or halves are asked for of other than two.
+        If `samples` is no multiple of ``replicates``, or halves are requested with more than two replicates.
     """
     check_samples(samples, replicates)
     if halves and replicates != 2:
@@ -175,22 +176,22 @@ def render(
 
 
 def pooled(error: np.ndarray) -> np.ndarray:
-    """Return standard errors (height, width) as root mean square over each pixel's neighbourhood, 7 x 7 pixels.
+    """Return standard errors (height, width) averaged, as root mean square, over 7 x 7 pixels around each pixel.
 
-    Squares of the differences of two sets are right in the mean, and single ones scatter by more than themselves;
-    neighbours mostly have like noise.
+    The squared difference of two sets is an unbiased estimate of the variance, but its scatter is larger than its
+    value. Neighbouring pixels mostly have similar noise and are averaged.
     """
     from scipy.ndimage import convolve1d  # slow to import
 
     squares, even = np.square(error, dtype=np.float64), np.full(_NEIGHBOURS, 1.0 / _NEIGHBOURS)
     for axis in range(2):
-        # Not `uniform_filter`: behind a sun's outline the rounding of its running sum is more than the dark's errors.
+        # `uniform_filter` uses a running sum, whose rounding error next to a sun exceeds the errors of dark pixels.
         squares = convolve1d(squares, even, axis, mode="nearest")
     return np.sqrt(squares)
 
 
 def picture_key(scene: TracedScene, view: View, samples: int, seed: int) -> str:
-    """Return a hash of everything that a picture depends on: the scene, the view, the samples and this code."""
+    """Return a hash of everything on which a picture depends: the scene, the view, the samples and this code."""
     digest = hashlib.blake2b(code_hash(__name__).encode(), digest_size=16)
     for part in (
         scene.world.surfaces,
@@ -210,14 +211,14 @@ def picture_key(scene: TracedScene, view: View, samples: int, seed: int) -> str:
 
 
 class FinishedTiles:
-    """Finished tiles in a folder, of one picture alone.
+    """Folder of the finished tiles of one picture.
 
     Parameters
     ----------
     folder : path
-        Made where it is not there.
+        Created if it does not exist.
     key : str
-        Names everything that the picture depends on: tiles of another key are not read.
+        Hash of everything on which the picture depends; tiles with another key are not read.
     """
 
     def __init__(self, folder, key: str) -> None:
@@ -225,7 +226,7 @@ class FinishedTiles:
         self.folder.mkdir(parents=True, exist_ok=True)
 
     def get(self, rows: tuple[int, int], make: Callable[[], Picture]) -> Picture:
-        """Return a tile from the folder, or make it and keep it there."""
+        """Return a tile from the folder, or call ``make`` and store its result there."""
         path = self.folder / f"{self.key}-{rows[0]}-{rows[1]}.npz"
         if path.is_file():
             with np.load(path) as kept:

@@ -1,14 +1,14 @@
-"""Cross filter that takes the noise out of a path-traced picture, and the error that is left.
+"""Cross filter that removes the noise of a path-traced picture, with an estimate of the remaining error.
 
-A picture has two independent sets of samples. Each pixel of one set becomes the value at its place of a linear function
-of what its paths met first (albedo, normal, place, share of gloss), fitted to the pixels around it (first-order
-regression: Moon et al. 2014, doi 10.1145/2641762; Bitterli et al. 2016, doi 10.1111/cgf.12954). How much a neighbour
-counts is told by the other set, patch against patch, in units of its noise (dual-buffer non-local means: Rousselle et
-al. 2012, doi 10.1145/2366145.2366214): the noise that is filtered has no say in it. All 61 bands have the same weights,
-so that spectra stay what they are.
+A picture has two independent sets of samples. Each pixel of one set is replaced by the value of a linear function of
+features of the first hits (albedo, normal, position, share of gloss), fitted to the pixels around it (first-order
+regression: Moon et al. 2014, doi 10.1145/2641762; Bitterli et al. 2016, doi 10.1111/cgf.12954). The weights of the
+neighbours come from the other set, by comparing patches in units of the noise (dual-buffer non-local means: Rousselle
+et al. 2012, doi 10.1145/2366145.2366214), and are therefore independent of the noise that is filtered. All 61 bands
+have the same weights, so that spectra are not distorted.
 
-The filter is biased, which the sets tell too: how far one filtered set is from the other, unfiltered one, less the
-noise of that one, is the filter's whole error.
+The filter is biased. The two sets show the whole error, noise and bias: it is the squared difference between one
+filtered set and the other, unfiltered set, less the noise of the latter.
 """
 
 import math
@@ -25,65 +25,65 @@ from irodori.rendering.scene_lights import BANDS
 RADIUS, PATCH = 5, 2
 #: Rows around those wanted that `filtered_halves` reads.
 MARGIN = RADIUS + PATCH
-_ROWS = 8  # filtered together: patches of neighbouring rows share what they compare
+_ROWS = 8  # rows filtered together, because patches of neighbouring rows share their comparisons
 _SIDE = 2 * RADIUS + 1
-_STRICT = 0.49  # square of the standard deviations by which patches may differ (k = 0.7 of Rousselle et al.)
-_RIDGE = 1e-4  # of the regression's slopes, a part of the weights' sum
+_STRICT = 0.49  # square of the number of standard deviations by which patches may differ (k = 0.7, Rousselle et al.)
+_RIDGE = 1e-4  # regularisation of the regression's slopes, relative to the sum of the weights
 _LEAST_WEIGHT = 1e-4
 _COLUMNS = SEEN + 1
 #: Differences of the normal, of the albedo's cube root and of the share of gloss that count as another surface.
 _SAME_NORMAL, _SAME_ALBEDO, _SAME_SHINE = 0.3, 0.3, 0.2
-_DARK = 1e-3  # of the picture's mean: under it no difference is seen
-_NOISE_SIDE = 7  # pixels, over which the noise of two sets is averaged
-_ERROR_SIDE = 31  # pixels, over which squared errors are averaged: single ones say little, and may be below 0
+_DARK = 1e-3  # share of the picture's mean below which differences are not visible
+_NOISE_SIDE = 7  # side, in pixels, of the square over which the noise is averaged
+_ERROR_SIDE = 31  # the same for squared errors, whose single values are inaccurate and may be negative
 _TILE_ROWS = 64
-#: Side of the blocks, in pixels, whose means are compared before and after: little noise is left in them.
+#: Side, in pixels, of the blocks whose means are compared before and after filtering, because means have little noise.
 BLOCK_PX = 16
 
 
 class Halves(NamedTuple):
-    """The two independent sets of a picture's samples, by rows, or a band of rows of one."""
+    """The two independent sets of samples of a picture, or of some of its rows."""
 
     mean: np.ndarray  # (height, width, 61) float32 radiance
-    difference: np.ndarray  # (height, width, 61) float32 half of what the first set is above the second
+    difference: np.ndarray  # (height, width, 61) float32 half the difference, first set less second
     seen: np.ndarray  # (height, width, SEEN) float32, see `irodori.rendering.reference.world.SEEN`
 
 
 class Denoised(NamedTuple):
-    """A filtered picture and what it errs by."""
+    """A filtered picture and its error."""
 
     radiance: np.ndarray  # (height, width, 61) float32
     error: np.ndarray  # (height, width) float32 root mean square over the bands and the neighbourhood, noise and bias
 
 
 class Guides(NamedTuple):
-    """Features that determine the weights of `Halves`."""
+    """Features of the pixels of `Halves` that determine the weights of the filter."""
 
     colour: np.ndarray  # (2 sets, 3 parts of the spectrum, height, width) float32, cube roots
-    noise: np.ndarray  # (3, height, width) float32 variance of one set's
+    noise: np.ndarray  # (3, height, width) float32 variance of one set
     seen: np.ndarray  # (height, width, SEEN) float32, scaled to about one over the window
-    surface: np.ndarray  # (height, width) bool: whether any path met one; others have no noise to speak of
+    surface: np.ndarray  # (height, width) bool: whether any path hit a surface; other pixels have little noise
 
 
 def _averaged(values: np.ndarray, side: int) -> np.ndarray:
-    """Return means over squares of so many pixels to a side about each pixel of a picture (height, width)."""
+    """Return means over a square of ``side`` pixels around each pixel of a picture (height, width)."""
     from scipy.ndimage import convolve1d  # slow to import
 
-    # Not `uniform_filter`: beside a sun the rounding of its running sum is more than the dark's values.
+    # `uniform_filter` uses a running sum, whose rounding error next to a sun exceeds the values of dark pixels.
     even = np.full(side, 1.0 / side)
     return convolve1d(convolve1d(values.astype(np.float64), even, 0, mode="nearest"), even, 1, mode="nearest")
 
 
 def _parts(spectra: np.ndarray) -> np.ndarray:
-    """Return the means of three parts of the spectrum, (3, ...) float32."""
+    """Return the means of spectra over three parts of the wavelength range, (3, ...) float32."""
     thirds = np.array_split(np.arange(spectra.shape[-1]), 3)
     return np.stack([spectra[..., third].mean(axis=-1, dtype=np.float32) for third in thirds])
 
 
 def make_guides(halves: Halves) -> Guides:
-    """Return the guides of a picture, or of a band of its rows, which then may differ by the picture's mean."""
+    """Return the guides of a picture, or of some rows; those of rows differ slightly because of the mean brightness."""
     mean, half = _parts(halves.mean), _parts(halves.difference)
-    # As an eye sees it, and noise of like size in dark and light.
+    # Cube roots approximate perceived lightness and make the noise similar in dark and bright regions.
     dark = _DARK * float(mean.mean()) or 1.0
     colour = np.stack([np.cbrt(np.maximum(mean + sign * half, 0.0) + dark) for sign in (1.0, -1.0)]).astype(np.float32)
     squares = 0.5 * np.square(colour[0] - colour[1])
@@ -99,7 +99,7 @@ def make_guides(halves: Halves) -> Guides:
 
 @njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz"}, error_model="numpy")
 def _compare(guides, which, shift, rows, patches, weights):
-    """Fill the weights (rows, width) of one offset by patches of a set; 0 where it leads out of the picture."""
+    """Fill the weights (rows, width) of the neighbours at one offset from patches of a set; 0 outside the picture."""
     height, width = guides.surface.shape
     (down, right), (first, last) = shift, rows
     colour, noise = guides.colour, guides.noise
@@ -135,7 +135,7 @@ def _compare(guides, which, shift, rows, patches, weights):
 
 @njit(cache=True, nogil=True)
 def _likeness(seen, row, x, other, there):
-    """Return by how much a neighbour counts as of the same surface, 0 to 1."""
+    """Return a weight, 0 to 1, of a neighbour's similarity to the pixel in normal, albedo and share of gloss."""
     normal, albedo = 0.0, 0.0
     for axis in range(3):
         normal += (seen[row, x, NORMAL + axis] - seen[other, there, NORMAL + axis]) ** 2
@@ -146,7 +146,7 @@ def _likeness(seen, row, x, other, there):
 
 @njit(cache=True, nogil=True)
 def _solve(matrix, first, out):
-    """Fill ``out`` with the first column of a positive matrix's inverse; the matrix becomes its Cholesky factor."""
+    """Fill ``out`` with the first column of the inverse of a positive definite matrix, overwritten by its factor."""
     for a in range(_COLUMNS):
         for b in range(a + 1):
             total = matrix[a, b]
@@ -167,7 +167,7 @@ def _solve(matrix, first, out):
 
 @njit(cache=True, nogil=True)
 def _regress(guides, row, x, weights, scratch):
-    """Turn the weights (121,) of a pixel's neighbours into those of its regression."""
+    """Replace the weights (121,) of a pixel's neighbours by those with which the regression combines their values."""
     design, matrix, first, solved = scratch
     matrix[:] = 0.0
     whole = 0.0
@@ -200,7 +200,7 @@ def _regress(guides, row, x, weights, scratch):
 
 @njit(cache=True, nogil=True)
 def _filter_some_rows(halves, guides, start, filtered, first, last):
-    """Fill ``filtered`` (2 sets, rows, width, 61) in bands of `_ROWS` rows, from the picture's row ``start`` on."""
+    """Fill bands ``first`` to ``last`` of `_ROWS` rows in ``filtered`` (2 sets, rows, width, 61), from ``start`` on."""
     width = guides.surface.shape[1]
     count = filtered.shape[1]
     patches = np.empty((_ROWS + 2 * PATCH, width), np.float32)
@@ -239,21 +239,21 @@ def _filter_some_rows(halves, guides, start, filtered, first, last):
                             mean, half = halves.mean[other, there, c], halves.difference[other, there, c]
                             total[c] += weight * (mean + sign * half)
                     for c in range(BANDS):
-                        # A regression may lead below none at all.
+                        # The regression may give negative radiance.
                         out[c] = max(total[c], np.float32(0.0))
 
 
 def filtered_halves(halves: Halves, guides: Guides, rows: tuple[int, int]) -> np.ndarray:
-    """Return rows of both sets filtered, (2, rows, width, 61) float32, on as many threads as numba may use.
+    """Filter rows of both sets, on all threads of numba; returns (2, rows, width, 61) float32.
 
     Parameters
     ----------
     halves : Halves
-        With `MARGIN` rows around those wanted, as far as the picture has them.
+        Picture with up to `MARGIN` rows around the filtered ones.
     guides : Guides
-        Of the same rows, see `make_guides`.
+        Guides of the same rows, see `make_guides`.
     rows : (int, int)
-        First and last but one of those wanted, counted within ``halves``.
+        First and last-plus-one filtered row, counted within ``halves``.
     """
     count = rows[1] - rows[0]
     filtered = np.empty((2, count, *halves.mean.shape[1:]), dtype=np.float32)
@@ -262,19 +262,19 @@ def filtered_halves(halves: Halves, guides: Guides, rows: tuple[int, int]) -> np
 
 
 def squared_error(distance, first: np.ndarray, second: np.ndarray, filtered: np.ndarray) -> np.ndarray:
-    """Return the expected squared distance of a filtered picture from the truth, of every pixel; it may be below 0.
+    """Return an unbiased estimate of a filtered picture's squared distance to the truth, per pixel; may be negative.
 
-    Of a filtered set and the other, unfiltered one only the noise of the latter is not the filter's error; the mean of
-    two filtered sets errs less than each by the square of half their distance.
+    The squared distance between a filtered set and the other, unfiltered set is the error of the filter plus the noise
+    of the latter. The squared error of the mean of two filtered sets is smaller by the square of half their distance.
 
     Parameters
     ----------
     distance : callable
-        Of two pictures, of every pixel.
-    first, second : np.ndarray
-        Both sets as they were traced, (..., 61).
-    filtered : np.ndarray
-        Both sets filtered, (2, ..., 61).
+        Takes two pictures and returns their distance at every pixel.
+    first, second : (..., 61) float
+        Both sets, unfiltered.
+    filtered : (2, ..., 61) float
+        Both sets, filtered.
     """
     crossed = np.square(distance(filtered[0], second)) + np.square(distance(filtered[1], first))
     own = np.square(distance(first, second))
@@ -286,7 +286,7 @@ def _band_distance(one: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 
 def denoise(halves: Halves) -> Denoised:
-    """Return a filtered picture and its error; work memory is that of a few rows."""
+    """Filter a picture and estimate its error; the temporary memory is that of a few rows."""
     guides, (height, width, _) = make_guides(halves), halves.mean.shape
     radiance, squares, least = np.empty_like(halves.mean), np.empty((height, width)), np.empty((height, width))
     for first in range(0, height, _TILE_ROWS):
@@ -297,21 +297,22 @@ def denoise(halves: Halves) -> Denoised:
         mean, half = halves.mean[part], halves.difference[part]
         squares[part] = squared_error(_band_distance, mean + half, mean - half, filtered)
         least[part] = np.square(_band_distance(*filtered)) / 4.0
-    # The noise that is left in the sets, if their bias is lost in the noise that they had.
+    # The remaining noise of the filtered sets is a lower limit, if the estimate is lost in the original noise.
     squares = np.maximum(_averaged(squares, _ERROR_SIDE), _averaged(least, _ERROR_SIDE))
     return Denoised(radiance, np.sqrt(squares).astype(np.float32))
 
 
 def distance_to_unbiased(halves: Halves, radiance: np.ndarray) -> dict[str, float]:
-    """Return how far blocks of a filtered picture are from those of the mean of its samples, which is unbiased.
+    """Return the differences between block means of a filtered picture and of the unfiltered one, which is unbiased.
 
-    Blocks have `BLOCK_PX` pixels a side; in their means noise is small and a bias stays.
+    Blocks have sides of `BLOCK_PX` pixels; their means have little noise, but keep a bias of the filter.
 
     Returns
     -------
     dict
-        ``mean``, ``p95`` and ``max`` of the relative root mean square over the bands, and ``noise``, the mean of the
-        relative standard error of the blocks before they were filtered: a distance of about its size is no bias.
+        ``mean``, ``p95`` and ``max`` over the blocks of the root mean square over bands, relative to the mean radiance;
+        and ``noise``, the mean relative standard error of the unfiltered blocks. A difference of about the size of the
+        noise does not indicate a bias.
     """
     height, width = (max(size // BLOCK_PX, 1) for size in radiance.shape[:2])
 

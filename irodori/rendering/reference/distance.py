@@ -1,13 +1,13 @@
-"""Colour distance of any picture to a path-traced one of the same scene, the paths' noise taken out.
+"""Colour distance of any picture to a path-traced one of the same scene, with the noise of the paths removed.
 
-A few pixels are traced in two independent halves A and B, with the mean M. Noise adds to the squared distance of a
-picture x to each: of M half as much as of A or B. What a figure f of many pixels (their mean, a percentile) has without
-noise is therefore extrapolated from squares,
+A few pixels are traced in two independent halves A and B with the mean M. Noise increases the squared distance of a
+picture x to each of them, for M half as much as for A or B. A statistic f over many pixels (mean or percentile) is
+therefore extrapolated to zero noise from its squares:
 
     f² = 2 f(x, M)² − (f(x, A)² + f(x, B)²) / 2.
 
-Of the root mean square this is the mean of (x − A) · (x − B), which is unbiased whatever the noise. Other figures are
-right to the first order in the noise where that is small beside the distance, and where there is nothing but noise.
+For the root mean square, this is the mean of (x − A) · (x − B), which is unbiased for any noise. Other statistics are
+correct to first order in the noise if the noise is small relative to the distance, and also if there is only noise.
 """
 
 from dataclasses import dataclass
@@ -21,29 +21,29 @@ from irodori.rendering.reference.random_numbers import make_numbers
 from irodori.rendering.scene_arrays import View
 from irodori.rendering.single_pixels import middle_rays
 
-#: Pixels of objects that are traced at most.
+#: Largest number of traced pixels that show objects.
 PIXELS = 2000
-#: Paths a pixel at first. They are doubled while their noise is more than `_SHARE` of the distance and more than
-#: `_VISIBLE`, a tenth of what a person can just see, and `_MOST` paths in all are not exceeded.
+#: Initial number of paths per pixel. It is doubled while the noise exceeds both `_SHARE` of the distance and `_VISIBLE`
+#: (a tenth of a just visible difference), up to `_MOST` paths in total.
 _FEWEST, _MOST = 64, 512 * PIXELS
 _SHARE, _VISIBLE = 0.25, 0.1
-#: Not those of pictures, plans and noise.
+#: Seed that differs from those of pictures, plans and noise.
 _FIRST_SEED = 211
-_TOGETHER = 8192  # pixels looked at for objects
-_DRAWS = 200  # of the pixels, with replacement, for standard errors
+_TOGETHER = 8192  # pixels tested at a time for showing an object
+_DRAWS = 200  # bootstrap samples of the pixels for standard errors
 
 
 @dataclass(frozen=True)
 class Distance:
     """CIEDE2000 between a picture and the path-traced one at pixels that show objects.
 
-    Each figure has its standard error beside it, of the choice of pixels and of the paths' noise together. Figures of
-    no pixel are 0.
+    Each statistic has a standard error, which includes the choice of pixels and the noise of the paths. Without pixels,
+    all are 0.
     """
 
     count: int  # pixels
     paths: int  # a pixel
-    noise: float  # root mean square CIEDE2000 of the paths' mean to the truth, which is taken out
+    noise: float  # root mean square CIEDE2000 between the paths' mean and the truth, which is removed
     mean: float
     p95: float
     p99: float
@@ -55,18 +55,18 @@ class Distance:
 
 
 def object_pixels(tracer: Tracer, view: View, objects: int, seed: int = 0, count: int = PIXELS) -> np.ndarray:
-    """Return columns and rows of random pixels whose middle shows an object, (n, 2) int64, each once.
+    """Return columns and rows of distinct random pixels whose centre shows an object, (n, 2) int64.
 
     Parameters
     ----------
     tracer : Tracer
     view : View
-        Of a view with a lens the ray through the lens' middle counts.
+        For a view with a lens, the ray through the centre of the lens decides.
     objects : int
-        Surfaces from this on are lights.
+        Number of objects; surfaces with higher numbers are lights.
     seed : int
     count : int
-        Pixels at most; the picture is searched until they are found.
+        Largest number of pixels; pixels are tried until enough are found.
     """
     places = np.random.default_rng([_FIRST_SEED, seed]).permutation(view.width * view.height)
     found = np.zeros((0, 2), dtype=np.int64)
@@ -81,16 +81,16 @@ def object_pixels(tracer: Tracer, view: View, objects: int, seed: int = 0, count
 
 
 def traced_halves(scene: TracedScene, view: View, pixels: np.ndarray, samples: int, seed: int) -> np.ndarray:
-    """Return both independent halves of chosen pixels' paths, (2, n, 61) float64 radiance.
+    """Path-trace chosen pixels in two independent halves, (2, n, 61) float64 radiance.
 
     Parameters
     ----------
     scene : TracedScene
     view : View
     pixels : (n, 2) int
-        Column and row; the same pixel twice has the same random numbers.
+        Column and row; equal pixels have the same random numbers.
     samples : int
-        Paths a pixel, a multiple of 2.
+        Paths per pixel, a multiple of 2.
     seed : int
     """
     halves = render_places(scene, view, make_numbers(samples, seed, REPLICATES), pixels[:, None]).halves
@@ -100,18 +100,18 @@ def traced_halves(scene: TracedScene, view: View, pixels: np.ndarray, samples: i
 
 
 def distance_to_halves(shown: np.ndarray, halves: np.ndarray, white_xyz: np.ndarray, paths: int) -> Distance:
-    """Return the distance of pixels to those that were traced, see the head of this module.
+    """Return the distance of pixels to path-traced halves, with the noise removed as the module describes.
 
     Parameters
     ----------
     shown : (n, 3) float
-        XYZ, Y = 100 for white.
+        XYZ of the picture's pixels, Y = 100 for white.
     halves : (2, n, 3) float
-        XYZ of both halves of the paths.
+        XYZ of the same pixels in both halves of the paths.
     white_xyz : (3,) float
-        A pixel that is brighter is compared after all are scaled by the same factor.
+        XYZ of white. At a pixel brighter than white, all colours are scaled down by the same factor.
     paths : int
-        A pixel, to be stated.
+        Number of paths per pixel, for the result.
     """
     mean = halves.mean(axis=0)
     if not len(mean):
@@ -123,18 +123,18 @@ def distance_to_halves(shown: np.ndarray, halves: np.ndarray, white_xyz: np.ndar
     drawn = np.random.default_rng(_FIRST_SEED).integers(len(mean), size=(_DRAWS, len(mean)))
     squares, spread = _extrapolated(distances), np.std(_extrapolated(distances[:, drawn]), axis=-1, ddof=1)
     figures = np.sqrt(np.maximum(squares, 0.0))
-    # What a figure becomes with one standard error of its square more: where there is none, all of it is that error.
+    # Standard error of a statistic: its increase if its square grows by one standard error, also for a statistic of 0.
     errors = np.sqrt(np.square(figures) + spread) - figures
     return Distance(len(mean), paths, float(noise), *map(float, figures), *map(float, errors))
 
 
 def _extrapolated(distances: np.ndarray) -> np.ndarray:
-    """Return squares of the mean, p95, p99 and rms without noise, (4, ...); noise may lead them below 0.
+    """Return squares of mean, p95, p99 and rms extrapolated to zero noise, (4, ...); they may be negative.
 
     Parameters
     ----------
     distances : (3, ..., n) float
-        To the mean and to both halves.
+        Distances of the pixels to the mean and to both halves.
     """
     p95, p99 = np.percentile(distances, (95.0, 99.0), axis=-1)
     rms = np.sqrt(np.mean(np.square(distances), axis=-1))
@@ -145,7 +145,7 @@ def _extrapolated(distances: np.ndarray) -> np.ndarray:
 def distance_to_reference(
     scene: TracedScene, view: View, pixels: np.ndarray, shown: np.ndarray, matrix: np.ndarray, white_xyz: np.ndarray
 ) -> Distance:
-    """Trace pixels until the noise that is taken out is small, and return how far a picture is from them.
+    """Path-trace pixels until the noise is small and return the distance of a picture to them, without the noise.
 
     Parameters
     ----------
@@ -154,9 +154,9 @@ def distance_to_reference(
     pixels : (n, 2) int
         See `object_pixels`.
     shown : (n, 3) float
-        XYZ of the picture there.
+        XYZ of the picture at these pixels.
     matrix : (3, 61) float
-        XYZ from radiance.
+        Matrix from radiance to XYZ.
     white_xyz : (3,) float
     """
     if not len(pixels):

@@ -1,7 +1,7 @@
-"""Light that falls on given places of surfaces, by paths: what light maps are baked from [eq. 8].
+"""Irradiance at given points of surfaces by path tracing, from which light maps are baked [eq. 8].
 
-From each place one direction is drawn towards the environment and one by the cosine, and paths go on from there as
-those of a picture do. What comes back is the radiance of a perfect diffuser at the place, irradiance / π.
+From each point, one direction is sampled from the environment and one by the cosine, and paths continue from there as
+those of a picture do. The result is the radiance of a perfect diffuser at the point, irradiance / π.
 """
 
 import math
@@ -24,19 +24,19 @@ _CHUNK = 64  # places that a thread takes at a time
 
 
 class Places(NamedTuple):
-    """Places of surfaces, raised as far as rays must start above them, and what is found there."""
+    """Points on surfaces, raised to the height at which rays start, with buffers for the results."""
 
     point: np.ndarray  # (n, 3) mm
     normal: np.ndarray  # (n, 3) unit, of shading
     facet: np.ndarray  # (n, 3) unit, of the surface itself
-    key: np.ndarray  # (n,) int64 whole numbers from 0, by which the random numbers are chosen
-    halves: np.ndarray  # (2, n, 61) float32 irradiance / π by either half of the paths
+    key: np.ndarray  # (n,) int64, not negative, selects the random numbers
+    halves: np.ndarray  # (2, n, 61) float32 irradiance / π from each half of the paths
     cut: np.ndarray  # (n,) int64 paths that were cut
 
 
 @njit(cache=True, nogil=True)
 def _gather_at_some(world, numbers, places, first, last):
-    """Fill ``halves`` of the places from ``first`` to ``last``."""
+    """Trace the paths of the points from ``first`` to before ``last`` and fill their ``halves``."""
     ray, work, whole = new_ray(), new_work(world), np.empty(BANDS)
     for place in range(first, last):
         for replicate in range(_REPLICATES):
@@ -66,24 +66,24 @@ def incident_light(
     samples: int,
     seed: int = 0,
 ) -> np.ndarray:
-    """Return the light that falls on places of a surface: what a perfect diffuser there would reflect.
+    """Return the light on points of a surface, as the radiance of a perfect diffuser there, in two halves of paths.
 
-    The scene's own lights are left out where they shine on a place directly, and are there where others reflect them.
+    Direct light of the scene's own lights is left out; their light reflected by other surfaces is included.
 
     Parameters
     ----------
     scene : TracedScene
     surface : int
-        Which of the scene's surfaces the places lie on.
+        Number of the surface on which the points lie.
     point, normal, facet : (n, 3) float
-        Places in mm, unit normals of shading and of the surface itself.
+        Points in mm, unit shading normals and unit normals of the surface itself.
     samples : int
-        Paths a place, a multiple of 2.
+        Paths per point, a multiple of 2.
     seed : int, from 0
 
     Returns
     -------
-    (2, n, 61) float32, irradiance / π by two independent halves of the paths
+    (2, n, 61) float32, irradiance / π from two independent halves of the paths
     """
     numbers: Numbers = make_numbers(samples, seed, _REPLICATES)
     reach = np.abs(point).sum(axis=1, keepdims=True)
@@ -105,6 +105,6 @@ def incident_light(
 
 
 def relative_noise(halves: np.ndarray) -> float:
-    """Return the root mean square standard error of the mean of both halves, over the mean light."""
+    """Return the root-mean-square standard error of the mean of both halves, relative to the mean light."""
     mean = float(halves.mean(dtype=np.float64))
     return math.sqrt(float(np.mean(np.square(halves[0] - halves[1], dtype=np.float64)))) / 2.0 / mean if mean else 0.0

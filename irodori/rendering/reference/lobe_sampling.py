@@ -1,4 +1,4 @@
-"""Half vectors, and directions drawn from the terms of a surface with exact densities."""
+"""Angles of half vectors, and sampling of directions from a surface's gloss and diffuse terms with exact densities."""
 
 import math
 from typing import NamedTuple
@@ -18,7 +18,7 @@ class Gloss(NamedTuple):
 
 @uncounted(forceinline=True, error_model="numpy")
 def half_angles(normal, view, light, cos_i, cos_r):
-    """Return cosφ, cosθ_H and φ (rad) of two unit directions with N·L and N·V above 0; φ keeps its digits near 0."""
+    """Return cosφ, cosθ_H and φ (rad) for two unit directions with N·L and N·V above 0; φ is accurate near 0."""
     x, y, z = view[0] + light[0], view[1] + light[1], view[2] + light[2]
     length = math.sqrt(x * x + y * y + z * z)
     cos_phi = min((cos_i + cos_r) / length, 1.0)
@@ -32,9 +32,9 @@ def half_angles(normal, view, light, cos_i, cos_r):
 
 @uncounted(forceinline=True, error_model="numpy")
 def draw_gloss(gloss, normal, view, u, v, out):
-    """Fill the direction of light that mirrors the view in a half vector drawn from a lobe; return whether it may be.
+    """Sample a light direction by reflecting the view in a half vector from a lobe; return whether it is valid.
 
-    Its density is that of `irodori.reflection.lobes.density`.
+    Its probability density is `irodori.reflection.lobes.density`.
     """
     tangent, bitangent = frame(normal)
     v0, v1, v2 = 0.0, 0.0, 0.0
@@ -56,7 +56,7 @@ def draw_gloss(gloss, normal, view, u, v, out):
 
 @uncounted(forceinline=True)
 def draw_cosine(normal, u, v, out):
-    """Fill a direction with the density cosθ / π about a normal."""
+    """Sample a direction around a normal with the probability density cosθ / π."""
     tangent, bitangent = frame(normal)
     radius, angle = math.sqrt(u), 2.0 * math.pi * v
     a, b, c = radius * math.cos(angle), radius * math.sin(angle), math.sqrt(1.0 - u)

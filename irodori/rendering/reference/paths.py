@@ -1,9 +1,9 @@
 """Compiled path tracing from the eye, all bands at once [eq. 5].
 
-At a surface one light is chosen and one direction drawn from it, and one direction drawn from the surface's own
-reflection; both count towards the same light by the power heuristic (Veach and Guibas 1995). The mirror term is a
-single direction, followed as often as its share of the reflected light, at the first surface beside the others. Paths
-of little throughput end by Russian roulette, which leaves the mean as it is.
+At each surface, one light is chosen and a direction sampled towards it, and another direction is sampled from the
+surface's reflection; the power heuristic weights both (Veach and Guibas 1995). The mirror term has a single direction.
+It is followed with the probability of its share of the reflected light; at the first surface it is followed in addition
+to the other terms. Paths with little throughput end by Russian roulette, which does not bias the mean.
 """
 
 import math
@@ -46,13 +46,14 @@ from irodori.rendering.reference.world import ALBEDO, NORMAL, PLACE, SHINE, Bran
 from irodori.rendering.scene_lights import COLLIMATED, density_towards, sample_towards, unobstructed
 from irodori.rendering.surface_hits import surface
 
-#: Surfaces after which a path is cut, which is counted: two perfect mirrors may keep one for ever.
+#: Number of surfaces after which a path is cut and counted as cut; between two perfect mirrors it might never end.
 LONGEST = 20_000
-_GREEN = 30  # the band whose index stands for all where terms are chosen
-_LEAST_REFLECTANCE = 1e-3  # for that choice: another band may reflect where this one does not
-_ROULETTE_FROM = 4  # the fifth surface
-#: At the first surface the mirror term is followed beside the others, and not as a choice among them: a lamp in a faint
-#: mirror, drawn seldom, would be a heap of bright dots. One sample in so many does, of a share under one in so many.
+_GREEN = 30  # band whose refractive index represents all bands when a term is chosen
+_LEAST_REFLECTANCE = 1e-3  # least reflectance in that choice, because other bands may reflect more
+_ROULETTE_FROM = 4  # Russian roulette begins at the fifth surface
+#: At the first surface, the mirror term is followed in addition to the others, not with a probability: the image of a
+#: lamp in a weak mirror, sampled seldom, would consist of bright dots. If the mirror's share is below 1 / MIRRORED,
+#: only one of MIRRORED samples follows it.
 MIRRORED = 4
 _THIRD = 20  # bands of a part of the spectrum, see `ALBEDO`
 # Columns of `Work.gloss`.
@@ -61,7 +62,7 @@ _SHARE, _BETA, _MU, _CONSTANT = 0, 1, 2, 3
 
 @uncounted(forceinline=True)
 def _fill_shares(world, point, share):
-    """Fill the probabilities by which lights are chosen at a point, about their irradiance; return whether any is."""
+    """Fill the probabilities of choosing each light at a point, by its approximate irradiance; return if any is lit."""
     total = 0.0
     count = world.lights.kind.size
     for light in range(count):
@@ -76,13 +77,19 @@ def _fill_shares(world, point, share):
 
 @uncounted(forceinline=True)
 def _weight(own, other):
-    """Return the weight of a direction by the densities of both drawings, 1/sr; below 0 there is no other."""
+    """Return the power-heuristic weight of a sample from its density and the other technique's, 1/sr.
+
+    A density ``own`` below 0 stands for a single direction, which has no other technique and gets the weight 1.
+    """
     return 1.0 / (1.0 + (other / own) ** 2) if own > 0.0 else 1.0
 
 
 @uncounted(forceinline=True)
 def _meet_light(world, work, index, density):
-    """Add what a path meets beside the objects; ``density`` is that of its drawing, below 0 of a single direction."""
+    """Add the light of the environment or an area light that a path hits.
+
+    ``density`` is that with which the path's direction was sampled, 1/sr, or below 0 for a single direction.
+    """
     count = world.lights.kind.size
     if index < 0:
         drawn = look_at_sky(world.sky, work.direction, work.coefficients) * work.share[count]
@@ -103,10 +110,11 @@ def _meet_light(world, work, index, density):
 
 @uncounted(forceinline=True, error_model="numpy")
 def _gloss(world, work, index, direction, cos_i, cos_r):
-    """Return the gloss towards a direction of light without its Fresnel reflectance, its density, and cosθ_H.
+    """Return the gloss term for a light direction without its Fresnel reflectance, the sampling density, and cosθ_H.
 
-    The first is Σ β D G / (π cosθ_r), in 1/sr: times F and radiance, integrated over the directions of light, it is
-    radiance. The second, in 1/sr, is that of a component chosen by its share, and a direction drawn from its lobe.
+    The gloss term is Σ β D G / (π cosθ_r), in 1/sr: multiplied by F and radiance and integrated over light directions,
+    it gives the reflected radiance. The density, in 1/sr, is that of choosing a component by its share and sampling a
+    direction from its lobe.
     """
     cos_phi, cos_h, phi = half_angles(work.normal, work.to_eye, direction, cos_i, cos_r)
     factor, drawn, lobes = 0.0, 0.0, world.objects.lobes
@@ -124,10 +132,10 @@ def _gloss(world, work, index, direction, cos_i, cos_r):
 
 @uncounted(forceinline=True)
 def _reflect(world, work, index, direction, probability):
-    """Fill ``work.mixture`` with the rough terms towards a direction of light; return the density of its drawing.
+    """Fill ``work.mixture`` with diffuse and gloss term for a light direction; return its sampling density, 1/sr.
 
-    ``probability`` is that of the diffuse and of the gloss term. 0 is returned, and nothing filled, where the direction
-    lies below the surface.
+    ``probability`` has the probabilities of the diffuse and of the gloss term. For a direction below the surface, 0 is
+    returned and nothing filled.
     """
     normal, facet = work.normal, work.facet
     cos_i, above, cos_r = 0.0, 0.0, 0.0
@@ -154,7 +162,7 @@ def _reflect(world, work, index, direction, probability):
 
 @uncounted(forceinline=True)
 def _leave(world, work, index, origin):
-    """Fill the origin of a ray that leaves the surface."""
+    """Compute the origin of a ray that leaves a surface, slightly above its point."""
     p = work.point
     height = world.offset_mm[index] + world.steps * (abs(p[0]) + abs(p[1]) + abs(p[2]))
     for axis in range(3):
@@ -163,9 +171,9 @@ def _leave(world, work, index, origin):
 
 @uncounted(forceinline=True)
 def _add_chosen_light(world, ray, work, index, probability, stream):
-    """Add what one chosen light sends over the surface towards the eye.
+    """Choose a light, sample a direction towards it, and add its light that the surface reflects along the path.
 
-    ``stream`` has the random numbers of the surface.
+    ``stream`` has the random numbers of this surface.
     """
     chosen, count = -1, world.lights.kind.size
     pick = draw_from(stream, PICK) if count > 0 else 0.0
@@ -200,7 +208,7 @@ def _add_chosen_light(world, ray, work, index, probability, stream):
         for band in range(PADDED):
             work.radiance[band] = world.lights.spectrum[chosen, band]
         if world.lights.kind[chosen] == COLLIMATED:
-            other = 0.0  # no other drawing finds a single direction
+            other = 0.0  # sampling the reflection cannot find a single direction
     drawn = share * density
     scale_by(work.mixture, work.radiance, _weight(drawn, other) / drawn)
     add_product(work.throughput, work.mixture, 1.0, work.total)
@@ -230,10 +238,10 @@ def _fill_gloss(world, work, index):
 
 @uncounted(forceinline=True)
 def _shares_of_terms(world, work, index, cos_r):
-    """Return the shares of diffuse, gloss and mirror term in the light that is reflected, about; and F of a mirror.
+    """Return the approximate shares of diffuse, gloss and mirror term in the reflected light, and F of the mirror.
 
-    Fills ``work.gloss``, ``work.diffuse``, and ``work.fresnel`` with the mirror's reflectance where the index varies
-    with the band.
+    Also fills ``work.gloss``, ``work.diffuse`` and, if the refractive index varies between bands, ``work.fresnel`` with
+    the mirror's reflectance.
     """
     objects = world.objects
     decode(world.bands.basis, index, objects.bases[index], work.texel, work.diffuse)
@@ -244,7 +252,7 @@ def _shares_of_terms(world, work, index, cos_r):
     reflectance = 0.0
     if glossy > 0.0 or chi > 0.0:
         reflectance = fresnel(cos_r, objects.n[index, _GREEN], objects.k[index, _GREEN])
-    # About β F ∫ D G / (π cosθ_r) dω for a smooth surface seen steeply: never 0 where there is gloss.
+    # Approximately β F ∫ D G / (π cosθ_r) dω for a smooth surface and a view near the normal; never 0 with gloss.
     gloss = total * glossy * max(reflectance, _LEAST_REFLECTANCE)
     mirror = total * chi * reflectance
     if chi > 0.0 and objects.grey[index] == 0:
@@ -258,7 +266,7 @@ def _shares_of_terms(world, work, index, cos_r):
 
 @uncounted(forceinline=True)
 def _mirror(world, work, index, reflectance, weight, branch):
-    """Fill the mirror's direction and multiply the throughput by its reflectance; return whether it leads away."""
+    """Set a branch to the mirror direction and multiply its throughput; return whether it leads away from the facet."""
     direction, throughput = branch.direction, branch.throughput
     cos_r, above = 0.0, 0.0
     for axis in range(3):
@@ -277,9 +285,9 @@ def _mirror(world, work, index, reflectance, weight, branch):
 
 @uncounted(forceinline=True)
 def _keep_mirror(world, work, index, terms, seldom):
-    """Keep the mirror's part of a path for later; return the terms without it, and whether there is anything to follow.
+    """Store the mirror branch of a path for later; return the other terms, and whether there is a branch to follow.
 
-    ``seldom`` is what this sample counts where the mirror reflects little, 0 in the samples that leave it out.
+    A weak mirror is followed only in some samples; ``seldom`` is its weight in this sample, 0 if it is left out.
     """
     diffuse, gloss, mirror, reflectance = terms
     rough = diffuse + gloss
@@ -297,7 +305,7 @@ def _keep_mirror(world, work, index, terms, seldom):
 
 @uncounted(forceinline=True)
 def _component(work, choice):
-    """Return the gloss component that a number from 0 to 1 chooses by the shares, none of share 0."""
+    """Return the gloss component that a number from 0 to 1 selects by the components' shares, never one of share 0."""
     chosen = 0
     for component in range(work.gloss.shape[0]):
         if work.gloss[component, _SHARE] > 0.0:
@@ -310,9 +318,9 @@ def _component(work, choice):
 
 @uncounted(forceinline=True)
 def _turn(world, work, index, terms, stream):
-    """Choose the path's next direction and multiply its throughput.
+    """Sample the next direction of a path and multiply its throughput.
 
-    Returns the density of the direction in 1/sr, below 0 for the mirror's, 0 where the path ends.
+    Returns the density of the direction in 1/sr, below 0 for the mirror direction, 0 if the path ends.
     """
     diffuse, gloss, mirror, reflectance = terms
     choice = draw_from(stream, CHOICE)
@@ -336,7 +344,7 @@ def _turn(world, work, index, terms, stream):
 
 @uncounted(forceinline=True)
 def _arrive(world, work, ray, index):
-    """Fill what is known of the surface that a path met; return the cosine towards the viewer."""
+    """Fill point, normals and texel of the surface that a path hit; return the cosine of the angle to the viewer."""
     distance, d = hit_distance(ray), work.direction
     for axis in range(3):
         work.point[axis] = work.origin[axis] + distance * d[axis]
@@ -347,7 +355,7 @@ def _arrive(world, work, ray, index):
 
 @uncounted(forceinline=True)
 def _survives(work, stream):
-    """Play Russian roulette; return whether the path goes on."""
+    """Apply Russian roulette to a path; return whether it continues."""
     chance = largest(work.throughput)
     if chance >= 1.0:
         return True
@@ -359,7 +367,7 @@ def _survives(work, stream):
 
 @uncounted(forceinline=True, fastmath={"reassoc", "contract", "nsz"})
 def _see(work, spectrum, shine):
-    """Add a spectrum and the share of gloss of what a path met first to ``work.seen``."""
+    """Add the diffuse reflectance (or radiance) and the share of gloss of a path's first hit to ``work.seen``."""
     for part in range(3):
         total = np.float32(0.0)
         for band in range(part * _THIRD, (part + 1) * _THIRD):
@@ -370,9 +378,9 @@ def _see(work, spectrum, shine):
 
 @uncounted(forceinline=True)
 def follow(world, ray, work, numbers, stream, seldom):
-    """Add the radiance along one path from the eye to ``work.total``; return how many of its branches had to be cut.
+    """Trace one path from the eye, add its radiance to ``work.total`` and return the number of branches that were cut.
 
-    ``seldom`` is as of `_keep_mirror`.
+    ``seldom`` is as in `_keep_mirror`.
     """
     for band in range(PADDED):
         work.throughput[band] = np.float32(1.0)
@@ -381,10 +389,10 @@ def follow(world, ray, work, numbers, stream, seldom):
 
 @uncounted(forceinline=True)
 def gather(world, ray, work, numbers, stream):
-    """Add the light that falls on a place along one path to ``work.total``, as a perfect diffuser reflects it.
+    """Trace one path from a point of a surface; add the radiance of a perfect diffuser there to ``work.total``.
 
-    ``work`` has the place in its point, normal and facet. Lights of the scene that stand beside its environment are
-    left out where nothing reflects their light on the way. Returns how many paths had to be cut.
+    ``work`` has the point in ``point``, ``normal`` and ``facet``. Direct light of the scene's lights other than the
+    environment is left out. Returns the number of paths that were cut.
     """
     index, count, lit = 0, world.lights.kind.size, world.sky.power > 0.0
     for band in range(PADDED):
@@ -405,10 +413,10 @@ def gather(world, ray, work, numbers, stream):
 
 @uncounted(forceinline=True)
 def _go_on(world, ray, work, drawn, seldom, begun):
-    """Follow a path whose next ray stands in ``work``; see `follow`.
+    """Follow a path from the ray in ``work`` to its end; see `follow`.
 
-    ``drawn`` has the random numbers and the stream of the path, ``begun`` the density by which the ray's direction was
-    drawn, as `_turn` returns it, and how many surfaces the path has met.
+    ``drawn`` has the random numbers and the stream of the path; ``begun`` has the density of the ray's direction, as
+    `_turn` returns it, and the number of surfaces that the path has hit.
     """
     objects = world.objects.mirror.size
     numbers, stream = drawn

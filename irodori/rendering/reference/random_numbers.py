@@ -1,9 +1,9 @@
 """Random numbers keyed by pixel, sample and dimension, independent of threads and tiles.
 
-The samples of a pixel are made in independent replicates. Within one, the first dimensions are points of a
-Sobol sequence in pairs (paired and shuffled as Kollig and Keller 2002 do), which all pixels share and each moves by a
-random digital shift of its own; further dimensions are hashed. Each replicate's mean is unbiased, and their spread is
-an error bar that holds for such points, which that of single samples would not be.
+The samples of a pixel are divided into independent replicates. Within a replicate, the first dimensions are pairs of a
+Sobol sequence (paired and shuffled as in Kollig and Keller 2002); all pixels use the same points, each with its own
+random digital shift. Further dimensions are hashed. Each replicate's mean is unbiased, and the spread of the replicates
+is a valid error estimate for such points; the spread of single samples would not be.
 """
 
 from typing import NamedTuple
@@ -24,7 +24,7 @@ _ODD = np.uint64(0xD1342543DE82EF95)
 
 
 class Numbers(NamedTuple):
-    """The shared points, for compiled loops."""
+    """Sobol points that all pixels use, for compiled loops."""
 
     points: np.ndarray  # (replicates, samples of a set, DIMENSIONS) uint32
     replicates: int
@@ -33,12 +33,12 @@ class Numbers(NamedTuple):
 
 
 def make_numbers(samples: int, seed: int, replicates: int) -> Numbers:
-    """Return the points for a number of samples a pixel.
+    """Return the Sobol points for a number of samples per pixel.
 
     Parameters
     ----------
     samples : int
-        Of a pixel, a multiple of ``replicates``.
+        Samples per pixel, a multiple of ``replicates``.
     seed : int, from 0
     replicates : int
         At least 2.
@@ -54,11 +54,11 @@ def make_numbers(samples: int, seed: int, replicates: int) -> Numbers:
 
 
 def _scrambled_sobol(count: int, generator: np.random.Generator) -> np.ndarray:
-    """Return points of the first two dimensions of Sobol's sequence, scrambled, (count, 2) uint32 over 2³².
+    """Return scrambled points of the first two dimensions of the Sobol sequence, (count, 2) uint32 in units of 2⁻³².
 
-    The points of `scipy.stats.qmc.Sobol`, whose package takes a second to import: each
-    direction number is multiplied with a random matrix of zeros and ones, lower triangular from the most significant
-    bit (Matoušek 1998), and all points are moved by a random digital shift.
+    The points are those of `scipy.stats.qmc.Sobol`, whose package takes a second to import: each direction number is
+    multiplied by a random binary matrix, lower triangular from the most significant bit (Matoušek 1998), and all points
+    are moved by a random digital shift.
     """
     directions = np.ones((2, 32), dtype=np.uint64)
     for column in range(1, 32):  # of the primitive polynomial x + 1; the first dimension is the mirrored number
@@ -77,7 +77,7 @@ def _scrambled_sobol(count: int, generator: np.random.Generator) -> np.ndarray:
 
 @uncounted(forceinline=True)
 def _mixed(z):
-    """Return the finaliser of SplitMix64 (Steele et al. 2014)."""
+    """Return a hash of a 64-bit integer by the finaliser of SplitMix64 (Steele et al. 2014)."""
     z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
     return z ^ (z >> np.uint64(31))
@@ -85,7 +85,7 @@ def _mixed(z):
 
 @uncounted(forceinline=True)
 def pixel_key(x, y, replicate, seed):
-    """Return what makes a pixel's numbers in a replicate its own, uint64."""
+    """Return the key, uint64, from which the random numbers of a pixel in a replicate are derived."""
     key = _mixed(np.uint64(seed) * _ODD + _GOLDEN)
     key = _mixed(key + (np.uint64(x) << np.uint64(32)) + np.uint64(y))
     return _mixed(key + np.uint64(replicate) * _GOLDEN)
@@ -93,15 +93,15 @@ def pixel_key(x, y, replicate, seed):
 
 @uncounted(forceinline=True)
 def stream_of(numbers, key, replicate, sample):
-    """Return what `draw` needs to know of a sample: keys of its set and of itself, and its place in the points."""
+    """Return the stream of a sample for `draw`: keys of its set and of itself, and its indices in the points."""
     size = numbers.points.shape[1]
-    # A set that is used again is shifted anew.
+    # A set of points that is used again gets a new shift.
     of_set = key + np.uint64(sample // size) * _ODD
     return of_set, _mixed(key + np.uint64(sample + 1) * _ODD), replicate, sample % size
 
 
 class Stream(NamedTuple):
-    """The numbers of one sample from a dimension on, as `draw` takes them."""
+    """Random numbers of one sample from a dimension on, with the arguments of `draw`."""
 
     numbers: Numbers
     of_sample: tuple  # see `stream_of`
@@ -110,13 +110,13 @@ class Stream(NamedTuple):
 
 @uncounted(forceinline=True)
 def draw_from(stream, dimension):
-    """Return a number of a `Stream`, counted from its first."""
+    """Return a random number in [0, 1) of a `Stream`; ``dimension`` is counted from its first."""
     return draw(stream.numbers, stream.of_sample, stream.first + dimension)
 
 
 @uncounted(forceinline=True)
 def draw(numbers, stream, dimension):
-    """Return a number in [0, 1)."""
+    """Return the random number in [0, 1) of one dimension of a sample."""
     step = np.uint64(dimension) * _GOLDEN
     if dimension < DIMENSIONS:
         bits = np.uint32(_mixed(stream[0] + step) >> np.uint64(32)) ^ numbers.points[stream[2], stream[3], dimension]

@@ -1,4 +1,4 @@
-"""Means and variances of a row's pixels over sets of samples."""
+"""Rendering of a row's pixels: means over their paths, and variances between independent sets of samples."""
 
 import math
 from typing import NamedTuple
@@ -14,12 +14,12 @@ from irodori.rendering.reference.world import SEEN, World, new_work
 from irodori.rendering.scene_arrays import View
 from irodori.rendering.view_cameras import aim
 
-#: Paths summed in single precision: a sum of more grows until each further path is rounded the same way.
+#: Paths summed in single precision; in larger sums, the rounding errors of single paths would accumulate.
 _TOGETHER = 256
 
 
 class Sampling(NamedTuple):
-    """A scene as it is seen, and the random numbers that paths are made from."""
+    """Scene, view and random numbers for path tracing."""
 
     world: World
     camera: View
@@ -27,13 +27,13 @@ class Sampling(NamedTuple):
 
 
 class Rows(NamedTuple):
-    """Pixels of a picture to fill: a band of its rows, or a column of single ones."""
+    """Pixels to render, a band of a picture's rows or a column of single pixels, and arrays for their results."""
 
     places: np.ndarray  # (rows, width, 2) int64 column and row in the picture
     image: np.ndarray  # (rows, width, 61) float32 mean radiance
     error: np.ndarray  # (rows, width, 61) float32 standard error of that mean by the spread of the replicates
-    difference: np.ndarray  # (rows, width, 61) float32 half of what the first set's mean is above the last one's
-    seen: np.ndarray  # (rows, width, SEEN) float32 mean of what the paths met first
+    difference: np.ndarray  # (rows, width, 61) float32 half the difference of the means, first set less last set
+    seen: np.ndarray  # (rows, width, SEEN) float32 mean features of the paths' first hits
     cut: np.ndarray  # (rows,) int64 paths that were cut at `LONGEST` surfaces
 
 
@@ -48,7 +48,7 @@ class _Sums(NamedTuple):
 
 @uncounted(forceinline=True)
 def _render_pixel(sampling, ray, work, x, y, sums):
-    """Add the means of a pixel's replicates, and their squares; return the number of paths that were cut."""
+    """Trace all paths of a pixel, add replicate means and their squares to sums, return the number of cut paths."""
     (world, camera, numbers), whole, cut = sampling, sums.replicate, 0
     mirrored = numbers.samples / ((numbers.samples + MIRRORED - 1) // MIRRORED)
     for replicate in range(numbers.replicates):
@@ -80,7 +80,7 @@ def _render_pixel(sampling, ray, work, x, y, sums):
 
 @njit(cache=True, nogil=True)
 def render_some_rows(sampling, rows, first, last):
-    """Fill some of `Rows`, ``first`` to ``last``, by a `Sampling`."""
+    """Render the rows from ``first`` to before ``last`` of `Rows`."""
     ray, work = new_ray(), new_work(sampling.world)
     sums, count = _Sums(np.empty(BANDS), np.empty(BANDS), np.empty(BANDS), np.empty(BANDS)), sampling.numbers.replicates
     for row in range(first, last):

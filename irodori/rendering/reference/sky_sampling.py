@@ -1,10 +1,11 @@
 """Environment light of the path tracer: radiance and exact importance sampling.
 
-Radiance between pixels is interpolated, and nearly half the light of a sun of one pixel lies outside of that pixel,
-where directions drawn from whole pixels never are. Here a pixel is drawn by its power, then a place under its tent.
+Radiance is interpolated between pixels, so that nearly half the light of a sun of one pixel lies outside that pixel,
+where sampling within whole pixels would never find it. Here, a pixel is sampled by its power, then a point with the
+density of the interpolation's tent function.
 
-The mean of the light is left out of what is drawn (Karlík et al. 2019, MIS compensation): directions drawn from the
-surface's own reflection serve the even part better, and serve it alone where the light is constant.
+The mean radiance is subtracted before sampling (MIS compensation, Karlík et al. 2019): directions sampled from the
+surface's reflection are better for the uniform part of the light, and are the only ones if the light is constant.
 """
 
 import math
@@ -18,14 +19,15 @@ from irodori.light.equirectangular import direction_uv
 from irodori.rendering.reference.band_loops import padded
 
 _TWO_PI_SQUARED = 2.0 * math.pi**2
-#: Share of the light's power under which what exceeds the mean is rounding.
+#: Share of the light's power below which the part above the mean is considered rounding error.
 _EVEN = 1e-5
 
 
 class Sky(NamedTuple):
-    """An environment; the last column of ``pixels`` is the density of drawn places, times the sine of the zenith angle.
+    """Environment for path tracing; the last column of ``pixels`` is the sampling density times sine of zenith angle.
 
-    ``power`` is what is drawn from, summed over wavelengths and the sphere: 0 where nothing is to be drawn.
+    ``power`` is the power of the part of the light that is sampled, summed over wavelengths and the sphere; with 0,
+    nothing is sampled.
     """
 
     pixels: np.ndarray  # (height * width, k + 1) float32
@@ -40,7 +42,7 @@ class Sky(NamedTuple):
 
 
 def make_sky(environment: Environment) -> Sky:
-    """Return an environment as the path tracer wants it; what is negative summed over the wavelengths is not drawn.
+    """Prepare an environment for the path tracer; pixels with a negative sum over wavelengths are not sampled.
 
     Raises
     ------
@@ -76,18 +78,18 @@ def make_sky(environment: Environment) -> Sky:
 
 
 def _cumulative(power: np.ndarray, solid_angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return cumulative probabilities of the rows (h + 1,), and of the pixels along each (h, w + 1), from 0 to 1."""
+    """Return cumulative probabilities of the rows (h + 1,), and of the pixels in each row (h, w + 1), from 0 to 1."""
     largest = power.max()
     scaled = power / largest if largest > 0.0 else np.ones_like(power)
     columns = np.concatenate([np.zeros((len(power), 1)), np.cumsum(scaled, axis=1)], axis=1)
     rows = np.concatenate([[0.0], np.cumsum(columns[:, -1] * solid_angle[:, 0])])
-    # A black row is never entered; its own probabilities are even so that nothing is divided by 0.
+    # A black row is never chosen; its pixels get equal probabilities to avoid a division by 0.
     columns[columns[:, -1] <= 0.0] = np.arange(power.shape[1] + 1)
     return rows / rows[-1], columns / columns[:, -1:]
 
 
 def _guides(cumulative: np.ndarray) -> np.ndarray:
-    """Return where the search in each row (n + 1,) may begin: the entry that holds i / n, for i from 0 to n."""
+    """Return start indices for the search in each row: the entry containing i / n for i from 0 to n, (rows, n + 1)."""
     rows, count = cumulative.shape[0], cumulative.shape[1] - 1
     even = np.arange(count + 1) / count
     found = np.empty((rows, count + 1), dtype=np.int32)
@@ -98,7 +100,7 @@ def _guides(cumulative: np.ndarray) -> np.ndarray:
 
 @uncounted(forceinline=True)
 def _entry(cumulative, guides, row, u):
-    """Return the entry of a row whose share of 0..1 holds u, never one without a share."""
+    """Return the entry of a row whose interval of cumulative probability contains u, never one of probability 0."""
     count = cumulative.shape[1] - 1
     part = int(u * count)
     low, high = guides[row, part], guides[row, part + 1] + 1
@@ -113,20 +115,20 @@ def _entry(cumulative, guides, row, u):
 
 @uncounted(forceinline=True)
 def _under_tent(r):
-    """Return a place from -1 to 1 with a density that falls from 1 at 0 to 0 at both ends."""
+    """Transform a uniform number in [0, 1) to one from -1 to 1 with the tent density 1 - |x|."""
     return math.sqrt(2.0 * r) - 1.0 if r < 0.5 else 1.0 - math.sqrt(2.0 * (1.0 - r))
 
 
 @uncounted(forceinline=True)
 def sample_sky(sky, u, v, direction, coefficients):
-    """Fill a drawn direction and the coefficients of its radiance; return the density in 1/sr, 0 for a useless one.
+    """Sample a direction and fill the coefficients of its radiance; return the density in 1/sr, 0 for an invalid one.
 
     Parameters
     ----------
     sky : Sky
-        Of ``power`` above 0.
+        Sky with ``power`` above 0.
     u, v : float
-        Even in [0, 1).
+        Uniform random numbers in [0, 1).
     direction : (3,) float
     coefficients : (k + 1,) float
     """
@@ -150,7 +152,7 @@ def sample_sky(sky, u, v, direction, coefficients):
 
 @uncounted(forceinline=True)
 def _look(sky, u, v, sine, coefficients):
-    """Fill the interpolated coefficients of the pixels about a place; columns wrap, rows end."""
+    """Fill the coefficients interpolated at a point and return the density, 1/sr; columns wrap around, rows end."""
     x, y = u * sky.width - 0.5, min(max(v * sky.height - 0.5, 0.0), sky.height - 1.0)
     left, above = math.floor(x), int(y)
     fx, fy = x - left, y - above
@@ -168,7 +170,7 @@ def _look(sky, u, v, sine, coefficients):
 
 @uncounted(forceinline=True)
 def look_at_sky(sky, direction, coefficients):
-    """Fill the coefficients of the radiance from a direction; return the density with which it is drawn, 1/sr."""
+    """Fill the coefficients of the radiance from a direction; return the density of sampling it, 1/sr."""
     u, v = direction_uv(direction[0], direction[1], direction[2])
     sine = math.sqrt(direction[0] * direction[0] + direction[1] * direction[1])
     return _look(sky, u, v, sine, coefficients)

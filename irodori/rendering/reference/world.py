@@ -1,7 +1,8 @@
-"""Scene data and per-thread scratch space of the path tracer, as compiled loops take them.
+"""Scene data and per-thread buffers of the path tracer, in the form of compiled loops.
 
-numba passes a tuple of arrays to a function word by word, and counts the owners of each: the functions that take these
-are inlined (``forceinline``) and count no references (`uncounted`), or most of the time would go there.
+numba passes a tuple of arrays to a function word by word and counts references to each array, which would take most of
+the time. The functions with these arguments are therefore inlined (``forceinline``) and do not count references
+(`uncounted`).
 """
 
 from typing import NamedTuple
@@ -14,13 +15,13 @@ from irodori.rendering.reference.sky_sampling import Sky
 from irodori.rendering.scene_arrays import Objects
 from irodori.rendering.scene_lights import PADDED, Lights
 
-#: Columns of `Work.seen`: means over three parts of the spectrum of the diffuse reflectance (of light that is met: of
-#: its radiance), the normal, the place in mm, and the share of gloss and mirror in what is reflected.
+#: Columns of `Work.seen`: means over three parts of the spectrum of the diffuse reflectance (or of the radiance, if a
+#: light is hit first), the normal, the position in mm, and the share of gloss and mirror in the reflected light.
 ALBEDO, NORMAL, PLACE, SHINE, SEEN = 0, 3, 6, 9, 10
 
 
 class Bands(NamedTuple):
-    """Values of the materials in each band, padded; the first axis counts the objects."""
+    """Bases and refractive indices of the objects' materials, with the band axis padded to 64."""
 
     basis: np.ndarray  # (objects, k, 64) float32
     n: np.ndarray  # (objects, 64) float32
@@ -28,7 +29,7 @@ class Bands(NamedTuple):
 
 
 class World(NamedTuple):
-    """Scene as paths travel through it; surface i is object i, and those of lights follow."""
+    """Scene for path tracing; surface i is object i, and the surfaces of lights follow."""
 
     surfaces: Surfaces
     objects: Objects
@@ -39,11 +40,11 @@ class World(NamedTuple):
     occluded: int
     scene: int
     offset_mm: np.ndarray  # (surfaces,) height above a surface at which rays leave it, at the origin
-    steps: float  # further height, a part of the coordinates' size: single precision
+    steps: float  # additional height relative to the coordinates, for single precision
 
 
 class Branch(NamedTuple):
-    """The part of a path that waits until the other part is followed."""
+    """A branch of a path, stored until the other branch is finished."""
 
     origin: np.ndarray  # (3,)
     direction: np.ndarray  # (3,)
@@ -51,7 +52,7 @@ class Branch(NamedTuple):
 
 
 class Work(NamedTuple):
-    """Buffers of one thread."""
+    """Buffers of one thread for the current path and hit."""
 
     origin: np.ndarray  # (3,)
     direction: np.ndarray  # (3,)
@@ -61,9 +62,9 @@ class Work(NamedTuple):
     to_eye: np.ndarray  # (3,)
     light: np.ndarray  # (3,) towards a light
     texel: np.ndarray  # (k + 2 c,)
-    gloss: np.ndarray  # (c, 5) of each gloss component: share of the gloss, β, μ, and the lobe's two constants
+    gloss: np.ndarray  # (c, 5) for each gloss component: share of the gloss, β, μ, and the lobe's two constants
     coefficients: np.ndarray  # (k + 1,) of the environment
-    share: np.ndarray  # (lights + 1,) of the choice among lights, the environment last
+    share: np.ndarray  # (lights + 1,) probability of choosing each light, the environment last
     throughput: np.ndarray  # (64,) float32, as are the others
     diffuse: np.ndarray
     fresnel: np.ndarray
@@ -71,12 +72,12 @@ class Work(NamedTuple):
     mixture: np.ndarray
     total: np.ndarray
     kept: Branch
-    seen: np.ndarray  # (SEEN,) sums over a pixel's paths of what they met first
+    seen: np.ndarray  # (SEEN,) sums of the features of first hits over a pixel's paths
 
 
 @njit(cache=True)
 def new_work(world):
-    """Return the buffers of one thread."""
+    """Return new buffers for one thread."""
     return Work(
         np.empty(3),
         np.empty(3),

@@ -1,6 +1,6 @@
-"""Simulated motion controllers in processes of their own, with faults on command.
+"""Simulated motion controllers as separate processes, with faults on command.
 
-Driver and simulator share no state: what the driver knows comes over the line. Faults and the true position go
-another way, the process's standard input and output. The commands there, one a line, each answered by one line of
-JSON, are those of `irodori.simulation.controllers.peer_server`.
+Driver and simulator share no state: the driver learns everything over the serial line. Tests inject faults and read the
+true position through standard input and output of the process. Each command there is one line, answered by one line of
+JSON; `irodori.simulation.controllers.peer_server` lists them.
 """

@@ -2,8 +2,8 @@
 
 ``python -m irodori.simulation.controllers.ascii_simulator RIG.yaml``.
 
-It takes what the description's templates can become and answers with ``simulated_replies``. What can be typed while it
-runs: `irodori.simulation.controllers.peer_server`.
+It accepts commands that match the templates of the rig's description and answers with its ``simulated_replies``. The
+commands on its standard input are listed in `irodori.simulation.controllers.peer_server`.
 """
 
 import argparse
@@ -27,17 +27,17 @@ _MODULE = "irodori.simulation.controllers.ascii_simulator"
 
 
 class AsciiMachine(Machine):
-    """The controller and its mechanics; its axes move independently, homing takes them to position 0.
+    """Simulated controller and mechanics; axes move independently of each other, and homing moves them to position 0.
 
     Parameters
     ----------
     drives : dict
-        Angle: drive.
+        Angle -> drive.
     description : Description
     replies : dict
-        Name of a reply: template with ``axis``, ``position``, ``state`` and ``message``.
+        Name of a reply -> template with ``axis``, ``position``, ``state`` and ``message``.
     seed : int
-        Of where the axes stand at first, and of all that is random.
+        Seed of the initial positions and of all other random numbers.
     homing_rms : float
         Repeatability of the switches, standard deviation, units.
     """
@@ -59,7 +59,7 @@ class AsciiMachine(Machine):
         self.power_up()
 
     def power_up(self) -> None:
-        """Start with the count at zero wherever the axes stand."""
+        """Start with a position count of zero, wherever the axes stand."""
         for stage in self.stages:
             stage.clear()
         self._origin = {name: stage.position[0] for name, stage in self._named()}
@@ -67,7 +67,7 @@ class AsciiMachine(Machine):
         self._homing: set[str] = set()
 
     def press_hold(self) -> None:
-        """Bring the axes to rest on their ramp; they go on after ``resume``."""
+        """Decelerate the axes to rest; they continue after ``resume``."""
         if not self._alarm:
             self._held = True
             for stage in self.stages:
@@ -79,7 +79,7 @@ class AsciiMachine(Machine):
         self._origin[self.channels[axis]] += by
 
     def raise_alarm(self, code: int) -> None:
-        """Stop dead; where the description has words for an alarm, stay in it until homed."""
+        """Stop at once, and stay in alarm until homed if the rig's description has a word for an alarm."""
         for name, stage in self._named():
             if stage.speed:
                 self._origin[name] += self._rng.uniform(-0.3, 0.3)
@@ -88,11 +88,11 @@ class AsciiMachine(Machine):
 
     @property
     def state(self) -> str:
-        """Return ``alarm``, ``run``, ``hold`` or ``idle``."""
+        """State of the controller: ``alarm``, ``run``, ``hold`` or ``idle``."""
         return "alarm" if self._alarm else "run" if self.moving else "hold" if self._held else "idle"
 
     def receive(self, byte: int) -> None:
-        """Take a byte; a line is done when its end has come."""
+        """Receive a byte; execute the line when its end has arrived."""
         self._line = (self._line + bytes([byte]))[-_LINE_BYTES:]
         if self._line.endswith(self._words.line_end):
             line = self._line.removesuffix(self._words.line_end).strip(b"\r\n")
@@ -101,7 +101,7 @@ class AsciiMachine(Machine):
             self._obey(line.decode("ascii", "replace"))
 
     def advance(self, seconds: float) -> None:
-        """Let simulated time pass, s."""
+        """Advance simulated time by a number of seconds."""
         for name, stage in self._named():
             stage.advance(seconds)
             if stage.holding and not stage.moving and not self._held:
@@ -164,7 +164,7 @@ class AsciiMachine(Machine):
             return self._words.alarm[0]
         if any(stages[name].moving for name in names):
             return self._words.busy[0]
-        if self._held:  # a controller without a word for it says that it is busy
+        if self._held:  # a controller without a word for hold reports that it is busy
             return (self._words.hold or self._words.busy)[0]
         return self._words.idle[0]
 
@@ -182,12 +182,12 @@ class AsciiMachine(Machine):
 def simulate(
     rig: Rig, *, time_scale: float = 1.0, seed: int = 0, homing_rms: float = 0.0, faults: Sequence[str] = ()
 ) -> AbstractContextManager[Simulator]:
-    """Start the simulator as a process that ends with this one, and with the block.
+    """Start the simulator as a process that ends with this process and with the ``with`` block.
 
     Parameters
     ----------
     rig : Rig
-        Its ``motion`` has the block ``ascii``.
+        Definition of a rig whose ``motion`` has the block ``ascii``.
     time_scale, seed, homing_rms, faults
         See `irodori.simulation.controllers.grbl_simulator.simulate`.
     """

@@ -22,7 +22,7 @@ _JOG_G = (20, 21, 53, 90, 91)
 
 
 class GcodeError(Exception):
-    """A refused line; `code` is that of ``error:N``."""
+    """Raised for a line that Grbl refuses; `code` is the number in its reply ``error:N``."""
 
     def __init__(self, code: int) -> None:
         super().__init__(code)
@@ -31,7 +31,7 @@ class GcodeError(Exception):
 
 @dataclass
 class Modes:
-    """Modal state, which outlasts a line."""
+    """Modal state of the G-code parser, which persists from line to line."""
 
     motion: int = 0
     units: int = 21
@@ -42,27 +42,27 @@ class Modes:
     tool: int = 0
 
     def report(self) -> str:
-        """Return the text of ``$G``."""
+        """Return the reply to ``$G``, the modal state as text."""
         modal = f"G{self.motion} G{self.coordinates} G17 G{self.units} G{self.distance} G{self.feed_mode} M5 M9"
         return f"[GC:{modal} T{self.tool} F{self.feed:g} S0]"
 
 
 @dataclass
 class Move:
-    """Motion that a line asks for.
+    """Move or dwell that a G-code line commands.
 
     Parameters
     ----------
     targets : dict
-        Letter: machine coordinate, or distance where `relative`, units.
+        Axis letter -> machine coordinate, or distance if `relative`, units.
     feed : float or None
-        Units/min; None is as fast as can be.
+        Feed rate, units/min; None for the fastest.
     relative : bool
         Whether `targets` are distances.
     inverse_time : bool
-        Whether the feed is one over the time of the move, in 1/min.
+        Whether `feed` is the inverse of the time of the move, 1/min.
     dwell_s : float or None
-        Time to wait when all moves before are done, s.
+        Time to wait after all earlier moves, s.
     """
 
     targets: dict[str, float] = field(default_factory=dict)
@@ -73,16 +73,16 @@ class Move:
 
 
 def parse_block(line: str, modes: Modes, letters: str, jog: bool = False) -> Move:
-    """Return what a line does, and change the modes.
+    """Parse a G-code line, update the modal state and return the commanded move.
 
     Parameters
     ----------
     line : str
-        Capitals, without spaces and comments; of a jog what follows ``$J=``.
+        Line in capitals, without spaces and comments; for a jog the part after ``$J=``.
     modes : Modes
-        Changed by a line that is accepted; never by a jog.
+        Updated by an accepted line, but never by a jog.
     letters : str
-        Axes of the machine.
+        Letters of the machine's axes.
     jog : bool
         Whether the line is a jog.
 

@@ -1,9 +1,9 @@
 """Model of a Grbl 1.1 controller: replies and axis motion, without the serial line.
 
-Followed from the firmware's documentation and its order of events: single-byte commands act at once; lines wait in a
-serial buffer of 128 bytes, and are read while the planner has room; a hold stops the reading; homing answers nothing.
-Moves end at rest (the firmware blends the corners of a path, which no pose of the rig needs).
-What grblHAL and FluidNC do otherwise is taken from their sources: machine_limits.c, planner.c and system.c of
+The model follows the firmware's documentation and its order of events: single-byte commands act at once; lines wait in
+a serial buffer of 128 bytes and are read while the planner has room; a hold stops the reading; nothing is answered
+during homing. Moves end at rest; the firmware blends the corners of a path, which no pose of the rig needs. The
+differences of grblHAL and FluidNC are taken from their sources: machine_limits.c, planner.c and system.c of
 grblHAL/core; RuntimeSetting.cpp, Cartesian.cpp and ProcessSettings.cpp of bdring/FluidNC.
 """
 
@@ -26,7 +26,7 @@ DEFAULTS = {
 _WHOLE = (0, 1, 2, 3, 4, 5, 6, 10, 13, 20, 21, 22, 23, 26, 32, 40, 376)
 #: Settings of grblHAL: whether jogs end at the travel, also without soft limits; which axes are rotary, a bit each.
 _JOG_LIMITED, _ROTARY = 40, 376
-#: What each firmware says when it starts, and to ``$I``; recorded from their sources.
+#: Messages of each firmware at its start, and replies to ``$I``, taken from their sources.
 _BANNERS = {
     GRBL: "Grbl 1.1h ['$' for help]",
     GRBLHAL: "GrblHAL 1.1f ['$' or '$HELP' for help]",
@@ -48,41 +48,41 @@ _BUILDS = {
     ],
     FLUIDNC: ["[VER:3.7 FluidNC v3.7.8:]", "[OPT:PHS]", "[MSG: Machine: Default (Test Drive)]"],
 }
-#: What else is in FluidNC's own file, by its number in Grbl: the limits, which can be changed until it starts anew.
+#: Limits in FluidNC's configuration, by their setting's number in Grbl; changes last until the next start.
 _LIMITS = {20: "soft_limits", 21: "motor0/hard_limits"}
 _CONFIGURED = {24: "homing/feed_mm_per_min", 25: "homing/seek_mm_per_min", 26: "homing/settle_ms",
                27: "motor0/pulloff_mm"}  # fmt: skip
 _LOCKED = "[MSG:'$H'|'$X' to unlock]"
 _TRAVEL_SLACK = 1e-6
-#: How far behind a switch the mechanics end, units.
+#: Distance from a switch to the end of the mechanics, units.
 _STOP_BEHIND = 2.0
-#: Error of the count after a stop without a ramp, units at full speed.
+#: Largest error of the position count after a stop without deceleration at full speed, units.
 _LOST_AT_SPEED = 0.3
 
 
 class GrblMachine(Machine):
-    """The controller and its mechanics.
+    """Simulated Grbl controller and its mechanics.
 
-    As the firmware, it says nothing after the alarms of hard and soft limits until it is reset, and a question for
-    its status that a reset overtakes is never answered.
+    Like the firmware, it sends nothing after an alarm of a hard or soft limit until it is reset, and it never answers a
+    status query if a reset comes before the answer.
 
     Parameters
     ----------
     settings : dict
-        ``$`` settings beside `DEFAULTS`; the travels in it are those of the mechanics as well.
+        ``$`` settings that differ from `DEFAULTS`; the travels among them are also those of the mechanics.
     letters : str
-        Axes.
+        Letters of the axes.
     seed : int
-        Of where the axes stand at first, and of all that is random.
+        Seed of the initial positions and of all other random numbers.
     homing_rms : float
         Repeatability of the switches, standard deviation, units.
     firmware : str
-        One of `FIRMWARES`; grblHAL and FluidNC answer in every alarm, and grblHAL keeps account of its homing.
+        One of `FIRMWARES`; grblHAL and FluidNC answer in every alarm, and grblHAL reports whether it is homed.
 
     Attributes
     ----------
     hysteresis : float
-        How far from where it closes a limit switch opens again, units.
+        Distance between the points where a limit switch closes and where it opens again, units.
     """
 
     state = "Idle"
@@ -101,7 +101,7 @@ class GrblMachine(Machine):
         self._rng = random.Random(seed)
         self._length = [self._of(130, axis) for axis in range(len(letters))]
         starts = [-self._rng.uniform(0.1, 0.9) * length for length in self._length]
-        # Without switches there are no ends either, and the operator has put the axes at zero before switching on.
+        # Without switches the mechanics have no ends, and the operator has set the axes to zero before switching on.
         self._has_ends = bool(self.settings[22])
         self.stage = Stage(starts if self._has_ends else [0.0 for _ in starts])
         self.hysteresis, self._pressed = 0.0, set[int]()
@@ -112,7 +112,7 @@ class GrblMachine(Machine):
     # ---- power, reset, alarms
 
     def power_up(self) -> None:
-        """Start as after switching on: the count begins at zero wherever the axes stand."""
+        """Start as after switching on: with a position count of zero, wherever the axes stand."""
         self.stage.clear()
         self._is_homed = False
         self._told.clear()
@@ -121,8 +121,8 @@ class GrblMachine(Machine):
         self._restart()
 
     def raise_alarm(self, code: int) -> None:
-        """Stop dead and report an alarm: 1 and 2 then wait for a reset and say nothing, 3 and those of homing reset."""
-        # The count outlives a soft limit, whose axes stand.
+        """Stop at once and report an alarm: 1 and 2 then wait silently for a reset; 3 and those of homing restart."""
+        # The position count stays valid after a soft limit, because the axes have come to rest before.
         self._is_homed &= code == 2
         self._stop_dead()
         self.state, self._locked = "Alarm", code in (1, 2)
@@ -159,9 +159,9 @@ class GrblMachine(Machine):
             self._say(_LOCKED)
 
     def _stop_dead(self) -> None:
-        """Stop without a ramp: the motors lose steps, so that the count no longer fits the axes.
+        """Stop without deceleration: the motors lose steps, so that the count no longer matches the axes.
 
-        Not from the slow rate of homing, which ends in such a stop as well.
+        No steps are lost at the slow rate of homing, which ends in such a stop too.
         """
         if self.stage.moving and self.stage.speed > self.settings[24] / 60.0 * (1 + 1e-6):
             for axis in range(len(self.letters)):
@@ -173,7 +173,7 @@ class GrblMachine(Machine):
     # ---- the line
 
     def receive(self, byte: int) -> None:
-        """Take a byte: single-byte commands act, the others wait in the serial buffer, or are lost where it is full."""
+        """Receive a byte: single-byte commands act at once; others enter the serial buffer, or are lost if full."""
         acts = {0x18: self._soft_reset, 0x3F: self._ask, 0x21: self.press_hold, 0x7E: self._resume, 0x85: self._cancel}
         if self.firmware == GRBLHAL:
             acts[0x87] = self._ask_all
@@ -184,7 +184,7 @@ class GrblMachine(Machine):
         self._read()
 
     def _read(self) -> None:
-        """Read lines from the serial buffer for as long as nothing is in the way."""
+        """Execute lines from the serial buffer until a full planner, a hold, a lock or homing stops the reading."""
         while self._rx and not (self._blocked or self._suspended or self._locked or self.state == "Home"):
             letter = chr(self._rx.pop(0))
             if letter not in "\r\n":
@@ -215,14 +215,14 @@ class GrblMachine(Machine):
     # ---- single bytes
 
     def _ask(self) -> None:
-        """Note that a report is wanted; whatever resets the controller before it is written forgets it."""
+        """Note a status query; a reset before the report is written discards it."""
         self._report_due = True
 
     def _ask_all(self) -> None:
         self._report_due = self._full = True
 
     def _answer(self) -> None:
-        """Write the report that is due, unless homing or a lock keeps Grbl from it."""
+        """Write the requested status report, except in Grbl during homing or a lock."""
         if self._report_due and not (self.firmware == GRBL and (self._locked or self.state == "Home")):
             self._report_due = False
             if self.dropped_reports:
@@ -231,7 +231,7 @@ class GrblMachine(Machine):
                 self._say(self._report())
 
     def press_hold(self) -> None:
-        """Begin a feed hold, as ``!`` and the input at the board do."""
+        """Begin a feed hold, as the command ``!`` and the board's input do."""
         if self.state == "Jog":
             self._cancel()
         elif self.state in ("Run", "Idle"):
@@ -246,7 +246,7 @@ class GrblMachine(Machine):
     def _cancel(self) -> None:
         if self.state == "Jog":
             self.stage.holding = True
-            # Grbl flushes its serial buffer with the jogs that wait.
+            # Grbl discards the waiting jogs and its serial buffer.
             self._rx.clear()
             self._line, self._blocked = "", None
 
@@ -274,7 +274,7 @@ class GrblMachine(Machine):
         return f"<{'|'.join(fields)}>"
 
     def count(self) -> list[float]:
-        """Return the position that the controller believes in, units."""
+        """Return the position that the controller has counted, on whole steps, units."""
         counted = []
         for axis, (true, origin) in enumerate(zip(self.stage.position, self._origin, strict=True)):
             steps = self._of(100, axis)
@@ -358,18 +358,18 @@ class GrblMachine(Machine):
         if key == 0 and new < 3:
             raise GcodeError(6)
         self.settings[int(key)] = new
-        # Homing that is switched on now does not lock: the next start does.
+        # If homing is switched on now, the controller is locked only after the next start.
         if key == 22 and not new:
             self.settings[20] = 0
 
     def _listed(self) -> list[str]:
-        """Return the lines that print the settings."""
+        """Return the reply to ``$$``, one line for each setting."""
         hidden = _CONFIGURED if self.firmware == FLUIDNC else ()
         lines = [f"${number}={self._printed(number)}" for number in sorted(self.settings) if number not in hidden]
         return [*lines, "$70=7", "$300=grblHAL", "$302=192.168.5.1"] if self.firmware == GRBLHAL else lines
 
     def _in_file(self, line: str) -> None:
-        """Answer a question for FluidNC's own file such as ``$/axes/x/homing/mpos_mm``, or change a limit in it."""
+        """Answer a query of FluidNC's configuration such as ``$/axes/x/homing/mpos_mm``, or change a limit in it."""
         path, equals, value = line.lower().partition("=")
         _, _, letter, *rest = path.split("/")
         axis, name = self.letters.find(letter.upper() or "-"), "/".join(rest)
@@ -387,7 +387,7 @@ class GrblMachine(Machine):
             self._say(f"{path}={limit if number in _LIMITS else f'{self.settings[number]:.3f}'}")
 
     def _limit(self, number: int, axis: int) -> bool:
-        """Return whether an axis has a limit, 20 for a soft and 21 for a hard one."""
+        """Return whether a limit of an axis is enabled: setting 20 for the soft limit, 21 for the hard one."""
         return self._told.get((number, axis), bool(self.settings[number]))
 
     def _printed(self, number: int) -> str:
@@ -404,7 +404,7 @@ class GrblMachine(Machine):
     # ---- motion
 
     def _take(self, move: Move, jog: bool = False) -> None:
-        """Put a move into the planner, or wait until there is room; answer it."""
+        """Add a move to the planner and answer it, or keep it waiting until there is room."""
         if move.dwell_s is not None:
             self._blocked, self._dwell_s = move, move.dwell_s
             return
@@ -431,7 +431,7 @@ class GrblMachine(Machine):
         self._say("ok")
 
     def _target(self, move: Move) -> list[float]:
-        """Return where a move ends in the controller's count, on whole steps."""
+        """Return the end of a move in the controller's count, rounded to whole steps."""
         target = [true - origin for true, origin in zip(self.stage.end, self._origin, strict=True)]
         for letter, value in move.targets.items():
             axis = self.letters.index(letter)
@@ -440,7 +440,7 @@ class GrblMachine(Machine):
         return target
 
     def _within_travel(self, target: list[float]) -> list[float]:
-        """Return where a jog ends that is not refused but ends at the travel: grblHAL's as told, FluidNC's always."""
+        """Return the end of a jog clipped to the travel, as grblHAL does in one setting and FluidNC at soft limits."""
         for axis, place in enumerate(target):
             if self._limit(20, axis) or self.firmware == GRBLHAL:
                 target[axis] = min(max(place, -self._of(130, axis)), 0.0)
@@ -489,7 +489,7 @@ class GrblMachine(Machine):
         self.stage.push(Block(list(target), speed, min(self._of(120, a) for a in range(len(self.letters)))))
 
     def advance(self, seconds: float) -> None:
-        """Let simulated time pass, s."""
+        """Advance simulated time by a number of seconds."""
         self._answer()
         self.stage.advance(seconds)
         self._meet_stops()
@@ -521,7 +521,7 @@ class GrblMachine(Machine):
         self._say("ok")
 
     def _switches(self) -> set[int]:
-        """Return the axes that press a switch: the one that homing seeks at its end, the other beyond the travel."""
+        """Return the axes that press a limit switch: at position 0, or beyond the travel at the other end."""
         if not self._has_ends:
             return set()
         ends = enumerate(zip(self.stage.position, self._length, strict=True))
@@ -533,12 +533,12 @@ class GrblMachine(Machine):
         }
 
     def _after_homing(self, axis: int) -> float:
-        """Return the count of an axis once it has pulled off its switch, units."""
+        """Return the count of an axis after homing, when it has pulled off its switch, units."""
         negative = int(self.settings[23]) >> axis & 1
         return -self._length[axis] + self.settings[27] if negative else -self.settings[27]
 
     def _dwell(self, seconds: float) -> None:
-        """Let a dwell run, which waits for all moves before it."""
+        """Advance a dwell, which begins after all earlier moves, and answer it at its end."""
         if isinstance(self._blocked, Move) and not (self.stage.blocks or self._suspended or self._locked):
             self._dwell_s -= seconds
             if self._dwell_s <= 0.0:
@@ -546,11 +546,11 @@ class GrblMachine(Machine):
                 self._say("ok")
 
     def _meet_stops(self) -> None:
-        """Raise the alarm of a limit switch, or stall the motor at the end of the mechanics."""
+        """Raise an alarm at a limit switch; stall the motor, so that it loses steps, at the end of the mechanics."""
         before, self._pressed = self._pressed, self._switches()
         if self.state == "Home" or not self._has_ends:
             return
-        # Grbl looks at any change of its inputs, also where a switch opens; the others at one that closes.
+        # Grbl reacts to any change of its inputs, also to an opening switch; the others only to a closing one.
         changed = self._pressed - before or (before - self._pressed if self.firmware == GRBL else set())
         changed = {axis for axis in changed if self._limit(21, axis)}
         if changed and self.state != "Alarm":

@@ -2,7 +2,7 @@
 
 ``python -m irodori.simulation.controllers.grbl_simulator`` prints its port.
 
-What can be typed while it runs: `irodori.simulation.controllers.peer_server`.
+The commands on its standard input are listed in `irodori.simulation.controllers.peer_server`.
 """
 
 import argparse
@@ -29,27 +29,27 @@ def simulate(
     faults: Sequence[str] = (),
     firmware: str = FIRMWARES[0],
 ) -> AbstractContextManager[Simulator]:
-    """Start the simulator as a process that ends with this one, and with the block.
+    """Start the simulator as a process that ends with this process and with the ``with`` block.
 
     Parameters
     ----------
     settings : dict, optional
         ``$`` settings of Grbl that differ from those of `irodori.simulation.controllers.grbl_machine.DEFAULTS`.
     time_scale : float
-        Simulated seconds in a real one.
+        Simulated seconds per real second.
     seed : int
-        Of where the axes stand at first, and of all that is random.
+        Seed of the initial positions and of all other random numbers.
     homing_rms : float
-        Repeatability of the limit switches, controller units.
+        Repeatability of the limit switches, standard deviation, controller units.
     faults : sequence of str
-        See `irodori.simulation.controllers.line_faults`.
+        Faults at the start, see `irodori.simulation.controllers.line_faults`.
     firmware : str
         One of `irodori.capture.rig.grbl.protocol.FIRMWARES`.
 
     Returns
     -------
     context manager of Simulator
-        Its ``port`` is what a driver opens.
+        Its ``port`` is the path of the serial port for a driver.
     """
     arguments = ["--time-scale", repr(time_scale), "--seed", str(seed), "--homing-rms", repr(homing_rms)]
     arguments += ["--firmware", firmware]

@@ -7,7 +7,7 @@ when
 =====================  ==================================================================================
 ``now``                at once (may be left out)
 ``line N``             when the N-th line from now has arrived at the controller
-``move F``             in the next motion, once the part F (0..1) of its path is behind
+``move F``             in the next motion, after the share F (0..1) of its path
 =====================  ==================================================================================
 
 =====================  ==================================================================================
@@ -15,14 +15,14 @@ what
 =====================  ==================================================================================
 ``drop-output N``      the next N bytes from the controller are lost
 ``drop-input N``       the next N bytes to the controller are lost
-``drop-report N``      the next N status reports of a Grbl controller are lost whole
-``garble``             one byte in three of the next line from the controller becomes another
-``stall [S]``          nothing comes from the controller for S seconds of real time, or for ever; then all of it
-``hangup [S]``         the line hangs up; it is back after S seconds of real time, or never. Motion goes on
+``drop-report N``      the next N status reports of a Grbl controller are lost completely
+``garble``             one byte in three of the next line from the controller is replaced
+``stall [S]``          output of the controller is held back for S seconds of real time, or for ever
+``hangup [S]``         the line disconnects and returns after S seconds of real time, or never; motion continues
 ``reset``              the controller loses its power for a moment
-``alarm N``            the controller raises an alarm without cause
-``hold``               somebody presses the feed hold at the bench
-``slip U``             the motor of the first axis loses steps: it stands U units below its controller's count
+``alarm N``            the controller raises alarm N without cause
+``hold``               a person presses the feed-hold button
+``slip U``             the motor of the first axis loses steps: the axis stands U units below the controller's count
 =====================  ==================================================================================
 """
 
@@ -47,7 +47,7 @@ _WHENS = ("now", "line", "move")
 
 @dataclass
 class Fault:
-    """A fault and when it happens; `value` is its argument, `at` that of `when`."""
+    """A fault with its argument `value`, and the event `when`, with argument `at`, at which it happens."""
 
     kind: str
     value: float = 0.0
@@ -55,19 +55,19 @@ class Fault:
     at: float = 0.0
 
     def due(self, lines: int, progress: float | None) -> bool:
-        """Return whether the moment is there: `lines` lines after the fault was asked for, or at a part of a path."""
+        """Return whether the fault happens now, from the lines received since its request and the share of the path."""
         if self.when == "line":
             return lines >= self.at
         return self.when == "now" or (progress is not None and progress >= self.at)
 
 
 def parse_fault(text: str) -> Fault:
-    """Return the fault that a line of text asks for.
+    """Parse a fault from a line of text in the form ``[when] what``.
 
     Raises
     ------
     ValueError
-        With a sentence that lists what is accepted.
+        If the text is no fault; the message lists the accepted ones.
     """
     words = text.split()
     when, at = "now", 0.0

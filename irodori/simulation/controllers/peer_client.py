@@ -21,12 +21,12 @@ _ROOT = Path(__file__).resolve().parents[3]
 
 
 class Simulator:
-    """A running simulator.
+    """Handle of a running simulator process.
 
     Parameters
     ----------
     process : subprocess.Popen
-        With pipes as its standard input and output.
+        Process with pipes as its standard input and output.
     port : str
         Path of its serial port.
     """
@@ -38,7 +38,7 @@ class Simulator:
         self._lock, self._buffer = threading.Lock(), b""
 
     def fault(self, text: str) -> None:
-        """Ask for a fault; see `irodori.simulation.controllers.line_faults`.
+        """Inject a fault, given as text; see `irodori.simulation.controllers.line_faults`.
 
         Raises
         ------
@@ -48,32 +48,33 @@ class Simulator:
         self._ask(f"fault {text}")
 
     def clear(self) -> None:
-        """Forget the faults that have not happened, end a stall, bring a line back that is hung up."""
+        """Discard faults that have not happened yet, end a stall and reconnect the line."""
         self._ask("clear")
 
     def power(self) -> None:
-        """Switch the controller off and on; the axes stay where they stand."""
+        """Switch the controller off and on; the axes stay in place."""
         self._ask("power")
 
     def pace(self, time_scale: float) -> None:
-        """Change how many simulated seconds pass in a real one, above 0."""
+        """Set the number of simulated seconds per real second, above 0."""
         if not 0.0 < time_scale < math.inf:
             raise ValueError(f"time_scale {time_scale:g}: accepted: a number above 0")
         self._ask(f"pace {time_scale!r}")
 
     def forget(self) -> None:
-        """Start the extremes of `snapshot` anew."""
+        """Reset the extreme positions of `snapshot` to the present position."""
         self._ask("forget")
 
     def snapshot(self) -> dict:
-        """Return ``state``, ``moving``, and by channel in controller units ``position``, ``low`` and ``high``.
+        """Return ``state``, ``moving``, and for each channel ``position``, ``low`` and ``high``, controller units.
 
-        The position is the true one: that of the mechanics, whatever the controller believes.
+        Positions are the true ones of the mechanics, not those that the controller has counted; ``low`` and ``high``
+        are the extremes since the last `forget`.
         """
         return self._ask("state")
 
     def true_position(self) -> dict[str, float]:
-        """Return where each channel truly stands, controller units."""
+        """Return the true position of each channel, controller units."""
         return self.snapshot()["position"]
 
     def close(self) -> None:
@@ -89,12 +90,12 @@ class Simulator:
         self._answers.close()
 
     def read_line(self, seconds: float) -> str:
-        """Return the next line of the process.
+        """Return the next line of the process's standard output.
 
         Raises
         ------
         DeviceError
-            If none comes in time.
+            If no line arrives within ``seconds``, or the process has ended.
         """
         deadline = Deadline(seconds)
         while b"\n" not in self._buffer:
@@ -121,18 +122,18 @@ class Simulator:
 
 @contextmanager
 def run_simulator(module: str, arguments: Sequence[str]) -> Iterator[Simulator]:
-    """Start a simulator's module as a process that ends with this one, and with the block.
+    """Start a simulator's module as a process that ends with this process and with the ``with`` block.
 
     Parameters
     ----------
     module : str
-        Such as ``irodori.simulation.controllers.grbl_simulator``.
+        Name of the module, such as ``irodori.simulation.controllers.grbl_simulator``.
     arguments : sequence of str
-        Its command line.
+        Command-line arguments of the module.
     """
     with tempfile.TemporaryDirectory(prefix="irodori-") as folder:
         command = [sys.executable, "-m", module, "--parent", str(os.getpid()), "--link", f"{folder}/port", *arguments]
-        # Its own session: Ctrl-C at the terminal is for the driver, as it would be with a controller on a cable.
+        # A session of its own: Ctrl-C at the terminal must reach only the driver, as with a real controller.
         process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, cwd=_ROOT, start_new_session=True
         )

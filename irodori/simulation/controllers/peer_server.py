@@ -2,11 +2,11 @@
 
 Commands on standard input, each answered by one line of JSON on standard output:
 
-* ``fault TEXT``: see `irodori.simulation.controllers.line_faults`; ``clear``: forget faults that have not happened, end
-a stall.
-* ``state``: state, whether anything moves, true position and its extremes in controller units, by channel;
-  ``forget``: start the extremes anew.
-* ``power``: switch the controller off and on; ``pace X``: X simulated seconds in a real one; ``quit``: end.
+* ``fault TEXT``: inject a fault, see `irodori.simulation.controllers.line_faults`; ``clear``: discard faults that have
+  not happened yet, end a stall and reconnect the line.
+* ``state``: return the state, whether anything moves, and for each channel the true position and its extremes in
+  controller units; ``forget``: reset the extremes.
+* ``power``: switch the controller off and on; ``pace X``: run X simulated seconds per real second; ``quit``: end.
 """
 
 import argparse
@@ -28,29 +28,29 @@ from pathlib import Path
 from irodori.simulation.controllers.line_faults import Fault, parse_fault
 from irodori.simulation.controllers.trapezoidal_motion import Stage
 
-#: Simulated time that passes between two looks at the faults, s.
+#: Simulated time between two checks for faults, s.
 _SLICE_S = 5e-3
 _BUSY_WAIT_S, _IDLE_WAIT_S = 1e-3, 2e-2
-#: Time for which a line that hangs up is gone at least, s.
+#: Least time for which the line stays disconnected, s.
 _SHORTEST_HANGUP_S = 1e-3
 
 
 class Machine(ABC):
-    """A controller without its line.
+    """A simulated controller without its serial line.
 
     Attributes
     ----------
     channels : tuple of str
-        Names of its axes.
+        Names of the axes.
     stages : tuple of Stage
-        What it moves, in true coordinates: those of the mechanics, whatever the controller believes. Channels of one
-        stage move together; the channels are those of the stages, one after the other.
+        Mechanics, in true coordinates, independent of the positions that the controller has counted. Channels of one
+        stage move together; the channels are those of the stages in order.
     output : bytearray
-        What it has sent and the line has not taken yet.
+        Bytes sent by the controller that the line has not transmitted yet.
     lines : int
-        Lines that have arrived.
+        Number of received lines.
     dropped_reports : int
-        Status reports to come that are lost whole, where the protocol has such reports.
+        Number of the next status reports that are lost completely, if the protocol has such reports.
     """
 
     channels: tuple[str, ...]
@@ -64,7 +64,7 @@ class Machine(ABC):
     @property
     @abstractmethod
     def state(self) -> str:
-        """Return what it does, in its own words."""
+        """State of the controller, in the words of its protocol."""
 
     @property
     def moving(self) -> bool:
@@ -73,44 +73,44 @@ class Machine(ABC):
 
     @property
     def progress(self) -> float | None:
-        """Part of the path of the motion that began last, None where there is no motion."""
+        """Share of the path that is done in the present motion, the least of all stages; None without motion."""
         return min((stage.progress for stage in self.stages if stage.blocks), default=None)
 
     @abstractmethod
     def receive(self, byte: int) -> None:
-        """Take a byte from the line."""
+        """Receive a byte from the line."""
 
     @abstractmethod
     def advance(self, seconds: float) -> None:
-        """Let simulated time pass, s."""
+        """Advance simulated time by a number of seconds."""
 
     @abstractmethod
     def power_up(self) -> None:
-        """Lose what a controller loses with its power, and start."""
+        """Start as after switching on: discard all that a controller forgets without power."""
 
     @abstractmethod
     def raise_alarm(self, code: int) -> None:
-        """Stop dead and report an alarm."""
+        """Stop at once and report an alarm with a code."""
 
     @abstractmethod
     def press_hold(self) -> None:
-        """Bring the axes to rest on their ramp and keep what they were to do, as the button at the bench does."""
+        """Decelerate the axes to rest and keep the remaining moves, like the feed-hold button of a controller."""
 
     @abstractmethod
     def slip(self, by: float, axis: int = 0) -> None:
-        """Put an axis elsewhere, units, without the controller's knowing: its motor has lost steps."""
+        """Displace an axis by a number of units without changing the controller's count, as if its motor lost steps."""
 
 
 class FaultyMachine:
-    """A machine at the end of a line, with faults on command; the clock and the line itself are others'.
+    """A simulated controller with faults on command; the caller provides the clock and the serial line.
 
     Parameters
     ----------
     machine : Machine
     time_scale : float
-        Simulated seconds in one of the clock.
+        Simulated seconds per second of the clock.
     seed : int
-        Of the random bytes of a garbled line.
+        Seed of the random bytes in a garbled line.
     now : callable
         Returns the time of the clock, s.
     """
@@ -124,16 +124,16 @@ class FaultyMachine:
 
     @property
     def busy(self) -> bool:
-        """Whether something is about to happen."""
+        """Whether the controller moves, has output to send or waits for a fault."""
         return bool(self.machine.moving or self.machine.output or self._waiting)
 
     @property
     def plugged(self) -> bool:
-        """Whether the line is there, and not hung up."""
+        """Whether the line is connected."""
         return self._now() >= self._back_at
 
     def advance(self, seconds: float) -> None:
-        """Let time pass, s of the clock, and do the faults whose moment comes."""
+        """Advance by a number of seconds of the clock and execute the faults that become due."""
         seconds *= self.scale
         while seconds > 0.0:
             if not self.machine.moving:
@@ -144,7 +144,7 @@ class FaultyMachine:
             self.fire()
 
     def receive(self, data: bytes) -> None:
-        """Take what the line brings."""
+        """Pass bytes from the line to the controller, except those that a fault drops."""
         for byte in data:
             if self._lost_in:
                 self._lost_in -= 1
@@ -153,7 +153,7 @@ class FaultyMachine:
         self.machine.advance(0.0)
 
     def send(self) -> bytes:
-        """Return what the machine says, unless it is stalled; nobody hears it where the line is hung up."""
+        """Return the controller's output with faults applied; it is held back in a stall and lost if disconnected."""
         output = self.machine.output
         if not self.plugged:
             output.clear()
@@ -169,7 +169,7 @@ class FaultyMachine:
         return data
 
     def fire(self) -> None:
-        """Do the faults whose moment is there."""
+        """Execute the faults that are due."""
         progress = self.machine.progress if self._waiting else None
         due = [item for item in self._waiting if item[0].due(self.machine.lines - item[1], progress)]
         for item in due:
@@ -177,7 +177,7 @@ class FaultyMachine:
             self._do(item[0])
 
     def ask_for(self, fault: str) -> None:
-        """Note a fault that is to happen.
+        """Add a fault, given as text, to those that wait to happen.
 
         Raises
         ------
@@ -187,7 +187,7 @@ class FaultyMachine:
         self._waiting.append((parse_fault(fault), self.machine.lines))
 
     def answer(self, word: str, rest: str) -> dict:
-        """Return the answer to a command; ``error`` is in that to one that is not understood."""
+        """Execute a command of the server and return its answer, with the key ``error`` if it is not understood."""
         if word == "fault":
             try:
                 self.ask_for(rest)
@@ -253,16 +253,16 @@ class FaultyMachine:
 
 
 class Server:
-    """A machine with faults behind a pseudo-terminal.
+    """Server that connects a simulated controller with faults to a pseudo-terminal.
 
     Parameters
     ----------
     faulty : FaultyMachine
-        On the clock of `time.monotonic`.
+        Controller, on the clock `time.monotonic`.
     link : path
-        Symbolic link to the pseudo-terminal; it stays the same when the line hangs up and comes back.
+        Symbolic link to the pseudo-terminal; its path stays the same if the line disconnects and returns.
     parent : int, optional
-        Process with which the server ends.
+        Number of the parent process; the server ends with it.
     """
 
     def __init__(self, faulty: FaultyMachine, link, parent: int | None = None) -> None:
@@ -272,7 +272,7 @@ class Server:
         self._plug()
 
     def run(self) -> None:
-        """Serve until told to quit, or until the parent is gone."""
+        """Serve until the command ``quit`` or the end of the parent process."""
         print(self.link, flush=True)
         last, inputs, going = time.monotonic(), [0], True
         while going and (self.parent is None or os.getppid() == self.parent):
@@ -288,7 +288,7 @@ class Server:
             self._give()
 
     def close(self) -> None:
-        """Hang up and remove the symbolic link."""
+        """Disconnect the line and remove the symbolic link."""
         self._unplug()
 
     def _wait(self, inputs: list[int]) -> list[int]:
@@ -296,12 +296,12 @@ class Server:
         return select.select(reading, [], [], _BUSY_WAIT_S if self.faulty.busy else _IDLE_WAIT_S)[0]
 
     def _take(self) -> None:
-        """Read what the line brings."""
+        """Read bytes from the pseudo-terminal and pass them to the controller."""
         with contextlib.suppress(OSError):  # nothing there after all
             self.faulty.receive(os.read(self._master, 4096))
 
     def _give(self) -> None:
-        """Write what the machine says; hang up, or come back, where the moment is there."""
+        """Write the controller's output to the pseudo-terminal, and disconnect or reconnect the line if due."""
         data = self.faulty.send()
         if not self.faulty.plugged:
             self._unplug()
@@ -312,7 +312,7 @@ class Server:
                 os.write(self._master, data)
 
     def _obey(self, inputs: list[int]) -> bool:
-        """Answer the commands on standard input; return whether to go on."""
+        """Answer the commands on standard input and return whether the server continues."""
         got = os.read(0, 4096)
         if not got:
             inputs.clear()
@@ -326,7 +326,7 @@ class Server:
         return True
 
     def _plug(self) -> None:
-        # The server keeps the other end open too: without an opener, reading its own end would fail.
+        # The server keeps the driver's end open too: reading its own end fails if no process has opened the other.
         self._master, self._slave = os.openpty()
         tty.setraw(self._slave)
         os.set_blocking(self._master, False)
@@ -344,7 +344,7 @@ class Server:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments that every simulator takes."""
+    """Add the command-line arguments that all simulators have in common."""
     parser.add_argument("--time-scale", type=float, default=1.0, help="simulated seconds in a real one")
     parser.add_argument("--seed", type=int, default=0, help="start of the random numbers")
     parser.add_argument("--link", help="symbolic link to make to the pseudo-terminal; a temporary one where absent")
@@ -353,7 +353,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def serve(machine: Machine, arguments: argparse.Namespace) -> None:
-    """Run a machine until it is told to quit, interrupted, or its parent is gone."""
+    """Serve a simulated controller until the command ``quit``, an interrupt or the end of the parent process."""
     if not (0.0 < arguments.time_scale < math.inf):
         raise SystemExit(f"--time-scale {arguments.time_scale:g}: accepted: a number above 0")
     with tempfile.TemporaryDirectory(prefix="irodori-") as folder:

@@ -9,14 +9,14 @@ _STEP_S = 1e-3
 
 @dataclass
 class Block:
-    """A straight move that waits or runs.
+    """A straight move that is queued or running.
 
     Parameters
     ----------
     target : list of float
-        Where it ends, units.
+        End position, units.
     speed, acceleration : float
-        Along the line, units/s and units/s^2.
+        Speed and acceleration along the path, units/s and units/s^2.
     """
 
     target: list[float]
@@ -25,12 +25,12 @@ class Block:
 
 
 class Stage:
-    """Axes and the moves that they were given.
+    """Axes that move together, with their queue of moves.
 
     Parameters
     ----------
     position : sequence of float
-        Where the axes stand, units.
+        Initial position of the axes, units.
     """
 
     def __init__(self, position) -> None:
@@ -45,7 +45,7 @@ class Stage:
 
     @property
     def moving(self) -> bool:
-        """Whether an axis has speed, or is about to."""
+        """Whether the axes move or are about to."""
         return bool(self.blocks) and not (self.holding and self.speed == 0.0)
 
     @property
@@ -55,11 +55,11 @@ class Stage:
 
     @property
     def progress(self) -> float:
-        """Part of the path since the axes last stood idle, 0..1; 0 where there is none."""
+        """Share of the path of all moves since the axes were last idle that is done, 0..1; 0 without moves."""
         return self._travelled / self._path if self._path else 0.0
 
     def push(self, block: Block) -> None:
-        """Queue a move."""
+        """Add a move to the queue; start it if the queue was empty."""
         if not self.blocks:
             self._path = self._travelled = 0.0
         self._path += math.dist(self.end, block.target)
@@ -68,13 +68,13 @@ class Stage:
             self._begin()
 
     def clear(self) -> None:
-        """Stop dead and forget all moves."""
+        """Stop at once and discard all moves."""
         self.blocks.clear()
         self.speed, self.holding = 0.0, False
         self._path = self._travelled = 0.0
 
     def advance(self, seconds: float) -> None:
-        """Let time pass, s."""
+        """Advance the motion by a number of seconds."""
         if seconds <= 0.0 or not self.moving:
             return
         while seconds > 0.0 and self.moving:
@@ -86,11 +86,11 @@ class Stage:
         self._note_extremes()
 
     def shift(self, axis: int, position: float) -> None:
-        """Put an axis elsewhere than its moves took it, as a mechanical stop does."""
+        """Set the position of an axis, as a mechanical stop does, and leave the moves unchanged."""
         self.position[axis] = position
 
     def slip(self, axis: int, by: float) -> None:
-        """Put an axis and all that it is still to do elsewhere, units: steps that its motor did not make."""
+        """Shift the position of an axis and all its remaining moves by a number of units, as lost steps do."""
         for places in (self.position, self._start, *(block.target for block in self.blocks)):
             places[axis] += by
 
@@ -118,6 +118,6 @@ class Stage:
                 self._begin()
 
     def _note_extremes(self) -> None:
-        """Widen the extremes by where the axes stand: those of a straight way are its ends."""
+        """Update the extreme positions with the present one; on a straight path they lie at its ends."""
         self.low = [min(pair) for pair in zip(self.low, self.position, strict=True)]
         self.high = [max(pair) for pair in zip(self.high, self.position, strict=True)]

@@ -1,1 +1,1 @@
-"""Virtual rig and camera: computed photographs as genuine DNG files."""
+"""Virtual rig and camera: computed photographs, written as DNG files that any RAW converter reads."""

@@ -1,7 +1,7 @@
 """Virtual classroom as an omnidirectional image: daylight windows, ceiling lamps, walls.
 
-Equirectangular, seen from the eye: columns are azimuth from +x towards +y over 2π, rows the angle from the zenith.
-Radiance is relative: 1 is a perfect diffuser lit at normal incidence by the rig's light.
+The image is equirectangular, as seen from the room's eye point: columns are azimuth from +x towards +y over 2π, rows
+the angle from the zenith. Radiance is relative: 1 is a perfect diffuser lit at normal incidence by the rig's light.
 """
 
 from dataclasses import replace
@@ -13,7 +13,7 @@ from irodori.config.models import PlacedChart, RoomLamps, RoomWindow, VirtualRoo
 from irodori.light.environment_file import directions
 from irodori.spectra.published import light, spectrum
 
-_CHART_COLUMNS = 400  # of the picture of the room that is summed to the light on a chart
+_CHART_COLUMNS = 400  # columns of the room's image from which the irradiance of a chart is summed
 
 
 def equal_luminance(power: np.ndarray, rig_light: np.ndarray) -> np.ndarray:
@@ -23,12 +23,12 @@ def equal_luminance(power: np.ndarray, rig_light: np.ndarray) -> np.ndarray:
 
 
 def source_spectra(room: VirtualRoom, rig_light: np.ndarray) -> tuple[list[str], np.ndarray]:
-    """Return the room's sources.
+    """Return the spectral radiance of the room's surfaces and lights.
 
     Returns
     -------
     names : list of str
-    radiance : (sources, 61) float64; a surface is lit by the ambient light, a lamp has its own spectrum
+    radiance : (sources, 61) float64; surfaces reflect the ambient light, window and lamps have spectra of their own
     """
     ambient = equal_luminance(light(room.ambient_light), rig_light)
     names, spectra = [], []
@@ -44,7 +44,7 @@ def source_spectra(room: VirtualRoom, rig_light: np.ndarray) -> tuple[list[str],
 
 
 def trace_room(room: VirtualRoom, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return which source each direction sees, and its shading.
+    """Return the source that is visible in each direction, and its shading.
 
     Returns
     -------
@@ -76,13 +76,13 @@ def trace_room(room: VirtualRoom, width: int, height: int) -> tuple[np.ndarray, 
     inside_x = np.abs(across - np.floor(across) - 0.5) * size[0] / lamps.columns < lamps.width_m / 2
     inside_y = np.abs(along - np.floor(along) - 0.5) * size[1] / lamps.rows < lamps.depth_m / 2
     source[(axis == 2) & upward & inside_x & inside_y] = 5
-    # Surfaces darken away from the windows and towards the floor; lamps and panes are even.
+    # Surfaces darken away from the windows and towards the floor; lamps and panes are uniform.
     shading = np.where(source < 4, 0.7 + 0.2 * (x / size[0] + 0.5) + 0.1 * z / size[2], 1.0)
     return source, shading
 
 
 def room_coefficients(room: VirtualRoom, width: int, height: int) -> np.ndarray:
-    """Return how much of each source every pixel sees, 2 x 2 directions a pixel, (height, width, sources) float32."""
+    """Return the share of each source in every pixel, (height, width, sources) float32, from 2 x 2 samples a pixel."""
     source, shading = trace_room(room, 2 * width, 2 * height)
     sources = len(source_spectra(room, np.ones(61))[0])
     fine = np.eye(sources, dtype=np.float32)[source] * shading[..., None].astype(np.float32)
@@ -90,7 +90,7 @@ def room_coefficients(room: VirtualRoom, width: int, height: int) -> np.ndarray:
 
 
 def light_on_chart(room: VirtualRoom, place: PlacedChart, rig_light: np.ndarray) -> np.ndarray:
-    """Return the radiance of a perfect diffuser that stands and faces as a chart does, (61,), from all of the room."""
+    """Return the radiance of a perfect diffuser at the position and orientation of a chart in the room, (61,)."""
     direction, solid_angle = directions(_CHART_COLUMNS, _CHART_COLUMNS // 2)
     facing = np.asarray(place.facing) / np.linalg.norm(place.facing)
     falls = np.maximum(direction @ facing, 0.0) * solid_angle / np.pi

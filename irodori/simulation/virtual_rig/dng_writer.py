@@ -1,4 +1,4 @@
-"""DNG files that LibRaw decodes like a camera's (Adobe DNG specification 1.4)."""
+"""DNG files that LibRaw decodes like those of a real camera (Adobe DNG specification 1.4)."""
 
 import io
 from fractions import Fraction
@@ -30,7 +30,7 @@ def write_dng(
     iso: float = 0.0,
     f_number: float = 0.0,
 ) -> None:
-    """Write an RGGB mosaic as an uncompressed 16-bit DNG, atomically.
+    """Write an RGGB mosaic as an uncompressed 16-bit DNG, replacing the file only when complete.
 
     Parameters
     ----------

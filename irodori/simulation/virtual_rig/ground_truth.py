@@ -1,4 +1,4 @@
-"""Ground truth of virtual objects and lights, in the chain's file formats, for the report alone."""
+"""Ground truth of virtual objects and lights, in the file formats of the workflow, used only for the report."""
 
 import numpy as np
 
@@ -15,10 +15,11 @@ _GREEN = 1
 
 
 def true_material(definition: Object, camera: Camera, rig: Rig) -> Material:
-    """Return what stands on the virtual rig as a material; its spectra are one-hot on the true spectra.
+    """Return the true material of an object on the virtual rig.
 
-    α is the response of the green band to S(λ) under the rig's light, as the fit defines it [design, §3]. The gloss
-    components are those of the sample, see `_gloss`; β and μ are NaN for a measured material.
+    The basis holds the true spectra, and the coefficients of a texel are 1 for its own spectrum and 0 for the others. α
+    is the response of the green band to S(λ) under the rig's light, as the fit defines it [design, §3]. The gloss
+    components are those of the sample, see `_gloss`; β and μ are NaN for a material from measured BRDF samples.
     """
     sample = Sample.from_definition(definition)
     width, height = definition.texels.width, definition.texels.height
@@ -44,14 +45,14 @@ def true_material(definition: Object, camera: Camera, rig: Rig) -> Material:
 
 
 def _gloss(sample: Sample) -> tuple[tuple[str, ...], list[tuple[np.ndarray, np.ndarray]], tuple[float, ...]]:
-    """Return lobes, (β, μ) by material, and typical values of the components that hold the gloss of every material.
+    """Return gloss components that are common to all materials: lobes, (β, μ) of each material, and typical values.
 
-    There are as many components of a lobe as the material with most of that lobe has. Of a component that a material
-    lacks β is 0 and μ typical, which reflects nothing; of a measured material all are NaN.
+    Of each lobe there are as many components as any single material has. A material that lacks a component gets β = 0,
+    which reflects nothing, and the typical μ. All values of a measured material are NaN.
     """
     places: dict[tuple[str, int], list[int | None]] = {}
     for m, names in enumerate(sample.lobes):
-        # Of components with the same lobe the broader is first, as in the fit.
+        # Components with the same lobe are in order from the broadest, as in the fit.
         for c in range(len(names)):
             broader = sum(other == names[c] and (-sample.mu[m, d], d) < (-sample.mu[m, c], c)
                           for d, other in enumerate(names))  # fmt: skip
@@ -60,7 +61,7 @@ def _gloss(sample: Sample) -> tuple[tuple[str, ...], list[tuple[np.ndarray, np.n
         places = {("gaussian", 0): [None] * len(sample.lobes)}
     gloss: list[tuple[np.ndarray, np.ndarray]] = []
     typical: list[float] = []
-    # A narrower component is met first where it stands first.
+    # The broadest components of all lobes come first, then the second broadest, and so on.
     places = dict(sorted(places.items(), key=lambda item: item[0][1]))
     for components in places.values():
         own = [(m, c) for m, c in enumerate(components) if c is not None]
@@ -75,7 +76,7 @@ def _gloss(sample: Sample) -> tuple[tuple[str, ...], list[tuple[np.ndarray, np.n
 
 
 def true_environment(definition: EnvironmentDefinition, rig: Rig, irradiance_options: IrradianceMap) -> Environment:
-    """Return the virtual room's light: one basis vector a source."""
+    """Return the true light of a virtual room as an environment with one basis vector for each source."""
     image, room = definition.image, definition.virtual
     if image is None or room is None:
         raise ValueError("an environment without the blocks image and virtual; accepted: a room of the virtual rig")

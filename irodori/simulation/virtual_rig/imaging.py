@@ -1,4 +1,4 @@
-"""Irradiance of the virtual camera's pixels from a sample under a far or near light, with shadows."""
+"""Responses of the virtual camera's pixels to a sample under a far or near light, with shadows."""
 
 import math
 from dataclasses import dataclass
@@ -34,7 +34,7 @@ def _lookup(table, cosine, band):
 
 @njit(cache=True, forceinline=True, error_model="numpy")
 def _response(out, sample, material, setup, point, ci):
-    """Fill the responses of one point, lit at the cosine `ci` and seen from its front, in the state's three bands."""
+    """Compute the responses of one point in three bands, lit at cosine of incidence `ci` and seen from its front."""
     normal, view, light, power = point.normal, point.back, point.light, point.lamp[0]
     cr = normal[0] * view[0] + normal[1] * view[1] + normal[2] * view[2]
     hx, hy, hz = light[0] + view[0], light[1] + view[1], light[2] + view[2]
@@ -44,8 +44,8 @@ def _response(out, sample, material, setup, point, ci):
     lobe, image = 0.0, 0.0
     if sample.table[material] < 0:
         lobe = gloss_term(sample.gloss, material, ci, cr, cos_phi, cos_h)
-    # The lamp is a disc: its mirror image is seen where the mirrored view falls within its angular radius, whose
-    # sine squared grows as the irradiance does; its radiance is the same from everywhere.
+    # The lamp is a disc: its mirror image is seen if the reflected view lies within its angular radius. The squared
+    # sine of the radius is proportional to the irradiance; the radiance of the lamp is the same from everywhere.
     mirrored = 2.0 * ci * cr - (view[0] * light[0] + view[1] * light[1] + view[2] * light[2])
     width = (1.0 - setup.lamp_cosine**2) * power
     if setup.lamp_cosine < 1.0 and mirrored >= math.sqrt(max(1.0 - width, 0.0)):
@@ -59,7 +59,7 @@ def _response(out, sample, material, setup, point, ci):
 
 
 class _Setup(NamedTuple):
-    """One pose of the virtual rig for the compiled loop."""
+    """Scene, camera and light at one pose of the virtual rig, for the compiled loop."""
 
     intersect: int
     occluded: int
@@ -81,7 +81,7 @@ class _Setup(NamedTuple):
 
 
 class _Point(NamedTuple):
-    """Buffers of one thread for the point that a ray meets; all vectors are (3,)."""
+    """Buffers of one thread for the point that a ray hits; all vectors are (3,)."""
 
     direction: np.ndarray  # from the camera
     world: np.ndarray
@@ -110,7 +110,7 @@ def _new_point():
 
 
 class _Subject(NamedTuple):
-    """The sample for the compiled loop."""
+    """Sample on the rig, with its spectra turned into band responses, for the compiled loop."""
 
     checks: np.ndarray  # (2,) columns, rows
     diffuse: np.ndarray  # (materials, 3) band responses of S(λ)
@@ -123,18 +123,18 @@ class _Subject(NamedTuple):
 
 
 class _Row(NamedTuple):
-    """Buffers of one thread for a row of quarters of pixels."""
+    """Buffers of one thread for a row of quarter pixels."""
 
-    x: np.ndarray  # (width,) where their rays meet the plane at depth 1 of the camera's frame
+    x: np.ndarray  # (width,) intersection of the rays with the plane at depth 1 of the camera's frame
     y: np.ndarray  # (width,)
-    is_near: np.ndarray  # (width,) whether the ray meets the sphere about the sample
+    is_near: np.ndarray  # (width,) whether the ray hits the bounding sphere of the sample
 
 
 @uncounted(error_model="numpy")
 def _aim_row(setup, number, row):
-    """Fill where the rays of a row look, and which may meet the sample; most of a picture does not.
+    """Compute the rays of a row of quarter pixels, and which of them may hit the sample, as most do not.
 
-    Loops without a branch: the compiler turns them into vector instructions.
+    The loops have no branches, so that the compiler can use vector instructions.
     """
     m, (cx, cy), focal = setup.ideal_from_seen, (setup.centre_px[0], setup.centre_px[1]), setup.focal_px
     for j in range(row.x.size):
@@ -157,7 +157,7 @@ def _aim_row(setup, number, row):
 
 @njit(cache=True, forceinline=True)
 def _turn(setup, x, y, direction):
-    """Fill the direction of a ray through a point of the plane at depth 1 of the camera's frame."""
+    """Compute the unit direction of a ray through point (x, y) of the plane at depth 1 of the camera's frame."""
     scale = 1.0 / math.sqrt(x * x + y * y + 1.0)
     axes = setup.world_from_camera
     for a in range(3):
@@ -166,7 +166,7 @@ def _turn(setup, x, y, direction):
 
 @njit(cache=True, forceinline=True)
 def _is_seen(setup, surfaces, ray, point):
-    """Whether a ray from the camera sees the front of the sample; fills its point, its normals and the way back."""
+    """Trace a ray from the camera and return whether it hits the front of the sample; fill the buffers of the point."""
     trace(setup.intersect, setup.scene, ray, setup.camera_mm, point.direction, np.inf)
     if hit_shape(ray) != 0:
         return False
@@ -179,7 +179,7 @@ def _is_seen(setup, surfaces, ray, point):
 
 @njit(cache=True, forceinline=True)
 def _face_lamp(setup, point):
-    """Fill the way to the lamp and its power at a point; return the cosine with the normal, 0 behind the surface."""
+    """Compute direction to the lamp and its irradiance at a point; return the cosine of incidence, 0 from behind."""
     if math.isinf(setup.light_distance_mm):
         for a in range(3):
             point.light[a] = setup.to_light[a]
@@ -202,7 +202,7 @@ def _face_lamp(setup, point):
 
 @njit(cache=True, forceinline=True)
 def _is_lit(setup, ray, point):
-    """Whether nothing stands between a point and the light."""
+    """Return whether nothing blocks the light at a point."""
     for a in range(3):
         point.origin[a] = point.world[a] + setup.offset_mm * point.facet[a]
     trace(setup.occluded, setup.scene, ray, point.origin, point.light, point.lamp[1])
@@ -211,7 +211,7 @@ def _is_lit(setup, ray, point):
 
 @njit(cache=True, forceinline=True)
 def _material_at(sample, point):
-    """Return the material of a point of the surface."""
+    """Return the index of the material at a point of the surface."""
     column = min(max(int(point.uv[0] * sample.checks[0]), 0), sample.checks[0] - 1)
     row = min(max(int(point.uv[1] * sample.checks[1]), 0), sample.checks[1] - 1)
     return (row * sample.checks[0] + column) % sample.diffuse.shape[0]
@@ -219,7 +219,7 @@ def _material_at(sample, point):
 
 @njit(cache=True, nogil=True)
 def _expose(setup, sample, image, first, last):
-    """Fill a block of rows: look through each quarter of a pixel, then let the pixels gather theirs."""
+    """Compute a block of rows of the mosaic: trace a ray for each quarter pixel, then average them into pixels."""
     width = 2 * image.shape[1] + 2
     points = np.zeros((2 * (last - first) + 2, width, 3))
     row = _Row(np.empty(width), np.empty(width), np.empty(width, np.bool_))
@@ -229,7 +229,7 @@ def _expose(setup, sample, image, first, last):
 
 @uncounted(error_model="numpy")
 def _look(setup, sample, ray, point, points, rows):
-    """Fill what is seen in quarters of pixels, from half a pixel before the row ``first`` on."""
+    """Compute the responses of quarter pixels, beginning half a pixel before the row ``first``."""
     row, first = rows
     for i in range(points.shape[0]):
         _aim_row(setup, 2 * first + i - 1, row)
@@ -245,7 +245,7 @@ def _look(setup, sample, ray, point, points, rows):
 
 @dataclass(frozen=True)
 class RigView:
-    """From where, through what and under which light the sample is seen.
+    """Camera, light and filter plate for a view of the sample.
 
     Parameters
     ----------
@@ -258,7 +258,7 @@ class RigView:
     lamp_radius_rad : float
         Angular radius of the lamp seen from the origin, for its mirror image.
     ideal_from_seen : (2, 3) float
-        Affine map of mosaic coordinates: where a picture without the filter's plate shows what is seen.
+        Affine map of mosaic coordinates from a picture through the filter plate to a picture without it.
     """
 
     pinhole: Pinhole
@@ -271,9 +271,9 @@ class RigView:
 
 
 def _is_open(placements, to_light: np.ndarray, lamp: Lamp) -> bool:
-    """Whether a point of the first shape that faces the lamp is lit whatever else stands there.
+    """Return whether every point of the first shape that faces the lamp is certainly lit, without shadow rays.
 
-    A convex shape does not shade itself, and a table under it shades nothing while the lamp is above its plane.
+    A convex shape does not shade itself, and a table under it shades nothing if the lamp is above its plane.
     """
     shape, table = placements[0].shape, placements[1:]
     normals = [top.rotation[:, 2] for top in table]
@@ -286,16 +286,16 @@ def _is_open(placements, to_light: np.ndarray, lamp: Lamp) -> bool:
 
 
 def expose_object(sample, tracer: Tracer, view: RigView, band_weights: np.ndarray) -> np.ndarray:
-    """Return what each mosaic pixel receives from the sample under the rig's light.
+    """Return the response of each mosaic pixel to the sample under the rig's light.
 
     Parameters
     ----------
     sample : irodori.simulation.virtual_rig.samples.Sample
     tracer : Tracer
-        Shape 0 is the sample; the others only cast shadows, and it stands above the plane of each that is flat.
+        Shape 0 is the sample; the others only cast shadows. The sample must stand above the plane of each flat shape.
     view : RigView
     band_weights : (3, 61) float
-        Those of the photograph's filter state, see `irodori.simulation.virtual_rig.sensor.band_weights`.
+        Weights of the photograph's filter state, see `irodori.simulation.virtual_rig.sensor.band_weights`.
 
     Returns
     -------

@@ -1,7 +1,7 @@
 """Switchable imperfections of the virtual rig: drift, optics, poses, filter plate, sensor.
 
-Everything random follows from the seed and from the place of a photograph in its session, never from what was taken
-before: a session that was broken off and continued leaves the same files as one that was not.
+All random numbers depend only on the seed and on the place of a photograph in its session, never on the photographs
+taken before. A session that was interrupted and continued therefore gives the same files as one that was not.
 """
 
 import math
@@ -17,7 +17,7 @@ from irodori.config.models import Imperfections
 
 @dataclass(frozen=True)
 class SessionPlace:
-    """Place of a photograph in its session: its number, and the changes of pose and filter before it."""
+    """Place of a photograph in its session: its number, and the number of moves and filter changes before it."""
 
     number: int
     arrival: int
@@ -25,7 +25,7 @@ class SessionPlace:
 
 
 def places(shots: Sequence[Shot]) -> dict[str, SessionPlace]:
-    """Return the place of every photograph of a session, by file."""
+    """Return the place of every photograph in a session: file name -> place."""
     found, arrival, insertion, before = {}, 0, 0, None
     for number, shot in enumerate(shots):
         if before is not None:
@@ -37,15 +37,15 @@ def places(shots: Sequence[Shot]) -> dict[str, SessionPlace]:
 
 
 class Faults:
-    """The imperfections of one session.
+    """Values of the imperfections for every photograph of one session.
 
     Parameters
     ----------
     definition : Imperfections
     seed : int
-        Of the rig.
+        Seed of the rig.
     session : str
-        Name of what is photographed; sessions differ.
+        Name of the subject; sessions with different names have different random numbers.
     shots : sequence of Shot
         All photographs of the session, in order.
     """
@@ -64,7 +64,7 @@ class Faults:
         return np.random.default_rng([self._seed, zlib.crc32(text.encode())])
 
     def _drift(self, count: int) -> np.ndarray:
-        """Return the light's relative power at each photograph: a process of first order about 1."""
+        """Return the light's relative power at each photograph: a first-order autoregressive process with mean 1."""
         rms = self._value("light_drift", "relative_rms")
         memory = math.exp(-1.0 / self._definition.light_drift.correlation_shots)
         noise = self._rng("light").normal(size=count)
@@ -75,45 +75,45 @@ class Faults:
         return light
 
     def light(self, shot: Shot) -> float:
-        """Return the relative power of the lamp at a photograph."""
+        """Return the relative power of the lamp during a photograph."""
         return float(self._light[self._places[shot.file].number])
 
     def noise(self, shot: Shot) -> np.random.Generator:
-        """Return the source of a photograph's shot and read noise."""
+        """Return the random generator of a photograph's shot noise and read noise."""
         return self._rng("noise", shot.file)
 
     def real_pose(self, shot: Shot, pose: Pose) -> Pose:
-        """Return the pose that the rig really takes, the same for photographs without a move between them."""
+        """Return the true pose of the rig for a nominal one; photographs without a move between them have the same."""
         rms = self._value("pose_error", "rms_deg")
         light, camera = self._rng("pose", self._places[shot.file].arrival).normal(size=2) * rms
         return replace(pose, light_deg=pose.light_deg + light, camera_deg=pose.camera_deg + camera)
 
     def through_optics(self, response: np.ndarray) -> np.ndarray:
-        """Return a picture after vignetting and stray light, (height, width)."""
+        """Return a mosaic with vignetting and stray light added, (height, width)."""
         height, width = response.shape
         loss, stray = self._value("vignetting", "corner_loss"), self._value("stray_light", "fraction")
         y, x = np.ogrid[:height, :width]
         radius2 = ((x + 0.5 - width / 2) ** 2 + (y + 0.5 - height / 2) ** 2) / ((width**2 + height**2) / 4)
         seen = response * (1.0 - loss * radius2)
-        # Each place of the mosaic has its own colour: stray light keeps the spectrum of the picture's mean.
+        # The four positions of the mosaic have different colours: stray light keeps the mean colour of the picture.
         for row in (0, 1):
             for column in (0, 1):
                 seen[row::2, column::2] += stray * response[row::2, column::2].mean()
         return seen
 
     def ideal_from_seen(self, shot: Shot, width_px: int, height_px: int) -> np.ndarray:
-        """Return where a picture without the filter's plate shows what is seen through it.
+        """Return the map from a picture through the filter plate, which shifts and turns it, to a picture without it.
 
         Returns
         -------
-        (2, 3) float64, affine map of mosaic coordinates; the identity where the filter is out
+        (2, 3) float64, affine map of mosaic coordinates; the identity if the filter is out
         """
         if shot.filter == "out" or not self._definition.filter_plate.enabled:
             return np.eye(2, 3)
         plate = self._definition.filter_plate
         repeat = self._rng("plate", self._places[shot.file].insertion).normal(size=2) * plate.repeat_rms_px
         centre = np.array([width_px / 2, height_px / 2])
-        # The plate's shift counts in superpixels of two mosaic pixels.
+        # The plate's shift is given in superpixels of two mosaic pixels.
         shift = 2.0 * (np.array(plate.shift_px) + repeat)
         angle, scale = math.radians(plate.rotation_deg), plate.magnification
         c, s = math.cos(angle) / scale, math.sin(angle) / scale
@@ -121,7 +121,7 @@ class Faults:
         return np.column_stack([turn, centre - turn @ (centre + shift)])
 
     def hot_rate_e_per_s(self, height_px: int, width_px: int) -> np.ndarray:
-        """Return the extra dark current of each mosaic pixel, electrons/s; that of the camera, in every session."""
+        """Return the extra dark current of each mosaic pixel, electrons/s; it is the same in all sessions of a rig."""
         fraction = self._value("hot_pixels", "fraction")
         rng = np.random.default_rng([self._seed, zlib.crc32(b"hot pixels")])
         hot = rng.random((height_px, width_px)) < fraction

@@ -1,7 +1,6 @@
-"""Mistakes with one photograph at the bench or in the camera, for practice and for tests.
+"""Mistakes of a person or a camera that spoil single photographs, simulated for practice and for tests.
 
-Unlike the imperfections of a sound rig, these are mistakes: a person is expected to see them and to take the photograph
-again.
+Unlike the imperfections of a working rig, mistakes should be noticed, and the photograph taken again.
 """
 
 from dataclasses import dataclass
@@ -11,28 +10,28 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Mishap:
-    """Mistakes; without arguments there is none.
+    """Mistakes in a photograph; without arguments there is none.
 
     Parameters
     ----------
     subject, filter : str, optional
-        What truly stands before the lens (``dark``: the cap is on), and the true state of the comb filter.
+        True subject in front of the lens (``dark``: the lens cap is on) and true state of the comb filter.
     lamp : float
-        Power of the lamp beside the usual, 0 where it is off.
+        Power of the lamp relative to normal, 0 if it is off.
     aperture : float
-        Light that the lens lets through beside what its file says.
+        Transmitted light relative to the aperture that the file states.
     ambient : float
-        Light of the room through an open door, as the response of a white sheet everywhere.
+        Light of the room, for example through an open door, as the response of a white sheet in every pixel.
     blur_px : float
         Standard deviation of the blur of a lens out of focus, superpixels.
     moved_px : (float, float)
-        How far the object stands from where it stood, superpixels down and to the right.
+        Displacement of the object in the picture, superpixels down and to the right.
     body : str
-        Model of another camera.
+        Model name of another camera that is stated in the file.
     cut_px : int
-        Rows by which the picture is smaller, mosaic pixels.
+        Number of rows that are missing from the picture, mosaic pixels.
     delivers_last : bool
-        The camera delivers its last photograph once more.
+        Whether the camera delivers its last photograph again.
     """
 
     subject: str | None = None
@@ -47,13 +46,13 @@ class Mishap:
     delivers_last: bool = False
 
     def seen(self, response: np.ndarray) -> np.ndarray:
-        """Return the response of each mosaic pixel as it is with the mistakes, (height, width)."""
+        """Return the responses of a mosaic, (height, width), changed by lamp, aperture, room light, blur and shift."""
         changed = response * self.lamp + self.ambient
         if not self.blur_px and not any(self.moved_px):
             return changed * self.aperture
         from scipy.ndimage import gaussian_filter, shift  # slow to import
 
-        # Each place of the mosaic has its own colour.
+        # The four positions of the mosaic have different colours and are processed separately.
         for row in (0, 1):
             for column in (0, 1):
                 part = changed[row::2, column::2]

@@ -1,7 +1,7 @@
-"""Reflection of the virtual rig's samples: components of gloss with any lobe, or a table of measured samples.
+"""Reflection of the virtual rig's samples: gloss components with any lobe, or a table of measured BRDF samples.
 
-A sample may have a lobe that the fit of its object does not assume, or follow a table of BRDF samples. Both show what
-the fit makes of a material that is not its own.
+A sample may have a lobe that the fit of its object does not assume, or follow a table of BRDF samples. Both test the
+fit on materials that do not follow its model.
 """
 
 import math
@@ -22,21 +22,21 @@ _MAX_ANGLE_RAD = math.radians(80.0)
 
 
 class GlossComponents(NamedTuple):
-    """Gloss of the materials of a sample for compiled loops; see `gloss_components`."""
+    """Gloss components of a sample's materials for compiled loops; see `gloss_components`."""
 
     lobes: Lobes
-    which: np.ndarray  # (m, c) place of the component's lobe in `lobes`, -1 where the material has no such component
+    which: np.ndarray  # (m, c) index of the component's lobe in `lobes`, -1 if the material has no such component
     beta: np.ndarray  # (m, c)
     constant: np.ndarray  # (m, c, 2) of the lobe at the component's roughness
 
 
 def gloss_components(lobes: list[tuple[str, ...]], beta: np.ndarray, mu: np.ndarray) -> GlossComponents:
-    """Return the gloss of materials.
+    """Return the gloss components of m materials, up to c each, in the form that compiled loops need.
 
     Parameters
     ----------
     lobes : list of tuple of str
-        Of each material one lobe a component.
+        For each material, the lobe of each of its components.
     beta, mu : (m, c) float
         Weight and roughness of the components, in the unit of the lobe.
     """
@@ -51,7 +51,7 @@ def gloss_components(lobes: list[tuple[str, ...]], beta: np.ndarray, mu: np.ndar
 
 @njit(cache=True, error_model="numpy")
 def gloss_term(gloss, material, cos_i, cos_r, cos_phi, cos_h):
-    """Return the gloss term of a material over F, the sum of β D G / cosθ_r over its components.
+    """Return the gloss term of a material without its factor F: the sum of β D G / cosθ_r over its components.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ def gloss_term(gloss, material, cos_i, cos_r, cos_phi, cos_h):
 
 @njit(cache=True, error_model="numpy")
 def measured_lobe(table, cos_phi, cos_h, band):
-    """Return π times a tabulated BRDF, linear between nodes of the half and the difference angle.
+    """Return π times a tabulated BRDF, interpolated linearly between nodes of the half and the difference angle.
 
     Parameters
     ----------
@@ -92,24 +92,24 @@ def measured_lobe(table, cos_phi, cos_h, band):
 
 
 def read_measured(path) -> np.ndarray:
-    """Read BRDF samples and put them on the grid of `measured_lobe`.
+    """Read BRDF samples and arrange them on the grid of `measured_lobe`.
 
     Parameters
     ----------
     path : path
-        CSV as `irodori.spectra.tables.brdf_table` reads it; the mirror direction stands at φ_r - φ_i = π.
+        CSV as `irodori.spectra.tables.brdf_table` reads it; the mirror direction is at φ_r - φ_i = π.
 
     Returns
     -------
     (half nodes, difference nodes, 61) float64, π times the BRDF. A node is the median of the samples nearest to it
-    (outliers near grazing are common in such tables; samples beyond 80 degrees are left out), nodes without samples
-    take those of the nearest with. An isotropic surface is assumed and the azimuth of the difference vector is
-    averaged over, so that the table is reciprocal.
+    (outliers near grazing are common in such tables; samples beyond 80 degrees are left out); a node without samples
+    takes the value of the nearest node with samples. The surface is assumed to be isotropic, and the azimuth of the
+    difference vector is ignored, so that the table is reciprocal.
 
     Raises
     ------
     InputError
-        If the table is at fault or no sample has both angles below 80 degrees.
+        If the table is invalid or no sample has both angles below 80 degrees.
     """
     wavelength_nm, angles, brdf = map(np.array, brdf_table(path))
     usable = (angles[:, 0] < _MAX_ANGLE_RAD) & (angles[:, 2] < _MAX_ANGLE_RAD)
@@ -122,7 +122,7 @@ def read_measured(path) -> np.ndarray:
 
 
 def _half_difference(theta_i, phi_i, theta_r, phi_r) -> tuple[np.ndarray, np.ndarray]:
-    """Return φ (between normal and half vector) and θ_H, rad."""
+    """Return the half angle φ, between normal and half vector, and the difference angle θ_H, rad."""
 
     def direction(theta, phi):
         return np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1)
@@ -134,7 +134,7 @@ def _half_difference(theta_i, phi_i, theta_r, phi_r) -> tuple[np.ndarray, np.nda
 
 
 def _gridded(half, difference, brdf) -> np.ndarray:
-    """Return the median of the samples about each node, (half nodes, difference nodes, bands)."""
+    """Return the median of the samples nearest to each node, (half nodes, difference nodes, bands)."""
     i = np.rint(np.sqrt(half / (math.pi / 2)) * (_HALF_NODES - 1)).astype(int)
     j = np.rint(difference / (math.pi / 2) * (_DIFFERENCE_NODES - 1)).astype(int)
     cell = i * _DIFFERENCE_NODES + j

@@ -26,25 +26,29 @@ _FRESNEL_NODES = 512
 
 @dataclass(frozen=True)
 class Sample:
-    """Ground truth of an object.
+    """Ground truth of an object on the virtual rig: its shape, its pattern and its materials.
 
     Parameters
     ----------
     shape : Shape
     columns, rows : int
-        Checks over the texture; a uniform sample has one.
+        Number of checks of the pattern across and down the texture; 1 for a uniform sample.
     reflectance : (m, 61) float
-        S(λ) of each material; of a measured one its reflectance factor lit at 45 degrees and seen from above.
+        S(λ) of each material; for a measured one, its reflectance factor lit at 45 degrees and seen from above.
     lobes : tuple of tuple of str
-        Of each material one lobe of `irodori.reflection.registry` a gloss component; none of a measured one.
+        For each material, the lobe of each gloss component; empty for a measured material.
     beta : (m, components) float
+        Weight of each component.
     mu : (m, components) float
-        In the unit of the lobe.
+        Roughness of each component, in the unit of the lobe.
     table : (m,) int
-        Index of a measured material's table, -1 of the others.
-    measured : (tables, half nodes, difference nodes, 61) float, π times the BRDF; one table of zeros where none is
-    mirror : float, χ
+        Index of a measured material's table, -1 for the others.
+    measured : (tables, half nodes, difference nodes, 61) float
+        π times the BRDF of measured materials; one table of zeros if there is none.
+    mirror : float
+        Weight χ of the mirror term.
     n, k : (61,) float
+        Complex refractive index.
     """
 
     shape: Shape
@@ -62,7 +66,7 @@ class Sample:
 
     @classmethod
     def from_definition(cls, definition: Object | PhotographedObject) -> "Sample":
-        """Return the sample of an object's definition with its ``virtual`` block."""
+        """Return the sample that the ``virtual`` block of an object's definition describes."""
         virtual = definition.virtual
         if virtual is None:
             raise ValueError("an object without the block virtual; accepted: an object of the virtual rig")
@@ -106,7 +110,7 @@ class Sample:
         return np.array([[fresnel(c, n, k) for n, k in zip(self.n, self.k, strict=True)] for c in cosines])
 
     def material_index(self, width: int, height: int) -> np.ndarray:
-        """Return the material of each texel centre, (height, width) int."""
+        """Return the index of the material at each texel centre, (height, width) int."""
         column = np.floor((np.arange(width) + 0.5) / width * self.columns).astype(int)
         row = np.floor((np.arange(height) + 0.5) / height * self.rows).astype(int)
         return (row[:, None] * self.columns + column[None, :]) % len(self.reflectance)

@@ -13,12 +13,12 @@ _BLOCK_ROWS = 32
 
 
 def scene_radiance(path, optics: Optics) -> np.ndarray:
-    """Read the radiance before a camera, (rows, columns, 61) float32, the mean of its halves.
+    """Read a rendered spectral radiance, (rows, columns, 61) float32, the mean of its two independent halves.
 
     Raises
     ------
     InputError
-        If it does not cover the camera's sensor.
+        If the picture does not cover the camera's sensor.
     """
     with store.open_file(path) as file:
         radiance = read_coefficients(file, "radiance").mean(axis=0)
@@ -30,20 +30,20 @@ def scene_radiance(path, optics: Optics) -> np.ndarray:
 
 
 def scene_mosaic(radiance: np.ndarray, light: np.ndarray, optics: Optics, ideal_from_seen, band_weights) -> np.ndarray:
-    """Return the picture of a scene on the sensor.
+    """Return the responses of the sensor's mosaic pixels to a rendered scene.
 
     Parameters
     ----------
     radiance : (rows, columns, 61) float
-        Around the camera's axis, without distortion, a pixel a superpixel.
+        Radiance of the scene, centred on the camera's axis, without distortion, one pixel for each superpixel.
     light : (61,) float
-        E(λ) of the rig.
+        Spectrum E(λ) of the rig's light.
     optics : Optics
-        Of the camera.
+        Optics of the camera.
     ideal_from_seen : (2, 3) float
-        What the filter's plate does, see `irodori.simulation.virtual_rig.imperfections`.
+        Map of the filter plate, see `irodori.simulation.virtual_rig.imperfections.Faults.ideal_from_seen`.
     band_weights : (3, 61) float
-        Those of the filter state.
+        Weights of the filter state.
 
     Returns
     -------

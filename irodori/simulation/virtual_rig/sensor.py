@@ -8,7 +8,7 @@ from irodori.spectra.published import camera_sensitivities
 
 
 class Sensor(SensorOptions):
-    """A sensor of a configuration's ``virtual.sensor`` block."""
+    """Camera sensor, with the parameters of the block ``virtual.sensor`` of a camera's definition."""
 
     @property
     def white_level(self) -> int:
@@ -23,7 +23,7 @@ class Sensor(SensorOptions):
     def expose(
         self, response: np.ndarray, exposure_s: float, rng: np.random.Generator, hot_rate_e_per_s=0.0
     ) -> np.ndarray:
-        """Return the mosaic that an exposure leaves.
+        """Return the digital numbers of an exposure, with noise, black level, quantisation and saturation.
 
         Parameters
         ----------
@@ -31,7 +31,7 @@ class Sensor(SensorOptions):
             Response of each mosaic pixel in its own band.
         exposure_s : float, s
         rng : numpy Generator
-            Source of shot and read noise.
+            Random generator of shot noise and read noise.
         hot_rate_e_per_s : float or (height, width) float
             Dark current of each pixel beyond the sensor's own, electrons/s.
 
@@ -70,14 +70,14 @@ def band_weights(camera: Camera, light: np.ndarray) -> np.ndarray:
     Parameters
     ----------
     camera : Camera
-        With the block ``virtual``.
+        Definition with the block ``virtual``.
     light : (61,) float
-        E(λ) of the rig.
+        Spectrum E(λ) of the rig's light.
 
     Returns
     -------
-    (6, 61) float64; red, green, blue without the filter, then with it. The sum over λ of the brightest unfiltered
-    band is 1, so that the response of a perfect diffuser keeps the true balance between the bands.
+    (6, 61) float64; red, green, blue without the filter, then with it. All are divided by the sum over λ of the
+    brightest unfiltered band, so that the balance between bands stays true and a perfect diffuser gives at most 1.
     """
     if camera.virtual is None:
         raise ValueError("a camera without the block virtual; accepted: a camera of the virtual rig")

@@ -1,4 +1,4 @@
-"""Ideal responses of the virtual camera's pixels to its subjects, before optics and noise.
+"""Ideal responses of the virtual camera's pixels to its subjects, before vignetting, stray light and noise.
 
 Every function returns (height, width) float64 for one filter state, 1 = a perfect diffuser lit at normal incidence in
 the brightest band.
@@ -37,7 +37,7 @@ _BLOCK_ROWS = 64
 
 
 def in_mosaic(bands: np.ndarray) -> np.ndarray:
-    """Return the RGGB mosaic of a picture of three bands, (height, width, 3) to (height, width)."""
+    """Return the RGGB mosaic (height, width) of a picture of three bands, (height, width, 3)."""
     y, x = np.indices((bands.shape[0], bands.shape[1]), sparse=True)
     return np.take_along_axis(bands, (y % 2 + x % 2)[..., None], axis=2)[..., 0]
 
@@ -52,21 +52,21 @@ def object_mosaic(
     *,
     patch: LevelPatch | None = None,
 ) -> np.ndarray:
-    """Return the picture of an object on the table, and of the patch that tells the lamp's level.
+    """Return the mosaic of an object on the table, and of the patch that tells the lamp's level.
 
     Parameters
     ----------
     sample : Sample
     camera, rig : Camera, Rig
     pose : Pose
-        Where everything really stands.
+        True pose of the rig.
     ideal_from_seen : (2, 3) float
-        What the filter's plate does, see `irodori.simulation.virtual_rig.imperfections`.
+        Map of the filter plate, see `irodori.simulation.virtual_rig.imperfections.Faults.ideal_from_seen`.
     band_weights : (3, 61) float
-        Those of the filter state.
+        Weights of the filter state.
     patch : LevelPatch, optional
-        Matt and of one reflectance factor, `_GREY` where it states none. The card reaches a tenth of its measured side
-        further on every side.
+        Matt card of one reflectance factor, `_GREY` if it states none. The card is a fifth wider than the square that
+        is measured.
     """
     assert camera.optics is not None and rig.virtual is not None  # checked: the rig is virtual, its camera has optics
     rotation = rig_from_object(pose)
@@ -123,7 +123,7 @@ def _add_patch(picture: np.ndarray, patch: LevelPatch, pose: Pose, tracer: Trace
 
 
 def white_mosaic(camera: Camera, rig: Rig, pose: Pose, ideal_from_seen, band_weights) -> np.ndarray:
-    """Return the picture of the white reference, which fills it; parameters as of `object_mosaic`."""
+    """Return the mosaic of the white reference, which fills the picture; parameters as in `object_mosaic`."""
     optics = camera.optics
     assert camera.white is not None and optics is not None  # checked: a camera that photographs a white has both
     reflectance, _ = white_reflectance(camera.white.reflectance_factor, band_weights)
@@ -133,7 +133,7 @@ def white_mosaic(camera: Camera, rig: Rig, pose: Pose, ideal_from_seen, band_wei
 
 
 def _fall_off(camera: Camera, rig: Rig, pose: Pose, ideal_from_seen) -> np.ndarray | float:
-    """Return the irradiance of a flat subject over that at its centre in each mosaic pixel; 1 under a far light."""
+    """Return the irradiance of a flat subject in each mosaic pixel, relative to its centre; 1 under a far light."""
     lamp = Lamp.at(rig.light.distance_mm)
     if not lamp.is_near:
         return 1.0
@@ -145,7 +145,7 @@ def _fall_off(camera: Camera, rig: Rig, pose: Pose, ideal_from_seen) -> np.ndarr
 
 
 def chart_mosaic(chart: Chart, camera: Camera, rig: Rig, pose: Pose, ideal_from_seen, band_weights) -> np.ndarray:
-    """Return the picture of a colour chart of that definition; other parameters as of `object_mosaic`."""
+    """Return the mosaic of a colour chart on the table; other parameters as in `object_mosaic`."""
     bands = _patch_bands(chart, math.cos(flat_incidence_rad(pose)), band_weights)
     return _chart_picture(bands, chart, camera, rig, pose, ideal_from_seen) * _fall_off(
         camera, rig, pose, ideal_from_seen
@@ -155,9 +155,9 @@ def chart_mosaic(chart: Chart, camera: Camera, rig: Rig, pose: Pose, ideal_from_
 def room_chart_mosaic(
     definition: EnvironmentDefinition, name: str, camera: Camera, rig: Rig, ideal_from_seen, band_weights
 ) -> np.ndarray:
-    """Return the picture of a colour chart in a virtual room, as large as the camera's own chart on the rig.
+    """Return the mosaic of a colour chart in a virtual room, as large as the camera's own chart on the rig.
 
-    Parameters are as of `object_mosaic`; the name is one of ``room_charts``.
+    ``name`` is one of the definition's ``room_charts``; other parameters are as in `object_mosaic`.
     """
     room, light = definition.virtual, spectrum_of_light(rig.light.spectrum)
     assert room is not None and camera.poses is not None  # checked: the rig is virtual
@@ -168,7 +168,10 @@ def room_chart_mosaic(
 
 
 def _patch_bands(chart: Chart, light: np.ndarray | float, band_weights) -> np.ndarray:
-    """Return the bands of a chart's patches, and of what is between them last, under light relative to the rig's."""
+    """Return the band responses of a chart's patches, then of its border, (patches + 1, 3).
+
+    ``light`` is the spectral irradiance relative to that of the rig's light at normal incidence.
+    """
     _names, patches = chart_spectra(chart.spectra)
     spectra = np.concatenate([patches, np.full((1, patches.shape[1]), _BORDER_REFLECTANCE)])
     return (spectra * light) @ band_weights.T
@@ -177,7 +180,7 @@ def _patch_bands(chart: Chart, light: np.ndarray | float, band_weights) -> np.nd
 def _chart_picture(
     bands: np.ndarray, chart: Chart, camera: Camera, rig: Rig, pose: Pose, ideal_from_seen
 ) -> np.ndarray:
-    """Return the picture of a chart in even light from the bands of its patches and of what is between them."""
+    """Return the mosaic of a uniformly lit chart from the band responses of its patches and its border."""
     assert camera.optics is not None  # checked: a camera on a rig has optics
     pinhole = Pinhole.from_optics(camera.optics)
     image = np.empty((pinhole.height_px, pinhole.width_px))
@@ -191,7 +194,7 @@ def _chart_picture(
 
 
 def _patch_at(mosaic_xy, chart: Chart, camera: Camera, rig: Rig, pose: Pose, pinhole: Pinhole) -> np.ndarray:
-    """Return the patch that each point of the picture shows, the number of patches between them."""
+    """Return the index of the patch at each point of the picture; between patches, the number of patches."""
     rows, columns = chart.rows, chart.columns
     rotation = rig_from_object(pose)
     view = pinhole.directions(mosaic_xy, rig_from_camera(pose)) @ rotation
@@ -207,14 +210,15 @@ def _patch_at(mosaic_xy, chart: Chart, camera: Camera, rig: Rig, pose: Pose, pin
 
 
 def room_mosaic(definition: EnvironmentDefinition, light: np.ndarray, band_weights) -> np.ndarray:
-    """Return the omnidirectional picture of a virtual room, a panorama as it is photographed, its middle towards +x.
+    """Return the mosaic of an omnidirectional picture of a virtual room, a panorama whose centre looks towards +x.
 
     Parameters
     ----------
     definition : EnvironmentDefinition
     light : (61,) float
-        E(λ) of the rig.
+        Spectrum E(λ) of the rig's light.
     band_weights : (3, 61) float
+        Weights of the filter state.
     """
     image, room = definition.image, definition.virtual
     if image is None or room is None:

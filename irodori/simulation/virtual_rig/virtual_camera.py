@@ -31,28 +31,28 @@ Photographed: TypeAlias = Object | PhotographedObject | EnvironmentDefinition | 
 
 
 class VirtualCamera(CameraDevice):
-    """A camera of a configuration's ``virtual`` block.
+    """Camera device that computes photographs of the virtual bench, after a camera definition's block ``virtual``.
 
     Parameters
     ----------
     camera, rig : Camera, Rig
         Definitions.
     bench : Bench
-        What stands before it; that, and not the shot it is asked for, is what it photographs.
+        True state of the rig. The camera photographs this state, not the one that the shot asks for.
     session : str
-        Name of what is photographed.
+        Name of the subject.
     shots : sequence of Shot
-        All photographs of the session in order: its light drifts along them.
+        All photographs of the session in order, along which the light drifts.
     subject : Object, PhotographedObject, EnvironmentDefinition or SceneRadiance, optional
-        What stands before it; a camera's own session has none.
+        Definition of the subject; none for the session of a camera's reference photographs.
     seen : dict, optional
-        Objects as they look without optics and noise, filled here. Cameras that differ in their faults alone may share
-        one: what a fault does not change is then made once.
+        Cache of pictures of objects without optics and noise, filled by this camera. Cameras that differ only in
+        imperfections may share one, so that pictures that no imperfection changes are computed once.
     """
 
     suffix = ".dng"
     is_virtual = True
-    #: What goes wrong with the next photographs.
+    #: Mistakes in the next photographs.
     mishap = Mishap()
 
     def __init__(
@@ -81,27 +81,27 @@ class VirtualCamera(CameraDevice):
 
     @cached_property
     def sample(self) -> Sample:
-        """Sample on the table."""
+        """Sample of the object on the table."""
         if not isinstance(self.subject, Object | PhotographedObject):
             raise DeviceError("nothing stands on the table; accepted: a session of an object")
         return Sample.from_definition(self.subject)
 
     @cached_property
     def _scene(self) -> np.ndarray:
-        """Radiance of the scene before the lens, (rows, columns, 61)."""
+        """Radiance of the scene in front of the lens, (rows, columns, 61)."""
         if not isinstance(self.subject, SceneRadiance):
             raise DeviceError("nothing is known of a scene; accepted: a session that photographs one")
         return scene_radiance(self.subject.radiance, self.optics)
 
     @property
     def _charts(self) -> dict[str, Chart]:
-        """Definition of every chart, by what the bench calls it."""
+        """Definition of every chart, by the subject's name on the bench."""
         further = {chart_capture(name): chart for name, chart in self.camera.further_charts.items()}
         return {"chart": self.camera.chart, **further}
 
     @property
     def _room_charts(self) -> dict[str, str]:
-        """Name of every chart in the room, by what the bench calls it."""
+        """Name of every chart in the room, by the subject's name on the bench."""
         charts = self.subject.room_charts if isinstance(self.subject, EnvironmentDefinition) else ()
         return {room_chart_capture(name): name for name in charts}
 
@@ -111,7 +111,7 @@ class VirtualCamera(CameraDevice):
         return self.faults.hot_rate_e_per_s(optics.height_px, optics.width_px)
 
     def capture(self, shot: Shot, path: Path) -> None:
-        """Photograph the bench; the shot gives the exposure time and the place in the session."""
+        """Photograph the bench into a file; the shot determines the exposure time and the place in the session."""
         mishap = self.mishap
         if self._last is None or not mishap.delivers_last:
             response, hot_rate = self._seen(shot)
@@ -129,7 +129,7 @@ class VirtualCamera(CameraDevice):
         )
 
     def _seen(self, shot: Shot):
-        """Return the responses behind the optics and the extra dark current of hot pixels."""
+        """Return the mosaic's responses after the optics, and the extra dark current of hot pixels, electrons/s."""
         subject = self.mishap.subject or self.bench.subject
         state = FILTERS.index(self.mishap.filter or self.bench.filter)
         weights = self.band_weights[3 * state : 3 * state + 3]
@@ -159,7 +159,7 @@ class VirtualCamera(CameraDevice):
         return self.faults.through_optics(response), self._hot_rate_e_per_s
 
     def _object(self, state: int, pose: Pose, plate: np.ndarray) -> np.ndarray:
-        """Return the picture of the object in a filter state, a pose and through the filter's plate."""
+        """Return the mosaic of the object for a filter state, a pose and the map of the filter plate."""
         key = (state, pose, plate.tobytes())
         if self._known is not None and key in self._known:
             return self._known[key]
@@ -172,9 +172,9 @@ class VirtualCamera(CameraDevice):
         return picture
 
     def status(self) -> dict[str, str]:
-        """Return the camera's sensor and settings."""
+        """Return the camera's model, battery, storage and bit depth as text."""
         bits = str(self.sensor.bits)
         return {"model": "virtual camera", "battery": "100 %", "storage": "unlimited", "bits": bits}
 
     def close(self) -> None:
-        """Nothing to let go of."""
+        """Do nothing, because a virtual camera holds no resources."""

@@ -1,5 +1,5 @@
 "use strict";
-// Dialogs: check of the screen, truth of the picture, check of the page by itself, help; and the line at the foot.
+// Dialogs: check of the screen, truth of the picture, self-check of the page, help; and the line at the foot.
 (function (I) {
   const app = I.app,
     h = I.h,

@@ -1,5 +1,5 @@
-// Spectra, and what becomes of them: constants of the transport for one light, observer and set of lamps. A change of
-// any of these is a change of these numbers and of nothing else.
+// Spectra and their transport to tristimulus values: its constants for one light, observer and set of lamps. A change
+// of any of these changes these numbers and nothing else.
 "use strict";
 var Irodori = Irodori || {};
 

@@ -1,1 +1,1 @@
-"""Grbl 1.1, the open motion firmware: its protocol, a rig driven by it, and a simulator that answers like it."""
+"""Grbl 1.1, an open motion firmware, and its relatives grblHAL and FluidNC: their protocol and the rig driver."""

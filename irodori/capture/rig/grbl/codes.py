@@ -93,10 +93,10 @@ SETTINGS = {
 
 
 def error_text(code: int) -> str:
-    """Return ``error:9 (G-code is locked out ...)``."""
+    """Return an error code with its meaning, such as ``error:9 (G-code is locked out ...)``."""
     return f"error:{code} ({ERRORS.get(code, 'a code that Grbl 1.1 does not publish')})"
 
 
 def alarm_text(code: int) -> str:
-    """Return ``ALARM:1 (a limit switch was hit ...)``."""
+    """Return an alarm code with its meaning, such as ``ALARM:1 (a limit switch was hit ...)``."""
     return f"ALARM:{code} ({ALARMS.get(code, 'a code that Grbl 1.1 does not publish')})"

@@ -23,24 +23,24 @@ from irodori.capture.rig.grbl.protocol import (
 )
 
 FLOWS = ("send-response", "character-counting")
-#: Silence after which nothing more is on its way, s.
+#: Silence after which no further message is expected, s.
 _QUIET_S = 0.05
-#: Questions for one status report, and the time after which one that was not answered is asked again, s.
+#: Most requests for one status report, and the time after which an unanswered request is repeated, s.
 _QUESTIONS, _AGAIN_S = 3, 0.5
-#: How often a controller that is homing is asked whether it still is, s.
+#: Interval between status requests during homing, s.
 _HOMING_POLL_S = 1.0
 HOW_TO_CLEAR = "find the cause, then home it"
 RESTARTED = "the controller has restarted on its own, and its position is lost: home it before anything else"
 
 
 class Conversation:
-    """The lines to and from one controller.
+    """Exchange of lines with one controller.
 
     Parameters
     ----------
     link : Link
     timeout_s : float
-        Time that an answer may take, s.
+        Longest time for a reply, s.
     flow : {"send-response", "character-counting"}
         Whether a line waits for the answer to the one before, or only for room in the controller's serial buffer.
 
@@ -49,18 +49,18 @@ class Conversation:
     alarm : int or None
         Code of the last alarm that was not cleared.
     locked : bool
-        Whether an alarm was heard since the last reset: after some, Grbl answers nothing until it is reset.
+        Whether an alarm was received since the last reset: after some alarms, Grbl answers nothing until it is reset.
     restarted : bool
-        Whether the controller restarted without being told to.
+        Whether the controller restarted without a command.
     firmware : str
-        As the last banner named it.
+        Firmware according to the last banner.
     message : str
-        The controller's last words in ``[MSG:...]``.
+        Text of the controller's last ``[MSG:...]``.
 
     Raises
     ------
     ValueError
-        If there is no such flow control.
+        For an unknown flow control.
     """
 
     def __init__(self, link: Link, timeout_s: float, flow: str) -> None:
@@ -73,7 +73,7 @@ class Conversation:
         self.buffer_bytes = RX_BUFFER_BYTES
 
     def receive(self, deadline: Deadline) -> Message:
-        """Return the next message, and note the state that it reports.
+        """Return the next message, and record the state that it reports.
 
         Raises
         ------
@@ -92,23 +92,24 @@ class Conversation:
         return message
 
     def ask_report(self, timeout_s: float | None = None, question: bytes = STATUS) -> Report:
-        """Ask for a status report and return it.
+        """Request a status report and return it.
 
-        A question or a report that is lost or garbled on the way is asked for again, and so is one that the
-        controller's start has swallowed.
+        The request is repeated if it or the report was lost or garbled, or if the controller has just started and lost
+        the request.
 
         Parameters
         ----------
         timeout_s : float, optional
-            Time that all questions together may take, s.
+            Longest time for all requests together, s.
         question : bytes
+            Byte that requests the report.
 
         Raises
         ------
         AlarmError
-            At once where an alarm is heard: the controller may say nothing more until it is reset.
+            At once if an alarm is received: the controller may answer nothing more until it is reset.
         CommandError
-            If the controller refuses a line that nobody waits for: something on the way has changed one.
+            If the controller refuses a line that was not sent: transmission has changed one.
         DeadlineError, LinkError
         """
         if self.locked and self.alarm is not None:
@@ -133,13 +134,13 @@ class Conversation:
     def home(self, timeout_s: float) -> None:
         """Send the command that homes, and wait for its end.
 
-        Grbl answers no question while it homes; where it answers one in another state, the command or its ``ok`` was
-        lost on the way, and the command is sent once more.
+        Grbl sends no reports while it homes; if it reports another state, the command or its ``ok`` was lost, and the
+        command is sent again.
 
         Parameters
         ----------
         timeout_s : float
-            Time that homing may take, s.
+            Longest time for homing, s.
 
         Raises
         ------
@@ -151,32 +152,32 @@ class Conversation:
             while not (ended := self._hear_home(deadline, again)):
                 self.link.write(STATUS)
             if ended == "ok":
-                # A report that was asked for meanwhile comes with the end of homing.
+                # A report that was requested meanwhile arrives at the end of homing.
                 self.settle()
                 return
 
     def command(self, line: str, timeout_s: float | None = None) -> list[Message]:
-        """Send a line and return what the controller said until its ``ok``; see `stream`."""
+        """Send a line and return the controller's messages before its ``ok``; see `stream`."""
         return self.stream([line], timeout_s)
 
     def stream(
         self, lines: Sequence[str], timeout_s: float | None = None, idle: Callable[[], None] = lambda: None
     ) -> list[Message]:
-        """Send lines under flow control, and return what the controller said until the last ``ok``.
+        """Send lines under flow control, and return the controller's messages before the last ``ok``.
 
         Parameters
         ----------
         lines : sequence of str
-            Without their ends.
+            Lines without their ends.
         timeout_s : float, optional
-            Time that one answer may take, s: lines that move wait for room in the planner.
+            Longest time for one answer, s: lines that move wait for room in the planner.
         idle : callable
             Called after each answer.
 
         Raises
         ------
         CommandError
-            If a line is refused. Those behind it may be in the controller already: stop it.
+            If a line is refused. Later lines may already be in the controller: stop it.
         AlarmError, DeadlineError, LinkError
         """
         waiting: deque[str] = deque()
@@ -195,7 +196,7 @@ class Conversation:
         return said
 
     def soft_reset(self) -> None:
-        """Reset the controller, which forgets all lines and moves, and wait until it is back.
+        """Reset the controller, which discards all lines and moves, and wait for its banner.
 
         Raises
         ------
@@ -217,12 +218,12 @@ class Conversation:
         self.settle()
 
     def settle(self) -> None:
-        """Read on until nothing comes, whatever it says.
+        """Read and discard messages until none arrives.
 
         Raises
         ------
         LinkError
-            If the line is lost.
+            If the connection is lost.
         """
         deadline = Deadline(self.timeout_s)
         again = self.restarted
@@ -231,11 +232,11 @@ class Conversation:
                 self._receive_any(Deadline(_QUIET_S))
             except DeadlineError:
                 break
-        # A second answer to a reset that was sent twice is no start of the controller's own.
+        # A second banner after a reset that was sent twice is not a restart of the controller's own.
         self.restarted = again
 
     def _hear_report(self, deadline: Deadline) -> Report | None:
-        """Return the next report, None where the controller starts first and has forgotten the question."""
+        """Return the next report, None if the controller starts first, which loses the request."""
         while True:
             message = self.receive(deadline)
             if isinstance(message, Report):
@@ -250,7 +251,7 @@ class Conversation:
                 raise DeadlineError(f"the controller sent no status report within {deadline.seconds:.2g} s")
 
     def _newest(self, report: Report) -> Report:
-        """Return the last report that comes: of several questions more than one may have been answered late."""
+        """Return the last report that arrives, because several requests may have been answered late."""
         while True:
             try:
                 message = self.receive(Deadline(_QUIET_S))
@@ -260,7 +261,7 @@ class Conversation:
                 report = message
 
     def _hear_home(self, deadline: Deadline, again: bool) -> str:
-        """Return ``ok`` where homing has ended, ``lost`` where it has not begun or its end was lost, else nothing."""
+        """Return ``ok`` if homing has ended, ``lost`` if it has not begun or its end was lost, otherwise nothing."""
         poll = Deadline(min(_HOMING_POLL_S, deadline.remaining_s))
         while True:
             try:
@@ -280,7 +281,7 @@ class Conversation:
             self._refuse("$H", message)
 
     def _follows(self) -> Message | None:
-        """Return what comes right after a message, None where nothing does."""
+        """Return the message that directly follows another, None if there is none."""
         try:
             return self.receive(Deadline(_QUIET_S))
         except (DeadlineError, GarbledError):
@@ -316,7 +317,7 @@ class Conversation:
 
     @staticmethod
     def _refuse(line: str, message: Message) -> None:
-        """Raise where a message says that a line was not executed, or that what it began has ended."""
+        """Raise an error if a message means that a line was refused, or that its execution was aborted."""
         if isinstance(message, Error):
             raise CommandError(f"the controller refused {line!r}: {error_text(message.code)}")
         if isinstance(message, Alarm):

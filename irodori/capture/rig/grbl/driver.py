@@ -1,4 +1,4 @@
-"""Rig driver for Grbl 1.1 controllers."""
+"""Rig driver for controllers with Grbl 1.1, grblHAL or FluidNC."""
 
 import contextlib
 import math
@@ -53,48 +53,49 @@ from irodori.capture.rig.grbl.settings_check import (
 )
 from irodori.core.progress import LOGGER
 
-#: How often the controller is asked while it may still be starting, s.
+#: Interval between questions to a controller that may still be starting, s.
 _KNOCK_S = 0.3
 #: Positions are sent and reported with three decimals.
 _ROUNDING = 1.5e-3
-#: How far beyond its place a switch is looked for that does not close there, degrees.
+#: Length of the search for a switch beyond the position where it should close, degrees.
 _SEARCH_DEG = 5.0
-#: Where no hard limit stops an axis, its way to the switch has so many steps, and the last of them so many squared.
+#: If no hard limit stops an axis, its way to the switch has so many steps, and the last is divided into their square.
 _STEPS_TO_SWITCH = 4
-#: Settings of grblHAL: what keeps jogs inside the travel, and which axes it takes for rotary ones, a bit each.
+#: Settings of grblHAL: whether jogs are limited to the travel, and a mask of the rotary axes.
 _JOG_LIMITED, _ROTARY = 40, 376
-#: In FluidNC's own file, under each axis: what a search for a switch goes without.
+#: Keys of each axis in FluidNC's own file that are switched off during the search for a limit switch.
 _FLUIDNC_LIMITS = ("motor0/hard_limits", "soft_limits")
-#: The alarm of a limit switch, and how often one that is not the axis's own is gone over.
+#: The alarm of a limit switch, and the number of tries if it is not the axis's own switch.
 _HARD_LIMIT, _TRIES = 1, 3
 _SILENT = "it said nothing until it was reset, as after ALARM:1 or ALARM:2 (a limit switch, a target out of travel)"
 _NUMBER = re.compile(r"-?\d{1,9}(?:\.\d{1,6})?", re.ASCII)
-#: The tool word of Grbl's modal state, which our mark is written into, and the largest number it takes.
+#: Tool word of Grbl's modal state, into which the mark of homing is written, and its largest number.
 _TOOL, _LARGEST_TOOL = re.compile(r"(?:^| )T(\d{1,3})(?: |$)"), 255
 
 
 class GrblRig(ControlledRig):
-    """A rig on a controller with Grbl, grblHAL or FluidNC.
+    """Rig with a controller that runs Grbl, grblHAL or FluidNC.
 
-    The controller is woken and reset (motion in progress is brought to rest first), and its settings are compared
-    with the drives. That it is not locked does not tell that it was homed: anybody may unlock it. Homing therefore
-    leaves a mark that Grbl forgets with every start and reset, and so with everything that may cost it its position: a
-    tool number, which moves nothing. This driver's own resets, at rest, write it again. grblHAL keeps account of its
-    homing itself; FluidNC is homed each time it is opened.
+    The constructor wakes and resets the controller (motion in progress is first brought to rest), and compares its
+    settings with the drives. An unlocked controller need not have been homed, because anybody can unlock it. Homing
+    therefore writes a mark into the controller: a tool number, which moves nothing, and which Grbl forgets at every
+    start and reset, that is, at everything that can cost it its position. After its own resets at rest this driver
+    writes the mark again. grblHAL itself keeps a record of homing; FluidNC is homed each time it is opened.
 
     Parameters
     ----------
     link : Link
-        Closed by `close`; where this constructor raises, it is the caller's to close.
+        Closed by `close`; if this constructor raises an error, the caller must close it.
     drives : dict
-        Angle of a pose: drive.
+        {angle of a pose: drive}.
     timeout_s : float
-        Time that an answer may take, s. A board that starts anew when its port is opened needs about 2 s.
+        Longest time for a reply, s. A board that restarts when its port is opened needs about 2 s.
     flow : {"send-response", "character-counting"}
+        Flow control, see `irodori.capture.rig.grbl.conversation.Conversation`.
     homing : bool
-        Whether the axes have limit switches. Without, the controller counts from where it was switched on.
+        Whether the axes have limit switches. If not, positions count from that at power-on.
     checked : bool
-        Whether to refuse a controller whose settings contradict the drives; one that is not checked does not move.
+        Whether to refuse a controller with settings that contradict the drives; an unchecked one does not move.
 
     Raises
     ------
@@ -129,16 +130,16 @@ class GrblRig(ControlledRig):
     # ---- what every rig does
 
     def move(self, targets_deg: Mapping[str, float]) -> None:
-        """Move axes in a straight line and wait until they stand there; see `RigDevice.move`."""
+        """Move axes in a straight line and wait until they are at rest there; see `RigDevice.move`."""
         self.path([targets_deg])
 
     def path(self, waypoints_deg: Sequence[Mapping[str, float]]) -> None:
-        """Move through several places, all of them sent ahead under flow control; see `RigDevice.move`.
+        """Move through several waypoints, sent ahead under flow control; see `RigDevice.move`.
 
         Parameters
         ----------
         waypoints_deg : sequence of dict
-            Axes that one does not name stay where the one before left them.
+            {axis: angle, degrees} of each waypoint; axes that it does not name keep their position.
         """
         for targets in waypoints_deg:
             self.check(targets)
@@ -162,7 +163,7 @@ class GrblRig(ControlledRig):
             self._await_arrival(corners, arrival)
 
     def jog(self, name: str, by_deg: float) -> None:
-        """Move one axis by an angle, with a command that a stop cancels without leaving anything behind."""
+        """Move one axis by an angle, degrees, with a jog command, which a stop cancels completely."""
         self.check({name: self.axes[name].min_deg if name in self.axes else by_deg})
         with self._stopping_on_failure(JOG_CANCEL):
             places, drive = self._ready(), self.drives[name]
@@ -180,7 +181,7 @@ class GrblRig(ControlledRig):
         try:
             report = self._talk.ask_report()
         except AlarmError:
-            # It stands, and after a limit switch or a soft limit it says where only once it is reset.
+            # It stands, and after a limit switch or a soft limit it reports its position only once it is reset.
             self._talk.soft_reset()
             report = self._talk.ask_report()
         if report.state == "Alarm" or self._talk.restarted:
@@ -196,7 +197,7 @@ class GrblRig(ControlledRig):
         return RigStatus(report.state.lower(), places, self._homed, "; ".join(filter(None, words)))
 
     def close(self) -> None:
-        """Let go of the line."""
+        """Close the connection."""
         self._talk.link.close()
 
     def travel_s(self, from_deg: Mapping[str, float], to_deg: Mapping[str, float]) -> float:
@@ -214,7 +215,7 @@ class GrblRig(ControlledRig):
         CommandError
             If it is not at rest.
         HeldError
-            If it is held: Grbl then reads no line.
+            If it is in feed hold: Grbl then reads no line.
         DeadlineError, LinkError
         """
         self._get_in_step()
@@ -227,23 +228,23 @@ class GrblRig(ControlledRig):
             raise
 
     def disagreements(self) -> list[Disagreement]:
-        """Return what in the controller's settings contradicts the rig's file."""
+        """Return the settings of the controller that contradict the rig's file."""
         return disagreements(self._settings, self._options, self.drives, self._homing, self._homes)
 
     def write_settings(self, wanted: Mapping[int, float]) -> None:
-        """Change settings of the controller, which keeps them without power, and see that they stand as written.
+        """Change settings of the controller, which stores them permanently, and read them back.
 
         Parameters
         ----------
         wanted : dict
-            Number of the ``$`` setting: value.
+            {number of the ``$`` setting: value}.
 
         Raises
         ------
         SettingError
-            If the firmware has its settings in a file of its own, or if one stands otherwise than written.
+            If the firmware has its settings in a file of its own, or a setting differs from the written value.
         GarbledError
-            If a byte that was lost on the way has made it another setting; that one is put back.
+            If another setting changed because a byte was lost in transmission; its value is restored.
         CommandError, HeldError, DeadlineError, LinkError
         """
         if self._firmware == FLUIDNC and wanted.keys() - {10, 13}:
@@ -269,18 +270,19 @@ class GrblRig(ControlledRig):
 
     @property
     def cannot_recount(self) -> str:
-        """Reason why the count cannot be held against limit switches, in words; empty where it can."""
+        """Reason, as a phrase, why `recount` is not possible; empty if it is."""
         return "" if self._homing else "this rig has no limit switches (motion.homing is false)"
 
     def recount(self) -> dict[str, float]:
-        """Hold the controller's count against the limit switches, and home; see `RigDevice.recount`.
+        """Measure lost motor steps by comparing the controller's position with the limit switches, then home.
 
-        Homing itself does not tell what it corrects. So each axis goes slowly, at the rate at which homing finds the
-        switch, from where homing ended to where the switch closes. Soft limits, which end there, are off meanwhile; a
-        board that keeps them off because the line was lost is refused when it is opened next. With Grbl's hard limits
-        the alarm stops the axis and the count stays; without, it goes in steps. So it does with grblHAL and FluidNC,
-        whose hard limits are off meanwhile too: after their alarm they may refuse to go on, or let go of the motors.
-        An axis whose switch does not close is given the `_SEARCH_DEG` for which it was looked for.
+        See `RigDevice.recount`. Homing itself does not report its correction. Each axis therefore moves slowly, at the
+        feed rate with which homing locates the switch, from the position after homing until the switch closes. Soft
+        limits, which end before the switch, are switched off meanwhile; if they stay off because the connection is
+        lost, the board is refused when it is next opened. With Grbl's hard limits, the alarm stops the axis and the
+        position is kept. Without them the axis moves in small steps, and so it does with grblHAL and FluidNC, which
+        have their hard limits switched off meanwhile too: after that alarm they may refuse to continue, or release the
+        motors. If a switch does not close within `_SEARCH_DEG` beyond its position, this is the result for its axis.
         """
         if self.cannot_recount:
             raise CommandError(self.cannot_recount)
@@ -308,9 +310,9 @@ class GrblRig(ControlledRig):
         return found
 
     def _limits(self) -> dict[int | str, float]:
-        """Return what keeps an axis from its switch, and its values, in the order in which they are put back.
+        """Return {setting: value} of the limits that keep an axis from its switch, in the order of their restoration.
 
-        Soft limits are the last: a board that has them has the others too, and one that has not is refused.
+        Soft limits are restored last: if they are on, the others are too, and a board without them is refused.
         """
         if self._firmware == FLUIDNC:
             return {path: 1 for name in _FLUIDNC_LIMITS for path, on in self._file_limits.items()
@@ -319,7 +321,7 @@ class GrblRig(ControlledRig):
         return {key: self._settings[key] for key in (*others, 20) if self._settings.get(key)}
 
     def _put_limits(self, values: Mapping[int | str, float]) -> None:
-        """Set limits, once more where a byte or an answer was lost."""
+        """Set limits, repeatedly if a byte or an answer was lost."""
         for left in reversed(range(_TRIES)):
             try:
                 self._set_limits(values)
@@ -328,10 +330,10 @@ class GrblRig(ControlledRig):
                 if not left or not self._in_step:
                     raise
                 if isinstance(error, DeadlineError):
-                    self._halt()  # what is late is not taken for the next answer
+                    self._halt()  # a late answer must not be taken for the next one
 
     def _set_limits(self, values: Mapping[int | str, float]) -> None:
-        """Set limits, see `_limits`; what FluidNC has in its file changes until it is restarted."""
+        """Set limits, see `_limits`; in FluidNC's file the change lasts until a restart."""
         if settings := {key: value for key, value in values.items() if isinstance(key, int)}:
             self.write_settings(settings)
         wanted = {key: "true" if value else "false" for key, value in values.items() if isinstance(key, str)}
@@ -344,7 +346,7 @@ class GrblRig(ControlledRig):
             self._settings = self._read_settings()
 
     def _closing(self, drive: Drive, home: float, switch: float) -> float:
-        """Return the count at which the switch of a drive closes, units."""
+        """Return the controller's position at which the limit switch of a drive closes, controller units."""
         ahead = math.copysign(1.0, switch - home)
         last, slow = switch + ahead * _SEARCH_DEG * abs(drive.units_per_deg), self._settings[24] / 60.0
         closed = self._until_closed(drive, home, drive.speed)
@@ -361,13 +363,13 @@ class GrblRig(ControlledRig):
                 return last
             at += step
             closed = self._until_closed(drive, at, slow)
-        # Once more in small steps, and from outside: a switch opens elsewhere than it closes.
+        # Again in small steps, from outside: a switch opens at another position than it closes.
         self._until_closed(drive, at - 2.0 * step, slow)
         places = (at + step * (part / _STEPS_TO_SWITCH**2 - 1.0) for part in range(1, _STEPS_TO_SWITCH**2))
         return next((place for place in places if self._until_closed(drive, place, slow) is not None), at)
 
     def _until_closed(self, drive: Drive, target: float, speed: float) -> float | None:
-        """Move a drive to a place, units; return where its switch has closed, None where it has not."""
+        """Move a drive to a position, units; return the position at which its switch closed, None if it did not."""
         name = drive.axis.name
         for _ in range(_TRIES):
             _, places = self._look()
@@ -396,12 +398,12 @@ class GrblRig(ControlledRig):
     # ---- steps of the above
 
     def _wake(self) -> Report:
-        """Bring a controller in whatever state to rest, reset it, and return how it is then."""
+        """Bring a controller from any state to rest, reset it, and return its status report."""
         knocking, report = Deadline(self._timeout_s), None
         while report is None and not (knocking.passed or self._talk.locked):
             with contextlib.suppress(DeadlineError, GarbledError, CommandError, AlarmError):
                 report = self._talk.ask_report(min(_KNOCK_S, self._timeout_s))
-        # Held, it reads no line: then the mark is lost with the reset.
+        # In feed hold it reads no line: then the reset deletes the mark.
         if self._homing and report is not None and report.state in ("Idle", "Run"):
             self._mark_found = self._read_mark()
         if report is not None and report.moving:
@@ -416,15 +418,15 @@ class GrblRig(ControlledRig):
         after = self._talk.ask_report()
         self._in_step = True
         if report is None and after.state == "Alarm" and self._talk.alarm is None:
-            # Also after its power came back, but then it would have answered in time or given its banner.
+            # This also follows a power cut, but then it would have answered in time or sent its banner.
             self._talk.message = _SILENT
         return after
 
     def _halt(self) -> None:
-        """Bring the axes to rest and reset the controller, which then holds no line and no move."""
+        """Bring the axes to rest and reset the controller, which discards all lines and moves."""
         talk, still = self._talk, Deadline(self._brake_s * (1 + MARGIN) + self._timeout_s)
         try:
-            # Homing hears nothing but a reset, and so do some alarms.
+            # During homing and after some alarms the controller reacts to nothing but a reset.
             while not (self._is_homing or talk.locked):
                 talk.link.write(HOLD)
                 try:
@@ -450,10 +452,10 @@ class GrblRig(ControlledRig):
                 self._homed = False
 
     def _send(self, line: str, places: Mapping[str, float], arrival: Deadline) -> Deadline:
-        """Send a line that moves from where the axes stand, units; return the deadline of its end.
+        """Send a line that moves the axes from their positions, units; return the deadline of its end.
 
-        Where nothing answers, the line or its ``ok`` was lost on the way, and where the axes are tells which. A line
-        that never began is sent again: its target is absolute.
+        Without an answer, either the line or its ``ok`` was lost, and the positions of the axes show which. A line that
+        was not executed is sent again: its target is absolute.
         """
         try:
             self._talk.command(line)
@@ -469,12 +471,12 @@ class GrblRig(ControlledRig):
 
     @property
     def _mark(self) -> int:
-        """Tool number that stands for a homing with these settings: others count otherwise."""
+        """Tool number that marks a homing with the present settings, on which positions depend."""
         keys = [23, 27, *(number(first, drive) for drive in self.drives.values() for first in (STEPS, TRAVEL))]
         return 1 + zlib.crc32(repr([self._settings.get(key) for key in keys]).encode()) % _LARGEST_TOOL
 
     def _was_homed(self) -> bool:
-        """Return whether the controller has been homed and has not lost count since, as far as it can tell."""
+        """Return whether a report or the mark shows that the controller was homed and has kept its position since."""
         if self._firmware == GRBLHAL:
             return self._talk.ask_report(question=FULL_STATUS).homed is True
         return self._firmware == GRBL and self._mark_found == self._mark
@@ -484,8 +486,8 @@ class GrblRig(ControlledRig):
             self._talk.command(f"T{self._mark}")
 
     def _read_mark(self) -> int:
-        """Return the tool number that stands in the controller, 0 where it does not tell."""
-        # What another program has begun to type is ended, and refused, with the first of the lines.
+        """Return the tool number in the controller's state, 0 if it does not report one."""
+        # The first line also ends, and makes the controller refuse, a line that another program left unfinished.
         for _ in range(2):
             with contextlib.suppress(DeviceError):
                 for said in self._talk.command("$G", min(_KNOCK_S, self._timeout_s)):
@@ -495,7 +497,7 @@ class GrblRig(ControlledRig):
 
     @contextlib.contextmanager
     def _stopping_on_failure(self, first: bytes = b"") -> Iterator[None]:
-        """Stop the rig whatever ends the block before its time, Ctrl-C included."""
+        """Stop the rig if the block ends with an exception, also with Ctrl-C."""
         try:
             yield
         except BaseException as error:
@@ -539,7 +541,7 @@ class GrblRig(ControlledRig):
         if report.state in ("Door", "Sleep", "Check"):
             self._refuse_unless_idle(report)
         places = {name: self._place(report, drive) for name, drive in self.drives.items()}
-        # A hold whose axes still slow down is motion: until they stand, Grbl does not take the end of it.
+        # A hold with axes that still slow down counts as motion: until they stand, Grbl does not accept its end.
         return "run" if report.moving else report.state.lower(), places
 
     def _refuse_unless_idle(self, report: Report) -> None:
@@ -561,7 +563,7 @@ class GrblRig(ControlledRig):
             raise AlarmError("the controller is locked, as it is after switching on or an alarm: home it first")
 
     def _motion(self, places: Mapping[str, float], after: Mapping[str, float]) -> tuple[str, float]:
-        """Return the line of a straight move and its time, s."""
+        """Return the command for a straight move between positions in controller units, and its time, s."""
         way = {name: after[name] - places[name] for name in places}
         named = {self.drives[n].channel: after[n] for n in way if abs(way[n]) > self._tolerance(self.drives[n]) / 4}
         moved = [n for n in way if self.drives[n].channel in named]
@@ -571,12 +573,12 @@ class GrblRig(ControlledRig):
         speed, _ = along([way[n] for n in moved], [d.speed for d in drives], [d.acceleration for d in drives])
         straight = [way[n] for n in moved if not self._is_rotary(self.drives[n])]
         if straight:
-            # Of a move of straight and rotary axes grblHAL takes the feed for that of the straight ones.
+            # In a move of linear and rotary axes, grblHAL applies the feed to the linear ones.
             speed *= math.hypot(*straight) / math.hypot(*(way[n] for n in moved))
         return motion_line(named, speed * 60.0), self._travel([way[n] for n in self.drives])
 
     def _is_rotary(self, drive: Drive) -> bool:
-        """Return whether the controller makes a difference between an axis and a straight one."""
+        """Return whether the controller treats an axis as rotary."""
         mask = int(self._settings.get(_ROTARY, 0)) if self._firmware == GRBLHAL else 0
         return bool(mask >> LETTERS.index(drive.channel) & 1)
 
@@ -585,18 +587,18 @@ class GrblRig(ControlledRig):
         return straight_s(way, [d.speed for d in drives], [d.acceleration for d in drives])
 
     def _place(self, report: Report, drive: Drive) -> float:
-        """Return where a drive stands, controller units."""
+        """Return the position of a drive in a report, controller units."""
         places, index = report.machine, LETTERS.index(drive.channel)
         if places is None or len(places) <= index:
             raise GarbledError(f"the controller reports no machine position of its axis {drive.channel}")
         return places[index]
 
     def _tolerance(self, drive: Drive) -> float:
-        """Return how far from a target a drive may come to rest: a step of the motor, and what the decimals leave."""
+        """Return the largest accepted distance of a drive from its target at rest: a motor step and the rounding."""
         return 1.0 / self._settings[number(STEPS, drive)] + _ROUNDING
 
     def _read_settings(self) -> dict[int, float]:
-        """Return the ``$`` settings: read twice, for nothing else would show a digit that was lost on the way."""
+        """Return the ``$`` settings, read twice, because nothing else would show that a digit was lost."""
         self._options, self._firmware = "", self._talk.firmware
         for message in self._talk.command("$I"):
             if isinstance(message, Feedback) and (message.kind, message.text) == ("FIRMWARE", GRBLHAL):
@@ -614,11 +616,11 @@ class GrblRig(ControlledRig):
             raise GarbledError("the controller's settings read differently twice in a row: the line is garbled")
         if self._firmware != FLUIDNC:
             return second
-        # Old versions do not list these two, and report as Grbl does with them.
+        # Old versions do not list these two, and report as Grbl does with these values.
         return {10: 1, 13: 0} | second | (self._configured() if self._homing else {})
 
     def _configured(self) -> dict[int, float]:
-        """Return what FluidNC has of homing in its own file, as settings of Grbl, and note where homing ends."""
+        """Return FluidNC's configuration of homing as settings of Grbl, and record the positions after homing."""
         places = {"mpos_mm": "homing", "feed_mm_per_min": "homing", "seek_mm_per_min": "homing", "settle_ms": "homing"}
         found: dict[str, list[float]] = {name: [] for name in (*places, "pulloff_mm")}
         self._file_limits = {}
@@ -632,14 +634,14 @@ class GrblRig(ControlledRig):
             for name in _FLUIDNC_LIMITS:
                 self._file_limits[f"{axis}/{name}"] = self._in_file(f"{axis}/{name}") == "true"
             self._homes[drive.channel] = found["mpos_mm"][-1]
-        # The slowest axis decides how long homing may take. Its own $20 speaks of the first axis alone, $21 of any.
+        # The slowest axis decides how long homing may take. FluidNC's own $20 is for the first axis alone, $21 for any.
         feeds, seeks = found["feed_mm_per_min"], found["seek_mm_per_min"]
         homing = {24: min(feeds), 25: min(seeks), 26: max(found["settle_ms"]), 27: max(found["pulloff_mm"])}
         hard, soft = ([on for path, on in self._file_limits.items() if path.endswith(name)] for name in _FLUIDNC_LIMITS)
         return {**homing, 20: float(all(soft)), 21: float(any(hard))}
 
     def _in_file(self, path: str) -> str:
-        """Return what FluidNC's own file has under a path, empty where it does not tell."""
+        """Return the value at a path of FluidNC's own configuration, empty if it reports none."""
         with contextlib.suppress(CommandError):
             said = [m.text for m in self._talk.command(f"${path}") if isinstance(m, TextSetting) and m.name == path]
             if len(said) == 1:
@@ -648,5 +650,5 @@ class GrblRig(ControlledRig):
 
 
 def _assignments(values: Mapping[int | str, float]) -> str:
-    """Return settings as they are typed."""
+    """Return settings in the form in which they are typed."""
     return ", ".join(f"${key}={value:g}" for key, value in values.items())

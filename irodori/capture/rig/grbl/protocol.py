@@ -11,12 +11,12 @@ from irodori.capture.rig.devices import GarbledError
 from irodori.capture.rig.grbl.codes import SETTINGS
 
 STATUS, HOLD, RESUME, SOFT_RESET, JOG_CANCEL = b"?", b"!", b"~", b"\x18", b"\x85"
-#: The question for a report with every field, which grblHAL alone answers; the others throw the byte away.
+#: Request for a report with every field, which only grblHAL answers; the others discard the byte.
 FULL_STATUS = b"\x87"
 #: Bytes that the controller's serial buffer holds, and the longest line with its end.
 RX_BUFFER_BYTES, LINE_BYTES = 128, 80
 LETTERS = "XYZABC"
-#: Firmwares that are spoken to.
+#: Supported firmwares.
 GRBL, GRBLHAL, FLUIDNC = FIRMWARES = ("Grbl", "grblHAL", "FluidNC")
 STATES = ("Idle", "Run", "Hold", "Jog", "Home", "Alarm", "Check", "Door", "Sleep", "Tool")
 #: States with a number behind a colon, and the largest. Those of Run and Alarm are grblHAL's.
@@ -26,9 +26,9 @@ _COORDINATE = r"-?\d{1,7}\.\d{3,4}"
 _COORDINATES = re.compile(rf"{_COORDINATE}(?:,{_COORDINATE}){{0,5}}", re.ASCII)
 _SETTING = re.compile(r"\$(\d{1,3})=(-?\d{1,9}(?:\.\d{1,6})?)(?: \(.*\))?", re.ASCII)
 _STARTUP = re.compile(r"\$N\d=.*|>.*:(?:ok|error:\d{1,3})", re.ASCII)
-# A host name, an address, a list: settings of grblHAL that are no numbers.
+# Settings of grblHAL that are not numbers: a host name, an address, a list.
 _TEXT_SETTING = re.compile(r"\$(\d{1,3})=(.*)", re.ASCII)
-# FluidNC's own tree: $/axes/x/homing/mpos_mm=0.000
+# Setting in FluidNC's configuration tree: $/axes/x/homing/mpos_mm=0.000
 _CONFIGURED = re.compile(r"\$?(/[A-Za-z0-9_/]{1,60})=(.*)", re.ASCII)
 _BANNER = re.compile(r"Grbl(HAL)? (\d{1,3}\.\d{1,3}[a-z]?) \[(FluidNC)?.*\]", re.ASCII)
 _CODE = re.compile(r"(error|ALARM):(\d{1,3})", re.ASCII)
@@ -37,7 +37,7 @@ _FEEDBACK = re.compile(r"\[([A-Za-z0-9. ]{1,24}):(.*)\]", re.ASCII)
 
 @dataclass(frozen=True)
 class Report:
-    """A status report ``<Idle|MPos:0.000,0.000,0.000|...>``.
+    """Status report ``<Idle|MPos:0.000,0.000,0.000|...>``.
 
     Parameters
     ----------
@@ -47,11 +47,11 @@ class Report:
         Hold: 0 complete, 1 still slowing down. Door: 0 closed, 1 open, 2 opening while slowing down, 3 resuming.
         Alarm (grblHAL): the alarm's code.
     machine : tuple of float, optional
-        ``MPos``, in the controller's units; None where the controller is set to report work positions.
+        ``MPos``, in the controller's units; None if the controller is set to report work positions.
     pins : str
         ``Pn``: letters of the inputs that are active.
     homed : bool, optional
-        ``H``, in full reports of grblHAL: whether it has homed every axis and has not lost count since.
+        ``H``, in full reports of grblHAL: whether every axis was homed and has not lost its position since.
     """
 
     state: str
@@ -69,26 +69,26 @@ class Report:
 
 @dataclass(frozen=True)
 class Ok:
-    """``ok``: the oldest line that was not answered is done, or is in the planner."""
+    """Answer ``ok``: the oldest unanswered line was executed, or is in the planner."""
 
 
 @dataclass(frozen=True)
 class Error:
-    """``error:N``: the oldest line that was not answered is refused."""
+    """Answer ``error:N``: the oldest unanswered line was refused."""
 
     code: int
 
 
 @dataclass(frozen=True)
 class Alarm:
-    """``ALARM:N``: the controller stopped on its own."""
+    """Message ``ALARM:N``: the controller stopped by an alarm."""
 
     code: int
 
 
 @dataclass(frozen=True)
 class Setting:
-    """``$N=value``."""
+    """Setting ``$N=value``."""
 
     number: int
     value: float
@@ -96,7 +96,7 @@ class Setting:
 
 @dataclass(frozen=True)
 class TextSetting:
-    """``$N=text``, a setting that is no number, or ``$/path=text``, one of FluidNC's own tree; `name` lacks the $."""
+    """Setting ``$N=text`` that is not a number, or ``$/path=text`` of FluidNC's tree; `name` is without the $."""
 
     name: str
     text: str
@@ -104,7 +104,7 @@ class TextSetting:
 
 @dataclass(frozen=True)
 class Feedback:
-    """``[MSG:...]`` and the other bracketed answers (``GC``, ``VER``, ``OPT``, ``G54``, ``HLP``, ...)."""
+    """Message ``[MSG:...]`` or another bracketed answer (``GC``, ``VER``, ``OPT``, ``G54``, ``HLP``, ...)."""
 
     kind: str
     text: str
@@ -112,9 +112,9 @@ class Feedback:
 
 @dataclass(frozen=True)
 class Banner:
-    """``Grbl 1.1h ['$' for help]``: the controller has just started, or was reset.
+    """Message ``Grbl 1.1h ['$' for help]``: the controller has just started, or was reset.
 
-    `firmware` is one of `FIRMWARES`, as far as the banner tells: a grblHAL may be built to pass for Grbl.
+    `firmware` is one of `FIRMWARES`, according to the banner; grblHAL can be built with the banner of Grbl.
     """
 
     version: str
@@ -123,7 +123,7 @@ class Banner:
 
 @dataclass(frozen=True)
 class Startup:
-    """A start-up line of the user, listed or executed."""
+    """Start-up line of the user, listed or executed."""
 
     text: str
 
@@ -132,12 +132,12 @@ Message = Report | Ok | Error | Alarm | Setting | TextSetting | Feedback | Banne
 
 
 def parse_line(line: str) -> Message:
-    """Return what a line says.
+    """Return the message that a line from the controller contains.
 
     Parameters
     ----------
     line : str
-        Without its end; not empty.
+        Line without its end; not empty.
 
     Raises
     ------
@@ -154,7 +154,7 @@ def parse_line(line: str) -> Message:
         return Setting(int(found[1]), float(found[2]))
     if found := _BANNER.fullmatch(line):
         return Banner(found[2], GRBLHAL if found[1] else FLUIDNC if found[3] else GRBL)
-    # Grbl's own settings are numbers: a text there is a number that was garbled.
+    # Grbl's own settings are numbers: text there is a garbled number.
     if (found := _TEXT_SETTING.fullmatch(line)) and int(found[1]) not in SETTINGS:
         return TextSetting(found[1], found[2])
     if found := _CONFIGURED.fullmatch(line):
@@ -192,14 +192,14 @@ def _report(line: str) -> Report:
 
 
 def motion_line(targets: dict[str, float], feed: float) -> str:
-    """Return the line that moves axes in a straight line in machine coordinates, without its end.
+    """Return the command for a straight move in machine coordinates, without its line end.
 
-    It depends on no state of the controller: units, mode and coordinates are part of it.
+    It does not depend on the controller's state: units, mode and coordinate system are part of it.
 
     Parameters
     ----------
     targets : dict
-        Letter: machine coordinate, units.
+        {axis letter: machine coordinate, units}.
     feed : float
         Speed along the line, units/min.
     """
@@ -208,5 +208,5 @@ def motion_line(targets: dict[str, float], feed: float) -> str:
 
 
 def jog_line(targets: dict[str, float], feed: float) -> str:
-    """Return the line of a jog in machine coordinates; see `motion_line`."""
+    """Return the command for a jog in machine coordinates; parameters as in `motion_line`."""
     return "$J=G21G90G53" + "".join(f"{letter}{target:.3f}" for letter, target in targets.items()) + f"F{feed:.3f}"

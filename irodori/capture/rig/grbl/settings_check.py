@@ -11,7 +11,7 @@ from irodori.capture.rig.grbl.codes import SETTINGS
 from irodori.capture.rig.grbl.protocol import LETTERS
 
 STEPS, RATE, ACCELERATION, TRAVEL = 100, 110, 120, 130
-#: No axis has its place after homing in the controller's own file.
+#: For controllers without positions after homing in a file of their own.
 NOWHERE: Mapping[str, float] = MappingProxyType({})
 _SLACK = 1e-3
 _NEEDED = (10, 13, 20, 22, 23, 24, 25, 26, 27)
@@ -19,16 +19,16 @@ _NEEDED = (10, 13, 20, 22, 23, 24, 25, 26, 27)
 
 @dataclass(frozen=True)
 class Disagreement:
-    """A setting that contradicts the rig's file.
+    """Contradiction between a controller's setting and the rig's file.
 
     Parameters
     ----------
     number : int
-        Of the ``$`` setting; 0 where none can mend it.
+        Number of the ``$`` setting; 0 if no setting resolves the contradiction.
     wanted : float or None
-        Value that agrees; None where only a person can tell, or must change the rig's file.
+        Value that agrees; None if a person must decide, or must change the rig's file.
     why : str
-        What disagrees, and what to change.
+        Description of the contradiction and of the change that resolves it.
     """
 
     number: int
@@ -43,12 +43,12 @@ def check_settings(
     homing: bool,
     homes: Mapping[str, float] = NOWHERE,
 ) -> None:
-    """Refuse a controller that is not set up as the rig's file says; see `disagreements`.
+    """Raise an error for a controller with settings that contradict the rig's file; see `disagreements`.
 
     Raises
     ------
     SettingError
-        With every disagreement and the setting to change.
+        The message lists every contradiction and the setting to change.
     """
     found = [disagreement.why for disagreement in disagreements(settings, options, drives, homing, homes)]
     if found:
@@ -62,7 +62,7 @@ def disagreements(
     homing: bool,
     homes: Mapping[str, float] = NOWHERE,
 ) -> list[Disagreement]:
-    """Return what in a controller's settings contradicts the rig's file, in the order in which it can be written.
+    """Return the settings of a controller that contradict the rig's file, in an order in which they can be changed.
 
     Parameters
     ----------
@@ -71,16 +71,16 @@ def disagreements(
     options : str
         Letters of the build's options, from ``$I``.
     drives : dict
-        Angle: drive; speeds and limits of the rig's file.
+        {angle: drive}, with speeds and limits of the rig's file.
     homing : bool
         Whether the rig has limit switches to home to.
     homes : dict
-        Axis letter: where it stands after homing, units, where the controller (FluidNC) has that in its own file.
+        {axis letter: position after homing, units}, for a controller that has it in a file of its own (FluidNC).
 
     Raises
     ------
     SettingError
-        If a channel is no axis of a Grbl controller.
+        If a channel is not an axis of a Grbl controller.
     """
     for drive in drives.values():
         if len(drive.channel) != 1 or drive.channel not in LETTERS:
@@ -113,14 +113,14 @@ def disagreements(
 
 
 def number(first: int, drive: Drive) -> int:
-    """Return the number of a drive's setting of a group: 100, 110, 120 or 130."""
+    """Return the number of a drive's setting in the group that begins with 100, 110, 120 or 130."""
     return first + LETTERS.index(drive.channel)
 
 
 def home_position(
     settings: Mapping[int, float], options: str, drive: Drive, homes: Mapping[str, float] = NOWHERE
 ) -> float:
-    """Return where a drive stands after homing, controller units; see `disagreements`."""
+    """Return the position of a drive after homing, controller units; parameters as in `disagreements`."""
     if drive.channel in homes:
         return homes[drive.channel]
     if "Z" in options:
@@ -129,14 +129,14 @@ def home_position(
 
 
 def switch_position(settings: Mapping[int, float], drive: Drive, home: float) -> float:
-    """Return where the switch of a drive closes that stands at `home` after homing, controller units."""
+    """Return the position at which a drive's limit switch closes, given its position after homing; controller units."""
     return home - settings[27] if _homes_down(settings, drive) else home + settings[27]
 
 
 def travel_of(
     settings: Mapping[int, float], options: str, drive: Drive, homes: Mapping[str, float] = NOWHERE
 ) -> tuple[float, float]:
-    """Return smallest and largest position that soft limits allow a drive, controller units; see `disagreements`."""
+    """Return the smallest and largest position within a drive's soft limits, controller units; see `disagreements`."""
     length = settings[number(TRAVEL, drive)]
     if drive.channel in homes:
         home = homes[drive.channel]
@@ -147,13 +147,13 @@ def travel_of(
 
 
 def _homes_down(settings: Mapping[int, float], drive: Drive) -> bool:
-    """Return whether a drive's switch is at the negative end."""
+    """Return whether a drive's limit switch is at the negative end of its travel."""
     return bool(int(settings[23]) >> LETTERS.index(drive.channel) & 1)
 
 
 def homing_s(settings: Mapping[int, float], drives: Mapping[str, Drive]) -> float:
-    """Return the time that homing may take, s: two groups of axes, each its full search and its slow approach."""
-    # All axes of the controller are homed, also those that are not the rig's.
+    """Return the longest time of homing, s: two groups of axes, each with a full search and a slow approach."""
+    # All axes of the controller are homed, also those that the rig does not use.
     travel = max(value for key, value in settings.items() if TRAVEL <= key < TRAVEL + len(LETTERS))
     ramp = max(settings[25] / 60.0 / settings[number(ACCELERATION, drive)] for drive in drives.values())
     seek, locate, pull_off = settings[25] / 60.0, settings[24] / 60.0, settings[27]
@@ -185,7 +185,7 @@ def _of_drive(settings: Mapping[int, float], drive: Drive) -> list[Disagreement]
         found.append(Disagreement(key, _up(drive.acceleration), why))
     step_deg = 1.0 / (steps * abs(drive.units_per_deg))
     if step_deg > axis.step_deg * (1 + _SLACK):
-        # What a step is, motor and gear say: another number would only move the axis by another angle.
+        # Motor and gear determine the step: another number would only make the axis move by a wrong angle.
         why = (
             f"{name}: one step of the motor is {step_deg:g} degrees, coarser than the axis's step {axis.step_deg:g} "
             f"(${number(STEPS, drive)}={steps:g})"
@@ -197,7 +197,7 @@ def _of_drive(settings: Mapping[int, float], drive: Drive) -> list[Disagreement]
 def _of_reach(
     settings: Mapping[int, float], options: str, drive: Drive, homes: Mapping[str, float]
 ) -> list[Disagreement]:
-    """Return what keeps a drive with a switch from its limits: the end of the travel, or the switch itself."""
+    """Return the obstacle between a drive and its limits: the end of the travel, or the limit switch."""
     axis, (low, high) = drive.axis, travel_of(settings, options, drive, homes)
     limits = f"{axis.name}: limits {axis.min_deg:g} to {axis.max_deg:g} are {drive.channel} {drive.reach[0]:g} to "
     limits += f"{drive.reach[1]:g}, but the controller"
@@ -219,5 +219,5 @@ def _of_reach(
 
 
 def _up(value: float) -> float:
-    """Return a value with the three decimals that Grbl keeps, not below it."""
+    """Return a value rounded up to the three decimals that Grbl stores."""
     return math.ceil(round(value * 1000.0, 6)) / 1000.0
