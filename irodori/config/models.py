@@ -136,7 +136,7 @@ class Fit(Definition):
     level_error: float = 0.014
 
     #: Whether the lamp's level in every photograph is estimated jointly with the materials.
-    level_by_photograph: bool = True
+    level_by_photograph: bool = False
 
     #: Whether the real refractive index is the one of the object's definition or fitted texel by texel.
     refractive_index: Literal["fixed", "fitted"] = "fixed"

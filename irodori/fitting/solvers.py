@@ -69,7 +69,7 @@ class FitOptions:
     model_error: float = 0.01
     pose_error_deg: float = 0.05
     level_error: float = 0.014
-    level_by_photograph: bool = True
+    level_by_photograph: bool = False
     refractive_index: str = "fixed"
     gloss_by_paint: bool = True
     bounds: dict | None = None

@@ -56,11 +56,11 @@ class PhotographLevels:
         with store.create(output, provenance) as out:
             out.coordinate("capture", captures, units="1", quantity="name of the capture")
             out.coordinate("filter", filters, units="1", quantity="filter state")
-            dims = "capture,filter"
-            out.write(
-                "level", self.level, units="1", dims=dims, quantity="level of the lamp over its mean or the white's"
-            )
-            out.write("level_error", self.error, units="1", dims=dims, quantity="standard error of level")
+            for name, values, quantity in (
+                ("level", self.level, "level of the lamp over its mean, or over that at the white reference"),
+                ("level_error", self.error, "standard error of level, without the part that all photographs share"),
+            ):
+                out.write(name, values, units="1", dims="capture,filter", quantity=quantity)
             out.attribute("common_error", float(self.common_error))
             out.attribute("source", self.source)
 
