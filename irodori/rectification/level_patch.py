@@ -34,6 +34,8 @@ _LEAST_SHARE = 0.9  # of the square's points that must be valid: hot pixels are 
 _UNEVEN = 0.1  # largest relative spread over the square
 _HUE = 0.1  # largest relative change of the ratio of two bands between photographs
 _WRONG = 1.5  # ratio of the response to that of the median photograph, beyond which something hides the patch
+_LEAST_VARIANCE = 1e-12
+_MISTYPED = 1.25  # ratio of the patch's reflectance factor to the stated one, beyond which it is another patch
 _UNKNOWN = 1e3  # standard deviation of a logarithm that is not known
 
 
@@ -146,14 +148,14 @@ def measure_patch(
     setup : RigSetup
     patch : LevelPatch
     model_error, level_error : float
-        Those of the fit: how far the levels of two photographs differ before they are measured, and how far the white
-        reference's may be from all of them.
+        Those of the fit: standard deviation of the lamp's level among photographs, and of its change since the white
+        reference, before they are measured. If the patch shows larger ones, those count.
 
     Raises
     ------
     InputError
-        As in `read_patch`, or if the patch in one photograph has another hue than in the others, or is far darker or
-        brighter.
+        As in `read_patch`; if the patch in one photograph has another hue than in the others, or is far darker or
+        brighter; or if its reflectance factor is far from the stated one.
 
     Notes
     -----
@@ -165,14 +167,18 @@ def measure_patch(
         with store.open_file(path) as file:
             filters = file.attribute("filters", list)
         captures.append(Path(path).stem)
-    _check_readings(linear, np.stack([one.response for one in readings]))
+    _check_readings(linear, np.stack([one.response for one in readings]), patch)
     levels = levels_by_patch(readings, patch, model_error, level_error)
     levels.say()
     levels.write(output, captures, filters, provenance)
 
 
-def _check_readings(linear: list, response: np.ndarray) -> None:
-    """Refuse photographs that show something else where the others show the patch."""
+def _check_readings(linear: list, response: np.ndarray, patch: "LevelPatch") -> None:
+    """Refuse photographs that show something else where the others show the patch, or all another patch."""
+    factor, stated = float(np.median(response[:, _GREEN])), patch.reflectance_factor
+    if stated is not None and not 1.0 / _MISTYPED < factor / stated < _MISTYPED:
+        found = f"has a reflectance factor of {factor:.2f} by the white reference"
+        raise _refused(linear[0], found, f"the stated {stated:g}, within a quarter")
     relative = response / np.median(response, axis=0)
     for path, one in zip(linear, relative, strict=True):
         hue = one[:BANDS_OF_STATE].max() / one[:BANDS_OF_STATE].min() - 1.0
@@ -198,12 +204,15 @@ def levels_by_patch(
     else:
         scale, of_reflectance = np.exp(np.log(response).mean(axis=0)), _UNKNOWN
     centred = np.eye(count) - 1.0 / count
-    prior = model_error**2 * np.eye(count) + level_error**2
     level, own = np.empty_like(response), np.empty_like(response)
     common = level_error
     for state in range(response.shape[1]):
         measured = np.log(response[:, state] / scale[state])
-        noise = departure + of_reflectance**2 + np.diag(error[:, state] ** 2)
+        # A lamp that varies by more than is stated, or has changed by more since the white reference, is believed to.
+        drift = max(model_error**2, float(measured.var() - patch.departure**2))
+        change = max(level_error**2, float(measured.mean() ** 2 - of_reflectance**2))
+        prior = drift * np.eye(count) + change
+        noise = departure + of_reflectance**2 + np.diag(error[:, state] ** 2 + _LEAST_VARIANCE)
         weight = np.linalg.solve(prior + noise, prior).T
         level[:, state] = np.exp(weight @ measured)
         left = prior - weight @ prior

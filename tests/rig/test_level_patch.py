@@ -138,6 +138,22 @@ def test_a_patch_that_departs_from_the_law_at_will_says_nothing_between_other_di
     assert np.abs(found.level - 1.0).max() < 1e-3 and (found.error > 0.007).all()
 
 
+def test_a_lamp_that_varies_far_more_than_is_stated_is_believed_to():
+    """Levels from 0.75 to 1.3, each in directions of its own, by a patch that departs from the law by 1 %."""
+    true, rng = np.array([1.3, 0.8, 1.1, 0.75, 1.05]), np.random.default_rng(2)
+    angles = [(20.0, 0.0, 20.0), (40.0, 10.0, 50.0), (60.0, 30.0, 90.0), (30.0, 60.0, 90.0), (5.0, 45.0, 50.0)]
+    response = 0.5 * true * np.exp(0.01 * rng.normal(size=5))
+    for stated in ({}, {"reflectance_factor": 0.5}):
+        found = levels_by_patch(readings(response, angles), made(LevelPatch, BESIDE | stated), 0.01, 0.014)
+        off = found.level[:, 0] / found.level.mean() / (true / true.mean()) - 1.0
+        assert np.abs(off).max() < 0.03 and (found.error < 0.015).all()
+
+
+def test_a_patch_of_another_reflectance_is_refused(tmp_path, definitions):
+    with pytest.raises(InputError, match=r"reflectance factor of 0\.50 by the white reference"):
+        measured(tmp_path, definitions, STANDING | {"reflectance_factor": 0.8}, TURNS, np.ones(4))
+
+
 def shade(number, response):
     return response * (0.3 if number == 2 else 1.0)
 
