@@ -363,6 +363,16 @@ class PhotographSets:
         of_object = self.loaded.objects[wildcards.object].lobes
         return [f"results/{wildcards.object}/lobes.h5"] if AUTO in of_object else []
 
+    def photograph_levels(self, wildcards) -> list[str]:
+        """Return the file of the lamp's level in an object's photographs; none where nothing is to tell it."""
+        if self.level_patch(wildcards):
+            return [f"results/{wildcards.object}/patch_levels.h5"]
+        return [f"results/{wildcards.object}/levels.h5"] if self.loaded.config.fit.level_by_photograph else []
+
+    def level_patch(self, wildcards) -> dict | None:
+        """Return the patch that tells the lamp's level in an object's photographs; None where it has none."""
+        return as_plain(self.loaded.objects[wildcards.object].level_patch)
+
     # ---- places
 
     def is_photographed(self, wildcards) -> bool:

@@ -63,6 +63,43 @@ def material_errors(name: str, material: Material, truth: Material, lights: list
     return rows
 
 
+def alpha_coverage(name: str, path, material: Material, truth: Material) -> list[ErrorRow]:
+    """Return how often the error of α, away from seams, lies within what the fit states; none of an older file.
+
+    The part that all texels share, such as the lamp's level, is one error and not one of each texel. It is told apart:
+    the factor by which the median texel is off over its standard error, and the rest over what is stated for each.
+
+    Parameters
+    ----------
+    name : str
+    path : path
+        Of the material's file.
+    material, truth : Material
+    """
+    with store.open_file(path) as file:
+        common = file.attribute("errors", dict).get("common_error")
+        if common is None:
+            return []
+        stated = file.read("alpha_error")
+    chosen = material.observed & interior(truth) & np.isfinite(stated) & (truth.alpha > 0.0)
+    if not chosen.any():
+        return []
+    alpha, exact, stated = material.alpha[chosen], truth.alpha[chosen], stated[chosen]
+    factor = float(np.median(alpha / exact))
+    own = np.sqrt(np.maximum(stated**2 - (common * alpha) ** 2, 0.0))
+    rows = []
+    for label, off, error in (
+        ("", alpha - exact, stated),
+        (", without the common factor", alpha / factor - exact, own),
+    ):
+        for count in (1, 2):
+            quantity = f"alpha within {count} standard error{'s' * (count > 1)}{label}"
+            rows.append(_row(name, quantity, np.abs(off) <= count * error))
+    if common > 0.0:
+        rows.append(_row(name, "common factor of alpha over its standard error", [abs(factor - 1.0) / common]))
+    return rows
+
+
 def comparable_gloss(material: Material, truth: Material) -> list[tuple[np.ndarray, np.ndarray]]:
     """Return the true β and μ of each gloss component of a material; NaN where there is no comparable true value.
 
@@ -164,7 +201,8 @@ def measure_errors(inputs: dict, names: dict, scene: Staging, lights: list[str],
     for name, path in zip(names["cameras"], inputs["calibrations"], strict=True):
         rows += calibration_errors(name, path, lights)
     for name, path, truth in zip(names["objects"], inputs["materials"], inputs["true_materials"], strict=True):
-        rows += material_errors(name, Material.load(path), Material.load(truth), lights) + outcome(name, path)
+        own, exact = Material.load(path), Material.load(truth)
+        rows += material_errors(name, own, exact, lights) + alpha_coverage(name, path, own, exact) + outcome(name, path)
     for name, path, truth in zip(
         names["environments"], inputs["environments"], inputs["true_environments"], strict=True
     ):

@@ -24,6 +24,7 @@ from irodori.report.page import typical_gloss_text
 from irodori.viewer.browser import browser_command
 
 STAGES_AFTER_FIT = {
+    "measure_levels",
     "fit_brdf",
     "share_gloss",
     "compress_reflectance",
@@ -160,10 +161,11 @@ def test_the_page_of_files_lists_every_dataset_as_the_files_say(finished):
     for line in tables(found).splitlines():
         assert line in page, line
     unlisted = [title for number, (_, _, title) in enumerate(KINDS) if number not in found]
-    # Nothing is registered there, every object names its lobes, and the scene has no light maps.
+    # Nothing is registered there, no patch is in a frame, objects name their lobes, and the scene has no light maps.
+    patch = "The lamp's level in every photograph, by a patch in the frame"
     chosen = "The form of gloss, chosen by photographs that were left out"
     baked = "Light that falls on the objects of a scene, baked"
-    assert unlisted == ["Where the object stood by its photographs", chosen, baked]
+    assert unlisted == ["Where the object stood by its photographs", patch, chosen, baked]
 
 
 def test_texels_that_nothing_determines_are_marked_and_not_invented(finished):
@@ -197,6 +199,15 @@ def test_one_objects_file_reruns_that_object_and_no_other(again):
     assert touched == {"leaf-sphere"}
     assert {"capture_object", "fit_brdf", "compress_reflectance", "render_view"} <= {rule for rule, _ in jobs}
     assert not {"calibrate_camera", "prepare_environment", "capture_camera"} & {rule for rule, _ in jobs}
+
+
+def test_a_patch_in_the_frame_takes_the_place_of_the_estimate(again):
+    edit(
+        again / "config/objects/leaf-sphere.yaml", {"level_patch": {"centre_mm": [0.0, -40.0, -30.0], "side_mm": 10.0}}
+    )
+    levels = {(rule, named["object"]) for rule, named in planned(snakemake(again, "--dry-run")) if "measure" in rule
+              and "object" in named}  # fmt: skip
+    assert ("measure_patch", "leaf-sphere") in levels and ("measure_levels", "leaf-sphere") not in levels
 
 
 def test_a_finer_texture_does_not_photograph_again(again):

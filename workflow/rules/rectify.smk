@@ -56,3 +56,33 @@ rule rectify_object:
         code=code_hash("irodori.rectification.stage", "irodori.lens.lens_file"),
     script:
         "../scripts/rectify_object.py"
+
+
+rule measure_patch:
+    input:
+        linear=sets.linear_files,
+        registration=sets.registration,
+        user_files=ancient(sets.mesh),
+    output:
+        levels="results/{object}/patch_levels.h5",
+    log:
+        "results/logs/measure_patch/{object}.log",
+    benchmark:
+        "results/benchmarks/measure_patch/{object}.tsv"
+    conda:
+        "../../envs/irodori.yaml"
+    threads: 1
+    resources:
+        mem_mb=lambda wildcards, attempt: 2000 * attempt,
+    params:
+        patch=sets.level_patch,
+        shape=lookup(within=config["objects"], dpath="{object}/shape"),
+        optics=sets.optics,
+        white_pose=sets.white_pose,
+        rig=sets.rig_geometry,
+        model_error=lookup(within=config["fit"], dpath="model_error"),
+        level_error=lookup(within=config["fit"], dpath="level_error"),
+        user_files=ledger.content(sets.mesh),
+        code=code_hash("irodori.rectification.level_patch"),
+    script:
+        "../scripts/measure_patch.py"
