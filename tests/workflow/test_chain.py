@@ -75,12 +75,14 @@ def test_the_report_holds_the_calibration_against_every_guideline_with_the_sourc
     assert "<td>a secondary source, not the document</td>" in page and "<td>the document</td>" in page
 
 
+@pytest.mark.heavy
 def test_reports_and_clusters_name_no_number_of_cores_and_need_none(tmp_path):
     folder = small_project(tmp_path / "still-life")
     run = snakemake(folder, "--summary", cores=None)
     assert run.returncode == 0 and "results/still-life/report.html" in run.stdout, run.stderr[-2000:]
 
 
+@pytest.mark.heavy
 def test_what_measuring_speed_takes_is_not_counted_as_time_of_the_results(tmp_path):
     run = snakemake(small_project(tmp_path / "still-life"), "--dry-run", "benchmark")
     assert run.returncode == 0, run.stderr[-2000:]
@@ -192,6 +194,7 @@ def test_a_second_run_does_nothing(again):
     assert run.returncode == 0 and "Nothing to be done" in run.stdout + run.stderr
 
 
+@pytest.mark.heavy
 def test_one_objects_file_reruns_that_object_and_no_other(again):
     edit(again / "config/objects/leaf-sphere.yaml", {"refractive_index": {"n": 1.6, "k": 0.0}})
     jobs = planned(snakemake(again, "--dry-run"))
@@ -210,6 +213,7 @@ def test_a_patch_in_the_frame_takes_the_place_of_the_estimate(again):
     assert ("measure_patch", "leaf-sphere") in levels and ("measure_levels", "leaf-sphere") not in levels
 
 
+@pytest.mark.heavy
 def test_a_finer_texture_does_not_photograph_again(again):
     edit(again / "config/objects/tile-plate.yaml", {"texels": {"width": 32, "height": 32}})
     jobs = planned(snakemake(again, "--dry-run"))

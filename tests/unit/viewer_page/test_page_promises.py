@@ -31,7 +31,7 @@ def words(language):
 
 
 def violations(visit) -> list[str]:
-    found = visit.page.evaluate("async () => (await axe.run()).violations")
+    found = visit.page.evaluate("async () => (await axe.run(document, {resultTypes: ['violations']})).violations")
     return [f"{one['id']}: {node['html'][:120]}" for one in found for node in one["nodes"]]
 
 
@@ -137,6 +137,7 @@ def test_changes_are_told_to_those_who_do_not_see_them(visit):
     assert "D65" in told and "Second light" in told and "50 %" in told
 
 
+@pytest.mark.heavy
 def test_motion_is_reduced_on_request(visit):
     glide = visit(reduced_motion="no-preference")
     still = visit()
@@ -243,6 +244,7 @@ def saved(visit, press) -> bytes:
     return download.value.path().read_bytes()
 
 
+@pytest.mark.heavy
 def test_a_saved_picture_shows_its_state_again(visit, tmp_path):
     one = visit(accept_downloads=True)
     one.page.locator(".steps li:nth-child(3) button").click()
@@ -272,6 +274,7 @@ def drop(visit, name, content):
     )
 
 
+@pytest.mark.heavy
 def test_other_pictures_and_files_are_refused(visit):
     one, start = visit(), visit().state()
     plain = io.BytesIO()
@@ -293,6 +296,7 @@ def test_other_pictures_and_files_are_refused(visit):
         assert one.state() == start
 
 
+@pytest.mark.heavy
 def test_a_table_of_a_light_becomes_the_light(visit):
     one = visit()
     rows = "\ufeffwavelength nm;power\r\n" + "".join(f"{nm};{nm / 100}\r\n" for nm in range(380, 785, 10))
@@ -314,6 +318,7 @@ def test_a_table_of_a_light_becomes_the_light(visit):
 # ---- the teacher
 
 
+@pytest.mark.heavy
 def test_an_edited_lesson_is_exported_as_a_scene_takes_it(visit, scene, tmp_path):
     one = visit(accept_downloads=True)
     page = one.page
@@ -345,6 +350,7 @@ def test_an_edited_lesson_is_exported_as_a_scene_takes_it(visit, scene, tmp_path
     assert again["compare"] == shown["compare"]
 
 
+@pytest.mark.heavy
 def test_a_picture_given_to_a_step_is_shown_and_exported_with_the_lesson(visit, tmp_path):
     one = visit(accept_downloads=True)
     page = one.page
@@ -401,6 +407,7 @@ def test_a_damaged_payload_is_told_in_a_sentence(visit):
     assert one.page.locator("#poster-text").inner_text() == "The data of this page are damaged."
 
 
+@pytest.mark.heavy
 def test_a_slow_machine_gets_fewer_pixels_while_it_moves_and_all_at_rest(visit):
     one = visit(script="window.slowness = 120")
     one.page.evaluate(
@@ -416,6 +423,7 @@ def test_a_slow_machine_gets_fewer_pixels_while_it_moves_and_all_at_rest(visit):
     assert one.page.evaluate("Irodori.pace().frames") == drawn
 
 
+@pytest.mark.heavy
 def test_rate_and_scale_are_shown_on_request(visit):
     one = visit()
     assert not one.page.locator("#rate").is_visible()
