@@ -87,6 +87,9 @@ _TABLE = {
         "sensitivities of another camera": "not used, with a sentence",
         "pixels without light or not finite": "black, or missing; no neighbour spoiled",
     },
+    ("D", "rectify"): {
+        "a level patch that is not there, covered, clipped or in shadow": "refused with photograph and reason",
+    },
     ("D", "fit"): {
         "grazing views": _RIGHT,
         "back-lit observations": "count as dark and do no harm",
@@ -106,6 +109,10 @@ _TABLE = {
         "one doubled reading": _RIGHT,
         "clipping at 60 % of the peak, unflagged": "right within the errors or flagged, 9 times in 10",
         "sittings whose lamp and poses are off": "errors of paints cover the truth",
+        "a lamp that drifts": "its level is found within the stated error",
+        "a lamp that drifts over a lobe that is not modelled": "its level is found within the stated error",
+        "a lamp that drifts over a surface that no model describes": "no level is stated, or one nearer the truth",
+        "a lamp that drifts over a flat object": "no level is stated",
         "two lobes fitted as one": "not OK where the readings tell, else α right within the errors",
         "μ above its bound": "flagged at-bound",
         "1 % noise": "no dense scan finds a lower minimum; prediction within the noise",

@@ -135,6 +135,9 @@ class Fit(Definition):
     #: level between the white reference and the object (ratio).
     level_error: float = 0.014
 
+    #: Whether the lamp's level in every photograph is estimated jointly with the materials.
+    level_by_photograph: bool = False
+
     #: Whether the real refractive index is the one of the object's definition or fitted texel by texel.
     refractive_index: Literal["fixed", "fitted"] = "fixed"
 
@@ -401,6 +404,31 @@ RefractiveIndex: TypeAlias = ConstantIndex | IndexTable
 
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
+class LevelPatch(Definition):
+    """A flat matt patch, white or grey, that tells the lamp's level in every photograph of the object."""
+
+    #: Centre of the patch's face (x, y, z from the rig's origin, as in the object's frame), in mm.
+    centre_mm: tuple[float, float, float]
+
+    #: Side of the square that is averaged, along x and y; somewhat smaller than the patch, in mm.
+    side_mm: float
+
+    #: Whether the patch turns and tilts with the table (true), or stands still beside it (false).
+    moves_with_table: bool = True
+
+    #: Reflectance factor of the patch in the green band. If given, the patch also tells how the lamp has changed since
+    #: the white reference was photographed (ratio).
+    reflectance_factor: float | None = None
+
+    #: Relative standard error of the reflectance factor (ratio).
+    reflectance_error: float = 0.01
+
+    #: Relative departure of the patch from Lambert's law, as a standard deviation between directions of lamp and camera
+    #: (ratio).
+    departure: float = 0.01
+
+
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class PoseGroup(Definition):
     """One group of poses."""
 
@@ -577,6 +605,9 @@ class Object(Definition):
 
     #: Weight of the mirror term, which reflects the surroundings (ratio).
     mirror_weight: float = 0.0
+
+    #: A flat matt patch, white or grey, that tells the lamp's level in every photograph of the object.
+    level_patch: LevelPatch | None = None
 
     #: Groups of poses that a session takes, on a virtual or a driven rig; a group stands for every combination of its
     #: lists.

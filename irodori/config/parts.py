@@ -19,6 +19,7 @@ from irodori.config.models import (
     Exposures,
     GivenFilter,
     GivenSensitivities,
+    LevelPatch,
     Object,
     ObjectShape,
     PlacedObject,
@@ -43,6 +44,7 @@ class PhotographedObject(Definition):
     poses: tuple[PoseGroup, ...] | None = None
     exposure_s: Exposures | None = None
     virtual: VirtualObject | None = None
+    level_patch: LevelPatch | None = None
 
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)

@@ -1,7 +1,5 @@
 """Errors against ground truth: mean, 95th percentile and maximum [design, §5]."""
 
-from collections.abc import Iterable
-
 import numpy as np
 
 from irodori.colour.colorimetry import (
@@ -62,6 +60,43 @@ def material_errors(name: str, material: Material, truth: Material, lights: list
             off = np.abs(own / exact - 1)[known]
             rows.append(_row(name, f"{parameter} relative away from seams, where known", off))
     rows.append(_row(name, "alpha / S_G - 1", np.abs(material.spectrum_scale - 1)[material.observed]))
+    return rows
+
+
+def alpha_coverage(name: str, path, material: Material, truth: Material) -> list[ErrorRow]:
+    """Return how often the error of α, away from seams, lies within what the fit states; none of an older file.
+
+    The part that all texels share, such as the lamp's level, is one error and not one of each texel. It is told apart:
+    the factor by which the median texel is off over its standard error, and the rest over what is stated for each.
+
+    Parameters
+    ----------
+    name : str
+    path : path
+        Of the material's file.
+    material, truth : Material
+    """
+    with store.open_file(path) as file:
+        common = file.attribute("errors", dict).get("common_error")
+        if common is None:
+            return []
+        stated = file.read("alpha_error")
+    chosen = material.observed & interior(truth) & np.isfinite(stated) & (truth.alpha > 0.0)
+    if not chosen.any():
+        return []
+    alpha, exact, stated = material.alpha[chosen], truth.alpha[chosen], stated[chosen]
+    factor = float(np.median(alpha / exact))
+    own = np.sqrt(np.maximum(stated**2 - (common * alpha) ** 2, 0.0))
+    rows = []
+    for label, off, error in (
+        ("", alpha - exact, stated),
+        (", without the common factor", alpha / factor - exact, own),
+    ):
+        for count in (1, 2):
+            quantity = f"alpha within {count} standard error{'s' * (count > 1)}{label}"
+            rows.append(_row(name, quantity, np.abs(off) <= count * error))
+    if common > 0.0:
+        rows.append(_row(name, "common factor of alpha over its standard error", [abs(factor - 1.0) / common]))
     return rows
 
 
@@ -145,19 +180,19 @@ def calibration_errors(name: str, path, lights: list[str]) -> list[ErrorRow]:
     return rows
 
 
-def measure_errors(inputs: dict, names: dict, scenes: Iterable[Staging], lights: list[str], output) -> None:
-    """Write ``errors.csv``, the errors of all materials, environments, calibrations and views.
+def measure_errors(inputs: dict, names: dict, scene: Staging, lights: list[str], output) -> None:
+    """Write ``errors.csv``, the errors of the materials, environments, calibrations and views of one report.
 
     Parameters
     ----------
     inputs : dict
         Lists of files: ``materials``, ``true_materials``, ``environments``, ``true_environments``, ``calibrations``,
-        ``views``, ``true_views``, and ``view_lights`` with the file of each view's environment.
+        ``views``, ``true_views``, and ``light`` with the one file of the environment of the views.
     names : dict
-        Lists of names: ``objects``, ``environments``, ``cameras``, ``views``, and ``view_environments`` with the name
-        of each view's environment.
-    scenes : iterable of Staging
-        For each view, the settings of its scene that `irodori.rendering.scene_white.scene_white` reads.
+        Lists of names: ``objects``, ``environments``, ``cameras``, ``views``; and ``light``, the name of the
+        environment of the views.
+    scene : Staging
+        Settings of the scene of the views that `irodori.rendering.scene_white.scene_white` reads.
     lights : list of str
         Illuminants for the errors of reflectance.
     output : path
@@ -166,29 +201,24 @@ def measure_errors(inputs: dict, names: dict, scenes: Iterable[Staging], lights:
     for name, path in zip(names["cameras"], inputs["calibrations"], strict=True):
         rows += calibration_errors(name, path, lights)
     for name, path, truth in zip(names["objects"], inputs["materials"], inputs["true_materials"], strict=True):
-        rows += material_errors(name, Material.load(path), Material.load(truth), lights) + outcome(name, path)
+        own, exact = Material.load(path), Material.load(truth)
+        rows += material_errors(name, own, exact, lights) + alpha_coverage(name, path, own, exact) + outcome(name, path)
     for name, path, truth in zip(
         names["environments"], inputs["environments"], inputs["true_environments"], strict=True
     ):
         rows += environment_errors(name, Environment.load(path), Environment.load(truth))
-    environments = {path: Environment.load(path) for path in dict.fromkeys(inputs["view_lights"])}
-    for name, light, scene, file, path, truth in zip(
-        names["views"],
-        names["view_environments"],
-        scenes,
-        inputs["view_lights"],
-        inputs["views"],
-        inputs["true_views"],
-        strict=True,
-    ):
-        white, _ = scene_white(scene, environments[file])
+    if names["views"]:
+        (light_file,) = inputs["light"]
+        white, _ = scene_white(scene, Environment.load(light_file))
         matrix = xyz_from_radiance(white)
+    for name, path, truth in zip(names["views"], inputs["views"], inputs["true_views"], strict=True):
         pair = read_xyz(truth, matrix), read_xyz(path, matrix)
         difference = xyz_delta_e(*pair, matrix @ white)
         # Both pictures have the same light, samples and random numbers: pixels without an object are identical.
         objects = (pair[0] != pair[1]).any(axis=-1)
-        rows.append(_row(name, "picture CIEDE2000 to true materials", difference, light))
-        rows.append(_row(name, "picture CIEDE2000 to true materials, objects only", difference[objects], light))
+        of_objects = "picture CIEDE2000 to true materials, objects only"
+        rows.append(_row(name, "picture CIEDE2000 to true materials", difference, names["light"]))
+        rows.append(_row(name, of_objects, difference[objects], names["light"]))
     for row in rows:
         LOGGER.info(
             "%s, %s %s: mean %.4g p95 %.4g max %.4g",

@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from irodori.fitting.stage import (
     fitted_maps,
     fresnel_of,
     read_observations,
+    with_common_error,
     without_gloss,
 )
 from irodori.material.fitted_tiles import SPEED
@@ -55,7 +56,7 @@ def _find_colours(tiles: list) -> Colours:
     return find_colours(np.concatenate(found), floor)
 
 
-def _read_tile(observations, fitted) -> tuple[Tile, dict[str, np.ndarray], dict]:
+def _read_tile(observations, fitted, levels: Sequence) -> tuple[Tile, dict[str, np.ndarray], dict]:
     """Read the texels of a tile, the maps of its fit, and the attributes that are passed on.
 
     Raises
@@ -63,7 +64,7 @@ def _read_tile(observations, fitted) -> tuple[Tile, dict[str, np.ndarray], dict]
     InputError
         If the numbers of texels of fit and observations differ.
     """
-    observed = read_observations(observations)
+    observed = read_observations(observations, levels)
     with store.open_file(fitted) as file:
         lobes = tuple(file.attribute("lobes", list))
         maps = {name: file.read(name) for name in fitted_maps(lobes)}
@@ -84,7 +85,7 @@ def _indexed(tile: Tile, optics: GlossModel) -> Tile:
 
 
 def share_gloss(
-    observations: list, tiles: list, output, options: FitOptions, n, k, *, provenance, calibration=None
+    observations: list, tiles: list, output, options: FitOptions, n, k, *, provenance, calibration=None, levels=()
 ) -> None:
     """Find the paints of an object and write its fit with the gloss of the paints, all tiles in one file.
 
@@ -92,7 +93,7 @@ def share_gloss(
     ----------
     observations, tiles : list of path
         Files of observations, and the separate fits of their texels, in the same order.
-    output, options, n, k, calibration
+    output, options, n, k, calibration, levels
         As in `irodori.fitting.stage.fit_brdf`, which also describes the datasets.
 
     Notes
@@ -105,11 +106,12 @@ def share_gloss(
     log β and log μ about them; ``/paints/excess``, the factor on the variance of observations; ``/paints/texels``, the
     number of texels in the fit.
     """
+    options = with_common_error(options, levels)
     colours = _find_colours(tiles) if len(options.lobes) == 1 else None
     samples, optics, seconds = [], None, 0.0
     parts, carried, fitted = [], {}, 0
     for seen, own in zip(observations, tiles, strict=True):
-        tile, _, attributes = _read_tile(seen, own)
+        tile, _, attributes = _read_tile(seen, own, levels)
         optics = optics or GlossModel(options, fresnel_of(n, k, calibration, tile.response.shape[1]))
         if colours:
             samples.append(sample(_indexed(tile, optics), colours, attributes["width"], len(tiles)))
@@ -124,7 +126,7 @@ def share_gloss(
         write_bands(out, carried["filters"])
         datasets: dict = {}
         for seen, own, (first, last) in zip(observations, tiles, parts, strict=True):
-            tile, maps, _ = _read_tile(seen, own)
+            tile, maps, _ = _read_tile(seen, own, levels)
             if paints:
                 shared += _share_tile(_indexed(tile, optics), maps, paints, width, optics)
             datasets = datasets or _reserve(out, maps, max(map(max, parts)) * width, options.lobes)
@@ -137,6 +139,7 @@ def share_gloss(
             out.attribute(name, value)
         out.attribute("paint_seconds", time.perf_counter() - start)
         out.attribute("lobes", list(options.lobes))
+        out.attribute("common_error", options.level_error)
     if paints:
         _log(paints, shared)
     else:

@@ -49,6 +49,9 @@ class FitOptions:
     level_error : float
         Relative error common to all observations: that of the white reference's reflectance, and the change of the
         lamp's level between the photographs of white reference and object.
+    level_by_photograph : bool
+        Whether the lamp's level in every photograph is estimated, see `irodori.fitting.level_estimate`; `fit` ignores
+        it and takes responses as they are.
     refractive_index : str
         ``fixed``: as given; ``fitted``: the real part n is fitted to each texel within its bounds.
     gloss_by_paint : bool
@@ -66,6 +69,7 @@ class FitOptions:
     model_error: float = 0.01
     pose_error_deg: float = 0.05
     level_error: float = 0.014
+    level_by_photograph: bool = False
     refractive_index: str = "fixed"
     gloss_by_paint: bool = True
     bounds: dict | None = None

@@ -2,7 +2,8 @@
 
 import math
 import time
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import NamedTuple
 
@@ -19,6 +20,7 @@ from irodori.fitting.texel_rows import COSINE, LOBE, SPOILED, WEIGHT, fill_lobe,
 from irodori.jit.chunks import run_chunks
 from irodori.jit.compilation import njit
 from irodori.material.material_file import NloptResult, Status, gloss_maps
+from irodori.material.photograph_levels import common_error, levels_of
 from irodori.reflection.lobes import Lobes
 from irodori.spectra.coordinates import require_bands, write_bands
 
@@ -359,13 +361,22 @@ def write_fitted(output, maps: dict, attributes: dict, lobes: tuple[str, ...], p
             out.attribute(name, value)
 
 
-def read_observations(path) -> Observed:
-    """Read the observations of a tile; their noise model includes the gain for a near light.
+def read_observations(path, levels: Sequence = ()) -> Observed:
+    """Read the observations of a tile; their noise model includes the gain for a near light and the lamp's levels.
+
+    Parameters
+    ----------
+    path : path
+        Tile of observations.
+    levels : sequence of path
+        File of the lamp's level in every photograph, see `irodori.material.photograph_levels`, by which responses are
+        divided. If empty, responses stay as they are.
 
     Raises
     ------
     InputError
-        If the file is not a tile of observations, is damaged, or has datasets of inconsistent shapes.
+        If the file is not a tile of observations, is damaged, or has datasets of inconsistent shapes, or if the levels
+        are those of other captures.
     """
     with store.open_file(path) as file:
         file.require_axes(_AXES, angle=4, coefficient=2)
@@ -374,11 +385,22 @@ def read_observations(path) -> Observed:
         if "light_gain" in file:
             file.require_axes(_AXES | {"light_gain": "texel,capture"})
             noise = _of_near_light(noise, file.read("light_gain"), weight)
+        captures = file.read("capture").astype(str).tolist() if levels else []
+    for name in levels:
+        level = levels_of(name, captures, response.shape[2], path)
+        response /= level.astype(response.dtype)
+        # Of a response ρ over the level: its variance, c0 + c1 ρ over the level's square, in terms of itself.
+        noise = noise / np.stack([level**2, level], axis=-1)
     return Observed(response, geometry, weight, clipped, noise)
 
 
+def with_common_error(options: FitOptions, levels: Sequence) -> FitOptions:
+    """Return options with the error that all observations share, by the file of levels if there is one."""
+    return replace(options, level_error=common_error(levels, options.level_error))
+
+
 def fit_brdf(
-    observations, output, options: FitOptions, n, k, *, provenance: store.Provenance, calibration=None
+    observations, output, options: FitOptions, n, k, *, provenance: store.Provenance, calibration=None, levels=()
 ) -> None:
     """Fit one tile of observations and write its parameters.
 
@@ -390,6 +412,8 @@ def fit_brdf(
         Complex refractive index. If it varies with wavelength, each band has its own Fresnel reflectance.
     calibration : path, optional
         Calibration of the camera; required if n or k varies.
+    levels : sequence of path
+        As in `read_observations`; the file also gives the error that all observations share.
 
     Notes
     -----
@@ -397,9 +421,10 @@ def fit_brdf(
     ``/beta_2`` and ``/mu_2``, their ``*_error``, ``/residual_rms``, ``/relative_residual``, ``/status`` (see `Status`),
     ``/model``, ``/paint``, ``/evaluations``, ``/nlopt_result``, ``/refractive_index`` and ``/refractive_index_error``
     (NaN where the index was given), ``/diffuse_response`` (texel, bands) and ``/diffuse_variance``, its variance by the
-    camera's noise; ``/texel``, 0 where the texture shows no surface.
+    camera's noise; ``/texel``, 0 where the texture shows no surface. The attribute ``common_error`` is the relative
+    error of α and β that all texels share; the stated errors of the texels include it.
     """
-    observed = read_observations(observations)
+    observed, options = read_observations(observations, levels), with_common_error(options, levels)
     with store.open_file(observations) as file:
         texel = file.read("texel")
         carried = {name: file.attribute(name, kind) for name, kind in CARRIED.items()}
@@ -423,7 +448,7 @@ def fit_brdf(
     other = {"texel": texel, "diffuse_response": diffuse, "diffuse_variance": diffuse_variance}
     other["paint"] = np.full(len(texel), -1, dtype=np.int16)
     own = {name: getattr(result, name) for name in fitted_maps(result.lobes) if name not in index | other}
-    attributes = carried | {"fit_seconds": seconds, "texels_fitted": fitted}
+    attributes = carried | {"fit_seconds": seconds, "texels_fitted": fitted, "common_error": options.level_error}
     write_fitted(output, own | index | other, attributes, result.lobes, provenance)
     counts = np.bincount(result.status, minlength=len(Status))
     LOGGER.info("fitted %d texels in %.2f s (%.0f texels/s)", fitted, seconds, fitted / max(seconds, 1e-9))

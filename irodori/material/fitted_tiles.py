@@ -1,5 +1,6 @@
 """Fitted tiles of an object as one texture, read tile by tile."""
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -48,6 +49,8 @@ class FittedTiles:
         Lobe of each gloss component.
     speed : dict
         ``fit_seconds`` without start-up and compilation, and ``texels_fitted``.
+    common_error : float
+        Relative error of α and β that all texels share; NaN if the tiles do not state it.
 
     Raises
     ------
@@ -59,6 +62,7 @@ class FittedTiles:
         self.first, self.height, self.width, self.filters = paths[0], height, width, None
         self.lobes: tuple[str, ...] = ()
         self.speed: dict = dict.fromkeys(SPEED, 0)
+        self.common_error = math.nan
         covered, tiles = np.zeros(height, dtype=int), []
         for path in paths:
             with store.open_file(path) as file:
@@ -73,6 +77,8 @@ class FittedTiles:
                 self.lobes = lobes
                 for name in self.speed:
                     self.speed[name] += file.attribute(name)
+                if file.has_attribute("common_error"):
+                    self.common_error = file.attribute("common_error", float)
                 whole = file.attribute("rows", list)
                 # A file of all tiles names them; its texels begin with the first row of the first.
                 for first, last in file.attribute("parts", list) if file.has_attribute("parts") else [whole]:

@@ -4,6 +4,7 @@ Tiles are read three times, one at a time: for the statistics of the whole textu
 spectra, and to write the material's file.
 """
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 
@@ -195,6 +196,7 @@ def compress_reflectance(
             "negative_fraction": compression.negative.fraction,
             "compression": compared,
             **fitted.speed,
+            "common_error": None if math.isnan(fitted.common_error) else fitted.common_error,
             "lobe_choice": [asdict(one) for one in lobe_choice],
         }
         constants = (compression.basis, n, k, definition.mirror_weight)

@@ -208,6 +208,30 @@ def _window(xy: np.ndarray, height: int, width: int) -> tuple[slice, slice]:
     return slice(y0, max(y0, y1)), slice(x0, max(x0, x1))
 
 
+def sample_picture(file: store.Reader, xy, within) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return interpolated responses of a capture, (n, bands) float32, which of them are good, and which clip, (n,).
+
+    Parameters
+    ----------
+    file : store.Reader
+        Linear responses of the capture.
+    xy : (n, 2) float
+        Samples of the picture, x then y.
+    within : (m, 2) float
+        Those of them that matter: only the window of the picture that holds them is read.
+    """
+    file.require_axes({"response": "row,column,band", "valid": "row,column", "clipped": "row,column"})
+    height, width, bands = file.dataset("response").shape
+    window = _window(within, height, width)
+    sampled = np.zeros((len(xy), bands), dtype=np.float32)
+    good, clips = np.empty(len(xy), dtype=np.bool_), np.empty(len(xy), dtype=np.uint8)
+    corner = np.array([window[0].start, window[1].start])
+    response, valid, clipped = (file.read(name, window) for name in ("response", "valid", "clipped"))
+    seen = _Window(response, valid, clipped, corner)
+    run_chunks(_sample, len(xy), _CHUNK, seen, np.ascontiguousarray(xy), sampled, (good, clips))
+    return sampled, good, clips
+
+
 class _Observed(NamedTuple):
     """One capture's observations of n texels as `rectify_object` stores them, before the limit of angles is applied."""
 
@@ -229,16 +253,8 @@ def _observe_file(path, shape: Shape, texels: Texels, setup: RigSetup) -> _Obser
         normal, facet = (v[texels.covered] @ placements[0].rotation.T for v in (texels.normal, texels.facet))
         sight = observe(position, normal, tracer, pose, setup, facet)
         visible = sight.visible
-        file.require_axes({"response": "row,column,band", "valid": "row,column", "clipped": "row,column"})
-        height, width, bands = file.dataset("response").shape
         xy = samples_from_superpixels(sight.xy, file.attribute("sample_px"))
-        window = _window(xy[visible], height, width)
-        sampled = np.zeros((len(xy), bands), dtype=np.float32)
-        good, clips = np.empty(len(xy), dtype=np.bool_), np.empty(len(xy), dtype=np.uint8)
-        corner = np.array([window[0].start, window[1].start])
-        response, valid, clipped = (file.read(name, window) for name in ("response", "valid", "clipped"))
-        seen = _Window(response, valid, clipped, corner)
-        run_chunks(_sample, len(xy), _CHUNK, seen, np.ascontiguousarray(xy), sampled, (good, clips))
+        sampled, good, clips = sample_picture(file, xy, xy[visible])
     # A hidden texel's samples show another surface, and whether they were read depends on the window of the tile.
     sampled[~visible], clips[~visible] = 0.0, 0
     gain = np.ones(len(xy))

@@ -71,6 +71,7 @@ def small_project(folder: Path) -> Path:
         config / "config.yaml",
         {
             "rectify.tile_texels": 128,
+            "fit.level_by_photograph": True,
             "environment.irradiance": {"max_error": 0.002, "max_height": 64},
             "report.planning": {"poses": [6, 12], "materials": 400},
         },

@@ -24,6 +24,7 @@ from irodori.report.page import typical_gloss_text
 from irodori.viewer.browser import browser_command
 
 STAGES_AFTER_FIT = {
+    "measure_levels",
     "fit_brdf",
     "share_gloss",
     "compress_reflectance",
@@ -41,7 +42,7 @@ STAGES_AFTER_FIT = {
 
 
 def errors(folder) -> dict[tuple[str, str, str], dict]:
-    with (folder / "results" / "errors.csv").open(newline="") as stream:
+    with (folder / "results/still-life/errors.csv").open(newline="") as stream:
         return {(r["subject"], r["quantity"], r["light"]): r for r in csv.DictReader(stream)}
 
 
@@ -50,7 +51,7 @@ def test_one_command_leaves_pictures_report_and_errors(finished):
     assert radiance.shape == (36, 48, 61)
     assert np.isfinite(radiance).all() and (radiance >= 0).all() and radiance.max() > 0.1
     assert (finished / "results/still-life/front.png").read_bytes().startswith(b"\x89PNG")
-    page = (finished / "results/report.html").read_text()
+    page = (finished / "results/still-life/report.html").read_text()
     assert page.count("data:image/png;base64") >= 6 and "CIEDE2000" in page
     for name in ("tile-plate", "leaf-sphere"):
         found = summarise(read_rows(finished / f"results/{name}/registration.csv", RegistrationRow))
@@ -62,11 +63,11 @@ def test_one_command_leaves_pictures_report_and_errors(finished):
 @pytest.mark.heavy
 @pytest.mark.skipif(browser_command() is None, reason="NO BROWSER: pages are not tested; install Debian's chromium")
 def test_nothing_in_the_report_bars_anyone(finished):
-    assert violations([finished / "results/report.html"]) == {}
+    assert violations([finished / "results/still-life/report.html"]) == {}
 
 
 def test_the_report_holds_the_calibration_against_every_guideline_with_the_source_of_each_limit(finished):
-    page = (finished / "results/report.html").read_text()
+    page = (finished / "results/still-life/report.html").read_text()
     for guideline in ("FADGI 2016", "FADGI 2023", "Metamorfoze 1.0", "Metamorfoze 2.0", "ISO 19264-1:2021"):
         assert page.count(f"<td>{guideline}</td>") == len(
             {(t.metric, t.statistic) for t in TOLERANCES if t.guideline == guideline}
@@ -78,7 +79,7 @@ def test_the_report_holds_the_calibration_against_every_guideline_with_the_sourc
 def test_reports_and_clusters_name_no_number_of_cores_and_need_none(tmp_path):
     folder = small_project(tmp_path / "still-life")
     run = snakemake(folder, "--summary", cores=None)
-    assert run.returncode == 0 and "results/report.html" in run.stdout, run.stderr[-2000:]
+    assert run.returncode == 0 and "results/still-life/report.html" in run.stdout, run.stderr[-2000:]
 
 
 @pytest.mark.heavy
@@ -96,7 +97,7 @@ def test_a_photograph_is_compared_with_its_view_and_the_report_shows_it(finished
     difference, noise = found["delta_e"], found["noise_floor"]
     assert 0 < noise["mean"] < difference["mean"] < difference["p95"] < difference["max"]
     assert len(found["noise_counts"]) == 3 and 0.9 < found["luminance_ratio"] < 1.1
-    page = (finished / "results/report.html").read_text()
+    page = (finished / "results/still-life/report.html").read_text()
     assert "Beside a photograph" in page and "Words of this page" in page and f"{found['delta_e']['mean']:.4g}" in page
 
 
@@ -162,10 +163,11 @@ def test_the_page_of_files_lists_every_dataset_as_the_files_say(finished):
     for line in tables(found).splitlines():
         assert line in page, line
     unlisted = [title for number, (_, _, title) in enumerate(KINDS) if number not in found]
-    # Nothing is registered there, every object names its lobes, and the scene has no light maps.
+    # Nothing is registered there, no patch is in a frame, objects name their lobes, and the scene has no light maps.
+    patch = "The lamp's level in every photograph, by a patch in the frame"
     chosen = "The form of gloss, chosen by photographs that were left out"
     baked = "Light that falls on the objects of a scene, baked"
-    assert unlisted == ["Where the object stood by its photographs", chosen, baked]
+    assert unlisted == ["Where the object stood by its photographs", patch, chosen, baked]
 
 
 def test_texels_that_nothing_determines_are_marked_and_not_invented(finished):
@@ -200,6 +202,15 @@ def test_one_objects_file_reruns_that_object_and_no_other(again):
     assert touched == {"leaf-sphere"}
     assert {"capture_object", "fit_brdf", "compress_reflectance", "render_view"} <= {rule for rule, _ in jobs}
     assert not {"calibrate_camera", "prepare_environment", "capture_camera"} & {rule for rule, _ in jobs}
+
+
+def test_a_patch_in_the_frame_takes_the_place_of_the_estimate(again):
+    edit(
+        again / "config/objects/leaf-sphere.yaml", {"level_patch": {"centre_mm": [0.0, -40.0, -30.0], "side_mm": 10.0}}
+    )
+    levels = {(rule, named["object"]) for rule, named in planned(snakemake(again, "--dry-run")) if "measure" in rule
+              and "object" in named}  # fmt: skip
+    assert ("measure_patch", "leaf-sphere") in levels and ("measure_levels", "leaf-sphere") not in levels
 
 
 @pytest.mark.heavy

@@ -24,10 +24,39 @@ rule choose_lobes:
         "../scripts/choose_lobes.py"
 
 
+# One job an object, before its tiles are fitted: the lamp is the same for all of them.
+rule measure_levels:
+    input:
+        observations=sets.observed_tiles,
+        lobes=sets.lobe_choice,
+        user_files=ancient(sets.tables_of_index),
+        calibration=sets.calibration_of_index,
+    output:
+        levels="results/{object}/levels.h5",
+    log:
+        "results/logs/measure_levels/{object}.log",
+    benchmark:
+        "results/benchmarks/measure_levels/{object}.tsv"
+    conda:
+        "../../envs/irodori.yaml"
+    threads: 1
+    resources:
+        mem_mb=lambda wildcards, attempt: 2000 * attempt,
+    params:
+        fit=lookup(within=config, dpath="fit"),
+        lobes=lookup(within=config["objects"], dpath="{object}/lobes"),
+        refractive_index=lookup(within=config["objects"], dpath="{object}/refractive_index"),
+        user_files=ledger.content(sets.tables_of_index),
+        code=code_hash("irodori.fitting.level_stage", "irodori.material.lobe_choices", "irodori.spectra.published"),
+    script:
+        "../scripts/measure_levels.py"
+
+
 rule fit_brdf:
     input:
         observations="results/{object}/observations/tile-{tile}.h5",
         lobes=sets.lobe_choice,
+        levels=sets.photograph_levels,
         user_files=ancient(sets.tables_of_index),
         calibration=sets.calibration_of_index,
     output:
@@ -58,6 +87,7 @@ rule share_gloss:
         observations=sets.observed_tiles,
         tiles=sets.own_tiles,
         lobes=sets.lobe_choice,
+        levels=sets.photograph_levels,
         user_files=ancient(sets.tables_of_index),
         calibration=sets.calibration_of_index,
     output:

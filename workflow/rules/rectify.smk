@@ -1,6 +1,7 @@
 rule register_object:
     input:
         linear=sets.linear_files,
+        lens=sets.lens,
         user_files=ancient(sets.mesh),
     output:
         registration="results/{object}/registration.h5",
@@ -21,7 +22,7 @@ rule register_object:
         rig=sets.rig_geometry,
         place=lookup(within=config, dpath="place"),
         user_files=ledger.content(sets.mesh),
-        code=code_hash("irodori.rectification.object_registration"),
+        code=code_hash("irodori.rectification.object_registration", "irodori.lens.lens_file"),
     script:
         "../scripts/register_object.py"
 
@@ -29,6 +30,7 @@ rule register_object:
 rule rectify_object:
     input:
         linear=sets.linear_files,
+        lens=sets.lens,
         registration=sets.registration,
         user_files=ancient(sets.mesh),
     output:
@@ -51,6 +53,36 @@ rule rectify_object:
         rig=sets.rig_geometry,
         max_angle_deg=lookup(within=config["rectify"], dpath="max_angle_deg"),
         user_files=ledger.content(sets.mesh),
-        code=code_hash("irodori.rectification.stage"),
+        code=code_hash("irodori.rectification.stage", "irodori.lens.lens_file"),
     script:
         "../scripts/rectify_object.py"
+
+
+rule measure_patch:
+    input:
+        linear=sets.linear_files,
+        registration=sets.registration,
+        user_files=ancient(sets.mesh),
+    output:
+        levels="results/{object}/patch_levels.h5",
+    log:
+        "results/logs/measure_patch/{object}.log",
+    benchmark:
+        "results/benchmarks/measure_patch/{object}.tsv"
+    conda:
+        "../../envs/irodori.yaml"
+    threads: 1
+    resources:
+        mem_mb=lambda wildcards, attempt: 2000 * attempt,
+    params:
+        patch=sets.level_patch,
+        shape=lookup(within=config["objects"], dpath="{object}/shape"),
+        optics=sets.optics,
+        white_pose=sets.white_pose,
+        rig=sets.rig_geometry,
+        model_error=lookup(within=config["fit"], dpath="model_error"),
+        level_error=lookup(within=config["fit"], dpath="level_error"),
+        user_files=ledger.content(sets.mesh),
+        code=code_hash("irodori.rectification.level_patch"),
+    script:
+        "../scripts/measure_patch.py"

@@ -14,4 +14,5 @@ with run_rule(snakemake) as provenance:
         *refractive_index(typed_index(snakemake.params.refractive_index)),
         provenance=provenance,
         calibration=next(iter(snakemake.input.calibration), None),
+        levels=snakemake.input.levels,
     )

@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from irodori.config.capture_table import Pose, flat_incidence_rad
-from irodori.config.models import Camera, Chart, EnvironmentDefinition, Rig
+from irodori.config.models import Camera, Chart, EnvironmentDefinition, LevelPatch, Rig
 from irodori.geometry.embree import Tracer
 from irodori.geometry.lamp import Lamp
 from irodori.geometry.pinhole import Pinhole
@@ -32,6 +32,7 @@ from irodori.spectra.white_reference import white_reflectance
 
 _PATCH_FILL = 0.42  # half of a patch's side, as a fraction of the pitch between patches
 _BORDER_REFLECTANCE = 0.03
+_GREY = 0.5  # reflectance factor of a patch that states none
 _BLOCK_ROWS = 64
 
 
@@ -41,8 +42,17 @@ def in_mosaic(bands: np.ndarray) -> np.ndarray:
     return np.take_along_axis(bands, (y % 2 + x % 2)[..., None], axis=2)[..., 0]
 
 
-def object_mosaic(sample: Sample, camera: Camera, rig: Rig, pose: Pose, ideal_from_seen, band_weights) -> np.ndarray:
-    """Return the mosaic of an object on the table.
+def object_mosaic(
+    sample: Sample,
+    camera: Camera,
+    rig: Rig,
+    pose: Pose,
+    ideal_from_seen,
+    band_weights,
+    *,
+    patch: LevelPatch | None = None,
+) -> np.ndarray:
+    """Return the mosaic of an object on the table, and of the patch that tells the lamp's level.
 
     Parameters
     ----------
@@ -54,6 +64,9 @@ def object_mosaic(sample: Sample, camera: Camera, rig: Rig, pose: Pose, ideal_fr
         Map of the filter plate, see `irodori.simulation.virtual_rig.imperfections.Faults.ideal_from_seen`.
     band_weights : (3, 61) float
         Weights of the filter state.
+    patch : LevelPatch, optional
+        Matt card of one reflectance factor, `_GREY` if it states none. The card is a fifth wider than the square that
+        is measured.
     """
     assert camera.optics is not None and rig.virtual is not None  # checked: the rig is virtual, its camera has optics
     rotation = rig_from_object(pose)
@@ -72,7 +85,41 @@ def object_mosaic(sample: Sample, camera: Camera, rig: Rig, pose: Pose, ideal_fr
         way = rotation @ np.array(off.translation_mm)
         lies = Placement(sample.shape, rotation @ rotation_xyz(off.rotation_deg), way)
     tracer = Tracer([lies, *table])
-    return expose_object(sample, tracer, view, band_weights)
+    picture = expose_object(sample, tracer, view, band_weights)
+    if patch is not None:
+        _add_patch(picture, patch, pose, tracer, view, band_weights)
+    return picture
+
+
+def _add_patch(picture: np.ndarray, patch: LevelPatch, pose: Pose, tracer: Tracer, view: RigView, band_weights) -> None:
+    """Put a matt patch into the picture of an object, which may hide or shade it; the table does neither."""
+    rotation = rig_from_object(pose) if patch.moves_with_table else np.eye(3)
+    centre, normal, eye = rotation @ np.array(patch.centre_mm), rotation[:, 2], np.asarray(view.position_mm)
+    alone, start = Tracer(list(tracer.placements[:1])), 1e-4 * patch.side_mm * normal
+    bands = (patch.reflectance_factor or _GREY) * np.asarray(band_weights).sum(axis=1)
+    height, width = picture.shape
+    added, covered = np.empty_like(picture), np.empty_like(picture)
+    for first in range(0, height, _BLOCK_ROWS):
+        rows = min(_BLOCK_ROWS, height - first)
+        row, column = np.indices((2 * rows + 2, 2 * width + 2), sparse=True)
+        x, y = place_in_cell(2 * first + row - 1, column - 1)
+        seen = np.stack(np.broadcast_arrays(x, y, 1.0), axis=-1) @ np.asarray(view.ideal_from_seen).T
+        way = view.pinhole.directions(seen, view.world_from_camera)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            along = ((centre - eye) @ normal) / (way @ normal)
+            across = (eye + along[..., None] * way - centre) @ rotation
+        is_patch = (np.abs(across[..., :2]) < 0.6 * patch.side_mm).all(axis=-1) & (along > 0.0) & (way @ normal < 0.0)
+        place = eye + along[is_patch][:, None] * way[is_patch] + start
+        is_patch[is_patch] = is_seen = ~alone.occluded(place, -way[is_patch], far=along[is_patch])
+        place = place[is_seen]
+        light, power, far = view.lamp.seen_from(place, pose)
+        lit = power * np.maximum(light @ normal, 0.0) * ~alone.occluded(place, light, far=far)
+        for out, values in ((added, lit[:, None] * bands), (covered, np.ones((len(place), 3)))):
+            points = np.zeros((*is_patch.shape, 3))
+            points[is_patch] = values
+            gather_rows(points, first, out)
+    picture *= 1.0 - covered
+    picture += added
 
 
 def white_mosaic(camera: Camera, rig: Rig, pose: Pose, ideal_from_seen, band_weights) -> np.ndarray:

@@ -164,7 +164,9 @@ class VirtualCamera(CameraDevice):
         if self._known is not None and key in self._known:
             return self._known[key]
         weights = self.band_weights[3 * state : 3 * state + 3]
-        picture = object_mosaic(self.sample, self.camera, self.rig, pose, plate, weights)
+        assert isinstance(self.subject, Object | PhotographedObject)  # as `sample` has seen
+        patch = self.subject.level_patch
+        picture = object_mosaic(self.sample, self.camera, self.rig, pose, plate, weights, patch=patch)
         if self._known is not None:
             self._known[key] = picture
         return picture

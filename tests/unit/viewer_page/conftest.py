@@ -130,9 +130,9 @@ def visit(context_of, page_file, idle_pages):
     """Return a function that opens the page; at the end nothing may have been complained about."""
     visits = []
 
-    def open_page(hash_="", script="", ready=True, file=page_file, **given) -> Visit:
+    def open_page(hash_="", script="", ready=True, file=page_file, drawn=False, **given) -> Visit:
         options = {"viewport": {"width": 1280, "height": 800}, "locale": "en", "reduced_motion": "reduce", **given}
-        context = context_of(script, drawn=file != page_file, **options)
+        context = context_of(script, drawn=drawn or file != page_file, **options)
         opened = Visit(idle_pages[context].pop() if idle_pages[context] else context.new_page())
         listeners = {
             "console": lambda message: _note_message(message.text, opened),

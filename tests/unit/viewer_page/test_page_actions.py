@@ -380,7 +380,7 @@ def test_random_actions_leave_no_error_and_no_number_lost(visit, drawn_page_file
         if draw.random() < 0.2:
             one.page.locator("#reset").click()
     page = one.settled()
-    again = visit(one.page.evaluate("location.hash"), file=drawn_page_file, **_SMALL)
+    again = visit(one.page.evaluate("location.hash"), file=drawn_page_file, drawn=True, **_SMALL)
     assert close(again.settled(), page)
 
 

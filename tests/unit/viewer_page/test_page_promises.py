@@ -2,6 +2,7 @@
 
 import base64
 import io
+import itertools
 import json
 import re
 from importlib import resources
@@ -9,7 +10,7 @@ from importlib import resources
 import pytest
 import yaml
 from definitions import ROOT
-from double_pages import PAGE, close
+from double_pages import PAGE, close, header_of, write_double
 from PIL import Image
 
 from irodori.config.models import Scene
@@ -99,6 +100,33 @@ def test_nothing_is_wider_than_the_screen_and_targets_are_large(visit, size):
         assert small == []
     picture = one.page.locator("#picture").bounding_box()
     assert picture["width"] * picture["height"] > 0.4 * size["viewport"]["width"] * size["viewport"]["height"]
+
+
+@pytest.mark.parametrize(
+    "size",
+    [(900, 560), *(pytest.param(size, marks=pytest.mark.heavy) for size in ((821, 600), (1280, 720), (1441, 800)))],
+)
+@pytest.mark.parametrize("language", ["en", "ja"])
+def test_nothing_over_the_picture_covers_another(visit, size, language):
+    """The scale bar is as long as it can be."""
+    one = visit(viewport=dict(zip(("width", "height"), size, strict=True)), locale=language)
+    one.page.locator("#tab-seeing").click()
+    one.page.evaluate("document.querySelector('#page-seeing input[value=status]').click()")
+    one.page.locator("#page-seeing").get_by_label(words(language)["show_rate"]).check()
+    one.wait_for("document.getElementById('rate').textContent")
+    stage = one.page.locator("#stage").bounding_box()
+    longest_px = min(150, stage["width"] / 4)
+    one.page.evaluate("(px) => { document.getElementById('scale-line').style.width = px + 'px'; }", longest_px)
+    boxes = {name: one.page.locator(name).bounding_box() for name in ("#tools", "#scale-bar", "#legend", "#rate")}
+
+    def apart(a, b) -> bool:
+        sides = (("x", "width"), ("y", "height"))
+        return any(a[at] + a[size] <= b[at] or b[at] + b[size] <= a[at] for at, size in sides)
+
+    for name, box in boxes.items():
+        for at, size in (("x", "width"), ("y", "height")):
+            assert stage[at] <= box[at] and box[at] + box[size] <= stage[at] + stage[size], name
+    assert [pair for pair in itertools.combinations(boxes, 2) if not apart(*map(boxes.get, pair))] == []
 
 
 def test_changes_are_told_to_those_who_do_not_see_them(visit):
@@ -424,3 +452,15 @@ def test_the_footer_tells_how_true_the_picture_is(visit):
     # The address that asks for the page's own check shows its table.
     one.wait_for("document.querySelector('#dialog td')")
     assert one.page.locator("#dialog td").all_inner_texts() == ["double", "0.01", "0.1"]
+
+
+@pytest.mark.parametrize("language", ["en", "ja"])
+def test_the_footer_of_an_unchecked_page_tells_what_was_not_checked_and_what_that_needs(
+    visit, scene, tmp_path, language
+):
+    header = header_of(scene)
+    header["stated_errors"]["cpu"] = None
+    one = visit(file=write_double(tmp_path / "viewer.html", header), locale=language)
+    line = one.page.locator("#truth-line").inner_text()
+    assert line.startswith(words(language)["truth_unchecked"]) and "CPU" in line
+    assert "Chromium" in line and "playwright" in line

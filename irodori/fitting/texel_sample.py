@@ -1,0 +1,44 @@
+"""Samples of an object's texels, for what is decided once for all of them."""
+
+import numpy as np
+
+from irodori.core import store
+from irodori.fitting.stage import Observed, read_observations
+
+_MOST_TILES = 16  # evenly over the object: of ten million texels one tile in sixteen
+
+
+def sample_texels(tiles: list, most: int, enough: int) -> Observed:
+    """Return texels, evenly from some tiles, of those with observations enough or, where none has, the most.
+
+    Parameters
+    ----------
+    tiles : list of path
+        All observations of the object.
+    most : int
+        Texels to return, about.
+    enough : int
+        Observations of a texel.
+    """
+    tiles = tiles[:: -(-len(tiles) // _MOST_TILES)]
+    counts = [_observations(path) for path in tiles]
+    least = max(min(enough, max(count.max(initial=0) for count in counts)), 1)
+    total = sum(int((count >= least).sum()) for count in counts)
+    step = max(1, -(-total // most))
+    parts = [
+        read_observations(path)[np.flatnonzero(count >= least)[::step]]
+        for path, count in zip(tiles, counts, strict=True)
+    ]
+    return Observed(
+        response=np.concatenate([part.response for part in parts]),
+        geometry=np.concatenate([part.geometry for part in parts]),
+        weight=np.concatenate([part.weight for part in parts]),
+        clipped=np.concatenate([part.clipped for part in parts]),
+        noise=parts[0].noise,
+    )
+
+
+def _observations(path) -> np.ndarray:
+    """Return how many observations of each texel of a tile have weight."""
+    with store.open_file(path) as file:
+        return (file.read("weight") > 0.0).sum(axis=1)
