@@ -284,6 +284,7 @@ def smooth(direction):
     return (1.0 + 0.5 * x - 0.3 * y + 0.6 * z * z)[..., None]
 
 
+@pytest.mark.heavy
 def test_a_sphere_of_triangles_is_rendered_as_the_sphere():
     light = sky(smooth)
     options = {"size": (41, 41), "samples": 256}

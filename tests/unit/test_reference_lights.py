@@ -179,6 +179,7 @@ def still_life(samples, **options):
     return traced(shapes, materials, light, samples, **view, **options)
 
 
+@pytest.mark.heavy
 def test_error_bars_tell_how_far_a_picture_is_from_its_limit():
     # The error of the limit is a part of the error that is stated, so that it need not be small.
     limit = still_life(2048, seed=99)

@@ -260,6 +260,7 @@ def still(**options):
                     places=[(0, 0, 0), (-15, 0, 0), (38, 0, 20)], ambient=True, **options)  # fmt: skip
 
 
+@pytest.mark.heavy
 def test_neither_threads_nor_what_was_kept_change_a_bit():
     view = view_of((20, -300, 150), (0, 0, 5), (64, 48), 24.0)
     threads, found = numba.get_num_threads(), []
