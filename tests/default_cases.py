@@ -1,4 +1,4 @@
-"""What a default run leaves to the heavy one: further cases of a test, and further examples of a property.
+"""Cases of a test and examples of a property that a default run leaves to the heavy one.
 
 Of a test with the marker ``default_cases(N)``, N cases run by default, and the others are heavy. The N are spread
 evenly over the cases in the order in which pytest collects them, the first among them. Where heavy tests are left out,

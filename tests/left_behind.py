@@ -1,4 +1,4 @@
-"""What tests would leave to those after them: threads that a job was given, and an open browser.
+"""An end with each test for the threads that a job was given, and with each file for the browser.
 
 A job limits the process in which it runs. Tests run many jobs in one process, and without this plugin those after a job
 of two threads would all use two for linear algebra. Their matrices are small. While other tests keep the cores busy,
