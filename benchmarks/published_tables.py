@@ -19,7 +19,7 @@ ROOT = Path(__file__).resolve().parents[1]
 FIGURES = ROOT / "docs" / "figures"
 #: Table in docs/figures -> where a run leaves it, under results/.
 SOURCES = {
-    "errors.csv": "errors.csv",
+    "errors.csv": "still-life/errors.csv",
     "error_budget.csv": "still-life/error_budget/front.csv",
     "speed_error.csv": "benchmark/speed_error.csv",
     "exports.csv": "benchmark/exports.csv",

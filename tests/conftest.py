@@ -9,7 +9,7 @@ from hypothesis import settings
 # on all cores, threads that wait for each other burn up to fifteen times what they compute.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-pytest_plugins = ["stability_table", "cpu_times"]
+pytest_plugins = ["stability_table", "cpu_times", "default_cases", "left_behind"]
 
 settings.register_profile("ci", derandomize=True, deadline=None)
 settings.register_profile("here", deadline=None)  # the first example of a test compiles its loops

@@ -4,7 +4,8 @@ The N that computed most are listed, or all with 0.
 
 Time counts that a test's process computes and that of the processes that it has started, those that go on included:
 of fixtures, of the test and of cleaning up. What is computed between tests, by a thread or by a child that was started
-for others, falls to the next.
+for others, falls to the next. Looking at a browser's threads takes milliseconds: it is done once a test, and only where
+the times are asked for.
 """
 
 import contextlib
@@ -36,12 +37,18 @@ class CpuTimes:
     """What tests have computed: noted where they run, summed and printed where their reports arrive."""
 
     def __init__(self) -> None:
-        self._last_s = _tree_s()
+        self.begin()
         self._of: dict[str, Counter[str]] = {"file": Counter(), "test": Counter()}
+
+    def begin(self) -> None:
+        """Count from now on."""
+        self._last_s = _tree_s()
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_makereport(self):
         report = yield
+        if report.when != "teardown":
+            return report
         now_s = _tree_s()
         # Less than before where a process has ended that nobody waited for.
         report.user_properties.append((_NAME, max(now_s - self._last_s, 0.0)))
@@ -55,8 +62,6 @@ class CpuTimes:
 
     def pytest_terminal_summary(self, terminalreporter) -> None:
         most = terminalreporter.config.getoption("durations")
-        if most is None:
-            return
         for kind, found in self._of.items():
             terminalreporter.section(f"most CPU time of a {kind}, s; of all {found.total():.0f}")
             for name, seconds in found.most_common(most or None):
@@ -64,4 +69,5 @@ class CpuTimes:
 
 
 def pytest_configure(config):
-    config.pluginmanager.register(CpuTimes(), "cpu times of tests")
+    if config.getoption("durations") is not None:
+        config.pluginmanager.register(CpuTimes(), "cpu times of tests")

@@ -6,11 +6,11 @@ import sys
 from itertools import chain
 from pathlib import Path
 
-from irodori.check.check_command import load_project
 from irodori.check.contact_sheet import ContactSheet
 from irodori.check.findings import Finding
 from irodori.check.photographs import PhotographCheck
 from irodori.check.scenes import of_scene
+from irodori.config.project import load_project
 from irodori.core.errors import InputError
 
 

@@ -30,7 +30,9 @@ SUBJECTS = ("object", "chart", "white", "dark", "environment", "room-chart", "sc
 #: Role of a drift frame: a repetition of an earlier photograph of the object in a session. Differences between the two
 #: are due to the lamp or the rig; no fit uses it.
 DRIFT = "drift"
-ROLES = (*SUBJECTS, DRIFT)
+#: Role of a photograph of the printed sheet, in any pose, for the measurement of the lens; no session takes it.
+LENS = "lens"
+ROLES = (*SUBJECTS, DRIFT, LENS)
 #: In a table, the role of a chart in a room, or of a camera's further chart, is followed by its name (``chart-sg``).
 _NAMED_CHART = re.compile(r"(room-chart|chart)-([a-z0-9-]+)")
 FILTERS = ("out", "in")
@@ -48,8 +50,8 @@ EXTRA_COLUMNS = (_AZIMUTH, "iso", "f_number", "taken_at", "camera_time", "camera
 #: Whether a file is a TIFF or PNG picture that the user knows to be linear; no session takes such pictures.
 _LINEAR = "linear"
 _OPTIONAL = ("tilt_deg", "turn_deg", *EXTRA_COLUMNS)
-#: Roles with repeated frames that are averaged, so that equal exposure times are allowed.
-_AVERAGED = ("dark", "white", DRIFT)
+#: Roles with frames of equal exposure times, which are averaged or, of the sheet, show other poses.
+_REPEATED = ("dark", "white", DRIFT, LENS)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -369,9 +371,9 @@ class _Shots:
         return Pose(*angles)
 
     def _direction(self, line: int, row: dict[str, str]) -> tuple[float, float]:
-        """Return light angle and azimuth of a lamp's position, degrees; only in a dark frame may it be (0, 0, 0)."""
+        """Return light angle and azimuth of a lamp's position, degrees; (0, 0, 0) is for dark frames and the sheet."""
         x, y, z = (self._number(line, column, row[column]) for column in _DIRECTION)
-        if x == y == z == 0.0 and row["role"].strip() != "dark":
+        if x == y == z == 0.0 and row["role"].strip() not in ("dark", LENS):
             raise self._error(line, ", ".join(_DIRECTION), "0, 0, 0", "where the lamp stands, from the rig's origin")
         return light_angles_deg((x, y, z))
 
@@ -404,7 +406,7 @@ class _Shots:
             )
         bracket = (shot.role, shot.capture, shot.filter, shot.exposure_s)
         first = self._brackets.setdefault(bracket, line)
-        if first != line and shot.role not in _AVERAGED:
+        if first != line and shot.role not in _REPEATED:
             raise self._error(
                 line,
                 "exposure_s",

@@ -7,16 +7,16 @@ argument is any object with the wildcards as attributes.
 import dataclasses
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, NamedTuple, TypeVar
 
-from irodori.config.capture_table import noted_hashes, read_captures
+from irodori.config.capture_table import LENS, noted_hashes, read_captures
 from irodori.config.cross_checks.object_lobes import AUTO
 from irodori.config.definition import Definition, as_plain
 from irodori.config.loaded import Loaded
 from irodori.config.models import CapturesSource
 from irodori.config.parts import ImperfectObject, PhotographedObject, PlannedObject, PlannedPlate, RigGeometry
 from irodori.geometry.mesh_sources import shape_files
-from irodori.geometry.shape_blocks import is_flat
 from irodori.rectification.texture_tiles import tile_rows
 from irodori.spectra.spectral_files import SUFFIXES
 
@@ -80,6 +80,7 @@ class PhotographSets:
         self.captures = {
             kind: {name: loaded.captures_of(kind, name) for name in getattr(loaded, kind)} for kind in _FOLDERS
         }
+        self._sheets: dict[str, list[str]] = {}
 
     # ---- which set a job is about
 
@@ -124,7 +125,10 @@ class PhotographSets:
 
     def made(self, wildcards) -> list[str]:
         """Return, as a list, the record of the session that takes a set's photographs; empty for the user's own."""
-        kind, name = self._set(wildcards)
+        return self.session_of(*self._set(wildcards))
+
+    def session_of(self, kind: str, name: str) -> list[str]:
+        """Return, as a list, the record of the session that takes a set; empty for the user's own photographs."""
         return [f"{_FOLDERS[kind]}/{name}/captures/session.json"] if self.loaded.is_taken_here(kind, name) else []
 
     def folder(self, wildcards) -> str:
@@ -177,12 +181,7 @@ class PhotographSets:
 
     def sessions(self, wildcards) -> list[str]:
         """Return the records of all sessions of the run."""
-        return [
-            f"{folder}/{name}/captures/session.json"
-            for kind, folder in _FOLDERS.items()
-            for name in self.captures[kind]
-            if self.loaded.is_taken_here(kind, name)
-        ]
+        return [file for kind in _FOLDERS for name in self.captures[kind] for file in self.session_of(kind, name)]
 
     def rigs_taken(self, wildcards) -> int:
         """Return the number of real rigs that a session moves, a limited resource: 1, or 0 for a virtual rig."""
@@ -269,6 +268,32 @@ class PhotographSets:
         if not self.tables_of_index(wildcards):
             return []
         return [f"results/cameras/{self.camera_of(wildcards)}/calibration.h5"]
+
+    def sheet(self, wildcards) -> list[str]:
+        """Return a camera's table and its photographs of the printed sheet; empty if there are none."""
+        return self._sheet_of(wildcards.camera)
+
+    def _sheet_of(self, camera: str) -> list[str]:
+        if camera not in self._sheets:
+            asked, shots = SimpleNamespace(camera=camera), []
+            # Sessions photograph no sheet, and write their tables themselves.
+            if not self.loaded.is_taken_here("cameras", camera):
+                shots = [shot for shot in read_captures(self.table(asked)) if shot.role == LENS]
+            files = [f"{self.folder(asked)}/{shot.file}" for shot in shots]
+            self._sheets[camera] = [self.table(asked), *files] if files else []
+        return self._sheets[camera]
+
+    def lens_of(self, camera: str) -> list[str]:
+        """Return, as a list, the file of a camera's measured lens; empty if its optics are as typed."""
+        return [f"results/cameras/{camera}/lens.yaml"] if self._sheet_of(camera) else []
+
+    def lens(self, wildcards) -> list[str]:
+        """Return, as a list, the file of the measured lens of a set's camera; see `lens_of`."""
+        return self.lens_of(self.camera_of(wildcards))
+
+    def lenses(self, wildcards) -> list[str]:
+        """Return the files of all measured lenses."""
+        return [file for camera in self.loaded.cameras for file in self.lens_of(camera)]
 
     # ---- objects
 
@@ -375,44 +400,36 @@ class PhotographSets:
 
     # ---- measurements of the rig and of poses
 
-    def _imperfect_object(self) -> ImperfectObject | None:
-        known = self.virtual("objects")
-        if not known:
-            return None
-        objects = self.loaded.objects
-        name = next((n for n in known if is_flat(objects[n].shape.kind)), known[0])
-        camera = self.loaded.cameras[objects[name].camera]
-        return ImperfectObject(name=name, definition=objects[name], camera=camera, rig=self.loaded.rigs[camera.rig])
+    def _imperfect_object(self, wildcards) -> ImperfectObject:
+        name = wildcards.object
+        definition = self.loaded.objects[name]
+        camera = self.loaded.cameras[definition.camera]
+        return ImperfectObject(name=name, definition=definition, camera=camera, rig=self.loaded.rigs[camera.rig])
 
-    def imperfect_object(self, wildcards=None) -> dict | None:
-        """Return the object for measuring the virtual rig's imperfections, if possible a plate; None without any."""
-        return as_plain(self._imperfect_object())
+    def imperfect_object(self, wildcards) -> dict:
+        """Return a plain `ImperfectObject`, for the measurement of the virtual rig's imperfections."""
+        return self._imperfect_object(wildcards).plain()
 
     def files_of_imperfections(self, wildcards) -> list[str]:
         """Return the mesh and the spectral tables that the measurement of the rig's imperfections reads."""
-        subject = self._imperfect_object()
-        return [*self.meshes_of(subject.name), *named_tables(subject)] if subject else []
+        return [*self.mesh(wildcards), *named_tables(self._imperfect_object(wildcards))]
 
-    def _plates(self) -> dict[str, PlannedPlate]:
-        found = {}
-        for name, definition in self.loaded.objects.items():
-            if not is_flat(definition.shape.kind):
-                continue
-            camera = self.loaded.cameras[definition.camera]
-            exposures = definition.exposure_s.given() if definition.exposure_s else {"out": ()}
-            found[name] = PlannedPlate(
-                definition=_part(PlannedObject, definition),
-                rig=self.loaded.rigs[camera.rig],
-                sensor=camera.virtual.sensor if camera.virtual else None,
-                exposures_s=exposures["out"],
-                shots_per_pose=max(sum(map(len, exposures.values())), 1),
-            )
-        return found
+    def _planned(self, wildcards) -> PlannedPlate:
+        definition = self.loaded.objects[wildcards.object]
+        camera = self.loaded.cameras[definition.camera]
+        exposures = definition.exposure_s.given() if definition.exposure_s else {"out": ()}
+        return PlannedPlate(
+            definition=_part(PlannedObject, definition),
+            rig=self.loaded.rigs[camera.rig],
+            sensor=camera.virtual.sensor if camera.virtual else None,
+            exposures_s=exposures["out"],
+            shots_per_pose=max(sum(map(len, exposures.values())), 1),
+        )
 
-    def plates(self, wildcards=None) -> dict:
-        """Return {name: `PlannedPlate`} of every plate as plain values, for the simulation of poses."""
-        return as_plain(self._plates())
+    def planned(self, wildcards) -> dict:
+        """Return a plain `PlannedPlate` of a flat object, for the simulation of poses."""
+        return self._planned(wildcards).plain()
 
-    def tables_of_plates(self, wildcards) -> list[str]:
-        """Return the tables of refractive indices of the plates."""
-        return named_tables(*(planned.definition for planned in self._plates().values()))
+    def tables_of_plan(self, wildcards) -> list[str]:
+        """Return, as a list, the table of the refractive index that the simulation of poses reads."""
+        return named_tables(self._planned(wildcards).definition)

@@ -4,7 +4,7 @@ Quick to import. Every method with the argument `wildcards` serves as an input o
 argument is any object with the wildcards as attributes.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -50,7 +50,7 @@ class SceneFiles:
     """
 
     def __init__(self, sets: PhotographSets) -> None:
-        self._sets, self.loaded = sets, sets.loaded
+        self.sets, self.loaded = sets, sets.loaded
 
     def _scene(self, wildcards) -> Scene:
         return self.loaded.scenes[wildcards.scene]
@@ -74,7 +74,7 @@ class SceneFiles:
     def true_light(self, wildcards) -> str:
         """Return the file of the true light of a virtual environment, or of the given light of any other."""
         name = self._scene(wildcards).environment
-        known = name in self._sets.virtual("environments")
+        known = name in self.sets.virtual("environments")
         return f"results/environments/{name}/truth.h5" if known else f"results/environments/{name}.h5"
 
     def calibrations(self, wildcards) -> list[str]:
@@ -84,12 +84,12 @@ class SceneFiles:
 
     def tiles(self, wildcards) -> list[str]:
         """Return the files of the fits of a scene's objects, for each object once."""
-        return [file for name in dict.fromkeys(self.objects(wildcards)) for file in self._sets.fitted_files(name)]
+        return [file for name in dict.fromkeys(self.objects(wildcards)) for file in self.sets.fitted_files(name)]
 
     def observations(self, wildcards) -> list[str]:
         """Return the observation files of a scene's objects, in the order of their fits."""
         names = dict.fromkeys(self.objects(wildcards))
-        return [file for name in names for file in self._sets.tile_files(name, "observations")]
+        return [file for name in names for file in self.sets.tile_files(name, "observations")]
 
     def subjects(self, wildcards) -> list[dict]:
         """Return, for each object of a scene, a plain `Subject`: its shape and the size of a superpixel on it, mm."""
@@ -108,7 +108,7 @@ class SceneFiles:
 
     def files(self, wildcards) -> list[str]:
         """Return the meshes of a scene's objects and the spectral tables of its own lights, bodies and frames."""
-        meshes = self._sets.meshes_of(*dict.fromkeys(self.objects(wildcards)))
+        meshes = self.sets.meshes_of(*dict.fromkeys(self.objects(wildcards)))
         return meshes + self.tables(wildcards)
 
     def page_files(self, wildcards) -> list[str]:
@@ -206,38 +206,27 @@ class SceneFiles:
             isinstance(one, ModelledMaterial) and one.lobe == ModelledMaterial.lobe for one in virtual.materials
         )
 
-    def _views(self, virtual_only: bool) -> Iterator[tuple[str, str, Scene]]:
-        """Yield (scene, view, definition of the scene) for every view, or for views of virtual objects only."""
-        known = {name for name in self._sets.virtual("objects") if self._follows_the_model(name)}
-        for scene, definition in self.loaded.scenes.items():
-            if not virtual_only or known.issuperset(placed.object for placed in definition.objects):
-                for view in definition.views:
-                    yield scene, view, definition
+    def truth_is_rendered(self, scene: str) -> bool:
+        """Whether a scene can be rendered with the true materials of its objects, all of which are then virtual."""
+        known = {name for name in self.sets.virtual("objects") if self._follows_the_model(name)}
+        return known.issuperset(placed.object for placed in self.loaded.scenes[scene].objects)
 
-    def views(self, pattern: str, virtual_only: bool = False) -> list[str]:
-        """Return a pattern filled for every view of every scene, or for views of virtual objects only."""
-        return [
-            pattern.format(scene=scene, view=view, environment=definition.environment)
-            for scene, view, definition in self._views(virtual_only)
-        ]
-
-    def view_scenes(self, virtual_only: bool = False) -> list[dict]:
-        """Return, for each view of `views`, the parts of its scene that determine the white: lights and display."""
-        return [as_plain({"lights": one.lights, "display": one.display}) for _, _, one in self._views(virtual_only)]
-
-    def pictures(self, wildcards) -> list[str]:
+    def pictures(self) -> list[str]:
         """Return the paths of all pictures of the run."""
-        further, frames = [], []
-        for scene, view, definition in self._views(virtual_only=False):
-            further += [_FURTHER_OUTPUTS[kind].format(scene=scene, view=view) for kind in definition.further_outputs]
-            frames += [f"results/{scene}/{view}.frames.png"] if definition.frames is not None else []
-        return self.views("results/{scene}/{view}.png") + self.views("results/{scene}/{view}.exr") + further + frames
+        found = []
+        for scene, definition in self.loaded.scenes.items():
+            kinds = ["results/{scene}/{view}.png", "results/{scene}/{view}.exr"]
+            kinds += [_FURTHER_OUTPUTS[kind] for kind in definition.further_outputs]
+            kinds += ["results/{scene}/{view}.frames.png"] if definition.frames is not None else []
+            found += [kind.format(scene=scene, view=view) for view in definition.views for kind in kinds]
+        return found
 
     # ---- pages
 
-    def pages(self, pattern: str = "results/{scene}/viewer.html") -> list[str]:
-        """Return a pattern filled with every scene that a classroom page can show."""
-        return [pattern.format(scene=name) for name, scene in self.loaded.scenes.items() if page_fault(scene) is None]
+    def pages(self) -> list[str]:
+        """Return the paths of the classroom pages, one for every scene that such a page can show."""
+        shown = (name for name, scene in self.loaded.scenes.items() if page_fault(scene) is None)
+        return [f"results/{name}/viewer.html" for name in shown]
 
     def page_view(self, pattern: str) -> Callable[[Any], str]:
         """Return a function that fills a pattern with the first view of the page of the scene in the wildcards.
@@ -258,14 +247,6 @@ class SceneFiles:
         return found
 
     # ---- photographs of scenes
-
-    def photographs(self, pattern: str) -> list[str]:
-        """Return a pattern filled with every photograph of a scene with which its rendering is compared."""
-        return [
-            pattern.format(scene=scene, photograph=photograph)
-            for scene, definition in self.loaded.scenes.items()
-            for photograph in definition.photographs
-        ]
 
     def _photograph(self, wildcards) -> ScenePhotograph:
         return self._scene(wildcards).photographs[wildcards.photograph]
@@ -291,6 +272,10 @@ class SceneFiles:
     def photograph_optics(self, wildcards) -> dict:
         """Return the optics of a photograph's camera."""
         return as_plain(self._camera(wildcards).optics)
+
+    def photograph_lens(self, wildcards) -> list[str]:
+        """Return, as a list, the file of the measured lens of a photograph's camera; empty if it is as typed."""
+        return self.sets.lens_of(self._photograph(wildcards).camera)
 
     def photograph_tables(self, wildcards) -> list[str]:
         """Return the tables of spectra of a photograph's camera and its rig."""

@@ -13,7 +13,7 @@ import json
 import os
 import shutil
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -354,10 +354,43 @@ class Chain:
             elif path.suffix in _RECORDED and path.parent.name not in _FRAMES:
                 yield path
 
-    def broken(self) -> Iterator[str]:
-        """Yield a sentence on each result that does not match its record or its inputs, those of early stages first."""
-        for path in self.results():
-            yield from self._broken_before(path)
+    def broken(self, paths: Iterable[Path] | None = None) -> Iterator[str]:
+        """Yield a sentence on each result that does not match its record or its inputs, those of early stages first.
+
+        Parameters
+        ----------
+        paths : iterable of path, optional
+            Results to look at, with everything from which they were made. All results where absent.
+        """
+        for path in self.results() if paths is None else paths:
+            yield from self._broken_before(path.absolute())
+
+    def made_from(self, paths: Iterable[Path]) -> tuple[list[Path], list[Path]]:
+        """Return everything from which some results were made.
+
+        Parameters
+        ----------
+        paths : iterable of path
+            Results.
+
+        Returns
+        -------
+        results : list of path
+            The given results and those from which they were made, sorted.
+        given : list of path
+            Files of the user from which they were made, sorted.
+        """
+        results: set[Path] = set()
+        given: set[Path] = set()
+        waiting = [path.absolute() for path in paths]
+        while waiting:
+            path = waiting.pop()
+            if path in results or path in given:
+                continue
+            record = read_record(path)
+            (given if record is None else results).add(path)
+            waiting += [self._place(name) for name in record.inputs] if record else []
+        return sorted(results), sorted(given)
 
     def _broken_before(self, path: Path) -> Iterator[str]:
         if path in self._seen:

@@ -236,16 +236,15 @@ def cost_rows(label: str, chain: SmallChain, seen: dict | None = None) -> list[C
     return rows
 
 
-def measure_imperfections(chain: SmallChain | None, output) -> None:
-    """Write ``imperfections.csv``, the errors of the measured material with each set of faults.
+def measure_imperfections(chain: SmallChain, output) -> None:
+    """Write ``imperfections.csv``, the errors of the measured material of a virtual object with each set of faults.
 
     Parameters
     ----------
-    chain : SmallChain or None
-        None if there is no virtual object; the table then has a header alone.
+    chain : SmallChain
     output : path
     """
-    write_rows(output, CostRow, _all_costs(list(chain.halved().variants()) if chain is not None else []))
+    write_rows(output, CostRow, _all_costs(list(chain.halved().variants())))
 
 
 def _all_costs(variants: list[tuple[str, SmallChain]]) -> Iterator[CostRow]:

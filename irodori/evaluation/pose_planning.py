@@ -6,9 +6,7 @@ not used in the simulation; the standard errors that it expects are reported bes
 """
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from itertools import chain
 
 import numpy as np
 
@@ -254,19 +252,19 @@ def measure_object(name: str, planned: PlannedPlate, options: FitOptions, max_an
 
 
 def measure_plan(
-    objects: Mapping[str, PlannedPlate], options: FitOptions, max_angle_deg: float, settings: Planning, output
+    name: str, planned: PlannedPlate, options: FitOptions, max_angle_deg: float, settings: Planning, output
 ) -> None:
-    """Write ``planning.csv``: fit errors against the number of poses for every plate.
+    """Write ``planning.csv``: fit errors against the number of poses for a flat object.
 
     Parameters
     ----------
-    objects : mapping of name to PlannedPlate
-        If it is empty, the table has a header alone.
+    name : str
+        Name of the object.
+    planned : PlannedPlate
     options : FitOptions
     max_angle_deg : float
         ``rectify.max_angle_deg``.
     settings : Planning
     output : path
     """
-    rows = (measure_object(name, planned, options, max_angle_deg, settings) for name, planned in objects.items())
-    write_rows(output, PlanRow, chain.from_iterable(rows))
+    write_rows(output, PlanRow, measure_object(name, planned, options, max_angle_deg, settings))

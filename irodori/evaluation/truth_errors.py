@@ -1,7 +1,5 @@
 """Errors against ground truth: mean, 95th percentile and maximum [design, §5]."""
 
-from collections.abc import Iterable
-
 import numpy as np
 
 from irodori.colour.colorimetry import (
@@ -182,19 +180,19 @@ def calibration_errors(name: str, path, lights: list[str]) -> list[ErrorRow]:
     return rows
 
 
-def measure_errors(inputs: dict, names: dict, scenes: Iterable[Staging], lights: list[str], output) -> None:
-    """Write ``errors.csv``, the errors of all materials, environments, calibrations and views.
+def measure_errors(inputs: dict, names: dict, scene: Staging, lights: list[str], output) -> None:
+    """Write ``errors.csv``, the errors of the materials, environments, calibrations and views of one report.
 
     Parameters
     ----------
     inputs : dict
         Lists of files: ``materials``, ``true_materials``, ``environments``, ``true_environments``, ``calibrations``,
-        ``views``, ``true_views``, and ``view_lights`` with the file of each view's environment.
+        ``views``, ``true_views``, and ``light`` with the one file of the environment of the views.
     names : dict
-        Lists of names: ``objects``, ``environments``, ``cameras``, ``views``, and ``view_environments`` with the name
-        of each view's environment.
-    scenes : iterable of Staging
-        For each view, the settings of its scene that `irodori.rendering.scene_white.scene_white` reads.
+        Lists of names: ``objects``, ``environments``, ``cameras``, ``views``; and ``light``, the name of the
+        environment of the views.
+    scene : Staging
+        Settings of the scene of the views that `irodori.rendering.scene_white.scene_white` reads.
     lights : list of str
         Illuminants for the errors of reflectance.
     output : path
@@ -209,24 +207,18 @@ def measure_errors(inputs: dict, names: dict, scenes: Iterable[Staging], lights:
         names["environments"], inputs["environments"], inputs["true_environments"], strict=True
     ):
         rows += environment_errors(name, Environment.load(path), Environment.load(truth))
-    environments = {path: Environment.load(path) for path in dict.fromkeys(inputs["view_lights"])}
-    for name, light, scene, file, path, truth in zip(
-        names["views"],
-        names["view_environments"],
-        scenes,
-        inputs["view_lights"],
-        inputs["views"],
-        inputs["true_views"],
-        strict=True,
-    ):
-        white, _ = scene_white(scene, environments[file])
+    if names["views"]:
+        (light_file,) = inputs["light"]
+        white, _ = scene_white(scene, Environment.load(light_file))
         matrix = xyz_from_radiance(white)
+    for name, path, truth in zip(names["views"], inputs["views"], inputs["true_views"], strict=True):
         pair = read_xyz(truth, matrix), read_xyz(path, matrix)
         difference = xyz_delta_e(*pair, matrix @ white)
         # Both pictures have the same light, samples and random numbers: pixels without an object are identical.
         objects = (pair[0] != pair[1]).any(axis=-1)
-        rows.append(_row(name, "picture CIEDE2000 to true materials", difference, light))
-        rows.append(_row(name, "picture CIEDE2000 to true materials, objects only", difference[objects], light))
+        of_objects = "picture CIEDE2000 to true materials, objects only"
+        rows.append(_row(name, "picture CIEDE2000 to true materials", difference, names["light"]))
+        rows.append(_row(name, of_objects, difference[objects], names["light"]))
     for row in rows:
         LOGGER.info(
             "%s, %s %s: mean %.4g p95 %.4g max %.4g",

@@ -1,11 +1,13 @@
 """The command ``irodori crate``: describe a finished run as a Workflow Run RO-Crate."""
 
 import argparse
+import contextlib
 import json
 import shutil
 import zipfile
 from pathlib import Path
 
+from irodori.config.project import DEFAULT_FILE
 from irodori.core.atomic_files import written_whole
 from irodori.core.errors import InputError, PlainError
 from irodori.export.run_crate import METADATA, RunFiles, run_crate
@@ -14,13 +16,13 @@ from irodori.export.run_crate import METADATA, RunFiles, run_crate
 _PACKED = (".h5", ".exr", ".png", ".dng", ".zip")
 
 
-def write_crate(results: Path, output: Path | None) -> Path:
-    """Write the RO-Crate of a finished run and return its path.
+def write_crate(configuration: list[str], output: Path | None) -> Path:
+    """Write the RO-Crate of a configuration's finished run in the working directory, and return its path.
 
     Parameters
     ----------
-    results : path
-        The folder ``results`` of a project.
+    configuration : list of str
+        Configuration files that override the default one.
     output : path, optional
         A new folder, or a file that ends in ``.zip``, into which all files are copied. By default only the description
         is written, into the project's folder, and the files stay where they are.
@@ -34,7 +36,7 @@ def write_crate(results: Path, output: Path | None) -> Path:
     """
     if output is not None and (output.exists() or output.is_symlink()):
         raise InputError(output, "", "something that is there already", "a name that is free")
-    metadata, files = run_crate(results)
+    metadata, files = run_crate(configuration)
     text = json.dumps(metadata, indent=1, ensure_ascii=False) + "\n"
     if output is None:
         output = files.project / METADATA
@@ -63,16 +65,22 @@ def _write_zip(output: Path, text: str, files: RunFiles) -> None:
 def main(arguments: list[str] | None = None, prog: str = "irodori crate") -> int:
     """Describe a finished run as a Workflow Run RO-Crate: its files with their hashes, its jobs, software and licence.
 
-    Without --output the description is written into the project's folder, as ro-crate-metadata.json.
+    The files are the results that the configuration asks for, and everything that they were made from. Without
+    --output the description is written into the project's folder, as ro-crate-metadata.json.
     """
     parser = argparse.ArgumentParser(prog=prog, description=main.__doc__)
-    parser.add_argument("results", nargs="?", type=Path, default=Path("results"), help="the folder of results")
+    parser.add_argument("--directory", default=".", help="where the run's paths start, as that of snakemake")
+    parser.add_argument(
+        "--configfile", nargs="+", default=[], help=f"configurations on top of {DEFAULT_FILE}, as snakemake has them"
+    )
     parser.add_argument(
         "--output", type=Path, metavar="PATH", help="a new folder, or a file ending in .zip, that takes copies of all"
     )
     asked = parser.parse_args(arguments)
+    output = asked.output and asked.output.absolute()
     try:
-        print(write_crate(asked.results, asked.output))
+        with contextlib.chdir(asked.directory):
+            print(write_crate(asked.configfile, output))
     except (PlainError, OSError) as error:
         print(error)
         return 1

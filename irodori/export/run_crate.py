@@ -16,18 +16,20 @@ from pathlib import Path, PurePosixPath
 from urllib.parse import quote
 
 from irodori import __version__
-from irodori.config.definitions import KINDS, load_definitions
+from irodori.config.definitions import KINDS
 from irodori.config.loaded import Loaded
 from irodori.config.orcid import orcid_address
+from irodori.config.photograph_sets import PhotographSets
+from irodori.config.project import configuration_files, load_project
+from irodori.config.reports import Reports
+from irodori.config.scene_files import SceneFiles
 from irodori.core import custody, store
 from irodori.core.atomic_files import file_sha256
 from irodori.core.errors import InputError, PlainError
-from irodori.core.yaml_files import read_yaml
 
 METADATA = "ro-crate-metadata.json"
-_CONFIG = "config/config.yaml"
 _SNAKEFILE = "workflow/Snakefile"
-_LEDGER = "inputs.json"
+_RESULTS = "results"
 _RECORDS = ".snakemake/metadata"
 _PROFILES = {
     "https://w3id.org/ro/wfrun/process/0.5": ("Process Run Crate", "0.5"),
@@ -84,7 +86,7 @@ def jobs_of(project: Path) -> list[Job]:
         If Snakemake's records of the jobs are missing or cannot be read.
     """
     folder = project / _RECORDS
-    found: dict[tuple, list] = {}
+    found: dict[tuple, list[tuple[float, str]]] = {}
     for path in sorted(folder.rglob("*")) if folder.is_dir() else ():
         if not path.is_file():
             continue
@@ -93,14 +95,20 @@ def jobs_of(project: Path) -> list[Job]:
             coded = "".join(part.removeprefix("@") for part in path.relative_to(folder).parts)
             output = base64.urlsafe_b64decode(coded).decode()
             note = json.loads(path.read_bytes())
-            key = (note["rule"], float(note["starttime"]), float(note["endtime"]), tuple(sorted(note["input"] or ())))
+            # Of the outputs of one job Snakemake notes starts that are some tenths of a millisecond apart.
+            start_s = float(note["starttime"])
+            key = (note["rule"], float(note["endtime"]), tuple(sorted(note["input"] or ())))
         except (ValueError, KeyError, TypeError):
             raise InputError(path, "", "a note of a job that cannot be read", "those that Snakemake wrote") from None
         if (project / output).exists():
-            found.setdefault(key, []).append(output)
+            found.setdefault(key, []).append((start_s, output))
     if not found:
         raise InputError(folder, "", "no notes of jobs", "those of the folder in which snakemake ran")
-    jobs = [Job(rule, start, end, inputs, tuple(sorted(made))) for (rule, start, end, inputs), made in found.items()]
+    jobs = [
+        Job(rule, min(starts), end, inputs, tuple(sorted(outputs)))
+        for (rule, end, inputs), made in found.items()
+        for starts, outputs in [zip(*made, strict=True)]
+    ]
     return sorted(jobs, key=lambda job: (job.start_s, job.outputs))
 
 
@@ -120,61 +128,54 @@ class RunFiles:
         return {**self.workflow, **self.settings, **self.given, **self.results}
 
 
-def collect(results: Path, workflow: Iterable[Path], loaded: Loaded) -> RunFiles:
-    """Find the files of a run, and compare inputs and results with the hashes recorded for them.
+def collect(
+    project: Path, configuration: Iterable[str], workflow: Iterable[Path], loaded: Loaded, jobs: Iterable[Job]
+) -> RunFiles:
+    """Find the files of a configuration's run, and compare inputs and results with the hashes recorded for them.
+
+    The results are those that the configuration asks for, those from which they were made, and the other outputs of the
+    same jobs.
 
     Parameters
     ----------
-    results : path
-        The folder ``results`` of a project.
+    project : path
+        The folder in which snakemake ran, which is the working directory.
+    configuration : iterable of str
+        Configuration files.
     workflow : iterable of path
         Files of the workflow, in the project's folder.
     loaded : Loaded
-        Configuration and definitions of the project.
+        Configuration and definitions.
+    jobs : iterable of Job
+        All jobs that ran in the project.
 
     Raises
     ------
+    InputError
+        If a result is missing, or a file lies outside the project's folder.
     PlainError
         If a result is not as its rule wrote it, or a file from which it was made is missing or has changed since.
     """
-    chain = custody.Chain(results)
-    for broken in chain.broken():
+    targets = [project / file for file in Reports(SceneFiles(PhotographSets(loaded))).targets()]
+    for path in targets:
+        if not path.is_file():
+            accepted = "a finished run of this configuration: snakemake --cores 2 --configfile=FILE"
+            raise InputError(path.relative_to(project), "", "no such file", accepted)
+    chain = custody.Chain(project / _RESULTS)
+    asked = {_inside(path, project) for path in chain.made_from(targets)[0]}
+    beside = (project / name for job in jobs if not asked.isdisjoint(job.outputs) for name in job.outputs)
+    wanted = {*targets, *(path for path in beside if path.is_file())}
+    for broken in chain.broken(sorted(wanted)):
         raise PlainError(broken)
-    project = results.absolute().parent
-    made = {path.relative_to(project).as_posix(): file_sha256(path) for path in chain.results()}
+    made, given = chain.made_from(wanted)
     kinds = ((kind, name) for kind in KINDS for name in getattr(loaded, kind))
     definitions = (f"{loaded.config.definitions}/{kind}/{name}.yaml" for kind, name in kinds)
-    settings = [_CONFIG, *definitions]
-    given = {}
-    for name, sha256 in _ledger(results / _LEDGER).items():
-        if name in made or name in settings:
-            continue
-        path = project / name
-        # The list also contains files that were renamed or removed before the last run.
-        if not path.is_file():
-            continue
-        if file_sha256(path) != sha256:
-            raise InputError(name, "", "another file than the run read", "the one that it read, or a run with this one")
-        given[_inside(path, project)] = sha256
-    return RunFiles(
-        project,
-        {_inside(path, project): file_sha256(path) for path in sorted(workflow)},
-        {name: file_sha256(project / name) for name in settings},
-        given,
-        made,
-    )
+    settings = [project / name for name in (*configuration, *definitions)]
 
+    def hashed(paths: Iterable[Path]) -> dict[str, str]:
+        return {_inside(path, project): file_sha256(path) for path in paths}
 
-def _ledger(path: Path) -> dict[str, str]:
-    """Return file -> SHA-256 of the user's files that the workflow has read, without those recorded as absent."""
-    try:
-        noted = json.loads(path.read_bytes())
-        return {name: line[-1] for name, line in sorted(noted.items()) if len(line[-1]) == len(_NOTHING)}
-    except (OSError, ValueError, TypeError, AttributeError, IndexError):
-        raise InputError(path, "", "no list of the files that were read", "the one that snakemake wrote") from None
-
-
-_NOTHING = "0" * 64
+    return RunFiles(project, hashed(sorted(workflow)), hashed(settings), hashed(given), hashed(made))
 
 
 def _inside(path: Path, project: Path) -> str:
@@ -394,16 +395,22 @@ def workflow_files(snakefile: Path) -> list[Path]:
     return [snakefile, *(path for folder in beside for path in sorted(folder.glob("*.*")) if path.is_file())]
 
 
-def run_crate(results: Path) -> tuple[dict, RunFiles]:
-    """Return the metadata of the crate of a finished run, and the files of the run.
+def run_crate(configuration: list[str]) -> tuple[dict, RunFiles]:
+    """Return the metadata of the crate of a configuration's finished run, and the files of the run.
+
+    Parameters
+    ----------
+    configuration : list of str
+        Configuration files that override the default one; the working directory is the project's folder.
 
     Raises
     ------
     InputError
-        If the configuration, the workflow or Snakemake's records are missing; see `collect` and `jobs_of`.
+        If a configuration file, the workflow or Snakemake's records are missing; see `collect` and `jobs_of`.
     """
-    project = results.absolute().parent
-    config = read_yaml(project / _CONFIG)
-    loaded = load_definitions(config, project)
-    files = collect(results, workflow_files(project / _SNAKEFILE), loaded)
-    return describe(files, jobs_of(project), loaded), files
+    project = Path.cwd()
+    loaded = load_project(configuration)
+    workflow, jobs = workflow_files(project / _SNAKEFILE), jobs_of(project)
+    files = collect(project, configuration_files(configuration), workflow, loaded, jobs)
+    own = [job for job in jobs if not files.results.keys().isdisjoint(job.outputs)]
+    return describe(files, own, loaded), files

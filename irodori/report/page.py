@@ -8,6 +8,7 @@ from irodori.core import store
 from irodori.evaluation.coefficient_storage import storage_sentence
 from irodori.evaluation.registration_errors import summarise
 from irodori.evaluation.result_tables import BudgetRow, CostRow, ErrorRow, PlanRow, RegistrationRow, read_rows
+from irodori.lens.lens_file import LensFile
 from irodori.material.material_file import Material
 from irodori.reflection.registry import lobe
 from irodori.report.calibration_part import camera_calibrations
@@ -86,15 +87,19 @@ def environments(names: list[str], files: list) -> list[dict]:
     return found
 
 
-def _rules(folder) -> list[tuple[str, int, float, float]]:
-    """Return rule, number of jobs, total seconds and peak MB from Snakemake's benchmark files, the longest first."""
+def _rules(folder, jobs: list[str]) -> list[tuple[str, int, float, float]]:
+    """Return rule, number of jobs, total seconds and peak MB from Snakemake's benchmark files, the longest first.
+
+    Only files count whose name up to the first ``_`` is one of `jobs`; the rest of the name is a tile, view or capture.
+    """
     totals: dict[str, tuple[int, float, float]] = {}
-    for path in sorted(Path(folder).glob("*/*.tsv")):
+    wanted = set(jobs)
+    for path in sorted(path for path in Path(folder).glob("*/*.tsv") if path.stem.partition("_")[0] in wanted):
         with path.open(newline="", encoding="utf-8") as stream:
             for row in csv.DictReader(stream, delimiter="\t"):
-                jobs, seconds, peak = totals.get(path.parent.name, (0, 0.0, 0.0))
+                count, seconds, peak = totals.get(path.parent.name, (0, 0.0, 0.0))
                 memory = float(row["max_rss"]) if row["max_rss"] not in ("-", "NA") else 0.0
-                totals[path.parent.name] = jobs + 1, seconds + float(row["s"]), max(peak, memory)
+                totals[path.parent.name] = count + 1, seconds + float(row["s"]), max(peak, memory)
     return [(rule, *total) for rule, total in sorted(totals.items(), key=lambda item: -item[1][1])]
 
 
@@ -114,19 +119,21 @@ def _camera(path) -> dict:
 
 
 def write_report(inputs: dict, names: dict, benchmarks, output) -> None:
-    """Write ``report.html``.
+    """Write ``report.html`` of one scene, or of one camera.
 
     Parameters
     ----------
     inputs : dict
-        Files by kind. One file each: errors, planning, imperfections; lists: budgets, references, registrations,
+        Files by kind. One file: errors; lists: plans, imperfections, budgets, lenses, references, registrations,
         materials, true_materials, environments, sessions, calibrations, calibration_errors, selections, pictures,
-        figures, true_pictures, comparisons, comparison_figures.
+        figures, true_pictures, comparisons, comparison_figures; and pages, the classroom page in the folder of the
+        report, if there is one.
     names : dict
-        Names in the order of the files: objects, virtual_objects, environments, cameras, views, virtual_views,
-        photographs; and pages, the classroom pages in the folder of the report.
+        Names in the order of the files: objects, virtual_objects, environments, cameras, lens_cameras, views,
+        virtual_views, photographs; title, of the report; and jobs, the beginnings of the names of the jobs whose time
+        the report states.
     benchmarks : path
-        Folder of the benchmark files of the run.
+        Folder of the benchmark files of all runs.
     output : path
     """
     true_views = dict(zip(names["virtual_views"], inputs["true_pictures"], strict=True))
@@ -135,7 +142,8 @@ def write_report(inputs: dict, names: dict, benchmarks, output) -> None:
         output,
         "report.html.j2",
         views=rendered_views(names["views"], inputs["pictures"], inputs["figures"], true_views),
-        pages=names["pages"],
+        title=names["title"],
+        pages=[Path(page).name for page in inputs["pages"]],
         photographs=_pictures(names["photographs"], inputs["comparisons"], inputs["comparison_figures"]),
         errors=read_rows(inputs["errors"], ErrorRow),
         budgets={
@@ -143,13 +151,17 @@ def write_report(inputs: dict, names: dict, benchmarks, output) -> None:
         },
         objects=objects(names["objects"], inputs["materials"], truths),
         environments=environments(names["environments"], inputs["environments"]),
-        imperfections=read_rows(inputs["imperfections"], CostRow),
-        plans=_plans(read_rows(inputs["planning"], PlanRow)),
+        imperfections=[row for path in inputs["imperfections"] for row in read_rows(path, CostRow)],
+        plans=_plans([row for path in inputs["plans"] for row in read_rows(path, PlanRow)]),
         sittings=sittings(inputs["sessions"]),
         registrations=registrations(names["objects"], inputs["registrations"]),
+        lenses={
+            name: LensFile.load(path).remarks
+            for name, path in zip(names["lens_cameras"], inputs["lenses"], strict=True)
+        },
         cameras={n: _camera(path) for n, path in zip(names["cameras"], inputs["references"], strict=True)},
         calibrations=camera_calibrations(
             names["cameras"], inputs["calibrations"], inputs["calibration_errors"], inputs["selections"]
         ),
-        rules=_rules(benchmarks),
+        rules=_rules(benchmarks, names["jobs"]),
     )

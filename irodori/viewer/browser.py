@@ -29,9 +29,9 @@ FLAGS = (
     "--disable-gpu-compositing",
 )  # fmt: skip
 _PATIENCE_MS = 180_000
-#: A small window, because the page draws it in software and its content is not read.
-_WINDOW = {"width": 360, "height": 320}
-_USUAL = {"width": 1280, "height": 720}
+#: A small window of few pixels, because the page draws it in software and its content is not read.
+_WINDOW = {"viewport": {"width": 360, "height": 320}, "device_scale_factor": 0.25}
+_USUAL = {"viewport": {"width": 1280, "height": 720}}
 #: JavaScript expression for the text that a page shows instead of a picture.
 _SAID = "!document.getElementById('poster').hidden && document.getElementById('poster-text').textContent"
 _READ = """([state, width, height]) => {
@@ -99,6 +99,10 @@ def client():
     return started
 
 
+#: Browsers of this process that are open.
+_started: list = []
+
+
 @lru_cache(maxsize=4)
 def browser(flags: tuple[str, ...] = FLAGS):
     """Return the browser with the given flags, started once per process; pages open in it share no data.
@@ -112,8 +116,16 @@ def browser(flags: tuple[str, ...] = FLAGS):
     if command is None:
         raise PlainError("No browser to check a page in; accepted: Debian's package chromium and Python's playwright.")
     started = client().chromium.launch(executable_path=command, args=list(flags), headless=True)
-    atexit.register(started.close)
+    _started.append(started)
+    atexit.register(close_browsers)
     return started
+
+
+def close_browsers() -> None:
+    """Close the browsers of this process; the next page starts one again."""
+    browser.cache_clear()
+    while _started:
+        _started.pop().close()
 
 
 @contextmanager
@@ -137,7 +149,7 @@ def opened(path, flags: tuple[str, ...] = FLAGS, wait: bool = True, cold: bool =
     """
     if cold:
         browser.cache_clear()
-    context = browser(flags).new_context(viewport=_USUAL if cold else _WINDOW)
+    context = browser(flags).new_context(**(_USUAL if cold else _WINDOW))
     try:
         page = context.new_page()
         page.set_default_timeout(_PATIENCE_MS)

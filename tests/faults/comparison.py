@@ -17,8 +17,10 @@ import h5py
 import numpy as np
 import OpenImageIO as oiio
 
-#: Folders and pages that report times, and the ledger of the user's files, which remembers theirs.
-LEFT_OUT = ("logs/", "benchmarks/", "benchmark/", "report.html", "inputs.json")
+#: Folders that hold times, and the ledger of the user's files, which remembers theirs.
+LEFT_OUT = ("logs/", "benchmarks/", "benchmark/", "inputs.json")
+#: Page of each scene that reports times.
+_REPORT = "/report.html"
 #: Attributes of HDF5 files that a clock writes.
 CLOCKED_ATTRIBUTES = {"fit_seconds", "paint_seconds"}
 #: Attributes by which HDF5 ties axes to their scales: places in a file, which `dims` names.
@@ -41,7 +43,8 @@ def results(folder: Path) -> dict[str, Path]:
     The records beside them, as those in the heads of HDF5 files, are of files that hold times.
     """
     found = {path.relative_to(folder).as_posix(): path for path in sorted(folder.rglob("*")) if path.is_file()}
-    return {name: path for name, path in found.items() if not name.startswith(LEFT_OUT) and path.suffix != _RECORD}
+    left_out = {name for name in found if name.startswith(LEFT_OUT) or name.endswith((_RECORD, _REPORT))}
+    return {name: path for name, path in found.items() if name not in left_out}
 
 
 def differences(found: Path, expected: Path, partial: bool = False) -> list[str]:

@@ -24,7 +24,7 @@ _READ_BY = (
     ("leaf-sphere/material.h5", "still-life/front.exr"),
     ("leaf-sphere/truth.h5", "still-life/truth/front.exr"),
     ("environments/classroom.h5", "still-life/front.exr"),
-    ("still-life/front.exr", "errors.csv"),
+    ("still-life/front.exr", "still-life/errors.csv"),
     ("leaf-sphere/captures/l0350-c0100-t000-r0900-in-50000us.dng", "leaf-sphere/linear/l0350-c0100-t000-r0900.h5"),
 )
 
@@ -90,7 +90,7 @@ def _damage_one(project: Path, expected: Path, damaged: str, wanted: str, kind: 
 def damage_finals(project: Path, expected: Path, seed: int) -> Iterator[dict]:
     """Flip a bit of results that no rule reads, verify the folder, and remove what it names."""
     choice = random.Random(seed)
-    for damaged in ("still-life/front.png", "errors.csv"):
+    for damaged in ("still-life/front.png", "still-life/errors.csv"):
         path = project / "results" / damaged
         before = path.stat()
         _flip_a_bit(path, choice)

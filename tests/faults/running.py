@@ -16,7 +16,7 @@ from project import ROOT, edit, small_project
 _SCRIPTS = ".snakemake/scripts/"
 _DEADLINE_S = 3600.0
 #: What every run makes: pictures, and the errors that read all that was recovered and its truth.
-TARGETS = ("results/still-life/front.exr", "results/still-life/front.png", "results/errors.csv")
+TARGETS = ("results/still-life/front.exr", "results/still-life/front.png", "results/still-life/errors.csv")
 
 
 class Run:

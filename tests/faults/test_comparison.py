@@ -29,10 +29,11 @@ def make(folder, values=None, seconds=1.0, radiance=0.25, mean="0.5", note="x"):
     write_display_picture(folder / "jar/front.png", np.zeros((2, 3, 3), np.uint8), srgb().profile, {})
     figures = {"seconds": seconds, "exposure": 1.0}
     (folder / "jar/front.json").write_text(json.dumps(figures))
-    (folder / "errors.csv").write_text(f"subject,mean\njar,{mean}\n")
+    (folder / "jar/errors.csv").write_text(f"subject,mean\njar,{mean}\n")
     (folder / "logs/fit.log").write_text(str(seconds))
+    (folder / "jar/report.html").write_text(str(seconds))
     (folder / "jar/captures/captures.csv").write_text("file\n")
-    write_record(folder / "errors.csv", "results/errors.csv", {"results/jar/material.h5": str(seconds)})
+    write_record(folder / "jar/errors.csv", "results/jar/errors.csv", {"results/jar/material.h5": str(seconds)})
     return folder
 
 
@@ -54,7 +55,7 @@ def test_results_that_only_a_clock_tells_apart_are_the_same(tmp_path, expected):
         ({"values": np.array([0.0, np.nan, 1.5], np.float32)}, "jar/material.h5: alpha"),
         ({"note": "y"}, "jar/material.h5: @note"),
         ({"radiance": np.nextafter(np.float16(0.25), np.float16(1))}, "jar/front.exr: pixels"),
-        ({"mean": "0.50"}, "errors.csv: line 2"),
+        ({"mean": "0.50"}, "jar/errors.csv: line 2"),
     ],
 )
 def test_one_bit_is_seen_wherever_it_is(tmp_path, expected, change, said):
@@ -63,7 +64,7 @@ def test_one_bit_is_seen_wherever_it_is(tmp_path, expected, change, said):
 
 def test_what_an_attribute_holds_beside_its_seconds_is_compared(tmp_path, expected):
     found = make(tmp_path / "found", seconds=9.0, mean="0.6")
-    assert differences(found, expected) == ["errors.csv: line 2", "jar/material.h5: @errors"]
+    assert differences(found, expected) == ["jar/errors.csv: line 2", "jar/material.h5: @errors"]
 
 
 def test_missing_files_surplus_files_and_unreadable_ones_are_named(tmp_path, expected):
@@ -81,7 +82,7 @@ def test_missing_files_surplus_files_and_unreadable_ones_are_named(tmp_path, exp
 
 def test_a_broken_off_run_may_lack_files_but_hold_none_that_is_half_written(tmp_path, expected):
     found = make(tmp_path / "found")
-    (found / "errors.csv").unlink()
+    (found / "jar/errors.csv").unlink()
     (found / "jar/.material.12-ab.part.h5").write_bytes(b"half")
     (found / "jar/captures/captures.csv").write_text("file\nhalf a session")
     assert differences(found, expected, partial=True) == []

@@ -10,10 +10,10 @@ Each mutant is printed, with the test that noticed it or as a survivor, and how 
 status is 1 where too few of all were (``--least``).
 
 Only the tests of a room's own files are asked (`ROOMS`), of these only such as take less than `LONGEST_S` once their
-loops are loaded, and as many as take `TOGETHER_S` together: a fault that others alone would notice counts as a
-survivor. Times are those of the processor, whoever else uses it. A mutant that never ends is noticed: a test computes
-for ten times as long as it should and for `PATIENCE_S`, or its process hardly computes for `QUIET_S`. So a run
-ends; a test that takes `HANGS_S` without a mutant ends it.
+loops are loaded, of a parametrised test `CASES`, and as many as take `TOGETHER_S` together: a fault that others alone
+would notice counts as a survivor. Times are those of the processor, whoever else uses it. A mutant that never ends is
+noticed: a test computes for ten times as long as it should and for `PATIENCE_S`, or its process hardly computes for
+`QUIET_S`. So a run ends; a test that takes `HANGS_S` without a mutant ends it.
 """
 
 import argparse
@@ -102,6 +102,7 @@ LONG = (
 LONGEST_S = 2.0
 TOGETHER_S = 16.0  # of the tests that one mutant is put to
 EXAMPLES = 10  # of a property-based test, at most
+CASES = 4  # of a parametrised test, at most; spread evenly over them
 PATIENCE_S = 4.0
 QUIET_S = 40.0
 QUIET_SHARE = 0.02
@@ -156,8 +157,13 @@ class Runner:
         settings.load_profile("mutation")
 
     def pytest_collection_modifyitems(self, items) -> None:
+        from default_cases import spread
         from hypothesis import settings
 
+        cases = defaultdict(list)
+        for item in items:
+            cases[item.nodeid.partition("[")[0]].append(item)
+        items[:] = [found[i] for found in cases.values() for i in sorted(spread(CASES, len(found)))]
         for item in items:
             given = getattr(item.obj, "_hypothesis_internal_use_settings", None)
             if given is not None:

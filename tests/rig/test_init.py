@@ -288,6 +288,7 @@ def test_answers_are_read_as_they_are_meant_or_not_at_all(read, text, value):
         assert read(text) == value
 
 
+@pytest.mark.heavy
 def test_one_photograph_of_a_chart_makes_a_camera(taken, tmp_path, monkeypatch, capsys):
     folder, truth = taken
     monkeypatch.chdir(tmp_path)
@@ -356,6 +357,7 @@ def test_a_documented_command_writes_a_first_project(command, seen, taken, recog
     assert Path("config", "eye.yaml" if alone else "my-plate.yaml").is_file()
 
 
+@pytest.mark.heavy
 def test_a_pose_without_its_second_photograph_is_left_open(taken, looked, recognised, capsys):
     _, truth = taken
     lost = [name for name, shot in truth.items() if shot.role == "object" and shot.filter == "in"][1]

@@ -163,6 +163,7 @@ PLATE = {"kind": "plate", "width_mm": 90.0, "height_mm": 70.0}
 SPHERE = {"kind": "sphere", "radius_mm": 28.0}
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize(("shape", "poses"), [(PLATE, PLATE_POSES), (SPHERE, SPHERE_POSES)], ids=["plate", "sphere"])
 def test_a_material_under_a_near_lamp_is_recovered_and_is_not_where_the_lamp_is_taken_as_far(
     tmp_path, definitions, shape, poses
@@ -178,6 +179,7 @@ def test_a_material_under_a_near_lamp_is_recovered_and_is_not_where_the_lamp_is_
     assert wrong[0] > 0.05 and wrong[0] > 5 * near[0], wrong
 
 
+@pytest.mark.heavy
 def test_a_mesh_under_a_near_lamp_is_recovered_like_the_sphere(tmp_path, definitions):
     camera, rig = small(definitions)
     write_obj(tmp_path / "ball.obj", *ball(28.0, 64, 128), digits=9)

@@ -147,6 +147,7 @@ def test_a_painted_plate_is_found_where_it_lies(tmp_path, definitions, laid_off,
     assert np.nanmax(result.residual_px) < 0.5
 
 
+@pytest.mark.heavy
 def test_a_uniform_sphere_tells_its_place_and_nothing_of_its_turn(tmp_path, definitions):
     definition = an_object(definitions, SPHERE, {"kind": "uniform"})
     laid_off = (1.5, -1.0, 0.5, 0.0, 0.0, 0.0)
@@ -177,6 +178,7 @@ def test_texture_alone_tells_the_turns_of_a_plate_larger_than_the_frame(tmp_path
     assert np.abs(values[3:5] - (1.2, -1.2)).max() <= 0.2
 
 
+@pytest.mark.heavy
 def test_a_photograph_with_a_wrong_pose_is_named_with_its_angle(tmp_path, definitions):
     definition = an_object(definitions, PLATE)
     lies = {3: Pose(65.0, 35.0, 0.0, 2.0)}

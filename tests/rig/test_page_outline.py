@@ -110,6 +110,7 @@ def test_the_outline_lies_on_the_edge_of_the_photographed_plate(tmp_path, visit)
             assert np.abs(ends[0] - ends[1]).max() <= within
 
 
+@pytest.mark.heavy
 def test_nothing_is_drawn_where_no_object_stands_or_the_lens_is_unknown(tmp_path, visit):  # noqa: F811
     with Sitting(tmp_path, kind="camera") as sitting:
         page = visit(sitting.server.url)

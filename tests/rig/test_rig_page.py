@@ -235,7 +235,7 @@ def visit():
     contexts, complaints = [], []
 
     def open_page(url, size=PHONE):
-        contexts.append(browser().new_context(viewport=size))
+        contexts.append(browser(("--no-sandbox",)).new_context(viewport=size))
         page = contexts[-1].new_page()
         page.set_default_timeout(patience.LONG_MS)
         page.on("pageerror", lambda error: complaints.append(str(error)))

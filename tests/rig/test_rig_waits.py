@@ -513,6 +513,7 @@ LOST = {
 }
 
 
+@pytest.mark.default_cases(5)
 @pytest.mark.parametrize("command", ["move", "jog"])
 @pytest.mark.parametrize("what", LOST)
 def test_what_is_lost_once_is_asked_for_again_and_the_move_arrives(board, what, command):

@@ -114,6 +114,7 @@ def shoot(camera: dict, rig: dict, session: str, shots: list[Shot], folder: Path
         virtual.capture(shot, folder / shot.file)
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("pose", [Pose(45.0, 0.0), Pose(45.0, 41.0), Pose(65.0, 60.0), Pose(45.0, 3.0, 20.0)])
 def test_the_centre_of_a_plate_has_the_response_of_equation_5(definitions, perfect, pose):
     image, sample, weights = photograph(uniform(definitions, "tile-plate"), *perfect, pose)
@@ -168,6 +169,7 @@ def test_the_underside_and_the_shadow_of_the_table_are_black(definitions, perfec
     assert image.max() == 0.0
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize("distance_mm", [None, 120.0])
 @pytest.mark.parametrize("pose", [Pose(45.0, 20.0), Pose(100.0, 60.0, 15.0), Pose(100.0, 60.0, 5.0)])
 def test_shadow_rays_are_left_out_only_where_nothing_can_shade(definitions, perfect, pose, distance_mm, monkeypatch):

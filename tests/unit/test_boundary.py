@@ -187,6 +187,7 @@ def test_aliases_and_merge_keys_that_a_person_writes_are_read(tmp_path):
     assert found["b"] == {"x": 1, "y": 3} and found["c"] == [{"x": 1, "y": 2}] * 2
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("text", [merge_keys(8), '__use_yte__: true\ny: ?open("run", "w").write("x")\n'])
 def test_snakemake_does_not_unfold_or_run_a_configuration(tmp_path, text):
     (tmp_path / "config").mkdir()

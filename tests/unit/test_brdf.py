@@ -281,6 +281,7 @@ def test_a_matte_surface_reflects_alpha_times_its_reflectance(polar, alpha, refl
     assert albedo == pytest.approx(alpha * reflectance, rel=1e-10)
 
 
+@pytest.mark.default_cases(10)
 @pytest.mark.parametrize("mu", [gaussian.ROUGHNESS.low, 0.02, 0.1, 0.3, 0.6, gaussian.ROUGHNESS.high])
 @pytest.mark.parametrize("theta_deg", [0.0, 30.0, 60.0, 80.0, 89.0])
 def test_gloss_up_to_a_quarter_over_mu_squared_conserves_energy(mu, theta_deg):
@@ -293,6 +294,7 @@ def test_gloss_up_to_a_quarter_over_mu_squared_conserves_energy(mu, theta_deg):
     assert 0.0 < fine <= 1.0 + abs(fine - coarse) + 1e-4
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("mu", [gaussian.ROUGHNESS.low, 0.02, 0.05])
 def test_smooth_gloss_of_a_quarter_over_mu_squared_returns_all_light(mu):
     # The white furnace: a perfect mirror's narrow lobe loses only O(μ²).

@@ -74,6 +74,7 @@ def width_px(picture):
     return 4 * np.sqrt(0.5 * (weight * ((x - cx) ** 2 + (y - cy) ** 2)).sum())
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("depth", [120.0, 160.0, 280.0, 500.0])
 def test_a_point_off_focus_is_a_circle_of_the_thin_lens_formula(depth):
     picture = lamp_through(THROUGH_LENS, depth)

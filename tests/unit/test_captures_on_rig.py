@@ -2,6 +2,7 @@
 
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from definitions import CAMERA_FILE, PLATE_FILE, ROOM_FILE, ROOT, edit, fault, load
@@ -9,6 +10,7 @@ from definitions import CAMERA_FILE, PLATE_FILE, ROOM_FILE, ROOT, edit, fault, l
 from irodori.capture.shot_list import camera_shots
 from irodori.config.capture_table import COLUMNS
 from irodori.config.definitions import read_yaml
+from irodori.config.photograph_sets import PhotographSets
 from irodori.core.errors import InputError
 
 DATA = ROOT.parent / "shared" / "data"
@@ -57,6 +59,41 @@ def test_a_scene_of_a_real_rig_loads(studio):
     assert not definitions.is_virtual("objects", "tile-plate")
     captures = ["l0450-c0000-t000-r0000", "l0450-c0200-t000-r0000"]
     assert definitions.captures_of("objects", "tile-plate", studio) == captures
+
+
+def add_sheets(studio, *states) -> None:
+    """Photograph the printed sheet with the camera, all photographs with the same exposure time."""
+    table = studio / "camera/captures.csv"
+    for number, state in enumerate(states):
+        (studio / f"camera/sheet{number}.dng").write_bytes(b"raw")
+        table.write_text(f"{table.read_text()}\nsheet{number}.dng,lens,0,0,0,0,{state},0.02")
+
+
+def test_photographs_of_the_sheet_give_the_camera_a_measured_lens_which_its_objects_use(studio, monkeypatch):
+    monkeypatch.chdir(studio)
+    camera = SimpleNamespace(camera="d5100-comb")
+    plate, room = SimpleNamespace(object="tile-plate"), SimpleNamespace(environment="classroom")
+    before = PhotographSets(load(studio))
+    assert before.sheet(camera) == before.lens(plate) == before.lenses(None) == []
+    add_sheets(studio, "out", "out", "out")
+    after = PhotographSets(load(studio))
+    assert after.sheet(camera) == ["camera/captures.csv", *(f"camera/sheet{number}.dng" for number in range(3))]
+    lens = ["results/cameras/d5100-comb/lens.yaml"]
+    assert after.lens(camera) == after.lens(plate) == after.lens(room) == after.lenses(None) == lens
+    # What calibrates the camera's colours reads no photograph of the sheet.
+    assert after.own_photographs(camera) == before.own_photographs(camera)
+    assert after.captures == before.captures
+
+
+def test_photographs_of_the_sheet_through_the_filter_or_of_a_camera_without_optics_are_refused(studio):
+    add_sheets(studio, "out", "in")
+    error = fault(studio)
+    assert error.file.endswith("captures.csv") and "the sheet with the filter in, sheet1.dng" in error.found
+    table = studio / "camera/captures.csv"
+    table.write_text(table.read_text().replace("lens,0,0,0,0,in", "lens,0,0,0,0,out"))
+    edit(studio, CAMERA_FILE, "optics", ...)
+    error = fault(studio, scenes=[], cameras=["d5100-comb"])
+    assert error.field == "optics" and "photographs of the role lens" in error.found
 
 
 @pytest.mark.parametrize(

@@ -93,6 +93,7 @@ def test_an_upright_picture_is_found_as_a_lying_one():
     assert np.linalg.norm(found.centres - truth(image_from_grid), axis=1).max() < 0.2
 
 
+@pytest.mark.heavy
 def test_a_saturated_white_patch_does_not_hide_the_chart():
     image_from_grid = view(WIDTH, HEIGHT, 90, 2)
     picture = shot([image_from_grid])
@@ -163,6 +164,7 @@ def test_a_chart_cut_by_the_picture_s_edge_is_refused():
     assert "squares" in refusal(picture[:, :470])
 
 
+@pytest.mark.heavy
 def test_a_covered_patch_is_refused():
     image_from_grid = view(WIDTH, HEIGHT, 90, 2)
     picture = shot([image_from_grid])

@@ -135,6 +135,7 @@ def test_the_limit_of_the_error_is_the_configured_one(tmp_path):
     assert "calibration.max_leave_one_out_error, 0.3:" in error.accepted
 
 
+@pytest.mark.heavy
 @pytest.mark.stability(stage="calibrate", case="spectra of another published chart")
 def test_a_published_chart_that_fits_better_is_named_in_log_and_report(tmp_path, caplog):
     table = {"selection": tmp_path / "s.csv"}
@@ -147,6 +148,7 @@ def test_a_published_chart_that_fits_better_is_named_in_log_and_report(tmp_path,
         assert ("agree clearly better with the photograph of chart" in page) == is_named
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize(("bands", "settings", "estimator", "bases"), [
     (3, {"estimator": "pinv"}, "pinv", {3}),
     (6, {"estimator": "wiener"}, "wiener", {6}),

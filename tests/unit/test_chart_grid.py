@@ -73,6 +73,7 @@ def barrel():
     return picture, truth(image_from_grid, -0.05, (WIDTH, HEIGHT))
 
 
+@pytest.mark.heavy
 def test_rough_corners_are_enough_where_the_grid_is_fitted_to_edges(barrel):
     picture, expected = barrel
     rough = expected[[0, 5, 18, 23]] + [[9, -6], [-8, 9], [5, 10], [-11, -4]]
@@ -87,6 +88,7 @@ def test_rough_corners_are_enough_where_the_grid_is_fitted_to_edges(barrel):
     assert np.abs(itself.centres_px - located.centres_px).max() < 0.05
 
 
+@pytest.mark.heavy
 def test_places_are_the_same_at_full_resolution(barrel):
     picture, _ = barrel
     valid = everywhere(picture)

@@ -54,6 +54,7 @@ def distances(one, other) -> np.ndarray:
     return np.linalg.norm(one.centres_px - other.centres_px, axis=1)
 
 
+@pytest.mark.heavy
 def test_patches_found_and_by_corners_agree_to_two_superpixels(chart):
     response, valid, configured, found = chart
     assert configured["find"] == "edges"
@@ -68,7 +69,8 @@ def test_patches_found_and_by_corners_agree_to_two_superpixels(chart):
     assert found.found["rmse"] < 0.05 < 0.2 < found.found["next_rmse"]
 
 
-@pytest.mark.parametrize("quarters", [1, pytest.param(2, marks=pytest.mark.heavy)])
+@pytest.mark.heavy
+@pytest.mark.parametrize("quarters", [1, 2])
 def test_a_photograph_that_lies_on_its_side_or_head_is_read_right(chart, quarters):
     response, valid, _, upright = chart
     found = locate_patches(np.rot90(response, quarters), np.rot90(valid, quarters), made(Chart, FOUND), "chart.crw")

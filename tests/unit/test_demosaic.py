@@ -61,6 +61,7 @@ def test_the_mean_of_darkness_is_not_lifted_by_cutting_its_negative_half(tmp_pat
     assert np.abs(response[valid].mean(axis=0)).max() < half + 0.05 * noise
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize("name", NAMES)
 def test_a_smooth_scene_has_the_responses_of_its_superpixels(tmp_path, name):
     studio = Studio(tmp_path, seed=83)
@@ -76,6 +77,7 @@ def test_a_smooth_scene_has_the_responses_of_its_superpixels(tmp_path, name):
     assert np.abs(blocks).max() < 0.006
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("name", NAMES)
 def test_photographs_developed_side_by_side_are_those_developed_one_by_one(tmp_path, name):
     """Two threads in LibRaw's VNG at once share a variable: pictures come out spoilt, or the process ends."""
@@ -89,6 +91,7 @@ def test_photographs_developed_side_by_side_are_those_developed_one_by_one(tmp_p
             assert np.array_equal(first, alone[0]) and np.array_equal(second, alone[1])
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize("name", NAMES)
 def test_no_valid_sample_knows_of_a_hot_or_clipped_pixel(tmp_path, name):
     reach = REACH_PX[name]
@@ -165,6 +168,7 @@ def test_an_eight_bit_camera_file_is_ingested(tmp_path):
         assert file.read("response").shape == (488, 424, 3) and file.read("valid").mean() > 0.99
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("share", [0.93, 0.975, 0.985, 1.0])
 def test_a_bracket_whose_long_exposure_nears_clipping_does_not_lean(tmp_path, share):
     studio = Studio(tmp_path, seed=85)

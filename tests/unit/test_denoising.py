@@ -106,6 +106,7 @@ def test_spectra_stay_mixtures_of_those_that_were_traced():
     assert np.abs(flat - flat @ span @ span.T).max() < 1e-5
 
 
+@pytest.mark.heavy
 def test_a_band_of_rows_with_its_margin_is_that_of_the_whole():
     halves = plane(smooth(), 0.1)
     guides = make_guides(halves)

@@ -36,6 +36,7 @@ def made_up(rng, count):
     return truth, truth * (1.0 + 0.06 * rng.normal(size=(count, 1)) + 0.02 * rng.normal(size=(count, 3)))
 
 
+@pytest.mark.heavy
 def test_known_errors_are_found_under_noise_of_their_size():
     rng = np.random.default_rng(5)
     truth, shown = made_up(rng, 40_000)
@@ -145,6 +146,7 @@ def test_a_picture_states_what_it_leaves_out_of_the_transport():
     assert far["reference"]["rms"] < 0.5 and far["reference"]["rms"] < 0.5 * far["ambient"]["rms"]
 
 
+@pytest.mark.heavy
 def test_a_tolerance_that_the_integrator_cannot_keep_is_refused_with_what_would():
     def plan(tolerance):
         scene = scene_of({"kind": "interactive", "ambient": False}, tolerance)

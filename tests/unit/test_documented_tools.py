@@ -100,6 +100,7 @@ def test_a_documented_tool_does_its_work(command, tmp_path, monkeypatch, capsys)
     _RUNS[words[0]](words[1:], tmp_path, monkeypatch, capsys)
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("command", of_kind("pytest"))
 def test_a_documented_selection_of_tests_selects_some(command, tmp_path):
     """One file, which has tests of every kind, stands for all of them; they are collected and not run."""

@@ -85,7 +85,7 @@ def test_lamps_that_are_exact_stay_where_they_are(glossy):
 
 
 def test_a_photograph_is_predicted_from_the_others_within_its_noise(glossy):
-    response, normal, view, weight = glossy
+    response, normal, view, weight = (values[::3] for values in glossy)
     true = Lamps(DIRECTIONS, LEVELS, np.zeros(COUNT))
     off = turned(DIRECTIONS, 3.0)
     by_lobe = {
@@ -108,7 +108,7 @@ def test_a_photograph_is_predicted_from_the_others_within_its_noise(glossy):
 
 
 def test_what_was_left_out_tells_nothing_of_the_material(glossy):
-    response, normal, view, weight = glossy
+    response, normal, view, weight = (values[::3] for values in glossy)
     true = Lamps(DIRECTIONS, LEVELS, np.zeros(COUNT))
     spoilt = response.copy()
     spoilt[:, 4] *= np.linspace(0.2, 3.0, len(spoilt))
@@ -121,7 +121,7 @@ def test_what_was_left_out_tells_nothing_of_the_material(glossy):
 
 
 def test_a_matt_ball_has_no_gloss():
-    response, normal, view, weight = seen(pictures({"beta": 0.0, "mu": 0.3}))
+    response, normal, view, weight = (values[::3] for values in seen(pictures({"beta": 0.0, "mu": 0.3})))
     true = Lamps(DIRECTIONS, LEVELS, np.zeros(COUNT))
     errors = {
         lobe: predict_left_out(response, normal, view, weight, true, DIRECTIONS, lobe=lobe, n=1.5, k=0.0).error
@@ -212,6 +212,8 @@ def test_real_photographs_of_a_ball_are_predicted_from_the_others(tmp_path, monk
     assert main(["lights", *balls["chrome"], "--mask", mask, "--names", *balls["gray"]]) == 0
     for more in ([], ["--mask", str(REAL / "gray.mask.png")]):
         shutil.rmtree("dome", ignore_errors=True)
+        if more:  # by the lobe that is chosen, alone: the choice is that of the first time
+            monkeypatch.setattr("irodori.first_project.dome_command.names", lambda: ("gaussian",))
         assert main(["dome", *balls["gray"], "--linear", "--lights", "lights.lp", *more]) == 0
         errors = np.array([float(row["relative_rms"]) for row in table()])
         assert errors.mean() <= 0.025 and errors.max() <= 0.04

@@ -134,6 +134,7 @@ def test_negative_samples_are_counted():
     assert compress(abs(weights), basis + 0.01, OBSERVERS, options(0.0, 1)).negative_fraction == 0
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("weighting", ["nothing", "visual"])
 @pytest.mark.parametrize("names", [("D65", "A"), ("D65", "FL11", "HP1")])
 def test_compressed_light_keeps_the_colours_of_what_it_shines_on(names, weighting):

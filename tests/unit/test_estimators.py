@@ -71,6 +71,7 @@ def test_float32_in_is_float32_out_and_the_same(solved, name):
     assert np.abs(rounded.spectra(response) - solved[name].spectra(response)).max() <= 1e-4
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("name", NAMES)
 def test_large_pictures_are_recovered_as_small_ones(solved, name):
     response = np.resize(PROBES @ system().T, (70_050, 6))

@@ -90,6 +90,7 @@ def test_the_larger_chart_reaches_the_bound_of_another_camera():
     assert found(names, 0.0, "local")[0] <= found(names, 0.0, "bound")[0]
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("test", ["munsell", "vrhel"])
 @pytest.mark.parametrize("camera", [CAMERAS[0], *(pytest.param(c, marks=pytest.mark.heavy) for c in CAMERAS[1:])])
 def test_the_choice_is_the_best_estimator_at_the_noise_of_the_pixels(camera, test):
@@ -102,6 +103,7 @@ def test_the_choice_is_the_best_estimator_at_the_noise_of_the_pixels(camera, tes
     assert chosen <= found(names, 0.01, "bound")[0]
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("noise", NOISES[:2])
 @pytest.mark.parametrize("test", ["munsell", "vrhel"])
 def test_the_choice_keeps_to_the_bound_at_little_noise(test, noise):
@@ -109,6 +111,7 @@ def test_the_choice_keeps_to_the_bound_at_little_noise(test, noise):
     assert found(names, noise, "auto", 0)[0] <= 1.05 * found(names, noise, "bound")[0]
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize("pair", NEVER_SEEN, ids=[test for _, test in NEVER_SEEN])
 def test_error_bars_hold_on_sets_and_a_camera_that_had_no_part_in_them(pair):
     # Their size is that which the other sets ask for, seen by another camera.

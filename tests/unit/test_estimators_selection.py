@@ -162,6 +162,7 @@ def contents(path) -> dict:
     return found
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(("estimator", "bases"), [("pinv", 6), ("auto", "auto"), ("kernel", 4), ("auto", 5)])
 def test_the_stage_records_its_choice_and_the_whole_table(tmp_path, estimator, bases):
     noise = np.tile([1e-7, 1e-5], (6, 1))

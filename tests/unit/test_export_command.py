@@ -144,6 +144,7 @@ def test_a_scene_has_its_picture_as_preview_and_its_objects_where_they_stand(pro
     assert len(content["meshes"]) == len(own.spectra().shape) + 1 == len(OBJECTS)
 
 
+@pytest.mark.heavy
 def test_a_loss_that_cannot_be_measured_is_told_with_its_reason(project, capsys, monkeypatch):
     root, _ = project
     (root / "results/still-life").mkdir()
@@ -161,6 +162,7 @@ def test_a_loss_that_cannot_be_measured_is_told_with_its_reason(project, capsys,
     assert {"scene.xml", "sky.npz", "irodori_mitsuba.py", "00-tile-plate.npz"} <= names
 
 
+@pytest.mark.default_cases(7)
 @pytest.mark.parametrize(
     ("words", "said"),
     [

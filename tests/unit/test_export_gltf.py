@@ -132,6 +132,7 @@ def test_no_lobe_nearby_is_nearer_to_the_material_over_other_directions(own):
     assert best < root_mean_square(mu[0], min(4 * beta[0] * mu[0] ** 2, 1.0), 1.0)
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_validator_finds_nothing_and_trimesh_reads_the_shape_in_metres_with_y_up(kind, tmp_path):
     path, own = tmp_path / "one.glb", painted(**GLOSSY, mirror=0.5)

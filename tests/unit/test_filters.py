@@ -172,6 +172,7 @@ def test_the_ranking_is_the_same_in_every_run():
     assert rank_filters(*arguments) == rank_filters(*arguments)
 
 
+@pytest.mark.heavy
 def test_measured_filters_are_ranked_for_a_measured_camera():
     chart, munsell = "reflectance/colorchecker_classic_24.csv", "reflectance/munsell_matt_1269.csv"
     have("cameras/canon_eos_40d.csv", "filters/filters.csv", chart, munsell)

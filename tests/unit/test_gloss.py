@@ -42,6 +42,7 @@ def looked_up(level, unit):
     return out
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.stability(stage="environment", case="poles and seam")
 @pytest.mark.parametrize("place", [None, (0, 5), (63, 0), (32, 127), (20, 64)])
 def test_blurred_light_is_the_sum_over_the_pixels_at_poles_and_seam_too(place):
@@ -79,6 +80,7 @@ def test_light_beside_a_pole_keeps_its_power_and_place_in_the_widest_blurs(row):
         assert level.max() == pytest.approx(power.sum() / (2.0 * np.pi * width_rad**2), rel=0.1)
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("size", [(24, 48), (90, 60)])
 def test_every_width_is_the_light_under_its_lobe_at_the_maps_own_places(size):
     """At the poles, the seam and between: light that varies from pixel to pixel, each shining evenly over its area.
@@ -178,6 +180,7 @@ def test_the_fitted_lobes_are_the_true_ones_under_the_horizon_too_and_keep_their
 
 #: Entries that take little time, of smooth and rough lobes, to grazing; none of normal view: there, two lobes
 #: on either side are as good, and rounding says which is taken.
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize("entry", [(5, 1), (3, 9), (10, 9)])
 @pytest.mark.parametrize("name", OWN)
 def test_a_table_is_what_its_module_makes(name, entry):
@@ -275,6 +278,7 @@ def constant():
     return Integrator(coefficients), GlossMaps.of(coefficients)
 
 
+@pytest.mark.default_cases(7)
 @pytest.mark.parametrize(
     ("mu", "limit"), [(0.02, 0.02), (0.07, 0.02), (0.15, 0.03), (0.3, 0.04), (0.36, 0.03), (0.8, 0.01), (1.2, 0.01)]
 )
@@ -308,6 +312,7 @@ def test_gloss_turns_with_the_scene_and_scales_with_its_weight():
     assert np.abs(other - 2 * one).max() <= 0.01 * one.max()
 
 
+@pytest.mark.default_cases(6)
 @pytest.mark.parametrize("name", OWN)
 @pytest.mark.parametrize("mu", [0.05, 0.3, 1.2])
 @pytest.mark.parametrize("place", [(40, 300), (0, 7), (70, 511)])
@@ -406,6 +411,7 @@ def test_the_errors_under_a_photographed_place(name, lobe):
         assert row["rms"] <= limit and row["max"] <= 1.5 * limit, row
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("mu", [0.05, 0.2, 0.36, 0.6, 1.2])
 def test_a_sun_under_the_horizon_does_not_shine(mu):
     sky = np.zeros((128, 256, 1), np.float32)

@@ -1,6 +1,5 @@
 """The cost of the virtual rig's faults: what is halved, which faults are tried, and what stands in the table."""
 
-import csv
 from dataclasses import replace
 
 import numpy as np
@@ -147,13 +146,6 @@ def test_gloss_that_nobody_states_and_a_plate_that_nobody_saw_have_no_error(chai
     monkeypatch.setattr(module, "run_chain", lambda *_: replace(truth, beta=nothing, mu=nothing))
     row = module.cost_rows("x", chain)[0]
     assert np.isnan(row.beta) and np.isnan(row.mu) and row.known == 0.0 and row.mean == 0.0
-
-
-def test_without_an_object_the_table_has_a_header_alone(tmp_path):
-    measure_imperfections(None, tmp_path / "none.csv")
-    with (tmp_path / "none.csv").open(newline="") as stream:
-        assert next(csv.reader(stream)) == ["faults", "light", "count", "mean", "p95", "max", "beta", "mu", "known"]
-    assert read_rows(tmp_path / "none.csv", CostRow) == []
 
 
 def test_a_small_chain_finds_the_object_on_a_rig_without_faults(chain, tmp_path):

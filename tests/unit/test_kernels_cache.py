@@ -109,6 +109,7 @@ def test_a_hash_ignores_what_is_not_executed(tmp_path):
     assert hashes[0] == hashes[1] != hashes[2]
 
 
+@pytest.mark.heavy
 def test_what_was_read_of_a_source_is_remembered_by_its_content_and_no_longer(tmp_path):
     package, stored = tmp_path / "package", tmp_path / "sources.json"
     package.mkdir()
@@ -166,6 +167,7 @@ def test_kernels_are_never_loaded_from_a_folder_that_others_can_write(tmp_path):
     assert not is_private(tmp_path / "missing")
 
 
+@pytest.mark.heavy
 def test_an_installation_that_others_can_write_keeps_its_kernels_with_the_user(package, tmp_path):
     (package / "irodori").chmod(0o777)
     home = tmp_path / "home"

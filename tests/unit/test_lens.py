@@ -1,70 +1,23 @@
 """A lens is measured from photographs of the printed sheet, and what cannot be told from them is refused."""
 
-from functools import cache
-
 import numpy as np
 import pytest
 import yaml
 from documented import of_kind, words_of
+from drawn_sheets import HEIGHT, PITCH_UM, PLACES, STRAIGHT, TRUE, WIDTH, photographed, seen_sheet, store
 from made import made
-from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.spatial.transform import Rotation
 
 from irodori.command_line import main
+from irodori.config.capture_table import COLUMNS as COLUMNS_OF_TABLE
 from irodori.config.models import Optics
+from irodori.core.errors import InputError
 from irodori.geometry.distortion import COEFFICIENTS
 from irodori.geometry.pinhole import Pinhole
 from irodori.lens.calibration_sheet import COLUMNS, PAPERS_MM, ROWS, board_picture, find_corners, write_sheet
+from irodori.lens.lens_file import LensFile, optics_in_use
 from irodori.lens.lens_models import Sheet, fit_lens, simplest
-from irodori.simulation.virtual_rig.dng_writer import write_dng
-
-WIDTH, HEIGHT = 1200, 800  # mosaic pixels
-PITCH_UM = 5.0
-#: Of a lens of ordinary distortion: barrel, some tangential part, its axis off the middle.
-TRUE = Pinhole(1500.0, (612.0, 391.0), WIDTH, HEIGHT, (-0.18, 0.06, 0.0006, -0.0009, 0.0, 0.0, 0.0, 0.0))
-STRAIGHT = Pinhole(1500.0, (600.0, 400.0), WIDTH, HEIGHT)
-BOARD = board_picture(48).astype(np.float64) / 255.0
-#: Angles of the sheet about its x and y, degrees, and where its middle is seen, as parts of the picture.
-PLACES = [
-    (0, 0, 0.5, 0.5), (35, 0, 0.5, 0.45), (-35, 0, 0.5, 0.55), (0, 35, 0.45, 0.5), (0, -35, 0.55, 0.5),
-    (25, 25, 0.3, 0.35), (-25, 25, 0.7, 0.35), (25, -25, 0.3, 0.65), (-25, -25, 0.7, 0.65), (10, 30, 0.75, 0.5),
-]  # fmt: skip
-
-
-def seen_sheet(lens: Pinhole, about_x, about_y, at_x, at_y, distance=20.0):
-    """The pose of the sheet: its first corner, its axes (columns), in the camera's frame, squares."""
-    axes = Rotation.from_euler("xyz", [about_x, about_y, 3.0], degrees=True).as_matrix()
-    ahead = lens.directions(np.array([at_x * WIDTH, at_y * HEIGHT]), np.eye(3))
-    middle = distance * ahead / ahead[2]
-    return middle - axes @ np.array([COLUMNS / 2, ROWS / 2, 0.0]), axes
-
-
-@cache
-def photographed(lens: Pinhole, place, seed=0, bend=0.0) -> np.ndarray:
-    """The mosaic of a photograph: each pixel looks along its ray at a sheet that may be bent, through a soft lens."""
-    origin, axes = seen_sheet(lens, *place)
-    x, y = np.meshgrid(np.arange(WIDTH) + 0.5, np.arange(HEIGHT) + 0.5)
-    toward = lens.directions(np.stack([x, y], axis=-1), np.eye(3))
-    depth = (origin @ axes[:, 2]) / (toward @ axes[:, 2])
-    on = (toward * depth[..., None] - origin) @ axes[:, :2]
-    on[..., 0] += bend * (on[..., 1] - ROWS / 2) ** 2
-    shown = map_coordinates(BOARD, [on[..., 1] * 48 - 0.5, on[..., 0] * 48 - 0.5], order=1, cval=0.6)
-    light = 0.05 + 0.85 * gaussian_filter(shown, 0.8)
-    radius = np.hypot(np.arange(WIDTH) - WIDTH / 2, np.arange(HEIGHT)[:, None] - HEIGHT / 2) / (WIDTH / 2)
-    level = (
-        light
-        * (1.0 - 0.25 * radius**2)
-        * np.array([[0.5, 0.9], [0.9, 0.4]])[np.arange(HEIGHT)[:, None] % 2, np.arange(WIDTH) % 2]
-    )
-    electrons = np.random.default_rng(seed).poisson(8000.0 * level)
-    return (512 + electrons).clip(0, 16383).astype(np.uint16)
-
-
-def store(folder, mosaics) -> None:
-    folder.mkdir(exist_ok=True)
-    for number, mosaic in enumerate(mosaics):
-        path = folder / f"sheet{number:02}.dng"
-        write_dng(path, mosaic, black_level=512, white_level=16383, exposure_s=0.02, model="test")
+from irodori.lens.stage import MeasuredLens, calibrate_lens, compared
 
 
 def corners(lens: Pinhole, places, sigma=0.02, seed=1) -> list[Sheet]:
@@ -187,6 +140,57 @@ def test_the_sheet_has_a_name_and_a_folder_or_is_refused(tmp_path, capsys):
     assert main(["lens", "--print", str(tmp_path / "sheet.pdf"), "--paper", "A3"]) == 0
     with pytest.raises(SystemExit):
         main(["lens"])
+
+
+TYPED = {"focal_length_mm": 7.0, "pixel_pitch_um": PITCH_UM, "width_px": WIDTH, "height_px": HEIGHT,
+         "principal_point_px": [600.0, 400.0]}  # fmt: skip
+
+
+def camera_table(folder, mosaics):
+    """Store photographs of the sheet beside one of a chart, as a camera's table lists them."""
+    store(folder, mosaics)
+    lines = [f"sheet{number:02}.dng,lens,0,0,0,0,out,0.02" for number in range(len(mosaics))]
+    (folder / "chart.dng").write_bytes(b"not opened")
+    lines.insert(1, "chart.dng,chart,45,0,0,0,out,0.02")
+    table = folder / "captures.csv"
+    table.write_text("\n".join([",".join(COLUMNS_OF_TABLE), *lines]))
+    return table
+
+
+def test_the_workflows_lens_is_measured_from_the_sheets_of_the_cameras_table_and_used_in_place_of_the_typed(tmp_path):
+    table = camera_table(tmp_path / "lens", [photographed(TRUE, place, seed) for seed, place in enumerate(PLACES)])
+    typed = made(Optics, TYPED)
+    calibrate_lens(table, table.parent, typed, tmp_path / "lens.yaml")
+    assert optics_in_use(typed, []) == typed
+    found = Pinhole.from_optics(optics_in_use(typed, [tmp_path / "lens.yaml"]))
+    assert apart_px(TRUE, found) < 0.5
+    loaded = LensFile.load(tmp_path / "lens.yaml")
+    # 1500 pixels of 5 um are 7.5 mm, and 7 mm were typed.
+    assert abs(loaded.optics.focal_length_mm - 7.5) < 4.0 * loaded.focal_length_error_mm < 0.1
+    assert "7.1 % more than the typed 7 mm" in loaded.remarks[0]
+    assert any("10 photographs" in remark for remark in loaded.remarks)
+
+
+def test_photographs_of_the_sheet_of_another_size_than_typed_are_refused(tmp_path):
+    table = camera_table(tmp_path / "lens", [photographed(STRAIGHT, place, seed) for seed, place in enumerate(PLACES)])
+    typed = made(Optics, TYPED | {"width_px": 1280})
+    with pytest.raises(InputError, match="width_px: found photographs of the role lens of 1200 pixels; accepted: 1280"):
+        calibrate_lens(table, table.parent, typed, tmp_path / "lens.yaml")
+    assert not (tmp_path / "lens.yaml").exists()
+
+
+@pytest.mark.parametrize(
+    ("typed_mm", "said"),
+    [
+        (50.08, "as typed (50.08 mm)"),
+        (48.0, "4.2 % more than the typed 48 mm"),
+        (55.0, "9.1 % less than the typed 55 mm"),
+    ],
+)
+def test_the_measured_focal_length_is_held_against_the_typed_one_in_a_sentence(typed_mm, said):
+    found = MeasuredLens(TYPED | {"focal_length_mm": 50.0}, 0.05, [])
+    sentence = compared(found, made(Optics, TYPED | {"focal_length_mm": typed_mm}))
+    assert sentence.startswith("focal length 50.000 ± 0.050 mm, ") and said in sentence
 
 
 def test_coefficients_come_in_the_order_of_opencv():

@@ -42,6 +42,7 @@ def sample_of(clean, seed=2, drift=0.005) -> Sample:
     return Sample(response.astype(np.float32), np.ones(clean.shape, np.float32), angles.astype(np.float32), noise, N, K)
 
 
+@pytest.mark.default_cases(5)
 @pytest.mark.parametrize("seed", [1, 2, 3])
 @pytest.mark.parametrize("lobes", ALL, ids="+".join)
 def test_the_lobes_that_made_the_photographs_are_chosen(lobes, seed):
@@ -155,6 +156,7 @@ def test_the_report_shows_a_choice_and_no_table_without_one(figures):
     assert ("ggx (in use)" in page, "gaussian</td><td>2.50</td><td>0.250</td><td>0.125" in page) == (bool(figures),) * 2
 
 
+@pytest.mark.default_cases(1)
 @needs_data
 @pytest.mark.parametrize("name", materials.CORNELL[1:])
 def test_lobes_chosen_by_half_of_the_directions_predict_the_other_half_better_than_equation_5(name):

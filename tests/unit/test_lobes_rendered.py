@@ -86,6 +86,7 @@ def integral(normal, view, components, n, k, light_of=smooth_light) -> float:
     return whole
 
 
+@pytest.mark.default_cases(10)
 @GLOSSY
 @pytest.mark.parametrize("theta_deg", [0.0, 50.0, 80.0])
 @pytest.mark.parametrize(("n", "k"), [(1.5, 0.0), (0.2, 3.4)], ids=["lacquer", "metal"])
@@ -100,6 +101,7 @@ def test_reference_renders_the_lobes_integrated_over_the_light(components, theta
     assert abs(picture.radiance[0, 0, 0] - expected) <= 5 * picture.standard_error[0, 0, 0] + 5e-4 * expected
 
 
+@pytest.mark.default_cases(6)
 @pytest.mark.parametrize("mu", [0.02, 0.1, 0.3, 0.7])
 @pytest.mark.parametrize("lobes", [("ggx",), ("ggx", "ggx"), ("gaussian", "ggx"), ("toy",)], ids="+".join)
 def test_a_furnace_gives_no_more_light_than_it_has(lobes, mu):
@@ -144,6 +146,7 @@ def interactive(components, light, n=1.5, k=0.0, lamps=(), size=(41, 41)):
     return render_frame(ready, view, lamps=tuple(CollimatedLamp(np.asarray(d)) for d in lamps))[..., 1] / 100
 
 
+@pytest.mark.default_cases(5)
 @GLOSSY
 @pytest.mark.parametrize(("n", "k"), [(1.5, 0.0), (0.2, 3.4)], ids=["lacquer", "metal"])
 def test_interactive_renders_the_lobes_integrated_over_the_light(components, n, k):
@@ -172,6 +175,7 @@ def test_interactive_shows_highlights_of_lamps_as_the_formula_has_them(component
     np.testing.assert_allclose(found[lit], true[lit], rtol=2e-3, atol=1e-5 * true[lit].max())
 
 
+@pytest.mark.default_cases(2)
 @GLOSSY
 def test_interactive_and_reference_show_the_same_ball(components):
     light = smooth_sky(256, 128)

@@ -44,6 +44,7 @@ def true_rate(response):
 BRACKETS = ([0.002, 0.02], [0.0002, 0.02], [0.00125, 0.005, 0.02])
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("exposures", BRACKETS, ids=["1:10", "1:100", "1:4:16"])
 def test_the_response_is_linear_to_a_thousandth_over_four_decades(exposures):
     rng = np.random.default_rng(31)
@@ -142,6 +143,7 @@ def test_no_bracket_gives_a_number_that_is_not_finite(levels, exposures, noise):
     assert not clipped[held.reshape(11, 2, 17, 2).all(axis=(1, 3))].any()
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("exposures", [[0.02], [0.002, 0.02]], ids=["one", "two"])
 def test_the_flat_field_is_divided_out_where_it_lies(exposures):
     rng = np.random.default_rng(38)

@@ -44,6 +44,7 @@ def mean_difference(ours, theirs) -> float:
     return float(np.abs(ours[..., [10, 30, 50]] - theirs).mean() / theirs.mean())
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("lighting", ["constant", "room"])
 def test_mitsuba_agrees_on_a_diffuse_sphere(lighting):
     pytest.importorskip("mitsuba")

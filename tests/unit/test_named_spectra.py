@@ -127,6 +127,7 @@ def test_published_tables_are_those_of_colour_science():
         np.testing.assert_array_equal(published_matrix(name), matrix)
 
 
+@pytest.mark.heavy
 def test_published_tables_name_their_axes_to_any_reader():
     xarray = pytest.importorskip("xarray")
     groups: set[str] = set()

@@ -148,6 +148,7 @@ def test_gloss_that_varies_within_a_paint_is_each_texels_own_as_far_as_it_is_tol
     assert (off(found, "beta", beta)[told] ** 2).mean() < (alone**2).mean()
 
 
+@pytest.mark.heavy
 @pytest.mark.stability(stage="fit", case="sittings whose lamp and poses are off")
 def test_errors_of_paints_cover_the_truth_from_sitting_to_sitting():
     off = {"alpha": [], "beta": [], "mu": []}

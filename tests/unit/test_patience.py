@@ -18,11 +18,13 @@ def any_computing_counts(monkeypatch):
     monkeypatch.setattr(patience, "LEAST_CPU_S", 0.02)
 
 
+@pytest.mark.heavy
 def test_what_computes_is_waited_for_though_it_is_silent():
     run = patience.run([sys.executable, "-c", COMPUTES.format(1.5 * QUIET_S) + "print('done')"], quiet_s=QUIET_S)
     assert (run.returncode, run.stdout, run.stderr) == (0, "done\n", "")
 
 
+@pytest.mark.heavy
 def test_what_a_child_computes_counts():
     code = STARTS.format(COMPUTES.format(1.5 * QUIET_S))
     assert patience.run([sys.executable, "-c", code], quiet_s=QUIET_S).stdout == "started\n"

@@ -49,6 +49,7 @@ def measure(sensor, seed, drift=0.0, gain_spread=0.0):
 CAMERAS = [(0.2, 3.0), (1.0, 2.0), (2.53, 6.0), (2.53, 25.0), (8.0, 6.0), (20.0, 15.0)]
 
 
+@pytest.mark.default_cases(4)
 @pytest.mark.parametrize(("gain", "read"), CAMERAS)
 @pytest.mark.parametrize("drift", [0.0, 0.03], ids=["steady", "drifting"])
 def test_gain_is_within_two_percent_of_the_truth(gain, read, drift):

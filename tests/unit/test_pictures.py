@@ -290,6 +290,7 @@ def test_an_interactive_view_in_files_has_the_light_of_its_lamp(tmp_path):
     assert figures["integrator"] == "interactive" and figures["rays"] >= 35
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize(
     "integrator",
     [

@@ -125,6 +125,7 @@ def _few_nodes(monkeypatch):
     monkeypatch.setattr(mesh_shadows, "RAYS_PER_NODE", 256)
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize("neighbour", ["sphere", pytest.param("mesh", marks=pytest.mark.heavy)])
 def test_a_turned_and_scaled_shape_and_its_neighbour_shade_each_other_as_paths_say(shape, neighbour):

@@ -78,6 +78,7 @@ def test_second_moments_are_those_of_the_sum_in_higher_precision(seed, bands, pi
     assert moments.largest_norm == pytest.approx(np.linalg.norm(rows.astype(float), axis=1).max(), rel=1e-12)
 
 
+@pytest.mark.default_cases(4)
 @pytest.mark.parametrize("kind", ["array", "flat", "memmap", "tiles", "hdf5", "hdf5 long row", "chunked", "long row"])
 def test_any_source_gives_the_same_basis_in_tiles_of_any_size(tmp_path, kind):
     values = picture(1)
@@ -171,6 +172,7 @@ def test_the_fewest_bases_meet_mean_and_p99_under_every_light(seed, mean, p99, a
         assert not meets(choose(moments, None, lights, options, bases=fewer))
 
 
+@pytest.mark.default_cases(4)
 @pytest.mark.parametrize("seed", range(12))
 def test_a_region_that_the_sample_holds_too_little_of_does_not_pass_for_a_percent(seed):
     # 1.1 % of the pixels have a colour that one basis misses: the picture's p99 is over the target. A sample of 4000

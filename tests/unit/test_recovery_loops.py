@@ -43,6 +43,7 @@ def weights(mapping, response, variance=None) -> np.ndarray:
     return out
 
 
+@pytest.mark.default_cases(4)
 @pytest.mark.parametrize("stated", [False, True])
 @pytest.mark.parametrize(("bands", "anchors", "bases"), [(6, 24, 6), (3, 5, 3), (6, 48, 12), (6, 1, 7), (9, 7, 4)])
 def test_the_blend_of_matrices_is_that_of_its_definition(bands, anchors, bases, stated):

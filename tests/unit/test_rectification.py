@@ -333,6 +333,7 @@ def tiled(tmp_path, definition, cuts=None):
     return whole, {name: np.concatenate([part[name] for part in parts]) for name in whole}
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("cuts", [[9], [1, 2, 17]])
 @pytest.mark.parametrize("definition", [PLATE, SPHERE], ids=["plate", "sphere"])
 def test_tiles_give_the_fit_the_same_observations_to_the_bit(tmp_path, definition, cuts):
@@ -343,6 +344,7 @@ def test_tiles_give_the_fit_the_same_observations_to_the_bit(tmp_path, definitio
     assert np.array_equal(parts["response"][used], whole["response"][used])
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("definition", [PLATE, SPHERE], ids=["plate", "sphere"])
 def test_tiles_are_bit_identical_to_the_whole(tmp_path, definition):
     whole, parts = tiled(tmp_path, definition)
@@ -527,6 +529,7 @@ def test_what_clips_is_told_from_what_is_masked_otherwise(tmp_path):
     assert hot.any() and (found["weight"][hot] == 0).all()
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("definition", [PLATE, SPHERE], ids=["plate", "sphere"])
 def test_full_resolution_gives_the_same_texels_as_superpixels(tmp_path, definition):
     """One scene that is linear over the sensor, sampled at superpixels and at mosaic pixels."""

@@ -113,6 +113,7 @@ def test_light_in_a_closed_room_is_the_sum_of_all_its_reflections():
 # --- the terms of equation (5) -----------------------------------------------------------------------------------
 
 
+@pytest.mark.default_cases(8)
 @pytest.mark.stability(stage="render", case="roughness at both bounds", mu=(0.005, 1.2))
 @pytest.mark.parametrize(("n", "k"), [(1.5, 0.0), (0.2, 3.4)], ids=["lacquer", "metal"])
 @pytest.mark.parametrize("mu", [0.005, 0.05, 0.4, 1.2])

@@ -85,6 +85,7 @@ def test_a_sphere_lights_a_plate_by_its_solid_angle(radius):
     assert (picture.standard_error[0, 0] <= 3e-3 * expected).all()
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize("mu", [0.02, 0.1, 0.4, 1.2])
 @pytest.mark.parametrize("theta_deg", [30.0, 80.0])
 def test_a_lamp_is_mirrored_as_broadly_as_the_surface_is_rough(mu, theta_deg):

@@ -128,6 +128,7 @@ def test_mitsuba_agrees_on_a_smooth_coat_over_a_black_body():
     agree(ours, mitsuba_picture(stage(bsdf) | {"sky": sky_light}, samples=32, **VIEW))
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("mu", [0.08, 0.2])
 def test_mitsuba_agrees_on_a_rough_golden_plate(mu):
     """GGX of `roughconductor`, whose masking and shadowing are independent: alike within 1e-4 at these steep angles."""

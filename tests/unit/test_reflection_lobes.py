@@ -256,6 +256,7 @@ def _grid(name: str, mu: float, nodes: int, furthest: float = math.pi / 2):
     return phi, step, azimuth, weight * math.pi  # both sides of the plane of incidence
 
 
+@pytest.mark.default_cases(16)
 @every_lobe
 @VIEWS
 @WIDTHS
@@ -277,6 +278,7 @@ def test_density_adds_up_to_the_share_of_useful_draws(name, mu, theta):
         assert total == pytest.approx(share, abs=5.0 * math.sqrt(share * (1.0 - share) / count) + 2e-3)
 
 
+@pytest.mark.default_cases(12)
 @every_lobe
 @pytest.mark.parametrize("theta", [0.0, 0.7, 1.3])
 @WIDTHS
@@ -431,6 +433,7 @@ def test_the_albedo_errs_by_no_more_than_it_says(name):
     assert (stated.error[:, None] <= 1e-3 * stated.albedo).all()
 
 
+@pytest.mark.default_cases(4)
 @every_lobe
 @pytest.mark.parametrize("mu", [0.1, 0.5, 1.2])
 def test_albedo_is_the_integral_over_the_light(name, mu):

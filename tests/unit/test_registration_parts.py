@@ -303,6 +303,7 @@ def test_the_photograph_that_is_furthest_off_is_refused():
 # All of it, on a plate whose pictures are drawn by hand.
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("lies", [(0.0,) * 6, (1.2, -0.9, 0.0, 0.0, 0.0, 1.5), (-0.8, 1.0, 0.0, 1.2, -1.0, -1.0)])
 def test_a_drawn_plate_is_found_where_it_lies(tmp_path, lies):
     found = register(drawn(tmp_path, Correction.of([*lies, *[0.0] * 6]), contrast=0.3), PLATE, SETUP, Placing())

@@ -70,11 +70,11 @@ def test_the_pictures_error_in_the_table_is_plain_ciede2000_up_to_white_and_scal
     for name, radiance in (("true", truth), ("found", found)):
         write_spectral_exr(tmp_path / f"{name}.exr", radiance, radiance[..., :3], {})
     inputs = {key: [] for key in ("materials", "true_materials", "environments", "true_environments", "calibrations")}
-    inputs |= {"view_lights": [tmp_path / "e.h5"], "views": [tmp_path / "found.exr"]}
+    inputs |= {"light": [tmp_path / "e.h5"], "views": [tmp_path / "found.exr"]}
     inputs |= {"true_views": [tmp_path / "true.exr"]}
-    names = {"cameras": [], "objects": [], "environments": [], "views": ["s/v"], "view_environments": ["e"]}
+    names = {"cameras": [], "objects": [], "environments": [], "views": ["s/v"], "light": "e"}
     scene = Staging.of({"lights": [], "display": {"exposure": "auto"}})
-    measure_errors(inputs, names, [scene], ["D65"], tmp_path / "errors.csv")
+    measure_errors(inputs, names, scene, ["D65"], tmp_path / "errors.csv")
     row, objects = read_rows(tmp_path / "errors.csv", ErrorRow)
     matrix = xyz_from_radiance(np.ones(61))
     pair = [radiance.astype(float) @ matrix.T for radiance in (truth, found)]
@@ -103,11 +103,11 @@ def test_a_pictures_error_is_judged_against_a_white_that_counts_the_scenes_light
     found = {}
     for label, lights, exposure in (("dark", [], "auto"), ("lit", [lamp], "auto"), ("exposed", [], 2.0)):
         inputs = {key: [] for key in ("materials", "true_materials", "environments", "true_environments")}
-        inputs |= {"calibrations": [], "view_lights": [tmp_path / "e.h5"]}
+        inputs |= {"calibrations": [], "light": [tmp_path / "e.h5"]}
         inputs |= {"views": [tmp_path / "found.exr"], "true_views": [tmp_path / "true.exr"]}
-        names = {"cameras": [], "objects": [], "environments": [], "views": ["s/v"], "view_environments": ["e"]}
+        names = {"cameras": [], "objects": [], "environments": [], "views": ["s/v"], "light": "e"}
         scene = Staging.of({"lights": lights, "display": {"exposure": exposure}})
-        measure_errors(inputs, names, [scene], ["D65"], tmp_path / "errors.csv")
+        measure_errors(inputs, names, scene, ["D65"], tmp_path / "errors.csv")
         found[label] = read_rows(tmp_path / "errors.csv", ErrorRow)[0].mean
     white = 0.5 + 4.5 * unit_luminance("D65")
     assert found["lit"] == pytest.approx(radiance_delta_e(truth, pictures["found"], white).mean(), rel=1e-4)
@@ -222,9 +222,9 @@ def test_the_outcome_of_a_fit_and_of_a_calibration_stand_in_the_table(tmp_path):
     inputs = {"materials": [tmp_path / "found.h5"], "true_materials": [tmp_path / "true.h5"],
               "environments": [tmp_path / "light.h5"], "true_environments": [tmp_path / "light.h5"],
               "calibrations": [tmp_path / "calibration.h5"]}  # fmt: skip
-    inputs |= {"view_lights": [], "views": [], "true_views": []}
-    names = {"cameras": ["cam"], "objects": ["tile"], "environments": ["room"], "views": [], "view_environments": []}
-    measure_errors(inputs, names, [], ["D65", "A"], tmp_path / "errors.csv")
+    inputs |= {"light": [], "views": [], "true_views": []}
+    names = {"cameras": ["cam"], "objects": ["tile"], "environments": ["room"], "views": [], "light": ""}
+    measure_errors(inputs, names, Staging(), ["D65", "A"], tmp_path / "errors.csv")
     rows = {(row.subject, row.quantity, row.light): row for row in read_rows(tmp_path / "errors.csv", ErrorRow)}
     assert rows["cam", "leave-one-patch-out spectral RMSE", ""].mean == 0.02
     assert rows["cam", "leave-one-patch-out CIEDE2000", "D65"].max == 2.0

@@ -2,7 +2,6 @@
 
 import csv
 import math
-from collections.abc import Mapping
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -50,7 +49,8 @@ def planned():
 def table(planned, tmp_path_factory):
     path = tmp_path_factory.mktemp("planning") / "planning.csv"
     measure_plan(
-        made(Mapping[str, PlannedPlate], {"tile-plate": made(PlannedPlate, planned)}),
+        "tile-plate",
+        made(PlannedPlate, planned),
         FitOptions(),
         80.0,
         made(Planning, {"poses": COUNTS, "materials": 1000}),
@@ -120,24 +120,14 @@ def test_the_table_has_its_columns_and_one_row_for_each_design_and_parameter(tab
 def test_the_same_seed_gives_the_same_table(planned, tmp_path):
     for name in ("a", "b"):
         measure_plan(
-            made(Mapping[str, PlannedPlate], {"x": made(PlannedPlate, planned)}),
+            "x",
+            made(PlannedPlate, planned),
             FitOptions(),
             80.0,
             made(Planning, {"poses": [4], "materials": 20}),
             tmp_path / name,
         )
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
-
-
-def test_without_plates_the_table_has_a_header_alone(tmp_path):
-    measure_plan(
-        made(Mapping[str, PlannedPlate], {}),
-        FitOptions(),
-        80.0,
-        made(Planning, {"poses": [4], "materials": 100}),
-        tmp_path / "none.csv",
-    )
-    assert read_rows(tmp_path / "none.csv", PlanRow) == []
 
 
 def test_the_figure_is_a_picture(table):
@@ -148,7 +138,8 @@ def test_a_rig_with_few_poses_leaves_designs_out(planned, tmp_path):
     limits = planned["rig"]["limits"] | {"camera_deg": {"min": 0.0, "max": 80.0, "step": 20.0}}
     small = planned | {"rig": planned["rig"] | {"limits": limits}}
     measure_plan(
-        made(Mapping[str, PlannedPlate], {"x": made(PlannedPlate, small)}),
+        "x",
+        made(PlannedPlate, small),
         FitOptions(),
         80.0,
         made(Planning, {"poses": [4, 24], "materials": 50}),
@@ -219,7 +210,8 @@ def test_simulated_photographs_scatter_as_the_noise_says(planned):
 def test_options_of_the_fit_are_those_of_the_configuration(planned, tmp_path):
     with pytest.raises(ValueError, match=r"fit\.solver 'guess'"):
         measure_plan(
-            made(Mapping[str, PlannedPlate], {"x": made(PlannedPlate, planned)}),
+            "x",
+            made(PlannedPlate, planned),
             FitOptions(solver="guess"),
             80.0,
             made(Planning, {"poses": [4], "materials": 10}),

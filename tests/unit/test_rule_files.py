@@ -53,11 +53,10 @@ def test_parameters_are_plain_and_as_the_files_say(sets, scenes, definitions):
         "rig": sets.rig(plate),
         "optics": sets.optics(plate),
         "photographed": sets.photographed(plate),
-        "plates": sets.plates(plate),
+        "planned": sets.planned(plate),
         "subject": sets.imperfect_object(plate),
         "shapes": scenes.shapes(job(scene="still-life")),
         "part": scenes.part("objects", "display")(job(scene="still-life")),
-        "views": scenes.view_scenes(),
     }
     assert json.loads(json.dumps(asked)) == asked
     assert asked["camera"] == definitions.cameras["d5100-comb"].plain()
@@ -68,7 +67,8 @@ def test_parameters_are_plain_and_as_the_files_say(sets, scenes, definitions):
     plate_file = definitions.objects["tile-plate"].plain()
     assert set(asked["photographed"]) == photographed
     assert all(asked["photographed"][key] == plate_file[key] for key in photographed)
-    assert set(asked["plates"]) == {"tile-plate"} == {asked["subject"]["name"]}
+    assert asked["subject"]["name"] == "tile-plate"
+    assert asked["planned"]["definition"]["plan"] == plate_file["plan"]
 
 
 def test_scripts_make_the_parts_of_what_the_snakefile_gives(sets, scenes):
@@ -76,10 +76,10 @@ def test_scripts_make_the_parts_of_what_the_snakefile_gives(sets, scenes):
     photographed = parts.PhotographedObject.of(sets.photographed(plate))
     whole = sets.loaded.objects["tile-plate"]
     assert all(value == getattr(whole, key) for key, value in vars(photographed).items())
-    planned = {name: parts.PlannedPlate.of(given) for name, given in sets.plates().items()}
-    assert planned["tile-plate"].definition.plan == whole.plan
-    assert planned["tile-plate"].sensor == sets.loaded.cameras[whole.camera].virtual.sensor
-    assert parts.ImperfectObject.of(sets.imperfect_object()).definition == whole
+    planned = parts.PlannedPlate.of(sets.planned(plate))
+    assert planned.definition.plan == whole.plan
+    assert planned.sensor == sets.loaded.cameras[whole.camera].virtual.sensor
+    assert parts.ImperfectObject.of(sets.imperfect_object(plate)).definition == whole
     assert parts.RigGeometry.of(sets.rig_geometry(plate)) == parts.RigGeometry.of_rig(sets.loaded.rigs["virtual"])
     assert models.Optics.of(sets.optics(plate)) == sets.loaded.cameras[whole.camera].optics
     scene = sets.loaded.scenes["still-life"]
@@ -151,15 +151,6 @@ def test_tables_of_a_camera_and_an_object_are_inputs_of_their_jobs(root):
     assert asked.calibration_of_index(job(object="tile-plate")) == ["results/cameras/d5100-comb/calibration.h5"]
 
 
-def test_views_of_objects_of_unknown_truth_are_left_out(root):
-    assert SceneFiles(PhotographSets(load(root))).views("{view}", virtual_only=True)
-    edit(root, "scenes/still-life.yaml", "photographs", {})
-    edit(root, PLATE_FILE, "virtual.materials.0.lobe", "ggx")
-    scenes = SceneFiles(PhotographSets(load(root)))
-    assert scenes.views("{scene}/{view}", virtual_only=True) == []
-    assert scenes.views("{scene}/{view}")
-
-
 def test_frames_of_a_scene_without_frames_are_refused(scenes):
     with pytest.raises(InputError, match="the scene still-life defines no frames"):
         scenes.with_frames(job(scene="still-life"))
@@ -176,7 +167,7 @@ def test_pictures_are_those_that_scenes_ask_for(root):
     edit(root, "scenes/still-life.yaml", "further_outputs", ["tiff"])
     edit(root, "scenes/still-life.yaml", "frames", {"kind": "turntable", "count": 4})
     scenes = SceneFiles(PhotographSets(load(root)))
-    wanted = scenes.pictures(job())
+    wanted = scenes.pictures()
     assert {"results/still-life/front.tif", "results/still-life/front.frames.png"} <= set(wanted)
     image = scenes.loaded.scenes["still-life"].image
     assert scenes.memory_of_frames_mb(job(scene="still-life")) == 8 * image.width * image.height * 4 // 1_000_000

@@ -63,6 +63,7 @@ def seen(tmp_path_factory):
         assert page.messages == []
 
 
+@pytest.mark.default_cases(4)
 @pytest.mark.parametrize("name", VIEWS)
 def test_a_view_of_any_kind_is_the_renderers(seen, name):
     written, page = seen
@@ -257,6 +258,7 @@ def torus(tmp_path_factory):
         yield Written(folder, with_torus(folder))
 
 
+@pytest.mark.heavy
 def test_meshes_hide_light_from_all_sides_as_in_the_renderer(torus):
     with opened(torus.path) as page:
         found = compared(torus, page, page.default_state(), torus.view)
@@ -274,6 +276,7 @@ def test_meshes_hide_light_from_all_sides_as_in_the_renderer(torus):
     assert held == [0b111, 0]
 
 
+@pytest.mark.heavy
 def test_shadows_of_meshes_lose_little_in_the_file(torus):
     loss = measured_loss(torus.data, torus.payload, torus.scenes, torus.view)
     assert 0.0 < loss["mean"] <= 0.1 and loss["p99"] <= 0.3
@@ -291,6 +294,7 @@ def of_ggx(material):
 LAMP = {"kind": "collimated", "azimuth_deg": -40.0, "elevation_deg": 50.0, "irradiance": 0.8, "spectrum": "FL11"}
 
 
+@pytest.mark.heavy
 def test_ggx_shines_in_a_room_as_in_the_renderer(tmp_path):
     """Rows of blurred light of a lobe with long tails, beside those of the other lobe; and a lamp's highlight."""
     written = Written(tmp_path, sources(tmp_path / "files", room(), first=of_ggx(painted(beta=6.0)), lights=[LAMP]))
@@ -386,7 +390,7 @@ def lit_share(point, normal, centre, radius, count=2048) -> tuple[np.ndarray, np
     return total / count * 2.0 / (1.0 + least), free / count
 
 
-@pytest.mark.parametrize("size", [0.0, 60.0])
+@pytest.mark.parametrize("size", [pytest.param(0.0, marks=pytest.mark.heavy), 60.0])
 def test_a_lamp_nearby_lights_by_its_formula(dark, size):
     written, page = dark
     at = np.array([70.0, -60.0, 120.0])
@@ -460,7 +464,8 @@ def cellar():
     return Environment(found.coefficients[:, ::-1, :3], found.basis[:, :3], found.irradiance[:, ::-1, :3])
 
 
-@pytest.mark.parametrize("first", ["painted", pytest.param("gold", marks=pytest.mark.heavy)])
+@pytest.mark.heavy
+@pytest.mark.parametrize("first", ["painted", "gold"])
 def test_each_room_of_a_page_lights_as_in_the_renderer(tmp_path, first):
     files = sources(tmp_path / "files", room(), first=gold() if first == "gold" else painted(), lesson=CELLAR,
                     further=(cellar(),))  # fmt: skip
@@ -480,6 +485,21 @@ def test_each_room_of_a_page_lights_as_in_the_renderer(tmp_path, first):
             page.page.keyboard.press("r")
             rooms.append(page.page.evaluate("Irodori.page().state.light.environment"))
         assert rooms == ["cellar", "room"]
+        assert page.messages == []
+
+
+def test_a_mesh_of_ggx_and_its_shadow_are_the_renderers_in_both_rooms_of_a_page(tmp_path):
+    """What the heavy tests try one by one, all on one page: lobe, lamp, soft shadows, a second room."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(mesh_shadow_nodes, "MESH_NODES", mesh_shadow_nodes.MESH_NODES // 4)
+        files = with_torus(tmp_path, first=of_ggx(painted(beta=6.0)), lights=[LAMP], lesson=CELLAR, further=(cellar(),))
+        written = Written(tmp_path, files)
+    with opened(written.path) as page:
+        state = page.default_state()
+        for name in ("room", "cellar", "room"):
+            state["light"] = {**state["light"], "environment": name}
+            found = compared(written, page, state, written.view)
+            assert agree(found), (name, found.mean(), np.percentile(found, 99))
         assert page.messages == []
 
 

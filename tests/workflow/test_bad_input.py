@@ -30,6 +30,7 @@ def test_an_unknown_key_names_the_one_that_was_meant(project):
     assert "config/objects/leaf-sphere.yaml" in said and "mirror_wieght" in said and "mirror_weight" in said
 
 
+@pytest.mark.heavy
 @pytest.mark.stability(stage="workflow", case="object names an unknown camera")
 def test_an_unknown_camera_lists_those_that_exist(project):
     edit(project / "config/objects/leaf-sphere.yaml", {"camera": "d5100-cmb"})
@@ -44,6 +45,7 @@ def test_an_angle_out_of_the_rigs_range_says_the_range(project):
     assert "leaf-sphere.yaml" in said and "poses[0].light_deg[0]" in said and "20" in said and "35 to 125" in said
 
 
+@pytest.mark.heavy
 @pytest.mark.stability(stage="workflow", case="chart file without a wavelength")
 def test_a_chart_with_a_missing_wavelength_is_refused(project):
     rows = [["patch", *map(str, range(400, 701, 10))]] + [[f"p{i}", *["0.5"] * 31] for i in range(24)]

@@ -42,7 +42,7 @@ STAGES_AFTER_FIT = {
 
 
 def errors(folder) -> dict[tuple[str, str, str], dict]:
-    with (folder / "results" / "errors.csv").open(newline="") as stream:
+    with (folder / "results/still-life/errors.csv").open(newline="") as stream:
         return {(r["subject"], r["quantity"], r["light"]): r for r in csv.DictReader(stream)}
 
 
@@ -51,7 +51,7 @@ def test_one_command_leaves_pictures_report_and_errors(finished):
     assert radiance.shape == (36, 48, 61)
     assert np.isfinite(radiance).all() and (radiance >= 0).all() and radiance.max() > 0.1
     assert (finished / "results/still-life/front.png").read_bytes().startswith(b"\x89PNG")
-    page = (finished / "results/report.html").read_text()
+    page = (finished / "results/still-life/report.html").read_text()
     assert page.count("data:image/png;base64") >= 6 and "CIEDE2000" in page
     for name in ("tile-plate", "leaf-sphere"):
         found = summarise(read_rows(finished / f"results/{name}/registration.csv", RegistrationRow))
@@ -63,11 +63,11 @@ def test_one_command_leaves_pictures_report_and_errors(finished):
 @pytest.mark.heavy
 @pytest.mark.skipif(browser_command() is None, reason="NO BROWSER: pages are not tested; install Debian's chromium")
 def test_nothing_in_the_report_bars_anyone(finished):
-    assert violations([finished / "results/report.html"]) == {}
+    assert violations([finished / "results/still-life/report.html"]) == {}
 
 
 def test_the_report_holds_the_calibration_against_every_guideline_with_the_source_of_each_limit(finished):
-    page = (finished / "results/report.html").read_text()
+    page = (finished / "results/still-life/report.html").read_text()
     for guideline in ("FADGI 2016", "FADGI 2023", "Metamorfoze 1.0", "Metamorfoze 2.0", "ISO 19264-1:2021"):
         assert page.count(f"<td>{guideline}</td>") == len(
             {(t.metric, t.statistic) for t in TOLERANCES if t.guideline == guideline}
@@ -75,12 +75,14 @@ def test_the_report_holds_the_calibration_against_every_guideline_with_the_sourc
     assert "<td>a secondary source, not the document</td>" in page and "<td>the document</td>" in page
 
 
+@pytest.mark.heavy
 def test_reports_and_clusters_name_no_number_of_cores_and_need_none(tmp_path):
     folder = small_project(tmp_path / "still-life")
     run = snakemake(folder, "--summary", cores=None)
-    assert run.returncode == 0 and "results/report.html" in run.stdout, run.stderr[-2000:]
+    assert run.returncode == 0 and "results/still-life/report.html" in run.stdout, run.stderr[-2000:]
 
 
+@pytest.mark.heavy
 def test_what_measuring_speed_takes_is_not_counted_as_time_of_the_results(tmp_path):
     run = snakemake(small_project(tmp_path / "still-life"), "--dry-run", "benchmark")
     assert run.returncode == 0, run.stderr[-2000:]
@@ -95,7 +97,7 @@ def test_a_photograph_is_compared_with_its_view_and_the_report_shows_it(finished
     difference, noise = found["delta_e"], found["noise_floor"]
     assert 0 < noise["mean"] < difference["mean"] < difference["p95"] < difference["max"]
     assert len(found["noise_counts"]) == 3 and 0.9 < found["luminance_ratio"] < 1.1
-    page = (finished / "results/report.html").read_text()
+    page = (finished / "results/still-life/report.html").read_text()
     assert "Beside a photograph" in page and "Words of this page" in page and f"{found['delta_e']['mean']:.4g}" in page
 
 
@@ -192,6 +194,7 @@ def test_a_second_run_does_nothing(again):
     assert run.returncode == 0 and "Nothing to be done" in run.stdout + run.stderr
 
 
+@pytest.mark.heavy
 def test_one_objects_file_reruns_that_object_and_no_other(again):
     edit(again / "config/objects/leaf-sphere.yaml", {"refractive_index": {"n": 1.6, "k": 0.0}})
     jobs = planned(snakemake(again, "--dry-run"))
@@ -210,6 +213,7 @@ def test_a_patch_in_the_frame_takes_the_place_of_the_estimate(again):
     assert ("measure_patch", "leaf-sphere") in levels and ("measure_levels", "leaf-sphere") not in levels
 
 
+@pytest.mark.heavy
 def test_a_finer_texture_does_not_photograph_again(again):
     edit(again / "config/objects/tile-plate.yaml", {"texels": {"width": 32, "height": 32}})
     jobs = planned(snakemake(again, "--dry-run"))

@@ -90,6 +90,7 @@ def test_files_that_were_only_touched_make_nothing_again(project):
     assert jobs(project) == []
 
 
+@pytest.mark.heavy
 def test_another_photograph_of_the_same_size_and_time_is_seen(project):
     assert jobs(project) == []  # which leaves the hashes behind
     found = chart(project).stat()
@@ -97,6 +98,7 @@ def test_another_photograph_of_the_same_size_and_time_is_seen(project):
     assert jobs(project) == ["check_camera_captures", "ingest_chart", "ingest_reference"]
 
 
+@pytest.mark.heavy
 def test_another_table_of_spectra_with_an_older_time_is_seen(project):
     table = project / "white.csv"
     table.write_text(table.read_text().replace("0.99", "0.98"))
@@ -104,6 +106,7 @@ def test_another_table_of_spectra_with_an_older_time_is_seen(project):
     assert jobs(project) == ["ingest_chart", "ingest_reference"]
 
 
+@pytest.mark.heavy
 def test_a_sessions_photograph_that_is_not_the_one_it_took_is_refused_by_name(project):
     target = f"{SESSION}/captures.csv"
     assert jobs(project, target) == []
@@ -114,6 +117,7 @@ def test_a_sessions_photograph_that_is_not_the_one_it_took_is_refused_by_name(pr
     assert run.returncode != 0 and raw.name in said and "to take this one as it is, empty its cell sha256" in said
 
 
+@pytest.mark.heavy
 def test_an_edited_result_is_refused_and_made_again(project):
     reference, linear = project / f"{CAMERA}/reference.h5", project / LINEAR
     before, times = read_record(linear).sha256, reference.stat()

@@ -58,6 +58,7 @@ def test_the_default_run_has_no_mesh(tmp_path):
     assert not any(wildcards.get("object") == "celadon-lid" for _, wildcards in jobs)
 
 
+@pytest.mark.heavy
 def test_the_distance_of_the_light_rectifies_anew_and_needs_no_other_key(project):
     edit(project / "config/rigs/virtual.yaml", {"light.distance_mm": 400.0})
     edit(project / "config/cameras/d5100-comb.yaml", {"optics.distortion": {"k1": -0.1}})

@@ -37,7 +37,7 @@ def project(again) -> Path:
 
 
 def crate(folder: Path, *arguments) -> int:
-    return main(["crate", str(folder / "results"), *map(str, arguments)])
+    return main(["crate", "--directory", str(folder), *map(str, arguments)])
 
 
 def graph_of(file: Path) -> dict[str, dict]:
@@ -80,8 +80,9 @@ def test_a_crate_of_a_run_is_valid_and_every_hash_is_that_of_its_file(project, t
         content = (tmp_path / "crate" / one["@id"]).read_bytes()
         assert one["sha256"] == hashlib.sha256(content).hexdigest() and int(one["contentSize"]) == len(content)
     names = {one["@id"] for one in files}
-    assert {"workflow/Snakefile", "config/config.yaml", "config/objects/tile-plate.yaml", "results/report.html",
-            "results/still-life/front.exr", "results/tile-plate/material.h5"} <= names  # fmt: skip
+    assert {"workflow/Snakefile", "config/config.yaml", "config/objects/tile-plate.yaml",
+            "results/still-life/report.html", "results/still-life/front.exr", "results/tile-plate/material.h5",
+            "results/still-life/photographs/front/comparison.h5"} <= names  # fmt: skip
     assert any(name.endswith(".dng") for name in names)
     root, run = graph["./"], graph["#run"]
     assert root["license"] == {"@id": publication["licence"]} and root["author"] == {
@@ -105,6 +106,8 @@ def test_every_job_has_its_time_and_comes_after_those_whose_results_it_read(proj
     made_at = {name: datetime.fromisoformat(job["endTime"]) for job in jobs for name in listed(job, "result")}
     pictures = [job for job in jobs if "results/still-life/front.exr" in listed(job, "result")]
     assert len(pictures) == 1 and "results/tile-plate/material.h5" in listed(pictures[0], "object")
+    # What one job wrote is of one job.
+    assert "results/still-life/front.png" in listed(pictures[0], "result")
     for job in jobs:
         start, end = (datetime.fromisoformat(job[key]) for key in ("startTime", "endTime"))
         assert start <= end

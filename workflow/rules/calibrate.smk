@@ -1,6 +1,7 @@
 rule calibrate:
     input:
         sets.calibrations,
+        sets.lenses,
 
 
 rule calibrate_camera:
@@ -44,3 +45,29 @@ rule calibrate_camera:
         code=code_hash("irodori.calibration.stage"),
     script:
         "../scripts/calibrate_camera.py"
+
+
+rule calibrate_lens:
+    input:
+        user_files=ancient(sets.sheet),
+    output:
+        lens="results/cameras/{camera}/lens.yaml",
+    log:
+        "results/logs/calibrate_lens/{camera}.log",
+    benchmark:
+        "results/benchmarks/calibrate_lens/{camera}.tsv"
+    # The objects of the camera wait for it.
+    priority: 30
+    conda:
+        "../../envs/irodori.yaml"
+    threads: 1
+    resources:
+        mem_mb=lambda wildcards, attempt: 1500 * attempt,
+    params:
+        table=sets.table,
+        folder=sets.folder,
+        optics=sets.optics,
+        user_files=ledger.content(sets.sheet),
+        code=code_hash("irodori.lens.stage"),
+    script:
+        "../scripts/calibrate_lens.py"

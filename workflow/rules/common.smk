@@ -1,5 +1,6 @@
 from irodori.config.definitions import load_definitions
 from irodori.config.photograph_sets import PhotographSets
+from irodori.config.reports import Reports
 from irodori.config.scene_files import SceneFiles
 from irodori.core.errors import InputError
 from irodori.core.ledger import Ledger
@@ -15,6 +16,7 @@ try:
     config["lessons"] = {name: scene.pop("lesson", None) for name, scene in config["scenes"].items()}
     sets = PhotographSets(loaded)
     scenes = SceneFiles(sets)
+    reports = Reports(scenes)
 except InputError as error:
     raise WorkflowError(str(error)) from None
 

@@ -88,6 +88,7 @@ rule compare_photograph:
         radiance=scenes.photograph_radiance,
         materials=scenes.materials("results/{object}/material.h5"),
         environment=scenes.environment,
+        lens=scenes.photograph_lens,
         user_files=ancient(scenes.shown_files),
     output:
         comparison=report(
@@ -115,6 +116,6 @@ rule compare_photograph:
         optics=scenes.photograph_optics,
         shapes=scenes.shapes,
         user_files=ledger.content(scenes.shown_files),
-        code=code_hash("irodori.evaluation.photograph_comparison"),
+        code=code_hash("irodori.evaluation.photograph_comparison", "irodori.lens.lens_file"),
     script:
         "../scripts/compare_photograph.py"

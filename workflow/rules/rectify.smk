@@ -1,6 +1,7 @@
 rule register_object:
     input:
         linear=sets.linear_files,
+        lens=sets.lens,
         user_files=ancient(sets.mesh),
     output:
         registration="results/{object}/registration.h5",
@@ -21,7 +22,7 @@ rule register_object:
         rig=sets.rig_geometry,
         place=lookup(within=config, dpath="place"),
         user_files=ledger.content(sets.mesh),
-        code=code_hash("irodori.rectification.object_registration"),
+        code=code_hash("irodori.rectification.object_registration", "irodori.lens.lens_file"),
     script:
         "../scripts/register_object.py"
 
@@ -29,6 +30,7 @@ rule register_object:
 rule rectify_object:
     input:
         linear=sets.linear_files,
+        lens=sets.lens,
         registration=sets.registration,
         user_files=ancient(sets.mesh),
     output:
@@ -51,7 +53,7 @@ rule rectify_object:
         rig=sets.rig_geometry,
         max_angle_deg=lookup(within=config["rectify"], dpath="max_angle_deg"),
         user_files=ledger.content(sets.mesh),
-        code=code_hash("irodori.rectification.stage"),
+        code=code_hash("irodori.rectification.stage", "irodori.lens.lens_file"),
     script:
         "../scripts/rectify_object.py"
 

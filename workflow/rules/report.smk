@@ -46,51 +46,75 @@ rule write_true_environment:
         "../scripts/write_true_environment.py"
 
 
+# A report is that of a scene, or of a camera that the configuration names by itself: `reports` tells them apart by their
+# wildcards.
 rule measure_errors:
     input:
-        materials=expand("results/{object}/material.h5", object=sets.virtual("objects")),
-        true_materials=expand("results/{object}/truth.h5", object=sets.virtual("objects")),
-        environments=expand("results/environments/{environment}.h5", environment=sets.virtual("environments")),
-        true_environments=expand(
-            "results/environments/{environment}/truth.h5", environment=sets.virtual("environments")
-        ),
-        calibrations=expand("results/cameras/{camera}/calibration.h5", camera=config["cameras"]),
-        view_lights=scenes.views("results/environments/{environment}.h5", virtual_only=True),
-        views=scenes.views("results/{scene}/{view}.exr", virtual_only=True),
-        true_views=scenes.views("results/{scene}/truth/{view}.exr", virtual_only=True),
+        materials=reports.objects("results/{object}/material.h5", virtual_only=True),
+        true_materials=reports.objects("results/{object}/truth.h5", virtual_only=True),
+        environments=reports.environments("results/environments/{environment}.h5", virtual_only=True),
+        true_environments=reports.environments("results/environments/{environment}/truth.h5", virtual_only=True),
+        calibrations=reports.cameras("results/cameras/{camera}/calibration.h5"),
+        light=reports.light,
+        views=reports.views("results/{scene}/{view}.exr", virtual_only=True),
+        true_views=reports.views("results/{scene}/truth/{view}.exr", virtual_only=True),
     output:
-        errors=report("results/errors.csv", caption="../report/errors.rst", category="Errors"),
+        errors=report(
+            "results/{scene}/errors.csv",
+            caption="../report/errors.rst",
+            category="Errors",
+            labels={"scene": "{scene}"},
+        ),
     log:
-        "results/logs/measure_errors/all.log",
+        "results/logs/measure_errors/{scene}.log",
     benchmark:
-        "results/benchmarks/measure_errors/all.tsv"
+        "results/benchmarks/measure_errors/{scene}.tsv"
     conda:
         "../../envs/irodori.yaml"
     threads: 1
     resources:
         mem_mb=lambda wildcards, attempt: 3000 * attempt,
     params:
-        objects=sets.virtual("objects"),
-        environments=sets.virtual("environments"),
-        cameras=list(config["cameras"]),
-        views=scenes.views("{scene}/{view}", virtual_only=True),
-        view_environments=scenes.views("{environment}", virtual_only=True),
-        view_scenes=scenes.view_scenes(virtual_only=True),
+        objects=reports.objects("{object}", virtual_only=True),
+        environments=reports.environments("{environment}", virtual_only=True),
+        cameras=reports.cameras("{camera}"),
+        views=reports.views("{scene}/{view}", virtual_only=True),
+        light=reports.light_name,
+        scene=reports.staging,
         lights=lookup(within=config["report"], dpath="lights"),
         code=code_hash("irodori.evaluation.truth_errors"),
     script:
         "../scripts/measure_errors.py"
 
 
+use rule measure_errors as measure_camera_errors with:
+    output:
+        errors=report(
+            "results/cameras/{camera}/errors.csv",
+            caption="../report/errors.rst",
+            category="Errors",
+            labels={"camera": "{camera}"},
+        ),
+    log:
+        "results/logs/measure_errors/cameras-{camera}.log",
+    benchmark:
+        "results/benchmarks/measure_errors/cameras-{camera}.tsv"
+
+
 rule measure_plan:
     input:
-        user_files=ancient(sets.tables_of_plates),
+        user_files=ancient(sets.tables_of_plan),
     output:
-        planning=report("results/planning.csv", caption="../report/planning.rst", category="Poses"),
+        planning=report(
+            "results/{object}/planning.csv",
+            caption="../report/planning.rst",
+            category="Poses",
+            labels={"object": "{object}"},
+        ),
     log:
-        "results/logs/measure_plan/all.log",
+        "results/logs/measure_plan/{object}.log",
     benchmark:
-        "results/benchmarks/measure_plan/all.tsv"
+        "results/benchmarks/measure_plan/{object}.tsv"
     # No stage waits for it, and the loops it shares with them are compiled by then.
     priority: -10
     conda:
@@ -99,11 +123,11 @@ rule measure_plan:
     resources:
         mem_mb=lambda wildcards, attempt: 1000 * attempt,
     params:
-        objects=sets.plates,
+        planned=sets.planned,
         fit=lookup(within=config, dpath="fit"),
         max_angle_deg=lookup(within=config["rectify"], dpath="max_angle_deg"),
         planning=lookup(within=config["report"], dpath="planning"),
-        user_files=ledger.content(sets.tables_of_plates),
+        user_files=ledger.content(sets.tables_of_plan),
         code=code_hash("irodori.evaluation.pose_planning"),
     script:
         "../scripts/measure_plan.py"
@@ -114,14 +138,15 @@ rule measure_imperfections:
         user_files=ancient(sets.files_of_imperfections),
     output:
         costs=report(
-            "results/imperfections.csv",
+            "results/{object}/imperfections.csv",
             caption="../report/imperfections.rst",
             category="Errors",
+            labels={"object": "{object}"},
         ),
     log:
-        "results/logs/measure_imperfections/all.log",
+        "results/logs/measure_imperfections/{object}.log",
     benchmark:
-        "results/benchmarks/measure_imperfections/all.tsv"
+        "results/benchmarks/measure_imperfections/{object}.tsv"
     # No stage waits for it, and the loops it shares with them are compiled by then.
     priority: -10
     conda:
@@ -208,46 +233,68 @@ rule measure_registration:
 
 rule write_report:
     input:
-        errors="results/errors.csv",
-        planning="results/planning.csv",
-        imperfections="results/imperfections.csv",
-        budgets=scenes.views("results/{scene}/error_budget/{view}.csv", virtual_only=True),
-        references=expand("results/cameras/{camera}/reference.h5", camera=config["cameras"]),
-        sessions=sets.sessions,
-        registrations=expand("results/{object}/registration.csv", object=config["objects"]),
-        materials=expand("results/{object}/material.h5", object=config["objects"]),
-        true_materials=expand("results/{object}/truth.h5", object=sets.virtual("objects")),
-        environments=expand("results/environments/{environment}.h5", environment=config["environments"]),
-        calibrations=expand("results/cameras/{camera}/calibration.h5", camera=config["cameras"]),
-        selections=expand("results/cameras/{camera}/calibration_selection.csv", camera=config["cameras"]),
-        calibration_errors=expand("results/cameras/{camera}/calibration_errors.csv", camera=config["cameras"]),
-        pictures=scenes.views("results/{scene}/{view}.png"),
-        figures=scenes.views("results/{scene}/{view}.json"),
-        true_pictures=scenes.views("results/{scene}/truth/{view}.png", virtual_only=True),
-        comparisons=scenes.photographs("results/{scene}/photographs/{photograph}/comparison.png"),
-        comparison_figures=scenes.photographs("results/{scene}/photographs/{photograph}/comparison.json"),
-        pages=scenes.pages(),
+        errors=reports.errors,
+        plans=reports.plates("results/{object}/planning.csv"),
+        imperfections=reports.imperfect("results/{object}/imperfections.csv"),
+        budgets=reports.views("results/{scene}/error_budget/{view}.csv", virtual_only=True),
+        lenses=reports.lenses,
+        references=reports.cameras("results/cameras/{camera}/reference.h5"),
+        sessions=reports.sessions,
+        registrations=reports.objects("results/{object}/registration.csv"),
+        materials=reports.objects("results/{object}/material.h5"),
+        true_materials=reports.objects("results/{object}/truth.h5", virtual_only=True),
+        environments=reports.environments("results/environments/{environment}.h5"),
+        calibrations=reports.cameras("results/cameras/{camera}/calibration.h5"),
+        selections=reports.cameras("results/cameras/{camera}/calibration_selection.csv"),
+        calibration_errors=reports.cameras("results/cameras/{camera}/calibration_errors.csv"),
+        pictures=reports.views("results/{scene}/{view}.png"),
+        figures=reports.views("results/{scene}/{view}.json"),
+        true_pictures=reports.views("results/{scene}/truth/{view}.png", virtual_only=True),
+        comparisons=reports.photographs("results/{scene}/photographs/{photograph}/comparison.png"),
+        comparison_figures=reports.photographs("results/{scene}/photographs/{photograph}/comparison.json"),
+        pages=reports.pages,
     output:
-        page=report("results/report.html", caption="../report/report.rst", category="Errors"),
+        page=report(
+            "results/{scene}/report.html",
+            caption="../report/report.rst",
+            category="Errors",
+            labels={"scene": "{scene}"},
+        ),
     log:
-        "results/logs/write_report/all.log",
+        "results/logs/write_report/{scene}.log",
     benchmark:
-        "results/benchmarks/write_report/all.tsv"
+        "results/benchmarks/write_report/{scene}.tsv"
     conda:
         "../../envs/irodori.yaml"
     threads: 1
     resources:
         mem_mb=lambda wildcards, attempt: 2000 * attempt,
     params:
-        objects=list(config["objects"]),
-        virtual_objects=sets.virtual("objects"),
-        environments=list(config["environments"]),
-        cameras=list(config["cameras"]),
-        views=scenes.views("{scene}/{view}"),
-        virtual_views=scenes.views("{scene}/{view}", virtual_only=True),
-        photographs=scenes.photographs("{scene}/{photograph}"),
-        pages=scenes.pages("{scene}/viewer.html"),
+        title=reports.title,
+        objects=reports.objects("{object}"),
+        virtual_objects=reports.objects("{object}", virtual_only=True),
+        environments=reports.environments("{environment}"),
+        cameras=reports.cameras("{camera}"),
+        lens_cameras=reports.lens_cameras,
+        views=reports.views("{scene}/{view}"),
+        virtual_views=reports.views("{scene}/{view}", virtual_only=True),
+        photographs=reports.photographs("{scene}/{photograph}"),
+        jobs=reports.jobs,
         benchmarks="results/benchmarks",
         code=code_hash("irodori.report.page"),
     script:
         "../scripts/write_report.py"
+
+
+use rule write_report as write_camera_report with:
+    output:
+        page=report(
+            "results/cameras/{camera}/report.html",
+            caption="../report/report.rst",
+            category="Errors",
+            labels={"camera": "{camera}"},
+        ),
+    log:
+        "results/logs/write_report/cameras-{camera}.log",
+    benchmark:
+        "results/benchmarks/write_report/cameras-{camera}.tsv"

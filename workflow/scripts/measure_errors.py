@@ -6,7 +6,7 @@ with run_rule(snakemake):
     measure_errors(
         dict(snakemake.input.items()),
         dict(snakemake.params.items()),
-        map(Staging.of, snakemake.params.view_scenes),
+        Staging.of(snakemake.params.scene),
         snakemake.params.lights,
         snakemake.output.errors,
     )

@@ -14,8 +14,5 @@ with run_rule(snakemake):
         CompressOptions(**snakemake.params.compress),
         snakemake.params.lights,
     )
-    subject = snakemake.params.subject
-    measure_imperfections(
-        SmallChain(**vars(ImperfectObject.of(subject)), settings=settings) if subject else None,
-        snakemake.output.costs,
-    )
+    subject = ImperfectObject.of(snakemake.params.subject)
+    measure_imperfections(SmallChain(**vars(subject), settings=settings), snakemake.output.costs)

@@ -6,7 +6,8 @@ from irodori.fitting.solvers import FitOptions
 
 with run_rule(snakemake):
     measure_plan(
-        {name: PlannedPlate.of(planned) for name, planned in snakemake.params.objects.items()},
+        snakemake.wildcards.object,
+        PlannedPlate.of(snakemake.params.planned),
         FitOptions(**snakemake.params.fit),
         snakemake.params.max_angle_deg,
         Planning.of(snakemake.params.planning),

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from irodori.config.capture_table import (
     FILTERS,
+    LENS,
     Pose,
     Shot,
     chart_capture,
@@ -16,7 +17,7 @@ from irodori.config.capture_table import (
     shot_path,
 )
 from irodori.config.cross_checks.plausible_units import check_degrees
-from irodori.config.models import AxisLimit, Captures, Exposures, PoseGroup, RigLimits, RigPose
+from irodori.config.models import AxisLimit, Camera, Captures, Exposures, PoseGroup, RigLimits, RigPose
 from irodori.core.errors import InputError, is_file
 
 _ANGLE_TOLERANCE_DEG = 1e-6
@@ -109,6 +110,19 @@ def read_table(captures: Captures | None, root: Path, file) -> tuple[Path, list[
                 accepted = f"{captures.published}; or a photograph of your own, listed in {table}"
                 raise InputError(file, "captures", f"no such file: {raw}", accepted)
     return table, read_captures(table, folder)
+
+
+def check_sheet(shots: list[Shot], camera: Camera, table: Path, file) -> None:
+    """Refuse photographs of the printed sheet that do not show the lens alone, and those of a camera without optics."""
+    if not shots:
+        return
+    if camera.optics is None:
+        found = f"no such key, though {table} lists photographs of the role {LENS}"
+        raise InputError(file, "optics", found, "the block optics, whose focal length the photographs then refine")
+    for shot in shots:
+        if shot.filter != "out":
+            found = f"the sheet with the filter in, {shot.file}"
+            raise InputError(table, "filter", found, "out: the lens is measured without the filter")
 
 
 def of_role(shots: list[Shot], role: str, table: Path) -> list[Shot]:

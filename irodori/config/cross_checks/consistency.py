@@ -4,13 +4,14 @@ import os
 from collections.abc import Mapping
 from pathlib import Path
 
-from irodori.config.capture_table import FILTERS, Shot
+from irodori.config.capture_table import FILTERS, LENS, Shot
 from irodori.config.cross_checks.captures_on_rig import (
     Reach,
     by_chart,
     check_incidence,
     check_one_pose,
     check_room_charts,
+    check_sheet,
     check_states,
     of_role,
     read_table,
@@ -300,6 +301,7 @@ class _Checks:
         self.charts[name] = table, charts[0]
         states = self._states(name)
         check_states(photographed, table, states, table)
+        check_sheet([shot for shot in shots if shot.role == LENS], camera, table, file)
         user = self._user_of(name)
         whites = [shot for shot in shots if shot.role == "white"]
         if user and not whites:

@@ -143,7 +143,7 @@
   function showTruthLine() {
     const { cpu, data_loss: loss } = app.header.stated_errors;
     $("truth-line").textContent = [
-      I.text("truth_cpu", { error: cpu ? pairOf(cpu) : I.text("not_checked") }),
+      cpu ? I.text("truth_cpu", { error: pairOf(cpu) }) : I.text("truth_unchecked"),
       I.text("truth_loss", { error: pairOf(loss) }),
       app.header.environments.map((name) => I.nameOf("environment", name)).join(", "),
       app.header.made,

@@ -8,6 +8,7 @@ from studio import even_light, levels, picture, sky_of, spectrum_of
 from irodori.colour.colorimetry import xyz_from_radiance
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize(("n", "k"), [(1.5, 0.0), (0.2, 3.4)], ids=["lacquer", "metal"])
 @pytest.mark.parametrize(("mu", "tolerance"), [(0.05, 0.01), (0.12, 0.01), (0.35, 0.03), (0.6, 0.04), (1.2, 0.06)])
 def test_gloss_is_the_lobe_integrated_over_the_light(mu, tolerance, n, k):

@@ -226,6 +226,7 @@ def test_between_its_entries_the_table_keeps_the_power(place, root):
     assert roughness_place(mu) == pytest.approx(place, abs=1e-6)
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize(("mu", "dropped"), [(0.005, False), (0.05, True), (0.3, True)])
 def test_blurred_light_that_no_lobe_asks_for_is_left_out(mu, dropped):
     maps = GlossMaps.of(np.random.default_rng(0).random((128, 256, 1)).astype(np.float32))

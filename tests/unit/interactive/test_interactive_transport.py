@@ -201,6 +201,7 @@ def test_a_mesh_looks_like_the_plate_that_it_is():
     assert different.mean() <= 2e-3  # pixels on an edge
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.stability(stage="render", case="scene of 1 mm", scale=1 / 120.0)
 @pytest.mark.stability(stage="render", case="scene of 1 km", scale=1e6 / 120.0)
 @pytest.mark.parametrize("scale", [1 / 120.0, 1e6 / 120.0])

@@ -122,6 +122,7 @@ RECEIVERS = {
 }
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize(
     "receiver", ["plate", "mesh", "plane", *(pytest.param(r, marks=pytest.mark.heavy) for r in ("disc", "large plate"))]
 )
@@ -177,6 +178,7 @@ def test_what_two_shapes_hide_together_counts_once(grey):
     assert np.abs(front - disc).max() <= 0.01
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("grey", [0.0, 0.9])
 def test_what_hangs_in_front_of_a_ceiling_hides_it_although_it_hides_no_sky(grey):
     """A ball of triangles between a floor and a ceiling so wide that no ray to the sky meets the ball."""
@@ -222,6 +224,7 @@ def test_a_convex_mesh_hides_nothing_from_itself():
 # --- against paths that converge ------------------------------------------------------------------------------------
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize(("cover", "table", "rms"), [(0.0, 0.8, 0.008), (0.5, 0.5, 0.012)])
 def test_a_lid_on_a_plate_is_shaded_as_the_reference_integrator_shades_it(cover, table, rms):
     """With a black lid but for quadrature; else light is thrown once, by mean colours, from fully lit surfaces."""
@@ -333,6 +336,7 @@ def test_a_scene_without_meshes_has_no_shadows_to_look_up():
     assert dark.world.shadowed == 0
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize(
     ("away", "height", "other", "grey"), [(200, -55, 0, 0), (200, -55, 0.5, 0.5), (10, -80, 0.9, 0)]
 )

@@ -247,6 +247,7 @@ def test_a_smaller_tolerance_costs_more():
     assert costs == sorted(costs) and costs[0] < costs[-1]
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("parallel", [False, True])
 def test_single_pixels_are_those_of_the_picture(parallel):
     shiny = [material(0.5, mirror=0.3), material(GREENISH, beta=3.0, mu=0.15, mirror=0.4)]
@@ -270,6 +271,7 @@ def test_the_gloss_of_an_object_that_nobody_would_miss_is_left_out():
     assert values(document)["gloss"] == ["jar"] and document["decisions"]["gloss"]["predicted_delta_e"] > 0
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     ("overrides", "field"),
     [
@@ -393,6 +395,7 @@ def probed(lamps: int) -> Probed:
     return Probed(parts, full, matrix, probes, shown(full), shown)
 
 
+@pytest.mark.default_cases(5)
 @pytest.mark.parametrize("lamps", [0, 1])
 @pytest.mark.parametrize("change", CHANGED)
 def test_a_change_of_the_probes_scene_is_what_a_scene_prepared_without_it_shows(change, lamps):
@@ -408,6 +411,7 @@ def test_a_change_of_the_probes_scene_is_what_a_scene_prepared_without_it_shows(
     assert met["rays"] == pytest.approx(met["hits"] + met["misses"]) and 0 < met["glossy"] <= met["hits"]
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("side", [1, 2])
 def test_an_environment_of_straight_edges_is_halved_no_further_than_its_check_allows(side):
     """Panels of two pixels of the picture and more, beside a mirror and in it; ``side`` rays along a pixel."""
@@ -436,6 +440,7 @@ def test_a_view_of_parallel_rays_is_predicted_and_checked_as_it_is_rendered():
     assert figures["plan"]["delta_e_to_full_model"]["p99"] <= document["predicted_delta_e"] + 0.02 <= 1.02
 
 
+@pytest.mark.heavy
 def test_rays_that_all_leave_the_scene_are_planned_for():
     """A mirror that has nothing to show but the sky, and a view of the sky alone."""
     mirrors = [material(0.2, beta=1.0, mu=0.2, mirror=1.0)]

@@ -86,6 +86,7 @@ LENS = {"lens": {"diameter_mm": 30.0, "focus_mm": 150.0}}
 PARALLEL = {"kind": "orthographic", "height_mm": 90.0}
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("kind", [{}, LENS, PARALLEL], ids=["pinhole", "lens", "parallel"])
 def test_single_pixels_converge_to_those_of_the_picture(kind):
     definition = scene_of(1.0)

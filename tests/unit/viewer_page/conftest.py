@@ -1,6 +1,7 @@
 """A browser without a network, and the page open in it."""
 
 import json
+from collections import defaultdict
 from dataclasses import dataclass, field
 
 import patience
@@ -9,7 +10,7 @@ from definitions import ROOT, load
 from double_pages import header_of, write_double
 from pages import room, sources
 
-from irodori.viewer.browser import FLAGS, browser_command, client, is_told_by_page
+from irodori.viewer.browser import FLAGS, browser, browser_command, is_told_by_page
 from irodori.viewer.page_data import page_data
 from irodori.viewer.page_file import write_page
 
@@ -61,39 +62,29 @@ class Visit:
         return box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def browser_of():
     """Return a function that gives a browser, with graphics drawn in software only where a page needs them.
 
     With them every page of text is laid out by that renderer too, at several times the cost.
     """
-    command, started = browser_command(), {}
-    if command is None:
+    if browser_command() is None:
         pytest.skip("NO BROWSER: pages are not tested; install Debian's package chromium")
-
-    def found(drawn: bool):
-        if drawn not in started:
-            flags = FLAGS if drawn else ("--no-sandbox",)
-            started[drawn] = client().chromium.launch(executable_path=command, args=[*flags, "--headless=new"])
-        return started[drawn]
-
-    yield found
-    for chromium in started.values():
-        chromium.close()
+    return lambda drawn: browser((*(FLAGS if drawn else ("--no-sandbox",)), "--headless=new"))
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def scene():
     return load(ROOT, scenes=["still-life"]).scenes["still-life"]
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def page_file(scene, tmp_path_factory):
     poster = ROOT / "docs/still-life.png"
     return write_double(tmp_path_factory.mktemp("viewer") / "viewer.html", header_of(scene), poster)
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def drawn_page_file(tmp_path_factory):
     """A page of the product's own renderer: two rooms, a lamp, and a lesson that goes through both."""
     folder = tmp_path_factory.mktemp("drawn")
@@ -109,7 +100,7 @@ def drawn_page_file(tmp_path_factory):
     return file
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def context_of(browser_of):
     """Return a function that gives the browser's context of some options, in which pages keep nothing."""
     contexts = {}
@@ -128,31 +119,44 @@ def context_of(browser_of):
         context.close()
 
 
+@pytest.fixture(scope="module")
+def idle_pages() -> dict[object, list]:
+    """Pages that a test has left, by context: a new page would cost a process of the browser's."""
+    return defaultdict(list)
+
+
 @pytest.fixture
-def visit(context_of, page_file):
+def visit(context_of, page_file, idle_pages):
     """Return a function that opens the page; at the end nothing may have been complained about."""
     visits = []
 
-    def open_page(hash_="", script="", ready=True, file=page_file, **given) -> Visit:
+    def open_page(hash_="", script="", ready=True, file=page_file, drawn=False, **given) -> Visit:
         options = {"viewport": {"width": 1280, "height": 800}, "locale": "en", "reduced_motion": "reduce", **given}
-        context = context_of(script, drawn=file != page_file, **options)
-        opened = Visit(context.new_page())
-        visits.append(opened)
-        opened.page.on("console", lambda message: _note_message(message.text, opened))
-        opened.page.on("pageerror", lambda error: opened.complaints.append(str(error)))
-        opened.page.on("request", lambda asked: _note_request(asked, opened, file))
+        context = context_of(script, drawn=drawn or file != page_file, **options)
+        opened = Visit(idle_pages[context].pop() if idle_pages[context] else context.new_page())
+        listeners = {
+            "console": lambda message: _note_message(message.text, opened),
+            "pageerror": lambda error: opened.complaints.append(str(error)),
+            "request": lambda asked: _note_request(asked, opened, file),
+        }
+        visits.append((opened, context, listeners))
+        for event, listener in listeners.items():
+            opened.page.on(event, listener)
         opened.page.goto(file.as_uri() + hash_)
         if ready:
             opened.page.wait_for_selector("body[data-ready]")
         return opened
 
     yield open_page
-    for one in visits:
-        one.page.close()
-    assert [one.complaints for one in visits] == [[] for _ in visits]
+    for opened, context, listeners in visits:
+        opened.page.goto("about:blank")
+        for event, listener in listeners.items():
+            opened.page.remove_listener(event, listener)
+        idle_pages[context].append(opened.page)
+    assert [opened.complaints for opened, *_ in visits] == [[] for _ in visits]
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def opening_state(context_of, page_file) -> dict:
     """State in which the page opens."""
     page = context_of("", viewport={"width": 1280, "height": 800}, locale="en", reduced_motion="reduce").new_page()

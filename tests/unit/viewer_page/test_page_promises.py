@@ -2,6 +2,7 @@
 
 import base64
 import io
+import itertools
 import json
 import re
 from importlib import resources
@@ -9,7 +10,7 @@ from importlib import resources
 import pytest
 import yaml
 from definitions import ROOT
-from double_pages import PAGE, close
+from double_pages import PAGE, close, header_of, write_double
 from PIL import Image
 
 from irodori.config.models import Scene
@@ -30,7 +31,7 @@ def words(language):
 
 
 def violations(visit) -> list[str]:
-    found = visit.page.evaluate("async () => (await axe.run()).violations")
+    found = visit.page.evaluate("async () => (await axe.run(document, {resultTypes: ['violations']})).violations")
     return [f"{one['id']}: {node['html'][:120]}" for one in found for node in one["nodes"]]
 
 
@@ -101,6 +102,33 @@ def test_nothing_is_wider_than_the_screen_and_targets_are_large(visit, size):
     assert picture["width"] * picture["height"] > 0.4 * size["viewport"]["width"] * size["viewport"]["height"]
 
 
+@pytest.mark.parametrize(
+    "size",
+    [(900, 560), *(pytest.param(size, marks=pytest.mark.heavy) for size in ((821, 600), (1280, 720), (1441, 800)))],
+)
+@pytest.mark.parametrize("language", ["en", "ja"])
+def test_nothing_over_the_picture_covers_another(visit, size, language):
+    """The scale bar is as long as it can be."""
+    one = visit(viewport=dict(zip(("width", "height"), size, strict=True)), locale=language)
+    one.page.locator("#tab-seeing").click()
+    one.page.evaluate("document.querySelector('#page-seeing input[value=status]').click()")
+    one.page.locator("#page-seeing").get_by_label(words(language)["show_rate"]).check()
+    one.wait_for("document.getElementById('rate').textContent")
+    stage = one.page.locator("#stage").bounding_box()
+    longest_px = min(150, stage["width"] / 4)
+    one.page.evaluate("(px) => { document.getElementById('scale-line').style.width = px + 'px'; }", longest_px)
+    boxes = {name: one.page.locator(name).bounding_box() for name in ("#tools", "#scale-bar", "#legend", "#rate")}
+
+    def apart(a, b) -> bool:
+        sides = (("x", "width"), ("y", "height"))
+        return any(a[at] + a[size] <= b[at] or b[at] + b[size] <= a[at] for at, size in sides)
+
+    for name, box in boxes.items():
+        for at, size in (("x", "width"), ("y", "height")):
+            assert stage[at] <= box[at] and box[at] + box[size] <= stage[at] + stage[size], name
+    assert [pair for pair in itertools.combinations(boxes, 2) if not apart(*map(boxes.get, pair))] == []
+
+
 def test_changes_are_told_to_those_who_do_not_see_them(visit):
     one = visit()
     one.page.locator(".steps li:nth-child(3) button").click()
@@ -109,6 +137,7 @@ def test_changes_are_told_to_those_who_do_not_see_them(visit):
     assert "D65" in told and "Second light" in told and "50 %" in told
 
 
+@pytest.mark.heavy
 def test_motion_is_reduced_on_request(visit):
     glide = visit(reduced_motion="no-preference")
     still = visit()
@@ -215,6 +244,7 @@ def saved(visit, press) -> bytes:
     return download.value.path().read_bytes()
 
 
+@pytest.mark.heavy
 def test_a_saved_picture_shows_its_state_again(visit, tmp_path):
     one = visit(accept_downloads=True)
     one.page.locator(".steps li:nth-child(3) button").click()
@@ -244,6 +274,7 @@ def drop(visit, name, content):
     )
 
 
+@pytest.mark.heavy
 def test_other_pictures_and_files_are_refused(visit):
     one, start = visit(), visit().state()
     plain = io.BytesIO()
@@ -265,6 +296,7 @@ def test_other_pictures_and_files_are_refused(visit):
         assert one.state() == start
 
 
+@pytest.mark.heavy
 def test_a_table_of_a_light_becomes_the_light(visit):
     one = visit()
     rows = "\ufeffwavelength nm;power\r\n" + "".join(f"{nm};{nm / 100}\r\n" for nm in range(380, 785, 10))
@@ -286,6 +318,7 @@ def test_a_table_of_a_light_becomes_the_light(visit):
 # ---- the teacher
 
 
+@pytest.mark.heavy
 def test_an_edited_lesson_is_exported_as_a_scene_takes_it(visit, scene, tmp_path):
     one = visit(accept_downloads=True)
     page = one.page
@@ -317,6 +350,7 @@ def test_an_edited_lesson_is_exported_as_a_scene_takes_it(visit, scene, tmp_path
     assert again["compare"] == shown["compare"]
 
 
+@pytest.mark.heavy
 def test_a_picture_given_to_a_step_is_shown_and_exported_with_the_lesson(visit, tmp_path):
     one = visit(accept_downloads=True)
     page = one.page
@@ -373,6 +407,7 @@ def test_a_damaged_payload_is_told_in_a_sentence(visit):
     assert one.page.locator("#poster-text").inner_text() == "The data of this page are damaged."
 
 
+@pytest.mark.heavy
 def test_a_slow_machine_gets_fewer_pixels_while_it_moves_and_all_at_rest(visit):
     one = visit(script="window.slowness = 120")
     one.page.evaluate(
@@ -388,6 +423,7 @@ def test_a_slow_machine_gets_fewer_pixels_while_it_moves_and_all_at_rest(visit):
     assert one.page.evaluate("Irodori.pace().frames") == drawn
 
 
+@pytest.mark.heavy
 def test_rate_and_scale_are_shown_on_request(visit):
     one = visit()
     assert not one.page.locator("#rate").is_visible()
@@ -416,3 +452,15 @@ def test_the_footer_tells_how_true_the_picture_is(visit):
     # The address that asks for the page's own check shows its table.
     one.wait_for("document.querySelector('#dialog td')")
     assert one.page.locator("#dialog td").all_inner_texts() == ["double", "0.01", "0.1"]
+
+
+@pytest.mark.parametrize("language", ["en", "ja"])
+def test_the_footer_of_an_unchecked_page_tells_what_was_not_checked_and_what_that_needs(
+    visit, scene, tmp_path, language
+):
+    header = header_of(scene)
+    header["stated_errors"]["cpu"] = None
+    one = visit(file=write_double(tmp_path / "viewer.html", header), locale=language)
+    line = one.page.locator("#truth-line").inner_text()
+    assert line.startswith(words(language)["truth_unchecked"]) and "CPU" in line
+    assert "Chromium" in line and "playwright" in line

@@ -1,0 +1,59 @@
+"""Configuration of a project: the default file, overridden by further files as Snakemake merges them."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from irodori.config.definitions import definition_faults, load_definitions
+from irodori.config.loaded import Loaded
+from irodori.core.errors import InputError
+from irodori.core.yaml_files import read_yaml
+
+__all__ = ["DEFAULT_FILE", "configuration_files", "load_project", "project_faults"]
+
+#: The default configuration, which further files override.
+DEFAULT_FILE = "config/config.yaml"
+
+
+def configuration_files(files: list[str]) -> list[str]:
+    """Return the default configuration, if it exists, and then further files."""
+    default = [DEFAULT_FILE] if Path(DEFAULT_FILE).is_file() else []
+    return default + [file for file in files if Path(file) != Path(DEFAULT_FILE)]
+
+
+def load_project(files: list[str]) -> Loaded:
+    """Load the default configuration, if it exists, overridden by further files as Snakemake merges them.
+
+    Raises
+    ------
+    InputError
+        For the first fault.
+    """
+    config, names = _project(files)
+    return load_definitions(config, Path(), names)
+
+
+def project_faults(files: list[str]) -> list[InputError]:
+    """Return all faults of definitions and tables, see `irodori.config.definitions.definition_faults`."""
+    try:
+        config, names = _project(files)
+    except InputError as error:
+        return [error]
+    return definition_faults(config, Path(), names)
+
+
+def _project(files: list[str]) -> tuple[dict, list[str]]:
+    """Return a project's configuration, merged, and the files that it is merged from."""
+    names = configuration_files(files)
+    config: dict = {}
+    for name in names:
+        config = _merged(config, read_yaml(Path(name)))
+    return config, names
+
+
+def _merged(old: Mapping, new: Mapping) -> dict:
+    """Return a configuration overridden by another, as Snakemake merges files: mappings by key, lists as a whole."""
+    both = dict(old)
+    for key, value in new.items():
+        is_block = isinstance(value, Mapping) and isinstance(both.get(key), Mapping)
+        both[key] = _merged(both[key], value) if is_block else value
+    return both
