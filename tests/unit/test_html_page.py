@@ -32,6 +32,12 @@ def test_an_unknown_number_is_a_dash():
     assert "<td>0.6667, –</td>" in page and "<td>7</td>" in page
 
 
+def test_a_measured_lens_is_reported_in_the_words_of_its_file():
+    assert fragment("lenses.html.j2", lenses={}).strip() == ""
+    page = fragment("lenses.html.j2", lenses={"eye": ["focal length 7.5 mm, 7.1 % more than <typed>"]})
+    assert "The lens of eye" in page and "<li>focal length 7.5 mm, 7.1 % more than &lt;typed&gt;</li>" in page
+
+
 def test_one_style_and_nothing_from_elsewhere():
     texts = {path.name: path.read_text() for path in TEMPLATES.iterdir()}
     assert [name for name, text in texts.items() if "<style" in text] == ["base.html.j2"]
