@@ -10,10 +10,10 @@ Each mutant is printed, with the test that noticed it or as a survivor, and how 
 status is 1 where too few of all were (``--least``).
 
 Only the tests of a room's own files are asked (`ROOMS`), of these only such as take less than `LONGEST_S` once their
-loops are loaded, of a parametrised test `CASES`, and as many as take `TOGETHER_S` together: a fault that others alone
-would notice counts as a survivor. Times are those of the processor, whoever else uses it. A mutant that never ends is
-noticed: a test computes for ten times as long as it should and for `PATIENCE_S`, or its process hardly computes for
-`QUIET_S`. So a run ends; a test that takes `HANGS_S` without a mutant ends it.
+loops are loaded, and as many as take `TOGETHER_S` together: a fault that others alone would notice counts as a
+survivor. Times are those of the processor, whoever else uses it. A mutant that never ends is noticed: a test computes
+for ten times as long as it should and for `PATIENCE_S`, or its process hardly computes for `QUIET_S`. So a run
+ends; a test that takes `HANGS_S` without a mutant ends it.
 """
 
 import argparse
@@ -65,7 +65,7 @@ ROOMS = {
     "rectification": (
         ("rectification",),
         ("unit/test_rectification.py", "unit/test_registration_parts.py", "unit/test_registration_steps.py",
-         "unit/test_outline_search.py"),
+         "unit/test_outline_search.py", "unit/test_ball_outline.py", "rig/test_level_patch.py"),
     ),
     "light": (
         ("light",),
@@ -102,7 +102,6 @@ LONG = (
 LONGEST_S = 2.0
 TOGETHER_S = 16.0  # of the tests that one mutant is put to
 EXAMPLES = 10  # of a property-based test, at most
-CASES = 4  # of a parametrised test, at most; spread evenly over them
 PATIENCE_S = 4.0
 QUIET_S = 40.0
 QUIET_SHARE = 0.02
@@ -157,13 +156,8 @@ class Runner:
         settings.load_profile("mutation")
 
     def pytest_collection_modifyitems(self, items) -> None:
-        from default_cases import spread
         from hypothesis import settings
 
-        cases = defaultdict(list)
-        for item in items:
-            cases[item.nodeid.partition("[")[0]].append(item)
-        items[:] = [found[i] for found in cases.values() for i in sorted(spread(CASES, len(found)))]
         for item in items:
             given = getattr(item.obj, "_hypothesis_internal_use_settings", None)
             if given is not None:
@@ -430,7 +424,7 @@ def _score(noticed: int, tried: int) -> str:
 def _try_all(room: str, mutants: list[Mutant]) -> list[bool] | None:
     """Return which mutants of a room were noticed; None where its tests do not run."""
     runner = Runner(room, mutants)
-    options = ["-q", "-p", "no:xdist", "-p", "no:cacheprovider", "-o", "addopts=", "-m", "not heavy"]
+    options = ["-q", "-p", "no:xdist", "-p", "no:cacheprovider", "-o", "addopts=", "-m", "not heavy or default_cases"]
     options += ["-k", f"not ({' or '.join(LONG)})"]
     status = pytest.main([*options, *(f"tests/{f}" for f in ROOMS[room][1])], plugins=[runner])
     if status not in (0, pytest.ExitCode.NO_TESTS_COLLECTED) or len(runner.noticed) != len(mutants):
