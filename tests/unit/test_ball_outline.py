@@ -14,7 +14,7 @@ LAMP = np.array([-0.5, 0.4, 0.77]) / np.linalg.norm([-0.5, 0.4, 0.77])
 
 
 def drawn(circle: Circle = BALL, ring: float = 0.0, seen: float = 1.0) -> np.ndarray:
-    """Return a shaded ball, each pixel the mean of 16 places, with a bright ring on it; a part of it may be cut away."""
+    """Return a shaded ball, each pixel the mean of 16 places; it may have a bright ring, and a part cut away."""
     fine = Circle(4.0 * circle.x + 1.5, 4.0 * circle.y + 1.5, 4.0 * circle.radius)
     normals = fine.normals((4 * SIZE[0], 4 * SIZE[1]))
     shade = np.nan_to_num(0.3 + 0.7 * np.maximum(normals @ LAMP, 0.0), nan=0.02)
