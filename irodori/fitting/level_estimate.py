@@ -73,7 +73,7 @@ class Readings(NamedTuple):
 
 @dataclass(frozen=True)
 class EstimatedLevels:
-    """Levels of photographs, their standard errors, (J,) each, and the texels that tell them."""
+    """Levels of photographs, their standard errors, (J,) each, and the texels from which they were estimated."""
 
     level: np.ndarray
     error: np.ndarray
@@ -81,7 +81,7 @@ class EstimatedLevels:
 
 
 class _Texels(NamedTuple):
-    """The texels that tell the levels: readings under the present levels, which of them count, and the fitted gloss."""
+    """Texels used for the estimate: readings divided by the present levels, their weights, and the fitted gloss."""
 
     readings: Readings
     seen: np.ndarray  # (texels, J) bool
@@ -89,7 +89,7 @@ class _Texels(NamedTuple):
     gloss: np.ndarray  # (texels, 2 components) β and μ of each
 
     def gloss_at(self, geometry: np.ndarray) -> np.ndarray:
-        """Return the gloss, (texels, J)."""
+        """Return the gloss term of the reflection model, (texels, J)."""
         total = np.zeros(geometry.shape[:-1])
         for component, name in enumerate(self.lobes):
             beta, mu = self.gloss[:, 2 * component, None], self.gloss[:, 2 * component + 1, None]
@@ -97,7 +97,7 @@ class _Texels(NamedTuple):
         return total * self.fresnel(geometry)
 
     def fresnel(self, geometry: np.ndarray) -> np.ndarray:
-        """Return Fresnel's reflectance, (texels, J)."""
+        """Return the Fresnel reflectance, (texels, J)."""
         return fresnel_array(np.cos(geometry[..., 2]), self.readings.n, self.readings.k)
 
 
@@ -138,24 +138,24 @@ def turned(geometry: np.ndarray, angle_rad: float, *, light: bool) -> np.ndarray
 
 
 def _tents(values: np.ndarray, nodes: np.ndarray) -> np.ndarray:
-    """Return functions that are 1 at one node and 0 at the others, linear between, (..., nodes)."""
+    """Return piecewise linear basis functions, each 1 at its node and 0 at the others, (..., nodes)."""
     return np.stack([np.interp(values, nodes, one) for one in np.eye(len(nodes))], axis=-1)
 
 
 def _diffuse(geometry: np.ndarray) -> np.ndarray:
-    """Return cosθ_i where light and eye are on the outer side, else 0."""
+    """Return cosθ_i if light and camera are above the surface, else 0."""
     lit = (geometry[..., :2] < 0.5 * np.pi).all(axis=-1)
     return np.where(lit, np.cos(geometry[..., 0]), 0.0)
 
 
 def _variance(readings: Readings, response: np.ndarray, relative: float) -> np.ndarray:
-    """Return the variance that noise and a relative error give responses; the latter alone where noise is not known."""
+    """Return the variance of responses due to noise, if known, and to a relative error."""
     noise = np.nan_to_num(np.asarray(readings.noise, dtype=np.float64))
     return noise[:, 0] + noise[:, 1] * np.maximum(response, 0.0) + (relative * response) ** 2 + _LEAST_VARIANCE
 
 
 def _modelled(texels: _Texels) -> _Model:
-    """Return the fitted model with the α that the observations call for."""
+    """Return the fitted model with the least-squares α of the observations."""
     readings, seen = texels.readings, texels.seen
     cosine, fresnel = _diffuse(readings.geometry), texels.fresnel(readings.geometry)
     gloss, slopes = np.zeros_like(cosine), [cosine]
@@ -172,7 +172,7 @@ def _modelled(texels: _Texels) -> _Model:
 
 
 def _of_photographs(texels: _Texels, model: _Model, options: FitOptions) -> np.ndarray:
-    """Return what one prior standard deviation of each unknown of a photograph does to it, (texels, J, unknowns)."""
+    """Return each photograph's derivatives by its own unknowns, per prior standard deviation, (texels, J, unknowns)."""
     response, geometry = model.alpha * model.cosine + model.gloss, texels.readings.geometry
     changes = [options.model_error * response, _SHARED_GLOSS_ERROR * model.gloss]
     for light in (True, False):
@@ -185,7 +185,7 @@ def _of_photographs(texels: _Texels, model: _Model, options: FitOptions) -> np.n
 
 
 def _of_all(texels: _Texels, model: _Model) -> np.ndarray:
-    """Return what one prior standard deviation of each unknown of all photographs does, (texels, J, unknowns)."""
+    """Return derivatives by unknowns common to all photographs, per prior standard deviation, (texels, J, unknowns)."""
     geometry = texels.readings.geometry
     even = evaluate("gaussian", _EVEN, geometry) * texels.fresnel(geometry)
     lobe = _OTHER_LOBE * np.median(model.alpha) * even[..., None] * _tents(geometry[..., 3], _PHI_NODES_RAD)
@@ -195,7 +195,7 @@ def _of_all(texels: _Texels, model: _Model) -> np.ndarray:
 
 
 class _Equations(NamedTuple):
-    """Normal equations of the unknowns of photographs and of all, without those of the texels.
+    """Normal equations of the unknowns of single and of all photographs; the unknowns of texels are eliminated.
 
     ``matrix`` (Q, Q) and ``slope`` (Q,); ``onto`` (texels, Q, u), by which the texels' own unknowns follow; ``inverse``
     (texels, u, u) and ``own`` (texels, u), their normal equations.
@@ -267,7 +267,7 @@ def estimate_levels(readings: Readings, options: FitOptions) -> EstimatedLevels 
 
 
 def _described(readings: Readings, options: FitOptions, level: np.ndarray) -> _Texels | None:
-    """Return the texels that the model describes under these levels; None where it describes too few."""
+    """Return the texels that fit the model under these levels; None if they are too few."""
     dtype = readings.response.dtype
     under = (readings.response / level).astype(dtype)
     found = fit(
@@ -309,7 +309,7 @@ def _step(texels: _Texels, options: FitOptions, level: np.ndarray) -> tuple[np.n
 
 
 def _without_outliers(weight, residual, slopes, single, shared, *, offset) -> np.ndarray:
-    """Return weights with less for readings that the estimate leaves far off, as Huber has it."""
+    """Return weights reduced by Huber's rule for readings with large residuals."""
     equations = _equations(weight, residual, slopes, single, shared)
     solution = np.linalg.solve(equations.matrix + np.eye(len(offset)), equations.slope - offset)
     texels, captures, each = single.shape

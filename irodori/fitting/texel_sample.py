@@ -1,4 +1,4 @@
-"""Samples of an object's texels, for what is decided once for all of them."""
+"""Samples of an object's texels, for estimates that are made once for the whole object."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ _MOST_TILES = 16  # evenly over the object: of ten million texels one tile in si
 
 
 def sample_texels(tiles: list, most: int, enough: int) -> Observed:
-    """Return texels, evenly from some tiles, of those with observations enough or, where none has, the most.
+    """Draw texels evenly from tiles: those with enough observations, or if there are none, with the most.
 
     Parameters
     ----------
@@ -39,6 +39,6 @@ def sample_texels(tiles: list, most: int, enough: int) -> Observed:
 
 
 def _observations(path) -> np.ndarray:
-    """Return how many observations of each texel of a tile have weight."""
+    """Count the observations with a positive weight of each texel of a tile."""
     with store.open_file(path) as file:
         return (file.read("weight") > 0.0).sum(axis=1)

@@ -114,7 +114,7 @@ def calibrate_lens(table, folder, typed: Optics, output) -> None:
 
 
 def compared(found: MeasuredLens, typed: Optics) -> str:
-    """Return a sentence that holds the measured focal length against the typed one."""
+    """Return a sentence that compares the measured focal length with the typed one."""
     own_mm = found.optics["focal_length_mm"]
     measured = f"focal length {own_mm:.3f} ± {found.focal_error_mm:.3f} mm"
     if abs(own_mm - typed.focal_length_mm) <= 2.0 * found.focal_error_mm:

@@ -1,4 +1,4 @@
-"""The file of an object's photograph levels: the lamp's level in every photograph over that at the white reference."""
+"""File of the lamp's level in every photograph of an object, relative to the level at the white reference."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -41,7 +41,7 @@ class PhotographLevels:
         return np.repeat(self.level, BANDS_OF_STATE, axis=1)
 
     def say(self) -> None:
-        """Log how the levels were found, by how much they vary and how well they are known."""
+        """Log the source of the levels, their scatter and their errors."""
         if self.source == NOTHING:
             LOGGER.info("level of the lamp: too few texels that a model describes tell it; responses stay as they are")
             return
@@ -52,7 +52,7 @@ class PhotographLevels:
         )
 
     def write(self, output, captures: list[str], filters: list[str], provenance: store.Provenance) -> None:
-        """Write the levels of these captures through these filter states."""
+        """Write the file of levels for captures and filter states."""
         with store.create(output, provenance) as out:
             out.coordinate("capture", captures, units="1", quantity="name of the capture")
             out.coordinate("filter", filters, units="1", quantity="filter state")
@@ -101,7 +101,7 @@ def levels_of(path, captures: list[str], bands: int, observations) -> np.ndarray
 
 
 def common_error(paths: Sequence, stated: float) -> float:
-    """Return the relative error that all observations share: by the file of levels or, without one, as stated."""
+    """Return the relative error common to all observations: from the file of levels, or without one, as configured."""
     for path in paths:
         return read_levels(path)[0].common_error
     return stated

@@ -59,7 +59,7 @@ def _grid(patch: "LevelPatch") -> np.ndarray:
 
 
 def read_patch(path, shape: Shape, setup: RigSetup, patch: "LevelPatch") -> PatchReading:
-    """Return what one capture shows of the patch.
+    """Measure the patch in one capture.
 
     Parameters
     ----------
@@ -109,7 +109,7 @@ def read_patch(path, shape: Shape, setup: RigSetup, patch: "LevelPatch") -> Patc
 
 
 def _check_sight(path, sight: Sight, inside: np.ndarray) -> None:
-    """Refuse a patch that a photograph cannot show."""
+    """Raise an error if a photograph cannot show the patch."""
     largest = np.degrees(sight.geometry[:, :2].max(axis=0))
     for angle, doing in zip(largest, ("lit", "seen"), strict=True):
         if angle > _LARGEST_ANGLE_DEG:
@@ -138,7 +138,7 @@ def measure_patch(
     output,
     provenance: store.Provenance,
 ) -> None:
-    """Write the lamp's level in every photograph by a patch.
+    """Measure the lamp's level in every photograph from a patch, and write it.
 
     Parameters
     ----------
@@ -174,7 +174,7 @@ def measure_patch(
 
 
 def _check_readings(linear: list, response: np.ndarray, patch: "LevelPatch") -> None:
-    """Refuse photographs that show something else where the others show the patch, or all another patch."""
+    """Raise an error if photographs show something other than the patch, or a patch of another reflectance."""
     factor, stated = float(np.median(response[:, _GREEN])), patch.reflectance_factor
     if stated is not None and not 1.0 / _MISTYPED < factor / stated < _MISTYPED:
         found = f"has a reflectance factor of {factor:.2f} by the white reference"
@@ -192,7 +192,7 @@ def _check_readings(linear: list, response: np.ndarray, patch: "LevelPatch") -> 
 def levels_by_patch(
     readings: list[PatchReading], patch: "LevelPatch", model_error: float, level_error: float
 ) -> PhotographLevels:
-    """Return the lamp's levels that readings of a patch tell; parameters as in `measure_patch`."""
+    """Estimate the lamp's levels from readings of a patch; parameters as in `measure_patch`."""
     response = np.stack([one.response for one in readings])[:, _GREEN::BANDS_OF_STATE]
     error = np.stack([one.error for one in readings])[:, _GREEN::BANDS_OF_STATE]
     angles, count = np.stack([one.angles for one in readings]), len(readings)
