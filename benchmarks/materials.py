@@ -32,8 +32,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import least_squares, minimize_scalar
 
-from irodori.fitting.lobe_choice import Sample, candidates, choose, predicted
+from irodori.fitting.lobe_choice import candidates, choose, predicted
 from irodori.fitting.solvers import FitOptions, FitResult, fit
+from irodori.fitting.texel_sample import Readings
 from irodori.material.material_file import Status
 from irodori.reflection.equation5 import angles_from_directions, reflect
 from irodori.reflection.fresnel import fresnel_array
@@ -249,7 +250,7 @@ def choices(name: str, folder: Path = DATA, seed: int = 0) -> list[dict]:
         kept = measured.trusted.all(axis=0) & (geometry[:, :2] < np.radians(_STEEPEST_DEG)).all(axis=1)
         order = np.random.default_rng(seed).permutation(np.flatnonzero(kept))
         halves = [
-            Sample(
+            Readings(
                 response[:, half], np.ones((len(response), len(half))),
                 np.broadcast_to(geometry[half], (len(response), len(half), 4)), np.full((len(half), 2), np.nan), N, K,
             )
@@ -268,7 +269,7 @@ def choices(name: str, folder: Path = DATA, seed: int = 0) -> list[dict]:
     return out
 
 
-def _off(sample: Sample, result: FitResult, fitted: Sample, options: FitOptions) -> tuple[float, float]:
+def _off(sample: Readings, result: FitResult, fitted: Readings, options: FitOptions) -> tuple[float, float]:
     """Return the rms residual over the rms response, and the median of residual over response."""
     off = predicted(sample, result, fitted, options) - sample.response
     relative_rms = float(np.sqrt(np.mean(off**2) / np.mean(sample.response**2)))

@@ -21,6 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from irodori.fitting.solvers import FitOptions, fit
+from irodori.fitting.texel_sample import Readings
 from irodori.material.material_file import Status
 from irodori.reflection.fresnel import fresnel_array
 from irodori.reflection.lobe_arrays import evaluate, evaluate_with_derivatives
@@ -47,28 +48,6 @@ _KNOWN = 1.0 / 3.0  # of the prior standard deviation: a level that is known no 
 _REGULAR = 1e-9
 _LEAST_VARIANCE = 1e-12
 _OF_ALPHA = 0.01  # relative error of an observation that tells α
-
-
-class Readings(NamedTuple):
-    """Observations of texels in one band, as `irodori.fitting.solvers.fit` takes them.
-
-    Parameters
-    ----------
-    response, weight : (texels, J) float
-    geometry : (texels, J, 4) float
-        θ_i, θ_r, θ_H, φ in rad.
-    noise : (J, 2) float
-        c0 and c1 of a response's variance; NaN where not known.
-    n, k : float
-        Complex refractive index.
-    """
-
-    response: np.ndarray
-    weight: np.ndarray
-    geometry: np.ndarray
-    noise: np.ndarray
-    n: float
-    k: float
 
 
 @dataclass(frozen=True)
@@ -209,6 +188,7 @@ class _Equations(NamedTuple):
 
 
 def _equations(weight, residual, slopes, single, shared) -> _Equations:
+    """Assemble the normal equations from weights and residuals, (texels, J), and derivatives, (texels, J, unknowns)."""
     texels, captures, each = single.shape
     weighted = weight[..., None] * slopes
     normal = np.einsum("tju,tjv->tuv", weighted, slopes, optimize=True)
@@ -252,7 +232,7 @@ def estimate_levels(readings: Readings, options: FitOptions) -> EstimatedLevels 
     """
     if not options.model_error > 0.0:
         return None  # levels that cannot differ
-    readings = readings._replace(geometry=np.asarray(readings.geometry, dtype=np.float64))
+    readings = replace(readings, geometry=np.asarray(readings.geometry, dtype=np.float64))
     fixed = replace(options, refractive_index="fixed")
     level, error, told = np.ones(readings.response.shape[1]), np.empty(0), 0
     for _ in range(_STEPS):
@@ -282,7 +262,7 @@ def _described(readings: Readings, options: FitOptions, level: np.ndarray) -> _T
         return None
     response = np.where(seen, under, 0.0)[described].astype(np.float64)
     weight, geometry = readings.weight[described], readings.geometry[described]
-    chosen = readings._replace(response=response, weight=weight, geometry=geometry)
+    chosen = replace(readings, response=response, weight=weight, geometry=geometry)
     return _Texels(chosen, seen[described], found.lobes, found.gloss[described])
 
 

@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 
 from irodori.core import store
-from irodori.fitting.level_estimate import MOST_TEXELS, Readings, estimate_levels
+from irodori.fitting.level_estimate import MOST_TEXELS, estimate_levels
 from irodori.fitting.solvers import FitOptions
 from irodori.fitting.stage import GREEN, fresnel_of
-from irodori.fitting.texel_sample import sample_texels
+from irodori.fitting.texel_sample import Readings, sample_texels
 from irodori.material.photograph_levels import BANDS_OF_STATE, NOTHING, TEXELS, PhotographLevels
 
 _OBSERVATIONS = 5  # of a texel that is taken, where there are such texels
@@ -36,9 +36,7 @@ def measure_levels(observations: list, output, options: FitOptions, n, k, *, pro
     sample = sample_texels(observations, MOST_TEXELS, _OBSERVATIONS)
     found = []
     for band in range(GREEN, bands, BANDS_OF_STATE):
-        response, noise = sample.response[..., band], sample.noise[:, band]
-        readings = Readings(response, sample.weight, sample.geometry, noise, fresnel.n, fresnel.k)
-        found.append(estimate_levels(readings, options))
+        found.append(estimate_levels(Readings.of_band(sample, band, fresnel.n, fresnel.k), options))
     told = [one for one in found if one is not None]
     if len(told) < len(filters):
         nothing = np.ones((len(captures), len(filters)))

@@ -9,13 +9,14 @@ here the standard error of the difference between the two).
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import combinations_with_replacement
 
 import numpy as np
 
 from irodori.config.cross_checks.object_lobes import SETTINGS_WITH_TWO_LOBES
 from irodori.fitting.solvers import MAX_LOBES, FitOptions, FitResult, fit
+from irodori.fitting.texel_sample import Readings
 from irodori.material.lobe_choices import LeftOut
 from irodori.reflection.fresnel import fresnel_array
 from irodori.reflection.lobe_arrays import evaluate
@@ -28,29 +29,6 @@ _LEAST_VARIANCE = 1e-8  # smallest variance, relative to the mean square respons
 _NORMAL_MEDIAN = 0.6744897501960817  # median absolute value of a standard normal variable
 
 
-@dataclass(frozen=True)
-class Sample:
-    """Green-band observations of a sample of texels, in the form of the arguments of `irodori.fitting.solvers.fit`.
-
-    Parameters
-    ----------
-    response, weight : (texels, J) float
-    geometry : (texels, J, 4) float
-        θ_i, θ_r, θ_H, φ in rad.
-    noise : (J, 2) float
-        c0 and c1 of the variance c0 + c1 ρ of a response; NaN if unknown.
-    n, k : float
-        Complex refractive index.
-    """
-
-    response: np.ndarray
-    weight: np.ndarray
-    geometry: np.ndarray
-    noise: np.ndarray
-    n: float
-    k: float
-
-
 def candidates(options: FitOptions) -> list[tuple[str, ...]]:
     """List the candidates: all lobes, that of equation (5) first, then all sums of two if the options allow them."""
     single = sorted(names(), key=lambda name: (name,) != DEFAULT_LOBES)
@@ -60,13 +38,13 @@ def candidates(options: FitOptions) -> list[tuple[str, ...]]:
 
 
 def choose(
-    sample: Sample, options: FitOptions, tried: Iterable[tuple[str, ...]]
+    sample: Readings, options: FitOptions, tried: Iterable[tuple[str, ...]]
 ) -> tuple[tuple[str, ...], list[LeftOut]]:
     """Choose the lobes; return them, and for every candidate how well it predicts left-out photographs.
 
     Parameters
     ----------
-    sample : Sample
+    sample : Readings
     options : FitOptions
         Options of the fit; its lobes are ignored, and the refractive index is fixed.
     tried : iterable of tuple of str
@@ -100,7 +78,7 @@ def _deviation(errors: np.ndarray) -> float:
     return float(np.median(known)) / _NORMAL_MEDIAN if known.size else math.nan
 
 
-def left_out_errors(sample: Sample, options: FitOptions) -> np.ndarray:
+def left_out_errors(sample: Readings, options: FitOptions) -> np.ndarray:
     """Return the error of each response predicted from other photographs, in expected standard deviations, (texels, J).
 
     NaN where an observation has no weight.
@@ -119,7 +97,7 @@ def left_out_errors(sample: Sample, options: FitOptions) -> np.ndarray:
     return out
 
 
-def _variance(sample: Sample, response: np.ndarray, options: FitOptions) -> np.ndarray:
+def _variance(sample: Readings, response: np.ndarray, options: FitOptions) -> np.ndarray:
     """Return the variance of responses from camera noise and light; from light alone if the noise is unknown."""
     noise = np.nan_to_num(sample.noise.astype(np.float64))
     power = np.mean(np.where(sample.weight > 0.0, sample.response.astype(np.float64) ** 2, 0.0), axis=1)[:, None]
@@ -127,17 +105,17 @@ def _variance(sample: Sample, response: np.ndarray, options: FitOptions) -> np.n
     return own + _LEAST_VARIANCE * power + np.finfo(float).tiny
 
 
-def predicted(sample: Sample, result: FitResult, fitted: Sample, options: FitOptions) -> np.ndarray:
+def predicted(sample: Readings, result: FitResult, fitted: Readings, options: FitOptions) -> np.ndarray:
     """Predict responses, (texels, J), from the best gloss of a fit and the α that fits best with it.
 
     The best values are used also where the fit states none.
 
     Parameters
     ----------
-    sample : Sample
+    sample : Readings
         Geometry of the responses to predict.
     result : FitResult
-    fitted : Sample
+    fitted : Readings
         Observations that were fitted, of the same texels.
     options : FitOptions
         Options of the fit.
@@ -154,7 +132,7 @@ def predicted(sample: Sample, result: FitResult, fitted: Sample, options: FitOpt
     return np.clip(alpha, *options.limits("alpha"))[:, None] * cosine + gloss
 
 
-def _terms(sample: Sample, result: FitResult) -> tuple[np.ndarray, np.ndarray]:
+def _terms(sample: Readings, result: FitResult) -> tuple[np.ndarray, np.ndarray]:
     """Return cosθ_i (0 if light or camera is below the horizon) and the gloss of a fit, (texels, J) each."""
     angles = sample.geometry.astype(np.float64)
     lit, gloss = (angles[..., :2] < 0.5 * np.pi).all(axis=-1), np.zeros(angles.shape[:2])

@@ -2,24 +2,11 @@
 
 from irodori.core import store
 from irodori.core.progress import LOGGER
-from irodori.fitting.lobe_choice import ENOUGH_OBSERVATIONS, MOST_TEXELS, Sample, candidates, choose
+from irodori.fitting.lobe_choice import ENOUGH_OBSERVATIONS, MOST_TEXELS, candidates, choose
 from irodori.fitting.solvers import FitOptions
 from irodori.fitting.stage import GREEN, fresnel_of
-from irodori.fitting.texel_sample import sample_texels
+from irodori.fitting.texel_sample import Readings, sample_texels
 from irodori.material.lobe_choices import lobes_text, write_choice
-
-
-def _sample(tiles: list, n: float, k: float) -> Sample:
-    """Return the green observations of a sample of texels."""
-    seen = sample_texels(tiles, MOST_TEXELS, ENOUGH_OBSERVATIONS)
-    return Sample(
-        response=seen.response[..., GREEN],
-        weight=seen.weight,
-        geometry=seen.geometry,
-        noise=seen.noise[:, GREEN],
-        n=n,
-        k=k,
-    )
 
 
 def choose_lobes(observations: list, output, options: FitOptions, n, k, *, provenance, calibration=None) -> None:
@@ -39,7 +26,8 @@ def choose_lobes(observations: list, output, options: FitOptions, n, k, *, prove
     with store.open_file(observations[0]) as file:
         bands = file.dataset("response").shape[2]
     fresnel = fresnel_of(n, k, calibration, bands)
-    sample = _sample(observations, fresnel.n, fresnel.k)
+    seen = sample_texels(observations, MOST_TEXELS, ENOUGH_OBSERVATIONS)
+    sample = Readings.of_band(seen, GREEN, fresnel.n, fresnel.k)
     chosen, found = choose(sample, options, candidates(options))
     write_choice(output, chosen, found, len(sample.response), provenance)
     for one in found:

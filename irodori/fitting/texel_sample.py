@@ -1,11 +1,41 @@
 """Samples of an object's texels, for estimates that are made once for the whole object."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from irodori.core import store
 from irodori.fitting.stage import Observed, read_observations
 
 _MOST_TILES = 16  # evenly over the object: of ten million texels one tile in sixteen
+
+
+@dataclass(frozen=True)
+class Readings:
+    """Observations of texels in one band, in the form of the arguments of `irodori.fitting.solvers.fit`.
+
+    Parameters
+    ----------
+    response, weight : (texels, J) float
+    geometry : (texels, J, 4) float
+        θ_i, θ_r, θ_H, φ in rad.
+    noise : (J, 2) float
+        c0 and c1 of the variance c0 + c1 ρ of a response; NaN if unknown.
+    n, k : float
+        Complex refractive index.
+    """
+
+    response: np.ndarray
+    weight: np.ndarray
+    geometry: np.ndarray
+    noise: np.ndarray
+    n: float
+    k: float
+
+    @classmethod
+    def of_band(cls, observed: Observed, band: int, n: float, k: float) -> "Readings":
+        """Return the observations of one band."""
+        return cls(observed.response[..., band], observed.weight, observed.geometry, observed.noise[:, band], n, k)
 
 
 def sample_texels(tiles: list, most: int, enough: int) -> Observed:

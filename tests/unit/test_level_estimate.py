@@ -8,10 +8,11 @@ import pytest
 
 from irodori.core import store
 from irodori.core.errors import InputError
-from irodori.fitting.level_estimate import Readings, estimate_levels, turned
+from irodori.fitting.level_estimate import estimate_levels, turned
 from irodori.fitting.level_stage import measure_levels
 from irodori.fitting.solvers import FitOptions
 from irodori.fitting.stage import fit_brdf, read_observations
+from irodori.fitting.texel_sample import Readings
 from irodori.material.material_file import Status
 from irodori.material.photograph_levels import NOTHING, TEXELS, PhotographLevels, read_levels
 from irodori.reflection.equation5 import angles_from_directions, reflect
@@ -112,7 +113,7 @@ def test_drift_of_the_lamp_is_found_on_a_glossy_sphere_and_its_error_is_as_state
 
 def test_what_all_photographs_share_is_not_the_lamps():
     readings, _ = photographed(paper, sphere(), SITTING, 3)
-    brighter = readings._replace(response=1.05 * readings.response)
+    brighter = replace(readings, response=1.05 * readings.response)
     one, other = (estimate_levels(given, FitOptions()) for given in (readings, brighter))
     assert one is not None and other is not None
     assert other.level == pytest.approx(one.level, abs=1e-3)

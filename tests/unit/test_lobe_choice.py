@@ -10,11 +10,12 @@ from test_measured_materials import needs_data
 from test_paints import OPTICS, PROVENANCE, SIDE, photographed, sphere, write_tile
 
 from benchmarks import materials
-from irodori.fitting.lobe_choice import Sample, candidates, choose, left_out_errors
+from irodori.fitting.lobe_choice import candidates, choose, left_out_errors
 from irodori.fitting.lobe_stage import choose_lobes
 from irodori.fitting.paint_stage import share_gloss
 from irodori.fitting.solvers import FitOptions
 from irodori.fitting.stage import fit_brdf
+from irodori.fitting.texel_sample import Readings
 from irodori.material.fitted_tiles import FittedTiles
 from irodori.material.lobe_choices import LeftOut, chosen_lobes, read_choice
 from irodori.reflection import registry
@@ -33,13 +34,15 @@ def _lobes_of_the_package_alone(monkeypatch):
     monkeypatch.delitem(registry._LOBES, "toy", raising=False)
 
 
-def sample_of(clean, seed=2, drift=0.005) -> Sample:
+def sample_of(clean, seed=2, drift=0.005) -> Readings:
     """Photographs of texels, each photograph's light off by a common factor."""
     rng, clean, noise = np.random.default_rng(seed), clean[:, POSES], NOISE[POSES]
     gain = 1.0 + drift * rng.normal(size=clean.shape[1])
     response = clean * gain + np.sqrt(noise[:, 0] + noise[:, 1] * clean) * rng.normal(size=clean.shape)
     angles = np.broadcast_to(ANGLES[POSES], (*clean.shape, 4))
-    return Sample(response.astype(np.float32), np.ones(clean.shape, np.float32), angles.astype(np.float32), noise, N, K)
+    return Readings(
+        response.astype(np.float32), np.ones(clean.shape, np.float32), angles.astype(np.float32), noise, N, K
+    )
 
 
 @pytest.mark.default_cases(5)
@@ -91,7 +94,7 @@ def test_readings_without_weight_are_not_judged():
 
 
 def test_nothing_seen_takes_the_simplest():
-    nothing = Sample(np.zeros((0, 8)), np.zeros((0, 8)), np.zeros((0, 8, 4)), NOISE[:8], N, K)
+    nothing = Readings(np.zeros((0, 8)), np.zeros((0, 8)), np.zeros((0, 8, 4)), NOISE[:8], N, K)
     chosen, found = choose(nothing, OPTIONS, ALL[:2])
     assert chosen == ("gaussian",) and np.isnan([one.deviation for one in found]).all()
 
