@@ -1,9 +1,9 @@
 """Level of the lamp in every photograph, estimated jointly with the materials of texels.
 
-Where a texel's own model predicts all photographs a little too dark or too bright, the lamp was brighter or dimmer
-there. The estimate is one linear step of least squares from the fitted texels, repeated a few times: every texel has
-its own α, β and μ, which are eliminated, and the photographs have their levels. What else may be wrong is unknown as
-well, each with a prior of its size, so that it is not taken for the lamp:
+If most texels are brighter in one photograph than their fitted models predict, the lamp was brighter in it. The
+estimate is a linear least-squares step from the fitted texels, repeated a few times. Its unknowns are α, β and μ of every texel,
+which are eliminated, and the levels of the photographs. Other possible errors are unknowns too, each with a prior of
+its expected size, so that they are not mistaken for changes of the lamp:
 
 * the directions of light and camera in every photograph, within the error of the angles;
 * the strength of the gloss in every photograph;
@@ -11,8 +11,9 @@ well, each with a prior of its size, so that it is not taken for the lamp:
   the fitted one brightens the photographs near the highlight as a lamp would;
 * a departure of the diffuse light from Lambert's law, a function of θ plus the same one of θ_r.
 
-A flat object shows each photograph under one geometry, and its levels can hardly be told from the last two. The error
-of each level says so. What all photographs have in common cannot be told from α: the mean of the levels is 1.
+On a flat object, all texels of a photograph have nearly the same angles. Its levels can then hardly be distinguished
+from the last two errors, and their standard errors are large. A factor common to all photographs cannot be
+distinguished from α; the mean of the levels is therefore 1.
 """
 
 from dataclasses import dataclass, replace
@@ -220,9 +221,9 @@ def _equations(weight, residual, slopes, single, shared) -> _Equations:
 def estimate_levels(readings: Readings, options: FitOptions) -> EstimatedLevels | None:
     """Return the levels of photographs, mean 1; None where the data do not determine them.
 
-    That is where fewer than fifty texels have five observations that the model describes, where the observations
-    contradict the model on more than a quarter of the texels, or where the levels are known less than three times as
-    well as before.
+    The result is None if fewer than fifty texels with five observations fit the model, if the observations of more than
+    a quarter of the texels contradict it, or if the standard errors of the levels are not below a third of
+    ``model_error``.
 
     Parameters
     ----------

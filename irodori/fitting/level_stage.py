@@ -26,8 +26,8 @@ def measure_levels(observations: list, output, options: FitOptions, n, k, *, pro
 
     Notes
     -----
-    The file is that of `irodori.material.photograph_levels`. The green band of each filter state tells the level of its
-    photographs. If one state's levels are not determined, all are 1.
+    The file is that of `irodori.material.photograph_levels`. The levels of each filter state are estimated from its
+    green band. If one state's levels are not determined, all are 1.
     """
     with store.open_file(observations[0]) as file:
         captures = file.read("capture").astype(str).tolist()

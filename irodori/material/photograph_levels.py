@@ -22,11 +22,11 @@ class PhotographLevels:
     ----------
     level : (J, filter states) float64
         Ratio to the level at the white reference where ``source`` is `KNOWN_PATCH`, else to the mean of the object's
-        photographs through the same filter state; 1 where nothing tells it.
+        photographs through the same filter state; 1 if it was not determined.
     error : (J, filter states) float64
         Standard errors, without the error that all photographs share.
     common_error : float
-        Relative standard error that all photographs share: the responses' scale is off by it.
+        Relative standard error of the scale of the responses, common to all photographs.
     source : str
         How the levels were found, one of the names above.
     """

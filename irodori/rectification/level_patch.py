@@ -1,10 +1,10 @@
 """Level of the lamp in every photograph, from a matt patch that stands in the frame.
 
-The patch's mean response, divided by cosθ_i and by what a near lamp gives it, is the lamp's level times the patch's
-reflectance factor. The patch departs from Lambert's law by a ratio that varies slowly with the directions of lamp and
-camera: between photographs with the same directions, the lamp's level is known as well as the mean response, between
-others only as well as the law. The levels are the expectation, given the responses, of normal variables with these
-covariances. The surface of the patch is taken to be the same in all directions about its normal.
+The mean response of the patch, divided by cosθ_i and corrected for a near lamp, is the lamp's level times the
+reflectance factor of the patch. This factor departs from Lambert's law by a ratio that varies slowly with the
+directions of lamp and camera. Levels of photographs with the same directions therefore compare as accurately as the mean responses; those of
+others only as accurately as Lambert's law holds. The levels are the conditional expectation, given the responses, of
+normal variables with these covariances. The surface of the patch is assumed to be isotropic.
 """
 
 from pathlib import Path
