@@ -1,9 +1,9 @@
 """Level of the lamp in every photograph, estimated jointly with the materials of texels.
 
 If most texels are brighter in one photograph than their fitted models predict, the lamp was brighter in it. The
-estimate is a linear least-squares step from the fitted texels, repeated a few times. Its unknowns are α, β and μ of every texel,
-which are eliminated, and the levels of the photographs. Other possible errors are unknowns too, each with a prior of
-its expected size, so that they are not mistaken for changes of the lamp:
+estimate is a linear least-squares step from the fitted texels, repeated a few times. Its unknowns are α, β and μ of
+every texel, which are eliminated, and the levels of the photographs. Other possible errors are unknowns too, each with
+a prior of its expected size, so that they are not mistaken for changes of the lamp:
 
 * the directions of light and camera in every photograph, within the error of the angles;
 * the strength of the gloss in every photograph;

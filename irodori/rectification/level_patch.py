@@ -2,9 +2,9 @@
 
 The mean response of the patch, divided by cosθ_i and corrected for a near lamp, is the lamp's level times the
 reflectance factor of the patch. This factor departs from Lambert's law by a ratio that varies slowly with the
-directions of lamp and camera. Levels of photographs with the same directions therefore compare as accurately as the mean responses; those of
-others only as accurately as Lambert's law holds. The levels are the conditional expectation, given the responses, of
-normal variables with these covariances. The surface of the patch is assumed to be isotropic.
+directions of lamp and camera. Levels of photographs with the same directions therefore compare as accurately as the
+mean responses; those of others only as accurately as Lambert's law holds. The levels are the conditional expectation,
+given the responses, of normal variables with these covariances. The surface of the patch is assumed to be isotropic.
 """
 
 from pathlib import Path
