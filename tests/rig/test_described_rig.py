@@ -59,6 +59,44 @@ def test_a_state_of_the_whole_is_asked_once(monkeypatch):
     assert bench.sent.count(b"SS\r") == 1
 
 
+def held_between_orders(bench, driver) -> list[str]:
+    """Press the hold once the first of two axes has been ordered, and return what the person is asked from now on."""
+    asked = []
+
+    def pressed(line):
+        if line == "OK":
+            bench.machine.press_hold()
+            bench.heard = lambda line: line
+        return line
+
+    bench.heard, driver.on_hold = pressed, asked.append
+    return asked
+
+
+def test_a_hold_between_the_orders_of_two_axes_asks_and_goes_on(monkeypatch):
+    bench, driver = bench_and_rig(monkeypatch)
+    asked = held_between_orders(bench, driver)
+    driver.move({"camera_deg": 100.0, "turn_deg": 30.0})
+    assert len(asked) == 1 and asked[0].startswith("Clear the cause")
+    assert driver.position() == pytest.approx({"camera_deg": 100.0, "turn_deg": 30.0}, abs=0.01)
+
+
+def test_a_hold_between_the_orders_of_two_axes_ends_a_move_of_which_nobody_can_be_asked(monkeypatch):
+    bench, driver = bench_and_rig(monkeypatch)
+    held_between_orders(bench, driver)
+    driver.on_hold = None
+    with pytest.raises(HeldError, match="its move is given up"):
+        driver.move({"camera_deg": 100.0, "turn_deg": 30.0})
+
+
+def test_an_axis_that_is_refused_for_another_reason_than_a_hold_is_refused(monkeypatch):
+    bench, driver = bench_and_rig(monkeypatch)
+    bench.heard = lambda line: "NG out of range" if line == "OK" else line
+    driver.on_hold = lambda request: pytest.fail(request)
+    with pytest.raises(CommandError, match="out of range"):
+        driver.move({"camera_deg": 100.0, "turn_deg": 30.0})
+
+
 def test_axes_that_home_together_are_told_once(monkeypatch):
     bench, driver = bench_and_rig(monkeypatch, homed=False, home="HM")
     bench.sent.clear()

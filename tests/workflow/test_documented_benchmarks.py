@@ -7,6 +7,7 @@ options ``--size`` choose from, are replaced by one tiny size.
 import functools
 import importlib
 import shutil
+import sys
 import timeit
 from dataclasses import replace
 from pathlib import Path
@@ -82,6 +83,17 @@ _MEASURED = ROOT.parent / "shared" / "data"
 
 #: Options with which a benchmark prints a table of its own, and writes none.
 _PRINTED = {"--table", "--error-bars", "--response-models"}
+
+
+@pytest.fixture(autouse=True)
+def caches_of_benchmarks():
+    """Forget what benchmarks have kept of their tiny inputs, lest later tests of this process take it for measured."""
+    yield
+    for name, module in list(sys.modules.items()):
+        if name.startswith("benchmarks."):
+            for function in vars(module).values():
+                if callable(clear := getattr(function, "cache_clear", None)):
+                    clear()
 
 
 @pytest.mark.heavy

@@ -77,10 +77,10 @@ class AsciiRig(ControlledRig):
             places = self._ready()
             targets = {**places, **{name: self.drives[name].to_units(angle) for name, angle in targets_deg.items()}}
             start = {name: self.drives[name].to_deg(places[name]) for name in places}
-            deadline = Deadline(self.travel_s(start, targets_deg) * (1 + MARGIN) + self._timeout_s)
             self._goal = targets
             for name in targets_deg:
-                self._order_motion("move", axis=self.drives[name].channel, target=targets[name])
+                self._order_move(self.drives[name], targets[name])
+            deadline = Deadline(self.travel_s(start, targets_deg) * (1 + MARGIN) + self._timeout_s)
             self._await_arrival([places, targets], deadline)
             self._last, self._goal = targets, {}
 
@@ -208,6 +208,21 @@ class AsciiRig(ControlledRig):
     def _tolerance(self, drive: Drive) -> float:
         """Return the largest accepted distance of an axis from its target at rest: half of its smallest step."""
         return 0.5 * drive.axis.step_deg * abs(drive.units_per_deg)
+
+    def _order_move(self, drive: Drive, target: float) -> None:
+        """Order an axis to a target, controller units; if a feed hold makes the controller refuse it, after the hold."""
+        while True:
+            try:
+                self._order_motion("move", axis=drive.channel, target=target)
+                return
+            except CommandError:
+                # The axes that were ordered before this one may still be slowing down.
+                slowing = Deadline(self._brake_s * (1 + MARGIN) + self._timeout_s)
+                while (found := self._look())[0] == "run" and not slowing.passed:
+                    time.sleep(POLL_S)
+                if found[0] != "hold":
+                    raise
+                self._go_on(found[1])
 
     def _order_motion(self, command: str, **values) -> None:
         """Send a command that moves; send it again if it or its answer was lost, which leads to the same position."""
