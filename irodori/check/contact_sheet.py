@@ -12,7 +12,7 @@ from irodori.check.findings import Finding
 from irodori.check.photographs import PhotographSet
 from irodori.config.capture_table import Pose, Shot
 from irodori.config.loaded import Loaded
-from irodori.config.models import Chart
+from irodori.config.models import Chart, Optics
 from irodori.geometry.projected_outline import ProjectedOutlines
 from irodori.ingest.mosaic import Mosaic
 from irodori.ingest.preview import preview_of
@@ -64,10 +64,12 @@ class ContactSheet:
     Parameters
     ----------
     loaded : Loaded
+    optics : mapping, optional
+        Measured optics of cameras, by name; of other cameras the typed ones are used.
     """
 
-    def __init__(self, loaded: Loaded) -> None:
-        self._loaded = loaded
+    def __init__(self, loaded: Loaded, optics: Mapping[str, Optics] | None = None) -> None:
+        self._loaded, self._optics = loaded, {} if optics is None else optics
         self._outlines: dict[str, ProjectedOutlines] = {}
         self.sets: dict[str, list[Picture]] = {}
 
@@ -93,12 +95,13 @@ class ContactSheet:
 
     def _outline(self, one: PhotographSet, pose: Pose) -> str:
         camera = self._loaded.cameras[one.camera]
-        if camera.optics is None:
+        optics = self._optics.get(one.camera, camera.optics)
+        if optics is None:
             return ""
         if one.subject not in self._outlines:
             distance_mm = self._loaded.rigs[camera.rig].camera_distance_mm
             shape = self._loaded.objects[one.subject].shape
-            self._outlines[one.subject] = ProjectedOutlines(shape, camera.optics, distance_mm)
+            self._outlines[one.subject] = ProjectedOutlines(shape, optics, distance_mm)
         return self._outlines[one.subject].of(pose).path
 
     def write(self, path, findings: list[Finding], located: Mapping[tuple[str, str], Located]) -> None:

@@ -13,12 +13,12 @@ from irodori.calibration.chart_reading import ChartPhotograph
 from irodori.calibration.charts import read_chart
 from irodori.calibration.illumination import illumination
 from irodori.check.findings import Finding
-from irodori.config.capture_table import Shot, chart_capture, check_unchanged, read_captures, shot_path
+from irodori.config.capture_table import LENS, Shot, chart_capture, check_unchanged, read_captures, shot_path
 from irodori.config.cross_checks.captures_on_rig import table_and_folder
 from irodori.config.loaded import Loaded
-from irodori.config.models import Chart
+from irodori.config.models import Chart, Optics
 from irodori.config.photograph_sets import PhotographSets
-from irodori.core.errors import InputError, is_file
+from irodori.core.errors import InputError, PlainError, is_file
 from irodori.core.progress import track
 from irodori.ingest.exposure_settings import relative_exposure_s, settle, settle_set
 from irodori.ingest.first_look import COARSE, COARSE_WARNING, SetSize
@@ -74,12 +74,19 @@ class PhotographCheck:
     loaded : Loaded
     decoded : callable (PhotographSet, Shot, path, Mosaic), optional
         Called with every photograph after it was decoded.
+    optics : dict, optional
+        Filled with the optics of each camera whose lens is measured from photographs of the printed sheet, by name of
+        the camera, before the photographs of other roles are decoded.
     """
 
     def __init__(
-        self, loaded: Loaded, decoded: Callable[[PhotographSet, Shot, Path, Mosaic], None] | None = None
+        self,
+        loaded: Loaded,
+        decoded: Callable[[PhotographSet, Shot, Path, Mosaic], None] | None = None,
+        optics: dict[str, Optics] | None = None,
     ) -> None:
         self._loaded, self._decoded = loaded, decoded
+        self._optics = {} if optics is None else optics
         self._whites: dict[str, list] = {}
         #: Number of photographs checked so far.
         self.count = 0
@@ -88,8 +95,47 @@ class PhotographCheck:
 
     def findings(self) -> Iterator[Finding]:
         """Yield the errors and warnings of all existing photographs; photographs still to be taken are skipped."""
+        for name in self._loaded.cameras:
+            yield from self._of_sheets(name)
         for one in self._sets():
             yield from self._of_set(one)
+
+    def _of_sheets(self, camera: str) -> Iterator[Finding]:
+        """Measure the lens of a camera from the photographs of the role ``lens``, as `calibrate_lens` does."""
+        sets = PhotographSets(self._loaded)
+        asked = SimpleNamespace(camera=camera)
+        typed = self._loaded.cameras[camera].optics
+        try:
+            files = sets.sheet(asked)
+        except InputError:
+            return  # the check of the camera's other photographs reports what is wrong with the table
+        if not files or typed is None:
+            return
+        # OpenCV takes a third of a second to load.
+        from irodori.lens.stage import SheetReader, check_size
+
+        table, folder = Path(sets.table(asked)), Path(sets.folder(asked))
+        one = PhotographSet(f"camera {camera}, lens", "cameras", camera, camera, table, folder, (LENS,), None, None)
+        sheets = SheetReader(table, typed.pixel_pitch_um)
+        for shot in track([shot for shot in read_captures(table, folder) if shot.role == LENS], f"look {one.name}"):
+            path = shot_path(shot, table, folder)
+            self.count += 1
+            try:
+                check_unchanged(table, folder, [shot])
+                mosaic = decode(path, shot.linear)
+                if self._decoded is not None:
+                    self._decoded(one, shot, path, mosaic)
+                sheets.add(path, mosaic)
+            except InputError as error:
+                yield Finding(True, str(error), path)
+        for path, words in sheets.left_out:
+            yield Finding(False, f"{path}: {words}", path)
+        try:
+            found = sheets.measure()
+            check_size(found, typed, table)
+            self._optics[camera] = Optics.of(found.optics)
+        except PlainError as error:
+            yield Finding(True, str(error))
 
     def _sets(self) -> Iterator[PhotographSet]:
         """Yield the existing sets, cameras first, because other sets are compared with their white references."""

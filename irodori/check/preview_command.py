@@ -10,6 +10,7 @@ from irodori.check.contact_sheet import ContactSheet
 from irodori.check.findings import Finding
 from irodori.check.photographs import PhotographCheck
 from irodori.check.scenes import of_scene
+from irodori.config.models import Optics
 from irodori.config.project import load_project
 from irodori.core.errors import InputError
 
@@ -37,8 +38,9 @@ def main(arguments: list[str] | None = None, prog: str = "irodori preview") -> i
     except InputError as error:
         print(Finding(True, str(error)))
         return 1
-    sheet = ContactSheet(loaded)
-    check = PhotographCheck(loaded, sheet.add)
+    optics: dict[str, Optics] = {}
+    sheet = ContactSheet(loaded, optics)
+    check = PhotographCheck(loaded, sheet.add, optics)
     scenes = (finding for name in loaded.scenes for finding in of_scene(loaded, name))
     findings = list(chain(scenes, check.findings()))
     sheet.write(output, findings, check.located)

@@ -13,7 +13,7 @@ from irodori.core.errors import InputError, PlainError
 from irodori.core.progress import LOGGER, track
 from irodori.first_project.raw_folder import pixel_pitch_um
 from irodori.geometry.distortion import COEFFICIENTS
-from irodori.ingest.mosaic import decode
+from irodori.ingest.mosaic import Mosaic, decode
 from irodori.lens.calibration_sheet import find_corners
 from irodori.lens.lens_models import LEAST_CORNERS, LEAST_PHOTOGRAPHS, MODELS, Lens, Sheet, covered, fit_lens
 
@@ -40,6 +40,84 @@ class MeasuredLens:
     remarks: list[str]
 
 
+class SheetReader:
+    """Photographs of the printed sheet, added one after the other, and the measurement of the lens from all of them.
+
+    Parameters
+    ----------
+    where : path
+        Folder or table of the photographs, for messages.
+    pitch_um : float, optional
+        Pixel pitch of the sensor, µm; that stated in the files if it is None.
+
+    Attributes
+    ----------
+    left_out : list of (path, str)
+        Photographs in which too little of the sheet was found, and a phrase that says so.
+    """
+
+    def __init__(self, where: Path, pitch_um: float | None) -> None:
+        self._where, self._pitch_um = where, pitch_um
+        self._sheets: list[Sheet] = []
+        self._first: tuple[Path, tuple[int, int], float] | None = None
+        self.left_out: list[tuple[Path, str]] = []
+
+    def add(self, path: Path, mosaic: Mosaic) -> None:
+        """Find the sheet in a decoded photograph.
+
+        Raises
+        ------
+        InputError
+            If size or focal length differ from those of the photographs before, or the pixel pitch is not known.
+        """
+        if self._first is None:
+            self._first = path, mosaic.size, mosaic.focal_mm
+            self._pitch_um = self._pitch_um or pixel_pitch_um(path, mosaic)
+            if not self._pitch_um:
+                accepted = "files that state it, or --pixel-pitch-um (camera reviews list it as pixel size)"
+                raise InputError(path, "pixel pitch", "none", accepted)
+        first, size, focal_mm = self._first
+        if mosaic.size != size:
+            raise InputError(path, "size", "{} x {} pixels".format(*mosaic.size), "{} x {}".format(*size))
+        if mosaic.focal_mm != focal_mm:
+            found = f"{mosaic.focal_mm:g} mm, and {focal_mm:g} mm in {first.name}"
+            raise InputError(path, "focal length", found, "photographs of one lens at one zoom")
+        plane, seen = find_corners(mosaic.superpixels[..., 1])
+        if len(plane) < LEAST_CORNERS:
+            self.left_out.append((path, f"left out, {len(plane)} of the sheet's corners found"))
+        else:
+            self._sheets.append(Sheet(path.name, plane, seen))
+
+    def measure(self) -> MeasuredLens:
+        """Measure focal length, principal point and distortion from the photographs added so far.
+
+        Raises
+        ------
+        InputError
+            If too few photographs show the sheet.
+        PlainError
+            If the photographs do not agree with each other, or do not determine the focal length.
+        """
+        if len(self._sheets) < LEAST_PHOTOGRAPHS or self._first is None or not self._pitch_um:
+            found = f"the sheet in {len(self._sheets)} photographs"
+            accepted = (
+                f"{LEAST_PHOTOGRAPHS} or more in which most of the sheet that irodori lens --print writes is seen"
+            )
+            raise InputError(self._where, "", found, accepted)
+        size = self._first[1][0] // 2, self._first[1][1] // 2
+        try:
+            lens, far = fit_lens(self._sheets, size)
+        except PlainError as error:
+            raise PlainError(f"{self._where}: {error}") from None
+        kept = [sheet for sheet in self._sheets if sheet not in far]
+        remarks = [f"{path.name}: {words}" for path, words in self.left_out]
+        remarks += [
+            f"{sheet.name}: left out, it fits no lens that fits the others (was the sheet bent?)" for sheet in far
+        ]
+        remarks += _words(lens, kept, self._pitch_um, covered(kept, size))
+        return MeasuredLens(optics_of(lens, size, self._pitch_um), _mm(lens.focal_error, self._pitch_um), remarks)
+
+
 def measure_lens(photographs: Sequence[tuple[Path, bool]], where: Path, pitch_um: float | None) -> MeasuredLens:
     """Measure focal length, principal point and distortion of a lens.
 
@@ -47,32 +125,18 @@ def measure_lens(photographs: Sequence[tuple[Path, bool]], where: Path, pitch_um
     ----------
     photographs : sequence of (path, bool)
         Photographs of the sheet, and whether each is a linear TIFF or PNG picture in place of a RAW file.
-    where : path
-        Folder or table of the photographs, for messages.
-    pitch_um : float, optional
-        Pixel pitch of the sensor, µm; that stated in the files if it is None.
+    where, pitch_um
+        See `SheetReader`.
 
     Raises
     ------
-    InputError
-        If a photograph cannot be read, photographs differ in size or focal length, no file states the distance of
-        the pixels, or too few show the sheet.
-    PlainError
-        If the photographs do not agree with each other, or do not determine the focal length.
+    InputError, PlainError
+        If a photograph cannot be read; or see `SheetReader`.
     """
-    sheets, size, pitch_um, remarks = _sheets(photographs, pitch_um)
-    if len(sheets) < LEAST_PHOTOGRAPHS:
-        found = f"the sheet in {len(sheets)} photographs"
-        accepted = f"{LEAST_PHOTOGRAPHS} or more in which most of the sheet that irodori lens --print writes is seen"
-        raise InputError(where, "", found, accepted)
-    try:
-        lens, far = fit_lens(sheets, size)
-    except PlainError as error:
-        raise PlainError(f"{where}: {error}") from None
-    bent = "left out, it fits no lens that fits the others (was the sheet bent?)"
-    kept = [sheet for sheet in sheets if sheet not in far]
-    remarks += [f"{sheet.name}: {bent}" for sheet in far] + _words(lens, kept, pitch_um, covered(kept, size))
-    return MeasuredLens(optics_of(lens, size, pitch_um), _mm(lens.focal_error, pitch_um), remarks)
+    sheets = SheetReader(where, pitch_um)
+    for path, linear in track(photographs, "photographs"):
+        sheets.add(path, decode(path, linear))
+    return sheets.measure()
 
 
 def calibrate_lens(table, folder, typed: Optics, output) -> None:
@@ -97,10 +161,7 @@ def calibrate_lens(table, folder, typed: Optics, output) -> None:
     shots = [shot for shot in read_captures(table, folder) if shot.role == LENS]
     photographs = [(shot_path(shot, table, folder), shot.linear) for shot in shots]
     found = measure_lens(photographs, Path(table), typed.pixel_pitch_um)
-    for key in ("width_px", "height_px"):
-        if found.optics[key] != getattr(typed, key):
-            told = f"photographs of the role {LENS} of {found.optics[key]} pixels"
-            raise InputError(table, key, told, f"{getattr(typed, key)}, as in the camera's file")
+    check_size(found, typed, table)
     remarks = [compared(found, typed), *found.remarks]
     for line in remarks:
         LOGGER.info("%s", line)
@@ -111,6 +172,14 @@ def calibrate_lens(table, folder, typed: Optics, output) -> None:
     }
     with written_whole(output) as temporary:
         temporary.write_text(yaml.safe_dump(content, sort_keys=False, width=120, allow_unicode=True), encoding="utf-8")
+
+
+def check_size(found: MeasuredLens, typed: Optics, table) -> None:
+    """Raise `InputError` if the photographs of the sheet have another size than those of the camera's file."""
+    for key in ("width_px", "height_px"):
+        if found.optics[key] != getattr(typed, key):
+            told = f"photographs of the role {LENS} of {found.optics[key]} pixels"
+            raise InputError(table, key, told, f"{getattr(typed, key)}, as in the camera's file")
 
 
 def compared(found: MeasuredLens, typed: Optics) -> str:
@@ -131,35 +200,6 @@ def compared(found: MeasuredLens, typed: Optics) -> str:
 def _mm(samples: float, pitch_um: float) -> float:
     """Return a length in samples of the picture, two mosaic pixels each, in mm."""
     return 2.0 * samples * pitch_um / 1000.0
-
-
-def _sheets(
-    photographs: Sequence[tuple[Path, bool]], pitch_um: float | None
-) -> tuple[list[Sheet], tuple[int, int], float, list[str]]:
-    """Return sheets, picture size in superpixels, pixel pitch in µm, and a line of text on each file left out."""
-    sheets: list[Sheet] = []
-    left_out: list[str] = []
-    first: tuple[Path, tuple[int, int], float] | None = None
-    for path, linear in track(photographs, "photographs"):
-        mosaic = decode(path, linear)
-        if first is None:
-            first = path, mosaic.size, mosaic.focal_mm
-            pitch_um = pitch_um or pixel_pitch_um(path, mosaic)
-            if not pitch_um:
-                accepted = "files that state it, or --pixel-pitch-um (camera reviews list it as pixel size)"
-                raise InputError(path, "pixel pitch", "none", accepted)
-        if mosaic.size != first[1]:
-            raise InputError(path, "size", "{} x {} pixels".format(*mosaic.size), "{} x {}".format(*first[1]))
-        if mosaic.focal_mm != first[2]:
-            found = f"{mosaic.focal_mm:g} mm, and {first[2]:g} mm in {first[0].name}"
-            raise InputError(path, "focal length", found, "photographs of one lens at one zoom")
-        plane, seen = find_corners(mosaic.superpixels[..., 1])
-        if len(plane) < LEAST_CORNERS:
-            left_out.append(f"{path.name}: left out, {len(plane)} of the sheet's corners found")
-            continue
-        sheets.append(Sheet(path.name, plane, seen))
-    assert first is not None and pitch_um  # a folder or a table without photographs was refused
-    return sheets, (first[1][0] // 2, first[1][1] // 2), pitch_um, left_out
 
 
 def optics_of(lens: Lens, size: tuple[int, int], pitch_um: float) -> dict:

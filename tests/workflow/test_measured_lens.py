@@ -1,6 +1,8 @@
 """A lens measured from photographs of the printed sheet: a rule makes it, and the jobs of objects wait for it."""
 
+import re
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,7 +10,10 @@ import yaml
 from drawn_sheets import HEIGHT, PITCH_UM, PLACES, TRUE, WIDTH, photographed, store
 from project import edit, planned, small_project, snakemake
 
+from irodori.check.photographs import PhotographCheck
+from irodori.command_line import main
 from irodori.config.capture_table import COLUMNS
+from irodori.config.project import load_project
 from irodori.core.custody import read_record
 from irodori.lens.lens_file import LensFile
 from irodori.simulation.virtual_rig.dng_writer import write_dng
@@ -47,6 +52,13 @@ def project(tmp_path):
     return folder
 
 
+def made_lens(folder) -> Path:
+    """Return the file of the lens that the workflow measures."""
+    run = snakemake(folder, LENS)
+    assert run.returncode == 0, run.stderr[-3000:]
+    return folder / LENS
+
+
 def jobs(folder, *arguments) -> list[str]:
     return [rule for rule, _ in planned(snakemake(folder, "--dry-run", *arguments))]
 
@@ -54,9 +66,7 @@ def jobs(folder, *arguments) -> list[str]:
 def test_the_sheet_in_a_cameras_table_measures_its_lens_and_a_changed_photograph_measures_it_again(project):
     tile = "results/own-plate/observations/tile-000.h5"
     assert {"calibrate_lens", "rectify_object"} <= set(jobs(project, tile))
-    run = snakemake(project, LENS)
-    assert run.returncode == 0, run.stderr[-3000:]
-    found = LensFile.load(project / LENS)
+    found = LensFile.load(made_lens(project))
     assert abs(found.optics.focal_length_mm - 7.5) < 0.02 and "7.1 % more than the typed 7 mm" in found.remarks[0]
     record = read_record(project / LENS)
     assert record is not None and {"raw/captures.csv", "raw/sheet00.dng"} <= set(record.inputs)
@@ -64,3 +74,42 @@ def test_the_sheet_in_a_cameras_table_measures_its_lens_and_a_changed_photograph
     assert jobs(project, LENS) == [] and "calibrate_lens" not in jobs(project, tile)
     shutil.copy(project / "raw/sheet01.dng", project / "raw/sheet02.dng")
     assert jobs(project, LENS) == ["calibrate_lens"]
+
+
+def looked_at(folder) -> tuple[list[str], dict]:
+    """Return the findings about the photographs of the sheet, and the optics measured from them."""
+    optics: dict = {}
+    found = PhotographCheck(load_project([]), optics=optics).findings()
+    return [str(finding) for finding in found if "sheet" in str(finding)], optics
+
+
+def test_a_check_measures_the_lens_and_names_photographs_without_the_sheet(project, monkeypatch):
+    monkeypatch.chdir(project)
+    findings, optics = looked_at(project)
+    assert findings == [] and abs(optics["own"].focal_length_mm - 7.5) < 0.02
+    shutil.copy(project / "raw/plate.dng", project / "raw/sheet03.dng")
+    (said,), optics = looked_at(project)
+    assert said.startswith("warning") and "sheet03.dng: left out, 0 of the sheet's corners" in said and "own" in optics
+    for number in range(1, len(PLACES)):
+        shutil.copy(project / "raw/plate.dng", project / f"raw/sheet{number:02}.dng")
+    findings, optics = looked_at(project)
+    assert any(said.startswith("error") and "the sheet in 1 photographs" in said for said in findings) and not optics
+
+
+def test_a_preview_draws_outlines_with_the_measured_lens(project, monkeypatch):
+    monkeypatch.chdir(project)
+
+    def outline() -> str:
+        main(["preview", "-o", "page.html"])
+        figure = next(part for part in Path("page.html").read_text().split("<figure")[1:] if "<b>plate.dng</b>" in part)
+        return re.search(r'<path[^>]* d="([^"]+)"', figure)[1]
+
+    measured = outline()
+    optics = LensFile.load(made_lens(project)).optics.plain()
+    edit(project / "config/cameras/own.yaml", {"optics": optics})
+    (project / "raw/captures.csv").write_text(
+        "\n".join(line for line in (project / "raw/captures.csv").read_text().splitlines() if ",lens," not in line)
+    )
+    assert measured == outline()
+    edit(project / "config/cameras/own.yaml", {"optics": optics | {"focal_length_mm": 7.0}})
+    assert measured != outline()

@@ -210,7 +210,7 @@ class AsciiRig(ControlledRig):
         return 0.5 * drive.axis.step_deg * abs(drive.units_per_deg)
 
     def _order_move(self, drive: Drive, target: float) -> None:
-        """Order an axis to a target, controller units; if a feed hold makes the controller refuse it, after the hold."""
+        """Order an axis to a target, controller units; if the controller refuses it in a feed hold, after the hold."""
         while True:
             try:
                 self._order_motion("move", axis=drive.channel, target=target)
