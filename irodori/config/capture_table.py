@@ -49,6 +49,8 @@ _READ = tuple(f"{angle.removesuffix('_deg')}_read_deg" for angle in _ANGLES)
 EXTRA_COLUMNS = (_AZIMUTH, "iso", "f_number", "taken_at", "camera_time", "camera", *_READ, "accepted", "sha256")
 #: Whether a file is a TIFF or PNG picture that the user knows to be linear; no session takes such pictures.
 _LINEAR = "linear"
+#: Irradiance that the lamp of a photograph gives, relative to the lamp of the rig's file: under a dome, lamps differ.
+_LIGHT_LEVEL = "light_level"
 _OPTIONAL = ("tilt_deg", "turn_deg", *EXTRA_COLUMNS)
 #: Roles with frames of equal exposure times, which are averaged or, of the sheet, show other poses.
 _REPEATED = ("dark", "white", DRIFT, LENS)
@@ -119,6 +121,7 @@ class Shot:
 
     ``iso`` (sensitivity, ISO 12232) and ``f_number`` (relative aperture) are 0 if the table does not state them.
     ``linear`` is True if the file is not RAW but a TIFF or PNG picture with values proportional to the light.
+    ``light_level`` is the irradiance of its lamp at the object, relative to the lamp that counts as 1.
     ``chart`` is the name of a further chart or of one in a room, empty for the camera's first and for all other roles.
     ``taken`` has details of the capture; it is ignored when shots are compared.
     """
@@ -132,6 +135,7 @@ class Shot:
     f_number: float = 0.0
     chart: str = ""
     linear: bool = False
+    light_level: float = 1.0
     taken: Taken = dataclasses.field(default_factory=Taken, compare=False)
 
     @property
@@ -311,7 +315,7 @@ def noted_hashes(path) -> dict[str, str]:
 
 
 def _check_header(header: list[str], path, line: int) -> list[str]:
-    known = (*COLUMNS, *EXTRA_COLUMNS, *_DIRECTION, _LINEAR)
+    known = (*COLUMNS, *EXTRA_COLUMNS, *_DIRECTION, _LINEAR, _LIGHT_LEVEL)
     by_direction = any(name in header for name in _DIRECTION)
     for name in header:
         if name not in known:
@@ -353,7 +357,10 @@ class _Shots:
             raise self._error(line, "exposure_s", row["exposure_s"].strip(), "above 0 and up to 3600 s")
         iso, f_number = (self._optional(line, column, row.get(column, "")) for column in ("iso", "f_number"))
         linear = self._choice(line, {_LINEAR: row.get(_LINEAR, "").strip() or "no"}, _LINEAR, ("yes", "no")) == "yes"
-        shot = Shot(file, role, pose, state, exposure, iso, f_number, chart, linear, self._taken(line, row))
+        light_level = self._optional(line, _LIGHT_LEVEL, row.get(_LIGHT_LEVEL, "")) or 1.0
+        shot = Shot(
+            file, role, pose, state, exposure, iso, f_number, chart, linear, light_level, self._taken(line, row)
+        )  # fmt: skip
         self._check_against_others(line, shot)
         self._check_file(line, shot)
         self.all.append(shot)
@@ -498,8 +505,9 @@ def write_captures(path, shots, sha256=None) -> None:
     with written_whole(path) as temporary, open(temporary, "w", encoding="utf-8", newline="") as out:
         writer = csv.writer(out, lineterminator="\n")
         shots = list(shots)
-        linear = any(shot.linear for shot in shots)
-        writer.writerow((*COLUMNS, *EXTRA_COLUMNS, *([_LINEAR] if linear else [])))
+        linear, levels = any(shot.linear for shot in shots), any(shot.light_level != 1.0 for shot in shots)
+        writer.writerow((*COLUMNS, *EXTRA_COLUMNS, *([_LINEAR] if linear else []), *([_LIGHT_LEVEL] if levels else [])))
         for shot in shots:
             cells = shot_cells(shot, "" if sha256 is None else sha256[shot.file])
-            writer.writerow([*cells, "yes" if shot.linear else "no"] if linear else cells)
+            cells += ["yes" if shot.linear else "no"] if linear else []
+            writer.writerow([*cells, shot.light_level] if levels else cells)

@@ -15,8 +15,16 @@ from irodori.core.file_kinds import IF_LINEAR, is_picture, kind_instead_of_raw
 from irodori.core.store import Provenance, create
 from irodori.evaluation.left_out_photographs import MATT, Prediction, fitted, predict_left_out
 from irodori.export.pictures import specification, write_picture_file
-from irodori.first_project.light_places import read_light_places
-from irodori.first_project.lights_command import add_outline, asked_circle, in_counting_order, is_mask, same_size
+from irodori.first_project.light_places import read_light_places, write_lamps
+from irodori.first_project.lights_command import (
+    add_names,
+    add_outline,
+    asked_circle,
+    in_counting_order,
+    is_mask,
+    names_of,
+    same_size,
+)
 from irodori.fitting.one_gloss import OneGloss
 from irodori.ingest.first_look import COARSE, COARSE_WARNING
 from irodori.ingest.mosaic import Mosaic, decode
@@ -31,6 +39,7 @@ INSIDE = 0.95
 LEAST_COSINE = 0.2
 _CLIPPED, _FEWEST = 0.98, 5
 _GREEN = 1
+_WRITTEN = ("lamps.csv", "surface.h5", "left-out.csv", "left-out.png")
 #: Approximate number of places from which levels and directions of the lamps are estimated.
 _REGISTERED = 1200
 #: Amplification of the difference between photograph and rendering in the picture of differences.
@@ -72,15 +81,17 @@ def main(arguments: list[str] | None = None, prog: str = "irodori dome") -> int:
     """Fit the reflection of a ball to photographs of one fixed camera, and predict each of them from the others.
 
     The photographs differ in nothing but the lamp, and the directions to the lamps are known from a light-position
-    file (see irodori lights). Levels and directions of the lamps are refined together. Written are surface.h5 (diffuse
-    weight and gloss in each pixel), left-out.csv (the error of each photograph that was left out) and left-out.png
-    (photographs, renderings, and ten times their difference). The exit status is 2 if nothing was written.
+    file (see irodori lights). Levels and directions of the lamps are refined together. Written are lamps.csv (levels
+    and directions, for irodori init --lights), surface.h5 (diffuse weight and gloss in each pixel), left-out.csv (the
+    error of each photograph that was left out) and left-out.png (photographs, renderings, and ten times their
+    difference). The exit status is 2 if nothing was written.
     """
     parser = argparse.ArgumentParser(prog=prog, description=main.__doc__)
     parser.add_argument("photographs", nargs="+", help="photographs of the ball; RAW, or with --linear TIFF or PNG")
     parser.add_argument("--lights", required=True, help="light-position file (.lp) that lists the photographs")
     parser.add_argument("--linear", action="store_true", help=f"the photographs are TIFF or PNG: {IF_LINEAR}")
     add_outline(parser)
+    add_names(parser, "in lamps.csv")
     near = "standard deviation of the directions to the lamps, degrees; 0 where they are exact (3)"
     parser.add_argument("--error-deg", type=float, default=3.0, help=near)
     parser.add_argument("--refractive-index", type=float, default=1.5, help="of the surface (1.5)")
@@ -95,6 +106,7 @@ def main(arguments: list[str] | None = None, prog: str = "irodori dome") -> int:
 
 def _measure(asked: argparse.Namespace) -> int:
     seen, known = _seen(asked)
+    listed = names_of(asked, seen.names)
     part = slice(None, None, max(1, len(seen.normal) // _REGISTERED))
     response, normal, view, lit = (v[part] for v in (seen.response, seen.normal, seen.view, seen.lit(known)))
     n = asked.refractive_index
@@ -113,10 +125,14 @@ def _measure(asked: argparse.Namespace) -> int:
     _say(seen, lamps, found, surface, asked)
     into = Path(asked.into)
     into.mkdir(parents=True, exist_ok=True)
+    write_lamps(into / "lamps.csv", {
+        Path(name).name: (*light_angles_deg(direction), level)
+        for name, direction, level in zip(listed, lamps.direction, lamps.level, strict=True)
+    })  # fmt: skip
     _write_table(into / "left-out.csv", seen, lamps, found)
     _write_surface(into / "surface.h5", seen, lamps, surface, lobe)
     _write_pictures(into / "left-out.png", seen, found, weight)
-    print(f"written: {into / 'surface.h5'}, {into / 'left-out.csv'}, {into / 'left-out.png'}")
+    print(f"written: {', '.join(str(into / name) for name in _WRITTEN)}")
     return 0
 
 
@@ -198,13 +214,13 @@ def _say(seen: Seen, lamps: Lamps, found: Prediction, surface: OneGloss, asked: 
 
 
 def _write_table(path: Path, seen: Seen, lamps: Lamps, found: Prediction) -> None:
-    columns = ("file", "level", "light_deg", "light_azimuth_deg", "moved_deg", "relative_rms", "relative_rms_by_file")
+    columns = ("file", "moved_deg", "relative_rms", "relative_rms_by_file")
     with written_whole(path) as temporary, open(temporary, "w", encoding="utf-8", newline="") as out:
         writer = csv.writer(out, lineterminator="\n")
         writer.writerow(columns)
         for at, name in enumerate(seen.names):
-            numbers = lamps.level[at], *light_angles_deg(lamps.direction[at]), lamps.moved_deg[at]
-            writer.writerow([name, *(f"{v:.5g}" for v in (*numbers, found.error[at], found.by_file[at]))])
+            numbers = lamps.moved_deg[at], found.error[at], found.by_file[at]
+            writer.writerow([name, *(f"{value:.5g}" for value in numbers)])
 
 
 def _write_surface(path: Path, seen: Seen, lamps: Lamps, surface: OneGloss, lobe: str) -> None:

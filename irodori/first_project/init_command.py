@@ -11,7 +11,7 @@ from irodori.config.capture_table import light_angles_deg
 from irodori.config.definitions import load_definitions
 from irodori.core.errors import InputError
 from irodori.core.yaml_files import read_yaml
-from irodori.first_project.light_places import places_of_poses, read_light_places
+from irodori.first_project.light_places import lamp_of_poses, read_lamps
 from irodori.first_project.questions import Question, answer, numbers, pose_of_references, positive, shape, word
 from irodori.first_project.raw_folder import Photograph, photographs
 from irodori.first_project.recognition import Recognised, recognise
@@ -33,7 +33,8 @@ def main(arguments: list[str] | None = None, prog: str = "irodori init") -> int:
     parser.add_argument("photographs", help="folder of the RAW files, or one photograph of a colour chart")
     parser.add_argument("--into", default="config", help="folder of definitions to write into (config)")
     parser.add_argument("--name", help="name of the object; that of the folder where absent")
-    parser.add_argument("--lights", help="light-position file (.lp) that says where the lamp of each photograph stood")
+    lights = "where the lamp of each photograph stood: a light-position file (.lp), or lamps.csv of irodori dome"
+    parser.add_argument("--lights", help=lights)
     linear = "the photographs are TIFF or PNG pictures whose numbers go with the light, without a tone curve"
     parser.add_argument("--linear", action="store_true", help=linear)
     parser.add_argument("--answers", help="YAML file of answers by the names that the questions have")
@@ -154,9 +155,11 @@ def _answers(
         said.shape = put("shape", words, shape)
         poses = 1 + max(one.pose for one in recognised)
         if asked.lights:
-            places = places_of_poses(read_light_places(asked.lights), recognised, asked.lights)
+            positions, levels = read_lamps(asked.lights)
+            places = lamp_of_poses(positions, recognised, asked.lights)
             light_deg, azimuth_deg = zip(*map(light_angles_deg, places), strict=True)
             said.angles |= {"light_deg": list(light_deg), "light_azimuth_deg": list(azimuth_deg)}
+            said.light_level = lamp_of_poses(levels, recognised, asked.lights) if levels else []
         else:
             words = f"Light angle, degrees: one number, or one for each of the {poses} poses"
             said.angles["light_deg"] = put("light_deg", words, numbers(poses))

@@ -1,12 +1,82 @@
-"""Places of lamps from the light-position files (.lp) of reflectance transformation imaging."""
+"""Places and levels of lamps: the light-position files (.lp) of other programs, and the tables of `irodori dome`."""
 
+import csv
 import math
+from collections.abc import Mapping
 from pathlib import Path, PureWindowsPath
+from typing import TypeVar
 
+from irodori.core.atomic_files import written_whole
 from irodori.core.errors import InputError
+from irodori.core.text_tables import table_rows, with_decimal_points
 from irodori.first_project.recognition import Recognised
 
 _LARGEST_BYTES = 1_000_000
+Stated = TypeVar("Stated")
+#: Columns of a table of lamps, named as in a table of photographs.
+_COLUMNS = ("file", "light_deg", "light_azimuth_deg", "light_level")
+
+
+def write_lamps(path, lamps: Mapping[str, tuple[float, float, float]]) -> None:
+    """Write a table of lamps.
+
+    Parameters
+    ----------
+    path : path
+    lamps : dict
+        Light angle and azimuth, degrees, and level relative to the mean, by the name of the photograph.
+    """
+    with written_whole(path) as temporary, open(temporary, "w", encoding="utf-8", newline="") as out:
+        writer = csv.writer(out, lineterminator="\n")
+        writer.writerow(_COLUMNS)
+        writer.writerows([name, *(f"{value:.5g}" for value in lamp)] for name, lamp in lamps.items())
+
+
+def read_lamps(path) -> tuple[dict[str, tuple[float, float, float]], dict[str, float]]:
+    """Read the position of the lamp in each photograph, and its level where the file states it.
+
+    Parameters
+    ----------
+    path : path
+        Table of lamps (.csv), as `write_lamps` writes it, or a light-position file, see `read_light_places`.
+
+    Returns
+    -------
+    positions : dict
+        See `read_light_places`; of unit length from a table.
+    levels : dict
+        Irradiance of each lamp relative to the lamp that counts as 1, by the same names; empty for a light-position
+        file.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read or a line is not complete, a name occurs twice, or a level is not above 0.
+    """
+    if Path(path).suffix.lower() != ".csv":
+        return read_light_places(path), {}
+    rows = with_decimal_points(table_rows(path, "a table of lamps"), path)
+    if not rows or [cell.strip() for cell in rows[0][1]] != list(_COLUMNS):
+        found = ", ".join(rows[0][1]) if rows else "an empty file"
+        raise InputError(path, "", found, f"the columns {', '.join(_COLUMNS)}, as irodori dome writes them")
+    positions: dict[str, tuple[float, float, float]] = {}
+    levels: dict[str, float] = {}
+    for line, cells in rows[1:]:
+        name, *words = cells
+        try:
+            angle, azimuth, level = map(float, words)
+        except ValueError:
+            angle = azimuth = level = math.nan
+        if not all(map(math.isfinite, (angle, azimuth, level))) or level <= 0.0:
+            raise InputError(path, f"line {line}", repr(",".join(cells)), "a file's name, two angles, a level above 0")
+        key = _key(name)
+        if key in positions:
+            raise InputError(path, f"line {line}", f"{name!r} again", "each photograph once")
+        angle, azimuth = math.radians(angle), math.radians(azimuth)
+        aside = math.sin(angle)
+        positions[key] = (aside * math.cos(azimuth), aside * math.sin(azimuth), math.cos(angle))
+        levels[key] = level
+    return positions, levels
 
 
 def read_light_places(path) -> dict[str, tuple[float, float, float]]:
@@ -62,31 +132,31 @@ def read_light_places(path) -> dict[str, tuple[float, float, float]]:
     return places
 
 
-def places_of_poses(places: dict[str, tuple[float, float, float]], recognised: list[Recognised], path) -> list:
-    """Return the position of the lamp in each pose of the object, (x, y, z).
+def lamp_of_poses(stated: Mapping[str, Stated], recognised: list[Recognised], path) -> list[Stated]:
+    """Return what a file states about the lamp in each pose of the object: its position or its level.
 
     Parameters
     ----------
-    places : dict
-        From `read_light_places`.
+    stated : dict
+        Positions or levels from `read_lamps`.
     recognised : list of Recognised
     path : path
-        The light-position file, for the error message.
+        The file, for the error message.
 
     Raises
     ------
     InputError
-        If no photograph of a pose is listed, or two are listed with different positions.
+        If no photograph of a pose is listed, or two are listed with different lamps.
     """
     found = []
     for pose in range(1 + max(one.pose for one in recognised)):
         names = [one.photograph.path.name for one in recognised if one.pose == pose]
-        listed = {places[_key(name)] for name in names if _key(name) in places}
+        listed = {stated[_key(name)] for name in names if _key(name) in stated}
         if not listed:
             raise InputError(path, "", f"none of {', '.join(names)}", "each photograph of the object by its name")
         if len(listed) > 1:
-            told = f"different places for {', '.join(names)}, which look alike"
-            raise InputError(path, "", told, "one place for the photographs of one pose")
+            told = f"different lamps for {', '.join(names)}, which look alike"
+            raise InputError(path, "", told, "one lamp for the photographs of one pose")
         found.append(listed.pop())
     return found
 

@@ -24,8 +24,7 @@ def main(arguments: list[str] | None = None, prog: str = "irodori lights") -> in
     parser.add_argument("photographs", nargs="+", help="photographs of the ball, one lamp in each; RAW, TIFF or PNG")
     parser.add_argument("--into", default="lights.lp", help="light-position file to write (lights.lp)")
     add_outline(parser)
-    names = "photographs of the object under the same lamps in the same order, whose names are to be listed"
-    parser.add_argument("--names", nargs="+", metavar="PHOTOGRAPH", help=names)
+    add_names(parser, "in the file")
     asked = parser.parse_args(arguments)
     try:
         return _write(asked)
@@ -43,6 +42,27 @@ def add_outline(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_names(parser: argparse.ArgumentParser, where: str) -> None:
+    """Add the command-line option ``--names``: photographs whose names are listed in place of those of the ball."""
+    names = f"photographs of the object under the same lamps in the same order, whose names are to be listed {where}"
+    parser.add_argument("--names", nargs="+", metavar="PHOTOGRAPH", help=names)
+
+
+def names_of(asked: argparse.Namespace, own: list[str]) -> list[str]:
+    """Return the names to list: those of ``--names`` in counting order, or those of the photographs of the ball.
+
+    Raises
+    ------
+    InputError
+        If there are not as many names as photographs of the ball.
+    """
+    listed = in_counting_order(asked.names) if asked.names else own
+    if len(listed) != len(own):
+        found = f"{len(own)} photographs of the ball and {len(listed)} names"
+        raise InputError("--names", "", found, "one name for each photograph")
+    return listed
+
+
 def in_counting_order(names: list[str]) -> list[str]:
     """Sort names with numbers in them by the values of the numbers: a.2 before a.10."""
     return sorted(names, key=lambda name: [int(p) if p.isdigit() else p.lower() for p in re.split(r"(\d+)", name)])
@@ -50,10 +70,7 @@ def in_counting_order(names: list[str]) -> list[str]:
 
 def _write(asked: argparse.Namespace) -> int:
     files = [Path(name) for name in in_counting_order(asked.photographs) if not is_mask(name, asked)]
-    listed = in_counting_order(asked.names) if asked.names else [str(file) for file in files]
-    if len(listed) != len(files):
-        found = f"{len(files)} photographs of the ball and {len(listed)} names"
-        raise InputError("--names", "", found, "one name for each photograph")
+    listed = names_of(asked, [str(file) for file in files])
     pictures = [brightness(file) for file in files]
     same_size(files, pictures)
     circle = asked_circle(asked, pictures, files[0])

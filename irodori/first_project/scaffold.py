@@ -46,6 +46,8 @@ class Answers:
     angles : dict of list of float
         Angles by key (``light_deg``, ``camera_deg``, ``tilt_deg``, ``turn_deg``), one for each pose of the object; also
         ``light_azimuth_deg`` for lamps outside the plane of the rig.
+    light_level : list of float
+        Level of the lamp in each pose of the object; empty if the lamps are equal.
     assumed : dict of str
         Assumed values in place of missing answers, by the key of the question.
     """
@@ -58,6 +60,7 @@ class Answers:
     reference_pose: Pose | None = None
     shape: dict[str, Any] | None = None
     angles: dict[str, list[float] | None] = field(default_factory=dict)
+    light_level: list[float] = field(default_factory=list)
     assumed: dict[str, str] = field(default_factory=dict)
 
 
@@ -123,7 +126,8 @@ class Scaffold:
         self.table.parent.mkdir(parents=True, exist_ok=True)
         rows = [self._row(one) for one in self.recognised]
         azimuth = [_AZIMUTH] if _AZIMUTH in self.answers.angles else []
-        columns = (*COLUMNS, "iso", "f_number", *azimuth, *(["linear"] if self._linear else []))
+        levels = ["light_level"] if self.answers.light_level else []
+        columns = (*COLUMNS, "iso", "f_number", *azimuth, *levels, *(["linear"] if self._linear else []))
         with written_whole(self.table) as temporary, open(temporary, "w", encoding="utf-8", newline="") as out:
             writer = csv.writer(out, lineterminator="\n")
             writer.writerow(columns)
@@ -254,6 +258,8 @@ class Scaffold:
         settings = [f"{photograph.exposure_s:.6g}", photograph.iso or "", photograph.f_number or ""]
         if azimuths := self.answers.angles.get(_AZIMUTH):
             settings.append(round(azimuths[one.pose], 4) if one.role == "object" else 0.0)
+        if levels := self.answers.light_level:
+            settings.append(levels[one.pose] if one.role == "object" else "")
         if self._linear:
             settings.append("yes")
         return [photograph.path.name, one.role, *angles, one.filter or GAP, *settings]

@@ -193,7 +193,7 @@ def _repeats(group: list[Shot]) -> list[list[Shot]]:
     rounds: list[list[Shot]] = []
     seen: dict[tuple, int] = {}
     for shot in group:
-        key = (shot.exposure_s, shot.iso, shot.f_number)
+        key = (shot.exposure_s, shot.iso, shot.f_number, shot.light_level)
         seen[key] = seen.get(key, -1) + 1
         if seen[key] == len(rounds):
             rounds.append([])

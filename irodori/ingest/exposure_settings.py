@@ -57,8 +57,9 @@ def settle_set(shots: list[Shot], table) -> list[Shot]:
 
 
 def relative_exposure_s(shot: Shot) -> float:
-    """Return exposure time x (ISO / 100) / f-number², s; unknown factors count as 1."""
-    return shot.exposure_s * (shot.iso / 100.0 if shot.iso else 1.0) / (shot.f_number**2 if shot.f_number else 1.0)
+    """Return exposure time x lamp's level x (ISO / 100) / f-number², s; unknown factors count as 1."""
+    amplified_s = shot.exposure_s * shot.light_level * (shot.iso / 100.0 if shot.iso else 1.0)
+    return amplified_s / (shot.f_number**2 if shot.f_number else 1.0)
 
 
 def iso_ratio(shot: Shot, iso: float) -> float:

@@ -190,7 +190,7 @@ def equal_pairs(shots: list[Shot]) -> list[tuple[Shot, Shot]]:
     """Return pairs of successive shots with the same settings; each shot is in at most one pair."""
     groups: dict[tuple, list[Shot]] = {}
     for shot in shots:
-        key = (shot.role, shot.pose, shot.filter, shot.exposure_s, shot.iso, shot.f_number)
+        key = (shot.role, shot.pose, shot.filter, shot.exposure_s, shot.iso, shot.f_number, shot.light_level)
         groups.setdefault(key, []).append(shot)
     return [pair for group in groups.values() for pair in zip(group[::2], group[1::2], strict=False)]
 

@@ -1,6 +1,7 @@
 """The command `irodori init`: a project of somebody's own photographs from the folder alone."""
 
 import random
+import re
 import shutil
 import sys
 from dataclasses import replace
@@ -25,7 +26,7 @@ from irodori.config.models import Camera, Object, Rig
 from irodori.core.errors import InputError
 from irodori.core.yaml_files import read_yaml
 from irodori.first_project import init_command
-from irodori.first_project.light_places import places_of_poses, read_light_places
+from irodori.first_project.light_places import lamp_of_poses, read_lamps, read_light_places, write_lamps
 from irodori.first_project.questions import numbers, positive, shape
 from irodori.first_project.raw_folder import Photograph, in_order, photographs
 from irodori.first_project.recognition import recognise
@@ -200,12 +201,45 @@ def test_a_light_position_file_with_a_fault_is_refused_by_its_line(tmp_path, tex
 def test_a_pose_that_no_light_is_listed_for_or_two_are_is_named(recognised, tmp_path):
     names = {one.photograph.path.name: one.pose for one in recognised if one.role == "object"}
     listed = {Path(name).stem.lower(): (0.0, pose, 1.0) for name, pose in names.items()}
-    assert places_of_poses(listed, recognised, "dome.lp") == [(0.0, 0, 1.0), (0.0, 1, 1.0)]
+    assert lamp_of_poses(listed, recognised, "dome.lp") == [(0.0, 0, 1.0), (0.0, 1, 1.0)]
     with pytest.raises(InputError, match=r"dome.lp: found none of IMG"):
-        places_of_poses({}, recognised, "dome.lp")
+        lamp_of_poses({}, recognised, "dome.lp")
     other = Path(next(iter(names))).stem.lower()
-    with pytest.raises(InputError, match="different places for IMG"):
-        places_of_poses(listed | {other: (1.0, 0.0, 1.0)}, recognised, "dome.lp")
+    with pytest.raises(InputError, match="different lamps for IMG"):
+        lamp_of_poses(listed | {other: (1.0, 0.0, 1.0)}, recognised, "dome.lp")
+
+
+def test_a_table_of_lamps_says_how_bright_the_lamp_of_each_pose_was(seen, taken, recognised, tmp_path):
+    of_pose = {0: (45.0, 90.0, 1.04), 1: (30.0, -120.0, 0.97)}
+    first = {one.pose: one.photograph.path.stem for one in reversed(recognised) if one.role == "object"}
+    write_lamps(tmp_path / "lamps.csv", {f"{first[pose]}.tif": lamp for pose, lamp in of_pose.items()})
+    answers = {key: value for key, value in ANSWERS.items() if key not in ("light_deg", "camera_deg")}
+    said = written(tmp_path / "answers.yaml", answers)
+    assert init(taken[0], "--lights", str(tmp_path / "lamps.csv"), "--answers", said) == 0
+    pose_of = {one.photograph.path.name: one.pose for one in recognised}
+    for shot in read_captures("config/captures/my-plate.csv", taken[0]):
+        found = shot.pose.light_deg, shot.pose.light_azimuth_deg, shot.light_level
+        if shot.role == "object":
+            assert found == pytest.approx(of_pose[pose_of[shot.file]], rel=1e-4)
+        else:
+            assert shot.light_level == 1.0
+
+
+@pytest.mark.parametrize(
+    ("body", "found"),
+    [
+        ("file,level\na.tif,1\n", "found file, level"),
+        ("a.tif,45,0,0\n", "a.tif,45,0,0"),
+        ("a.tif,45,north,1\n", "a.tif,45,north,1"),
+        ("a.tif,45,0,1\nA.TIF,45,0,1\n", "'A.TIF' again"),
+    ],
+)
+def test_a_table_of_lamps_with_a_fault_is_refused_by_its_line(body, found, tmp_path):
+    header = "" if body.startswith("file") else "file,light_deg,light_azimuth_deg,light_level\n"
+    (tmp_path / "lamps.csv").write_text(header + body)
+    with pytest.raises(InputError, match=re.escape(found)) as caught:
+        read_lamps(tmp_path / "lamps.csv")
+    assert "lamps.csv" in str(caught.value)
 
 
 def test_what_a_person_says_is_not_called_assumed(seen, taken, tmp_path, capsys):

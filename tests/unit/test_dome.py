@@ -15,6 +15,7 @@ from irodori.command_line import main
 from irodori.core import store
 from irodori.evaluation.left_out_photographs import MATT, fitted, predict_left_out
 from irodori.first_project.dome_command import INSIDE, LEAST_COSINE, simplest
+from irodori.first_project.light_places import read_lamps
 from irodori.first_project.mirror_highlights import write_light_places
 from irodori.rectification.circle_search import Circle
 from irodori.rectification.lamp_registration import Lamps, geometry_of, register_lamps
@@ -169,7 +170,10 @@ def test_a_documented_command_measures_a_ball(command, folder, capsys):
     assert "gloss gaussian: beta" in out and "left-out photographs, lamps registered" in out
     rows = table()
     assert [row["file"] for row in rows] == [f"{number}.png" for number in range(COUNT)]
-    assert np.abs(np.array([float(row["level"]) for row in rows]) / LEVELS - 1.0).max() < 0.015
+    positions, levels = read_lamps("dome/lamps.csv")
+    assert list(positions) == [Path(row["file"]).stem for row in rows]
+    assert np.abs(np.array(list(levels.values())) / LEVELS - 1.0).max() < 0.015
+    assert np.min(np.sum(np.array(list(positions.values())) * DIRECTIONS, axis=1)) > np.cos(np.radians(1.0))
     errors = np.array([[float(row[name]) for row in rows] for name in ("relative_rms", "relative_rms_by_file")])
     assert errors[0].mean() < 0.025 and errors[1].mean() > errors[0].mean()
     with store.open_file("dome/surface.h5") as file:

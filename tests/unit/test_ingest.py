@@ -273,6 +273,23 @@ def test_the_tables_settings_count_where_the_file_is_silent(tmp_path):
     assert np.allclose(response, 0.15, rtol=2e-3)
 
 
+@pytest.mark.parametrize(("white", "own"), [(1.0, 1.25), (0.8, 1.0), (0.8, 0.6)])
+def test_a_brighter_lamp_that_the_table_states_does_not_change_the_response(tmp_path, white, own):
+    numbers = [("white", BLACK + 3000 * white, white), ("object", BLACK + 900 * own, own)]
+    table = []
+    for role, values, level in numbers:
+        write_any_dng(tmp_path / f"{role}.dng", np.full((64, 96), round(values), np.uint16), exposure_s=0.02, iso=100)
+        table.append(Shot(f"{role}.dng", role, Pose(0.0, 0.0), "out", 0.02, light_level=level))
+    files = tmp_path / "captures.csv", tmp_path
+    write_captures(files[0], table)
+    assert read_captures(*files) == table
+    ingest_reference(*files, tmp_path / "r.h5", PROVENANCE, 1.0, SUPERPIXELS)
+    capture = Pose(0.0, 0.0).name
+    ingest_raw(*files, capture, tmp_path / "r.h5", tmp_path / "l.h5", PROVENANCE, options=SUPERPIXELS)
+    with store.open_file(tmp_path / "l.h5") as file:
+        assert np.allclose(file.read("response"), 0.3, rtol=2e-3)
+
+
 OPTIONS = [SUPERPIXELS, IngestOptions(demosaic="linear", register=False)]
 
 
