@@ -13,7 +13,7 @@ DOCUMENTS = sorted(
 )
 #: What the documents let one type, by the first word; of other programs nothing is looked at.
 OWN = ("irodori", "python", "python3", "snakemake", "pip", "pytest")
-OTHERS = ("sudo", "npx", "pre-commit", "mkdocs", ".", "cd", "git", "python3.11", "ls", "mkdir")
+OTHERS = ("sudo", "npx", "pre-commit", "mkdocs", ".", "cd", "git", "python3.11", "ls", "mkdir", "cp")
 _FENCE = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 _SPAN = re.compile(rf"(?<!`)`((?:{'|'.join(OWN)}) [^`]+)`(?!`)")
 

@@ -134,7 +134,7 @@ def plan(options) -> None:
     for shot in planned:
         # An azimuth of 0 is not printed.
         pose = {name: value for name, value in vars(shot.pose).items() if value or name != "light_azimuth_deg"}
-        angles = " ".join(f"{name.removesuffix('_deg')} {value:g}" for name, value in pose.items())
+        angles = " ".join(f"{name.removesuffix('_deg').replace('_', ' ')} {value:g}" for name, value in pose.items())
         print(f"{shot.role} {angles} filter {shot.filter} {shot.exposure_s:g} s  {shot.file}")
     print(target.estimate(planned))
 

@@ -76,7 +76,8 @@ class ContactSheet:
     def add(self, one: PhotographSet, shot: Shot, path: Path, mosaic: Mosaic) -> None:
         """Add a decoded photograph of a set."""
         small = preview_of(mosaic, _WIDTH_PX)
-        angles = ", ".join(f"{name.removesuffix('_deg')} {angle:g}°" for name, angle in vars(shot.pose).items())
+        limits = self._loaded.rigs[self._loaded.cameras[one.camera].rig].limits
+        angles = angles_in_words(shot.pose, limits.light_azimuth_deg is not None)
         pose = f" · {angles}" if shot.role == "object" else ""
         picture = Picture(
             path,
@@ -122,6 +123,18 @@ class ContactSheet:
             else:
                 general.append(finding)
         write_page(path, "contact_sheet.html.j2", sets=self.sets, general=general)
+
+
+def angles_in_words(pose: Pose, with_azimuth: bool) -> str:
+    """Return the angles of a pose for a caption.
+
+    An azimuth of 0 is left out unless `with_azimuth` says that lamps may stand outside the rig's plane.
+    """
+    azimuth = f" and azimuth {pose.light_azimuth_deg:g}°" if with_azimuth or pose.light_azimuth_deg else ""
+    return (
+        f"light at {pose.light_deg:g}°{azimuth}, camera at {pose.camera_deg:g}°, "
+        f"table tilted by {pose.tilt_deg:g}° and turned by {pose.turn_deg:g}°"
+    )
 
 
 def _patches(chart: Chart) -> list[str]:

@@ -15,7 +15,7 @@ from irodori.first_project.light_places import lamp_of_poses, read_lamps
 from irodori.first_project.questions import Question, answer, numbers, pose_of_references, positive, shape, word
 from irodori.first_project.raw_folder import Photograph, photographs
 from irodori.first_project.recognition import Recognised, recognise
-from irodori.first_project.scaffold import Answers, Scaffold, project_name
+from irodori.first_project.scaffold import Answers, Scaffold, project_name, refuse_existing_project
 
 _SHOWN_GAPS = 20
 #: Example of a value for the key ``shape``.
@@ -49,6 +49,9 @@ def main(arguments: list[str] | None = None, prog: str = "irodori init") -> int:
 def _write(asked: argparse.Namespace) -> int:
     given = read_yaml(asked.answers) if asked.answers else {}
     place = Path(asked.photographs)
+    name = project_name(asked.name or (place.name if place.is_dir() else place.stem))
+    # Before the photographs are read, which takes minutes.
+    refuse_existing_project(name, asked.into)
     found, timed = photographs(place, asked.linear)
     recognised = recognise(found)
     if not any(one.role == "chart" for one in recognised):
@@ -58,7 +61,6 @@ def _write(asked: argparse.Namespace) -> int:
     ask = _typed if sys.stdin.isatty() and not asked.answers else None
     answers = _answers(recognised, given, asked, ask)
     folder = place if place.is_dir() else place.parent
-    name = project_name(asked.name or (place.name if place.is_dir() else place.stem))
     scaffold = Scaffold(name, asked.into, folder, recognised, answers)
     gaps = scaffold.write()
     print("assumed; please correct what is wrong:")

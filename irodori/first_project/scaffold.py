@@ -2,7 +2,7 @@
 
 import csv
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -69,6 +69,90 @@ def project_name(text: str) -> str:
     return re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-") or "first"
 
 
+def refuse_existing_project(name: str, into) -> None:
+    """Refuse the name of a project that exists, before its photographs are read.
+
+    Only the files that every project has are looked for, because it is not known yet whether an object was
+    photographed. `Scaffold.write` looks for all files.
+
+    Parameters
+    ----------
+    name : str
+    into : path
+        Folder of definitions.
+
+    Raises
+    ------
+    InputError
+        If one of them exists; the message lists every existing file of a project of this name.
+    """
+    files = _Files(name, Path(into), has_object=True)
+    with_chart_alone = _Files(name, Path(into), has_object=False)
+    if any(path.exists() for path in (files.rig, files.configuration, files.table)):
+        _refuse_existing((*files.all(), with_chart_alone.camera))
+
+
+def _refuse_existing(files: Iterable[Path]) -> None:
+    """Raise an InputError that names the files that exist, if any does."""
+    there = [path for path in files if path.exists()]
+    if there:
+        removed = ", ".join(map(str, there))
+        accepted = f"another --name, another --into, or, to begin anew, these files removed: {removed}"
+        raise InputError(there[0], "", "a file that is there already", accepted)
+
+
+@dataclass(frozen=True)
+class _Files:
+    """Paths of the files of a project.
+
+    Parameters
+    ----------
+    name : str
+    into : Path
+        Folder of definitions.
+    has_object : bool
+        Whether an object was photographed; a project of a chart alone has only a rig, a camera, a configuration and
+        the table of photographs.
+    """
+
+    name: str
+    into: Path
+    has_object: bool
+
+    @property
+    def rig(self) -> Path:
+        return self.into / "rigs" / f"{self.name}-rig.yaml"
+
+    @property
+    def camera(self) -> Path:
+        return self.into / "cameras" / f"{self.name}{'-camera' if self.has_object else ''}.yaml"
+
+    @property
+    def object(self) -> Path:
+        return self.into / "objects" / f"{self.name}.yaml"
+
+    @property
+    def environment(self) -> Path:
+        return self.into / "environments" / f"{self.name}-lamp.yaml"
+
+    @property
+    def scene(self) -> Path:
+        return self.into / "scenes" / f"{self.name}-scene.yaml"
+
+    @property
+    def configuration(self) -> Path:
+        return self.into / f"{self.name}.yaml"
+
+    @property
+    def table(self) -> Path:
+        return self.into / "captures" / f"{self.name}.csv"
+
+    def all(self) -> tuple[Path, ...]:
+        """Return all paths, in the order in which the files are written."""
+        of_object = (self.object, self.environment, self.scene) if self.has_object else ()
+        return (self.rig, self.camera, *of_object, self.configuration, self.table)
+
+
 class Scaffold:
     """Files of a first project.
 
@@ -88,7 +172,7 @@ class Scaffold:
         self.name, self.into, self.photographs = name, Path(into), Path(photographs)
         self.recognised, self.answers = recognised, answers
         self.has_object = any(one.role == "object" for one in recognised)
-        self.table = self.into / "captures" / f"{name}.csv"
+        self._files = _Files(name, self.into, self.has_object)
 
     @property
     def _linear(self) -> bool:
@@ -98,7 +182,7 @@ class Scaffold:
     @property
     def configuration(self) -> Path:
         """Path of the configuration file, which lists the scenes and cameras to make."""
-        return self.into / f"{self.name}.yaml"
+        return self._files.configuration
 
     def write(self) -> list[str]:
         """Write all files; return the gaps, each as a text with file and field.
@@ -108,12 +192,8 @@ class Scaffold:
         InputError
             If one of the files exists already; then nothing is written.
         """
-        files = dict(self._definitions())
-        there = [path for path in (*files, self.table) if path.exists()]
-        if there:
-            removed = ", ".join(map(str, there))
-            accepted = f"another --name, another --into, or, to begin anew, these files removed: {removed}"
-            raise InputError(there[0], "", "a file that is there already", accepted)
+        _refuse_existing(self._files.all())
+        files, table = dict(self._definitions()), self._files.table
         gaps = []
         for path, content in files.items():
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -123,25 +203,24 @@ class Scaffold:
             with written_whole(path) as temporary:
                 temporary.write_text("".join(told) + body, encoding="utf-8")
             gaps += [f"{path}: {field}" for field in _gaps(content)]
-        self.table.parent.mkdir(parents=True, exist_ok=True)
+        table.parent.mkdir(parents=True, exist_ok=True)
         rows = [self._row(one) for one in self.recognised]
         azimuth = [_AZIMUTH] if _AZIMUTH in self.answers.angles else []
         levels = ["light_level"] if self.answers.light_level else []
         columns = (*COLUMNS, "iso", "f_number", *azimuth, *levels, *(["linear"] if self._linear else []))
-        with written_whole(self.table) as temporary, open(temporary, "w", encoding="utf-8", newline="") as out:
+        with written_whole(table) as temporary, open(temporary, "w", encoding="utf-8", newline="") as out:
             writer = csv.writer(out, lineterminator="\n")
             writer.writerow(columns)
             writer.writerows(rows)
         for line, row in enumerate(rows, 2):
-            gaps += [
-                f"{self.table}: line {line}, {name}" for name, cell in zip(columns, row, strict=True) if cell == GAP
-            ]
+            gaps += [f"{table}: line {line}, {name}" for name, cell in zip(columns, row, strict=True) if cell == GAP]
         return gaps
 
     def assumed(self) -> dict[Path, list[str]]:
         """Return the values that were assumed, by file: texts with field, value and reason."""
         said = self.answers.assumed
-        rig, camera, subject, environment, scene = self._paths()
+        files, table = self._files, self._files.table
+        rig, camera, subject, environment, scene = files.rig, files.camera, files.object, files.environment, files.scene
         notes: dict[Path, list[str]] = {rig: ["limits: wide ones, because no motor moves this rig"], camera: []}
         if "camera_distance_mm" in said:
             notes[rig].append(f"camera_distance_mm: {said['camera_distance_mm']}, which a chart alone does not need")
@@ -150,13 +229,13 @@ class Scaffold:
         )
         if "reference_pose" in said:
             notes[camera].append(
-                f"light and camera angle of chart and white in {self.table}: {said['reference_pose']} degrees"
+                f"light and camera angle of chart and white in {table}: {said['reference_pose']} degrees"
             )
         if "white_reflectance" in said:
             notes[camera].append(f"white.reflectance_factor: {said['white_reflectance']}, that of a new reference")
         if self._linear:
             if any(one.photograph.exposure_s == UNSTATED_S for one in self.recognised):
-                notes[camera].append(f"exposure_s in {self.table}: {UNSTATED_S:g} where the file states none")
+                notes[camera].append(f"exposure_s in {table}: {UNSTATED_S:g} where the file states none")
             if self.has_object:
                 notes[camera].append("optics: in mosaic pixels; a pixel of a linear picture is 2 x 2 of them")
         if self.has_object:
@@ -169,29 +248,18 @@ class Scaffold:
             ]
             for axis in ("camera_deg", "tilt_deg", "turn_deg"):
                 if axis in said:
-                    notes[subject].append(f"{axis} in {self.table}: {said[axis]}")
+                    notes[subject].append(f"{axis} in {table}: {said[axis]}")
             notes[environment] = [
                 "source: one lamp with the spectrum D65 to show the object in, not the lamp of your photographs"
             ]
             notes[scene] = ["views, image: one view from the front, to start with"]
         return notes
 
-    def _paths(self) -> tuple[Path, Path, Path, Path, Path]:
-        """Return the paths of the definitions of rig, camera, object, environment and scene."""
-        camera = self.name + ("-camera" if self.has_object else "")
-        return (
-            self.into / "rigs" / f"{self.name}-rig.yaml",
-            self.into / "cameras" / f"{camera}.yaml",
-            self.into / "objects" / f"{self.name}.yaml",
-            self.into / "environments" / f"{self.name}-lamp.yaml",
-            self.into / "scenes" / f"{self.name}-scene.yaml",
-        )
-
     def _definitions(self) -> Iterator[tuple[Path, dict[str, Any]]]:
         said = self.answers
-        rig_file, camera_file, object_file, environment_file, scene_file = self._paths()
-        camera = camera_file.stem
-        captures = {"table": str(self.table), "folder": str(self.photographs)}
+        files = self._files
+        camera = files.camera.stem
+        captures = {"table": str(files.table), "folder": str(self.photographs)}
         first = self.recognised[0].photograph
         lens: dict[str, Any] = {}
         if self.has_object:
@@ -211,22 +279,22 @@ class Scaffold:
             "camera_distance_mm": _known(said.camera_distance_mm),
             "light": {"spectrum": _known(said.lamp)},
         }
-        yield rig_file, rig
+        yield files.rig, rig
         chart = {"spectra": CHART, "rows": 4, "columns": 6, "find": "chart"}
         described = {"description": first.look.camera} if first.look.camera else {}
         eye = {**described, "rig": f"{self.name}-rig", **lens, "captures": captures, "chart": chart}
-        yield camera_file, eye
+        yield files.camera, eye
         make: dict[str, Any] = {"scenes": [], "cameras": [camera]}
         if self.has_object:
             kind = said.shape["kind"] if said.shape else "plate"
             texels = dict(zip(("width", "height"), _TEXELS[kind], strict=True))
             shape = {"shape": _known(said.shape), "texels": texels, "refractive_index": _GLASS}
-            yield object_file, {"camera": camera, **shape, "captures": captures}
+            yield files.object, {"camera": camera, **shape, "captures": captures}
             lamp = {"image": {"width": 256, "height": 128}, "source": {"kind": "lights", "lights": [_LAMP]}}
-            yield environment_file, lamp
-            yield scene_file, self._scene()
-            make["scenes"] = [scene_file.stem]
-        yield self.configuration, {"definitions": str(self.into), "make": make}
+            yield files.environment, lamp
+            yield files.scene, self._scene()
+            make["scenes"] = [files.scene.stem]
+        yield files.configuration, {"definitions": str(self.into), "make": make}
 
     def _pitch_um(self) -> float | None:
         """Return the distance of mosaic pixels, micrometres: for linear pictures half that of their pixels."""

@@ -148,6 +148,43 @@ def test_few_answers_make_the_table_that_a_person_would_have_written(seen, taken
     assert (tmp_path / "config/my-plate.yaml").read_bytes() == before
 
 
+def test_a_project_that_exists_is_refused_before_a_photograph_is_read(seen, taken, tmp_path, monkeypatch, capsys):
+    folder = taken[0]
+    assert init(folder, "--answers", written(tmp_path / "answers.yaml", ANSWERS)) == 0
+    files = sorted(path.relative_to(tmp_path) for path in (tmp_path / "config").rglob("*") if path.is_file())
+    assert len(files) == 7
+
+    def read(*given):
+        raise AssertionError("a photograph is read")
+
+    def refused() -> str:
+        capsys.readouterr()
+        assert init(folder, "--answers", "answers.yaml") == 2
+        return capsys.readouterr().err
+
+    with monkeypatch.context() as patched:
+        patched.setattr(init_command, "photographs", read)
+        said = refused()
+        assert all(str(path) in said.partition("removed: ")[2] for path in files), said
+        for file in ("my-plate.yaml", "captures/my-plate.csv"):
+            Path("config", file).unlink()
+        said = refused()
+        assert "rigs/my-plate-rig.yaml" in said and "captures/my-plate.csv" not in said
+        # A project of another name, also one of a chart alone, is not in the way.
+        with pytest.raises(AssertionError, match="a photograph is read"):
+            init(folder, "--answers", "answers.yaml", "--name", "other")
+    # What only some projects of the name have is found when the photographs are known, and nothing is written.
+    Path("config/rigs/my-plate-rig.yaml").unlink()
+    camera = Path("config/cameras/my-plate.yaml")
+    camera.write_text("of another project")
+    said = refused()
+    assert "cameras/my-plate-camera.yaml" in said and str(camera) not in said
+    assert not Path("config/my-plate.yaml").exists()
+    for path in files:
+        path.unlink(missing_ok=True)
+    assert init(folder, "--answers", "answers.yaml") == 0 and camera.read_text() == "of another project"
+
+
 def light_file(path, places) -> str:
     lines = [str(len(places)), *(f"{name} {x} {y} {z}" for name, (x, y, z) in places.items())]
     path.write_text("\n".join(lines) + "\n")

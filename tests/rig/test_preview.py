@@ -8,6 +8,7 @@ from made import made
 from sessions import definitions
 from test_check import project, write  # noqa: F401 - the fixture of a project of files
 
+from irodori.check.contact_sheet import angles_in_words
 from irodori.command_line import main
 from irodori.config.capture_table import Pose
 from irodori.config.models import Object, Optics
@@ -38,7 +39,21 @@ def test_a_finding_stands_beside_its_photograph(project, tmp_path, capsys, monke
     assert not re.search(r'(src|href)="(?!data:)', page), "the page reads nothing from elsewhere"
     assert 'class="error"' in figure_of(page, dark.name) and 'class="error"' not in figure_of(page, lit.name)
     assert "<path" in figure_of(page, lit.name)
+    light, camera = (int(part[1:]) // 10 for part in lit.name.split("-")[:2])
+    said = f"object · light at {light}°, camera at {camera}°, table tilted by 0° and turned by 0° · filter out"
+    assert said in figure_of(page, lit.name)
+    assert "azimuth" not in page, "this rig's lamp stays in the rig's plane"
     assert figure_of(page, "chart-out-20000us.dng").count("<polygon") == 24
+
+
+def test_a_caption_states_the_azimuth_where_lamps_may_stand_anywhere():
+    pose = Pose(45.0, 20.0, 5.0, 90.0, light_azimuth_deg=-120.0)
+    assert angles_in_words(pose, True) == (
+        "light at 45° and azimuth -120°, camera at 20°, table tilted by 5° and turned by 90°"
+    )
+    assert angles_in_words(pose, False) == angles_in_words(pose, True), "a mistake is shown"
+    assert "azimuth 0°" in angles_in_words(Pose(45.0, 20.0), True)
+    assert "azimuth" not in angles_in_words(Pose(45.0, 20.0), False)
 
 
 def test_the_outline_is_that_of_the_photographed_object(project):  # noqa: F811
