@@ -1,6 +1,7 @@
 """Definitions and the capture table of a first project, with marked gaps for values that are not known yet."""
 
 import csv
+import math
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -10,11 +11,13 @@ from typing import Any
 import yaml
 
 from irodori.config.capture_table import COLUMNS, Pose
+from irodori.config.models import MeshShape, PlateShape, SphereShape
 from irodori.core.atomic_files import written_whole
 from irodori.core.errors import InputError
 from irodori.first_project.questions import GAP
 from irodori.first_project.raw_folder import UNSTATED_S
 from irodori.first_project.recognition import CHART, Recognised
+from irodori.geometry.shapes.shape import Shape
 
 _LIMITS = {
     "light_deg": {"min": 0.0, "max": 125.0, "step": 0.1},
@@ -25,7 +28,13 @@ _LIMITS = {
 _ANGLES = tuple(_LIMITS)
 _AZIMUTH = "light_azimuth_deg"
 _AZIMUTHS = {_AZIMUTH: {"min": -180.0, "max": 180.0, "step": 0.1}}
-_LAMP = {"spectrum": "D65", "azimuth_deg": -60.0, "elevation_deg": 45.0, "irradiance": 1.0}
+#: Light of the first picture: a lamp with soft shadows, and an even sky.
+_LAMP = {"spectrum": "D65", "azimuth_deg": -60.0, "elevation_deg": 45.0, "diameter_deg": 10.0, "irradiance": 1.0}
+_SKY = {"spectrum": "D65", "azimuth_deg": 0.0, "elevation_deg": 90.0, "diameter_deg": 180.0, "radiance": 0.3}
+_TABLE = "TCS71"  # a grey that reflects half of the light
+_FIELD_OF_VIEW_DEG = 30.0
+_REACH_MM = 50.0  # of an object of unknown size
+_SHAPES: dict[str, Any] = {"plate": PlateShape, "sphere": SphereShape, "mesh": MeshShape}
 _GLASS = {"n": 1.5, "k": 0.0}
 _TEXELS = {"plate": (128, 128), "sphere": (256, 128), "mesh": (256, 256)}
 
@@ -250,9 +259,9 @@ class Scaffold:
                 if axis in said:
                     notes[subject].append(f"{axis} in {table}: {said[axis]}")
             notes[environment] = [
-                "source: one lamp with the spectrum D65 to show the object in, not the lamp of your photographs"
+                "source: a lamp and an even sky of the spectrum D65 to show the object in, not your lamp"
             ]
-            notes[scene] = ["views, image: one view from the front, to start with"]
+            notes[scene] = ["views, image: one view from the front, to start with; bodies: a grey table"]
         return notes
 
     def _definitions(self) -> Iterator[tuple[Path, dict[str, Any]]]:
@@ -290,7 +299,7 @@ class Scaffold:
             texels = dict(zip(("width", "height"), _TEXELS[kind], strict=True))
             shape = {"shape": _known(said.shape), "texels": texels, "refractive_index": _GLASS}
             yield files.object, {"camera": camera, **shape, "captures": captures}
-            lamp = {"image": {"width": 256, "height": 128}, "source": {"kind": "lights", "lights": [_LAMP]}}
+            lamp = {"image": {"width": 256, "height": 128}, "source": {"kind": "lights", "lights": [_LAMP, _SKY]}}
             yield files.environment, lamp
             yield files.scene, self._scene()
             make["scenes"] = [files.scene.stem]
@@ -302,15 +311,35 @@ class Scaffold:
         return said / 2.0 if said is not None and self._linear else said
 
     def _scene(self) -> dict[str, Any]:
-        size = [v for v in (self.answers.shape or {}).values() if isinstance(v, float)] or [50.0]
-        far = 5.0 * max(size)
-        front = {"position_mm": [0.0, -0.6 * far, 0.8 * far], "target_mm": [0.0, 0.0, 0.0], "field_of_view_deg": 30.0}
+        reach_mm, table_mm = self._extent_mm()
+        # A ball about the object takes four fifths of the picture's height.
+        far = reach_mm / math.sin(math.radians(0.4 * _FIELD_OF_VIEW_DEG))
+        eye = [0.0, round(-0.6 * far, 1), round(0.8 * far, 1)]
+        front = {"position_mm": eye, "target_mm": [0.0, 0.0, 0.0], "field_of_view_deg": _FIELD_OF_VIEW_DEG}
+        # A little below, so that it does not coincide with a flat object.
+        table = [0.0, 0.0, round(table_mm - 0.01 * reach_mm, 2)]
         return {
             "environment": f"{self.name}-lamp",
             "image": {"width": 640, "height": 480},
             "views": {"front": front},
             "objects": [{"object": self.name, "position_mm": [0.0, 0.0, 0.0]}],
+            "bodies": [{"shape": {"kind": "plane"}, "position_mm": table, "material": {"spectrum": _TABLE}}],
         }
+
+    def _extent_mm(self) -> tuple[float, float]:
+        """Return the radius of a ball about the object, and the height of the table under it, mm.
+
+        They are those of a hand-sized flat object if the shape is a gap or its mesh cannot be read, which
+        `irodori check` reports.
+        """
+        block = self.answers.shape
+        if block is None:
+            return _REACH_MM, 0.0
+        try:
+            shape = Shape.from_definition(_SHAPES[block["kind"]].of(block))
+        except InputError:
+            return _REACH_MM, 0.0
+        return shape.reach_mm, shape.table_height_mm
 
     def _row(self, one: Recognised) -> list[Any]:
         photograph = one.photograph

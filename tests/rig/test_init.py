@@ -31,6 +31,7 @@ from irodori.first_project.questions import numbers, positive, shape
 from irodori.first_project.raw_folder import Photograph, in_order, photographs
 from irodori.first_project.recognition import recognise
 from irodori.geometry.rig_frame import to_light
+from irodori.geometry.shapes.shape import Shape
 from irodori.ingest.plausibility import Look
 from irodori.simulation.virtual_rig.bench import Bench
 from irodori.simulation.virtual_rig.virtual_camera import VirtualCamera
@@ -260,6 +261,32 @@ def test_a_table_of_lamps_says_how_bright_the_lamp_of_each_pose_was(seen, taken,
             assert found == pytest.approx(of_pose[pose_of[shot.file]], rel=1e-4)
         else:
             assert shot.light_level == 1.0
+
+
+@pytest.mark.parametrize("answered", ["plate 90 60", "sphere 25", "mesh lid.obj", "mesh absent.obj"])
+def test_the_first_picture_is_filled_by_the_object_and_shows_a_table_under_it(answered, seen, tmp_path):
+    Path("lid.obj").write_bytes((Path(__file__).parents[2] / "config/meshes/lid.obj").read_bytes())
+    answers = ANSWERS | {"shape": answered}
+    try:
+        init(seen, "--answers", written(tmp_path / "answers.yaml", answers))
+    except InputError as error:  # of the definitions, once all files are written
+        assert "absent.obj" in str(error) and "absent" in answered
+    scene = yaml.safe_load(Path("config/scenes/my-plate-scene.yaml").read_text())
+    view, (table,) = scene["views"]["front"], scene["bodies"]
+    block = yaml.safe_load(Path("config/objects/my-plate.yaml").read_text())["shape"]
+    if "absent" in answered:
+        return
+    texels = {"width": 4, "height": 4}
+    shown = Shape.from_definition(made(Object, {"camera": "c", "shape": block, "texels": texels}).shape)
+    point = shown.facetted(1.0).vertices_mm
+    eye, target = (np.array(view[key]) for key in ("position_mm", "target_mm"))
+    ahead = (target - eye) / np.linalg.norm(target - eye)
+    up = np.cross(np.cross(ahead, [0.0, 0.0, 1.0]), ahead)
+    up /= np.linalg.norm(up)
+    height = ((point - eye) @ up) / ((point - eye) @ ahead) / np.tan(np.radians(view["field_of_view_deg"] / 2))
+    assert -1.0 < height.min() < -0.3 and 0.3 < height.max() < 1.0
+    below = point[:, 2].min() - table["position_mm"][2]
+    assert 0.0 < below < 0.05 * np.ptp(point, axis=0).max()
 
 
 @pytest.mark.parametrize(
