@@ -436,6 +436,8 @@ def test_a_documented_command_writes_a_first_project(command, seen, taken, recog
     written(Path("answers.yaml"), ANSWERS)
     shown = {one.photograph.path.name: (0.0, 0.5, 1.0) for one in recognised if one.role == "object"}
     light_file(Path("dome.lp"), shown)
+    Path("dome").mkdir()
+    write_lamps("dome/lamps.csv", dict.fromkeys(shown, (30.0, 90.0, 1.02)))
     alone = words[1].endswith(".CR2")
     if alone:
         monkeypatch.undo()
