@@ -20,7 +20,7 @@ _ROUGH = 0.02  # largest distance of these points from a smooth curve, as a shar
 _MOST = 200  # points of an outline, at most
 _STEP = 0.5  # samples between readings along a normal
 _READINGS = 4  # iterations of an edge's place, each centred on the result of the one before
-_INNER, _OUTER = 2.5, 6.0  # range of distances from an edge, samples, over which the level of each side is averaged
+_INNER, OUTER = 2.5, 6.0  # range of distances from an edge, samples, over which the level of each side is averaged
 _LEAST_LOG_STEP = 0.25
 _LEAST_SIGMAS = 6.0
 _UNKNOWN_NOISE = 0.01
@@ -139,11 +139,11 @@ def edge_distances(picture: Picture, level: Level, xy, outward, reach: float) ->
     -------
     (n,) float64, superpixels; NaN where no edge stands out of the noise
     """
-    offset = np.arange(-reach - _OUTER - 1.0, reach + _OUTER + 1.0 + _STEP / 2, _STEP)
+    offset = np.arange(-reach - OUTER - 1.0, reach + OUTER + 1.0 + _STEP / 2, _STEP)
     place = picture.place(xy)[:, None] + offset[None, :, None] * outward[:, None]
     count, width, _ = place.shape
     profile = level.sampled(level.bands[[GREEN]], place.reshape(-1, 2)).reshape(count, width)
-    near, far = round(_INNER / _STEP), round(_OUTER / _STEP)
+    near, far = round(_INNER / _STEP), round(OUTER / _STEP)
     candidates = np.arange(far, width - far)
     levels = np.lib.stride_tricks.sliding_window_view(profile, far - near + 1, axis=1).mean(axis=-1)
     inner, outer = levels[:, : len(candidates)], levels[:, -len(candidates) :]
@@ -173,9 +173,9 @@ def _edge_beside(profile: np.ndarray, centre: np.ndarray) -> np.ndarray:
     profile : (n, width) float
         Readings along the normals, `_STEP` samples apart.
     centre : (n,) int
-        Index of a reading near the edge, at least `_OUTER` samples from both ends of the profile.
+        Index of a reading near the edge, at least `OUTER` samples from both ends of the profile.
     """
-    far = round(_OUTER / _STEP)
+    far = round(OUTER / _STEP)
     along = np.arange(-far, far + 1) * _STEP
     around = np.take_along_axis(profile, centre[:, None] + np.arange(-far, far + 1), axis=1)
     inside = along <= -_INNER

@@ -14,7 +14,6 @@ from irodori.config.models import Optics
 from irodori.core.errors import InputError
 from irodori.geometry.distortion import COEFFICIENTS
 from irodori.geometry.pinhole import Pinhole
-from irodori.lens.calibration_sheet import COLUMNS, PAPERS_MM, ROWS, board_picture, find_corners, write_sheet
 from irodori.lens.lens_file import LensFile, optics_in_use
 from irodori.lens.lens_models import Sheet, fit_lens, simplest
 from irodori.lens.stage import MeasuredLens, calibrate_lens, compared
