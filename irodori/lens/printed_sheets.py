@@ -5,7 +5,7 @@ The two have different markers, so that neither is mistaken for the other.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache
+from functools import cached_property
 from pathlib import Path
 
 import cv2
@@ -46,7 +46,7 @@ class PrintedSheet:
     papers_mm: Mapping[str, tuple[float, float, float]]
     words: str
 
-    @cache
+    @cached_property
     def board(self) -> cv2.aruco.CharucoBoard:
         """Return the board with the side of a square as unit of length."""
         dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_250)
@@ -55,7 +55,7 @@ class PrintedSheet:
 
     def picture(self, square_px: int) -> np.ndarray:
         """Draw the board in black on white, (rows * square_px, columns * square_px) uint8."""
-        drawn = self.board().generateImage((self.columns * square_px, self.rows * square_px))
+        drawn = self.board.generateImage((self.columns * square_px, self.rows * square_px))
         if self.border:
             edge = self.border * square_px
             drawn[edge:-edge, edge:-edge] = 0
@@ -118,10 +118,10 @@ class PrintedSheet:
         # Search again for missed markers at the positions predicted from the found ones.
         parameters = cv2.aruco.CharucoParameters()
         parameters.tryRefineMarkers = True
-        found, numbers, _, _ = cv2.aruco.CharucoDetector(self.board(), parameters).detectBoard(picture)
+        found, numbers, _, _ = cv2.aruco.CharucoDetector(self.board, parameters).detectBoard(picture)
         if numbers is None or len(numbers) == 0:
             return nothing
-        plane = np.array(self.board().getChessboardCorners(), dtype=np.float32)[numbers.ravel(), :2]
+        plane = np.array(self.board.getChessboardCorners(), dtype=np.float32)[numbers.ravel(), :2]
         seen = found.reshape(-1, 1, 2).astype(np.float32)
         # Half the side of the window around a corner; the window must not contain a part of a marker.
         window = max(2, int(0.9 * 0.5 * (1.0 - self.marker) * _smallest_square_px(plane, seen.reshape(-1, 2))))

@@ -210,7 +210,9 @@ def not_found(linear: Sequence) -> InputError:
     found = f"the sheet in none of {len(linear)} photographs"
     if any(len(_find(LENS_SHEET, path)[0]) >= _LEAST_CORNERS for path in linear):
         found += ", but that of irodori lens"
-    accepted = "the sheet that irodori markers prints, squares of 20 superpixels or more; or no markers in the definition"
+    accepted = (
+        "the sheet that irodori markers prints, squares of 20 superpixels or more; or no markers in the definition"
+    )
     return InputError(Path(linear[0]).parent, "markers", found, accepted)
 
 

@@ -1,10 +1,10 @@
 """Registration of an object to its photographs: estimates where object, camera and light really stand [design, §9].
 
 The user's definitions of object, camera and rig are the prior. The outline and the texture of the object in all
-photographs correct it, and so do the corners of a printed sheet on which it may stand: Gauss-Newton steps from coarse
-to fine resolution find the most probable values, and the last step gives their covariance. A value that the photographs do not determine, or whose correction is not significant,
-stays exactly as defined, because a correction smaller than its own error would do harm. Such a value keeps the standard
-deviation of the prior if no photograph depends on it.
+photographs correct it, and so do the corners of a printed sheet on which it may stand. Gauss-Newton steps from coarse
+to fine resolution find the most probable values, and the last step gives their covariance. A value that the photographs
+do not determine, or whose correction is not significant, stays exactly as defined, because a correction smaller than
+its own error would do harm. Such a value keeps the standard deviation of the prior if no photograph depends on it.
 """
 
 import math
@@ -93,7 +93,7 @@ class FoundSheet:
     Parameters
     ----------
     values, sigma : (8,) float64
-        Its place on the table and its size, in the order and the units of `SHEET_QUANTITIES`, and their standard errors.
+        Its place on the table and its size, in the order and the units of `SHEET_QUANTITIES`, with standard errors.
     corners : (J,) int
         Corners found in each photograph.
     residual_px : (J,) float64
@@ -347,6 +347,8 @@ def _problem(
     covariance = np.diag(sigma[:COUNT] ** 2)
     if markers is not None:
         problem.sheet = MarkerSheet.of(markers, shape, placing)
+        for view, path in zip(problem.views, track(linear, "find markers"), strict=True):
+            view.corners, view.corners_px = find_corners(path)
         covariance = _lay_sheet(problem, linear, placing)
     for number, path in enumerate(track(linear, "read photographs")):
         problem.views[number].picture = Picture.load(path, _window(problem, number, _MARGIN))
@@ -354,15 +356,13 @@ def _problem(
 
 
 def _lay_sheet(problem: _Problem, linear: Sequence, placing: "Placing") -> np.ndarray:
-    """Find the sheet in the photographs and fit its place and the camera to it alone.
+    """Add the place of the sheet to the unknowns, and fit it and the camera to the sheet's corners alone.
 
     Returns the covariance of the 12 common unknowns. Raises an `InputError` if no photograph shows the sheet, or its
     squares are far from the typed size.
     """
     sheet, views = problem.sheet, problem.views
     assert sheet is not None
-    for view, path in zip(views, track(linear, "find markers"), strict=True):
-        view.corners, view.corners_px = find_corners(path)
     if not any(len(view.corners) for view in views):
         raise not_found(linear)
     found = [view.corners for view in views], [view.corners_px for view in views]
@@ -569,7 +569,9 @@ def _equations(problem: _Problem, reach: float | None) -> tuple[np.ndarray, np.n
 
 def _add_sheet(problem: _Problem, matrix: np.ndarray, right: np.ndarray) -> None:
     """Add the distances of the sheet's corners from their expected places to normal equations."""
-    off = [view.corners_px - problem.corners_seen(number, problem.unknowns) for number, view in enumerate(problem.views)]
+    off = [
+        view.corners_px - problem.corners_seen(number, problem.unknowns) for number, view in enumerate(problem.views)
+    ]
     scale = _scatter(np.concatenate(off).ravel(), _CORNER_FLOOR_PX)
     common = [*_CAMERA, *problem.of_sheet]
     for number, one in enumerate(off):
@@ -684,8 +686,8 @@ def _residuals(
 ) -> tuple[np.ndarray, np.ndarray, tuple[tuple[str, float], ...], np.ndarray]:
     """Return what is left in every photograph.
 
-    These are residuals (J,) in superpixels, counts of outline points (J,), the suspect angle, and residuals of the sheet
-    alone (J,), in superpixels.
+    These are residuals (J,) in superpixels, counts of outline points (J,), the suspect angle, and residuals of the
+    sheet alone (J,), in superpixels.
 
     Residuals are relative to the common correction. Outlines are searched over ``reach`` samples, further than at the
     end of the registration, so that a photograph with a wrong pose gets a large residual instead of none.
@@ -842,8 +844,9 @@ def register_object(
     values, square roots of the diagonal of ``/covariance`` (12, 12); ``/prior_sigma`` (12), standard deviations of the
     definitions; ``/own_camera_deg`` (J), additional correction of each camera angle; ``/residual_px`` and
     ``/residual_mm`` (J), distance of the object in a photograph from its predicted place, NaN where nothing could be
-    measured; ``/outline_points`` (J). With a sheet also ``/sheet_place`` and ``/sheet_place_sigma`` (8), its place and size in
-    the order of ``/sheet_quantity`` and their standard errors, ``/sheet_corners`` (J) and ``/sheet_residual_px`` (J). Attributes: ``told``, for each quantity whether the photographs determine it;
+    measured; ``/outline_points`` (J). With a sheet also ``/sheet_place`` and ``/sheet_place_sigma`` (8), its place and
+    size in the order of ``/sheet_quantity`` and their standard errors, ``/sheet_corners`` (J), its corners found, and
+    ``/sheet_residual_px`` (J). Attributes: ``told``, for each quantity whether the photographs determine it;
     ``captures``, names of the photographs; ``sentence``, a summary in words.
     """
     found = register(linear, definition, setup, placing, markers)
@@ -912,7 +915,8 @@ def _refuse_far(found: Registered, linear: Sequence, most_px: float) -> None:
     angle, off = found.suspects[worst]
     apart = f"{residual:.2g} superpixels ({residual * found.mm_per_px:.2g} mm)"
     is_sheet = found.sheet is not None and found.sheet.residual_px[worst] == residual
-    where = f"{'the printed sheet' if is_sheet else 'the object'} {apart} from its expected place; most likely {angle} is off by {off:+.1f}"
+    thing = "the printed sheet" if is_sheet else "the object"
+    where = f"{thing} {apart} from its expected place; most likely {angle} is off by {off:+.1f}"
     accepted = f"at most {most_px:g} superpixels (place.max_residual_px), and a pose as it was"
     raise InputError(linear[worst], "pose_deg", where, accepted)
 

@@ -37,7 +37,10 @@ _NOISE = 0.003
 def turned(angles_deg) -> np.ndarray:
     """Rotation about x, then y, then z, written out."""
     (cx, sx), (cy, sy), (cz, sz) = ((math.cos(a), math.sin(a)) for a in np.radians(angles_deg))
-    about_x, about_y = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]]), np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
+    about_x, about_y = (
+        np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]]),
+        np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]]),
+    )
     return np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]]) @ about_y @ about_x
 
 
@@ -60,7 +63,7 @@ def drawn(
 
     ``without`` are numbers of photographs in which the sheet is missing.
     """
-    shape, files, folder = Shape.from_definition(definition.shape), [], folder
+    shape, files = Shape.from_definition(definition.shape), []
     height_mm = shape.table_height_mm
     if sheet is not None:
         square_mm = sheet.papers_mm[PAPER if PAPER in sheet.papers_mm else "A4"][2]
@@ -69,7 +72,7 @@ def drawn(
         size = np.array([sheet.columns, sheet.rows])
     camera = SETUP.corrected(lies)
     centres = np.stack(np.meshgrid(np.arange(1.0, LENS.width_px, 2.0), np.arange(1.0, LENS.height_px, 2.0)), axis=-1)
-    for number, (pose, said) in enumerate(zip(shown, stated or VIEWS, strict=True)):
+    for number, (pose, said) in enumerate(zip(shown, stated or shown, strict=True)):
         real = lies.pose(pose)
         rays = camera.pinhole.directions(centres, rig_from_camera(real))
         eye, table = camera.camera_distance_mm * to_camera(real), turned((0.0, real.tilt_deg, 0.0))

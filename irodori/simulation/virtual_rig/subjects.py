@@ -165,7 +165,12 @@ def _add_card(picture: np.ndarray, card: _Card, pose: Pose, tracer: Tracer, view
         is_card[is_card] = is_seen = ~alone.occluded(place, -way[is_card], far=along[is_card])
         place = place[is_seen]
         light, power, far = view.lamp.seen_from(place, pose)
-        lit = card.reflectance(across[is_card]) * power * np.maximum(light @ normal, 0.0) * ~alone.occluded(place, light, far=far)
+        lit = (
+            card.reflectance(across[is_card])
+            * power
+            * np.maximum(light @ normal, 0.0)
+            * ~alone.occluded(place, light, far=far)
+        )
         for out, values in ((added, lit[:, None] * bands), (covered, np.ones((len(place), 3)))):
             points = np.zeros((*is_card.shape, 3))
             points[is_card] = values
