@@ -173,34 +173,45 @@ class MarkerSheet:
         return x - 1j * y
 
 
-def find_corners(path) -> tuple[np.ndarray, np.ndarray]:
-    """Find the corners of the sheet in a file of linear responses.
+def corners_in(green: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Find the corners of the sheet in a picture.
+
+    Parameters
+    ----------
+    green : (height, width) float32
+        Linear picture of the green band.
 
     Returns
     -------
-    plane : (n, 2) float64
+    plane : (n, 2) float32
         Corners on the sheet, in squares; n is 0 if it was not found.
-    seen : (n, 2) float64
-        The same corners in the picture, superpixels.
+    seen : (n, 2) float32
+        The same corners in the picture, samples; the centre of a sample has integer coordinates.
     """
     from irodori.lens.printed_sheets import OBJECT_SHEET
 
-    plane, seen = _find(OBJECT_SHEET, path)
+    plane, seen = OBJECT_SHEET.find(green)
     # A pattern of the object may be taken for a marker of the middle, which is not printed.
-    from_middle = np.abs(plane - [OBJECT_SHEET.columns / 2.0, OBJECT_SHEET.rows / 2.0])
-    free = [OBJECT_SHEET.columns / 2.0 - OBJECT_SHEET.border, OBJECT_SHEET.rows / 2.0 - OBJECT_SHEET.border]
-    printed = ~(from_middle <= free).all(axis=1)
+    size = np.array([OBJECT_SHEET.columns, OBJECT_SHEET.rows], dtype=float)
+    printed = (np.abs(plane - size / 2.0) >= size / 2.0 - OBJECT_SHEET.border).any(axis=1)
     if printed.sum() < _LEAST_CORNERS:
         printed[:] = False
     return plane[printed], seen[printed]
 
 
-def _find(sheet, path) -> tuple[np.ndarray, np.ndarray]:
+def find_corners(path) -> tuple[np.ndarray, np.ndarray]:
+    """Find the corners of the sheet in a file of linear responses; as `corners_in`, but in superpixels."""
+    green, sample_px = _green(path)
+    plane, seen = corners_in(green)
+    return plane.astype(float), superpixels_from_samples(seen, sample_px)
+
+
+def _green(path) -> tuple[np.ndarray, int]:
+    """Return the green band of a file of linear responses, and the side of its samples in mosaic pixels."""
     with store.open_file(path) as file:
         file.require_axes({"response": "row,column,band"})
         green = file.read("response", (slice(None), slice(None), GREEN)).astype(np.float32)
-        plane, seen = sheet.find(np.nan_to_num(green))
-        return plane.astype(float), superpixels_from_samples(seen, file.attribute("sample_px"))
+        return np.nan_to_num(green), file.attribute("sample_px")
 
 
 def not_found(linear: Sequence) -> InputError:
@@ -208,7 +219,7 @@ def not_found(linear: Sequence) -> InputError:
     from irodori.lens.printed_sheets import LENS_SHEET
 
     found = f"the sheet in none of {len(linear)} photographs"
-    if any(len(_find(LENS_SHEET, path)[0]) >= _LEAST_CORNERS for path in linear):
+    if any(len(LENS_SHEET.find(_green(path)[0])[0]) >= _LEAST_CORNERS for path in linear):
         found += ", but that of irodori lens"
     accepted = (
         "the sheet that irodori markers prints, squares of 20 superpixels or more; or no markers in the definition"
