@@ -39,12 +39,13 @@ SHEET_QUANTITIES = (
 )
 #: Steps of numerical derivatives by these unknowns.
 SHEET_STEPS = np.array([0.01, 0.01, 0.01, 0.01, 0.01, 0.01, 0.01, 0.01])
-_ANYWHERE = 1e4  # standard deviation, mm or degrees, of what is not typed
+_ANYWHERE_MM, _ANY_TURN_DEG = 500.0, 180.0  # standard deviations of what is not typed
 #: Standard deviations of the printed size: of a printer, and of a measurement of one side (a printer stretches paper
 #: along one side more than along the other).
 _PRINTER_PERCENT, _RULER_PERCENT = 0.5, 0.2
 _LEAST_CORNERS = 4  # of a photograph that shows the sheet
 _MOST_SIGMAS = 4.0  # standard deviations by which the sheet may contradict what was typed
+_OUTLINE_MM = 0.1  # accuracy of an outline, in half-shadow
 _PROBES = 9  # points along a line across an outline that are tested for lying over the print
 
 
@@ -90,7 +91,7 @@ class MarkerSheet:
             np.array(paper_mm) / printed_mm,
             printed_mm if markers.square_mm is None else markers.square_mm,
             shape.table_height_mm if markers.z_mm is None else markers.z_mm,
-            np.array([_ANYWHERE, _ANYWHERE, up, tilt, tilt, _ANYWHERE, percent, percent]),
+            np.array([_ANYWHERE_MM, _ANYWHERE_MM, up, tilt, tilt, _ANY_TURN_DEG, percent, percent]),
         )
 
     def on_table(self, plane: np.ndarray, values: np.ndarray) -> np.ndarray:
@@ -194,8 +195,8 @@ def corners_in(green: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     # A pattern of the object may be taken for a marker of the middle, which is not printed.
     size = np.array([OBJECT_SHEET.columns, OBJECT_SHEET.rows], dtype=float)
     printed = (np.abs(plane - size / 2.0) >= size / 2.0 - OBJECT_SHEET.border).any(axis=1)
-    if printed.sum() < _LEAST_CORNERS:
-        printed[:] = False
+    if np.count_nonzero(printed) < _LEAST_CORNERS:
+        return plane[:0], seen[:0]
     return plane[printed], seen[printed]
 
 
@@ -237,10 +238,20 @@ def check_first_size(linear: Sequence, sheet: MarkerSheet, size: float, camera: 
         raise InputError(Path(linear[0]).parent, "markers", found, accepted)
 
 
-def check_printed_size(linear: Sequence, sheet: MarkerSheet, values: np.ndarray) -> None:
-    """Raise an error if the sheet's size on the photographs contradicts the typed one, as measured by the object."""
+def check_printed_size(linear: Sequence, sheet: MarkerSheet, values: np.ndarray, reach_mm: float) -> None:
+    """Raise an error if the sheet's size on the photographs contradicts the typed one, as measured by the object.
+
+    Parameters
+    ----------
+    linear : sequence of path
+    sheet : MarkerSheet
+    values : (8,) float
+        Its place and size.
+    reach_mm : float
+        Distance of the object's outline from its middle.
+    """
     off = values[6:8]
-    if (np.abs(off) <= _MOST_SIGMAS * sheet.sigma[6:8]).all():
+    if (np.abs(off) <= _MOST_SIGMAS * np.hypot(sheet.sigma[6:8], 100.0 * _OUTLINE_MM / reach_mm)).all():
         return
     long, short = sheet.square_mm * (1.0 + off / 100.0)
     found = f"squares of {long:.2f} x {short:.2f} mm beside an object of the typed size"

@@ -312,7 +312,7 @@ def register(
     sheet = None
     if problem.sheet is not None:
         values, errors = problem.unknowns[problem.of_sheet], np.sqrt(np.diag(whole))[problem.of_sheet]
-        check_printed_size(linear, problem.sheet, values)
+        check_printed_size(linear, problem.sheet, values, problem.shape.reach_mm)
         sheet = FoundSheet(values, errors, np.array([len(view.corners) for view in problem.views]), of_sheet)
     covariance = whole[:COUNT, :COUNT]
     correction = Correction.of(problem.unknowns[:COUNT])

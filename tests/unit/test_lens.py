@@ -124,7 +124,7 @@ def test_photographs_of_several_sizes_are_refused(tmp_path, capsys):
             pytest.param(LENS_SHEET, (COLUMNS - 1) * (ROWS - 1), paper, id=f"lens {paper}")
             for paper in LENS_SHEET.papers_mm
         ],
-        # A ring of two squares: a rectangle of 15 by 10 corners, its outline alone, and two corners of the black middle.
+        # A ring of two squares: the outline of 15 by 10 corners, and two corners of the black middle.
         *[pytest.param(OBJECT_SHEET, 48, paper, id=f"object {paper}") for paper in OBJECT_SHEET.papers_mm],
     ],
 )
