@@ -1,7 +1,7 @@
 """The printed sheet with markers on the table: where its corners lie, and where photographs show them.
 
-The sheet turns and tilts with the table. Its place on the table is not typed: eight numbers of it are unknown in the
-registration of an object, the order of which is that of `SHEET_QUANTITIES`.
+The sheet turns and tilts with the table. Its place on the table is not typed: with a sheet, the registration of an
+object has nine more unknowns, in the order of `SHEET_QUANTITIES`.
 """
 
 import math
@@ -26,7 +26,8 @@ if TYPE_CHECKING:
     from irodori.config.models import Markers, Placing
     from irodori.rectification.stage import RigSetup
 
-#: The unknowns of a sheet, in their order: its middle, tilts about its sides, turn, and sizes along its sides.
+#: The unknowns of a sheet, in their order: its middle, tilts about its sides, turn, sizes along its sides, and what all
+#: outlines of the object are off by.
 SHEET_QUANTITIES = (
     Quantity("x_mm", "mm", "middle of the sheet along the table's x"),
     Quantity("y_mm", "mm", "middle of the sheet along the table's y"),
@@ -36,16 +37,20 @@ SHEET_QUANTITIES = (
     Quantity("turn_deg", "deg", "sheet turned about the table's normal"),
     Quantity("long_percent", "%", "size of the sheet along its long side"),
     Quantity("short_percent", "%", "size of the sheet along its short side"),
+    Quantity("outline_mm", "mm", "outline of the object outside of where it should be"),
 )
+#: Index of the last, which is no number of the sheet, but needed only with one: an outline in half-shadow is found with
+#: a bias, by which the object's size would otherwise contradict that of the sheet.
+OUTLINE = len(SHEET_QUANTITIES) - 1
 #: Steps of numerical derivatives by these unknowns.
-SHEET_STEPS = np.array([0.01, 0.01, 0.01, 0.01, 0.01, 0.01, 0.01, 0.01])
+SHEET_STEPS = np.full(len(SHEET_QUANTITIES), 0.01)
 _ANYWHERE_MM, _ANY_TURN_DEG = 500.0, 180.0  # standard deviations of what is not typed
 #: Standard deviations of the printed size: of a printer, and of a measurement of one side (a printer stretches paper
 #: along one side more than along the other).
 _PRINTER_PERCENT, _RULER_PERCENT = 0.5, 0.2
 _LEAST_CORNERS = 4  # of a photograph that shows the sheet
 _MOST_SIGMAS = 4.0  # standard deviations by which the sheet may contradict what was typed
-_OUTLINE_MM = 0.1  # accuracy of an outline, in half-shadow
+_OUTLINE_MM = 0.1  # standard deviation of what all outlines are off by: the accuracy that registration aims at
 _PROBES = 9  # points along a line across an outline that are tested for lying over the print
 
 
@@ -65,7 +70,7 @@ class MarkerSheet:
         Typed side of a square.
     z_mm : float
         Typed height in the frame of the object.
-    sigma : (8,) float
+    sigma : (9,) float
         Standard deviations of the typed values.
     """
 
@@ -91,7 +96,7 @@ class MarkerSheet:
             np.array(paper_mm) / printed_mm,
             printed_mm if markers.square_mm is None else markers.square_mm,
             shape.table_height_mm if markers.z_mm is None else markers.z_mm,
-            np.array([_ANYWHERE_MM, _ANYWHERE_MM, up, tilt, tilt, _ANY_TURN_DEG, percent, percent]),
+            np.array([_ANYWHERE_MM, _ANYWHERE_MM, up, tilt, tilt, _ANY_TURN_DEG, percent, percent, _OUTLINE_MM]),
         )
 
     def on_table(self, plane: np.ndarray, values: np.ndarray) -> np.ndarray:
@@ -125,7 +130,7 @@ class MarkerSheet:
         pose : Pose
         camera : RigSetup
             Pose and camera are corrected already.
-        values : (8,) float
+        values : (9,) float
             Place of the sheet.
         """
         over = np.zeros(len(xy), dtype=bool)
@@ -136,7 +141,7 @@ class MarkerSheet:
         return over
 
     def first_place(self, plane, seen, poses, camera: "RigSetup") -> tuple[np.ndarray, float]:
-        """Return a first estimate of the sheet's place, (8,), and the sizes of its squares relative to the typed one.
+        """Return a first estimate of the sheet's place, (9,), and the sizes of its squares relative to the typed one.
 
         Parameters
         ----------
@@ -245,15 +250,16 @@ def check_printed_size(linear: Sequence, sheet: MarkerSheet, values: np.ndarray,
     ----------
     linear : sequence of path
     sheet : MarkerSheet
-    values : (8,) float
-        Its place and size.
+    values : (9,) float
+        Its place and size, and what outlines are off by.
     reach_mm : float
         Distance of the object's outline from its middle.
     """
-    off = values[6:8]
-    if (np.abs(off) <= _MOST_SIGMAS * np.hypot(sheet.sigma[6:8], 100.0 * _OUTLINE_MM / reach_mm)).all():
+    sigmas = values / sheet.sigma
+    if math.hypot(np.abs(sigmas[6:8]).max(), sigmas[OUTLINE]) <= _MOST_SIGMAS:
         return
-    long, short = sheet.square_mm * (1.0 + off / 100.0)
+    # The size if the outline of the object is right.
+    long, short = sheet.square_mm * (1.0 + values[6:8] / 100.0 - values[OUTLINE] / reach_mm)
     found = f"squares of {long:.2f} x {short:.2f} mm beside an object of the typed size"
     accepted = f"{sheet.square_mm:g} mm; measure the print and state markers.square_mm, or correct the object's shape"
     raise InputError(Path(linear[0]).parent, "markers", found, accepted)

@@ -23,6 +23,7 @@ from irodori.geometry.embree import Tracer
 from irodori.geometry.rig_frame import rig_from_camera, rig_from_object, to_camera
 from irodori.geometry.shapes.shape import Shape
 from irodori.rectification.marker_sheet import (
+    OUTLINE,
     SHEET_QUANTITIES,
     SHEET_STEPS,
     MarkerSheet,
@@ -92,8 +93,8 @@ class FoundSheet:
 
     Parameters
     ----------
-    values, sigma : (8,) float64
-        Its place on the table and its size, in the order and the units of `SHEET_QUANTITIES`, with standard errors.
+    values, sigma : (9,) float64
+        Its place and size, and what outlines are off by, in the order of `SHEET_QUANTITIES`, with standard errors.
     corners : (J,) int
         Corners found in each photograph.
     residual_px : (J,) float64
@@ -188,7 +189,7 @@ class _View:
 class _Problem:
     """State of an object's registration: data and unknowns.
 
-    The unknowns are 12 common ones, one camera angle of each photograph, and 8 of the sheet if there is one.
+    The unknowns are 12 common ones, one camera angle of each photograph, and 9 more if there is a sheet.
     """
 
     shape: Shape
@@ -204,6 +205,17 @@ class _Problem:
     def own(self) -> slice:
         """The unknowns that are camera angles of single photographs."""
         return slice(COUNT, COUNT + len(self.views))
+
+    @property
+    def mm_per_px(self) -> float:
+        """Millimetres per superpixel at the distance of the object."""
+        camera = self.setup.corrected(Correction.of(self.unknowns[:COUNT]))
+        return 2.0 * camera.camera_distance_mm / camera.pinhole.focal_px
+
+    @property
+    def outline_px(self) -> float:
+        """Distance of outlines from their expected places that all have in common, superpixels, outward positive."""
+        return self.unknowns[self.of_sheet[OUTLINE]] / self.mm_per_px if self.sheet is not None else 0.0
 
     @property
     def of_sheet(self) -> range:
@@ -314,16 +326,13 @@ def register(
         values, errors = problem.unknowns[problem.of_sheet], np.sqrt(np.diag(whole))[problem.of_sheet]
         check_printed_size(linear, problem.sheet, values, problem.shape.reach_mm)
         sheet = FoundSheet(values, errors, np.array([len(view.corners) for view in problem.views]), of_sheet)
-    covariance = whole[:COUNT, :COUNT]
-    correction = Correction.of(problem.unknowns[:COUNT])
-    camera = setup.corrected(correction)
     return Registered(
-        correction,
-        covariance,
+        Correction.of(problem.unknowns[:COUNT]),
+        whole[:COUNT, :COUNT],
         sigma[:COUNT],
         own,
         residual,
-        2.0 * camera.camera_distance_mm / camera.pinhole.focal_px,
+        problem.mm_per_px,
         points,
         suspects,
         sheet,
@@ -525,7 +534,7 @@ def _outline(problem: _Problem, number: int, reach: float) -> tuple[np.ndarray, 
     if not len(view.rim):
         return nothing
     xy = problem.seen(number, view.rim, problem.unknowns)
-    distance = edge_distances(view.picture, view.search, xy, view.outward, reach)
+    distance = edge_distances(view.picture, view.search, xy, view.outward, reach) - problem.outline_px
     if problem.sheet is not None:
         # Edges of squares are stronger than that of the object.
         correction, pose = problem.standing(number, problem.unknowns)
@@ -593,8 +602,10 @@ def _add_object(problem: _Problem, reach: float, matrix: np.ndarray, right: np.n
     if every.size:
         scale = _scatter(every, _OUTLINE_FLOOR_PX, _OUTLINE_MOST_PX if is_last else math.inf)
         for view, (distance, change, _) in enumerate(measured):
-            rows = change[:, [*range(COUNT), CAMERA]]
-            where = [*range(COUNT), COUNT + view]
+            rows, where = change[:, [*range(COUNT), CAMERA]], [*range(COUNT), COUNT + view]
+            if problem.sheet is not None:
+                rows = np.concatenate([rows, np.full((len(rows), 1), 1.0 / problem.mm_per_px)], axis=1)
+                where.append(problem.of_sheet[OUTLINE])
             factor = _cauchy(distance, scale) / (scale**2 * _OUTLINE_SHARED)
             matrix[np.ix_(where, where)] += rows.T @ (factor[:, None] * rows)
             right[where] += rows.T @ (factor * distance)
@@ -844,7 +855,7 @@ def register_object(
     values, square roots of the diagonal of ``/covariance`` (12, 12); ``/prior_sigma`` (12), standard deviations of the
     definitions; ``/own_camera_deg`` (J), additional correction of each camera angle; ``/residual_px`` and
     ``/residual_mm`` (J), distance of the object in a photograph from its predicted place, NaN where nothing could be
-    measured; ``/outline_points`` (J). With a sheet also ``/sheet_place`` and ``/sheet_place_sigma`` (8), its place and
+    measured; ``/outline_points`` (J). With a sheet also ``/sheet_place`` and ``/sheet_place_sigma`` (9), its place and
     size in the order of ``/sheet_quantity`` and their standard errors, ``/sheet_corners`` (J), its corners found, and
     ``/sheet_residual_px`` (J). Attributes: ``told``, for each quantity whether the photographs determine it;
     ``captures``, names of the photographs; ``sentence``, a summary in words.

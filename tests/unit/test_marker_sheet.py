@@ -89,7 +89,7 @@ RING = BOARD[(BOARD == 1.0).any(axis=1) | (BOARD == [15.0, 10.0]).any(axis=1)]
 def with_corners(truth, placing, noise_px, rng, views=VIEWS):
     """A problem whose photographs show corners where the truth puts them, and the covariance of the fit to them.
 
-    The truth: 12 common numbers, one of each photograph, and 8 of the sheet.
+    The truth: 12 common numbers, one of each photograph, and 9 of the sheet.
     """
     shape = Shape.from_definition(BALL.shape)
     sheet = MarkerSheet.of(SHEET, shape, placing)
@@ -118,13 +118,13 @@ def test_errors_of_what_the_sheet_tells_are_as_large_as_they_are_stated():
     sigma = np.concatenate([prior_sigma(placing), np.full(len(VIEWS), placing.camera_deg)])
     of_sheet = MarkerSheet.of(SHEET, Shape.from_definition(BALL.shape), placing).sigma
     for _ in range(12):
-        truth = rng.normal(0.0, 1.0, len(sigma) + 8) * [*sigma, 5.0, 5.0, *of_sheet[2:5], 40.0, *of_sheet[6:]]
+        truth = rng.normal(0.0, 1.0, len(sigma) + 9) * [*sigma, 5.0, 5.0, *of_sheet[2:5], 40.0, *of_sheet[6:]]
         problem, covariance = with_corners(truth, placing, 0.1, rng)
         error = np.sqrt(np.diag(covariance))
         scores.append((problem.unknowns - truth) / error)
         assert error[6] < 6.0 and error[7] < 0.6 and (error[8:10] < 0.2).all() and error[10] < 0.03
     scores = np.array(scores)
-    camera, sheet, own = scores[:, 6:11], scores[:, -8:], scores[:, COUNT:-8]  # 60, 96 and 72 numbers
+    camera, sheet, own = scores[:, 6:11], scores[:, -9:], scores[:, COUNT:-9]  # 60, 108 and 72 numbers
     for z in (camera, sheet, own):
         assert np.sqrt(np.mean(z**2)) == pytest.approx(1.0, abs=0.2)
 
@@ -132,19 +132,19 @@ def test_errors_of_what_the_sheet_tells_are_as_large_as_they_are_stated():
 def test_a_table_that_is_not_turned_leaves_what_only_turning_tells():
     """Principal point along y and the sheet's place along it move all pictures alike, and so do two tilts."""
     still, placing = [replace(pose, turn_deg=0.0) for pose in VIEWS], Placing(principal_point_px=20.0, camera_deg=1.0)
-    truth = np.zeros(COUNT + len(VIEWS) + 8)
+    truth = np.zeros(COUNT + len(VIEWS) + 9)
     _, covariance = with_corners(truth, placing, 0.05, np.random.default_rng(1), still)
     still_error = np.sqrt(np.diag(covariance))
     _, covariance = with_corners(truth, placing, 0.05, np.random.default_rng(1))
     error = np.sqrt(np.diag(covariance))
-    assert still_error[9] > 20.0 * error[9] and still_error[-4] > 0.3 > 0.02 > error[-4]
+    assert still_error[9] > 20.0 * error[9] and still_error[-5] > 0.3 > 0.02 > error[-5]
     assert still_error[10] > 1.5 * error[10]
 
 
 def test_a_wrong_turn_moves_nothing_of_what_the_others_tell():
     placing, rng = Placing(), np.random.default_rng(2)
-    truth = np.zeros(COUNT + len(VIEWS) + 8)
-    truth[6:8], truth[-8:-6] = (20.0, 2.0), (3.0, -4.0)
+    truth = np.zeros(COUNT + len(VIEWS) + 9)
+    truth[6:8], truth[-9:-7] = (20.0, 2.0), (3.0, -4.0)
     problem, covariance = with_corners(truth, placing, 0.05, rng)
     right = problem.unknowns.copy()
     problem.views[2].pose = replace(VIEWS[2], turn_deg=93.0)
@@ -222,7 +222,7 @@ def test_a_sheet_that_some_photographs_lack_is_used_and_the_file_says_so(tmp_pat
         assert (corners[[0, 4]] == 0).all() and (corners[[1, 2, 3, 5]] > 30).all()
         assert np.isnan(left[[0, 4]]).all() and left[1] < 0.1
         place, sigma = file.read("sheet_place"), file.read("sheet_place_sigma")
-        assert len(place) == len(SHEET_QUANTITIES) and (np.abs(place - [*SHEET_LIES, 0, 0]) < 4 * sigma + 0.02).all()
+        assert len(place) == len(SHEET_QUANTITIES) and (np.abs(place - [*SHEET_LIES, 0, 0, 0]) < 4 * sigma + 0.02).all()
         assert f"the printed sheet was found in 4 of 6 photographs, {corners.sum()} corners" in file.attribute(
             "sentence"
         )
@@ -245,7 +245,7 @@ def test_the_sentence_of_an_object_without_a_sheet_does_not_speak_of_one():
 @pytest.mark.parametrize("pose", [Pose(45.0, 10.0), Pose(45.0, -20.0, 15.0, 70.0)])
 def test_a_place_on_the_sheet_and_its_place_in_the_picture_belong_together(pose):
     sheet = MarkerSheet.of(Markers.of({"paper": "A4", "z_mm": -12.0}), Shape.from_definition(BALL.shape), Placing())
-    values = np.array([3.0, -5.0, 1.0, 2.0, -1.0, 100.0, 1.0, -2.0])
+    values = np.array([3.0, -5.0, 1.0, 2.0, -1.0, 100.0, 1.0, -2.0, 0.0])
     assert sheet.z_mm == -12.0
     table = turned((0.0, pose.tilt_deg, 0.0)) @ turned((0.0, 0.0, pose.turn_deg))
     world = sheet.on_table(RING, values) @ table.T
