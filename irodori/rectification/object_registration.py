@@ -534,7 +534,10 @@ def _outline(problem: _Problem, number: int, reach: float) -> tuple[np.ndarray, 
     if not len(view.rim):
         return nothing
     xy = problem.seen(number, view.rim, problem.unknowns)
-    distance = edge_distances(view.picture, view.search, xy, view.outward, reach) - problem.outline_px
+    # The middle of a sheet is dark, but not black: before it, the end of the lit part may be a stronger edge.
+    is_dark = problem.sheet is not None
+    distance = edge_distances(view.picture, view.search, xy, view.outward, reach, is_dark_outside=is_dark)
+    distance -= problem.outline_px
     if problem.sheet is not None:
         # Edges of squares are stronger than that of the object.
         correction, pose = problem.standing(number, problem.unknowns)

@@ -115,7 +115,9 @@ def _normals(on: np.ndarray, away: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return normal / np.linalg.norm(normal, axis=1, keepdims=True), left < _ROUGH * np.sqrt(spread[:, 1])
 
 
-def edge_distances(picture: Picture, level: Level, xy, outward, reach: float) -> np.ndarray:
+def edge_distances(
+    picture: Picture, level: Level, xy, outward, reach: float, *, is_dark_outside: bool = False
+) -> np.ndarray:
     """Return the distances of the edges in a photograph from the expected points of an outline, outward positive.
 
     The edge is the place within reach with the largest ratio of brightness between its sides; places near the expected
@@ -134,6 +136,9 @@ def edge_distances(picture: Picture, level: Level, xy, outward, reach: float) ->
         Unit normals.
     reach : float
         Distance searched to either side, samples.
+    is_dark_outside : bool
+        Whether the object is lit before something dark, so that the edge between its lit and its dark side, which is
+        brighter outside, is not searched.
 
     Returns
     -------
@@ -149,7 +154,8 @@ def edge_distances(picture: Picture, level: Level, xy, outward, reach: float) ->
     inner, outer = levels[:, : len(candidates)], levels[:, -len(candidates) :]
     c0, c1 = np.where(np.isfinite(picture.noise), picture.noise, [_UNKNOWN_NOISE**2, 0.0])
     noise = np.sqrt(c0 + c1 * np.maximum(np.maximum(inner, outer), 0.0))
-    ratio = np.abs(np.log((np.maximum(inner, 0.0) + DARK) / (np.maximum(outer, 0.0) + DARK)))
+    ratio = np.log((np.maximum(inner, 0.0) + DARK) / (np.maximum(outer, 0.0) + DARK))
+    ratio = ratio if is_dark_outside else np.abs(ratio)
     clear = (ratio > _LEAST_LOG_STEP) & (np.abs(inner - outer) > _LEAST_SIGMAS * noise)
     score = np.where(clear, ratio * (1.0 - 0.5 * (offset[candidates] / (reach + 1.0)) ** 2), -1.0)
     best = np.argmax(score, axis=1)
