@@ -183,6 +183,7 @@ class _View:
     #: Corners of the printed sheet: on it in squares, and in the picture in superpixels, (n, 2).
     corners: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
     corners_px: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
+    sheet_residual_px: float = math.nan
 
 
 @dataclass
@@ -199,6 +200,7 @@ class _Problem:
     sigma: np.ndarray
     unknowns: np.ndarray
     sheet: MarkerSheet | None = None
+    told: np.ndarray | None = None  # covariance of the common unknowns by definitions and sheet; None without a sheet
     block: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=int))  # of the texels
 
     @property
@@ -309,9 +311,9 @@ def register(
     InputError
         If no photograph shows the sheet, or its size contradicts the typed one.
     """
-    problem, covariance = _problem(linear, definition, setup, placing, markers)
+    problem = _problem(linear, definition, setup, placing, markers)
     sigma = problem.sigma
-    reach = first = _first_reach(problem, covariance)
+    reach = first = _first_reach(problem)
     while reach > _FINEST_REACH:
         _descend(problem, reach, _STEPS)
         reach /= 2.0
@@ -319,13 +321,14 @@ def register(
     problem.unknowns, problem.sigma = _only_what_is_told(problem.unknowns, matrix, sigma)
     _descend(problem, _FINEST_REACH, _LAST_STEPS)
     own, problem.unknowns[problem.own] = problem.unknowns[problem.own].copy(), 0.0
-    residual, points, suspects, of_sheet = _residuals(problem, max(0.5 * first, 2.0 * _FINEST_REACH))
+    residual, points, suspects = _residuals(problem, max(0.5 * first, 2.0 * _FINEST_REACH))
     whole = _inverse(matrix, sigma)
     sheet = None
     if problem.sheet is not None:
         values, errors = problem.unknowns[problem.of_sheet], np.sqrt(np.diag(whole))[problem.of_sheet]
         check_printed_size(linear, problem.sheet, values, problem.shape.reach_mm)
-        sheet = FoundSheet(values, errors, np.array([len(view.corners) for view in problem.views]), of_sheet)
+        corners, left = zip(*((len(view.corners), view.sheet_residual_px) for view in problem.views), strict=True)
+        sheet = FoundSheet(values, errors, np.array(corners), np.array(left))
     return Registered(
         Correction.of(problem.unknowns[:COUNT]),
         whole[:COUNT, :COUNT],
@@ -340,12 +343,9 @@ def register(
 
 
 def _problem(
-    linear: Sequence, definition: "Object | TexturedObject", setup: RigSetup, placing: "Placing", markers
-) -> tuple[_Problem, np.ndarray]:
-    """Read the parts of the photographs that may show the object; arguments as in `register`.
-
-    Returns the problem and the covariance of its 12 common unknowns as far as definitions and sheet tell them.
-    """
+    linear: Sequence, definition: "Object | TexturedObject", setup: RigSetup, placing: "Placing", markers=None
+) -> _Problem:
+    """Read the parts of the photographs that may show the object and return the problem; arguments as in `register`."""
     shape = Shape.from_definition(definition.shape)
     texels = _texels(shape, definition.texels.width, definition.texels.height)
     sigma = np.concatenate([prior_sigma(placing), np.full(len(linear), placing.camera_deg)])
@@ -353,22 +353,20 @@ def _problem(
     for path in linear:
         with store.open_file(path) as file:
             problem.views.append(_View(Pose(*file.attribute("pose_deg"))))
-    covariance = np.diag(sigma[:COUNT] ** 2)
     if markers is not None:
         problem.sheet = MarkerSheet.of(markers, shape, placing)
         for view, path in zip(problem.views, track(linear, "find markers"), strict=True):
             view.corners, view.corners_px = find_corners(path)
-        covariance = _lay_sheet(problem, linear, placing)
+        _lay_sheet(problem, linear, placing)
     for number, path in enumerate(track(linear, "read photographs")):
         problem.views[number].picture = Picture.load(path, _window(problem, number, _MARGIN))
-    return problem, covariance
+    return problem
 
 
-def _lay_sheet(problem: _Problem, linear: Sequence, placing: "Placing") -> np.ndarray:
+def _lay_sheet(problem: _Problem, linear: Sequence, placing: "Placing") -> None:
     """Add the place of the sheet to the unknowns, and fit it and the camera to the sheet's corners alone.
 
-    Returns the covariance of the 12 common unknowns. Raises an `InputError` if no photograph shows the sheet, or its
-    squares are far from the typed size.
+    Raises an `InputError` if no photograph shows the sheet, or its squares are far from the typed size.
     """
     sheet, views = problem.sheet, problem.views
     assert sheet is not None
@@ -380,7 +378,7 @@ def _lay_sheet(problem: _Problem, linear: Sequence, placing: "Placing") -> np.nd
     problem.sigma = np.concatenate([problem.sigma, sheet.sigma])
     problem.unknowns = np.concatenate([problem.unknowns, place])
     matrix = _settle(problem, None, _LAST_STEPS)
-    return _inverse(matrix, problem.sigma)[:COUNT, :COUNT]
+    problem.told = _inverse(matrix, problem.sigma)[:COUNT, :COUNT]
 
 
 def _descend(problem: _Problem, reach: float, most_steps: int) -> np.ndarray:
@@ -471,11 +469,12 @@ def _window(problem: _Problem, view: int, margin: float) -> tuple[float, float, 
     return x0, y0, x1, y1
 
 
-def _first_reach(problem: _Problem, covariance: np.ndarray) -> float:
+def _first_reach(problem: _Problem) -> float:
     """Return the distance that the first search for outlines covers, samples.
 
-    It follows from the covariance of the 12 common unknowns and from the object's size.
+    It follows from what definitions and sheet tell, and from the object's size.
     """
+    covariance = np.diag(problem.sigma[:COUNT] ** 2) if problem.told is None else problem.told
     found, half = [], []
     for view in range(len(problem.views)):
         moved = problem.derivative(lambda v, values: problem.seen(v, problem.texels.position, values), view)
@@ -695,19 +694,13 @@ def _diagonal_of_inverse(matrix: np.ndarray, sigma: np.ndarray) -> np.ndarray:
     return np.diag(_inverse(matrix, sigma))
 
 
-def _residuals(
-    problem: _Problem, reach: float
-) -> tuple[np.ndarray, np.ndarray, tuple[tuple[str, float], ...], np.ndarray]:
-    """Return what is left in every photograph.
-
-    These are residuals (J,) in superpixels, counts of outline points (J,), the suspect angle, and residuals of the
-    sheet alone (J,), in superpixels.
+def _residuals(problem: _Problem, reach: float) -> tuple[np.ndarray, np.ndarray, tuple[tuple[str, float], ...]]:
+    """Return residuals (J,) in superpixels, counts of outline points (J,), and the suspect angle of every photograph.
 
     Residuals are relative to the common correction. Outlines are searched over ``reach`` samples, further than at the
     end of the registration, so that a photograph with a wrong pose gets a large residual instead of none.
     """
     residual, count = np.full(len(problem.views), np.nan), np.zeros(len(problem.views), dtype=int)
-    of_sheet = residual.copy()
     rows = _textures(problem)
     weights = [row.weight for row in rows]
     mean, total = mean_texture([row.value for row in rows], weights), np.sum(weights, axis=0)
@@ -725,10 +718,10 @@ def _residuals(
         if len(view.corners):
             xy = problem.corners_seen(number, problem.unknowns)
             off, both = view.corners_px - xy, np.tile(np.eye(2), (len(xy), 1))
-            of_sheet[number] = math.sqrt(2.0) * _displacement(np.repeat(xy, 2, axis=0), both, off.ravel())
-            residual[number] = np.fmax(residual[number], of_sheet[number])
+            view.sheet_residual_px = math.sqrt(2.0) * _displacement(np.repeat(xy, 2, axis=0), both, off.ravel())
+            residual[number] = np.fmax(residual[number], view.sheet_residual_px)
         suspects.append(_suspect(problem, number, distance, found, shift, off))
-    return residual, count, tuple(suspects), of_sheet
+    return residual, count, tuple(suspects)
 
 
 def _displacement(xy: np.ndarray, outward: np.ndarray, distance: np.ndarray) -> float:
@@ -757,7 +750,7 @@ def _displacement(xy: np.ndarray, outward: np.ndarray, distance: np.ndarray) -> 
 
 
 def _suspect(
-    problem: _Problem, number: int, distance: np.ndarray, found: np.ndarray, shift: np.ndarray, off_sheet: np.ndarray
+    problem: _Problem, number: int, distance: np.ndarray, found: np.ndarray, shift: np.ndarray, off_sheet=()
 ) -> tuple[str, float]:
     """Return the angle of a photograph's pose whose error would explain its displacement best, and that error, degrees.
 
@@ -778,7 +771,7 @@ def _suspect(
     view = problem.views[number]
     points, outward = problem.texels.position, None
     if len(off_sheet):
-        off = off_sheet.ravel()
+        off = np.ravel(off_sheet)
     elif len(distance):
         points, outward, off = view.rim[found], view.outward[found], distance
     else:
