@@ -166,6 +166,7 @@ def refused(tmp_path, files, words, markers=SHEET, definition=BALL) -> str:
     return str(caught.value)
 
 
+@pytest.mark.stability(stage="rectify", case="a printed sheet that is missing or contradicts pose or size")
 @pytest.mark.default_cases(1)
 @pytest.mark.parametrize(
     "number, angles, words",
@@ -181,6 +182,7 @@ def test_a_photograph_whose_sheet_contradicts_its_pose_is_named_with_its_angle(t
     assert "superpixels" in said
 
 
+@pytest.mark.stability(stage="rectify", case="a printed sheet that is missing or contradicts pose or size")
 @pytest.mark.parametrize(
     "sheet, words", [(None, "the sheet in none of 2 photographs; acc"), (LENS_SHEET, "but that of irodori lens; acc")]
 )
@@ -189,6 +191,7 @@ def test_photographs_without_the_sheet_are_refused_by_the_key(tmp_path, sheet, w
     assert "markers: found" in said and "irodori markers" in said
 
 
+@pytest.mark.stability(stage="rectify", case="a printed sheet that is missing or contradicts pose or size")
 def test_a_sheet_printed_smaller_is_used_if_that_is_said_and_refused_if_not(tmp_path):
     lies = correction(x_mm=1.0, y_mm=-1.0)
     files = drawn(tmp_path, lies, stretched=(0.97, 0.97), shown=VIEWS[:4])
