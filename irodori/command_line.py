@@ -52,6 +52,7 @@ SUBCOMMANDS = {
     "crate": Subcommand("irodori.export.crate_command", "describe a finished run as a Workflow Run RO-Crate"),
     "filters": Subcommand("irodori.calibration.filters", "rank filters for the second shot of a camera"),
     "lens": Subcommand("irodori.lens.lens_command", "measure a lens from photographs of a printed sheet"),
+    "markers": Subcommand("irodori.lens.markers_command", "write a sheet to print, on which an object is photographed"),
     "verify": Subcommand("irodori.core.custody", "compare every result with its hash and with what it was made from"),
     "simulate-grbl": Subcommand("irodori.simulation.controllers.grbl_simulator", "simulate a Grbl motion controller"),
     "simulate-ascii": Subcommand(

@@ -26,6 +26,7 @@ RUN_BY = {
     "lights": "tests/unit/test_mirror_highlights.py",
     "help": "tests/workflow/test_documented_commands.py",
     "lens": "tests/unit/test_lens.py",
+    "markers": "tests/unit/test_marker_sheet.py",
     "mutation": "tests/unit/test_mutation.py",
     "pip": "tests/workflow/test_documented_commands.py",
     "pytest": "tests/unit/test_documented_tools.py",
@@ -36,7 +37,7 @@ RUN_BY = {
 _ON_RESULTS = ("check", "crate", "export", "preview", "verify", "viewer")
 _AT_THE_BENCH = ("capture", "home", "jog", "move", "plan", "recount", "setup", "shoot", "status")
 #: Words that name a command in a sentence, without what it takes: its help is what can be run.
-_NAMED = ("dome", "export", "init", "lens", "lights", "plan", "verify --accept", "--help", "")
+_NAMED = ("dome", "export", "init", "lens", "lights", "markers", "plan", "verify --accept", "--help", "")
 
 
 def commands(text: str) -> list[str]:
@@ -76,7 +77,7 @@ def kind(command: str) -> str | None:
     if program in ("irodori", "irodori.rig"):
         if " ".join(rest) in _NAMED:
             return "help"
-        kinds = {"init": "first project"} | {name: name for name in ("dome", "lens", "lights")}
+        kinds = {"init": "first project"} | {name: name for name in ("dome", "lens", "lights", "markers")}
         kinds |= dict.fromkeys(_ON_RESULTS, "results")
         return (kinds | dict.fromkeys(_AT_THE_BENCH, "bench")).get(rest[0])
     if program in ("pip", "pytest", "snakemake"):

@@ -7,7 +7,7 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.spatial.transform import Rotation
 
 from irodori.geometry.pinhole import Pinhole
-from irodori.lens.calibration_sheet import COLUMNS, ROWS, board_picture
+from irodori.lens.printed_sheets import LENS_SHEET
 from irodori.simulation.virtual_rig.dng_writer import write_dng
 
 WIDTH, HEIGHT = 1200, 800  # mosaic pixels
@@ -15,7 +15,8 @@ PITCH_UM = 5.0
 #: Of a lens of ordinary distortion: barrel, some tangential part, its axis off the middle.
 TRUE = Pinhole(1500.0, (612.0, 391.0), WIDTH, HEIGHT, (-0.18, 0.06, 0.0006, -0.0009, 0.0, 0.0, 0.0, 0.0))
 STRAIGHT = Pinhole(1500.0, (600.0, 400.0), WIDTH, HEIGHT)
-BOARD = board_picture(48).astype(np.float64) / 255.0
+COLUMNS, ROWS = LENS_SHEET.columns, LENS_SHEET.rows
+BOARD = LENS_SHEET.picture(48).astype(np.float64) / 255.0
 #: Angles of the sheet about its x and y, degrees, and where its middle is seen, as parts of the picture.
 PLACES = [
     (0, 0, 0.5, 0.5), (35, 0, 0.5, 0.45), (-35, 0, 0.5, 0.55), (0, 35, 0.45, 0.5), (0, -35, 0.55, 0.5),

@@ -89,6 +89,7 @@ _TABLE = {
     },
     ("D", "rectify"): {
         "a level patch that is not there, covered, clipped or in shadow": "refused with photograph and reason",
+        "a printed sheet that is missing or contradicts pose or size": "refused with photograph and angle, or the key",
     },
     ("D", "fit"): {
         "grazing views": _RIGHT,

@@ -16,12 +16,15 @@ from irodori.config.models import Chart, Optics
 from irodori.geometry.projected_outline import ProjectedOutlines
 from irodori.ingest.mosaic import Mosaic
 from irodori.ingest.preview import preview_of
+from irodori.rectification.reduced_pictures import GREEN
 from irodori.report.html_page import write_page
 
 #: A hundred photographs of this width make a page that a phone can hold.
 _WIDTH_PX = 480
 #: Side of the square drawn for a patch of unknown size, as a share of the distance between patches.
 _PATCH = 0.5
+#: Side of the square drawn at a corner of the printed sheet, as a share of the picture's width.
+_CORNER = 0.004
 
 
 @dataclass
@@ -43,7 +46,7 @@ class Picture:
     chart : str, optional
         Name of the chart in the photograph, empty for the camera's first chart; None if there is no chart.
     patches : list of str
-        SVG polygons of the patches of a chart, in superpixels.
+        SVG polygons of the patches of a chart, or small ones at the corners of the printed sheet, in superpixels.
     findings : list of Finding
     """
 
@@ -88,6 +91,13 @@ class ContactSheet:
         )
         if one.kind == "objects" and shot.subject == "object":
             picture.outline = self._outline(one, shot.pose)
+            if self._loaded.objects[one.subject].markers is not None:
+                # OpenCV takes a third of a second to load.
+                from irodori.rectification.marker_sheet import corners_in
+
+                corners = corners_in(mosaic.superpixels[..., GREEN])[1]
+                picture.patches = _squares(corners, _CORNER * mosaic.size[0])
+                picture.caption += f" · {len(corners)} corners of the printed sheet"
         elif shot.role == "chart":
             picture.chart = shot.chart
             camera = self._loaded.cameras[one.camera]

@@ -19,8 +19,8 @@ def main(arguments: list[str] | None = None, prog: str = "irodori preview") -> i
     """Write an HTML page with all photographs of a project at small size, each beside its errors and warnings.
 
     Drawn over each photograph are the outline of the object in the pose that the table states, the patches of a chart,
-    and marks on overexposed (red) and dark (blue) parts. Photographs that are still to be taken are skipped. The exit
-    status is 1 if there is an error.
+    the corners that were found of a printed sheet, and marks on overexposed (red) and dark (blue) parts. Photographs
+    that are still to be taken are skipped. The exit status is 1 if there is an error.
     """
     parser = argparse.ArgumentParser(prog=prog, description=main.__doc__)
     parser.add_argument("--directory", default=".", help="where the paths of definitions start, as that of snakemake")

@@ -429,6 +429,24 @@ class LevelPatch(Definition):
 
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
+class Markers(Definition):
+    """The printed sheet of `irodori markers` on which the object is photographed.
+
+    It tells where camera and table stood. It needs `place.register`.
+    """
+
+    #: Paper of the sheet.
+    paper: Literal["A3", "A4", "A5", "A6", "letter"]
+
+    #: Side of a square as printed; by default that of a print at full size, in mm.
+    square_mm: float | None = None
+
+    #: Height of the sheet in the object's frame; by default that of the object's lower side, in mm. Exact within
+    #: `place.translation_mm`.
+    z_mm: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class PoseGroup(Definition):
     """One group of poses."""
 
@@ -608,6 +626,10 @@ class Object(Definition):
 
     #: A flat matt patch, white or grey, that tells the lamp's level in every photograph of the object.
     level_patch: LevelPatch | None = None
+
+    #: The printed sheet of `irodori markers` on which the object is photographed; it tells where camera and table
+    #: stood. It needs `place.register`.
+    markers: Markers | None = None
 
     #: Groups of poses that a session takes, on a virtual or a driven rig; a group stands for every combination of its
     #: lists.

@@ -20,6 +20,7 @@ from irodori.config.models import (
     GivenFilter,
     GivenSensitivities,
     LevelPatch,
+    Markers,
     Object,
     ObjectShape,
     PlacedObject,
@@ -45,6 +46,7 @@ class PhotographedObject(Definition):
     exposure_s: Exposures | None = None
     virtual: VirtualObject | None = None
     level_patch: LevelPatch | None = None
+    markers: Markers | None = None
 
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)

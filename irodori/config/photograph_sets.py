@@ -369,6 +369,10 @@ class PhotographSets:
             return [f"results/{wildcards.object}/patch_levels.h5"]
         return [f"results/{wildcards.object}/levels.h5"] if self.loaded.config.fit.level_by_photograph else []
 
+    def markers(self, wildcards) -> dict | None:
+        """Return the block ``markers`` of an object."""
+        return as_plain(self.loaded.objects[wildcards.object].markers)
+
     def level_patch(self, wildcards) -> dict | None:
         """Return the patch that tells the lamp's level in an object's photographs; None where it has none."""
         return as_plain(self.loaded.objects[wildcards.object].level_patch)

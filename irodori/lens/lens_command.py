@@ -35,11 +35,11 @@ def main(arguments: list[str] | None = None, prog: str = "irodori lens") -> int:
     if (asked.photographs is None) == (asked.sheet is None):
         parser.error("give a folder of photographs, or --print FILE.pdf")
     try:
-        _need_opencv()
+        need_opencv("irodori lens")
         if asked.sheet:
-            from irodori.lens.calibration_sheet import write_sheet
+            from irodori.lens.printed_sheets import LENS_SHEET
 
-            write_sheet(asked.sheet, asked.paper)
+            LENS_SHEET.write(asked.sheet, asked.paper)
             print(f"{asked.sheet}: print it at its full size; the squares may come out somewhat larger or smaller")
             return 0
         _measure(Path(asked.photographs), asked.pixel_pitch_um)
@@ -49,12 +49,13 @@ def main(arguments: list[str] | None = None, prog: str = "irodori lens") -> int:
     return 0
 
 
-def _need_opencv() -> None:
+def need_opencv(what: str) -> None:
+    """Raise a `PlainError` that says that ``what`` needs OpenCV if OpenCV cannot be loaded."""
     try:
         import cv2  # noqa: F401
     except ImportError as error:
         raise PlainError(
-            f"irodori lens needs OpenCV, which does not start ({error}): install the system's libgl1 and libglib2.0-0"
+            f"{what} needs OpenCV, which does not start ({error}): install the system's libgl1 and libglib2.0-0"
         ) from error
 
 

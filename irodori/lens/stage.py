@@ -14,8 +14,8 @@ from irodori.core.progress import LOGGER, track
 from irodori.first_project.raw_folder import pixel_pitch_um
 from irodori.geometry.distortion import COEFFICIENTS
 from irodori.ingest.mosaic import Mosaic, decode
-from irodori.lens.calibration_sheet import find_corners
 from irodori.lens.lens_models import LEAST_CORNERS, LEAST_PHOTOGRAPHS, MODELS, Lens, Sheet, covered, fit_lens
+from irodori.lens.printed_sheets import LENS_SHEET
 
 #: Smallest share of the picture with corners that gives no warning; elsewhere the distortion is extrapolated.
 _LEAST_COVERED = 0.8
@@ -82,7 +82,7 @@ class SheetReader:
         if mosaic.focal_mm != focal_mm:
             found = f"{mosaic.focal_mm:g} mm, and {focal_mm:g} mm in {first.name}"
             raise InputError(path, "focal length", found, "photographs of one lens at one zoom")
-        plane, seen = find_corners(mosaic.superpixels[..., 1])
+        plane, seen = LENS_SHEET.find(mosaic.superpixels[..., 1])
         if len(plane) < LEAST_CORNERS:
             self.left_out.append((path, f"left out, {len(plane)} of the sheet's corners found"))
         else:

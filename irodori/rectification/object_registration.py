@@ -1,10 +1,10 @@
 """Registration of an object to its photographs: estimates where object, camera and light really stand [design, §9].
 
 The user's definitions of object, camera and rig are the prior. The outline and the texture of the object in all
-photographs correct it: Gauss-Newton steps from coarse to fine resolution find the most probable values, and the last
-step gives their covariance. A value that the photographs do not determine, or whose correction is not significant,
-stays exactly as defined, because a correction smaller than its own error would do harm. Such a value keeps the standard
-deviation of the prior if no photograph depends on it.
+photographs correct it, and so do the corners of a printed sheet on which it may stand. Gauss-Newton steps from coarse
+to fine resolution find the most probable values, and the last step gives their covariance. A value that the photographs
+do not determine, or whose correction is not significant, stays exactly as defined, because a correction smaller than
+its own error would do harm. Such a value keeps the standard deviation of the prior if no photograph depends on it.
 """
 
 import math
@@ -20,9 +20,19 @@ from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER, track
 from irodori.geometry.embree import Tracer
-from irodori.geometry.rig_frame import rig_from_camera, to_camera
+from irodori.geometry.rig_frame import rig_from_camera, rig_from_object, to_camera
 from irodori.geometry.shapes.shape import Shape
-from irodori.rectification.outline_search import edge_distances, find_rim
+from irodori.rectification.marker_sheet import (
+    OUTLINE,
+    SHEET_QUANTITIES,
+    SHEET_STEPS,
+    MarkerSheet,
+    check_first_size,
+    check_printed_size,
+    find_corners,
+    not_found,
+)
+from irodori.rectification.outline_search import OUTER, edge_distances, find_rim
 from irodori.rectification.placement_correction import CAMERA, COUNT, QUANTITIES, Correction, prior_sigma
 from irodori.rectification.reduced_pictures import Level, Picture
 from irodori.rectification.stage import RigSetup, observe
@@ -38,7 +48,7 @@ from irodori.rectification.texture_agreement import (
 )
 
 if TYPE_CHECKING:
-    from irodori.config.models import Object, Placing
+    from irodori.config.models import Markers, Object, Placing
     from irodori.config.parts import TexturedObject
 
 _TEXELS = 3600  # texels of the object, at most, whose texture is compared
@@ -59,7 +69,7 @@ _LEAST_POINTS = 12
 _LEAST_TEXTURE = 1e-5
 _LEAST_MATT = 0.3  # mean weight of the texels of a photograph that is judged by its texture
 #: Least standard deviation of a single measurement: the systematic errors of edges and of textures in pictures.
-_OUTLINE_FLOOR_PX, _TEXTURE_FLOOR = 0.1, 0.01
+_OUTLINE_FLOOR_PX, _TEXTURE_FLOOR, _CORNER_FLOOR_PX = 0.1, 0.01, 0.05
 _OUTLINE_MOST_PX = 0.4  # largest standard deviation of outline points in the last level; points beyond are outliers
 #: Neighbouring measurements have common errors: number that counts as one (for textures, a block of texels and bands).
 _OUTLINE_SHARED, _TEXTURE_SHARED = 5.0, 75.0
@@ -70,10 +80,32 @@ _SIGNIFICANT = 2.0  # standard errors that a significant correction exceeds
 #: an object of a hand's size by as much. Standard errors do not include the bias of an outline in dim light.
 _ACCURACY = np.array([0.1] * 3 + [0.05] * 3 + [2.0, 0.2] + [0.5] * 2 + [0.05] * 2)
 _FLAT = 1e-6  # largest range of the components of the normals of a flat object
+_CAMERA = range(6, CAMERA + 1)  # quantities on which the place of the sheet in a photograph depends
 _NUMERIC = np.array([0.01] * 3 + [0.01] * 3 + [0.1, 0.01, 0.1, 0.1, 0.01, 0.01])  # steps of derivatives, as QUANTITIES
 #: What may be wrong with the pose of one photograph -> the angle that is varied. The place of the object in the picture
 #: depends only on the sum of the camera's angle and the tilt.
 _POSE_ANGLES = {"camera_deg or tilt_deg": "camera_deg", "turn_deg": "turn_deg"}
+
+
+@dataclass(frozen=True)
+class FoundSheet:
+    """The printed sheet in the photographs.
+
+    Parameters
+    ----------
+    values, sigma : (9,) float64
+        Its place and size, and what outlines are off by, in the order of `SHEET_QUANTITIES`, with standard errors.
+    corners : (J,) int
+        Corners found in each photograph.
+    residual_px : (J,) float64
+        Root-mean-square distance of the corners in each photograph from where its pose and the common correction
+        predict them, superpixels; NaN where the sheet was not found.
+    """
+
+    values: np.ndarray
+    sigma: np.ndarray
+    corners: np.ndarray
+    residual_px: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -93,13 +125,16 @@ class Registered:
         Additional correction of the camera angle of each photograph.
     residual_px : (J,) float64
         Root-mean-square distance, superpixels, of the object in each photograph from the place that its pose and the
-        common correction predict; NaN if nothing could be measured in the photograph.
+        common correction predict, or that of the sheet if it is larger; NaN if nothing could be measured in the
+        photograph.
     mm_per_px : float
         Millimetres per superpixel at the distance of the object.
     outline_points : (J,) int
         Number of points of the outline at which an edge was found.
     suspects : tuple of J (str, float)
         Angle of each photograph's pose whose error would explain the residual best, and that error in degrees.
+    sheet : FoundSheet, optional
+        The printed sheet, if there is one.
     """
 
     correction: Correction
@@ -110,6 +145,7 @@ class Registered:
     mm_per_px: float
     outline_points: np.ndarray
     suspects: tuple[tuple[str, float], ...]
+    sheet: FoundSheet | None = None
 
     @property
     def sigma(self) -> np.ndarray:
@@ -144,11 +180,18 @@ class _View:
     rim: np.ndarray = field(init=False)
     outward: np.ndarray = field(init=False)
     weight: np.ndarray = field(init=False)  # of the texels
+    #: Corners of the printed sheet: on it in squares, and in the picture in superpixels, (n, 2).
+    corners: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
+    corners_px: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
+    sheet_residual_px: float = math.nan
 
 
 @dataclass
 class _Problem:
-    """State of an object's registration: data and unknowns, 12 common ones and one camera angle of each photograph."""
+    """State of an object's registration: data and unknowns.
+
+    The unknowns are 12 common ones, one camera angle of each photograph, and 9 more if there is a sheet.
+    """
 
     shape: Shape
     setup: RigSetup
@@ -156,7 +199,30 @@ class _Problem:
     views: list[_View]
     sigma: np.ndarray
     unknowns: np.ndarray
+    sheet: MarkerSheet | None = None
+    told: np.ndarray | None = None  # covariance of the common unknowns by definitions and sheet; None without a sheet
     block: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=int))  # of the texels
+
+    @property
+    def own(self) -> slice:
+        """The unknowns that are camera angles of single photographs."""
+        return slice(COUNT, COUNT + len(self.views))
+
+    @property
+    def mm_per_px(self) -> float:
+        """Millimetres per superpixel at the distance of the object."""
+        camera = self.setup.corrected(Correction.of(self.unknowns[:COUNT]))
+        return 2.0 * camera.camera_distance_mm / camera.pinhole.focal_px
+
+    @property
+    def outline_px(self) -> float:
+        """Distance of outlines from their expected places that all have in common, superpixels, outward positive."""
+        return self.unknowns[self.of_sheet[OUTLINE]] / self.mm_per_px if self.sheet is not None else 0.0
+
+    @property
+    def of_sheet(self) -> range:
+        """The unknowns of the sheet."""
+        return range(COUNT + len(self.views), len(self.unknowns))
 
     @property
     def tells_texture(self) -> bool:
@@ -174,6 +240,14 @@ class _Problem:
         placed = correction.placements(self.shape, pose, 0.0)[0]
         eye = camera.camera_distance_mm * to_camera(pose)
         return camera.pinhole.project(placed.points(points), eye, rig_from_camera(pose))
+
+    def corners_seen(self, view: int, values: np.ndarray) -> np.ndarray:
+        """Return where a photograph shows the sheet's corners that were found in it, (n, 2) superpixels."""
+        assert self.sheet is not None
+        correction, pose = self.standing(view, values)
+        camera = self.setup.corrected(correction)
+        points = self.sheet.on_table(self.views[view].corners, values[self.of_sheet]) @ rig_from_object(pose).T
+        return camera.pinhole.project(points, camera.camera_distance_mm * to_camera(pose), rig_from_camera(pose))
 
     def shading(self, view: int) -> np.ndarray:
         """Return every texel's cosine of incidence times the irradiance normal to the beam; NaN if lit from behind."""
@@ -194,10 +268,14 @@ class _Problem:
         correction = Correction.of(values[:COUNT])
         return correction, correction.pose(self.views[view].pose, float(values[COUNT + view]))
 
-    def derivative(self, function, view: int) -> np.ndarray:
-        """Return numerical derivatives of ``function(view, unknowns)`` by the common unknowns, on a new last axis."""
+    def derivative(self, function, view: int, numbers: Sequence[int] = range(COUNT)) -> np.ndarray:
+        """Return numerical derivatives of ``function(view, unknowns)`` on a new last axis, by the common unknowns.
+
+        ``numbers`` may name some of them, and unknowns of the sheet.
+        """
         parts = []
-        for number, step in enumerate(_NUMERIC):
+        for number in numbers:
+            step = _NUMERIC[number] if number < COUNT else SHEET_STEPS[number - self.of_sheet.start]
             ends = []
             for sign in (1.0, -1.0):
                 values = self.unknowns.copy()
@@ -208,7 +286,11 @@ class _Problem:
 
 
 def register(
-    linear: Sequence, definition: "Object | TexturedObject", setup: RigSetup, placing: "Placing"
+    linear: Sequence,
+    definition: "Object | TexturedObject",
+    setup: RigSetup,
+    placing: "Placing",
+    markers: "Markers | None" = None,
 ) -> Registered:
     """Estimate the place of an object, its camera and its light from photographs.
 
@@ -221,8 +303,15 @@ def register(
         Camera and rig as defined, without correction.
     placing : Placing
         Standard deviations of the definitions.
+    markers : Markers, optional
+        The printed sheet on which the object stands.
+
+    Raises
+    ------
+    InputError
+        If no photograph shows the sheet, or its size contradicts the typed one.
     """
-    problem = _problem(linear, definition, setup, placing)
+    problem = _problem(linear, definition, setup, placing, markers)
     sigma = problem.sigma
     reach = first = _first_reach(problem)
     while reach > _FINEST_REACH:
@@ -231,35 +320,65 @@ def register(
     matrix = _descend(problem, _FINEST_REACH, _LAST_STEPS)
     problem.unknowns, problem.sigma = _only_what_is_told(problem.unknowns, matrix, sigma)
     _descend(problem, _FINEST_REACH, _LAST_STEPS)
-    own, problem.unknowns[COUNT:] = problem.unknowns[COUNT:].copy(), 0.0
+    own, problem.unknowns[problem.own] = problem.unknowns[problem.own].copy(), 0.0
     residual, points, suspects = _residuals(problem, max(0.5 * first, 2.0 * _FINEST_REACH))
-    covariance = _inverse(matrix, sigma)[:COUNT, :COUNT]
-    correction = Correction.of(problem.unknowns[:COUNT])
-    camera = setup.corrected(correction)
+    whole = _inverse(matrix, sigma)
+    sheet = None
+    if problem.sheet is not None:
+        values, errors = problem.unknowns[problem.of_sheet], np.sqrt(np.diag(whole))[problem.of_sheet]
+        check_printed_size(linear, problem.sheet, values, problem.shape.reach_mm)
+        corners, left = zip(*((len(view.corners), view.sheet_residual_px) for view in problem.views), strict=True)
+        sheet = FoundSheet(values, errors, np.array(corners), np.array(left))
     return Registered(
-        correction,
-        covariance,
+        Correction.of(problem.unknowns[:COUNT]),
+        whole[:COUNT, :COUNT],
         sigma[:COUNT],
         own,
         residual,
-        2.0 * camera.camera_distance_mm / camera.pinhole.focal_px,
+        problem.mm_per_px,
         points,
         suspects,
+        sheet,
     )
 
 
-def _problem(linear: Sequence, definition: "Object | TexturedObject", setup: RigSetup, placing: "Placing") -> _Problem:
+def _problem(
+    linear: Sequence, definition: "Object | TexturedObject", setup: RigSetup, placing: "Placing", markers=None
+) -> _Problem:
     """Read the parts of the photographs that may show the object and return the problem; arguments as in `register`."""
     shape = Shape.from_definition(definition.shape)
     texels = _texels(shape, definition.texels.width, definition.texels.height)
     sigma = np.concatenate([prior_sigma(placing), np.full(len(linear), placing.camera_deg)])
     problem = _Problem(shape, setup, texels, [], sigma, np.zeros(len(sigma)))
-    for number, path in enumerate(track(linear, "read photographs")):
+    for path in linear:
         with store.open_file(path) as file:
-            view = _View(Pose(*file.attribute("pose_deg")))
-        problem.views.append(view)
-        view.picture = Picture.load(path, _window(problem, number, _MARGIN))
+            problem.views.append(_View(Pose(*file.attribute("pose_deg"))))
+    if markers is not None:
+        problem.sheet = MarkerSheet.of(markers, shape, placing)
+        for view, path in zip(problem.views, track(linear, "find markers"), strict=True):
+            view.corners, view.corners_px = find_corners(path)
+        _lay_sheet(problem, linear, placing)
+    for number, path in enumerate(track(linear, "read photographs")):
+        problem.views[number].picture = Picture.load(path, _window(problem, number, _MARGIN))
     return problem
+
+
+def _lay_sheet(problem: _Problem, linear: Sequence, placing: "Placing") -> None:
+    """Add the place of the sheet to the unknowns, and fit it and the camera to the sheet's corners alone.
+
+    Raises an `InputError` if no photograph shows the sheet, or its squares are far from the typed size.
+    """
+    sheet, views = problem.sheet, problem.views
+    assert sheet is not None
+    if not any(len(view.corners) for view in views):
+        raise not_found(linear)
+    found = [view.corners for view in views], [view.corners_px for view in views]
+    place, size = sheet.first_place(*found, [view.pose for view in views], problem.setup)
+    check_first_size(linear, sheet, size, problem.setup, placing)
+    problem.sigma = np.concatenate([problem.sigma, sheet.sigma])
+    problem.unknowns = np.concatenate([problem.unknowns, place])
+    matrix = _settle(problem, None, _LAST_STEPS)
+    problem.told = _inverse(matrix, problem.sigma)[:COUNT, :COUNT]
 
 
 def _descend(problem: _Problem, reach: float, most_steps: int) -> np.ndarray:
@@ -279,6 +398,11 @@ def _descend(problem: _Problem, reach: float, most_steps: int) -> np.ndarray:
     problem.block = blocks(texels.columns, texels.rows, spacing, blur)[texels.number]
     for view in range(len(problem.views)):
         _prepare(problem, view, reach, blur)
+    return _settle(problem, reach, most_steps)
+
+
+def _settle(problem: _Problem, reach: float | None, most_steps: int) -> np.ndarray:
+    """Take Gauss-Newton steps until the unknowns rest; return the last normal matrix. Parameters as in `_equations`."""
     for _ in range(most_steps):
         matrix, right = _equations(problem, reach)
         step = _solve(matrix, right, problem.sigma)
@@ -346,11 +470,15 @@ def _window(problem: _Problem, view: int, margin: float) -> tuple[float, float, 
 
 
 def _first_reach(problem: _Problem) -> float:
-    """Return the distance that the first search for outlines covers, samples, from the prior and the object's size."""
+    """Return the distance that the first search for outlines covers, samples.
+
+    It follows from what definitions and sheet tell, and from the object's size.
+    """
+    covariance = np.diag(problem.sigma[:COUNT] ** 2) if problem.told is None else problem.told
     found, half = [], []
     for view in range(len(problem.views)):
         moved = problem.derivative(lambda v, values: problem.seen(v, problem.texels.position, values), view)
-        spread = np.sqrt(np.sum((moved * problem.sigma[:COUNT]) ** 2, axis=(1, 2)) / 2.0)
+        spread = np.sqrt(np.einsum("nip,pq,niq->n", moved, covariance, moved) / 2.0)
         scale = problem.views[view].picture.scale
         found.append(np.nanmedian(spread) * scale)
         x0, y0, x1, y1 = _window(problem, view, 0.0)
@@ -405,7 +533,16 @@ def _outline(problem: _Problem, number: int, reach: float) -> tuple[np.ndarray, 
     if not len(view.rim):
         return nothing
     xy = problem.seen(number, view.rim, problem.unknowns)
-    distance = edge_distances(view.picture, view.search, xy, view.outward, reach)
+    # The middle of a sheet is dark, but not black: before it, the end of the lit part may be a stronger edge.
+    is_dark = problem.sheet is not None
+    distance = edge_distances(view.picture, view.search, xy, view.outward, reach, is_dark_outside=is_dark)
+    distance -= problem.outline_px
+    if problem.sheet is not None:
+        # Edges of squares are stronger than that of the object.
+        correction, pose = problem.standing(number, problem.unknowns)
+        place, camera = problem.unknowns[problem.of_sheet], problem.setup.corrected(correction)
+        far = (reach + OUTER) / view.picture.scale
+        distance[problem.sheet.is_over_print(xy, view.outward, far, pose, camera, place)] = np.nan
     found = np.isfinite(distance)
     if found.sum() < _LEAST_POINTS:
         return nothing
@@ -424,28 +561,59 @@ def _cauchy(values: np.ndarray, sigma: float) -> np.ndarray:
     return 1.0 / (1.0 + (values / (2.0 * sigma)) ** 2)
 
 
-def _equations(problem: _Problem, reach: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the normal matrix and right-hand side of a Gauss-Newton step, with the prior."""
-    is_last = reach <= _FINEST_REACH
+def _equations(problem: _Problem, reach: float | None) -> tuple[np.ndarray, np.ndarray]:
+    """Return the normal matrix and right-hand side of a Gauss-Newton step, with the prior.
+
+    ``reach`` is that of the search for outlines; if it is None, only the sheet is used.
+    """
     size = len(problem.unknowns)
     matrix, right = np.zeros((size, size)), np.zeros(size)
+    if problem.sheet is not None:
+        _add_sheet(problem, matrix, right)
+    if reach is not None:
+        _add_object(problem, reach, matrix, right)
+    free = problem.sigma > 0
+    matrix[free, free] += 1.0 / problem.sigma[free] ** 2
+    right[free] -= problem.unknowns[free] / problem.sigma[free] ** 2
+    return matrix, right
+
+
+def _add_sheet(problem: _Problem, matrix: np.ndarray, right: np.ndarray) -> None:
+    """Add the distances of the sheet's corners from their expected places to normal equations."""
+    off = [
+        view.corners_px - problem.corners_seen(number, problem.unknowns) for number, view in enumerate(problem.views)
+    ]
+    scale = _scatter(np.concatenate(off).ravel(), _CORNER_FLOOR_PX)
+    common = [*_CAMERA, *problem.of_sheet]
+    for number, one in enumerate(off):
+        if not len(one):
+            continue
+        moved = problem.derivative(problem.corners_seen, number, common)
+        where = [*common, COUNT + number]
+        rows = np.concatenate([moved, moved[..., [common.index(CAMERA)]]], axis=-1)
+        factor = _cauchy(np.linalg.norm(one, axis=1) / math.sqrt(2.0), scale) / scale**2
+        matrix[np.ix_(where, where)] += np.einsum("nip,n,niq->pq", rows, factor, rows)
+        right[where] += np.einsum("nip,n,ni->p", rows, factor, one)
+
+
+def _add_object(problem: _Problem, reach: float, matrix: np.ndarray, right: np.ndarray) -> None:
+    """Add outlines and textures to normal equations."""
+    is_last = reach <= _FINEST_REACH
     measured = [_outline(problem, view, reach) for view in range(len(problem.views))]
     every = np.concatenate([distance for distance, _, _ in measured])
     if every.size:
         scale = _scatter(every, _OUTLINE_FLOOR_PX, _OUTLINE_MOST_PX if is_last else math.inf)
         for view, (distance, change, _) in enumerate(measured):
-            rows = change[:, [*range(COUNT), CAMERA]]
-            where = [*range(COUNT), COUNT + view]
+            rows, where = change[:, [*range(COUNT), CAMERA]], [*range(COUNT), COUNT + view]
+            if problem.sheet is not None:
+                rows = np.concatenate([rows, np.full((len(rows), 1), 1.0 / problem.mm_per_px)], axis=1)
+                where.append(problem.of_sheet[OUTLINE])
             factor = _cauchy(distance, scale) / (scale**2 * _OUTLINE_SHARED)
             matrix[np.ix_(where, where)] += rows.T @ (factor[:, None] * rows)
             right[where] += rows.T @ (factor * distance)
     outlined = np.mean([len(distance) > 0 for distance, _, _ in measured]) >= _OUTLINED
     if problem.tells_texture and (is_last or not outlined):
         _add_texture(_textures(problem), matrix, right)
-    free = problem.sigma > 0
-    matrix[free, free] += 1.0 / problem.sigma[free] ** 2
-    right[free] -= problem.unknowns[free] / problem.sigma[free] ** 2
-    return matrix, right
 
 
 def _textures(problem: _Problem) -> list[TextureRows]:
@@ -546,7 +714,13 @@ def _residuals(problem: _Problem, reach: float) -> tuple[np.ndarray, np.ndarray,
             residual[number] = _displacement(xy, view.outward[found], distance)
         shift = _shift(row, mean, total) if problem.tells_texture else np.full(2, np.nan)
         residual[number] = np.fmax(residual[number], np.linalg.norm(shift))
-        suspects.append(_suspect(problem, number, distance, found, shift))
+        view, off = problem.views[number], np.zeros((0, 2))
+        if len(view.corners):
+            xy = problem.corners_seen(number, problem.unknowns)
+            off, both = view.corners_px - xy, np.tile(np.eye(2), (len(xy), 1))
+            view.sheet_residual_px = math.sqrt(2.0) * _displacement(np.repeat(xy, 2, axis=0), both, off.ravel())
+            residual[number] = np.fmax(residual[number], view.sheet_residual_px)
+        suspects.append(_suspect(problem, number, distance, found, shift, off))
     return residual, count, tuple(suspects)
 
 
@@ -575,7 +749,9 @@ def _displacement(xy: np.ndarray, outward: np.ndarray, distance: np.ndarray) -> 
     return math.sqrt(np.mean(explained**2))
 
 
-def _suspect(problem: _Problem, number: int, distance: np.ndarray, found: np.ndarray, shift) -> tuple[str, float]:
+def _suspect(
+    problem: _Problem, number: int, distance: np.ndarray, found: np.ndarray, shift: np.ndarray, off_sheet=()
+) -> tuple[str, float]:
     """Return the angle of a photograph's pose whose error would explain its displacement best, and that error, degrees.
 
     Parameters
@@ -588,24 +764,33 @@ def _suspect(problem: _Problem, number: int, distance: np.ndarray, found: np.nda
     found : (m,) bool
         Mask of the outline points at which an edge was found.
     shift : (2,) float
-        Displacement of its texture, superpixels; used if no outline was found.
+        Displacement of its texture, superpixels; used if neither an outline nor the sheet was found.
+    off_sheet : (k, 2) float
+        Displacement of the sheet's corners, superpixels; used if there are any.
     """
     view = problem.views[number]
-    if len(distance):
+    points, outward = problem.texels.position, None
+    if len(off_sheet):
+        off = np.ravel(off_sheet)
+    elif len(distance):
         points, outward, off = view.rim[found], view.outward[found], distance
     else:
-        points, outward = (
-            np.repeat(problem.texels.position, 2, axis=0),
-            np.tile(np.eye(2), (len(problem.texels.number), 1)),
-        )
-        off = np.tile(np.nan_to_num(shift), len(problem.texels.number))
+        off = np.tile(np.nan_to_num(shift), len(points))
+
+    def place() -> np.ndarray:
+        """Place of the points along the measured directions in the present pose."""
+        if len(off_sheet):
+            return problem.corners_seen(number, problem.unknowns).ravel()
+        xy = problem.seen(number, points, problem.unknowns)
+        return xy.ravel() if outward is None else np.sum(xy * outward, axis=1)
+
     typed, explained = view.pose, []
     for name, angle in _POSE_ANGLES.items():
         ends = []
         for sign in (1.0, -1.0):
             view.pose = replace(typed, **{angle: getattr(typed, angle) + 0.1 * sign})
-            ends.append(problem.seen(number, points, problem.unknowns))
-        along = np.sum((ends[0] - ends[1]) / 0.2 * outward, axis=1)
+            ends.append(place())
+        along = (ends[0] - ends[1]) / 0.2
         by = float(along @ off) / max(float(along @ along), 1e-12)
         explained.append((float(np.sum((off - by * along) ** 2)), name, by))
     view.pose = typed
@@ -634,6 +819,7 @@ def register_object(
     definition: "Object | TexturedObject",
     setup: RigSetup,
     placing: "Placing",
+    markers: "Markers | None" = None,
     *,
     output,
     provenance: store.Provenance,
@@ -649,12 +835,14 @@ def register_object(
         Camera and rig as defined, without correction.
     placing : Placing
         Standard deviations of the definitions, and the largest residual that is accepted.
+    markers : Markers, optional
+        The printed sheet on which the object stands.
 
     Raises
     ------
     InputError
-        If the object in a photograph is further than ``max_residual_px`` from the place that its pose and the common
-        correction predict.
+        If the object or the sheet in a photograph is further than ``max_residual_px`` from the place that its pose and
+        the common correction predict; if no photograph shows the sheet, or its size contradicts the typed one.
 
     Notes
     -----
@@ -663,10 +851,12 @@ def register_object(
     values, square roots of the diagonal of ``/covariance`` (12, 12); ``/prior_sigma`` (12), standard deviations of the
     definitions; ``/own_camera_deg`` (J), additional correction of each camera angle; ``/residual_px`` and
     ``/residual_mm`` (J), distance of the object in a photograph from its predicted place, NaN where nothing could be
-    measured; ``/outline_points`` (J). Attributes: ``told``, for each quantity whether the photographs determine it;
+    measured; ``/outline_points`` (J). With a sheet also ``/sheet_place`` and ``/sheet_place_sigma`` (9), its place and
+    size in the order of ``/sheet_quantity`` and their standard errors, ``/sheet_corners`` (J), its corners found, and
+    ``/sheet_residual_px`` (J). Attributes: ``told``, for each quantity whether the photographs determine it;
     ``captures``, names of the photographs; ``sentence``, a summary in words.
     """
-    found = register(linear, definition, setup, placing)
+    found = register(linear, definition, setup, placing, markers)
     names = [Path(path).stem for path in linear]
     _refuse_far(found, linear, placing.max_residual_px)
     sentence = in_words(found)
@@ -698,10 +888,27 @@ def register_object(
         out.write(
             "outline_points", found.outline_points, units="1", dims="capture", quantity="points of the outline found"
         )
+        if found.sheet is not None:
+            _write_sheet(out, found.sheet)
         out.attribute("quantities", [f"{one.name}, {one.unit}" for one in QUANTITIES])
         out.attribute("told", [bool(told) for told in found.is_told])
         out.attribute("captures", names)
         out.attribute("sentence", sentence)
+
+
+def _write_sheet(out: store.Writer, sheet: FoundSheet) -> None:
+    """Write what was found of the printed sheet."""
+    names, units = [one.name for one in SHEET_QUANTITIES], np.array([one.unit for one in SHEET_QUANTITIES], "S")
+    out.coordinate("sheet_quantity", names, units="1", quantity="names of the numbers of the sheet's place")
+    out.write("sheet_quantity_unit", units, units="1", dims="sheet_quantity", quantity="its unit")
+    for name, values, quantity in (
+        ("sheet_place", sheet.values, "place and size of the printed sheet"),
+        ("sheet_place_sigma", sheet.sigma, "standard errors of place and size"),
+    ):
+        out.write(name, values, units="{sheet_quantity_unit}", dims="sheet_quantity", quantity=quantity)
+    out.write("sheet_corners", sheet.corners, units="1", dims="capture", quantity="corners of the sheet found")
+    off = "distance between where a capture shows the sheet and where it is expected"
+    out.write("sheet_residual_px", sheet.residual_px, units="{superpixel}", dims="capture", quantity=off)
 
 
 def _refuse_far(found: Registered, linear: Sequence, most_px: float) -> None:
@@ -714,7 +921,9 @@ def _refuse_far(found: Registered, linear: Sequence, most_px: float) -> None:
         return
     angle, off = found.suspects[worst]
     apart = f"{residual:.2g} superpixels ({residual * found.mm_per_px:.2g} mm)"
-    where = f"the object {apart} from its expected place; most likely {angle} is off by {off:+.1f}"
+    is_sheet = found.sheet is not None and found.sheet.residual_px[worst] == residual
+    thing = "the printed sheet" if is_sheet else "the object"
+    where = f"{thing} {apart} from its expected place; most likely {angle} is off by {off:+.1f}"
     accepted = f"at most {most_px:g} superpixels (place.max_residual_px), and a pose as it was"
     raise InputError(linear[worst], "pose_deg", where, accepted)
 
@@ -738,4 +947,8 @@ def in_words(found: Registered) -> str:
         parts.append(f"confirmed as typed: {', '.join(confirmed)}")
     if silent:
         parts.append(f"not determined by the photographs, kept as typed: {', '.join(silent)}")
+    if found.sheet is not None:
+        corners = found.sheet.corners
+        shown = f"{np.count_nonzero(corners)} of {len(corners)} photographs, {corners.sum()} corners"
+        parts.append(f"the printed sheet was found in {shown}")
     return "; ".join(parts)

@@ -20,7 +20,7 @@ _ROUGH = 0.02  # largest distance of these points from a smooth curve, as a shar
 _MOST = 200  # points of an outline, at most
 _STEP = 0.5  # samples between readings along a normal
 _READINGS = 4  # iterations of an edge's place, each centred on the result of the one before
-_INNER, _OUTER = 2.5, 6.0  # range of distances from an edge, samples, over which the level of each side is averaged
+_INNER, OUTER = 2.5, 6.0  # range of distances from an edge, samples, over which the level of each side is averaged
 _LEAST_LOG_STEP = 0.25
 _LEAST_SIGMAS = 6.0
 _UNKNOWN_NOISE = 0.01
@@ -115,7 +115,9 @@ def _normals(on: np.ndarray, away: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return normal / np.linalg.norm(normal, axis=1, keepdims=True), left < _ROUGH * np.sqrt(spread[:, 1])
 
 
-def edge_distances(picture: Picture, level: Level, xy, outward, reach: float) -> np.ndarray:
+def edge_distances(
+    picture: Picture, level: Level, xy, outward, reach: float, *, is_dark_outside: bool = False
+) -> np.ndarray:
     """Return the distances of the edges in a photograph from the expected points of an outline, outward positive.
 
     The edge is the place within reach with the largest ratio of brightness between its sides; places near the expected
@@ -134,22 +136,26 @@ def edge_distances(picture: Picture, level: Level, xy, outward, reach: float) ->
         Unit normals.
     reach : float
         Distance searched to either side, samples.
+    is_dark_outside : bool
+        Whether the object is lit before something dark, so that the edge between its lit and its dark side, which is
+        brighter outside, is not searched.
 
     Returns
     -------
     (n,) float64, superpixels; NaN where no edge stands out of the noise
     """
-    offset = np.arange(-reach - _OUTER - 1.0, reach + _OUTER + 1.0 + _STEP / 2, _STEP)
+    offset = np.arange(-reach - OUTER - 1.0, reach + OUTER + 1.0 + _STEP / 2, _STEP)
     place = picture.place(xy)[:, None] + offset[None, :, None] * outward[:, None]
     count, width, _ = place.shape
     profile = level.sampled(level.bands[[GREEN]], place.reshape(-1, 2)).reshape(count, width)
-    near, far = round(_INNER / _STEP), round(_OUTER / _STEP)
+    near, far = round(_INNER / _STEP), round(OUTER / _STEP)
     candidates = np.arange(far, width - far)
     levels = np.lib.stride_tricks.sliding_window_view(profile, far - near + 1, axis=1).mean(axis=-1)
     inner, outer = levels[:, : len(candidates)], levels[:, -len(candidates) :]
     c0, c1 = np.where(np.isfinite(picture.noise), picture.noise, [_UNKNOWN_NOISE**2, 0.0])
     noise = np.sqrt(c0 + c1 * np.maximum(np.maximum(inner, outer), 0.0))
-    ratio = np.abs(np.log((np.maximum(inner, 0.0) + DARK) / (np.maximum(outer, 0.0) + DARK)))
+    ratio = np.log((np.maximum(inner, 0.0) + DARK) / (np.maximum(outer, 0.0) + DARK))
+    ratio = ratio if is_dark_outside else np.abs(ratio)
     clear = (ratio > _LEAST_LOG_STEP) & (np.abs(inner - outer) > _LEAST_SIGMAS * noise)
     score = np.where(clear, ratio * (1.0 - 0.5 * (offset[candidates] / (reach + 1.0)) ** 2), -1.0)
     best = np.argmax(score, axis=1)
@@ -173,9 +179,9 @@ def _edge_beside(profile: np.ndarray, centre: np.ndarray) -> np.ndarray:
     profile : (n, width) float
         Readings along the normals, `_STEP` samples apart.
     centre : (n,) int
-        Index of a reading near the edge, at least `_OUTER` samples from both ends of the profile.
+        Index of a reading near the edge, at least `OUTER` samples from both ends of the profile.
     """
-    far = round(_OUTER / _STEP)
+    far = round(OUTER / _STEP)
     along = np.arange(-far, far + 1) * _STEP
     around = np.take_along_axis(profile, centre[:, None] + np.arange(-far, far + 1), axis=1)
     inside = along <= -_INNER

@@ -65,7 +65,8 @@ ROOMS = {
     "rectification": (
         ("rectification",),
         ("unit/test_rectification.py", "unit/test_registration_parts.py", "unit/test_registration_steps.py",
-         "unit/test_outline_search.py", "unit/test_ball_outline.py", "rig/test_level_patch.py"),
+         "unit/test_outline_search.py", "unit/test_ball_outline.py", "rig/test_level_patch.py",
+         "unit/test_marker_sheet.py"),
     ),
     "light": (
         ("light",),

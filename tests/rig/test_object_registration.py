@@ -10,11 +10,12 @@ from made import made
 
 from irodori.config.capture_table import Pose
 from irodori.config.definitions import load_definitions, read_yaml
-from irodori.config.models import Camera, Object, Optics, Placing, Rig
+from irodori.config.models import Camera, Markers, Object, Optics, Placing, Rig
 from irodori.config.parts import PhotographedObject, RigGeometry
 from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.geometry.shapes.shape import Shape
+from irodori.rectification.marker_sheet import find_corners
 from irodori.rectification.object_registration import Registered, register, register_object
 from irodori.rectification.placement_correction import QUANTITIES, Correction
 from irodori.rectification.stage import RigSetup
@@ -49,11 +50,11 @@ def an_object(definitions, shape, pattern=None, **changes):
     return definition
 
 
-def photographs(folder, definitions, definition, poses, laid_off=(0.0,) * 6, *, lies=None, ends=None):
+def photographs(folder, definitions, definition, poses, laid_off=(0.0,) * 6, *, lies=None, ends=None, markers=None):
     """Linear files of what the virtual rig sees: the object laid off by three mm and three degrees, with noise.
 
     ``lies`` are poses that the files state in place of the real ones, and ``ends`` the columns after which the frame
-    ends, both by number.
+    ends, both by number. With ``markers``, the object stands on the printed sheet.
     """
     camera, rig = copy.deepcopy(definitions["cameras"]["d5100-comb"]), copy.deepcopy(definitions["rigs"]["virtual"])
     off = {"enabled": True, "translation_mm": list(laid_off[:3]), "rotation_deg": list(laid_off[3:])}
@@ -65,7 +66,7 @@ def photographs(folder, definitions, definition, poses, laid_off=(0.0,) * 6, *, 
         [],
     )
     for number, pose in enumerate(poses):
-        mosaic = object_mosaic(sample, made(Camera, camera), made(Rig, rig), pose, STRAIGHT, weights)
+        mosaic = object_mosaic(sample, made(Camera, camera), made(Rig, rig), pose, STRAIGHT, weights, markers=markers)
         green = 0.5 * (mosaic[::2, 1::2] + mosaic[1::2, ::2])
         response = np.stack([mosaic[::2, ::2], green, mosaic[1::2, 1::2]], axis=-1)
         response = response / weights.sum(axis=1) + rng.normal(0.0, NOISE, response.shape)
@@ -234,3 +235,44 @@ def test_photographs_cut_off_by_the_frame_tell_by_what_they_show(tmp_path, defin
     result = register(files, made(Object | PhotographedObject, definition), as_typed(definitions), Placing())
     off = np.abs(np.array(result.correction.values[:6]) - laid_off)
     assert off[:3].max() <= 0.1 and off[3:].max() <= 0.05
+
+
+#: A sheet that the rig's camera sees almost whole, in squares of 24 superpixels.
+SMALL_SHEET = Markers.of({"paper": "A6"})
+
+
+def test_the_rig_shows_the_printed_sheet_where_it_lies(tmp_path, definitions):
+    """Under a ball of 20 mm, 3 and -2 mm off the middle and turned by 5 degrees; pinhole and table written out."""
+    definition = an_object(definitions, {"kind": "sphere", "radius_mm": 20.0}, {"kind": "uniform"})
+    pose = Pose(60.0, 20.0, 10.0, 30.0)
+    (file,) = photographs(tmp_path, definitions, definition, [pose], markers=SMALL_SHEET)
+    plane, seen = find_corners(file)
+    assert len(plane) > 20
+    c, s = math.cos(math.radians(5.0)), math.sin(math.radians(5.0))
+    x, y = 8.5 * (plane - [8.0, 5.5]).T * [[1.0], [-1.0]]
+    x, y = c * x - s * y + 3.0, s * x + c * y - 2.0
+    c, s = math.cos(math.radians(30.0)), math.sin(math.radians(30.0))
+    x, y = c * x - s * y, s * x + c * y
+    # Tilt and camera angle turn about the same axis.
+    c, s = math.cos(math.radians(30.0)), math.sin(math.radians(30.0))
+    right, depth = c * x - s * 20.0, 900.0 + s * x + c * 20.0
+    camera = as_typed(definitions).pinhole
+    mosaic = camera.focal_px * np.stack([right / depth, -y / depth], axis=1) + camera.centre_px
+    off = np.linalg.norm(seen - (mosaic / 2.0 - 0.5), axis=1)
+    assert np.median(off) < 0.1 and off.max() < 0.4
+
+
+@pytest.mark.heavy
+def test_a_uniform_sphere_on_the_sheet_tells_where_the_camera_stands(tmp_path, definitions):
+    definition = an_object(definitions, {"kind": "sphere", "radius_mm": 20.0}, {"kind": "uniform"})
+    laid_off, setup = (1.5, -1.0, 0.5, 0.0, 0.0, 0.0), as_typed(definitions, 850.0, 52.5)
+    files = photographs(tmp_path, definitions, definition, POSES, laid_off, markers=SMALL_SHEET)
+    whole = made(Object | PhotographedObject, definition)
+    with_sheet, without = (register(files, whole, setup, Placing(), markers) for markers in (SMALL_SHEET, None))
+    values = np.array(with_sheet.correction.values)
+    # The rest is the bias of an outline in half-shadow, seen before the black of a print, which is not quite black.
+    assert np.abs(values[:3] - laid_off[:3]).max() <= 0.15 and (values[3:6] == 0.0).all()
+    focal, sigma = 100.0 * (50.0 / 52.5 - 1.0), with_sheet.sigma
+    assert abs(values[6] - 50.0) < 2.0 * sigma[6] < 8.0 and abs(values[7] - focal) < 2.0 * sigma[7] < 0.5
+    assert error_at_object_mm(definitions, setup, with_sheet, definition, laid_off) <= 0.12
+    assert abs(without.correction.values[6] - 50.0) > 20.0

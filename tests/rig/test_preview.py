@@ -2,20 +2,24 @@
 
 import re
 import shutil
+from types import SimpleNamespace
 
 import numpy as np
+import pytest
 from made import made
 from sessions import definitions
 from test_check import project, write  # noqa: F401 - the fixture of a project of files
 
-from irodori.check.contact_sheet import angles_in_words
+from irodori.check.contact_sheet import ContactSheet, angles_in_words
 from irodori.command_line import main
-from irodori.config.capture_table import Pose
+from irodori.config.capture_table import Pose, Shot
 from irodori.config.models import Object, Optics
 from irodori.geometry.pinhole import Pinhole
 from irodori.geometry.projected_outline import silhouette, svg_path
 from irodori.geometry.shapes.shape import Shape
 from irodori.ingest.mosaic import decode
+from irodori.lens.printed_sheets import OBJECT_SHEET
+from irodori.simulation.virtual_rig.dng_writer import write_dng
 
 OPTICS = {"focal_length_mm": 50.0, "pixel_pitch_um": 20.0, "width_px": 400, "height_px": 300,
           "principal_point_px": [200.0, 150.0]}  # fmt: skip
@@ -86,3 +90,23 @@ def test_the_path_runs_about_what_is_covered():
     mask = np.zeros((4, 5), dtype=bool)
     mask[1:3, 1:4] = True
     assert sorted(re.findall(r"M\d+ \d+[hv]\d+", svg_path(mask))) == ["M1 1h3", "M1 1v2", "M1 3h3", "M4 1v2"]
+
+
+@pytest.mark.parametrize("markers, corners", [({"paper": "A4"}, 48), (None, 0)])
+def test_the_corners_of_the_printed_sheet_that_are_found_are_drawn(tmp_path, markers, corners):
+    drawn = 0.1 + 0.8 * OBJECT_SHEET.picture(24) / 255.0
+    level = np.pad(drawn, 40, constant_values=0.5).repeat(2, axis=0).repeat(2, axis=1)
+    mosaic = (512 + 9000 * level).astype(np.uint16)
+    write_dng(tmp_path / "a.dng", mosaic, black_level=512, white_level=16383, exposure_s=0.02, model="test")
+    plate, _, _ = definitions()
+    definition = made(Object, plate | ({} if markers is None else {"markers": markers}))
+    loaded = SimpleNamespace(objects={"plate": definition}, cameras={"eye": SimpleNamespace(optics=None)})
+    one = SimpleNamespace(kind="objects", name="objects/plate", subject="plate", camera="eye")
+    shot = Shot("a.dng", "object", Pose(45.0, 0.0), "out", 0.02)
+    sheet = ContactSheet(loaded)
+    sheet.add(one, shot, tmp_path / "a.dng", decode(tmp_path / "a.dng"))
+    (picture,) = sheet.sets["objects/plate"]
+    assert len(picture.patches) == corners and ("48 corners of the printed sheet" in picture.caption) == bool(corners)
+    middles = {tuple(np.array([p.split(",") for p in patch.split()], float).mean(axis=0)) for patch in picture.patches}
+    # In superpixels whose left edge is an integer: the first corner lies one square from the first of the board.
+    assert not corners or min(np.hypot(x - 64.0, y - 64.0) for x, y in middles) < 0.2

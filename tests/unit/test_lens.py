@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import yaml
 from documented import of_kind, words_of
-from drawn_sheets import HEIGHT, PITCH_UM, PLACES, STRAIGHT, TRUE, WIDTH, photographed, seen_sheet, store
+from drawn_sheets import COLUMNS, HEIGHT, PITCH_UM, PLACES, ROWS, STRAIGHT, TRUE, WIDTH, photographed, seen_sheet, store
 from made import made
 from scipy.spatial.transform import Rotation
 
@@ -14,14 +14,14 @@ from irodori.config.models import Optics
 from irodori.core.errors import InputError
 from irodori.geometry.distortion import COEFFICIENTS
 from irodori.geometry.pinhole import Pinhole
-from irodori.lens.calibration_sheet import COLUMNS, PAPERS_MM, ROWS, board_picture, find_corners, write_sheet
 from irodori.lens.lens_file import LensFile, optics_in_use
 from irodori.lens.lens_models import Sheet, fit_lens, simplest
+from irodori.lens.printed_sheets import LENS_SHEET, OBJECT_SHEET
 from irodori.lens.stage import MeasuredLens, calibrate_lens, compared
 
 
 def corners(lens: Pinhole, places, sigma=0.02, seed=1) -> list[Sheet]:
-    """Corners as `find_corners` would find them, with errors of a standard deviation in superpixels."""
+    """Corners as the sheet's `find` would find them, with errors of a standard deviation in superpixels."""
     random = np.random.default_rng(seed)
     plane = np.stack(np.meshgrid(np.arange(1, COLUMNS), np.arange(1, ROWS)), axis=-1).reshape(-1, 2)
     sheets = []
@@ -117,20 +117,31 @@ def test_photographs_of_several_sizes_are_refused(tmp_path, capsys):
     assert "sheet01.dng: size: found 1200 x 400 pixels; accepted: 1200 x 800" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("paper", PAPERS_MM)
-def test_the_printed_sheet_is_of_its_size_and_is_found(tmp_path, paper):
+@pytest.mark.parametrize(
+    "sheet, corners, paper",
+    [
+        *[
+            pytest.param(LENS_SHEET, (COLUMNS - 1) * (ROWS - 1), paper, id=f"lens {paper}")
+            for paper in LENS_SHEET.papers_mm
+        ],
+        # A ring of two squares: the outline of 15 by 10 corners, and two corners of the black middle.
+        *[pytest.param(OBJECT_SHEET, 48, paper, id=f"object {paper}") for paper in OBJECT_SHEET.papers_mm],
+    ],
+)
+def test_a_printed_sheet_is_of_its_size_and_is_found_as_itself(tmp_path, sheet, corners, paper):
     """A page of the stated size; of its picture, with print and paper of ordinary brightness, all corners are seen."""
-    write_sheet(tmp_path / "sheet.pdf", paper)
-    width_mm, height_mm, square_mm = PAPERS_MM[paper]
+    sheet.write(tmp_path / "sheet.pdf", paper)
+    width_mm, height_mm, square_mm = sheet.papers_mm[paper]
     text = (tmp_path / "sheet.pdf").read_bytes()
     box = text[text.index(b"/MediaBox") :].split(b"[")[1].split(b"]")[0].split()
     assert [float(value) * 25.4 / 72.0 for value in box[2:]] == pytest.approx([width_mm, height_mm], abs=0.1)
-    assert COLUMNS * square_mm < width_mm - 10 and ROWS * square_mm < height_mm - 10
-    plane, seen = find_corners(
-        np.pad(0.1 + 0.8 * board_picture(20).astype(np.float32) / 255.0, 30, constant_values=0.9)
-    )
-    assert len(plane) == (COLUMNS - 1) * (ROWS - 1)
+    assert sheet.columns * square_mm < width_mm - 10 and sheet.rows * square_mm < height_mm - 10
+    picture = np.pad(0.1 + 0.8 * sheet.picture(20).astype(np.float32) / 255.0, 30, constant_values=0.9)
+    plane, seen = sheet.find(picture)
+    assert len(plane) == corners
     np.testing.assert_allclose(seen, plane * 20.0 + 29.5, atol=0.1)
+    other = LENS_SHEET if sheet is OBJECT_SHEET else OBJECT_SHEET
+    assert len(other.find(picture)[0]) == 0
 
 
 def test_the_sheet_has_a_name_and_a_folder_or_is_refused(tmp_path, capsys):
@@ -205,7 +216,7 @@ def test_coefficients_come_in_the_order_of_opencv():
 
 
 def test_a_black_picture_shows_no_sheet():
-    plane, seen = find_corners(np.zeros((50, 60), np.float32))
+    plane, seen = LENS_SHEET.find(np.zeros((50, 60), np.float32))
     assert len(plane) == len(seen) == 0
 
 

@@ -66,6 +66,17 @@ def test_of_two_edges_the_greater_step_is_taken():
     np.testing.assert_allclose(edge_distances(seen, seen.level(0.0), xy, out, 8.0), 7.0, atol=0.1)
 
 
+def test_before_something_dark_the_end_of_the_lit_part_is_no_outline():
+    """From the dark side outward: the lit part begins by a greater step than that with which it ends."""
+    response = edge(34.0, 0.0, 1.0) * edge(46.0, 0.1, 0.03)
+    seen, xy, out = picture(response), np.array([[40.0, 40.0]]), np.array([[1.0, 0.0]])
+    np.testing.assert_allclose(edge_distances(seen, seen.level(0.0), xy, out, 8.0), -6.0, atol=0.2)
+    found = edge_distances(seen, seen.level(0.0), xy, out, 8.0, is_dark_outside=True)
+    np.testing.assert_allclose(found, 6.0, atol=0.2)
+    bright = picture(edge(41.0, 0.03, 0.1))
+    assert np.isnan(edge_distances(bright, bright.level(0.0), xy, out, 8.0, is_dark_outside=True)).all()
+
+
 def normals_of(curve):
     """Unit normals of a closed curve's points, to either side."""
     along = np.roll(curve, -1, axis=0) - np.roll(curve, 1, axis=0)

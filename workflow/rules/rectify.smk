@@ -21,6 +21,7 @@ rule register_object:
         white_pose=sets.white_pose,
         rig=sets.rig_geometry,
         place=lookup(within=config, dpath="place"),
+        markers=sets.markers,
         user_files=ledger.content(sets.mesh),
         code=code_hash("irodori.rectification.object_registration", "irodori.lens.lens_file"),
     script:

@@ -1,4 +1,4 @@
-from irodori.config.models import Optics, Placing, RigPose
+from irodori.config.models import Markers, Optics, Placing, RigPose
 from irodori.config.parts import RigGeometry, TexturedObject
 from irodori.core.run_rule import run_rule
 from irodori.lens.lens_file import optics_in_use
@@ -6,7 +6,7 @@ from irodori.rectification.object_registration import register_object
 from irodori.rectification.stage import RigSetup
 
 with run_rule(snakemake) as provenance:
-    white = snakemake.params.white_pose
+    white, markers = snakemake.params.white_pose, snakemake.params.markers
     register_object(
         snakemake.input.linear,
         TexturedObject.of({"shape": snakemake.params.shape, "texels": snakemake.params.texels}),
@@ -16,6 +16,7 @@ with run_rule(snakemake) as provenance:
             RigPose.of(white) if white else None,
         ),
         Placing.of(snakemake.params.place),
+        Markers.of(markers) if markers else None,
         output=snakemake.output.registration,
         provenance=provenance,
     )

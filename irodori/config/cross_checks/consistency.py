@@ -198,6 +198,9 @@ class _Checks:
         shape_files(definition.shape, self.root)
         check_index(definition.refractive_index, self.root, file, "refractive_index")
         check_lobes(definition, self.all.config.fit, file)
+        if definition.markers is not None and not self.all.config.place.register:
+            found = "given, though place.register is false and nothing reads it"
+            raise InputError(file, "markers", found, "place.register: true in the configuration, or no markers")
         for key in ("alpha", "beta", "mu_rad"):
             low, high = getattr(definition.plan, key)
             if low > high:

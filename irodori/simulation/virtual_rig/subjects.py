@@ -5,11 +5,13 @@ the brightest band.
 """
 
 import math
+from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
 from irodori.config.capture_table import Pose, flat_incidence_rad
-from irodori.config.models import Camera, Chart, EnvironmentDefinition, LevelPatch, Rig
+from irodori.config.models import Camera, Chart, EnvironmentDefinition, LevelPatch, Markers, Rig
 from irodori.geometry.embree import Tracer
 from irodori.geometry.lamp import Lamp
 from irodori.geometry.pinhole import Pinhole
@@ -33,6 +35,10 @@ from irodori.spectra.white_reference import white_reflectance
 _PATCH_FILL = 0.42  # half of a patch's side, as a fraction of the pitch between patches
 _BORDER_REFLECTANCE = 0.03
 _GREY = 0.5  # reflectance factor of a patch that states none
+_INK, _PAPER = 0.05, 0.8  # reflectance factors of a printed sheet
+#: Where the printed sheet lies on the table, along x and y, mm, and its turn, degrees: no one lays it exactly.
+_SHEET_AT_MM, _SHEET_TURN_DEG = (3.0, -2.0), 5.0
+_SQUARE_SAMPLES = 60  # samples of the drawn sheet along a square
 _BLOCK_ROWS = 64
 
 
@@ -51,8 +57,9 @@ def object_mosaic(
     band_weights,
     *,
     patch: LevelPatch | None = None,
+    markers: Markers | None = None,
 ) -> np.ndarray:
-    """Return the mosaic of an object on the table, and of the patch that tells the lamp's level.
+    """Return the mosaic of an object on the table, of the patch that tells the lamp's level, and of a printed sheet.
 
     Parameters
     ----------
@@ -67,6 +74,8 @@ def object_mosaic(
     patch : LevelPatch, optional
         Matt card of one reflectance factor, `_GREY` if it states none. The card is a fifth wider than the square that
         is measured.
+    markers : Markers, optional
+        The printed sheet, which lies under the object, somewhat off the middle of the table.
     """
     assert camera.optics is not None and rig.virtual is not None  # checked: the rig is virtual, its camera has optics
     rotation = rig_from_object(pose)
@@ -86,17 +95,60 @@ def object_mosaic(
         lies = Placement(sample.shape, rotation @ rotation_xyz(off.rotation_deg), way)
     tracer = Tracer([lies, *table])
     picture = expose_object(sample, tracer, view, band_weights)
+    if markers is not None:
+        height_mm = sample.shape.table_height_mm if markers.z_mm is None else markers.z_mm
+        _add_card(picture, _sheet(markers, height_mm, rotation), pose, tracer, view, band_weights)
     if patch is not None:
-        _add_patch(picture, patch, pose, tracer, view, band_weights)
+        _add_card(picture, _level_card(patch, rotation), pose, tracer, view, band_weights)
     return picture
 
 
-def _add_patch(picture: np.ndarray, patch: LevelPatch, pose: Pose, tracer: Tracer, view: RigView, band_weights) -> None:
-    """Put a matt patch into the picture of an object, which may hide or shade it; the table does neither."""
-    rotation = rig_from_object(pose) if patch.moves_with_table else np.eye(3)
-    centre, normal, eye = rotation @ np.array(patch.centre_mm), rotation[:, 2], np.asarray(view.position_mm)
-    alone, start = Tracer(list(tracer.placements[:1])), 1e-4 * patch.side_mm * normal
-    bands = (patch.reflectance_factor or _GREY) * np.asarray(band_weights).sum(axis=1)
+class _Card(NamedTuple):
+    """A flat matt thing: its middle (3,) mm and axes (3, 3) in the rig's frame, half its sides (2,) mm, reflectance.
+
+    ``reflectance`` takes places on it, (n, 2) mm from its middle, and returns reflectance factors, (n,).
+    """
+
+    centre: np.ndarray
+    axes: np.ndarray
+    half: np.ndarray
+    reflectance: Callable[[np.ndarray], np.ndarray]
+
+
+def _level_card(patch: LevelPatch, table: np.ndarray) -> _Card:
+    """Return the patch that tells the lamp's level; ``table`` is the rotation of the table."""
+    axes, factor = table if patch.moves_with_table else np.eye(3), patch.reflectance_factor or _GREY
+    half = np.full(2, 0.6 * patch.side_mm)
+    return _Card(axes @ np.array(patch.centre_mm), axes, half, lambda place: np.full(len(place), factor))
+
+
+def _sheet(markers: Markers, height_mm: float, table: np.ndarray) -> _Card:
+    """Return the printed sheet at a height above the origin; ``table`` is the rotation of the table."""
+    from irodori.lens.printed_sheets import OBJECT_SHEET
+
+    width_mm, length_mm, square_mm = OBJECT_SHEET.papers_mm[markers.paper]
+    scale = (markers.square_mm or square_mm) / square_mm
+    drawn = OBJECT_SHEET.picture(_SQUARE_SAMPLES)
+
+    def reflectance(place: np.ndarray) -> np.ndarray:
+        per_mm = _SQUARE_SAMPLES / (scale * square_mm)
+        column = np.floor(place[:, 0] * per_mm + drawn.shape[1] / 2).astype(int)
+        row = np.floor(drawn.shape[0] / 2 - place[:, 1] * per_mm).astype(int)
+        printed = (column >= 0) & (column < drawn.shape[1]) & (row >= 0) & (row < drawn.shape[0])
+        black = np.zeros(len(place), dtype=bool)
+        black[printed] = drawn[row[printed], column[printed]] == 0
+        return np.where(black, _INK, _PAPER)
+
+    axes = table @ rotation_xyz((0.0, 0.0, _SHEET_TURN_DEG))
+    half = 0.5 * scale * np.array([width_mm, length_mm])
+    return _Card(table @ np.array([*_SHEET_AT_MM, height_mm]), axes, half, reflectance)
+
+
+def _add_card(picture: np.ndarray, card: _Card, pose: Pose, tracer: Tracer, view: RigView, band_weights) -> None:
+    """Put a flat matt thing into the picture of an object, which may hide or shade it; the table does neither."""
+    normal, eye = card.axes[:, 2], np.asarray(view.position_mm)
+    alone, start = Tracer(list(tracer.placements[:1])), 1e-4 * card.half.min() * normal
+    bands = np.asarray(band_weights).sum(axis=1)
     height, width = picture.shape
     added, covered = np.empty_like(picture), np.empty_like(picture)
     for first in range(0, height, _BLOCK_ROWS):
@@ -106,17 +158,22 @@ def _add_patch(picture: np.ndarray, patch: LevelPatch, pose: Pose, tracer: Trace
         seen = np.stack(np.broadcast_arrays(x, y, 1.0), axis=-1) @ np.asarray(view.ideal_from_seen).T
         way = view.pinhole.directions(seen, view.world_from_camera)
         with np.errstate(divide="ignore", invalid="ignore"):
-            along = ((centre - eye) @ normal) / (way @ normal)
-            across = (eye + along[..., None] * way - centre) @ rotation
-        is_patch = (np.abs(across[..., :2]) < 0.6 * patch.side_mm).all(axis=-1) & (along > 0.0) & (way @ normal < 0.0)
-        place = eye + along[is_patch][:, None] * way[is_patch] + start
-        is_patch[is_patch] = is_seen = ~alone.occluded(place, -way[is_patch], far=along[is_patch])
+            along = ((card.centre - eye) @ normal) / (way @ normal)
+            across = ((eye + along[..., None] * way - card.centre) @ card.axes)[..., :2]
+        is_card = (np.abs(across) < card.half).all(axis=-1) & (along > 0.0) & (way @ normal < 0.0)
+        place = eye + along[is_card][:, None] * way[is_card] + start
+        is_card[is_card] = is_seen = ~alone.occluded(place, -way[is_card], far=along[is_card])
         place = place[is_seen]
         light, power, far = view.lamp.seen_from(place, pose)
-        lit = power * np.maximum(light @ normal, 0.0) * ~alone.occluded(place, light, far=far)
+        lit = (
+            card.reflectance(across[is_card])
+            * power
+            * np.maximum(light @ normal, 0.0)
+            * ~alone.occluded(place, light, far=far)
+        )
         for out, values in ((added, lit[:, None] * bands), (covered, np.ones((len(place), 3)))):
-            points = np.zeros((*is_patch.shape, 3))
-            points[is_patch] = values
+            points = np.zeros((*is_card.shape, 3))
+            points[is_card] = values
             gather_rows(points, first, out)
     picture *= 1.0 - covered
     picture += added

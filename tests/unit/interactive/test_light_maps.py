@@ -72,7 +72,7 @@ OPTIONS = made(Render, Render(pixel_side=2, min_throughput=1e-3))
 def scene_of(integrator, lights=(), **more) -> Scene:
     stands = [{"object": name, "position_mm": [0.0, 0.0, z]} for name, z in (("table", 0.0), ("ball", 20.1))]
     view = {"position_mm": [0.0, -200.0, 90.0], "target_mm": [0.0, 0.0, 12.0], "field_of_view_deg": 22.0}
-    return made(Scene, {"image": {"width": 48, "height": 36}, "objects": stands, "views": {"v": view},
+    return made(Scene, {"image": {"width": 32, "height": 24}, "objects": stands, "views": {"v": view},
                         "integrator": integrator, "lights": list(lights), **more})  # fmt: skip
 
 
@@ -86,6 +86,7 @@ MAPS = {"kind": "interactive", "light_maps": True}
 LAMP = {"kind": "collimated", "spectrum": "D65", "azimuth_deg": -60.0, "elevation_deg": 40.0, "irradiance": 2.0}
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("lights", [(), (LAMP,)], ids=["sky", "sky and a lamp"])
 def test_with_light_maps_a_picture_of_dull_objects_is_near_the_path_traced_one(lights):
     """Shadows, light between coloured objects, and that of a lamp that others reflect; nothing is counted twice."""
