@@ -13,7 +13,7 @@ from test_check import project, write  # noqa: F401 - the fixture of a project o
 from irodori.check.contact_sheet import ContactSheet, angles_in_words
 from irodori.command_line import main
 from irodori.config.capture_table import Pose, Shot
-from irodori.config.models import Object, Optics
+from irodori.config.models import Object, Optics, Rig
 from irodori.geometry.pinhole import Pinhole
 from irodori.geometry.projected_outline import silhouette, svg_path
 from irodori.geometry.shapes.shape import Shape
@@ -98,9 +98,10 @@ def test_the_corners_of_the_printed_sheet_that_are_found_are_drawn(tmp_path, mar
     level = np.pad(drawn, 40, constant_values=0.5).repeat(2, axis=0).repeat(2, axis=1)
     mosaic = (512 + 9000 * level).astype(np.uint16)
     write_dng(tmp_path / "a.dng", mosaic, black_level=512, white_level=16383, exposure_s=0.02, model="test")
-    plate, _, _ = definitions()
+    plate, _, rig = definitions()
     definition = made(Object, plate | ({} if markers is None else {"markers": markers}))
-    loaded = SimpleNamespace(objects={"plate": definition}, cameras={"eye": SimpleNamespace(optics=None)})
+    loaded = SimpleNamespace(objects={"plate": definition}, cameras={"eye": SimpleNamespace(optics=None, rig="table")},
+                             rigs={"table": made(Rig, rig)})  # fmt: skip
     one = SimpleNamespace(kind="objects", name="objects/plate", subject="plate", camera="eye")
     shot = Shot("a.dng", "object", Pose(45.0, 0.0), "out", 0.02)
     sheet = ContactSheet(loaded)
