@@ -336,7 +336,7 @@ def prepared(folder, **given) -> tuple[np.ndarray, dict]:
 
 def test_the_lamps_of_a_place_are_told_by_charts_by_what_is_named_or_by_what_is_published(tmp_path, seen, caplog):
     place(tmp_path, seen)
-    few = light_prior(published_lamps()[::9])
+    few = light_prior(published_lamps()[::30])
     desk = {"desk": photographed(tmp_path, seen, lamp("FL11"))}
     found, told = {}, {}
     for name, given in {
