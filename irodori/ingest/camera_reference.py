@@ -1,6 +1,8 @@
 """Normalisation data of a camera: dark signal, hot pixels, white reference, noise, linearity."""
 
+from collections import defaultdict
 from dataclasses import dataclass
+from itertools import zip_longest
 
 import numpy as np
 
@@ -190,15 +192,10 @@ def _write_noise(out: store.Writer, noise: PhotonTransfer) -> None:
 
 def _repeats(group: list[Shot]) -> list[list[Shot]]:
     """Group shots into brackets of distinct exposures: the first shots of each exposure, then the second, and so on."""
-    rounds: list[list[Shot]] = []
-    seen: dict[tuple, int] = {}
+    equal: dict[tuple, list[Shot]] = defaultdict(list)
     for shot in group:
-        key = (shot.exposure_s, shot.iso, shot.f_number)
-        seen[key] = seen.get(key, -1) + 1
-        if seen[key] == len(rounds):
-            rounds.append([])
-        rounds[seen[key]].append(shot)
-    return rounds
+        equal[shot.exposure_s, shot.iso, shot.f_number].append(shot)
+    return [[shot for shot in bracket if shot] for bracket in zip_longest(*equal.values())]
 
 
 def _white(reference: Reference, group: list[Shot], table, folder, reflectance: float, options: IngestOptions):
