@@ -342,6 +342,14 @@ def test_a_dark_signal_below_one_digital_number_counts_in_dim_light(tmp_path):
             assert np.allclose(file.read("response"), 7.6 / 3999.6, rtol=2e-3)
 
 
+def test_white_frames_that_repeat_an_exposure_are_brackets_of_their_own_that_count_alike(tmp_path):
+    """Two of one exposure and one of half: a bracket of both exposures, and a frame alone under a brighter lamp."""
+    numbers = [("white", t, 100, BLACK + level) for t, level in ((0.02, 4000), (0.02, 4400), (0.01, 2000))]
+    numbers.append(("object", 0.02, 100, BLACK + 1050))
+    with store.open_file(photographs(tmp_path, numbers, SUPERPIXELS)) as file:
+        assert np.allclose(file.read("response"), 0.25, rtol=1e-3)
+
+
 def test_a_white_reference_serves_while_half_of_it_is_not_saturated(tmp_path):
     """What is left of an even light tells it, and what is less than half of the picture does not."""
     for share, serves in ((0.42, True), (0.58, False)):

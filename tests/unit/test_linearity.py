@@ -135,6 +135,29 @@ def plain_series(folder, rate, dark_rate=0.0, iso=0.0, spoiled=(), offset=0):
     return shots
 
 
+@pytest.mark.parametrize("curved", ["R", "B"])
+def test_of_a_camera_the_colour_that_deviates_most_is_told(tmp_path, curved):
+    """One colour falls short by a fifth in the longest of three exposures, as its place in the mosaic alone shows."""
+    shots = []
+    for number, exposure_s in enumerate((0.01, 0.02, 0.04)):
+        mosaic = np.full((64, 96), BLACK + 100_000 * exposure_s)
+        rate = 0.8 if exposure_s == 0.04 else 1.0
+        place = (slice(0, None, 2),) * 2 if curved == "R" else (slice(1, None, 2),) * 2
+        mosaic[place] = BLACK + rate * 60_000 * exposure_s
+        dng(tmp_path / f"{number}.dng", np.rint(mosaic).astype(np.uint16), exposure_s=exposure_s)
+        shots.append(Shot(f"{number}.dng", "white", Pose(45.0, 0.0), "out", exposure_s))
+    found = measure_linearity(shots, tmp_path / "t.csv", tmp_path, None, 0.2)
+    expected = np.array([1.0, 1.0, 0.8]) / (2.8 / 3.0) - 1.0
+    assert found.deviation == pytest.approx(expected, abs=1e-3) and found.exposure_s == (0.01, 0.02, 0.04)
+    # A twentieth of a colour's pixels has to be below nine tenths of the range.
+    for share, counted in ((0.04, 0.0), (0.06, 1.0)):
+        spoilt = np.full((64, 96), 16000)
+        spoilt[:, : round(96 * share / 2) * 2] = BLACK + 4000
+        dng(tmp_path / "2.dng", spoilt.astype(np.uint16), exposure_s=0.04)
+        measured_ = measure_linearity(shots, tmp_path / "t.csv", tmp_path, None, 0.5)
+        assert (measured_ is not None) == bool(counted)
+
+
 def dark_of(rate: float, hot=((0, 0),)) -> Dark:
     return Dark(None, np.ones((64, 96), np.int16), 0.0, rate, 100.0, (1.0,), np.array(hot, np.int32))
 
