@@ -160,6 +160,9 @@ def test_blocks_are_squares_of_texels_that_grow_with_the_blur():
     assert len({found[0, 0], found[0, 6], found[6, 0], found[6, 6]}) == 4
     assert len(np.unique(found)) == 4 * 2  # those at the right and at the bottom are smaller
     assert len(np.unique(blocks(20, 12, 2.0, 100.0))) == 1 and len(np.unique(blocks(20, 10, 2.0, 0.1))) == 8
+    for blur, side in ((0.1, 5), (1.5, 12), (1.57, 13), (100.0, 20)):  # eight standard deviations, 5 to 20 texels
+        found = blocks(50, 45, 1.0, blur).reshape(45, 50)
+        assert (found[0] == found[0, 0]).sum() == (found[:, 0] == found[0, 0]).sum() == side
 
 
 def test_the_slope_over_a_picture_is_that_of_a_plane():
