@@ -197,6 +197,18 @@ def test_a_table_is_what_its_module_makes(name, entry):
     assert made.rest == pytest.approx(rest, rel=1e-2)
 
 
+def test_a_lobe_narrower_than_the_finest_width_is_that_of_the_finest_width_and_keeps_its_power():
+    made = fit_lobe(0.002, 0.5)
+    _, value, cos_h, solid_angle = lobe_samples(0.002, 0.5)
+    power = (value * solid_angle).sum()
+    assert not made.width.any() and made.weight.sum() == pytest.approx(power, rel=0.02)
+    # Strongest first; about the mirror direction, where facets reflect that stand along the normal.
+    assert (np.diff(made.weight) <= 0.0).all()
+    assert (made.weight @ made.offset) / power == pytest.approx(0.0, abs=0.002)
+    mean = (((1.0 - cos_h) ** 5) @ (value * solid_angle) / power) ** 0.2
+    assert made.incidence + 0.5 == pytest.approx(math.acos(1.0 - mean), abs=0.01)
+
+
 def test_the_command_writes_the_table_that_is_stored(tmp_path, monkeypatch):
     """Four entries of it, for all take minutes."""
     lobes, some = fitted_lobes("gaussian"), np.ix_([2, 3], [8, 9])

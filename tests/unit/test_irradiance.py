@@ -159,6 +159,25 @@ def test_a_smooth_sky_takes_a_small_map_and_a_sun_a_large_one():
     assert bounded["height"] == 64 and bounded["max_error"] > 1e-6
 
 
+@pytest.mark.parametrize(
+    ("most", "max_error", "height"), [(20, 1e-6, 20), (50, 1e-6, 50), (50, 1.0, 32), (200, 0.008, 64)]
+)
+def test_a_map_has_the_first_of_doubled_heights_that_errs_little_and_states_its_errors_between_its_normals(
+    most, max_error, height
+):
+    sky = np.random.default_rng(6).gamma(0.2, 1.0, (24, 48, 2)).astype(np.float32)
+    sky[6, 10] = 60.0
+    found, errors = fitted_irradiance_map(sky, max_error, most)
+    assert found.shape == (height, 2 * height, 2) and errors["height"] == height and found.dtype == np.float32
+    expected, _ = exact(sky, directions(2 * height, height)[0])
+    assert np.abs(found - expected).max() <= 2e-3 * expected.max()
+    between = midpoints(height)
+    true = Integrator(sky)(between)
+    off = np.linalg.norm(irradiance_at(found, between) - true, axis=1) / np.linalg.norm(true, axis=1).max()
+    assert (errors["max_error"], errors["mean_error"]) == pytest.approx((off.max(), off.mean()))
+    assert off.max() <= max_error or height == most
+
+
 @pytest.mark.parametrize("place", [(0, 5), (31, 127), (32, 0), (12, 64)])
 def test_the_stated_error_holds_at_any_normal(place):
     sky = np.full((64, 128, 1), 1e-4, np.float32)
