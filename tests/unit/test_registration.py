@@ -9,6 +9,7 @@ import pytest
 from depth import inputs
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.interpolate import BSpline
 from shortcuts import moving_from_fixed
 
 from benchmarks.plate_pictures import (
@@ -26,6 +27,9 @@ from irodori.ingest.registration.gradient_sums import gradient_moments, least_sh
 from irodori.ingest.registration.pyramid import Pyramid, gradient_energy, noise_of
 from irodori.ingest.registration.similarity import (
     Registration,
+    _has_content,
+    _noise_information,
+    _Pair,
     _residual_px,
     _sigma_px,
     bayer_offsets_px,
@@ -812,3 +816,41 @@ def test_what_a_similarity_leaves_is_the_displacement_that_both_halves_of_a_bloc
     weak = [((1e6, (0.3, 0.0)),) * 2, ((400.0, (0.1, 0.0)),) * 2]
     assert left_of(weak) == pytest.approx(math.sqrt((0.09 + 0.25 * 0.01) / 1.25), rel=1e-3)
     assert math.isnan(left_of([((0.0, (0.0, 0.0)),) * 2]))
+
+
+@pytest.mark.parametrize(
+    ("shape", "coarsest", "finest"),
+    [
+        ((100, 160), 0, 0), ((100, 161), 1, 0), ((640, 480), 2, 0), ((640, 641), 3, 0),
+        # No side of a level is shorter than 24 pixels, unless the picture's own is.
+        ((48, 2000), 1, 0), ((47, 2000), 0, 0), ((20, 400), 0, 0),
+        # Of 800,000 pixels the finest level has no more, and a quarter each level.
+        ((800, 1000), 3, 0), ((800, 1001), 3, 1), ((1600, 2000), 4, 1), ((1600, 2001), 4, 2), ((49, 40000), 1, 1),
+    ],
+)  # fmt: skip
+def test_levels_are_as_coarse_as_the_search_and_as_fine_as_the_pixels_allow(shape, coarsest, finest):
+    pair = _Pair(None, None, shape, None)
+    assert (pair.coarsest, pair.finest) == (coarsest, finest)
+
+
+@pytest.mark.parametrize("scale", [1.0, 4.0])
+def test_noise_simulates_information_by_the_kernel_of_the_derivatives(scale):
+    """At each place by its weight, about the middle of the picture, in superpixels."""
+    rng = np.random.default_rng(10)
+    xy, weight = rng.integers(0, 40, (6, 5, 2)), rng.uniform(0.0, 1.0, (6, 5)).astype(np.float32)
+    level = SimpleNamespace(places=SimpleNamespace(xy=xy, geometry=np.array([scale, 70.0, 60.0, 50.0])), scale=scale)
+    found = _noise_information(level, SimpleNamespace(weight=weight, noise_share=0.2))
+    spline = [BSpline.basis_element(np.arange(-3.0, 4.0), extrapolate=False).derivative(n) for n in range(3)]
+    value, first, second = (np.sum(one(np.arange(-2.0, 3.0)) ** 2) for one in spline)
+    expected = np.zeros((4, 4))
+    for (x, y), w in zip(xy.reshape(-1, 2), weight.ravel(), strict=True):
+        u, v = ((x + 0.5) * scale - 0.5 - 70.0) / 50.0, ((y + 0.5) * scale - 0.5 - 60.0) / 50.0
+        moves = np.array([[1.0, 0.0, u, -v], [0.0, 1.0, v, u]])
+        expected += w * moves.T @ moves
+    np.testing.assert_allclose(found, 0.2 * (second / first + first / value) / scale**2 * expected, rtol=1e-6, atol=1e-9)
+
+
+def test_a_fit_has_content_whose_coherence_is_above_chance_by_four_standard_deviations():
+    for places, least in ((400, 0.3), (10_000, 0.14)):
+        for by, has in ((-0.01, False), (0.01, True)):
+            assert _has_content(SimpleNamespace(coherence=least + by, places=places)) == has
