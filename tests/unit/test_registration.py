@@ -847,7 +847,8 @@ def test_noise_simulates_information_by_the_kernel_of_the_derivatives(scale):
         u, v = ((x + 0.5) * scale - 0.5 - 70.0) / 50.0, ((y + 0.5) * scale - 0.5 - 60.0) / 50.0
         moves = np.array([[1.0, 0.0, u, -v], [0.0, 1.0, v, u]])
         expected += w * moves.T @ moves
-    np.testing.assert_allclose(found, 0.2 * (second / first + first / value) / scale**2 * expected, rtol=1e-6, atol=1e-9)
+    share = 0.2 * (second / first + first / value) / scale**2
+    np.testing.assert_allclose(found, share * expected, rtol=1e-6, atol=1e-9)
 
 
 def test_a_fit_has_content_whose_coherence_is_above_chance_by_four_standard_deviations():
