@@ -11,7 +11,16 @@ from scipy.special import ive
 
 from irodori.core import store
 from irodori.core.errors import InputError
-from irodori.light.blurred_light import WIDTHS_RAD, _bessel_series, first_level, prefiltered
+from irodori.light.blurred_light import (
+    WIDTHS_RAD,
+    _bessel_series,
+    _divided,
+    _row_series,
+    _thinned,
+    first_level,
+    prefiltered,
+    row_angles,
+)
 from irodori.light.environment_file import Environment, directions
 from irodori.light.equirectangular import look_up
 from irodori.light.gloss import lobe_table, make_lobe_table
@@ -134,6 +143,50 @@ def test_constant_light_stays_constant_when_blurred(size):
 def test_the_series_of_a_narrow_lobe_is_of_bessel_functions(z, terms):
     found = _bessel_series(np.zeros((1, 1)), np.array([[z]]), terms)[0]
     assert np.abs(found - ive(np.arange(terms), z)).max() <= 2e-6 * ive(0, z)
+
+
+@pytest.mark.parametrize("size", [(3, 7), (70, 8), (2, 1)])
+def test_the_series_of_a_row_is_that_of_light_which_is_even_over_each_pixel(size):
+    """Also of more terms than there are pixels; written out: the integral of exp(-imφ) over each pixel."""
+    height, width = size
+    sky = np.random.default_rng(4).uniform(0.0, 1.0, (height, width, 2))
+    found = _row_series(sky, 3 * width + 2)
+    edges, solid_angle = 2.0 * np.pi * np.arange(width + 1) / width, directions(width, height)[1]
+    for m in range(3 * width + 2):
+        whole = edges if m == 0 else 1j * np.exp(-1j * m * edges) / m
+        mean = np.diff(whole) * width / (2.0 * np.pi)
+        expected = np.einsum("yxk,yx,x->yk", sky, solid_angle, mean)
+        np.testing.assert_allclose(found[:, m], expected, atol=1e-5 * solid_angle.max() * width)
+
+
+@pytest.mark.parametrize("parts", [1, 3])
+def test_a_divided_row_keeps_its_light_each_part_by_its_solid_angle(parts):
+    series = np.random.default_rng(5).normal(size=(4, 6, 2)).astype(np.complex64)
+    found, theta = _divided(series, parts)
+    fine = directions(1, 4 * parts)[1][:, 0]
+    np.testing.assert_allclose(theta, row_angles(4 * parts))
+    edges = np.cos(np.linspace(0.0, np.pi, 4 * parts + 1))
+    np.testing.assert_allclose(np.cos(theta), (edges[1:] + edges[:-1]) / 2.0, atol=1e-12)
+    for row in range(4):
+        own = slice(row * parts, (row + 1) * parts)
+        expected = fine[own, None, None] / fine[own].sum() * series[row]
+        np.testing.assert_allclose(found[own], expected, rtol=1e-5, atol=1e-7)
+
+
+@pytest.mark.parametrize("height", [2, 7, 10])
+def test_of_half_as_many_rows_each_has_the_light_of_those_about_it_and_beyond_a_pole_half_a_turn_away(height):
+    series = np.random.default_rng(6).normal(size=(height, 5, 2)).astype(np.complex64)
+    theta = row_angles(height)
+    found, places = _thinned(series, theta)
+    rows = height // 2
+    np.testing.assert_allclose(places, np.pi * (np.arange(rows) + 0.5) / rows)
+    expected = np.zeros((rows, 5, 2), complex)
+    for one, angle in zip(series, theta, strict=True):
+        at = angle / np.pi * rows - 0.5
+        for row, share in ((math.floor(at), 1.0 - at % 1.0), (math.floor(at) + 1, at % 1.0)):
+            turned = 1.0 if 0 <= row < rows else (-1.0) ** np.arange(5)[:, None]
+            expected[min(max(row, 0), rows - 1)] += share * turned * one
+    np.testing.assert_allclose(found, expected, atol=1e-5)
 
 
 @given(height=st.integers(1, 40), width=st.integers(1, 60), seed=st.integers(0, 2**32 - 1))
