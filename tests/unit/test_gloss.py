@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scenes import DATA
+from scipy.optimize import nnls
 from scipy.special import ive
 
 from irodori.core import store
@@ -27,7 +28,17 @@ from irodori.light.gloss import lobe_table, make_lobe_table
 from irodori.light.gloss.gloss_maps import GlossMaps, gloss_radiance
 from irodori.light.gloss.lobe_table import fitted_lobes
 from irodori.light.gloss.look_up_errors import gloss_errors, lit_places, places, true_gloss
-from irodori.light.gloss.make_lobe_table import extent, farthest, fit_lobe, gaussians, lobe_samples, unit
+from irodori.light.gloss.make_lobe_table import (
+    _candidates,
+    _pursue,
+    extent,
+    farthest,
+    fit_lobe,
+    gaussians,
+    grid_cells,
+    lobe_samples,
+    unit,
+)
 from irodori.light.gloss.point_sources import point_lights
 from irodori.light.irradiance import Integrator
 from irodori.reflection.albedo import albedo_table
@@ -260,6 +271,68 @@ def test_a_lobe_narrower_than_the_finest_width_is_that_of_the_finest_width_and_k
     assert (made.weight @ made.offset) / power == pytest.approx(0.0, abs=0.002)
     mean = (((1.0 - cos_h) ** 5) @ (value * solid_angle) / power) ** 0.2
     assert made.incidence + 0.5 == pytest.approx(math.acos(1.0 - mean), abs=0.01)
+
+
+@pytest.mark.parametrize(("low", "high", "count"), [(-0.4, 1.3, 40), (0.0, 0.2, 5), (-2.0, -0.1, 9)])
+def test_cells_fill_their_range_and_are_narrowest_about_zero(low, high, count):
+    centre, width = grid_cells(0.05, low, high, count)
+    assert len(centre) == len(width) == count and width.sum() == pytest.approx(high - low)
+    edges = low + np.concatenate([[0.0], np.cumsum(width)])
+    np.testing.assert_allclose(centre, 0.5 * (edges[1:] + edges[:-1]))
+    # They grow with the distance from zero as its hyperbolic sine does, from the scale on.
+    np.testing.assert_allclose(np.diff(np.arcsinh(edges / 0.05)), np.ptp(np.arcsinh(edges / 0.05)) / count)
+
+
+@pytest.mark.parametrize(("mu", "theta_r"), [(0.02, 0.6), (0.1, 1.45), (0.15, 0.3), (0.4, 1.2)])
+@pytest.mark.parametrize("name", OWN)
+def test_candidates_are_all_places_of_a_grid_about_the_mirror_direction_that_facets_reach(name, mu, theta_r):
+    core, tail = extent(name, mu)
+    width, view = math.sqrt(2.0) * core, np.array([-math.sin(theta_r), 0.0, math.cos(theta_r)])
+    finest = min(width * max(0.1, min(0.25, 0.6 * math.cos(theta_r))), 0.2)
+    numbers, *places = _candidates(name, mu, theta_r)
+    wanted = [n for n, one in enumerate(WIDTHS_RAD) if finest <= one < 1.02 * math.sqrt(2.0) * tail]
+    assert sorted(set(numbers)) == wanted
+    for number in wanted:
+        own, found = WIDTHS_RAD[number], []
+        step, beside = 0.6 * own, min(max(3.0 * width, 2.9 * own), 1.4)
+        is_wide = max(core, own / 1.5) > 0.12
+        for k in range(-2000, 2000):
+            along = theta_r + k * step
+            if not -math.pi / 2 <= along <= math.pi / 2 + step / 2:
+                continue
+            for m in range(math.ceil(beside / step) if is_wide else 1):
+                across = m * step
+                light = np.array(
+                    [math.cos(across) * math.sin(along), math.sin(across), math.cos(across) * math.cos(along)]
+                )
+                half = light + view
+                if math.acos(half[2] / np.linalg.norm(half)) < min(2.4 * max(core, 0.69 * own), 1.5):
+                    found.append((along, across))
+        chosen = numbers == number
+        np.testing.assert_allclose(np.stack([one[chosen] for one in places], axis=1), found, atol=1e-9)
+
+
+@pytest.mark.parametrize(("used", "noise"), [(3, 0.0), (30, 0.05)])
+def test_a_target_is_pursued_by_the_column_that_explains_most_of_what_is_left(used, noise):
+    """Step by step, each time with the weights of all columns anew; of forty look-ups a pair takes two."""
+    rng = np.random.default_rng(7)
+    rows, cost = rng.uniform(0.0, 1.0, (80, 40)) ** 4, rng.integers(1, 3, 40)
+    target = rows[:, :used] @ rng.uniform(0.5, 1.0, used)
+    target = target / np.linalg.norm(target) + noise * rng.normal(size=80)
+    chosen, weights, rest = [], np.zeros(0), target
+    while np.linalg.norm(rest) >= 0.01:
+        free = [n for n in range(40) if n not in chosen and cost[n] <= 40 - sum(cost[chosen])]
+        gain = {n: rest @ rows[:, n] / np.linalg.norm(rows[:, n]) for n in free}
+        if not gain or max(gain.values()) < 1e-4:
+            break
+        chosen.append(max(gain, key=gain.get))
+        weights = nnls(rows[:, chosen], target)[0]
+        chosen, weights = [n for n, w in zip(chosen, weights, strict=True) if w > 0.0], weights[weights > 0.0]
+        rest = target - rows[:, chosen] @ weights
+    found, of_found = _pursue(rows, target, cost)
+    assert found.tolist() == chosen and cost[found].sum() <= 40
+    np.testing.assert_allclose(of_found, weights, rtol=1e-6)
+    assert (np.linalg.norm(rest) < 0.01) == (noise == 0.0)
 
 
 def test_the_command_writes_the_table_that_is_stored(tmp_path, monkeypatch):
