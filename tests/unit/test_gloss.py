@@ -44,6 +44,7 @@ from irodori.light.irradiance import Integrator
 from irodori.reflection.albedo import albedo_table
 from irodori.reflection.equation5 import angles_from_directions, reflect
 from irodori.reflection.fresnel import fresnel
+from irodori.reflection.lobe_arrays import evaluate
 from irodori.reflection.registry import names
 
 
@@ -271,6 +272,32 @@ def test_a_lobe_narrower_than_the_finest_width_is_that_of_the_finest_width_and_k
     assert (made.weight @ made.offset) / power == pytest.approx(0.0, abs=0.002)
     mean = (((1.0 - cos_h) ** 5) @ (value * solid_angle) / power) ** 0.2
     assert made.incidence + 0.5 == pytest.approx(math.acos(1.0 - mean), abs=0.01)
+
+
+@pytest.mark.parametrize(("mu", "theta_r"), [(0.02, 0.7), (0.1, 1.4), (0.45, 0.0), (1.2, 1.0)])
+@pytest.mark.parametrize("name", OWN)
+def test_a_lobe_is_sampled_as_far_as_it_reaches_and_as_finely_as_its_tail_is_long(name, mu, theta_r):
+    core, tail = extent(name, mu)
+    direction, value, cos_h, solid_angle = lobe_samples(mu, theta_r, (60, 20), name)
+    reach, of_core = min(8.4 * tail, 2.0 * math.pi) + 0.02, 8.4 * core + 0.02
+    more = math.asinh(math.sqrt(2.0) * reach / core) / math.asinh(math.sqrt(2.0) * min(of_core, reach) / core)
+    assert len(direction) == round(60 * more) * round(20 * more)
+    # Along the plane of incidence to a little below the horizon of a facet's light, and to one side of the plane.
+    along = np.arctan2(direction[:, 0], direction[:, 2]) - theta_r
+    across, side = np.arcsin(direction[:, 1]), min(reach, math.pi / 2.0)
+    low, high = max(-reach, -math.pi / 2.0 - 0.3 - theta_r), min(reach, math.pi / 2.0 + min(reach, 1.5) - theta_r)
+    along = np.sort(np.where(along < low, along + 2.0 * math.pi, np.where(along > high, along - 2.0 * math.pi, along)))
+    assert low <= along[0] < low + 0.15 * (high - low) and high - 0.15 * (high - low) < along[-1] <= high
+    assert 0.0 < across.min() < 0.05 * side and 0.7 * side < across.max() <= side
+    assert solid_angle.sum() == pytest.approx((high - low) * 2.0 * math.sin(side), rel=0.01)
+    view = np.array([-math.sin(theta_r), 0.0, math.cos(theta_r)])
+    geometry = angles_from_directions(np.array([0.0, 0.0, 1.0]), direction, view)
+    np.testing.assert_allclose(cos_h, np.sqrt(np.maximum(0.5 + 0.5 * direction @ view, 0.0)), atol=1e-7)
+    np.testing.assert_allclose(value, evaluate(name, mu, geometry))
+    # Cells are narrowest about the mirror direction, across it by the cosine of the view angle narrower.
+    nearest = np.argmin(np.abs(np.arccos(np.clip(direction @ (view * [-1.0, 0.0, 1.0]), -1.0, 1.0))))
+    density = solid_angle / np.cos(across)
+    assert density[nearest] == pytest.approx(density.min(), rel=0.3)
 
 
 @pytest.mark.parametrize(("low", "high", "count"), [(-0.4, 1.3, 40), (0.0, 0.2, 5), (-2.0, -0.1, 9)])

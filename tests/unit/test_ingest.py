@@ -14,8 +14,10 @@ from irodori.config.capture_table import Pose, Shot, read_captures, write_captur
 from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.ingest.camera_reference import Reference, ingest_reference
+from irodori.ingest.develop import _noise_model
 from irodori.ingest.flat_field import evaluate_flat, fit_flat
 from irodori.ingest.ingest_options import IngestOptions
+from irodori.ingest.merge import ExposureBracket
 from irodori.ingest.mosaic import ALGORITHMS
 from irodori.ingest.stage import ingest_raw
 
@@ -473,6 +475,29 @@ def test_the_noise_model_follows_the_exposures_that_were_merged(tmp_path):
             # Differences of neighbours: the white's vignetting falls out.
             scatter = np.diff(response[middle][..., band], axis=1).std() / np.sqrt(2)
             assert scatter == pytest.approx(np.sqrt(noise[band, 0] + noise[band, 1] * level), rel=0.1), (number, band)
+
+
+def test_the_noise_model_weighs_the_exposures_that_give_half_of_a_bands_samples():
+    """Written out: each counts by the inverse of its variance, in light by its electrons and without by read noise."""
+    bracket = ExposureBracket(
+        exposure_dn=np.array([30.0, 100.0, 400.0]), dark_s=np.zeros(3), electrons_per_dn=np.array([2.0, 2.0, 0.5]),
+        read_dn2=np.array([4.0, 4.0, 36.0]),
+    )  # fmt: skip
+    level, shares = np.array([0.5, 0.8, 0.3]), np.array([[0.1, 0.5, 0.49], [1.0, 1.0, 1.0], [0.0, 0.2, 0.6]])
+    counted = ([0, 1], [0, 1, 2], [0, 2])
+    for white, greens in ((level, 1.0), (level[:, None] * [1.0, 5.0], 2.0)):  # a polynomial, or its value at the centre
+        found = _noise_model(bracket, white, shares.copy(), SUPERPIXELS, greens)
+        for band, frames in enumerate(counted):
+            samples = greens if band == 1 else 1.0
+            dn = [level[band] * bracket.exposure_dn[n] for n in frames]
+            read = sum(one**2 / bracket.read_dn2[n] for one, n in zip(dn, frames, strict=True))
+            shot = sum(one * bracket.electrons_per_dn[n] for one, n in zip(dn, frames, strict=True))
+            assert found[band] == pytest.approx([1.0 / read / samples, 1.0 / shot / samples])
+    for unknown in ({"electrons_per_dn": np.array([2.0, np.nan, 1.0])}, {"read_dn2": np.array([np.nan, 1.0, 1.0])}):
+        assert np.isnan(_noise_model(bracket._replace(**unknown), level, shares.copy(), SUPERPIXELS, 2.0)).all()
+    assert np.isnan(_noise_model(bracket, None, shares.copy(), SUPERPIXELS, 2.0)).all()
+    # Of demosaiced pictures neighbours share their noise.
+    assert np.isnan(_noise_model(bracket, level, shares.copy(), OPTIONS[1], 2.0)).all()
 
 
 def test_options_default_to_the_shipped_configuration():

@@ -189,6 +189,21 @@ def test_the_stated_error_holds_at_any_normal(place):
     assert worst <= 1.1 * errors["max_error"] <= 0.011
 
 
+def test_midpoints_are_the_corners_between_four_pixels_and_the_poles():
+    found = midpoints(3)
+    theta, azimuth = np.repeat([np.pi / 3, 2 * np.pi / 3], 6), np.tile(np.arange(6) * np.pi / 3, 2)
+    corners = np.stack([np.sin(theta) * np.cos(azimuth), np.sin(theta) * np.sin(azimuth), np.cos(theta)], axis=1)
+    np.testing.assert_allclose(found, [[0, 0, 1], [0, 0, -1], *corners], atol=1e-12)
+    # Of many an even selection: in each of 8 x 16 parts of the grid nearly as many.
+    many = midpoints(400)[2:]
+    row = np.arccos(many[:, 2]) / np.pi * 400
+    column = np.arctan2(many[:, 1], many[:, 0]) % (2 * np.pi) / np.pi * 400
+    assert np.abs(row - np.rint(row)).max() < 1e-6 and np.abs(column - np.rint(column)).max() < 1e-6
+    assert len(np.unique(np.rint(row) * 800 + np.rint(column) % 800)) == len(many) > 30_000
+    parts = np.histogram2d(row, column % 800, (8, 16), ((0.5, 399.5), (-0.5, 799.5)))[0]
+    assert parts.min() > 0.9 * parts.mean() and parts.max() < 1.1 * parts.mean()
+
+
 def test_midpoints_are_between_the_normals_and_bounded_in_number():
     few, many = midpoints(8), midpoints(512)
     assert len(few) == 2 + 7 * 16 and 30_000 < len(many) <= 2 + 32_768
