@@ -72,6 +72,24 @@ def test_lamps_of_three_leds_are_shaped_and_coloured_as_another_program_makes_th
     assert (lamps >= 0.0).all()
 
 
+@pytest.mark.parametrize(("number", "temperature_k"), [(0, 2700), (4, 6500)])
+def test_lamps_of_three_leds_have_all_peaks_of_a_regular_grid(number, temperature_k):
+    """Six of each colour in the middles of as many parts of its range, in all combinations."""
+    lamps, shape = led_lamps()[number], colour.SpectralShape(WAVELENGTH_NM[0], WAVELENGTH_NM[-1], 5)
+    assert len(np.unique(lamps.round(9), axis=0)) == len(lamps) == 6**3
+    matching, white = colour_matching_weights(), colour.sd_blackbody(temperature_k, shape).values
+    ranges, widths = ((445.0, 475.0), (515.0, 540.0), (615.0, 645.0)), (23.0, 34.0, 18.0)
+    for which in ((0, 0, 0), (5, 5, 5), (0, 5, 2), (3, 1, 4)):
+        peaks = [low + (high - low) * (n + 0.5) / 6.0 for (low, high), n in zip(ranges, which, strict=True)]
+        leds = np.stack([
+            colour.sd_single_led(shape=shape, peak_wavelength=peak, half_spectral_width=width).values
+            for peak, width in zip(peaks, widths, strict=True)
+        ])  # fmt: skip
+        lamp = np.linalg.solve(matching @ leds.T, matching @ white) @ leds
+        lamp /= matching[1] @ lamp
+        assert np.linalg.norm(lamps - lamp, axis=1).min() < 1e-4 * np.linalg.norm(lamp)
+
+
 def test_a_mixture_of_families_is_better_than_one_family_of_all_lamps(seen):
     assert errors(seen, "mixture", names=SOME).mean() < 0.75 * errors(seen, "posterior", names=SOME).mean()
 
