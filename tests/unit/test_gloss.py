@@ -1,5 +1,6 @@
 """Rough reflection by look-up: blurred light against sums over pixels, the fitted lobes against the true ones."""
 
+import itertools
 import math
 
 import numpy as np
@@ -616,6 +617,29 @@ def test_points_are_the_light_they_stand_for():
         brightest = points.direction[(points.direction @ unit_[place]).argmax()]
         assert brightest @ unit_[place] > math.cos(0.001)
     assert len(point_lights(np.zeros((4, 8, 2), np.float32)).power) == 0
+
+
+@pytest.mark.parametrize("size", [(96, 192), (100, 150), (5, 9)])
+def test_each_point_has_the_power_of_a_cell_of_a_tenth_of_a_radian_and_stands_in_its_centre_of_power(size):
+    """Of 32 bands of rows, each in as many cells as its longest row is long; coarse pixels are divided first."""
+    sky = np.random.default_rng(9).gamma(0.5, 1.0, (*size, 2)).astype(np.float32)
+    fine = sky.repeat(-(-64 // size[0]) if size[0] < 64 else 1, axis=0)
+    fine = fine.repeat(-(-128 // size[1]) if size[1] < 128 else 1, axis=1)
+    (height, width), points = fine.shape[:2], point_lights(sky)
+    unit_, solid_angle = directions(width, height)
+    light, number = fine * solid_angle[..., None], 0
+    length = np.linalg.norm(light, axis=2)[..., None] * unit_
+    rows = np.round(np.linspace(0, height, 33)).astype(int)
+    for first, last in itertools.pairwise(rows):
+        longest = np.sin(np.pi * (np.arange(first, last) + 0.5) / height).max()
+        columns = np.round(np.linspace(0, width, max(4, math.ceil(64 * longest)) + 1)).astype(int)
+        for left, right in itertools.pairwise(columns):
+            cell = np.s_[first:last, left:right]
+            np.testing.assert_allclose(points.power[number], light[cell].sum(axis=(0, 1)), rtol=1e-4)
+            moment = length[cell].sum(axis=(0, 1))
+            np.testing.assert_allclose(points.direction[number], moment / np.linalg.norm(moment), atol=1e-5)
+            number += 1
+    assert number == len(points.power)
 
 
 def test_gloss_maps_in_a_file(tmp_path, constant):
