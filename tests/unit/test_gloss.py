@@ -401,6 +401,20 @@ def test_a_lobe_has_unit_power_whatever_its_width(width_rad, across):
     assert (found[:, 0] * solid_angle.ravel()).sum() == pytest.approx(1.0, rel=1e-3)
 
 
+def test_lobes_are_those_of_von_mises_and_fisher_on_both_sides_of_the_plane():
+    rng = np.random.default_rng(3)
+    axis, direction = unit(rng.uniform(-1, 1, 4), rng.uniform(0, 1, 4)), rng.normal(size=(50, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    width_rad = np.array([0.02, 0.1, 0.5, 3.0])
+    found = gaussians(direction, axis, width_rad)
+    for n, ((x, y, z), width) in enumerate(zip(axis, width_rad, strict=True)):
+        kappa = 1.0 / width**2
+        sides = [np.exp(np.maximum(kappa * (direction @ [x, sign * y, z] - 1.0), -700.0)) for sign in (1.0, -1.0)]
+        expected = kappa / (2.0 * np.pi * (1.0 - np.exp(-2.0 * kappa))) * np.mean(sides, axis=0)
+        np.testing.assert_allclose(found[:, n], expected, rtol=1e-9)
+    assert found.min() > 0.0
+
+
 def test_the_extent_of_facets():
     assert extent("gaussian", 0.1) == pytest.approx((0.1, 0.1), rel=1e-3)
     # D of GGX is about 1/e where tanφ is 0.8054 μ; but for a share of x its facets lie within tanφ = μ / √x.

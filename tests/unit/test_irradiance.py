@@ -106,6 +106,23 @@ def test_cells_of_every_level_hold_their_pixels_closely_and_all_their_light(size
     assert end == len(cells.power) and rows * columns <= 32
 
 
+@pytest.mark.parametrize("size", [(48, 96), (50, 70), (9, 200)])
+def test_a_cells_radius_is_the_way_along_its_meridian_and_then_along_its_longest_parallel(size):
+    cells, (height, width), side = Integrator(np.ones((*size, 1), np.float32)).cells, size, 8
+    for first, rows, columns in zip(cells.first, cells.rows, cells.columns, strict=True):
+        for row in range(rows):
+            top, bottom = np.pi * np.array([row * side, min((row + 1) * side, height)]) / height
+            longest = 1.0 if top < np.pi / 2 < bottom else max(np.sin(top), np.sin(bottom))
+            for column in range(columns):
+                left, right = 2 * np.pi * np.array([column * side, min((column + 1) * side, width)]) / width
+                at, theta, azimuth = first + row * columns + column, (top + bottom) / 2, (left + right) / 2
+                expected = (bottom - top) / 2 + longest * (right - left) / 2
+                assert cells.radius[at] == pytest.approx(expected)
+                centre = np.sin(theta) * np.cos(azimuth), np.sin(theta) * np.sin(azimuth), np.cos(theta)
+                assert cells.centre[at] == pytest.approx(centre)
+        side *= 2
+
+
 def test_a_black_sky_gives_nothing():
     found, errors = fitted_irradiance_map(np.zeros((16, 32, 2), np.float32), 0.002, 64)
     assert (found == 0).all() and errors["max_error"] == 0.0
