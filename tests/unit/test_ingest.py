@@ -100,6 +100,9 @@ def test_a_picture_without_white_reference_is_in_full_scales_per_second(tmp_path
         assert file.read("response").shape == (32, 32, 3)
         assert np.allclose(file.read("response"), 5000 / (WHITE - BLACK) / 0.25, rtol=1e-6)
         assert np.isnan(file.read("noise_model")).all()
+        told = {name: file.attribute(name) for name in ("sample_px", "demosaic", "orientation", "filters")}
+        assert told == {"sample_px": 2, "demosaic": "superpixel", "orientation": 0, "filters": ["out"]}
+        assert file.dataset("response").attrs["units"] == "1/s"
 
 
 def test_an_environment_of_another_size_keeps_the_scale(tmp_path):
@@ -267,6 +270,8 @@ def run(folder, shots):
 def test_exposure_iso_and_aperture_do_not_change_the_response(tmp_path, exposure_s, iso, f_number):
     response = run(tmp_path, [("white", 0.02, 100, 4.0, ()), ("object", exposure_s, iso, f_number, ())])
     assert np.allclose(response, 0.3, rtol=2e-3)
+    with store.open_file(tmp_path / "l.h5") as file:
+        assert file.dataset("response").attrs["units"] == "1"
 
 
 def test_the_tables_settings_count_where_the_file_is_silent(tmp_path):

@@ -187,6 +187,25 @@ def test_edges_count_by_the_noise_of_their_band():
     assert not energy[0].any() and not energy[:, -1].any()
 
 
+def test_noise_is_told_by_valid_pixels_alone_and_is_a_thousandth_of_the_content_at_least():
+    rng, noise = np.random.default_rng(6), np.array([0.002, 0.01, 0.05])
+    for shape in ((60, 80), (200, 800)):
+        level = np.ones((*shape, 4), np.float32)
+        level[..., :3] = rng.normal(0.5, noise, (*shape, 3))
+        clean = noise_of(level)
+        spoilt = rng.uniform(size=shape) < 0.2
+        level[spoilt] = [50.0, -50.0, 7.0, 0.5]
+        assert noise_of(level) == pytest.approx(noise, rel=0.1) and clean == pytest.approx(noise, rel=0.1)
+        level[..., 3] = np.where(spoilt, 0.51, 1.0)
+        assert (noise_of(level) > 1.5 * noise).any()
+    # Without noise the differences of neighbours two apart have the floor, here of one edge in forty columns.
+    level = np.ones((64, 82, 4), np.float32)
+    level[..., :3] = (np.arange(82) >= 41)[:, None] * [0.2, 0.4, 0.0]
+    steps = np.sqrt(2 * (0.2**2 + 0.4**2) / 80 / 3)
+    assert noise_of(level) == pytest.approx([1e-3 * steps] * 3, rel=1e-4)
+    assert noise_of(0.0 * level).tolist() == noise_of(level * [1, 1, 1, 0]).tolist() == [1e-9] * 3
+
+
 RGGB = bayer_offsets_px("RGGB")
 
 
