@@ -147,6 +147,21 @@ def test_blur_keeps_what_is_even_beside_what_is_not_valid():
     np.testing.assert_allclose(ramp.level(0.0).sampled(ramp.level(0.0).bands, np.array([[4.25, 9.0]])), [[4.25]])
 
 
+@pytest.mark.parametrize("sigma", [1.0, 1.5])
+def test_blur_is_a_gaussian_to_two_and_a_half_standard_deviations(sigma):
+    response = np.zeros((31, 31, 2))
+    response[15, 15] = [1.0, 3.0]
+    level, reach = picture(response).level(sigma), int(2.5 * sigma + 0.5)
+    bell = np.where(np.abs(np.arange(31) - 15) <= reach, np.exp(-0.5 * ((np.arange(31) - 15) / sigma) ** 2), 0.0)
+    bell = np.outer(bell, bell) / bell.sum() ** 2
+    np.testing.assert_allclose(level.bands, [bell, 3.0 * bell], atol=1e-6)
+    assert (level.valid == 1.0).all()
+    # What is valid to more than a half of the weight is known.
+    valid = np.ones((31, 31))
+    valid[:, 15:] = 0.0
+    assert picture(response, valid=valid).level(sigma).valid[3].tolist() == [1.0] * 15 + [0.0] * 16
+
+
 # Textures.
 
 

@@ -127,6 +127,11 @@ def test_a_window_holds_the_object_and_a_margin():
     np.testing.assert_allclose(found, [*(middle - half - 5.0), *(middle + half + 5.0)], atol=0.5)
     found = np.array(_window(problem, 1, 0.0))
     np.testing.assert_allclose(found, [*(middle - half[::-1]), *(middle + half[::-1])], atol=0.5)
+    # Exactly: half a texel is that of the whole extent of the centres, by the fewer texels along a side.
+    centres = np.array([57.5, 47.5])
+    half = centres / 2.0 + centres / (2.0 * 19.0)
+    expected = [*(middle - half / MM_PER_PX - 5.0), *(middle + half / MM_PER_PX + 5.0)]
+    np.testing.assert_allclose(_window(problem, 0, 5.0), expected, atol=1e-6)
     problem.unknowns[6] = -1000.0  # behind the camera
     assert _window(problem, 0, 5.0) == (0.0, 0.0, 0.0, 0.0)
 
