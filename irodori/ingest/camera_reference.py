@@ -54,7 +54,7 @@ class Reference:
         with store.open_file(path) as file:
             dark = _load_dark(file)
             states = file.attribute("filters")
-            white = file.read("white") if "white" in file else np.zeros((0, 3, 15))
+            white = file.read("white") if "white" in file else ()
             fields = ("gain_e_per_dn", "gain_error", "read_noise_dn", "read_noise_error")
             noise = PhotonTransfer(
                 **{name: file.attribute(name) for name in fields},

@@ -98,6 +98,7 @@ LONG = (
     "test_the_errors_under_a_photographed_place", "test_reconstruction_error_is_that_of_the_truncated_svd",
     "test_another_programs_chart_is_read_and_brought", "test_the_fewest_aligned_bases_meet_the_target",
     "test_any_plate_before_any_scene_is_found", "test_predicted_errors_are_those_that_occur",
+    "test_a_named_lamp_is_recovered_better", "test_errors_of_the_look_up_are_those_against",
     "test_planned_poses_beat_as_many_others", "test_every_figure_of_the_gloss_table", "seed_gives_the_same_table",
 )  # fmt: skip
 LONGEST_S = 2.0

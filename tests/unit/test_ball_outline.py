@@ -277,6 +277,7 @@ def test_the_circle_of_a_mask_is_that_of_its_brighter_half():
     mask = np.where(distance < 20.0, 200, np.where(distance < 24.0, 90, 0)).astype(np.uint8)
     found = circle_of_mask(mask, "mask.png")
     assert np.abs(np.subtract(found, (50.0, 40.0, 20.0))).max() < 0.2
+    assert circle_of_mask(1e-3 * mask, "mask.png") == found  # in whatever unit
     for wrong in (0 * mask, np.where(np.abs(columns - 50) < 10, mask, 0), np.full_like(mask, 255)):
         with pytest.raises(InputError, match=r"mask\.png.*a mask that is no disc.*bright on the ball"):
             circle_of_mask(wrong, "mask.png")

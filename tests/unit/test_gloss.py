@@ -25,7 +25,7 @@ from irodori.light.blurred_light import (
 )
 from irodori.light.environment_file import Environment, directions
 from irodori.light.equirectangular import look_up
-from irodori.light.gloss import lobe_table, make_lobe_table
+from irodori.light.gloss import lobe_table, look_up_errors, make_lobe_table
 from irodori.light.gloss.gloss_maps import GlossMaps, gloss_radiance
 from irodori.light.gloss.lobe_table import fitted_lobes
 from irodori.light.gloss.look_up_errors import gloss_errors, lit_places, places, true_gloss
@@ -557,6 +557,27 @@ def test_errors_of_the_look_up_are_those_against_the_true_lobe():
         off = gloss_radiance(maps.tables("ggx"), normal, view, 1.0, row["mu"], (1.5, 0.0))[:, 0] - true
         assert row["rms"] == pytest.approx(np.sqrt((off**2).sum() / (true**2).sum()))
         assert row["max"] == pytest.approx(np.abs(off).max() / true.max())
+    dark = gloss_errors(Integrator(0.0 * sky), GlossMaps.of(0.0 * sky))
+    assert all(row["rms"] == row["max"] == 0.0 for row in dark)
+
+
+def test_errors_of_the_look_up_are_root_mean_squares_and_largest_ones_over_places_of_both_kinds(monkeypatch):
+    """Of two roughnesses and view angles: over places at random and places that mirror the bright."""
+    monkeypatch.setattr(look_up_errors, "MU", (0.1, 0.8))
+    monkeypatch.setattr(look_up_errors, "THETA_R_DEG", (0.0, 60.0))
+    sky = np.random.default_rng(6).uniform(0.5, 1.0, (16, 32, 1)).astype(np.float32)
+    sky[3, 5] = 40.0
+    integrator, maps = Integrator(sky), GlossMaps.of(sky)
+    rows = gloss_errors(integrator, maps)
+    assert [(row["mu"], row["theta_r_deg"]) for row in rows] == [(0.1, 0.0), (0.1, 60.0), (0.8, 0.0), (0.8, 60.0)]
+    for row in rows:
+        mu, angle = row["mu"], math.radians(row["theta_r_deg"])
+        both = places(angle, 3), lit_places(integrator.cells, mu, angle, 3)
+        normal, view = (np.concatenate(one) for one in zip(*both, strict=True))
+        true = true_gloss(integrator, normal, view, mu)[:, 0]
+        off = gloss_radiance(maps.tables(), normal, view, 1.0, mu, (1.5, 0.0))[:, 0] - true
+        assert row["rms"] == pytest.approx(np.sqrt((off**2).sum() / (true**2).sum()))
+        assert row["max"] == pytest.approx(np.abs(off).max() / true.max()) and row["lobe"] == "gaussian"
     dark = gloss_errors(Integrator(0.0 * sky), GlossMaps.of(0.0 * sky))
     assert all(row["rms"] == row["max"] == 0.0 for row in dark)
 

@@ -173,6 +173,11 @@ def test_an_edge_stands_out_by_a_quarter_of_its_logarithm_and_six_standard_devia
         assert math.isfinite(found_at(edge(41.0, 0.1, 0.4), noise=(0.0, sigma**2 / 0.4))) == is_seen
 
 
+def test_of_a_camera_whose_noise_is_not_known_a_hundredth_is_taken_at_any_level():
+    for step, is_seen in ((0.056, False), (0.064, True)):
+        assert math.isfinite(found_at(edge(41.0, 0.1 + step, 0.1), noise=(math.nan, math.nan))) == is_seen
+
+
 def test_of_two_like_edges_the_one_nearer_to_where_it_is_expected_is_taken():
     for first, second, nearer in ((32.0, 45.0, 5.0), (35.0, 48.0, -5.0)):
         stripe = edge(first, 0.02, 0.5) * edge(second, 1.0, 0.04)  # dark, bright between, dark

@@ -22,6 +22,7 @@ from benchmarks.plate_pictures import (
     render,
     white_weights,
 )
+from irodori.ingest.registration import similarity as similarity_module
 from irodori.ingest.registration.band_layout import flatten
 from irodori.ingest.registration.gradient_sums import gradient_moments, least_share, sample, template
 from irodori.ingest.registration.pyramid import Pyramid, gradient_energy, noise_of
@@ -596,6 +597,16 @@ def test_a_start_beyond_the_search_is_followed(leaves):
     near = similarity(2.0, 1.0)
     wrong = register(*shoot(leaves, near, np.random.default_rng(14)), start=similarity(-8.0, 8.0))
     assert rms_px(wrong, near) <= TARGET_PX
+
+
+def test_a_start_that_proves_certain_is_not_searched_beside(smooth, monkeypatch):
+    searched = []
+    monkeypatch.setattr(similarity_module, "search", lambda *given: searched.append(given) or search(*given))
+    near = register(*smooth, start=similarity(2.0, -1.5))
+    assert not searched and near.complex_parts() == pytest.approx(register(*smooth).complex_parts(), abs=1e-3)
+    assert len(searched) == 1
+    register(*smooth[:2], smooth[2], smooth[3] & (np.arange(120) < 14), start=similarity(2.0, -1.5))
+    assert len(searched) == 2  # of a narrow strip nothing is certain
 
 
 @pytest.mark.default_cases(1)

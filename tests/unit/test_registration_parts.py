@@ -264,6 +264,15 @@ def test_what_is_not_told_and_what_is_nothing_goes_back_to_what_was_typed():
     np.testing.assert_array_equal(room > 0, [True, False, False, True, False, True, *[False] * 6])
 
 
+@pytest.mark.parametrize("prior", [0.5, 2.0])
+def test_a_value_is_told_by_an_error_below_half_of_its_prior_whatever_its_unit(prior):
+    for share, told in ((0.45, True), (0.55, False)):
+        values, errors = np.zeros(COUNT), np.full(COUNT, 0.1 * prior)
+        values[6], errors[6] = 5.0 * prior, share * prior
+        found, room = _only_what_is_told(values, information(errors), np.full(COUNT, prior))
+        assert (found[6] != 0.0) == (room[6] != 0.0) == told
+
+
 def test_of_two_that_are_told_as_a_sum_one_takes_all_of_it():
     sigma, values, errors = np.full(COUNT, 10.0), np.zeros(COUNT), np.full(COUNT, 10.0)
     values[0], values[3] = 1.0, 2.0
