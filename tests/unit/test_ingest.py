@@ -12,6 +12,7 @@ from raw_studio import ANGLE, BALANCE, BLACK, PROVENANCE, ROOT, SENSOR, SIZE, SU
 
 from irodori.config.capture_table import Pose, Shot, read_captures, write_captures
 from irodori.core import store
+from irodori.core.custody import content_sha256
 from irodori.core.errors import InputError
 from irodori.ingest.camera_reference import Reference, ingest_reference
 from irodori.ingest.develop import _noise_model
@@ -347,6 +348,26 @@ def test_a_dark_signal_below_one_digital_number_counts_in_dim_light(tmp_path):
         folder.mkdir()
         with store.open_file(photographs(folder, numbers, options)) as file:
             assert np.allclose(file.read("response"), 7.6 / 3999.6, rtol=2e-3)
+
+
+@pytest.mark.parametrize("number", [0, 1])
+def test_a_photograph_that_has_changed_since_its_hash_was_written_is_refused(tmp_path, number):
+    """The white reference by what makes the camera's reference, the object by what makes its responses."""
+    numbers = [("white", 0.02, 100, BLACK + 4000), ("object", 0.02, 100, BLACK + 1000)]
+    photographs(tmp_path, numbers, SUPERPIXELS)
+    table, shots = tmp_path / "captures.csv", read_captures(tmp_path / "captures.csv")
+    write_captures(table, shots, {shot.file: content_sha256(tmp_path / shot.file) for shot in shots})
+    output, capture = tmp_path / "l.h5", Pose(0.0, 0.0).name
+
+    def run_again():
+        ingest_reference(table, tmp_path, tmp_path / "r.h5", PROVENANCE, 1.0, SUPERPIXELS)
+        ingest_raw(table, tmp_path, capture, tmp_path / "r.h5", output, PROVENANCE, options=SUPERPIXELS)
+
+    run_again()
+    changed = np.full((64, 96), BLACK + numbers[number][3] - 599, np.uint16)
+    write_any_dng(tmp_path / f"{number}.dng", changed, exposure_s=0.02, iso=100)
+    with pytest.raises(InputError, match=rf"{number}\.dng"):
+        run_again()
 
 
 def test_white_frames_that_repeat_an_exposure_are_brackets_of_their_own_that_count_alike(tmp_path):

@@ -1,5 +1,7 @@
 """Light from photographs of a mirror ball."""
 
+from contextlib import nullcontext
+
 import numpy as np
 import pytest
 from exact_light import as_it_is, prior_of
@@ -105,6 +107,8 @@ def test_the_reflectance_of_a_ball_is_a_number_a_spectrum_or_that_of_its_metal()
         found = ball_reflectance(source, cosine)
         assert found[:1] == pytest.approx(expected[:1], rel=1e-6), name
         assert (found[2] > found[0]).all() if name == "metal" else found == pytest.approx(expected)
+    with pytest.raises(ValueError, match="accepted: refractive_index or reflectance_factor"):
+        ball_reflectance(made(MirrorBallSource, bare), cosine)
 
 
 def test_a_coloured_metal_is_divided_out_at_every_wavelength(tmp_path):
@@ -199,6 +203,15 @@ def test_the_stage_unwraps_a_ball_and_minds_saturation_on_it_alone(tmp_path):
         prepare_environment(tmp_path / "linear.h5", tmp_path / "calibration.h5", tmp_path / "f.h5", *OPTIONS,
                             source=made(CapturesSource | MirrorBallSource, BALL), image=made(Size, size),
                             prior=prior_of(calibration))  # fmt: skip
+    # To a pixel beyond the rim that is used, at 83.3 from the middle, pixels have a say.
+    for column, is_used in ((100 + 84, True), (100 + 86, False)):
+        valid[90, column] = 0
+        write_inputs(tmp_path, response, valid, calibration)
+        with pytest.raises(InputError, match="1 pixels saturated") if is_used else nullcontext():
+            prepare_environment(tmp_path / "linear.h5", tmp_path / "calibration.h5", tmp_path / "f.h5", *OPTIONS,
+                                source=made(CapturesSource | MirrorBallSource, BALL), image=made(Size, size),
+                                prior=prior_of(calibration))  # fmt: skip
+        valid[90, column] = 1
     valid[90, 100] = 0
     write_inputs(tmp_path, response, valid, calibration)
     with pytest.raises(InputError, match="1 pixels saturated in every bracket"):

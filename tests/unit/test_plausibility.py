@@ -125,6 +125,10 @@ LIMITS = {
     "the colour of the other state": (
         lambda x: ([*PAIR], (shot(), look(0.8 * PAINTS * FILTER**x))), "filter", 0.55, 0.7, "with the filter in",
     ),
+    "the colour of the other state, with the filter": (
+        lambda x: ([*PAIR], (shot(state="in"), look(0.8 * PAINTS * FILTER**x))), "filter", 0.45, 0.3,
+        "with the filter out: is it in",
+    ),
     "a light room": (
         lambda x: ([(shot(camera=20.0), look(0.9 * PAINTS))], (shot(), look(background(x)))), "light changed",
         0.029, 0.031, "background is at 3.1% of the brightest, at 0.8% before",
