@@ -176,6 +176,17 @@ def test_the_dark_signal_is_no_part_of_the_response(tmp_path, iso):
     assert measure_linearity(lifted, tmp_path / "t.csv", tmp_path, offset, 0.001).largest < 2e-4
 
 
+def test_of_a_series_of_apertures_the_dark_signal_is_that_of_the_iso(tmp_path):
+    """Frames of one time: the darkness is the same in all, four times that of the dark frames at ISO 100."""
+    shots = []
+    for number, f_number in enumerate((8.0, 5.6, 4.0)):
+        level = BLACK + 1000.0 + 2000.0 * (4.0 / f_number) ** 2
+        dng(tmp_path / f"{number}.dng", np.full((64, 96), round(level), np.uint16), exposure_s=0.02)
+        shots.append(Shot(f"{number}.dng", "white", Pose(45.0, 0.0), "out", 0.02, 400.0, f_number))
+    found = measure_linearity(shots, tmp_path / "t.csv", tmp_path, dark_of(250.0 / 0.02), 0.002)
+    assert len(found.exposure_s) == 3 and found.largest < 1e-3
+
+
 @pytest.mark.parametrize(("share", "counted"), [(0.0048, 2), (0.0053, 3)])
 def test_an_exposure_counts_from_a_two_hundredth_of_the_range_between_black_and_white_on(tmp_path, share, counted):
     shots = plain_series(tmp_path, share * (RAW_WHITE - BLACK) / 0.01)

@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 
+import h5py
 import numpy as np
 import pytest
 import xarray as xr
@@ -11,6 +12,7 @@ from drawn_plates import NAMES, PINHOLE, PLATE, SETUP, VIEWS, correction, drawn,
 from irodori.config.capture_table import Pose
 from irodori.config.models import Placing
 from irodori.core import store
+from irodori.core.custody import accept
 from irodori.core.errors import InputError
 from irodori.core.units import require_unit
 from irodori.geometry.rig_frame import (
@@ -114,6 +116,16 @@ def test_a_place_at_full_resolution_is_that_of_the_same_mosaic_pixel(tmp_path):
     np.testing.assert_allclose(Picture.load(path).place(np.array([3.0, 5.0])), [6.5, 10.5])
 
 
+def test_a_picture_with_a_mask_of_another_size_is_refused(tmp_path):
+    path = linear_file(tmp_path / "one.h5", np.ones((40, 60, 3)))
+    with h5py.File(path, "a") as file:
+        del file["valid"]
+        file["valid"] = np.ones((40, 61), np.uint8)
+    accept(path)
+    with pytest.raises(InputError, match=r"one\.h5: valid"):
+        Picture.load(path)
+
+
 def test_a_large_picture_is_binned_over_what_is_valid(tmp_path, monkeypatch):
     monkeypatch.setattr(reduced_pictures, "_MOST", 20)
     response = np.arange(40 * 60 * 3, dtype=float).reshape(40, 60, 3)
@@ -183,9 +195,9 @@ def test_blocks_are_squares_of_texels_that_grow_with_the_blur():
 def test_the_slope_over_a_picture_is_that_of_a_plane():
     row, column = np.mgrid[:8, :9].astype(float)
     place = np.stack([3.0 * column + 0.5 * row, -0.4 * column + 2.0 * row + 7.0], axis=-1)
-    values = (2.0 * place[..., 0] - 0.5 * place[..., 1])[..., None] * [1.0, -3.0]
+    values = (2.0 * place[..., 0] - 0.7 * place[..., 1])[..., None] * [1.0, -3.0]
     slope = picture_slope(values, place)
-    np.testing.assert_allclose(slope, np.broadcast_to([[2.0, -0.5], [-6.0, 1.5]], slope.shape), rtol=1e-9)
+    np.testing.assert_allclose(slope, np.broadcast_to([[2.0, -0.7], [-6.0, 2.1]], slope.shape), rtol=1e-9)
     values[4, 4] = np.nan
     known = np.isfinite(picture_slope(values, place)).all(axis=(2, 3))
     beside = np.abs(np.array([row - 4.0, column - 4.0])).sum(axis=0) == 1.0
