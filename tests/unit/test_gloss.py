@@ -578,6 +578,8 @@ def test_errors_of_the_look_up_are_root_mean_squares_and_largest_ones_over_place
         off = gloss_radiance(maps.tables(), normal, view, 1.0, mu, (1.5, 0.0))[:, 0] - true
         assert row["rms"] == pytest.approx(np.sqrt((off**2).sum() / (true**2).sum()))
         assert row["max"] == pytest.approx(np.abs(off).max() / true.max()) and row["lobe"] == "gaussian"
+        # Of a rough surface the look-up is good enough to tell the normal from the view.
+        assert mu < 0.8 or row["rms"] < 0.01
     dark = gloss_errors(Integrator(0.0 * sky), GlossMaps.of(0.0 * sky))
     assert all(row["rms"] == row["max"] == 0.0 for row in dark)
 

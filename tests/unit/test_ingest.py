@@ -106,6 +106,19 @@ def test_a_picture_without_white_reference_is_in_full_scales_per_second(tmp_path
         assert file.dataset("response").attrs["units"] == "1/s"
 
 
+def test_filter_states_of_different_sizes_are_refused(tmp_path):
+    shots = []
+    for state, shape in (("out", (64, 64)), ("in", (64, 62))):
+        dng(tmp_path / f"{state}.dng", np.full(shape, BLACK + 5000, np.uint16))
+        shots.append(Shot(f"{state}.dng", "object", Pose(45.0, 0.0), state, 0.02))
+    table = tmp_path / "captures.csv"
+    write_captures(table, shots)
+    ingest_reference(table, tmp_path, tmp_path / "r.h5", PROVENANCE, 1.0, SUPERPIXELS)
+    with pytest.raises(InputError, match=r"in\.dng: size.*\(62, 64\).*\(64, 64\), as the other filter state"):
+        ingest_raw(table, tmp_path, Pose(45.0, 0.0).name, tmp_path / "r.h5", tmp_path / "l.h5", PROVENANCE,
+                   options=SUPERPIXELS)  # fmt: skip
+
+
 def test_an_environment_of_another_size_keeps_the_scale(tmp_path):
     studio = Studio(tmp_path, seed=15)
     studio.references(frames=4)

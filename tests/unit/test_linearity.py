@@ -83,6 +83,17 @@ def test_the_chart_serves_where_the_white_reference_has_no_series(tmp_path):
     assert measured(studio).largest < 3e-3
 
 
+def test_a_series_of_the_white_reference_serves_before_a_longer_one_of_the_chart():
+    def shots(role, *times):
+        return [Shot(f"{role}-{time_s:g}.dng", role, Pose(45.0, 0.0), "out", time_s) for time_s in times]
+
+    chart, dark = shots("chart", 0.01, 0.02, 0.04), shots("dark", 0.01, 0.02, 0.04, 0.08)
+    white = shots("white", 0.01, 0.02)
+    assert exposure_series([*dark, *chart, *white]) == white
+    assert exposure_series([*dark, *chart, *white[:1]]) == chart
+    assert exposure_series([*dark, *white[:1]]) == []
+
+
 def test_two_exposures_are_a_series(tmp_path):
     """Of a camera that loses a fifth at full well, two levels show it, and the limit is met or not."""
     studio = series(tmp_path, 74, strength=0.2, exposures=(0.002, 0.03))
