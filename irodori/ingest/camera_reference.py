@@ -1,6 +1,8 @@
 """Normalisation data of a camera: dark signal, hot pixels, white reference, noise, linearity."""
 
+from collections import defaultdict
 from dataclasses import dataclass
+from itertools import zip_longest
 
 import numpy as np
 
@@ -52,7 +54,7 @@ class Reference:
         with store.open_file(path) as file:
             dark = _load_dark(file)
             states = file.attribute("filters")
-            white = file.read("white") if "white" in file else np.zeros((0, 3, 15))
+            white = file.read("white") if "white" in file else ()
             fields = ("gain_e_per_dn", "gain_error", "read_noise_dn", "read_noise_error")
             noise = PhotonTransfer(
                 **{name: file.attribute(name) for name in fields},
@@ -190,15 +192,10 @@ def _write_noise(out: store.Writer, noise: PhotonTransfer) -> None:
 
 def _repeats(group: list[Shot]) -> list[list[Shot]]:
     """Group shots into brackets of distinct exposures: the first shots of each exposure, then the second, and so on."""
-    rounds: list[list[Shot]] = []
-    seen: dict[tuple, int] = {}
+    equal: dict[tuple, list[Shot]] = defaultdict(list)
     for shot in group:
-        key = (shot.exposure_s, shot.iso, shot.f_number, shot.light_level)
-        seen[key] = seen.get(key, -1) + 1
-        if seen[key] == len(rounds):
-            rounds.append([])
-        rounds[seen[key]].append(shot)
-    return rounds
+        equal[shot.exposure_s, shot.iso, shot.f_number, shot.light_level].append(shot)
+    return [[shot for shot in bracket if shot] for bracket in zip_longest(*equal.values())]
 
 
 def _white(reference: Reference, group: list[Shot], table, folder, reflectance: float, options: IngestOptions):

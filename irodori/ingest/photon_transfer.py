@@ -6,6 +6,9 @@ field and pixel gain. One frame is first scaled to the mean of the other, which 
 Janesick, Photon Transfer, SPIE 2007].
 """
 
+import itertools
+from collections import defaultdict
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -229,10 +232,5 @@ def measure_noise(shots: list[Shot], table, folder, hot_px: np.ndarray) -> Photo
 
 def _spread(pairs: list) -> list:
     """Sort pairs: the first of every exposure level, then the second of every level, and so on."""
-    seen: dict[tuple, int] = {}
-    ranked = []
-    for number, pair in enumerate(pairs):
-        key = (pair[0].role, pair[0].filter, pair[0].exposure_s)
-        seen[key] = seen.get(key, -1) + 1
-        ranked.append((seen[key], number, pair))
-    return [pair for *_, pair in sorted(ranked, key=lambda item: item[:2])]
+    ranks: dict[tuple, Iterator[int]] = defaultdict(itertools.count)
+    return sorted(pairs, key=lambda pair: next(ranks[pair[0].role, pair[0].filter, pair[0].exposure_s]))

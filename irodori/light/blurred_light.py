@@ -137,8 +137,6 @@ def _level(series: np.ndarray, source: np.ndarray, width_rad: float, pool: Threa
 
     def fill(row: int) -> None:
         first, last = np.searchsorted(source, [target[row] - reach, target[row] + reach])
-        if first == last:
-            first, last = max(first - 1, 0), min(last + 1, len(source))
         theta = source[first:last, None]
         meridian = kappa * (np.cos(target[row] - theta) - 1.0)
         parallel = kappa * np.sin(target[row]) * np.sin(theta)
@@ -182,7 +180,7 @@ def prefiltered(coefficients: np.ndarray, levels: tuple[int, int] | None = None)
     blurred = []
     with ThreadPoolExecutor(numba.get_num_threads()) as pool:
         for width_rad in WIDTHS_RAD[first:last]:
-            while np.pi / (len(series) // 2 or 1) <= width_rad / _ROWS_PER_WIDTH:
+            while np.pi * _ROWS_PER_WIDTH <= width_rad * (len(series) // 2):
                 series, theta = _thinned(series, theta)
             blurred.append(_level(series, theta, width_rad, pool))
     return first, blurred

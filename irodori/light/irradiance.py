@@ -148,7 +148,7 @@ def make_cells(pixels: Pixels) -> Cells:
         rows=sizes[:, 0].copy(),
         columns=sizes[:, 1].copy(),
         centre=np.concatenate([shape[0] for shape in shapes]),
-        sine=np.where(radius < np.pi / 2, np.sin(np.minimum(radius, np.pi / 2)), 2.0),
+        sine=np.where(radius < np.pi / 2, np.sin(radius), 2.0),
         radius=radius,
         power=np.concatenate([level[0].ravel() for level in levels]),
         power_moment=np.concatenate([level[1].reshape(-1, 3) for level in levels]),

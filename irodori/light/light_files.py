@@ -115,7 +115,7 @@ def rgb_picture(path, scale: float = 1.0, centre_azimuth_deg: float = 0.0) -> Om
         found = f"no channel {missing[0]} among {', '.join(names[:6])}"
         raise InputError(path, "channels", found, "the channels R, G and B")
     stated = header.chromaticities
-    if stated is not None and np.abs(np.subtract(stated, _SRGB)).max() > _CHROMATICITY_ROUNDING:
+    if stated is not None and np.abs(np.array(stated) - _SRGB).max() > _CHROMATICITY_ROUNDING:
         found = ", ".join(f"{value:g}" for value in stated)
         raise InputError(path, "chromaticities", found, f"those of linear sRGB: {', '.join(map(str, _SRGB))}")
     origin = {"kind": "rgb", "assumption": _RGB_ASSUMPTION}

@@ -55,7 +55,7 @@ def inverse_reflectance(source: MirrorBallSource, cos_h: np.ndarray) -> tuple[np
     reflectance = ball_reflectance(source, angles)
     if (reflectance <= 1e-3).any():
         raise ValueError("a ball that reflects less than a thousandth at some wavelength; accepted: a mirror")
-    u, s, vt = np.linalg.svd(1.0 / reflectance, full_matrices=False)
+    u, s, vt = np.linalg.svd(1.0 / reflectance)
     count = int((s > _RANK_TOLERANCE * s[0]).sum())
     factors = [np.interp(cos_h, angles, u[:, i] * s[i]) for i in range(count)]
     return np.stack(factors, axis=-1), vt[:count].T

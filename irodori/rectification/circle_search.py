@@ -166,7 +166,7 @@ def _fitted(place: np.ndarray, towards: np.ndarray, circle: Circle, near: float)
         return None
     away = used - [circle.x, circle.y]
     sector = _sector(away)
-    share = 1.0 / np.bincount(sector, minlength=_SECTORS)[sector]
+    share = np.reciprocal(np.bincount(sector)[sector].astype(float))
     matrix = np.column_stack([2.0 * away, np.ones(len(away))])
     x, y, radius, weight = 0.0, 0.0, circle.radius, share
     for _ in range(_ROUNDS):
@@ -179,7 +179,7 @@ def _fitted(place: np.ndarray, towards: np.ndarray, circle: Circle, near: float)
 
 
 def _sector(away: np.ndarray) -> np.ndarray:
-    return ((np.arctan2(away[:, 1], away[:, 0]) / (2.0 * math.pi) % 1.0) * _SECTORS).astype(int) % _SECTORS
+    return np.floor(np.arctan2(away[:, 1], away[:, 0]) / (2.0 * math.pi) * _SECTORS).astype(int) % _SECTORS
 
 
 def _seen(place: np.ndarray, towards: np.ndarray, circle: Circle, near: float) -> float:

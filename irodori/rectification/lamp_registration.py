@@ -102,7 +102,7 @@ def register_lamps(
         unit = np.sqrt(_READINGS / weight.sum(axis=0))
         z = (left / unit) ** 2
         robust = np.sign(left) * unit * np.sqrt(2.0 * (np.sqrt(1.0 + z) - 1.0))
-        return np.concatenate([robust[weight > 0.0], x[count - 1 : -2] if error_deg else []])
+        return np.concatenate([robust[weight > 0.0], x[count - 1 : -2]])
 
     size = (count - 1) + (2 * count if error_deg else 0)
     low, high = np.full(size + 2, -np.inf), np.full(size + 2, np.inf)
@@ -115,7 +115,7 @@ def register_lamps(
         key=lambda one: one.cost,
     )
     lamps, level, _, _ = parts(found.x)
-    moved = np.degrees(np.arccos(np.clip((lamps * direction).sum(axis=1), -1.0, 1.0)))
+    moved = np.degrees(np.arccos(np.minimum((lamps * direction).sum(axis=1), 1.0)))
     return Lamps(lamps, level, moved)
 
 

@@ -51,7 +51,7 @@ def find_rim(tracer: Tracer, pinhole: Pinhole, eye, axes, window) -> Rim:
 
     x0, y0, x1, y1 = window
     step = max(1.0, max(x1 - x0, y1 - y0) / _GRID)
-    x, y = np.arange(x0 - 3 * step, x1 + 3.5 * step, step), np.arange(y0 - 3 * step, y1 + 3.5 * step, step)
+    x, y = (np.arange(low - 3 * step, high + 3.5 * step, step) for low, high in ((x0, x1), (y0, y1)))
     grid = np.stack(np.meshgrid(x, y), axis=-1)
 
     def met(xy):

@@ -45,7 +45,7 @@ def blocks(columns: int, rows: int, texel_samples: float, blur: float) -> np.nda
     """
     side = int(np.clip(round(_BLOCK_SIGMAS * blur / max(texel_samples, 1e-9)), 5, 20))
     row, column = np.divmod(np.arange(rows * columns), columns)
-    return (row // side) * (columns // side + 1) + column // side
+    return (row // side) * -(-columns // side) + column // side
 
 
 def picture_slope(values: np.ndarray, place: np.ndarray) -> np.ndarray:
@@ -96,7 +96,7 @@ def mean_texture(values: list[np.ndarray], weights: list[np.ndarray]) -> np.ndar
 
 def _block_means(values: np.ndarray, weight: np.ndarray, block: np.ndarray) -> np.ndarray:
     """Return the weighted mean of the values in each block, (blocks, ...); 0 for a block without weight."""
-    total = np.bincount(block, weight, block.max() + 1)
+    total = np.bincount(block, weight)
     sums = np.zeros((len(total), *values.shape[1:]))
     used = weight > 0.0
     np.add.at(sums, block[used], (weight[used] * values[used].T).T)
@@ -117,7 +117,7 @@ def without_levels(values: list[np.ndarray], weights: list[np.ndarray], block: n
         Block of each texel.
     """
     own = [np.where(w[:, None] > 0.0, v, 0.0) for v, w in zip(values, weights, strict=True)]
-    totals = np.array([np.bincount(block, w, block.max() + 1) for w in weights])
+    totals = np.array([np.bincount(block, w) for w in weights])
     share = totals / np.maximum(totals.sum(axis=0), 1e-12)
     level = np.zeros((len(own), totals.shape[1], own[0].shape[1]))
     for _ in range(_ROUNDS):
@@ -146,5 +146,5 @@ def texture_rows(values: np.ndarray, slope: np.ndarray, moved: np.ndarray, weigh
     weight = np.where(np.isfinite(slope).all(axis=(1, 2)), weight, 0.0)
     change = np.where(weight[:, None, None] > 0.0, slope, 0.0) @ moved
     change = np.where(weight[:, None, None] > 0.0, change - _block_means(change, weight, block)[block], 0.0)
-    count = np.bincount(block, weight > 0.0, block.max() + 1)
+    count = np.bincount(block, weight > 0.0)
     return TextureRows(np.where(count[block] >= _LEAST_BLOCK, weight, 0.0), values, change)

@@ -58,21 +58,21 @@ ROOMS = {
         ("unit/test_ingest.py", "unit/test_mosaic.py", "unit/test_demosaic.py", "unit/test_dark_frames.py",
          "unit/test_merge.py", "unit/test_photon_transfer.py", "unit/test_linearity.py", "unit/test_registration.py",
          "unit/test_shot_alignment.py", "unit/test_white_reference.py", "unit/test_first_look.py",
-         "unit/test_plausibility.py",
+         "unit/test_plausibility.py", "rig/test_set_plausibility.py", "unit/test_linear_pictures.py",
          "unit/test_fuzz_raw.py", "unit/test_dng_levels.py", "unit/test_exposure_settings.py",
          "rig/test_session_sees.py"),
     ),
     "rectification": (
         ("rectification",),
         ("unit/test_rectification.py", "unit/test_registration_parts.py", "unit/test_registration_steps.py",
-         "unit/test_outline_search.py", "unit/test_ball_outline.py", "rig/test_level_patch.py",
-         "unit/test_marker_sheet.py"),
+         "unit/test_outline_search.py", "unit/test_ball_outline.py", "unit/test_level_patch_parts.py",
+         "unit/test_marker_sheet.py", "rig/test_level_patch.py"),
     ),
     "light": (
         ("light",),
         ("unit/test_environment.py", "unit/test_light_sources.py", "unit/test_irradiance.py", "unit/test_gloss.py",
          "unit/test_mirror_ball.py", "unit/test_light_recovery.py", "unit/test_room_charts.py",
-         "unit/test_sky_sampling.py"),
+         "unit/test_known_lamps.py"),
     ),
     "evaluation": (
         ("evaluation",),
@@ -98,6 +98,7 @@ LONG = (
     "test_the_errors_under_a_photographed_place", "test_reconstruction_error_is_that_of_the_truncated_svd",
     "test_another_programs_chart_is_read_and_brought", "test_the_fewest_aligned_bases_meet_the_target",
     "test_any_plate_before_any_scene_is_found", "test_predicted_errors_are_those_that_occur",
+    "test_a_named_lamp_is_recovered_better", "test_errors_of_the_look_up_are_those_against",
     "test_planned_poses_beat_as_many_others", "test_every_figure_of_the_gloss_table", "seed_gives_the_same_table",
 )  # fmt: skip
 LONGEST_S = 2.0

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from raw_studio import ANGLE, BALANCE, SENSOR, SIZE, SUPERPIXELS, WHITE, Studio
+from raw_studio import ANGLE, BALANCE, BLACK, SENSOR, SIZE, SUPERPIXELS, WHITE, Studio, dng
 from scipy import stats
 
-from irodori.config.capture_table import Pose
+from irodori.config.capture_table import Pose, Shot
 from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.ingest.camera_reference import Reference, ingest_reference
-from irodori.ingest.dark_frames import hot_pixels
+from irodori.ingest.dark_frames import hot_pixels, measure_dark
 from irodori.ingest.ingest_options import IngestOptions
 
 DARKNESS = np.zeros((SIZE[0] // 2, SIZE[1] // 2, 6))
@@ -204,3 +204,38 @@ def test_a_bright_pixel_is_eight_deviations_above_the_others(sigma):
     limit = np.median(level) + 8.0 * max(sigma, np.sqrt(1 / 12))
     level[3, 5], level[5, 7] = limit - 0.1, limit + 0.1  # of the upper half, so that the median stays
     assert np.argwhere(hot_pixels(level, None, 0)).tolist() == [[5, 7]]
+
+
+def test_the_line_of_each_pixel_is_that_of_least_squares_over_all_frames(tmp_path):
+    """Of three exposure times, one of which was photographed three times; frames of equal time differ by chance alone.
+
+    A pixel that is hot has neither an offset nor a rate, whatever it would make of the steps of the others.
+    """
+    rng, times = np.random.default_rng(9), np.array([0.4, 0.1, 0.4, 0.2, 0.1, 0.4])
+    level = 500.0 + rng.uniform(-20.0, 20.0, (64, 96)) + rng.uniform(0.0, 100.0, (64, 96)) * times[:, None, None]
+    frames = np.rint(level + 10.0 * (times[:, None, None] == 0.2) + rng.normal(0.0, 2.0, level.shape))
+    frames[:, 7, 9] += 9000.0
+    shots = [Shot("white.dng", "white", Pose(45.0, 0.0), "out", 0.1)]
+    for number, (frame, time_s) in enumerate(zip(frames, times, strict=True)):
+        dng(tmp_path / f"{number}.dng", (BLACK + frame).astype(np.uint16), exposure_s=time_s)
+        shots.append(Shot(f"{number}.dng", "dark", Pose(45.0, 0.0), "out", float(time_s), 200.0))
+    found = measure_dark(shots, tmp_path / "t.csv", tmp_path)
+    rate, offset = np.polyfit(times, frames.reshape(6, -1), 1).reshape(2, 64, 96)
+    sound = np.arange(64 * 96).reshape(64, 96) != 7 * 96 + 9
+    assert found.exposures_s == (0.1, 0.2, 0.4) and found.iso == 200.0 and found.hot_px.tolist() == [[7, 9]]
+    for stored, step, expected in ((found.rate, found.rate_step_dn_per_s, rate),
+                                   (found.offset, found.offset_step_dn, offset)):  # fmt: skip
+        assert not stored[7, 9] and step == pytest.approx(np.abs(expected[sound]).max() / 32_767, rel=1e-3)
+        np.testing.assert_allclose((step * stored)[sound], expected[sound], atol=0.6 * step + 2e-3)
+    for time_s in (0.0, 0.3):
+        np.testing.assert_allclose(found.signal_dn(time_s)[sound], (offset + rate * time_s)[sound], atol=0.05)
+    # Of one exposure time alone the signal is in proportion to time, without an offset.
+    alone = measure_dark([s for s in shots if s.exposure_s == 0.4], tmp_path / "t.csv", tmp_path)
+    mean = frames[times == 0.4].mean(axis=0)
+    assert alone.offset is None
+    np.testing.assert_allclose(alone.signal_dn(0.2)[sound], mean[sound] / 2.0, atol=0.02)
+    assert measure_dark(shots[:1], tmp_path / "t.csv", tmp_path) is None
+    # A frame of another size is named, wherever among the others it stands.
+    dng(tmp_path / "3.dng", np.full((64, 98), BLACK + 500, np.uint16), exposure_s=0.2)
+    with pytest.raises(InputError, match=r"3\.dng.*98 x 64 pixels.*96 x 64, as the first dark frame"):
+        measure_dark(shots, tmp_path / "t.csv", tmp_path)

@@ -5,6 +5,7 @@ import struct
 import pytest
 
 from irodori.ingest.dng_levels import black_level_repeats
+from irodori.ingest.tiff_tags import Tag, read_tags
 
 SHORT, LONG, IFD = 3, 4, 13
 REPEAT, CHILDREN = 50713, 330
@@ -97,3 +98,54 @@ def test_64_directories_in_a_row_are_read_and_no_more(tmp_path, order):
     for number in range(80):
         content += directory(order, repeat(order, 2, number + 1), following=8 + size * (number + 1))
     assert found(tmp_path, content) == [(2, n + 1) for n in range(64)]
+
+
+ASCII, RATIONAL, EXIF = 2, 5, 34665
+
+
+def tag_of(tmp_path, order: str, kind: int, count: int, value: bytes, elsewhere: bytes = b"") -> list[Tag]:
+    """Return what is read of one tag of an Exif directory; what is elsewhere stands 100 bytes into the file."""
+    inner = directory(order, entry(order, 42, kind, count, value), entry(order, 43, SHORT, 1, b"\0\7"))
+    outer = directory(order, entry(order, EXIF, LONG, 1, struct.pack(order + "I", 40)))
+    content = ((head(order) + outer).ljust(40, b"\0") + inner).ljust(100, b"\0") + elsewhere
+    (tmp_path / "a.tif").write_bytes(content)
+    return read_tags(tmp_path / "a.tif", (42,))
+
+
+def test_numbers_and_texts_stand_in_their_entry_where_they_fit_and_elsewhere_if_not(tmp_path, order):
+    place = struct.pack(order + "I", 100)
+    for kind, letter, values, fits in (
+        (SHORT, "H", (7, 65_535), True), (SHORT, "H", (7, 8, 9), False), (LONG, "I", (2**32 - 1,), True),
+        (LONG, "I", (1, 2), False), (RATIONAL, "I", (10, 3), False), (RATIONAL, "I", (1, 2, 3, 4), False),
+    ):  # fmt: skip
+        stored = struct.pack(f"{order}{len(values)}{letter}", *values)
+        count = len(values) // 2 if kind == RATIONAL else len(values)
+        given = (stored, b"") if fits else (place, stored)
+        assert tag_of(tmp_path, order, kind, count, *given) == [Tag(42, kind, values)]
+    for text, value in (
+        (b"f35\0", "f35"),
+        (b"f50\0old", "f50"),
+        (b"  Maker  \0", "Maker"),
+        (b"na\xefve\0", "na\ufffdve"),
+    ):
+        given = (text, b"") if len(text) <= 4 else (place, text)
+        assert tag_of(tmp_path, order, ASCII, len(text), *given) == [Tag(42, ASCII, (value,))]
+
+
+def test_what_is_too_long_unknown_or_beyond_the_file_is_no_tag(tmp_path, order):
+    place = struct.pack(order + "I", 100)
+    for length, is_read in ((256, True), (257, False)):
+        assert len(tag_of(tmp_path, order, ASCII, length, place, b"x" * 300)) == is_read
+        assert len(tag_of(tmp_path, order, LONG, length // 4 + (not is_read), place, b"x" * 300)) == is_read
+        assert len(tag_of(tmp_path, order, RATIONAL, length // 8 + (not is_read), place, b"x" * 300)) == is_read
+    assert tag_of(tmp_path, order, ASCII, 0, place, b"x" * 300) == []
+    assert tag_of(tmp_path, order, 12, 1, place, b"x" * 300) == []
+    assert tag_of(tmp_path, order, LONG, 3, place, b"x" * 12) and not tag_of(tmp_path, order, LONG, 3, place, b"x" * 11)
+    for content in (b"", b"II*", b"PK\3\4 no TIFF"):
+        (tmp_path / "b.tif").write_bytes(content)
+        assert read_tags(tmp_path / "b.tif", (42,)) == []
+
+
+def test_a_directory_that_leads_back_to_itself_is_read_once(tmp_path, order):
+    back = directory(order, repeat(order, 2, 3), following=8)
+    assert found(tmp_path, head(order) + back) == [(2, 3)]

@@ -1,5 +1,6 @@
 """Rough reflection by look-up: blurred light against sums over pixels, the fitted lobes against the true ones."""
 
+import itertools
 import math
 
 import numpy as np
@@ -7,23 +8,44 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scenes import DATA
+from scipy.optimize import nnls
 from scipy.special import ive
 
 from irodori.core import store
 from irodori.core.errors import InputError
-from irodori.light.blurred_light import WIDTHS_RAD, _bessel_series, first_level, prefiltered
+from irodori.light.blurred_light import (
+    WIDTHS_RAD,
+    _bessel_series,
+    _divided,
+    _row_series,
+    _thinned,
+    first_level,
+    prefiltered,
+    row_angles,
+)
 from irodori.light.environment_file import Environment, directions
 from irodori.light.equirectangular import look_up
-from irodori.light.gloss import lobe_table, make_lobe_table
+from irodori.light.gloss import lobe_table, look_up_errors, make_lobe_table
 from irodori.light.gloss.gloss_maps import GlossMaps, gloss_radiance
 from irodori.light.gloss.lobe_table import fitted_lobes
 from irodori.light.gloss.look_up_errors import gloss_errors, lit_places, places, true_gloss
-from irodori.light.gloss.make_lobe_table import extent, farthest, fit_lobe, gaussians, lobe_samples, unit
+from irodori.light.gloss.make_lobe_table import (
+    _candidates,
+    _pursue,
+    extent,
+    farthest,
+    fit_lobe,
+    gaussians,
+    grid_cells,
+    lobe_samples,
+    unit,
+)
 from irodori.light.gloss.point_sources import point_lights
 from irodori.light.irradiance import Integrator
 from irodori.reflection.albedo import albedo_table
 from irodori.reflection.equation5 import angles_from_directions, reflect
 from irodori.reflection.fresnel import fresnel
+from irodori.reflection.lobe_arrays import evaluate
 from irodori.reflection.registry import names
 
 
@@ -136,6 +158,50 @@ def test_the_series_of_a_narrow_lobe_is_of_bessel_functions(z, terms):
     assert np.abs(found - ive(np.arange(terms), z)).max() <= 2e-6 * ive(0, z)
 
 
+@pytest.mark.parametrize("size", [(3, 7), (70, 8), (2, 1)])
+def test_the_series_of_a_row_is_that_of_light_which_is_even_over_each_pixel(size):
+    """Also of more terms than there are pixels; written out: the integral of exp(-imφ) over each pixel."""
+    height, width = size
+    sky = np.random.default_rng(4).uniform(0.0, 1.0, (height, width, 2))
+    found = _row_series(sky, 3 * width + 2)
+    edges, solid_angle = 2.0 * np.pi * np.arange(width + 1) / width, directions(width, height)[1]
+    for m in range(3 * width + 2):
+        whole = edges if m == 0 else 1j * np.exp(-1j * m * edges) / m
+        mean = np.diff(whole) * width / (2.0 * np.pi)
+        expected = np.einsum("yxk,yx,x->yk", sky, solid_angle, mean)
+        np.testing.assert_allclose(found[:, m], expected, atol=1e-5 * solid_angle.max() * width)
+
+
+@pytest.mark.parametrize("parts", [1, 3])
+def test_a_divided_row_keeps_its_light_each_part_by_its_solid_angle(parts):
+    series = np.random.default_rng(5).normal(size=(4, 6, 2)).astype(np.complex64)
+    found, theta = _divided(series, parts)
+    fine = directions(1, 4 * parts)[1][:, 0]
+    np.testing.assert_allclose(theta, row_angles(4 * parts))
+    edges = np.cos(np.linspace(0.0, np.pi, 4 * parts + 1))
+    np.testing.assert_allclose(np.cos(theta), (edges[1:] + edges[:-1]) / 2.0, atol=1e-12)
+    for row in range(4):
+        own = slice(row * parts, (row + 1) * parts)
+        expected = fine[own, None, None] / fine[own].sum() * series[row]
+        np.testing.assert_allclose(found[own], expected, rtol=1e-5, atol=1e-7)
+
+
+@pytest.mark.parametrize("height", [2, 7, 10])
+def test_of_half_as_many_rows_each_has_the_light_of_those_about_it_and_beyond_a_pole_half_a_turn_away(height):
+    series = np.random.default_rng(6).normal(size=(height, 5, 2)).astype(np.complex64)
+    theta = row_angles(height)
+    found, places = _thinned(series, theta)
+    rows = height // 2
+    np.testing.assert_allclose(places, np.pi * (np.arange(rows) + 0.5) / rows)
+    expected = np.zeros((rows, 5, 2), complex)
+    for one, angle in zip(series, theta, strict=True):
+        at = angle / np.pi * rows - 0.5
+        for row, share in ((math.floor(at), 1.0 - at % 1.0), (math.floor(at) + 1, at % 1.0)):
+            turned = 1.0 if 0 <= row < rows else (-1.0) ** np.arange(5)[:, None]
+            expected[min(max(row, 0), rows - 1)] += share * turned * one
+    np.testing.assert_allclose(found, expected, atol=1e-5)
+
+
 @given(height=st.integers(1, 40), width=st.integers(1, 60), seed=st.integers(0, 2**32 - 1))
 @settings(deadline=None, max_examples=15)
 def test_pictures_of_any_size_keep_their_power(height, width, seed):
@@ -197,6 +263,106 @@ def test_a_table_is_what_its_module_makes(name, entry):
     assert made.rest == pytest.approx(rest, rel=1e-2)
 
 
+def test_a_lobe_narrower_than_the_finest_width_is_that_of_the_finest_width_and_keeps_its_power():
+    made = fit_lobe(0.002, 0.5)
+    _, value, cos_h, solid_angle = lobe_samples(0.002, 0.5)
+    power = (value * solid_angle).sum()
+    assert not made.width.any() and made.weight.sum() == pytest.approx(power, rel=0.02)
+    # Strongest first; about the mirror direction, where facets reflect that stand along the normal.
+    assert (np.diff(made.weight) <= 0.0).all()
+    assert (made.weight @ made.offset) / power == pytest.approx(0.0, abs=0.002)
+    mean = (((1.0 - cos_h) ** 5) @ (value * solid_angle) / power) ** 0.2
+    assert made.incidence + 0.5 == pytest.approx(math.acos(1.0 - mean), abs=0.01)
+
+
+@pytest.mark.parametrize(("mu", "theta_r"), [(0.02, 0.7), (0.1, 1.4), (0.45, 0.0), (1.2, 1.0)])
+@pytest.mark.parametrize("name", OWN)
+def test_a_lobe_is_sampled_as_far_as_it_reaches_and_as_finely_as_its_tail_is_long(name, mu, theta_r):
+    core, tail = extent(name, mu)
+    direction, value, cos_h, solid_angle = lobe_samples(mu, theta_r, (60, 20), name)
+    reach, of_core = min(8.4 * tail, 2.0 * math.pi) + 0.02, 8.4 * core + 0.02
+    more = math.asinh(math.sqrt(2.0) * reach / core) / math.asinh(math.sqrt(2.0) * min(of_core, reach) / core)
+    assert len(direction) == round(60 * more) * round(20 * more)
+    # Along the plane of incidence to a little below the horizon of a facet's light, and to one side of the plane.
+    along = np.arctan2(direction[:, 0], direction[:, 2]) - theta_r
+    across, side = np.arcsin(direction[:, 1]), min(reach, math.pi / 2.0)
+    low, high = max(-reach, -math.pi / 2.0 - 0.3 - theta_r), min(reach, math.pi / 2.0 + min(reach, 1.5) - theta_r)
+    along = np.sort(np.where(along < low, along + 2.0 * math.pi, np.where(along > high, along - 2.0 * math.pi, along)))
+    assert low <= along[0] < low + 0.15 * (high - low) and high - 0.15 * (high - low) < along[-1] <= high
+    assert 0.0 < across.min() < 0.05 * side and 0.7 * side < across.max() <= side
+    assert solid_angle.sum() == pytest.approx((high - low) * 2.0 * math.sin(side), rel=0.01)
+    view = np.array([-math.sin(theta_r), 0.0, math.cos(theta_r)])
+    geometry = angles_from_directions(np.array([0.0, 0.0, 1.0]), direction, view)
+    np.testing.assert_allclose(cos_h, np.sqrt(np.maximum(0.5 + 0.5 * direction @ view, 0.0)), atol=1e-7)
+    np.testing.assert_allclose(value, evaluate(name, mu, geometry))
+    # Cells are narrowest about the mirror direction, across it by the cosine of the view angle narrower.
+    nearest = np.argmin(np.abs(np.arccos(np.clip(direction @ (view * [-1.0, 0.0, 1.0]), -1.0, 1.0))))
+    density = solid_angle / np.cos(across)
+    assert density[nearest] == pytest.approx(density.min(), rel=0.3)
+
+
+@pytest.mark.parametrize(("low", "high", "count"), [(-0.4, 1.3, 40), (0.0, 0.2, 5), (-2.0, -0.1, 9)])
+def test_cells_fill_their_range_and_are_narrowest_about_zero(low, high, count):
+    centre, width = grid_cells(0.05, low, high, count)
+    assert len(centre) == len(width) == count and width.sum() == pytest.approx(high - low)
+    edges = low + np.concatenate([[0.0], np.cumsum(width)])
+    np.testing.assert_allclose(centre, 0.5 * (edges[1:] + edges[:-1]))
+    # They grow with the distance from zero as its hyperbolic sine does, from the scale on.
+    np.testing.assert_allclose(np.diff(np.arcsinh(edges / 0.05)), np.ptp(np.arcsinh(edges / 0.05)) / count)
+
+
+@pytest.mark.parametrize(("mu", "theta_r"), [(0.02, 0.6), (0.1, 1.45), (0.15, 0.3), (0.4, 1.2)])
+@pytest.mark.parametrize("name", OWN)
+def test_candidates_are_all_places_of_a_grid_about_the_mirror_direction_that_facets_reach(name, mu, theta_r):
+    core, tail = extent(name, mu)
+    width, view = math.sqrt(2.0) * core, np.array([-math.sin(theta_r), 0.0, math.cos(theta_r)])
+    finest = min(width * max(0.1, min(0.25, 0.6 * math.cos(theta_r))), 0.2)
+    numbers, *places = _candidates(name, mu, theta_r)
+    wanted = [n for n, one in enumerate(WIDTHS_RAD) if finest <= one < 1.02 * math.sqrt(2.0) * tail]
+    assert sorted(set(numbers)) == wanted
+    for number in wanted:
+        own, found = WIDTHS_RAD[number], []
+        step, beside = 0.6 * own, min(max(3.0 * width, 2.9 * own), 1.4)
+        is_wide = max(core, own / 1.5) > 0.12
+        for k in range(-2000, 2000):
+            along = theta_r + k * step
+            if not -math.pi / 2 <= along <= math.pi / 2 + step / 2:
+                continue
+            for m in range(math.ceil(beside / step) if is_wide else 1):
+                across = m * step
+                light = np.array(
+                    [math.cos(across) * math.sin(along), math.sin(across), math.cos(across) * math.cos(along)]
+                )
+                half = light + view
+                if math.acos(half[2] / np.linalg.norm(half)) < min(2.4 * max(core, 0.69 * own), 1.5):
+                    found.append((along, across))
+        chosen = numbers == number
+        np.testing.assert_allclose(np.stack([one[chosen] for one in places], axis=1), found, atol=1e-9)
+
+
+@pytest.mark.parametrize(("used", "noise"), [(3, 0.0), (30, 0.05)])
+def test_a_target_is_pursued_by_the_column_that_explains_most_of_what_is_left(used, noise):
+    """Step by step, each time with the weights of all columns anew; of forty look-ups a pair takes two."""
+    rng = np.random.default_rng(7)
+    rows, cost = rng.uniform(0.0, 1.0, (80, 40)) ** 4, rng.integers(1, 3, 40)
+    target = rows[:, :used] @ rng.uniform(0.5, 1.0, used)
+    target = target / np.linalg.norm(target) + noise * rng.normal(size=80)
+    chosen, weights, rest = [], np.zeros(0), target
+    while np.linalg.norm(rest) >= 0.01:
+        free = [n for n in range(40) if n not in chosen and cost[n] <= 40 - sum(cost[chosen])]
+        gain = {n: rest @ rows[:, n] / np.linalg.norm(rows[:, n]) for n in free}
+        if not gain or max(gain.values()) < 1e-4:
+            break
+        chosen.append(max(gain, key=gain.get))
+        weights = nnls(rows[:, chosen], target)[0]
+        chosen, weights = [n for n, w in zip(chosen, weights, strict=True) if w > 0.0], weights[weights > 0.0]
+        rest = target - rows[:, chosen] @ weights
+    found, of_found = _pursue(rows, target, cost)
+    assert found.tolist() == chosen and cost[found].sum() <= 40
+    np.testing.assert_allclose(of_found, weights, rtol=1e-6)
+    assert (np.linalg.norm(rest) < 0.01) == (noise == 0.0)
+
+
 def test_the_command_writes_the_table_that_is_stored(tmp_path, monkeypatch):
     """Four entries of it, for all take minutes."""
     lobes, some = fitted_lobes("gaussian"), np.ix_([2, 3], [8, 9])
@@ -233,6 +399,20 @@ def test_a_lobe_has_unit_power_whatever_its_width(width_rad, across):
     pixel, solid_angle = directions(512, 256)
     found = gaussians(pixel.reshape(-1, 3), unit(np.array([0.3]), np.array([across])), np.array([width_rad]))
     assert (found[:, 0] * solid_angle.ravel()).sum() == pytest.approx(1.0, rel=1e-3)
+
+
+def test_lobes_are_those_of_von_mises_and_fisher_on_both_sides_of_the_plane():
+    rng = np.random.default_rng(3)
+    axis, direction = unit(rng.uniform(-1, 1, 4), rng.uniform(0, 1, 4)), rng.normal(size=(50, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    width_rad = np.array([0.02, 0.1, 0.5, 3.0])
+    found = gaussians(direction, axis, width_rad)
+    for n, ((x, y, z), width) in enumerate(zip(axis, width_rad, strict=True)):
+        kappa = 1.0 / width**2
+        sides = [np.exp(np.maximum(kappa * (direction @ [x, sign * y, z] - 1.0), -700.0)) for sign in (1.0, -1.0)]
+        expected = kappa / (2.0 * np.pi * (1.0 - np.exp(-2.0 * kappa))) * np.mean(sides, axis=0)
+        np.testing.assert_allclose(found[:, n], expected, rtol=1e-9)
+    assert found.min() > 0.0
 
 
 def test_the_extent_of_facets():
@@ -381,6 +561,29 @@ def test_errors_of_the_look_up_are_those_against_the_true_lobe():
     assert all(row["rms"] == row["max"] == 0.0 for row in dark)
 
 
+def test_errors_of_the_look_up_are_root_mean_squares_and_largest_ones_over_places_of_both_kinds(monkeypatch):
+    """Of two roughnesses and view angles: over places at random and places that mirror the bright."""
+    monkeypatch.setattr(look_up_errors, "MU", (0.1, 0.8))
+    monkeypatch.setattr(look_up_errors, "THETA_R_DEG", (0.0, 60.0))
+    sky = np.random.default_rng(6).uniform(0.5, 1.0, (16, 32, 1)).astype(np.float32)
+    sky[3, 5] = 40.0
+    integrator, maps = Integrator(sky), GlossMaps.of(sky)
+    rows = gloss_errors(integrator, maps)
+    assert [(row["mu"], row["theta_r_deg"]) for row in rows] == [(0.1, 0.0), (0.1, 60.0), (0.8, 0.0), (0.8, 60.0)]
+    for row in rows:
+        mu, angle = row["mu"], math.radians(row["theta_r_deg"])
+        both = places(angle, 3), lit_places(integrator.cells, mu, angle, 3)
+        normal, view = (np.concatenate(one) for one in zip(*both, strict=True))
+        true = true_gloss(integrator, normal, view, mu)[:, 0]
+        off = gloss_radiance(maps.tables(), normal, view, 1.0, mu, (1.5, 0.0))[:, 0] - true
+        assert row["rms"] == pytest.approx(np.sqrt((off**2).sum() / (true**2).sum()))
+        assert row["max"] == pytest.approx(np.abs(off).max() / true.max()) and row["lobe"] == "gaussian"
+        # Of a rough surface the look-up is good enough to tell the normal from the view.
+        assert mu < 0.8 or row["rms"] < 0.01
+    dark = gloss_errors(Integrator(0.0 * sky), GlossMaps.of(0.0 * sky))
+    assert all(row["rms"] == row["max"] == 0.0 for row in dark)
+
+
 def test_what_reflects_nothing_gives_nothing(constant):
     tables = constant[1].tables()
     up, side = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
@@ -451,6 +654,29 @@ def test_points_are_the_light_they_stand_for():
         brightest = points.direction[(points.direction @ unit_[place]).argmax()]
         assert brightest @ unit_[place] > math.cos(0.001)
     assert len(point_lights(np.zeros((4, 8, 2), np.float32)).power) == 0
+
+
+@pytest.mark.parametrize("size", [(96, 192), (100, 150), (5, 9)])
+def test_each_point_has_the_power_of_a_cell_of_a_tenth_of_a_radian_and_stands_in_its_centre_of_power(size):
+    """Of 32 bands of rows, each in as many cells as its longest row is long; coarse pixels are divided first."""
+    sky = np.random.default_rng(9).gamma(0.5, 1.0, (*size, 2)).astype(np.float32)
+    fine = sky.repeat(-(-64 // size[0]) if size[0] < 64 else 1, axis=0)
+    fine = fine.repeat(-(-128 // size[1]) if size[1] < 128 else 1, axis=1)
+    (height, width), points = fine.shape[:2], point_lights(sky)
+    unit_, solid_angle = directions(width, height)
+    light, number = fine * solid_angle[..., None], 0
+    length = np.linalg.norm(light, axis=2)[..., None] * unit_
+    rows = np.round(np.linspace(0, height, 33)).astype(int)
+    for first, last in itertools.pairwise(rows):
+        longest = np.sin(np.pi * (np.arange(first, last) + 0.5) / height).max()
+        columns = np.round(np.linspace(0, width, max(4, math.ceil(64 * longest)) + 1)).astype(int)
+        for left, right in itertools.pairwise(columns):
+            cell = np.s_[first:last, left:right]
+            np.testing.assert_allclose(points.power[number], light[cell].sum(axis=(0, 1)), rtol=1e-4)
+            moment = length[cell].sum(axis=(0, 1))
+            np.testing.assert_allclose(points.direction[number], moment / np.linalg.norm(moment), atol=1e-5)
+            number += 1
+    assert number == len(points.power)
 
 
 def test_gloss_maps_in_a_file(tmp_path, constant):

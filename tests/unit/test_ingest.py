@@ -12,10 +12,13 @@ from raw_studio import ANGLE, BALANCE, BLACK, PROVENANCE, ROOT, SENSOR, SIZE, SU
 
 from irodori.config.capture_table import Pose, Shot, read_captures, write_captures
 from irodori.core import store
+from irodori.core.custody import content_sha256
 from irodori.core.errors import InputError
 from irodori.ingest.camera_reference import Reference, ingest_reference
+from irodori.ingest.develop import _noise_model
 from irodori.ingest.flat_field import evaluate_flat, fit_flat
 from irodori.ingest.ingest_options import IngestOptions
+from irodori.ingest.merge import ExposureBracket
 from irodori.ingest.mosaic import ALGORITHMS
 from irodori.ingest.stage import ingest_raw
 
@@ -98,6 +101,22 @@ def test_a_picture_without_white_reference_is_in_full_scales_per_second(tmp_path
         assert file.read("response").shape == (32, 32, 3)
         assert np.allclose(file.read("response"), 5000 / (WHITE - BLACK) / 0.25, rtol=1e-6)
         assert np.isnan(file.read("noise_model")).all()
+        told = {name: file.attribute(name) for name in ("sample_px", "demosaic", "orientation", "filters")}
+        assert told == {"sample_px": 2, "demosaic": "superpixel", "orientation": 0, "filters": ["out"]}
+        assert file.dataset("response").attrs["units"] == "1/s"
+
+
+def test_filter_states_of_different_sizes_are_refused(tmp_path):
+    shots = []
+    for state, shape in (("out", (64, 64)), ("in", (64, 62))):
+        dng(tmp_path / f"{state}.dng", np.full(shape, BLACK + 5000, np.uint16))
+        shots.append(Shot(f"{state}.dng", "object", Pose(45.0, 0.0), state, 0.02))
+    table = tmp_path / "captures.csv"
+    write_captures(table, shots)
+    ingest_reference(table, tmp_path, tmp_path / "r.h5", PROVENANCE, 1.0, SUPERPIXELS)
+    with pytest.raises(InputError, match=r"in\.dng: size.*\(62, 64\).*\(64, 64\), as the other filter state"):
+        ingest_raw(table, tmp_path, Pose(45.0, 0.0).name, tmp_path / "r.h5", tmp_path / "l.h5", PROVENANCE,
+                   options=SUPERPIXELS)  # fmt: skip
 
 
 def test_an_environment_of_another_size_keeps_the_scale(tmp_path):
@@ -265,6 +284,8 @@ def run(folder, shots):
 def test_exposure_iso_and_aperture_do_not_change_the_response(tmp_path, exposure_s, iso, f_number):
     response = run(tmp_path, [("white", 0.02, 100, 4.0, ()), ("object", exposure_s, iso, f_number, ())])
     assert np.allclose(response, 0.3, rtol=2e-3)
+    with store.open_file(tmp_path / "l.h5") as file:
+        assert file.dataset("response").attrs["units"] == "1"
 
 
 def test_the_tables_settings_count_where_the_file_is_silent(tmp_path):
@@ -357,6 +378,34 @@ def test_a_dark_signal_below_one_digital_number_counts_in_dim_light(tmp_path):
         folder.mkdir()
         with store.open_file(photographs(folder, numbers, options)) as file:
             assert np.allclose(file.read("response"), 7.6 / 3999.6, rtol=2e-3)
+
+
+@pytest.mark.parametrize("number", [0, 1])
+def test_a_photograph_that_has_changed_since_its_hash_was_written_is_refused(tmp_path, number):
+    """The white reference by what makes the camera's reference, the object by what makes its responses."""
+    numbers = [("white", 0.02, 100, BLACK + 4000), ("object", 0.02, 100, BLACK + 1000)]
+    photographs(tmp_path, numbers, SUPERPIXELS)
+    table, shots = tmp_path / "captures.csv", read_captures(tmp_path / "captures.csv")
+    write_captures(table, shots, {shot.file: content_sha256(tmp_path / shot.file) for shot in shots})
+    output, capture = tmp_path / "l.h5", Pose(0.0, 0.0).name
+
+    def run_again():
+        ingest_reference(table, tmp_path, tmp_path / "r.h5", PROVENANCE, 1.0, SUPERPIXELS)
+        ingest_raw(table, tmp_path, capture, tmp_path / "r.h5", output, PROVENANCE, options=SUPERPIXELS)
+
+    run_again()
+    changed = np.full((64, 96), BLACK + numbers[number][3] - 599, np.uint16)
+    write_any_dng(tmp_path / f"{number}.dng", changed, exposure_s=0.02, iso=100)
+    with pytest.raises(InputError, match=rf"{number}\.dng"):
+        run_again()
+
+
+def test_white_frames_that_repeat_an_exposure_are_brackets_of_their_own_that_count_alike(tmp_path):
+    """Two of one exposure and one of half: a bracket of both exposures, and a frame alone under a brighter lamp."""
+    numbers = [("white", t, 100, BLACK + level) for t, level in ((0.02, 4000), (0.02, 4400), (0.01, 2000))]
+    numbers.append(("object", 0.02, 100, BLACK + 1050))
+    with store.open_file(photographs(tmp_path, numbers, SUPERPIXELS)) as file:
+        assert np.allclose(file.read("response"), 0.25, rtol=1e-3)
 
 
 def test_a_white_reference_serves_while_half_of_it_is_not_saturated(tmp_path):
@@ -482,6 +531,29 @@ def test_the_noise_model_follows_the_exposures_that_were_merged(tmp_path):
             # Differences of neighbours: the white's vignetting falls out.
             scatter = np.diff(response[middle][..., band], axis=1).std() / np.sqrt(2)
             assert scatter == pytest.approx(np.sqrt(noise[band, 0] + noise[band, 1] * level), rel=0.1), (number, band)
+
+
+def test_the_noise_model_weighs_the_exposures_that_give_half_of_a_bands_samples():
+    """Written out: each counts by the inverse of its variance, in light by its electrons and without by read noise."""
+    bracket = ExposureBracket(
+        exposure_dn=np.array([30.0, 100.0, 400.0]), dark_s=np.zeros(3), electrons_per_dn=np.array([2.0, 2.0, 0.5]),
+        read_dn2=np.array([4.0, 4.0, 36.0]),
+    )  # fmt: skip
+    level, shares = np.array([0.5, 0.8, 0.3]), np.array([[0.1, 0.5, 0.49], [1.0, 1.0, 1.0], [0.0, 0.2, 0.6]])
+    counted = ([0, 1], [0, 1, 2], [0, 2])
+    for white, greens in ((level, 1.0), (level[:, None] * [1.0, 5.0], 2.0)):  # a polynomial, or its value at the centre
+        found = _noise_model(bracket, white, shares.copy(), SUPERPIXELS, greens)
+        for band, frames in enumerate(counted):
+            samples = greens if band == 1 else 1.0
+            dn = [level[band] * bracket.exposure_dn[n] for n in frames]
+            read = sum(one**2 / bracket.read_dn2[n] for one, n in zip(dn, frames, strict=True))
+            shot = sum(one * bracket.electrons_per_dn[n] for one, n in zip(dn, frames, strict=True))
+            assert found[band] == pytest.approx([1.0 / read / samples, 1.0 / shot / samples])
+    for unknown in ({"electrons_per_dn": np.array([2.0, np.nan, 1.0])}, {"read_dn2": np.array([np.nan, 1.0, 1.0])}):
+        assert np.isnan(_noise_model(bracket._replace(**unknown), level, shares.copy(), SUPERPIXELS, 2.0)).all()
+    assert np.isnan(_noise_model(bracket, None, shares.copy(), SUPERPIXELS, 2.0)).all()
+    # Of demosaiced pictures neighbours share their noise.
+    assert np.isnan(_noise_model(bracket, level, shares.copy(), OPTIONS[1], 2.0)).all()
 
 
 def test_options_default_to_the_shipped_configuration():

@@ -106,6 +106,23 @@ def test_cells_of_every_level_hold_their_pixels_closely_and_all_their_light(size
     assert end == len(cells.power) and rows * columns <= 32
 
 
+@pytest.mark.parametrize("size", [(48, 96), (50, 70), (9, 200)])
+def test_a_cells_radius_is_the_way_along_its_meridian_and_then_along_its_longest_parallel(size):
+    cells, (height, width), side = Integrator(np.ones((*size, 1), np.float32)).cells, size, 8
+    for first, rows, columns in zip(cells.first, cells.rows, cells.columns, strict=True):
+        for row in range(rows):
+            top, bottom = np.pi * np.array([row * side, min((row + 1) * side, height)]) / height
+            longest = 1.0 if top < np.pi / 2 < bottom else max(np.sin(top), np.sin(bottom))
+            for column in range(columns):
+                left, right = 2 * np.pi * np.array([column * side, min((column + 1) * side, width)]) / width
+                at, theta, azimuth = first + row * columns + column, (top + bottom) / 2, (left + right) / 2
+                expected = (bottom - top) / 2 + longest * (right - left) / 2
+                assert cells.radius[at] == pytest.approx(expected)
+                centre = np.sin(theta) * np.cos(azimuth), np.sin(theta) * np.sin(azimuth), np.cos(theta)
+                assert cells.centre[at] == pytest.approx(centre)
+        side *= 2
+
+
 def test_a_black_sky_gives_nothing():
     found, errors = fitted_irradiance_map(np.zeros((16, 32, 2), np.float32), 0.002, 64)
     assert (found == 0).all() and errors["max_error"] == 0.0
@@ -159,6 +176,25 @@ def test_a_smooth_sky_takes_a_small_map_and_a_sun_a_large_one():
     assert bounded["height"] == 64 and bounded["max_error"] > 1e-6
 
 
+@pytest.mark.parametrize(
+    ("most", "max_error", "height"), [(20, 1e-6, 20), (50, 1e-6, 50), (50, 1.0, 32), (200, 0.008, 64)]
+)
+def test_a_map_has_the_first_of_doubled_heights_that_errs_little_and_states_its_errors_between_its_normals(
+    most, max_error, height
+):
+    sky = np.random.default_rng(6).gamma(0.2, 1.0, (24, 48, 2)).astype(np.float32)
+    sky[6, 10] = 60.0
+    found, errors = fitted_irradiance_map(sky, max_error, most)
+    assert found.shape == (height, 2 * height, 2) and errors["height"] == height and found.dtype == np.float32
+    expected, _ = exact(sky, directions(2 * height, height)[0])
+    assert np.abs(found - expected).max() <= 2e-3 * expected.max()
+    between = midpoints(height)
+    true = Integrator(sky)(between)
+    off = np.linalg.norm(irradiance_at(found, between) - true, axis=1) / np.linalg.norm(true, axis=1).max()
+    assert (errors["max_error"], errors["mean_error"]) == pytest.approx((off.max(), off.mean()))
+    assert off.max() <= max_error or height == most
+
+
 @pytest.mark.parametrize("place", [(0, 5), (31, 127), (32, 0), (12, 64)])
 def test_the_stated_error_holds_at_any_normal(place):
     sky = np.full((64, 128, 1), 1e-4, np.float32)
@@ -168,6 +204,21 @@ def test_the_stated_error_holds_at_any_normal(place):
     expected, _ = exact(sky, normals)
     worst = np.abs(irradiance_at(found, normals) - expected).max() / expected.max()
     assert worst <= 1.1 * errors["max_error"] <= 0.011
+
+
+def test_midpoints_are_the_corners_between_four_pixels_and_the_poles():
+    found = midpoints(3)
+    theta, azimuth = np.repeat([np.pi / 3, 2 * np.pi / 3], 6), np.tile(np.arange(6) * np.pi / 3, 2)
+    corners = np.stack([np.sin(theta) * np.cos(azimuth), np.sin(theta) * np.sin(azimuth), np.cos(theta)], axis=1)
+    np.testing.assert_allclose(found, [[0, 0, 1], [0, 0, -1], *corners], atol=1e-12)
+    # Of many an even selection: in each of 8 x 16 parts of the grid nearly as many.
+    many = midpoints(400)[2:]
+    row = np.arccos(many[:, 2]) / np.pi * 400
+    column = np.arctan2(many[:, 1], many[:, 0]) % (2 * np.pi) / np.pi * 400
+    assert np.abs(row - np.rint(row)).max() < 1e-6 and np.abs(column - np.rint(column)).max() < 1e-6
+    assert len(np.unique(np.rint(row) * 800 + np.rint(column) % 800)) == len(many) > 30_000
+    parts = np.histogram2d(row, column % 800, (8, 16), ((0.5, 399.5), (-0.5, 799.5)))[0]
+    assert parts.min() > 0.9 * parts.mean() and parts.max() < 1.1 * parts.mean()
 
 
 def test_midpoints_are_between_the_normals_and_bounded_in_number():

@@ -16,7 +16,7 @@ from irodori.core.errors import InputError
 from irodori.evaluation.truth_errors import radiance_delta_e
 from irodori.light.environment_file import Environment
 from irodori.light.light_prior import LightPrior, led_lamps, light_prior, prior_of_any_lamp, published_lamps
-from irodori.light.light_recovery import Directions, LightRecovery, ResponseModel, draw_directions
+from irodori.light.light_recovery import Directions, LightRecovery, ResponseModel, draw_directions, evidence
 from irodori.spectra.grid import WAVELENGTH_NM
 from irodori.spectra.published import chart_spectra, spectrum
 
@@ -70,6 +70,24 @@ def test_lamps_of_three_leds_are_shaped_and_coloured_as_another_program_makes_th
     found, expected = (light @ colour_matching_weights().T for light in (lamps[2], white))
     np.testing.assert_allclose(found / found[:, 1:2], np.broadcast_to(expected / expected[1], found.shape), rtol=1e-4)
     assert (lamps >= 0.0).all()
+
+
+@pytest.mark.parametrize(("number", "temperature_k"), [(0, 2700), (4, 6500)])
+def test_lamps_of_three_leds_have_all_peaks_of_a_regular_grid(number, temperature_k):
+    """Six of each colour in the middles of as many parts of its range, in all combinations."""
+    lamps, shape = led_lamps()[number], colour.SpectralShape(WAVELENGTH_NM[0], WAVELENGTH_NM[-1], 5)
+    assert len(np.unique(lamps.round(9), axis=0)) == len(lamps) == 6**3
+    matching, white = colour_matching_weights(), colour.sd_blackbody(temperature_k, shape).values
+    ranges, widths = ((445.0, 475.0), (515.0, 540.0), (615.0, 645.0)), (23.0, 34.0, 18.0)
+    for which in ((0, 0, 0), (5, 5, 5), (0, 5, 2), (3, 1, 4)):
+        peaks = [low + (high - low) * (n + 0.5) / 6.0 for (low, high), n in zip(ranges, which, strict=True)]
+        leds = np.stack([
+            colour.sd_single_led(shape=shape, peak_wavelength=peak, half_spectral_width=width).values
+            for peak, width in zip(peaks, widths, strict=True)
+        ])  # fmt: skip
+        lamp = np.linalg.solve(matching @ leds.T, matching @ white) @ leds
+        lamp /= matching[1] @ lamp
+        assert np.linalg.norm(lamps - lamp, axis=1).min() < 1e-4 * np.linalg.norm(lamp)
 
 
 def test_a_mixture_of_families_is_better_than_one_family_of_all_lamps(seen):
@@ -194,6 +212,57 @@ def test_light_and_its_error_are_the_mean_and_covariance_of_the_mixture_written_
         spread = sum(share * (left + np.outer(light - mean, light - mean)) for share, light, left in parts)
         drawn = recovery.errors @ own
         np.testing.assert_allclose(drawn.T @ drawn, spread, atol=2e-3 * spread.max())
+
+
+def log_density(moment, model, covariance, response) -> float:
+    """The log density of a response under a family, without the constant that all families and priors share."""
+    second = model @ moment @ model.T
+    for band in range(len(model)):
+        second[band, band] += 1.5 * np.trace(covariance[band] @ moment) + 3e-4**2 * second[band, band]
+    inverse = np.linalg.inv(second)
+    return -0.5 * np.log(np.linalg.det(second)) - 0.5 * len(model) * np.log(response @ inverse @ response)
+
+
+def test_the_evidence_of_a_prior_is_the_log_density_of_as_many_directions_as_have_colours_of_their_own(seen):
+    rng = np.random.default_rng(11)
+    model = seen.calibration.band_response[[0, 2, 4]] / seen.calibration.light
+    covariance = np.stack([np.outer(one, one) * 1e-3 for one in model])
+    camera_, prior = ResponseModel(model, covariance), made_up_prior(5, rng)
+    response = rng.uniform(0.2, 1.0, 3)
+    expected = np.log(sum(
+        share * np.exp(log_density(moment, model, covariance, response))
+        for share, moment in zip(prior.share, prior.moment, strict=True)
+    ))  # fmt: skip
+    assert evidence(prior, camera_, one_direction(response)) == pytest.approx(expected, rel=1e-6)
+    # The same colour again, and as bright as one likes, tells no more.
+    twice = Directions(np.stack([response, response]), np.array([0.3, 0.7]))
+    assert evidence(prior, camera_, twice) == pytest.approx(expected, rel=1e-6)
+    # Three colours far apart, and one family alone, whose share they cannot change.
+    apart, share = np.array([[1.0, 0.1, 0.1], [0.1, 1.0, 0.1], [0.1, 0.1, 1.0]]), np.array([0.5, 0.2, 0.3])
+    alone = LightPrior(prior.moment[:1], np.ones(1), 1)
+    each = [log_density(prior.moment[0], model, covariance, one) for one in apart]
+    found = evidence(alone, camera_, Directions(apart, share))
+    assert found == pytest.approx((share @ each) / (share @ share), rel=1e-6)
+
+
+def test_directions_count_by_the_colours_that_differ_and_not_by_their_number():
+    rng = np.random.default_rng(12)
+    red, blue = np.array([1.0, 0.2, 0.1]), np.array([0.1, 0.3, 1.0])
+    for count in (2, 900, 3001):
+        which = rng.permutation(count) % 2 == 0
+        bright = rng.uniform(0.1, 10.0, count)
+        shown = Directions(np.where(which[:, None], red, blue) * bright[:, None], np.full(count, 1.0 / count))
+        assert shown.different() == pytest.approx(2.0, rel=0.02)
+    uneven = Directions(np.stack([red, blue]), np.array([0.9, 0.1]))
+    assert uneven.different() == pytest.approx(1.0 / (0.9**2 + 0.1**2), rel=1e-3)
+    assert Directions(np.stack([red, 3.0 * red]), np.full(2, 0.5)).different() == pytest.approx(1.0)
+    # Each band is scaled by its mean: two colours are as far apart in whatever unit a band is.
+    near = np.stack([red, red * [1.0, 1.15, 1.0]])
+    one, other = (Directions(near * unit, np.full(2, 0.5)).different() for unit in (1.0, [5.0, 0.1, 2.0]))
+    scaled = near / near.mean(axis=0)
+    cosine = scaled[0] @ scaled[1] / np.linalg.norm(scaled[0]) / np.linalg.norm(scaled[1])
+    assert one == pytest.approx(other) == pytest.approx(2.0 / (1.0 + np.exp((cosine - 1.0) / 0.1**2)))
+    assert 1.05 < one < 1.95
 
 
 def test_the_prior_holds_each_lamp_bare_on_surfaces_among_its_kind_and_any_mixture():

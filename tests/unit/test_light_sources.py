@@ -17,6 +17,7 @@ from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.export.pictures import read_layers, write_spectral_exr
 from irodori.light.environment_file import Environment, directions
+from irodori.light.gloss import look_up_errors
 from irodori.light.irradiance import Integrator
 from irodori.light.light_files import mallett_basis, rgb_picture, spectral_picture
 from irodori.light.omnidirectional import BAND_ROWS, OmnidirectionalPicture, bands, from_panorama, to_panorama
@@ -157,7 +158,8 @@ def test_measured_places_become_environments(tmp_path, name):
     assert picture.origin["negative_sum_over_positive"] < 0.05
 
 
-def test_an_rgb_environment_in_a_file(tmp_path):
+def test_an_rgb_environment_in_a_file(tmp_path, monkeypatch):
+    monkeypatch.setattr(look_up_errors, "MU", (0.1, 0.8))
     rng = np.random.default_rng(3)
     write_exr(tmp_path / "a.exr", rng.uniform(0, 1, (16, 32, 3)))
     source = {"kind": "rgb", "file": str(tmp_path / "a.exr"), "scale": 1.0, "centre_azimuth_deg": 0.0}
@@ -186,6 +188,13 @@ def test_an_unknown_kind_of_light_is_refused(tmp_path):
             tmp_path / "e.h5",
             *OPTIONS,
         )
+
+
+def test_placed_lights_need_the_size_of_their_picture(tmp_path):
+    lights = [{"spectrum": "A", "azimuth_deg": 20.0, "elevation_deg": 50.0, "diameter_deg": 0.0, "irradiance": 1.0}]
+    source = made(RgbSource | SpectralSource | LightsSource, {"kind": "lights", "lights": lights})
+    with pytest.raises(ValueError, match="accepted: image"):
+        make_environment(source, None, tmp_path / "e.h5", *OPTIONS)
 
 
 # --- spectral EXR --------------------------------------------------------------------------------------------------

@@ -83,6 +83,17 @@ def test_the_chart_serves_where_the_white_reference_has_no_series(tmp_path):
     assert measured(studio).largest < 3e-3
 
 
+def test_a_series_of_the_white_reference_serves_before_a_longer_one_of_the_chart():
+    def shots(role, *times):
+        return [Shot(f"{role}-{time_s:g}.dng", role, Pose(45.0, 0.0), "out", time_s) for time_s in times]
+
+    chart, dark = shots("chart", 0.01, 0.02, 0.04), shots("dark", 0.01, 0.02, 0.04, 0.08)
+    white = shots("white", 0.01, 0.02)
+    assert exposure_series([*dark, *chart, *white]) == white
+    assert exposure_series([*dark, *chart, *white[:1]]) == chart
+    assert exposure_series([*dark, *white[:1]]) == []
+
+
 def test_two_exposures_are_a_series(tmp_path):
     """Of a camera that loses a fifth at full well, two levels show it, and the limit is met or not."""
     studio = series(tmp_path, 74, strength=0.2, exposures=(0.002, 0.03))
@@ -135,6 +146,29 @@ def plain_series(folder, rate, dark_rate=0.0, iso=0.0, spoiled=(), offset=0):
     return shots
 
 
+@pytest.mark.parametrize("curved", ["R", "B"])
+def test_of_a_camera_the_colour_that_deviates_most_is_told(tmp_path, curved):
+    """One colour falls short by a fifth in the longest of three exposures, as its place in the mosaic alone shows."""
+    shots = []
+    for number, exposure_s in enumerate((0.01, 0.02, 0.04)):
+        mosaic = np.full((64, 96), BLACK + 100_000 * exposure_s)
+        rate = 0.8 if exposure_s == 0.04 else 1.0
+        place = (slice(0, None, 2),) * 2 if curved == "R" else (slice(1, None, 2),) * 2
+        mosaic[place] = BLACK + rate * 60_000 * exposure_s
+        dng(tmp_path / f"{number}.dng", np.rint(mosaic).astype(np.uint16), exposure_s=exposure_s)
+        shots.append(Shot(f"{number}.dng", "white", Pose(45.0, 0.0), "out", exposure_s))
+    found = measure_linearity(shots, tmp_path / "t.csv", tmp_path, None, 0.2)
+    expected = np.array([1.0, 1.0, 0.8]) / (2.8 / 3.0) - 1.0
+    assert found.deviation == pytest.approx(expected, abs=1e-3) and found.exposure_s == (0.01, 0.02, 0.04)
+    # A twentieth of a colour's pixels has to be below nine tenths of the range.
+    for share, counted in ((0.04, 0.0), (0.06, 1.0)):
+        spoilt = np.full((64, 96), 16000)
+        spoilt[:, : round(96 * share / 2) * 2] = BLACK + 4000
+        dng(tmp_path / "2.dng", spoilt.astype(np.uint16), exposure_s=0.04)
+        measured_ = measure_linearity(shots, tmp_path / "t.csv", tmp_path, None, 0.5)
+        assert (measured_ is not None) == bool(counted)
+
+
 def dark_of(rate: float, hot=((0, 0),)) -> Dark:
     return Dark(None, np.ones((64, 96), np.int16), 0.0, rate, 100.0, (1.0,), np.array(hot, np.int32))
 
@@ -151,6 +185,17 @@ def test_the_dark_signal_is_no_part_of_the_response(tmp_path, iso):
         measure_linearity(shots, tmp_path / "t.csv", tmp_path, offset, 0.02)
     lifted = plain_series(tmp_path, rate, dark_rate, iso, offset=500)
     assert measure_linearity(lifted, tmp_path / "t.csv", tmp_path, offset, 0.001).largest < 2e-4
+
+
+def test_of_a_series_of_apertures_the_dark_signal_is_that_of_the_iso(tmp_path):
+    """Frames of one time: the darkness is the same in all, four times that of the dark frames at ISO 100."""
+    shots = []
+    for number, f_number in enumerate((8.0, 5.6, 4.0)):
+        level = BLACK + 1000.0 + 2000.0 * (4.0 / f_number) ** 2
+        dng(tmp_path / f"{number}.dng", np.full((64, 96), round(level), np.uint16), exposure_s=0.02)
+        shots.append(Shot(f"{number}.dng", "white", Pose(45.0, 0.0), "out", 0.02, 400.0, f_number))
+    found = measure_linearity(shots, tmp_path / "t.csv", tmp_path, dark_of(250.0 / 0.02), 0.002)
+    assert len(found.exposure_s) == 3 and found.largest < 1e-3
 
 
 @pytest.mark.parametrize(("share", "counted"), [(0.0048, 2), (0.0053, 3)])

@@ -1,5 +1,7 @@
 """Light from photographs of a mirror ball."""
 
+from contextlib import nullcontext
+
 import numpy as np
 import pytest
 from exact_light import as_it_is, prior_of
@@ -105,6 +107,8 @@ def test_the_reflectance_of_a_ball_is_a_number_a_spectrum_or_that_of_its_metal()
         found = ball_reflectance(source, cosine)
         assert found[:1] == pytest.approx(expected[:1], rel=1e-6), name
         assert (found[2] > found[0]).all() if name == "metal" else found == pytest.approx(expected)
+    with pytest.raises(ValueError, match="accepted: refractive_index or reflectance_factor"):
+        ball_reflectance(made(MirrorBallSource, bare), cosine)
 
 
 def test_a_coloured_metal_is_divided_out_at_every_wavelength(tmp_path):
@@ -121,6 +125,22 @@ def test_a_coloured_metal_is_divided_out_at_every_wavelength(tmp_path):
     assert factors.shape[1] <= 6
     exact = np.array([fresnel(c, n, k) for c in cosine])
     assert np.abs((factors @ spectra.T) * exact - 1.0).max() <= 2e-3
+
+
+@pytest.mark.parametrize("side", [18, 60])
+def test_a_ball_that_fills_the_photograph_shows_at_its_rim_what_the_outermost_pixels_show(side):
+    """Of a small ball the rim lies between the outermost pixels and the photograph's edge."""
+    source = {**BALL, "centre_px": [side / 2 - 0.5] * 2, "radius_px": side / 2}
+    weights = np.zeros((side, side, 4))
+    weights[:, 0, 0] = weights[:, -1, 1] = weights[0, :, 2] = weights[-1, :, 3] = 1.0
+    basis, size = as_it_is(np.eye(61)[:, :4]), made(Size, {"width": 256, "height": 128})
+    picture = unwrapped(made(MirrorBallSource, source), size, weights, np.ones((side, side), bool), basis, "ball.h5")
+    x, y, sine = ball_places(made(MirrorBallSource, source), 256, 128)
+    found = (picture.weights @ picture.basis.T)[..., :4]
+    assert np.isfinite(found).all() and ((sine >= RIM) | (found.max(axis=-1) < 1.0)).any()
+    for band, beyond in enumerate((-x, x - (side - 1), -y, y - (side - 1))):
+        # Between the last two pixels it falls linearly; beyond the last it is held.
+        assert found[..., band] == pytest.approx(np.clip(1.0 + beyond, 0.0, 1.0), abs=2e-3)
 
 
 @pytest.mark.parametrize("off", [(0.2, 0.0), (-0.2, 0.0), (0.0, 0.2), (0.0, -0.2)])
@@ -175,9 +195,26 @@ def test_the_stage_unwraps_a_ball_and_minds_saturation_on_it_alone(tmp_path):
     seen = ball_places(made(MirrorBallSource, BALL), 64, 32)[2] < RIM
     spectra = (found.coefficients @ found.basis.T)[..., [10, 30, 50]]
     assert np.abs(spectra - 2 * smooth(directions(64, 32)[0]))[seen].max() <= 0.03
+    with store.open_file(tmp_path / "e.h5") as file:
+        assert file.attribute("origin")["kind"] == "mirror_ball"
+    other = Calibration(calibration.basis, calibration.mapping, calibration.light, ("in",))
+    write_inputs(tmp_path, response, valid, other)
+    with pytest.raises(InputError, match="as in the chart's photographs"):
+        prepare_environment(tmp_path / "linear.h5", tmp_path / "calibration.h5", tmp_path / "f.h5", *OPTIONS,
+                            source=made(CapturesSource | MirrorBallSource, BALL), image=made(Size, size),
+                            prior=prior_of(calibration))  # fmt: skip
+    # To a pixel beyond the rim that is used, at 83.3 from the middle, pixels have a say.
+    for column, is_used in ((100 + 84, True), (100 + 86, False)):
+        valid[90, column] = 0
+        write_inputs(tmp_path, response, valid, calibration)
+        with pytest.raises(InputError, match="1 pixels saturated") if is_used else nullcontext():
+            prepare_environment(tmp_path / "linear.h5", tmp_path / "calibration.h5", tmp_path / "f.h5", *OPTIONS,
+                                source=made(CapturesSource | MirrorBallSource, BALL), image=made(Size, size),
+                                prior=prior_of(calibration))  # fmt: skip
+        valid[90, column] = 1
     valid[90, 100] = 0
     write_inputs(tmp_path, response, valid, calibration)
-    with pytest.raises(InputError, match="saturated in every bracket"):
+    with pytest.raises(InputError, match="1 pixels saturated in every bracket"):
         prepare_environment(tmp_path / "linear.h5", tmp_path / "calibration.h5", tmp_path / "f.h5", *OPTIONS,
                             source=made(CapturesSource | MirrorBallSource, BALL), image=made(Size, size),
                             prior=prior_of(calibration))  # fmt: skip

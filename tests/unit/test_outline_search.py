@@ -11,7 +11,7 @@ from irodori.geometry.embree import Tracer
 from irodori.geometry.rig_frame import rig_from_camera, to_camera
 from irodori.geometry.shapes.plate import Plate
 from irodori.geometry.shapes.sphere import Sphere
-from irodori.rectification.outline_search import edge_distances, find_rim
+from irodori.rectification.outline_search import _edge_beside, _normals, edge_distances, find_rim
 from irodori.rectification.placement_correction import Correction
 
 
@@ -184,6 +184,11 @@ def test_an_edge_stands_out_by_a_quarter_of_its_logarithm_and_six_standard_devia
         assert math.isfinite(found_at(edge(41.0, 0.1, 0.4), noise=(0.0, sigma**2 / 0.4))) == is_seen
 
 
+def test_of_a_camera_whose_noise_is_not_known_a_hundredth_is_taken_at_any_level():
+    for step, is_seen in ((0.056, False), (0.064, True)):
+        assert math.isfinite(found_at(edge(41.0, 0.1 + step, 0.1), noise=(math.nan, math.nan))) == is_seen
+
+
 def test_of_two_like_edges_the_one_nearer_to_where_it_is_expected_is_taken():
     for first, second, nearer in ((32.0, 45.0, 5.0), (35.0, 48.0, -5.0)):
         stripe = edge(first, 0.02, 0.5) * edge(second, 1.0, 0.04)  # dark, bright between, dark
@@ -201,3 +206,42 @@ def test_shading_that_changes_evenly_towards_an_edge_does_not_move_it(slope):
 
 def test_an_edge_at_the_end_of_a_picture_is_not_judged():
     assert math.isnan(found_at(edge(41.0)[:, :46])) and math.isfinite(found_at(edge(41.0)[:, :56]))
+
+
+def test_an_edge_lies_where_a_step_between_its_sides_has_the_same_area():
+    """The inner side is a line, the outer one a level, both of readings from 2.5 to 6 samples beside the edge.
+
+    The area is that of three samples to either side: what lies beyond tells the levels alone.
+    """
+    rng, at = np.random.default_rng(3), np.arange(-6.0, 6.25, 0.5)
+    centre = np.array([20, 25, 31, 40])
+    x = (np.arange(61) - centre[:, None]) * 0.5 - rng.uniform(-1.0, 1.0, (4, 1))
+    profile = np.where(x < 0.0, 0.5 + 0.01 * x, 0.1) + rng.normal(0.0, 0.01, x.shape)
+    expected = []
+    for one, middle in zip(profile, centre, strict=True):
+        seen = one[middle - 12 : middle + 13]
+        inner = np.polyval(np.polyfit(at[at <= -2.5], seen[at <= -2.5], 1), at)
+        outer = seen[at >= 2.5].mean()
+        share = (seen - outer) / (inner - outer)
+        near = np.abs(at) <= 3.0
+        expected.append(np.trapezoid(share[near], at[near]) - 3.0)
+    np.testing.assert_allclose(_edge_beside(profile, centre), expected, atol=1e-9)
+
+
+def test_normals_of_a_curve_are_those_of_a_parabola_through_its_neighbours_and_corners_have_none():
+    turn = np.random.default_rng(4).permutation(2.0 * math.pi * np.arange(600) / 600.0)
+    out = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    curve, across = out * [60.0, 30.0], out / [60.0, 30.0]
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    for sign in (1.0, -1.0):  # to the side that is said to be outward, however roughly
+        normal, is_smooth = _normals(curve, sign * out)
+        assert is_smooth.all()
+        np.testing.assert_allclose(normal, sign * across, atol=2e-3)
+    # A roof of two straight sides, twenty points each: where it is steep, points whose twelve neighbours lie on both.
+    for slope, reach in ((0.15, -1), (0.24, 4), (0.5, 5)):
+        x = np.arange(-20.0, 21.0)
+        normal, is_smooth = _normals(np.stack([x, -slope * np.abs(x)], axis=1), np.tile([0.0, 1.0], (41, 1)))
+        np.testing.assert_array_equal(is_smooth, np.abs(x) > reach)
+        far = np.abs(x) > 12.0
+        side = np.stack([slope * np.sign(x[far]), np.ones(far.sum())], axis=1)
+        np.testing.assert_allclose(normal[far], side / math.hypot(1.0, slope), atol=1e-6)

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -74,6 +75,47 @@ def test_standard_errors_hold_for_any_sensor(gain, read_dn, seed):
 def test_differences_between_pixels_are_no_noise():
     found, _, _, _ = measure(SENSOR, 42, drift=0.03, gain_spread=0.02)
     assert found == pytest.approx(SENSOR.electrons_per_dn, rel=0.02)
+
+
+def test_each_tile_tells_its_level_and_the_variance_of_what_the_light_does_not_explain():
+    """Tiles of 16 x 16 pixels of one place of the mosaic, those at the edges smaller; a few pixels are hot."""
+    rng, black = np.random.default_rng(5), np.array([[300.0, 400.0], [500.0, 600.0]])
+    level = rng.uniform(2000.0, 9000.0, (70, 94))
+    level[:40, 60:] = 14_000.0  # above nine tenths of the range from the first place's black to white
+    first = np.rint(np.tile(black, (35, 47)) + level + rng.normal(0.0, 30.0, level.shape)).astype(np.uint16)
+    second = np.rint(np.tile(black, (35, 47)) + 0.8 * level + rng.normal(0.0, 30.0, level.shape)).astype(np.uint16)
+    made = [Mosaic(values, "GRBG", black.astype("f4"), np.full((2, 2), 15_000.0, "f4"), 14_400.0, 0.02, 0.0, 0.0, 0)
+            for values in (first, second)]  # fmt: skip
+    hot = np.array([[3, 5], [66, 93]])
+    found, expected = transfer_points(*made, hot), []
+    sound = np.ones(first.shape, bool)
+    sound[hot[:, 0], hot[:, 1]] = False
+    above = [[m[row::2, column::2].mean() - black[row, column] for row, column in np.ndindex(2, 2)]
+             for m in (first, second)]  # fmt: skip
+    ratio = np.sum(above[0]) / np.sum(above[1])
+    for (row, column), band in zip(np.ndindex(2, 2), (1, 0, 2, 1), strict=True):
+        a, b, good = (one[row::2, column::2] for one in (first.astype(float), second.astype(float), sound))
+        for y in range(0, a.shape[0], 16):
+            for x in range(0, a.shape[1], 16):
+                part = np.s_[y : y + 16, x : x + 16]
+                kept = good[part]
+                height = a[part][kept].mean() - black[row, column]
+                if kept.sum() > 16 and height < 0.9 * (15_000.0 - black[row, column]):
+                    off = (a[part] - ratio * b[part])[kept]
+                    expected.append([band, kept.sum(), height, ratio, off.var(ddof=1)])
+    assert 0 < len(expected) < 4 * 9
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
+
+
+def test_the_light_of_two_frames_is_compared_by_what_does_not_clip():
+    """Where a place of the mosaic is brighter than nine tenths of its range in either frame, it tells no ratio."""
+    values = [np.full((64, 64), 600 + 5000), np.full((64, 64), 600 + 4000)]
+    for at, (one, other, expected) in enumerate(((13_000, 11_000, 1.25), (9000, 13_000, 1.25), (9000, 6000, 1.3333))):
+        pair_ = [value.copy() for value in values]
+        pair_[0][::2, ::2], pair_[1][::2, ::2] = 600 + one, 600 + other
+        sensor = SimpleNamespace(black_level=600, white_level=600 + 14_000)
+        found = transfer_points(*(mosaic(sensor, value.astype(np.uint16)) for value in pair_), NO_HOT)
+        assert found[:, 3] == pytest.approx((3 * 5000 + one) / (3 * 4000 + other) if at == 2 else expected)
 
 
 def test_hot_pixels_and_clipped_tiles_do_not_enter():

@@ -15,7 +15,7 @@ from irodori.core.errors import InputError
 from irodori.ingest.mosaic import Mosaic
 from irodori.ingest.plausibility import Look, Series, look_at, worth_recalling
 from irodori.ingest.preview import preview_of
-from irodori.ingest.set_plausibility import FocalRange, SetLook
+from irodori.ingest.set_plausibility import FocalRange, SetLook, _unlikeness
 
 SIDE = 8  # superpixels of a block of the small pictures
 FILTER = np.array([0.5, 0.6, 0.4])  # transmittance by band
@@ -124,6 +124,10 @@ LIMITS = {
     ),
     "the colour of the other state": (
         lambda x: ([*PAIR], (shot(), look(0.8 * PAINTS * FILTER**x))), "filter", 0.55, 0.7, "with the filter in",
+    ),
+    "the colour of the other state, with the filter": (
+        lambda x: ([*PAIR], (shot(state="in"), look(0.8 * PAINTS * FILTER**x))), "filter", 0.45, 0.3,
+        "with the filter out: is it in",
     ),
     "a light room": (
         lambda x: ([(shot(camera=20.0), look(0.9 * PAINTS))], (shot(), look(background(x)))), "light changed",
@@ -382,6 +386,20 @@ def seen_set(shares, tmp_path, planned, focal_mm=48.0) -> SetLook:
         path.write_bytes(b"no TIFF")
         seen.see(one, path, mosaic(shares[planned.index(one)].repeat(2, axis=0).repeat(2, axis=1), focal_mm=focal_mm))
     return seen
+
+
+def test_pictures_are_as_unlike_as_they_do_not_correlate_over_what_is_whole_in_both():
+    rng = np.random.default_rng(2)
+    a, b = rng.uniform(0.0, 1.0, (2, 40, 60))
+    one, other = (look(np.stack([0.0 * green, green, 0.0 * green], axis=2)) for green in (a, 0.5 * a + 0.2 * b))
+    assert _unlikeness(one, other) == pytest.approx(1.0 - np.corrcoef(a.ravel(), (0.5 * a + 0.2 * b).ravel())[0, 1])
+    assert _unlikeness(one, look(3.0 * one.picture + 0.1)) == pytest.approx(0.0, abs=1e-6)
+    assert _unlikeness(one, look(np.full((40, 60, 3), 0.5))) == 1.0
+    for blocks in (63, 64):
+        whole = (np.arange(2400) < blocks).reshape(40, 60)
+        some = replace(other, whole=whole)
+        expected = 1.0 - np.corrcoef(one.picture[..., 1][whole], other.picture[..., 1][whole])[0, 1]
+        assert _unlikeness(one, some) == pytest.approx(1.0 if blocks == 63 else expected)
 
 
 COUNT = 18  # poses, one more than how far a slip of names is looked for

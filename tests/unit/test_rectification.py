@@ -504,6 +504,7 @@ def test_noise_of_an_interpolated_response_is_carried_along_by_capture_and_band(
     rectify(tmp_path, PLATE, poses)
     with store.open_file(tmp_path / "obs.h5") as file:
         noise = file.read("noise_model")
+        assert [term.decode() for term in file.read("term")] == ["c0", "c1"]
     # Bilinear weights squared, averaged over all places between four samples.
     left = np.mean([x * x + (1 - x) ** 2 for x in (np.arange(1000) + 0.5) / 1000]) ** 2
     assert noise.shape == (2, 3, 2)

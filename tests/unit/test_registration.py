@@ -9,6 +9,7 @@ import pytest
 from depth import inputs
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.interpolate import BSpline
 from shortcuts import moving_from_fixed
 
 from benchmarks.plate_pictures import (
@@ -21,18 +22,31 @@ from benchmarks.plate_pictures import (
     render,
     white_weights,
 )
+from irodori.ingest.registration import similarity as similarity_module
 from irodori.ingest.registration.band_layout import flatten
-from irodori.ingest.registration.gradient_sums import least_share, template
+from irodori.ingest.registration.gradient_sums import gradient_moments, least_share, sample, template
 from irodori.ingest.registration.pyramid import Pyramid, gradient_energy, noise_of
 from irodori.ingest.registration.similarity import (
     Registration,
+    _has_content,
+    _noise_information,
+    _Pair,
+    _residual_px,
     _sigma_px,
     bayer_offsets_px,
     meets_marked,
     register,
     resample,
 )
-from irodori.ingest.registration.similarity_fit import make_level, search
+from irodori.ingest.registration.similarity_fit import (
+    _colour_maps,
+    affine_of_level,
+    align,
+    evaluate,
+    information_of,
+    make_level,
+    search,
+)
 
 STILL = Registration.identity()
 WIDTH, HEIGHT = 200, 150
@@ -136,7 +150,7 @@ def plain_proposals(fixed, moving, scale) -> list[complex]:
     return found
 
 
-@pytest.mark.parametrize(("scale", "shift"), [(1.0, (7, -4)), (1.0, (-12, 11)), (2.0, (-3, 6)), (4.0, (1, -2))])
+@pytest.mark.parametrize(("scale", "shift"), [(1.0, (7, -4)), (1.0, (-13, 12)), (2.0, (-3, -7)), (4.0, (1, -2))])
 @pytest.mark.parametrize("shape", [(47, 60), (58, 41)])
 def test_the_search_proposes_what_correlates_best(scale, shift, shape):
     rng = np.random.default_rng(12)
@@ -172,6 +186,25 @@ def test_edges_count_by_the_noise_of_their_band():
     energy = gradient_energy(level, found)
     assert energy[1:-1, 1:-1] == pytest.approx(((2.0 * steps / found) ** 2).sum(), rel=1e-4)
     assert not energy[0].any() and not energy[:, -1].any()
+
+
+def test_noise_is_told_by_valid_pixels_alone_and_is_a_thousandth_of_the_content_at_least():
+    rng, noise = np.random.default_rng(6), np.array([0.002, 0.01, 0.05])
+    for shape in ((60, 80), (200, 800)):
+        level = np.ones((*shape, 4), np.float32)
+        level[..., :3] = rng.normal(0.5, noise, (*shape, 3))
+        clean = noise_of(level)
+        spoilt = rng.uniform(size=shape) < 0.2
+        level[spoilt] = [50.0, -50.0, 7.0, 0.5]
+        assert noise_of(level) == pytest.approx(noise, rel=0.1) and clean == pytest.approx(noise, rel=0.1)
+        level[..., 3] = np.where(spoilt, 0.51, 1.0)
+        assert (noise_of(level) > 1.5 * noise).any()
+    # Without noise the differences of neighbours two apart have the floor, here of one edge in forty columns.
+    level = np.ones((64, 82, 4), np.float32)
+    level[..., :3] = (np.arange(82) >= 41)[:, None] * [0.2, 0.4, 0.0]
+    steps = np.sqrt(2 * (0.2**2 + 0.4**2) / 80 / 3)
+    assert noise_of(level) == pytest.approx([1e-3 * steps] * 3, rel=1e-4)
+    assert noise_of(0.0 * level).tolist() == noise_of(level * [1, 1, 1, 0]).tolist() == [1e-9] * 3
 
 
 RGGB = bayer_offsets_px("RGGB")
@@ -566,6 +599,16 @@ def test_a_start_beyond_the_search_is_followed(leaves):
     assert rms_px(wrong, near) <= TARGET_PX
 
 
+def test_a_start_that_proves_certain_is_not_searched_beside(smooth, monkeypatch):
+    searched = []
+    monkeypatch.setattr(similarity_module, "search", lambda *given: searched.append(given) or search(*given))
+    near = register(*smooth, start=similarity(2.0, -1.5))
+    assert not searched and near.complex_parts() == pytest.approx(register(*smooth).complex_parts(), abs=1e-3)
+    assert len(searched) == 1
+    register(*smooth[:2], smooth[2], smooth[3] & (np.arange(120) < 14), start=similarity(2.0, -1.5))
+    assert len(searched) == 2  # of a narrow strip nothing is certain
+
+
 @pytest.mark.default_cases(1)
 @pytest.mark.parametrize("period_px", [3.0, 4.0, 5.0])
 def test_a_weave_does_not_hold_a_start_that_is_a_period_off(period_px):
@@ -614,3 +657,247 @@ def test_what_a_clipped_sample_reaches_is_where_the_moved_picture_shows_it(truth
     assert mask.any() and (found == expected).all()
     valid = rng.random(mask.shape) < 0.5
     assert (meets_marked(mask, valid, truth) == (expected & ~valid)).all()
+
+
+# A fit at one level, step by step.
+
+
+@pytest.mark.parametrize("scale", [1.0, 2.0, 8.0])
+def test_a_similarity_is_the_same_of_the_pixels_of_any_level(scale):
+    """The middle of a level's pixel 0 lies half of its side from the picture's corner, which is at -0.5."""
+    turn, shift, centre = 1.03 * complex(math.cos(0.2), math.sin(0.2)), 3.0 - 7.0j, 40.0 + 25.0j
+    affine = affine_of_level(turn, shift, centre, scale)
+    for x, y in np.random.default_rng(1).uniform(-20.0, 60.0, (6, 2)):
+        place = complex((x + 0.5) * scale - 0.5, (y + 0.5) * scale - 0.5)
+        moved = centre + turn * (place - centre) + shift
+        expected = [(moved.real + 0.5) / scale - 0.5, (moved.imag + 0.5) / scale - 0.5]
+        np.testing.assert_allclose(affine[:, :2] @ [x, y] + affine[:, 2], expected)
+
+
+@pytest.mark.parametrize("mixed", [False, True])
+@pytest.mark.parametrize("local", [False, True])
+def test_colours_are_mapped_by_least_squares_and_in_cells_that_tell_little_as_in_the_whole(mixed, local):
+    rng, cells = np.random.default_rng(2), 5
+    fixed = rng.normal(size=(cells, 3, 40)) * np.array([1.0, 1.0, 0.3, 0.1, 0.0])[:, None, None]
+    moving = rng.normal(size=(cells, 3, 3)) @ fixed
+    moments = np.stack([fixed @ fixed.swapaxes(1, 2), moving @ fixed.swapaxes(1, 2)], axis=1)
+    level = SimpleNamespace(mixed=mixed, local=local, places=SimpleNamespace(counts=np.zeros(cells)))
+    found = _colour_maps(level, moments.copy())
+    if not mixed:
+        moments = moments * np.eye(3)  # each band by itself
+    total = moments.sum(axis=0)
+    whole = total[1] @ np.linalg.inv(total[0] + 1e-6 * np.trace(total[0]) * np.eye(3))
+    pull = 0.1 * np.trace(total[0]) / cells if local else 1e12
+    for cell in range(cells):
+        expected = (moments[cell, 1] + pull * whole) @ np.linalg.inv(moments[cell, 0] + pull * np.eye(3))
+        np.testing.assert_allclose(found[cell], expected, rtol=1e-6, atol=1e-9)
+    assert found.flags.c_contiguous
+
+
+def level_of(fixed, moving, scale=1.0, count=2000, **told):
+    """A level of two pictures (h, w, 3) all of whose pixels are valid."""
+    fixed, moving = (
+        np.concatenate([one, np.ones((*one.shape[:2], 1))], axis=2).astype("f4") for one in (fixed, moving)
+    )
+    shape = tuple(int(side * scale) for side in fixed.shape[:2])
+    return make_level(fixed, moving, scale, shape=shape, count=count, **{"offsets_px": None, "local": False} | told)
+
+
+def test_a_level_has_cells_of_a_sixth_of_its_side_and_places_in_its_own_pixels():
+    picture = np.random.default_rng(3).uniform(0.2, 0.8, (72, 150, 3))
+    for side, cell in ((72, 12), (30, 8)):
+        level = level_of(picture[:side], picture[:side], 2.0)
+        # Cells are half as wide as high, and a row has an even number of them.
+        assert level.columns == 2 * (150 // cell) and level.places.counts.size == level.columns * (side // cell)
+        radius = math.sqrt(((2 * side) ** 2 + 300**2) / 12.0)
+        np.testing.assert_allclose(level.places.geometry, [2.0, 149.5, side - 0.5, radius])
+        x, y = np.moveaxis(level.places.xy, -1, 0)
+        row, column = np.divmod(np.arange(level.places.counts.size), level.columns)
+        used = np.arange(level.places.xy.shape[1]) < level.places.counts[:, None]
+        assert (np.abs(x - (column[:, None] + 0.5) * (cell // 2) + 0.5) < cell / 4)[used].all()
+        assert (np.abs(y - (row[:, None] + 0.5) * cell + 0.5) < cell / 2)[used].all()
+    assert level_of(np.zeros((300, 300, 3)), np.zeros((300, 300, 3))).columns == 2 * (300 // 32)
+    few, many = (level_of(picture, picture, count=count).places.xy.shape[1] for count in (100, 4000))
+    assert few == 8 and many == 4000 // (24 * 6)
+    assert level_of(picture, picture, count=10**6).places.xy.shape[1] == 12 * 6  # all of a cell's
+    apart = level_of(picture, picture, 2.0, offsets_px=RGGB)
+    np.testing.assert_allclose(apart.places.offsets, -RGGB / 2.0)
+    assert apart.mixed and not level.mixed and not level.places.offsets.any()
+
+
+def test_places_are_compared_where_gradients_stand_out_of_the_noise():
+    """By more than twelve times what the weakest twentieth has, which one in five hundred has by chance."""
+    rng = np.random.default_rng(4)
+    picture = 0.5 + rng.normal(0.0, 1e-3, (96, 120, 3))
+    picture[:, 60:] += 0.3
+    level = level_of(picture, picture)
+    used = np.arange(level.places.xy.shape[1]) < level.places.counts[:, None]
+    beside = np.abs(level.places.xy[..., 0][used] - 59.5) < 2.0
+    assert beside.sum() > 0.7 * 2 * 94 and 0 < (~beside).sum() < 0.005 * 96 * 120
+
+
+def content(seed, spread=0.1, noise=1e-3, shape=(80, 120)) -> np.ndarray:
+    """A smooth random texture that fades into an even ground, with noise."""
+    from scipy import ndimage
+
+    rng, (y, x) = np.random.default_rng(seed), np.indices(shape)
+    fading = np.exp(-((((y - shape[0] / 2) / 22.0) ** 2 + ((x - shape[1] / 2) / 33.0) ** 2) ** 3))
+    texture = ndimage.gaussian_filter(rng.normal(size=(*shape, 3)), (2.0, 2.0, 0))
+    return 0.5 + spread / texture.std() * texture * fading[..., None] + rng.normal(0.0, noise, (*shape, 3))
+
+
+NOTHING = 1.0 + 0.0j, 0.0j
+
+
+def test_the_weights_of_the_first_colour_map_fall_with_the_gradient():
+    level = level_of(content(5), content(6))
+    power = (level.fixed.gradient.astype(float) ** 2).sum(axis=(2, 3))
+    there = level.fixed.weight > 0.0
+    np.testing.assert_allclose(
+        level.first_weight[there], 1.0 / (1.0 + power[there] / np.median(power[there])), rtol=1e-4
+    )
+
+
+def test_a_fit_tells_how_alike_gradients_are_whatever_sign_and_gain_a_filter_gives_them():
+    picture, other = content(6), content(7)
+    for gain in ([1.0, 1.0, 1.0], [-0.5, 0.2, 2.0]):
+        level = level_of(picture, picture * gain)
+        found = evaluate(level, *NOTHING, level.first_weight)
+        assert found.coherence == pytest.approx(1.0, abs=1e-3) and (found.turn, found.shift) == NOTHING
+        assert found.places == (level.fixed.weight > 0.0).sum()
+        assert np.abs(found.sums[:, :4]).max() < 1e-3 * np.sqrt(np.abs(found.sums[:, 4:20]).max())
+    unlike = level_of(picture, other)
+    assert abs(evaluate(unlike, *NOTHING, unlike.first_weight).coherence) < 0.3
+    # Of the variance of the moving picture's gradients the fixed one explains half.
+    half = level_of(picture, picture + other)
+    found = evaluate(half, *NOTHING, half.first_weight)
+    moving = sample(half.moving, half.least, affine_of_level(*NOTHING, 59.5 + 39.5j, 1.0), half.places, half.fixed)
+    moments = gradient_moments(half.places.counts, half.fixed, moving, half.first_weight).sum(axis=0)
+    explained = (half.fixed.gradient * (np.diag(moments[1]) / np.diag(moments[0]))[:, None]).astype(float)
+    left = moving.gradient - explained
+    sigma = 1.4826 * np.median(np.abs(left[moving.valid > 0.0]), axis=(0, 2))[:, None]
+    a, b = explained / sigma, moving.gradient / sigma
+    parts = 2.0 * (a * b).sum(axis=(2, 3)) / np.maximum((a * a + b * b).sum(axis=(2, 3)), 1e-30)
+    assert 0.4 < found.coherence < 0.9
+    assert found.coherence == pytest.approx(parts[moving.valid > 0.0].mean(), abs=0.02)
+    # Beyond the moving picture nothing is compared.
+    assert evaluate(half, 1.0 + 0.0j, 200.0 + 0.0j, half.first_weight) is None
+    moved = evaluate(half, 1.0 + 0.0j, 60.0 + 0.0j, half.first_weight)
+    assert 0.3 * found.places < moved.places < 0.7 * found.places
+
+
+def test_gradients_that_agree_are_known_to_a_tenth_and_to_a_thousandth_of_the_typical_one():
+    """Of pictures without noise: what else is left of a gradient is a tenth of it."""
+    level = level_of(content(6), content(6))
+    found = evaluate(level, *NOTHING, level.first_weight)
+    gradient, curvature = (one.astype(float) for one in (level.fixed.gradient, level.fixed.curvature))
+    there = level.fixed.weight > 0.0
+    typical = np.sqrt((gradient[there] ** 2).mean())
+    variance = (1e-3 * typical) ** 2 + (0.1**2) * (gradient**2).sum(axis=3)
+    xx, xy, yy = np.moveaxis(curvature, -1, 0)
+    for column, product in ((20, xx**2 + xy**2), (21, xy * (xx + yy)), (22, xy**2 + yy**2)):
+        expected = (product / variance).sum(axis=2)
+        np.testing.assert_allclose(
+            found.sums[:, column], np.where(there, expected, 0.0).sum(axis=1), rtol=2e-4, atol=1e-3
+        )
+
+
+@pytest.mark.parametrize(("fixed_noise", "moving_noise"), [(0.004, 0.0), (0.004, 0.004), (0.002, 0.006)])
+def test_the_share_of_the_fixed_pictures_noise_in_what_is_left_is_told(fixed_noise, moving_noise):
+    """Summed over three bands, of each half at most, for what is left holds the other picture's noise too."""
+    rng, clean = np.random.default_rng(7), content(8, 0.2, 0.0, (160, 200))
+    fixed, moving = (clean + rng.normal(0.0, noise, clean.shape) for noise in (fixed_noise, moving_noise))
+    level = level_of(fixed, moving, count=8000)
+    found = evaluate(level, *NOTHING, level.first_weight)
+    share = min(0.5, fixed_noise**2 / (fixed_noise**2 + moving_noise**2))
+    assert found.noise_share == pytest.approx(3.0 * share, rel=0.35)
+
+
+def test_a_step_ends_where_the_likelihood_and_the_prior_pull_alike():
+    """With a tenth of a picture's contrast the prior has a say: eight superpixels, half a degree and a hundredth."""
+    fixed, rng = content(9, 0.004), np.random.default_rng(8)
+    level = level_of(fixed, np.roll(fixed, 1, axis=1) + rng.normal(0.0, 2e-3, fixed.shape), count=600)
+    start, reach = (1.0 + 0.0j, 0.8 + 0.1j), level.places.geometry[3]
+    precision = 1.0 / np.array([8.0, 8.0, 0.01 * reach, math.radians(0.5) * reach]) ** 2
+    for free in ((0, 1, 2, 3), (0, 1), (2, 3)):
+        found = align(level, *start, 60, 1e-9, free)
+        last = evaluate(level, found.turn, found.shift, found.weight)
+        state = np.array([found.shift.real, found.shift.imag, (found.turn.real - 1.0) * reach, found.turn.imag * reach])
+        pull = last.sums[:, :4].sum(axis=0) + precision * state
+        scale = np.sqrt(np.diag(information_of(last.sums)) + precision)
+        assert np.abs(pull / scale)[list(free)].max() < 0.02
+        assert (found.turn == start[0]) == (free == (0, 1))
+        # A turn about the middle moves no shift.
+        assert (abs(found.shift - start[1]) < 0.02) == (free == (2, 3))
+    # No step is longer than two pixels of the level.
+    once = align(level, 1.0 + 0.0j, 9.0 + 0.0j, 1, 1e-9, (0, 1))
+    assert 0.0 < abs(once.shift - 9.0) <= 2.0 + 1e-9
+
+
+def test_the_information_of_all_cells_is_one_symmetric_matrix():
+    sums = np.random.default_rng(9).normal(size=(7, 25))
+    found, upper = information_of(sums), sums[:, 4:20].sum(axis=0).reshape(4, 4)
+    for i in range(4):
+        for j in range(4):
+            assert found[i, j] == pytest.approx(upper[min(i, j), max(i, j)])
+
+
+def left_of(pairs) -> float:
+    """The residual that is stated of pairs of halves, each of an information (per px²) and a displacement (px)."""
+    sums = np.zeros((2 * len(pairs), 25))
+    for cell, (information, displacement) in enumerate(half for pair in pairs for half in pair):
+        sums[cell, 20] = sums[cell, 22] = information
+        sums[cell, :2] = information * np.array(displacement)
+    return _residual_px(None, SimpleNamespace(sums=sums))
+
+
+def test_what_a_similarity_leaves_is_the_displacement_that_both_halves_of_a_block_share():
+    assert left_of([((1e6, (0.3, -0.4)),) * 2] * 3) == pytest.approx(0.5, rel=1e-3)
+    # Halves that disagree are noise, and noise is no displacement.
+    assert left_of([((1e6, (0.3, 0.0)), (1e6, (-0.3, 0.0)))]) == 0.0
+    assert left_of([((1e6, (0.3, 0.0)), (1e6, (0.0, 0.3)))]) == pytest.approx(0.0)
+    # Blocks of an error below a twentieth count alike, others by their information.
+    many = [((1e6, (0.3, 0.0)),) * 2, ((1e8, (0.1, 0.0)),) * 2]
+    assert left_of(many) == pytest.approx(math.sqrt((0.09 + 0.01) / 2.0), rel=1e-3)
+    weak = [((1e6, (0.3, 0.0)),) * 2, ((400.0, (0.1, 0.0)),) * 2]
+    assert left_of(weak) == pytest.approx(math.sqrt((0.09 + 0.25 * 0.01) / 1.25), rel=1e-3)
+    assert math.isnan(left_of([((0.0, (0.0, 0.0)),) * 2]))
+
+
+@pytest.mark.parametrize(
+    ("shape", "coarsest", "finest"),
+    [
+        ((100, 160), 0, 0), ((100, 161), 1, 0), ((640, 480), 2, 0), ((640, 641), 3, 0),
+        # No side of a level is shorter than 24 pixels, unless the picture's own is.
+        ((48, 2000), 1, 0), ((47, 2000), 0, 0), ((20, 400), 0, 0),
+        # Of 800,000 pixels the finest level has no more, and a quarter each level.
+        ((800, 1000), 3, 0), ((800, 1001), 3, 1), ((1600, 2000), 4, 1), ((1600, 2001), 4, 2), ((49, 40000), 1, 1),
+    ],
+)  # fmt: skip
+def test_levels_are_as_coarse_as_the_search_and_as_fine_as_the_pixels_allow(shape, coarsest, finest):
+    pair = _Pair(None, None, shape, None)
+    assert (pair.coarsest, pair.finest) == (coarsest, finest)
+
+
+@pytest.mark.parametrize("scale", [1.0, 4.0])
+def test_noise_simulates_information_by_the_kernel_of_the_derivatives(scale):
+    """At each place by its weight, about the middle of the picture, in superpixels."""
+    rng = np.random.default_rng(10)
+    xy, weight = rng.integers(0, 40, (6, 5, 2)), rng.uniform(0.0, 1.0, (6, 5)).astype(np.float32)
+    level = SimpleNamespace(places=SimpleNamespace(xy=xy, geometry=np.array([scale, 70.0, 60.0, 50.0])), scale=scale)
+    found = _noise_information(level, SimpleNamespace(weight=weight, noise_share=0.2))
+    spline = [BSpline.basis_element(np.arange(-3.0, 4.0), extrapolate=False).derivative(n) for n in range(3)]
+    value, first, second = (np.sum(one(np.arange(-2.0, 3.0)) ** 2) for one in spline)
+    expected = np.zeros((4, 4))
+    for (x, y), w in zip(xy.reshape(-1, 2), weight.ravel(), strict=True):
+        u, v = ((x + 0.5) * scale - 0.5 - 70.0) / 50.0, ((y + 0.5) * scale - 0.5 - 60.0) / 50.0
+        moves = np.array([[1.0, 0.0, u, -v], [0.0, 1.0, v, u]])
+        expected += w * moves.T @ moves
+    share = 0.2 * (second / first + first / value) / scale**2
+    np.testing.assert_allclose(found, share * expected, rtol=1e-6, atol=1e-9)
+
+
+def test_a_fit_has_content_whose_coherence_is_above_chance_by_four_standard_deviations():
+    for places, least in ((400, 0.3), (10_000, 0.14)):
+        for by, has in ((-0.01, False), (0.01, True)):
+            assert _has_content(SimpleNamespace(coherence=least + by, places=places)) == has

@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 
+import h5py
 import numpy as np
 import pytest
 import xarray as xr
@@ -11,6 +12,7 @@ from drawn_plates import NAMES, PINHOLE, PLATE, SETUP, VIEWS, correction, drawn,
 from irodori.config.capture_table import Pose
 from irodori.config.models import Placing
 from irodori.core import store
+from irodori.core.custody import accept
 from irodori.core.errors import InputError
 from irodori.core.units import require_unit
 from irodori.geometry.rig_frame import (
@@ -114,6 +116,16 @@ def test_a_place_at_full_resolution_is_that_of_the_same_mosaic_pixel(tmp_path):
     np.testing.assert_allclose(Picture.load(path).place(np.array([3.0, 5.0])), [6.5, 10.5])
 
 
+def test_a_picture_with_a_mask_of_another_size_is_refused(tmp_path):
+    path = linear_file(tmp_path / "one.h5", np.ones((40, 60, 3)))
+    with h5py.File(path, "a") as file:
+        del file["valid"]
+        file["valid"] = np.ones((40, 61), np.uint8)
+    accept(path)
+    with pytest.raises(InputError, match=r"one\.h5: valid"):
+        Picture.load(path)
+
+
 def test_a_large_picture_is_binned_over_what_is_valid(tmp_path, monkeypatch):
     monkeypatch.setattr(reduced_pictures, "_MOST", 20)
     response = np.arange(40 * 60 * 3, dtype=float).reshape(40, 60, 3)
@@ -147,6 +159,21 @@ def test_blur_keeps_what_is_even_beside_what_is_not_valid():
     np.testing.assert_allclose(ramp.level(0.0).sampled(ramp.level(0.0).bands, np.array([[4.25, 9.0]])), [[4.25]])
 
 
+@pytest.mark.parametrize("sigma", [1.0, 1.5])
+def test_blur_is_a_gaussian_to_two_and_a_half_standard_deviations(sigma):
+    response = np.zeros((31, 31, 2))
+    response[15, 15] = [1.0, 3.0]
+    level, reach = picture(response).level(sigma), int(2.5 * sigma + 0.5)
+    bell = np.where(np.abs(np.arange(31) - 15) <= reach, np.exp(-0.5 * ((np.arange(31) - 15) / sigma) ** 2), 0.0)
+    bell = np.outer(bell, bell) / bell.sum() ** 2
+    np.testing.assert_allclose(level.bands, [bell, 3.0 * bell], atol=1e-6)
+    assert (level.valid == 1.0).all()
+    # What is valid to more than a half of the weight is known.
+    valid = np.ones((31, 31))
+    valid[:, 15:] = 0.0
+    assert picture(response, valid=valid).level(sigma).valid[3].tolist() == [1.0] * 15 + [0.0] * 16
+
+
 # Textures.
 
 
@@ -160,14 +187,17 @@ def test_blocks_are_squares_of_texels_that_grow_with_the_blur():
     assert len({found[0, 0], found[0, 6], found[6, 0], found[6, 6]}) == 4
     assert len(np.unique(found)) == 4 * 2  # those at the right and at the bottom are smaller
     assert len(np.unique(blocks(20, 12, 2.0, 100.0))) == 1 and len(np.unique(blocks(20, 10, 2.0, 0.1))) == 8
+    for blur, side in ((0.1, 5), (1.5, 12), (1.57, 13), (100.0, 20)):  # eight standard deviations, 5 to 20 texels
+        found = blocks(50, 45, 1.0, blur).reshape(45, 50)
+        assert (found[0] == found[0, 0]).sum() == (found[:, 0] == found[0, 0]).sum() == side
 
 
 def test_the_slope_over_a_picture_is_that_of_a_plane():
     row, column = np.mgrid[:8, :9].astype(float)
     place = np.stack([3.0 * column + 0.5 * row, -0.4 * column + 2.0 * row + 7.0], axis=-1)
-    values = (2.0 * place[..., 0] - 0.5 * place[..., 1])[..., None] * [1.0, -3.0]
+    values = (2.0 * place[..., 0] - 0.7 * place[..., 1])[..., None] * [1.0, -3.0]
     slope = picture_slope(values, place)
-    np.testing.assert_allclose(slope, np.broadcast_to([[2.0, -0.5], [-6.0, 1.5]], slope.shape), rtol=1e-9)
+    np.testing.assert_allclose(slope, np.broadcast_to([[2.0, -0.7], [-6.0, 2.1]], slope.shape), rtol=1e-9)
     values[4, 4] = np.nan
     known = np.isfinite(picture_slope(values, place)).all(axis=(2, 3))
     beside = np.abs(np.array([row - 4.0, column - 4.0])).sum(axis=0) == 1.0
@@ -244,6 +274,15 @@ def test_what_is_not_told_and_what_is_nothing_goes_back_to_what_was_typed():
     assert found[[0, 3, 5]].tolist() == pytest.approx([1.0, 0.3, 0.08])
     assert (found[[1, 2, 4]] == 0.0).all() and (found[6:] == 0.0).all()
     np.testing.assert_array_equal(room > 0, [True, False, False, True, False, True, *[False] * 6])
+
+
+@pytest.mark.parametrize("prior", [0.5, 2.0])
+def test_a_value_is_told_by_an_error_below_half_of_its_prior_whatever_its_unit(prior):
+    for share, told in ((0.45, True), (0.55, False)):
+        values, errors = np.zeros(COUNT), np.full(COUNT, 0.1 * prior)
+        values[6], errors[6] = 5.0 * prior, share * prior
+        found, room = _only_what_is_told(values, information(errors), np.full(COUNT, prior))
+        assert (found[6] != 0.0) == (room[6] != 0.0) == told
 
 
 def test_of_two_that_are_told_as_a_sum_one_takes_all_of_it():

@@ -14,8 +14,11 @@ from irodori.geometry.lamp import Lamp
 from irodori.geometry.rig_frame import rig_from_camera, rig_from_object, rotation_x, rotation_y, rotation_z, to_light
 from irodori.geometry.shapes.plate import Plate
 from irodori.geometry.shapes.sphere import Sphere
+from irodori.rectification import object_registration
 from irodori.rectification.object_registration import (
     _add_texture,
+    _descend,
+    _diagonal_of_inverse,
     _displacement,
     _equations,
     _first_reach,
@@ -124,6 +127,11 @@ def test_a_window_holds_the_object_and_a_margin():
     np.testing.assert_allclose(found, [*(middle - half - 5.0), *(middle + half + 5.0)], atol=0.5)
     found = np.array(_window(problem, 1, 0.0))
     np.testing.assert_allclose(found, [*(middle - half[::-1]), *(middle + half[::-1])], atol=0.5)
+    # Exactly: half a texel is that of the whole extent of the centres, by the fewer texels along a side.
+    centres = np.array([57.5, 47.5])
+    half = centres / 2.0 + centres / (2.0 * 19.0)
+    expected = [*(middle - half / MM_PER_PX - 5.0), *(middle + half / MM_PER_PX + 5.0)]
+    np.testing.assert_allclose(_window(problem, 0, 5.0), expected, atol=1e-6)
     problem.unknowns[6] = -1000.0  # behind the camera
     assert _window(problem, 0, 5.0) == (0.0, 0.0, 0.0, 0.0)
 
@@ -315,6 +323,48 @@ def test_the_texture_of_round_objects_is_not_compared():
         matrix, right = _equations(problem, reach)
         np.testing.assert_allclose(matrix, np.diag(1.0 / problem.sigma**2), rtol=1e-12)
         assert not right.any()
+
+
+@pytest.mark.parametrize("reach", [4.0, 16.0])
+def test_textures_are_blurred_by_a_third_of_the_reach_and_more_than_half_a_texel_in_blocks_of_that_blur(
+    tmp_path, reach
+):
+    files = drawn(tmp_path, Correction(), FACING[:1], FACING[:1], contrast=0.0)
+    for columns in (24, 60):
+        shape = {"kind": "plate", "width_mm": 60.0, "height_mm": 50.0}
+        plate = TexturedObject.of({"shape": shape, "texels": {"width": columns, "height": 20}})
+        problem = _problem(files, plate, SETUP, Placing())
+        texels, spacing = problem.texels, _spacing(problem)
+        blur = max(1.0, reach / 3.0, 0.6 * spacing)
+        _descend(problem, reach, 1)
+        for view in problem.views:
+            np.testing.assert_array_equal(view.level.bands, view.picture.level(blur).bands)
+        expected = blocks(texels.columns, texels.rows, spacing, blur)[texels.number]
+        np.testing.assert_array_equal(problem.block, expected)
+
+
+def test_steps_end_where_they_are_a_fiftieth_of_what_is_still_unsure(tmp_path, monkeypatch):
+    problem, steps = _problem(drawn(tmp_path, correction(x_mm=0.6, y_mm=-0.9), FACING, FACING, contrast=0.0), PLATE,
+                              SETUP, Placing()), []  # fmt: skip
+    real = object_registration._equations
+
+    def counted(*arguments):
+        matrix, right = real(*arguments)
+        steps.append(problem.unknowns.copy())
+        return matrix, right
+
+    monkeypatch.setattr(object_registration, "_equations", counted)
+    _descend(problem, 4.0, 2)
+    assert len(steps) == 2
+    matrix = _descend(problem, 4.0, 50)
+    moved = np.abs(np.diff([*steps[2:], problem.unknowns], axis=0))
+    unsure = np.sqrt(_diagonal_of_inverse(matrix, problem.sigma))
+    assert 1 <= len(moved) < 50 and (moved[-1] <= 0.02 * unsure).all()
+    assert all((one > 0.015 * unsure).any() for one in moved[:-1])
+    np.testing.assert_allclose(problem.unknowns[:2], [0.6, -0.9], atol=0.1)
+    expected, right = real(problem, 4.0)
+    np.testing.assert_allclose(np.diag(matrix), np.diag(expected), rtol=0.05)
+    assert np.abs(right / np.sqrt(np.diag(expected))).max() < 0.05
 
 
 # Textures.

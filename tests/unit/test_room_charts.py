@@ -1,13 +1,31 @@
 """Charts that stand in a room: what they tell of its lamps, and which of them are refused."""
 
+import itertools
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from made import made
 
 from benchmarks.light import CHART, adapted_errors, camera, chart_under, errors, recovered, unlike
+from irodori.colour.colorimetry import colour_matching_weights
+from irodori.config.models import CapturesSource, Chart, IrradianceMap, MirrorBallSource
+from irodori.core import store
 from irodori.core.errors import InputError
-from irodori.light.light_prior import prior_of_any_lamp, published_lamps
+from irodori.light.environment_file import Environment
+from irodori.light.light_prior import LightPrior, light_prior, prior_of_any_lamp, published_lamps
 from irodori.light.light_recovery import Directions, LightRecovery, ResponseModel
-from irodori.light.room_charts import recovery_with
+from irodori.light.room_charts import (
+    ChartResponses,
+    RoomLight,
+    light_on,
+    read_room_charts,
+    recovery_with,
+    refined_model,
+    room_prior,
+)
+from irodori.light.stage import prepare_environment
+from irodori.material.principal_components.basis_count import CompressOptions
 from irodori.spectra.published import chart_spectra, spectrum
 
 #: Lamps of all kinds, none of them in the prior, nor one like it.
@@ -123,3 +141,236 @@ def test_narrow_lines_are_recovered_with_a_chart_or_what_is_known_of_them(seen):
         variant: errors(seen, variant, names=("LED-RGB1",)).item() for variant in ("room-chart", "named", "measured")
     }
     assert found["room-chart"] <= 0.15 and found["measured"] <= 0.15 and found["named"] <= 0.25
+
+
+CORNERS = {"first": [20, 20], "row_end": [120, 20], "column_end": [20, 80], "last": [120, 80]}
+ON_WALL = {"spectra": CHART, "rows": 4, "columns": 6, "patch_px": 10, "centres_px": CORNERS}
+
+
+def photographed(folder, seen, lamp_, light=1.0, spoilt=(), filters=None) -> tuple:
+    """Write the photograph of a chart on a wall under a lamp of uneven brightness; return its file and definition.
+
+    ``spoilt`` has for each patch the share of its square that is not valid.
+    """
+    response, valid = np.full((100, 140, 6), 1e-3), np.ones((100, 140), np.uint8)
+    for number, one in enumerate((chart_spectra(CHART)[1] * lamp_) @ seen.sensitivity.T):
+        y, x = 20 + 20 * (number // 6), 20 + 20 * (number % 6)
+        response[y - 9 : y + 9, x - 9 : x + 9] = one
+    for number, share in enumerate(spoilt):
+        y, x = 15 + 20 * (number // 6), 15 + 20 * (number % 6)
+        valid[y : y + round(10 * share), x : x + 10] = 0
+    with store.create(folder / "wall.h5", store.Provenance("test")) as out:
+        response = response * np.broadcast_to(light, (100, 140))[..., None]
+        out.write("response", response.astype("f4"), units="1", dims="row,column,band", quantity="response")
+        out.write("valid", valid, units="1", dims="row,column", quantity="valid")
+        out.attribute("pose_deg", [45.0, 0.0, 0.0, 0.0])
+        out.attribute("sample_px", 2)
+        out.attribute("filters", list(filters or seen.calibration.filters))
+    return folder / "wall.h5", made(Chart, ON_WALL)
+
+
+def test_the_responses_to_a_chart_on_a_wall_are_those_of_its_whole_patches_under_even_light(tmp_path, seen):
+    """The white reference of the rig evens the light of the rig alone: what falls on the wall is told by the chart."""
+    fall_off = np.linspace(1.2, 0.8, 140)[None] * np.linspace(0.9, 1.1, 100)[:, None]
+    # Of ten rows of a square one may be lost to one in twenty; up to a quarter of the patches are left out.
+    spoilt = [0.0] * 18 + [0.1] * 6
+    file, chart = photographed(tmp_path, seen, lamp("FL11"), fall_off, spoilt)
+    (found,) = read_room_charts({"desk": (file, chart)}, seen.calibration)
+    spectra = chart_spectra(CHART)[1][:18]
+    expected = (spectra * lamp("FL11")) @ seen.sensitivity.T
+    assert (found.name, found.file) == ("desk", file) and np.array_equal(found.reflectance, spectra)
+    ratio = found.response / expected
+    assert found.response.dtype == np.float64 and ratio == pytest.approx(ratio.mean(), rel=0.01)
+    assert read_room_charts({}, seen.calibration) == []
+
+
+def test_a_chart_on_a_wall_that_is_mostly_spoilt_or_seen_through_other_filters_is_refused(tmp_path, seen):
+    file, chart = photographed(tmp_path, seen, lamp("D65"), spoilt=[0.1] * 7)
+    with pytest.raises(InputError, match=r"7 of 24 patches saturated or masked.*25% at most") as caught:
+        read_room_charts({"desk": (file, chart)}, seen.calibration)
+    assert (caught.value.file, caught.value.field) == (str(file), "room_charts.desk")
+    file, chart = photographed(tmp_path, seen, lamp("D65"), filters=["out"])
+    with pytest.raises(InputError, match="as in the chart's photographs") as caught:
+        read_room_charts({"desk": (file, chart)}, seen.calibration)
+    assert (caught.value.file, caught.value.field) == (str(file), "filters")
+
+
+def luminance(light: np.ndarray) -> float:
+    return float(colour_matching_weights()[1] @ light)
+
+
+def few_families(rng) -> LightPrior:
+    """Three families, each of mixtures of two smooth spectra."""
+    bumps = np.exp(-(((np.arange(61.0) - rng.uniform(0, 60, (3, 2, 1))) / 9.0) ** 2)) + 0.1
+    return LightPrior(np.einsum("nki,nkj->nij", bumps, bumps), rng.dirichlet(np.ones(3)), 1)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_the_light_on_a_chart_and_its_covariance_are_those_of_the_mixture_written_out(seen, seed):
+    rng = np.random.default_rng(seed)
+    prior, patches = few_families(rng), chart_spectra(CHART)[1][[2, 9, 18]]
+    mean = seen.sensitivity[[0, 2, 4]] / 100.0
+    model = ResponseModel(mean, np.stack([np.outer(one, one) * 2e-3 for one in mean]))
+    # As likely of one family as of another, so that both the means and their distance have a say.
+    answer = np.abs(rng.normal(1.0, 0.3, (3, 3)))
+    found = light_on(ChartResponses("desk", "c.h5", answer, patches), model, prior)
+    rows = np.array([mean[band] * patch for band in range(3) for patch in patches])
+    y = np.array([answer[patch, band] for band in range(3) for patch in range(3)])
+    parts = []
+    for moment, share in zip(prior.moment, prior.share, strict=True):
+        second = rows @ moment @ rows.T
+        for i, j in itertools.product(range(9), repeat=2):
+            if i // 3 == j // 3:  # an error of a band's sensitivity is common to its patches
+                second[i, j] += patches[i % 3] @ (model.covariance[i // 3] * moment) @ patches[j % 3]
+        second[np.arange(9), np.arange(9)] *= 1.0 + 2e-3**2
+        inverse, gain = np.linalg.inv(second), moment @ rows.T @ np.linalg.inv(second)
+        square = y @ inverse @ y / 9.0
+        density = share / np.sqrt(np.linalg.det(second)) * square ** (-9 / 2)
+        parts.append((density, gain @ y, square * (moment - gain @ rows @ moment)))
+    total = sum(density for density, _, _ in parts)
+    light = sum(density / total * one for density, one, _ in parts)
+    spread = sum(density / total * (left + np.outer(one - light, one - light)) for density, one, left in parts)
+    assert luminance(found.mean) == pytest.approx(1.0)
+    np.testing.assert_allclose(found.mean, light / luminance(light), rtol=1e-6)
+    scale = spread.max() / luminance(light) ** 2
+    np.testing.assert_allclose(found.covariance, spread / luminance(light) ** 2, atol=1e-6 * scale)
+
+
+def test_of_two_lights_less_each_other_what_is_left_is_that_of_a_single_lamp():
+    pair = np.stack([lamp("D65"), lamp("LED-B3")])
+    error_ = 1e-4 * np.eye(61)
+    first, second = (RoomLight.of(3.0 * np.array(share) @ pair, 9.0 * error_) for share in ((0.8, 0.2), (0.3, 0.7)))
+    assert luminance(first.mean) == pytest.approx(1.0)
+    np.testing.assert_allclose(first.covariance * luminance(3.0 * np.array([0.8, 0.2]) @ pair) ** 2, 9.0 * error_)
+    for one, other in ((first, second), (second, first)):
+        left = one.without(other)
+        assert luminance(left.mean) == pytest.approx(1.0)
+        # As much is taken as leaves one wavelength two hundredths of the light's mean below nothing.
+        factor = np.linalg.lstsq(np.stack([one.mean, other.mean], axis=1), left.mean, rcond=None)[0]
+        taken = -factor[1] / factor[0]
+        lowest = (one.mean - taken * other.mean).min()
+        assert 0.1 < taken < 0.9 and lowest == pytest.approx(-0.02 * one.mean.mean(), rel=1e-6)
+        expected = factor[0] ** 2 * (one.covariance + taken**2 * other.covariance)
+        np.testing.assert_allclose(left.covariance, expected, rtol=1e-6, atol=1e-12)
+    # Of a light less itself a tenth is left.
+    same = first.without(first)
+    np.testing.assert_allclose(same.mean, first.mean, rtol=1e-6)
+    np.testing.assert_allclose(same.covariance, (1.0 + 0.9**2) / 0.1**2 * first.covariance, rtol=1e-6)
+    # Where the other light has nothing, noise below two hundredths of its mean does not limit what is taken.
+    dark = replace(second, mean=np.where(np.arange(61) == 5, 1e-9, second.mean))
+    assert np.isfinite(first.without(dark).mean).all()
+
+
+def test_the_lamps_of_a_room_are_half_of_its_prior_and_any_mixture_nearly_the_rest():
+    published = light_prior(published_lamps()[::20])
+    pair = np.stack([lamp("D65"), lamp("LED-B3")])
+    lights = [RoomLight.of(np.array(share) @ pair, 1e-9 * np.eye(61)) for share in ((0.8, 0.2), (0.3, 0.7))]
+    found = room_prior(lights, published)
+    known = len(published.share) - published.broad
+    own = len(found.share) - len(published.share)
+    assert found.broad == published.broad == 2 and np.array_equal(found.moment[own:], published.moment)
+    assert found.share[:own].sum() == pytest.approx(0.5) and found.share[own : own + known].sum() == pytest.approx(0.02)
+    assert found.share[-2:].sum() == pytest.approx(0.48)
+    np.testing.assert_allclose(found.share[own:-2] / published.share[:known], 0.02 / published.share[:known].sum())
+    # Its lamps: the light on each chart, and each less the other.
+    parted = [lights[0].without(lights[1]), lights[1].without(lights[0])]
+    distance = np.subtract.outer(np.arange(61), np.arange(61)) * 5.0 / 20.0
+    near = 1.0 + 0.005**2 * np.exp(-0.5 * distance**2)
+    for moment, one in zip(found.moment, [*lights, *parted], strict=False):
+        np.testing.assert_allclose(moment, (np.outer(one.mean, one.mean) + one.covariance) * near, rtol=1e-6)
+    # All of them are of one kind.
+    kind = np.mean(found.moment[:4], axis=0)
+    assert sum(np.allclose(moment, kind, rtol=1e-6) for moment in found.moment[4:own]) >= 4
+
+
+@pytest.mark.parametrize("unit", [1.0, 7.0])
+def test_what_charts_tell_of_the_cameras_response_is_gaussian_conditioning_on_all_patches(seen, unit):
+    """Of the light only the spectrum is known: another unit of the responses changes nothing."""
+    rng = np.random.default_rng(3)
+    patches, mean = chart_spectra(CHART)[1][:5], seen.sensitivity[:2] / 100.0
+    smooth = np.exp(-0.5 * (np.subtract.outer(np.arange(61), np.arange(61)) / 8.0) ** 2)
+    model = ResponseModel(mean, np.stack([np.outer(one, one) * 4e-2 * smooth for one in mean]))
+    light = RoomLight.of(lamp("FL11"), 1e-6 * np.outer(lamp("FL11"), lamp("FL11")) * smooth)
+    true = mean * (1.0 + 0.1 * np.sin(np.arange(61) / 9.0))
+    answer = (patches * light.mean) @ true.T * (1.0 + 1e-3 * rng.normal(size=(5, 2)))
+    found = refined_model(model, [ChartResponses("desk", "c.h5", unit * answer, patches)], [light])
+    rows = patches * light.mean
+    expected = rows @ mean.T
+    answer = answer * (expected * expected).sum() / (expected * answer).sum()
+    for band in range(2):
+        noise = np.diag((2e-3 * answer[:, band]) ** 2)
+        for i, j in itertools.product(range(5), repeat=2):
+            noise[i, j] += (patches[i] * mean[band]) @ light.covariance @ (patches[j] * mean[band])
+        gain = model.covariance[band] @ rows.T @ np.linalg.inv(rows @ model.covariance[band] @ rows.T + noise)
+        np.testing.assert_allclose(
+            found.mean[band], mean[band] + gain @ (answer[:, band] - rows @ mean[band]), rtol=1e-5
+        )
+        left = model.covariance[band] - gain @ rows @ model.covariance[band]
+        np.testing.assert_allclose(found.covariance[band], left, atol=1e-6 * left.max())
+
+
+def place(folder, seen, name="FL11") -> None:
+    """Write a calibration, and the panorama of coloured walls under a lamp."""
+    with store.create(folder / "calibration.h5", store.Provenance("test")) as out:
+        seen.calibration.write(out)
+    walls = WALLS[np.random.default_rng(4).integers(len(WALLS), size=(8, 16))]
+    with store.create(folder / "linear.h5", store.Provenance("test")) as out:
+        response = (walls * lamp(name)) @ seen.sensitivity.T
+        out.write("response", response.astype("f4"), units="1", dims="row,column,band", quantity="response")
+        for mask, value in (("valid", 1), ("clipped", 0)):
+            out.write(mask, np.full((8, 16), value, np.uint8), units="1", dims="row,column", quantity=mask)
+        out.attribute("filters", list(seen.calibration.filters))
+
+
+def prepared(folder, **given) -> tuple[np.ndarray, dict]:
+    """Return the recovered spectra of a place, (8, 16, 61), and what the file says of them."""
+    prepare_environment(
+        folder / "linear.h5", folder / "calibration.h5", folder / "e.h5",
+        CompressOptions(0.0, np.inf, 8, storage="single"), made(IrradianceMap, {"max_error": 0.1, "max_height": 8}),
+        store.Provenance("test"), **given,
+    )  # fmt: skip
+    light = Environment.load(folder / "e.h5")
+    with store.open_file(folder / "e.h5") as file:
+        return light.coefficients @ light.basis.T, file.attribute("origin")
+
+
+def test_the_lamps_of_a_place_are_told_by_charts_by_what_is_named_or_by_what_is_published(tmp_path, seen, caplog):
+    place(tmp_path, seen)
+    few = light_prior(published_lamps()[::30])
+    desk = {"desk": photographed(tmp_path, seen, lamp("FL11"))}
+    found, told = {}, {}
+    for name, given in {
+        "published": {"prior": few}, "charts": {"prior": few, "room_charts": desk}, "named": {"lamps": ["FL11"]},
+        "both": {"lamps": ["FL11"], "room_charts": desk},
+    }.items():  # fmt: skip
+        caplog.clear()
+        with caplog.at_level("INFO", logger="irodori"):
+            found[name], origin = prepared(tmp_path, **given)
+        told[name] = origin["lamps"]
+        assert origin["kind"] == "captures" and f"source of the lamps' spectra: {told[name]}" in caplog.text
+    assert told == {
+        "published": "published lamps", "charts": "charts in the room (desk)", "named": "named lamps (FL11)",
+        "both": "charts in the room (desk) and named lamps (FL11)",
+    }  # fmt: skip
+    walls = WALLS[np.random.default_rng(4).integers(len(WALLS), size=(8, 16))][:, ::-1] * lamp("FL11")
+    off = {name: np.linalg.norm(np.roll(one, 8, axis=1) - walls) / np.linalg.norm(walls) for name, one in found.items()}
+    assert off["charts"] < 0.9 * off["published"] and max(off["named"], off["both"]) < 0.8 * off["published"]
+
+
+def test_charts_and_lamps_of_another_place_are_refused_by_the_stage(tmp_path, seen):
+    place(tmp_path, seen, "D65")
+    with pytest.raises(InputError, match=r"found A for a panorama that other lamps explain") as caught:
+        prepared(tmp_path, lamps=["A"])
+    assert (caught.value.file, caught.value.field) == (str(tmp_path / "linear.h5"), "lamps")
+    with pytest.raises(InputError, match="nowhere in the panorama"):
+        prepared(tmp_path, prior=light_prior(published_lamps()[::30]),
+                 room_charts={"desk": photographed(tmp_path, seen, lamp("FL11"))})  # fmt: skip
+    assert not (tmp_path / "e.h5").exists()
+
+
+def test_a_mirror_ball_needs_the_size_of_its_picture(tmp_path, seen):
+    place(tmp_path, seen)
+    ball = {"kind": "mirror_ball", "centre_px": [8.0, 4.0], "radius_px": 3.0, "camera_azimuth_deg": 0.0,
+            "camera_elevation_deg": 0.0, "roll_deg": 0.0, "reflectance_factor": 1.0}  # fmt: skip
+    with pytest.raises(ValueError, match="without the size of its picture"):
+        prepared(tmp_path, source=made(CapturesSource | MirrorBallSource, ball), lamps=["FL11"])

@@ -172,8 +172,8 @@ def _pursue(rows: np.ndarray, target: np.ndarray, cost: np.ndarray) -> tuple[np.
     chosen, weights, rest = np.empty(0, dtype=int), np.empty(0), target
     for _ in range(4 * _LOOKUPS):
         gain = rest @ rows / length
-        gain[chosen] = -1.0
-        gain[cost > _LOOKUPS - cost[chosen].sum()] = -1.0
+        gain[chosen] = -np.inf
+        gain[cost > _LOOKUPS - cost[chosen].sum()] = -np.inf
         best = int(np.argmax(gain))
         if gain[best] < 1e-4:
             break
