@@ -141,7 +141,9 @@ class MarkerSheet:
         return over
 
     def first_place(self, plane, seen, poses, camera: "RigSetup") -> tuple[np.ndarray, float]:
-        """Return a first estimate of the sheet's place, (9,), and the sizes of its squares relative to the typed one.
+        """Return a first estimate of the sheet's place, (9,), and the size of its squares relative to the typed one.
+
+        The size is NaN if, in the typed pose of every photograph, corners lie where the camera sees no table.
 
         Parameters
         ----------
@@ -164,9 +166,9 @@ class MarkerSheet:
             spread = typed - typed.mean()
             turn = np.vdot(spread, real - real.mean()) / np.vdot(spread, spread).real
             found.append((turn, real.mean() - turn * typed.mean()))
-        turns, middles = np.array(found, dtype=complex).T
         if not found:
             return values, math.nan
+        turns, middles = np.array(found, dtype=complex).T
         # The turn nearest to all others: one wrong pose does not move it.
         apart = np.abs(np.angle(turns[:, None] / turns[None])).sum(axis=1)
         values[5] = math.degrees(np.angle(turns[np.argmin(apart)]))
@@ -234,7 +236,13 @@ def not_found(linear: Sequence) -> InputError:
 
 
 def check_first_size(linear: Sequence, sheet: MarkerSheet, size: float, camera: "RigSetup", placing: "Placing") -> None:
-    """Raise an error if squares are of another size than distance and focal length of the camera can explain."""
+    """Raise an error if squares are of another size than distance and focal length of the camera can explain.
+
+    ``size`` is that of `MarkerSheet.first_place`.
+    """
+    if math.isnan(size):
+        found = "the sheet at places where the camera, in the typed poses, sees no table"
+        raise InputError(Path(linear[0]).parent, "markers", found, "poses as they were, with the table in the picture")
     distance = placing.camera_distance_mm / camera.camera_distance_mm
     sigma = math.hypot(distance, placing.focal_length_percent / 100.0, sheet.sigma[6] / 100.0)
     if not abs(size - 1.0) <= _MOST_SIGMAS * sigma:

@@ -17,7 +17,7 @@ from irodori.core.errors import InputError
 from irodori.geometry.rig_frame import rig_from_camera, to_camera
 from irodori.geometry.shapes.shape import Shape
 from irodori.lens.printed_sheets import LENS_SHEET, OBJECT_SHEET
-from irodori.rectification.marker_sheet import SHEET_QUANTITIES, MarkerSheet
+from irodori.rectification.marker_sheet import SHEET_QUANTITIES, MarkerSheet, check_first_size
 from irodori.rectification.object_registration import (
     Registered,
     _inverse,
@@ -54,6 +54,15 @@ def error_at_object_mm(found: Registered, lies: Correction, shape: Shape) -> flo
             places.append(camera.pinhole.project(world, eye, rig_from_camera(real)))
         worst = max(worst, np.linalg.norm(places[0] - places[1], axis=1).max())
     return worst * found.mm_per_px
+
+
+def test_a_sheet_that_no_typed_pose_lets_the_camera_see_is_refused_in_a_sentence():
+    sheet = MarkerSheet.of(SHEET, Shape.from_definition(BALL.shape), Placing())
+    corners = [np.array([[1.0, 1.0], [2.0, 1.0], [1.0, 2.0], [2.0, 2.0]])]
+    _, size = sheet.first_place(corners, [10.0 * corners[0]], [Pose(45.0, 89.0)], SETUP)  # above the horizon
+    assert math.isnan(size)
+    with pytest.raises(InputError, match="sees no table"):
+        check_first_size(["linear/a.h5"], sheet, size, SETUP, Placing())
 
 
 @pytest.mark.parametrize("definition, lies", [(BALL, OFF), (PLATE, OFF | TURNED)], ids=["uniform ball", "plate"])
