@@ -59,7 +59,7 @@ def error_at_object_mm(found: Registered, lies: Correction, shape: Shape) -> flo
 def test_a_sheet_that_no_typed_pose_lets_the_camera_see_is_refused_in_a_sentence():
     sheet = MarkerSheet.of(SHEET, Shape.from_definition(BALL.shape), Placing())
     corners = [np.array([[1.0, 1.0], [2.0, 1.0], [1.0, 2.0], [2.0, 2.0]])]
-    _, size = sheet.first_place(corners, [10.0 * corners[0]], [Pose(45.0, 89.0)], SETUP)  # above the horizon
+    _, size = sheet.first_place(corners, [600.0 + 10.0 * corners[0]], [Pose(45.0, 89.0)], SETUP)  # above the horizon
     assert math.isnan(size)
     with pytest.raises(InputError, match="sees no table"):
         check_first_size(["linear/a.h5"], sheet, size, SETUP, Placing())
