@@ -30,6 +30,7 @@ def counted(said: str) -> dict[str, int]:
     return {name: int(number) for name, number in re.findall(r"^(\w+)\s+(\d+)$", said, flags=re.MULTILINE)}
 
 
+@pytest.mark.heavy
 def test_an_object_of_ten_megapixels_and_48_poses_is_at_most_200_jobs_of_the_cluster(dry_run):
     rules = counted(dry_run)
     assert rules["rectify_object"] == rules["fit_brdf"] > 250
