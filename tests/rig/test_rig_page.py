@@ -271,6 +271,20 @@ def possible(page) -> list[str]:
     return [b.inner_text() for b in page.locator("nav button:visible").all() if b.is_enabled()]
 
 
+def test_nothing_can_be_pressed_before_the_page_knows_what_the_session_does(sitting, visit):
+    page = visit(sitting.server.url)
+    says(page, "Take the lens cap off")
+    assert "Done" in possible(page)
+    page.route("**/news", lambda route: route.abort())
+    page.reload()
+    says(page, "Waiting for the session.")
+    assert possible(page) == []
+    page.unroute("**/news")
+    page.reload()
+    says(page, "Take the lens cap off")
+    assert "Done" in possible(page)
+
+
 def test_a_picture_is_still_there_for_a_page_that_asks_when_the_next_is_shown(sitting):
     """A page asks for what it has heard of: where a camera goes on without a person, the next comes in between."""
     sitting.eye.free = True
