@@ -24,6 +24,7 @@ from irodori.ingest.exposure_settings import relative_exposure_s, settle, settle
 from irodori.ingest.first_look import COARSE, COARSE_WARNING, SetSize
 from irodori.ingest.mosaic import Mosaic, decode
 from irodori.ingest.set_plausibility import FocalRange, SetLook
+from irodori.lens.opencv import need_opencv
 from irodori.spectra.published import chart_spectra
 
 #: Level from which a superpixel clips, of the range; and the share of those that a photograph may have.
@@ -111,6 +112,11 @@ class PhotographCheck:
             return  # the check of the camera's other photographs reports what is wrong with the table
         if not files or typed is None:
             return
+        try:
+            need_opencv("the role lens")
+        except PlainError as error:
+            yield Finding(True, str(error))
+            return
         # OpenCV takes a third of a second to load.
         from irodori.lens.stage import SheetReader, check_size
 
@@ -182,7 +188,7 @@ class PhotographCheck:
                     self._decoded(one, shot, path, mosaic)
                 size.check(shot, path, mosaic)
                 settled[shot.file] = settle(shot, mosaic, one.table)
-            except InputError as error:
+            except PlainError as error:
                 yield Finding(True, str(error), path)
                 continue
             seen.see(settled[shot.file], path, mosaic)

@@ -358,6 +358,9 @@ class _Shots:
         iso, f_number = (self._optional(line, column, row.get(column, "")) for column in ("iso", "f_number"))
         linear = self._choice(line, {_LINEAR: row.get(_LINEAR, "").strip() or "no"}, _LINEAR, ("yes", "no")) == "yes"
         light_level = self._optional(line, _LIGHT_LEVEL, row.get(_LIGHT_LEVEL, "")) or 1.0
+        if not 0.1 <= light_level <= 10.0:
+            found = row[_LIGHT_LEVEL].strip()
+            raise self._error(line, _LIGHT_LEVEL, found, "a ratio from 0.1 to 10 (1.05 for 5 % more light)")
         shot = Shot(
             file, role, pose, state, exposure, iso, f_number, chart, linear, light_level, self._taken(line, row)
         )  # fmt: skip

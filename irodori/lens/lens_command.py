@@ -8,6 +8,7 @@ import yaml
 
 from irodori.core.errors import PlainError
 from irodori.first_project.raw_folder import raw_files
+from irodori.lens.opencv import need_opencv
 
 _PAPERS = ("A4", "A3", "letter")
 
@@ -47,16 +48,6 @@ def main(arguments: list[str] | None = None, prog: str = "irodori lens") -> int:
         print(error, file=sys.stderr)
         return 2
     return 0
-
-
-def need_opencv(what: str) -> None:
-    """Raise a `PlainError` that says that ``what`` needs OpenCV if OpenCV cannot be loaded."""
-    try:
-        import cv2  # noqa: F401
-    except ImportError as error:
-        raise PlainError(
-            f"{what} needs OpenCV, which does not start ({error}): install the system's libgl1 and libglib2.0-0"
-        ) from error
 
 
 def _measure(folder: Path, pitch_um: float | None) -> None:

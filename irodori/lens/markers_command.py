@@ -4,7 +4,7 @@ import argparse
 import sys
 
 from irodori.core.errors import PlainError
-from irodori.lens.lens_command import need_opencv
+from irodori.lens.opencv import need_opencv
 
 _PAPERS = ("A3", "A4", "A5", "A6", "letter")
 

@@ -18,7 +18,7 @@ from irodori.core.errors import InputError
 from irodori.geometry.pinhole import superpixels_from_samples
 from irodori.geometry.rig_frame import rig_from_camera, rig_from_object, rotation_xyz, to_camera
 from irodori.geometry.shapes.shape import Shape
-from irodori.lens.lens_command import need_opencv
+from irodori.lens.opencv import need_opencv
 from irodori.rectification.placement_correction import Quantity
 from irodori.rectification.reduced_pictures import GREEN
 
@@ -195,7 +195,13 @@ def corners_in(green: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         Corners on the sheet, in squares; n is 0 if it was not found.
     seen : (n, 2) float32
         The same corners in the picture, samples; the centre of a sample has integer coordinates.
+
+    Raises
+    ------
+    PlainError
+        If OpenCV cannot be loaded.
     """
+    need_opencv("markers")
     from irodori.lens.printed_sheets import OBJECT_SHEET
 
     plane, seen = OBJECT_SHEET.find(green)

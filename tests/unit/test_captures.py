@@ -42,6 +42,7 @@ _ANY = {
     ),
     "filter": st.sampled_from(FILTERS),
     "exposure_s": st.floats(1e-6, 3600),
+    "light_level": st.floats(0.1, 10.0),
 }
 _NAME = st.from_regex("[a-z0-9-]+", fullmatch=True)
 _SHOT = st.one_of(
@@ -177,6 +178,13 @@ def test_a_lamps_place_gives_the_direction_to_it(tmp_path_factory, place):
 def test_a_light_that_is_said_twice_by_half_or_nowhere_is_refused(tmp_path, header, cells, field, found):
     error = refused(tmp_path, f"file,role,camera_deg,filter,exposure_s,{header}", f"a.dng,object,0,out,0.02,{cells}")
     assert error.field == field and found in error.found
+
+
+@pytest.mark.parametrize("level", ["105", "0.05", "0", "-1", "bright"])
+def test_a_level_of_a_lamp_that_is_no_ratio_near_one_is_refused(tmp_path, level):
+    header, line = "file,role,light_deg,camera_deg,filter,exposure_s,light_level", f"a.dng,object,45,0,out,0.02,{level}"
+    error = refused(tmp_path, header, line)
+    assert error.field == "line 2, light_level" and level in error.found
 
 
 def test_bracket_and_averaged_frames_are_accepted(tmp_path):

@@ -2,6 +2,7 @@
 
 import re
 import shutil
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -94,6 +95,14 @@ def test_a_check_measures_the_lens_and_names_photographs_without_the_sheet(proje
         shutil.copy(project / "raw/plate.dng", project / f"raw/sheet{number:02}.dng")
     findings, optics = looked_at(project)
     assert any(said.startswith("error") and "the sheet in 1 photographs" in said for said in findings) and not optics
+
+
+def test_without_opencv_a_check_says_what_is_missing_and_goes_on(project, monkeypatch):
+    monkeypatch.chdir(project)
+    monkeypatch.setitem(sys.modules, "cv2", None)
+    check = PhotographCheck(load_project([]))
+    (said,) = [str(finding) for finding in check.findings() if "OpenCV" in str(finding)]
+    assert said.startswith("error: the role lens needs OpenCV") and check.count >= 3
 
 
 def test_a_preview_draws_outlines_with_the_measured_lens(project, monkeypatch):
