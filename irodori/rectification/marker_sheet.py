@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from irodori.config.models import Markers, Placing
     from irodori.rectification.stage import RigSetup
 
-#: The unknowns of a sheet, in their order: its middle, tilts about its sides, turn, sizes along its sides, and what all
-#: outlines of the object are off by.
+#: The unknowns of a sheet, in their order: its middle, tilts about its sides, turn, sizes along its sides, and the
+#: common displacement of all outlines of the object.
 SHEET_QUANTITIES = (
     Quantity("x_mm", "mm", "middle of the sheet along the table's x"),
     Quantity("y_mm", "mm", "middle of the sheet along the table's y"),
@@ -37,10 +37,10 @@ SHEET_QUANTITIES = (
     Quantity("turn_deg", "deg", "sheet turned about the table's normal"),
     Quantity("long_percent", "%", "size of the sheet along its long side"),
     Quantity("short_percent", "%", "size of the sheet along its short side"),
-    Quantity("outline_mm", "mm", "outline of the object outside of where it should be"),
+    Quantity("outline_mm", "mm", "common outward displacement of the object's outlines"),
 )
-#: Index of the last, which is no number of the sheet, but needed only with one: an outline in half-shadow is found with
-#: a bias, by which the object's size would otherwise contradict that of the sheet.
+#: Index of the last. It is no number of the sheet, but is needed with one: outlines in half-shadow are found with a
+#: bias, so that the object's size would contradict the size of the sheet.
 OUTLINE = len(SHEET_QUANTITIES) - 1
 #: Steps of numerical derivatives by these unknowns.
 SHEET_STEPS = np.full(len(SHEET_QUANTITIES), 0.01)
@@ -50,7 +50,7 @@ _ANYWHERE_MM, _ANY_TURN_DEG = 500.0, 180.0  # standard deviations of what is not
 _PRINTER_PERCENT, _RULER_PERCENT = 0.5, 0.2
 _LEAST_CORNERS = 4  # of a photograph that shows the sheet
 _MOST_SIGMAS = 4.0  # standard deviations by which the sheet may contradict what was typed
-_OUTLINE_MM = 0.1  # standard deviation of what all outlines are off by: the accuracy that registration aims at
+_OUTLINE_MM = 0.1  # standard deviation of the common displacement of outlines: the accuracy of registration
 _PROBES = 9  # points along a line across an outline that are tested for lying over the print
 
 
@@ -265,7 +265,7 @@ def check_printed_size(linear: Sequence, sheet: MarkerSheet, values: np.ndarray,
     linear : sequence of path
     sheet : MarkerSheet
     values : (9,) float
-        Its place and size, and what outlines are off by.
+        Its place and size, and the common displacement of outlines.
     reach_mm : float
         Distance of the object's outline from its middle.
     """

@@ -94,7 +94,8 @@ class FoundSheet:
     Parameters
     ----------
     values, sigma : (9,) float64
-        Its place and size, and what outlines are off by, in the order of `SHEET_QUANTITIES`, with standard errors.
+        Its place and size and the common displacement of outlines, in the order of `SHEET_QUANTITIES`, and their
+        standard errors.
     corners : (J,) int
         Corners found in each photograph.
     residual_px : (J,) float64
