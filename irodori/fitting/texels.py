@@ -66,6 +66,16 @@ class Problem(NamedTuple):
     chains: int
     lobes: Lobes
 
+    def in_float64(self, texels: slice = slice(None)) -> "Problem":
+        """Return a range of the texels with float64 observations, so that a slow loop is compiled for one type only."""
+        count = len(self.response)
+
+        def of_texels(array, dtype=None):
+            return np.require(array[texels] if len(array) == count else array, dtype, ["C", "W"])
+
+        observed = {name: of_texels(getattr(self, name), np.float64) for name in ("response", "weight", "geometry")}
+        return self._replace(**observed, clipped=of_texels(self.clipped), n=of_texels(self.n))
+
 
 class Output(NamedTuple):
     """Arrays that the loop fills; `irodori.fitting.judge` defines the columns of the table."""
