@@ -7,10 +7,10 @@ that a pixel does not use has a weight of exactly zero, so that not a bit of its
 import math
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
-from irodori.calibration.recovery.mapping_loops import BLOCK, FAST, LANES, SERIAL, Group, load, store
+from irodori.calibration.recovery.mapping_loops import BLOCK, FAST, LANES, Group, load, store
+from irodori.jit.chunks import run_chunks
 from irodori.jit.compilation import njit
 from irodori.jit.functions import exp, log
 from irodori.jit.table_sums import OUTPUTS, TILE, Place, any_above_zero, blend_tile
@@ -198,15 +198,4 @@ def local_weights(blending: Blending, response, variance, out) -> None:
 
     Variances are (n, bands), (1, bands) for all, or (0, bands) where not known. All arrays are C-contiguous.
     """
-    if len(response) <= SERIAL:
-        _local_block(blending, response, variance, out, 0, len(response))
-    else:
-        _local_parallel(blending, response, variance, out)
-
-
-@njit(cache=True, parallel=True, nogil=True)
-def _local_parallel(blending, response, variance, out):
-    blocks = (response.shape[0] + BLOCK - 1) // BLOCK
-    for block in numba.prange(blocks):
-        last = min((block + 1) * BLOCK, response.shape[0])
-        _local_block(blending, response, variance, out, block * BLOCK, last)
+    run_chunks(_local_block, len(response), BLOCK, blending, response, variance, out)
