@@ -17,6 +17,7 @@ import numpy as np
 from irodori.fitting.observations import Rules, load_one
 from irodori.fitting.texel_rows import COSINE, F0, GLOSS, RESPONSE, VARIANCE, WEIGHT, folded, get, new_rows, vectors_of
 from irodori.fitting.texels import Problem, pack_texel
+from irodori.jit.array_copies import copy_into
 from irodori.jit.chunks import run_chunks
 from irodori.jit.compilation import njit, uncounted
 from irodori.jit.vector_memory import spread
@@ -372,7 +373,7 @@ def varying(part, start, least, rounds):
         new[0, 0] += least
         new[1, 1] += least
         change = np.abs(new - covariance).max()
-        covariance[:] = new
+        copy_into(covariance, new)
         if change < 1e-3 * np.abs(new).max():
             break
     return covariance, excess

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from irodori.jit.array_copies import copy_into
 from irodori.jit.chunks import run_chunks
 from irodori.jit.compilation import njit
 
@@ -22,6 +23,15 @@ FAST = {"contract", "reassoc", "nsz", "arcp"}  # infinities and NaN keep their m
 def _rows(count):
     """Return the count of rows rounded up to a multiple of 8, as `_combine` requires."""
     return (count + _ROWS - 1) // _ROWS * _ROWS
+
+
+@njit(cache=True)
+def inverse_of(scale):
+    """Return the inverses of numbers, (bands,): a loop compiles faster than an expression of arrays."""
+    inverse = np.empty(scale.size)
+    for b in range(scale.size):
+        inverse[b] = 1.0 / scale[b]
+    return inverse
 
 
 class Group(NamedTuple):
@@ -109,8 +119,8 @@ def _polynomial_block(response, scale, coefficients, out, first, last):
     padded = _rows(count)
     x, c, values = np.empty((bands, LANES)), np.empty((bands, LANES)), np.empty((bases, LANES))
     terms, weight, length = np.zeros((padded, LANES)), np.zeros((bases, padded)), np.empty(LANES)
-    weight[:, :count] = coefficients
-    inverse_scale = 1.0 / scale
+    copy_into(weight, coefficients)
+    inverse_scale = inverse_of(scale)
     for start in range(first, last, LANES):
         pixels = min(LANES, last - start)
         load(response, start, pixels, inverse_scale, Group(x, c, length))
