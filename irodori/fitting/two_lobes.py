@@ -728,9 +728,9 @@ def fit_two(problem: Problem, second, rules: Rules, one: Output, two: Output) ->
 
     def fit_some(first, last):
         texels = slice(first, last)
-        one_here, two_here, out_here = (type(given)(*(a[texels] for a in given)) for given in (one, two, out))
-        task = TwoTask(problem.in_float64(texels), second, problem.lobes == second, rules, one_here, two_here)
-        _fit_chunk(task, out_here, 0, last - first)
+        singles = [Output(*(array[texels] for array in single)) for single in (one, two)]
+        task = TwoTask(problem.in_float64(texels), second, problem.lobes == second, rules, *singles)
+        _fit_chunk(task, TwoOutput(*(array[texels] for array in out)), 0, last - first)
 
     run_chunks(fit_some, count, _CHUNK)
     return out

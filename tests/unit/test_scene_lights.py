@@ -3,19 +3,19 @@
 import math
 from collections.abc import Sequence
 
-import numba
 import numpy as np
 import pytest
 from made import made
 from scipy.stats import qmc
 
 from irodori.config.models import SceneLight
+from irodori.jit.compilation import njit
 from irodori.rendering.scene_lights import density_towards, make_lights, sample_towards
 
 POINTS = qmc.Sobol(2, seed=1).random_base2(14)
 
 
-@numba.njit
+@njit
 def _drawn(lights, point, places, towards, density, again):
     for i in range(len(places)):
         density[i] = sample_towards(lights, 0, point, places[i, 0], places[i, 1], towards[i])

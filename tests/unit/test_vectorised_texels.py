@@ -1,6 +1,5 @@
 """Eight texels fitted at once come out as each of them alone."""
 
-import numba
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -11,6 +10,7 @@ from irodori.fitting import judge
 from irodori.fitting.shared_geometry import no_shared
 from irodori.fitting.solvers import SOLVERS, FitOptions, problem_of
 from irodori.fitting.vectorised_texels import fit_eight, new_eight
+from irodori.jit.compilation import njit
 from irodori.reflection.equation5 import reflect
 
 LIGHT = np.radians(np.array([25.0, 45.0, 65.0]))[np.arange(24) % 3]
@@ -93,7 +93,7 @@ def test_eight_at_once_are_as_each_alone(shared, noise, seed, level, scale, hole
     _same(SOLVERS["varpro"](problem, rules, options), _alone(problem, rules, options))
 
 
-@numba.njit
+@njit
 def _done(problem, rules, captures):
     return fit_eight(problem, no_shared(), rules, 0, len(problem.response), new_eight(captures, problem.nodes.size))
 

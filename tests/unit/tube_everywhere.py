@@ -39,7 +39,8 @@ def _meet(surfaces, intersect, scene, origin, direction, found):
         trace(intersect, scene, ray, origin[r], direction[r], np.inf)
         shape[r] = hit_shape(ray)
         if shape[r] >= 0:
-            point[r] = origin[r] + hit_distance(ray) * direction[r]
+            for axis in range(3):
+                point[r, axis] = origin[r, axis] + hit_distance(ray) * direction[r, axis]
             uv[r, 0], uv[r, 1] = surface_at(surfaces, shape[r], ray, point[r], normal[r], facet)
             if face_viewer(normal[r], facet, direction[r]) <= 0.0:
                 shape[r] = -2
