@@ -12,6 +12,9 @@ _OFFERED = {"open_material": "irodori.material.labelled_material"}
 
 # Threads of a loop that wait for one another give the core to other jobs instead of spinning on it.
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+# While numba tries which definition of a function fits, it makes errors by the ten thousand that nobody sees. To colour
+# them takes a fiftieth of the time of compilation.
+os.environ.setdefault("NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING", "1")
 
 
 def __getattr__(name: str) -> Any:

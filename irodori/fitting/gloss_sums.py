@@ -371,8 +371,11 @@ def varying(part, start, least, rounds):
         excess = max(squares / max(free - 2.0, 1.0), 1.0)
         new[0, 0] += least
         new[1, 1] += least
-        change = np.abs(new - covariance).max()
-        covariance[:] = new
-        if change < 1e-3 * np.abs(new).max():
+        change, largest = 0.0, 0.0
+        for i in range(2):
+            for j in range(2):
+                change, largest = max(change, abs(new[i, j] - covariance[i, j])), max(largest, abs(new[i, j]))
+                covariance[i, j] = new[i, j]
+        if change < 1e-3 * largest:
             break
     return covariance, excess

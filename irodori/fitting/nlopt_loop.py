@@ -47,6 +47,7 @@ from irodori.fitting.texels import (
 )
 from irodori.fitting.varpro import ESTIMATE, PLACE, find_intervals, pair_at, scan, value_nodes
 from irodori.jit.c_functions import c_function
+from irodori.jit.chunks import run_chunks
 from irodori.jit.compilation import cfunc, njit, uncounted
 from irodori.jit.vector_memory import spread
 from irodori.reflection import lobes as lobe_kernels
@@ -240,7 +241,7 @@ def load_own(t, problem, rules, rows):
     return load_texel(t, problem, rules, rows)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def _fit_chunk(nlopt, problem, rules, out, first, last):
     task, (data, room) = Task(problem, rules, no_shared()), new_data(problem)
     rows = room.rows
@@ -260,9 +261,6 @@ def _fit_chunk(nlopt, problem, rules, out, first, last):
     nlopt_destroy(nlopt.destroy, optimiser)
 
 
-@njit(cache=True, parallel=True, nogil=True)
 def fit_nlopt(nlopt, problem, rules, out):
     """Fit every texel by a scan and then NLopt from the best point of the scan; the better of the two is kept."""
-    texels = problem.response.shape[0]
-    for c in numba.prange((texels + _CHUNK - 1) // _CHUNK):
-        _fit_chunk(nlopt, problem, rules, out, c * _CHUNK, min(texels, (c + 1) * _CHUNK))
+    run_chunks(_fit_chunk, len(problem.response), _CHUNK, nlopt, problem, rules, out)

@@ -220,7 +220,7 @@ def _solve_nlopt(problem: texels.Problem, rules: Rules, options: FitOptions) -> 
         max_evaluations=_MAX_EVALUATIONS,
     )
     out = _empty_output(len(problem.response))
-    nlopt_loop.fit_nlopt(library, problem, rules, out)
+    nlopt_loop.fit_nlopt(library, problem.in_float64(), rules, out)
     return out
 
 
@@ -244,6 +244,7 @@ def _cost(rows: np.ndarray, lobes, scale: np.ndarray, factor: float):
 
 def _solve_reference(problem: texels.Problem, rules: Rules, options: FitOptions) -> texels.Output:
     """Fit with NLopt from Python: a reference for the speed of the compiled loops and a check of their results."""
+    problem = problem.in_float64()
     out = _empty_output(len(problem.response))
     task = texels.Task(problem, rules, no_shared())
     data, room = nlopt_loop.new_data(problem)

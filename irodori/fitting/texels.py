@@ -23,6 +23,7 @@ from irodori.fitting.shared_geometry import Shared, no_shared, padded_nodes, sca
 from irodori.fitting.texel_rows import TRUST, WEIGHT, new_rows, pack_geometry, spread_geometry
 from irodori.fitting.varpro import SUMS, minimise, scan
 from irodori.fitting.vectorised_texels import NOISY, SURE, fit_eight, new_eight, write_eight
+from irodori.jit.array_copies import copy_into
 from irodori.jit.chunks import run_chunks
 from irodori.jit.compilation import njit, uncounted
 from irodori.jit.vector_memory import aligned
@@ -65,6 +66,16 @@ class Problem(NamedTuple):
     nodes: np.ndarray
     chains: int
     lobes: Lobes
+
+    def in_float64(self, texels: slice = slice(None)) -> "Problem":
+        """Return a range of the texels with float64 observations, so that a slow loop is compiled for one type only."""
+        count = len(self.response)
+
+        def of_texels(array, dtype=None):
+            return np.require(array[texels] if len(array) == count else array, dtype, ["C", "W"])
+
+        observed = {name: of_texels(getattr(self, name), np.float64) for name in ("response", "weight", "geometry")}
+        return self._replace(**observed, clipped=of_texels(self.clipped), n=of_texels(self.n))
 
 
 class Output(NamedTuple):
@@ -314,7 +325,7 @@ def _fit_chunk(problem, rules, shared, out, first, last):
     room = Room(new_rows(problem.response.shape[1]), new_sums(problem))
     eight = new_eight(problem.response.shape[1], problem.nodes.size)
     if shared.rows.size > 0:
-        room.rows[:] = shared.rows
+        copy_into(room.rows, shared.rows)
         spread_geometry(shared.rows, eight.rows)
     _fit_range(Task(problem, rules, shared), room, eight, out, first, last)
 

@@ -55,7 +55,7 @@ _MAX_TRIALS = 14
 _CONVERGED = 1e-7
 _LONGEST = 0.7  # longest step of log μ
 _BETA_ERROR, _MU_ERROR = judge.MAX_RELATIVE_ERROR["beta"], judge.MAX_RELATIVE_ERROR["mu"]
-_CHUNK = 256
+_CHUNK = 1024
 _OK, _AT_BOUND = int(Status.OK), int(Status.AT_BOUND)
 _UNIDENTIFIABLE, _SATURATED = int(Status.MU_UNIDENTIFIABLE), int(Status.SATURATED)
 _CONTRADICTED = int(Status.CONTRADICTED)
@@ -725,5 +725,12 @@ def fit_two(problem: Problem, second, rules: Rules, one: Output, two: Output) ->
         model=np.zeros(count, dtype=np.int8),
         evaluations=np.zeros(count, dtype=np.int32),
     )
-    run_chunks(_fit_chunk, count, _CHUNK, TwoTask(problem, second, problem.lobes == second, rules, one, two), out)
+
+    def fit_some(first, last):
+        texels = slice(first, last)
+        one_here, two_here, out_here = (type(given)(*(a[texels] for a in given)) for given in (one, two, out))
+        task = TwoTask(problem.in_float64(texels), second, problem.lobes == second, rules, one_here, two_here)
+        _fit_chunk(task, out_here, 0, last - first)
+
+    run_chunks(fit_some, count, _CHUNK)
     return out

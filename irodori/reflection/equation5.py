@@ -54,10 +54,11 @@ def angles_from_directions(normal, to_light, to_camera) -> np.ndarray:
     half = to_light + to_camera
     length = np.linalg.norm(half, axis=-1, keepdims=True)
     half = np.divide(half, length, out=np.array(normal, dtype=np.float64), where=length > 1e-12)
-
-    def angle(a, b):
-        return np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), np.sum(a * b, axis=-1))
-
-    return np.stack(
-        [angle(normal, to_light), angle(normal, to_camera), angle(half, to_light), angle(normal, half)], axis=-1
-    )
+    out = np.empty((*half.shape[:-1], 4))
+    pairs = (normal, to_light), (normal, to_camera), (half, to_light), (normal, half)
+    for i, (first, second) in enumerate(pairs):
+        (ax, ay, az), (bx, by, bz) = np.moveaxis(first, -1, 0), np.moveaxis(second, -1, 0)
+        # NumPy's cross product and norm take three times as long.
+        cross = np.sqrt((ay * bz - az * by) ** 2 + (az * bx - ax * bz) ** 2 + (ax * by - ay * bx) ** 2)
+        out[..., i] = np.arctan2(cross, ax * bx + ay * by + az * bz)
+    return out

@@ -1,8 +1,8 @@
 """Mutation testing: which small faults in the package do its tests notice?
 
-``python tests/mutation/run.py [--sample 60] [--seed TEXT] [--rooms ingest light | --third] [--only TEXT]``, at the top
+``python tests/mutation/run.py [--sample 60] [--seed TEXT] [--rooms ingest light | --room] [--only TEXT]``, at the top
 of the repository. As many mutants of each room are drawn at random, by the seed (the commit where none is given): every
-commit tries others, with ``--third`` of two rooms only, for before the first mutant all tests of a room are run. Each
+commit tries others, with ``--room`` of one room only, for before the first mutant all tests of a room are run. Each
 is put into a process of its own, forked from one that has run all tests and loaded all compiled loops: the code of the
 function is replaced where it stands. The process runs the tests that pass over the mutant's statement, those of files
 with the module's name first, the shortest first and one case of each before a second, and ends at the first that fails.
@@ -90,8 +90,6 @@ ROOMS = {
          "rig/test_rig_waits.py", "rig/test_described_rig.py", "rig/test_lost_steps.py"),
     ),
 }  # fmt: skip
-#: Thirds of the rooms, whose tests and mutants take about as long.
-THIRDS = (("ingest", "reflection"), ("light", "rectification"), ("evaluation", "capture limits"))
 #: Tests of these files that compute for longer than `LONGEST_S`, whatever is loaded: run, they would not be asked.
 LONG = (
     "test_measured_places_become_environments", "test_the_memory_for_an_environment", "test_the_fitted_lobes_are_the",
@@ -386,7 +384,7 @@ def main() -> int:
     parser.add_argument("--seed", default="", help="any text; the commit where absent")
     parser.add_argument("--rooms", nargs="+", default=list(ROOMS), choices=list(ROOMS))
     parser.add_argument("--only", default="", metavar="TEXT", help="of all, only mutants whose printed name holds it")
-    parser.add_argument("--third", action="store_true", help="only two of the six rooms, drawn by the seed")
+    parser.add_argument("--room", action="store_true", help="only one of the rooms, drawn by the seed")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--least", type=float, default=0.9, help="share of the mutants that must be noticed")
     parser.add_argument("--parent", type=int, help="process with which the run ends")
@@ -397,7 +395,7 @@ def main() -> int:
     seed = given.seed or subprocess.run(
         ["git", "rev-parse", "HEAD"], capture_output=True, text=True, check=True
     ).stdout.strip()  # fmt: skip
-    rooms = random.Random(seed).choice(THIRDS) if given.third else given.rooms
+    rooms = [random.Random(seed).choice(given.rooms)] if given.room else given.rooms
     mutants = drawn(list(rooms), given.sample, seed, given.only)
     begun = time.monotonic()
     noticed, tried = 0, 0

@@ -7,10 +7,11 @@ that a pixel does not use has a weight of exactly zero, so that not a bit of its
 import math
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
-from irodori.calibration.recovery.mapping_loops import BLOCK, FAST, LANES, SERIAL, Group, load, store
+from irodori.calibration.recovery.mapping_loops import BLOCK, FAST, LANES, Group, inverse_of, load, store
+from irodori.jit.array_copies import copy_into
+from irodori.jit.chunks import run_chunks
 from irodori.jit.compilation import njit
 from irodori.jit.functions import exp, log
 from irodori.jit.table_sums import OUTPUTS, TILE, Place, any_above_zero, blend_tile
@@ -165,9 +166,10 @@ def _local_block(blending, response, variance, out, first, last):
     direction, faded = np.empty((bands, LANES), kind), np.empty((bands, LANES), kind)
     sharpness, largest, total = np.empty(LANES, kind), np.empty(LANES, kind), np.empty(LANES, kind)
     share, blend = np.empty((anchors.shape[0] * OUTPUTS, LANES), kind), np.empty((maps.shape[1] * OUTPUTS, LANES), kind)
-    values, every, members = np.empty((bases, LANES), kind), np.arange(bands), np.empty(count, np.int64)
-    inverse_scale = 1.0 / scale
-    inverse_square = inverse_scale**2
+    values, every, members = np.empty((bases, LANES), kind), np.empty(bands, np.int64), np.empty(count, np.int64)
+    inverse_scale, inverse_square = inverse_of(scale), np.empty(bands)
+    for b in range(bands):
+        every[b], inverse_square[b] = b, inverse_scale[b] * inverse_scale[b]
     for start in range(first, last, LANES):
         pixels = min(LANES, last - start)
         load(response, start, pixels, inverse_scale, Group(x, c, length))
@@ -175,13 +177,18 @@ def _local_block(blending, response, variance, out, first, last):
         if variance.size > 0:
             _load_variance(variance, start, pixels, inverse_square, own)
             _place_levels(blending, own, length, position, inverse)
-            lowest, highest = int(position.min()) + 1, min(int(position.max()) + 2, levels.size) + 1
-        direction[:], sharpness[:] = c, inverse
+            lowest, highest = levels.size, 0
+            for j in range(LANES):
+                lowest, highest = min(lowest, int(position[j]) + 1), max(highest, int(position[j]) + 2)
+            highest = min(highest, levels.size) + 1
+        copy_into(direction, c)
+        for j in range(LANES):
+            sharpness[j] = inverse[j]
         _product(direction, every, bands, anchors, share)
         _shares(count, sharpness, share, largest, total)
         taken = _pack(share, count, members)
         values[:] = 0.0
-        faded[:] = x
+        copy_into(faded, x)
         for level in range(lowest, highest):
             if variance.size > 0:
                 # Matrices are interpolated between levels: a level counts for pixels less than one level away.
@@ -198,15 +205,4 @@ def local_weights(blending: Blending, response, variance, out) -> None:
 
     Variances are (n, bands), (1, bands) for all, or (0, bands) where not known. All arrays are C-contiguous.
     """
-    if len(response) <= SERIAL:
-        _local_block(blending, response, variance, out, 0, len(response))
-    else:
-        _local_parallel(blending, response, variance, out)
-
-
-@njit(cache=True, parallel=True, nogil=True)
-def _local_parallel(blending, response, variance, out):
-    blocks = (response.shape[0] + BLOCK - 1) // BLOCK
-    for block in numba.prange(blocks):
-        last = min((block + 1) * BLOCK, response.shape[0])
-        _local_block(blending, response, variance, out, block * BLOCK, last)
+    run_chunks(_local_block, len(response), BLOCK, blending, response, variance, out)

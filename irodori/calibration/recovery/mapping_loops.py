@@ -7,14 +7,14 @@ over a row into vector instructions. No sum runs over pixels: a pixel's bits do 
 import math
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
+from irodori.jit.array_copies import copy_into
+from irodori.jit.chunks import run_chunks
 from irodori.jit.compilation import njit
 
 LANES = 64
-BLOCK = 16 * LANES  # pixels that a thread takes at a time
-SERIAL = 4 * BLOCK  # pixels that are not worth waking threads for
+BLOCK = 64 * LANES  # pixels that a thread takes at a time
 _ROWS = 8  # that are summed at a time
 FAST = {"contract", "reassoc", "nsz", "arcp"}  # infinities and NaN keep their meaning
 
@@ -23,6 +23,15 @@ FAST = {"contract", "reassoc", "nsz", "arcp"}  # infinities and NaN keep their m
 def _rows(count):
     """Return the count of rows rounded up to a multiple of 8, as `_combine` requires."""
     return (count + _ROWS - 1) // _ROWS * _ROWS
+
+
+@njit(cache=True)
+def inverse_of(scale):
+    """Return the inverses of numbers, (bands,): a loop compiles faster than an expression of arrays."""
+    inverse = np.empty(scale.size)
+    for b in range(scale.size):
+        inverse[b] = 1.0 / scale[b]
+    return inverse
 
 
 class Group(NamedTuple):
@@ -104,14 +113,14 @@ def _monomials(x, c, terms):
 
 
 @njit(cache=True, nogil=True)
-def _polynomial_block(first, last, response, scale, coefficients, out):
+def _polynomial_block(response, scale, coefficients, out, first, last):
     """Sum homogeneous monomials of degree one to three; coefficients are (k, monomials)."""
     bands, (bases, count) = scale.size, coefficients.shape
     padded = _rows(count)
     x, c, values = np.empty((bands, LANES)), np.empty((bands, LANES)), np.empty((bases, LANES))
     terms, weight, length = np.zeros((padded, LANES)), np.zeros((bases, padded)), np.empty(LANES)
-    weight[:, :count] = coefficients
-    inverse_scale = 1.0 / scale
+    copy_into(weight, coefficients)
+    inverse_scale = inverse_of(scale)
     for start in range(first, last, LANES):
         pixels = min(LANES, last - start)
         load(response, start, pixels, inverse_scale, Group(x, c, length))
@@ -123,16 +132,4 @@ def _polynomial_block(first, last, response, scale, coefficients, out):
 
 def polynomial_weights(response, scale, coefficients, out):
     """Fill out (n, k) for responses (n, bands); coefficients are (k, monomials), C-contiguous."""
-    if len(response) <= SERIAL:
-        _polynomial_block(0, len(response), response, scale, coefficients, out)
-    else:
-        _polynomial_parallel(response, scale, coefficients, out)
-
-
-@njit(cache=True, parallel=True, nogil=True)
-def _polynomial_parallel(response, scale, coefficients, out):
-    blocks = (response.shape[0] + BLOCK - 1) // BLOCK
-    for block in numba.prange(blocks):
-        _polynomial_block(
-            block * BLOCK, min((block + 1) * BLOCK, response.shape[0]), response, scale, coefficients, out
-        )
+    run_chunks(_polynomial_block, len(response), BLOCK, response, scale, coefficients, out)

@@ -143,7 +143,8 @@ class LocalMapping(_Differences):
             spread=self.spread,
             maps=columns_of(maps.reshape(*maps.shape[:2], -1)),
         )
-        local_weights(blending, response, np.array(variance, order="C", copy=None), out)
+        # The loop is compiled anew for arrays that cannot be written.
+        local_weights(blending, response, np.require(variance, requirements=["C", "W"]), out)
 
     def on_basis(self, basis):
         """See `Mapping`."""

@@ -266,7 +266,7 @@ def _follow(job, scratch, count, kept):
     """Follow the paths of a tile through mirrors until none is left or the limit of bounces is reached."""
     layout, figures, packets = job.layout, scratch.figures, 0
     for bounce in range(job.limits.max_bounces + 1):
-        after = 0
+        after = np.int64(0)  # for a literal 0, `_shade_packet` would be compiled a second time
         for base in range(0, count, RAYS):
             since = cycles() if is_profiled(layout) else 0
             met, missed = _meet(job, scratch, base, count, bounce, kept[packets * KEPT :])
