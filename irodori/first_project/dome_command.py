@@ -19,13 +19,11 @@ from irodori.fitting.paint_gloss import PaintGloss
 from irodori.fitting.unknown_shape import fit_unknown_shape, register_unknown_shape
 from irodori.rectification.circle_search import Circle
 from irodori.rectification.lamp_registration import Lamps, register_lamps
+from irodori.rectification.photometric_stereo import LEAST_COSINE
 from irodori.reflection.registry import DEFAULT_LOBES, names
 
 #: Share of the ball's radius that is used: nearer to its rim a pixel spans many degrees.
 INSIDE = 0.95
-#: cosθ_i below which a place counts as near the terminator, where errors of the lamp's size and the ball's outline
-#: dominate.
-LEAST_COSINE = 0.2
 #: Approximate number of places from which lamps are estimated, at which photographs of an object of unknown shape are
 #: left out, and at which a ball is compared with an object of unknown shape.
 _REGISTERED, _JUDGED, _COMPARED = 1200, 6_000, 6_000

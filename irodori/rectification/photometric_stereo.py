@@ -24,7 +24,7 @@ from numba import njit
 
 from irodori.jit.chunks import run_chunks
 
-#: cosθ_i below which a response is not used: near the terminator, the size of the lamp counts.
+#: cosθ_i below which a response is not used: near the terminator, errors of the lamp's size and of the shape dominate.
 LEAST_COSINE = 0.2
 #: Standard deviation of the logarithm of a lamp's level that nobody measured.
 LEVEL_ERROR = 0.1
