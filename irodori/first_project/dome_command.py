@@ -4,18 +4,16 @@ import argparse
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
 from irodori.core.errors import InputError
 from irodori.core.file_kinds import IF_LINEAR
 from irodori.evaluation.left_out_photographs import Prediction, fit_known_shape, predict_left_out
-from irodori.first_project.dome_files import SurfaceMaps, write_dome
+from irodori.first_project.dome_files import Measured, SurfaceMaps, write_dome
 from irodori.first_project.dome_photographs import DomePhotographs, Places, read_photographs, refuse_dark
 from irodori.first_project.lights_command import add_names, add_outline, asked_circle, asked_mask, names_of
 from irodori.fitting.one_gloss import MATT
-from irodori.fitting.paint_gloss import PaintGloss
 from irodori.fitting.unknown_shape import fit_unknown_shape, register_unknown_shape
 from irodori.rectification.circle_search import Circle
 from irodori.rectification.lamp_registration import Lamps, register_lamps
@@ -31,30 +29,6 @@ _REGISTERED, _JUDGED, _COMPARED = 1200, 6_000, 6_000
 _NO_BALL = 0.5
 _ERROR_DEG = 3.0
 _CHUNK = 200_000
-
-
-class Measured(NamedTuple):
-    """What the photographs tell of an object.
-
-    Parameters
-    ----------
-    inside : (rows, columns) bool
-        Pixels of the maps.
-    maps : SurfaceMaps
-    gloss : PaintGloss or None
-    lamps : Lamps
-    judged : Places
-        Places at which photographs were left out.
-    found : Prediction
-        Predictions of the photographs that were left out.
-    """
-
-    inside: np.ndarray
-    maps: SurfaceMaps
-    gloss: PaintGloss | None
-    lamps: Lamps
-    judged: Places
-    found: Prediction
 
 
 def main(arguments: list[str] | None = None, prog: str = "irodori dome") -> int:
@@ -101,10 +75,7 @@ def _measure(asked: argparse.Namespace) -> int:
     if measured is None:
         measured = _free(asked, photographs)
     _say(photographs, measured, asked)
-    own = measured.judged, measured.found
-    written = write_dome(
-        Path(asked.into), listed, photographs.names, measured.lamps, own, measured.maps, measured.inside
-    )  # fmt: skip
+    written = write_dome(Path(asked.into), measured, photographs.names, listed)
     print(f"written: {', '.join(map(str, written))}")
     return 0
 

@@ -13,6 +13,7 @@ from irodori.evaluation.left_out_photographs import Prediction
 from irodori.export.pictures import specification, write_picture_file
 from irodori.first_project.dome_photographs import Places
 from irodori.first_project.light_places import write_lamps
+from irodori.fitting.paint_gloss import PaintGloss
 from irodori.rectification.lamp_registration import Lamps
 
 #: Amplification of the difference between photograph and rendering in the picture of differences.
@@ -43,36 +44,53 @@ class SurfaceMaps(NamedTuple):
     lobe: str
 
 
-def write_dome(
-    into: Path, listed: list[str], own: list[str], lamps: Lamps, judged: tuple[Places, Prediction], maps: SurfaceMaps,
-    inside: np.ndarray,
-) -> list[Path]:  # fmt: skip
+class Measured(NamedTuple):
+    """What the photographs tell of an object.
+
+    Parameters
+    ----------
+    inside : (rows, columns) bool
+        Pixels of the maps.
+    maps : SurfaceMaps
+    gloss : PaintGloss or None
+    lamps : Lamps
+    judged : Places
+        Places at which photographs were left out.
+    found : Prediction
+        Predictions of the photographs that were left out.
+    """
+
+    inside: np.ndarray
+    maps: SurfaceMaps
+    gloss: PaintGloss | None
+    lamps: Lamps
+    judged: Places
+    found: Prediction
+
+
+def write_dome(into: Path, measured: Measured, own: list[str], listed: list[str]) -> list[Path]:
     """Write all files of a measurement, and return their paths.
 
     Parameters
     ----------
     into : Path
         Folder.
-    listed : list of str
-        Names of photographs for the table of lamps.
+    measured : Measured
     own : list of str
         Names of the J photographs of the object.
-    lamps : Lamps
-    judged : (Places, Prediction)
-        Places at which photographs were left out and predicted, and the predictions.
-    maps : SurfaceMaps
-    inside : (rows, columns) bool
-        Pixels of the places of the maps.
+    listed : list of str
+        Names of photographs for the table of lamps.
     """
+    lamps, maps, inside = measured.lamps, measured.maps, measured.inside
     into.mkdir(parents=True, exist_ok=True)
     files = {name: into / name for name in ("lamps.csv", "surface.h5", "left-out.csv", "left-out.png")}
     write_lamps(files["lamps.csv"], {
         Path(name).name: (*light_angles_deg(direction), level)
         for name, direction, level in zip(listed, lamps.direction, lamps.level, strict=True)
     })  # fmt: skip
-    _write_table(files["left-out.csv"], own, lamps, judged[1])
+    _write_table(files["left-out.csv"], own, lamps, measured.found)
     _write_surface(files["surface.h5"], own, lamps, maps, inside)
-    _write_left_out(files["left-out.png"], *judged)
+    _write_left_out(files["left-out.png"], measured.judged, measured.found)
     normals = into / "normals.png"
     if maps.agreeing is not None:
         files["normals.png"] = normals

@@ -83,6 +83,18 @@ class Facets(NamedTuple):
         return np.degrees(self.misfit * np.sqrt(across))
 
 
+class _Task(NamedTuple):
+    """Arrays of the fit of T places in J photographs with M sets of three lamps."""
+
+    response: np.ndarray  # (T, J)
+    usable: np.ndarray  # (T, J)
+    light: np.ndarray  # (J, 3)
+    triples: np.ndarray  # (M, 3)
+    inverses: np.ndarray  # (M, 3, 3)
+    found: np.ndarray  # output: normals times diffuse weights, (T, 3)
+    weight: np.ndarray  # output, (T, J)
+
+
 def fit_facets(response, usable, light, *, gloss=None, misfit: float | None = None) -> Facets:
     """Fit the normal and the diffuse weight of every place.
 
@@ -106,8 +118,10 @@ def fit_facets(response, usable, light, *, gloss=None, misfit: float | None = No
     places, count = matt.shape
     found, weight = np.empty((places, 3)), np.empty((places, count))
 
+    task = _Task(matt, usable, light, triples, inverses, found, weight)
+
     def fit(expected: float) -> np.ndarray:
-        run_chunks(_fit_places, places, _CHUNK, matt, usable, light, triples, inverses, expected, found, weight)
+        run_chunks(_fit_places, places, _CHUNK, task, expected)
         return np.linalg.norm(found, axis=1)
 
     if misfit is None:
@@ -150,8 +164,9 @@ def _triples(light: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _best_triple(y, able, light, triples, inverses, misfit):
+def _best_triple(task, at, misfit):
     """Return b of the three photographs with which most others agree, and whether there are such."""
+    y, able, light, triples, inverses = task.response[at], task.usable[at], task.light, task.triples, task.inverses
     best, b0, b1, b2 = np.inf, 0.0, 0.0, 0.0
     for m in range(len(triples)):
         i, j, k = triples[m]
@@ -175,12 +190,13 @@ def _best_triple(y, able, light, triples, inverses, misfit):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _fit_places(response, usable, light, triples, inverses, misfit, found, weight, first, last):
+def _fit_places(task, misfit, first, last):
+    light, found, weight = task.light, task.found, task.weight
     count = len(light)
     length = np.sqrt((light * light).sum(axis=1))
     for at in range(first, last):
-        y, able = response[at], usable[at]
-        good, b0, b1, b2 = _best_triple(y, able, light, triples, inverses, misfit)
+        y, able = task.response[at], task.usable[at]
+        good, b0, b1, b2 = _best_triple(task, at, misfit)
         agree = 0
         for _ in range(_STEPS if good else 0):
             alpha = np.sqrt(b0 * b0 + b1 * b1 + b2 * b2)
