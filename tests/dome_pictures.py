@@ -48,6 +48,22 @@ def sixteen_bits(picture: np.ndarray) -> np.ndarray:
     return np.rint(65535.0 * np.clip(picture, 0.0, 1.0)).astype(np.uint16)
 
 
+def _shade(normals: np.ndarray, lamp: np.ndarray, beta: float, mu: float) -> np.ndarray:
+    """Return the response (n,) of a painted surface with normals (n, 3) under a lamp of level 1."""
+    alpha = 0.45 + 0.1 * np.sin(7.0 * normals[:, 0]) * np.cos(5.0 * normals[:, 1])
+    cosine, towards_eye = normals @ lamp, normals[:, 2]
+    half = lamp + np.array([0.0, 0.0, 1.0])
+    half /= np.linalg.norm(half)
+    tilt, over = np.clip(normals @ half, -1.0, 1.0), float(half[2])
+    # Fresnel's equations for unpolarised light that falls on the facet at the angle whose cosine is ``over``.
+    inner = np.sqrt(1.0 - (1.0 - over**2) / 1.5**2)
+    across, along = (over - 1.5 * inner) / (over + 1.5 * inner), (inner - 1.5 * over) / (inner + 1.5 * over)
+    fresnel = 0.5 * (across**2 + along**2)
+    masked = np.minimum(1.0, 2.0 * tilt * np.minimum(towards_eye, np.maximum(cosine, 0.0)) / over)
+    gloss = beta * fresnel * np.exp(-((np.arccos(tilt) / mu) ** 2)) * masked / np.maximum(towards_eye, 1e-3)
+    return np.where(cosine > 0.0, alpha * cosine + gloss, 0.0)
+
+
 def painted_ball(lamp: np.ndarray, level: float, *, beta: float, mu: float, fine: int = 3, seed: int = 1) -> np.ndarray:
     """Return the green response of a ball of several greys with a gloss of equation (5), by its formula written anew.
 
@@ -55,18 +71,43 @@ def painted_ball(lamp: np.ndarray, level: float, *, beta: float, mu: float, fine
     """
 
     def shade(normals):
-        alpha = 0.45 + 0.1 * np.sin(7.0 * normals[:, 0]) * np.cos(5.0 * normals[:, 1])
-        cosine, towards_eye = normals @ lamp, normals[:, 2]
-        half = lamp + np.array([0.0, 0.0, 1.0])
-        half /= np.linalg.norm(half)
-        tilt, over = np.clip(normals @ half, -1.0, 1.0), float(half[2])
-        # Fresnel's equations for unpolarised light that falls on the facet at the angle whose cosine is ``over``.
-        inner = np.sqrt(1.0 - (1.0 - over**2) / 1.5**2)
-        across, along = (over - 1.5 * inner) / (over + 1.5 * inner), (inner - 1.5 * over) / (inner + 1.5 * over)
-        fresnel = 0.5 * (across**2 + along**2)
-        masked = np.minimum(1.0, 2.0 * tilt * np.minimum(towards_eye, np.maximum(cosine, 0.0)) / over)
-        gloss = beta * fresnel * np.exp(-((np.arccos(tilt) / mu) ** 2)) * masked / np.maximum(towards_eye, 1e-3)
-        return level * np.where(cosine > 0.0, alpha * cosine + gloss, 0.0)[:, None] * np.ones(3)
+        return level * _shade(normals, lamp, beta, mu)[:, None] * np.ones(3)
 
     picture = supersampled(shade, fine=fine)
+    return picture + np.random.default_rng(seed).normal(0.0, 0.005, picture.shape)
+
+
+#: Spherical caps on a plate: x, y of the centre and its height above the plate, and the radius, pixels.
+CAPS = ((52.0, 44.0, -8.0, 27.0), (112.0, 70.0, 4.0, 24.0), (66.0, 92.0, -30.0, 45.0))
+
+
+def relief_normals(x, y) -> tuple[np.ndarray, np.ndarray]:
+    """Return heights (...) in pixels and unit normals (..., 3) of a plate with caps: x right, y up, z to the camera."""
+    height, normal = np.zeros(np.shape(x)), np.zeros((*np.shape(x), 3))
+    normal[..., 2] = 1.0
+    for x0, y0, z0, radius in CAPS:
+        square = radius**2 - (x - x0) ** 2 - (y - y0) ** 2
+        top = z0 + np.sqrt(np.maximum(square, 0.0))
+        higher = (square > 0.0) & (top > height)
+        height = np.where(higher, top, height)
+        out = np.stack([x - x0, y0 - y, top - z0], axis=-1) / radius
+        normal[higher] = out[higher]
+    return height, normal
+
+
+def relief(lamp: np.ndarray, level: float, *, beta: float, mu: float, fine: int = 3, seed: int = 1) -> np.ndarray:
+    """Return the green response of a plate with caps, which cast shadows; paint and noise as of `painted_ball`."""
+    rows, columns = ((np.arange(side * fine) + 0.5) / fine - 0.5 for side in SIZE)
+    x, y = np.meshgrid(columns, rows)
+    height, normal = relief_normals(x, y)
+    lit = normal @ lamp > 0.0
+    for x0, y0, z0, radius in CAPS:
+        # A ray from a place towards the lamp meets the sphere of a cap, above the plate and not at its own place.
+        away = np.stack([x - x0, y0 - y, height - z0], axis=-1)
+        half = away @ lamp
+        root = half**2 - (away**2).sum(axis=-1) + radius**2
+        way = -half + np.sqrt(np.maximum(root, 0.0))
+        lit &= ~((root > 0.0) & (way > 1e-3 * radius) & (height + way * lamp[2] > 0.0))
+    shown = _shade(normal.reshape(-1, 3), lamp, beta, mu).reshape(x.shape) * lit
+    picture = level * shown.reshape(SIZE[0], fine, SIZE[1], fine).mean(axis=(1, 3))[..., None].repeat(3, axis=2)
     return picture + np.random.default_rng(seed).normal(0.0, 0.005, picture.shape)

@@ -69,7 +69,7 @@ def read_lamps(path) -> tuple[dict[str, tuple[float, float, float]], dict[str, f
             angle = azimuth = level = math.nan
         if not all(map(math.isfinite, (angle, azimuth, level))) or level <= 0.0:
             raise InputError(path, f"line {line}", repr(",".join(cells)), "a file's name, two angles, a level above 0")
-        key = _key(name)
+        key = photograph_key(name)
         if key in positions:
             raise InputError(path, f"line {line}", f"{name!r} again", "each photograph once")
         angle, azimuth = math.radians(angle), math.radians(azimuth)
@@ -121,7 +121,7 @@ def read_light_places(path) -> dict[str, tuple[float, float, float]]:
             x = y = z = math.nan
         if not all(map(math.isfinite, (x, y, z))) or not math.hypot(x, y, z) > 0.0:
             raise InputError(path, f"line {number}", repr(line), "a file's name and three numbers x y z, not all 0")
-        key = _key(name)
+        key = photograph_key(name)
         if key in places:
             raise InputError(path, f"line {number}", f"{name!r} again", "each photograph once")
         places[key] = (x, y, z)
@@ -151,7 +151,7 @@ def lamp_of_poses(stated: Mapping[str, Stated], recognised: list[Recognised], pa
     found = []
     for pose in range(1 + max(one.pose for one in recognised)):
         names = [one.photograph.path.name for one in recognised if one.pose == pose]
-        listed = {stated[_key(name)] for name in names if _key(name) in stated}
+        listed = {stated[photograph_key(name)] for name in names if photograph_key(name) in stated}
         if not listed:
             raise InputError(path, "", f"none of {', '.join(names)}", "each photograph of the object by its name")
         if len(listed) > 1:
@@ -161,6 +161,9 @@ def lamp_of_poses(stated: Mapping[str, Stated], recognised: list[Recognised], pa
     return found
 
 
-def _key(name: str) -> str:
-    """Return the name of a file in lower case without folder and suffix; accepts Windows paths too."""
+def photograph_key(name: str) -> str:
+    """Return the name by which a file of lamps knows a photograph: lower case, without folder and suffix.
+
+    Windows paths are accepted too.
+    """
     return PureWindowsPath(name.strip().strip('"')).stem.lower()

@@ -91,15 +91,28 @@ def asked_circle(asked: argparse.Namespace, pictures: list[np.ndarray], path) ->
     if asked.circle:
         return Circle(*asked.circle)
     if asked.mask:
-        mask = brightness(asked.mask)
-        if mask.shape != pictures[0].shape:
-            raise InputError(asked.mask, "size", _size(mask), _size(pictures[0]))
-        return circle_of_mask(mask, asked.mask)
+        return circle_of_mask(asked_mask(asked, pictures[0].shape), asked.mask)
     return outline(pictures, path)
 
 
-def _size(picture: np.ndarray) -> str:
-    return f"{picture.shape[1]} x {picture.shape[0]} pixels"
+def asked_mask(asked: argparse.Namespace, shape: tuple[int, ...]) -> np.ndarray:
+    """Return the pixels that are bright in the picture of ``--mask``, (rows, columns) bool.
+
+    Raises
+    ------
+    InputError
+        If the picture has another size than ``shape``, or no bright pixel.
+    """
+    mask = brightness(asked.mask)
+    if mask.shape != shape:
+        raise InputError(asked.mask, "size", _size(mask.shape), _size(shape))
+    if not mask.any():
+        raise InputError(asked.mask, "", "a black picture", "a picture that is bright on the object")
+    return mask > 0.5 * float(mask.max())
+
+
+def _size(shape: tuple[int, ...]) -> str:
+    return f"{shape[1]} x {shape[0]} pixels"
 
 
 def is_mask(name: str, asked: argparse.Namespace) -> bool:
@@ -111,7 +124,7 @@ def same_size(files: list[Path], pictures: list[np.ndarray]) -> None:
     """Raise `InputError` if a picture has another size than the first."""
     for file, picture in zip(files, pictures, strict=True):
         if picture.shape != pictures[0].shape:
-            raise InputError(file, "size", _size(picture), f"{_size(pictures[0])}, as {files[0].name}")
+            raise InputError(file, "size", _size(picture.shape), f"{_size(pictures[0].shape)}, as {files[0].name}")
 
 
 if __name__ == "__main__":

@@ -9,6 +9,8 @@ from irodori.fitting.paint_gloss import PaintGloss, gloss_of_paint, share
 from irodori.fitting.solvers import FitOptions, problem_of
 from irodori.reflection.equation5 import reflect
 
+#: Name, among those of lobes, of a surface without gloss.
+MATT = "none"
 #: Approximate number of places from which the common gloss is fitted.
 _MOST = 2000
 
@@ -43,6 +45,16 @@ class OneGloss:
         return reflect(
             self.alpha[several], 1.0, self.beta[several], self.mu[several], geometry, n=self.n, k=self.k, lobe=self.lobe
         )
+
+
+def fit_surface(response, geometry, weight, lobe: str, n: float, k: float) -> OneGloss:
+    """Fit diffuse reflection with one gloss for all places, or without gloss if ``lobe`` is `MATT`.
+
+    The other parameters are those of `fit_one_gloss`.
+    """
+    if lobe == MATT:
+        return matt(response, geometry, weight, "gaussian", n, k)
+    return fit_one_gloss(response, geometry, weight, FitOptions(lobes=(lobe,)), n, k)
 
 
 def fit_one_gloss(response, geometry, weight, options: FitOptions, n: float, k: float) -> OneGloss:

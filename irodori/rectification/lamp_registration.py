@@ -40,6 +40,19 @@ class Lamps:
     level: np.ndarray
     moved_deg: np.ndarray
 
+    @property
+    def light(self) -> np.ndarray:
+        """Directions to the lamps times their levels, (J, 3)."""
+        return self.level[:, None] * self.direction
+
+    @classmethod
+    def of_light(cls, light, known) -> "Lamps":
+        """Return lamps from directions times levels, (J, 3), and the directions that were known beforehand, (J, 3)."""
+        level = np.linalg.norm(light, axis=1)
+        direction = light / level[:, None]
+        moved = np.degrees(np.arccos(np.minimum((direction * known).sum(axis=1), 1.0)))
+        return cls(direction, level / np.exp(np.log(level).mean()), moved)
+
 
 def geometry_of(normal, view, direction) -> np.ndarray:
     """Return the angles θ_i, θ_r, θ_H, φ, (T, J, 4) rad, of T points with their normals under J lamps."""
@@ -80,7 +93,7 @@ def register_lamps(
         raise ValueError(f"{count} photographs; accepted: four or more, of which three give one diffuse weight")
     scale = (weight * response).sum() / weight.sum()
     part = weight * np.sqrt(_READINGS / weight.sum(axis=0)) / _MISFIT
-    first, second = _beside(direction)
+    first, second = perpendiculars(direction)
 
     def parts(x: np.ndarray) -> tuple[np.ndarray, np.ndarray, float, float]:
         level = np.exp(np.append(x[: count - 1], -x[: count - 1].sum()))
@@ -119,7 +132,7 @@ def register_lamps(
     return Lamps(lamps, level, moved)
 
 
-def _beside(direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def perpendiculars(direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return two unit vectors perpendicular to each direction and to each other, (J, 3) each."""
     axis = np.eye(3)[np.abs(direction).argmin(axis=1)]
     first = np.cross(direction, axis)
