@@ -150,7 +150,8 @@ def test_what_is_stated_holds_on_cameras_and_filters_that_had_no_part_in_it(nois
         better.append(errors(best.mean, true)[3:].mean() / errors(own.found(Given())[0].mean, true)[3:].mean())
         assert best.sources == (CHART, FILTER)
     one, two = np.mean(rows, axis=0)
-    assert 0.62 <= one <= 0.90 and two >= 0.90
+    # At 1 % the model expects more structure than sensitivities have, and states too wide errors.
+    assert 0.62 <= one <= (0.75 if noise == 0.001 else 0.85) and two >= 0.93
     assert np.mean(better) <= 0.6
 
 
