@@ -663,7 +663,8 @@ def _add_object(problem: _Problem, reach: float, matrix: np.ndarray, right: np.n
             if problem.sheet is not None:
                 rows = np.concatenate([rows, np.full((len(rows), 1), 1.0 / problem.mm_per_px)], axis=1)
                 where.append(problem.of_sheet[OUTLINE])
-            factor = _cauchy(distance, scale) / (scale**2 * _OUTLINE_SHARED)
+            # Borders of paints beside an outline are many and on one side: at the end they lose all influence.
+            factor = _cauchy(distance, scale) ** (2 if is_last else 1) / (scale**2 * _OUTLINE_SHARED)
             matrix[np.ix_(where, where)] += rows.T @ (factor[:, None] * rows)
             right[where] += rows.T @ (factor * distance)
     outlined = np.mean([len(distance) > 0 for distance, _, _ in measured]) >= _OUTLINED
