@@ -55,7 +55,7 @@ class Placing(Definition):
 
     #: Whether the photographs refine where objects lie (rule `register_object`); otherwise they lie as typed (true or
     #: false).
-    register: bool = False
+    register: bool = True
 
     #: Standard deviation of the object's place on the table along each axis, in mm.
     translation_mm: float = 2.0
