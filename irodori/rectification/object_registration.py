@@ -758,7 +758,8 @@ def _residuals(problem: _Problem, reach: float) -> tuple[np.ndarray, np.ndarray,
     residual, count = np.full(len(problem.views), np.nan), np.zeros(len(problem.views), dtype=int)
     rows = _textures(problem) if problem.tells_texture else []
     weights = [row.weight for row in rows]
-    mean, total = mean_texture([row.value for row in rows], weights) if rows else None, np.sum(weights, axis=0)
+    mean = mean_texture([row.value for row in rows], weights) if rows else np.zeros(0)
+    total = np.sum(weights, axis=0)
     suspects = []
     for number, view in enumerate(problem.views):
         distance, _, found = _outline(problem, number, reach)
