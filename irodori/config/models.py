@@ -55,7 +55,7 @@ class Placing(Definition):
 
     #: Whether the photographs refine where objects lie (rule `register_object`); otherwise they lie as typed (true or
     #: false).
-    register: bool = False
+    register: bool = True
 
     #: Standard deviation of the object's place on the table along each axis, in mm.
     translation_mm: float = 2.0
@@ -2259,6 +2259,17 @@ class LaidOff(Definition):
 
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
+class FocalLengthError(Definition):
+    """The camera's lens does not have the focal length of its definition."""
+
+    #: Whether the rig has this fault (true or false).
+    enabled: bool = False
+
+    #: By how much its focal length is longer than in its definition, in percent.
+    percent: float = 1.0
+
+
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class FilterPlate(Definition):
     """The plate of the comb filter moves the picture.
 
@@ -2313,6 +2324,9 @@ class Imperfections(Definition):
 
     #: The object does not lie exactly at the place and with the turn of its definition.
     laid_off: LaidOff = LaidOff()
+
+    #: The camera's lens does not have the focal length of its definition.
+    focal_length: FocalLengthError = FocalLengthError()
 
     #: The plate of the comb filter moves the picture; a point at p from the centre is seen at shift + magnification *
     #: rotation * p.

@@ -23,6 +23,7 @@ from irodori.config.models import (
     Imperfections,
     ModelledMaterial,
     Object,
+    Placing,
     PoseGroup,
     Rectify,
     Rig,
@@ -43,6 +44,7 @@ from irodori.ingest.stage import ingest_raw
 from irodori.material.material_file import Material
 from irodori.material.principal_components.basis_count import CompressOptions
 from irodori.material.stage import compress_reflectance
+from irodori.rectification.object_registration import register
 from irodori.rectification.stage import RigSetup, rectify_object
 from irodori.simulation.virtual_rig.bench import Bench
 from irodori.simulation.virtual_rig.ground_truth import true_material
@@ -58,6 +60,7 @@ class Settings(NamedTuple):
     """The blocks of the configuration on which a small run depends, and the illuminants for colour differences."""
 
     ingest: IngestOptions
+    place: Placing
     rectify: Rectify
     fit: FitOptions
     compress: CompressOptions
@@ -120,6 +123,15 @@ class SmallChain:
         """Imperfections of the virtual rig."""
         assert self.rig.virtual is not None  # the schema has it: the rig is virtual
         return self.rig.virtual.imperfections
+
+    @property
+    def sight(self) -> dict:
+        """Plain values of what an ideal camera would see of the object in a pose of the rig."""
+        return {
+            "definition": self.definition.plain(),
+            "laid_off": self.faults.laid_off.plain(),
+            "focal_length": self.faults.focal_length.plain(),
+        }
 
     def with_faults(self, faults: Imperfections) -> "SmallChain":
         """Return a copy on a rig with other faults."""
@@ -199,6 +211,8 @@ def run_chain(chain: SmallChain, folder: Path, seen: dict | None = None) -> Mate
     assert chain.camera.optics is not None  # checked: a camera of objects has optics
     white = chain.camera.poses.white if chain.camera.poses else None
     setup = RigSetup.from_definitions(chain.camera.optics, RigGeometry.of_rig(chain.rig), white)
+    if settings.place.register and (chain.faults.laid_off.enabled or chain.faults.focal_length.enabled):
+        setup = setup.corrected(register(linear, chain.definition, setup, settings.place).correction)
     limit = settings.rectify.max_angle_deg
     rectify_object(linear, chain.definition, setup, (0, texels.height), limit, output=tile, provenance=_MADE)
     index = refractive_index(chain.definition.refractive_index)
@@ -248,8 +262,8 @@ def measure_imperfections(chain: SmallChain, output) -> None:
 
 
 def _all_costs(variants: list[tuple[str, SmallChain]]) -> Iterator[CostRow]:
-    seen: dict[str, dict] = {}  # a cache for each definition: most faults do not change how the object looks
+    seen: dict[str, dict] = {}  # a cache for each sight: most faults do not change how the object looks
     for label, variant in track(variants, "faults"):
-        for row in cost_rows(label, variant, seen.setdefault(config_hash(variant.definition.plain()), {})):
+        for row in cost_rows(label, variant, seen.setdefault(config_hash(variant.sight), {})):
             LOGGER.info("%s: CIEDE2000 under %s mean %.3f p95 %.3f", row.faults, row.light, row.mean, row.p95)
             yield row

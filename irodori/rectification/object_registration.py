@@ -10,6 +10,7 @@ its own error would do harm. Such a value keeps the standard deviation of the pr
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -32,7 +33,7 @@ from irodori.rectification.marker_sheet import (
     find_corners,
     not_found,
 )
-from irodori.rectification.outline_search import OUTER, edge_distances, find_rim
+from irodori.rectification.outline_search import OUTER, SHADING_STEP, edge_distances, find_rim, first_hit, held
 from irodori.rectification.placement_correction import CAMERA, COUNT, QUANTITIES, Correction, prior_sigma
 from irodori.rectification.reduced_pictures import Level, Picture
 from irodori.rectification.stage import RigSetup, observe
@@ -48,12 +49,15 @@ from irodori.rectification.texture_agreement import (
 )
 
 if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
+
     from irodori.config.models import Markers, Object, Placing
     from irodori.config.parts import TexturedObject
 
 _TEXELS = 3600  # texels of the object, at most, whose texture is compared
 _FINEST_REACH = 4.0  # samples to either side of an outline, at the end of the search
 _COARSEST_REACH = 40.0
+_FEW = 300  # texels, about, by which the reach of the first search is found
 _MARGIN = 80.0  # superpixels around the object in the part of a photograph that is read
 _PRIOR_SIGMAS = 2.5  # standard deviations of the prior, projected into the pictures, that the first search covers
 _PART_OF_OBJECT = 0.35  # upper limit of the first search, as a share of the object's smaller half side
@@ -65,8 +69,16 @@ _FINEST_BLUR, _PART_OF_TEXEL = 1.0, 0.6
 _STILL = 0.02  # standard deviations of the posterior within which a step ends the search
 _LEAST_COSINE = 0.15  # cosine of incidence below which an outline is too dark
 _LEAST_POINTS = 12
+_SHADED = 13  # points inside an outline at which the light on the object is computed
+_JUST_INSIDE = 0.05  # samples between the outline and the first of them
+_NEAREST = 4  # texels whose normals are averaged for a point
 # Mean square of the gradient of log reflectance per superpixel, in the direction in which it is least.
 _LEAST_TEXTURE = 1e-5
+#: Least mean square of the normals of an outline, along any direction, with which it tells where its object is shown.
+_BOTH_WAYS = 0.1
+#: Distance from a displacement of the whole outline within which a point agrees with it: superpixels, or share of that
+#: displacement; and share of the points that have to agree.
+_AGREE_PX, _AGREE, _MOST_AGREE = 0.3, 0.25, 0.6
 _LEAST_MATT = 0.3  # mean weight of the texels of a photograph that is judged by its texture
 #: Least standard deviation of a single measurement: the systematic errors of edges and of textures in pictures.
 _OUTLINE_FLOOR_PX, _TEXTURE_FLOOR, _CORNER_FLOOR_PX = 0.1, 0.01, 0.05
@@ -180,7 +192,11 @@ class _View:
     search: Level = field(init=False)  # for the outline
     rim: np.ndarray = field(init=False)
     outward: np.ndarray = field(init=False)
+    #: Irradiance of the surface inside the outline, (points, `_SHADED`), `SHADING_STEP` samples apart.
+    shading: np.ndarray = field(init=False)
+    change: np.ndarray = field(init=False)  # of the outline along its normals by the common unknowns, (points, 12)
     weight: np.ndarray = field(init=False)  # of the texels
+    moved: np.ndarray = field(init=False)  # derivatives of the texels' places by the common unknowns, (texels, 2, 12)
     #: Corners of the printed sheet: on it in squares, and in the picture in superpixels, (n, 2).
     corners: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
     corners_px: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
@@ -203,6 +219,15 @@ class _Problem:
     sheet: MarkerSheet | None = None
     told: np.ndarray | None = None  # covariance of the common unknowns by definitions and sheet; None without a sheet
     block: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=int))  # of the texels
+
+    @cached_property
+    def skin(self) -> "tuple[cKDTree, np.ndarray, np.ndarray]":
+        """Points of the surface, however coarse its texels are, with normals of shading and facets, (n, 3) each."""
+        from scipy.spatial import cKDTree
+
+        side = round(math.sqrt(_TEXELS))
+        points = _texels(self.shape, side, side)
+        return cKDTree(points.position), points.normal, points.facet
 
     @property
     def own(self) -> slice:
@@ -316,11 +341,11 @@ def register(
     sigma = problem.sigma
     reach = first = _first_reach(problem)
     while reach > _FINEST_REACH:
-        _descend(problem, reach, _STEPS)
+        _descend(problem, reach, _STEPS, trace=reach == first)
         reach /= 2.0
     matrix = _descend(problem, _FINEST_REACH, _LAST_STEPS)
     problem.unknowns, problem.sigma = _only_what_is_told(problem.unknowns, matrix, sigma)
-    _descend(problem, _FINEST_REACH, _LAST_STEPS)
+    _settle(problem, _FINEST_REACH, _LAST_STEPS)
     own, problem.unknowns[problem.own] = problem.unknowns[problem.own].copy(), 0.0
     residual, points, suspects = _residuals(problem, max(0.5 * first, 2.0 * _FINEST_REACH))
     whole = _inverse(matrix, sigma)
@@ -382,7 +407,7 @@ def _lay_sheet(problem: _Problem, linear: Sequence, placing: "Placing") -> None:
     problem.told = _inverse(matrix, problem.sigma)[:COUNT, :COUNT]
 
 
-def _descend(problem: _Problem, reach: float, most_steps: int) -> np.ndarray:
+def _descend(problem: _Problem, reach: float, most_steps: int, *, trace: bool = True) -> np.ndarray:
     """Take Gauss-Newton steps at one level of resolution and return the last normal matrix.
 
     Parameters
@@ -392,13 +417,19 @@ def _descend(problem: _Problem, reach: float, most_steps: int) -> np.ndarray:
     reach : float
         Distance to either side of the expected outline that is searched, samples.
     most_steps : int
+    trace : bool
+        Whether outlines are traced anew. The points of an outline on a round object hardly change between the first
+        level and the last.
     """
     spacing = _spacing(problem)
     blur = max(_FINEST_BLUR, reach / 3.0, _PART_OF_TEXEL * spacing)
     texels = problem.texels
     problem.block = blocks(texels.columns, texels.rows, spacing, blur)[texels.number]
     for view in range(len(problem.views)):
-        _prepare(problem, view, reach, blur)
+        if trace or problem.tells_texture:
+            _prepare(problem, view, reach, blur)
+        else:
+            problem.views[view].search = _searched(problem.views[view].picture, reach)
     return _settle(problem, reach, most_steps)
 
 
@@ -478,7 +509,8 @@ def _first_reach(problem: _Problem) -> float:
     covariance = np.diag(problem.sigma[:COUNT] ** 2) if problem.told is None else problem.told
     found, half = [], []
     for view in range(len(problem.views)):
-        moved = problem.derivative(lambda v, values: problem.seen(v, problem.texels.position, values), view)
+        some = problem.texels.position[:: 1 + len(problem.texels.position) // _FEW]
+        moved = problem.derivative(lambda v, values, some=some: problem.seen(v, some, values), view)
         spread = np.sqrt(np.einsum("nip,pq,niq->n", moved, covariance, moved) / 2.0)
         scale = problem.views[view].picture.scale
         found.append(np.nanmedian(spread) * scale)
@@ -488,33 +520,55 @@ def _first_reach(problem: _Problem) -> float:
     return max(_FINEST_REACH, min(_PRIOR_SIGMAS * float(np.median(found)), _COARSEST_REACH, part))
 
 
+def _searched(picture: Picture, reach: float) -> Level:
+    """Return the blurred picture in which outlines are searched."""
+    return picture.level(0.0 if reach <= _FINEST_REACH else reach / 8.0)
+
+
 def _prepare(problem: _Problem, number: int, reach: float, blur: float) -> None:
-    """Compute a photograph's lit outline points and the weights of its texels for the present unknowns."""
+    """Compute a photograph's lit outline points and the weights of its texels for the present unknowns.
+
+    The derivatives of their places by the common unknowns, which hardly change during the steps of a level, too.
+    """
+    from scipy.spatial import cKDTree
+
     view, texels = problem.views[number], problem.texels
     correction, pose = problem.standing(number, problem.unknowns)
     camera = problem.setup.corrected(correction)
     placements = correction.placements(problem.shape, pose, problem.setup.table_radius_mm)
     tracer, placed = Tracer(placements), placements[0]
-    view.level = view.picture.level(blur)
-    view.search = view.picture.level(0.0 if reach <= _FINEST_REACH else reach / 8.0)
-    normal, facet = texels.normal @ placed.rotation.T, texels.facet @ placed.rotation.T
-    sight = observe(placed.points(texels.position), normal, tracer, pose, camera, facet)
+    view.search = _searched(view.picture, reach)
     eye, axes = camera.camera_distance_mm * to_camera(pose), rig_from_camera(pose)
     rim = find_rim(tracer, camera.pinhole, eye, axes, _window(problem, number, 0.0))
-    view.rim, view.outward = rim.point, rim.outward
+    skin, normal, facet = problem.skin[0], *(one @ placed.rotation.T for one in problem.skin[1:])
+    nearest = skin.query(rim.point)[1]
+    lit = observe(placed.points(rim.point), normal[nearest], tracer, pose, camera, facet[nearest])
+    bright = lit.lit & (np.cos(lit.geometry[:, 0]) > _LEAST_COSINE)
+    view.rim, view.outward = rim.point[bright], rim.outward[bright]
+    moved = problem.derivative(lambda v, values: problem.seen(v, view.rim, values), number)
+    view.change = np.einsum("ni,nip->np", view.outward, moved)
+    # Light on the object just inside its outline.
+    inwards = (_JUST_INSIDE + SHADING_STEP * np.arange(_SHADED)) / view.picture.scale
+    inside = lit.xy[bright][:, None] - inwards[:, None] * view.outward[:, None]
+    world, is_on = first_hit(tracer, camera.pinhole, eye, axes, inside.reshape(-1, 2))
+    distance, around = skin.query((world - placed.translation_mm) @ placed.rotation, k=_NEAREST)
+    mean = np.einsum("nk,nki->ni", 1.0 / (distance**2 + 1e-6), normal[around])
+    light, power, _ = problem.setup.lamp.seen_from(world, pose)
+    cosine = np.sum(mean * light, axis=1) / np.linalg.norm(mean, axis=1)
+    view.shading = held(np.where(is_on, np.maximum(cosine, 0.0) * power, np.nan).reshape(-1, _SHADED))
+    if not problem.tells_texture:
+        return
+    view.level = view.picture.level(blur)
+    normal, facet = texels.normal @ placed.rotation.T, texels.facet @ placed.rotation.T
+    sight = observe(placed.points(texels.position), normal, tracer, pose, camera, facet)
     bright = np.cos(sight.geometry[:, 0]) > _LEAST_COSINE
     weight = matt_weight(sight.geometry[:, 3]) * (sight.visible & sight.lit & bright)
-    if len(view.rim):
-        from scipy.spatial import cKDTree
-
-        nearest = cKDTree(texels.position).query(view.rim)[1]
-        lit = observe(placed.points(view.rim), normal[nearest], tracer, pose, camera, facet[nearest])
-        bright = lit.lit & (np.cos(lit.geometry[:, 0]) > _LEAST_COSINE)
+    if len(lit.xy):
         # Blur mixes the background into texels near the outline: they get no weight.
         apart = cKDTree(lit.xy).query(np.nan_to_num(sight.xy))[0] * view.picture.scale
         weight = np.where(apart > 2.0 * blur + 1.5, weight, 0.0)
-        view.rim, view.outward = view.rim[bright], view.outward[bright]
     view.weight = weight
+    view.moved = problem.derivative(lambda v, values: problem.seen(v, texels.position, values), number)
 
 
 def _outline(problem: _Problem, number: int, reach: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -536,20 +590,20 @@ def _outline(problem: _Problem, number: int, reach: float) -> tuple[np.ndarray, 
     xy = problem.seen(number, view.rim, problem.unknowns)
     # The middle of a sheet is dark, but not black: before it, the end of the lit part may be a stronger edge.
     is_dark = problem.sheet is not None
-    distance = edge_distances(view.picture, view.search, xy, view.outward, reach, is_dark_outside=is_dark)
+    distance = edge_distances(
+        view.picture, view.search, xy, view.outward, reach, shading=view.shading, is_dark_outside=is_dark
+    )
     distance -= problem.outline_px
     if problem.sheet is not None:
         # Edges of squares are stronger than that of the object.
         correction, pose = problem.standing(number, problem.unknowns)
         place, camera = problem.unknowns[problem.of_sheet], problem.setup.corrected(correction)
-        far = (reach + OUTER) / view.picture.scale
+        far = (reach + OUTER * max(1.0, view.search.sigma)) / view.picture.scale
         distance[problem.sheet.is_over_print(xy, view.outward, far, pose, camera, place)] = np.nan
     found = np.isfinite(distance)
     if found.sum() < _LEAST_POINTS:
         return nothing
-    rim = view.rim[found]
-    moved = problem.derivative(lambda v, values: problem.seen(v, rim, values), number)
-    return distance[found], np.einsum("ni,nip->np", view.outward[found], moved), found
+    return distance[found], view.change[found], found
 
 
 def _scatter(values: np.ndarray, floor: float, most: float = math.inf) -> float:
@@ -609,7 +663,8 @@ def _add_object(problem: _Problem, reach: float, matrix: np.ndarray, right: np.n
             if problem.sheet is not None:
                 rows = np.concatenate([rows, np.full((len(rows), 1), 1.0 / problem.mm_per_px)], axis=1)
                 where.append(problem.of_sheet[OUTLINE])
-            factor = _cauchy(distance, scale) / (scale**2 * _OUTLINE_SHARED)
+            # Borders of paints beside an outline are many and on one side: at the end they lose all influence.
+            factor = _cauchy(distance, scale) ** (2 if is_last else 1) / (scale**2 * _OUTLINE_SHARED)
             matrix[np.ix_(where, where)] += rows.T @ (factor[:, None] * rows)
             right[where] += rows.T @ (factor * distance)
     outlined = np.mean([len(distance) > 0 for distance, _, _ in measured]) >= _OUTLINED
@@ -629,9 +684,8 @@ def _textures(problem: _Problem) -> list[TextureRows]:
     mean = problem.on_grid(mean_texture(values, weights))
     found = []
     for number, place in enumerate(places):
-        moved = problem.derivative(lambda v, unknowns: problem.seen(v, texels.position, unknowns), number)
         # After the common unknowns: shifts of this photograph alone along x and y.
-        moved = np.concatenate([moved, np.broadcast_to(np.eye(2), (len(place), 2, 2))], axis=2)
+        moved = np.concatenate([views[number].moved, np.broadcast_to(np.eye(2), (len(place), 2, 2))], axis=2)
         slope = picture_slope(mean, problem.on_grid(place)).reshape(-1, mean.shape[2], 2)[texels.number]
         found.append(texture_rows(values[number], slope, moved, weights[number], problem.block))
     return found
@@ -702,20 +756,24 @@ def _residuals(problem: _Problem, reach: float) -> tuple[np.ndarray, np.ndarray,
     end of the registration, so that a photograph with a wrong pose gets a large residual instead of none.
     """
     residual, count = np.full(len(problem.views), np.nan), np.zeros(len(problem.views), dtype=int)
-    rows = _textures(problem)
+    rows = _textures(problem) if problem.tells_texture else []
     weights = [row.weight for row in rows]
-    mean, total = mean_texture([row.value for row in rows], weights), np.sum(weights, axis=0)
+    mean = mean_texture([row.value for row in rows], weights) if rows else np.zeros(0)
+    total = np.sum(weights, axis=0)
     suspects = []
-    for number, row in enumerate(rows):
+    for number, view in enumerate(problem.views):
         distance, _, found = _outline(problem, number, reach)
         count[number] = len(distance)
+        outward = view.outward[found] if len(distance) else np.zeros((0, 2))
         if len(distance):
-            view = problem.views[number]
             xy = problem.seen(number, view.rim[found], problem.unknowns)
-            residual[number] = _displacement(xy, view.outward[found], distance)
-        shift = _shift(row, mean, total) if problem.tells_texture else np.full(2, np.nan)
+            residual[number] = _displacement(xy, outward, distance)
+        shift = np.full(2, np.nan)
+        # An outline that tells both directions is more certain than a texture beside gloss.
+        if rows and np.linalg.eigvalsh(outward.T @ outward)[0] < _BOTH_WAYS * len(outward) + 1e-9:
+            shift = _shift(rows[number], mean, total)
         residual[number] = np.fmax(residual[number], np.linalg.norm(shift))
-        view, off = problem.views[number], np.zeros((0, 2))
+        off = np.zeros((0, 2))
         if len(view.corners):
             xy = problem.corners_seen(number, problem.unknowns)
             off, both = view.corners_px - xy, np.tile(np.eye(2), (len(xy), 1))
@@ -729,7 +787,8 @@ def _displacement(xy: np.ndarray, outward: np.ndarray, distance: np.ndarray) -> 
     """Return the root-mean-square displacement of an outline along its normals, by a robust affine fit, superpixels.
 
     Outliers, at edges of something else, have little influence. The mean is over all points: if a rectangular plate is
-    moved along one of its sides, half of its outline stays in place and still counts.
+    moved along one of its sides, half of its outline stays in place and still counts. NaN if most points do not agree
+    with any displacement of the whole: such an outline, beside shadows or paints, tells nothing about the photograph.
 
     Parameters
     ----------
@@ -747,7 +806,9 @@ def _displacement(xy: np.ndarray, outward: np.ndarray, distance: np.ndarray) -> 
         explained = affine @ np.linalg.lstsq(root[:, None] * affine, root * distance, rcond=1e-9)[0]
         left = distance - explained
         weight = _cauchy(left, _scatter(left, _OUTLINE_FLOOR_PX))
-    return math.sqrt(np.mean(explained**2))
+    displacement = math.sqrt(np.mean(explained**2))
+    agree = np.abs(distance - explained) <= max(_AGREE_PX, _AGREE * displacement)
+    return displacement if agree.mean() >= _MOST_AGREE else math.nan
 
 
 def _suspect(

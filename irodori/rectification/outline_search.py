@@ -4,6 +4,7 @@ As in contour tracking (C. Harris, *Tracking with rigid models*, in Active Visio
 edge along the normals of the expected outline, and only the distance along the normals is measured.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -18,9 +19,18 @@ _SMOOTH = 1.5  # blur of the object's mask that gives the outward direction, in 
 _NEIGHBOURS = 12  # points through which the outline's direction is fitted
 _ROUGH = 0.02  # largest distance of these points from a smooth curve, as a share of their spread
 _MOST = 200  # points of an outline, at most
-_STEP = 0.5  # samples between readings along a normal
-_READINGS = 4  # iterations of an edge's place, each centred on the result of the one before
-_INNER, OUTER = 2.5, 6.0  # range of distances from an edge, samples, over which the level of each side is averaged
+_STEP = 0.5  # between readings along a normal, in samples of a sharp picture
+_READINGS = 12  # iterations of an edge's place, each centred on the result of the one before
+_SETTLED = 0.005  # change of a place at which the readings end
+#: Range of distances from an edge over which the level of each side is averaged, in samples of a sharp picture.
+_INNER, OUTER = 1.5, 3.5
+_DEEP, _DEEPEST = 2.5, 6.0  # range of depths over which the shading of a photograph is compared with a matt surface's
+SHADING_STEP = 0.5  # samples
+_EVEN = 1e-6  # sum of squared relative changes of the light below which it is even
+_STEEPEST = 1.5  # largest share of a matt surface's shading
+#: Largest rms deviation of a side from its form, as a share of the step, or of the median of the photograph's edges.
+_ROUGH_SIDE, _ROUGHER = 0.05, 1.5
+_LEAST_HEIGHT = 0.3  # of the step at the outline itself, as a share of that between both sides
 _LEAST_LOG_STEP = 0.25
 _LEAST_SIGMAS = 6.0
 _UNKNOWN_NOISE = 0.01
@@ -31,6 +41,32 @@ class Rim(NamedTuple):
 
     point: np.ndarray  # (n, 3) on the object, in its frame, mm
     outward: np.ndarray  # (n, 2) unit vectors in the picture, x then y
+
+
+def first_hit(tracer: Tracer, pinhole: Pinhole, eye, axes, xy) -> tuple[np.ndarray, np.ndarray]:
+    """Return the points of the scene seen in places of the picture, (n, 3) mm, and whether they are on shape 0.
+
+    Parameters
+    ----------
+    tracer, pinhole, eye, axes
+        As in `find_rim`.
+    xy : (n, 2) float
+        Superpixels.
+    """
+    directions = pinhole.directions(2.0 * (xy + 0.5), axes)
+    seen = np.isfinite(directions[:, 0])
+    directions[~seen] = axes[:, 2]
+    distance, shape = tracer.intersect(np.broadcast_to(eye, directions.shape), directions)
+    return eye + np.where(shape == 0, distance, 0.0)[:, None] * directions, seen & (shape == 0)
+
+
+def held(values: np.ndarray) -> np.ndarray:
+    """Return rows of values, (n, m), whose NaN are replaced by the value before; 1 if there is none."""
+    out = values.copy()
+    out[:, 0] = np.where(np.isnan(out[:, 0]), 1.0, out[:, 0])
+    for number in range(1, out.shape[1]):
+        out[:, number] = np.where(np.isnan(out[:, number]), out[:, number - 1], out[:, number])
+    return out
 
 
 def find_rim(tracer: Tracer, pinhole: Pinhole, eye, axes, window) -> Rim:
@@ -55,13 +91,9 @@ def find_rim(tracer: Tracer, pinhole: Pinhole, eye, axes, window) -> Rim:
     grid = np.stack(np.meshgrid(x, y), axis=-1)
 
     def met(xy):
-        directions = pinhole.directions(2.0 * (xy + 0.5), axes)
-        seen = np.isfinite(directions[:, 0])
-        directions[~seen] = axes[:, 2]
-        distance, shape = tracer.intersect(np.broadcast_to(eye, directions.shape), directions)
-        return seen & (shape == 0), eye + np.where(shape == 0, distance, 0.0)[:, None] * directions
+        return first_hit(tracer, pinhole, eye, axes, xy)
 
-    inside = met(grid.reshape(-1, 2))[0].reshape(grid.shape[:2])
+    inside = met(grid.reshape(-1, 2))[1].reshape(grid.shape[:2])
     soft = ndimage.gaussian_filter(inside.astype(np.float64), _SMOOTH, mode="nearest")
     slope = -np.stack(np.gradient(soft)[::-1], axis=-1)
     pairs = []
@@ -78,14 +110,14 @@ def find_rim(tracer: Tracer, pinhole: Pinhole, eye, axes, window) -> Rim:
     off = np.where(first[:, None], ends[:, 1], ends[:, 0])
     for _ in range(_ROUNDS):
         middle = 0.5 * (on + off)
-        hit = met(middle)[0][:, None]
+        hit = met(middle)[1][:, None]
         on, off = np.where(hit, middle, on), np.where(hit, off, middle)
     direction, is_smooth = _normals(on, away)
     on, direction = on[is_smooth], direction[is_smooth]
     chosen = np.unique(np.linspace(0, len(on) - 1, min(len(on), _MOST)).round().astype(int))
     on, direction = on[chosen], direction[chosen]
     placed = tracer.placements[0]
-    return Rim((met(on)[1] - placed.translation_mm) @ placed.rotation, direction)
+    return Rim((met(on)[0] - placed.translation_mm) @ placed.rotation, direction)
 
 
 def _normals(on: np.ndarray, away: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -116,14 +148,16 @@ def _normals(on: np.ndarray, away: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def edge_distances(
-    picture: Picture, level: Level, xy, outward, reach: float, *, is_dark_outside: bool = False
+    picture: Picture, level: Level, xy, outward, reach: float, *, shading=None, is_dark_outside: bool = False
 ) -> np.ndarray:
     """Return the distances of the edges in a photograph from the expected points of an outline, outward positive.
 
     The edge is the place within reach with the largest ratio of brightness between its sides; places near the expected
-    point are preferred. Its exact position follows from the area under the brightness profile between the levels of
-    both sides, where the inner side may have a constant slope. It therefore depends neither on the height of the step
-    nor on the sharpness of the picture.
+    point are preferred. Its exact position follows from the area under the brightness profile above the level of the
+    outer side, compared with that of a matt surface under the same light. It therefore depends neither on the height of
+    the step nor on the sharpness of the picture, nor on how steeply a round object darkens towards its outline. An
+    edge is not read if one of its sides has another form and most edges of the photograph do not, as beside the border
+    of two paints.
 
     Parameters
     ----------
@@ -136,6 +170,9 @@ def edge_distances(
         Unit normals.
     reach : float
         Distance searched to either side, samples.
+    shading : (n, m) float, optional
+        Irradiance of the surface at points `SHADING_STEP` samples apart, from the expected outline inwards; even if
+        absent.
     is_dark_outside : bool
         Whether the object is lit before something dark, so that the edge between its lit and its dark side, which is
         brighter outside, is not searched.
@@ -144,7 +181,10 @@ def edge_distances(
     -------
     (n,) float64, superpixels; NaN where no edge stands out of the noise
     """
-    offset = np.arange(-reach - OUTER - 1.0, reach + OUTER + 1.0 + _STEP / 2, _STEP)
+    unit = max(1.0, level.sigma)
+    step = _STEP * unit
+    most = math.ceil((reach / unit + _DEEPEST + 1.0) / _STEP)
+    offset = np.arange(-most, most + 1) * step
     place = picture.place(xy)[:, None] + offset[None, :, None] * outward[:, None]
     count, width, _ = place.shape
     profile = level.sampled(level.bands[[GREEN]], place.reshape(-1, 2)).reshape(count, width)
@@ -159,41 +199,103 @@ def edge_distances(
     clear = (ratio > _LEAST_LOG_STEP) & (np.abs(inner - outer) > _LEAST_SIGMAS * noise)
     score = np.where(clear, ratio * (1.0 - 0.5 * (offset[candidates] / (reach + 1.0)) ** 2), -1.0)
     best = np.argmax(score, axis=1)
-    centre = candidates[best]
-    # The largest ratio lies on the dark side of an edge, and the edge's blur there would tilt the fitted inner line:
-    # the reading is centred again on the edge that it finds.
+    is_clear, first = score[np.arange(count), best] > 0.0, offset[candidates[best]]
+    noise, at = noise[np.arange(count), best], first
+    light = np.ones((count, 2)) if shading is None else shading
+    # The largest ratio lies on the dark side of an edge, and the edge's blur there would change the level of the inner
+    # side: the reading is centred again on the edge that it finds.
     for _ in range(_READINGS):
-        area = _edge_beside(profile, centre)
-        found = offset[centre] + area
-        centre = np.clip(np.rint((np.nan_to_num(found) - offset[0]) / _STEP), far, width - far - 1).astype(int)
-    strayed = np.abs(found - offset[candidates[best]]) > _INNER + _STEP  # to another edge
-    lost = (score[np.arange(count), best] < 0.0) | ~np.isfinite(found) | strayed | (np.abs(found) > reach)
-    return np.where(lost, np.nan, found / picture.scale)
+        reading = _edge_beside(profile, (np.nan_to_num(at) - offset[0]) / step, light, unit, noise, is_clear)
+        before, at = at, offset[0] + step * reading.place
+        if not (np.abs(at - before)[is_clear] > _SETTLED * unit).any():
+            break
+    strayed = np.abs(at - first) > (_INNER + 2.0 * _STEP) * unit  # to another edge
+    is_read = is_clear & np.isfinite(at) & ~strayed & (np.abs(at) <= reach)
+    # On an object with a fine texture no side is plain.
+    most_rough = max(_ROUGH_SIDE, _ROUGHER * float(np.median(reading.rough[is_read]))) if is_read.any() else 0.0
+    return np.where(is_read & (reading.rough <= most_rough), at / picture.scale, np.nan)
 
 
-def _edge_beside(profile: np.ndarray, centre: np.ndarray) -> np.ndarray:
-    """Return the distances of edges from given readings of their profiles, outward positive, (n,) picture samples.
+class _Reading(NamedTuple):
+    """Edges in profiles: their places, in readings, and how rough their sides are.
+
+    Roughness is the rms deviation of a side from its expected form, without noise, as a share of the step; infinite
+    where next to nothing of the step is left at the outline itself.
+    """
+
+    place: np.ndarray  # (n,)
+    rough: np.ndarray  # (n,)
+
+
+def _edge_beside(profile, place, shading, unit: float, noise, is_clear) -> _Reading:
+    """Read the edges near given places of profiles.
 
     Parameters
     ----------
     profile : (n, width) float
-        Readings along the normals, `_STEP` samples apart.
-    centre : (n,) int
-        Index of a reading near the edge, at least `OUTER` samples from both ends of the profile.
+        Readings along the normals, `_STEP` units apart.
+    place : (n,) float
+        Supposed places of the edges, in readings.
+    shading : (n, m) float
+        As in `edge_distances`.
+    unit : float
+        Samples.
+    noise : (n,) float
+        Standard deviation of a reading.
+    is_clear : (n,) bool
+        Mask of the edges that stand out of the noise.
     """
-    far = round(OUTER / _STEP)
-    along = np.arange(-far, far + 1) * _STEP
-    around = np.take_along_axis(profile, centre[:, None] + np.arange(-far, far + 1), axis=1)
-    inside = along <= -_INNER
-    # The inner side has a slope, because a round object darkens or brightens towards its outline.
-    middle = along[inside].mean()
-    lean = (around[:, inside] @ (along[inside] - middle)) / np.sum((along[inside] - middle) ** 2)
-    inner_line = around[:, inside].mean(axis=1)[:, None] + lean[:, None] * (along - middle)
-    outer_level = around[:, along >= _INNER].mean(axis=1)[:, None]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        share = (around - outer_level) / (inner_line - outer_level)
-        # Trapezoidal area over the readings around the edge, less the area of a step exactly at the centre.
-        within = (along >= -_INNER - _STEP) & (along <= _INNER + _STEP)
-        weights = np.full(within.sum(), _STEP)
-        weights[[0, -1]] *= 0.5
-        return share[:, within] @ weights - (_INNER + _STEP)
+    deep, far = round(_DEEPEST / _STEP), round(OUTER / _STEP)
+    along = np.arange(-deep, far + 1) * _STEP
+    place = np.clip(place, deep, profile.shape[1] - far - 1)
+    around = _between(profile, place[:, None] + np.arange(-deep, far + 1))
+    inside, outside = (along >= -OUTER) & (along <= -_INNER), along >= _INNER
+    within, deeper = np.abs(along) <= _INNER + _STEP, along <= -_DEEP
+    weights = np.full(within.sum(), _STEP)
+    weights[[0, -1]] *= 0.5
+    seen, outer = around[:, inside], around[:, outside]
+    depth = np.maximum(-along, 0.0) * unit / SHADING_STEP
+    light = _between(shading, np.broadcast_to(np.minimum(depth, shading.shape[1] - 1.0), around.shape))
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        level, outer_level = seen.mean(axis=1), outer.mean(axis=1)
+        share = _share_of_shading(light[:, deeper], around[:, deeper], is_clear)
+        light = np.maximum(1.0 + share * (light / light[:, inside].mean(axis=1)[:, None] - 1.0), 0.0)
+        side, edge = light[:, inside], light[:, within & (along <= 0.0)]
+        # Areas above the level of the outer side: that of the readings, and that of the inner side up to the place.
+        area = (around[:, within] - outer_level[:, None]) @ weights
+        whole = np.trapezoid(level[:, None] * edge - outer_level[:, None], dx=_STEP, axis=1)
+        height = level * edge[:, 0] - outer_level
+        step, deviation = np.abs(level - outer_level), np.sqrt(np.mean((seen - level[:, None] * side) ** 2, axis=1))
+        rough = np.maximum(np.maximum(deviation, outer.std(axis=1)) - 2.0 * noise, 0.0) / step
+        return _Reading(
+            place + (area - whole) / height / _STEP, np.where(np.abs(height) > _LEAST_HEIGHT * step, rough, np.inf)
+        )
+
+
+def _share_of_shading(light: np.ndarray, seen: np.ndarray, is_clear: np.ndarray) -> float:
+    """Return by how much of a matt surface's shading the inner sides of a photograph's edges change, 0 to `_STEEPEST`.
+
+    The median over the edges, weighted by how much their light changes: matt surfaces have 1, what looks like a disc 0.
+
+    Parameters
+    ----------
+    light, seen : (n, m) float
+        Irradiance and responses over the inner sides, away from the blur of the edge.
+    is_clear : (n,) bool
+    """
+    light, seen = (one / one.mean(axis=1)[:, None] for one in (light, seen))
+    change = np.sum((light - 1.0) ** 2, axis=1)
+    share = np.sum((light - 1.0) * (seen - 1.0), axis=1) / change
+    used = is_clear & np.isfinite(share) & (change > _EVEN)
+    if not used.any():
+        return 1.0
+    order = np.argsort(share[used])
+    total = np.cumsum(change[used][order])
+    return float(np.clip(share[used][order][np.searchsorted(total, 0.5 * total[-1])], 0.0, _STEEPEST))
+
+
+def _between(rows: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Interpolate rows of values, (n, m), linearly at places of each, (n, k) from 0 to m - 1."""
+    first = np.minimum(places.astype(int), rows.shape[1] - 2)
+    near, after = (np.take_along_axis(rows, first + one, axis=1) for one in (0, 1))
+    return near + (places - first) * (after - near)

@@ -80,22 +80,22 @@ class Picture:
         """Return the picture blurred by a Gaussian with a standard deviation of ``sigma`` samples."""
         from scipy import ndimage  # slow to import
 
+        response = np.moveaxis(self.response, -1, 0)
         if sigma <= 0.0:
-            return Level(np.ascontiguousarray(np.moveaxis(self.response, -1, 0)), self.valid)
+            return Level(np.ascontiguousarray(response), self.valid)
         weight = ndimage.gaussian_filter(self.valid, sigma, truncate=2.5)
         known = np.maximum(weight, 1e-6)
-        bands = [
-            ndimage.gaussian_filter(band, sigma, truncate=2.5) / known for band in np.moveaxis(self.response, -1, 0)
-        ]
-        return Level(np.stack(bands), (weight > _HALF).astype(np.float32))
+        bands = [ndimage.gaussian_filter(band, sigma, truncate=2.5) / known for band in response]
+        return Level(np.stack(bands), (weight > _HALF).astype(np.float32), sigma)
 
 
 @dataclass(frozen=True)
 class Level:
-    """A blurred picture: responses (bands, height, width) float32 and a mask of valid samples (height, width)."""
+    """A blurred picture: responses (bands, height, width) float32, a mask of valid samples, and the blur in samples."""
 
     bands: np.ndarray
-    valid: np.ndarray
+    valid: np.ndarray  # (height, width)
+    sigma: float = 0.0
 
     def sampled(self, pictures: np.ndarray, place: np.ndarray) -> np.ndarray:
         """Interpolate pictures (n, height, width) bilinearly at points (p, 2); (p, n), NaN where not known."""

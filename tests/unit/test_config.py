@@ -167,10 +167,10 @@ def test_what_no_schema_sees(root, file, path, value, field, found, accepted):
 
 def test_a_printed_sheet_needs_the_registration_that_reads_it(root):
     edit(root, PLATE_FILE, "markers", {"paper": "A4"})
+    assert load(root).objects["tile-plate"].markers.paper == "A4"
+    edit(root, "config.yaml", "place.register", False)
     error = fault(root)
     assert error.field == "markers" and "place.register: true" in error.accepted
-    edit(root, "config.yaml", "place.register", True)
-    assert load(root).objects["tile-plate"].markers.paper == "A4"
 
 
 def test_a_lens_needs_an_integrator_that_samples(root):

@@ -9,7 +9,7 @@ from definitions import ROOT
 from irodori.colour.colorimetry import delta_e_reflectance
 from irodori.config.capture_table import expand_poses
 from irodori.config.definitions import read_yaml
-from irodori.config.models import Camera, Object, PoseGroup, Rectify, Rig, Size
+from irodori.config.models import Camera, Object, Placing, PoseGroup, Rectify, Rig, Size
 from irodori.evaluation import imperfection_costs as module
 from irodori.evaluation.imperfection_costs import Settings, SmallChain, measure_imperfections, run_chain
 from irodori.evaluation.result_tables import CostRow, read_rows
@@ -19,7 +19,8 @@ from irodori.material.material_file import Material
 from irodori.material.principal_components.basis_count import CompressOptions
 from irodori.simulation.virtual_rig.ground_truth import true_material
 
-FAULTS = ["light drift", "vignetting", "stray light", "pose error", "filter plate", "hot pixels"]
+FAULTS = ["light drift", "vignetting", "stray light", "pose error", "laid off", "focal length", "filter plate",
+          "hot pixels"]  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +28,7 @@ def chain() -> SmallChain:
     # Read as they stand: to check all definitions takes longer than all of these tests but one.
     files = {Object: "objects/tile-plate", Camera: "cameras/d5100-comb", Rig: "rigs/virtual"}
     found = [kind.of(read_yaml(ROOT / "config" / f"{name}.yaml")) for kind, name in files.items()]
-    settings = Settings(IngestOptions(), Rectify.of({}), FitOptions(), CompressOptions(), ["D65", "A"])
+    settings = Settings(IngestOptions(), Placing(), Rectify.of({}), FitOptions(), CompressOptions(), ["D65", "A"])
     return SmallChain("tile-plate", *found, settings)
 
 
@@ -125,8 +126,8 @@ def test_a_row_says_how_far_the_chain_is_off_away_from_seams_and_holes(chain, mo
     monkeypatch.setattr(module, "true_material", lambda *_: truth)
     measure_imperfections(chain, tmp_path / "costs.csv")
     rows = read_rows(tmp_path / "costs.csv", CostRow)
-    assert len(set(folders)) == 9 and not any(folder.exists() for folder in folders)
-    assert len(rows) == 2 * 9 and [row.light for row in rows[:2]] == ["D65", "A"]
+    assert len(set(folders)) == 11 and not any(folder.exists() for folder in folders)
+    assert len(rows) == 2 * 11 and [row.light for row in rows[:2]] == ["D65", "A"]
     assert rows[0].faults == "none" and rows[-1].faults.startswith("all, and GGX")
     chosen = inside & (side < 11)
     for row in rows:

@@ -11,7 +11,7 @@ from irodori.geometry.embree import Tracer
 from irodori.geometry.rig_frame import rig_from_camera, to_camera
 from irodori.geometry.shapes.plate import Plate
 from irodori.geometry.shapes.sphere import Sphere
-from irodori.rectification.outline_search import _edge_beside, _normals, edge_distances, find_rim
+from irodori.rectification.outline_search import SHADING_STEP, _normals, edge_distances, find_rim, first_hit, held
 from irodori.rectification.placement_correction import Correction
 
 
@@ -195,37 +195,76 @@ def test_of_two_like_edges_the_one_nearer_to_where_it_is_expected_is_taken():
         assert found_at(stripe, 12.0) == pytest.approx(nearer, abs=0.15)
 
 
-@pytest.mark.parametrize("slope", [-0.02, 0.01])
-def test_shading_that_changes_evenly_towards_an_edge_does_not_move_it(slope):
-    """A round object darkens towards its outline."""
-    x = np.arange(80.0)[None, :, None]
-    for at in (39.2, 40.0, 41.7):
-        lit = (edge(at, 1.0, 0.0) * (0.5 + slope * (x - at))) + 0.02
-        assert found_at(lit) == pytest.approx(at - 40.0, abs=0.05)
+def shaded(at, irradiance, outer=0.02, fine=20):
+    """A picture, blurred a little, of a surface that ends at a column: its irradiance by the depth inside, samples."""
+    x = (np.arange(80 * fine) + 0.5) / fine - 0.5 - at
+    inner = np.where(x < 0.0, irradiance(np.maximum(-x, 0.0)), outer)
+    weights = np.exp(-0.5 * ((np.arange(-4 * fine, 4 * fine + 1)) / (0.6 * fine)) ** 2)
+    soft = np.convolve(np.pad(inner, 4 * fine, mode="edge"), weights / weights.sum(), mode="valid")
+    return np.tile(soft.reshape(80, fine).mean(axis=1)[None, :, None], (80, 1, 3))
+
+
+def test_the_outline_of_a_ball_is_found_where_it_ends_however_it_is_lit():
+    """A ball of a radius of 80 samples, seen from 70 degrees beside the lamp, half of it in half-shadow."""
+    lit, xy, out = (
+        np.linspace(0.2, 0.9, 15),
+        np.stack([np.full(15, 40.0), np.arange(2.0, 77.0, 5.0)], axis=1),
+        [1.0, 0.0],
+    )
+    balls = [lambda deep, lit=one: lit * (1.0 - deep / 80.0) + 0.34 * np.sqrt(deep / 40.0) for one in lit]
+    shading = np.stack([ball(SHADING_STEP * np.arange(13)) for ball in balls])
+    out = np.tile(out, (15, 1))
+    for at in (38.6, 39.5, 40.3, 41.2):
+        response = np.concatenate([shaded(at, lambda deep, ball=ball: 0.5 * ball(deep))[:5] for ball in balls])
+        seen = picture(np.concatenate([response, response[-5:]]))
+        found = edge_distances(seen, seen.level(0.0), xy, out, 4.0, shading=shading) - (at - 40.0)
+        assert np.abs(found).max() < 0.2 and abs(np.median(found)) < 0.08
+        # A ball that is taken for an even surface seems smaller, most where it is dark.
+        even = edge_distances(seen, seen.level(0.0), xy, out, 4.0) - (at - 40.0)
+        assert not np.abs(even[:5]).max() < 0.2
+
+
+def test_a_disc_that_is_as_bright_everywhere_is_found_whatever_light_is_expected():
+    """The shading is that of the photograph: of a matt ball, a brighter rim or none."""
+    xy, out = np.stack([np.full(9, 40.0), np.arange(30.0, 39.0)], axis=1), np.tile([1.0, 0.0], (9, 1))
+    shading = np.tile(0.3 + 0.34 * np.sqrt(SHADING_STEP * np.arange(13) / 40.0), (9, 1))
+    seen = picture(edge(40.7, 0.5, 0.02))
+    np.testing.assert_allclose(edge_distances(seen, seen.level(0.0), xy, out, 4.0, shading=shading), 0.7, atol=0.03)
+
+
+def test_an_edge_beside_the_border_of_two_paints_is_not_read():
+    """Nor one before a background that changes; most edges of the photograph are plain."""
+    rows, borders = np.arange(80), {20: 38.5, 30: 37.5, 50: 42.5}
+    response = edge(40.4, 0.3, 0.02)
+    for row, border in borders.items():
+        response[row - 1 : row + 2] += edge(border, 0.3, 0.0)[:3] if border < 40.0 else edge(border, 0.0, 0.2)[:3]
+    seen = picture(response)
+    xy = np.stack([np.full(7, 40.0), rows[10:80:10]], axis=1).astype(float)
+    found = edge_distances(seen, seen.level(0.0), xy, np.tile([1.0, 0.0], (7, 1)), 4.0)
+    np.testing.assert_array_equal(np.isnan(found), [row in borders for row in rows[10:80:10]])
+    np.testing.assert_allclose(found[np.isfinite(found)], 0.4, atol=0.03)
+
+
+def test_a_blurred_edge_is_found_where_it_is():
+    xy, out = np.stack([np.full(9, 40.0), np.arange(30.0, 39.0)], axis=1), np.tile([1.0, 0.0], (9, 1))
+    seen = picture(edge(40.7, 0.5, 0.02, 2.0))
+    np.testing.assert_allclose(edge_distances(seen, seen.level(0.0), xy, out, 6.0), 0.7, atol=0.1)
+
+
+def test_rays_that_miss_are_told_from_those_that_hit_and_gaps_hold_the_value_before():
+    pose = Pose(45.0, 0.0)
+    eye, axes = 900.0 * to_camera(pose), rig_from_camera(pose)
+    tracer = Tracer(Correction().placements(Sphere(10.0), pose, 0.0))
+    middle = PINHOLE.project(np.zeros(3), eye, axes)
+    point, is_on = first_hit(tracer, PINHOLE, eye, axes, middle + np.array([[0.0, 0.0], [1000.0, 0.0]]))
+    assert is_on.tolist() == [True, False]
+    np.testing.assert_allclose(point[0], [0.0, 0.0, 10.0], atol=1e-3)
+    gaps = np.array([[0.2, math.nan, 0.3, math.nan, math.nan], [math.nan] * 5])
+    np.testing.assert_array_equal(held(gaps), [[0.2, 0.2, 0.3, 0.3, 0.3], [1.0] * 5])
 
 
 def test_an_edge_at_the_end_of_a_picture_is_not_judged():
-    assert math.isnan(found_at(edge(41.0)[:, :46])) and math.isfinite(found_at(edge(41.0)[:, :56]))
-
-
-def test_an_edge_lies_where_a_step_between_its_sides_has_the_same_area():
-    """The inner side is a line, the outer one a level, both of readings from 2.5 to 6 samples beside the edge.
-
-    The area is that of three samples to either side: what lies beyond tells the levels alone.
-    """
-    rng, at = np.random.default_rng(3), np.arange(-6.0, 6.25, 0.5)
-    centre = np.array([20, 25, 31, 40])
-    x = (np.arange(61) - centre[:, None]) * 0.5 - rng.uniform(-1.0, 1.0, (4, 1))
-    profile = np.where(x < 0.0, 0.5 + 0.01 * x, 0.1) + rng.normal(0.0, 0.01, x.shape)
-    expected = []
-    for one, middle in zip(profile, centre, strict=True):
-        seen = one[middle - 12 : middle + 13]
-        inner = np.polyval(np.polyfit(at[at <= -2.5], seen[at <= -2.5], 1), at)
-        outer = seen[at >= 2.5].mean()
-        share = (seen - outer) / (inner - outer)
-        near = np.abs(at) <= 3.0
-        expected.append(np.trapezoid(share[near], at[near]) - 3.0)
-    np.testing.assert_allclose(_edge_beside(profile, centre), expected, atol=1e-9)
+    assert math.isnan(found_at(edge(41.0)[:, :44])) and math.isfinite(found_at(edge(41.0)[:, :56]))
 
 
 def test_normals_of_a_curve_are_those_of_a_parabola_through_its_neighbours_and_corners_have_none():

@@ -7,10 +7,7 @@ from project import edit, planned, small_project, snakemake
 @pytest.fixture
 def project(tmp_path):
     folder = small_project(tmp_path / "project")
-    edit(
-        folder / "config/config.yaml",
-        {"make": {"scenes": ["lid"], "cameras": []}, "place.register": True},
-    )
+    edit(folder / "config/config.yaml", {"make": {"scenes": ["lid"], "cameras": []}})
     edit(folder / "config/objects/celadon-lid.yaml", {"texels": {"width": 16, "height": 16}})
     return folder
 

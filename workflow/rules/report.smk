@@ -157,6 +157,7 @@ rule measure_imperfections:
     params:
         subject=sets.imperfect_object,
         ingest=sets.ingest_options,
+        place=lookup(within=config, dpath="place"),
         rectify=lookup(within=config, dpath="rectify"),
         fit=lookup(within=config, dpath="fit"),
         compress=lookup(within=config, dpath="compress"),

@@ -1,4 +1,4 @@
-from irodori.config.models import Rectify
+from irodori.config.models import Placing, Rectify
 from irodori.config.parts import ImperfectObject
 from irodori.core.run_rule import run_rule
 from irodori.evaluation.imperfection_costs import Settings, SmallChain, measure_imperfections
@@ -9,6 +9,7 @@ from irodori.material.principal_components.basis_count import CompressOptions
 with run_rule(snakemake):
     settings = Settings(
         IngestOptions(**snakemake.params.ingest),
+        Placing.of(snakemake.params.place),
         Rectify.of(snakemake.params.rectify),
         FitOptions(**snakemake.params.fit),
         CompressOptions(**snakemake.params.compress),

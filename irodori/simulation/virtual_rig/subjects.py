@@ -6,6 +6,7 @@ the brightest band.
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -79,8 +80,11 @@ def object_mosaic(
     """
     assert camera.optics is not None and rig.virtual is not None  # checked: the rig is virtual, its camera has optics
     rotation = rig_from_object(pose)
+    faults = rig.virtual.imperfections
+    longer = faults.focal_length.percent / 100.0 if faults.focal_length.enabled else 0.0
+    pinhole = Pinhole.from_optics(camera.optics)
     view = RigView(
-        pinhole=Pinhole.from_optics(camera.optics),
+        pinhole=replace(pinhole, focal_px=pinhole.focal_px * (1.0 + longer)),
         position_mm=rig.camera_distance_mm * to_camera(pose),
         world_from_camera=rig_from_camera(pose),
         to_light=to_light(pose),
@@ -89,7 +93,7 @@ def object_mosaic(
         ideal_from_seen=ideal_from_seen,
     )
     lies, *table = on_table(sample.shape, rotation, rig.table_radius_mm)
-    off = rig.virtual.imperfections.laid_off
+    off = faults.laid_off
     if off.enabled:
         way = rotation @ np.array(off.translation_mm)
         lies = Placement(sample.shape, rotation @ rotation_xyz(off.rotation_deg), way)
