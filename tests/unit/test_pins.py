@@ -124,6 +124,8 @@ def test_the_lock_holds_what_the_pins_need_and_nothing_else(kind, python):
         try:
             needs = [Requirement(line) for line in requires(name) or []]
         except PackageNotFoundError:
+            if (marker := lock[name].marker) and not marker.evaluate(default_environment()):
+                pytest.skip(f"{name}, which Python {python} needs, is not installed under this Python")
             assert name in declared("-rig"), f"{name} is not installed"  # which only the bench needs
             continue
         for need in needs:
