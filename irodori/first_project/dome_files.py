@@ -45,7 +45,7 @@ class SurfaceMaps(NamedTuple):
 
 
 class Measured(NamedTuple):
-    """What the photographs tell of an object.
+    """Surface and lamps of one object, and predictions of photographs that were left out.
 
     Parameters
     ----------

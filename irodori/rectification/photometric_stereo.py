@@ -20,9 +20,9 @@ from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from irodori.jit.chunks import run_chunks
+from irodori.jit.compilation import njit
 
 #: cosθ_i below which a response is not used: near the terminator, errors of the lamp's size and of the shape dominate.
 LEAST_COSINE = 0.2
