@@ -192,8 +192,8 @@ class _View:
     search: Level = field(init=False)  # for the outline
     rim: np.ndarray = field(init=False)
     outward: np.ndarray = field(init=False)
-    #: Irradiance of the surface inside the outline, (points, `_SHADED`), `SHADING_STEP` samples apart.
-    shading: np.ndarray = field(init=False)
+    #: Irradiance of the surface inside the outline, (points, `_SHADED`), `SHADING_STEP` samples apart; None if flat.
+    shading: np.ndarray | None = None
     change: np.ndarray = field(init=False)  # of the outline along its normals by the common unknowns, (points, 12)
     weight: np.ndarray = field(init=False)  # of the texels
     moved: np.ndarray = field(init=False)  # derivatives of the texels' places by the common unknowns, (texels, 2, 12)
@@ -547,16 +547,8 @@ def _prepare(problem: _Problem, number: int, reach: float, blur: float) -> None:
     view.rim, view.outward = rim.point[bright], rim.outward[bright]
     moved = problem.derivative(lambda v, values: problem.seen(v, view.rim, values), number)
     view.change = np.einsum("ni,nip->np", view.outward, moved)
-    # Light on the object just inside its outline.
-    inwards = (_JUST_INSIDE + SHADING_STEP * np.arange(_SHADED)) / view.picture.scale
-    inside = lit.xy[bright][:, None] - inwards[:, None] * view.outward[:, None]
-    world, is_on = first_hit(tracer, camera.pinhole, eye, axes, inside.reshape(-1, 2))
-    distance, around = skin.query((world - placed.translation_mm) @ placed.rotation, k=_NEAREST)
-    mean = np.einsum("nk,nki->ni", 1.0 / (distance**2 + 1e-6), normal[around])
-    light, power, _ = problem.setup.lamp.seen_from(world, pose)
-    cosine = np.sum(mean * light, axis=1) / np.linalg.norm(mean, axis=1)
-    view.shading = held(np.where(is_on, np.maximum(cosine, 0.0) * power, np.nan).reshape(-1, _SHADED))
     if not problem.tells_texture:
+        view.shading = _shading(problem, view, tracer, (camera, pose), lit.xy[bright])
         return
     view.level = view.picture.level(blur)
     normal, facet = texels.normal @ placed.rotation.T, texels.facet @ placed.rotation.T
@@ -569,6 +561,31 @@ def _prepare(problem: _Problem, number: int, reach: float, blur: float) -> None:
         weight = np.where(apart > 2.0 * blur + 1.5, weight, 0.0)
     view.weight = weight
     view.moved = problem.derivative(lambda v, values: problem.seen(v, texels.position, values), number)
+
+
+def _shading(problem: _Problem, view: _View, tracer: Tracer, sight: tuple[RigSetup, Pose], xy) -> np.ndarray:
+    """Return the irradiance of the surface just inside points of its outline, see `_View.shading`.
+
+    Parameters
+    ----------
+    tracer : Tracer
+        Scene with the object as its shape 0.
+    sight : (RigSetup, Pose)
+        Camera and pose of the photograph.
+    xy : (n, 2) float
+        The points, superpixels.
+    """
+    camera, pose = sight
+    eye, axes, placed = camera.camera_distance_mm * to_camera(pose), rig_from_camera(pose), tracer.placements[0]
+    skin, normal = problem.skin[0], problem.skin[1] @ placed.rotation.T
+    inwards = (_JUST_INSIDE + SHADING_STEP * np.arange(_SHADED)) / view.picture.scale
+    inside = xy[:, None] - inwards[:, None] * view.outward[:, None]
+    world, is_on = first_hit(tracer, camera.pinhole, eye, axes, inside.reshape(-1, 2))
+    distance, around = skin.query((world - placed.translation_mm) @ placed.rotation, k=_NEAREST)
+    mean = np.einsum("nk,nki->ni", 1.0 / (distance**2 + 1e-6), normal[around])
+    light, power, _ = problem.setup.lamp.seen_from(world, pose)
+    cosine = np.sum(mean * light, axis=1) / np.linalg.norm(mean, axis=1)
+    return held(np.where(is_on, np.maximum(cosine, 0.0) * power, np.nan).reshape(-1, _SHADED))
 
 
 def _outline(problem: _Problem, number: int, reach: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -25,12 +25,13 @@ _SETTLED = 0.005  # change of a place at which the readings end
 #: Range of distances from an edge over which the level of each side is averaged, in samples of a sharp picture.
 _INNER, OUTER = 1.5, 3.5
 _DEEP, _DEEPEST = 2.5, 6.0  # range of depths over which the shading of a photograph is compared with a matt surface's
+_EVEN_DEEP = 4.0  # least depth at which the slope of a flat object's texture is read, where no blur of the edge reaches
 SHADING_STEP = 0.5  # samples
 _EVEN = 1e-6  # sum of squared relative changes of the light below which it is even
 _STEEPEST = 1.5  # largest share of a matt surface's shading
 #: Largest rms deviation of a side from its form, as a share of the step, or of the median of the photograph's edges.
 _ROUGH_SIDE, _ROUGHER = 0.05, 1.5
-_LEAST_HEIGHT = 0.3  # of the step at the outline itself, as a share of that between both sides
+_LEAST_HEIGHT = 0.3  # of the step just inside the outline, as a share of that between both sides
 _LEAST_LOG_STEP = 0.25
 _LEAST_SIGMAS = 6.0
 _UNKNOWN_NOISE = 0.01
@@ -171,8 +172,8 @@ def edge_distances(
     reach : float
         Distance searched to either side, samples.
     shading : (n, m) float, optional
-        Irradiance of the surface at points `SHADING_STEP` samples apart, from the expected outline inwards; even if
-        absent.
+        Irradiance of the surface at points `SHADING_STEP` samples apart, from the expected outline inwards. If absent,
+        the surface is flat and evenly lit, and what changes evenly towards its outline is its texture.
     is_dark_outside : bool
         Whether the object is lit before something dark, so that the edge between its lit and its dark side, which is
         brighter outside, is not searched.
@@ -201,11 +202,10 @@ def edge_distances(
     best = np.argmax(score, axis=1)
     is_clear, first = score[np.arange(count), best] > 0.0, offset[candidates[best]]
     noise, at = noise[np.arange(count), best], first
-    light = np.ones((count, 2)) if shading is None else shading
     # The largest ratio lies on the dark side of an edge, and the edge's blur there would change the level of the inner
     # side: the reading is centred again on the edge that it finds.
     for _ in range(_READINGS):
-        reading = _edge_beside(profile, (np.nan_to_num(at) - offset[0]) / step, light, unit, noise, is_clear)
+        reading = _edge_beside(profile, (np.nan_to_num(at) - offset[0]) / step, shading, unit, noise, is_clear)
         before, at = at, offset[0] + step * reading.place
         if not (np.abs(at - before)[is_clear] > _SETTLED * unit).any():
             break
@@ -220,7 +220,7 @@ class _Reading(NamedTuple):
     """Edges in profiles: their places, in readings, and how rough their sides are.
 
     Roughness is the rms deviation of a side from its expected form, without noise, as a share of the step; infinite
-    where next to nothing of the step is left at the outline itself.
+    where little of the step is left just inside the outline.
     """
 
     place: np.ndarray  # (n,)
@@ -251,21 +251,30 @@ def _edge_beside(profile, place, shading, unit: float, noise, is_clear) -> _Read
     around = _between(profile, place[:, None] + np.arange(-deep, far + 1))
     inside, outside = (along >= -OUTER) & (along <= -_INNER), along >= _INNER
     within, deeper = np.abs(along) <= _INNER + _STEP, along <= -_DEEP
+    judged = inside if shading is not None else along <= -_INNER
     weights = np.full(within.sum(), _STEP)
     weights[[0, -1]] *= 0.5
     seen, outer = around[:, inside], around[:, outside]
-    depth = np.maximum(-along, 0.0) * unit / SHADING_STEP
-    light = _between(shading, np.broadcast_to(np.minimum(depth, shading.shape[1] - 1.0), around.shape))
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         level, outer_level = seen.mean(axis=1), outer.mean(axis=1)
-        share = _share_of_shading(light[:, deeper], around[:, deeper], is_clear)
-        light = np.maximum(1.0 + share * (light / light[:, inside].mean(axis=1)[:, None] - 1.0), 0.0)
-        side, edge = light[:, inside], light[:, within & (along <= 0.0)]
+        if shading is None:
+            # The texture's level at the edge follows from its slope.
+            even = along <= -_EVEN_DEEP
+            away = along[even] - along[even].mean()
+            lean = (around[:, even] @ away) / np.sum(away**2)
+            form = level[:, None] + lean[:, None] * (along - along[inside].mean())
+        else:
+            depth = np.maximum(-along, 0.0) * unit / SHADING_STEP
+            light = _between(shading, np.broadcast_to(np.minimum(depth, shading.shape[1] - 1.0), around.shape))
+            share = _share_of_shading(light[:, deeper], around[:, deeper], is_clear)
+            form = np.maximum(1.0 + share * (light / light[:, inside].mean(axis=1)[:, None] - 1.0), 0.0)
+            form *= level[:, None]
+        edge = form[:, within & (along <= 0.0)]
         # Areas above the level of the outer side: that of the readings, and that of the inner side up to the place.
         area = (around[:, within] - outer_level[:, None]) @ weights
-        whole = np.trapezoid(level[:, None] * edge - outer_level[:, None], dx=_STEP, axis=1)
-        height = level * edge[:, 0] - outer_level
-        step, deviation = np.abs(level - outer_level), np.sqrt(np.mean((seen - level[:, None] * side) ** 2, axis=1))
+        whole = np.trapezoid(edge - outer_level[:, None], dx=_STEP, axis=1)
+        height = edge[:, 0] - outer_level
+        step, deviation = np.abs(level - outer_level), np.sqrt(np.mean((around - form)[:, judged] ** 2, axis=1))
         rough = np.maximum(np.maximum(deviation, outer.std(axis=1)) - 2.0 * noise, 0.0) / step
         return _Reading(
             place + (area - whole) / height / _STEP, np.where(np.abs(height) > _LEAST_HEIGHT * step, rough, np.inf)

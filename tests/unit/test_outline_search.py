@@ -195,6 +195,14 @@ def test_of_two_like_edges_the_one_nearer_to_where_it_is_expected_is_taken():
         assert found_at(stripe, 12.0) == pytest.approx(nearer, abs=0.15)
 
 
+@pytest.mark.parametrize("slope", [-0.02, 0.01])
+def test_texture_that_changes_evenly_towards_the_edge_of_a_flat_object_does_not_move_it(slope):
+    x = np.arange(80.0)[None, :, None]
+    for at in (39.2, 40.0, 41.7):
+        painted = (edge(at, 1.0, 0.0) * (0.5 + slope * (x - at))) + 0.02
+        assert found_at(painted) == pytest.approx(at - 40.0, abs=0.02)
+
+
 def shaded(at, irradiance, outer=0.02, fine=20):
     """A picture, blurred a little, of a surface that ends at a column: its irradiance by the depth inside, samples."""
     x = (np.arange(80 * fine) + 0.5) / fine - 0.5 - at
@@ -220,7 +228,7 @@ def test_the_outline_of_a_ball_is_found_where_it_ends_however_it_is_lit():
         found = edge_distances(seen, seen.level(0.0), xy, out, 4.0, shading=shading) - (at - 40.0)
         assert np.abs(found).max() < 0.2 and abs(np.median(found)) < 0.08
         # A ball that is taken for an even surface seems smaller, most where it is dark.
-        even = edge_distances(seen, seen.level(0.0), xy, out, 4.0) - (at - 40.0)
+        even = edge_distances(seen, seen.level(0.0), xy, out, 4.0, shading=np.ones((15, 13))) - (at - 40.0)
         assert not np.abs(even[:5]).max() < 0.2
 
 
@@ -247,8 +255,10 @@ def test_an_edge_beside_the_border_of_two_paints_is_not_read():
 
 def test_a_blurred_edge_is_found_where_it_is():
     xy, out = np.stack([np.full(9, 40.0), np.arange(30.0, 39.0)], axis=1), np.tile([1.0, 0.0], (9, 1))
-    seen = picture(edge(40.7, 0.5, 0.02, 2.0))
-    np.testing.assert_allclose(edge_distances(seen, seen.level(0.0), xy, out, 6.0), 0.7, atol=0.1)
+    for sharpness, shading, within in ((1.2, None, 0.02), (2.0, None, 0.2), (2.0, np.ones((9, 13)), 0.1)):
+        seen = picture(edge(40.7, 0.5, 0.02, sharpness))
+        found = edge_distances(seen, seen.level(0.0), xy, out, 6.0, shading=shading)
+        np.testing.assert_allclose(found, 0.7, atol=within)
 
 
 def test_rays_that_miss_are_told_from_those_that_hit_and_gaps_hold_the_value_before():

@@ -245,9 +245,7 @@ def test_nothing_is_said_of_an_outline_of_few_points(tmp_path):
     problem = plain(tmp_path)
     view = problem.views[0]
     for count in (0, 11, 12):
-        view.rim, view.outward, view.shading, view.change = (
-            one[:count] for one in (view.rim, view.outward, view.shading, view.change)
-        )
+        view.rim, view.outward, view.change = (one[:count] for one in (view.rim, view.outward, view.change))
         distance, change, found = _outline(problem, 0, 4.0)
         said = count if count >= 12 else 0
         assert (len(distance), len(change), found.sum(), len(found)) == (said, said, said, count)
