@@ -237,8 +237,9 @@ def _say(photographs: DomePhotographs, measured: Measured, asked: argparse.Names
             f"gloss {maps.lobe}: beta {beta:.3g} +- {sigma[0]:.0%}, mu {mu:.3g} rad +- {sigma[1]:.0%}, "
             f"where alpha is {np.nanmedian(maps.alpha):.3g}"
         )
-    print(f"left-out photographs, lamps registered: {_percent(found.error)}")
-    print(f"left-out photographs, lamps where {asked.lights} says: {_percent(found.by_file)}")
+    how = "registered" if lamps.moved_deg.any() else "as stated"
+    print(f"left-out photographs, lamps {how}: {_percent(found.error)}")
+    print(f"left-out photographs, lamps where {asked.lights} says, level from each: {_percent(found.by_file)}")
 
 
 if __name__ == "__main__":
