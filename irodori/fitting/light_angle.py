@@ -1,0 +1,130 @@
+"""Angle of the light from an object's photographs: where its highlights and its shading show the light.
+
+The angle is a further unknown of the estimate in `irodori.fitting.level_estimate`. The materials of texels, the lamp's
+level and the errors of the angles in every photograph, a lobe of any form and a departure from Lambert's law are
+estimated together with it. Each step observes the texels anew under the angle found so far. Flat objects are not asked:
+each photograph shows them under one set of angles.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from irodori.fitting.level_estimate import MOST_TEXELS, adjust, describe, predict
+from irodori.fitting.solvers import FitOptions
+from irodori.fitting.stage import GREEN
+from irodori.fitting.texel_sample import Readings
+from irodori.geometry.shapes.shape import Shape
+from irodori.rectification.placement_correction import LIGHT, Correction
+from irodori.rectification.stage import RigSetup, angles_in_captures, noise_models, observe_captures
+
+if TYPE_CHECKING:
+    from irodori.config.models import Object
+    from irodori.config.parts import TexturedObject
+
+_STEPS = 4
+_FREE_DEG = 3.0  # standard deviation of the angle before the estimate, so wide that the photographs decide
+_ASIDE_DEG = 0.02  # of a numerical derivative
+_LARGEST_DEG = 6.0
+_MOST_ERROR_DEG = 0.15  # standard error of an angle that the photographs determine
+_OBSERVED = 0.4  # share of a round object's texels, about, with enough observations
+_FLAT = 1e-6  # largest range of the components of the normals of a flat object
+
+
+class LightAngle(NamedTuple):
+    """Error of all light angles as the photographs show it: to be added to the typed angles; its standard error."""
+
+    offset_deg: float
+    error_deg: float
+
+
+class Sight(NamedTuple):
+    """Functions of a number of degrees that is added to all light angles.
+
+    ``readings`` returns the readings of texels; ``geometry`` only their angles θ_i, θ_r, θ_H, φ, (texels, J, 4) rad.
+    """
+
+    readings: Callable[[float], Readings]
+    geometry: Callable[[float], np.ndarray]
+
+
+def estimate_light_angle(sight: Sight, options: FitOptions) -> LightAngle | None:
+    """Return the error of all light angles; None where the photographs do not determine it.
+
+    The result is None if fewer than fifty texels with five observations fit the model, if the observations of more than
+    a quarter of the texels contradict it, if the standard error exceeds 0.15 degrees, or if the error is above six
+    degrees.
+
+    Parameters
+    ----------
+    sight : Sight
+    options : FitOptions
+        ``model_error`` is the standard deviation of a photograph's level before the estimate, ``pose_error_deg`` that
+        of the angles of light and camera in single photographs.
+    """
+    if not options.model_error > 0.0:
+        return None
+    fixed = replace(options, refractive_index="fixed")
+    offset, error, level = 0.0, _FREE_DEG, None
+    for _ in range(_STEPS):
+        readings = sight.readings(offset)
+        level = np.ones(readings.response.shape[1]) if level is None else level
+        texels = describe(readings, fixed, level)
+        if texels is None:
+            return None
+        aside = [predict(texels, sight.geometry(offset + way * _ASIDE_DEG)[texels.chosen]) for way in (1.0, -1.0)]
+        slope = (aside[0] - aside[1]) * (_FREE_DEG / (2.0 * _ASIDE_DEG))
+        step = adjust(texels, fixed, level, slope[..., None], (offset / _FREE_DEG,))
+        level, offset, error = step.level, _FREE_DEG * float(step.further[0]), _FREE_DEG * float(step.further_error[0])
+        if abs(offset) > _LARGEST_DEG:
+            return None
+    return LightAngle(offset, error) if error <= _MOST_ERROR_DEG else None
+
+
+def light_angle_in(
+    linear: Sequence,
+    definition: "Object | TexturedObject",
+    setup: RigSetup,
+    options: FitOptions,
+    index: tuple,
+    max_angle_deg: float,
+) -> LightAngle | None:
+    """Return the error of all light angles in photographs of an object; None where they do not determine it.
+
+    Parameters
+    ----------
+    linear : sequence of path
+        Files of linear responses.
+    definition : Object or TexturedObject
+    setup : RigSetup
+        Camera and rig, with the object's place corrected.
+    options : FitOptions
+    index : (n, k) of float or (61,) float
+        Complex refractive index, of which the mean is taken.
+    max_angle_deg : float
+        Observations under larger angles of incidence or reflection do not count.
+    """
+    shape = Shape.from_definition(definition.shape)
+    wanted = MOST_TEXELS / _OBSERVED
+    shrink = min(1.0, np.sqrt(wanted / (definition.texels.width * definition.texels.height)))
+    size = (max(2, round(side * shrink)) for side in (definition.texels.width, definition.texels.height))
+    texels = shape.atlas(*size)
+    if np.ptp(texels.normal[texels.covered], axis=0).max() < _FLAT:
+        return None
+    noise, (n, k) = noise_models(list(linear))[:, GREEN], (float(np.mean(value)) for value in index)
+
+    def lit_from(offset_deg: float) -> RigSetup:
+        values = list(setup.correction.values)
+        values[LIGHT] += offset_deg
+        return replace(setup, correction=Correction.of(values))
+
+    def readings(offset_deg: float) -> Readings:
+        found = observe_captures(linear, shape, texels, lit_from(offset_deg), max_angle_deg)
+        return Readings(found.response[..., GREEN], found.weight, found.geometry.astype(np.float64), noise, n, k)
+
+    def geometry(offset_deg: float) -> np.ndarray:
+        return angles_in_captures(linear, shape, texels, lit_from(offset_deg))
+
+    return estimate_light_angle(Sight(readings, geometry), options)
