@@ -23,6 +23,7 @@ from irodori.core.progress import LOGGER, track
 from irodori.geometry.embree import Tracer
 from irodori.geometry.rig_frame import rig_from_camera, rig_from_object, to_camera
 from irodori.geometry.shapes.shape import Shape
+from irodori.material.angle_errors import ANGLES, write_registered
 from irodori.rectification.marker_sheet import (
     OUTLINE,
     SHEET_QUANTITIES,
@@ -1006,16 +1007,20 @@ def register_object(
     values, square roots of the diagonal of ``/covariance`` (12, 12); ``/prior_sigma`` (12), standard deviations of the
     definitions; ``/own_camera_deg`` (J), additional correction of each camera angle; ``/residual_px`` and
     ``/residual_mm`` (J), distance of the object in a photograph from its predicted place, NaN where nothing could be
-    measured; ``/outline_points`` (J). With a sheet also ``/sheet_place`` and ``/sheet_place_sigma`` (9), its place and
-    size in the order of ``/sheet_quantity`` and their standard errors, ``/sheet_corners`` (J), its corners found, and
-    ``/sheet_residual_px`` (J). Attributes: ``told``, for each quantity whether the photographs determine it;
-    ``captures``, names of the photographs; ``sentence``, a summary in words.
+    measured; ``/outline_points`` (J). ``/angle_error`` (4,), standard deviations of θ_i, θ_r, θ_H and φ of the
+    observations, degrees, as root mean squares over all of them; ``/angle_error_of_capture`` (J, 4) and
+    ``/angle_error_spread`` (4, 2), the same of each photograph, and the 5th and 95th percentiles; these three are
+    missing if no texel amid others is seen and lit. With a sheet also ``/sheet_place`` and ``/sheet_place_sigma`` (9),
+    its place and size in the order of ``/sheet_quantity`` and their standard errors, ``/sheet_corners`` (J), its
+    corners found, and ``/sheet_residual_px`` (J). Attributes: ``told``, for each quantity whether the photographs
+    determine it; ``captures``, names of the photographs; ``sentence``, a summary in words.
     """
     found = register(linear, definition, setup, placing, markers)
     names = [Path(path).stem for path in linear]
     _refuse_far(found, linear, placing.max_residual_px)
     sentence = in_words(found)
     LOGGER.info("%s", sentence)
+    LOGGER.info("%s", found.angle_errors)
     with store.create(output, provenance) as out:
         out.coordinate("capture", names, units="1", quantity="name of the capture")
         units = np.array(["{px}" if one.unit == "px" else one.unit for one in QUANTITIES], "S")
@@ -1043,12 +1048,27 @@ def register_object(
         out.write(
             "outline_points", found.outline_points, units="1", dims="capture", quantity="points of the outline found"
         )
+        _write_angle_errors(out, found.angle_errors)
         if found.sheet is not None:
             _write_sheet(out, found.sheet)
         out.attribute("quantities", [f"{one.name}, {one.unit}" for one in QUANTITIES])
         out.attribute("told", [bool(told) for told in found.is_told])
         out.attribute("captures", names)
         out.attribute("sentence", sentence)
+
+
+def _write_angle_errors(out: store.Writer, errors: AngleErrors) -> None:
+    """Write the errors of the angles, unless there are no observations from which to tell them."""
+    if errors.stated is None:
+        return
+    out.coordinate("angle", list(ANGLES), units="1", quantity="symbol of an angle")
+    out.coordinate("percentile", [5.0, 95.0], units="%", quantity="share of observations with a smaller error")
+    write_registered(out, errors.stated)
+    for name, values, dims, quantity in (
+        ("angle_error_of_capture", errors.by_photograph, "capture,angle", "standard deviation of it in a capture"),
+        ("angle_error_spread", errors.spread, "angle,percentile", "percentiles of it over all observations"),
+    ):
+        out.write(name, values, units="deg", dims=dims, quantity=quantity)
 
 
 def _write_sheet(out: store.Writer, sheet: FoundSheet) -> None:

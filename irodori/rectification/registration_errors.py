@@ -67,6 +67,20 @@ class AngleErrors(NamedTuple):
     by_photograph: np.ndarray
     spread: np.ndarray
 
+    @property
+    def stated(self) -> np.ndarray | None:
+        """The root mean squares; None if there are no observations from which to tell them."""
+        return self.rms if np.isfinite(self.rms).all() else None
+
+    def __str__(self) -> str:
+        if self.stated is None:
+            return "errors of the angles: not told, because no texel amid others is seen and lit"
+        parts = [
+            f"{name} {self.rms[at]:.3f} (90 % from {self.spread[at, 0]:.3f} to {self.spread[at, 1]:.3f})"
+            for name, at in (("incidence", 0), ("between normal and half vector", 3))
+        ]
+        return f"errors of the angles, degrees: {', '.join(parts)}"
+
 
 def excess(photographs: list[Rows], sigma: np.ndarray, fitted: float) -> tuple[np.ndarray, float]:
     """Return the factors by which variances exceed the expected ones: reduced χ², at least 1.
