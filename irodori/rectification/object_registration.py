@@ -37,7 +37,7 @@ from irodori.rectification.marker_sheet import (
 from irodori.rectification.outline_search import OUTER, SHADING_STEP, edge_distances, find_rim, first_hit, held
 from irodori.rectification.placement_correction import CAMERA, COUNT, QUANTITIES, Correction, prior_sigma
 from irodori.rectification.reduced_pictures import Level, Picture
-from irodori.rectification.registration_errors import AngleErrors, Rows, angle_errors, excess
+from irodori.rectification.registration_covariance import RegisteredAngleErrors, Rows, angle_errors, excess
 from irodori.rectification.stage import RigSetup, observe
 from irodori.rectification.texture_agreement import (
     TextureRows,
@@ -149,7 +149,7 @@ class Registered:
         Number of points of the outline at which an edge was found.
     suspects : tuple of J (str, float)
         Angle of each photograph's pose whose error would explain the residual best, and that error in degrees.
-    angle_errors : AngleErrors
+    angle_errors : RegisteredAngleErrors
         Errors of the angles of the observations that follow from all errors of the registration.
     sheet : FoundSheet, optional
         The printed sheet, if there is one.
@@ -163,7 +163,7 @@ class Registered:
     mm_per_px: float
     outline_points: np.ndarray
     suspects: tuple[tuple[str, float], ...]
-    angle_errors: AngleErrors
+    angle_errors: RegisteredAngleErrors
     sheet: FoundSheet | None = None
 
     @property
@@ -1057,7 +1057,7 @@ def register_object(
         out.attribute("sentence", sentence)
 
 
-def _write_angle_errors(out: store.Writer, errors: AngleErrors) -> None:
+def _write_angle_errors(out: store.Writer, errors: RegisteredAngleErrors) -> None:
     """Write the errors of the angles, unless there are no observations from which to tell them."""
     if errors.stated is None:
         return

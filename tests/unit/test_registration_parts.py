@@ -38,7 +38,7 @@ from irodori.rectification.object_registration import (
 )
 from irodori.rectification.placement_correction import COUNT, QUANTITIES, Correction, prior_sigma
 from irodori.rectification.reduced_pictures import Picture
-from irodori.rectification.registration_errors import AngleErrors
+from irodori.rectification.registration_covariance import RegisteredAngleErrors
 from irodori.rectification.texture_agreement import (
     blocks,
     matt_weight,
@@ -306,7 +306,7 @@ def test_outliers_lose_their_weight():
 # Words.
 
 
-NO_ANGLES = AngleErrors(np.full(4, np.nan), np.full((2, 4), np.nan), np.full((4, 2), np.nan))
+NO_ANGLES = RegisteredAngleErrors(np.full(4, np.nan), np.full((2, 4), np.nan), np.full((4, 2), np.nan))
 
 
 def registered(values, sigma, residual=(0.1, 0.2), suspects=(("turn_deg", 0.0), ("turn_deg", 0.0))) -> Registered:

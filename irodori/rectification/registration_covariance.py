@@ -50,7 +50,7 @@ class Rows(NamedTuple):
         right[self.where] += weighted.T @ self.off
 
 
-class AngleErrors(NamedTuple):
+class RegisteredAngleErrors(NamedTuple):
     """Standard deviations of the angles θ_i, θ_r, θ_H and φ of a registered object's observations, degrees.
 
     Parameters
@@ -118,7 +118,7 @@ def excess(photographs: list[Rows], sigma: np.ndarray, fitted: float) -> tuple[n
     return np.maximum(each, 1.0), max(1.0, float(squares.sum() / left.sum()))
 
 
-def angle_errors(problem: "Problem", moment: np.ndarray, light_deg: float) -> AngleErrors:
+def angle_errors(problem: "Problem", moment: np.ndarray, light_deg: float) -> RegisteredAngleErrors:
     """Propagate the errors of a registration to the angles of all observations.
 
     Parameters
@@ -139,10 +139,10 @@ def angle_errors(problem: "Problem", moment: np.ndarray, light_deg: float) -> An
         squares.append(np.einsum("nap,pq,naq->na", rows, moment[np.ix_(where, where)], rows, optimize=True) + own)
     every = np.concatenate(squares)
     if not len(every):
-        return AngleErrors(np.full(4, np.nan), np.full((len(squares), 4), np.nan), np.full((4, 2), np.nan))
+        return RegisteredAngleErrors(np.full(4, np.nan), np.full((len(squares), 4), np.nan), np.full((4, 2), np.nan))
     by_photograph = [one.mean(axis=0) if len(one) else np.full(4, np.nan) for one in squares]
     spread = np.percentile(every, [5.0, 95.0], axis=0).T
-    return AngleErrors(np.sqrt(every.mean(axis=0)), np.sqrt(by_photograph), np.sqrt(spread))
+    return RegisteredAngleErrors(np.sqrt(every.mean(axis=0)), np.sqrt(by_photograph), np.sqrt(spread))
 
 
 def _angle_changes(problem: "Problem", number: int) -> np.ndarray:
