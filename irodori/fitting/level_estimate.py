@@ -161,7 +161,7 @@ def _of_photographs(texels: DescribedTexels, model: _Model, options: FitOptions)
         for angle in (_TURN_RAD, -_TURN_RAD):
             moved = turned(geometry, angle, light=light)
             sides.append(model.alpha * _diffuse(moved) + texels.gloss_at(moved))
-        changes.append((sides[0] - sides[1]) * (np.radians(options.pose_error_deg) / (2.0 * _TURN_RAD)))
+        changes.append((sides[0] - sides[1]) * (np.radians(options.angles.rig_deg) / (2.0 * _TURN_RAD)))
     return np.stack(changes, axis=-1)
 
 
@@ -235,7 +235,7 @@ def estimate_levels(readings: Readings, options: FitOptions) -> EstimatedLevels 
     ----------
     readings : Readings
     options : FitOptions
-        ``model_error`` is the standard deviation of a level before the estimate, ``pose_error_deg`` that of an angle.
+        ``model_error`` is the standard deviation of a level before the estimate, ``angles`` tells that of an angle.
     """
     if not options.model_error > 0.0:
         return None  # levels that cannot differ

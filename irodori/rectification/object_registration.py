@@ -23,6 +23,7 @@ from irodori.core.progress import LOGGER, track
 from irodori.geometry.embree import Tracer
 from irodori.geometry.rig_frame import rig_from_camera, rig_from_object, to_camera
 from irodori.geometry.shapes.shape import Shape
+from irodori.material.angle_errors import ANGLES, write_registered
 from irodori.rectification.marker_sheet import (
     OUTLINE,
     SHEET_QUANTITIES,
@@ -36,6 +37,7 @@ from irodori.rectification.marker_sheet import (
 from irodori.rectification.outline_search import OUTER, SHADING_STEP, edge_distances, find_rim, first_hit, held
 from irodori.rectification.placement_correction import CAMERA, COUNT, LIGHT, QUANTITIES, Correction, prior_sigma
 from irodori.rectification.reduced_pictures import Level, Picture
+from irodori.rectification.registration_covariance import RegisteredAngleErrors, Rows, angle_errors, excess
 from irodori.rectification.stage import RigSetup, observe
 from irodori.rectification.texture_agreement import (
     TextureRows,
@@ -134,7 +136,8 @@ class Registered:
         Most probable corrections of the definitions; exactly 0 for values that the photographs do not determine or do
         not change significantly.
     covariance : (12, 12) float64
-        Covariance of the most probable values if all twelve are estimated together.
+        Covariance of the most probable values if all twelve are estimated together. If outlines, textures or corners
+        scatter between photographs by more than expected, it is the larger by as much.
     prior : (12,) float64
         Standard deviations of the prior.
     own_camera_deg : (J,) float64
@@ -149,6 +152,8 @@ class Registered:
         Number of points of the outline at which an edge was found.
     suspects : tuple of J (str, float)
         Angle of each photograph's pose whose error would explain the residual best, and that error in degrees.
+    angle_errors : RegisteredAngleErrors
+        Errors of the angles of the observations that follow from all errors of the registration.
     sheet : FoundSheet, optional
         The printed sheet, if there is one.
     """
@@ -161,6 +166,7 @@ class Registered:
     mm_per_px: float
     outline_points: np.ndarray
     suspects: tuple[tuple[str, float], ...]
+    angle_errors: RegisteredAngleErrors
     sheet: FoundSheet | None = None
 
     @property
@@ -365,11 +371,13 @@ def register(
         _descend(problem, reach, _STEPS, trace=reach == first)
         reach /= 2.0
     matrix = _descend(problem, _FINEST_REACH, _LAST_STEPS)
+    probable, whole = problem.unknowns.copy(), _inverse(_with_excess(problem, matrix), sigma)
     problem.unknowns, problem.sigma = _only_what_is_told(problem.unknowns, matrix, sigma)
     _settle(problem, _FINEST_REACH, _LAST_STEPS)
     own, problem.unknowns[problem.own] = problem.unknowns[problem.own].copy(), 0.0
     residual, points, suspects = _residuals(problem, max(0.5 * first, 2.0 * _FINEST_REACH))
-    whole = _inverse(matrix, sigma)
+    angles, off = slice(0, problem.own.stop), probable - problem.unknowns
+    moment = (whole + np.outer(off, off))[angles, angles]
     sheet = None
     if problem.sheet is not None:
         values, errors = problem.unknowns[problem.of_sheet], np.sqrt(np.diag(whole))[problem.of_sheet]
@@ -385,6 +393,7 @@ def register(
         problem.mm_per_px,
         points,
         suspects,
+        angle_errors(problem, moment, placing.light_deg),
         sheet,
     )
 
@@ -497,6 +506,50 @@ def _only_what_is_told(unknowns: np.ndarray, matrix: np.ndarray, sigma: np.ndarr
         room[out] = 0.0
         values += _solve(matrix, matrix[:, out] * values[out], room)
         values[out] = 0.0
+
+
+def _with_excess(problem: _Problem, matrix: np.ndarray) -> np.ndarray:
+    """Return the normal matrix at the most probable values, with less information from what scatters too much.
+
+    Errors within a photograph are alike, so that the scatter of its points does not show them; they show in what
+    photographs say of each other. The information of each photograph's outline and corners is divided by its reduced
+    χ², and that of textures, which are compared with each other, by that of all of them.
+    """
+    size, covariance = len(problem.unknowns), _inverse(matrix, problem.sigma)
+    found, nothing = matrix.copy(), np.zeros(size)
+    measured = [_outline(problem, view, _FINEST_REACH) for view in range(len(problem.views))]
+    scale = _outline_scale(measured, is_last=True)
+    outlines = _outline_rows(problem, measured, scale, is_last=True)
+    corners = _sheet_rows(problem) if problem.sheet is not None else []
+    for kind, errors in ((outlines, _displaced_outlines(problem, measured, outlines, scale)), (corners, corners)):
+        shares = np.zeros((len(kind), size, size))
+        for rows, share in zip(kind, shares, strict=True):
+            rows.add_to(share, nothing.copy())
+        each, _ = excess(errors, problem.sigma, float(np.sum(covariance * shares.sum(axis=0))))
+        found -= np.einsum("j,jpq->pq", 1.0 - 1.0 / each, shares)
+    if problem.tells_texture:
+        information = np.zeros((size, size))
+        textures = _add_texture(_textures(problem), information, nothing.copy())
+        _, together = excess(textures, problem.sigma, float(np.sum(covariance * information)))
+        found -= (1.0 - 1.0 / together) * information
+    return found
+
+
+def _displaced_outlines(problem: _Problem, measured: list, outlines: list[Rows], scale: float) -> list[Rows]:
+    """Return the displacement of every photograph's outline as a whole, all its points with the same weight.
+
+    What single points say, at edges of something else, is no error of the outline: at the end they have lost their
+    influence. Arguments as in `_outline_rows`, with its result.
+    """
+    found = []
+    for number, (rows, (distance, _, which)) in enumerate(zip(outlines, measured, strict=True)):
+        view, displaced = problem.views[number], None
+        if len(distance):
+            xy = problem.seen(number, view.rim[which], problem.unknowns)
+            displaced = _displaced(xy, view.outward[which], distance)
+        even = np.full(len(distance), 1.0 / (scale**2 * _OUTLINE_SHARED))
+        found.append(rows._replace(weight=even, off=np.zeros(len(distance)) if displaced is None else displaced))
+    return found
 
 
 def _texels(shape: Shape, width: int, height: int) -> _Texels:
@@ -662,7 +715,8 @@ def _equations(problem: _Problem, reach: float | None) -> tuple[np.ndarray, np.n
     size = len(problem.unknowns)
     matrix, right = np.zeros((size, size)), np.zeros(size)
     if problem.sheet is not None:
-        _add_sheet(problem, matrix, right)
+        for rows in _sheet_rows(problem):
+            rows.add_to(matrix, right)
     if reach is not None:
         _add_object(problem, reach, matrix, right)
     free = problem.sigma > 0
@@ -671,13 +725,13 @@ def _equations(problem: _Problem, reach: float | None) -> tuple[np.ndarray, np.n
     return matrix, right
 
 
-def _add_sheet(problem: _Problem, matrix: np.ndarray, right: np.ndarray) -> None:
-    """Add the distances of the sheet's corners from their expected places to normal equations."""
+def _sheet_rows(problem: _Problem) -> list[Rows]:
+    """Return the distances of the sheet's corners from their expected places in every photograph that shows it."""
     off = [
         view.corners_px - problem.corners_seen(number, problem.unknowns) for number, view in enumerate(problem.views)
     ]
     scale = _scatter(np.concatenate(off).ravel(), _CORNER_FLOOR_PX)
-    common = [*_CAMERA, *problem.of_sheet]
+    common, found = [*_CAMERA, *problem.of_sheet], []
     for number, one in enumerate(off):
         if not len(one):
             continue
@@ -685,26 +739,36 @@ def _add_sheet(problem: _Problem, matrix: np.ndarray, right: np.ndarray) -> None
         where = [*common, COUNT + number]
         rows = np.concatenate([moved, moved[..., [common.index(CAMERA)]]], axis=-1)
         factor = _cauchy(np.linalg.norm(one, axis=1) / math.sqrt(2.0), scale) / scale**2
-        matrix[np.ix_(where, where)] += np.einsum("nip,n,niq->pq", rows, factor, rows)
-        right[where] += np.einsum("nip,n,ni->p", rows, factor, one)
+        found.append(Rows(where, rows.reshape(-1, len(where)), np.repeat(factor, 2), one.ravel()))
+    return found
+
+
+def _outline_scale(measured: list, *, is_last: bool) -> float:
+    """Return the standard deviation of outline points, superpixels; ``measured`` are the results of `_outline`."""
+    every = np.concatenate([distance for distance, _, _ in measured])
+    return _scatter(every, _OUTLINE_FLOOR_PX, _OUTLINE_MOST_PX if is_last else math.inf)
+
+
+def _outline_rows(problem: _Problem, measured: list, scale: float, *, is_last: bool) -> list[Rows]:
+    """Return the outline of every photograph as rows of equations, from results and scale of its points."""
+    found = []
+    for view, (distance, change, _) in enumerate(measured):
+        rows, where = change[:, [*range(COUNT), CAMERA]], [*range(COUNT), COUNT + view]
+        if problem.sheet is not None:
+            rows = np.concatenate([rows, np.full((len(rows), 1), 1.0 / problem.mm_per_px)], axis=1)
+            where.append(problem.of_sheet[OUTLINE])
+        # Borders of paints beside an outline are many and on one side: at the end they lose all influence.
+        factor = _cauchy(distance, scale) ** (2 if is_last else 1) / (scale**2 * _OUTLINE_SHARED)
+        found.append(Rows(where, rows, factor, distance))
+    return found
 
 
 def _add_object(problem: _Problem, reach: float, matrix: np.ndarray, right: np.ndarray) -> None:
     """Add outlines and textures to normal equations."""
     is_last = reach <= _FINEST_REACH
     measured = [_outline(problem, view, reach) for view in range(len(problem.views))]
-    every = np.concatenate([distance for distance, _, _ in measured])
-    if every.size:
-        scale = _scatter(every, _OUTLINE_FLOOR_PX, _OUTLINE_MOST_PX if is_last else math.inf)
-        for view, (distance, change, _) in enumerate(measured):
-            rows, where = change[:, [*range(COUNT), CAMERA]], [*range(COUNT), COUNT + view]
-            if problem.sheet is not None:
-                rows = np.concatenate([rows, np.full((len(rows), 1), 1.0 / problem.mm_per_px)], axis=1)
-                where.append(problem.of_sheet[OUTLINE])
-            # Borders of paints beside an outline are many and on one side: at the end they lose all influence.
-            factor = _cauchy(distance, scale) ** (2 if is_last else 1) / (scale**2 * _OUTLINE_SHARED)
-            matrix[np.ix_(where, where)] += rows.T @ (factor[:, None] * rows)
-            right[where] += rows.T @ (factor * distance)
+    for rows in _outline_rows(problem, measured, _outline_scale(measured, is_last=is_last), is_last=is_last):
+        rows.add_to(matrix, right)
     outlined = np.mean([len(distance) > 0 for distance, _, _ in measured]) >= _OUTLINED
     if problem.tells_texture and (is_last or not outlined):
         _add_texture(_textures(problem), matrix, right)
@@ -739,12 +803,15 @@ def _spacing(problem: _Problem) -> float:
     return math.sqrt(float(np.median(found)))
 
 
-def _add_texture(rows: list[TextureRows], matrix: np.ndarray, right: np.ndarray) -> None:
-    """Add the differences between the photographs' textures to normal equations, the texels' colours eliminated."""
+def _add_texture(rows: list[TextureRows], matrix: np.ndarray, right: np.ndarray) -> list[Rows]:
+    """Add the differences between the photographs' textures to normal equations, the texels' colours eliminated.
+
+    Returns the differences of every photograph from the mean texture.
+    """
     # A texel that only one photograph shows cannot be compared.
     both = np.sum([row.weight > 0 for row in rows], axis=0) > 1
     if not both.any():
-        return
+        return []
     rows = [TextureRows(*(part[both] for part in row)) for row in rows]
     values, weights = [row.value for row in rows], [row.weight for row in rows]
     mean = mean_texture(values, weights)
@@ -755,15 +822,16 @@ def _add_texture(rows: list[TextureRows], matrix: np.ndarray, right: np.ndarray)
         for o, w in zip(off, weights, strict=True)
     ]
     mean, total = mean_texture(values, weights), np.sum(weights, axis=0)
-    sums = np.zeros((*mean.shape, len(right)))
+    sums, found = np.zeros((*mean.shape, len(right))), []
     for view, (row, weight) in enumerate(zip(rows, weights, strict=True)):
         where = [*range(COUNT), COUNT + view]
         change = row.change[..., [*range(COUNT), CAMERA]]
-        weighted = weight[:, None, None] * change
-        matrix[np.ix_(where, where)] += np.einsum("tbp,tbq->pq", weighted, change, optimize=True)
-        right[where] -= np.einsum("tbp,tb->p", weighted, row.value - mean)
-        sums[..., where] += weighted
+        sums[..., where] += weight[:, None, None] * change
+        one = change.reshape(-1, len(where)), np.repeat(weight, mean.shape[1]), (mean - row.value).ravel()
+        found.append(Rows(where, *one))
+        found[-1].add_to(matrix, right)
     matrix -= np.einsum("tbp,tbq->pq", sums, sums / total[:, None, None], optimize=True)
+    return found
 
 
 def _solve(matrix: np.ndarray, right: np.ndarray, sigma: np.ndarray) -> np.ndarray:
@@ -822,11 +890,20 @@ def _residuals(problem: _Problem, reach: float) -> tuple[np.ndarray, np.ndarray,
 
 
 def _displacement(xy: np.ndarray, outward: np.ndarray, distance: np.ndarray) -> float:
-    """Return the root-mean-square displacement of an outline along its normals, by a robust affine fit, superpixels.
+    """Return the root-mean-square displacement of an outline, superpixels; NaN if `_displaced` returns None.
 
-    Outliers, at edges of something else, have little influence. The mean is over all points: if a rectangular plate is
-    moved along one of its sides, half of its outline stays in place and still counts. NaN if most points do not agree
-    with any displacement of the whole: such an outline, beside shadows or paints, tells nothing about the photograph.
+    The mean is over all points: if a rectangular plate is moved along one of its sides, half of its outline stays in
+    place and still counts. Arguments as in `_displaced`.
+    """
+    explained = _displaced(xy, outward, distance)
+    return math.nan if explained is None else math.sqrt(np.mean(explained**2))
+
+
+def _displaced(xy: np.ndarray, outward: np.ndarray, distance: np.ndarray) -> np.ndarray | None:
+    """Return the displacement of an outline's points along its normals by a robust affine fit, (n,) superpixels.
+
+    Outliers, at edges of something else, have little influence. None if most points do not agree with any displacement
+    of the whole: such an outline, beside shadows or paints, tells nothing about the photograph.
 
     Parameters
     ----------
@@ -846,7 +923,7 @@ def _displacement(xy: np.ndarray, outward: np.ndarray, distance: np.ndarray) -> 
         weight = _cauchy(left, _scatter(left, _OUTLINE_FLOOR_PX))
     displacement = math.sqrt(np.mean(explained**2))
     agree = np.abs(distance - explained) <= max(_AGREE_PX, _AGREE * displacement)
-    return displacement if agree.mean() >= _MOST_AGREE else math.nan
+    return explained if agree.mean() >= _MOST_AGREE else None
 
 
 def _suspect(
@@ -955,10 +1032,13 @@ def register_object(
     values, square roots of the diagonal of ``/covariance`` (12, 12); ``/prior_sigma`` (12), standard deviations of the
     definitions; ``/own_camera_deg`` (J), additional correction of each camera angle; ``/residual_px`` and
     ``/residual_mm`` (J), distance of the object in a photograph from its predicted place, NaN where nothing could be
-    measured; ``/outline_points`` (J). With a sheet also ``/sheet_place`` and ``/sheet_place_sigma`` (9), its place and
-    size in the order of ``/sheet_quantity`` and their standard errors, ``/sheet_corners`` (J), its corners found, and
-    ``/sheet_residual_px`` (J). Attributes: ``told``, for each quantity whether the photographs determine it;
-    ``captures``, names of the photographs; ``sentence``, a summary in words.
+    measured; ``/outline_points`` (J). ``/angle_error`` (4,), standard deviations of θ_i, θ_r, θ_H and φ of the
+    observations, degrees, as root mean squares over all of them; ``/angle_error_of_capture`` (J, 4) and
+    ``/angle_error_spread`` (4, 2), the same of each photograph, and the 5th and 95th percentiles; these three are
+    missing if no texel amid others is seen and lit. With a sheet also ``/sheet_place`` and ``/sheet_place_sigma`` (9),
+    its place and size in the order of ``/sheet_quantity`` and their standard errors, ``/sheet_corners`` (J), its
+    corners found, and ``/sheet_residual_px`` (J). Attributes: ``told``, for each quantity whether the photographs
+    determine it; ``captures``, names of the photographs; ``sentence``, a summary in words.
     """
     found = register(linear, definition, setup, placing, markers)
     names = [Path(path).stem for path in linear]
@@ -969,6 +1049,7 @@ def register_object(
         LOGGER.info("shading and highlights show the light %+.2f +- %.2f degrees from its typed angles", *shown)
     sentence = in_words(found)
     LOGGER.info("%s", sentence)
+    LOGGER.info("%s", found.angle_errors)
     with store.create(output, provenance) as out:
         out.coordinate("capture", names, units="1", quantity="name of the capture")
         units = np.array(["{px}" if one.unit == "px" else one.unit for one in QUANTITIES], "S")
@@ -996,12 +1077,27 @@ def register_object(
         out.write(
             "outline_points", found.outline_points, units="1", dims="capture", quantity="points of the outline found"
         )
+        _write_angle_errors(out, found.angle_errors)
         if found.sheet is not None:
             _write_sheet(out, found.sheet)
         out.attribute("quantities", [f"{one.name}, {one.unit}" for one in QUANTITIES])
         out.attribute("told", [bool(told) for told in found.is_told])
         out.attribute("captures", names)
         out.attribute("sentence", sentence)
+
+
+def _write_angle_errors(out: store.Writer, errors: RegisteredAngleErrors) -> None:
+    """Write the errors of the angles, unless there are no observations from which to tell them."""
+    if errors.stated is None:
+        return
+    out.coordinate("angle", list(ANGLES), units="1", quantity="symbol of an angle")
+    out.coordinate("percentile", [5.0, 95.0], units="%", quantity="share of observations with a smaller error")
+    write_registered(out, errors.stated)
+    for name, values, dims, quantity in (
+        ("angle_error_of_capture", errors.by_photograph, "capture,angle", "standard deviation of it in a capture"),
+        ("angle_error_spread", errors.spread, "angle,percentile", "percentiles of it over all observations"),
+    ):
+        out.write(name, values, units="deg", dims=dims, quantity=quantity)
 
 
 def _write_sheet(out: store.Writer, sheet: FoundSheet) -> None:

@@ -25,6 +25,7 @@ from irodori.geometry.rig_frame import rig_from_camera, to_camera
 from irodori.geometry.shapes.shape import Shape
 from irodori.jit.chunks import run_chunks
 from irodori.jit.compilation import njit
+from irodori.material.angle_errors import ANGLES, write_registered
 from irodori.rectification.placement_correction import AS_TYPED, Correction
 from irodori.reflection.equation5 import angles_from_directions
 from irodori.spectra.coordinates import require_bands, write_bands
@@ -362,6 +363,7 @@ def rectify_object(
     *,
     output,
     provenance: store.Provenance,
+    angle_error_deg=None,
 ) -> None:
     """Write the observations of one tile of an object's texture.
 
@@ -375,6 +377,8 @@ def rectify_object(
         First and last-plus-one texture row of the tile.
     max_angle_deg : float, degrees
         Observations with θ_i or θ_r beyond it are kept without weight.
+    angle_error_deg : (4,) float, optional
+        Standard deviations of θ_i, θ_r, θ_H and φ by registration, degrees; they are passed on.
 
     Raises
     ------
@@ -394,7 +398,8 @@ def rectify_object(
 
     Under a near light, ``/light_gain`` (texel, J) float32 is the factor by which a response was multiplied: irradiance
     of the white reference over irradiance of the texel. The variance of a response is then
-    gain² c0 + gain c1 * response.
+    gain² c0 + gain c1 * response. If the object was registered, ``/angle_error`` (4,) are the standard deviations of
+    the four angles, degrees.
     """
     shape = Shape.from_definition(definition.shape)
     width = definition.texels.width
@@ -412,7 +417,9 @@ def rectify_object(
         out.coordinate("capture", [Path(path).stem for path in linear], units="1", quantity="name of the capture")
         for name, values in zip(_POSE, poses_deg.T, strict=True):
             out.write(name, values, units="deg", dims="capture", quantity="angle of the rig, as typed")
-        out.coordinate("angle", ["theta_i", "theta_r", "theta_h", "phi"], units="1", quantity="symbol of an angle")
+        out.coordinate("angle", list(ANGLES), units="1", quantity="symbol of an angle")
+        if angle_error_deg is not None:
+            write_registered(out, angle_error_deg)
         write_bands(out, filters)
         out.coordinate("term", ["c0", "c1"], units="1", quantity="coefficient of the variance")
         for name, (values, units, quantity) in _maps(observed, texels, setup.lamp.is_near).items():

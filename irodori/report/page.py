@@ -9,6 +9,7 @@ from irodori.evaluation.coefficient_storage import storage_sentence
 from irodori.evaluation.registration_errors import summarise
 from irodori.evaluation.result_tables import BudgetRow, CostRow, ErrorRow, PlanRow, RegistrationRow, read_rows
 from irodori.lens.lens_file import LensFile
+from irodori.material.angle_errors import AngleErrors
 from irodori.material.material_file import Material
 from irodori.reflection.registry import lobe
 from irodori.report.calibration_part import camera_calibrations
@@ -67,6 +68,7 @@ def _object(name: str, path, truth_file) -> dict:
         "gloss": typical_gloss_text(material),
         "lobes": list(material.lobes),
         "mirror": material.mirror,
+        "angles": str(AngleErrors(**errors["angle_errors"])) if errors.get("angle_errors") else "",
         "errors": errors,
         "stored": stored,
     }
