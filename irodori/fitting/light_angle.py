@@ -16,6 +16,7 @@ from irodori.fitting.level_estimate import MOST_TEXELS, adjust, describe, predic
 from irodori.fitting.solvers import FitOptions
 from irodori.fitting.stage import GREEN
 from irodori.fitting.texel_sample import Readings
+from irodori.geometry.atlas import are_alike
 from irodori.geometry.shapes.shape import Shape
 from irodori.rectification.placement_correction import LIGHT, Correction
 from irodori.rectification.stage import RigSetup, angles_in_captures, noise_models, observe_captures
@@ -24,13 +25,15 @@ if TYPE_CHECKING:
     from irodori.config.models import Object
     from irodori.config.parts import TexturedObject
 
-_STEPS = 4
+_STEPS = 8
+_STILL = 0.2  # standard errors within which a step ends the search
+#: Errors of the light angles at which the search begins: the first under which the model describes the surface.
+_STARTS_DEG = (0.0, *(sign * size for size in (1.0, 2.0, 3.0, 4.0, 5.0) for sign in (1.0, -1.0)))
 _FREE_DEG = 3.0  # standard deviation of the angle before the estimate, so wide that the photographs decide
 _ASIDE_DEG = 0.02  # of a numerical derivative
 _LARGEST_DEG = 6.0
 _MOST_ERROR_DEG = 0.15  # standard error of an angle that the photographs determine
 _OBSERVED = 0.4  # share of a round object's texels, about, with enough observations
-_FLAT = 1e-6  # largest range of the components of the normals of a flat object
 
 
 class LightAngle(NamedTuple):
@@ -53,9 +56,9 @@ class Sight(NamedTuple):
 def estimate_light_angle(sight: Sight, options: FitOptions) -> LightAngle | None:
     """Return the error of all light angles; None where the photographs do not determine it.
 
-    The result is None if fewer than fifty texels with five observations fit the model, if the observations of more than
-    a quarter of the texels contradict it, if the standard error exceeds 0.15 degrees, or if the error is above six
-    degrees.
+    The steps begin at the typed angles or, where the observations of more than a quarter of the texels contradict the
+    model under these, at the next whole degree under which they do not, up to five. The result is None if there is none
+    or if fewer than fifty texels with five observations fit the model, and if the standard error exceeds 0.15 degrees.
 
     Parameters
     ----------
@@ -67,20 +70,21 @@ def estimate_light_angle(sight: Sight, options: FitOptions) -> LightAngle | None
     if not options.model_error > 0.0:
         return None
     fixed = replace(options, refractive_index="fixed")
-    offset, error, level = 0.0, _FREE_DEG, None
+    level = np.ones(sight.readings(0.0).response.shape[1])
+    starts = ((start, describe(sight.readings(start), fixed, level)) for start in _STARTS_DEG)
+    offset, texels = next((found for found in starts if found[1] is not None), (0.0, None))
     for _ in range(_STEPS):
-        readings = sight.readings(offset)
-        level = np.ones(readings.response.shape[1]) if level is None else level
-        texels = describe(readings, fixed, level)
-        if texels is None:
+        if texels is None or abs(offset) > _LARGEST_DEG:
             return None
+        before = offset
         aside = [predict(texels, sight.geometry(offset + way * _ASIDE_DEG)[texels.chosen]) for way in (1.0, -1.0)]
         slope = (aside[0] - aside[1]) * (_FREE_DEG / (2.0 * _ASIDE_DEG))
         step = adjust(texels, fixed, level, slope[..., None], (offset / _FREE_DEG,))
         level, offset, error = step.level, _FREE_DEG * float(step.further[0]), _FREE_DEG * float(step.further_error[0])
-        if abs(offset) > _LARGEST_DEG:
-            return None
-    return LightAngle(offset, error) if error <= _MOST_ERROR_DEG else None
+        if abs(offset - before) < _STILL * error:
+            return LightAngle(offset, error) if error <= _MOST_ERROR_DEG else None
+        texels = describe(sight.readings(offset), fixed, level)
+    return None
 
 
 def light_angle_in(
@@ -111,7 +115,7 @@ def light_angle_in(
     shrink = min(1.0, np.sqrt(wanted / (definition.texels.width * definition.texels.height)))
     size = (max(2, round(side * shrink)) for side in (definition.texels.width, definition.texels.height))
     texels = shape.atlas(*size)
-    if np.ptp(texels.normal[texels.covered], axis=0).max() < _FLAT:
+    if are_alike(texels.normal[texels.covered]):
         return None
     noise, (n, k) = noise_models(list(linear))[:, GREEN], (float(np.mean(value)) for value in index)
 

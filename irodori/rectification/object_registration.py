@@ -20,6 +20,7 @@ from irodori.config.capture_table import Pose
 from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER, track
+from irodori.geometry.atlas import are_alike
 from irodori.geometry.embree import Tracer
 from irodori.geometry.rig_frame import rig_from_camera, rig_from_object, to_camera
 from irodori.geometry.shapes.shape import Shape
@@ -96,7 +97,6 @@ _CONTRADICTED = 4.0
 #: Accuracy that registration aims at, in the order of `QUANTITIES`: 0.1 mm and 0.05 degrees, and what moves the rim of
 #: an object of a hand's size by as much. Standard errors do not include the bias of an outline in dim light.
 _ACCURACY = np.array([0.1] * 3 + [0.05] * 3 + [2.0, 0.2] + [0.5] * 2 + [0.05] * 2)
-_FLAT = 1e-6  # largest range of the components of the normals of a flat object
 _CAMERA = range(6, CAMERA + 1)  # quantities on which the place of the sheet in a photograph depends
 _NUMERIC = np.array([0.01] * 3 + [0.01] * 3 + [0.1, 0.01, 0.1, 0.1, 0.01, 0.01])  # steps of derivatives, as QUANTITIES
 #: What may be wrong with the pose of one photograph -> the angle that is varied. The place of the object in the picture
@@ -187,10 +187,12 @@ class Registered:
     def with_light(self, offset_deg: float, error_deg: float) -> "Registered":
         """Return a copy with what shading and highlights tell of the light: the error of its angles, deg.
 
-        The angles are corrected where the photographs contradict them, and stay as typed where they agree.
+        The angles are corrected where the photographs contradict them or, as other numbers are, where the photographs
+        determine them and they are significantly off. Else they stay as typed.
         """
         values, covariance, prior = list(self.correction.values), self.covariance.copy(), self.prior[LIGHT]
-        if abs(offset_deg) > _CONTRADICTED * np.hypot(prior, error_deg):
+        significant = error_deg < _TOLD * prior and abs(offset_deg) > max(_SIGNIFICANT * error_deg, _ACCURACY[LIGHT])
+        if significant or abs(offset_deg) > _CONTRADICTED * np.hypot(prior, error_deg):
             values[LIGHT], variance = offset_deg, error_deg**2
         else:
             variance = 1.0 / (prior**-2 + error_deg**-2)
@@ -284,7 +286,7 @@ class _Problem:
         On the spheres of the default run, which lie as defined, textures biased the camera angles by a tenth of a
         degree.
         """
-        return bool(np.ptp(self.texels.normal, axis=0).max() < _FLAT)
+        return are_alike(self.texels.normal)
 
     def seen(self, view: int, points: np.ndarray, values: np.ndarray) -> np.ndarray:
         """Return the projections of points of the object into a photograph, (n, 2) superpixels, for given unknowns."""

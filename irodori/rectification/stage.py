@@ -240,7 +240,7 @@ def sample_picture(file: store.Reader, xy, within) -> tuple[np.ndarray, np.ndarr
 
 
 class Observations(NamedTuple):
-    """Observations of n texels in J captures, (n, J, ...), or in one of them, (n, ...), as `rectify_object` describes."""
+    """Observations of n texels in J captures, (n, J, ...), or in one, (n, ...), as `rectify_object` describes them."""
 
     response: np.ndarray
     geometry: np.ndarray
