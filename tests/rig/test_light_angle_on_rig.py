@@ -11,6 +11,7 @@ from irodori.fitting.light_angle import light_angle_in
 from irodori.fitting.solvers import FitOptions
 from irodori.rectification.object_registration import Registered
 from irodori.rectification.placement_correction import COUNT, LIGHT, Correction
+from irodori.rectification.registration_covariance import RegisteredAngleErrors
 
 POSES = [
     Pose(light, camera, 0.0, turn) for light, camera in ((35, 0), (45, 25), (60, 10)) for turn in (0.0, 90.0, 180.0)
@@ -33,8 +34,9 @@ def test_a_glossy_ball_shows_where_the_light_stands(tmp_path, definitions, dista
 def registered(prior_deg: float) -> Registered:
     prior = np.ones(COUNT)
     prior[LIGHT] = prior_deg
-    nothing = np.zeros(1)
-    return Registered(Correction(), np.diag(prior**2), prior, nothing, nothing, 0.1, nothing, (("turn_deg", 0.0),))
+    one, suspects = np.zeros(1), (("turn_deg", 0.0),)
+    errors = RegisteredAngleErrors(np.zeros(4), np.zeros((1, 4)), np.zeros((4, 2)))
+    return Registered(Correction(), np.diag(prior**2), prior, one, one, 0.1, one, suspects, errors)
 
 
 def test_angles_that_the_photographs_contradict_are_corrected_and_others_stay_as_typed():
