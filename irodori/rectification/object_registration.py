@@ -156,6 +156,8 @@ class Registered:
         Errors of the angles of the observations that follow from all errors of the registration.
     sheet : FoundSheet, optional
         The printed sheet, if there is one.
+    light_deg : (float, float), optional
+        Error of all light angles by shading and highlights, and its standard error, whether it is corrected or not.
     """
 
     correction: Correction
@@ -168,6 +170,7 @@ class Registered:
     suspects: tuple[tuple[str, float], ...]
     angle_errors: RegisteredAngleErrors
     sheet: FoundSheet | None = None
+    light_deg: tuple[float, float] | None = None
 
     @property
     def sigma(self) -> np.ndarray:
@@ -197,7 +200,8 @@ class Registered:
         else:
             variance = 1.0 / (prior**-2 + error_deg**-2)
         covariance[LIGHT], covariance[:, LIGHT], covariance[LIGHT, LIGHT] = 0.0, 0.0, variance
-        return replace(self, correction=Correction.of(values), covariance=covariance)
+        shown = (offset_deg, error_deg)
+        return replace(self, correction=Correction.of(values), covariance=covariance, light_deg=shown)
 
 
 class _Texels(NamedTuple):
@@ -1048,7 +1052,6 @@ def register_object(
     shown = light(setup.corrected(found.correction)) if light else None
     if shown is not None:
         found = found.with_light(*shown)
-        LOGGER.info("shading and highlights show the light %+.2f +- %.2f degrees from its typed angles", *shown)
     sentence = in_words(found)
     LOGGER.info("%s", sentence)
     LOGGER.info("%s", found.angle_errors)
@@ -1153,6 +1156,9 @@ def in_words(found: Registered) -> str:
         parts.append(f"confirmed as typed: {', '.join(confirmed)}")
     if silent:
         parts.append(f"not determined by the photographs, kept as typed: {', '.join(silent)}")
+    if found.light_deg is not None:
+        offset, error = found.light_deg
+        parts.append(f"highlights and shading show the light {offset:+.2f} ± {error:.2f} deg from its typed angles")
     if found.sheet is not None:
         corners = found.sheet.corners
         shown = f"{np.count_nonzero(corners)} of {len(corners)} photographs, {corners.sum()} corners"

@@ -9,7 +9,7 @@ from irodori.config.capture_table import Pose
 from irodori.config.models import Object
 from irodori.fitting.light_angle import light_angle_in
 from irodori.fitting.solvers import FitOptions
-from irodori.rectification.object_registration import Registered
+from irodori.rectification.object_registration import Registered, in_words
 from irodori.rectification.placement_correction import COUNT, LIGHT, Correction
 from irodori.rectification.registration_covariance import RegisteredAngleErrors
 
@@ -42,9 +42,10 @@ def registered(prior_deg: float) -> Registered:
 def test_angles_that_the_photographs_contradict_are_corrected_and_others_stay_as_typed():
     found = registered(0.05).with_light(0.6, 0.06)
     assert found.correction.values[LIGHT] == 0.6 and found.sigma[LIGHT] == pytest.approx(0.06)
-    assert found.is_told[LIGHT]
+    assert found.is_told[LIGHT] and "every light angle +0.60 ± 0.06 deg" in in_words(found)
     agrees = registered(0.05).with_light(0.2, 0.06)
     assert agrees.correction.values == Correction().values
+    assert "show the light +0.20 ± 0.06 deg from its typed angles" in in_words(agrees)
     assert agrees.sigma[LIGHT] == pytest.approx(0.05 * 0.06 / np.hypot(0.05, 0.06))
     # Where the angles are stated to be less certain, they are corrected as all numbers are that photographs determine.
     assert registered(1.0).with_light(0.2, 0.06).correction.values[LIGHT] == 0.2
