@@ -1157,8 +1157,8 @@ def in_words(found: Registered) -> str:
     if silent:
         parts.append(f"not determined by the photographs, kept as typed: {', '.join(silent)}")
     if found.light_deg is not None:
-        offset, error = found.light_deg
-        parts.append(f"highlights and shading show the light {offset:+.2f} ± {error:.2f} deg from its typed angles")
+        off = "{:+.2f} ± {:.2f} deg".format(*found.light_deg)
+        parts.append(f"highlights and shading show the light {off} from its typed angles")
     if found.sheet is not None:
         corners = found.sheet.corners
         shown = f"{np.count_nonzero(corners)} of {len(corners)} photographs, {corners.sum()} corners"

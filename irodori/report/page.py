@@ -147,9 +147,9 @@ def write_report(inputs: dict, names: dict, benchmarks, output) -> None:
     ----------
     inputs : dict
         Files by kind. One file: errors; lists: plans, imperfections, budgets, lenses, references, registrations,
-        placements, materials, true_materials, environments, sessions, calibrations, calibration_errors, selections, pictures,
-        figures, true_pictures, comparisons, comparison_figures; and pages, the classroom page in the folder of the
-        report, if there is one.
+        placements, materials, true_materials, environments, sessions, calibrations, calibration_errors, selections,
+        pictures, figures, true_pictures, comparisons, comparison_figures; and pages, the classroom page in the folder
+        of the report, if there is one.
     names : dict
         Names in the order of the files: objects, virtual_objects, environments, cameras, lens_cameras, views,
         virtual_views, photographs; title, of the report; and jobs, the beginnings of the names of the jobs whose time
