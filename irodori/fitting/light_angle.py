@@ -7,19 +7,22 @@ each photograph shows them under one set of angles.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from irodori.config.parts import typed_index
 from irodori.fitting.level_estimate import MOST_TEXELS, adjust, describe, predict
 from irodori.fitting.solvers import FitOptions
 from irodori.fitting.stage import GREEN
 from irodori.fitting.texel_sample import Readings
 from irodori.geometry.atlas import are_alike
 from irodori.geometry.shapes.shape import Shape
+from irodori.material.lobe_choices import lobes_before_choice
 from irodori.rectification.placement_correction import LIGHT, Correction
 from irodori.rectification.stage import RigSetup, angles_in_captures, noise_models, observe_captures
+from irodori.spectra.published import refractive_index
 
 if TYPE_CHECKING:
     from irodori.config.models import Object
@@ -87,48 +90,60 @@ def estimate_light_angle(sight: Sight, options: FitOptions) -> LightAngle | None
     return None
 
 
-def light_angle_in(
-    linear: Sequence,
-    definition: "Object | TexturedObject",
-    setup: RigSetup,
-    options: FitOptions,
-    index: tuple,
-    max_angle_deg: float,
-) -> LightAngle | None:
-    """Return the error of all light angles in photographs of an object; None where they do not determine it.
+@dataclass(frozen=True)
+class LightSearch:
+    """Search for the light in photographs of one object; called with a setup, it returns what they tell.
 
     Parameters
     ----------
     linear : sequence of path
         Files of linear responses.
     definition : Object or TexturedObject
-    setup : RigSetup
-        Camera and rig, with the object's place corrected.
     options : FitOptions
     index : (n, k) of float or (61,) float
         Complex refractive index, of which the mean is taken.
     max_angle_deg : float
         Observations under larger angles of incidence or reflection do not count.
     """
-    shape = Shape.from_definition(definition.shape)
-    wanted = MOST_TEXELS / _OBSERVED
-    shrink = min(1.0, np.sqrt(wanted / (definition.texels.width * definition.texels.height)))
-    size = (max(2, round(side * shrink)) for side in (definition.texels.width, definition.texels.height))
-    texels = shape.atlas(*size)
-    if are_alike(texels.normal[texels.covered]):
-        return None
-    noise, (n, k) = noise_models(list(linear))[:, GREEN], (float(np.mean(value)) for value in index)
 
-    def lit_from(offset_deg: float) -> RigSetup:
-        values = list(setup.correction.values)
-        values[LIGHT] += offset_deg
-        return replace(setup, correction=Correction.of(values))
+    linear: Sequence
+    definition: "Object | TexturedObject"
+    options: FitOptions
+    index: tuple
+    max_angle_deg: float
 
-    def readings(offset_deg: float) -> Readings:
-        found = observe_captures(linear, shape, texels, lit_from(offset_deg), max_angle_deg)
-        return Readings(found.response[..., GREEN], found.weight, found.geometry.astype(np.float64), noise, n, k)
+    @classmethod
+    def of(cls, linear: Sequence, definition: "Object | TexturedObject", params) -> "LightSearch":
+        """Return the search with a rule's plain parameters fit, lobes, refractive_index and max_angle_deg."""
+        options = FitOptions(**params.fit, lobes=lobes_before_choice(params.lobes))
+        index = refractive_index(typed_index(params.refractive_index))
+        return cls(linear, definition, options, index, params.max_angle_deg)
 
-    def geometry(offset_deg: float) -> np.ndarray:
-        return angles_in_captures(linear, shape, texels, lit_from(offset_deg))
+    def __call__(self, setup: RigSetup) -> LightAngle | None:
+        """Return the error of all light angles; None where the photographs do not determine it.
 
-    return estimate_light_angle(Sight(readings, geometry), options)
+        Parameters
+        ----------
+        setup : RigSetup
+            Camera and rig, with the object's place corrected.
+        """
+        shape, size = Shape.from_definition(self.definition.shape), self.definition.texels
+        shrink = min(1.0, np.sqrt(MOST_TEXELS / _OBSERVED / (size.width * size.height)))
+        texels = shape.atlas(*(max(2, round(side * shrink)) for side in (size.width, size.height)))
+        if are_alike(texels.normal[texels.covered]):
+            return None
+        noise, (n, k) = noise_models(list(self.linear))[:, GREEN], (float(np.mean(value)) for value in self.index)
+
+        def lit_from(offset_deg: float) -> RigSetup:
+            values = list(setup.correction.values)
+            values[LIGHT] += offset_deg
+            return replace(setup, correction=Correction.of(values))
+
+        def readings(offset_deg: float) -> Readings:
+            found = observe_captures(self.linear, shape, texels, lit_from(offset_deg), self.max_angle_deg)
+            return Readings(found.response[..., GREEN], found.weight, found.geometry.astype(np.float64), noise, n, k)
+
+        def geometry(offset_deg: float) -> np.ndarray:
+            return angles_in_captures(self.linear, shape, texels, lit_from(offset_deg))
+
+        return estimate_light_angle(Sight(readings, geometry), self.options)

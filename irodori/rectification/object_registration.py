@@ -1023,7 +1023,7 @@ def register_object(
         The printed sheet on which the object stands.
     light : function, optional
         Returns the error of all light angles and its standard error, deg, for a corrected setup, or None where the
-        photographs do not determine it; `irodori.fitting.light_angle.light_angle_in` does.
+        photographs do not determine it; `irodori.fitting.light_angle.LightSearch` is one.
 
     Raises
     ------

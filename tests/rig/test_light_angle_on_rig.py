@@ -7,7 +7,7 @@ from test_near_light import definitions, photographed, setup_of, small, uniform 
 
 from irodori.config.capture_table import Pose
 from irodori.config.models import Object
-from irodori.fitting.light_angle import light_angle_in
+from irodori.fitting.light_angle import LightSearch
 from irodori.fitting.solvers import FitOptions
 from irodori.rectification.object_registration import Registered, in_words
 from irodori.rectification.placement_correction import COUNT, LIGHT, Correction
@@ -27,7 +27,7 @@ def test_a_glossy_ball_shows_where_the_light_stands(tmp_path, definitions, dista
     off[LIGHT] = -1.2
     setup = setup_of(camera, rig, white=distance_mm is not None).corrected(Correction.of(off))
     definition["texels"] = {"width": 64, "height": 32}
-    found = light_angle_in(files, made(Object, definition), setup, FitOptions(), (1.5, 0.0), 80.0)
+    found = LightSearch(files, made(Object, definition), FitOptions(), (1.5, 0.0), 80.0)(setup)
     assert found is not None and abs(found.offset_deg - 1.2) < 0.2
 
 

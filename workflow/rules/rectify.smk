@@ -31,8 +31,6 @@ rule register_object:
             "irodori.rectification.object_registration",
             "irodori.fitting.light_angle",
             "irodori.lens.lens_file",
-            "irodori.material.lobe_choices",
-            "irodori.spectra.published",
         ),
     script:
         "../scripts/register_object.py"

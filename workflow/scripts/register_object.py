@@ -1,15 +1,10 @@
-from functools import partial
-
 from irodori.config.models import Markers, Optics, Placing, RigPose
-from irodori.config.parts import RigGeometry, TexturedObject, typed_index
+from irodori.config.parts import RigGeometry, TexturedObject
 from irodori.core.run_rule import run_rule
-from irodori.fitting.light_angle import light_angle_in
-from irodori.fitting.solvers import FitOptions
+from irodori.fitting.light_angle import LightSearch
 from irodori.lens.lens_file import optics_in_use
-from irodori.material.lobe_choices import lobes_before_choice
 from irodori.rectification.object_registration import register_object
 from irodori.rectification.stage import RigSetup
-from irodori.spectra.published import refractive_index
 
 with run_rule(snakemake) as provenance:
     white, markers = snakemake.params.white_pose, snakemake.params.markers
@@ -24,14 +19,7 @@ with run_rule(snakemake) as provenance:
         ),
         Placing.of(snakemake.params.place),
         Markers.of(markers) if markers else None,
-        light=partial(
-            light_angle_in,
-            snakemake.input.linear,
-            definition,
-            options=FitOptions(**snakemake.params.fit, lobes=lobes_before_choice(snakemake.params.lobes)),
-            index=refractive_index(typed_index(snakemake.params.refractive_index)),
-            max_angle_deg=snakemake.params.max_angle_deg,
-        ),
+        light=LightSearch.of(snakemake.input.linear, definition, snakemake.params),
         output=snakemake.output.registration,
         provenance=provenance,
     )
