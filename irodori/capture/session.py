@@ -292,7 +292,7 @@ class Session:
         self.journal.drop(files, "doubtful")
         self.tally.taken -= len(shots)
         self.tally.retaken += len(shots)
-        return [replace(shot, taken=Taken()) for shot in shots]
+        return shots
 
     def _take_or_end(self, shot: Shot | None, planned: Sequence[Shot]) -> None:
         missing, total = self.journal.missing(planned), len(planned)

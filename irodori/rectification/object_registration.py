@@ -545,7 +545,7 @@ def _displaced_outlines(problem: _Problem, measured: list, outlines: list[Rows],
     """Return the displacement of every photograph's outline as a whole, all its points with the same weight.
 
     What single points say, at edges of something else, is no error of the outline: at the end they have lost their
-    influence. Arguments as in `_outline_rows`, with its result.
+    influence. An outline whose points do not agree tells nothing. Arguments as in `_outline_rows`, with its result.
     """
     found = []
     for number, (rows, (distance, _, which)) in enumerate(zip(outlines, measured, strict=True)):
@@ -553,8 +553,9 @@ def _displaced_outlines(problem: _Problem, measured: list, outlines: list[Rows],
         if len(distance):
             xy = problem.seen(number, view.rim[which], problem.unknowns)
             displaced = _displaced(xy, view.outward[which], distance)
-        even = np.full(len(distance), 1.0 / (scale**2 * _OUTLINE_SHARED))
-        found.append(rows._replace(weight=even, off=np.zeros(len(distance)) if displaced is None else displaced))
+        weight = 0.0 if displaced is None else 1.0 / (scale**2 * _OUTLINE_SHARED)
+        off = distance if displaced is None else displaced
+        found.append(rows._replace(weight=np.full(len(distance), weight), off=off))
     return found
 
 

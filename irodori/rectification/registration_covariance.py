@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 _LEAST_COSINE = 0.15  # cosine of incidence or of view below which an observation is left out
 _LEAST_SINE = 1e-3  # sine of an angle below which its derivative is not defined
 _NEIGHBOURS = 4.0  # times the usual distance of neighbouring texels: further apart, they are of different parts
+_EDGE = 0.5  # rad: normals of neighbouring texels that differ by more lie on both sides of an edge
 
 
 class Rows(NamedTuple):
@@ -205,13 +206,15 @@ def _is_seen(problem: "Problem", number: int) -> np.ndarray:
 def _is_amid(problem: "Problem") -> np.ndarray:
     """Return a mask of the texels that have their neighbours on the surface on both sides of them on the grid, (n,).
 
-    Slopes between others are inexact on a curved surface, or lead from one part of the surface to another.
+    Slopes between others are inexact on a curved surface, or lead across an edge to another part of the surface.
     """
-    down, across = np.gradient(problem.on_grid(problem.texels.position), axis=(0, 1))
-    amid = np.zeros(down.shape[:2], dtype=bool)
+    amid = np.zeros((problem.texels.rows, problem.texels.columns), dtype=bool)
     amid[1:-1, 1:-1] = True
-    for step in (down, across):
-        size = np.linalg.norm(step, axis=2)
+    for axis in (0, 1):
+        apart, bend = (
+            np.linalg.norm(np.gradient(problem.on_grid(values), axis=axis), axis=2)
+            for values in (problem.texels.position, problem.texels.normal)
+        )
         with np.errstate(invalid="ignore"):
-            amid &= size < _NEIGHBOURS * np.nanmedian(size)
+            amid &= (apart < _NEIGHBOURS * np.nanmedian(apart)) & (bend < _EDGE)
     return amid.ravel()[problem.texels.number]
