@@ -114,6 +114,8 @@ _TABLE = {
         "a lamp that drifts over a lobe that is not modelled": "its level is found within the stated error",
         "a lamp that drifts over a surface that no model describes": "no level is stated, or one nearer the truth",
         "a lamp that drifts over a flat object": "no level is stated",
+        "light angles off by up to 5 degrees": "their error is found within its stated error",
+        "light angles of a surface that the lobe does not describe": "no contradiction is stated",
         "two lobes fitted as one": "not OK where the readings tell, else α right within the errors",
         "μ above its bound": "flagged at-bound",
         "1 % noise": "no dense scan finds a lower minimum; prediction within the noise",

@@ -7,6 +7,7 @@ session, the next one finds complete files and complete lines, and takes what is
 import math
 import os
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -41,8 +42,9 @@ class Tally:
     """Counts of a session's photographs.
 
     ``kept`` photographs were in the table before, ``adopted`` ones were in the folder without a line, ``retired`` ones
-    are no longer required, ``retaken`` ones were taken again at a person's request. ``doubted`` counts photographs that
-    did not look as expected, ``accepted`` those of them that a person kept.
+    are no longer required, ``retaken`` ones were taken again at a person's request, or because a later photograph of
+    the same pose contradicted them. ``doubted`` counts photographs that did not look as expected, ``accepted`` those
+    that a person kept.
     """
 
     taken: int = 0
@@ -55,6 +57,14 @@ class Tally:
     accepted: int = 0
     operator_steps: int = 0
     seconds: float = 0.0
+
+
+class _BothInDoubt(Exception):
+    """Request to take earlier photographs again, and then the one that contradicted them."""
+
+    def __init__(self, files: Sequence[str]) -> None:
+        super().__init__(*files)
+        self.files = files
 
 
 class PositionError(DeviceError):
@@ -132,6 +142,8 @@ class Session:
         self._settle_s, self._settled_at = settle_s, -math.inf
         self._stands: dict[str, float] = {}
         self._series, self._body, self._without_outline = Series(()), "", ""
+        #: How often a photograph was doubted since it was last found sound.
+        self._doubted: Counter[str] = Counter()
         #: Results of this sitting's drift frames.
         self.drift: list[Drift] = []
         #: Comparisons with the rig's limit switches in this sitting.
@@ -266,8 +278,21 @@ class Session:
                 if wanted[0] is None or wanted[0].file != last.file:
                     wanted.insert(0, last)
                 continue
+            except _BothInDoubt as doubt:
+                wanted[:0] = self._withdrawn(doubt.files)
+                continue
             if done := wanted.pop(0):
                 self._dialogue.stored(done.file)
+
+    def _withdrawn(self, files: Sequence[str]) -> list[Shot]:
+        """Set photographs aside that a later one has put in doubt, and return their shots."""
+        shots = [self.journal.shots[file] for file in files]
+        for shot in shots:
+            self._series.forget(shot)
+        self.journal.drop(files, "doubtful")
+        self.tally.taken -= len(shots)
+        self.tally.retaken += len(shots)
+        return shots
 
     def _take_or_end(self, shot: Shot | None, planned: Sequence[Shot]) -> None:
         missing, total = self.journal.missing(planned), len(planned)
@@ -362,7 +387,7 @@ class Session:
 
         Errors name the final file.
         """
-        failed = doubted = 0
+        failed = 0
         read = {} if self.rig is None else self.rig.position()
         # Computed before the exposure, so that the photograph is shown as soon as it is downloaded.
         outline = self._outline(shot) if self._dialogue.watched else None
@@ -391,15 +416,24 @@ class Session:
                 self._show(shot.file, finding, mosaic, outline)
             if not doubts:
                 self._add(self._series, shot, look)
+                del self._doubted[shot.file]
                 return taken, digest
-            doubted += 1
+            self._doubted[shot.file] += 1
             self.tally.doubted += 1
-            if reason := self._judged(path, doubts, doubted):
-                self.tally.accepted += 1
+            beside = sorted({file for doubt in doubts for file in doubt.beside})
+            if reason := self._judged(path, doubts, beside, self._doubted[shot.file]):
+                self.journal.accept(beside, reason)
+                for file in beside:
+                    self._series.forget(self.journal.shots[file])
+                self.tally.accepted += 1 + len(beside)
                 return replace(taken, accepted=reason), digest
+            if beside:
+                raise _BothInDoubt(beside)
 
-    def _judged(self, path: Path, doubts: Sequence[Doubt], times: int) -> str:
+    def _judged(self, path: Path, doubts: Sequence[Doubt], beside: Sequence[str], times: int) -> str:
         """Return the reason to keep a doubtful photograph, empty if it is to be taken again.
+
+        ``beside`` are the files of earlier photographs that share its fate, and ``times`` how often it was doubted.
 
         Raises
         ------
@@ -409,6 +443,8 @@ class Session:
             If the person stops.
         """
         found = "; ".join(f"{doubt.kind}: {doubt.words}" for doubt in doubts)
+        if beside:
+            found += f" {' and '.join([*beside, path.name])} are taken again or kept together."
         if self._hand.operator.attended:
             reason = self._hand.operator.judge(f"{path.name}: {found}")  # a phone is narrow
             return " ".join(reason.split())

@@ -75,7 +75,7 @@ class Placing(Definition):
     #: Standard deviation of an error that all camera angles share, and of each photograph's own error, in degrees.
     camera_deg: float = 0.05
 
-    #: Standard deviation of an error that all light angles share, in degrees.
+    #: Standard deviation of an error that all light angles share, and of each photograph's own error, in degrees.
     light_deg: float = 0.05
 
     #: Largest root-mean-square distance between the object in one photograph and the place that the other photographs
@@ -128,8 +128,9 @@ class Fit(Definition):
     #: Relative error of an observation apart from noise, such as the drift of the light (ratio).
     model_error: float = 0.01
 
-    #: Standard deviation of the angle of light or camera, in degrees; enters the standard errors.
-    pose_error_deg: float = 0.05
+    #: Standard deviation of the angle of light or camera, in degrees; enters the standard errors. With auto, the errors
+    #: are those that registration finds for each object, or 0.05 if objects are not registered.
+    pose_error_deg: Literal["auto"] | float = "auto"
 
     #: Relative error that all observations of an object share, of the white reference's reflectance and of the lamp's
     #: level between the white reference and the object (ratio).

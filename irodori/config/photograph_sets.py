@@ -223,6 +223,10 @@ class PhotographSets:
         """Return the mesh files of an object; empty for another shape."""
         return self.meshes_of(wildcards.object)
 
+    def mesh_and_tables_of_index(self, wildcards) -> list[str]:
+        """Return the mesh files of an object and the table of its refractive index, as far as it has them."""
+        return [*self.mesh(wildcards), *self.tables_of_index(wildcards)]
+
     # ---- cameras
 
     def white_reflectance(self, wildcards) -> float | str:

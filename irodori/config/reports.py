@@ -9,6 +9,7 @@ that of a camera, which has neither objects nor views.
 """
 
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
 from irodori.config.models import Scene
@@ -86,6 +87,10 @@ class Reports:
     def objects(self, pattern: str, virtual_only: bool = False) -> _OfReport:
         """Return a function that fills a pattern with every object of a report, or with the virtual ones only."""
         return lambda wildcards: [pattern.format(object=name) for name in self._objects(wildcards, virtual_only)]
+
+    def placements(self, wildcards) -> list[str]:
+        """Return the files that tell where the objects of a report lay; empty if objects are not registered."""
+        return [f for name in self._objects(wildcards) for f in self._sets.registration(SimpleNamespace(object=name))]
 
     def environments(self, pattern: str, virtual_only: bool = False) -> _OfReport:
         """Return a function that fills a pattern with every environment of a report, or with the virtual ones only.

@@ -232,7 +232,7 @@ class _Budget:
     def add_materials(self) -> None:
         """Add the rows of noise, calibration, seams, coverage and gloss."""
         noisy = self._moved(self._drawn(lambda one, own: draws.noisy(one, own, self._rng)))
-        by = "camera's noise and the fit's model_error and pose_error_deg of every photograph, through the calibration"
+        by = "camera's noise and the fit's errors of light and angles in every photograph, through the calibration"
         self._add_part("noise", "noise: scatter of the colour within a paint", noisy, by)
         left_out = float(np.mean([one.known.left_out for one in self._objects]))
         label = "calibration and fit: mean colour of a paint"

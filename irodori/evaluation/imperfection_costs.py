@@ -211,10 +211,14 @@ def run_chain(chain: SmallChain, folder: Path, seen: dict | None = None) -> Mate
     assert chain.camera.optics is not None  # checked: a camera of objects has optics
     white = chain.camera.poses.white if chain.camera.poses else None
     setup = RigSetup.from_definitions(chain.camera.optics, RigGeometry.of_rig(chain.rig), white)
+    angle_error_deg = None
     if settings.place.register and (chain.faults.laid_off.enabled or chain.faults.focal_length.enabled):
-        setup = setup.corrected(register(linear, chain.definition, setup, settings.place).correction)
-    limit = settings.rectify.max_angle_deg
-    rectify_object(linear, chain.definition, setup, (0, texels.height), limit, output=tile, provenance=_MADE)
+        registered = register(linear, chain.definition, setup, settings.place)
+        setup, angle_error_deg = setup.corrected(registered.correction), registered.angle_errors.stated
+    limit, rows = settings.rectify.max_angle_deg, (0, texels.height)
+    rectify_object(
+        linear, chain.definition, setup, rows, limit, angle_error_deg=angle_error_deg, output=tile, provenance=_MADE
+    )
     index = refractive_index(chain.definition.refractive_index)
     fit_brdf(tile, brdf, settings.fit, *index, provenance=_MADE, calibration=calibration)
     compress_reflectance(

@@ -8,6 +8,7 @@ from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.config.models import Fit
 from irodori.core import store
 from irodori.geometry.shapes.shape import Shape
+from irodori.material.angle_errors import errors_in_use, registered_errors
 from irodori.material.fitted_tiles import FittedTiles
 from irodori.material.material_file import Material, gloss_maps
 
@@ -200,7 +201,7 @@ class Known:
     model_error : float
         Relative standard deviation that the fit assumes for the light of a photograph.
     pose_error_rad : float
-        Standard deviation that the fit assumes for an angle of a pose.
+        Standard deviation that the fit assumes for the angle of incidence.
     covered : (height, width) bool
         Texels that lie on the surface.
     """
@@ -239,6 +240,7 @@ class Known:
         with store.open_file(files["calibration"]) as file:
             left_out = float(file.read(f"leave_one_out/delta_e_{_LIGHT.lower()}").mean())
         photographs = Photographs.load(files["observations"], maps["diffuse_response"][..., _GREEN], fit.model_error)
+        angles = errors_in_use(fit.pose_error_deg, registered_errors(files["observations"][0]))
         return cls(
             material=own,
             gloss_error=np.stack([maps[name] for name in of_gloss], axis=-1),
@@ -249,7 +251,7 @@ class Known:
             photographs=photographs,
             spread=Spread.of(shape, own.alpha.shape, sample_mm, photographs.stretch),
             model_error=fit.model_error,
-            pose_error_rad=float(np.radians(fit.pose_error_deg)),
+            pose_error_rad=float(np.radians(angles.theta_i_deg)),
             covered=shape.is_covered(*own.alpha.shape[::-1]),
         )
 

@@ -149,9 +149,8 @@ def _take_part(block, lobes, rules, gloss, room, out):
     cc, cr, cg, cs = 0.0, 0.0, 0.0, 0.0
     for j in range(block.shape[1]):
         c, g, w = block[_C, j], room[_GLOSS, j], block[_W, j]
-        # As in `irodori.fitting.judge`: an angle error of σ gives θ_i an error of σ, and φ one of σ/√2.
-        pose = 0.5 * room[_STEEP, j] * g * g + alpha * alpha * (1.0 - c * c)
-        w /= 1.0 + w * rules.pose_variance * pose
+        pose = rules.phi_variance * room[_STEEP, j] * g * g
+        w /= 1.0 + w * (pose + rules.incidence_variance * alpha * alpha * (1.0 - c * c))
         room[_KNOWN, j] = w
         cc, cr, cg, cs = cc + w * c * c, cr + w * c * block[_R, j], cg + w * c * g, cs + w * c * room[_SLOPE, j]
     alpha = min(max((cr - cg) / cc, rules.low_alpha), rules.high_alpha)
@@ -213,8 +212,8 @@ def _common_part(surface, gloss):
             jb, jm = g + c * part[ALPHA_BY_BETA], room[_SLOPE, j] + c * part[ALPHA_BY_MU]
             light = rules.model_error * (part[ALPHA] * c + g)
             # A pose error moves the highlight of a photograph towards the texels on one side, away from the others.
-            flank = blocks[t, _SIDE, j] * math.sqrt(0.5 * rules.pose_variance * room[_STEEP, j]) * g
-            tilt = math.sqrt(rules.pose_variance * max(1.0 - c * c, 0.0)) * part[ALPHA]
+            flank = blocks[t, _SIDE, j] * math.sqrt(rules.phi_variance * room[_STEEP, j]) * g
+            tilt = math.sqrt(rules.incidence_variance * max(1.0 - c * c, 0.0)) * part[ALPHA]
             for i, size in enumerate((light, flank, tilt)):
                 common[j, i, 0] += w * size * jb
                 common[j, i, 1] += w * size * jm

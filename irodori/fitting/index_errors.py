@@ -80,8 +80,8 @@ def _add(rows, moved, lobes, found, rules, into):
         steepness = lobe_kernels.flank(lobes, constant, rows[F0, j], rows[F1, j], rows[F2, j])[1]
         row[0], row[1], row[2] = c, gloss * value, b * slope * gloss
         row[3] = b * value * (moved.above[j] - gloss) / width
-        pose = 0.5 * steepness * (b * row[1]) ** 2 + a * a * (1.0 - c * c)
-        v = rows[VARIANCE, j] + rules.pose_variance * (pose + b * b * moved.tilt[j])
+        pose = rules.phi_variance * steepness * (b * row[1]) ** 2
+        v = rows[VARIANCE, j] + pose + rules.incidence_variance * (a * a * (1.0 - c * c) + b * b * moved.tilt[j])
         off = a * c + b * row[1] - rows[RESPONSE, j]
         chi2 += off * off / v
         for i in range(UNKNOWNS):

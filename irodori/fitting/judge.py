@@ -158,9 +158,8 @@ def sums_at_minimum(rows, lobes, found, rules, with_variances):
         n0, n1, n2 = n0 + wc * c, n1 + wc * g, n2 + wg * g
         n3, n4, n5 = n3 + wc * s, n4 + wg * s, n5 + ws * s
         if with_variances:
-            # Both angles of the rig have an error of σ: θ_i one of σ, φ = |θ_i - θ_r| / 2 one of σ/√2.
-            pose = 0.5 * steepness * gloss * gloss + a * a * (1.0 - c * c)
-            v = get(rows, EXPECTED, j) + rules.pose_variance * pose
+            pose = rules.phi_variance * steepness * gloss * gloss + rules.incidence_variance * a * a * (1.0 - c * c)
+            v = get(rows, EXPECTED, j) + pose
             chi2 = chi2 + select(w > 0.0, r * r / v, 0.0)
             wv = w * v
             m0, m1, m2 = m0 + wc * c * wv, m1 + wc * g * wv, m2 + wg * g * wv
@@ -334,7 +333,7 @@ def diffuse_errors(rows, a, used, rules):
     normal, middle, squares, chi2 = spread(0.0), spread(0.0), spread(0.0), spread(0.0)
     for j in range(vectors_of(rows)):
         c, w = get(rows, COSINE, j), get(rows, WEIGHT, j)
-        v = get(rows, EXPECTED, j) + rules.pose_variance * a * a * (1.0 - c * c)
+        v = get(rows, EXPECTED, j) + rules.incidence_variance * a * a * (1.0 - c * c)
         r = a * c - get(rows, RESPONSE, j)
         squares = squares + w * r * r
         chi2 = chi2 + select(w > 0.0, r * r / v, 0.0)

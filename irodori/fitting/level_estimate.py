@@ -60,10 +60,11 @@ class EstimatedLevels:
     texels: int
 
 
-class _Texels(NamedTuple):
+class DescribedTexels(NamedTuple):
     """Texels used for the estimate: readings divided by the present levels, their weights, and the fitted gloss."""
 
     readings: Readings
+    chosen: np.ndarray  # (all texels,) bool, which of the texels these are
     seen: np.ndarray  # (texels, J) bool
     lobes: tuple[str, ...]
     gloss: np.ndarray  # (texels, 2 components) β and μ of each
@@ -134,7 +135,7 @@ def _variance(readings: Readings, response: np.ndarray, relative: float) -> np.n
     return noise[:, 0] + noise[:, 1] * np.maximum(response, 0.0) + (relative * response) ** 2 + _LEAST_VARIANCE
 
 
-def _modelled(texels: _Texels) -> _Model:
+def _modelled(texels: DescribedTexels) -> _Model:
     """Return the fitted model with the least-squares α of the observations."""
     readings, seen = texels.readings, texels.seen
     cosine, fresnel = _diffuse(readings.geometry), texels.fresnel(readings.geometry)
@@ -151,7 +152,7 @@ def _modelled(texels: _Texels) -> _Model:
     return _Model(alpha, cosine, gloss, np.stack(slopes, axis=-1))
 
 
-def _of_photographs(texels: _Texels, model: _Model, options: FitOptions) -> np.ndarray:
+def _of_photographs(texels: DescribedTexels, model: _Model, options: FitOptions) -> np.ndarray:
     """Return each photograph's derivatives by its own unknowns, per prior standard deviation, (texels, J, unknowns)."""
     response, geometry = model.alpha * model.cosine + model.gloss, texels.readings.geometry
     changes = [options.model_error * response, _SHARED_GLOSS_ERROR * model.gloss]
@@ -160,11 +161,11 @@ def _of_photographs(texels: _Texels, model: _Model, options: FitOptions) -> np.n
         for angle in (_TURN_RAD, -_TURN_RAD):
             moved = turned(geometry, angle, light=light)
             sides.append(model.alpha * _diffuse(moved) + texels.gloss_at(moved))
-        changes.append((sides[0] - sides[1]) * (np.radians(options.pose_error_deg) / (2.0 * _TURN_RAD)))
+        changes.append((sides[0] - sides[1]) * (np.radians(options.angles.rig_deg) / (2.0 * _TURN_RAD)))
     return np.stack(changes, axis=-1)
 
 
-def _of_all(texels: _Texels, model: _Model) -> np.ndarray:
+def _of_all(texels: DescribedTexels, model: _Model) -> np.ndarray:
     """Return derivatives by unknowns common to all photographs, per prior standard deviation, (texels, J, unknowns)."""
     geometry = texels.readings.geometry
     even = evaluate("gaussian", _EVEN, geometry) * texels.fresnel(geometry)
@@ -172,6 +173,11 @@ def _of_all(texels: _Texels, model: _Model) -> np.ndarray:
     law = _tents(geometry[..., 0], _THETA_NODES_RAD) + _tents(geometry[..., 1], _THETA_NODES_RAD)
     diffuse = _DEPARTURE * (model.alpha * model.cosine)[..., None] * law[..., 1:]
     return np.concatenate([lobe, diffuse], axis=-1)
+
+
+def predict(texels: DescribedTexels, geometry: np.ndarray) -> np.ndarray:
+    """Return the responses of the fitted texels under other angles, (texels, J) of (texels, J, 4)."""
+    return _modelled(texels).alpha * _diffuse(geometry) + texels.gloss_at(geometry)
 
 
 class _Equations(NamedTuple):
@@ -229,7 +235,7 @@ def estimate_levels(readings: Readings, options: FitOptions) -> EstimatedLevels 
     ----------
     readings : Readings
     options : FitOptions
-        ``model_error`` is the standard deviation of a level before the estimate, ``pose_error_deg`` that of an angle.
+        ``model_error`` is the standard deviation of a level before the estimate, ``angles`` tells that of an angle.
     """
     if not options.model_error > 0.0:
         return None  # levels that cannot differ
@@ -237,17 +243,17 @@ def estimate_levels(readings: Readings, options: FitOptions) -> EstimatedLevels 
     fixed = replace(options, refractive_index="fixed")
     level, error, told = np.ones(readings.response.shape[1]), np.empty(0), 0
     for _ in range(_STEPS):
-        texels = _described(readings, fixed, level)
+        texels = describe(readings, fixed, level)
         if texels is None:
             return None
-        level, error = _step(texels, fixed, level)
+        level, error, *_ = adjust(texels, fixed, level)
         told = len(texels.seen)
     if np.sqrt(np.mean(error**2)) > _KNOWN * options.model_error:
         return None
     return EstimatedLevels(level, error, told)
 
 
-def _described(readings: Readings, options: FitOptions, level: np.ndarray) -> _Texels | None:
+def describe(readings: Readings, options: FitOptions, level: np.ndarray) -> DescribedTexels | None:
     """Return the texels that fit the model under these levels; None if they are too few."""
     dtype = readings.response.dtype
     under = (readings.response / level).astype(dtype)
@@ -264,20 +270,45 @@ def _described(readings: Readings, options: FitOptions, level: np.ndarray) -> _T
     response = np.where(seen, under, 0.0)[described].astype(np.float64)
     weight, geometry = readings.weight[described], readings.geometry[described]
     chosen = replace(readings, response=response, weight=weight, geometry=geometry)
-    return _Texels(chosen, seen[described], found.lobes, found.gloss[described])
+    return DescribedTexels(chosen, described, seen[described], found.lobes, found.gloss[described])
 
 
-def _step(texels: _Texels, options: FitOptions, level: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return levels after one more step, and their errors, (J,) each."""
+class Adjusted(NamedTuple):
+    """Levels of the photographs and values of further unknowns after a step, each with standard errors."""
+
+    level: np.ndarray
+    level_error: np.ndarray
+    further: np.ndarray
+    further_error: np.ndarray
+
+
+def adjust(texels: DescribedTexels, options: FitOptions, level: np.ndarray, slopes=None, further=()) -> Adjusted:
+    """Take one step towards the levels of photographs and further unknowns that all photographs share.
+
+    Parameters
+    ----------
+    texels : DescribedTexels
+    options : FitOptions
+    level : (J,) float
+        Present levels, by which the readings have been divided.
+    slopes : (texels, J, q) float, optional
+        Derivatives of the readings by the further unknowns, each in units of its standard deviation before the step.
+    further : (q,) float
+        Present values of the further unknowns in these units, with which the readings have been modelled.
+    """
     model, readings = _modelled(texels), texels.readings
     fitted = model.alpha * model.cosine + model.gloss
     variance = _variance(readings, fitted, _OWN_ERROR) + (_GLOSS_ERROR * model.gloss) ** 2 + (_STRAY * model.alpha) ** 2
     weight, residual = np.where(texels.seen, 1.0 / variance, 0.0), readings.response - fitted
     single, shared = _of_photographs(texels, model, options), _of_all(texels, model)
+    if slopes is not None:
+        shared = np.concatenate([shared, slopes], axis=-1)
     captures, each = single.shape[1:]
     first = captures * each
     offset = np.zeros(first + shared.shape[2])
     offset[:first:each] = (level - 1.0) / options.model_error
+    own = slice(len(offset) - len(further), None)
+    offset[own] = further
     weight = _without_outliers(weight, residual, model.slopes, single, shared, offset=offset)
     equations = _equations(weight, residual, model.slopes, single, shared)
     covariance = np.linalg.inv(equations.matrix + np.eye(len(offset)))
@@ -286,7 +317,8 @@ def _step(texels: _Texels, options: FitOptions, level: np.ndarray) -> tuple[np.n
     # Of the levels less their mean, which is another unknown.
     among = options.model_error**2 * covariance[:first:each, :first:each]
     centred = np.eye(captures) - 1.0 / captures
-    return level / level.mean(), np.sqrt(np.diag(centred @ among @ centred.T))
+    error = np.sqrt(np.diag(centred @ among @ centred.T))
+    return Adjusted(level / level.mean(), error, offset[own] + solution[own], np.sqrt(np.diag(covariance)[own]))
 
 
 def _without_outliers(weight, residual, slopes, single, shared, *, offset) -> np.ndarray:

@@ -7,7 +7,7 @@ import numpy as np
 from irodori.core import store
 from irodori.fitting.level_estimate import MOST_TEXELS, estimate_levels
 from irodori.fitting.solvers import FitOptions
-from irodori.fitting.stage import GREEN, fresnel_of
+from irodori.fitting.stage import GREEN, for_object, fresnel_of
 from irodori.fitting.texel_sample import Readings, sample_texels
 from irodori.material.photograph_levels import BANDS_OF_STATE, NOTHING, TEXELS, PhotographLevels
 
@@ -32,7 +32,7 @@ def measure_levels(observations: list, output, options: FitOptions, n, k, *, pro
     with store.open_file(observations[0]) as file:
         captures = file.read("capture").astype(str).tolist()
         filters, bands = file.attribute("filters", list), file.dataset("response").shape[2]
-    fresnel = fresnel_of(n, k, calibration, bands)
+    fresnel, options = fresnel_of(n, k, calibration, bands), for_object(options, observations)
     sample = sample_texels(observations, MOST_TEXELS, _OBSERVATIONS)
     found = []
     for band in range(GREEN, bands, BANDS_OF_STATE):

@@ -4,7 +4,7 @@ from irodori.core import store
 from irodori.core.progress import LOGGER
 from irodori.fitting.lobe_choice import ENOUGH_OBSERVATIONS, MOST_TEXELS, candidates, choose
 from irodori.fitting.solvers import FitOptions
-from irodori.fitting.stage import GREEN, fresnel_of
+from irodori.fitting.stage import GREEN, for_object, fresnel_of
 from irodori.fitting.texel_sample import Readings, sample_texels
 from irodori.material.lobe_choices import lobes_text, write_choice
 
@@ -25,7 +25,7 @@ def choose_lobes(observations: list, output, options: FitOptions, n, k, *, prove
     """
     with store.open_file(observations[0]) as file:
         bands = file.dataset("response").shape[2]
-    fresnel = fresnel_of(n, k, calibration, bands)
+    fresnel, options = fresnel_of(n, k, calibration, bands), for_object(options, observations)
     seen = sample_texels(observations, MOST_TEXELS, ENOUGH_OBSERVATIONS)
     sample = Readings.of_band(seen, GREEN, fresnel.n, fresnel.k)
     chosen, found = choose(sample, options, candidates(options))

@@ -3,7 +3,6 @@
 The rows are described in `irodori.fitting.texel_rows`. *Lanes* are vectors with one number for each of eight texels.
 """
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -58,8 +57,8 @@ class Rules(NamedTuple):
         Whether observations are weighted by inverse variance; requires ``known``.
     model_error : float
         Relative error of an observation apart from noise.
-    pose_variance : float
-        Variance of one angle of the rig, rad².
+    incidence_variance, phi_variance : float
+        Variances of θ_i and φ due to errors of the geometry, rad².
     level_error : float
         Relative error common to all observations: that of the white reference's reflectance, and the change of the
         lamp's level between the photographs of white reference and object.
@@ -74,7 +73,8 @@ class Rules(NamedTuple):
     known: bool
     weighted: bool
     model_error: float
-    pose_variance: float
+    incidence_variance: float
+    phi_variance: float
     level_error: float
 
 
@@ -388,8 +388,3 @@ def weights_changed(rows):
         same = same & (w == get(rows, BEFORE, j))
         put(rows, BEFORE, j, w)
     return mask_bits(same) != 255
-
-
-def pose_variance(pose_error_deg: float) -> float:
-    """Return the variance of one angle of the rig, rad²."""
-    return math.radians(pose_error_deg) ** 2

@@ -18,9 +18,9 @@ from irodori.fitting.stage import (
     FITTED_AXES,
     Model,
     fitted_maps,
+    for_object,
     fresnel_of,
     read_observations,
-    with_common_error,
     without_gloss,
 )
 from irodori.material.fitted_tiles import SPEED
@@ -106,7 +106,7 @@ def share_gloss(
     log β and log μ about them; ``/paints/excess``, the factor on the variance of observations; ``/paints/texels``, the
     number of texels in the fit.
     """
-    options = with_common_error(options, levels)
+    options = for_object(options, observations, levels)
     colours = _find_colours(tiles) if len(options.lobes) == 1 else None
     samples, optics, seconds = [], None, 0.0
     parts, carried, fitted = [], {}, 0
@@ -140,6 +140,7 @@ def share_gloss(
         out.attribute("paint_seconds", time.perf_counter() - start)
         out.attribute("lobes", list(options.lobes))
         out.attribute("common_error", options.level_error)
+        out.attribute("angle_errors", options.angles.plain())
     if paints:
         _log(paints, shared)
     else:

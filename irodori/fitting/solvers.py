@@ -5,6 +5,7 @@ import math
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from functools import lru_cache
+from typing import Literal
 
 import nlopt
 import numpy as np
@@ -13,11 +14,12 @@ from irodori.config.cross_checks.object_lobes import SETTINGS_WITH_TWO_LOBES
 from irodori.fitting import judge, nlopt_loop, texels, two_lobes
 from irodori.fitting.index_errors import index_errors
 from irodori.fitting.index_search import fit_index
-from irodori.fitting.observations import Minimum, Rules, camera_noise, pose_variance
+from irodori.fitting.observations import Minimum, Rules, camera_noise
 from irodori.fitting.reported_parameters import report_parameters
 from irodori.fitting.shared_geometry import no_shared
 from irodori.fitting.texel_rows import COSINE, LOBE, LOBE_SLOPE, RESPONSE, WEIGHT
 from irodori.fitting.varpro import NODE_STEP
+from irodori.material.angle_errors import AUTO, AngleErrors, errors_in_use
 from irodori.reflection.lobes import Lobes
 from irodori.reflection.registry import DEFAULT_LOBES, lobe, names
 
@@ -44,8 +46,9 @@ class FitOptions:
         ``noise``: weighted by inverse variance if the camera's noise is known; ``equal``: equally weighted.
     model_error : float
         Relative error of an observation apart from the camera's noise: drift of the light, the model itself.
-    pose_error_deg : float
-        Standard deviation of an angle of light or camera, degrees.
+    pose_error_deg : "auto" or float
+        Standard deviation of an angle of light or camera, degrees; with ``auto`` the errors are `registered`, or those
+        of a rig whose objects are not registered.
     level_error : float
         Relative error common to all observations: that of the white reference's reflectance, and the change of the
         lamp's level between the photographs of white reference and object.
@@ -61,19 +64,22 @@ class FitOptions:
         Lower and upper bound by name: ``alpha``, ``beta``, ``mu_rad``, ``n``.
     lobes : tuple of str
         Lobes of the gloss, one or two, see `irodori.reflection.registry`. The bounds of μ are in the unit of the lobe.
+    registered : AngleErrors, optional
+        Errors of the angles by registration of the object.
     """
 
     solver: str = "varpro"
     scan_per_octave: int = 2
     weights: str = "noise"
     model_error: float = 0.01
-    pose_error_deg: float = 0.05
+    pose_error_deg: Literal["auto"] | float = AUTO
     level_error: float = 0.014
     level_by_photograph: bool = False
     refractive_index: str = "fixed"
     gloss_by_paint: bool = True
     bounds: dict | None = None
     lobes: tuple[str, ...] = DEFAULT_LOBES
+    registered: AngleErrors | None = None
 
     def __post_init__(self):
         if self.solver not in SOLVERS:
@@ -103,6 +109,11 @@ class FitOptions:
             defined = [lobe(one).roughness for one in self.lobes]
             low, high = max(low, *(one.low for one in defined)), min(high, *(one.high for one in defined))
         return float(low), float(high)
+
+    @property
+    def angles(self) -> AngleErrors:
+        """Errors of the angles that the fit uses."""
+        return errors_in_use(self.pose_error_deg, self.registered)
 
     def nodes(self) -> np.ndarray:
         """Return log μ of the scan, in decreasing order from the upper to the lower bound.
@@ -315,7 +326,7 @@ def problem_of(
     )  # fmt: skip
     rules = Rules(
         *options.limits("alpha"), *options.limits("beta"), float(nodes[-1]), float(nodes[0]), known,
-        known and options.weights == "noise", float(options.model_error), pose_variance(options.pose_error_deg),
+        known and options.weights == "noise", float(options.model_error), *options.angles.variances,
         float(options.level_error),
     )  # fmt: skip
     return problem, rules

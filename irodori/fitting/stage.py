@@ -19,6 +19,7 @@ from irodori.fitting.solvers import FitOptions, FitResult, fit
 from irodori.fitting.texel_rows import COSINE, LOBE, SPOILED, WEIGHT, fill_lobe, new_rows, pack_geometry
 from irodori.jit.chunks import run_chunks
 from irodori.jit.compilation import njit
+from irodori.material.angle_errors import registered_errors
 from irodori.material.material_file import NloptResult, Status, gloss_maps
 from irodori.material.photograph_levels import common_error, levels_of
 from irodori.reflection.lobes import Lobes
@@ -394,9 +395,20 @@ def read_observations(path, levels: Sequence = ()) -> Observed:
     return Observed(response, geometry, weight, clipped, noise)
 
 
-def with_common_error(options: FitOptions, levels: Sequence) -> FitOptions:
-    """Return options with the error that all observations share, by the file of levels if there is one."""
-    return replace(options, level_error=common_error(levels, options.level_error))
+def for_object(options: FitOptions, observations: Sequence, levels: Sequence = ()) -> FitOptions:
+    """Return options with an object's own errors: those of its angles, by registration, and that which all share.
+
+    Parameters
+    ----------
+    options : FitOptions
+    observations : sequence of path
+        Tiles of the object; the first one tells the errors of the angles, if the object was registered.
+    levels : sequence of path
+        File of the lamp's levels, if there is one: it tells the error that all observations share.
+    """
+    own = replace(options, registered=registered_errors(observations[0]))
+    LOGGER.info("error of the angles: %s", own.angles)
+    return replace(own, level_error=common_error(levels, options.level_error))
 
 
 def fit_brdf(
@@ -422,9 +434,10 @@ def fit_brdf(
     ``/model``, ``/paint``, ``/evaluations``, ``/nlopt_result``, ``/refractive_index`` and ``/refractive_index_error``
     (NaN where the index was given), ``/diffuse_response`` (texel, bands) and ``/diffuse_variance``, its variance by the
     camera's noise; ``/texel``, 0 where the texture shows no surface. The attribute ``common_error`` is the relative
-    error of α and β that all texels share; the stated errors of the texels include it.
+    error of α and β that all texels share; the stated errors of the texels include it. The attribute ``angle_errors``
+    tells the errors of the angles that were used, in degrees, and their source.
     """
-    observed, options = read_observations(observations, levels), with_common_error(options, levels)
+    observed, options = read_observations(observations, levels), for_object(options, [observations], levels)
     with store.open_file(observations) as file:
         texel = file.read("texel")
         carried = {name: file.attribute(name, kind) for name, kind in CARRIED.items()}
@@ -449,6 +462,7 @@ def fit_brdf(
     other["paint"] = np.full(len(texel), -1, dtype=np.int16)
     own = {name: getattr(result, name) for name in fitted_maps(result.lobes) if name not in index | other}
     attributes = carried | {"fit_seconds": seconds, "texels_fitted": fitted, "common_error": options.level_error}
+    attributes["angle_errors"] = options.angles.plain()
     write_fitted(output, own | index | other, attributes, result.lobes, provenance)
     counts = np.bincount(result.status, minlength=len(Status))
     LOGGER.info("fitted %d texels in %.2f s (%.0f texels/s)", fitted, seconds, fitted / max(seconds, 1e-9))

@@ -461,8 +461,8 @@ def _spread_of(room, given, constants, found, j):
     two = lobe_kernels.flank(given.second, constants[1], other[F0, j], other[F1, j], other[F2, j])[1]
     # Both components decrease with φ, so their changes add.
     fall = found[1] * rows[LOBE, j] * math.sqrt(one) + found[2] * other[LOBE, j] * math.sqrt(two)
-    pose = 0.5 * fall * fall + found[0] * found[0] * (1.0 - rows[COSINE, j] * rows[COSINE, j])
-    return rows[VARIANCE, j] + given.rules.pose_variance * pose
+    rules, sine2 = given.rules, 1.0 - rows[COSINE, j] * rows[COSINE, j]
+    return rows[VARIANCE, j] + rules.phi_variance * fall * fall + rules.incidence_variance * found[0] * found[0] * sine2
 
 
 @uncounted(error_model="numpy")

@@ -17,6 +17,7 @@ from irodori.jit.compilation import njit
 NO_FACE = -1
 #: Distance from a common edge, in texels, within which two neighbours may both own a centre because of rounding.
 _ROUNDING = 1e-6
+_FLAT = 1e-6  # largest range of the components of the normals of a flat surface
 
 
 class Texels(NamedTuple):
@@ -29,6 +30,11 @@ class Texels(NamedTuple):
     normal: np.ndarray  # (height, width, 3) float64, unit vectors; NaN likewise
     facet: np.ndarray  # (height, width, 3) float64, unit vectors; NaN likewise
     covered: np.ndarray  # (height, width) bool, whether the texel lies on the surface
+
+
+def are_alike(normals: np.ndarray) -> bool:
+    """Return whether unit normals, (n, 3), are those of a flat surface."""
+    return bool(np.ptp(normals, axis=0).max() < _FLAT)
 
 
 class _Triangles(NamedTuple):

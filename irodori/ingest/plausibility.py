@@ -11,7 +11,7 @@ import hashlib
 import math
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -39,6 +39,7 @@ _HASHED = 8
 _BLACK = 0.997
 #: Kinds of doubts that no correct photograph is known to raise: such photographs are refused.
 CERTAIN = ("identical", "size", "body", "lens", "focal length", "black", "blown", "light", "filter", "order")
+_OTHER = {"in": "out", "out": "in"}
 #: Number of photographs of each kind that are read again when a session is continued.
 _RECALLED = 3
 #: Largest share of clipped superpixels with which the ratio of background to highlights is still reliable.
@@ -176,10 +177,18 @@ class Doubt:
         Short name, such as ``blown``.
     words : str
         Clause for the user: what was found, and what to check.
+    beside : tuple of str
+        Files of earlier photographs of the same capture that may be at fault instead, because the comparison with them
+        does not tell which one is.
     """
 
     kind: str
     words: str
+    beside: tuple[str, ...] = ()
+
+    def naming_all(self) -> "Doubt":
+        """Return the doubt with the names of the photographs ``beside`` in its words."""
+        return replace(self, words=f"{self.words} Or is {' or '.join(self.beside)} at fault?") if self.beside else self
 
     @property
     def is_certain(self) -> bool:
@@ -380,7 +389,7 @@ class Series:
         # A black or overexposed picture would fail all other checks too.
         if not found and shot.role != "dark":
             found = [*self._of_the_light(shot, look), *self._of_the_view(shot, look)]
-        return found
+        return [doubt.naming_all() for doubt in found]
 
     def drift(self, shot: Shot, look: Look) -> Drift | None:
         """Compare a drift frame with the photograph that it repeats.
@@ -471,46 +480,63 @@ class Series:
             if change is not None and abs(math.log(change[1])) > math.log1p(limits.repeat):
                 found = f"{change[1] - 1.0:+.0%} against {repeated[0].file}, the same view"
                 asked = "has the lamp changed, was a door opened, is the filter right?"
-                yield Doubt("light changed", f"{found}: {asked}{self._in_doubt(shot)}")
+                beside = self._of_the_capture(shot, shot.filter)
+                yield Doubt("light changed", f"{found}: {asked}{self._in_doubt(shot)}", beside)
                 return
         partner = self._partner(shot)
         if partner is not None and (passed := _compared(*partner, shot, look)[0]) is not None:
-            found_pair = list(self._of_the_pair(shot, passed))
+            found_pair = list(self._of_the_pair(shot, look, passed))
             yield from found_pair
             if found_pair:
                 return
         elif self._has_other_colour(shot, look):
-            state = {"in": "out", "out": "in"}[shot.filter]
-            yield Doubt("filter", f"it has the colours of photographs with the filter {state}: is it {shot.filter}?")
+            found = f"it has the colours of photographs with the filter {_OTHER[shot.filter]}"
+            yield Doubt("filter", f"{found}: is it {shot.filter}?")
             return
         darkest = [seen.background for _, seen in self._kind(shot) if seen.clipped < _FEW]
         if darkest and look.clipped < _FEW and look.background > max(limits.ambient, 2.0 * max(darkest)):
             found = f"its background is at {look.background:.1%} of the brightest, at {max(darkest):.1%} before"
             yield Doubt("light changed", f"{found}: was a door opened, or another lamp switched on?")
 
-    def _of_the_pair(self, shot: Shot, passed: np.ndarray) -> Iterator[Doubt]:
-        """Yield doubts about the transmittance of the filter, compared with earlier captures of the same subject."""
-        brightest = float(passed.max())
+    def _of_the_pair(self, shot: Shot, look: Look, passed: np.ndarray) -> Iterator[Doubt]:
+        """Yield doubts about the transmittance of the filter, compared with earlier captures of the same subject.
+
+        The photograph with the other filter may be at fault instead, unless the colours tell.
+        """
+        brightest, other = float(passed.max()), _OTHER[shot.filter]
+        beside = self._of_the_capture(shot, other)
         if brightest > 1.0 / self.limits.unfiltered:
             found = f"it is {brightest:.1f} times as bright with the filter in as with the filter out"
-            yield Doubt("filter", f"{found}, and no filter adds light: are 'in' and 'out' exchanged?")
+            yield Doubt("filter", f"{found}, and no filter adds light: are 'in' and 'out' exchanged?", beside)
         elif passed.min() > self.limits.unfiltered:
-            other = {"in": "out", "out": "in"}[shot.filter]
-            yield Doubt("filter", f"it is as bright as with the filter {other}: is it {shot.filter}?")
+            found = f"it is as bright as with the filter {other}: is it {shot.filter}?"
+            yield Doubt("filter", found, () if self._has_other_colour(shot, look) else beside)
         elif earlier := [known[1] for _, known, _ in self._pairs[shot.subject] if known is not None]:
             factor = passed[1] / float(np.median(earlier))
             if abs(math.log(factor)) > math.log(self.limits.pair):
                 found = f"the filter passes {factor:.2f} times what it passed before"
-                yield Doubt("light changed", f"{found}: have lamp or aperture changed between the two photographs?")
+                asked = "have lamp or aperture changed between the two photographs?"
+                yield Doubt("light changed", f"{found}: {asked}", beside)
 
     def _has_other_colour(self, shot: Shot, look: Look) -> bool:
         near = {"in": math.inf, "out": math.inf}
         for s, seen in self._seen:
-            if s.subject == shot.subject:
+            # If one of a pair has the wrong filter, both have the same colours, whichever of them it is.
+            if s.subject == shot.subject and (s.capture != shot.capture or s.filter == shot.filter):
                 distance = math.dist(seen.colour, look.colour)
                 near[s.filter] = min(near[s.filter], distance if math.isfinite(distance) else math.inf)
         same, other = near[shot.filter], near["out" if shot.filter == "in" else "in"]
         return math.isfinite(same) and same > self.limits.colour_step and other < self.limits.colour * same
+
+    def _of_the_capture(self, shot: Shot, state: str) -> tuple[str, ...]:
+        """Return the files of the earlier photographs of the same capture with a state of the filter.
+
+        A drift frame has none: it repeats a photograph that was taken long before.
+        """
+        if shot.role == DRIFT:
+            return ()
+        alike = (s for s, _ in self._seen if (s.capture, s.filter, s.role) == (shot.capture, state, shot.role))
+        return tuple(s.file for s in alike)
 
     def _of_the_view(self, shot: Shot, look: Look) -> Iterator[Doubt]:
         """Yield doubts about sharpness, and about a shift against the same view or the other photograph of the pair."""
@@ -523,7 +549,8 @@ class Series:
         beside = self._repeated(shot) or self._partner(shot)
         if beside is not None and (beyond := self._moved(*beside, shot, look)) is not None:
             found = f"{beyond:.0f} superpixels beside {beside[0].file}"
-            yield Doubt("moved", f"{found}: has object or camera moved, or a motor lost steps?{self._in_doubt(shot)}")
+            asked = f"has object or camera moved, or a motor lost steps?{self._in_doubt(shot)}"
+            yield Doubt("moved", f"{found}: {asked}", self._of_the_capture(shot, beside[0].filter))
 
     def _moved(self, earlier: Shot, seen: Look, shot: Shot, look: Look) -> float | None:
         """Return the shift in excess of that due to the filter plate, superpixels; None if it is small or unknown."""

@@ -51,6 +51,9 @@ class FittedTiles:
         ``fit_seconds`` without start-up and compilation, and ``texels_fitted``.
     common_error : float
         Relative error of α and β that all texels share; NaN if the tiles do not state it.
+    angle_errors : dict
+        Errors of the angles that the fit used, as `irodori.material.angle_errors.AngleErrors.plain`; empty if the tiles
+        do not state them.
 
     Raises
     ------
@@ -63,6 +66,7 @@ class FittedTiles:
         self.lobes: tuple[str, ...] = ()
         self.speed: dict = dict.fromkeys(SPEED, 0)
         self.common_error = math.nan
+        self.angle_errors: dict = {}
         covered, tiles = np.zeros(height, dtype=int), []
         for path in paths:
             with store.open_file(path) as file:
@@ -79,6 +83,8 @@ class FittedTiles:
                     self.speed[name] += file.attribute(name)
                 if file.has_attribute("common_error"):
                     self.common_error = file.attribute("common_error", float)
+                if file.has_attribute("angle_errors"):
+                    self.angle_errors = file.attribute("angle_errors", dict)
                 whole = file.attribute("rows", list)
                 # A file of all tiles names them; its texels begin with the first row of the first.
                 for first, last in file.attribute("parts", list) if file.has_attribute("parts") else [whole]:

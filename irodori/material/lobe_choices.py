@@ -4,7 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from irodori.config.cross_checks.object_lobes import AUTO
 from irodori.core import store
+from irodori.reflection.registry import DEFAULT_LOBES
 
 _FIGURES = {
     "deviation": "median error of a left-out reading over its stated standard deviation",
@@ -82,6 +84,11 @@ def chosen_lobes(named: list[str], choices: list) -> tuple[str, ...]:
         return tuple(named)
     with store.open_file(choices[0]) as file:
         return tuple(file.attribute("lobes", list))
+
+
+def lobes_before_choice(named: list[str]) -> tuple[str, ...]:
+    """Return the lobes that an object's definition names; equation (5) as long as they are still to be chosen."""
+    return DEFAULT_LOBES if AUTO in named else tuple(named)
 
 
 def read_choice(choices: list) -> list[LeftOut]:

@@ -197,6 +197,7 @@ def compress_reflectance(
             "compression": compared,
             **fitted.speed,
             "common_error": None if math.isnan(fitted.common_error) else fitted.common_error,
+            "angle_errors": fitted.angle_errors or None,
             "lobe_choice": [asdict(one) for one in lobe_choice],
         }
         constants = (compression.basis, n, k, definition.mirror_weight)

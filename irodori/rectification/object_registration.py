@@ -8,7 +8,7 @@ its own error would do harm. Such a value keeps the standard deviation of the pr
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -20,9 +20,11 @@ from irodori.config.capture_table import Pose
 from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER, track
+from irodori.geometry.atlas import are_alike
 from irodori.geometry.embree import Tracer
 from irodori.geometry.rig_frame import rig_from_camera, rig_from_object, to_camera
 from irodori.geometry.shapes.shape import Shape
+from irodori.material.angle_errors import ANGLES, write_registered
 from irodori.rectification.marker_sheet import (
     OUTLINE,
     SHEET_QUANTITIES,
@@ -34,8 +36,9 @@ from irodori.rectification.marker_sheet import (
     not_found,
 )
 from irodori.rectification.outline_search import OUTER, SHADING_STEP, edge_distances, find_rim, first_hit, held
-from irodori.rectification.placement_correction import CAMERA, COUNT, QUANTITIES, Correction, prior_sigma
+from irodori.rectification.placement_correction import CAMERA, COUNT, LIGHT, QUANTITIES, Correction, prior_sigma
 from irodori.rectification.reduced_pictures import Level, Picture
+from irodori.rectification.registration_covariance import RegisteredAngleErrors, Rows, angle_errors, excess
 from irodori.rectification.stage import RigSetup, observe
 from irodori.rectification.texture_agreement import (
     TextureRows,
@@ -88,10 +91,12 @@ _OUTLINE_SHARED, _TEXTURE_SHARED = 5.0, 75.0
 _OUTLINED = 0.5  # share of photographs with an outline from which on coarse levels use outlines alone
 _TOLD = 0.5  # share of the prior's standard deviation; a value with a larger error is not determined by the photographs
 _SIGNIFICANT = 2.0  # standard errors that a significant correction exceeds
+#: Standard deviations, of what was typed and of the estimate together, beyond which the typed angle of the light is
+#: contradicted. A surface of two lobes, fitted with one, was seen to displace it by three.
+_CONTRADICTED = 4.0
 #: Accuracy that registration aims at, in the order of `QUANTITIES`: 0.1 mm and 0.05 degrees, and what moves the rim of
 #: an object of a hand's size by as much. Standard errors do not include the bias of an outline in dim light.
 _ACCURACY = np.array([0.1] * 3 + [0.05] * 3 + [2.0, 0.2] + [0.5] * 2 + [0.05] * 2)
-_FLAT = 1e-6  # largest range of the components of the normals of a flat object
 _CAMERA = range(6, CAMERA + 1)  # quantities on which the place of the sheet in a photograph depends
 _NUMERIC = np.array([0.01] * 3 + [0.01] * 3 + [0.1, 0.01, 0.1, 0.1, 0.01, 0.01])  # steps of derivatives, as QUANTITIES
 #: What may be wrong with the pose of one photograph -> the angle that is varied. The place of the object in the picture
@@ -131,7 +136,8 @@ class Registered:
         Most probable corrections of the definitions; exactly 0 for values that the photographs do not determine or do
         not change significantly.
     covariance : (12, 12) float64
-        Covariance of the most probable values if all twelve are estimated together.
+        Covariance of the most probable values if all twelve are estimated together. If outlines, textures or corners
+        scatter between photographs by more than expected, it is the larger by as much.
     prior : (12,) float64
         Standard deviations of the prior.
     own_camera_deg : (J,) float64
@@ -146,8 +152,12 @@ class Registered:
         Number of points of the outline at which an edge was found.
     suspects : tuple of J (str, float)
         Angle of each photograph's pose whose error would explain the residual best, and that error in degrees.
+    angle_errors : RegisteredAngleErrors
+        Errors of the angles of the observations that follow from all errors of the registration.
     sheet : FoundSheet, optional
         The printed sheet, if there is one.
+    light_deg : (float, float), optional
+        Error of all light angles by shading and highlights, and its standard error, whether it is corrected or not.
     """
 
     correction: Correction
@@ -158,7 +168,9 @@ class Registered:
     mm_per_px: float
     outline_points: np.ndarray
     suspects: tuple[tuple[str, float], ...]
+    angle_errors: RegisteredAngleErrors
     sheet: FoundSheet | None = None
+    light_deg: tuple[float, float] | None = None
 
     @property
     def sigma(self) -> np.ndarray:
@@ -167,8 +179,29 @@ class Registered:
 
     @property
     def is_told(self) -> np.ndarray:
-        """Mask of the values that the photographs determine, (12,) bool: error below half of the prior's."""
-        return self.sigma < _TOLD * self.prior
+        """Mask of the values that the photographs determine, (12,) bool: error below half of the prior's.
+
+        A light angle that they contradict is determined by them too.
+        """
+        told = self.sigma < _TOLD * self.prior
+        told[LIGHT] |= self.correction.values[LIGHT] != 0.0
+        return told
+
+    def with_light(self, offset_deg: float, error_deg: float) -> "Registered":
+        """Return a copy with what shading and highlights tell of the light: the error of its angles, deg.
+
+        The angles are corrected where the photographs contradict them or, as other numbers are, where the photographs
+        determine them and they are significantly off. Else they stay as typed.
+        """
+        values, covariance, prior = list(self.correction.values), self.covariance.copy(), self.prior[LIGHT]
+        significant = error_deg < _TOLD * prior and abs(offset_deg) > max(_SIGNIFICANT * error_deg, _ACCURACY[LIGHT])
+        if significant or abs(offset_deg) > _CONTRADICTED * np.hypot(prior, error_deg):
+            values[LIGHT], variance = offset_deg, error_deg**2
+        else:
+            variance = 1.0 / (prior**-2 + error_deg**-2)
+        covariance[LIGHT], covariance[:, LIGHT], covariance[LIGHT, LIGHT] = 0.0, 0.0, variance
+        shown = (offset_deg, error_deg)
+        return replace(self, correction=Correction.of(values), covariance=covariance, light_deg=shown)
 
 
 class _Texels(NamedTuple):
@@ -257,7 +290,7 @@ class _Problem:
         On the spheres of the default run, which lie as defined, textures biased the camera angles by a tenth of a
         degree.
         """
-        return bool(np.ptp(self.texels.normal, axis=0).max() < _FLAT)
+        return are_alike(self.texels.normal)
 
     def seen(self, view: int, points: np.ndarray, values: np.ndarray) -> np.ndarray:
         """Return the projections of points of the object into a photograph, (n, 2) superpixels, for given unknowns."""
@@ -344,11 +377,13 @@ def register(
         _descend(problem, reach, _STEPS, trace=reach == first)
         reach /= 2.0
     matrix = _descend(problem, _FINEST_REACH, _LAST_STEPS)
+    probable, whole = problem.unknowns.copy(), _inverse(_with_excess(problem, matrix), sigma)
     problem.unknowns, problem.sigma = _only_what_is_told(problem.unknowns, matrix, sigma)
     _settle(problem, _FINEST_REACH, _LAST_STEPS)
     own, problem.unknowns[problem.own] = problem.unknowns[problem.own].copy(), 0.0
     residual, points, suspects = _residuals(problem, max(0.5 * first, 2.0 * _FINEST_REACH))
-    whole = _inverse(matrix, sigma)
+    angles, off = slice(0, problem.own.stop), probable - problem.unknowns
+    moment = (whole + np.outer(off, off))[angles, angles]
     sheet = None
     if problem.sheet is not None:
         values, errors = problem.unknowns[problem.of_sheet], np.sqrt(np.diag(whole))[problem.of_sheet]
@@ -364,6 +399,7 @@ def register(
         problem.mm_per_px,
         points,
         suspects,
+        angle_errors(problem, moment, placing.light_deg),
         sheet,
     )
 
@@ -476,6 +512,51 @@ def _only_what_is_told(unknowns: np.ndarray, matrix: np.ndarray, sigma: np.ndarr
         room[out] = 0.0
         values += _solve(matrix, matrix[:, out] * values[out], room)
         values[out] = 0.0
+
+
+def _with_excess(problem: _Problem, matrix: np.ndarray) -> np.ndarray:
+    """Return the normal matrix at the most probable values, with less information from what scatters too much.
+
+    Errors within a photograph are alike, so that the scatter of its points does not show them; they show in what
+    photographs say of each other. The information of each photograph's outline and corners is divided by its reduced
+    χ², and that of textures, which are compared with each other, by that of all of them.
+    """
+    size, covariance = len(problem.unknowns), _inverse(matrix, problem.sigma)
+    found, nothing = matrix.copy(), np.zeros(size)
+    measured = [_outline(problem, view, _FINEST_REACH) for view in range(len(problem.views))]
+    scale = _outline_scale(measured, is_last=True)
+    outlines = _outline_rows(problem, measured, scale, is_last=True)
+    corners = _sheet_rows(problem) if problem.sheet is not None else []
+    for kind, errors in ((outlines, _displaced_outlines(problem, measured, outlines, scale)), (corners, corners)):
+        shares = np.zeros((len(kind), size, size))
+        for rows, share in zip(kind, shares, strict=True):
+            rows.add_to(share, nothing.copy())
+        each, _ = excess(errors, problem.sigma, float(np.sum(covariance * shares.sum(axis=0))))
+        found -= np.einsum("j,jpq->pq", 1.0 - 1.0 / each, shares)
+    if problem.tells_texture:
+        information = np.zeros((size, size))
+        textures = _add_texture(_textures(problem), information, nothing.copy())
+        _, together = excess(textures, problem.sigma, float(np.sum(covariance * information)))
+        found -= (1.0 - 1.0 / together) * information
+    return found
+
+
+def _displaced_outlines(problem: _Problem, measured: list, outlines: list[Rows], scale: float) -> list[Rows]:
+    """Return the displacement of every photograph's outline as a whole, all its points with the same weight.
+
+    What single points say, at edges of something else, is no error of the outline: at the end they have lost their
+    influence. An outline whose points do not agree tells nothing. Arguments as in `_outline_rows`, with its result.
+    """
+    found = []
+    for number, (rows, (distance, _, which)) in enumerate(zip(outlines, measured, strict=True)):
+        view, displaced = problem.views[number], None
+        if len(distance):
+            xy = problem.seen(number, view.rim[which], problem.unknowns)
+            displaced = _displaced(xy, view.outward[which], distance)
+        weight = 0.0 if displaced is None else 1.0 / (scale**2 * _OUTLINE_SHARED)
+        off = distance if displaced is None else displaced
+        found.append(rows._replace(weight=np.full(len(distance), weight), off=off))
+    return found
 
 
 def _texels(shape: Shape, width: int, height: int) -> _Texels:
@@ -641,7 +722,8 @@ def _equations(problem: _Problem, reach: float | None) -> tuple[np.ndarray, np.n
     size = len(problem.unknowns)
     matrix, right = np.zeros((size, size)), np.zeros(size)
     if problem.sheet is not None:
-        _add_sheet(problem, matrix, right)
+        for rows in _sheet_rows(problem):
+            rows.add_to(matrix, right)
     if reach is not None:
         _add_object(problem, reach, matrix, right)
     free = problem.sigma > 0
@@ -650,13 +732,13 @@ def _equations(problem: _Problem, reach: float | None) -> tuple[np.ndarray, np.n
     return matrix, right
 
 
-def _add_sheet(problem: _Problem, matrix: np.ndarray, right: np.ndarray) -> None:
-    """Add the distances of the sheet's corners from their expected places to normal equations."""
+def _sheet_rows(problem: _Problem) -> list[Rows]:
+    """Return the distances of the sheet's corners from their expected places in every photograph that shows it."""
     off = [
         view.corners_px - problem.corners_seen(number, problem.unknowns) for number, view in enumerate(problem.views)
     ]
     scale = _scatter(np.concatenate(off).ravel(), _CORNER_FLOOR_PX)
-    common = [*_CAMERA, *problem.of_sheet]
+    common, found = [*_CAMERA, *problem.of_sheet], []
     for number, one in enumerate(off):
         if not len(one):
             continue
@@ -664,26 +746,36 @@ def _add_sheet(problem: _Problem, matrix: np.ndarray, right: np.ndarray) -> None
         where = [*common, COUNT + number]
         rows = np.concatenate([moved, moved[..., [common.index(CAMERA)]]], axis=-1)
         factor = _cauchy(np.linalg.norm(one, axis=1) / math.sqrt(2.0), scale) / scale**2
-        matrix[np.ix_(where, where)] += np.einsum("nip,n,niq->pq", rows, factor, rows)
-        right[where] += np.einsum("nip,n,ni->p", rows, factor, one)
+        found.append(Rows(where, rows.reshape(-1, len(where)), np.repeat(factor, 2), one.ravel()))
+    return found
+
+
+def _outline_scale(measured: list, *, is_last: bool) -> float:
+    """Return the standard deviation of outline points, superpixels; ``measured`` are the results of `_outline`."""
+    every = np.concatenate([distance for distance, _, _ in measured])
+    return _scatter(every, _OUTLINE_FLOOR_PX, _OUTLINE_MOST_PX if is_last else math.inf)
+
+
+def _outline_rows(problem: _Problem, measured: list, scale: float, *, is_last: bool) -> list[Rows]:
+    """Return the outline of every photograph as rows of equations, from results and scale of its points."""
+    found = []
+    for view, (distance, change, _) in enumerate(measured):
+        rows, where = change[:, [*range(COUNT), CAMERA]], [*range(COUNT), COUNT + view]
+        if problem.sheet is not None:
+            rows = np.concatenate([rows, np.full((len(rows), 1), 1.0 / problem.mm_per_px)], axis=1)
+            where.append(problem.of_sheet[OUTLINE])
+        # Borders of paints beside an outline are many and on one side: at the end they lose all influence.
+        factor = _cauchy(distance, scale) ** (2 if is_last else 1) / (scale**2 * _OUTLINE_SHARED)
+        found.append(Rows(where, rows, factor, distance))
+    return found
 
 
 def _add_object(problem: _Problem, reach: float, matrix: np.ndarray, right: np.ndarray) -> None:
     """Add outlines and textures to normal equations."""
     is_last = reach <= _FINEST_REACH
     measured = [_outline(problem, view, reach) for view in range(len(problem.views))]
-    every = np.concatenate([distance for distance, _, _ in measured])
-    if every.size:
-        scale = _scatter(every, _OUTLINE_FLOOR_PX, _OUTLINE_MOST_PX if is_last else math.inf)
-        for view, (distance, change, _) in enumerate(measured):
-            rows, where = change[:, [*range(COUNT), CAMERA]], [*range(COUNT), COUNT + view]
-            if problem.sheet is not None:
-                rows = np.concatenate([rows, np.full((len(rows), 1), 1.0 / problem.mm_per_px)], axis=1)
-                where.append(problem.of_sheet[OUTLINE])
-            # Borders of paints beside an outline are many and on one side: at the end they lose all influence.
-            factor = _cauchy(distance, scale) ** (2 if is_last else 1) / (scale**2 * _OUTLINE_SHARED)
-            matrix[np.ix_(where, where)] += rows.T @ (factor[:, None] * rows)
-            right[where] += rows.T @ (factor * distance)
+    for rows in _outline_rows(problem, measured, _outline_scale(measured, is_last=is_last), is_last=is_last):
+        rows.add_to(matrix, right)
     outlined = np.mean([len(distance) > 0 for distance, _, _ in measured]) >= _OUTLINED
     if problem.tells_texture and (is_last or not outlined):
         _add_texture(_textures(problem), matrix, right)
@@ -718,12 +810,15 @@ def _spacing(problem: _Problem) -> float:
     return math.sqrt(float(np.median(found)))
 
 
-def _add_texture(rows: list[TextureRows], matrix: np.ndarray, right: np.ndarray) -> None:
-    """Add the differences between the photographs' textures to normal equations, the texels' colours eliminated."""
+def _add_texture(rows: list[TextureRows], matrix: np.ndarray, right: np.ndarray) -> list[Rows]:
+    """Add the differences between the photographs' textures to normal equations, the texels' colours eliminated.
+
+    Returns the differences of every photograph from the mean texture.
+    """
     # A texel that only one photograph shows cannot be compared.
     both = np.sum([row.weight > 0 for row in rows], axis=0) > 1
     if not both.any():
-        return
+        return []
     rows = [TextureRows(*(part[both] for part in row)) for row in rows]
     values, weights = [row.value for row in rows], [row.weight for row in rows]
     mean = mean_texture(values, weights)
@@ -734,15 +829,16 @@ def _add_texture(rows: list[TextureRows], matrix: np.ndarray, right: np.ndarray)
         for o, w in zip(off, weights, strict=True)
     ]
     mean, total = mean_texture(values, weights), np.sum(weights, axis=0)
-    sums = np.zeros((*mean.shape, len(right)))
+    sums, found = np.zeros((*mean.shape, len(right))), []
     for view, (row, weight) in enumerate(zip(rows, weights, strict=True)):
         where = [*range(COUNT), COUNT + view]
         change = row.change[..., [*range(COUNT), CAMERA]]
-        weighted = weight[:, None, None] * change
-        matrix[np.ix_(where, where)] += np.einsum("tbp,tbq->pq", weighted, change, optimize=True)
-        right[where] -= np.einsum("tbp,tb->p", weighted, row.value - mean)
-        sums[..., where] += weighted
+        sums[..., where] += weight[:, None, None] * change
+        one = change.reshape(-1, len(where)), np.repeat(weight, mean.shape[1]), (mean - row.value).ravel()
+        found.append(Rows(where, *one))
+        found[-1].add_to(matrix, right)
     matrix -= np.einsum("tbp,tbq->pq", sums, sums / total[:, None, None], optimize=True)
+    return found
 
 
 def _solve(matrix: np.ndarray, right: np.ndarray, sigma: np.ndarray) -> np.ndarray:
@@ -801,11 +897,20 @@ def _residuals(problem: _Problem, reach: float) -> tuple[np.ndarray, np.ndarray,
 
 
 def _displacement(xy: np.ndarray, outward: np.ndarray, distance: np.ndarray) -> float:
-    """Return the root-mean-square displacement of an outline along its normals, by a robust affine fit, superpixels.
+    """Return the root-mean-square displacement of an outline, superpixels; NaN if `_displaced` returns None.
 
-    Outliers, at edges of something else, have little influence. The mean is over all points: if a rectangular plate is
-    moved along one of its sides, half of its outline stays in place and still counts. NaN if most points do not agree
-    with any displacement of the whole: such an outline, beside shadows or paints, tells nothing about the photograph.
+    The mean is over all points: if a rectangular plate is moved along one of its sides, half of its outline stays in
+    place and still counts. Arguments as in `_displaced`.
+    """
+    explained = _displaced(xy, outward, distance)
+    return math.nan if explained is None else math.sqrt(np.mean(explained**2))
+
+
+def _displaced(xy: np.ndarray, outward: np.ndarray, distance: np.ndarray) -> np.ndarray | None:
+    """Return the displacement of an outline's points along its normals by a robust affine fit, (n,) superpixels.
+
+    Outliers, at edges of something else, have little influence. None if most points do not agree with any displacement
+    of the whole: such an outline, beside shadows or paints, tells nothing about the photograph.
 
     Parameters
     ----------
@@ -825,7 +930,7 @@ def _displacement(xy: np.ndarray, outward: np.ndarray, distance: np.ndarray) -> 
         weight = _cauchy(left, _scatter(left, _OUTLINE_FLOOR_PX))
     displacement = math.sqrt(np.mean(explained**2))
     agree = np.abs(distance - explained) <= max(_AGREE_PX, _AGREE * displacement)
-    return displacement if agree.mean() >= _MOST_AGREE else math.nan
+    return explained if agree.mean() >= _MOST_AGREE else None
 
 
 def _suspect(
@@ -900,6 +1005,7 @@ def register_object(
     placing: "Placing",
     markers: "Markers | None" = None,
     *,
+    light: Callable[[RigSetup], tuple[float, float] | None] | None = None,
     output,
     provenance: store.Provenance,
 ) -> None:
@@ -916,6 +1022,9 @@ def register_object(
         Standard deviations of the definitions, and the largest residual that is accepted.
     markers : Markers, optional
         The printed sheet on which the object stands.
+    light : function, optional
+        Returns the error of all light angles and its standard error, deg, for a corrected setup, or None where the
+        photographs do not determine it; `irodori.fitting.light_angle.LightSearch` is one.
 
     Raises
     ------
@@ -930,16 +1039,23 @@ def register_object(
     values, square roots of the diagonal of ``/covariance`` (12, 12); ``/prior_sigma`` (12), standard deviations of the
     definitions; ``/own_camera_deg`` (J), additional correction of each camera angle; ``/residual_px`` and
     ``/residual_mm`` (J), distance of the object in a photograph from its predicted place, NaN where nothing could be
-    measured; ``/outline_points`` (J). With a sheet also ``/sheet_place`` and ``/sheet_place_sigma`` (9), its place and
-    size in the order of ``/sheet_quantity`` and their standard errors, ``/sheet_corners`` (J), its corners found, and
-    ``/sheet_residual_px`` (J). Attributes: ``told``, for each quantity whether the photographs determine it;
-    ``captures``, names of the photographs; ``sentence``, a summary in words.
+    measured; ``/outline_points`` (J). ``/angle_error`` (4,), standard deviations of θ_i, θ_r, θ_H and φ of the
+    observations, degrees, as root mean squares over all of them; ``/angle_error_of_capture`` (J, 4) and
+    ``/angle_error_spread`` (4, 2), the same of each photograph, and the 5th and 95th percentiles; these three are
+    missing if no texel amid others is seen and lit. With a sheet also ``/sheet_place`` and ``/sheet_place_sigma`` (9),
+    its place and size in the order of ``/sheet_quantity`` and their standard errors, ``/sheet_corners`` (J), its
+    corners found, and ``/sheet_residual_px`` (J). Attributes: ``told``, for each quantity whether the photographs
+    determine it; ``captures``, names of the photographs; ``sentence``, a summary in words.
     """
     found = register(linear, definition, setup, placing, markers)
     names = [Path(path).stem for path in linear]
     _refuse_far(found, linear, placing.max_residual_px)
+    shown = light(setup.corrected(found.correction)) if light else None
+    if shown is not None:
+        found = found.with_light(*shown)
     sentence = in_words(found)
     LOGGER.info("%s", sentence)
+    LOGGER.info("%s", found.angle_errors)
     with store.create(output, provenance) as out:
         out.coordinate("capture", names, units="1", quantity="name of the capture")
         units = np.array(["{px}" if one.unit == "px" else one.unit for one in QUANTITIES], "S")
@@ -967,12 +1083,27 @@ def register_object(
         out.write(
             "outline_points", found.outline_points, units="1", dims="capture", quantity="points of the outline found"
         )
+        _write_angle_errors(out, found.angle_errors)
         if found.sheet is not None:
             _write_sheet(out, found.sheet)
         out.attribute("quantities", [f"{one.name}, {one.unit}" for one in QUANTITIES])
         out.attribute("told", [bool(told) for told in found.is_told])
         out.attribute("captures", names)
         out.attribute("sentence", sentence)
+
+
+def _write_angle_errors(out: store.Writer, errors: RegisteredAngleErrors) -> None:
+    """Write the errors of the angles, unless there are no observations from which to tell them."""
+    if errors.stated is None:
+        return
+    out.coordinate("angle", list(ANGLES), units="1", quantity="symbol of an angle")
+    out.coordinate("percentile", [5.0, 95.0], units="%", quantity="share of observations with a smaller error")
+    write_registered(out, errors.stated)
+    for name, values, dims, quantity in (
+        ("angle_error_of_capture", errors.by_photograph, "capture,angle", "standard deviation of it in a capture"),
+        ("angle_error_spread", errors.spread, "angle,percentile", "percentiles of it over all observations"),
+    ):
+        out.write(name, values, units="deg", dims=dims, quantity=quantity)
 
 
 def _write_sheet(out: store.Writer, sheet: FoundSheet) -> None:
@@ -1026,6 +1157,9 @@ def in_words(found: Registered) -> str:
         parts.append(f"confirmed as typed: {', '.join(confirmed)}")
     if silent:
         parts.append(f"not determined by the photographs, kept as typed: {', '.join(silent)}")
+    if found.light_deg is not None:
+        off = "{:+.2f} ± {:.2f} deg".format(*found.light_deg)
+        parts.append(f"highlights and shading show the light {off} from its typed angles")
     if found.sheet is not None:
         corners = found.sheet.corners
         shown = f"{np.count_nonzero(corners)} of {len(corners)} photographs, {corners.sum()} corners"

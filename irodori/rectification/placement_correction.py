@@ -43,6 +43,8 @@ QUANTITIES = (
 COUNT = len(QUANTITIES)
 #: Index of the camera angle, of which each photograph also has an individual correction.
 CAMERA = [quantity.name for quantity in QUANTITIES].index("camera_deg")
+#: Index of the light angle.
+LIGHT = CAMERA + 1
 
 
 @dataclass(frozen=True)
@@ -100,7 +102,7 @@ class Correction:
 
     def pose(self, typed: Pose, own_camera_deg: float = 0.0) -> Pose:
         """Return the corrected pose of a photograph, with an individual correction of its camera angle, degrees."""
-        camera, light = self.values[CAMERA], self.values[CAMERA + 1]
+        camera, light = self.values[CAMERA], self.values[LIGHT]
         return replace(typed, light_deg=typed.light_deg + light, camera_deg=typed.camera_deg + camera + own_camera_deg)
 
     def placements(self, shape: Shape, pose: Pose, table_radius_mm: float) -> list[Placement]:

@@ -6,6 +6,7 @@ and which part is removed here.
 """
 
 import math
+from collections.abc import Iterable
 from dataclasses import astuple, dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -24,6 +25,7 @@ from irodori.geometry.rig_frame import rig_from_camera, to_camera
 from irodori.geometry.shapes.shape import Shape
 from irodori.jit.chunks import run_chunks
 from irodori.jit.compilation import njit
+from irodori.material.angle_errors import ANGLES, write_registered
 from irodori.rectification.placement_correction import AS_TYPED, Correction
 from irodori.reflection.equation5 import angles_from_directions
 from irodori.spectra.coordinates import require_bands, write_bands
@@ -169,6 +171,14 @@ class Sight(NamedTuple):
     power: np.ndarray
 
 
+def _eye(position, pose: Pose, setup: RigSetup) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the centre of projection, (3,) mm, and directions and distances to it from points, (n, 3) and (n,) mm."""
+    camera = setup.camera_distance_mm * to_camera(pose)
+    to_eye = camera - position
+    distance = np.linalg.norm(to_eye, axis=1)
+    return camera, to_eye / distance[:, None], distance
+
+
 def observe(position, normal, tracer: Tracer, pose: Pose, setup: RigSetup, facet=None) -> Sight:
     """Return the positions of texels in a capture, their angles, and whether they are seen and lit.
 
@@ -186,10 +196,7 @@ def observe(position, normal, tracer: Tracer, pose: Pose, setup: RigSetup, facet
     """
     facet = normal if facet is None else facet
     light, power, lamp_distance = setup.lamp.seen_from(position, pose)
-    camera = setup.camera_distance_mm * to_camera(pose)
-    to_eye = camera - position
-    distance = np.linalg.norm(to_eye, axis=1)
-    view = to_eye / distance[:, None]
+    camera, view, distance = _eye(position, pose, setup)
     geometry = angles_from_directions(normal, light, view)
     start = position + tracer.placements[0].shape.ray_offset_mm * facet
     visible = (geometry[:, 1] < np.pi / 2) & (np.sum(facet * view, axis=1) > 0)
@@ -232,18 +239,46 @@ def sample_picture(file: store.Reader, xy, within) -> tuple[np.ndarray, np.ndarr
     return sampled, good, clips
 
 
-class _Observed(NamedTuple):
-    """One capture's observations of n texels as `rectify_object` stores them, before the limit of angles is applied."""
+class Observations(NamedTuple):
+    """Observations of n texels in J captures, (n, J, ...), or in one, (n, ...), as `rectify_object` describes them."""
 
     response: np.ndarray
     geometry: np.ndarray
-    seen: np.ndarray
+    weight: np.ndarray
     shadowed: np.ndarray
     clipped: np.ndarray
     gain: np.ndarray
 
 
-def _observe_file(path, shape: Shape, texels: Texels, setup: RigSetup) -> _Observed:
+def observe_captures(
+    linear: Iterable, shape: Shape, texels: Texels, setup: RigSetup, max_angle_deg: float
+) -> Observations:
+    """Return the observations of texels in files of linear responses; arguments as in `rectify_object`."""
+    limit, captures = np.radians(max_angle_deg), []
+    for path in linear:
+        found = _observe_file(path, shape, texels, setup)
+        frontal = (found.geometry[:, 0] <= limit) & (found.geometry[:, 1] <= limit)
+        weight = (found.weight & frontal).astype(np.float32)
+        captures.append(found._replace(weight=weight, geometry=found.geometry.astype(np.float32)))
+    return Observations(*(np.stack(values, axis=1) for values in zip(*captures, strict=True)))
+
+
+def angles_in_captures(linear: Iterable, shape: Shape, texels: Texels, setup: RigSetup) -> np.ndarray:
+    """Return θ_i, θ_r, θ_H and φ of texels in captures, (n, J, 4) rad, whether they are seen or not."""
+    captures = []
+    for path in linear:
+        with store.open_file(path) as file:
+            pose = setup.correction.pose(Pose(*file.attribute("pose_deg")))
+        lain = setup.correction.placements(shape, pose, setup.table_radius_mm)[0]
+        position = lain.points(texels.position[texels.covered])
+        normal = texels.normal[texels.covered] @ lain.rotation.T
+        light, _, _ = setup.lamp.seen_from(position, pose)
+        _, view, _ = _eye(position, pose, setup)
+        captures.append(_spread(angles_from_directions(normal, light, view), texels.covered))
+    return np.stack(captures, axis=1)
+
+
+def _observe_file(path, shape: Shape, texels: Texels, setup: RigSetup) -> Observations:
     """Return the observations of all texels in the capture of one file of linear responses."""
     with store.open_file(path) as file:
         pose = setup.correction.pose(Pose(*file.attribute("pose_deg")))
@@ -262,7 +297,7 @@ def _observe_file(path, shape: Shape, texels: Texels, setup: RigSetup) -> _Obser
     sampled *= gain[:, None].astype(np.float32)
     shadowed = visible & ~sight.lit & (sight.geometry[:, 0] < np.pi / 2)
     found = (sampled, sight.geometry, visible & sight.lit & good, shadowed, clips, gain)
-    return _Observed(*(_spread(values, texels.covered) for values in found))
+    return Observations(*(_spread(values, texels.covered) for values in found))
 
 
 def _spread(values: np.ndarray, covered: np.ndarray) -> np.ndarray:
@@ -272,7 +307,7 @@ def _spread(values: np.ndarray, covered: np.ndarray) -> np.ndarray:
     return out
 
 
-def _noise_models(linear: list) -> np.ndarray:
+def noise_models(linear: list) -> np.ndarray:
     """Return c0 and c1 of the variance c0 + c1 ρ of an interpolated response, (J, bands, 2); NaN where not known."""
     models = []
     for path in linear:
@@ -302,13 +337,13 @@ def _poses_and_filters(linear: list) -> tuple[np.ndarray, list[str]]:
     return np.array(poses), first
 
 
-def _maps(observed: _Observed, weight, texels: Texels, near: bool) -> dict:
+def _maps(observed: Observations, texels: Texels, near: bool) -> dict:
     """Return the datasets that `rectify_object` writes for each texel: name -> (values, units, quantity)."""
     shadowed, covered = observed.shadowed.astype(np.uint8), texels.covered.ravel().astype(np.uint8)
     maps = {
         "response": (observed.response, "1", "response, 1 = perfect diffuser at normal incidence"),
         "geometry": (observed.geometry, "rad", "theta_i, theta_r, theta_h, phi"),
-        "weight": (weight, "1", "weight in the fit"),
+        "weight": (observed.weight, "1", "weight in the fit"),
         "shadowed": (shadowed, store.Mask, "whether another surface keeps the light away"),
         "clipped": (observed.clipped, store.Mask, "whether the picture clips in every exposure"),
         "texel": (covered, store.Mask, "whether a surface lies under the texel's centre"),
@@ -328,6 +363,7 @@ def rectify_object(
     *,
     output,
     provenance: store.Provenance,
+    angle_error_deg=None,
 ) -> None:
     """Write the observations of one tile of an object's texture.
 
@@ -341,6 +377,8 @@ def rectify_object(
         First and last-plus-one texture row of the tile.
     max_angle_deg : float, degrees
         Observations with θ_i or θ_r beyond it are kept without weight.
+    angle_error_deg : (4,) float, optional
+        Standard deviations of θ_i, θ_r, θ_H and φ by registration, degrees; they are passed on.
 
     Raises
     ------
@@ -360,7 +398,8 @@ def rectify_object(
 
     Under a near light, ``/light_gain`` (texel, J) float32 is the factor by which a response was multiplied: irradiance
     of the white reference over irradiance of the texel. The variance of a response is then
-    gain² c0 + gain c1 * response.
+    gain² c0 + gain c1 * response. If the object was registered, ``/angle_error`` (4,) are the standard deviations of
+    the four angles, degrees.
     """
     shape = Shape.from_definition(definition.shape)
     width = definition.texels.width
@@ -369,29 +408,24 @@ def rectify_object(
         raise InputError("rig", "light.distance_mm", near, "a lamp outside the object, or no such key for a far one")
     texels = shape.atlas(width, definition.texels.height, (rows[0], rows[1]))
     poses_deg, filters = _poses_and_filters(linear)
-    limit = np.radians(max_angle_deg)
-    captures, weights = [], []
-    for path in track(linear, f"rectify rows {rows[0]}-{rows[1]}"):
-        found = _observe_file(path, shape, texels, setup)
-        frontal = (found.geometry[:, 0] <= limit) & (found.geometry[:, 1] <= limit)
-        weights.append((found.seen & frontal).astype(np.float32))
-        captures.append(found._replace(geometry=found.geometry.astype(np.float32)))
-    observed, weight = _Observed(*(np.stack(v, axis=1) for v in zip(*captures, strict=True))), np.stack(weights, axis=1)
+    observed = observe_captures(track(linear, f"rectify rows {rows[0]}-{rows[1]}"), shape, texels, setup, max_angle_deg)
     require_bands(filters, observed.response.shape[2], linear[0])
-    unseen = ~(weight > 0).any(axis=1) & texels.covered.ravel()
+    unseen = ~(observed.weight > 0).any(axis=1) & texels.covered.ravel()
     if unseen.any():
         LOGGER.info("%d of %d texels have no observation", unseen.sum(), texels.covered.sum())
     with store.create(output, provenance) as out:
         out.coordinate("capture", [Path(path).stem for path in linear], units="1", quantity="name of the capture")
         for name, values in zip(_POSE, poses_deg.T, strict=True):
             out.write(name, values, units="deg", dims="capture", quantity="angle of the rig, as typed")
-        out.coordinate("angle", ["theta_i", "theta_r", "theta_h", "phi"], units="1", quantity="symbol of an angle")
+        out.coordinate("angle", list(ANGLES), units="1", quantity="symbol of an angle")
+        if angle_error_deg is not None:
+            write_registered(out, angle_error_deg)
         write_bands(out, filters)
         out.coordinate("term", ["c0", "c1"], units="1", quantity="coefficient of the variance")
-        for name, (values, units, quantity) in _maps(observed, weight, texels, setup.lamp.is_near).items():
+        for name, (values, units, quantity) in _maps(observed, texels, setup.lamp.is_near).items():
             dims = ",".join(["texel_number", "capture", "angle" if name == "geometry" else "band"][: values.ndim])
             out.write(name, values, units=units, dims=dims, quantity=quantity)
-        noise = _noise_models(linear)
+        noise = noise_models(linear)
         out.write("noise_model", noise, units="1", dims="capture,band,term", quantity="variance c0 + c1 rho")
         out.attribute("rows", list(rows))
         out.attribute("width", width)

@@ -2,6 +2,7 @@
 
 import csv
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 from irodori.core import store
@@ -9,6 +10,7 @@ from irodori.evaluation.coefficient_storage import storage_sentence
 from irodori.evaluation.registration_errors import summarise
 from irodori.evaluation.result_tables import BudgetRow, CostRow, ErrorRow, PlanRow, RegistrationRow, read_rows
 from irodori.lens.lens_file import LensFile
+from irodori.material.angle_errors import AngleErrors
 from irodori.material.material_file import Material
 from irodori.reflection.registry import lobe
 from irodori.report.calibration_part import camera_calibrations
@@ -53,7 +55,7 @@ def typical_gloss_text(material: Material) -> str:
     return "; ".join(parts)
 
 
-def _object(name: str, path, truth_file) -> dict:
+def _object(name: str, path, truth_file, placement) -> dict:
     material = Material.load(path)
     truth = Material.load(truth_file) if truth_file else None
     with store.open_file(path) as file:
@@ -67,14 +69,34 @@ def _object(name: str, path, truth_file) -> dict:
         "gloss": typical_gloss_text(material),
         "lobes": list(material.lobes),
         "mirror": material.mirror,
+        "angles": str(AngleErrors(**errors["angle_errors"])) if errors.get("angle_errors") else "",
         "errors": errors,
         "stored": stored,
+        "placement": placement,
     }
 
 
-def objects(names: list[str], files: list, truths: dict) -> list[dict]:
-    """Return the data of ``objects.html.j2`` for material files; ``truths`` maps names to files of true materials."""
-    return [_object(name, path, truths.get(name)) for name, path in zip(names, files, strict=True)]
+def objects(names: list[str], files: list, truths: dict, placements: Sequence = ()) -> list[dict]:
+    """Return the data of ``objects.html.j2``.
+
+    Parameters
+    ----------
+    names : list of str
+    files : list of path
+        Their material files.
+    truths : dict
+        {name: file of the true material}, as far as there are such.
+    placements : sequence of path
+        Files of the objects' registrations, in the same order; empty if objects are not registered.
+    """
+    placed = [_sentence(path) for path in placements] or [""] * len(names)
+    return [_object(name, path, truths.get(name), at) for name, path, at in zip(names, files, placed, strict=True)]
+
+
+def _sentence(path) -> str:
+    """Return what a registration found, in words."""
+    with store.open_file(path) as file:
+        return file.attribute("sentence")
 
 
 def environments(names: list[str], files: list) -> list[dict]:
@@ -125,9 +147,9 @@ def write_report(inputs: dict, names: dict, benchmarks, output) -> None:
     ----------
     inputs : dict
         Files by kind. One file: errors; lists: plans, imperfections, budgets, lenses, references, registrations,
-        materials, true_materials, environments, sessions, calibrations, calibration_errors, selections, pictures,
-        figures, true_pictures, comparisons, comparison_figures; and pages, the classroom page in the folder of the
-        report, if there is one.
+        placements, materials, true_materials, environments, sessions, calibrations, calibration_errors, selections,
+        pictures, figures, true_pictures, comparisons, comparison_figures; and pages, the classroom page in the folder
+        of the report, if there is one.
     names : dict
         Names in the order of the files: objects, virtual_objects, environments, cameras, lens_cameras, views,
         virtual_views, photographs; title, of the report; and jobs, the beginnings of the names of the jobs whose time
@@ -149,7 +171,7 @@ def write_report(inputs: dict, names: dict, benchmarks, output) -> None:
         budgets={
             n: read_rows(path, BudgetRow) for n, path in zip(names["virtual_views"], inputs["budgets"], strict=True)
         },
-        objects=objects(names["objects"], inputs["materials"], truths),
+        objects=objects(names["objects"], inputs["materials"], truths, inputs["placements"]),
         environments=environments(names["environments"], inputs["environments"]),
         imperfections=[row for path in inputs["imperfections"] for row in read_rows(path, CostRow)],
         plans=_plans([row for path in inputs["plans"] for row in read_rows(path, PlanRow)]),

@@ -38,9 +38,6 @@ def definitions(poses=POSES, motion: bool = False) -> tuple[dict, dict, dict]:
     found = copy.deepcopy(_definitions())
     definition, camera = found["objects"]["tile-plate"], found["cameras"]["d5100-comb"]
     rig = found["rigs"]["virtual"]
-    # These are tests of sittings, at 120 x 80 pixels: the object lies as stated, before a lens as stated.
-    for name in ("laid_off", "focal_length"):
-        rig["virtual"]["imperfections"][name]["enabled"] = False
     definition["poses"] = poses
     camera["optics"].update(width_px=120, height_px=80, pixel_pitch_um=66.0, principal_point_px=[60.0, 40.0])
     if not motion:

@@ -41,17 +41,15 @@ from irodori.simulation.virtual_rig.virtual_camera import VirtualCamera
 from irodori.spectra.published import spectrum
 
 ROOT = Path(__file__).resolve().parents[2]
-NO_FAULTS = ("light_drift", "vignetting", "stray_light", "pose_error", "filter_plate", "hot_pixels")
+NO_FAULTS = (
+    "light_drift", "vignetting", "stray_light", "pose_error", "laid_off", "focal_length", "filter_plate", "hot_pixels",
+)  # fmt: skip
 STRAIGHT = np.eye(2, 3)
 
 
 @pytest.fixture(scope="module")
 def definitions():
-    found = load_definitions(read_yaml(ROOT / "config/config.yaml"), ROOT).plain()
-    # What these tests predict is where an object lies as it is stated, before a lens as it is stated.
-    for name in ("laid_off", "focal_length"):
-        found["rigs"]["virtual"]["virtual"]["imperfections"][name]["enabled"] = False
-    return found
+    return load_definitions(read_yaml(ROOT / "config/config.yaml"), ROOT).plain()
 
 
 @pytest.fixture

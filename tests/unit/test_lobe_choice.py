@@ -154,8 +154,12 @@ def test_the_report_shows_a_choice_and_no_table_without_one(figures):
     errors = dict.fromkeys((*numbers, "delta_e_error_median"), 1.0)
     errors |= {"compression": {}, "lobe_choice": [{**vars(one), "lobes": list(one.lobes)} for one in figures]}
     shown = {"name": "jar", "errors": errors, "stored": "", "maps": "", "spectra": "", "bases": 3, "gloss": ""}
-    shown["mirror"], errors["energy"] = 0.0, {}
+    shown["placement"] = "confirmed as typed: every camera angle" if figures else ""
+    shown["mirror"], shown["angles"], errors["energy"] = 0.0, "0.09 deg by registration" if figures else "", {}
     page = template.render(objects=[shown | {"lobes": ["ggx"]}])
+    assert ("Standard errors of the angles: 0.09 deg by registration." in page) == bool(figures)
+    assert ("Standard errors of the angles" in page) == bool(figures)
+    assert ("Registration: confirmed as typed: every camera angle." in page) == bool(figures)
     assert ("ggx (in use)" in page, "gaussian</td><td>2.50</td><td>0.250</td><td>0.125" in page) == (bool(figures),) * 2
 
 

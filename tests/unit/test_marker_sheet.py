@@ -31,6 +31,7 @@ from irodori.rectification.object_registration import (
     register_object,
 )
 from irodori.rectification.placement_correction import COUNT, QUANTITIES, Correction, prior_sigma
+from irodori.rectification.registration_covariance import RegisteredAngleErrors
 
 SHEET = Markers.of({"paper": PAPER})
 #: All that the photographs have to tell, as far off as the issue asks for.
@@ -250,6 +251,7 @@ def test_the_sentence_of_an_object_without_a_sheet_does_not_speak_of_one():
         0.2,
         np.zeros(2),
         (("turn_deg", 0.0),) * 2,
+        RegisteredAngleErrors(np.ones(4), np.ones((2, 4)), np.ones((4, 2))),
     )
     assert "sheet" not in in_words(none)
 

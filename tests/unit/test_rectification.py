@@ -22,6 +22,7 @@ from irodori.geometry.embree import Tracer
 from irodori.geometry.rig_frame import rig_from_object, to_light
 from irodori.geometry.shapes.placement import Placement
 from irodori.geometry.shapes.shape import Shape
+from irodori.material.angle_errors import REGISTERED, AngleErrors, registered_errors
 from irodori.rectification.stage import RigSetup, _sample, _Window, observe, rectify_object
 from irodori.rectification.texture_tiles import tile_rows
 
@@ -455,6 +456,17 @@ def test_a_near_lamp_needs_the_whites_pose_and_an_object_that_it_stands_outside_
         setup_of(0.0, 300.0)
     with pytest.raises(InputError, match=r"light\.distance_mm.*20 mm, within the reach of the object, 25 mm"):
         rectify(tmp_path, SPHERE, [Pose(45.0, 0.0)], setup=setup_of(0.0, 20.0, WHITE))
+
+
+def test_errors_of_angles_by_registration_are_passed_on(tmp_path):
+    files = [linear_file(tmp_path / f"{pose.name}.h5", pose) for pose in (Pose(45.0, 0.0), Pose(60.0, 30.0))]
+    plate, tile = made(Object | TexturedObject, PLATE), tmp_path / "obs.h5"
+    rows = 0, PLATE["texels"]["height"]
+    for rms_deg, expected in ((np.array([0.08, 0.04, 0.05, 0.06]), AngleErrors(0.08, 0.06, REGISTERED)), (None, None)):
+        rectify_object(
+            files, plate, setup_of(), rows, 85.0, angle_error_deg=rms_deg, output=tile, provenance=PROVENANCE
+        )
+        assert registered_errors(tile) == expected
 
 
 def test_captures_of_different_filters_and_masks_of_another_size_are_refused(tmp_path):

@@ -38,6 +38,7 @@ from irodori.rectification.object_registration import (
 )
 from irodori.rectification.placement_correction import COUNT, QUANTITIES, Correction, prior_sigma
 from irodori.rectification.reduced_pictures import Picture
+from irodori.rectification.registration_covariance import RegisteredAngleErrors
 from irodori.rectification.texture_agreement import (
     blocks,
     matt_weight,
@@ -305,11 +306,14 @@ def test_outliers_lose_their_weight():
 # Words.
 
 
+NO_ANGLES = RegisteredAngleErrors(np.full(4, np.nan), np.full((2, 4), np.nan), np.full((4, 2), np.nan))
+
+
 def registered(values, sigma, residual=(0.1, 0.2), suspects=(("turn_deg", 0.0), ("turn_deg", 0.0))) -> Registered:
     prior = np.full(COUNT, 2.0)
     return Registered(
         Correction.of(values), np.diag(np.array(sigma) ** 2), prior, np.zeros(2), np.array(residual), 0.2,
-        np.array([10, 20]), suspects,
+        np.array([10, 20]), suspects, NO_ANGLES,
     )  # fmt: skip
 
 

@@ -115,6 +115,20 @@ def test_recovered_materials_are_near_the_truth(finished):
     )
 
 
+def test_the_fit_uses_the_errors_of_the_registration_and_material_and_report_say_so(finished):
+    page = (finished / "results/still-life/report.html").read_text()
+    for subject in ("tile-plate", "leaf-sphere"):
+        folder = finished / "results" / subject
+        with open_file(folder / "registration.h5") as file:
+            theta_i, _, _, phi = file.read("angle_error")
+        with open_file(folder / "material.h5") as file:
+            used = file.attribute("errors", dict)["angle_errors"]
+        assert used == {"theta_i_deg": theta_i, "phi_deg": phi, "source": "registered"}
+        assert 0.03 < phi < 0.3 and f"{phi:.3f} deg to the half vector, by registration" in page
+        log = finished / f"results/logs/fit_brdf/{subject}_000.log"
+        assert f"{phi:.3f} deg to the half vector, by registration" in log.read_text()
+
+
 def test_every_file_says_where_it_came_from(finished):
     files = sorted((finished / "results").rglob("*.h5"))
     assert len(files) > 20
@@ -264,8 +278,9 @@ def test_a_library_edit_reruns_the_stages_that_use_it(again, tmp_path):
     module = code / "irodori/fitting/solvers.py"
     module.write_text(module.read_text() + "\n# a changed line\n")
     rules = {rule for rule, _ in planned(snakemake(again, "--dry-run", snakefile=code / "Snakefile"))}
-    # The page draws the fit's outcomes with the fit's own names, so it uses the module too.
-    assert rules == STAGES_AFTER_FIT
+    # The page draws the fit's outcomes with the fit's own names, so it uses the module too; registration fits texels to
+    # find the light.
+    assert rules == STAGES_AFTER_FIT | {"register_object", "rectify_object"}
 
 
 def test_a_job_for_every_capture_but_none_for_a_tiny_tile():

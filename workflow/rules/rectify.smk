@@ -2,7 +2,7 @@ rule register_object:
     input:
         linear=sets.linear_files,
         lens=sets.lens,
-        user_files=ancient(sets.mesh),
+        user_files=ancient(sets.mesh_and_tables_of_index),
     output:
         registration="results/{object}/registration.h5",
     log:
@@ -22,8 +22,16 @@ rule register_object:
         rig=sets.rig_geometry,
         place=lookup(within=config, dpath="place"),
         markers=sets.markers,
-        user_files=ledger.content(sets.mesh),
-        code=code_hash("irodori.rectification.object_registration", "irodori.lens.lens_file"),
+        fit=lookup(within=config, dpath="fit"),
+        lobes=lookup(within=config["objects"], dpath="{object}/lobes"),
+        refractive_index=lookup(within=config["objects"], dpath="{object}/refractive_index"),
+        max_angle_deg=lookup(within=config["rectify"], dpath="max_angle_deg"),
+        user_files=ledger.content(sets.mesh_and_tables_of_index),
+        code=code_hash(
+            "irodori.rectification.object_registration",
+            "irodori.fitting.light_angle",
+            "irodori.lens.lens_file",
+        ),
     script:
         "../scripts/register_object.py"
 

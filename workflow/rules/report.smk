@@ -242,6 +242,7 @@ rule write_report:
         references=reports.cameras("results/cameras/{camera}/reference.h5"),
         sessions=reports.sessions,
         registrations=reports.objects("results/{object}/registration.csv"),
+        placements=reports.placements,
         materials=reports.objects("results/{object}/material.h5"),
         true_materials=reports.objects("results/{object}/truth.h5", virtual_only=True),
         environments=reports.environments("results/environments/{environment}.h5"),

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Literal, Protocol
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from irodori.config.models import AxisLimit, Object, PosePlan, Rig, RigLimits, S
 from irodori.config.parts import PlannedObject
 from irodori.geometry.rig_frame import to_camera, to_light
 from irodori.geometry.shapes.shape import Shape
+from irodori.material.angle_errors import errors_in_use
 from irodori.reflection.registry import DEFAULT_LOBES
 from irodori.spectra.published import refractive_index_at
 
@@ -221,8 +222,8 @@ class StatedErrors(Protocol):
         """Relative error of an observation apart from noise."""
 
     @property
-    def pose_error_deg(self) -> float:
-        """Standard deviation of the angle of light or camera, degrees."""
+    def pose_error_deg(self) -> Literal["auto"] | float:
+        """Standard deviation of the angle of light or camera, degrees; ``auto`` leaves it to registration."""
 
 
 def default_noise(
@@ -241,7 +242,10 @@ def default_noise(
     fit : StatedErrors, optional
         Assumed errors for a rig whose definition does not state them.
     """
-    own = {"relative": fit.model_error, "pose_rms_deg": fit.pose_error_deg} if fit else {}
+    own = {}
+    if fit is not None:
+        pose_rms_deg = errors_in_use(fit.pose_error_deg, None).rig_deg
+        own = {"relative": fit.model_error, "pose_rms_deg": pose_rms_deg}
     if rig.virtual is not None:
         drift, pose = rig.virtual.imperfections.light_drift, rig.virtual.imperfections.pose_error
         own = {
