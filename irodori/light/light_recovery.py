@@ -19,14 +19,11 @@ from irodori.core.errors import InputError
 from irodori.light.light_prior import LightPrior, prior_of_any_lamp
 from irodori.light.recovery_loops import mixture_weights
 
-#: Factor on the variance of the response model. Its errors are common to all directions, but the densities are
-#: multiplied as if they were independent. Chosen in simulated rooms with lamps of the CIE.
-_COMMON = 1.5
 _LEAST_NOISE = 3e-4  # smallest relative noise of a response that is assumed
 #: Weight of each further distinct colour of the room, in observations, against one prior observation per family: for
 #: recovery, and for the comparison of two priors, each of which is to explain the room as well as it can. Both were
 #: chosen in simulated rooms with lamps of IES TM-30 that resemble none of the CIE.
-_EVIDENCE, _COMPARISON = 10.0, 200.0
+_EVIDENCE, _COMPARISON = 10.0, 150.0
 #: Distance of colours that are distinct, and steps of the iteration. Repeated views of one colour share their errors.
 _ALIKE, _STEPS = 0.1, 30
 _FAMILIES = 16  # largest number of families kept for a picture
@@ -161,7 +158,7 @@ class _Families:
         of_band = np.arange(len(model.mean))
         moment[:, of_band, of_band] *= 1.0 + _LEAST_NOISE**2
         pairs = model.covariance.swapaxes(1, 2).reshape(moment[0].size, -1)
-        moment += _COMMON * (prior.moment.reshape(len(moment), -1) @ pairs.T).reshape(moment.shape)
+        moment += (prior.moment.reshape(len(moment), -1) @ pairs.T).reshape(moment.shape)
         factor = np.linalg.inv(np.linalg.cholesky(moment))
         gain = (np.linalg.solve(moment, cross)).swapaxes(1, 2)
         return cls(prior.share, factor, gain, prior.moment - gain @ cross)
