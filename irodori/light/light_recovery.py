@@ -19,6 +19,9 @@ from irodori.core.errors import InputError
 from irodori.light.light_prior import LightPrior, prior_of_any_lamp
 from irodori.light.recovery_loops import mixture_weights
 
+#: Factor on the variance of the response model in densities. Its errors are common to all directions, but the densities
+#: are multiplied as if they were independent. Chosen in simulated rooms with lamps of the CIE.
+_COMMON = 1.5
 _LEAST_NOISE = 3e-4  # smallest relative noise of a response that is assumed
 #: Weight of each further distinct colour of the room, in observations, against one prior observation per family: for
 #: recovery, and for the comparison of two priors, each of which is to explain the room as well as it can. Both were
@@ -139,7 +142,7 @@ class _Families:
     ----------
     share : (n,) float64
     factor : (n, bands, bands) float64
-        Inverse of the Cholesky factor of the second moment of the responses.
+        Inverse of the Cholesky factor of the second moment of the responses, by which families are weighed.
     light_from_response : (n, 61, bands) float64
     open : (n, 61, 61) float64
         Covariance of the light given the responses, per squared scale of the light.
@@ -158,9 +161,9 @@ class _Families:
         of_band = np.arange(len(model.mean))
         moment[:, of_band, of_band] *= 1.0 + _LEAST_NOISE**2
         pairs = model.covariance.swapaxes(1, 2).reshape(moment[0].size, -1)
-        moment += (prior.moment.reshape(len(moment), -1) @ pairs.T).reshape(moment.shape)
-        factor = np.linalg.inv(np.linalg.cholesky(moment))
-        gain = (np.linalg.solve(moment, cross)).swapaxes(1, 2)
+        noise = (prior.moment.reshape(len(moment), -1) @ pairs.T).reshape(moment.shape)
+        factor = np.linalg.inv(np.linalg.cholesky(moment + _COMMON * noise))
+        gain = (np.linalg.solve(moment + noise, cross)).swapaxes(1, 2)
         return cls(prior.share, factor, gain, prior.moment - gain @ cross)
 
     def chosen(self, index: np.ndarray, share: np.ndarray) -> "_Families":

@@ -182,17 +182,20 @@ def made_up_prior(families: int, rng) -> LightPrior:
 
 def written_out(prior: LightPrior, model, covariance, room: Directions) -> list[list[tuple]]:
     """Return (share, mean, covariance of the light) of each family that is kept, for each direction of a room."""
-    bands, moments = len(model), []
+    bands, weighed, moments = len(model), [], []
     for moment in prior.moment:
         exact = model @ moment @ model.T
-        noise = [[np.trace(covariance[b, :, c] @ moment) for c in range(bands)] for b in range(bands)]
-        moments.append(exact + noise + np.diag(3e-4**2 * np.diag(exact)))
-    inverse = [np.linalg.inv(one) for one in moments]
+        exact += np.diag(3e-4**2 * np.diag(exact))
+        noise = np.array([[np.trace(covariance[b, :, c] @ moment) for c in range(bands)] for b in range(bands)])
+        # The directions share the errors of the model: as noise of their densities, these count for more.
+        weighed.append(exact + 1.5 * noise)
+        moments.append(exact + noise)
+    inverse = [np.linalg.inv(one) for one in weighed]
 
     def families_share(share, response):
         density = [
             p / np.sqrt(np.linalg.det(moment)) * (response @ inv @ response) ** (-bands / 2)
-            for p, moment, inv in zip(share, moments, inverse, strict=True)
+            for p, moment, inv in zip(share, weighed, inverse, strict=True)
         ]
         return np.array(density) / sum(density)
 
@@ -212,7 +215,7 @@ def written_out(prior: LightPrior, model, covariance, room: Directions) -> list[
     found = []
     for response in room.response:
         own = families_share(share, response)
-        gains = [moment @ model.T @ inv for moment, inv in zip(prior.moment, inverse, strict=True)]
+        gains = [one @ model.T @ np.linalg.inv(moment) for one, moment in zip(prior.moment, moments, strict=True)]
         scale = [response @ inv @ response / bands for inv in inverse]
         found.append(
             [
@@ -253,7 +256,7 @@ def log_density(moment, model, covariance, response) -> float:
     """The log density of a response under a family, without the constant that all families and priors share."""
     second = model @ moment @ model.T
     second += np.diag(3e-4**2 * np.diag(second))
-    second += np.einsum("bicj,ij->bc", covariance, moment)
+    second += 1.5 * np.einsum("bicj,ij->bc", covariance, moment)
     inverse = np.linalg.inv(second)
     return -0.5 * np.log(np.linalg.det(second)) - 0.5 * len(model) * np.log(response @ inverse @ response)
 
