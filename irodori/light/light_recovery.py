@@ -24,9 +24,9 @@ from irodori.light.recovery_loops import mixture_weights
 _COMMON = 1.5
 _LEAST_NOISE = 3e-4  # smallest relative noise of a response that is assumed
 #: Weight of each further distinct colour of the room, in observations, against one prior observation per family: for
-#: recovery, and for the comparison of two priors, each of which is to explain the room as well as it can. Both were
-#: chosen in simulated rooms with lamps of IES TM-30 that resemble none of the CIE.
-_EVIDENCE, _COMPARISON = 10.0, 150.0
+#: recovery, and for the comparison of two priors. The second was chosen in simulated rooms with lamps of IES TM-30 that
+#: resemble none of the CIE.
+_EVIDENCE, _COMPARISON = 300.0, 150.0
 #: Distance of colours that are distinct, and steps of the iteration. Repeated views of one colour share their errors.
 _ALIKE, _STEPS = 0.1, 30
 _FAMILIES = 16  # largest number of families kept for a picture

@@ -31,7 +31,7 @@ def _add_product(matrix, c, i, k, x, total, row):
 
 @njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
 def _add_squares(factor, c, i, x, before, square):
-    """Add to a row of ``square`` the squares of six rows: ``before``, and a triangle of a factor times rows of ``x``."""
+    """Add to a row of ``square`` the squares of ``before`` plus a triangle of a factor times six rows of ``x``."""
     f = factor
     for j in range(_LANES):
         x0, x1, x2, x3, x4, x5 = x[i, j], x[i + 1, j], x[i + 2, j], x[i + 3, j], x[i + 4, j], x[i + 5, j]

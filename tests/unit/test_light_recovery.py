@@ -205,7 +205,7 @@ def written_out(prior: LightPrior, model, covariance, room: Directions) -> list[
         p * q * np.exp((a @ b - 1.0) / 0.1**2)
         for p, a in zip(room.share, colours, strict=True) for q, b in zip(room.share, colours, strict=True)
     )  # fmt: skip
-    evidence, count, share = 10.0 * (1.0 / alike - 1.0), len(prior.share), prior.share
+    evidence, count, share = 300.0 * (1.0 / alike - 1.0), len(prior.share), prior.share
     for _ in range(30):
         seen = sum(p * families_share(share, one) for p, one in zip(room.share, room.response, strict=True))
         share = (count * prior.share + evidence * seen) / (count + evidence)

@@ -64,20 +64,24 @@ def test_a_lamp_with_a_chart_under_it_is_recovered_far_better_than_without(seen)
 
 
 def test_charts_in_two_places_tell_two_lamps_that_light_both_from_each_other(seen):
-    """Walls under either lamp alone are recovered, though each chart stands under both."""
+    """Walls under either lamp alone are recovered, though each chart stands under both; mean over three draws."""
     pair = np.stack([lamp("D65"), lamp("LED-B3")])
     lights = np.concatenate([pair, *(WALLS * one for one in pair)])
-    room, prior = room_of(seen, lights), prior_without("D65", "LED-B3")
-    charts = [chart_under(seen, np.array(share) @ pair, seed) for seed, share in enumerate([(0.8, 0.2), (0.3, 0.7)])]
-    model = ResponseModel.of(seen.calibration)
-    alone, helped = (recovery_with(some, model, room, prior) for some in ([], charts))
-    assert error(helped, room, lights) < min(0.5, 0.9 * error(alone, room, lights))
-    # What the recovery states of itself, drawn as it is for the picture's errors.
-    weights = helped.weights(room.response)
-    found, rng = weights @ helped.basis.T, np.random.default_rng(1)
-    drawn = np.tensordot(rng.standard_normal((16, len(helped.errors))), helped.errors, axes=1) + helped.basis
-    stated = np.mean([adapted_errors(*each) for basis in drawn for each in zip(found, weights @ basis.T, strict=True)])
-    assert 0.5 < stated / error(helped, room, lights) < 2.0
+    prior, found, rng = prior_without("D65", "LED-B3"), [], np.random.default_rng(1)
+    for own in (seen, camera(1), camera(2)):
+        room = room_of(own, lights)
+        charts = [chart_under(own, np.array(share) @ pair, seed) for seed, share in enumerate([(0.8, 0.2), (0.3, 0.7)])]
+        alone, helped = (recovery_with(some, own.model, room, prior) for some in ([], charts))
+        # What the recovery states of itself, drawn as it is for the picture's errors.
+        weights = helped.weights(room.response)
+        recovered_ = weights @ helped.basis.T
+        drawn = np.tensordot(rng.standard_normal((8, len(helped.errors))), helped.errors, axes=1) + helped.basis
+        pairs = [each for basis in drawn for each in zip(recovered_, weights @ basis.T, strict=True)]
+        stated = np.mean([adapted_errors(*each) for each in pairs])
+        found.append([error(alone, room, lights), error(helped, room, lights), stated])
+    alone, helped, stated = np.mean(found, axis=0)
+    assert helped < min(0.5, 0.9 * alone)
+    assert 0.5 < stated / helped < 2.0
 
 
 def test_no_chart_is_the_recovery_without_charts(seen):
@@ -136,8 +140,8 @@ def test_two_lamps_of_different_kind_are_recovered_on_walls_and_mixed(seen, name
         as_paint = np.mean([adapted_errors(light, recovered(own, light, None)) for light in lights])
         found.append([*(error(one, room, lights) for one in recoveries), as_paint])
     alone, helped, as_paint = np.mean(found, axis=0)
-    assert helped <= 0.55 and helped < alone and helped < 0.5 * as_paint
-    assert alone < 0.7 * as_paint
+    assert helped <= 0.55 and helped < 0.95 * alone and helped < 0.5 * as_paint
+    assert alone < 0.8 * as_paint
 
 
 @pytest.mark.stability(stage="light", case="narrow-band LED")

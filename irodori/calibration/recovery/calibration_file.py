@@ -98,7 +98,7 @@ class Calibration:
                     )
             known = {name: file.read_within(name) for name in optional}
             if optional.get(_COVARIANCE) == _OF_EACH_BAND:
-                known[_COVARIANCE] = of_independent_bands(known[_COVARIANCE])
+                known[_COVARIANCE] = of_independent_bands(list(known[_COVARIANCE]))
             return cls(
                 file.read_within("basis"),
                 KINDS[kind](**values),
