@@ -118,6 +118,17 @@ def test_a_filter_without_a_table_is_one_filter_for_all_bands(noise):
     assert_within(best, true)
 
 
+def test_an_error_of_a_sensitivity_is_stated_as_an_error_of_the_band_with_the_filter_too():
+    """In the mean over four draws of noise, errors of a band without and with the filter have the covariance stated."""
+    found, stated = 0.0, 0.0
+    for seed in range(4):
+        best, true = photographed(COMB, 0.01, seed).found(NOTHING)
+        off = best.mean - true
+        found += float(np.sum(off[:3] * off[3:]))
+        stated += sum(float(np.trace(best.covariance[band, :, band + 3])) for band in range(3))
+    assert 0.4 <= found / stated <= 2.0
+
+
 def test_six_bands_that_no_filter_relates_are_estimated_one_by_one():
     light, spectra = spectrum("A"), chart_spectra("BabelColor Average")[1]
     true = band_weights(np.concatenate([NIKON[::-1], SIGMA * np.linspace(0.0, 3.0, 61)]), light)
