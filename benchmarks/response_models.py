@@ -16,6 +16,7 @@ import numpy as np
 from irodori.calibration.best_response import BestResponse, CameraSensitivities, Given, best_response
 from irodori.calibration.filter_table import FilterTable
 from irodori.calibration.response_model import fit_response_model, smooth_covariance, smooth_priors
+from irodori.calibration.sensitivity_prior import of_independent_bands
 from irodori.calibration.simulated_responses import band_weights
 from irodori.spectra.grid import WAVELENGTH_NM
 from irodori.spectra.published import camera_sensitivities, chart_spectra, spectrum
@@ -139,7 +140,7 @@ def errors(mean: np.ndarray, true: np.ndarray) -> np.ndarray:
 
 def shares(mean: np.ndarray, covariance: np.ndarray, true: np.ndarray) -> tuple[float, float]:
     """Return the shares of errors, over wavelengths and bands, within one and two stated standard deviations."""
-    ratio = np.abs(mean - true) / np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 1e-300))
+    ratio = np.abs(mean - true) / np.sqrt(np.maximum(np.einsum("blbl->bl", covariance), 1e-300))
     return float(np.mean(ratio <= 1.0)), float(np.mean(ratio <= 2.0))
 
 
@@ -156,13 +157,15 @@ def judged(way: str, noise: float, cameras=CAMERAS, filters=FILTERS) -> tuple[fl
         own, sheet = judged_trial(camera, name, noise, seed)
         if way == "smooth":
             response, spectra, variance, true = own.chart()
-            best = fit_response_model(response, smooth_priors(spectra, own.light), variance)
+            smooth = fit_response_model(response, smooth_priors(spectra, own.light), variance)
+            mean, covariance = smooth.mean, of_independent_bands(smooth.covariance)
         else:
             table = sheet if "filter" in way else None
             known = given_sensitivities(own.sensitivities, seed=seed) if "sensitivities" in way else None
             best, true = own.found(Given(table, known))
-        off = errors(best.mean, true)
-        rows.append((off[:3].mean(), off[3:].mean(), *shares(best.mean, best.covariance, true)))
+            mean, covariance = best.mean, best.covariance
+        off = errors(mean, true)
+        rows.append((off[:3].mean(), off[3:].mean(), *shares(mean, covariance, true)))
     return tuple(np.mean(rows, axis=0).tolist())
 
 

@@ -79,7 +79,7 @@ def band_response(results: Path) -> Figure:
     with store.open_file(results / "cameras" / CAMERA / "calibration.h5") as file:
         response, covariance = file.read("band_response"), file.read("band_response_covariance")
     figure, axes = _plot()
-    for band, spread, title in zip(response, np.diagonal(covariance, axis1=1, axis2=2), _BANDS, strict=True):
+    for band, spread, title in zip(response, np.einsum("blbl->bl", covariance), _BANDS, strict=True):
         (line,) = axes.plot(WAVELENGTH_NM, band, label=title, lw=1.2)
         error = np.sqrt(np.maximum(spread, 0.0))
         axes.fill_between(WAVELENGTH_NM, band - error, band + error, color=line.get_color(), alpha=0.2, lw=0)

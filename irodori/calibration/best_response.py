@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from irodori.calibration.filter_fit import FilterFit, fit_filter
+from irodori.calibration.filter_fit import FILTERED, FilterFit, fit_filter
 from irodori.calibration.filter_table import FilterTable
 from irodori.calibration.sensitivity_prior import BandPrior, Posteriors, prior_about, prior_of_chart
 
@@ -51,7 +51,7 @@ class BestResponse:
     Parameters
     ----------
     mean : (bands, 61) float64
-    covariance : (bands, 61, 61) float64
+    covariance : (bands, 61, bands, 61) float64
     sources : tuple of str
         Sources that were used, the chart first.
     evidence : dict of float
@@ -105,8 +105,13 @@ def best_response(
     ways: dict[tuple[str, ...], FilterFit | Posteriors] = {}
     for sources, of_bands in priors.items():
         ways[sources] = Posteriors.of(of_bands, response, spectra)
+        if response.shape[1] == 2 * FILTERED:
+            same = fit_filter(response, spectra, None, of_bands[:FILTERED], variance)
+            ways[sources] = max(ways[sources], same, key=lambda way: way.log_evidence)
         if given.filter is not None:
-            ways[CHART, FILTER, *sources[1:]] = fit_filter(response, spectra, given.filter, of_bands[:3], variance)
+            ways[CHART, FILTER, *sources[1:]] = fit_filter(
+                response, spectra, given.filter, of_bands[:FILTERED], variance
+            )
     likeliest = max(ways, key=lambda sources: ways[sources].log_evidence)
     best, alone = ways[likeliest], ways[CHART,].log_evidence
     return BestResponse(
@@ -114,5 +119,5 @@ def best_response(
         best.covariance,
         likeliest,
         {sources: way.log_evidence - alone for sources, way in ways.items()},
-        best if isinstance(best, FilterFit) else None,
+        best if FILTER in likeliest and isinstance(best, FilterFit) else None,
     )

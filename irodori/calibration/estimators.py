@@ -202,11 +202,8 @@ def fit_checked(name: str, training: Training, bases: int, max_condition: float 
             light = np.asarray(training.light, dtype=np.float64)
             found = Calibration(basis, mapping, light, estimator=name, training=training.response)
         best, scale = training.best_response, training.scale
-    return replace(
-        found,
-        band_response=best.mean * scale[:, None],
-        band_response_covariance=best.covariance * scale[:, None, None] ** 2,
-    )
+    covariance = best.covariance * scale[:, None, None, None] * scale[:, None]
+    return replace(found, band_response=best.mean * scale[:, None], band_response_covariance=covariance)
 
 
 def monomials(response: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -7,12 +7,13 @@ likelihood (Rasmussen and Williams 2006, section 5.4). At the edges of a camera'
 change within a few nanometres: there, distances in wavelength are stretched.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
-from irodori.spectra.grid import WAVELENGTH_NM
+from irodori.spectra.grid import SAMPLES, WAVELENGTH_NM
 
 #: Values tried: correlation lengths of a sensitivity, nm; its variances and additional noise variances, both relative.
 _LENGTHS_NM = (30.0, 40.0, 60.0)
@@ -22,7 +23,7 @@ _FURTHER_NOISE = 10.0 ** np.arange(-10.0, -1.0)
 #: those of the two cameras in colour-science; no other camera was examined.
 _EDGES_NM, _EDGE_WIDTH_NM, _EDGE_DISTANCE_NM = (418.0, 655.0), 10.0, 40.0
 #: Envelope: width of its local mean, nm, its smallest value relative to the largest, and its number of re-estimations.
-_ENVELOPE_NM, _LEAST, _ROUNDS = 20.0, 0.05, 2
+_ENVELOPE_NM, _LEAST, _ROUNDS = 20.0, 0.02, 2
 _LEAST_POWER = 1e-3  # smallest power of a lamp, relative to its mean
 
 
@@ -75,7 +76,7 @@ class Posteriors:
     Parameters
     ----------
     mean : (bands, 61) float64
-    covariance : (bands, 61, 61) float64
+    covariance : (bands, 61, bands, 61) float64
     log_evidence : float
         Logarithm of the density of all responses, up to a constant of the chart.
     """
@@ -88,8 +89,16 @@ class Posteriors:
     def of(cls, priors: list[BandPrior], response: np.ndarray, spectra: np.ndarray) -> "Posteriors":
         """Return the posteriors given responses (m, bands) to known reflectances (m, 61)."""
         each = [prior.given(own, spectra) for prior, own in zip(priors, response.T, strict=True)]
-        mean, covariance = (np.array([getattr(one, name) for one in each]) for name in ("mean", "covariance"))
+        mean, covariance = np.array([one.mean for one in each]), of_independent_bands([one.covariance for one in each])
         return cls(mean, covariance, sum(one.log_evidence for one in each))
+
+
+def of_independent_bands(covariances: Sequence[np.ndarray]) -> np.ndarray:
+    """Return the covariance of all bands, (bands, 61, bands, 61), from that of each, (61, 61)."""
+    found = np.zeros((len(covariances), SAMPLES, len(covariances), SAMPLES))
+    for band, own in enumerate(covariances):
+        found[band, :, band] = own
+    return found
 
 
 @lru_cache(maxsize=1)

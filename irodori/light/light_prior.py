@@ -23,6 +23,10 @@ _ALIKE = 5  # number of similar lamps that form a kind
 _LED_PEAKS_NM, _LED_WIDTHS_NM = ((445.0, 475.0), (515.0, 540.0), (615.0, 645.0)), (23.0, 34.0, 18.0)
 _LED_TEMPERATURES_K = (2700.0, 3000.0, 4000.0, 5000.0, 6500.0)  # among the nominal ones of ANSI C78.377
 _LED_STEPS = 6  # of each peak
+#: White LEDs: the peak, nm, of the blue LED; peaks and full widths at half maximum, nm, of a green or yellow phosphor
+#: (garnets with cerium) and of a red one (nitrides with europium), as manufacturers list them; values tried of each.
+_PUMP_NM, _PHOSPHORS_NM = (440.0, 465.0), ((530.0, 570.0), (90.0, 130.0), (600.0, 650.0), (70.0, 110.0))
+_PUMP_STEPS, _PHOSPHOR_STEPS = 4, (4, 2, 4, 2)
 _C2_NM_K = 1.438777e7  # second radiation constant of Planck's law
 #: Weights of the families: each lamp, each lamp reflected by coloured surfaces, each kind of lamp, and all lamps.
 _BARE, _COLOURED, _KIND, _ANY = 1.0, 2.0, 1.0, 1.0
@@ -58,27 +62,62 @@ def published_lamps() -> np.ndarray:
     return of_luminance_one(lamps)
 
 
-def led_lamps() -> np.ndarray:
-    """Return spectra of lamps of a red, a green and a blue LED, each of luminance 1, (temperatures, lamps, 61).
+def led_lamps() -> list[np.ndarray]:
+    """Return spectra of lamps of a red, a green and a blue LED, each of luminance 1, (lamps, 61) by temperature.
 
     The published spectra hold almost no such lamp, and its narrow peaks resemble those of no other. For every
-    temperature, the peak wavelengths take all combinations of a regular grid; the powers of the LEDs match the
-    tristimulus values of a black body of that temperature.
+    temperature, the peak wavelengths take all combinations of a regular grid.
 
     References
     ----------
     Shape of an LED: Ohno, Y. (2005), Spectral design considerations for white LED color rendering, Optical Engineering
     44(11), 111302, eq. (2).
     """
-    steps = (np.arange(_LED_STEPS) + 0.5) / _LED_STEPS
-    peaks = np.stack(np.meshgrid(*(low + (high - low) * steps for low, high in _LED_PEAKS_NM)), axis=-1).reshape(-1, 3)
-    bell = np.exp(-(((WAVELENGTH_NM - peaks[..., None]) / np.array(_LED_WIDTHS_NM)[:, None]) ** 2))
-    leds = (bell + 2.0 * bell**5) / 3.0
+    peaks = _combinations(*(_middles(_LED_STEPS, *reach) for reach in _LED_PEAKS_NM))
+    return _white_lamps(_led(peaks, np.array(_LED_WIDTHS_NM)))
+
+
+def phosphor_led_lamps() -> list[np.ndarray]:
+    """Return spectra of white LEDs of luminance 1, (lamps, 61) by temperature: a blue LED with two phosphors.
+
+    Peaks and widths take all combinations of a regular grid. The emission of a phosphor is a Gaussian.
+    """
+    phosphors = (_middles(steps, *reach) for steps, reach in zip(_PHOSPHOR_STEPS, _PHOSPHORS_NM, strict=True))
+    pump, green, green_width, red, red_width = _combinations(_middles(_PUMP_STEPS, *_PUMP_NM), *phosphors).T
+    peaks, widths = (np.stack(pair, axis=1)[..., None] for pair in ((green, red), (green_width, red_width)))
+    bands = np.exp(-4.0 * np.log(2.0) * ((WAVELENGTH_NM - peaks) / widths) ** 2)
+    return _white_lamps(np.concatenate([_led(pump[:, None], np.array(_LED_WIDTHS_NM[:1])), bands], axis=1))
+
+
+def _middles(steps: int, low: float, high: float) -> np.ndarray:
+    """Return the middles of equal parts of a range."""
+    return low + (high - low) * (np.arange(steps) + 0.5) / steps
+
+
+def _combinations(*values: np.ndarray) -> np.ndarray:
+    """Return all combinations of values, one of each array, (n, arrays)."""
+    return np.stack(np.meshgrid(*values), axis=-1).reshape(-1, len(values))
+
+
+def _led(peaks: np.ndarray, widths: np.ndarray) -> np.ndarray:
+    """Return spectra of LEDs (..., n, 61) with peaks (..., n) and widths (n,), nm."""
+    bell = np.exp(-(((WAVELENGTH_NM - peaks[..., None]) / widths[:, None]) ** 2))
+    return (bell + 2.0 * bell**5) / 3.0
+
+
+def _white_lamps(emitters: np.ndarray) -> list[np.ndarray]:
+    """Return lamps of luminance 1, (m, 61) for each temperature, from the spectra of three emitters, (n, 3, 61).
+
+    The powers of the emitters match the tristimulus values of a black body. Emitters of which one would need a negative
+    power make no lamp.
+    """
+    matching, found = colour_matching_weights(), []
     black_body = WAVELENGTH_NM**-5.0 / np.expm1(_C2_NM_K / (WAVELENGTH_NM * np.array(_LED_TEMPERATURES_K)[:, None]))
-    white = black_body @ colour_matching_weights().T
-    powers = np.linalg.solve((leds @ colour_matching_weights().T).swapaxes(-1, -2), white[:, None, :, None])[..., 0]
-    lamps = np.einsum("tnk,nkl->tnl", powers, leds)
-    return lamps / (lamps @ colour_matching_weights()[1])[..., None]
+    for white in black_body @ matching.T:
+        powers = np.linalg.solve((emitters @ matching.T).swapaxes(1, 2), white[:, None])
+        lamps = (powers.swapaxes(1, 2) @ emitters)[:, 0]
+        found.append(of_luminance_one(lamps[(powers >= 0.0).all(axis=(1, 2))]))
+    return found
 
 
 def of_luminance_one(lamps: np.ndarray) -> np.ndarray:
@@ -140,13 +179,13 @@ def light_prior(lamps: np.ndarray, deviation: float | np.ndarray = _OF_LAMPS) ->
 
 
 def prior_of_any_lamp(lamps: np.ndarray | None = None) -> LightPrior:
-    """Make the prior of a place whose lamps are unknown: published lamps and lamps of three LEDs.
+    """Make the prior of a place whose lamps are unknown: published lamps, lamps of three LEDs, and white LEDs.
 
     Parameters
     ----------
     lamps : (n, 61) float64, optional
         Spectra of published lamps, by default all of them.
     """
-    lamps, leds = published_lamps() if lamps is None else lamps, led_lamps()
-    of_leds = leds.swapaxes(1, 2) @ leds / leds.shape[1]
+    lamps, leds = published_lamps() if lamps is None else lamps, [*led_lamps(), *phosphor_led_lamps()]
+    of_leds = np.stack([some.T @ some / len(some) for some in leds])
     return families_of(np.concatenate([lamps[:, :, None] * lamps[:, None, :], of_leds]))

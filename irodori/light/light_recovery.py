@@ -19,13 +19,16 @@ from irodori.core.errors import InputError
 from irodori.light.light_prior import LightPrior, prior_of_any_lamp
 from irodori.light.recovery_loops import mixture_weights
 
-#: Factor on the variance of the response model. Its errors are common to all directions, but the densities are
-#: multiplied as if they were independent. Chosen in simulated rooms with lamps of the CIE.
+#: Factor on the variance of the response model in densities. Its errors are common to all directions, but the densities
+#: are multiplied as if they were independent. Chosen in simulated rooms with lamps of the CIE.
 _COMMON = 1.5
 _LEAST_NOISE = 3e-4  # smallest relative noise of a response that is assumed
-#: Weight of each further distinct colour of the room, in observations, against one prior observation per family;
-#: distance of colours that are distinct; steps of the iteration. Repeated views of one colour share the same errors.
-_EVIDENCE, _ALIKE, _STEPS = 300.0, 0.1, 30
+#: Weight of each further distinct colour of the room, in observations, against one prior observation per family: for
+#: recovery, and for the comparison of two priors. The second was chosen in simulated rooms with lamps of IES TM-30 that
+#: resemble none of the CIE.
+_EVIDENCE, _COMPARISON = 300.0, 150.0
+#: Distance of colours that are distinct, and steps of the iteration. Repeated views of one colour share their errors.
+_ALIKE, _STEPS = 0.1, 30
 _FAMILIES = 16  # largest number of families kept for a picture
 _BASES = 8  # largest number of basis spectra of the light
 _DRAWS = 64  # directions drawn from each part of a picture
@@ -40,7 +43,7 @@ class ResponseModel:
     Parameters
     ----------
     mean : (bands, 61) float64
-    covariance : (bands, 61, 61) float64
+    covariance : (bands, 61, bands, 61) float64
     """
 
     mean: np.ndarray
@@ -60,7 +63,7 @@ class ResponseModel:
             lacking = "band_response" if model is None else "band_response_covariance"
             raise InputError(path, lacking, "no such dataset", "a calibration that this version wrote")
         light = calibration.light
-        return cls(model / light, covariance / (light[:, None] * light))
+        return cls(model / light, covariance / (light[:, None, None] * light))
 
     def given(self, light: np.ndarray, response: np.ndarray, noise: np.ndarray) -> "ResponseModel":
         """Return the model conditioned on responses to known light.
@@ -69,14 +72,17 @@ class ResponseModel:
         ----------
         light : (n, 61) float64
         response : (n, bands) float64
-        noise : (bands, n, n) float64
-            Covariance of the responses due to noise and to the uncertainty of the light.
+        noise : (bands, n, bands, n) float64
+            Covariance of the responses due to noise and to the uncertainty of the light, which all bands share.
         """
-        cross = light @ self.covariance
-        gain = np.linalg.solve(cross @ light.T + noise, cross).swapaxes(1, 2)
-        missed = response.T - self.mean @ light.T
-        mean = self.mean + np.einsum("bln,bn->bl", gain, missed)
-        return ResponseModel(mean, self.covariance - gain @ cross)
+        count, states = response.size, self.mean.size
+        cross = light @ self.covariance.reshape(*self.mean.shape, states)
+        moment = cross.reshape(*response.T.shape, *self.mean.shape) @ light.T + noise
+        missed = (response.T - self.mean @ light.T).ravel()
+        cross = cross.reshape(count, states)
+        gain = np.linalg.solve(moment.reshape(count, count), cross).T
+        mean = self.mean + (gain @ missed).reshape(self.mean.shape)
+        return ResponseModel(mean, self.covariance - (gain @ cross).reshape(self.covariance.shape))
 
 
 @dataclass(frozen=True)
@@ -116,7 +122,7 @@ def draw_directions(parts: Iterable[tuple[np.ndarray, np.ndarray | float]], seed
     rng, responses, shares = np.random.default_rng(seed), [], []
     for response, solid_angle in parts:
         bands = response.shape[-1]
-        power = np.maximum(response.sum(axis=-1, dtype=np.float64), 0.0) * solid_angle
+        power = np.maximum(response @ np.ones(bands, response.dtype), 0.0) * solid_angle
         total = np.cumsum(np.where(np.isfinite(power), power, 0.0))
         if total[-1] > 0.0:
             chosen = np.searchsorted(total, rng.uniform(0.0, total[-1], _DRAWS), side="right")
@@ -136,7 +142,7 @@ class _Families:
     ----------
     share : (n,) float64
     factor : (n, bands, bands) float64
-        Inverse of the Cholesky factor of the second moment of the responses.
+        Inverse of the Cholesky factor of the second moment of the responses, by which families are weighed.
     light_from_response : (n, 61, bands) float64
     open : (n, 61, 61) float64
         Covariance of the light given the responses, per squared scale of the light.
@@ -153,10 +159,11 @@ class _Families:
         cross = model.mean @ prior.moment
         moment = cross @ model.mean.T
         of_band = np.arange(len(model.mean))
-        noise = _COMMON * prior.moment.reshape(len(prior.moment), -1) @ model.covariance.reshape(len(of_band), -1).T
-        moment[:, of_band, of_band] += noise + _LEAST_NOISE**2 * moment[:, of_band, of_band]
-        factor = np.linalg.inv(np.linalg.cholesky(moment))
-        gain = (np.linalg.solve(moment, cross)).swapaxes(1, 2)
+        moment[:, of_band, of_band] *= 1.0 + _LEAST_NOISE**2
+        pairs = model.covariance.swapaxes(1, 2).reshape(moment[0].size, -1)
+        noise = (prior.moment.reshape(len(moment), -1) @ pairs.T).reshape(moment.shape)
+        factor = np.linalg.inv(np.linalg.cholesky(moment + _COMMON * noise))
+        gain = (np.linalg.solve(moment + noise, cross)).swapaxes(1, 2)
         return cls(prior.share, factor, gain, prior.moment - gain @ cross)
 
     def chosen(self, index: np.ndarray, share: np.ndarray) -> "_Families":
@@ -188,8 +195,14 @@ class _Families:
         """Return the posterior shares of the families, (m, n), given responses, (m, bands)."""
         return _parted(self.share, self.likelihoods(response))
 
-    def room_shares(self, directions: Directions) -> tuple[np.ndarray, np.ndarray]:
+    def room_shares(self, directions: Directions, weight: float) -> tuple[np.ndarray, np.ndarray]:
         """Estimate the shares of the families in a room by expectation maximisation.
+
+        Parameters
+        ----------
+        directions : Directions
+        weight : float
+            Weight of each further distinct colour, in observations.
 
         Returns
         -------
@@ -199,7 +212,7 @@ class _Families:
             Mean posterior shares over directions, from the last step.
         """
         shares, count = self.share, len(self.share)
-        evidence = _EVIDENCE * (directions.different() - 1.0)
+        evidence = weight * (directions.different() - 1.0)
         likelihoods = self.likelihoods(directions.response)
         for _ in range(_STEPS):
             seen = directions.share @ _parted(shares, likelihoods)
@@ -208,7 +221,7 @@ class _Families:
 
     def of_room(self, directions: Directions, broad: int) -> "_Families":
         """Select the families that explain most of a room, and the ``broad`` ones that comprise any light."""
-        (shares, seen), count = self.room_shares(directions), len(self.share)
+        (shares, seen), count = self.room_shares(directions, _EVIDENCE), len(self.share)
         # The broad families are kept for directions lit by a lamp that is seen nowhere else.
         last = np.arange(count - broad, count)
         most = np.argsort(-seen[: last[0]], kind="stable")[: _FAMILIES - broad]
@@ -222,7 +235,7 @@ def evidence(prior: LightPrior, model: ResponseModel, directions: Directions) ->
     camera and room, so that differences can be used for comparison.
     """
     families = _Families.seen(prior, model)
-    shares, _ = families.room_shares(directions)
+    shares, _ = families.room_shares(directions, _COMPARISON)
     density = np.logaddexp.reduce(families.log_likelihoods(directions.response) + np.log(shares), axis=1)
     return float(directions.different() * (directions.share @ density))
 

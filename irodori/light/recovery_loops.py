@@ -12,82 +12,110 @@ import numpy as np
 from irodori.jit.chunks import run_chunks
 from irodori.jit.compilation import njit
 
-_LANES = 64
-_ROWS = 8  # rows that are summed at a time
-_BLOCK = 16 * _LANES  # pixels that a thread takes at a time
+_LANES = 256
+_WIDE = 6  # bands that are multiplied at a time
+_BLOCK = 4 * _LANES  # pixels that a thread takes at a time
 _FAST = {"contract", "reassoc", "nsz", "arcp"}  # infinity and NaN are still treated correctly
 _LEAST = np.float32(1e-30)  # added to squared lengths, so that shares are defined for black pixels
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def _combine(rows, weight, total):
-    """Fill ``total``, (_LANES,), with the weighted sum of rows; their number is a multiple of 8."""
+def _add_product(matrix, c, i, k, x, total, row):
+    """Add to a row of ``total`` the product of row ``i`` of a matrix with six rows of ``x`` from the row ``k`` on."""
+    m0, m1, m2, m3, m4, m5 = (matrix[c, i, k], matrix[c, i, k + 1], matrix[c, i, k + 2],
+                              matrix[c, i, k + 3], matrix[c, i, k + 4], matrix[c, i, k + 5])  # fmt: skip
     for j in range(_LANES):
-        total[j] = 0.0
-    for r in range(0, rows.shape[0], _ROWS):
-        w0, w1, w2, w3 = weight[r], weight[r + 1], weight[r + 2], weight[r + 3]
-        w4, w5, w6, w7 = weight[r + 4], weight[r + 5], weight[r + 6], weight[r + 7]
-        for j in range(_LANES):
-            total[j] += (
-                w0 * rows[r, j] + w1 * rows[r + 1, j] + w2 * rows[r + 2, j] + w3 * rows[r + 3, j]
-                + w4 * rows[r + 4, j] + w5 * rows[r + 5, j] + w6 * rows[r + 6, j] + w7 * rows[r + 7, j]
-            )  # fmt: skip
+        total[row, j] += (m0 * x[k, j] + m1 * x[k + 1, j] + m2 * x[k + 2, j]
+                          + m3 * x[k + 3, j] + m4 * x[k + 4, j] + m5 * x[k + 5, j])  # fmt: skip
+
+
+@njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+def _add_squares(factor, c, i, x, before, square):
+    """Add to a row of ``square`` the squares of ``before`` plus a triangle of a factor times six rows of ``x``."""
+    f = factor
+    for j in range(_LANES):
+        x0, x1, x2, x3, x4, x5 = x[i, j], x[i + 1, j], x[i + 2, j], x[i + 3, j], x[i + 4, j], x[i + 5, j]
+        y0 = before[0, j] + f[c, i, i] * x0
+        y1 = before[1, j] + f[c, i + 1, i] * x0 + f[c, i + 1, i + 1] * x1
+        y2 = before[2, j] + f[c, i + 2, i] * x0 + f[c, i + 2, i + 1] * x1 + f[c, i + 2, i + 2] * x2
+        y3 = (before[3, j] + f[c, i + 3, i] * x0 + f[c, i + 3, i + 1] * x1 + f[c, i + 3, i + 2] * x2
+              + f[c, i + 3, i + 3] * x3)  # fmt: skip
+        y4 = (before[4, j] + f[c, i + 4, i] * x0 + f[c, i + 4, i + 1] * x1 + f[c, i + 4, i + 2] * x2
+              + f[c, i + 4, i + 3] * x3 + f[c, i + 4, i + 4] * x4)  # fmt: skip
+        y5 = (before[5, j] + f[c, i + 5, i] * x0 + f[c, i + 5, i + 1] * x1 + f[c, i + 5, i + 2] * x2
+              + f[c, i + 5, i + 3] * x3 + f[c, i + 5, i + 4] * x4 + f[c, i + 5, i + 5] * x5)  # fmt: skip
+        square[c, j] += (y0 * y0 + y1 * y1) + (y2 * y2 + y3 * y3) + (y4 * y4 + y5 * y5)
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
 def _shares(square, share, bands):
     """Replace squares, (families, _LANES), by posterior shares: share square^(-bands / 2), normalised to sum one."""
-    least, total = square[0].copy(), np.zeros(_LANES, np.float32)
+    least, ratio, total = square[0].copy(), np.empty(_LANES, np.float32), np.zeros(_LANES, np.float32)
     for c in range(1, square.shape[0]):
         for j in range(_LANES):
             least[j] = min(least[j], square[c, j])
     for c in range(square.shape[0]):
         for j in range(_LANES):
-            ratio = least[j] / square[c, j]
-            power = share[c]
-            for _ in range(bands // 2):
-                power *= ratio
-            square[c, j] = power * math.sqrt(ratio) if bands % 2 else power
+            ratio[j] = least[j] / square[c, j]
+            square[c, j] = share[c]
+        for _ in range(bands // 2):
+            for j in range(_LANES):
+                square[c, j] *= ratio[j]
+        if bands % 2:
+            for j in range(_LANES):
+                square[c, j] *= math.sqrt(ratio[j])
+        for j in range(_LANES):
             total[j] += square[c, j]
+    for j in range(_LANES):
+        total[j] = np.float32(1.0) / total[j]
     for c in range(square.shape[0]):
         for j in range(_LANES):
-            square[c, j] /= total[j]
+            square[c, j] *= total[j]
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
 def _fill_means(response, constants, out, first, last):
     share, factor, maps = constants
-    families, bands = factor.shape[:2]
-    x = np.zeros((factor.shape[2], _LANES), np.float32)
-    parts = np.zeros((maps.shape[1], _LANES), np.float32)
-    square, total = np.empty((families, _LANES), np.float32), np.empty(_LANES, np.float32)
+    families, wide = factor.shape[:2]
+    bands, bases = response.shape[1], out.shape[1]
+    x, parts = np.zeros((wide, _LANES), np.float32), np.zeros((wide, _LANES), np.float32)
+    square, before = np.empty((families, _LANES), np.float32), np.empty((_WIDE, _LANES), np.float32)
+    total = np.empty((bases, _LANES), np.float32)
     for start in range(first, last, _LANES):
         count = min(_LANES, last - start)
         for b in range(bands):
             for j in range(_LANES):
                 x[b, j] = response[start + j, b] if j < count else np.float32(1.0)
         for c in range(families):
-            square[c] = _LEAST
-            for i in range(bands):
-                _combine(x, factor[c, i], total)
-                for j in range(_LANES):
-                    square[c, j] += total[j] * total[j]
+            for j in range(_LANES):
+                square[c, j] = _LEAST
+            for i in range(0, wide, _WIDE):
+                before[:] = np.float32(0.0)
+                for k in range(0, i, _WIDE):
+                    for row in range(_WIDE):
+                        _add_product(factor, c, i + row, k, x, before, row)
+                _add_squares(factor, c, i, x, before, square)
         _shares(square, share, bands)
+        total[:] = np.float32(0.0)
         for c in range(families):
             for b in range(bands):
                 for j in range(_LANES):
-                    parts[c * bands + b, j] = square[c, j] * x[b, j]
-        for k in range(maps.shape[0]):
-            _combine(parts, maps[k], total)
+                    parts[b, j] = square[c, j] * x[b, j]
+            for i in range(0, wide, _WIDE):
+                for k in range(bases):
+                    _add_product(maps, c, k, i, parts, total, k)
+        for k in range(bases):
             for j in range(count):
-                out[start + j, k] = total[j]
+                out[start + j, k] = total[k, j]
 
 
-def _padded(matrix: np.ndarray) -> np.ndarray:
-    """Convert a matrix to single precision and append zeros to its rows, up to a length that is a multiple of 8."""
-    spare = -matrix.shape[-1] % _ROWS
-    wide = np.pad(matrix, [(0, 0)] * (matrix.ndim - 1) + [(0, spare)])
-    return np.ascontiguousarray(wide, dtype=np.float32)
+def _padded(matrix: np.ndarray, rows: int = 0) -> np.ndarray:
+    """Convert matrices to single precision, and append zeros to their columns, and to the rows up to a given number.
+
+    The number of columns becomes a multiple of 6.
+    """
+    spare = max(rows - matrix.shape[1], 0), -matrix.shape[2] % _WIDE
+    return np.pad(matrix, [(0, 0), (0, spare[0]), (0, spare[1])]).astype(np.float32)
 
 
 def mixture_weights(response, share, factor, maps, out) -> None:
@@ -105,6 +133,6 @@ def mixture_weights(response, share, factor, maps, out) -> None:
     out : (n, bases) float32
         NaN where a response is not finite.
     """
-    flat = maps.swapaxes(0, 1).reshape(maps.shape[1], -1)
-    constants = share.astype(np.float32), _padded(factor), _padded(flat)
+    wide = factor.shape[1] + -factor.shape[1] % _WIDE
+    constants = share.astype(np.float32), _padded(factor, wide), _padded(maps)
     run_chunks(_fill_means, len(response), _BLOCK, response, constants, out)

@@ -130,18 +130,16 @@ def light_on(chart: ChartResponses, model: ResponseModel, prior: LightPrior) -> 
     from scipy.linalg import solve_triangular  # slow to import
 
     bands, patches = len(model.mean), len(chart.reflectance)
-    # Responses are ordered by band, so that errors of the response model, common to all patches, are diagonal blocks.
+    # Responses are ordered by band, so that errors of the response model, common to all patches, are blocks.
     seen = (model.mean[:, None] * chart.reflectance).reshape(bands * patches, -1)
     answer = chart.response.T.ravel()
-    of_all = np.arange(len(answer))
+    of_all, of_pairs = np.arange(len(answer)), model.covariance.swapaxes(1, 2)
     logarithm, means, left = [], [], []
     for moment, share in zip(prior.moment, prior.share, strict=True):
         cross = seen @ moment
         second = cross @ seen.T
-        for band in range(bands):
-            own = slice(band * patches, (band + 1) * patches)
-            of_model = chart.reflectance @ (model.covariance[band] * moment) @ chart.reflectance.T
-            second[own, own] += of_model
+        of_model = chart.reflectance @ (of_pairs * moment) @ chart.reflectance.T
+        second += of_model.reshape(bands, bands, patches, patches).swapaxes(1, 2).reshape(second.shape)
         second[of_all, of_all] *= 1.0 + _NOISE**2
         factor = np.linalg.cholesky(second)
         turned = solve_triangular(factor, np.column_stack([answer, cross]), lower=True)
@@ -202,14 +200,9 @@ def refined_model(model: ResponseModel, charts: Sequence[ChartResponses], lights
         expected = light_on_patches @ model.mean.T
         # Only the relative spectrum of the light is known; responses are scaled to fit on average.
         response = chart.response * (np.sum(expected**2) / np.sum(expected * chart.response))
-        noise = np.stack(
-            [
-                chart.reflectance @ (np.outer(own, own) * light.covariance) @ chart.reflectance.T
-                + np.diag((_NOISE * answer) ** 2)
-                for own, answer in zip(model.mean, response.T, strict=True)
-            ]
-        )
-        model = model.given(light_on_patches, response, noise)
+        seen = (model.mean[:, None] * chart.reflectance).reshape(response.size, -1)
+        noise = seen @ light.covariance @ seen.T + np.diag((_NOISE * response.T.ravel()) ** 2)
+        model = model.given(light_on_patches, response, noise.reshape(*response.T.shape, *response.T.shape))
     return model
 
 

@@ -189,9 +189,9 @@ def write_inputs(folder, response, valid, calibration, clipped=None):
         out.write("band_response", model, units="1", dims="band,wavelength", quantity="model")
         out.write(
             "band_response_covariance",
-            np.zeros((len(model), 61, 61)),
+            np.zeros((len(model), 61, len(model), 61)),
             units="1",
-            dims="band,wavelength,other",
+            dims="band,wavelength,other_band,other_wavelength",
             quantity="model",
         )
         out.attribute("filters", list(calibration.filters))

@@ -1,5 +1,6 @@
 """Estimators: exposure, units, types and hard charts, for each; their uncertainty and files."""
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -19,6 +20,7 @@ from irodori.calibration.response_model import fit_response_model, smooth_covari
 from irodori.calibration.training import ResponseNoise, Training, mix_paints
 from irodori.colour.colorimetry import delta_e_reflectance, spectral_rmse
 from irodori.core import store
+from irodori.spectra.coordinates import write_wavelength
 from irodori.spectra.grid import WAVELENGTH_NM
 
 NAMES = list(ESTIMATORS)
@@ -381,6 +383,23 @@ def test_no_number_is_stated_where_there_is_none(solved):
         Posterior(replace(solved["local"], band_response=None))
 
 
+def test_an_error_that_bands_share_goes_into_the_covariance_as_cameras_drawn_from_it_scatter(solved):
+    """An error common to all bands scales the spectrum; one that is opposite in two bands tilts it."""
+    rng, response = np.random.default_rng(8), PROBES[::8] @ system().T
+    shape = np.exp(-0.5 * ((WAVELENGTH_NM - np.array([[450.0], [550.0], [640.0]])) / 40.0) ** 2)
+    errors = rng.normal(0.0, 0.02, (3, 6, 1)) * shape[:, None] * system().max()
+    calibration = replace(solved["pinv"], band_response_covariance=np.einsum("kbi,kcj->bicj", errors, errors))
+    exact = replace(calibration, band_response_covariance=np.zeros((6, 61, 6, 61)))
+    stated, without = (Posterior(one).factor(response).astype(float) for one in (calibration, exact))
+    spectra = calibration.spectra(response)
+    drawn = np.einsum("dk,kbw,nw->dnb", rng.standard_normal((4000, 3)), errors, spectra)
+    recovered = (drawn @ calibration.weights_from_response @ calibration.basis.T)[..., ::4]
+    found = np.einsum("dni,dnj->nij", recovered, recovered) / len(recovered)
+    added = stated @ stated.swapaxes(1, 2) - without @ without.swapaxes(1, 2)
+    scale = np.abs(found).max(axis=(1, 2), keepdims=True)
+    np.testing.assert_allclose(added / scale, found / scale, atol=0.1)
+
+
 # ---- files
 
 
@@ -397,6 +416,27 @@ def test_a_calibration_survives_its_file(solved, name, tmp_path):
     own, written = (Posterior(one).of(response, variance).standard_deviation for one in (loaded, calibration))
     assert np.array_equal(own, written)
     assert (loaded.weights_from_response is None) == (name in ("local", "kernel", "broad"))
+
+
+def test_a_file_that_knows_each_band_alone_is_one_whose_bands_share_no_error(solved, tmp_path):
+    each = np.einsum("blbm->blm", solved["pinv"].band_response_covariance)
+    with store.create(tmp_path / "new.h5", store.Provenance("test")) as out:
+        solved["pinv"].write(out)
+    with (
+        store.open_file(tmp_path / "new.h5") as file,
+        store.create(tmp_path / "old.h5", store.Provenance("test")) as out,
+    ):
+        write_wavelength(out)
+        for name in ("basis", "weights_from_response", "light", "band_response"):
+            dims = file.dataset(name).attrs["dims"]
+            out.write(name, file.read(name), units="1", dims=dims, quantity=name)
+        dims = "band,wavelength,other_wavelength"
+        out.write("band_response_covariance", each, units="1", dims=dims, quantity="covariance")
+        out.attribute("filters", [])
+    found = Calibration.load(tmp_path / "old.h5").band_response_covariance
+    assert found.shape == (6, 61, 6, 61)
+    for band, other in itertools.product(range(6), repeat=2):
+        np.testing.assert_array_equal(found[band, :, other], each[band] if band == other else 0.0)
 
 
 def test_pinv_of_the_registry_is_the_printed_formula():

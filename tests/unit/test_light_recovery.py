@@ -15,7 +15,14 @@ from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.evaluation.truth_errors import radiance_delta_e
 from irodori.light.environment_file import Environment
-from irodori.light.light_prior import LightPrior, led_lamps, light_prior, prior_of_any_lamp, published_lamps
+from irodori.light.light_prior import (
+    LightPrior,
+    led_lamps,
+    light_prior,
+    phosphor_led_lamps,
+    prior_of_any_lamp,
+    published_lamps,
+)
 from irodori.light.light_recovery import Directions, LightRecovery, ResponseModel, draw_directions, evidence
 from irodori.spectra.grid import WAVELENGTH_NM
 from irodori.spectra.published import chart_spectra, spectrum
@@ -49,15 +56,22 @@ def one_direction(response: np.ndarray) -> Directions:
 @pytest.mark.parametrize("lamps", [pytest.param(CIE, id="all", marks=pytest.mark.heavy), pytest.param(SOME, id="some")])
 def test_lamps_that_the_prior_does_not_know_are_recovered_far_better_than_as_the_rigs_lamp_on_paint(seen, lamps):
     found, before = (errors(seen, variant, names=lamps)[:, 0] for variant in ("mixture", "rig-lamp"))
-    assert found.mean() <= 0.60 and before.mean() > 1.5
-    assert {name for name, worse in zip(lamps, found - before > 0.2, strict=True) if worse} <= {"FL3"}
-    assert (found - before).max() < 0.6
+    assert found.mean() <= 0.45 and before.mean() > 1.5
+    assert (found - before).max() <= 0.2
+
+
+@pytest.mark.parametrize("seed", [1, 4])
+def test_warm_fluorescent_lamps_are_no_worse_than_as_the_rigs_lamp_on_paint_however_the_charts_noise_falls(seed):
+    """Their mercury lines lie where the chart leaves the response of the blue band with the filter open."""
+    seen, warm = camera(seed), ("FL3", "FL4", "FL3.1")
+    found, before = (errors(seen, variant, names=warm)[:, 0] for variant in ("mixture", "rig-lamp"))
+    assert (found - before).max() <= 0.2
 
 
 def test_lamps_of_three_leds_are_shaped_and_coloured_as_another_program_makes_them():
     """colour-science makes an LED of the same peak and width, and the white of a black body."""
     lamps, shape = led_lamps(), colour.SpectralShape(WAVELENGTH_NM[0], WAVELENGTH_NM[-1], 5)
-    one = lamps[2, 0]  # 4000 K; every peak the first of its grid
+    one = lamps[2][0]  # 4000 K; every peak the first of its grid
     peaks = 445.0 + 2.5, 515.0 + 25 / 12, 615.0 + 2.5
     widths = (23.0, 34.0, 18.0)
     leds = [
@@ -69,7 +83,7 @@ def test_lamps_of_three_leds_are_shaped_and_coloured_as_another_program_makes_th
     white = colour.sd_blackbody(4000, shape).values
     found, expected = (light @ colour_matching_weights().T for light in (lamps[2], white))
     np.testing.assert_allclose(found / found[:, 1:2], np.broadcast_to(expected / expected[1], found.shape), rtol=1e-4)
-    assert (lamps >= 0.0).all()
+    assert all((some >= 0.0).all() for some in lamps)
 
 
 @pytest.mark.parametrize(("number", "temperature_k"), [(0, 2700), (4, 6500)])
@@ -88,6 +102,27 @@ def test_lamps_of_three_leds_have_all_peaks_of_a_regular_grid(number, temperatur
         lamp = np.linalg.solve(matching @ leds.T, matching @ white) @ leds
         lamp /= matching[1] @ lamp
         assert np.linalg.norm(lamps - lamp, axis=1).min() < 1e-4 * np.linalg.norm(lamp)
+
+
+def test_white_leds_are_shaped_and_coloured_as_another_program_makes_them():
+    """colour-science makes a blue LED, two Gaussian phosphors, and the white of a black body."""
+    lamps, shape = phosphor_led_lamps()[1], colour.SpectralShape(WAVELENGTH_NM[0], WAVELENGTH_NM[-1], 5)
+    matching, white = colour_matching_weights(), colour.sd_blackbody(3000, shape).values
+    assert (lamps >= 0.0).all() and len(np.unique(lamps.round(9), axis=0)) == len(lamps)
+    np.testing.assert_allclose(
+        lamps @ matching.T, np.tile(matching @ white / (matching[1] @ white), (len(lamps), 1)), rtol=1e-4
+    )
+    for pump, green, green_width, red, red_width in (
+        (440 + 25 / 8, 535.0, 100.0, 600 + 50 / 8, 80.0), (465 - 25 / 8, 565.0, 120.0, 650 - 50 / 8, 100.0)
+    ):  # fmt: skip
+        emitters = np.stack([
+            colour.sd_single_led(shape=shape, peak_wavelength=pump, half_spectral_width=23.0).values,
+            colour.sd_gaussian(green, green_width, shape, method="FWHM").values,
+            colour.sd_gaussian(red, red_width, shape, method="FWHM").values,
+        ])  # fmt: skip
+        lamp = np.linalg.solve(matching @ emitters.T, matching @ white) @ emitters
+        lamp /= matching[1] @ lamp
+        assert np.linalg.norm(lamps - lamp, axis=1).min() < 1e-3 * np.linalg.norm(lamp)
 
 
 def test_a_mixture_of_families_is_better_than_one_family_of_all_lamps(seen):
@@ -147,17 +182,20 @@ def made_up_prior(families: int, rng) -> LightPrior:
 
 def written_out(prior: LightPrior, model, covariance, room: Directions) -> list[list[tuple]]:
     """Return (share, mean, covariance of the light) of each family that is kept, for each direction of a room."""
-    bands, moments = len(model), []
+    bands, weighed, moments = len(model), [], []
     for moment in prior.moment:
         exact = model @ moment @ model.T
-        noise = [1.5 * np.trace(covariance[b] @ moment) + 3e-4**2 * exact[b, b] for b in range(bands)]
-        moments.append(exact + np.diag(noise))
-    inverse = [np.linalg.inv(one) for one in moments]
+        exact += np.diag(3e-4**2 * np.diag(exact))
+        noise = np.array([[np.trace(covariance[b, :, c] @ moment) for c in range(bands)] for b in range(bands)])
+        # The directions share the errors of the model: as noise of their densities, these count for more.
+        weighed.append(exact + 1.5 * noise)
+        moments.append(exact + noise)
+    inverse = [np.linalg.inv(one) for one in weighed]
 
     def families_share(share, response):
         density = [
             p / np.sqrt(np.linalg.det(moment)) * (response @ inv @ response) ** (-bands / 2)
-            for p, moment, inv in zip(share, moments, inverse, strict=True)
+            for p, moment, inv in zip(share, weighed, inverse, strict=True)
         ]
         return np.array(density) / sum(density)
 
@@ -177,7 +215,7 @@ def written_out(prior: LightPrior, model, covariance, room: Directions) -> list[
     found = []
     for response in room.response:
         own = families_share(share, response)
-        gains = [moment @ model.T @ inv for moment, inv in zip(prior.moment, inverse, strict=True)]
+        gains = [one @ model.T @ np.linalg.inv(moment) for one, moment in zip(prior.moment, moments, strict=True)]
         scale = [response @ inv @ response / bands for inv in inverse]
         found.append(
             [
@@ -193,12 +231,12 @@ def test_light_and_its_error_are_the_mean_and_covariance_of_the_mixture_written_
     rng = np.random.default_rng(families + directions)
     prior = made_up_prior(families, rng)
     model = seen.calibration.band_response[[0, 2]] / seen.calibration.light
-    covariance = np.stack([np.outer(one, one) * 1e-3 for one in model])
+    covariance = np.einsum("bc,bi,cj->bicj", 1e-3 * np.array([[1.0, 0.4], [0.4, 1.0]]), model, model)
     light = seen.calibration.light
     calibration = replace(
         seen.calibration,
         band_response=model * light,
-        band_response_covariance=covariance * light[:, None] * light,
+        band_response_covariance=covariance * light[:, None, None] * light,
     )
     response = rng.uniform(0.2, 1.0, (directions, 2))
     room = Directions(response, rng.dirichlet(np.ones(directions)))
@@ -217,8 +255,8 @@ def test_light_and_its_error_are_the_mean_and_covariance_of_the_mixture_written_
 def log_density(moment, model, covariance, response) -> float:
     """The log density of a response under a family, without the constant that all families and priors share."""
     second = model @ moment @ model.T
-    for band in range(len(model)):
-        second[band, band] += 1.5 * np.trace(covariance[band] @ moment) + 3e-4**2 * second[band, band]
+    second += np.diag(3e-4**2 * np.diag(second))
+    second += 1.5 * np.einsum("bicj,ij->bc", covariance, moment)
     inverse = np.linalg.inv(second)
     return -0.5 * np.log(np.linalg.det(second)) - 0.5 * len(model) * np.log(response @ inverse @ response)
 
@@ -226,7 +264,8 @@ def log_density(moment, model, covariance, response) -> float:
 def test_the_evidence_of_a_prior_is_the_log_density_of_as_many_directions_as_have_colours_of_their_own(seen):
     rng = np.random.default_rng(11)
     model = seen.calibration.band_response[[0, 2, 4]] / seen.calibration.light
-    covariance = np.stack([np.outer(one, one) * 1e-3 for one in model])
+    share = np.array([[1.0, 0.5, -0.2], [0.5, 1.0, 0.3], [-0.2, 0.3, 1.0]])
+    covariance = np.einsum("bc,bi,cj->bicj", 1e-3 * share, model, model)
     camera_, prior = ResponseModel(model, covariance), made_up_prior(5, rng)
     response = rng.uniform(0.2, 1.0, 3)
     expected = np.log(sum(

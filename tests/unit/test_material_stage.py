@@ -11,6 +11,7 @@ from made import made
 from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.calibration.recovery.mappings import LinearMapping
 from irodori.calibration.recovery.posterior import Posterior
+from irodori.calibration.sensitivity_prior import of_independent_bands
 from irodori.config.models import Object
 from irodori.config.parts import Surface
 from irodori.core import store
@@ -61,7 +62,7 @@ def calibration(tmp_path):
     rng = np.random.default_rng(5)
     chart = rng.uniform(0.1, 1, (24, 6))
     bells = np.exp(-0.5 * ((np.arange(61) - np.arange(5, 60, 10)[:, None]) / 5.0) ** 2) / 12.5
-    open_part = np.broadcast_to(1e-8 * np.eye(61), (6, 61, 61))
+    open_part = of_independent_bands([1e-8 * np.eye(61)] * 6)
     found = Calibration(BASIS, LinearMapping(np.eye(6)), np.ones(61), tuple(FILTERS), training=chart,
                         band_response=bells, band_response_covariance=open_part)  # fmt: skip
     with store.create(tmp_path / "calibration.h5", PROVENANCE) as out:

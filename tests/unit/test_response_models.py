@@ -20,10 +20,20 @@ from benchmarks.response_models import (
     shares,
     trial,
 )
-from irodori.calibration.best_response import CHART, FILTER, SENSITIVITIES, BestResponse, Given
+from irodori.calibration.best_response import (
+    CHART,
+    FILTER,
+    NOTHING,
+    SENSITIVITIES,
+    BestResponse,
+    Given,
+    best_response,
+)
 from irodori.calibration.estimator_choice import SelectionRow
 from irodori.calibration.filter_table import FilterTable, read_filter
 from irodori.calibration.recovery.calibration_file import Calibration
+from irodori.calibration.sensitivity_prior import Posteriors, prior_of_chart
+from irodori.calibration.simulated_responses import band_weights
 from irodori.calibration.stage import calibrate_camera, write_selection
 from irodori.config.models import CombFilter, Passband
 from irodori.config.parts import CalibratedCamera
@@ -34,7 +44,7 @@ from irodori.report.calibration_part import camera_calibrations
 from irodori.report.html_page import fragment
 from irodori.simulation.virtual_rig.sensor import comb_transmittance
 from irodori.spectra.grid import WAVELENGTH_NM
-from irodori.spectra.published import camera_sensitivities, spectrum
+from irodori.spectra.published import camera_sensitivities, chart_spectra, spectrum
 
 NIKON, SIGMA = (camera_sensitivities(f"{name} (NPL)") for name in ("Nikon 5100", "Sigma SDMerill"))
 FINE_NM = np.arange(380.0, 781.0)
@@ -87,7 +97,46 @@ def test_shift_and_gain_of_a_filter_are_found_with_the_response_model(curve, shi
     assert noise == 0.01 or error <= 0.5
     assert errors(best.mean, true)[3:].mean() <= 0.7 * errors(alone.mean, true)[3:].mean()
     assert_within(best, true)
-    assert np.linalg.eigvalsh(best.covariance).min() >= -1e-9 * np.abs(best.covariance).max()
+    whole = best.covariance.reshape(best.mean.size, -1)
+    assert np.linalg.eigvalsh(whole).min() >= -1e-9 * whole.max()
+
+
+@pytest.mark.parametrize("noise", NOISES)
+def test_a_filter_without_a_table_is_one_filter_for_all_bands(noise):
+    """It lets no band see what the band does not see without it, and that is stated."""
+    own = photographed(COMB, noise)
+    response, spectra, variance, true = own.chart()
+    best = best_response(response, spectra, own.light, variance, NOTHING)
+    each = [
+        prior_of_chart(*one, spectra, own.light, v) for one, v in zip(zip(response.T), variance + 1e-8, strict=True)
+    ]
+    apart = Posteriors.of(each, response, spectra)
+    assert best.sources == (CHART,) and best.filter is None and not best.ignored()
+    blue, red_nm = 5, WAVELENGTH_NM > 600.0
+    stated, before = (np.sqrt(np.diagonal(one.covariance[blue, :, blue]))[red_nm].max() for one in (best, apart))
+    assert stated < 0.7 * before and np.abs((best.mean - true)[blue, red_nm]).max() <= 3.0 * stated
+    assert_within(best, true)
+
+
+def test_an_error_of_a_sensitivity_is_stated_as_an_error_of_the_band_with_the_filter_too():
+    """In the mean over four draws of noise, errors of a band without and with the filter have the covariance stated."""
+    found, stated = 0.0, 0.0
+    for seed in range(4):
+        best, true = photographed(COMB, 0.01, seed).found(NOTHING)
+        off = best.mean - true
+        found += float(np.sum(off[:3] * off[3:]))
+        stated += sum(float(np.trace(best.covariance[band, :, band + 3])) for band in range(3))
+    assert 0.4 <= found / stated <= 2.0
+
+
+def test_six_bands_that_no_filter_relates_are_estimated_one_by_one():
+    light, spectra = spectrum("A"), chart_spectra("BabelColor Average")[1]
+    true = band_weights(np.concatenate([NIKON[::-1], SIGMA * np.linspace(0.0, 3.0, 61)]), light)
+    response = spectra @ true.T
+    response, variance = response / response.max(axis=0), np.full(6, 1e-8)
+    best = best_response(response, spectra, light, variance, NOTHING)
+    apart = Posteriors.of([prior_of_chart(one, spectra, light, 1e-8) for one in response.T], response, spectra)
+    assert best.mean == pytest.approx(apart.mean, rel=1e-2, abs=1e-3)
 
 
 WRONG = {

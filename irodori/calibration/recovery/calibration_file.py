@@ -5,6 +5,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from irodori.calibration.recovery.mappings import KINDS, LinearMapping, Mapping
+from irodori.calibration.sensitivity_prior import of_independent_bands
 from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.spectra.coordinates import write_bands, write_wavelength
@@ -19,9 +20,11 @@ _AXES = {
     "coefficients": "monomial,component",
 }
 _MATRIX = "weights_from_response"
-_RESPONSE_MODEL = ("band_response", "band_response_covariance")
+_COVARIANCE = "band_response_covariance"
+#: Axes of the covariance in files of earlier versions, which took the bands to be independent.
+_OF_EACH_BAND = "band,wavelength,other_wavelength"
 _OPTIONAL = {"chart_response": "patch,band", "band_response": "band,wavelength",
-             "band_response_covariance": "band,wavelength,other_wavelength"}  # fmt: skip
+             "band_response_covariance": "band,wavelength,other_band,other_wavelength"}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -43,8 +46,8 @@ class Calibration:
         Responses of the chart, for `band_scale`.
     band_response : (bands, 61) float, optional
         Response per unit reflectance at each wavelength, estimated from the chart.
-    band_response_covariance : (bands, 61, 61) float, optional
-        Posterior covariance of the band response; bands are independent.
+    band_response_covariance : (bands, 61, bands, 61) float, optional
+        Posterior covariance of the band response.
     """
 
     basis: np.ndarray
@@ -76,7 +79,10 @@ class Calibration:
             if kind not in KINDS:
                 raise InputError(path, "mapping", repr(kind), f"one of: {', '.join(KINDS)}")
             axes = {"basis": "wavelength,component", "light": "wavelength"}
-            axes |= {name: dims for name, dims in _OPTIONAL.items() if name in file}
+            optional = {name: dims for name, dims in _OPTIONAL.items() if name in file}
+            if _COVARIANCE in file and file.dataset(_COVARIANCE).ndim == _OF_EACH_BAND.count(",") + 1:
+                optional[_COVARIANCE] = _OF_EACH_BAND
+            axes |= optional
             own = fields(KINDS[kind]) if kind != LinearMapping.kind else ()
             axes |= {f"mapping/{field.name}": _AXES[field.name] for field in own if field.name in _AXES}
             file.require_axes(axes if own else axes | {_MATRIX: "band,component"}, wavelength=SAMPLES)
@@ -90,14 +96,18 @@ class Calibration:
                     values[field.name] = (
                         file.read_within(name) if in_dataset else file.attribute(field.name, (float, int))
                     )
+            known = {name: file.read_within(name) for name in optional}
+            if optional.get(_COVARIANCE) == _OF_EACH_BAND:
+                known[_COVARIANCE] = of_independent_bands(list(known[_COVARIANCE]))
             return cls(
                 file.read_within("basis"),
                 KINDS[kind](**values),
                 file.read_within("light"),
                 tuple(file.attribute("filters", list)),
                 file.attribute("estimator", str) if file.has_attribute("estimator") else "pinv",
-                training=file.read_within("chart_response") if "chart_response" in file else None,
-                **{name: file.read_within(name) if name in file else None for name in _RESPONSE_MODEL},
+                known.get("chart_response"),
+                known.get("band_response"),
+                known.get(_COVARIANCE),
             )
 
     def write(self, out: store.Writer) -> None:
@@ -127,9 +137,8 @@ class Calibration:
             quantity = "response per unit reflectance at each wavelength"
             out.write("band_response", self.band_response, units="1", dims="band,wavelength", quantity=quantity)
         if self.band_response_covariance is not None:
-            name = "band_response_covariance"
-            quantity = "covariance of the response per unit reflectance"
-            out.write(name, self.band_response_covariance, units="1", dims=_OPTIONAL[name], quantity=quantity)
+            quantity, dims = "covariance of the response per unit reflectance", _OPTIONAL[_COVARIANCE]
+            out.write(_COVARIANCE, self.band_response_covariance, units="1", dims=dims, quantity=quantity)
         out.attribute("filters", list(self.filters))
         out.attribute("estimator", self.estimator)
         out.attribute("mapping", self.mapping.kind)

@@ -91,7 +91,10 @@ class Posterior:
         self._white = xyz.sum(axis=1)
         near = smooth_covariance(_NEAR_NM)
         self._near = (near / near.sum(axis=1, keepdims=True))[::_STRIDE].T
-        self._open = np.einsum("wk,bwv,vl->bkl", calibration.basis, open_part, calibration.basis)
+        # Of every pair of bands once, since it is symmetric.
+        of_pairs = np.einsum("wk,bwcv,vl->bckl", calibration.basis, open_part, calibration.basis, optimize=True)
+        self._pairs = np.tril_indices(len(system))
+        self._open = of_pairs[self._pairs].reshape(len(self._pairs[0]), -1).T
 
     def factor(self, response: np.ndarray, variance: np.ndarray | None = None, stated: bool = False) -> np.ndarray:
         """Return square roots Z of the covariances Σ = Z Zᵀ of recovered reflectances at `ERROR_NM`.
@@ -136,14 +139,29 @@ class Posterior:
         slope = (np.gradient(spectrum, WAVELENGTH_NM, axis=1) * _SLOPE_NM) ** 2
         size = np.sqrt(_LEVEL * squared + _SLOPE * slope.mean(axis=1, keepdims=True) + _NEARBY * slope @ self._near)
         size = size.astype(np.float32)
-        unsure = np.stack([np.einsum("nk,kl,nl->n", weights, own, weights) for own in self._open], axis=1)
-        spread = np.sqrt(variance + np.maximum(unsure, 0.0)).astype(np.float32)[:, None, :]
+        spread = self._response_roots(weights, variance)
         seen, coloured = (np.tensordot(size, each, axes=1) for each in (self._seen, self._coloured))
         roots = []
         for basis, missed in ((self._basis, size[:, :, None] * self._missed), (self._xyz_basis, coloured)):
             derivative = basis @ back
-            roots.append(np.concatenate([missed - derivative @ seen, derivative * spread], axis=2))
+            roots.append(np.concatenate([missed - derivative @ seen, derivative @ spread], axis=2))
         return weights, roots[0], roots[1]
+
+    def _response_roots(self, weights: np.ndarray, variance: np.ndarray) -> np.ndarray:
+        """Return Cholesky factors (n, bands, bands) of V + U: covariances of responses to spectra with weights (n, k).
+
+        A pivot that rounding has made negative counts as zero.
+        """
+        products = (weights[:, :, None] * weights[:, None, :]).reshape(len(weights), -1) @ self._open
+        bands = variance.shape[1]
+        root = np.zeros((bands, bands, len(weights)))
+        root[self._pairs] = products.T
+        root[np.arange(bands), np.arange(bands)] += variance.T
+        for band in range(bands):
+            rest = root[band:, band] - np.einsum("ikn,kn->in", root[band:, :band], root[band, :band])
+            pivot = np.sqrt(np.maximum(rest[0], 0.0))
+            root[band:, band] = rest / np.where(pivot == 0.0, np.inf, pivot)
+        return np.moveaxis(root, -1, 0).astype(np.float32)
 
 
 def _missed() -> np.ndarray:
