@@ -20,10 +20,10 @@ _LEAST = np.float32(1e-30)  # added to squared lengths, so that shares are defin
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def _add_product(matrix, c, i, k, x, total, row):
+def _add_product(matrix, i, k, x, total, row):
     """Add to a row of ``total`` the product of row ``i`` of a matrix with six rows of ``x`` from the row ``k`` on."""
-    m0, m1, m2, m3, m4, m5 = (matrix[c, i, k], matrix[c, i, k + 1], matrix[c, i, k + 2],
-                              matrix[c, i, k + 3], matrix[c, i, k + 4], matrix[c, i, k + 5])  # fmt: skip
+    m0, m1, m2 = matrix[i, k], matrix[i, k + 1], matrix[i, k + 2]
+    m3, m4, m5 = matrix[i, k + 3], matrix[i, k + 4], matrix[i, k + 5]
     for j in range(_LANES):
         total[row, j] += (m0 * x[k, j] + m1 * x[k + 1, j] + m2 * x[k + 2, j]
                           + m3 * x[k + 3, j] + m4 * x[k + 4, j] + m5 * x[k + 5, j])  # fmt: skip
@@ -93,17 +93,18 @@ def _fill_means(response, constants, out, first, last):
                 before[:] = np.float32(0.0)
                 for k in range(0, i, _WIDE):
                     for row in range(_WIDE):
-                        _add_product(factor, c, i + row, k, x, before, row)
+                        _add_product(factor[c], i + row, k, x, before, row)
                 _add_squares(factor, c, i, x, before, square)
         _shares(square, share, bands)
         total[:] = np.float32(0.0)
         for c in range(families):
+            own = maps[c]
             for b in range(bands):
                 for j in range(_LANES):
                     parts[b, j] = square[c, j] * x[b, j]
             for i in range(0, wide, _WIDE):
                 for k in range(bases):
-                    _add_product(maps, c, k, i, parts, total, k)
+                    _add_product(own, k, i, parts, total, k)
         for k in range(bases):
             for j in range(count):
                 out[start + j, k] = total[k, j]
