@@ -198,7 +198,7 @@ class Registered:
         if significant or abs(offset_deg) > _CONTRADICTED * np.hypot(prior, error_deg):
             values[LIGHT], variance = offset_deg, error_deg**2
         else:
-            variance = 1.0 / (prior**-2 + error_deg**-2)
+            variance = (prior * error_deg) ** 2 / (prior**2 + error_deg**2)
         covariance[LIGHT], covariance[:, LIGHT], covariance[LIGHT, LIGHT] = 0.0, 0.0, variance
         shown = (offset_deg, error_deg)
         return replace(self, correction=Correction.of(values), covariance=covariance, light_deg=shown)

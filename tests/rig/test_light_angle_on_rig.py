@@ -47,6 +47,9 @@ def test_angles_that_the_photographs_contradict_are_corrected_and_others_stay_as
     assert agrees.correction.values == Correction().values
     assert "show the light +0.20 ± 0.06 deg from its typed angles" in in_words(agrees)
     assert agrees.sigma[LIGHT] == pytest.approx(0.05 * 0.06 / np.hypot(0.05, 0.06))
+    # A rig whose light is stated to be exact is believed as long as the photographs agree.
+    assert registered(0.0).with_light(0.2, 0.06).sigma[LIGHT] == 0.0
+    assert registered(0.0).with_light(0.3, 0.06).correction.values[LIGHT] == 0.3
     # Where the angles are stated to be less certain, they are corrected as all numbers are that photographs determine.
     assert registered(1.0).with_light(0.2, 0.06).correction.values[LIGHT] == 0.2
     assert registered(1.0).with_light(0.1, 0.06).correction.values[LIGHT] == 0.0
