@@ -187,22 +187,6 @@ class Registered:
         told[LIGHT] |= self.correction.values[LIGHT] != 0.0
         return told
 
-    def with_light(self, offset_deg: float, error_deg: float) -> "Registered":
-        """Return a copy with what shading and highlights tell of the light: the error of its angles, deg.
-
-        The angles are corrected where the photographs contradict them or, as other numbers are, where the photographs
-        determine them and they are significantly off. Else they stay as typed.
-        """
-        values, covariance, prior = list(self.correction.values), self.covariance.copy(), self.prior[LIGHT]
-        significant = error_deg < _TOLD * prior and abs(offset_deg) > max(_SIGNIFICANT * error_deg, _ACCURACY[LIGHT])
-        if significant or abs(offset_deg) > _CONTRADICTED * np.hypot(prior, error_deg):
-            values[LIGHT], variance = offset_deg, error_deg**2
-        else:
-            variance = (prior * error_deg) ** 2 / (prior**2 + error_deg**2)
-        covariance[LIGHT], covariance[:, LIGHT], covariance[LIGHT, LIGHT] = 0.0, 0.0, variance
-        shown = (offset_deg, error_deg)
-        return replace(self, correction=Correction.of(values), covariance=covariance, light_deg=shown)
-
 
 class _Texels(NamedTuple):
     """Points on the object whose texture is compared between photographs, in the object's frame."""
@@ -344,12 +328,45 @@ class _Problem:
         return np.stack(parts, axis=-1)
 
 
+class SettledLight(NamedTuple):
+    """Error of all light angles, deg: the correction in use, the most probable value, and its variance, deg²."""
+
+    used_deg: float
+    probable_deg: float
+    variance: float
+
+
+def settle_light(offset_deg: float, error_deg: float, prior_deg: float) -> SettledLight:
+    """Decide what shading and highlights correct of the light's angles.
+
+    The angles are corrected where the photographs contradict them or, as other numbers are, where the photographs
+    determine them and they are significantly off. Else they stay as typed.
+
+    Parameters
+    ----------
+    offset_deg, error_deg : float
+        Error of the angles by the photographs, and its standard error.
+    prior_deg : float
+        Standard deviation of the typed angles.
+    """
+    significant = error_deg < _TOLD * prior_deg and abs(offset_deg) > max(_SIGNIFICANT * error_deg, _ACCURACY[LIGHT])
+    contradicted = abs(offset_deg) > _CONTRADICTED * math.hypot(prior_deg, error_deg)
+    if contradicted:
+        words = "the photographs contradict the typed light angles, which are corrected by %+.2f ± %.2f deg"
+        LOGGER.warning(words, offset_deg, error_deg)
+    if significant or contradicted:
+        return SettledLight(offset_deg, offset_deg, error_deg**2)
+    share = prior_deg**2 / (prior_deg**2 + error_deg**2)
+    return SettledLight(0.0, share * offset_deg, share * error_deg**2)
+
+
 def register(
     linear: Sequence,
     definition: "Object | TexturedObject",
     setup: RigSetup,
     placing: "Placing",
     markers: "Markers | None" = None,
+    light: Callable[[RigSetup], tuple[float, float] | None] | None = None,
 ) -> Registered:
     """Estimate the place of an object, its camera and its light from photographs.
 
@@ -364,6 +381,9 @@ def register(
         Standard deviations of the definitions.
     markers : Markers, optional
         The printed sheet on which the object stands.
+    light : function, optional
+        Returns the error of all light angles and its standard error, deg, for a corrected setup, or None where the
+        photographs do not determine it; `irodori.fitting.light_angle.LightSearch` is one.
 
     Raises
     ------
@@ -382,6 +402,11 @@ def register(
     _settle(problem, _FINEST_REACH, _LAST_STEPS)
     own, problem.unknowns[problem.own] = problem.unknowns[problem.own].copy(), 0.0
     residual, points, suspects = _residuals(problem, max(0.5 * first, 2.0 * _FINEST_REACH))
+    shown = light(setup.corrected(Correction.of(problem.unknowns[:COUNT]))) if light else None
+    if shown is not None:
+        # Nothing else depends on the light's angles: before, they were as typed, and known as well as that.
+        whole[LIGHT], whole[:, LIGHT] = 0.0, 0.0
+        problem.unknowns[LIGHT], probable[LIGHT], whole[LIGHT, LIGHT] = settle_light(*shown, float(sigma[LIGHT]))
     angles, off = slice(0, problem.own.stop), probable - problem.unknowns
     moment = (whole + np.outer(off, off))[angles, angles]
     sheet = None
@@ -401,6 +426,7 @@ def register(
         suspects,
         angle_errors(problem, moment, placing.light_deg),
         sheet,
+        shown,
     )
 
 
@@ -1023,8 +1049,7 @@ def register_object(
     markers : Markers, optional
         The printed sheet on which the object stands.
     light : function, optional
-        Returns the error of all light angles and its standard error, deg, for a corrected setup, or None where the
-        photographs do not determine it; `irodori.fitting.light_angle.LightSearch` is one.
+        As in `register`.
 
     Raises
     ------
@@ -1047,12 +1072,9 @@ def register_object(
     corners found, and ``/sheet_residual_px`` (J). Attributes: ``told``, for each quantity whether the photographs
     determine it; ``captures``, names of the photographs; ``sentence``, a summary in words.
     """
-    found = register(linear, definition, setup, placing, markers)
+    found = register(linear, definition, setup, placing, markers, light)
     names = [Path(path).stem for path in linear]
     _refuse_far(found, linear, placing.max_residual_px)
-    shown = light(setup.corrected(found.correction)) if light else None
-    if shown is not None:
-        found = found.with_light(*shown)
     sentence = in_words(found)
     LOGGER.info("%s", sentence)
     LOGGER.info("%s", found.angle_errors)
