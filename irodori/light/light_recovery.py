@@ -10,7 +10,7 @@ directions by expectation maximisation.
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -53,7 +53,7 @@ class ResponseModel:
 
     mean: np.ndarray
     covariance: np.ndarray
-    errors: np.ndarray = field(default=None)  # type: ignore[assignment]  # set below
+    errors: np.ndarray = None  # type: ignore[assignment]  # set below
 
     def __post_init__(self) -> None:
         if self.errors is None:
