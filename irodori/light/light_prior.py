@@ -1,6 +1,6 @@
 """Prior for the light that reaches a camera in a room: direct light of known lamps, mixtures, and reflections."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -43,11 +43,38 @@ class LightPrior:
         Prior probability of each family; the sum is one.
     broad : int
         Number of families, at the end of the list, that comprise any light. They are always kept.
+    common : CommonErrors, optional
+        Errors of the first families that they share with the response model of the camera.
     """
 
     moment: np.ndarray
     share: np.ndarray
     broad: int
+    common: "CommonErrors | None" = None
+
+
+@dataclass(frozen=True)
+class CommonErrors:
+    """Errors that families have in common with the response of a camera: lamps that were estimated together with it.
+
+    Lamp ``l`` is the mean plus its ``k`` errors, each multiplied by a standard normal number. The numbers are those of
+    the errors of the response. The second moment of a family is the sum, over lamps and factors, of weight times second
+    moment of the lamp times factor.
+
+    Parameters
+    ----------
+    mean : (lamps, 61) float64
+    errors : (lamps, k, 61) float64
+    weight : (2, m, lamps) float64
+        Weights for each of the first m families.
+    factor : (2, 61, 61) float64
+        Second moments of the relative difference of a lamp from its mean, and of reflectances.
+    """
+
+    mean: np.ndarray
+    errors: np.ndarray
+    weight: np.ndarray
+    factor: np.ndarray
 
 
 def published_lamps() -> np.ndarray:
@@ -160,17 +187,46 @@ def families_of(lamps: np.ndarray, alike: int = _ALIKE, deviation: float | np.nd
     deviation : float or (n,) float
         Standard deviation of the smooth relative difference from a given lamp.
     """
-    variance = np.broadcast_to(np.square(deviation), len(lamps))[:, None, None]
-    bare, surfaces = lamps * (1.0 + variance * smooth_covariance(_LENGTH_NM)), _surfaces()
-    of_any = np.stack([bare.mean(axis=0), lamps.mean(axis=0) * surfaces])
-    moments = (bare, lamps * surfaces, bare[_alike(lamps, alike)].mean(axis=1), of_any)
-    share = np.concatenate(
-        [
-            np.full(len(moment), weight / len(moment))
-            for moment, weight in zip(moments, (_BARE, _COLOURED, _KIND, _ANY), strict=True)
-        ]
+    kinds = _alike(lamps, alike)
+    moments = _families(lamps * _near(np.broadcast_to(deviation, len(lamps))), lamps * _surfaces(), kinds)
+    count = len(lamps)
+    weights = zip((count, count, count, 2), (_BARE, _COLOURED, _KIND, _ANY), strict=True)
+    share = np.concatenate([np.full(families, weight / families) for families, weight in weights])
+    return LightPrior(moments, share / share.sum(), 2)
+
+
+def families_with_errors(mean: np.ndarray, errors: np.ndarray, deviation: float) -> LightPrior:
+    """Make the prior from lamps that were estimated together with the response of a camera.
+
+    Parameters
+    ----------
+    mean : (lamps, 61) float64
+    errors : (lamps, k, 61) float64
+        See `CommonErrors`.
+    deviation : float
+        Standard deviation of the smooth relative difference from an estimated lamp.
+    """
+    moments = mean[:, :, None] * mean[:, None] + errors.swapaxes(1, 2) @ errors
+    prior, kinds = families_of(moments, len(mean), deviation), _alike(moments, len(mean))
+    own, none = np.eye(len(mean))[:, :, None], np.zeros((len(mean), len(mean), 1))
+    weight = np.stack([_families(own, none, kinds), _families(none, own, kinds)])[..., 0]
+    factor = np.stack([_near(np.array([deviation]))[0], _surfaces()])
+    return replace(prior, common=CommonErrors(mean, errors, weight, factor))
+
+
+def _near(deviation: np.ndarray) -> np.ndarray:
+    """Return the second moments, (n, 61, 61), of a smooth relative difference of given standard deviations, (n,)."""
+    return 1.0 + np.square(deviation)[:, None, None] * smooth_covariance(_LENGTH_NM)
+
+
+def _families(bare: np.ndarray, coloured: np.ndarray, kinds: np.ndarray) -> np.ndarray:
+    """Return values of all families from those of lamps and of lamps on surfaces, (lamps, ...) each.
+
+    The families are each lamp, each lamp on surfaces, each kind, all lamps, and all lamps on surfaces.
+    """
+    return np.concatenate(
+        [bare, coloured, bare[kinds].mean(axis=1), bare.mean(axis=0)[None], coloured.mean(axis=0)[None]]
     )
-    return LightPrior(np.concatenate(moments), share / share.sum(), len(moments[-1]))
 
 
 def light_prior(lamps: np.ndarray, deviation: float | np.ndarray = _OF_LAMPS) -> LightPrior:

@@ -16,7 +16,7 @@ import numpy as np
 
 from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.core.errors import InputError
-from irodori.light.light_prior import LightPrior, prior_of_any_lamp
+from irodori.light.light_prior import CommonErrors, LightPrior, prior_of_any_lamp
 from irodori.light.recovery_loops import mixture_weights
 
 #: Factor on the variance of the response model in densities. Its errors are common to all directions, but the densities
@@ -33,7 +33,9 @@ _FAMILIES = 16  # largest number of families kept for a picture
 _BASES = 8  # largest number of basis spectra of the light
 _DRAWS = 64  # directions drawn from each part of a picture
 _COMPARED = 1000  # approximate number of directions that are compared in colour
-_ERRORS = 24  # largest number of independent errors that are kept
+#: Least share of the largest variance of errors that are kept. It is small because colours depend on errors that the
+#: responses leave small, beside large ones that neither camera nor eye sees.
+_LEAST_VARIANCE = 1e-10
 
 
 @dataclass(frozen=True)
@@ -44,10 +46,19 @@ class ResponseModel:
     ----------
     mean : (bands, 61) float64
     covariance : (bands, 61, bands, 61) float64
+    errors : (k, bands, 61) float64, optional
+        Independent errors, each for one standard deviation, that make up the covariance; by default its principal
+        components.
     """
 
     mean: np.ndarray
     covariance: np.ndarray
+    errors: np.ndarray = None  # type: ignore[assignment]  # set below
+
+    def __post_init__(self) -> None:
+        if self.errors is None:
+            flat = self.covariance.reshape(self.mean.size, -1)
+            object.__setattr__(self, "errors", principal_errors(flat).reshape(-1, *self.mean.shape))
 
     @classmethod
     def of(cls, calibration: Calibration, path="") -> "ResponseModel":
@@ -65,24 +76,12 @@ class ResponseModel:
         light = calibration.light
         return cls(model / light, covariance / (light[:, None, None] * light))
 
-    def given(self, light: np.ndarray, response: np.ndarray, noise: np.ndarray) -> "ResponseModel":
-        """Return the model conditioned on responses to known light.
 
-        Parameters
-        ----------
-        light : (n, 61) float64
-        response : (n, bands) float64
-        noise : (bands, n, bands, n) float64
-            Covariance of the responses due to noise and to the uncertainty of the light, which all bands share.
-        """
-        count, states = response.size, self.mean.size
-        cross = light @ self.covariance.reshape(*self.mean.shape, states)
-        moment = cross.reshape(*response.T.shape, *self.mean.shape) @ light.T + noise
-        missed = (response.T - self.mean @ light.T).ravel()
-        cross = cross.reshape(count, states)
-        gain = np.linalg.solve(moment.reshape(count, count), cross).T
-        mean = self.mean + (gain @ missed).reshape(self.mean.shape)
-        return ResponseModel(mean, self.covariance - (gain @ cross).reshape(self.covariance.shape))
+def principal_errors(covariance: np.ndarray) -> np.ndarray:
+    """Return the principal components of a covariance, (n, n), each for one standard deviation, (k, n)."""
+    values, vectors = np.linalg.eigh(covariance)
+    kept = values > _LEAST_VARIANCE * values[-1]
+    return (vectors[:, kept] * np.sqrt(values[kept])).T
 
 
 @dataclass(frozen=True)
@@ -143,33 +142,66 @@ class _Families:
     share : (n,) float64
     factor : (n, bands, bands) float64
         Inverse of the Cholesky factor of the second moment of the responses, by which families are weighed.
+    precision : (n, bands, bands) float64
+        Inverse of the second moment of the responses.
     light_from_response : (n, 61, bands) float64
-    open : (n, 61, 61) float64
-        Covariance of the light given the responses, per squared scale of the light.
     """
 
     share: np.ndarray
     factor: np.ndarray
+    precision: np.ndarray
     light_from_response: np.ndarray
-    open: np.ndarray
 
     @classmethod
     def seen(cls, prior: LightPrior, model: ResponseModel) -> "_Families":
-        """Compute the families of a prior for a camera."""
-        cross = model.mean @ prior.moment
-        moment = cross @ model.mean.T
-        of_band = np.arange(len(model.mean))
-        moment[:, of_band, of_band] *= 1.0 + _LEAST_NOISE**2
-        pairs = model.covariance.swapaxes(1, 2).reshape(moment[0].size, -1)
-        noise = (prior.moment.reshape(len(moment), -1) @ pairs.T).reshape(moment.shape)
-        factor = np.linalg.inv(np.linalg.cholesky(moment + _COMMON * noise))
-        gain = (np.linalg.solve(moment + noise, cross)).swapaxes(1, 2)
-        return cls(prior.share, factor, gain, prior.moment - gain @ cross)
+        """Compute the families of a prior for a camera.
+
+        Light and response model are linearised about their means: the covariance of a lamp with the response model adds
+        to the second moments.
+        """
+        moment, bands = prior.moment, len(model.mean)
+        cross = model.mean @ moment
+        second = cross @ model.mean.T
+        if prior.common is not None:
+            joint, own = _joint_moment(prior.common, model), slice(prior.common.weight.shape[1])
+            cross[own] += joint
+            both = joint @ model.mean.T
+            second[own] += both + both.swapaxes(1, 2)
+        second[:, np.arange(bands), np.arange(bands)] *= 1.0 + _LEAST_NOISE**2
+        pairs = model.covariance.swapaxes(1, 2).reshape(bands * bands, -1)
+        noise = (moment.reshape(len(moment), -1) @ pairs.T).reshape(second.shape)
+        factor = np.linalg.inv(np.linalg.cholesky(second + _COMMON * noise))
+        gain = np.linalg.solve(second + noise, cross).swapaxes(1, 2)
+        return cls(prior.share, factor, np.linalg.inv(second + noise), gain)
 
     def chosen(self, index: np.ndarray, share: np.ndarray) -> "_Families":
         """Return a selection of the families, with new shares."""
-        of_index = (getattr(self, name)[index] for name in ("factor", "light_from_response", "open"))
+        of_index = (getattr(self, name)[index] for name in ("factor", "precision", "light_from_response"))
         return _Families(share[index] / share[index].sum(), *of_index)
+
+    def errors(self, index: np.ndarray, prior: LightPrior, model: ResponseModel) -> tuple[np.ndarray, np.ndarray]:
+        """Compute the errors of the light of families with the given indices in the prior.
+
+        Returns
+        -------
+        open : (n, 61, 61) float64
+            Covariance of the light given the responses and the response model, per squared scale of the light.
+        common : (n, k, 61, bands) float64
+            Error of the light, as a function of the responses, due to each of the errors that all directions have in
+            common: those of the response model, and of lamps that were estimated together with it.
+        """
+        gain, fixed = self.light_from_response, prior.moment[index]
+        missed = np.eye(gain.shape[1]) - gain @ model.mean
+        common = -np.einsum("nib,kbj,njc->nkic", gain, model.errors, gain, optimize=True)
+        if prior.common is not None:
+            lamps = prior.common
+            own = index < lamps.weight.shape[1]
+            weight, estimated = lamps.weight[:, index[own]], model.mean.T @ self.precision[own]
+            fixed[own] = np.einsum("tfl,li,lj,tij->fij", weight, lamps.mean, lamps.mean, lamps.factor, optimize=True)
+            surface = np.einsum("tij,lj,fjb->tlfib", lamps.factor, lamps.mean, estimated, optimize=True)
+            of_lamps = np.einsum("tfl,lki,tlfib->fkib", weight, lamps.errors, surface, optimize=True)
+            common[own] += missed[own][:, None] @ of_lamps
+        return missed @ fixed @ missed.swapaxes(1, 2), common
 
     def weight(self) -> np.ndarray:
         """Return the shares divided by the square roots of the determinants, relative to the largest, (n,)."""
@@ -219,13 +251,28 @@ class _Families:
             shares = (count * self.share + evidence * seen) / (count + evidence)
         return shares, seen
 
-    def of_room(self, directions: Directions, broad: int) -> "_Families":
-        """Select the families that explain most of a room, and the ``broad`` ones that comprise any light."""
+    def of_room(self, directions: Directions, broad: int) -> tuple[np.ndarray, np.ndarray]:
+        """Select the families that explain most of a room, and the ``broad`` ones that comprise any light.
+
+        Returns
+        -------
+        index : (chosen,) int
+        shares : (n,) float64
+            Shares of all families in the room.
+        """
         (shares, seen), count = self.room_shares(directions, _EVIDENCE), len(self.share)
         # The broad families are kept for directions lit by a lamp that is seen nowhere else.
         last = np.arange(count - broad, count)
         most = np.argsort(-seen[: last[0]], kind="stable")[: _FAMILIES - broad]
-        return self.chosen(np.concatenate([most, last]), shares)
+        return np.concatenate([most, last]), shares
+
+
+def _joint_moment(lamps: CommonErrors, model: ResponseModel) -> np.ndarray:
+    """Return the part of the moment of light and response that their common errors make up, (families, bands, 61)."""
+    covariance = np.einsum("lki,kbj->lbij", lamps.errors, model.errors, optimize=True)
+    of_same = np.einsum("lbjj->lbj", covariance)
+    product = lamps.mean[:, None, :, None] * of_same[:, :, None] + lamps.mean[:, None, None] * covariance
+    return np.einsum("tfl,tij,lbij->fbi", lamps.weight, lamps.factor, product, optimize=True)
 
 
 def evidence(prior: LightPrior, model: ResponseModel, directions: Directions) -> float:
@@ -282,10 +329,14 @@ class LightRecovery:
         """
         prior = prior_of_any_lamp() if prior is None else prior
         known = _Families.seen(prior, model)
-        return cls._solved(known.of_room(directions, prior.broad), directions)
+        index, shares = known.of_room(directions, prior.broad)
+        families = known.chosen(index, shares)
+        return cls._solved(families, families.errors(index, prior, model), directions)
 
     @classmethod
-    def _solved(cls, families: _Families, directions: Directions) -> "LightRecovery":
+    def _solved(cls, families: _Families, errors, directions: Directions) -> "LightRecovery":
+        """Determine the mapping from families, and their errors as `_Families.errors` returns them."""
+        left_open, common = errors
         response, shares = directions.response, families.shares(directions.response)
         by_family = np.einsum("nlb,mb->mnl", families.light_from_response, response, optimize=True)
         mean = np.einsum("mn,mnl->ml", shares, by_family)
@@ -293,21 +344,30 @@ class LightRecovery:
         relative = np.sqrt(directions.share) / np.linalg.norm(response, axis=1)
         basis = np.linalg.svd(relative[:, None] * mean, full_matrices=False)[2][:_BASES].T
         maps = basis.T @ families.light_from_response
-        # Covariance within families, and differences of their means from the total mean, as functions of the weights.
+        # Covariance within families, differences of their means from the total mean, and errors in common, as functions
+        # of the weights.
         weights = relative[:, None] * (mean @ basis)
-        scale = np.sqrt(shares * families.squares(response) / response.shape[1])
-        of_scale = np.linalg.lstsq(weights, relative[:, None] * scale, rcond=None)[0].T
-        apart = np.sqrt(shares)[:, :, None] * (by_family - mean[:, None])
-        of_apart = np.linalg.lstsq(weights, (relative[:, None, None] * apart).reshape(len(mean), -1), rcond=None)[0]
-        spread, axes = np.linalg.eigh(families.open)
+
+        def of_weights(values: np.ndarray) -> np.ndarray:
+            """Return values of all directions, (directions, ...), as linear functions of the weights, (..., r)."""
+            scaled = relative[:, None] * values.reshape(len(values), -1)
+            return np.linalg.lstsq(weights, scaled, rcond=None)[0].T.reshape(*values.shape[1:], -1)
+
+        of_scale = of_weights(np.sqrt(shares * families.squares(response) / response.shape[1]))
+        of_apart = of_weights(np.sqrt(shares)[:, :, None] * (by_family - mean[:, None]))
+        of_common = np.einsum("nkib,nbr->kir", common, of_weights(shares[..., None] * response[:, None]), optimize=True)
+        spread, axes = np.linalg.eigh(left_open)
         roots = (axes * np.sqrt(np.maximum(spread, 0.0))[:, None]).swapaxes(1, 2)
         errors = np.concatenate(
             [
                 (roots[:, :, :, None] * of_scale[:, None, None]).reshape(-1, *basis.shape),
-                of_apart.T.reshape(-1, *basis.shape),
+                of_apart.reshape(-1, *basis.shape),
+                of_common,
             ]
         )
-        return cls(basis, _strongest(errors), families.weight(), families.factor, maps)
+        flat = errors.reshape(len(errors), -1)
+        errors = principal_errors(flat.T @ flat).reshape(-1, *basis.shape)
+        return cls(basis, errors, families.weight(), families.factor, maps)
 
     def weights(self, response: np.ndarray) -> np.ndarray:
         """Compute weights on the basis, (..., r) float32, from responses, (..., bands); NaN where not finite."""
@@ -315,11 +375,3 @@ class LightRecovery:
         out = np.empty((len(flat), self.maps.shape[1]), dtype=np.float32)
         mixture_weights(flat, self.weight, self.factor, self.maps, out)
         return out.reshape(*response.shape[:-1], -1)
-
-
-def _strongest(errors: np.ndarray) -> np.ndarray:
-    """Return the strongest principal components, (q, 61, r), of the covariance of independent errors."""
-    flat = errors.reshape(len(errors), -1)
-    values, vectors = np.linalg.eigh(flat.T @ flat)
-    kept = slice(-_ERRORS, None)
-    return (vectors[:, kept] * np.sqrt(np.maximum(values[kept], 0.0))).T.reshape(-1, *errors.shape[1:])

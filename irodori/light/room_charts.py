@@ -18,8 +18,8 @@ from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.colour.colorimetry import colour_matching_weights
 from irodori.config.models import Chart
 from irodori.core.errors import InputError
-from irodori.light.light_prior import LightPrior, families_of
-from irodori.light.light_recovery import Directions, LightRecovery, ResponseModel
+from irodori.light.light_prior import LightPrior, families_with_errors
+from irodori.light.light_recovery import Directions, LightRecovery, ResponseModel, principal_errors
 from irodori.spectra.published import chart_spectra
 
 _NOISE = 2e-3  # relative error of the response of a patch due to shadows, gloss and noise
@@ -31,6 +31,7 @@ _FLOOR = 0.02  # values of a spectrum below this share of its mean count as nois
 _MAX_INVALID = 0.05  # largest share of invalid samples of a patch; patches with more are not used
 _LEAST_WHOLE = 0.75  # smallest share of the patches that must be usable
 _VECTORS = 8  # principal vectors of reflectances; they represent a chart under any lamp of the CIE to 1.1 %
+_STEPS = 3  # of the joint estimation of lights and response
 _MAX_MISFIT = 0.08  # largest relative RMS misfit of responses; it is above 0.4 for a rotated or mirrored chart
 _MAX_OUTSIDE = 0.05  # largest relative RMS of responses not explained by light from directions of the room
 
@@ -85,24 +86,25 @@ class RoomLight:
     Parameters
     ----------
     mean : (61,) float64
-    covariance : (61, 61) float64
+    errors : (k, 61) float64
+        Independent errors, each for one standard deviation.
     """
 
     mean: np.ndarray
-    covariance: np.ndarray
+    errors: np.ndarray
 
     @classmethod
-    def of(cls, mean: np.ndarray, covariance: np.ndarray) -> "RoomLight":
-        """Scale a light of any luminance, and its covariance, to luminance 1."""
+    def of(cls, mean: np.ndarray, errors: np.ndarray) -> "RoomLight":
+        """Scale a light of any luminance, and its errors, to luminance 1."""
         luminance = colour_matching_weights()[1] @ mean
-        return cls(mean / luminance, covariance / luminance**2)
+        return cls(mean / luminance, errors / luminance)
 
     def without(self, other: "RoomLight") -> "RoomLight":
         """Subtract as much of another light as leaves no significantly negative values; scale to luminance 1."""
         floor = _FLOOR * other.mean.mean()
         share = np.min((np.maximum(self.mean, 0.0) + _FLOOR * self.mean.mean()) / np.maximum(other.mean, floor))
         share = min(share, 1.0 - _LEAST_LEFT)
-        return self.of(self.mean - share * other.mean, self.covariance + share**2 * other.covariance)
+        return self.of(self.mean - share * other.mean, self.errors - share * other.errors)
 
 
 def require_own_patches(chart: ChartResponses) -> None:
@@ -125,8 +127,12 @@ def require_own_patches(chart: ChartResponses) -> None:
         raise InputError(chart.file, f"room_charts.{chart.name}", found, accepted)
 
 
-def light_on(chart: ChartResponses, model: ResponseModel, prior: LightPrior) -> RoomLight:
-    """Estimate the light on a chart: posterior mean and covariance for the mixture prior."""
+def light_on(chart: ChartResponses, model: ResponseModel, prior: LightPrior) -> tuple[np.ndarray, np.ndarray]:
+    """Estimate the light on a chart for the mixture prior: its mean, (61,), and the second moment of its families.
+
+    The second moment, (61, 61), is that before the responses are taken into account, of the families in the shares that
+    the responses give them.
+    """
     from scipy.linalg import solve_triangular  # slow to import
 
     bands, patches = len(model.mean), len(chart.reflectance)
@@ -134,7 +140,7 @@ def light_on(chart: ChartResponses, model: ResponseModel, prior: LightPrior) -> 
     seen = (model.mean[:, None] * chart.reflectance).reshape(bands * patches, -1)
     answer = chart.response.T.ravel()
     of_all, of_pairs = np.arange(len(answer)), model.covariance.swapaxes(1, 2)
-    logarithm, means, left = [], [], []
+    logarithm, means, squares = [], [], []
     for moment, share in zip(prior.moment, prior.share, strict=True):
         cross = seen @ moment
         second = cross @ seen.T
@@ -146,12 +152,49 @@ def light_on(chart: ChartResponses, model: ResponseModel, prior: LightPrior) -> 
         square = turned[:, 0] @ turned[:, 0] / len(answer)
         logarithm.append(np.log(share) - np.log(np.diag(factor)).sum() - 0.5 * len(answer) * np.log(square))
         means.append(turned[:, 0] @ turned[:, 1:])
-        left.append(square * (moment - turned[:, 1:].T @ turned[:, 1:]))
+        squares.append(square)
     shares = np.exp(np.array(logarithm) - np.max(logarithm))
     shares /= shares.sum()
-    mean = shares @ np.array(means)
-    apart = np.array(means) - mean
-    return RoomLight.of(mean, np.tensordot(shares, np.array(left), axes=1) + (shares * apart.T) @ apart)
+    return shares @ np.array(means), np.tensordot(shares * np.array(squares), prior.moment, axes=1)
+
+
+def lights_on(
+    charts: Sequence[ChartResponses], model: ResponseModel, prior: LightPrior
+) -> tuple[ResponseModel, list[RoomLight]]:
+    """Estimate the light on charts together with the response of the camera, from the responses to all patches.
+
+    Responses are linearised about the light on each chart by itself and the response model. The errors that remain are
+    common to lights and response: where a light is estimated as too strong, the response to it is estimated as too
+    weak.
+    """
+    from scipy.linalg import block_diag  # slow to import
+
+    (bands, count), states = model.mean.shape, model.mean.size
+    alone = [light_on(chart, model, prior) for chart in charts]
+    lights = np.stack([mean for mean, _ in alone])
+    before = block_diag(model.covariance.reshape(states, states), *(moment for _, moment in alone))
+    answer = np.concatenate([chart.response.T.ravel() for chart in charts])
+    noise = np.diag((_NOISE * answer) ** 2)
+    response = model.mean
+    for _ in range(_STEPS):
+        of_response = [
+            np.kron(np.eye(bands), chart.reflectance * light) for chart, light in zip(charts, lights, strict=True)
+        ]
+        of_light = [(response[:, None] * chart.reflectance).reshape(-1, count) for chart in charts]
+        seen = np.hstack([np.concatenate(of_response), block_diag(*of_light)])
+        cross = seen @ before
+        gain = np.linalg.solve(cross @ seen.T + noise, cross).T
+        # Before the charts are seen, the light has mean 0.
+        found = gain @ (answer - seen[:, :states] @ (model.mean - response).ravel())
+        response, lights = model.mean + found[:states].reshape(bands, count), found[states:].reshape(-1, count)
+    # Errors of responses and of lights have different units; the numerical rank depends on the ratio.
+    unit = np.concatenate([np.full(states, np.linalg.norm(response)), np.linalg.norm(lights, axis=1).repeat(count)])
+    errors = principal_errors((before - gain @ cross) / np.outer(unit, unit)) * unit
+    response_errors = errors[:, :states].reshape(-1, bands, count)
+    covariance = np.einsum("kbi,kcj->bicj", response_errors, response_errors, optimize=True)
+    of_lights = errors[:, states:].reshape(len(errors), -1, count).swapaxes(0, 1)
+    refined = ResponseModel(response, covariance, response_errors)
+    return refined, [RoomLight.of(*each) for each in zip(lights, of_lights, strict=True)]
 
 
 def require_in_room(charts: Sequence[ChartResponses], directions: Directions) -> None:
@@ -182,28 +225,17 @@ def require_in_room(charts: Sequence[ChartResponses], directions: Directions) ->
 def room_prior(lights: Sequence[RoomLight], published: LightPrior) -> LightPrior:
     """Return the prior of a room from the lights on its charts, combined with the published lamps."""
     parted = [first.without(second) for first, second in itertools.permutations(lights, 2)]
-    lamps = [*lights, *parted]
-    moments = np.stack([lamp.mean[:, None] * lamp.mean + lamp.covariance for lamp in lamps])
-    own, known = families_of(moments, len(lamps), _OF_OWN_LAMPS), len(published.share) - published.broad
+    mean = np.stack([lamp.mean for lamp in [*lights, *parted]])
+    errors = np.stack([lamp.errors for lamp in [*lights, *parted]])
+    own = families_with_errors(mean, errors, _OF_OWN_LAMPS)
+    known = len(published.share) - published.broad
     shares = (_OWN, own.share), (_PUBLISHED, published.share[:known]), (_ANY, published.share[known:])
     return LightPrior(
         np.concatenate([own.moment, published.moment]),
         np.concatenate([part * share / share.sum() for part, share in shares]),
         published.broad,
+        own.common,
     )
-
-
-def refined_model(model: ResponseModel, charts: Sequence[ChartResponses], lights: Sequence[RoomLight]) -> ResponseModel:
-    """Update the response model with the responses to charts, given the estimated light on them."""
-    for chart, light in zip(charts, lights, strict=True):
-        light_on_patches = chart.reflectance * light.mean
-        expected = light_on_patches @ model.mean.T
-        # Only the relative spectrum of the light is known; responses are scaled to fit on average.
-        response = chart.response * (np.sum(expected**2) / np.sum(expected * chart.response))
-        seen = (model.mean[:, None] * chart.reflectance).reshape(response.size, -1)
-        noise = seen @ light.covariance @ seen.T + np.diag((_NOISE * response.T.ravel()) ** 2)
-        model = model.given(light_on_patches, response, noise.reshape(*response.T.shape, *response.T.shape))
-    return model
 
 
 def recovery_with(
@@ -219,7 +251,7 @@ def recovery_with(
     for chart in charts:
         require_own_patches(chart)
     require_in_room(charts, directions)
-    lights = [light_on(chart, model, prior) for chart in charts]
     if charts:
-        model, prior = refined_model(model, charts, lights), room_prior(lights, prior)
+        model, lights = lights_on(charts, model, prior)
+        prior = room_prior(lights, prior)
     return LightRecovery.of_room(model, directions, prior)

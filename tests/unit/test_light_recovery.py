@@ -1,5 +1,6 @@
 """Recovered light beside the true one: lamps and rooms that the prior has never seen, and the stated error."""
 
+import itertools
 from dataclasses import replace
 
 import colour
@@ -184,7 +185,8 @@ def made_up_prior(families: int, rng) -> LightPrior:
 
 
 def written_out(prior: LightPrior, model, covariance, room: Directions) -> list[list[tuple]]:
-    """Return (share, mean, covariance of the light) of each family that is kept, for each direction of a room."""
+    """Return, for each direction of a room, what each family that is kept says: its share, the mean light, the covariance
+    of the light given the response model, and the matrix from response to light."""
     bands, weighed, moments = len(model), [], []
     for moment in prior.moment:
         exact = model @ moment @ model.T
@@ -215,6 +217,11 @@ def written_out(prior: LightPrior, model, covariance, room: Directions) -> list[
     narrow = sorted(range(count - prior.broad), key=lambda n: -seen[n])[: 16 - prior.broad]
     kept = [n in narrow or n >= count - prior.broad for n in range(count)]
     share = np.where(kept, share, 0.0) / share[kept].sum()
+
+    def left_open(gain, moment):
+        missed = np.eye(61) - gain @ model
+        return missed @ moment @ missed.T
+
     found = []
     for response in room.response:
         own = families_share(share, response)
@@ -222,7 +229,7 @@ def written_out(prior: LightPrior, model, covariance, room: Directions) -> list[
         scale = [response @ inv @ response / bands for inv in inverse]
         found.append(
             [
-                (own[n], gains[n] @ response, scale[n] * (prior.moment[n] - gains[n] @ model @ prior.moment[n]))
+                (own[n], gains[n] @ response, scale[n] * left_open(gains[n], prior.moment[n]), gains[n])
                 for n in np.flatnonzero(kept)
             ]
         )
@@ -246,11 +253,13 @@ def test_light_and_its_error_are_the_mean_and_covariance_of_the_mixture_written_
     recovery = LightRecovery.of_room(ResponseModel.of(calibration), room, prior)
     weights = recovery.weights(response)
     for own, parts in zip(weights, written_out(prior, model, covariance, room), strict=True):
-        mean = sum(share * light for share, light, _ in parts)
+        mean = sum(share * light for share, light, *_ in parts)
         np.testing.assert_allclose(recovery.basis @ own, mean, atol=2e-4 * mean.max())
-        if families > 4:
-            continue  # more than 24 independent errors: the weakest are left out
-        spread = sum(share * (left + np.outer(light - mean, light - mean)) for share, light, left in parts)
+        spread = sum(share * (left + np.outer(light - mean, light - mean)) for share, light, left, _ in parts)
+        # An error of the response model is the same in all families.
+        for (one, first, _, gain), (other, second, _, other_gain) in itertools.product(parts, repeat=2):
+            of_response = np.einsum("bicj,i,j->bc", covariance, first, second)
+            spread += one * other * gain @ of_response @ other_gain.T
         drawn = recovery.errors @ own
         np.testing.assert_allclose(drawn.T @ drawn, spread, atol=2e-3 * spread.max())
 
