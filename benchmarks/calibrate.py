@@ -195,7 +195,7 @@ def ratios(trial: Trial, noise: float, variant: tuple[str, int], size: float = S
     """
     from scipy.stats import spearmanr  # slow to import
 
-    training, seen, variance = _responses(trial, noise, SEEDS[0])
+    _, seen, variance = _responses(trial, noise, SEEDS[0])
     some = np.s_[:: 1 if most is None else max(1, len(seen) // most)]
     seen, truth = seen[some], trial.test[some]
     solved = _fitted(trial, noise, variant)
