@@ -177,6 +177,7 @@ class Runner:
         OpenImageIO.attribute("exr_threads", -1)
         begun = time.process_time()
         self._run_unspoilt(session.items)
+        gc.unfreeze()  # the settings of all tests have hidden from here what there was when tests were collected
         # What was computed once for all is computed anew in every process, by its mutant.
         self._caches = [one for one in gc.get_objects() if isinstance(one, functools._lru_cache_wrapper)]
         self._caches = [one for one in self._caches if str(one.__module__).startswith("irodori.")]
