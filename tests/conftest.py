@@ -1,5 +1,6 @@
 """Settings of all tests: in CI, property-based tests draw the same examples every time."""
 
+import gc
 import os
 import signal
 
@@ -26,6 +27,16 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 _LONG = ("/workflow/", "test_mutation.py", "/viewer_page/", "/test_viewer_")
 #: The file whose first test runs the small project, for which the others that read its results would wait.
 _FIRST = "/workflow/test_chain.py"
+
+
+# What collection makes, half a million objects, lives until the end: the garbage collector need never look at it.
+gc.disable()
+
+
+def pytest_collection_finish():
+    """Collect garbage from now on, but none of what there is."""
+    gc.freeze()
+    gc.enable()
 
 
 def pytest_collection_modifyitems(items):

@@ -11,7 +11,6 @@ the times are asked for.
 import contextlib
 import os
 from collections import Counter
-from pathlib import Path
 
 import pytest
 
@@ -22,14 +21,16 @@ _TICK_S = 1.0 / os.sysconf("SC_CLK_TCK")
 def _tree_s(process: int | str = "self") -> float:
     """Return the CPU time of a process, of its descendants and of those that have been waited for, s."""
     try:
-        fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+        with open(f"/proc/{process}/stat", encoding="utf-8", errors="replace") as file:
+            fields = file.read().rpartition(")")[2].split()
     except OSError:  # it has ended meanwhile
         return 0.0
     children = set()
-    for path in Path(f"/proc/{process}/task").glob("*/children"):  # a child belongs to the thread that has started it
-        # A thread that ends while it is looked at takes nothing with it: the process itself has been counted.
-        with contextlib.suppress(OSError):
-            children.update(path.read_text().split())
+    # What ends while it is looked at, a thread or the process, takes nothing with it: it has been counted.
+    with contextlib.suppress(OSError):
+        for thread in os.listdir(f"/proc/{process}/task"):  # a child belongs to the thread that has started it
+            with contextlib.suppress(OSError), open(f"/proc/{process}/task/{thread}/children", "rb") as file:
+                children.update(file.read().decode().split())
     return _TICK_S * sum(map(int, fields[11:15])) + sum(map(_tree_s, children))
 
 

@@ -182,7 +182,8 @@ def fit(name: str, training: Training, bases: int, max_condition: float = MAX_CO
         For an unknown estimator, an impossible number of bases, or responses that determine no calibration.
     """
     response = np.asarray(training.response, dtype=np.float64)
-    training = replace(training, response=response)
+    if response is not training.response:  # otherwise it keeps what has been computed from it
+        training = replace(training, response=response)
     if name not in ESTIMATORS:
         raise ValueError(f"unknown estimator {name!r}; accepted: {', '.join(ESTIMATORS)}")
     check_responses(response, max_condition, training.noise.patch)

@@ -1,6 +1,7 @@
 """Directional-hemispherical albedo of the lobes, by quadrature over half vectors."""
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -79,9 +80,17 @@ def _fill(lobes, mu, cosine, rule, index, out):
 
 def _integrals(name: str, mu: np.ndarray, cosine: np.ndarray, nodes: int, n: np.ndarray, k: np.ndarray) -> np.ndarray:
     """Return the integrals of `_integrate` with ``nodes`` nodes along each angle, (m, c, 1 + indices)."""
+    given = (np.asarray(x, dtype=np.float64).tobytes() for x in (mu, cosine, n, k))
+    return _kept_integrals(name, lobe(name).digest, nodes, *given)
+
+
+@lru_cache(maxsize=16)  # objects of a scene share lobes and refractive indices
+def _kept_integrals(name: str, digest: str, nodes: int, *given: bytes) -> np.ndarray:
+    mu, cosine, n, k = (np.frombuffer(values).copy() for values in given)
     node, weight = np.polynomial.legendre.leggauss(nodes)
     out = np.empty((len(mu), len(cosine), 1 + len(n)))
     _fill(Lobes.of(name), mu, cosine, (0.5 * (node + 1.0), 0.5 * weight), (n, k), out)
+    out.flags.writeable = False
     return out
 
 

@@ -131,11 +131,9 @@ def made_shape(definition) -> Shape:
     [
         pytest.param((0.0,) * 6, 900.0, 50.0, marks=pytest.mark.heavy),
         pytest.param((2.0, 0.0, 0.0, 1.0, -1.0, 1.0), 900.0, 50.0, marks=pytest.mark.heavy),
-        pytest.param((0.0,) * 6, 900.0, 52.5, marks=pytest.mark.heavy),
-        pytest.param((0.0,) * 6, 850.0, 50.0, marks=pytest.mark.heavy),
         ((-1.2, 1.5, 0.6, 0.6, 0.5, -1.0), 850.0, 52.5),
     ],
-    ids=["undisturbed", "2 mm and 1 degree", "focal length", "distance", "jointly"],
+    ids=["undisturbed", "2 mm and 1 degree", "jointly with distance and focal length"],
 )
 def test_a_painted_plate_is_found_where_it_lies(tmp_path, definitions, laid_off, distance_mm, focal_mm):
     definition, setup = an_object(definitions, PLATE), as_typed(definitions, distance_mm, focal_mm)
@@ -192,12 +190,16 @@ def sound_object(definitions, name):
 
 
 @pytest.mark.heavy
-@pytest.mark.parametrize("is_off", [False, True], ids=["as stated", "laid off"])
 @pytest.mark.parametrize(
-    "name", ["vermilion-sphere", "indigo-sphere", "leaf-sphere", "tile-plate", "metal", "two lobes", "lid"]
+    ("name", "is_off"),
+    [
+        # Balls of the same size differ only in paint: one of them also stands as stated.
+        *((name, True) for name in ("vermilion-sphere", "indigo-sphere")),
+        *((name, off) for name in ("leaf-sphere", "tile-plate", "metal", "two lobes", "lid") for off in (False, True)),
+    ],
 )
 def test_no_sound_photograph_is_refused(tmp_path, definitions, name, is_off):
-    """61 photographs whose angles are off as the virtual rig's are, of objects as stated, and laid off."""
+    """Photographs whose angles are off as the virtual rig's are, of objects as stated, and laid off."""
     definition, stated = sound_object(definitions, name)
     rng = np.random.default_rng(17)
     real = [replace(pose, camera_deg=pose.camera_deg + rng.normal(0.0, 0.05)) for pose in stated]

@@ -262,7 +262,8 @@ def samples_of(path) -> np.ndarray:
 
 
 @pytest.mark.heavy
-def test_what_looks_round_but_is_flat_is_no_ball(folder, capsys):
+def test_what_looks_round_but_is_flat_is_no_ball(folder, capsys, monkeypatch):
+    monkeypatch.setattr("irodori.first_project.dome_command.names", lambda: ("gaussian",))
     files = reliefs(GLOSS)
     disc = np.zeros((*SIZE, 3), dtype=np.uint8)
     disc[np.isfinite(Circle(*BALL).normals(SIZE)[..., 2])] = 255

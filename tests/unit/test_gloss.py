@@ -595,7 +595,7 @@ def test_what_reflects_nothing_gives_nothing(constant):
 
 @pytest.mark.heavy
 @pytest.mark.parametrize(("name", "lobe"), [("museum", "gaussian"), ("hall", "gaussian"), ("hall", "ggx")])
-def test_the_errors_under_a_photographed_place(name, lobe):
+def test_the_errors_under_a_photographed_place(name, lobe, monkeypatch):
     path = DATA / "environments" / f"{name}.exr"
     if not path.is_file():
         pytest.skip(f"no picture at {path}")
@@ -604,8 +604,10 @@ def test_the_errors_under_a_photographed_place(name, lobe):
     source = oiio.ImageInput.open(str(path))
     light = np.maximum(source.read_image("float"), 0.0)
     source.close()
+    if lobe == "ggx":  # its long tails take ten times as long to integrate: every other roughness
+        monkeypatch.setattr(look_up_errors, "MU", look_up_errors.MU[::2])
     rows = gloss_errors(Integrator(light), GlossMaps.of(light), lobe)
-    assert len(rows) == 48 and {row["lobe"] for row in rows} == {lobe}
+    assert len(rows) == (24 if lobe == "ggx" else 48) and {row["lobe"] for row in rows} == {lobe}
     for row in rows:
         # Across the plane of incidence the lobe is as narrow as cosθ_r: under the finest map it is only sketched.
         finest = WIDTHS_RAD[first_level(*light.shape[:2])]

@@ -9,7 +9,7 @@ import pytest
 from equation5_written_out import gloss_factors
 
 from irodori.reflection import ggx, lobes
-from irodori.reflection.albedo import albedo_table
+from irodori.reflection.albedo import albedo_table, gloss_albedo
 from irodori.reflection.equation5 import angles_from_directions, reflect
 from irodori.reflection.lobe import Lobe
 from irodori.reflection.lobe_arrays import evaluate, evaluate_with_derivatives
@@ -142,3 +142,12 @@ def test_a_module_is_the_lobe_that_it_defines_and_its_digest_that_of_its_code(tm
         spec.loader.exec_module(module)
         digests.append(Lobe.of_module(module).digest)
     assert digests[0] == found.digest != digests[1]
+
+
+def test_albedos_that_are_kept_are_those_of_each_index_and_cannot_be_changed():
+    one, other = (gloss_albedo("gaussian", [0.1, 0.3], 0.5, n, 0.0) for n in (1.5, 2.0))
+    both = gloss_albedo("gaussian", [0.1, 0.3], 0.5, [1.5, 2.0], [0.0, 0.0])
+    assert both.shape == (2, 1, 2) and (other > one).all()
+    np.testing.assert_array_equal(both, np.concatenate([one, other], axis=2))
+    with pytest.raises(ValueError, match="read-only"):
+        one[0] = 1.0

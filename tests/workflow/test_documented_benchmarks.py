@@ -21,6 +21,7 @@ from irodori.config.models import Size
 
 _FRAME = {"environment": 64, "width": 16, "height": 12}
 _LIGHT = importlib.import_module("benchmarks.light")
+_MATERIALS = importlib.import_module("benchmarks.materials")
 _CALIBRATE = importlib.import_module("benchmarks.calibrate")
 
 
@@ -68,7 +69,7 @@ _TINY = {
         "VARIANTS": {name: _LIGHT.VARIANTS[name] for name in ("rig-lamp", "mixture")},
         "published_lamps": lambda: _LIGHT_LAMPS[:6],
     },
-    "materials": {"MATERIALS": ("nist_ptfe",)},
+    "materials": {"MATERIALS": ("nist_ptfe",), "CORNELL": _MATERIALS.CORNELL[:1], "_SURFACES": 20},
     "plan": {"SIZES": {"small": _FRAME}},
     "reference": {"SIZES": {"small": {"pixels": "8x6", "converged": 64, "scenes": ["spheres"], "no_growth": True}}},
     "render": {"SIZES": {"small": _FRAME | {"variants": ["rgb"]}}},

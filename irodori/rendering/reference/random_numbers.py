@@ -69,10 +69,11 @@ def _scrambled_sobol(count: int, generator: np.random.Generator) -> np.ndarray:
     matrices = np.tril(generator.integers(2, size=(2, 32, 32), dtype=np.uint32), -1) | np.eye(32, dtype=np.uint32)
     bits = directions[:, None, :] >> places[::-1, None] & np.uint64(1)  # (dimension, bit from the highest, column)
     scrambled = np.bitwise_or.reduce((matrices @ bits & np.uint64(1)) << places[::-1, None], axis=1)
-    number = np.arange(count, dtype=np.uint64)
-    gray = number ^ number >> np.uint64(1)
-    chosen = scrambled[:, None, :] * (gray[:, None] >> places & np.uint64(1))
-    return (np.bitwise_xor.reduce(chosen, axis=2).T ^ shift).astype(np.uint32)
+    # In Gray code each point differs from the one before by the direction of the lowest bit set in its number.
+    number = np.arange(1, count)
+    steps = np.zeros((count, 2), dtype=np.uint64)
+    steps[1:] = scrambled[:, np.log2(number & -number).astype(int)].T
+    return (np.bitwise_xor.accumulate(steps, axis=0) ^ shift).astype(np.uint32)
 
 
 @uncounted(forceinline=True)
