@@ -25,6 +25,7 @@ from irodori.geometry.embree import Tracer
 from irodori.geometry.rig_frame import rig_from_camera, rig_from_object, to_camera
 from irodori.geometry.shapes.shape import Shape
 from irodori.material.angle_errors import ANGLES, write_registered
+from irodori.rectification.inner_brightness import InnerSurface, inner_surface, painted
 from irodori.rectification.marker_sheet import (
     OUTLINE,
     SHEET_QUANTITIES,
@@ -35,7 +36,7 @@ from irodori.rectification.marker_sheet import (
     find_corners,
     not_found,
 )
-from irodori.rectification.outline_search import OUTER, SHADING_STEP, edge_distances, find_rim, first_hit, held
+from irodori.rectification.outline_search import OUTER, InnerSide, edge_distances, find_rim
 from irodori.rectification.placement_correction import CAMERA, COUNT, LIGHT, QUANTITIES, Correction, prior_sigma
 from irodori.rectification.reduced_pictures import Level, Picture
 from irodori.rectification.registration_covariance import RegisteredAngleErrors, Rows, angle_errors, excess
@@ -72,9 +73,8 @@ _FINEST_BLUR, _PART_OF_TEXEL = 1.0, 0.6
 _STILL = 0.02  # standard deviations of the posterior within which a step ends the search
 _LEAST_COSINE = 0.15  # cosine of incidence below which an outline is too dark
 _LEAST_POINTS = 12
-_SHADED = 13  # points inside an outline at which the light on the object is computed
-_JUST_INSIDE = 0.05  # samples between the outline and the first of them
-_NEAREST = 4  # texels whose normals are averaged for a point
+_BENT = 9  # points of the surface by which its curvature is found
+_EDGE = 0.5  # change of a unit normal between neighbours that is an edge
 # Mean square of the gradient of log reflectance per superpixel, in the direction in which it is least.
 _LEAST_TEXTURE = 1e-5
 #: Least mean square of the normals of an outline, along any direction, with which it tells where its object is shown.
@@ -209,8 +209,8 @@ class _View:
     search: Level = field(init=False)  # for the outline
     rim: np.ndarray = field(init=False)
     outward: np.ndarray = field(init=False)
-    #: Irradiance of the surface inside the outline, (points, `_SHADED`), `SHADING_STEP` samples apart; None if flat.
-    shading: np.ndarray | None = None
+    surface: InnerSurface | None = None  # inside the outline; None if the object is flat
+    inner: InnerSide | None = None  # its brightness
     change: np.ndarray = field(init=False)  # of the outline along its normals by the common unknowns, (points, 12)
     weight: np.ndarray = field(init=False)  # of the texels
     moved: np.ndarray = field(init=False)  # derivatives of the texels' places by the common unknowns, (texels, 2, 12)
@@ -275,6 +275,16 @@ class _Problem:
         degree.
         """
         return are_alike(self.texels.normal)
+
+    @cached_property
+    def bends(self) -> np.ndarray:
+        """Derivatives of the normals at the points of `skin` by the place on the surface, (n, 3, 3) per mm."""
+        tree, normal, _ = self.skin
+        around = tree.query(tree.data, k=_BENT)[1]
+        offset, change = tree.data[around] - tree.data[:, None], normal[around] - normal[:, None]
+        # Beyond an edge, the surface is another one.
+        near = np.where(np.linalg.norm(change, axis=2) < _EDGE, 1.0, 0.0)[..., None]
+        return np.swapaxes(np.linalg.pinv(near * offset, rcond=0.1) @ (near * change), 1, 2)
 
     def seen(self, view: int, points: np.ndarray, values: np.ndarray) -> np.ndarray:
         """Return the projections of points of the object into a photograph, (n, 2) superpixels, for given unknowns."""
@@ -492,7 +502,13 @@ def _descend(problem: _Problem, reach: float, most_steps: int, *, trace: bool = 
             _prepare(problem, view, reach, blur)
         else:
             problem.views[view].search = _searched(problem.views[view].picture, reach)
-    return _settle(problem, reach, most_steps)
+    if reach > _FINEST_REACH or problem.tells_texture:
+        return _settle(problem, reach, most_steps)
+    for _ in range(2):
+        for number, view in enumerate(problem.views):
+            view.inner = painted(problem, number)
+        matrix = _settle(problem, reach, most_steps)
+    return matrix
 
 
 def _settle(problem: _Problem, reach: float | None, most_steps: int) -> np.ndarray:
@@ -655,7 +671,8 @@ def _prepare(problem: _Problem, number: int, reach: float, blur: float) -> None:
     moved = problem.derivative(lambda v, values: problem.seen(v, view.rim, values), number)
     view.change = np.einsum("ni,nip->np", view.outward, moved)
     if not problem.tells_texture:
-        view.shading = _shading(problem, view, tracer, (camera, pose), lit.xy[bright])
+        view.surface = inner_surface(problem, number, tracer, lit.xy[bright])
+        view.inner = view.surface.evenly_painted
         return
     view.level = view.picture.level(blur)
     normal, facet = texels.normal @ placed.rotation.T, texels.facet @ placed.rotation.T
@@ -668,31 +685,6 @@ def _prepare(problem: _Problem, number: int, reach: float, blur: float) -> None:
         weight = np.where(apart > 2.0 * blur + 1.5, weight, 0.0)
     view.weight = weight
     view.moved = problem.derivative(lambda v, values: problem.seen(v, texels.position, values), number)
-
-
-def _shading(problem: _Problem, view: _View, tracer: Tracer, sight: tuple[RigSetup, Pose], xy) -> np.ndarray:
-    """Return the irradiance of the surface just inside points of its outline, see `_View.shading`.
-
-    Parameters
-    ----------
-    tracer : Tracer
-        Scene with the object as its shape 0.
-    sight : (RigSetup, Pose)
-        Camera and pose of the photograph.
-    xy : (n, 2) float
-        The points, superpixels.
-    """
-    camera, pose = sight
-    eye, axes, placed = camera.camera_distance_mm * to_camera(pose), rig_from_camera(pose), tracer.placements[0]
-    skin, normal = problem.skin[0], problem.skin[1] @ placed.rotation.T
-    inwards = (_JUST_INSIDE + SHADING_STEP * np.arange(_SHADED)) / view.picture.scale
-    inside = xy[:, None] - inwards[:, None] * view.outward[:, None]
-    world, is_on = first_hit(tracer, camera.pinhole, eye, axes, inside.reshape(-1, 2))
-    distance, around = skin.query((world - placed.translation_mm) @ placed.rotation, k=_NEAREST)
-    mean = np.einsum("nk,nki->ni", 1.0 / (distance**2 + 1e-6), normal[around])
-    light, power, _ = problem.setup.lamp.seen_from(world, pose)
-    cosine = np.sum(mean * light, axis=1) / np.linalg.norm(mean, axis=1)
-    return held(np.where(is_on, np.maximum(cosine, 0.0) * power, np.nan).reshape(-1, _SHADED))
 
 
 def _outline(problem: _Problem, number: int, reach: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -715,7 +707,7 @@ def _outline(problem: _Problem, number: int, reach: float) -> tuple[np.ndarray, 
     # The middle of a sheet is dark, but not black: before it, the end of the lit part may be a stronger edge.
     is_dark = problem.sheet is not None
     distance = edge_distances(
-        view.picture, view.search, xy, view.outward, reach, shading=view.shading, is_dark_outside=is_dark
+        view.picture, view.search, xy, view.outward, reach, inner=view.inner, is_dark_outside=is_dark
     )
     distance -= problem.outline_px
     if problem.sheet is not None:

@@ -21,14 +21,22 @@ _ROUGH = 0.02  # largest distance of these points from a smooth curve, as a shar
 _MOST = 200  # points of an outline, at most
 _STEP = 0.5  # between readings along a normal, in samples of a sharp picture
 _READINGS = 12  # iterations of an edge's place, each centred on the result of the one before
-_SETTLED = 0.005  # change of a place at which the readings end
+#: Change of a place that is settled, share of the places that have to be, and largest change of one that is used.
+_SETTLED, _MOST_SETTLED, _STILL = 0.005, 0.9, 0.05
+_PARTS = 0.3, 2.0  # range of the parts of a change that are taken
 #: Range of distances from an edge over which the level of each side is averaged, in samples of a sharp picture.
 _INNER, OUTER = 1.5, 3.5
 _DEEP, _DEEPEST = 2.5, 6.0  # range of depths over which the shading of a photograph is compared with a matt surface's
 _EVEN_DEEP = 4.0  # least depth at which the slope of a flat object's texture is read, where no blur of the edge reaches
-SHADING_STEP = 0.5  # samples
-_EVEN = 1e-6  # sum of squared relative changes of the light below which it is even
-_STEEPEST = 1.5  # largest share of a matt surface's shading
+#: Readings around an edge: the first and the last, their places, outward positive, and masks of those in the ranges.
+_FIRST, _LAST = round(-_DEEPEST / _STEP), round(OUTER / _STEP)
+_ALONG = np.arange(_FIRST, _LAST + 1) * _STEP
+_INSIDE, _OUTSIDE = (_ALONG >= -OUTER) & (_ALONG <= -_INNER), _ALONG >= _INNER
+_WITHIN, _DEEPER, _PLAIN = np.abs(_ALONG) <= _INNER + _STEP, _ALONG <= -_DEEP, _ALONG <= -_EVEN_DEEP
+_LEAST_TURN = 1e-6  # sum of squared changes of a cosine below which a surface is flat
+_BESIDE = 15  # neighbouring points of an outline over which its shading is averaged
+_BLURRED = 2  # readings to either side over which the border of two paints is spread
+_LEAST_BORDER = 0.02  # relative change of the paint's brightness over them that is a border
 #: Largest rms deviation of a side from its form, as a share of the step, or of the median of the photograph's edges.
 _ROUGH_SIDE, _ROUGHER = 0.05, 1.5
 _LEAST_HEIGHT = 0.3  # of the step just inside the outline, as a share of that between both sides
@@ -42,6 +50,27 @@ class Rim(NamedTuple):
 
     point: np.ndarray  # (n, 3) on the object, in its frame, mm
     outward: np.ndarray  # (n, 2) unit vectors in the picture, x then y
+
+
+class InnerSide(NamedTuple):
+    """What is known of the brightness of a surface inside n points of its outline, at m depths.
+
+    Parameters
+    ----------
+    step : float
+        Samples from one depth to the next; the first is 0.
+    light : (n, m) float
+        Irradiance.
+    facing : (n, m) float
+        Cosine of the angle between normal and view.
+    paint : (n, m) float
+        Brightness of the paint, 1 in the mean.
+    """
+
+    step: float
+    light: np.ndarray
+    facing: np.ndarray
+    paint: np.ndarray
 
 
 def first_hit(tracer: Tracer, pinhole: Pinhole, eye, axes, xy) -> tuple[np.ndarray, np.ndarray]:
@@ -61,10 +90,10 @@ def first_hit(tracer: Tracer, pinhole: Pinhole, eye, axes, xy) -> tuple[np.ndarr
     return eye + np.where(shape == 0, distance, 0.0)[:, None] * directions, seen & (shape == 0)
 
 
-def held(values: np.ndarray) -> np.ndarray:
-    """Return rows of values, (n, m), whose NaN are replaced by the value before; 1 if there is none."""
+def held(values: np.ndarray, first: float = 1.0) -> np.ndarray:
+    """Return rows of values, (n, m), whose NaN are replaced by the value before; ``first`` if there is none."""
     out = values.copy()
-    out[:, 0] = np.where(np.isnan(out[:, 0]), 1.0, out[:, 0])
+    out[:, 0] = np.where(np.isnan(out[:, 0]), first, out[:, 0])
     for number in range(1, out.shape[1]):
         out[:, number] = np.where(np.isnan(out[:, number]), out[:, number - 1], out[:, number])
     return out
@@ -149,7 +178,7 @@ def _normals(on: np.ndarray, away: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def edge_distances(
-    picture: Picture, level: Level, xy, outward, reach: float, *, shading=None, is_dark_outside: bool = False
+    picture: Picture, level: Level, xy, outward, reach: float, *, inner=None, is_dark_outside: bool = False
 ) -> np.ndarray:
     """Return the distances of the edges in a photograph from the expected points of an outline, outward positive.
 
@@ -171,9 +200,9 @@ def edge_distances(
         Unit normals.
     reach : float
         Distance searched to either side, samples.
-    shading : (n, m) float, optional
-        Irradiance of the surface at points `SHADING_STEP` samples apart, from the expected outline inwards. If absent,
-        the surface is flat and evenly lit, and what changes evenly towards its outline is its texture.
+    inner : InnerSide, optional
+        What is known of the brightness inside the outline. If absent, the surface is flat and evenly lit, and what
+        changes evenly towards its outline is its texture.
     is_dark_outside : bool
         Whether the object is lit before something dark, so that the edge between its lit and its dark side, which is
         brighter outside, is not searched.
@@ -192,25 +221,33 @@ def edge_distances(
     near, far = round(_INNER / _STEP), round(OUTER / _STEP)
     candidates = np.arange(far, width - far)
     levels = np.lib.stride_tricks.sliding_window_view(profile, far - near + 1, axis=1).mean(axis=-1)
-    inner, outer = levels[:, : len(candidates)], levels[:, -len(candidates) :]
+    inside, outside = levels[:, : len(candidates)], levels[:, -len(candidates) :]
     c0, c1 = np.where(np.isfinite(picture.noise), picture.noise, [_UNKNOWN_NOISE**2, 0.0])
-    noise = np.sqrt(c0 + c1 * np.maximum(np.maximum(inner, outer), 0.0))
-    ratio = np.log((np.maximum(inner, 0.0) + DARK) / (np.maximum(outer, 0.0) + DARK))
+    noise = np.sqrt(c0 + c1 * np.maximum(np.maximum(inside, outside), 0.0))
+    ratio = np.log((np.maximum(inside, 0.0) + DARK) / (np.maximum(outside, 0.0) + DARK))
     ratio = ratio if is_dark_outside else np.abs(ratio)
-    clear = (ratio > _LEAST_LOG_STEP) & (np.abs(inner - outer) > _LEAST_SIGMAS * noise)
+    clear = (ratio > _LEAST_LOG_STEP) & (np.abs(inside - outside) > _LEAST_SIGMAS * noise)
     score = np.where(clear, ratio * (1.0 - 0.5 * (offset[candidates] / (reach + 1.0)) ** 2), -1.0)
     best = np.argmax(score, axis=1)
     is_clear, first = score[np.arange(count), best] > 0.0, offset[candidates[best]]
     noise, at = noise[np.arange(count), best], first
+    expected = None if inner is None else _Expected(inner, xy, unit)
     # The largest ratio lies on the dark side of an edge, and the edge's blur there would change the level of the inner
     # side: the reading is centred again on the edge that it finds.
-    for _ in range(_READINGS):
-        reading = _edge_beside(profile, (np.nan_to_num(at) - offset[0]) / step, shading, unit, noise, is_clear)
-        before, at = at, offset[0] + step * reading.place
-        if not (np.abs(at - before)[is_clear] > _SETTLED * unit).any():
+    move, part, farthest = np.zeros(count), np.ones(count), (_INNER + 2.0 * _STEP) * unit
+    for number in range(_READINGS):
+        reading = _edge_beside(profile, (np.nan_to_num(at) - offset[0]) / step, expected, noise, is_clear)
+        before, move = move, offset[0] + step * reading.place - at
+        if number:
+            # The secant method: how much of the last move was too much.
+            with np.errstate(divide="ignore", invalid="ignore"):
+                part = np.nan_to_num(np.clip(part * before / (before - move), *_PARTS), nan=1.0)
+        at = at + part * move
+        is_settled, strayed = np.abs(move) < _SETTLED * unit, np.abs(at - first) > farthest
+        if (is_settled | strayed | ~is_clear).mean() > _MOST_SETTLED:
             break
-    strayed = np.abs(at - first) > (_INNER + 2.0 * _STEP) * unit  # to another edge
-    is_read = is_clear & np.isfinite(at) & ~strayed & (np.abs(at) <= reach)
+    # What strays is another edge.
+    is_read = is_clear & (np.abs(move) < _STILL * unit) & ~strayed & (np.abs(at) <= reach)
     # On an object with a fine texture no side is plain.
     most_rough = max(_ROUGH_SIDE, _ROUGHER * float(np.median(reading.rough[is_read]))) if is_read.any() else 0.0
     return np.where(is_read & (reading.rough <= most_rough), at / picture.scale, np.nan)
@@ -227,7 +264,7 @@ class _Reading(NamedTuple):
     rough: np.ndarray  # (n,)
 
 
-def _edge_beside(profile, place, shading, unit: float, noise, is_clear) -> _Reading:
+def _edge_beside(profile, place, expected: "_Expected | None", noise, is_clear) -> _Reading:
     """Read the edges near given places of profiles.
 
     Parameters
@@ -236,42 +273,31 @@ def _edge_beside(profile, place, shading, unit: float, noise, is_clear) -> _Read
         Readings along the normals, `_STEP` units apart.
     place : (n,) float
         Supposed places of the edges, in readings.
-    shading : (n, m) float
-        As in `edge_distances`.
-    unit : float
-        Samples.
+    expected : _Expected, optional
+        Brightness of the inner sides; absent for a flat object.
     noise : (n,) float
         Standard deviation of a reading.
     is_clear : (n,) bool
         Mask of the edges that stand out of the noise.
     """
-    deep, far = round(_DEEPEST / _STEP), round(OUTER / _STEP)
-    along = np.arange(-deep, far + 1) * _STEP
-    place = np.clip(place, deep, profile.shape[1] - far - 1)
-    around = _between(profile, place[:, None] + np.arange(-deep, far + 1))
-    inside, outside = (along >= -OUTER) & (along <= -_INNER), along >= _INNER
-    within, deeper = np.abs(along) <= _INNER + _STEP, along <= -_DEEP
-    judged = inside if shading is not None else along <= -_INNER
-    weights = np.full(within.sum(), _STEP)
+    place = np.clip(place, -_FIRST, profile.shape[1] - _LAST - 1)
+    around = _between(profile, place[:, None] + np.arange(_FIRST, _LAST + 1))
+    weights = np.full(_WITHIN.sum(), _STEP)
     weights[[0, -1]] *= 0.5
-    seen, outer = around[:, inside], around[:, outside]
+    outer = around[:, _OUTSIDE]
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        level, outer_level = seen.mean(axis=1), outer.mean(axis=1)
-        if shading is None:
+        level, outer_level = around[:, _INSIDE].mean(axis=1), outer.mean(axis=1)
+        if expected is None:
             # The texture's level at the edge follows from its slope.
-            even = along <= -_EVEN_DEEP
-            away = along[even] - along[even].mean()
-            lean = (around[:, even] @ away) / np.sum(away**2)
-            form = level[:, None] + lean[:, None] * (along - along[inside].mean())
+            away = _ALONG[_PLAIN] - _ALONG[_PLAIN].mean()
+            lean = (around[:, _PLAIN] @ away) / np.sum(away**2)
+            form = level[:, None] + lean[:, None] * (_ALONG - _ALONG[_INSIDE].mean())
+            judged = _ALONG <= -_INNER
         else:
-            depth = np.maximum(-along, 0.0) * unit / SHADING_STEP
-            light = _between(shading, np.broadcast_to(np.minimum(depth, shading.shape[1] - 1.0), around.shape))
-            share = _share_of_shading(light[:, deeper], around[:, deeper], is_clear)
-            form = np.maximum(1.0 + share * (light / light[:, inside].mean(axis=1)[:, None] - 1.0), 0.0)
-            form *= level[:, None]
-        edge = form[:, within & (along <= 0.0)]
+            form, judged = expected.form(around, is_clear), _INSIDE
+        edge = form[:, _WITHIN & (_ALONG <= 0.0)]
         # Areas above the level of the outer side: that of the readings, and that of the inner side up to the place.
-        area = (around[:, within] - outer_level[:, None]) @ weights
+        area = (around[:, _WITHIN] - outer_level[:, None]) @ weights
         whole = np.trapezoid(edge - outer_level[:, None], dx=_STEP, axis=1)
         height = edge[:, 0] - outer_level
         step, deviation = np.abs(level - outer_level), np.sqrt(np.mean((around - form)[:, judged] ** 2, axis=1))
@@ -281,26 +307,72 @@ def _edge_beside(profile, place, shading, unit: float, noise, is_clear) -> _Read
         )
 
 
-def _share_of_shading(light: np.ndarray, seen: np.ndarray, is_clear: np.ndarray) -> float:
-    """Return by how much of a matt surface's shading the inner sides of a photograph's edges change, 0 to `_STEEPEST`.
-
-    The median over the edges, weighted by how much their light changes: matt surfaces have 1, what looks like a disc 0.
+class _Expected:
+    """Brightness that is expected along the normals inside an outline, at the readings around its edges.
 
     Parameters
     ----------
-    light, seen : (n, m) float
-        Irradiance and responses over the inner sides, away from the blur of the edge.
-    is_clear : (n,) bool
+    inner : InnerSide
+    xy : (n, 2) float
+        Points of the outline, superpixels.
+    unit : float
+        Samples.
     """
-    light, seen = (one / one.mean(axis=1)[:, None] for one in (light, seen))
-    change = np.sum((light - 1.0) ** 2, axis=1)
-    share = np.sum((light - 1.0) * (seen - 1.0), axis=1) / change
-    used = is_clear & np.isfinite(share) & (change > _EVEN)
-    if not used.any():
-        return 1.0
-    order = np.argsort(share[used])
-    total = np.cumsum(change[used][order])
-    return float(np.clip(share[used][order][np.searchsorted(total, 0.5 * total[-1])], 0.0, _STEEPEST))
+
+    def __init__(self, inner: InnerSide, xy: np.ndarray, unit: float) -> None:
+        from scipy.spatial import cKDTree
+
+        depth = np.minimum(np.maximum(-_ALONG, 0.0) * unit / inner.step, inner.light.shape[1] - 1.0)
+        depth = np.broadcast_to(depth, (len(xy), len(depth)))
+        light, facing, self._paint = (_between(one, depth) for one in (inner.light, inner.facing, inner.paint))
+        # The blur of a photograph spreads the borders of paints: brightness is compared away from them.
+        apart = np.pad(self._paint, ((0, 0), (_BLURRED, _BLURRED)), mode="edge")
+        border = (apart[:, 2 * _BLURRED :] - apart[:, : -2 * _BLURRED]) / self._paint
+        even = 1.0 / (1.0 + (border / _LEAST_BORDER) ** 2)
+        self._inside, deep = (even * part / np.sum(even * part, axis=1)[:, None] for part in (_INSIDE, _DEEPER))
+        self._light = light / np.sum(self._inside * light, axis=1)[:, None]
+        self._facing = facing - np.sum(self._inside * facing, axis=1)[:, None]
+        self._deep, self._deep_light = deep, np.sum(deep * self._light, axis=1)
+        self._turn = deep * (facing - np.sum(deep * facing, axis=1)[:, None])
+        self._turned = np.sum(self._turn * facing, axis=1)
+        self._told = np.sum(even * _DEEPER, axis=1) * self._turned
+        self._beside = cKDTree(xy).query(xy, k=np.arange(1, min(_BESIDE, len(xy)) + 1))[1]
+
+    def form(self, around: np.ndarray, is_clear: np.ndarray) -> np.ndarray:
+        """Return the expected readings, as high as the ones around the edges, (n, readings).
+
+        Parameters
+        ----------
+        around : (n, readings) float
+            Readings around the supposed places of the edges.
+        is_clear : (n,) bool
+            Mask of the edges that stand out of the noise.
+        """
+        slope = self._slope(around / self._paint, is_clear)
+        form = self._paint * np.maximum(self._light + slope[:, None] * self._facing, 0.0)
+        level = np.sum(self._inside * around, axis=1) / np.sum(self._inside * form, axis=1)
+        return level[:, None] * form
+
+    def _slope(self, seen: np.ndarray, is_clear: np.ndarray) -> np.ndarray:
+        """Return how brightness changes with the cosine of the view's angle, less a matt surface's change, (n,).
+
+        Gloss, dust or a rough surface change it. As it varies slowly along an outline, the result is the median over
+        neighbouring points, weighted by how much the angle changes.
+
+        Parameters
+        ----------
+        seen : (n, readings) float
+            Readings over the brightness of the paint.
+        is_clear : (n,) bool
+        """
+        scale = self._deep_light / np.sum(self._deep * seen, axis=1)
+        slope = np.sum(self._turn * (scale[:, None] * seen - self._light), axis=1) / self._turned
+        used = is_clear & np.isfinite(slope) & (self._told > _LEAST_TURN)
+        slope, told = (np.where(used, one, 0.0)[self._beside] for one in (slope, self._told))
+        order = np.argsort(slope, axis=1)
+        total = np.cumsum(np.take_along_axis(told, order, axis=1), axis=1)
+        middle = np.argmax(total >= 0.5 * total[:, -1:], axis=1)
+        return slope[np.arange(len(slope)), order[np.arange(len(slope)), middle]]
 
 
 def _between(rows: np.ndarray, places: np.ndarray) -> np.ndarray:
