@@ -14,7 +14,6 @@ from irodori.geometry.embree import Tracer
 from irodori.geometry.rig_frame import rig_from_camera, rig_from_object, to_camera
 from irodori.rectification.outline_search import InnerSide, first_hit, held
 from irodori.rectification.reduced_pictures import GREEN
-from irodori.rectification.texture_agreement import matt_weight
 
 if TYPE_CHECKING:
     from irodori.rectification.object_registration import _Problem as Problem

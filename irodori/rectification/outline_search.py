@@ -20,6 +20,9 @@ _NEIGHBOURS = 12  # points through which the outline's direction is fitted
 _ROUGH = 0.02  # largest distance of these points from a smooth curve, as a share of their spread
 _MOST = 200  # points of an outline, at most
 _STEP = 0.5  # between readings along a normal, in samples of a sharp picture
+#: Standard deviation, samples, of the blur of a reading: by the area of a sample, the two green pixels of a superpixel,
+#: and bilinear interpolation.
+_READ = math.sqrt(1 / 12 + 1 / 16 + 1 / 6)
 _READINGS = 12  # iterations of an edge's place, each centred on the result of the one before
 #: Change of a place that is settled, share of the places that have to be, and largest change of one that is used.
 _SETTLED, _MOST_SETTLED, _STILL = 0.005, 0.9, 0.05
@@ -31,6 +34,7 @@ _EVEN_DEEP = 4.0  # least depth at which the slope of a flat object's texture is
 #: Readings around an edge: the first and the last, their places, outward positive, and masks of those in the ranges.
 _FIRST, _LAST = round(-_DEEPEST / _STEP), round(OUTER / _STEP)
 _ALONG = np.arange(_FIRST, _LAST + 1) * _STEP
+_SURFACE = 0.5 - 0.5 * np.sign(_ALONG)
 _INSIDE, _OUTSIDE = (_ALONG >= -OUTER) & (_ALONG <= -_INNER), _ALONG >= _INNER
 _WITHIN, _DEEPER, _PLAIN = np.abs(_ALONG) <= _INNER + _STEP, _ALONG <= -_DEEP, _ALONG <= -_EVEN_DEEP
 _LEAST_TURN = 1e-6  # sum of squared changes of a cosine below which a surface is flat
@@ -231,7 +235,7 @@ def edge_distances(
     best = np.argmax(score, axis=1)
     is_clear, first = score[np.arange(count), best] > 0.0, offset[candidates[best]]
     noise, at = noise[np.arange(count), best], first
-    expected = None if inner is None else _Expected(inner, xy, unit)
+    expected = None if inner is None else _Expected(inner, xy, unit, math.hypot(_READ, level.sigma) / unit)
     # The largest ratio lies on the dark side of an edge, and the edge's blur there would change the level of the inner
     # side: the reading is centred again on the edge that it finds.
     move, part, farthest = np.zeros(count), np.ones(count), (_INNER + 2.0 * _STEP) * unit
@@ -292,14 +296,13 @@ def _edge_beside(profile, place, expected: "_Expected | None", noise, is_clear) 
             away = _ALONG[_PLAIN] - _ALONG[_PLAIN].mean()
             lean = (around[:, _PLAIN] @ away) / np.sum(away**2)
             form = level[:, None] + lean[:, None] * (_ALONG - _ALONG[_INSIDE].mean())
-            judged = _ALONG <= -_INNER
+            form, share, judged = form * _SURFACE, _SURFACE, _ALONG <= -_INNER
         else:
-            form, judged = expected.form(around, is_clear), _INSIDE
-        edge = form[:, _WITHIN & (_ALONG <= 0.0)]
+            form, share, judged = expected.form(around, is_clear), expected.share, _INSIDE
         # Areas above the level of the outer side: that of the readings, and that of the inner side up to the place.
         area = (around[:, _WITHIN] - outer_level[:, None]) @ weights
-        whole = np.trapezoid(edge - outer_level[:, None], dx=_STEP, axis=1)
-        height = edge[:, 0] - outer_level
+        whole = (form - outer_level[:, None] * share)[:, _WITHIN] @ weights
+        height = form[:, np.argmax(_WITHIN)] - outer_level
         step, deviation = np.abs(level - outer_level), np.sqrt(np.mean((around - form)[:, judged] ** 2, axis=1))
         rough = np.maximum(np.maximum(deviation, outer.std(axis=1)) - 2.0 * noise, 0.0) / step
         return _Reading(
@@ -317,9 +320,11 @@ class _Expected:
         Points of the outline, superpixels.
     unit : float
         Samples.
+    blur : float
+        Standard deviation of the blur of a reading, units.
     """
 
-    def __init__(self, inner: InnerSide, xy: np.ndarray, unit: float) -> None:
+    def __init__(self, inner: InnerSide, xy: np.ndarray, unit: float, blur: float) -> None:
         from scipy.spatial import cKDTree
 
         depth = np.minimum(np.maximum(-_ALONG, 0.0) * unit / inner.step, inner.light.shape[1] - 1.0)
@@ -330,12 +335,17 @@ class _Expected:
         border = (apart[:, 2 * _BLURRED :] - apart[:, : -2 * _BLURRED]) / self._paint
         even = 1.0 / (1.0 + (border / _LEAST_BORDER) ** 2)
         self._inside, deep = (even * part / np.sum(even * part, axis=1)[:, None] for part in (_INSIDE, _DEEPER))
-        self._light = light / np.sum(self._inside * light, axis=1)[:, None]
-        self._facing = facing - np.sum(self._inside * facing, axis=1)[:, None]
-        self._deep, self._deep_light = deep, np.sum(deep * self._light, axis=1)
+        light /= np.sum(self._inside * light, axis=1)[:, None]
+        facing -= np.sum(self._inside * facing, axis=1)[:, None]
+        self._light, self._deep, self._deep_light = light, deep, np.sum(deep * light, axis=1)
         self._turn = deep * (facing - np.sum(deep * facing, axis=1)[:, None])
         self._turned = np.sum(self._turn * facing, axis=1)
         self._told = np.sum(even * _DEEPER, axis=1) * self._turned
+        # What a reading contains of its neighbourhood, and how much of that is the surface.
+        blurred = np.exp(-0.5 * ((_ALONG[:, None] - _ALONG) / blur) ** 2)
+        blurred *= _SURFACE / blurred.sum(axis=1, keepdims=True)
+        self.share = blurred.sum(axis=1)
+        self._matt, self._gloss = ((self._paint * one) @ blurred.T for one in (light, facing))
         self._beside = cKDTree(xy).query(xy, k=np.arange(1, min(_BESIDE, len(xy)) + 1))[1]
 
     def form(self, around: np.ndarray, is_clear: np.ndarray) -> np.ndarray:
@@ -349,7 +359,7 @@ class _Expected:
             Mask of the edges that stand out of the noise.
         """
         slope = self._slope(around / self._paint, is_clear)
-        form = self._paint * np.maximum(self._light + slope[:, None] * self._facing, 0.0)
+        form = self._matt + slope[:, None] * self._gloss
         level = np.sum(self._inside * around, axis=1) / np.sum(self._inside * form, axis=1)
         return level[:, None] * form
 
