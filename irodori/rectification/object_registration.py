@@ -36,7 +36,7 @@ from irodori.rectification.marker_sheet import (
     find_corners,
     not_found,
 )
-from irodori.rectification.outline_search import OUTER, InnerSide, edge_distances, find_rim
+from irodori.rectification.outline_search import OUTER, InnerSide, find_edges, find_rim
 from irodori.rectification.placement_correction import CAMERA, COUNT, LIGHT, QUANTITIES, Correction, prior_sigma
 from irodori.rectification.reduced_pictures import Level, Picture
 from irodori.rectification.registration_covariance import RegisteredAngleErrors, Rows, angle_errors, excess
@@ -88,6 +88,7 @@ _OUTLINE_FLOOR_PX, _TEXTURE_FLOOR, _CORNER_FLOOR_PX = 0.1, 0.01, 0.05
 _OUTLINE_MOST_PX = 0.4  # largest standard deviation of outline points in the last level; points beyond are outliers
 #: Neighbouring measurements have common errors: number that counts as one (for textures, a block of texels and bands).
 _OUTLINE_SHARED, _TEXTURE_SHARED = 5.0, 75.0
+_SIDES = 4.0  # parts of an outline in which the errors by paints and gloss are alike
 _OUTLINED = 0.5  # share of photographs with an outline from which on coarse levels use outlines alone
 _TOLD = 0.5  # share of the prior's standard deviation; a value with a larger error is not determined by the photographs
 _SIGNIFICANT = 2.0  # standard errors that a significant correction exceeds
@@ -590,14 +591,13 @@ def _displaced_outlines(problem: _Problem, measured: list, outlines: list[Rows],
     influence. An outline whose points do not agree tells nothing. Arguments as in `_outline_rows`, with its result.
     """
     found = []
-    for number, (rows, (distance, _, which)) in enumerate(zip(outlines, measured, strict=True)):
-        view, displaced = problem.views[number], None
+    for number, (rows, one) in enumerate(zip(outlines, measured, strict=True)):
+        view, displaced, distance, which = problem.views[number], None, one.distance, one.found
         if len(distance):
             xy = problem.seen(number, view.rim[which], problem.unknowns)
             displaced = _displaced(xy, view.outward[which], distance)
-        weight = 0.0 if displaced is None else 1.0 / (scale**2 * _OUTLINE_SHARED)
-        off = distance if displaced is None else displaced
-        found.append(rows._replace(weight=np.full(len(distance), weight), off=off))
+        weight = np.zeros(len(distance)) if displaced is None else 1.0 / _outline_variance(problem, number, one, scale)
+        found.append(rows._replace(weight=weight, off=distance if displaced is None else displaced))
     return found
 
 
@@ -687,26 +687,36 @@ def _prepare(problem: _Problem, number: int, reach: float, blur: float) -> None:
     view.moved = problem.derivative(lambda v, values: problem.seen(v, texels.position, values), number)
 
 
-def _outline(problem: _Problem, number: int, reach: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Measure a photograph's outline against its expected place.
+class _Outline(NamedTuple):
+    """A photograph's outline, measured against its expected place at n points.
 
-    Returns
-    -------
-    distance : (n,) float
-        Distances of the found edges from the expected outline along its outward normals, superpixels.
-    derivative : (n, 12) float
+    Parameters
+    ----------
+    distance, doubt : (n,) float
+        Distances of the found edges from the expected outline along its outward normals, and the standard deviations of
+        the errors that neighbouring points have in common, superpixels.
+    change : (n, 12) float
         Derivatives of the expected place along the normals by the common unknowns.
     found : (m,) bool
         Mask of the points of the outline at which an edge was found.
     """
+
+    distance: np.ndarray
+    doubt: np.ndarray
+    change: np.ndarray
+    found: np.ndarray
+
+
+def _outline(problem: _Problem, number: int, reach: float) -> _Outline:
+    """Measure a photograph's outline against its expected place."""
     view = problem.views[number]
-    nothing = np.zeros(0), np.zeros((0, COUNT)), np.zeros(len(view.rim), dtype=bool)
+    nothing = _Outline(np.zeros(0), np.zeros(0), np.zeros((0, COUNT)), np.zeros(len(view.rim), dtype=bool))
     if not len(view.rim):
         return nothing
     xy = problem.seen(number, view.rim, problem.unknowns)
     # The middle of a sheet is dark, but not black: before it, the end of the lit part may be a stronger edge.
     is_dark = problem.sheet is not None
-    distance = edge_distances(
+    distance, doubt = find_edges(
         view.picture, view.search, xy, view.outward, reach, inner=view.inner, is_dark_outside=is_dark
     )
     distance -= problem.outline_px
@@ -719,7 +729,7 @@ def _outline(problem: _Problem, number: int, reach: float) -> tuple[np.ndarray, 
     found = np.isfinite(distance)
     if found.sum() < _LEAST_POINTS:
         return nothing
-    return distance[found], view.change[found], found
+    return _Outline(distance[found], doubt[found], view.change[found], found)
 
 
 def _scatter(values: np.ndarray, floor: float, most: float = math.inf) -> float:
@@ -727,7 +737,7 @@ def _scatter(values: np.ndarray, floor: float, most: float = math.inf) -> float:
     return min(max(1.4826 * float(np.median(np.abs(values))), floor), most) if values.size else floor
 
 
-def _cauchy(values: np.ndarray, sigma: float) -> np.ndarray:
+def _cauchy(values: np.ndarray, sigma) -> np.ndarray:
     """Return Cauchy weights of residuals, which give outliers little influence."""
     return 1.0 / (1.0 + (values / (2.0 * sigma)) ** 2)
 
@@ -768,24 +778,42 @@ def _sheet_rows(problem: _Problem) -> list[Rows]:
     return found
 
 
-def _outline_scale(measured: list, *, is_last: bool) -> float:
+def _outline_scale(measured: list[_Outline], *, is_last: bool) -> float:
     """Return the standard deviation of outline points, superpixels; ``measured`` are the results of `_outline`."""
-    every = np.concatenate([distance for distance, _, _ in measured])
+    every = np.concatenate([one.distance for one in measured])
     return _scatter(every, _OUTLINE_FLOOR_PX, _OUTLINE_MOST_PX if is_last else math.inf)
 
 
 def _outline_rows(problem: _Problem, measured: list, scale: float, *, is_last: bool) -> list[Rows]:
     """Return the outline of every photograph as rows of equations, from results and scale of its points."""
     found = []
-    for view, (distance, change, _) in enumerate(measured):
-        rows, where = change[:, [*range(COUNT), CAMERA]], [*range(COUNT), COUNT + view]
+    for view, one in enumerate(measured):
+        rows, where = one.change[:, [*range(COUNT), CAMERA]], [*range(COUNT), COUNT + view]
         if problem.sheet is not None:
             rows = np.concatenate([rows, np.full((len(rows), 1), 1.0 / problem.mm_per_px)], axis=1)
             where.append(problem.of_sheet[OUTLINE])
         # Borders of paints beside an outline are many and on one side: at the end they lose all influence.
-        factor = _cauchy(distance, scale) ** (2 if is_last else 1) / (scale**2 * _OUTLINE_SHARED)
-        found.append(Rows(where, rows, factor, distance))
+        factor = _cauchy(one.distance, np.hypot(scale, one.doubt)) ** (2 if is_last else 1)
+        found.append(Rows(where, rows, factor / _outline_variance(problem, view, one, scale), one.distance))
     return found
+
+
+def _outline_variance(problem: _Problem, number: int, outline: _Outline, scale: float) -> np.ndarray:
+    """Return variances of the points of an outline as if their errors were independent, (n,) superpixels².
+
+    Parameters
+    ----------
+    problem : _Problem
+    number : int
+        Index of the photograph.
+    outline : _Outline
+    scale : float
+        Standard deviation of a point.
+    """
+    pose = replace(problem.views[number].pose, turn_deg=0.0)
+    # Gloss and paints err alike on one side of an object, and in all photographs under the same angles.
+    alike = sum(replace(view.pose, turn_deg=0.0) == pose for view in problem.views)
+    return scale**2 * _OUTLINE_SHARED + outline.doubt**2 * max(1.0, len(outline.distance) / _SIDES) * alike
 
 
 def _add_object(problem: _Problem, reach: float, matrix: np.ndarray, right: np.ndarray) -> None:
@@ -794,7 +822,7 @@ def _add_object(problem: _Problem, reach: float, matrix: np.ndarray, right: np.n
     measured = [_outline(problem, view, reach) for view in range(len(problem.views))]
     for rows in _outline_rows(problem, measured, _outline_scale(measured, is_last=is_last), is_last=is_last):
         rows.add_to(matrix, right)
-    outlined = np.mean([len(distance) > 0 for distance, _, _ in measured]) >= _OUTLINED
+    outlined = np.mean([len(one.distance) > 0 for one in measured]) >= _OUTLINED
     if problem.tells_texture and (is_last or not outlined):
         _add_texture(_textures(problem), matrix, right)
 
@@ -893,7 +921,7 @@ def _residuals(problem: _Problem, reach: float) -> tuple[np.ndarray, np.ndarray,
     total = np.sum(weights, axis=0)
     suspects = []
     for number, view in enumerate(problem.views):
-        distance, _, found = _outline(problem, number, reach)
+        distance, _, _, found = _outline(problem, number, reach)
         count[number] = len(distance)
         outward = view.outward[found] if len(distance) else np.zeros((0, 2))
         if len(distance):

@@ -36,10 +36,13 @@ _FIRST, _LAST = round(-_DEEPEST / _STEP), round(OUTER / _STEP)
 _ALONG = np.arange(_FIRST, _LAST + 1) * _STEP
 _SURFACE = 0.5 - 0.5 * np.sign(_ALONG)
 _INSIDE, _OUTSIDE = (_ALONG >= -OUTER) & (_ALONG <= -_INNER), _ALONG >= _INNER
+_AREA = _STEP * np.array([0.5, *np.ones(round(2.0 * _INNER / _STEP) + 1), 0.5])  # under readings to either side
 _WITHIN, _DEEPER, _PLAIN = np.abs(_ALONG) <= _INNER + _STEP, _ALONG <= -_DEEP, _ALONG <= -_EVEN_DEEP
 _LEAST_TURN = 1e-6  # sum of squared changes of a cosine below which a surface is flat
 _BESIDE = 15  # neighbouring points of an outline over which its shading is averaged
 _BLURRED = 2  # readings to either side over which the border of two paints is spread
+#: Errors of the places of edges by gloss and by paints, as shares of what these change in the places.
+_GLOSS_DOUBT, _PAINT_DOUBT = 0.7, 0.2
 _LEAST_BORDER = 0.02  # relative change of the paint's brightness over them that is a border
 #: Largest rms deviation of a side from its form, as a share of the step, or of the median of the photograph's edges.
 _ROUGH_SIDE, _ROUGHER = 0.05, 1.5
@@ -181,10 +184,26 @@ def _normals(on: np.ndarray, away: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return normal / np.linalg.norm(normal, axis=1, keepdims=True), left < _ROUGH * np.sqrt(spread[:, 1])
 
 
-def edge_distances(
+class Edges(NamedTuple):
+    """Edges in a photograph near the expected points of an outline.
+
+    Parameters
+    ----------
+    distance : (n,) float64
+        Distances from the expected points, outward positive, superpixels; NaN where no edge stands out of the noise.
+    doubt : (n,) float64
+        Standard deviations of the errors that neighbouring points have in common, because the brightness inside the
+        outline is not quite as expected, superpixels.
+    """
+
+    distance: np.ndarray
+    doubt: np.ndarray
+
+
+def find_edges(
     picture: Picture, level: Level, xy, outward, reach: float, *, inner=None, is_dark_outside: bool = False
-) -> np.ndarray:
-    """Return the distances of the edges in a photograph from the expected points of an outline, outward positive.
+) -> Edges:
+    """Find the edges in a photograph near the expected points of an outline.
 
     The edge is the place within reach with the largest ratio of brightness between its sides; places near the expected
     point are preferred. Its exact position follows from the area under the brightness profile above the level of the
@@ -210,10 +229,6 @@ def edge_distances(
     is_dark_outside : bool
         Whether the object is lit before something dark, so that the edge between its lit and its dark side, which is
         brighter outside, is not searched.
-
-    Returns
-    -------
-    (n,) float64, superpixels; NaN where no edge stands out of the noise
     """
     unit = max(1.0, level.sigma)
     step = _STEP * unit
@@ -254,18 +269,23 @@ def edge_distances(
     is_read = is_clear & (np.abs(move) < _STILL * unit) & ~strayed & (np.abs(at) <= reach)
     # On an object with a fine texture no side is plain.
     most_rough = max(_ROUGH_SIDE, _ROUGHER * float(np.median(reading.rough[is_read]))) if is_read.any() else 0.0
-    return np.where(is_read & (reading.rough <= most_rough), at / picture.scale, np.nan)
+    doubt = np.zeros(count)
+    if expected is not None:
+        doubt = unit / picture.scale * expected.doubt(reading.around, reading.height, is_clear)
+    return Edges(np.where(is_read & (reading.rough <= most_rough), at / picture.scale, np.nan), doubt)
 
 
 class _Reading(NamedTuple):
-    """Edges in profiles: their places, in readings, and how rough their sides are.
+    """Edges in profiles.
 
     Roughness is the rms deviation of a side from its expected form, without noise, as a share of the step; infinite
     where little of the step is left just inside the outline.
     """
 
-    place: np.ndarray  # (n,)
+    place: np.ndarray  # (n,) in readings
     rough: np.ndarray  # (n,)
+    around: np.ndarray  # (n, readings) around the supposed places
+    height: np.ndarray  # (n,) of the step between outer and inner side
 
 
 def _edge_beside(profile, place, expected: "_Expected | None", noise, is_clear) -> _Reading:
@@ -286,8 +306,6 @@ def _edge_beside(profile, place, expected: "_Expected | None", noise, is_clear) 
     """
     place = np.clip(place, -_FIRST, profile.shape[1] - _LAST - 1)
     around = _between(profile, place[:, None] + np.arange(_FIRST, _LAST + 1))
-    weights = np.full(_WITHIN.sum(), _STEP)
-    weights[[0, -1]] *= 0.5
     outer = around[:, _OUTSIDE]
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         level, outer_level = around[:, _INSIDE].mean(axis=1), outer.mean(axis=1)
@@ -300,14 +318,13 @@ def _edge_beside(profile, place, expected: "_Expected | None", noise, is_clear) 
         else:
             form, share, judged = expected.form(around, is_clear), expected.share, _INSIDE
         # Areas above the level of the outer side: that of the readings, and that of the inner side up to the place.
-        area = (around[:, _WITHIN] - outer_level[:, None]) @ weights
-        whole = (form - outer_level[:, None] * share)[:, _WITHIN] @ weights
+        area = (around[:, _WITHIN] - outer_level[:, None]) @ _AREA
+        whole = (form - outer_level[:, None] * share)[:, _WITHIN] @ _AREA
         height = form[:, np.argmax(_WITHIN)] - outer_level
         step, deviation = np.abs(level - outer_level), np.sqrt(np.mean((around - form)[:, judged] ** 2, axis=1))
         rough = np.maximum(np.maximum(deviation, outer.std(axis=1)) - 2.0 * noise, 0.0) / step
-        return _Reading(
-            place + (area - whole) / height / _STEP, np.where(np.abs(height) > _LEAST_HEIGHT * step, rough, np.inf)
-        )
+        rough = np.where(np.abs(height) > _LEAST_HEIGHT * step, rough, np.inf)
+        return _Reading(place + (area - whole) / height / _STEP, rough, around, height)
 
 
 class _Expected:
@@ -346,6 +363,7 @@ class _Expected:
         blurred *= _SURFACE / blurred.sum(axis=1, keepdims=True)
         self.share = blurred.sum(axis=1)
         self._matt, self._gloss = ((self._paint * one) @ blurred.T for one in (light, facing))
+        self._even_matt, self._even_gloss = (one @ blurred.T for one in (light, facing))
         self._beside = cKDTree(xy).query(xy, k=np.arange(1, min(_BESIDE, len(xy)) + 1))[1]
 
     def form(self, around: np.ndarray, is_clear: np.ndarray) -> np.ndarray:
@@ -359,9 +377,31 @@ class _Expected:
             Mask of the edges that stand out of the noise.
         """
         slope = self._slope(around / self._paint, is_clear)
-        form = self._matt + slope[:, None] * self._gloss
-        level = np.sum(self._inside * around, axis=1) / np.sum(self._inside * form, axis=1)
-        return level[:, None] * form
+        return self._raised(around, self._matt + slope[:, None] * self._gloss)
+
+    def doubt(self, around: np.ndarray, height: np.ndarray, is_clear: np.ndarray) -> np.ndarray:
+        """Return standard deviations of the places of edges by errors of paints and gloss, (n,) units.
+
+        They are proportional to what paints and gloss change in the places.
+
+        Parameters
+        ----------
+        around, is_clear
+            As in `form`.
+        height : (n,) float
+            Height of the step between outer and inner side.
+        """
+        gloss = self._slope(around / self._paint, is_clear)[:, None]
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            found, matt, even = (
+                self._raised(around, one)[:, _WITHIN] @ _AREA / height
+                for one in (self._matt + gloss * self._gloss, self._matt, self._even_matt + gloss * self._even_gloss)
+            )
+        return np.hypot(_GLOSS_DOUBT * (found - matt), _PAINT_DOUBT * (found - even))
+
+    def _raised(self, around: np.ndarray, form: np.ndarray) -> np.ndarray:
+        """Return a form that is as high as the readings inside the outline, away from borders of paints."""
+        return (np.sum(self._inside * around, axis=1) / np.sum(self._inside * form, axis=1))[:, None] * form
 
     def _slope(self, seen: np.ndarray, is_clear: np.ndarray) -> np.ndarray:
         """Return how brightness changes with the cosine of the view's angle, less a matt surface's change, (n,).
