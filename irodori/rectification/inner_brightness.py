@@ -21,7 +21,9 @@ if TYPE_CHECKING:
 _NODES, _STEP = 13, 0.5  # depths at which the brightness is returned, and their distance in units of the blur
 _JUST_INSIDE = 0.02  # units between the outline and the first ray
 _RAYS = 31  # for each point; they lie the closer the nearer to the outline, where a round surface turns fastest
-_LEAST_COSINE = 0.2  # of incidence and of view, below which another photograph does not tell the paint
+#: Cosines of incidence and of view below which another photograph does not tell the paint: near its own outline, blur
+#: mixes the background into it.
+_LEAST_INCIDENCE, _LEAST_VIEW = 0.2, 0.35
 
 
 def _depths() -> tuple[np.ndarray, np.ndarray]:
@@ -111,6 +113,8 @@ def painted(problem: "Problem", number: int) -> InnerSide:
     place = placed.points(surface.point.reshape(-1, 3))
     normal = surface.normal.reshape(-1, 3) @ placed.rotation.T
     others = [_seen_in(problem, other, place, normal) for other in range(len(problem.views)) if other != number]
+    if not others:
+        return surface.evenly_painted
     seen = _Sights(*(np.concatenate(parts) for parts in zip(*others, strict=True)))
     start = place[seen.point] + problem.shape.ray_offset_mm * normal[seen.point]
     is_hidden = tracer.occluded(start, seen.to_eye) | tracer.occluded(start, seen.to_light, far=seen.lamp_mm)
@@ -146,17 +150,17 @@ def _seen_in(problem: "Problem", number: int, place: np.ndarray, normal: np.ndar
     to_eye = eye @ turn - place
     to_eye /= np.linalg.norm(to_eye, axis=1)[:, None]
     facing = np.sum(normal * to_eye, axis=1)
-    point = np.flatnonzero(facing > _LEAST_COSINE)
+    point = np.flatnonzero(facing > _LEAST_VIEW)
     world = place[point] @ turn.T
     light, power, lamp_mm = camera.lamp.seen_from(world, pose)
     to_light = light @ turn
     incidence = np.sum(normal[point] * to_light, axis=1)
     xy = camera.pinhole.project(world, eye, rig_from_camera(pose))
     seen = view.search.sampled(view.search.bands[[GREEN]], view.picture.place(xy))[:, 0]
-    used = (incidence > _LEAST_COSINE) & np.isfinite(seen)
+    used = (incidence > _LEAST_INCIDENCE) & np.isfinite(seen)
     point, to_light, incidence = point[used], to_light[used], incidence[used]
     half = to_eye[point] + to_light
     half /= np.linalg.norm(half, axis=1)[:, None]
     weight = (1.0 - np.sum(half * normal[point], axis=1) ** 2) ** 2
-    weight *= ((incidence - _LEAST_COSINE) * (facing[point] - _LEAST_COSINE)) ** 2
+    weight *= ((incidence - _LEAST_INCIDENCE) * (facing[point] - _LEAST_VIEW)) ** 2
     return _Sights(point, to_eye[point], to_light, lamp_mm[used], seen[used] / (incidence * power[used]), weight)

@@ -352,7 +352,10 @@ class _Expected:
         border = (apart[:, 2 * _BLURRED :] - apart[:, : -2 * _BLURRED]) / self._paint
         even = 1.0 / (1.0 + (border / _LEAST_BORDER) ** 2)
         self._inside, deep = (even * part / np.sum(even * part, axis=1)[:, None] for part in (_INSIDE, _DEEPER))
-        light /= np.sum(self._inside * light, axis=1)[:, None]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            # Where the surface is dark, nothing is expected, and no edge is read.
+            light /= np.sum(self._inside * light, axis=1)[:, None]
+            light[~np.isfinite(light)] = np.nan
         facing -= np.sum(self._inside * facing, axis=1)[:, None]
         self._light, self._deep, self._deep_light = light, deep, np.sum(deep * light, axis=1)
         self._turn = deep * (facing - np.sum(deep * facing, axis=1)[:, None])
@@ -415,8 +418,9 @@ class _Expected:
             Readings over the brightness of the paint.
         is_clear : (n,) bool
         """
-        scale = self._deep_light / np.sum(self._deep * seen, axis=1)
-        slope = np.sum(self._turn * (scale[:, None] * seen - self._light), axis=1) / self._turned
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            scale = self._deep_light / np.sum(self._deep * seen, axis=1)
+            slope = np.sum(self._turn * (scale[:, None] * seen - self._light), axis=1) / self._turned
         used = is_clear & np.isfinite(slope) & (self._told > _LEAST_TURN)
         slope, told = (np.where(used, one, 0.0)[self._beside] for one in (slope, self._told))
         order = np.argsort(slope, axis=1)
