@@ -5,6 +5,7 @@ degrees behind the outline is a fraction of a sample inside it, within the blur 
 same place from the front.
 """
 
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from irodori.rectification.object_registration import _Problem as Problem
 
 _NODES, _STEP = 13, 0.5  # depths at which the brightness is returned, and their distance in units of the blur
+_FEW = 600  # points of the surface, about, by which the contrast of its paints is found
 _JUST_INSIDE = 0.02  # units between the outline and the first ray
 _RAYS = 31  # for each point; they lie the closer the nearer to the outline, where a round surface turns fastest
 #: Cosines of incidence and of view below which another photograph does not tell the paint: near its own outline, blur
@@ -63,7 +65,7 @@ class InnerSurface(NamedTuple):
     def evenly_painted(self) -> InnerSide:
         """The brightness of the surface if its paint is even."""
         light, facing = self.light @ _AROUND_NODES.T, self.facing @ _AROUND_NODES.T
-        return InnerSide(self.step, light, facing, np.ones(light.shape))
+        return InnerSide(self.step, light, facing, np.ones(light.shape), np.zeros(light.shape))
 
 
 def inner_surface(problem: "Problem", number: int, tracer: Tracer, xy: np.ndarray) -> InnerSurface:
@@ -99,32 +101,59 @@ def inner_surface(problem: "Problem", number: int, tracer: Tracer, xy: np.ndarra
     return InnerSurface(_STEP * unit, point.reshape(-1, _RAYS, 3), normal.reshape(-1, _RAYS, 3), *values)
 
 
-def painted(problem: "Problem", number: int) -> InnerSide:
+def paint_contrast(problem: "Problem") -> float:
+    """Return the standard deviation of an object's paint relative to its mean, by what all photographs show of it."""
+    points = slice(None, None, 1 + len(problem.skin[1]) // _FEW)
+    paint = _paint(problem, problem.skin[0].data[points], problem.skin[1][points], range(len(problem.views)))
+    known = paint[np.isfinite(paint)]
+    return float(known.std() / known.mean()) if known.size else 0.0
+
+
+def painted(problem: "Problem", number: int, contrast: float) -> InnerSide:
     """Return the brightness of a surface inside its outline, with its paint as all other photographs show it.
 
-    Where no other photograph shows the place lit and from the front, the paint is taken for that beside it.
+    Where no other photograph shows the place lit and from the front, the paint is taken for that beside it, and is as
+    unsure as the paints of the object differ.
+
+    Parameters
+    ----------
+    problem : Problem
+    number : int
+        Index of the photograph.
+    contrast : float
+        Result of `paint_contrast`.
     """
     surface = problem.views[number].surface
     assert surface is not None  # the object is not flat
-    correction, _ = problem.standing(number, problem.unknowns)
+    others = [other for other in range(len(problem.views)) if other != number]
+    paint = _paint(problem, surface.point.reshape(-1, 3), surface.normal.reshape(-1, 3), others)
+    paint = paint.reshape(surface.light.shape)
+    unsure = (contrast * np.isnan(paint)) @ _AROUND_NODES.T
+    # Gaps at the outline get the value inside them, and those at the inner end the value before them.
+    paint = held(held(paint[:, ::-1], np.nan)[:, ::-1], 1.0) @ _AROUND_NODES.T
+    return surface.evenly_painted._replace(paint=paint / paint.mean(axis=1, keepdims=True), unsure=unsure)
+
+
+def _paint(problem: "Problem", point: np.ndarray, normal: np.ndarray, numbers: Iterable[int]) -> np.ndarray:
+    """Return responses relative to those of a matt white surface, (n,), at points of an object with their normals.
+
+    Means over photographs of the given numbers; NaN where none of them shows the point lit and from the front.
+    """
+    correction, _ = problem.standing(0, problem.unknowns)
     # In the table's frame, the object and the table are the same in all photographs.
     placements = correction.placements(problem.shape, Pose(0.0, 0.0), problem.setup.table_radius_mm)
     tracer, placed = Tracer(placements), placements[0]
-    place = placed.points(surface.point.reshape(-1, 3))
-    normal = surface.normal.reshape(-1, 3) @ placed.rotation.T
-    others = [_seen_in(problem, other, place, normal) for other in range(len(problem.views)) if other != number]
-    if not others:
-        return surface.evenly_painted
-    seen = _Sights(*(np.concatenate(parts) for parts in zip(*others, strict=True)))
+    place, normal = placed.points(point), normal @ placed.rotation.T
+    sights = [_seen_in(problem, number, place, normal) for number in numbers]
+    if not sights:
+        return np.full(len(point), np.nan)
+    seen = _Sights(*(np.concatenate(parts) for parts in zip(*sights, strict=True)))
     start = place[seen.point] + problem.shape.ray_offset_mm * normal[seen.point]
     is_hidden = tracer.occluded(start, seen.to_eye) | tracer.occluded(start, seen.to_light, far=seen.lamp_mm)
     weight = np.where(is_hidden, 0.0, seen.weight)
     total, summed = (np.bincount(seen.point, one, len(place)) for one in (weight, weight * seen.paint))
     with np.errstate(divide="ignore", invalid="ignore"):
-        paint = np.where(summed > 0.0, summed / total, np.nan).reshape(surface.light.shape)
-    # Gaps at the outline get the value inside them, and those at the inner end the value before them.
-    paint = held(held(paint[:, ::-1], np.nan)[:, ::-1], 1.0) @ _AROUND_NODES.T
-    return surface.evenly_painted._replace(paint=paint / paint.mean(axis=1, keepdims=True))
+        return np.where(summed > 0.0, summed / total, np.nan)
 
 
 class _Sights(NamedTuple):

@@ -25,7 +25,7 @@ from irodori.geometry.embree import Tracer
 from irodori.geometry.rig_frame import rig_from_camera, rig_from_object, to_camera
 from irodori.geometry.shapes.shape import Shape
 from irodori.material.angle_errors import ANGLES, write_registered
-from irodori.rectification.inner_brightness import InnerSurface, inner_surface, painted
+from irodori.rectification.inner_brightness import InnerSurface, inner_surface, paint_contrast, painted
 from irodori.rectification.marker_sheet import (
     OUTLINE,
     SHEET_QUANTITIES,
@@ -506,8 +506,9 @@ def _descend(problem: _Problem, reach: float, most_steps: int, *, trace: bool = 
     if reach > _FINEST_REACH or problem.tells_texture:
         return _settle(problem, reach, most_steps)
     for _ in range(2):
+        contrast = paint_contrast(problem)
         for number, view in enumerate(problem.views):
-            view.inner = painted(problem, number)
+            view.inner = painted(problem, number, contrast)
         matrix = _settle(problem, reach, most_steps)
     return matrix
 

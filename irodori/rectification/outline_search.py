@@ -72,12 +72,15 @@ class InnerSide(NamedTuple):
         Cosine of the angle between normal and view.
     paint : (n, m) float
         Brightness of the paint, 1 in the mean.
+    unsure : (n, m) float
+        Standard deviation of the paint relative to it, where it is not known.
     """
 
     step: float
     light: np.ndarray
     facing: np.ndarray
     paint: np.ndarray
+    unsure: np.ndarray
 
 
 def first_hit(tracer: Tracer, pinhole: Pinhole, eye, axes, xy) -> tuple[np.ndarray, np.ndarray]:
@@ -346,7 +349,7 @@ class _Expected:
 
         depth = np.minimum(np.maximum(-_ALONG, 0.0) * unit / inner.step, inner.light.shape[1] - 1.0)
         depth = np.broadcast_to(depth, (len(xy), len(depth)))
-        light, facing, self._paint = (_between(one, depth) for one in (inner.light, inner.facing, inner.paint))
+        light, facing, self._paint = (_between(one, depth) for one in inner[1:4])
         # The blur of a photograph spreads the borders of paints: brightness is compared away from them.
         apart = np.pad(self._paint, ((0, 0), (_BLURRED, _BLURRED)), mode="edge")
         border = (apart[:, 2 * _BLURRED :] - apart[:, : -2 * _BLURRED]) / self._paint
@@ -366,6 +369,7 @@ class _Expected:
         blurred *= _SURFACE / blurred.sum(axis=1, keepdims=True)
         self.share = blurred.sum(axis=1)
         self._matt, self._gloss = ((self._paint * one) @ blurred.T for one in (light, facing))
+        self._unsure = (self._paint * light * _between(inner.unsure, depth)) @ blurred.T
         self._even_matt, self._even_gloss = (one @ blurred.T for one in (light, facing))
         self._beside = cKDTree(xy).query(xy, k=np.arange(1, min(_BESIDE, len(xy)) + 1))[1]
 
@@ -380,12 +384,14 @@ class _Expected:
             Mask of the edges that stand out of the noise.
         """
         slope = self._slope(around / self._paint, is_clear)
-        return self._raised(around, self._matt + slope[:, None] * self._gloss)
+        form = self._matt + slope[:, None] * self._gloss
+        return self._level(around, form)[:, None] * form
 
     def doubt(self, around: np.ndarray, height: np.ndarray, is_clear: np.ndarray) -> np.ndarray:
         """Return standard deviations of the places of edges by errors of paints and gloss, (n,) units.
 
-        They are proportional to what paints and gloss change in the places.
+        They are proportional to what paints and gloss change in the places. Paints that are not known count with all
+        that they could change.
 
         Parameters
         ----------
@@ -395,16 +401,17 @@ class _Expected:
             Height of the step between outer and inner side.
         """
         gloss = self._slope(around / self._paint, is_clear)[:, None]
+        form, even = self._matt + gloss * self._gloss, self._even_matt + gloss * self._even_gloss
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            found, matt, even = (
-                self._raised(around, one)[:, _WITHIN] @ _AREA / height
-                for one in (self._matt + gloss * self._gloss, self._matt, self._even_matt + gloss * self._even_gloss)
+            found, matt, even, unsure = (
+                self._level(around, level) * (one[:, _WITHIN] @ _AREA) / height
+                for one, level in ((form, form), (self._matt, self._matt), (even, even), (self._unsure, form))
             )
-        return np.hypot(_GLOSS_DOUBT * (found - matt), _PAINT_DOUBT * (found - even))
+        return np.sqrt((_GLOSS_DOUBT * (found - matt)) ** 2 + (_PAINT_DOUBT * (found - even)) ** 2 + unsure**2)
 
-    def _raised(self, around: np.ndarray, form: np.ndarray) -> np.ndarray:
-        """Return a form that is as high as the readings inside the outline, away from borders of paints."""
-        return (np.sum(self._inside * around, axis=1) / np.sum(self._inside * form, axis=1))[:, None] * form
+    def _level(self, around: np.ndarray, form: np.ndarray) -> np.ndarray:
+        """Return how much higher than a form the readings inside the outline are, away from borders of paints."""
+        return np.sum(self._inside * around, axis=1) / np.sum(self._inside * form, axis=1)
 
     def _slope(self, seen: np.ndarray, is_clear: np.ndarray) -> np.ndarray:
         """Return how brightness changes with the cosine of the view's angle, less a matt surface's change, (n,).

@@ -8,7 +8,7 @@ from irodori.config.capture_table import Pose
 from irodori.config.models import Placing
 from irodori.config.parts import TexturedObject
 from irodori.geometry.rig_frame import rig_from_camera, rig_from_object, to_camera, to_light
-from irodori.rectification.inner_brightness import painted
+from irodori.rectification.inner_brightness import paint_contrast, painted
 from irodori.rectification.object_registration import _outline, _prepare, _problem
 
 RADIUS_MM = 25.0
@@ -61,7 +61,7 @@ def test_a_border_just_inside_an_outline_is_known_from_other_photographs(tmp_pat
     problem = prepared(a_ball(tmp_path, border_deg, dark))
     last = len(POSES) - 1
     view = problem.views[last]
-    even, view.inner = _outline(problem, last, 4.0), painted(problem, last)
+    even, view.inner = _outline(problem, last, 4.0), painted(problem, last, paint_contrast(problem))
     known = _outline(problem, last, 4.0)
     assert known.found.sum() > 0.75 * len(known.found)
     assert abs(np.median(known.distance)) < 0.02 and np.percentile(np.abs(known.distance), 90.0) < 0.12
@@ -80,4 +80,16 @@ def test_what_no_other_photograph_shows_is_taken_for_evenly_painted(tmp_path):
     opposite = [Pose(60.0, 0.0), Pose(60.0, 0.0, 0.0, 180.0)]
     for poses in (POSES[-1:], opposite):
         problem = prepared(a_ball(tmp_path, 20.0, 0.5, poses))
-        np.testing.assert_allclose(painted(problem, 0).paint, 1.0, atol=0.05)
+        side = painted(problem, 0, 0.3)
+        np.testing.assert_allclose(side.paint, 1.0, atol=0.05)
+        # What else it could be painted with makes the place of its edge unsure.
+        np.testing.assert_allclose(side.unsure, 0.3, rtol=1e-6)
+        sure = _outline(problem, 0, 4.0).doubt
+        problem.views[0].inner = side
+        assert (_outline(problem, 0, 4.0).doubt > sure + 0.2).all()
+
+
+def test_the_contrast_of_paints_is_that_of_what_the_photographs_show(tmp_path):
+    assert paint_contrast(prepared(a_ball(tmp_path, 0.0, 1.0))) < 0.02
+    # Two paints: at most half their difference over their mean, if each covers half of what is seen lit.
+    assert 0.15 < paint_contrast(prepared(a_ball(tmp_path, 35.0, 0.5))) < 0.25 / 0.75

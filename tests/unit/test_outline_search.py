@@ -213,10 +213,10 @@ DEPTH = 0.5 * np.arange(13)  # samples
 BALL = np.sqrt(DEPTH / 40.0)  # cosine between normal and view of one of 80 samples
 
 
-def inner_side(light, facing=BALL, paint=1.0) -> InnerSide:
+def inner_side(light, facing=BALL, paint=1.0, unsure=0.0) -> InnerSide:
     """A surface of which light, the cosine between normal and view, and paint are known."""
     light = np.asarray(light)
-    return InnerSide(0.5, light, *(np.broadcast_to(one, light.shape).copy() for one in (facing, paint)))
+    return InnerSide(0.5, light, *(np.broadcast_to(one, light.shape).copy() for one in (facing, paint, unsure)))
 
 
 def shaded(at, irradiance, outer=0.02, fine=20, blur=0.6):
