@@ -34,7 +34,7 @@ _EVEN_DEEP = 4.0  # least depth at which the slope of a flat object's texture is
 #: Readings around an edge: the first and the last, their places, outward positive, and masks of those in the ranges.
 _FIRST, _LAST = round(-_DEEPEST / _STEP), round(OUTER / _STEP)
 _ALONG = np.arange(_FIRST, _LAST + 1) * _STEP
-_SURFACE = 0.5 - 0.5 * np.sign(_ALONG)
+_SURFACE = 0.5 - 0.5 * np.sign(_ALONG)  # share of the inner side in a sharp reading
 _INSIDE, _OUTSIDE = (_ALONG >= -OUTER) & (_ALONG <= -_INNER), _ALONG >= _INNER
 _AREA = _STEP * np.array([0.5, *np.ones(round(2.0 * _INNER / _STEP) + 1), 0.5])  # under readings to either side
 _WITHIN, _DEEPER, _PLAIN = np.abs(_ALONG) <= _INNER + _STEP, _ALONG <= -_DEEP, _ALONG <= -_EVEN_DEEP
@@ -210,10 +210,9 @@ def find_edges(
 
     The edge is the place within reach with the largest ratio of brightness between its sides; places near the expected
     point are preferred. Its exact position follows from the area under the brightness profile above the level of the
-    outer side, compared with that of a matt surface under the same light. It therefore depends neither on the height of
-    the step nor on the sharpness of the picture, nor on how steeply a round object darkens towards its outline. An
-    edge is not read if one of its sides has another form and most edges of the photograph do not, as beside the border
-    of two paints.
+    outer side, compared with the expected one, whose height is free: it depends neither on the height of the step nor
+    on the sharpness of the picture, nor on how steeply a round object darkens towards its outline. An edge is not read
+    if one of its sides has another form than expected and most edges of the photograph do not.
 
     Parameters
     ----------
@@ -268,13 +267,13 @@ def find_edges(
         is_settled, strayed = np.abs(move) < _SETTLED * unit, np.abs(at - first) > farthest
         if (is_settled | strayed | ~is_clear).mean() > _MOST_SETTLED:
             break
-    # What strays is another edge.
-    is_read = is_clear & (np.abs(move) < _STILL * unit) & ~strayed & (np.abs(at) <= reach)
-    # On an object with a fine texture no side is plain.
-    most_rough = max(_ROUGH_SIDE, _ROUGHER * float(np.median(reading.rough[is_read]))) if is_read.any() else 0.0
     doubt = np.zeros(count)
     if expected is not None:
         doubt = unit / picture.scale * expected.doubt(reading.around, reading.height, is_clear)
+    # What strays is another edge.
+    is_read = is_clear & (np.abs(move) < _STILL * unit) & ~strayed & (np.abs(at) <= reach) & np.isfinite(doubt)
+    # On an object with a fine texture no side is plain.
+    most_rough = max(_ROUGH_SIDE, _ROUGHER * float(np.median(reading.rough[is_read]))) if is_read.any() else 0.0
     return Edges(np.where(is_read & (reading.rough <= most_rough), at / picture.scale, np.nan), doubt)
 
 
