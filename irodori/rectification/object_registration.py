@@ -507,8 +507,8 @@ def _descend(problem: _Problem, reach: float, most_steps: int, *, trace: bool = 
         return _settle(problem, reach, most_steps)
     for _ in range(2):
         contrast = paint_contrast(problem)
-        for number, view in enumerate(problem.views):
-            view.inner = painted(problem, number, contrast)
+        for view in range(len(problem.views)):
+            problem.views[view].inner = painted(problem, view, contrast)
         matrix = _settle(problem, reach, most_steps)
     return matrix
 

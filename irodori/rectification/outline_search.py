@@ -356,7 +356,8 @@ class _Expected:
         self._inside, deep = (even * part / np.sum(even * part, axis=1)[:, None] for part in (_INSIDE, _DEEPER))
         with np.errstate(divide="ignore", invalid="ignore"):
             # Where the surface is dark, nothing is expected, and no edge is read.
-            light /= np.sum(self._inside * light, axis=1)[:, None]
+            self._mean_light = np.sum(self._inside * light, axis=1)
+            light /= self._mean_light[:, None]
             light[~np.isfinite(light)] = np.nan
         facing -= np.sum(self._inside * facing, axis=1)[:, None]
         self._light, self._deep, self._deep_light = light, deep, np.sum(deep * light, axis=1)
@@ -415,8 +416,8 @@ class _Expected:
     def _slope(self, seen: np.ndarray, is_clear: np.ndarray) -> np.ndarray:
         """Return how brightness changes with the cosine of the view's angle, less a matt surface's change, (n,).
 
-        Gloss, dust or a rough surface change it. As it varies slowly along an outline, the result is the median over
-        neighbouring points, weighted by how much the angle changes.
+        Gloss, dust or a rough surface change it. Compared with a fully lit surface it varies slowly along an outline:
+        the median over neighbouring points is taken, weighted by how much the angle changes.
 
         Parameters
         ----------
@@ -427,12 +428,13 @@ class _Expected:
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             scale = self._deep_light / np.sum(self._deep * seen, axis=1)
             slope = np.sum(self._turn * (scale[:, None] * seen - self._light), axis=1) / self._turned
+            slope *= self._mean_light
         used = is_clear & np.isfinite(slope) & (self._told > _LEAST_TURN)
         slope, told = (np.where(used, one, 0.0)[self._beside] for one in (slope, self._told))
         order = np.argsort(slope, axis=1)
         total = np.cumsum(np.take_along_axis(told, order, axis=1), axis=1)
         middle = np.argmax(total >= 0.5 * total[:, -1:], axis=1)
-        return slope[np.arange(len(slope)), order[np.arange(len(slope)), middle]]
+        return slope[np.arange(len(slope)), order[np.arange(len(slope)), middle]] / self._mean_light
 
 
 def _between(rows: np.ndarray, places: np.ndarray) -> np.ndarray:

