@@ -5,6 +5,7 @@ degrees behind the outline is a fraction of a sample inside it, within the blur 
 same place from the front.
 """
 
+import math
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -23,9 +24,8 @@ _NODES, _STEP = 13, 0.5  # depths at which the brightness is returned, and their
 _FEW = 600  # points of the surface, about, by which the contrast of its paints is found
 _JUST_INSIDE = 0.02  # units between the outline and the first ray
 _RAYS = 31  # for each point; they lie the closer the nearer to the outline, where a round surface turns fastest
-#: Cosines of incidence and of view below which another photograph does not tell the paint: near its own outline, blur
-#: mixes the background into it.
-_LEAST_INCIDENCE, _LEAST_VIEW = 0.2, 0.35
+_LEAST_COSINE = 0.2  # of incidence and of view, below which another photograph does not tell the paint
+_BLURRED = 2.0  # samples inside another photograph's own outline into which blur mixes the background
 
 
 def _depths() -> tuple[np.ndarray, np.ndarray]:
@@ -179,17 +179,19 @@ def _seen_in(problem: "Problem", number: int, place: np.ndarray, normal: np.ndar
     to_eye = eye @ turn - place
     to_eye /= np.linalg.norm(to_eye, axis=1)[:, None]
     facing = np.sum(normal * to_eye, axis=1)
-    point = np.flatnonzero(facing > _LEAST_VIEW)
+    # A round surface that is so deep inside the outline is seen under this cosine.
+    least = max(_LEAST_COSINE, math.sqrt(2.0 * _BLURRED * problem.bend_per_mm * problem.mm_per_px / view.picture.scale))
+    point = np.flatnonzero(facing > least)
     world = place[point] @ turn.T
     light, power, lamp_mm = camera.lamp.seen_from(world, pose)
     to_light = light @ turn
     incidence = np.sum(normal[point] * to_light, axis=1)
     xy = camera.pinhole.project(world, eye, rig_from_camera(pose))
     seen = view.search.sampled(view.search.bands[[GREEN]], view.picture.place(xy))[:, 0]
-    used = (incidence > _LEAST_INCIDENCE) & np.isfinite(seen)
+    used = (incidence > _LEAST_COSINE) & np.isfinite(seen)
     point, to_light, incidence = point[used], to_light[used], incidence[used]
     half = to_eye[point] + to_light
     half /= np.linalg.norm(half, axis=1)[:, None]
     weight = (1.0 - np.sum(half * normal[point], axis=1) ** 2) ** 2
-    weight *= ((incidence - _LEAST_INCIDENCE) * (facing[point] - _LEAST_VIEW)) ** 2
+    weight *= ((incidence - _LEAST_COSINE) * (facing[point] - least)) ** 2
     return _Sights(point, to_eye[point], to_light, lamp_mm[used], seen[used] / (incidence * power[used]), weight)

@@ -82,6 +82,7 @@ _BOTH_WAYS = 0.1
 #: Distance from a displacement of the whole outline within which a point agrees with it: superpixels, or share of that
 #: displacement; and share of the points that have to agree.
 _AGREE_PX, _AGREE, _MOST_AGREE = 0.3, 0.25, 0.6
+_MOST_DOUBT_PX = 0.4  # of a point of an outline by which a photograph is judged
 _LEAST_MATT = 0.3  # mean weight of the texels of a photograph that is judged by its texture
 #: Least standard deviation of a single measurement: the systematic errors of edges and of textures in pictures.
 _OUTLINE_FLOOR_PX, _TEXTURE_FLOOR, _CORNER_FLOOR_PX = 0.1, 0.01, 0.05
@@ -286,6 +287,11 @@ class _Problem:
         # Beyond an edge, the surface is another one.
         near = np.where(np.linalg.norm(change, axis=2) < _EDGE, 1.0, 0.0)[..., None]
         return np.swapaxes(np.linalg.pinv(near * offset, rcond=0.1) @ (near * change), 1, 2)
+
+    @cached_property
+    def bend_per_mm(self) -> float:
+        """Curvature of the surface across its direction of strongest curvature, median over the object, 1/mm."""
+        return float(np.median(np.linalg.norm(self.bends, ord=2, axis=(1, 2))))
 
     def seen(self, view: int, points: np.ndarray, values: np.ndarray) -> np.ndarray:
         """Return the projections of points of the object into a photograph, (n, 2) superpixels, for given unknowns."""
@@ -922,8 +928,12 @@ def _residuals(problem: _Problem, reach: float) -> tuple[np.ndarray, np.ndarray,
     total = np.sum(weights, axis=0)
     suspects = []
     for number, view in enumerate(problem.views):
-        distance, _, _, found = _outline(problem, number, reach)
+        distance, doubt, _, found = _outline(problem, number, reach)
         count[number] = len(distance)
+        sure = doubt < _MOST_DOUBT_PX
+        if sure.sum() < _LEAST_POINTS:
+            sure[:] = False
+        distance, found = distance[sure], _within(found, sure)
         outward = view.outward[found] if len(distance) else np.zeros((0, 2))
         if len(distance):
             xy = problem.seen(number, view.rim[found], problem.unknowns)
@@ -941,6 +951,13 @@ def _residuals(problem: _Problem, reach: float) -> tuple[np.ndarray, np.ndarray,
             residual[number] = np.fmax(residual[number], view.sheet_residual_px)
         suspects.append(_suspect(problem, number, distance, found, shift, off))
     return residual, count, tuple(suspects)
+
+
+def _within(mask: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+    """Return a mask, (n,) bool, of those of the true values of another that are chosen, (true values,) bool."""
+    out = mask.copy()
+    out[mask] = chosen
+    return out
 
 
 def _displacement(xy: np.ndarray, outward: np.ndarray, distance: np.ndarray) -> float:

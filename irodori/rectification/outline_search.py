@@ -43,6 +43,7 @@ _BESIDE = 15  # neighbouring points of an outline over which its shading is aver
 _BLURRED = 2  # readings to either side over which the border of two paints is spread
 #: Errors of the places of edges by gloss and by paints, as shares of what these change in the places.
 _GLOSS_DOUBT, _PAINT_DOUBT = 0.7, 0.2
+_UNSURE_DOUBT = 0.3  # root of the chance that a paint that is not known differs from that beside it
 _LEAST_BORDER = 0.02  # relative change of the paint's brightness over them that is a border
 #: Largest rms deviation of a side from its form, as a share of the step, or of the median of the photograph's edges.
 _ROUGH_SIDE, _ROUGHER = 0.05, 1.5
@@ -390,8 +391,8 @@ class _Expected:
     def doubt(self, around: np.ndarray, height: np.ndarray, is_clear: np.ndarray) -> np.ndarray:
         """Return standard deviations of the places of edges by errors of paints and gloss, (n,) units.
 
-        They are proportional to what paints and gloss change in the places. Paints that are not known count with all
-        that they could change.
+        They are proportional to what paints and gloss change in the places. Paints that are not known count with what
+        they could change.
 
         Parameters
         ----------
@@ -407,7 +408,8 @@ class _Expected:
                 self._level(around, level) * (one[:, _WITHIN] @ _AREA) / height
                 for one, level in ((form, form), (self._matt, self._matt), (even, even), (self._unsure, form))
             )
-        return np.sqrt((_GLOSS_DOUBT * (found - matt)) ** 2 + (_PAINT_DOUBT * (found - even)) ** 2 + unsure**2)
+        parts = (_GLOSS_DOUBT, found - matt), (_PAINT_DOUBT, found - even), (_UNSURE_DOUBT, unsure)
+        return np.sqrt(sum((share * moved) ** 2 for share, moved in parts))
 
     def _level(self, around: np.ndarray, form: np.ndarray) -> np.ndarray:
         """Return how much higher than a form the readings inside the outline are, away from borders of paints."""

@@ -86,7 +86,7 @@ def test_what_no_other_photograph_shows_is_taken_for_evenly_painted(tmp_path):
         np.testing.assert_allclose(side.unsure, 0.3, rtol=1e-6)
         sure = _outline(problem, 0, 4.0).doubt
         problem.views[0].inner = side
-        assert (_outline(problem, 0, 4.0).doubt > sure + 0.2).all()
+        assert (_outline(problem, 0, 4.0).doubt > sure + 0.1).all()
 
 
 def test_the_contrast_of_paints_is_that_of_what_the_photographs_show(tmp_path):

@@ -652,6 +652,11 @@ def test_a_round_object_is_judged_by_its_outline_alone(tmp_path):
     across = problem.views[2].outward @ [1.0, 0.0]
     assert residual[2] == pytest.approx(3.0 / MM_PER_PX * math.sqrt(np.mean(across**2)), rel=0.05)
     assert suspects[2][0] in ("camera_deg or tilt_deg", "turn_deg")
+    # Where any paint could lie just inside the outline, it judges nobody.
+    for view in problem.views:
+        view.inner = view.inner._replace(unsure=np.full(view.inner.light.shape, 2.0))
+    residual, points, _ = _residuals(problem, 10.0)
+    assert (points > 50).all() and np.isnan(residual).all()
 
 
 def test_a_photograph_that_shows_the_object_beyond_what_was_searched_is_named_all_the_same(tmp_path):
