@@ -61,7 +61,7 @@ class Rim(NamedTuple):
 
 
 class InnerSide(NamedTuple):
-    """What is known of the brightness of a surface inside n points of its outline, at m depths.
+    """Known parts of the brightness of a surface inside n points of its outline, at m depths.
 
     Parameters
     ----------
@@ -436,7 +436,8 @@ class _Expected:
         order = np.argsort(slope, axis=1)
         total = np.cumsum(np.take_along_axis(told, order, axis=1), axis=1)
         middle = np.argmax(total >= 0.5 * total[:, -1:], axis=1)
-        return slope[np.arange(len(slope)), order[np.arange(len(slope)), middle]] / self._mean_light
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return slope[np.arange(len(slope)), order[np.arange(len(slope)), middle]] / self._mean_light
 
 
 def _between(rows: np.ndarray, places: np.ndarray) -> np.ndarray:
