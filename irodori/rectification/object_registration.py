@@ -25,6 +25,7 @@ from irodori.geometry.embree import Tracer
 from irodori.geometry.rig_frame import rig_from_camera, rig_from_object, to_camera
 from irodori.geometry.shapes.shape import Shape
 from irodori.material.angle_errors import ANGLES, write_registered
+from irodori.rectification.inner_brightness import InnerSurface, inner_surface, paint_contrast, painted
 from irodori.rectification.marker_sheet import (
     OUTLINE,
     SHEET_QUANTITIES,
@@ -35,7 +36,7 @@ from irodori.rectification.marker_sheet import (
     find_corners,
     not_found,
 )
-from irodori.rectification.outline_search import OUTER, SHADING_STEP, edge_distances, find_rim, first_hit, held
+from irodori.rectification.outline_search import OUTER, InnerSide, find_edges, find_rim
 from irodori.rectification.placement_correction import CAMERA, COUNT, LIGHT, QUANTITIES, Correction, prior_sigma
 from irodori.rectification.reduced_pictures import Level, Picture
 from irodori.rectification.registration_covariance import RegisteredAngleErrors, Rows, angle_errors, excess
@@ -72,9 +73,8 @@ _FINEST_BLUR, _PART_OF_TEXEL = 1.0, 0.6
 _STILL = 0.02  # standard deviations of the posterior within which a step ends the search
 _LEAST_COSINE = 0.15  # cosine of incidence below which an outline is too dark
 _LEAST_POINTS = 12
-_SHADED = 13  # points inside an outline at which the light on the object is computed
-_JUST_INSIDE = 0.05  # samples between the outline and the first of them
-_NEAREST = 4  # texels whose normals are averaged for a point
+_BENT = 9  # points of the surface by which its curvature is found
+_EDGE = 0.5  # change of a unit normal between neighbours that is an edge
 # Mean square of the gradient of log reflectance per superpixel, in the direction in which it is least.
 _LEAST_TEXTURE = 1e-5
 #: Least mean square of the normals of an outline, along any direction, with which it tells where its object is shown.
@@ -82,12 +82,14 @@ _BOTH_WAYS = 0.1
 #: Distance from a displacement of the whole outline within which a point agrees with it: superpixels, or share of that
 #: displacement; and share of the points that have to agree.
 _AGREE_PX, _AGREE, _MOST_AGREE = 0.3, 0.25, 0.6
+_MOST_DOUBT_PX = 0.4  # of a point of an outline by which a photograph is judged
 _LEAST_MATT = 0.3  # mean weight of the texels of a photograph that is judged by its texture
 #: Least standard deviation of a single measurement: the systematic errors of edges and of textures in pictures.
 _OUTLINE_FLOOR_PX, _TEXTURE_FLOOR, _CORNER_FLOOR_PX = 0.1, 0.01, 0.05
 _OUTLINE_MOST_PX = 0.4  # largest standard deviation of outline points in the last level; points beyond are outliers
 #: Neighbouring measurements have common errors: number that counts as one (for textures, a block of texels and bands).
 _OUTLINE_SHARED, _TEXTURE_SHARED = 5.0, 75.0
+_SIDES = 4.0  # parts of an outline in which the errors by paints and gloss are alike
 _OUTLINED = 0.5  # share of photographs with an outline from which on coarse levels use outlines alone
 _TOLD = 0.5  # share of the prior's standard deviation; a value with a larger error is not determined by the photographs
 _SIGNIFICANT = 2.0  # standard errors that a significant correction exceeds
@@ -209,8 +211,8 @@ class _View:
     search: Level = field(init=False)  # for the outline
     rim: np.ndarray = field(init=False)
     outward: np.ndarray = field(init=False)
-    #: Irradiance of the surface inside the outline, (points, `_SHADED`), `SHADING_STEP` samples apart; None if flat.
-    shading: np.ndarray | None = None
+    surface: InnerSurface | None = None  # inside the outline; None if the object is flat
+    inner: InnerSide | None = None  # its brightness
     change: np.ndarray = field(init=False)  # of the outline along its normals by the common unknowns, (points, 12)
     weight: np.ndarray = field(init=False)  # of the texels
     moved: np.ndarray = field(init=False)  # derivatives of the texels' places by the common unknowns, (texels, 2, 12)
@@ -275,6 +277,21 @@ class _Problem:
         degree.
         """
         return are_alike(self.texels.normal)
+
+    @cached_property
+    def bends(self) -> np.ndarray:
+        """Derivatives of the normals at the points of `skin` by the place on the surface, (n, 3, 3) per mm."""
+        tree, normal, _ = self.skin
+        around = tree.query(tree.data, k=_BENT)[1]
+        offset, change = tree.data[around] - tree.data[:, None], normal[around] - normal[:, None]
+        # Beyond an edge, the surface is another one.
+        near = np.where(np.linalg.norm(change, axis=2) < _EDGE, 1.0, 0.0)[..., None]
+        return np.swapaxes(np.linalg.pinv(near * offset, rcond=0.1) @ (near * change), 1, 2)
+
+    @cached_property
+    def bend_per_mm(self) -> float:
+        """Curvature of the surface across its direction of strongest curvature, median over the object, 1/mm."""
+        return float(np.median(np.linalg.norm(self.bends, ord=2, axis=(1, 2))))
 
     def seen(self, view: int, points: np.ndarray, values: np.ndarray) -> np.ndarray:
         """Return the projections of points of the object into a photograph, (n, 2) superpixels, for given unknowns."""
@@ -492,7 +509,14 @@ def _descend(problem: _Problem, reach: float, most_steps: int, *, trace: bool = 
             _prepare(problem, view, reach, blur)
         else:
             problem.views[view].search = _searched(problem.views[view].picture, reach)
-    return _settle(problem, reach, most_steps)
+    if reach > _FINEST_REACH or problem.tells_texture:
+        return _settle(problem, reach, most_steps)
+    for _ in range(2):
+        contrast = paint_contrast(problem)
+        for view in range(len(problem.views)):
+            problem.views[view].inner = painted(problem, view, contrast)
+        matrix = _settle(problem, reach, most_steps)
+    return matrix
 
 
 def _settle(problem: _Problem, reach: float | None, most_steps: int) -> np.ndarray:
@@ -574,14 +598,13 @@ def _displaced_outlines(problem: _Problem, measured: list, outlines: list[Rows],
     influence. An outline whose points do not agree tells nothing. Arguments as in `_outline_rows`, with its result.
     """
     found = []
-    for number, (rows, (distance, _, which)) in enumerate(zip(outlines, measured, strict=True)):
-        view, displaced = problem.views[number], None
+    for number, (rows, one) in enumerate(zip(outlines, measured, strict=True)):
+        view, displaced, distance, which = problem.views[number], None, one.distance, one.found
         if len(distance):
             xy = problem.seen(number, view.rim[which], problem.unknowns)
             displaced = _displaced(xy, view.outward[which], distance)
-        weight = 0.0 if displaced is None else 1.0 / (scale**2 * _OUTLINE_SHARED)
-        off = distance if displaced is None else displaced
-        found.append(rows._replace(weight=np.full(len(distance), weight), off=off))
+        weight = np.zeros(len(distance)) if displaced is None else 1.0 / _outline_variance(problem, number, one, scale)
+        found.append(rows._replace(weight=weight, off=distance if displaced is None else displaced))
     return found
 
 
@@ -655,7 +678,8 @@ def _prepare(problem: _Problem, number: int, reach: float, blur: float) -> None:
     moved = problem.derivative(lambda v, values: problem.seen(v, view.rim, values), number)
     view.change = np.einsum("ni,nip->np", view.outward, moved)
     if not problem.tells_texture:
-        view.shading = _shading(problem, view, tracer, (camera, pose), lit.xy[bright])
+        view.surface = inner_surface(problem, number, tracer, lit.xy[bright])
+        view.inner = view.surface.evenly_painted
         return
     view.level = view.picture.level(blur)
     normal, facet = texels.normal @ placed.rotation.T, texels.facet @ placed.rotation.T
@@ -670,52 +694,37 @@ def _prepare(problem: _Problem, number: int, reach: float, blur: float) -> None:
     view.moved = problem.derivative(lambda v, values: problem.seen(v, texels.position, values), number)
 
 
-def _shading(problem: _Problem, view: _View, tracer: Tracer, sight: tuple[RigSetup, Pose], xy) -> np.ndarray:
-    """Return the irradiance of the surface just inside points of its outline, see `_View.shading`.
+class _Outline(NamedTuple):
+    """A photograph's outline, measured against its expected place at n points.
 
     Parameters
     ----------
-    tracer : Tracer
-        Scene with the object as its shape 0.
-    sight : (RigSetup, Pose)
-        Camera and pose of the photograph.
-    xy : (n, 2) float
-        The points, superpixels.
-    """
-    camera, pose = sight
-    eye, axes, placed = camera.camera_distance_mm * to_camera(pose), rig_from_camera(pose), tracer.placements[0]
-    skin, normal = problem.skin[0], problem.skin[1] @ placed.rotation.T
-    inwards = (_JUST_INSIDE + SHADING_STEP * np.arange(_SHADED)) / view.picture.scale
-    inside = xy[:, None] - inwards[:, None] * view.outward[:, None]
-    world, is_on = first_hit(tracer, camera.pinhole, eye, axes, inside.reshape(-1, 2))
-    distance, around = skin.query((world - placed.translation_mm) @ placed.rotation, k=_NEAREST)
-    mean = np.einsum("nk,nki->ni", 1.0 / (distance**2 + 1e-6), normal[around])
-    light, power, _ = problem.setup.lamp.seen_from(world, pose)
-    cosine = np.sum(mean * light, axis=1) / np.linalg.norm(mean, axis=1)
-    return held(np.where(is_on, np.maximum(cosine, 0.0) * power, np.nan).reshape(-1, _SHADED))
-
-
-def _outline(problem: _Problem, number: int, reach: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Measure a photograph's outline against its expected place.
-
-    Returns
-    -------
-    distance : (n,) float
-        Distances of the found edges from the expected outline along its outward normals, superpixels.
-    derivative : (n, 12) float
+    distance, doubt : (n,) float
+        Distances of the found edges from the expected outline along its outward normals, and the standard deviations of
+        the errors that neighbouring points have in common, superpixels.
+    change : (n, 12) float
         Derivatives of the expected place along the normals by the common unknowns.
     found : (m,) bool
         Mask of the points of the outline at which an edge was found.
     """
+
+    distance: np.ndarray
+    doubt: np.ndarray
+    change: np.ndarray
+    found: np.ndarray
+
+
+def _outline(problem: _Problem, number: int, reach: float) -> _Outline:
+    """Measure a photograph's outline against its expected place."""
     view = problem.views[number]
-    nothing = np.zeros(0), np.zeros((0, COUNT)), np.zeros(len(view.rim), dtype=bool)
+    nothing = _Outline(np.zeros(0), np.zeros(0), np.zeros((0, COUNT)), np.zeros(len(view.rim), dtype=bool))
     if not len(view.rim):
         return nothing
     xy = problem.seen(number, view.rim, problem.unknowns)
     # The middle of a sheet is dark, but not black: before it, the end of the lit part may be a stronger edge.
     is_dark = problem.sheet is not None
-    distance = edge_distances(
-        view.picture, view.search, xy, view.outward, reach, shading=view.shading, is_dark_outside=is_dark
+    distance, doubt = find_edges(
+        view.picture, view.search, xy, view.outward, reach, inner=view.inner, is_dark_outside=is_dark
     )
     distance -= problem.outline_px
     if problem.sheet is not None:
@@ -727,7 +736,7 @@ def _outline(problem: _Problem, number: int, reach: float) -> tuple[np.ndarray, 
     found = np.isfinite(distance)
     if found.sum() < _LEAST_POINTS:
         return nothing
-    return distance[found], view.change[found], found
+    return _Outline(distance[found], doubt[found], view.change[found], found)
 
 
 def _scatter(values: np.ndarray, floor: float, most: float = math.inf) -> float:
@@ -735,7 +744,7 @@ def _scatter(values: np.ndarray, floor: float, most: float = math.inf) -> float:
     return min(max(1.4826 * float(np.median(np.abs(values))), floor), most) if values.size else floor
 
 
-def _cauchy(values: np.ndarray, sigma: float) -> np.ndarray:
+def _cauchy(values: np.ndarray, sigma) -> np.ndarray:
     """Return Cauchy weights of residuals, which give outliers little influence."""
     return 1.0 / (1.0 + (values / (2.0 * sigma)) ** 2)
 
@@ -776,24 +785,42 @@ def _sheet_rows(problem: _Problem) -> list[Rows]:
     return found
 
 
-def _outline_scale(measured: list, *, is_last: bool) -> float:
+def _outline_scale(measured: list[_Outline], *, is_last: bool) -> float:
     """Return the standard deviation of outline points, superpixels; ``measured`` are the results of `_outline`."""
-    every = np.concatenate([distance for distance, _, _ in measured])
+    every = np.concatenate([one.distance for one in measured])
     return _scatter(every, _OUTLINE_FLOOR_PX, _OUTLINE_MOST_PX if is_last else math.inf)
 
 
 def _outline_rows(problem: _Problem, measured: list, scale: float, *, is_last: bool) -> list[Rows]:
     """Return the outline of every photograph as rows of equations, from results and scale of its points."""
     found = []
-    for view, (distance, change, _) in enumerate(measured):
-        rows, where = change[:, [*range(COUNT), CAMERA]], [*range(COUNT), COUNT + view]
+    for view, one in enumerate(measured):
+        rows, where = one.change[:, [*range(COUNT), CAMERA]], [*range(COUNT), COUNT + view]
         if problem.sheet is not None:
             rows = np.concatenate([rows, np.full((len(rows), 1), 1.0 / problem.mm_per_px)], axis=1)
             where.append(problem.of_sheet[OUTLINE])
         # Borders of paints beside an outline are many and on one side: at the end they lose all influence.
-        factor = _cauchy(distance, scale) ** (2 if is_last else 1) / (scale**2 * _OUTLINE_SHARED)
-        found.append(Rows(where, rows, factor, distance))
+        factor = _cauchy(one.distance, np.hypot(scale, one.doubt)) ** (2 if is_last else 1)
+        found.append(Rows(where, rows, factor / _outline_variance(problem, view, one, scale), one.distance))
     return found
+
+
+def _outline_variance(problem: _Problem, number: int, outline: _Outline, scale: float) -> np.ndarray:
+    """Return variances of the points of an outline as if their errors were independent, (n,) superpixels².
+
+    Parameters
+    ----------
+    problem : _Problem
+    number : int
+        Index of the photograph.
+    outline : _Outline
+    scale : float
+        Standard deviation of a point.
+    """
+    pose = replace(problem.views[number].pose, turn_deg=0.0)
+    # Gloss and paints err alike on one side of an object, and in all photographs under the same angles.
+    alike = sum(replace(view.pose, turn_deg=0.0) == pose for view in problem.views)
+    return scale**2 * _OUTLINE_SHARED + outline.doubt**2 * max(1.0, len(outline.distance) / _SIDES) * alike
 
 
 def _add_object(problem: _Problem, reach: float, matrix: np.ndarray, right: np.ndarray) -> None:
@@ -802,7 +829,7 @@ def _add_object(problem: _Problem, reach: float, matrix: np.ndarray, right: np.n
     measured = [_outline(problem, view, reach) for view in range(len(problem.views))]
     for rows in _outline_rows(problem, measured, _outline_scale(measured, is_last=is_last), is_last=is_last):
         rows.add_to(matrix, right)
-    outlined = np.mean([len(distance) > 0 for distance, _, _ in measured]) >= _OUTLINED
+    outlined = np.mean([len(one.distance) > 0 for one in measured]) >= _OUTLINED
     if problem.tells_texture and (is_last or not outlined):
         _add_texture(_textures(problem), matrix, right)
 
@@ -901,8 +928,12 @@ def _residuals(problem: _Problem, reach: float) -> tuple[np.ndarray, np.ndarray,
     total = np.sum(weights, axis=0)
     suspects = []
     for number, view in enumerate(problem.views):
-        distance, _, found = _outline(problem, number, reach)
+        distance, doubt, _, found = _outline(problem, number, reach)
         count[number] = len(distance)
+        sure = doubt < _MOST_DOUBT_PX
+        if sure.sum() < _LEAST_POINTS:
+            sure[:] = False
+        distance, found = distance[sure], _within(found, sure)
         outward = view.outward[found] if len(distance) else np.zeros((0, 2))
         if len(distance):
             xy = problem.seen(number, view.rim[found], problem.unknowns)
@@ -920,6 +951,13 @@ def _residuals(problem: _Problem, reach: float) -> tuple[np.ndarray, np.ndarray,
             residual[number] = np.fmax(residual[number], view.sheet_residual_px)
         suspects.append(_suspect(problem, number, distance, found, shift, off))
     return residual, count, tuple(suspects)
+
+
+def _within(mask: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+    """Return a mask, (n,) bool, of those of the true values of another that are chosen, (true values,) bool."""
+    out = mask.copy()
+    out[mask] = chosen
+    return out
 
 
 def _displacement(xy: np.ndarray, outward: np.ndarray, distance: np.ndarray) -> float:

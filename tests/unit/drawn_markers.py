@@ -93,7 +93,10 @@ def drawn(
             off = np.arccos(np.clip(rays @ toward / apart, -1.0, 1.0))
             inside = math.asin(30.0 / apart) - off
             covered = soft(inside, 2.0 / camera.pinhole.focal_px)
-            light = 0.4 * np.ones_like(covered)
+            along = rays @ toward
+            near = along - np.sqrt(np.maximum(along**2 - toward @ toward + 30.0**2, 0.0))
+            normal = (near[..., None] * rays - toward) / 30.0
+            light = 0.6 * np.maximum(normal @ to_light(real), 0.0)
         else:
             axes, half = table @ turned(lies.values[3:6]), np.array([50.0, 30.0])
             at = on_plane(eye, rays, origin, axes)

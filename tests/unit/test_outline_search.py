@@ -11,8 +11,12 @@ from irodori.geometry.embree import Tracer
 from irodori.geometry.rig_frame import rig_from_camera, to_camera
 from irodori.geometry.shapes.plate import Plate
 from irodori.geometry.shapes.sphere import Sphere
-from irodori.rectification.outline_search import SHADING_STEP, _normals, edge_distances, find_rim, first_hit, held
+from irodori.rectification.outline_search import InnerSide, _normals, find_edges, find_rim, first_hit, held
 from irodori.rectification.placement_correction import Correction
+
+
+def edge_distances(*args, **options) -> np.ndarray:
+    return find_edges(*args, **options).distance
 
 
 def edge(at, inner=0.5, outer=0.02, sharpness=0.8, size=80):
@@ -203,11 +207,23 @@ def test_texture_that_changes_evenly_towards_the_edge_of_a_flat_object_does_not_
         assert found_at(painted) == pytest.approx(at - 40.0, abs=0.02)
 
 
-def shaded(at, irradiance, outer=0.02, fine=20):
+DEPTH = 0.5 * np.arange(13)  # samples
+
+
+BALL = np.sqrt(DEPTH / 40.0)  # cosine between normal and view of one of 80 samples
+
+
+def inner_side(light, facing=BALL, paint=1.0, unsure=0.0) -> InnerSide:
+    """A surface of which light, the cosine between normal and view, and paint are known."""
+    light = np.asarray(light)
+    return InnerSide(0.5, light, *(np.broadcast_to(one, light.shape).copy() for one in (facing, paint, unsure)))
+
+
+def shaded(at, irradiance, outer=0.02, fine=20, blur=0.6):
     """A picture, blurred a little, of a surface that ends at a column: its irradiance by the depth inside, samples."""
     x = (np.arange(80 * fine) + 0.5) / fine - 0.5 - at
     inner = np.where(x < 0.0, irradiance(np.maximum(-x, 0.0)), outer)
-    weights = np.exp(-0.5 * ((np.arange(-4 * fine, 4 * fine + 1)) / (0.6 * fine)) ** 2)
+    weights = np.exp(-0.5 * ((np.arange(-4 * fine, 4 * fine + 1)) / (blur * fine)) ** 2)
     soft = np.convolve(np.pad(inner, 4 * fine, mode="edge"), weights / weights.sum(), mode="valid")
     return np.tile(soft.reshape(80, fine).mean(axis=1)[None, :, None], (80, 1, 3))
 
@@ -220,24 +236,68 @@ def test_the_outline_of_a_ball_is_found_where_it_ends_however_it_is_lit():
         [1.0, 0.0],
     )
     balls = [lambda deep, lit=one: lit * (1.0 - deep / 80.0) + 0.34 * np.sqrt(deep / 40.0) for one in lit]
-    shading = np.stack([ball(SHADING_STEP * np.arange(13)) for ball in balls])
+    light = np.stack([ball(DEPTH) for ball in balls])
     out = np.tile(out, (15, 1))
     for at in (38.6, 39.5, 40.3, 41.2):
         response = np.concatenate([shaded(at, lambda deep, ball=ball: 0.5 * ball(deep))[:5] for ball in balls])
         seen = picture(np.concatenate([response, response[-5:]]))
-        found = edge_distances(seen, seen.level(0.0), xy, out, 4.0, shading=shading) - (at - 40.0)
-        assert np.abs(found).max() < 0.2 and abs(np.median(found)) < 0.08
+        found = edge_distances(seen, seen.level(0.0), xy, out, 4.0, inner=inner_side(light)) - (at - 40.0)
+        assert np.abs(found).max() < 0.1 and abs(np.median(found)) < 0.04
         # A ball that is taken for an even surface seems smaller, most where it is dark.
-        even = edge_distances(seen, seen.level(0.0), xy, out, 4.0, shading=np.ones((15, 13))) - (at - 40.0)
+        even = edge_distances(seen, seen.level(0.0), xy, out, 4.0, inner=inner_side(np.ones((15, 13)), 0.0)) - (
+            at - 40.0
+        )
         assert not np.abs(even[:5]).max() < 0.2
 
 
 def test_a_disc_that_is_as_bright_everywhere_is_found_whatever_light_is_expected():
-    """The shading is that of the photograph: of a matt ball, a brighter rim or none."""
+    """The shading is that of the photograph: of a matt ball, a brighter rim or none, all round or on one side."""
     xy, out = np.stack([np.full(9, 40.0), np.arange(30.0, 39.0)], axis=1), np.tile([1.0, 0.0], (9, 1))
-    shading = np.tile(0.3 + 0.34 * np.sqrt(SHADING_STEP * np.arange(13) / 40.0), (9, 1))
+    light = np.tile(0.3 + 0.34 * np.sqrt(DEPTH / 40.0), (9, 1))
     seen = picture(edge(40.7, 0.5, 0.02))
-    np.testing.assert_allclose(edge_distances(seen, seen.level(0.0), xy, out, 4.0, shading=shading), 0.7, atol=0.03)
+    np.testing.assert_allclose(
+        edge_distances(seen, seen.level(0.0), xy, out, 4.0, inner=inner_side(light)), 0.7, atol=0.03
+    )
+
+
+@pytest.mark.parametrize("strip", [0.3, 0.7, 1.7])
+@pytest.mark.parametrize("outermost", [1.0 / 3.0, 0.6, 1.6])
+def test_a_known_border_of_paints_within_the_blur_of_an_edge_does_not_move_it(strip, outermost):
+    """A matt ball whose outermost samples, ``strip`` wide, are of a darker or a brighter paint."""
+    xy, out = np.stack([np.full(9, 40.0), np.arange(30.0, 39.0)], axis=1), np.tile([1.0, 0.0], (9, 1))
+
+    def paint(deep):
+        return np.where(deep < strip, outermost, 1.0)
+
+    def light(deep):
+        return 0.6 + 0.2 * np.sqrt(deep / 40.0)
+
+    fine = np.linspace(0.0, 7.0, 1401)
+    around = np.maximum(1.0 - np.abs(fine - DEPTH[:, None]) / 0.5, 0.0)
+    mean_paint = around @ paint(fine) / around.sum(axis=1)
+    for at in (39.7, 40.4):
+        seen = picture(shaded(at, lambda deep: 0.3 * light(deep) * paint(deep), blur=0.3))
+        known, unknown = (
+            find_edges(seen, seen.level(0.0), xy, out, 4.0, inner=inner_side(np.tile(light(DEPTH), (9, 1)), paint=one))
+            for one in (mean_paint, 1.0)
+        )
+        moved = np.abs(unknown.distance - (at - 40.0))
+        np.testing.assert_allclose(known.distance, at - 40.0, atol=0.03)
+        assert (moved > 0.1).all()
+        # The doubt is a part of what the paint changes.
+        assert (known.doubt > 0.1 * moved).all() and (known.doubt < 0.6 * moved).all()
+
+
+def test_gloss_that_rises_from_an_outline_inwards_is_told_from_its_place():
+    """The doubt grows with what the gloss changes."""
+    xy, out = np.stack([np.full(9, 40.0), np.arange(30.0, 39.0)], axis=1), np.tile([1.0, 0.0], (9, 1))
+    light, doubts = np.tile(0.6 + 0.2 * np.sqrt(DEPTH / 40.0), (9, 1)), []
+    for gloss in (0.0, 0.5, 1.5):
+        seen = picture(shaded(40.4, lambda deep, gloss=gloss: 0.3 * (0.6 + (0.2 + gloss) * np.sqrt(deep / 40.0))))
+        found = find_edges(seen, seen.level(0.0), xy, out, 4.0, inner=inner_side(light))
+        np.testing.assert_allclose(found.distance, 0.4, atol=0.03)
+        doubts.append(np.median(found.doubt))
+    assert doubts[0] < 0.02 < doubts[1] < doubts[2]
 
 
 def test_an_edge_beside_the_border_of_two_paints_is_not_read():
@@ -255,9 +315,10 @@ def test_an_edge_beside_the_border_of_two_paints_is_not_read():
 
 def test_a_blurred_edge_is_found_where_it_is():
     xy, out = np.stack([np.full(9, 40.0), np.arange(30.0, 39.0)], axis=1), np.tile([1.0, 0.0], (9, 1))
-    for sharpness, shading, within in ((1.2, None, 0.02), (2.0, None, 0.2), (2.0, np.ones((9, 13)), 0.1)):
+    flat = inner_side(np.ones((9, 13)), 0.0)
+    for sharpness, inner, within in ((1.2, None, 0.02), (2.0, None, 0.2), (2.0, flat, 0.1)):
         seen = picture(edge(40.7, 0.5, 0.02, sharpness))
-        found = edge_distances(seen, seen.level(0.0), xy, out, 6.0, shading=shading)
+        found = edge_distances(seen, seen.level(0.0), xy, out, 6.0, inner=inner)
         np.testing.assert_allclose(found, 0.7, atol=within)
 
 

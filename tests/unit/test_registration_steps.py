@@ -196,8 +196,11 @@ def test_the_outline_of_a_sphere_is_looked_for_where_it_is_lit():
     cosine = view.rim @ to_light(pose) / 30.0
     assert cosine.min() > 0.15 - 0.04 and cosine.max() > 0.9  # by the normal of the next texel, of 4 degrees
     # The light on it from there inwards, of which a ball has more as it faces the camera.
-    np.testing.assert_allclose(view.shading[:, 0], cosine, atol=0.15)
-    assert (view.shading[:, -1] > view.shading[:, 0])[cosine < 0.5].all()
+    light, facing = view.inner.light, view.inner.facing
+    np.testing.assert_allclose(light[:, 0], cosine, atol=0.05)
+    assert (light[:, -1] > light[:, 0])[cosine < 0.5].all()
+    deep = np.arange(2, 12) / 2.0 / 40.0  # of the radius of 40 superpixels
+    np.testing.assert_allclose(facing[:, 2:12] ** 2, np.tile(2.0 * deep - deep**2, (len(facing), 1)), rtol=0.03)
     assert not problem.tells_texture
 
 
@@ -213,7 +216,7 @@ def plain(folder, poses=FACING, **lies) -> _Problem:
 def test_the_distance_of_an_outline_is_what_lies_between_plate_and_prior_along_the_normals(tmp_path):
     problem = plain(tmp_path, x_mm=0.6, y_mm=-0.9)
     for number, moved in ((0, [0.6, 0.9]), (1, [0.9, -0.6])):
-        distance, change, found = _outline(problem, number, 4.0)
+        distance, _, change, found = _outline(problem, number, 4.0)
         outward = problem.views[number].outward[found]
         assert found.sum() > 150
         np.testing.assert_allclose(distance, outward @ moved / MM_PER_PX, atol=0.02)
@@ -246,7 +249,7 @@ def test_nothing_is_said_of_an_outline_of_few_points(tmp_path):
     view = problem.views[0]
     for count in (0, 11, 12):
         view.rim, view.outward, view.change = (one[:count] for one in (view.rim, view.outward, view.change))
-        distance, change, found = _outline(problem, 0, 4.0)
+        distance, _, change, found = _outline(problem, 0, 4.0)
         said = count if count >= 12 else 0
         assert (len(distance), len(change), found.sum(), len(found)) == (said, said, said, count)
         problem = prepared(problem)
@@ -643,11 +646,17 @@ def test_a_round_object_is_judged_by_its_outline_alone(tmp_path):
     files = [silhouette(tmp_path, f"{n}.h5", at) for n, at in enumerate([(0, 0, 0), (0, 0, 0), (3.0, 0, 0)])]
     problem = prepared(_problem(files, ball, SETUP, Placing()))
     residual, points, suspects = _residuals(problem, 10.0)
-    assert (points > 50).all() and residual[:2].max() < 0.05
+    # A disc is no matt ball with gloss: it is found almost, not quite, where it is.
+    assert (points > 50).all() and residual[:2].max() < 0.06
     # Only the lit part of the outline counts, which lies along the way.
     across = problem.views[2].outward @ [1.0, 0.0]
     assert residual[2] == pytest.approx(3.0 / MM_PER_PX * math.sqrt(np.mean(across**2)), rel=0.05)
     assert suspects[2][0] in ("camera_deg or tilt_deg", "turn_deg")
+    # Where any paint could lie just inside the outline, it judges nobody.
+    for view in problem.views:
+        view.inner = view.inner._replace(unsure=np.full(view.inner.light.shape, 2.0))
+    residual, points, _ = _residuals(problem, 10.0)
+    assert (points > 50).all() and np.isnan(residual).all()
 
 
 def test_a_photograph_that_shows_the_object_beyond_what_was_searched_is_named_all_the_same(tmp_path):
