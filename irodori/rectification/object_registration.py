@@ -37,7 +37,15 @@ from irodori.rectification.marker_sheet import (
     not_found,
 )
 from irodori.rectification.outline_search import OUTER, InnerSide, find_edges, find_rim
-from irodori.rectification.placement_correction import CAMERA, COUNT, LIGHT, QUANTITIES, Correction, prior_sigma
+from irodori.rectification.placement_correction import (
+    CAMERA,
+    COUNT,
+    LIGHT,
+    PRIOR_KEYS,
+    QUANTITIES,
+    Correction,
+    prior_sigma,
+)
 from irodori.rectification.reduced_pictures import Level, Picture
 from irodori.rectification.registration_covariance import RegisteredAngleErrors, Rows, angle_errors, excess
 from irodori.rectification.stage import RigSetup, observe
@@ -1093,7 +1101,9 @@ def register_object(
     ------
     InputError
         If the object or the sheet in a photograph is further than ``max_residual_px`` from the place that its pose and
-        the common correction predict; if no photograph shows the sheet, or its size contradicts the typed one.
+        the common correction predict; if no photograph shows the sheet, or its size contradicts the typed one; if a
+        correction is larger than four standard deviations of the definitions, except for the angles of camera and
+        light, whose scales may have another zero.
 
     Notes
     -----
@@ -1113,6 +1123,7 @@ def register_object(
     found = register(linear, definition, setup, placing, markers, light)
     names = [Path(path).stem for path in linear]
     _refuse_far(found, linear, placing.max_residual_px)
+    _refuse_unlikely(found, linear)
     sentence = in_words(found)
     LOGGER.info("%s", sentence)
     LOGGER.info("%s", found.angle_errors)
@@ -1196,6 +1207,19 @@ def _refuse_far(found: Registered, linear: Sequence, most_px: float) -> None:
     where = f"{thing} {apart} from its expected place; most likely {angle} is off by {off:+.1f}"
     accepted = f"at most {most_px:g} superpixels (place.max_residual_px), and a pose as it was"
     raise InputError(linear[worst], "pose_deg", where, accepted)
+
+
+def _refuse_unlikely(found: Registered, linear: Sequence) -> None:
+    """Raise an error if the object or the lens is far from what the definitions say: a search can end there wrongly."""
+    ratio = np.abs(found.correction.values)[:CAMERA] / np.maximum(found.prior[:CAMERA], np.finfo(float).tiny)
+    worst = int(np.argmax(ratio))
+    if ratio[worst] > _CONTRADICTED:
+        quantity, key = QUANTITIES[worst], f"place.{PRIOR_KEYS[worst]}"
+        value = f"{quantity.text} {found.correction.values[worst]:+.3g} {quantity.unit}"
+        accepted = (
+            f"at most {_CONTRADICTED:g} times {key} ({found.prior[worst]:g}); measure again, or give a larger one"
+        )
+        raise InputError(linear[0], key, f"{value} from the definitions", accepted)
 
 
 def in_words(found: Registered) -> str:

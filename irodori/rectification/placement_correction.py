@@ -117,12 +117,18 @@ class Correction:
 AS_TYPED = Correction()
 
 
+#: Key of `place` with the standard deviation of each correction, in the order of `QUANTITIES`.
+PRIOR_KEYS = (
+    *("translation_mm",) * 3,
+    *("rotation_deg",) * 3,
+    "camera_distance_mm",
+    "focal_length_percent",
+    *("principal_point_px",) * 2,
+    "camera_deg",
+    "light_deg",
+)
+
+
 def prior_sigma(placing: "Placing") -> np.ndarray:
     """Return the standard deviations of the definitions, (12,) in the order and the units of `QUANTITIES`."""
-    return np.array(
-        [placing.translation_mm] * 3
-        + [placing.rotation_deg] * 3
-        + [placing.camera_distance_mm, placing.focal_length_percent]
-        + [placing.principal_point_px] * 2
-        + [placing.camera_deg, placing.light_deg]
-    )
+    return np.array([getattr(placing, key) for key in PRIOR_KEYS])

@@ -158,6 +158,19 @@ def test_a_uniform_sphere_tells_its_place_and_nothing_of_its_turn(tmp_path, defi
     assert not result.is_told[NAMES.index("light_deg")]
 
 
+def test_an_object_far_from_where_it_is_stated_is_refused_with_the_key_that_allows_it(tmp_path, definitions):
+    definition = an_object(definitions, SPHERE, {"kind": "uniform"})
+    files = photographs(tmp_path, definitions, definition, POSES[:4], (0.0, -3.0, 0.0, 0.0, 0.0, 0.0))
+    whole, setup = made(Object | PhotographedObject, definition), as_typed(definitions)
+    far, near = tmp_path / "far.h5", tmp_path / "near.h5"
+    register_object(files, whole, setup, Placing(), output=far, provenance=PROVENANCE)
+    sure = Placing(translation_mm=0.5)
+    with pytest.raises(InputError, match=r"along the table's y -[23].*measure again") as raised:
+        register_object(files, whole, setup, sure, output=near, provenance=PROVENANCE)
+    assert far.exists() and not near.exists()
+    assert raised.value.field == "place.translation_mm" and "4 times place.translation_mm (0.5)" in str(raised.value)
+
+
 GOLD = {"n": 0.43, "k": 2.46}
 SATIN = [("TCS20", 0.15, 0.12), ("TCS81", 0.1, 0.2), ("TCS31", 0.2, 0.16), ("TCS56", 0.12, 0.14)]
 #: A narrow highlight over a broad one: β and μ of the paper's lobe, then of GGX.

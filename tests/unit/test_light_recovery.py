@@ -185,8 +185,11 @@ def made_up_prior(families: int, rng) -> LightPrior:
 
 
 def written_out(prior: LightPrior, model, covariance, room: Directions) -> list[list[tuple]]:
-    """Return, for each direction of a room, what each family that is kept says: its share, the mean light, the covariance
-    of the light given the response model, and the matrix from response to light."""
+    """Return what each family that is kept says of each direction of a room.
+
+    That is its share, the mean light, the covariance of the light given the response model, and the matrix from
+    response to light.
+    """
     bands, weighed, moments = len(model), [], []
     for moment in prior.moment:
         exact = model @ moment @ model.T
