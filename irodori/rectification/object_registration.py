@@ -1248,4 +1248,8 @@ def in_words(found: Registered) -> str:
         corners = found.sheet.corners
         shown = f"{np.count_nonzero(corners)} of {len(corners)} photographs, {corners.sum()} corners"
         parts.append(f"the printed sheet was found in {shown}")
+    unjudged = np.count_nonzero(np.isnan(found.residual_px))
+    if unjudged:
+        some = f"{unjudged} of {len(found.residual_px)} photographs"
+        parts.append(f"{some} show too little to tell whether their poses are right")
     return "; ".join(parts)

@@ -75,6 +75,21 @@ def test_upward_white_is_the_radiance_of_a_diffuser_that_faces_up(tmp_path):
     assert loaded.file == tmp_path / "e.h5" and environment.file is None
 
 
+@pytest.mark.parametrize("name", ["irradiance", "basis_errors"])
+def test_a_light_whose_parts_have_different_numbers_of_bases_is_refused(tmp_path, name):
+    path, sky = tmp_path / "e.h5", np.ones((8, 16, 2), np.float32)
+    whole = Environment(sky, np.ones((61, 2)), irradiance_map(sky, 8, 4), basis_errors=np.ones((5, 61, 2)))
+    whole.save(path, store.Provenance("test"))
+    with h5py.File(path, "r+") as file:
+        values = file[name][..., :1]
+        del file[name]
+        file[name] = values
+    accept(path)
+    with pytest.raises(InputError) as caught:
+        Environment.load(path)
+    assert caught.value.field == name
+
+
 # --- principal components ----------------------------------------------------------------------------------------
 
 

@@ -325,6 +325,8 @@ def test_a_sentence_says_what_is_told_what_is_as_typed_and_what_is_not_told():
         "confirmed as typed: object along the table's y; "
         f"not determined by the photographs, kept as typed: {', '.join(quantity.text for quantity in QUANTITIES[2:])}"
     )
+    unjudged = in_words(registered(values, sigma, residual=(0.1, np.nan, np.nan)))
+    assert unjudged.endswith("; 2 of 3 photographs show too little to tell whether their poses are right")
     nothing = in_words(registered(np.zeros(COUNT), np.full(COUNT, 0.1)))
     assert (
         nothing.startswith("corrections of what was typed: none; confirmed as typed")
