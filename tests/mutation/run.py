@@ -78,7 +78,8 @@ ROOMS = {
         ("evaluation",),
         ("unit/test_report_errors.py", "unit/test_photograph_comparison.py", "unit/test_error_budget.py",
          "unit/test_error_prediction.py", "unit/test_report_registration.py", "unit/test_report_planning.py",
-         "unit/test_report_light.py", "unit/test_imperfection_costs.py", "unit/test_gloss_components.py"),
+         "unit/test_report_light.py", "unit/test_imperfection_costs.py", "unit/test_gloss_components.py",
+         "unit/test_left_out_photographs.py"),
     ),
     "reflection": (
         ("reflection",),

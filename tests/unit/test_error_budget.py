@@ -28,7 +28,14 @@ from irodori.evaluation.error_budget import (
 )
 from irodori.evaluation.error_prediction import noisy, other_gloss
 from irodori.evaluation.known_errors import Known, Photographs, Spread
-from irodori.evaluation.renderer_noise import Paths, block_places, expected_noise, measured_noise, traced_blocks
+from irodori.evaluation.renderer_noise import (
+    Paths,
+    TracedBlocks,
+    block_places,
+    expected_noise,
+    measured_noise,
+    traced_blocks,
+)
 from irodori.evaluation.result_tables import BudgetRow, read_rows
 from irodori.evaluation.truth_errors import radiance_delta_e
 from irodori.light.environment_file import Environment
@@ -331,6 +338,41 @@ def test_blocks_for_the_noise_lie_evenly_over_the_picture():
     assert len(block_places(image, 1 << 20, 0)) == 1
     assert len(block_places(Size(width=16, height=8), 8, 0)) == 2
     assert block_places(Size(width=5, height=3), 8, 0) == [(2.5, 1.5)]
+
+
+def test_blocks_are_as_many_as_a_given_number_of_paths_traces():
+    wide = Size(width=6400, height=4800)
+    for samples, margin in ((32, 0), (32, 7), (128, 7)):
+        # A block is rendered twice with its margin, and once without it with 16 times the paths.
+        paths = samples * (2 * (8 + 2 * margin) ** 2 + 16 * 8 * 8)
+        assert len(block_places(wide, samples, margin)) == pytest.approx(1.5e6 / paths, abs=0.5)
+    # More than there is room for are all blocks of the picture, each once.
+    every = block_places(Size(width=24, height=16), 8, 0)
+    assert sorted(every) == [(x, y) for x in (4.0, 12.0, 20.0) for y in (4.0, 12.0)]
+
+
+def grey(radiance: float) -> np.ndarray:
+    """One block of one radiance in all bands."""
+    return np.full((1, 8, 8, 61), radiance)
+
+
+@pytest.mark.parametrize(
+    "first, second, filtered, share",
+    [
+        # Both halves lose the same detail: what the filter takes away is seen beside the other, unfiltered half.
+        (0.3, 0.3, (0.5, 0.5), 1.0),
+        # By chance the other half looks better than it is: what the filter leaves is half the distance of what it made.
+        (0.34, 0.3, (0.3, 0.34), 0.5),
+    ],
+)
+def test_what_a_filter_takes_away_and_what_it_leaves_are_both_expected(monkeypatch, first, second, filtered, share):
+    traced = TracedBlocks(grey(np.mean(filtered)), grey(first), grey(second), np.stack([grey(v) for v in filtered]))
+    monkeypatch.setattr("irodori.evaluation.renderer_noise.traced_blocks", lambda *_: traced)
+    white = np.ones(61)
+    off = share * radiance_delta_e(grey(filtered[1]), grey(0.3), white)
+    found = expected_noise(Scattering(denoise=True), [], None, white)
+    assert off.min() > 0.5
+    np.testing.assert_allclose(found, off, rtol=1e-6)
 
 
 def test_the_table_keeps_its_rows(tmp_path, monkeypatch):
