@@ -70,6 +70,7 @@ def planned(name: str = OBJECT):
     )
 
 
+@pytest.mark.heavy
 def test_an_object_and_its_camera_are_photographed_into_the_folders_that_their_files_name(bench, studio, person):
     assert main(["capture", OBJECT]) == 0
     aim, plan = planned()
@@ -90,6 +91,7 @@ def test_an_object_and_its_camera_are_photographed_into_the_folders_that_their_f
     assert roles == ["dark"] * 2 + ["white"] * 3 + ["chart"] * 2
 
 
+@pytest.mark.heavy
 def test_a_session_that_the_person_stops_goes_on_where_it_was(bench, studio, person):
     person.stops_at = 3
     assert main(["capture", OBJECT]) == 1

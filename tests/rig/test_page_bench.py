@@ -320,6 +320,7 @@ def test_another_page_in_the_same_browser_moves_nothing_and_reads_nothing(sittin
         foreign.server_close()
 
 
+@pytest.mark.heavy
 def test_what_never_ends_or_says_it_is_huge_is_not_waited_for(sitting):  # noqa: F811
     sitting.comes_to(State.STEP)
     before, host = sitting.dialogue.view, sitting.server.hosts[0]

@@ -301,6 +301,7 @@ def test_a_picture_is_still_there_for_a_page_that_asks_when_the_next_is_shown(si
         assert {sitting.send("GET", f"/{kind}/{number}")[0] for kind in ("picture", "overlay")} == {status}, number
 
 
+@pytest.mark.heavy
 def test_a_session_is_driven_from_a_phone(sitting, visit):
     page = visit(sitting.server.url)
     says(page, "Take the lens cap off and put the object in place")

@@ -167,6 +167,7 @@ def table(folder: str = "dome") -> list[dict[str, str]]:
     return list(csv.DictReader(Path(folder, "left-out.csv").read_text(encoding="utf-8").splitlines()))
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("command", [one for one in of_kind("dome") if "My ball" in one])
 def test_a_documented_command_measures_a_ball(command, folder, capsys):
     words = words_of(command)[1:]

@@ -111,6 +111,7 @@ def test_the_choice_keeps_to_the_bound_at_little_noise(test, noise):
     assert found(names, noise, "auto", 0)[0] <= 1.05 * found(names, noise, "bound")[0]
 
 
+@pytest.mark.heavy
 @pytest.mark.default_cases(3)
 @pytest.mark.parametrize("pair", NEVER_SEEN, ids=[test for _, test in NEVER_SEEN])
 def test_error_bars_hold_on_sets_and_a_camera_that_had_no_part_in_them(pair):

@@ -66,6 +66,7 @@ def test_faults_stand_in_what_functions_do_and_in_no_message_default_or_kernel(m
     }  # fmt: skip
 
 
+@pytest.mark.heavy
 def test_faults_without_effect_are_not_made_and_each_that_is_named_is_one(mutants, tmp_path):
     path = tmp_path / "made.py"
     path.write_text(

@@ -45,6 +45,7 @@ def page(written):
         assert found.messages == []
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("turn", [0.0, 110.0])
 def test_every_light_and_observer_of_the_list_is_the_renderers(written, page, turn):
     bands = frame_bands(written.scene, written.view, written.data.parts, rotation_z(np.radians(turn)))

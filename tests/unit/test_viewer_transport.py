@@ -312,6 +312,7 @@ def test_ggx_shines_in_a_room_as_in_the_renderer(tmp_path):
     assert not agree(exchanged)
 
 
+@pytest.mark.heavy
 def test_the_weights_of_a_metals_wavelengths_follow_the_illuminant(tmp_path):
     written = Written(tmp_path, sources(tmp_path / "files", room(), first=gold()))
     assert written.data.header["quadrature"] is not None
@@ -390,7 +391,8 @@ def lit_share(point, normal, centre, radius, count=2048) -> tuple[np.ndarray, np
     return total / count * 2.0 / (1.0 + least), free / count
 
 
-@pytest.mark.parametrize("size", [pytest.param(0.0, marks=pytest.mark.heavy), 60.0])
+@pytest.mark.heavy
+@pytest.mark.parametrize("size", [0.0, 60.0])
 def test_a_lamp_nearby_lights_by_its_formula(dark, size):
     written, page = dark
     at = np.array([70.0, -60.0, 120.0])
@@ -488,6 +490,7 @@ def test_each_room_of_a_page_lights_as_in_the_renderer(tmp_path, first):
         assert page.messages == []
 
 
+@pytest.mark.heavy
 def test_a_mesh_of_ggx_and_its_shadow_are_the_renderers_in_both_rooms_of_a_page(tmp_path):
     """What the heavy tests try one by one, all on one page: lobe, lamp, soft shadows, a second room."""
     with pytest.MonkeyPatch.context() as patch:

@@ -73,6 +73,7 @@ def correct(path: Path, times_ns: tuple[int, int] | None = None) -> None:
     os.utime(path, ns=times_ns or OLD)
 
 
+@pytest.mark.heavy
 def test_a_corrected_photograph_with_an_older_time_is_seen_and_the_result_differs(project):
     before = read_record(project / LINEAR).sha256
     correct(chart(project))

@@ -39,6 +39,7 @@ def test_an_object_of_ten_megapixels_and_48_poses_is_at_most_200_jobs_of_the_clu
     assert groups + alone <= 200 and groups + alone == 22
 
 
+@pytest.mark.heavy
 def test_every_tile_is_fitted_where_it_was_rectified(dry_run):
     for group in dry_run.split("Group job tiles")[1:]:
         made = re.findall(r"^    +output: results/tile-plate/(observations|brdf)/tile-(\d+)\.h5", group, re.MULTILINE)

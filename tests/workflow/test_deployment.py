@@ -49,6 +49,7 @@ def test_the_workflows_own_file_plans_what_the_root_plans(project, jobs, broken)
     assert sorted(planned(run), key=str) == jobs
 
 
+@pytest.mark.heavy
 def test_a_directory_may_be_named_instead_of_entered(project, jobs, tmp_path):
     run = snakemake(tmp_path, "--directory", str(project), "--dry-run")
     assert sorted(planned(run), key=str) == jobs

@@ -20,6 +20,7 @@ def environment(folder, **definition):
     (folder / "config/environments/classroom.yaml").write_text(yaml.safe_dump(definition))
 
 
+@pytest.mark.heavy
 def test_placed_lights_are_made_without_a_camera_and_light_a_scene(tmp_path):
     folder = small_project(tmp_path)
     environment(folder, source={"kind": "lights", "lights": LIGHTS}, image={"width": 100, "height": 50})

@@ -64,6 +64,7 @@ def jobs(folder, *arguments) -> list[str]:
     return [rule for rule, _ in planned(snakemake(folder, "--dry-run", *arguments))]
 
 
+@pytest.mark.heavy
 def test_the_sheet_in_a_cameras_table_measures_its_lens_and_a_changed_photograph_measures_it_again(project):
     tile = "results/own-plate/observations/tile-000.h5"
     assert {"calibrate_lens", "rectify_object"} <= set(jobs(project, tile))
@@ -105,6 +106,7 @@ def test_without_opencv_a_check_says_what_is_missing_and_goes_on(project, monkey
     assert said.startswith("error: the role lens needs OpenCV") and check.count >= 3
 
 
+@pytest.mark.heavy
 def test_a_preview_draws_outlines_with_the_measured_lens(project, monkeypatch):
     monkeypatch.chdir(project)
 

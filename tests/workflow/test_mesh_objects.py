@@ -28,6 +28,7 @@ def inputs_by_rule(run) -> dict[str, set[str]]:
     return found
 
 
+@pytest.mark.heavy
 def test_the_mesh_is_an_input_of_every_rule_that_reads_it_and_of_no_other(project):
     used = inputs_by_rule(snakemake(project, "--dry-run", "results/lid/front.png", "results/lid/truth/front.png"))
     reading = {rule for rule, inputs in used.items() if "config/meshes/lid.obj" in inputs}

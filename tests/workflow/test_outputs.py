@@ -1,12 +1,14 @@
 """Planning of a scene's further outputs, and the checks of its display's file."""
 
 import numpy as np
+import pytest
 from project import edit, planned, small_project, snakemake
 
 from irodori.colour.icc import Profile, write_profile
 from irodori.colour.tone_curves import SRGB
 
 
+@pytest.mark.heavy
 def test_further_files_and_the_displays_profile_are_planned(tmp_path):
     folder = small_project(tmp_path / "still-life")
     matrix = np.array([[0.4867, 0.2657, 0.1982], [0.2290, 0.6917, 0.0793], [0.0, 0.0451, 1.0439]])

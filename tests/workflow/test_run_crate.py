@@ -59,6 +59,7 @@ def filled_cache(folder: Path) -> Path:
     return folder / "cache"
 
 
+@pytest.mark.heavy
 # The validator's graph library warns of itself.
 @pytest.mark.filterwarnings("ignore:ConjunctiveGraph is deprecated:DeprecationWarning")
 @pytest.mark.filterwarnings("ignore:Dataset.default_context is deprecated:DeprecationWarning")

@@ -33,6 +33,7 @@ def folder(tmp_path):
     return folder
 
 
+@pytest.mark.heavy
 def test_only_a_scene_with_a_tolerance_is_planned(folder):
     edit(folder / SCENE, {"integrator": {"kind": "interactive"}})
     assert planned(snakemake(folder, "--dry-run", *ALONE)) == [

@@ -69,6 +69,7 @@ def test_a_second_project_plans_to_write_no_file_of_the_first(folder):
     assert not shared & {rule for rule, _ in planned(run)}
 
 
+@pytest.mark.heavy
 def test_a_second_project_leaves_the_first_as_it_was_and_each_crate_holds_one(folder, capsys):
     before = state(folder)
     # A partial target names no report: it makes none, though one lies there.
