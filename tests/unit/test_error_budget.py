@@ -93,8 +93,13 @@ def colour_errors(one: Measured) -> dict[str, float]:
     return {name: float(delta_e_reflectance(exact, spectra(part)).mean()) for name, part in parts.items()}
 
 
-def test_the_parts_sum_to_what_was_measured():
-    one = measured(0.01, 0.01, np.s_[3:9, 5:30])
+@pytest.mark.parametrize(
+    "unseen",
+    [np.s_[3:9, 5:30], pytest.param(np.s_[:, :16], id="no texel of the first paint"),
+     pytest.param(np.s_[:, 24:], id="no texel of the last paint")],
+)  # fmt: skip
+def test_the_parts_sum_to_what_was_measured(unseen):
+    one = measured(0.01, 0.01, unseen)
     parts = substitutes(one)
     exact = spectra(one.truth)
     changes = sum(spectra(parts[name]) - exact for name in ("noise", "calibration", "seams", "unseen"))

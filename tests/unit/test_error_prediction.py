@@ -170,6 +170,7 @@ def test_a_blur_is_undone_and_a_gap_has_no_part_in_it():
     seen = np.ones((SIDE, SIDE), bool)
     seen[10:20, 5:15] = False
     blurred = spread.blurred(texture, seen)
+    assert (blurred[~seen] == 0.0).all()
     back = spread.undone(np.where(seen[..., None], blurred, 7.0), seen)
     assert np.abs(back - texture)[seen].max() < 0.02 * np.abs(texture).max()
     assert (back[~seen] == 7.0).all()
@@ -263,6 +264,17 @@ def test_a_wide_hole_is_tried_in_its_own_direction_and_over_the_seam_where_the_s
     assert (right >= 0).all() and right.max() == 8 and (np.abs(left).max(axis=1) > 0).all()
     # Columns before the seam take their colours from the first ones beyond it.
     assert (left <= 0).all() if border == "joined" else (left >= 0).all()
+
+
+@pytest.mark.parametrize("border", ["joined", "black"])
+def test_the_ends_of_a_pair_lie_on_both_sides_of_a_seam_where_the_sides_are_joined(border):
+    observed = np.ones((SIDE, SIDE), bool)
+    observed[:, 12:22] = False
+    one = known(patches(np.random.default_rng(3))[0], observed, Spread(0.4, 0.4, border))
+    pairs = [held_out(one, np.random.default_rng(seed)) for seed in range(5)]
+    apart = np.stack([(texel - filler)[~observed][:, 1] for texel, filler in pairs])
+    # No source is farther than half of the hole: what is farther apart than that is so over the seam.
+    assert (np.abs(apart) > 10).any() == (border == "joined")
 
 
 def test_what_has_no_data_takes_the_colours_of_the_texels_that_are_named():

@@ -86,6 +86,11 @@ def test_each_fault_is_tried_alone_and_all_together(chain):
     for own, other in zip(chain.definition.virtual.materials, others, strict=True):
         assert (own.lobe, other.lobe) == ("gaussian", "ggx")
         assert (other.spectrum, other.beta, other.mu_rad) == (own.spectrum, own.beta, own.mu_rad)
+    # A material whose gloss is not that of the equation keeps it beside one whose gloss is replaced.
+    mixed = (replace(others[0], lobe="ggx", mu_rad=0.33), *chain.definition.virtual.materials[1:])
+    virtual = replace(chain.definition.virtual, materials=mixed)
+    *_, (_, last) = replace(chain, definition=replace(chain.definition, virtual=virtual)).variants()
+    assert last.definition.virtual.materials[0] == mixed[0]
     # What is switched off in the rig's file is not tried, and an object of another model has no further one.
     quiet = chain.with_faults(replace(chain.faults, vignetting=replace(chain.faults.vignetting, enabled=False)))
     quiet = replace(quiet, definition=variants["all, and GGX in place of equation (5)"].definition)

@@ -167,6 +167,11 @@ def test_a_photograph_of_the_very_materials_differs_by_noise_alone(studio, tmp_p
     assert noise.mean() < 1.5
     assert figures["noise_counts"] == ["paths of the rendering", "paths of the photograph", "camera"]
     assert figures["samples"] == PLACED["samples"] * PLACED["block"] ** 2
+    known = np.isfinite(data["delta_e"])
+    for name, part in (("", known), ("_objects", known & (data["objects"] == 1))):
+        assert figures[f"delta_e{name}"]["mean"] == pytest.approx(data["delta_e"][part].mean(), rel=1e-5)
+        assert figures[f"noise_floor{name}"]["mean"] == pytest.approx(data["noise"][part].mean(), rel=1e-5)
+    assert 0.0 < (known & (data["objects"] == 1)).mean() < known.mean()
     assert figures["luminance_ratio"] == pytest.approx(1.0, abs=0.01) and figures["compared_fraction"] > 0.7
     for name in ("comparison", "photograph", "rendering"):
         with Image.open(tmp_path / f"{name}.png") as image:

@@ -149,6 +149,15 @@ def test_a_rig_with_few_poses_leaves_designs_out(planned, tmp_path):
     assert counts == {4}
 
 
+def test_poses_are_planned_for_a_real_rig_too(planned, tmp_path):
+    rig = {key: value for key, value in planned["rig"].items() if key != "virtual"} | {"kind": "files"}
+    settings = made(Planning, {"poses": [6], "materials": 50})
+    measure_plan("x", made(PlannedPlate, planned | {"rig": rig}), FitOptions(), 80.0, settings, tmp_path / "real.csv")
+    found = {row.design: row for row in read_rows(tmp_path / "real.csv", PlanRow) if row.parameter == "mu"}
+    assert {"planned", "even-grid", "random"} <= set(found)
+    assert 0.0 < found["planned"].median < found["random"].median
+
+
 @pytest.mark.parametrize(("count", "lights"), [(4, 1), (7, 3), (24, 3)])
 def test_an_even_grid_is_even_and_within_reach(planned, count, lights):
     poses = even_poses(made(RigLimits, planned["rig"]["limits"]), count, lights, 80.0)
