@@ -27,7 +27,7 @@ from irodori.evaluation.error_budget import (
     substitutes,
 )
 from irodori.evaluation.error_prediction import noisy, other_gloss
-from irodori.evaluation.known_errors import Known, Photographs, Spread
+from irodori.evaluation.known_errors import Known, Photographs, Spread, colours
 from irodori.evaluation.renderer_noise import (
     Paths,
     TracedBlocks,
@@ -104,6 +104,13 @@ def test_the_parts_sum_to_what_was_measured(unseen):
     exact = spectra(one.truth)
     changes = sum(spectra(parts[name]) - exact for name in ("noise", "calibration", "seams", "unseen"))
     assert np.abs(exact + changes - spectra(parts["all"])).max() < 1e-5
+
+
+def test_the_colour_of_a_material_follows_its_diffuse_weight():
+    own = truth()
+    dimmed = replace(own, alpha=0.4 * own.alpha)
+    coefficients, basis = colours(dimmed)
+    np.testing.assert_allclose(coefficients @ basis.T, 0.4 * (own.coefficients @ own.basis.T), rtol=1e-6)
 
 
 def test_what_is_wrong_alike_is_calibration_and_what_scatters_is_noise():
@@ -311,6 +318,25 @@ def test_the_renderers_noise_is_that_of_its_own_number_of_paths(noise):
     )
     found = noise(paths, [], None, white)
     assert np.sqrt((found**2).mean()) == pytest.approx(np.sqrt((own**2).mean()), rel=0.06)
+
+
+def test_the_noise_of_the_picture_beside_it_is_subtracted(monkeypatch):
+    # As noisy as what it judges: of the mean square between both, half is its own.
+    white = np.ones(61)
+    usual = measured_noise(Scattering(denoise=False), [], None, white)
+    monkeypatch.setattr("irodori.evaluation.renderer_noise.MORE", 1)
+    equal = measured_noise(Scattering(denoise=False), [], None, white)
+    assert np.sqrt((equal**2).mean()) == pytest.approx(np.sqrt((usual**2).mean()), rel=0.08)
+
+
+def test_pictures_without_noise_have_none():
+    class Certain(Scattering):
+        def blocks(self, materials, light, samples, seed, margin) -> Halves:
+            halves = super().blocks(materials, light, samples, seed, margin)
+            return halves._replace(mean=np.full_like(halves.mean, 0.4), difference=np.zeros_like(halves.mean))
+
+    for noise in (measured_noise, expected_noise):
+        assert (noise(Certain(denoise=False), [], None, np.ones(61)) == 0.0).all()
 
 
 def test_the_noise_of_a_filtered_picture_is_what_its_filter_leaves():

@@ -277,6 +277,18 @@ def test_the_ends_of_a_pair_lie_on_both_sides_of_a_seam_where_the_sides_are_join
     assert (np.abs(apart) > 10).any() == (border == "joined")
 
 
+def test_a_texel_without_data_takes_its_colour_from_one_with_data_on_a_texture_of_any_shape():
+    texture = np.random.default_rng(5).uniform(0.1, 0.5, (12, 40, 6))
+    observed = np.random.default_rng(6).uniform(size=(12, 40)) < 0.4
+    source = sources(known(texture, observed))
+    own = np.stack(np.indices(observed.shape), axis=-1)
+    assert source.shape == (12, 40, 2) and (source[observed] == own[observed]).all()
+    assert observed[source[..., 0], source[..., 1]].all()
+    # In a texture of which two in five texels have data, one is near, perhaps beyond the seam.
+    apart = np.abs(source - own)
+    assert np.minimum(apart, [12, 40] - apart).max() < 8
+
+
 def test_what_has_no_data_takes_the_colours_of_the_texels_that_are_named():
     rng, observed = np.random.default_rng(4), np.ones((SIDE, SIDE), bool)
     observed[5:12, 8:20] = False

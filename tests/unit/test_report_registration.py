@@ -64,6 +64,15 @@ def test_an_object_without_a_registered_capture_has_no_residual(tmp_path):
     assert math.isnan(found.median_px) and math.isnan(found.max_px) and found.worst == ""
 
 
+def test_captures_that_all_take_the_charts_transform_are_counted_as_that(tmp_path):
+    chart = Alignment((1.6, -0.9, 0.0, 1.0), 0.9, 0.4, "chart")
+    files = [linear(tmp_path, f"c{number}", one) for number, one in enumerate([chart, chart, UNMOVED])]
+    measure_registration(files, tmp_path / "registration.csv")
+    found = summarise(read_rows(tmp_path / "registration.csv", RegistrationRow))
+    assert (found.by_capture, found.by_chart, found.by_none) == (0, 2, 1)
+    assert math.isnan(found.median_px) and found.worst == ""
+
+
 def test_a_source_that_the_ingestion_does_not_know_is_refused(tmp_path):
     path = linear(tmp_path, "c0", Alignment((0.0, 0.0, 0.0, 1.0), 0.1, 0.1, "guess"))
     with pytest.raises(ValueError, match="accepted: capture, chart, none"):
