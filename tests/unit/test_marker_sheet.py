@@ -194,10 +194,15 @@ def test_a_photograph_whose_sheet_contradicts_its_pose_is_named_with_its_angle(t
 
 @pytest.mark.stability(stage="rectify", case="a printed sheet that is missing or contradicts pose or size")
 @pytest.mark.parametrize(
-    "sheet, words", [(None, "the sheet in none of 2 photographs; acc"), (LENS_SHEET, "but that of irodori lens; acc")]
+    "sheet, count, words",
+    [
+        (None, 1, "the sheet in none of 1 photographs; acc"),
+        (None, 2, "the sheet in none of 2 photographs; acc"),
+        (LENS_SHEET, 2, "but that of irodori lens; acc"),
+    ],
 )
-def test_photographs_without_the_sheet_are_refused_by_the_key(tmp_path, sheet, words):
-    said = refused(tmp_path, drawn(tmp_path, correction(), sheet=sheet, shown=VIEWS[:2]), words)
+def test_photographs_without_the_sheet_are_refused_by_the_key(tmp_path, sheet, count, words):
+    said = refused(tmp_path, drawn(tmp_path, correction(), sheet=sheet, shown=VIEWS[:count]), words)
     assert "markers: found" in said and "irodori markers" in said
 
 
@@ -275,6 +280,22 @@ def test_a_place_on_the_sheet_and_its_place_in_the_picture_belong_together(pose)
     assert sheet.is_over_print(xy, along, 1.0, pose, SETUP, values).all()
     assert sheet.is_over_print(middle, along[:2], 1.0, pose, SETUP, values).tolist() == [False, False]
     assert sheet.is_over_print(middle, along[:2], 320.0, pose, SETUP, values)[0]
+
+
+def test_a_sheet_is_first_placed_by_all_photographs_and_one_wrong_pose_does_not_move_it():
+    sheet = MarkerSheet.of(SHEET, Shape.from_definition(BALL.shape), Placing())
+    lies = np.zeros(len(SHEET_QUANTITIES))
+    lies[:2], lies[5] = (14.0, -9.0), 37.0
+    printed = replace(sheet, square_mm=0.9 * sheet.square_mm)
+    seen, stated = [], []
+    for number, pose in enumerate(VIEWS):
+        table = turned((0.0, pose.tilt_deg, 0.0)) @ turned((0.0, 0.0, pose.turn_deg))
+        world = printed.on_table(RING, lies) @ table.T
+        seen.append(LENS.project(world, 900.0 * to_camera(pose), rig_from_camera(pose)))
+        stated.append(replace(pose, turn_deg=pose.turn_deg + 25.0) if number == 1 else pose)
+    values, size = sheet.first_place([RING] * len(seen), seen, stated, SETUP)
+    np.testing.assert_allclose(values, lies, atol=1e-6)
+    assert size == pytest.approx(0.9, rel=1e-9)
 
 
 def test_the_documented_commands_print_a_sheet(tmp_path, monkeypatch, capsys):

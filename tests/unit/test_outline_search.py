@@ -11,7 +11,7 @@ from irodori.geometry.embree import Tracer
 from irodori.geometry.rig_frame import rig_from_camera, to_camera
 from irodori.geometry.shapes.plate import Plate
 from irodori.geometry.shapes.sphere import Sphere
-from irodori.rectification.outline_search import InnerSide, _normals, find_edges, find_rim, first_hit, held
+from irodori.rectification.outline_search import InnerSide, _between, _normals, find_edges, find_rim, first_hit, held
 from irodori.rectification.placement_correction import Correction
 
 
@@ -24,6 +24,13 @@ def edge(at, inner=0.5, outer=0.02, sharpness=0.8, size=80):
     x = np.arange(size) - at
     step = 0.5 * (1.0 - np.vectorize(math.erf)(x / (sharpness * math.sqrt(2.0))))
     return np.tile((outer + (inner - outer) * step)[None, :, None], (size, 1, 3))
+
+
+def test_rows_are_read_between_their_values_up_to_the_last():
+    rng = np.random.default_rng(1)
+    rows, places = rng.uniform(size=(5, 4)), np.concatenate([rng.uniform(0.0, 3.0, (5, 20)), np.full((5, 1), 3.0)], 1)
+    expected = [np.interp(at, np.arange(4), row) for row, at in zip(rows, places, strict=True)]
+    np.testing.assert_allclose(_between(rows, places), expected, atol=1e-12)
 
 
 @pytest.mark.parametrize("scale", [1.0, 2.0])
