@@ -27,6 +27,7 @@ from irodori.rectification import reduced_pictures
 from irodori.rectification.object_registration import (
     Registered,
     _cauchy,
+    _displacement,
     _inverse,
     _only_what_is_told,
     _refuse_far,
@@ -315,6 +316,16 @@ def registered(values, sigma, residual=(0.1, 0.2), suspects=(("turn_deg", 0.0), 
         Correction.of(values), np.diag(np.array(sigma) ** 2), prior, np.zeros(2), np.array(residual), 0.2,
         np.array([10, 20]), suspects, NO_ANGLES,
     )  # fmt: skip
+
+
+@pytest.mark.parametrize(("moved", "scatter", "tells"), [(4.0, 0.8, True), (0.2, 0.8, False), (0.2, 0.25, True)])
+def test_an_outline_tells_where_it_lies_if_most_points_agree_to_a_quarter_of_the_move_or_closely(moved, scatter, tells):
+    around = np.linspace(0.0, 2.0 * np.pi, 400, endpoint=False)
+    outward = np.stack([np.cos(around), np.sin(around)], axis=1)
+    off = np.random.default_rng(7).uniform(-scatter, scatter, 400)
+    found = _displacement(200.0 + 80.0 * outward, outward, moved * outward[:, 0] + off)
+    # Moved along one axis, the outline of a disc is off along its normals by the cosine: by its root mean square.
+    assert found == pytest.approx(moved / math.sqrt(2.0), abs=0.08) if tells else math.isnan(found)
 
 
 def test_a_sentence_says_what_is_told_what_is_as_typed_and_what_is_not_told():
