@@ -339,6 +339,27 @@ def test_pictures_without_noise_have_none():
         assert (noise(Certain(denoise=False), [], None, np.ones(61)) == 0.0).all()
 
 
+def test_an_unfiltered_pixel_is_expected_to_be_off_by_half_of_what_its_two_sets_of_paths_differ(monkeypatch):
+    white, paths = np.ones(61), Scattering(denoise=False)
+    traced = traced_blocks(paths, [], None, 9)
+    monkeypatch.setattr("irodori.evaluation.renderer_noise.traced_blocks", lambda *_: traced)
+    found = expected_noise(paths, [], None, white)
+    np.testing.assert_allclose(found, radiance_delta_e(traced.first, traced.second, white) / 2.0)
+    assert found.std() > 0.3 * found.mean()
+
+
+def test_a_block_with_a_margin_shows_the_same_and_what_is_around_it():
+    scene = made(Scene, scene_of({"kind": "reference", "samples": 64, "denoise": True}))
+    paths, light, materials = Paths(scene, "v", [plate(60.0)]), light_of_three(), [truth()]
+    alone, wider = (paths.blocks(materials, light, 64, 3, margin).mean for margin in (0, 2))
+    assert alone.shape[1:] == (8, 8, 61) and wider.shape == (len(alone), 12, 12, 61)
+    inner = wider[:, 2:-2, 2:-2]
+    # The paths are others, the places the same: blocks agree in the mean, and no shifted ones do better.
+    off = np.abs(inner - alone).mean()
+    assert off < np.abs(wider[:, :8, :8] - alone).mean() and off < np.abs(wider[:, 4:, 4:] - alone).mean()
+    assert inner.mean() == pytest.approx(alone.mean(), rel=0.05)
+
+
 def test_the_noise_of_a_filtered_picture_is_what_its_filter_leaves():
     white, paths = np.ones(61), Scattering(denoise=True)
     shown = traced_blocks(paths, [], None, 5).shown

@@ -142,6 +142,23 @@ def test_shares_are_those_of_inverse_variance(tmp_path):
     assert part == pytest.approx(cosine**2 / variance / (cosine**2 / variance).sum())
 
 
+def test_tiles_are_put_in_the_order_of_their_rows(tmp_path):
+    paths = []
+    for first, slant in ((4, 60.0), (0, 0.0), (2, 30.0)):
+        geometry = np.zeros((2, 1, 4))
+        geometry[..., 0] = np.radians(slant)
+        paths.append(tmp_path / f"tile-{first}.h5")
+        with store.create(paths[-1], store.Provenance("test")) as out:
+            out.write("weight", np.ones((2, 1)), units="1", dims="texel,capture", quantity="weight")
+            out.write("geometry", geometry, units="rad", dims="texel,capture,angle", quantity="geometry")
+            noise = np.full((1, 6, 2), 1e-6)
+            out.write("noise_model", noise, units="1", dims="capture,band,coefficient", quantity="noise")
+            out.attribute("rows", [first, first + 2])
+    found = Photographs.load(paths, np.full((6, 1), 0.4), 0.01)
+    np.testing.assert_allclose(found.tangent[:, 0, 0], np.tan(np.radians([0.0, 0.0, 30.0, 30.0, 60.0, 60.0])))
+    assert (found.share == 1.0).all()
+
+
 def photographed(texture, deviation: float, border: str, fine=9) -> np.ndarray:
     """A texture whose texels are even over their sides, through a Gaussian blur, at the centres of the texels."""
     large = np.repeat(np.repeat(texture, fine, axis=0), fine, axis=1)

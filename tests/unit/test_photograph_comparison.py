@@ -167,6 +167,7 @@ def test_a_photograph_of_the_very_materials_differs_by_noise_alone(studio, tmp_p
     assert noise.mean() < 1.5
     assert figures["noise_counts"] == ["paths of the rendering", "paths of the photograph", "camera"]
     assert figures["samples"] == PLACED["samples"] * PLACED["block"] ** 2
+    assert data["value"].tolist() == [b"X", b"Y", b"Z"]
     known = np.isfinite(data["delta_e"])
     for name, part in (("", known), ("_objects", known & (data["objects"] == 1))):
         assert figures[f"delta_e{name}"]["mean"] == pytest.approx(data["delta_e"][part].mean(), rel=1e-5)
