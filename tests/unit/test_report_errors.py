@@ -182,6 +182,24 @@ def test_the_coverage_of_alphas_error_tells_what_all_texels_share_from_each_ones
     assert alpha_coverage("tile", tmp_path / "old.h5", found, truth) == []
 
 
+def test_weights_beside_seams_or_of_nothing_are_not_counted_in_their_coverage(tmp_path):
+    """A seam, where the truth is a mixture, and a hole in the truth, as where an object has no paint."""
+    truth = checks(20, 20, 10)
+    hole = truth.alpha.copy()
+    hole[2:5, 2:5] = 0.0
+    truth = replace(truth, alpha=hole)
+    stated = np.full(truth.alpha.shape, 0.05)
+    found = replace(truth, alpha=np.where(interior(truth) & (hole > 0.0), hole + 0.01, 7.0))
+    with store.create(tmp_path / "found.h5", store.Provenance("test")) as out:
+        out.write("alpha_error", stated, units="1", dims="row,column", quantity="standard error")
+        out.attribute("errors", {"common_error": 0.0})
+    rows = {row.quantity: row for row in alpha_coverage("tile", tmp_path / "found.h5", found, truth)}
+    assert {row.count for row in rows.values()} == {int(interior(truth).sum()) - 9}
+    assert rows["alpha within 1 standard error"].mean == 1.0
+    # No error is stated that all texels share: there is none to compare the median's with.
+    assert "common factor of alpha over its standard error" not in rows
+
+
 def test_a_recovered_light_is_judged_by_its_picture_and_its_irradiance():
     truth = constant_light(2.0)
     same = environment_errors("room", truth, truth)
