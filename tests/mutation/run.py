@@ -89,7 +89,8 @@ ROOMS = {
     "capture limits": (
         ("capture/rig",),
         ("rig/test_rig_contract.py", "rig/test_driven.py", "rig/test_grbl_driver.py", "rig/test_grbl_protocol.py",
-         "rig/test_rig_waits.py", "rig/test_described_rig.py", "rig/test_lost_steps.py"),
+         "rig/test_rig_waits.py", "rig/test_described_rig.py", "rig/test_lost_steps.py", "rig/test_rig_faults.py",
+         "rig/test_fault_table.py", "rig/test_feed_rates.py"),
     ),
 }  # fmt: skip
 #: Tests of these files that compute for longer than `LONGEST_S`, whatever is loaded: run, they would not be asked.
