@@ -27,6 +27,7 @@ class Bake(NamedTuple):
     paths: int  # per texel
     noise: float  # root mean square of the standard errors of the texels
     error: float  # root mean square interpolation error between texels, with the noise of the comparison removed
+    most: int  # number of texels that was asked for, from which the places of a mesh's texels follow
 
 
 @dataclass(frozen=True)
@@ -36,8 +37,8 @@ class LightMaps:
     Parameters
     ----------
     maps : tuple of (rows, columns, k) float32
-        For each object, coefficients of the radiance of a perfect diffuser in place of the surface; without rows if
-        the object has no map, see `irodori.rendering.reference.baking.has_map`.
+        For each object, coefficients of the radiance of a perfect diffuser in place of the surface, see
+        `irodori.rendering.map_layouts`.
     basis : (61, k) float
     key : str
         Hash of everything on which the maps depend, see `irodori.rendering.reference.baking.maps_key`.
@@ -76,9 +77,8 @@ class LightMaps:
             )
             for index, stored in enumerate(self.maps):
                 dims = f"row_{index},column_{index},component"
-                if stored.size:
-                    quantity = "coefficients of the radiance of a perfect diffuser on the object"
-                    out.write(f"map_{index}", stored, units="1", dims=dims, quantity=quantity)
+                quantity = "coefficients of the radiance of a perfect diffuser on the object"
+                out.write(f"map_{index}", stored, units="1", dims=dims, quantity=quantity)
             out.attribute("key", self.key)
             out.attribute("bakes", [bake._asdict() for bake in self.bakes])
 
@@ -98,14 +98,9 @@ class LightMaps:
                 )
                 raise InputError(path, "key", "light maps of something else", accepted)
             bakes = tuple(Bake(**bake) for bake in file.attribute("bakes", list))
-            axes = {"basis": "wavelength,component"}
-            there = [f"map_{index}" in file for index in range(len(bakes))]
-            axes |= {f"map_{i}": f"row_{i},column_{i},component" for i, is_there in enumerate(there) if is_there}
-            file.require_axes(axes, wavelength=SAMPLES)
-            basis = file.read_within("basis")
-            none = np.zeros((0, 0, basis.shape[1]), np.float32)
-            maps = tuple(file.read_within(f"map_{i}") if is_there else none for i, is_there in enumerate(there))
-            return cls(maps, basis, key, bakes)
+            axes = {f"map_{index}": f"row_{index},column_{index},component" for index in range(len(bakes))}
+            file.require_axes({"basis": "wavelength,component"} | axes, wavelength=SAMPLES)
+            return cls(tuple(map(file.read_within, axes)), file.read_within("basis"), key, bakes)
 
 
 def look_up(picture: np.ndarray, u: np.ndarray, v: np.ndarray, wraps: bool) -> np.ndarray:

@@ -9,17 +9,23 @@ from scenes import BALL, constant_light, material, plate, sky, smooth_light
 
 from irodori.colour.colorimetry import delta_e, lab_from_xyz, xyz_from_radiance
 from irodori.config.cross_checks.plan_overrides import check_plan
-from irodori.config.models import Render, Scene
+from irodori.config.models import Render, Scene, Size
+from irodori.config.models import View as SeenFrom
 from irodori.core import store
 from irodori.core.errors import InputError
+from irodori.geometry.embree import Tracer
+from irodori.geometry.mesh import make_mesh
 from irodori.geometry.shapes.placement import Placement
 from irodori.geometry.shapes.plane import Plane
 from irodori.geometry.shapes.shape import Shape
+from irodori.light.gloss.gloss_maps import GlossMaps
 from irodori.rendering.frame_state import STILL
 from irodori.rendering.integrators import make_renderer, render_image
+from irodori.rendering.interactive.frame_renderer import light_of, prepare_scene, render_frame
 from irodori.rendering.light_maps import LightMaps, look_up
+from irodori.rendering.reference import baking
 from irodori.rendering.reference.baking import bake_maps, maps_key
-from irodori.rendering.scene_arrays import make_objects
+from irodori.rendering.scene_arrays import make_objects, make_view
 
 HEIGHT_MM = 30.0
 TABLE, SHAPES = plate(120.0), [plate(120.0), BALL]
@@ -167,9 +173,98 @@ def test_the_key_of_maps_follows_what_they_depend_on_and_nothing_else():
     assert len({own, *others}) == 7
 
 
-def test_an_endless_plane_has_no_map_and_a_tolerance_no_light_maps():
-    there = [Placement(Plane(), np.eye(3), np.zeros(3)), *placements()[1:]]
-    maps = bake_maps(there, make_objects(there, [material(0.5), material(0.5)])[0], constant_light())
-    assert maps.maps[0].size == 0 and maps.maps[1].size > 0
+def test_a_scene_with_a_tolerance_has_no_light_maps():
     with pytest.raises(InputError, match=r"light_maps: found light maps in a scene with tolerance_ciede2000"):
         check_plan(scene_of(MAPS, tolerance_ciede2000=40.0), "scene.yaml")
+
+
+def seen_from_above(placements, reflectances, light, maps=None, span_mm=400.0, size=64) -> tuple[np.ndarray, ...]:
+    """Green radiance that the interactive renderer shows to parallel rays from above, and x and y of its pixels, mm."""
+    objects = make_objects(placements, [material(r) for r in reflectances])[0]
+    maps = bake_maps(placements, objects, light) if maps is None else maps
+    tracer, gloss = Tracer(placements), GlossMaps.of(light.coefficients)
+    ready = prepare_scene(objects, light_of(light), gloss, tracer, "spectral", np.ones(61), maps=maps)
+    view = {"kind": "orthographic", "position_mm": [0.0, 0.0, 300.0], "target_mm": [0.0, 0.0, 0.0],
+            "up": [0.0, 1.0, 0.0], "height_mm": span_mm}  # fmt: skip
+    seen = make_view(made(SeenFrom, view), made(Size, {"width": size, "height": size}))
+    side = ((np.arange(size) + 0.5) / size - 0.5) * span_mm
+    return render_frame(ready, seen, bands=True)[..., 30], *np.meshgrid(side, -side)
+
+
+def test_under_a_black_ball_an_endless_plane_is_dark_by_the_ball_s_form_factor_near_and_far():
+    there = [Placement(Plane(), np.eye(3), np.zeros(3)), *placements()[1:]]
+    far = [20000.0, 400.0]
+    for span in far:
+        found, x, y = seen_from_above(there, (0.5, 0.0), constant_light(), span_mm=span)
+        distance = np.sqrt(x**2 + y**2 + HEIGHT_MM**2)
+        beside = np.hypot(x, y) > 21.0  # the rest shows the ball
+        wanted = 0.5 * (1.0 - HEIGHT_MM / distance * (20.0 / distance) ** 2)
+        assert np.abs(found - wanted)[beside].mean() < 0.01 and np.abs(found - wanted)[beside].max() < 0.05
+
+
+def octahedron(radius_mm: float, halvings: int):
+    """A ball of triangles, each edge of an octahedron halved some times, with the normals of the ball."""
+    corners = np.array([[1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], dtype=float)
+    faces = corners[[[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4], [1, 0, 5], [2, 1, 5], [3, 2, 5], [0, 3, 5]]]
+    for _ in range(halvings):
+        a, b, c = faces[:, 0], faces[:, 1], faces[:, 2]
+        d, e, f = a + b, b + c, c + a
+        faces = np.concatenate([np.stack(three, axis=1) for three in ((a, d, f), (d, b, e), (f, e, c), (d, e, f))])
+        faces = faces / np.linalg.norm(faces, axis=2, keepdims=True)
+    return make_mesh(radius_mm * faces, np.zeros((len(faces), 3, 2)), faces)
+
+
+@pytest.mark.parametrize("mesh", [octahedron(20.0, 3), BALL.facetted(1.0)], ids=["512 triangles", "16256"])
+def test_a_ball_of_triangles_has_the_light_of_an_exact_ball(mesh):
+    """Large triangles are divided for texels; where they are small, their corners are texels."""
+    seen = []
+    for shape in (BALL, Shape.from_mesh(mesh)):
+        there = [placements()[0], replace(placements()[1], shape=shape)]
+        found, x, y = seen_from_above(there, (0.3, 0.8), LIGHT, span_mm=50.0, size=48)
+        seen.append(found[np.hypot(x, y) < 17.0])
+    assert np.abs(seen[1] / seen[0] - 1.0).mean() < 0.02
+
+
+def block(half_mm: float, low_mm: float, high_mm: float):
+    """A box of twelve triangles, two to each side."""
+    x = np.array([[sx * half_mm, sy * half_mm, z] for z in (low_mm, high_mm) for sy in (-1, 1) for sx in (-1, 1)])
+    sides = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]]
+    faces = np.array([[a, b, c] for a, b, c, _ in sides] + [[a, c, d] for a, _, c, d in sides])
+    return Shape.from_mesh(make_mesh(x[faces], np.zeros((12, 3, 2))))
+
+
+def test_no_darkness_leaks_out_under_a_box_that_stands_in_a_table():
+    """A white furnace: texels inside the box have no light, and light is interpolated at the box's foot."""
+    there = [Placement(TABLE, np.eye(3), np.zeros(3)), Placement(block(20.0, -15.0, 15.0), np.eye(3), np.zeros(3))]
+    found = seen_from_above(there, (1.0, 1.0), constant_light(2.0), span_mm=110.0)[0]
+    assert np.abs(found / 2.0 - 1.0).max() < 0.05
+
+
+def test_a_bake_that_was_killed_goes_on_with_the_next_object(tmp_path, monkeypatch):
+    materials = [material(one) for one in COLOURED]
+
+    def renderer(scene=None):
+        return make_renderer(scene or scene_of(MAPS), SHAPES, materials, LIGHT, OPTIONS)
+
+    baked, bake = [], baking._bake
+
+    def counted(scene, index, *arguments):
+        if index == 1 and not baked[1:]:
+            baked.append("killed")
+            raise KeyboardInterrupt
+        baked.append(index)
+        return bake(scene, index, *arguments)
+
+    monkeypatch.setattr(baking, "_bake", counted)
+    with pytest.raises(KeyboardInterrupt):
+        renderer().bake(tmp_path / "maps.part")
+    found = renderer().bake(tmp_path / "maps.part")
+    assert baked == [0, "killed", 1]
+    whole = renderer().bake()
+    assert all(np.array_equal(a, b) for a, b in zip(found.maps, whole.maps, strict=True)) and found.bakes == whole.bakes
+    # A finished map of a scene whose ball moved is not used.
+    moved = scene_of(MAPS)
+    moved = replace(moved, objects=(replace(moved.objects[0], position_mm=(0.0, 0.0, 0.1)), moved.objects[1]))
+    baked[:] = [0, "killed"]
+    assert renderer(moved).bake(tmp_path / "maps.part").key != whole.key
+    assert baked == [0, "killed", 0, 1] and len(list((tmp_path / "maps.part").iterdir())) == 2
