@@ -202,6 +202,13 @@ def test_under_a_black_ball_an_endless_plane_is_dark_by_the_ball_s_form_factor_n
         assert np.abs(found - wanted)[beside].mean() < 0.01 and np.abs(found - wanted)[beside].max() < 0.05
 
 
+def charts(count: int) -> np.ndarray:
+    """Texture coordinates of triangles, each on its own, (count, 3, 2)."""
+    side = int(np.ceil(np.sqrt(count)))
+    cell = np.stack([np.arange(count) % side, np.arange(count) // side], axis=1)
+    return (cell[:, None] + np.array([[0.0, 0.0], [0.0, 1.0], [1.0, 0.0]])) / side
+
+
 def octahedron(radius_mm: float, halvings: int):
     """A ball of triangles, each edge of an octahedron halved some times, with the normals of the ball."""
     corners = np.array([[1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], dtype=float)
@@ -211,7 +218,7 @@ def octahedron(radius_mm: float, halvings: int):
         d, e, f = a + b, b + c, c + a
         faces = np.concatenate([np.stack(three, axis=1) for three in ((a, d, f), (d, b, e), (f, e, c), (d, e, f))])
         faces = faces / np.linalg.norm(faces, axis=2, keepdims=True)
-    return make_mesh(radius_mm * faces, np.zeros((len(faces), 3, 2)), faces)
+    return make_mesh(radius_mm * faces, charts(len(faces)), faces)
 
 
 @pytest.mark.parametrize("mesh", [octahedron(20.0, 3), BALL.facetted(1.0)], ids=["512 triangles", "16256"])
@@ -230,7 +237,7 @@ def block(half_mm: float, low_mm: float, high_mm: float):
     x = np.array([[sx * half_mm, sy * half_mm, z] for z in (low_mm, high_mm) for sy in (-1, 1) for sx in (-1, 1)])
     sides = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]]
     faces = np.array([[a, b, c] for a, b, c, _ in sides] + [[a, c, d] for a, _, c, d in sides])
-    return Shape.from_mesh(make_mesh(x[faces], np.zeros((12, 3, 2))))
+    return Shape.from_mesh(make_mesh(x[faces], charts(12)))
 
 
 def test_no_darkness_leaks_out_under_a_box_that_stands_in_a_table():
