@@ -323,12 +323,19 @@ class InteractiveRenderer(Renderer):
 
     def bake(self, folder=None) -> "LightMaps":
         """Bake the light maps of the scene; finished ones are kept in a ``folder`` until it is removed."""
+        from irodori.rendering.interactive.frame_renderer import light_of
+        from irodori.rendering.interactive.prepared_scene import gloss_for
+        from irodori.rendering.interactive.surroundings import with_surroundings
         from irodori.rendering.reference.baking import FinishedMaps, bake_maps, maps_key
+        from irodori.rendering.scene_lights import BANDS, make_lights
 
         key = maps_key(self.scene, self.shapes, self.objects, self.environment)
         finished = None if folder is None else FinishedMaps(folder, key)
-        placements = make_placements(self.scene, self.shapes)
-        return bake_maps(placements, self.objects, self.environment, self.scene.lights, key=key, finished=finished)
+        placements, lights = make_placements(self.scene, self.shapes), make_lights(self.scene.lights, 0)[0]
+        maps = bake_maps(placements, self.objects, self.environment, self.scene.lights, key=key, finished=finished)
+        gloss, light = gloss_for(self.environment, self.objects), light_of(self.environment)
+        lamps = {"lamps": lights.spectrum[:, :BANDS], "directions": lights.rotation[:, :, 2]}
+        return with_surroundings(maps, self.objects, light, gloss, Tracer(placements), **lamps)
 
     def render(self, view_name, moment, keep, tiles_folder):
         """Render a frame; return the picture and its figures."""

@@ -24,6 +24,7 @@ from irodori.rendering.interactive.cube_maps import (
     from_equirectangular,
     give_back,
 )
+from irodori.rendering.interactive.look_ups import SEEN
 from irodori.rendering.interactive.mesh_shadows import MeshShadows, make_mesh_shadows, no_mesh_shadows
 from irodori.rendering.interactive.round_lobes import (
     ROUGHNESSES,
@@ -37,6 +38,7 @@ from irodori.rendering.interactive.shading import FURTHER, GRID
 from irodori.rendering.light_maps import LightMaps
 from irodori.rendering.map_layouts import make_layout
 from irodori.rendering.scene_arrays import Light, Objects, gloss_of, textures
+from irodori.spectra.grid import SAMPLES
 
 #: Largest number of objects for which formulas and bounds are tested one by one before Embree.
 _MOST_BOUNDED = 12
@@ -74,6 +76,12 @@ class PreparedWorld(NamedTuple):
     baked_corner: np.ndarray  # (triangles,) int64, index of a triangle's first corner
     baked_corners: np.ndarray  # int32, nodes at the points of the triangles' grids
     baked_maps: int  # 1 if there are light maps, of all objects
+    seen: np.ndarray  # what the gloss of objects sees around them; each map has a border of one texel
+    seen_first: np.ndarray  # int64, of each object; empty without these maps
+    seen_size: np.ndarray  # (objects * 2,) columns and rows; 0 for an object without such a map
+    seen_side: int  # texels along the side of a face of their cube maps
+    seen_decode: np.ndarray  # from the light of other objects to the channels of texels
+    seen_maps: int  # 1 if any object has such a map
     gloss: np.ndarray  # like the environment; each texel of a level has the light of this level and of the next
     gloss_first: np.ndarray  # (levels,) int64
     gloss_side: np.ndarray  # (levels,) int32
@@ -242,6 +250,25 @@ def make_baked(maps: LightMaps | None, placements: Sequence[Placement], channels
     }
 
 
+def make_seen(maps: LightMaps | None, placements: Sequence[Placement], channels: Channels) -> dict:
+    """Return the fields of a `PreparedWorld` that hold what the gloss of objects sees around them."""
+    seen = maps.seen if maps is not None else ()
+    flat, size = [np.zeros(SEEN, np.float32)], np.zeros((len(placements), 2), dtype=np.float32)
+    for index, stored in enumerate(seen):
+        size[index] = stored.shape[1], stored.shape[0]
+        texels = stored.reshape(*stored.shape[:2], -1)
+        flat.append(_bordered(texels, placements[index].shape.wraps) if stored.size else np.zeros(0, np.float32))
+    basis = maps.seen_basis if maps is not None else np.zeros((SAMPLES, 0))
+    return {
+        "seen": np.concatenate(flat),
+        "seen_first": np.cumsum([one.size for one in flat], dtype=np.int64)[:-1],
+        "seen_size": size.ravel(),
+        "seen_side": max((stored.shape[3] - 2 for stored in seen if stored.size), default=1),
+        "seen_decode": padded((channels.colour_from_radiance @ basis).T, channels.surface),
+        "seen_maps": int(size.any()),
+    }
+
+
 def needed_gloss(gloss: GlossMaps, objects: Objects) -> GlossMaps:
     """Return the blurred maps without the finest, which are narrower than any lobe of the scene's materials."""
     spare = min(max(_finest_level(objects) - gloss.first, 0), len(gloss.levels) - 1)
@@ -402,6 +429,7 @@ def make_world(
     fields = _light_fields(light, needed_gloss(gloss, objects), pyramid, channels)
     fields |= _surface_fields(objects, tracer, channels, spare) | colour_fields(channels)
     fields |= make_baked(maps, tracer.placements, channels)
+    fields |= make_seen(maps, tracer.placements, channels)
     reflected = np.stack([channels.reflected(mean) for mean in mean_spectra(objects)])
     reflects = ambient and maps is None and fields["irradiance_side"] > 0
     shadows = make_mesh_shadows(tracer) if reflects else None

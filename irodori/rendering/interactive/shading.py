@@ -13,6 +13,7 @@ from irodori.jit.vector_memory import (
     channel_count,
     compress,
     gather,
+    lane,
     largest,
     load,
     load_like,
@@ -25,12 +26,14 @@ from irodori.reflection.lobes import constants_of, features_of, strength, value_
 from irodori.rendering.interactive.ambient import ambient_light
 from irodori.rendering.interactive.cube_maps import MapPlace, bilinear
 from irodori.rendering.interactive.look_ups import (
+    SEEN,
     decoded,
     find_sky,
     lobe_at,
     lobe_incidence,
     lobe_weight,
     sky_at,
+    surroundings,
 )
 from irodori.rendering.interactive.packets import (
     BARYCENTRIC_B,
@@ -167,14 +170,20 @@ def _baked_light(world, hits, ray, shape, like):
     columns, rows = world.baked_size[2 * shape], world.baked_size[2 * shape + 1]
     if rows == 0.0:
         return _light_of_nodes(world, hits, ray, shape, like)
-    half, u, v = np.float32(0.5), hits.f[TEXTURE_U * RAYS + ray], hits.f[TEXTURE_V * RAYS + ray]
-    if world.baked_grid[GRID * shape + 2] > 0.0:
-        u, v = _place_on_plane(world, hits, ray, shape)
+    half, (u, v) = np.float32(0.5), _place_on_map(world, hits, ray, shape)
     x = min(max(u * columns + half, np.float32(0.0)), columns + half)
     y = min(max(v * rows + half, np.float32(0.0)), rows + half)
     column, row, stride = np.int64(x), np.int64(y), np.int64(columns) + 2
     place = MapPlace(row * stride + column, x - np.float32(column), y - np.float32(row))
     return bilinear(world.baked, world.baked_first[shape], stride, place, like)
+
+
+@uncounted(forceinline=True)
+def _place_on_map(world, hits, ray, shape):
+    """Return the coordinates, 0..1, of a hit in the light map of its shape, which is not a mesh."""
+    if world.baked_grid[GRID * shape + 2] > 0.0:
+        return _place_on_plane(world, hits, ray, shape)
+    return hits.f[TEXTURE_U * RAYS + ray], hits.f[TEXTURE_V * RAYS + ray]
 
 
 @uncounted()
@@ -294,6 +303,7 @@ def shade_gloss(job, scratch, base, glossy):
             continue
         slot, throughput = np.int64(paths.slot[base + ray]), paths.f[THROUGHPUT * STRIDE + base + ray]
         light, colour = light_black(layout), surface_black(layout)
+        whole, power = colour, np.float32(0.0)  # of the lobes
         for tap in range(TAPS):
             weight, passed = lobe_weight(hits.look, ray, tap), colour
             if is_coloured(layout):
@@ -306,8 +316,23 @@ def shade_gloss(job, scratch, base, glossy):
             found = lobe_at(world, layout, hits, ray, tap)
             if is_coloured(layout):
                 colour = colour + passed * decoded(world, layout, found)
+                whole = whole + passed
             else:
                 light = light + weight * found
+                power += weight
+        shape = hits.i[OBJECT * RAYS + ray]
+        if world.seen_maps > 0 and world.seen_size[2 * shape] > 0.0:
+            u, v = _place_on_map(world, hits, ray, shape)
+            around = surroundings(world, hits, ray, world.seen_first[shape], u, v)
+            free, others = lane(around, 0), surface_black(layout)
+            for component in range(1, SEEN):
+                row = load_like(world.seen_decode, (component - 1) * width, others)
+                others = others + lane(around, component) * row
+            if is_coloured(layout):
+                colour = free * colour + whole * others
+            else:
+                light = free * light
+                _add_colour(layout, scratch, base + ray, power * others)
         if is_coloured(layout):
             _add_coloured(layout, sums, slot, colour)
         else:

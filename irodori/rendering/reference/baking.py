@@ -35,6 +35,8 @@ _FEWEST_TEXELS, _MOST_TEXELS = 1 << 10, 1 << 16
 _FEWEST_PATHS, _MOST_PATHS = 64, 4096
 #: Number of points between texels at which the error is measured, and their seed, which differs from that of the maps.
 _JUDGED, _SEED = 512, 307
+#: The module that adds to the maps what gloss sees.
+_SURROUNDINGS = "irodori.rendering.interactive.surroundings"
 
 
 def maps_key(scene: Scene, shapes: Sequence[Shape], objects: Objects, environment: Environment) -> str:
@@ -52,7 +54,7 @@ def maps_key(scene: Scene, shapes: Sequence[Shape], objects: Objects, environmen
         As in `bake_maps`.
     """
     stands = as_plain({"objects": scene.objects, "bodies": scene.bodies, "lights": scene.lights})
-    text = [code_hash(__name__), json.dumps(stands, sort_keys=True), *objects.lobes.names]
+    text = [code_hash(__name__, _SURROUNDINGS), json.dumps(stands, sort_keys=True), *objects.lobes.names]
     text += [f"{shape.name} {shape.size_mm}" for shape in shapes]
     digest = hashlib.blake2b("\n".join(text).encode(), digest_size=16)
     triangles = [shape.triangles for shape in shapes if shape.triangles is not None]

@@ -247,6 +247,39 @@ def test_no_darkness_leaks_out_under_a_box_that_stands_in_a_table():
     assert np.abs(found / 2.0 - 1.0).max() < 0.05
 
 
+GLOSSY = {"beta": 4.0, "mu": 0.15}
+
+
+def test_gloss_of_white_neighbours_in_even_light_is_that_of_the_sky():
+    """A white furnace: what neighbours hide from a lobe they send back, for every surface is as bright as the sky."""
+    light = constant_light(2.0)
+    matt, glossy, blind = (
+        make_renderer(scene_of(MAPS), SHAPES, [material(1.0, **gloss)] * 2, light, OPTIONS)
+        for gloss in ({}, GLOSSY, GLOSSY)
+    )
+    glossy.baked, blind.baked = matt.baked, replace(matt.baked, seen=())
+    plain, seen, free = (renderer.picture("v")[0][..., 30] for renderer in (matt, glossy, blind))
+    shown = free - plain > 1e-3
+    assert shown.sum() > 200 and (glossy.baked.seen[0][..., 0] < 0.5).any()
+    assert np.abs((seen - plain)[shown] / (free - plain)[shown] - 1.0).max() < 0.05
+
+
+@pytest.mark.parametrize("moment", [STILL, REDDISH], ids=["as it stands", "another colour"])
+def test_gloss_shows_neighbours_as_path_tracing_does(moment):
+    """A coloured ball and plate in each other's gloss: nearer to paths than gloss that sees the sky through them."""
+    materials = [material(0.5 * one, n=1.0, k=3.0, **GLOSSY) for one in COLOURED]
+    white = LIGHT.upward_white()
+    white = white * (1.0 if moment.filter is None else np.array(moment.filter))
+    matrix, paths = xyz_from_radiance(white), {"kind": "reference", "samples": 512, "denoise": False}
+    renderers = [make_renderer(scene_of(kind), SHAPES, materials, LIGHT, OPTIONS) for kind in (MAPS, MAPS, paths)]
+    renderers[1].baked = replace(renderers[0].baked, seen=())
+    seen, blind, traced = (
+        lab_from_xyz(renderer.picture("v", moment)[0] @ matrix.T, matrix @ white) for renderer in renderers
+    )
+    far, without = delta_e(seen, traced), delta_e(blind, traced)
+    assert far.mean() < 0.6 * without.mean() and np.percentile(far, 99) < 0.8 * np.percentile(without, 99)
+
+
 def test_a_bake_that_was_killed_goes_on_with_the_next_object(tmp_path, monkeypatch):
     materials = [material(one) for one in COLOURED]
 
