@@ -23,13 +23,13 @@ from irodori.rendering.interactive.representation_layout import (
     light_black,
     light_lanes,
     pair_black,
+    seen_black,
+    seen_lanes,
     surface_black,
     surface_lanes,
 )
 from irodori.rendering.interactive.round_lobes import ENTRY, POWER, TAPS
 
-#: Numbers that gloss sees in one direction: the share of free directions, and coefficients of other objects' light.
-SEEN = 8
 # Fields of a look-up, each sixteen wide, and whole numbers.
 _X, _Y, _MIX, _WEIGHT, _COS_H, _FIELDS = 0, 1, 2, 3, 4, 5
 _CELL, _LEVEL, _NUMBERS = 0, 1, 2
@@ -159,31 +159,28 @@ def find_lobes(world, layout, hits, entries):
 
 
 @uncounted(forceinline=True)
-def surroundings(world, hits, ray, first, u, v):
+def surroundings(world, layout, hits, ray, place):
     """Return what the mean direction of a hit's lobes sees: the share of free directions, then light of other objects.
 
-    ``first`` is where the surroundings of the hit's object begin, and ``u``, ``v`` are its place on the object.
+    ``place`` is the place of the hit on its object, u and v.
     """
-    shape = hits.i[OBJECT * RAYS + ray]
+    shape, (u, v) = hits.i[OBJECT * RAYS + ray], place
     columns, rows, half = world.seen_size[2 * shape], world.seen_size[2 * shape + 1], np.float32(0.5)
     x = min(max(u * columns + half, np.float32(0.0)), columns + half)
     y = min(max(v * rows + half, np.float32(0.0)), rows + half)
     column, row = np.int64(x), np.int64(y)
     fx, fy = x - np.float32(column), y - np.float32(row)
-    place = MapPlace(
-        np.int64(hits.look_i[_SEEN_CELL * RAYS + ray]),
-        hits.look[_SEEN_X * RAYS + ray],
-        hits.look[_SEEN_Y * RAYS + ray],
-    )
-    side = np.int64(world.seen_side) + 2
-    size, stride = 6 * side * side * SEEN, np.int64(columns) + 2
-    like = load(world.seen, 0, SEEN)
-    at = first + (row * stride + column) * size
-    left, upper = half + half - fx, half + half - fy
-    top = left * bilinear(world.seen, at, side, place, like) + fx * bilinear(world.seen, at + size, side, place, like)
-    at += stride * size
-    low = left * bilinear(world.seen, at, side, place, like) + fx * bilinear(world.seen, at + size, side, place, like)
-    return upper * top + fy * low
+    cell = np.int64(hits.look_i[_SEEN_CELL * RAYS + ray])
+    towards = MapPlace(cell, hits.look[_SEEN_X * RAYS + ray], hits.look[_SEEN_Y * RAYS + ray])
+    side, like, left, upper = np.int64(world.seen_side) + 2, seen_black(layout), half + half - fx, half + half - fy
+    size = 6 * side * side * seen_lanes(layout)
+    at = world.seen_first[shape] + (row * (np.int64(columns) + 2) + column) * size
+    below = at + (np.int64(columns) + 2) * size
+    top = left * bilinear(world.seen, at, side, towards, like)
+    top = top + fx * bilinear(world.seen, at + size, side, towards, like)
+    bottom = left * bilinear(world.seen, below, side, towards, like)
+    bottom = bottom + fx * bilinear(world.seen, below + size, side, towards, like)
+    return upper * top + fy * bottom
 
 
 @uncounted(forceinline=True)

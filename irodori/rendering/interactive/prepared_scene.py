@@ -24,7 +24,6 @@ from irodori.rendering.interactive.cube_maps import (
     from_equirectangular,
     give_back,
 )
-from irodori.rendering.interactive.look_ups import SEEN
 from irodori.rendering.interactive.mesh_shadows import MeshShadows, make_mesh_shadows, no_mesh_shadows
 from irodori.rendering.interactive.round_lobes import (
     ROUGHNESSES,
@@ -251,20 +250,27 @@ def make_baked(maps: LightMaps | None, placements: Sequence[Placement], channels
 
 
 def make_seen(maps: LightMaps | None, placements: Sequence[Placement], channels: Channels) -> dict:
-    """Return the fields of a `PreparedWorld` that hold what the gloss of objects sees around them."""
-    seen = maps.seen if maps is not None else ()
-    flat, size = [np.zeros(SEEN, np.float32)], np.zeros((len(placements), 2), dtype=np.float32)
-    for index, stored in enumerate(seen):
-        size[index] = stored.shape[1], stored.shape[0]
-        texels = stored.reshape(*stored.shape[:2], -1)
-        flat.append(_bordered(texels, placements[index].shape.wraps) if stored.size else np.zeros(0, np.float32))
-    basis = maps.seen_basis if maps is not None else np.zeros((SAMPLES, 0))
+    """Return the fields of a `PreparedWorld` that hold what the gloss of objects sees around them.
+
+    Where light is only added to pixels, that of other objects is stored as XYZ, which need fewer numbers.
+    """
+    seen, basis = (maps.seen, maps.seen_basis) if maps is not None else ((), np.zeros((SAMPLES, 0)))
+    decode = channels.colour_from_radiance @ basis
+    stored_from_seen = np.eye(basis.shape[1])
+    if not channels.coloured:
+        stored_from_seen, decode = channels.xyz_from_colour @ decode, np.linalg.pinv(channels.xyz_from_colour)
+    flat, size = [np.zeros(8, np.float32)], np.zeros((len(placements), 2), dtype=np.float32)
+    for index, found in enumerate(seen):
+        size[index] = found.shape[1], found.shape[0]
+        texels = np.concatenate([found[..., :1], found[..., 1:] @ stored_from_seen.T.astype(np.float32)], axis=-1)
+        texels = texels.reshape(*found.shape[:2], -1)
+        flat.append(_bordered(texels, placements[index].shape.wraps) if found.size else np.zeros(0, np.float32))
     return {
         "seen": np.concatenate(flat),
         "seen_first": np.cumsum([one.size for one in flat], dtype=np.int64)[:-1],
         "seen_size": size.ravel(),
-        "seen_side": max((stored.shape[3] - 2 for stored in seen if stored.size), default=1),
-        "seen_decode": padded((channels.colour_from_radiance @ basis).T, channels.surface),
+        "seen_side": max((found.shape[3] - 2 for found in seen if found.size), default=1),
+        "seen_decode": padded(decode.T, channels.surface),
         "seen_maps": int(size.any()),
     }
 

@@ -26,7 +26,6 @@ from irodori.reflection.lobes import constants_of, features_of, strength, value_
 from irodori.rendering.interactive.ambient import ambient_light
 from irodori.rendering.interactive.cube_maps import MapPlace, bilinear
 from irodori.rendering.interactive.look_ups import (
-    SEEN,
     decoded,
     find_sky,
     lobe_at,
@@ -69,6 +68,8 @@ from irodori.rendering.interactive.representation_layout import (
     is_coloured,
     light_black,
     light_lanes,
+    seen_black,
+    seen_lanes,
     surface_black,
     surface_lanes,
 )
@@ -303,6 +304,11 @@ def shade_gloss(job, scratch, base, glossy):
             continue
         slot, throughput = np.int64(paths.slot[base + ray]), paths.f[THROUGHPUT * STRIDE + base + ray]
         light, colour = light_black(layout), surface_black(layout)
+        shape, free, around = hits.i[OBJECT * RAYS + ray], np.float32(1.0), seen_black(layout)
+        has_seen = world.seen_maps > 0 and world.seen_size[2 * shape] > 0.0
+        if has_seen:
+            around = surroundings(world, layout, hits, ray, _place_on_map(world, hits, ray, shape))
+            free = lane(around, 0)
         whole, power = colour, np.float32(0.0)  # of the lobes
         for tap in range(TAPS):
             weight, passed = lobe_weight(hits.look, ray, tap), colour
@@ -311,27 +317,22 @@ def shade_gloss(job, scratch, base, glossy):
                 n, k = load_like(world.index, index, colour), load_like(world.index, index + width, colour)
                 passed = weight * fresnel(zeros_like(colour) + lobe_incidence(hits.look, ray, tap), n, k)
                 weight = largest(passed)
-            if weight * throughput <= job.limits.least_lobe:
+                whole = whole + passed
+            power += weight
+            if free * weight * throughput <= job.limits.least_lobe:
                 continue
             found = lobe_at(world, layout, hits, ray, tap)
             if is_coloured(layout):
-                colour = colour + passed * decoded(world, layout, found)
-                whole = whole + passed
+                colour = colour + (free * passed) * decoded(world, layout, found)
             else:
-                light = light + weight * found
-                power += weight
-        shape = hits.i[OBJECT * RAYS + ray]
-        if world.seen_maps > 0 and world.seen_size[2 * shape] > 0.0:
-            u, v = _place_on_map(world, hits, ray, shape)
-            around = surroundings(world, hits, ray, world.seen_first[shape], u, v)
-            free, others = lane(around, 0), surface_black(layout)
-            for component in range(1, SEEN):
-                row = load_like(world.seen_decode, (component - 1) * width, others)
-                others = others + lane(around, component) * row
+                light = light + (free * weight) * found
+        if has_seen and power * throughput > job.limits.least_lobe:
+            others = surface_black(layout)
+            for number in range(1, seen_lanes(layout)):
+                others = others + lane(around, number) * load_like(world.seen_decode, (number - 1) * width, others)
             if is_coloured(layout):
-                colour = free * colour + whole * others
+                colour = colour + whole * others
             else:
-                light = free * light
                 _add_colour(layout, scratch, base + ray, power * others)
         if is_coloured(layout):
             _add_coloured(layout, sums, slot, colour)

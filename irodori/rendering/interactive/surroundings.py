@@ -19,7 +19,6 @@ from irodori.geometry.shapes.shadow_nodes import raised
 from irodori.light.gloss.gloss_maps import GlossMaps
 from irodori.rendering.interactive.cube_maps import FACES, face_directions, fill_borders
 from irodori.rendering.interactive.frame_renderer import CollimatedLamp, Prepared, prepare_scene
-from irodori.rendering.interactive.look_ups import SEEN
 from irodori.rendering.interactive.pixel_rays import render_rays
 from irodori.rendering.interactive.tile_loop import LISTED
 from irodori.rendering.light_maps import LightMaps
@@ -29,10 +28,12 @@ from irodori.spectra.grid import SAMPLES
 
 #: Texels of an object, texels along the side of a cube's face, and rays along each side of such a texel.
 TEXELS, SIDE, _ALONG = 1 << 8, 4, 4
+#: Numbers of a direction, see `irodori.rendering.interactive.representation_layout.Layout.seen`.
+SEEN = 8
 _LIFT = 0.02  # height above the horizon to which directions below it are lifted, for the look-ups next to it
 _TOGETHER = 64  # texels whose rays are traced at a time
 _CHOSEN = 64  # texels of each object from whose surroundings the basis is made
-_LEFT_OUT = 0.01  # share of the objects' light that the basis may leave out without a warning
+_LEFT_OUT = 0.05  # share of the objects' light that the basis may leave out without a warning
 
 
 class _Sight(NamedTuple):
