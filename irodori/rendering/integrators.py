@@ -333,9 +333,15 @@ class InteractiveRenderer(Renderer):
         finished = None if folder is None else FinishedMaps(folder, key)
         placements, lights = make_placements(self.scene, self.shapes), make_lights(self.scene.lights, 0)[0]
         maps = bake_maps(placements, self.objects, self.environment, self.scene.lights, key=key, finished=finished)
-        gloss, light = gloss_for(self.environment, self.objects), light_of(self.environment)
-        lamps = {"lamps": lights.spectrum[:, :BANDS], "directions": lights.rotation[:, :, 2]}
-        return with_surroundings(maps, self.objects, light, gloss, Tracer(placements), **lamps)
+        return with_surroundings(
+            maps,
+            self.objects,
+            light_of(self.environment),
+            gloss_for(self.environment, self.objects),
+            Tracer(placements),
+            lamps=lights.spectrum[:, :BANDS],
+            directions=list(lights.rotation[:, :, 2]),
+        )
 
     def render(self, view_name, moment, keep, tiles_folder):
         """Render a frame; return the picture and its figures."""

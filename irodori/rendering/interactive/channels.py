@@ -232,9 +232,8 @@ def coefficient_channels(
     lamp_light = np.zeros((len(lamps), 3, each))
     lamp_light[np.arange(len(lamps)), :, lit + np.arange(len(lamps))] = 1.0 / np.pi
     # Light that is not multiplied with a texel is carried as XYZ.
-    colour = np.zeros((3, each, SAMPLES))
-    colour[:, 0] = matrix
-    colour = colour.reshape(3 * each, SAMPLES)
+    colour = np.zeros((3 * each, SAMPLES))
+    colour[::each] = matrix
     index = np.repeat(np.stack([objects.n[:, :1], objects.k[:, :1]], axis=1), 3 * each, axis=2)
     return Channels(
         count=3 * each,

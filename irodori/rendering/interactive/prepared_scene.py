@@ -261,10 +261,12 @@ def make_seen(maps: LightMaps | None, placements: Sequence[Placement], channels:
         stored_from_seen, decode = channels.xyz_from_colour @ decode, np.linalg.pinv(channels.xyz_from_colour)
     flat, size = [np.zeros(8, np.float32)], np.zeros((len(placements), 2), dtype=np.float32)
     for index, found in enumerate(seen):
+        if not found.size:  # a mesh
+            flat.append(np.zeros(0, np.float32))
+            continue
         size[index] = found.shape[1], found.shape[0]
         texels = np.concatenate([found[..., :1], found[..., 1:] @ stored_from_seen.T.astype(np.float32)], axis=-1)
-        texels = texels.reshape(*found.shape[:2], -1)
-        flat.append(_bordered(texels, placements[index].shape.wraps) if found.size else np.zeros(0, np.float32))
+        flat.append(_bordered(texels.reshape(*found.shape[:2], -1), placements[index].shape.wraps))
     return {
         "seen": np.concatenate(flat),
         "seen_first": np.cumsum([one.size for one in flat], dtype=np.int64)[:-1],

@@ -1,14 +1,17 @@
 """Light maps: what path tracing finds on the objects' textures, and pictures of the interactive renderer with it."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from made import made
-from scenes import BALL, constant_light, material, plate, sky, smooth_light
+from scenes import BALL, DATA, constant_light, material, plate, sky, smooth_light
 
+from benchmarks.render import true_light, true_materials
 from irodori.colour.colorimetry import delta_e, lab_from_xyz, xyz_from_radiance
 from irodori.config.cross_checks.plan_overrides import check_plan
+from irodori.config.definitions import load_definitions, read_yaml
 from irodori.config.models import Render, Scene, Size
 from irodori.config.models import View as SeenFrom
 from irodori.core import store
@@ -18,7 +21,10 @@ from irodori.geometry.mesh import make_mesh
 from irodori.geometry.shapes.placement import Placement
 from irodori.geometry.shapes.plane import Plane
 from irodori.geometry.shapes.shape import Shape
+from irodori.light.environment_file import Environment
 from irodori.light.gloss.gloss_maps import GlossMaps
+from irodori.light.irradiance import fitted_irradiance_map
+from irodori.light.light_files import rgb_picture
 from irodori.rendering.frame_state import STILL
 from irodori.rendering.integrators import make_renderer, render_image
 from irodori.rendering.interactive.frame_renderer import light_of, prepare_scene, render_frame
@@ -27,6 +33,7 @@ from irodori.rendering.reference import baking
 from irodori.rendering.reference.baking import bake_maps, maps_key
 from irodori.rendering.scene_arrays import make_objects, make_view
 
+ROOT = Path(__file__).resolve().parents[3]
 HEIGHT_MM = 30.0
 TABLE, SHAPES = plate(120.0), [plate(120.0), BALL]
 
@@ -38,6 +45,25 @@ def placements(height_mm=HEIGHT_MM) -> list[Placement]:
 def baked(reflectances, light, height_mm=HEIGHT_MM) -> LightMaps:
     there = placements(height_mm)
     return bake_maps(there, make_objects(there, [material(r) for r in reflectances])[0], light)
+
+
+def charts(count: int) -> np.ndarray:
+    """Texture coordinates of triangles, each on its own, (count, 3, 2)."""
+    side = int(np.ceil(np.sqrt(count)))
+    cell = np.stack([np.arange(count) % side, np.arange(count) // side], axis=1)
+    return (cell[:, None] + np.array([[0.0, 0.0], [0.0, 1.0], [1.0, 0.0]])) / side
+
+
+def octahedron(radius_mm: float, halvings: int):
+    """A ball of triangles, each edge of an octahedron halved some times, with the normals of the ball."""
+    corners = np.array([[1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], dtype=float)
+    faces = corners[[[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4], [1, 0, 5], [2, 1, 5], [3, 2, 5], [0, 3, 5]]]
+    for _ in range(halvings):
+        a, b, c = faces[:, 0], faces[:, 1], faces[:, 2]
+        d, e, f = a + b, b + c, c + a
+        faces = np.concatenate([np.stack(three, axis=1) for three in ((a, d, f), (d, b, e), (f, e, c), (d, e, f))])
+        faces = faces / np.linalg.norm(faces, axis=2, keepdims=True)
+    return make_mesh(radius_mm * faces, charts(len(faces)), faces)
 
 
 def test_between_white_surfaces_in_even_light_every_place_is_as_bright():
@@ -99,6 +125,23 @@ def test_with_light_maps_a_picture_of_dull_objects_is_near_the_path_traced_one(l
     far = {name: shown(integrator, lights)["delta_e_to_reference"]["mean"] for name, integrator in {
         "maps": MAPS, "ambient": {"kind": "interactive"}}.items()}  # fmt: skip
     assert far["maps"] < 0.5 and far["maps"] < 0.4 * far["ambient"]
+
+
+def test_with_light_maps_a_mesh_on_an_endless_plane_is_near_the_path_traced_picture_also_from_a_file(tmp_path):
+    floor = {"shape": {"kind": "plane"}, "position_mm": [0.0, 0.0, 0.0], "material": {"spectrum": "TCS11"}}
+    mesh, materials, file = [Shape.from_mesh(octahedron(20.0, 3))], [material(COLOURED[1])], tmp_path / "m.h5"
+
+    def scene(integrator) -> Scene:
+        made = scene_of(integrator, bodies=[floor])
+        return replace(made, objects=made.objects[1:])
+
+    def far(integrator, maps_file=None) -> float:
+        arguments = (scene(integrator), "v", mesh, materials, LIGHT, OPTIONS)
+        return render_image(*arguments, distance=True, maps_file=maps_file)[1]["delta_e_to_reference"]["mean"]
+
+    make_renderer(scene(MAPS), mesh, materials, LIGHT, OPTIONS).baked.save(file, store.Provenance("test"))
+    from_maps = far(MAPS, file)
+    assert from_maps < 0.5 and from_maps < 0.5 * far({"kind": "interactive"})
 
 
 def test_products_of_light_and_surface_show_what_the_bands_show_with_light_maps():
@@ -202,25 +245,6 @@ def test_under_a_black_ball_an_endless_plane_is_dark_by_the_ball_s_form_factor_n
         assert np.abs(found - wanted)[beside].mean() < 0.01 and np.abs(found - wanted)[beside].max() < 0.05
 
 
-def charts(count: int) -> np.ndarray:
-    """Texture coordinates of triangles, each on its own, (count, 3, 2)."""
-    side = int(np.ceil(np.sqrt(count)))
-    cell = np.stack([np.arange(count) % side, np.arange(count) // side], axis=1)
-    return (cell[:, None] + np.array([[0.0, 0.0], [0.0, 1.0], [1.0, 0.0]])) / side
-
-
-def octahedron(radius_mm: float, halvings: int):
-    """A ball of triangles, each edge of an octahedron halved some times, with the normals of the ball."""
-    corners = np.array([[1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], dtype=float)
-    faces = corners[[[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4], [1, 0, 5], [2, 1, 5], [3, 2, 5], [0, 3, 5]]]
-    for _ in range(halvings):
-        a, b, c = faces[:, 0], faces[:, 1], faces[:, 2]
-        d, e, f = a + b, b + c, c + a
-        faces = np.concatenate([np.stack(three, axis=1) for three in ((a, d, f), (d, b, e), (f, e, c), (d, e, f))])
-        faces = faces / np.linalg.norm(faces, axis=2, keepdims=True)
-    return make_mesh(radius_mm * faces, charts(len(faces)), faces)
-
-
 @pytest.mark.parametrize("mesh", [octahedron(20.0, 3), BALL.facetted(1.0)], ids=["512 triangles", "16256"])
 def test_a_ball_of_triangles_has_the_light_of_an_exact_ball(mesh):
     """Large triangles are divided for texels; where they are small, their corners are texels."""
@@ -278,6 +302,26 @@ def test_gloss_shows_neighbours_as_path_tracing_does(moment):
     )
     far, without = delta_e(seen, traced), delta_e(blind, traced)
     assert far.mean() < 0.6 * without.mean() and np.percentile(far, 99) < 0.8 * np.percentile(without, 99)
+
+
+@pytest.mark.heavy
+@pytest.mark.parametrize("place", ["classroom", "hall", "museum"])
+def test_with_light_maps_the_still_life_is_near_the_path_traced_one_under_measured_light_too(place):
+    """The true materials of the shipped scene in the virtual classroom, and in two photographed places."""
+    loaded = load_definitions(read_yaml(ROOT / "config/config.yaml"), ROOT)
+    scene = loaded.scenes["still-life"]
+    light = true_light(loaded, 1000) if place == "classroom" else None
+    if light is None:
+        file = DATA / "environments" / f"{place}.exr"
+        if not file.is_file():
+            pytest.skip(f"no picture at {file}")
+        picture = rgb_picture(file)
+        weights = picture.weights.astype(np.float32)
+        light = Environment(weights, picture.basis, fitted_irradiance_map(weights, max_error=2e-3, max_height=128)[0])
+    shapes = [Shape.from_definition(loaded.objects[item.object].shape) for item in scene.objects]
+    scene = replace(scene, integrator=scene_of(MAPS).integrator)
+    far = render_image(scene, "front", shapes, true_materials(loaded), light, distance=True)[1]["delta_e_to_reference"]
+    assert far["mean"] < 0.8 and far["p99"] < 4.0
 
 
 def test_a_bake_that_was_killed_goes_on_with_the_next_object(tmp_path, monkeypatch):
