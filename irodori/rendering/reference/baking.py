@@ -33,9 +33,8 @@ MOST_ERROR, MOST_NOISE = 0.02, 0.02
 #: Texels of a map and paths per texel, initially and at most.
 _FEWEST_TEXELS, _MOST_TEXELS = 1 << 10, 1 << 16
 _FEWEST_PATHS, _MOST_PATHS = 64, 4096
-#: Number of points between texels at which the error is measured, their largest noise, which is removed from the error,
-#: and their seed, which differs from that of the maps.
-_JUDGED, _JUDGED_NOISE, _SEED = 512, 2.0 * MOST_NOISE, 307
+#: Number of points between texels at which the error is measured, and their seed, which differs from that of the maps.
+_JUDGED, _SEED = 512, 307
 #: The module that adds to the maps what gloss sees.
 _SURROUNDINGS = "irodori.rendering.interactive.surroundings"
 
@@ -152,7 +151,7 @@ def _bake(scene: TracedScene, index: int, layout: Layout, most_error: float) -> 
     most = _FEWEST_TEXELS
     while True:
         rows, columns = layout.size(most)
-        halves, paths = _traced(scene, index, layout.points(most), MOST_NOISE)
+        halves, paths = _traced(scene, index, layout.points(most))
         found = halves.mean(axis=0, dtype=np.float64)
         # A texel that no light reaches lies inside another object, unless all is black. Its light would be seen: it is
         # interpolated with that of the texels around the other object.
@@ -165,7 +164,7 @@ def _bake(scene: TracedScene, index: int, layout: Layout, most_error: float) -> 
         most *= 4
 
 
-def _traced(scene: TracedScene, index: int, places: Points, most_noise: float, seed: int = 0) -> tuple[np.ndarray, int]:
+def _traced(scene: TracedScene, index: int, places: Points, seed: int = 0) -> tuple[np.ndarray, int]:
     """Return the light at points in two independent halves, (2, n, 61), and the number of paths per point.
 
     The number of paths is doubled until the noise is small enough.
@@ -174,17 +173,17 @@ def _traced(scene: TracedScene, index: int, places: Points, most_noise: float, s
     while True:
         halves = incident_light(scene, index, *places, samples=paths, seed=seed)
         noise = relative_noise(halves)
-        if noise <= most_noise or paths >= _MOST_PATHS:
+        if noise <= MOST_NOISE or paths >= _MOST_PATHS:
             return halves, paths
         # The noise falls at least with the square root of the number of paths.
-        while paths < _MOST_PATHS and noise > most_noise:
+        while paths < _MOST_PATHS and noise > MOST_NOISE:
             paths, noise = 2 * paths, noise / np.sqrt(2.0)
 
 
 def _error(scene: TracedScene, index: int, layout: Layout, found: np.ndarray, most: int) -> float:
     """Return the root-mean-square error of a map between its texels, by path tracing, relative to the mean light."""
     places, shown = layout.between(found, most, _JUDGED, _SEED)
-    halves, _ = _traced(scene, index, places, _JUDGED_NOISE, seed=_SEED)
+    halves, _ = _traced(scene, index, places, seed=_SEED)
     seen = halves.any(axis=(0, 2))  # not inside another object
     product = np.mean((shown - halves[0])[seen] * (shown - halves[1])[seen], dtype=np.float64) if seen.any() else 0.0
     mean = float(halves.mean(dtype=np.float64))
