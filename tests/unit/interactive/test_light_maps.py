@@ -186,6 +186,7 @@ def test_maps_show_other_colours_of_the_light_and_other_sides_as_path_tracing_do
     assert far["maps"] < 0.7 and far["maps"] < 0.6 * far["ambient"]
 
 
+@pytest.mark.stability(stage="render", case="light maps whose object moved")
 def test_maps_of_a_scene_whose_object_was_moved_are_refused_by_name(tmp_path):
     materials = [material(one) for one in COLOURED]
     renderer = make_renderer(scene_of(MAPS), SHAPES, materials, LIGHT, OPTIONS)
@@ -324,6 +325,7 @@ def test_with_light_maps_the_still_life_is_near_the_path_traced_one_under_measur
     assert far["mean"] < 0.8 and far["p99"] < 4.0
 
 
+@pytest.mark.stability(stage="render", case="light maps whose object moved")
 def test_a_bake_that_was_killed_goes_on_with_the_next_object(tmp_path, monkeypatch):
     materials = [material(one) for one in COLOURED]
 
