@@ -317,22 +317,24 @@ def shade_gloss(job, scratch, base, glossy):
                 n, k = load_like(world.index, index, colour), load_like(world.index, index + width, colour)
                 passed = weight * fresnel(zeros_like(colour) + lobe_incidence(hits.look, ray, tap), n, k)
                 weight = largest(passed)
-                whole = whole + passed
+                if has_seen:
+                    whole = whole + passed
             power += weight
             if free * weight * throughput <= job.limits.least_lobe:
                 continue
             found = lobe_at(world, layout, hits, ray, tap)
             if is_coloured(layout):
-                colour = colour + (free * passed) * decoded(world, layout, found)
+                colour = colour + passed * decoded(world, layout, found)
             else:
-                light = light + (free * weight) * found
-        if has_seen and power * throughput > job.limits.least_lobe:
+                light = light + weight * found
+        if has_seen:
             others = surface_black(layout)
             for number in range(1, seen_lanes(layout)):
                 others = others + lane(around, number) * load_like(world.seen_decode, (number - 1) * width, others)
             if is_coloured(layout):
-                colour = colour + whole * others
+                colour = free * colour + whole * others
             else:
+                light = free * light
                 _add_colour(layout, scratch, base + ray, power * others)
         if is_coloured(layout):
             _add_coloured(layout, sums, slot, colour)
