@@ -325,6 +325,14 @@ def test_with_light_maps_the_still_life_is_near_the_path_traced_one_under_measur
     assert far["mean"] < 0.8 and far["p99"] < 4.0
 
 
+def test_black_light_gives_a_black_picture_and_a_mirror_over_a_black_table_none_brighter_than_the_sky():
+    dark = make_renderer(scene_of(MAPS), SHAPES, [material(0.5, **GLOSSY)] * 2, constant_light(0.0), OPTIONS)
+    assert (dark.picture("v")[0] == 0.0).all()
+    mirror = [material(0.0), material(0.0, mirror=1.0, n=0.2, k=3.0)]
+    found = make_renderer(scene_of(MAPS), SHAPES, mirror, constant_light(1.0), OPTIONS).picture("v")[0]
+    assert np.isfinite(found).all() and (found >= 0.0).all() and found.max() < 1.001
+
+
 @pytest.mark.stability(stage="render", case="light maps whose object moved")
 def test_a_bake_that_was_killed_goes_on_with_the_next_object(tmp_path, monkeypatch):
     materials = [material(one) for one in COLOURED]
