@@ -190,6 +190,9 @@ _TABLE = {
     ("G", "compress"): {"all of part E together": _FINITE},
     ("G", "environment"): {"all of part E together": _FINITE + ", light kept where it stands"},
     ("G", "calibrate"): {"all of part C together": _RIGHT + ", or refused with what is accepted; no warning"},
+    ("O", "render"): {
+        "light maps whose object moved": "refused by name, or baked again; never shown",
+    },
     ("G", "render"): {
         "all of part F together, by paths": "finite, between black and the light that there is, no warning",
         "all of part F together, interactive": "finite, between black and the light that there is, no warning",

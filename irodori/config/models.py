@@ -660,8 +660,8 @@ class InteractiveIntegrator(Definition):
     #: or false).
     ambient: bool = True
 
-    #: Whether the light that falls on spheres, discs and plates is baked by path tracing, with shadows and reflections
-    #: between objects; in place of ambient there (true or false).
+    #: Whether the light that falls on objects and bodies is baked by path tracing, with shadows and reflections between
+    #: them, which gloss then shows too; in place of ambient (true or false).
     light_maps: bool = False
 
 

@@ -4,6 +4,7 @@ import time
 from abc import ABC, abstractmethod
 from dataclasses import asdict, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,6 +20,9 @@ from irodori.rendering.planning.scene_plan import ScenePlan
 from irodori.rendering.scene_arrays import make_objects, make_placements, make_view
 from irodori.rendering.scene_white import scene_white
 from irodori.spectra.published import refractive_index, spectrum
+
+if TYPE_CHECKING:
+    from irodori.rendering.light_maps import LightMaps
 
 #: Options if a configuration has none.
 DEFAULTS = Render()
@@ -274,8 +278,8 @@ class InteractiveRenderer(Renderer):
         start = time.perf_counter()
         environment = moment.environment(self.environment)
         lights = moment.lights(make_lights(self.scene.lights, 0)[0])
-        light, ambient, reflected = light_of(environment), has_ambient(self.scene), 0
-        maps = self.baked if has_light_maps(self.scene) else None
+        light, maps, reflected = light_of(environment), self.baked if has_light_maps(self.scene) else None, 0
+        ambient = has_ambient(self.scene) and maps is None
         if maps is not None and moment.filter is not None:
             maps = maps.under(moment.filter)
         if self.white is not None:
@@ -310,13 +314,34 @@ class InteractiveRenderer(Renderer):
             If the file has light maps of another scene.
         """
         from irodori.rendering.light_maps import LightMaps
-        from irodori.rendering.reference.baking import bake_maps, maps_key
+        from irodori.rendering.reference.baking import maps_key
+
+        if self.maps_file is not None:
+            key = maps_key(self.scene, self.shapes, self.objects, self.environment)
+            return LightMaps.load(self.maps_file, key)
+        return self.bake()
+
+    def bake(self, folder=None) -> "LightMaps":
+        """Bake the light maps of the scene; finished ones are kept in a ``folder`` until it is removed."""
+        from irodori.rendering.interactive.frame_renderer import light_of
+        from irodori.rendering.interactive.prepared_scene import gloss_for
+        from irodori.rendering.interactive.surroundings import with_surroundings
+        from irodori.rendering.reference.baking import FinishedMaps, bake_maps, maps_key
+        from irodori.rendering.scene_lights import BANDS, make_lights
 
         key = maps_key(self.scene, self.shapes, self.objects, self.environment)
-        if self.maps_file is not None:
-            return LightMaps.load(self.maps_file, key)
-        placements = make_placements(self.scene, self.shapes)
-        return bake_maps(placements, self.objects, self.environment, self.scene.lights, key=key)
+        finished = None if folder is None else FinishedMaps(folder, key)
+        placements, lights = make_placements(self.scene, self.shapes), make_lights(self.scene.lights, 0)[0]
+        maps = bake_maps(placements, self.objects, self.environment, self.scene.lights, key=key, finished=finished)
+        return with_surroundings(
+            maps,
+            self.objects,
+            light_of(self.environment),
+            gloss_for(self.environment, self.objects),
+            Tracer(placements),
+            lamps=lights.spectrum[:, :BANDS],
+            directions=list(lights.rotation[:, :, 2]),
+        )
 
     def render(self, view_name, moment, keep, tiles_folder):
         """Render a frame; return the picture and its figures."""

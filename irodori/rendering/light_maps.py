@@ -1,12 +1,13 @@
-"""Light maps: the light that falls on objects, baked on their own textures by path tracing.
+"""Light maps: the light that falls on objects, baked on their surfaces.
 
 A map holds, for each of its texels, the radiance of a perfect diffuser under the environment, with shadows and
 reflections between objects. The integrator `interactive` looks it up instead of the environment's irradiance, which
-does not account for neighbouring objects. A map is valid for one arrangement of objects in one light: its key is a hash
-of everything on which it depends, and a map with another key is refused.
+does not account for neighbouring objects. For gloss, coarser maps hold which directions other objects hide, and the
+light that comes from these objects. Maps are valid for one arrangement of objects in one light: their key is a hash of
+everything on which they depend, and maps with another key are refused.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +19,7 @@ from irodori.spectra.grid import SAMPLES
 
 #: Relative norm of the part of the maps that their basis leaves out, the square root of its share of the energy.
 LEFT_OUT = 1e-3
+_MAP, _SEEN = "row_{0},column_{0},component", "seen_row_{0},seen_column_{0},face,cell_row,cell_column,number"
 
 
 class Bake(NamedTuple):
@@ -27,6 +29,7 @@ class Bake(NamedTuple):
     paths: int  # per texel
     noise: float  # root mean square of the standard errors of the texels
     error: float  # root mean square interpolation error between texels, with the noise of the comparison removed
+    most: int  # number of texels that was asked for, from which the places of a mesh's texels follow
 
 
 @dataclass(frozen=True)
@@ -36,19 +39,26 @@ class LightMaps:
     Parameters
     ----------
     maps : tuple of (rows, columns, k) float32
-        For each object, coefficients of the radiance of a perfect diffuser in place of the surface; without rows if
-        the object has no map, see `irodori.rendering.reference.baking.has_map`.
+        For each object, coefficients of the radiance of a perfect diffuser in place of the surface, see
+        `irodori.rendering.map_layouts`.
     basis : (61, k) float
     key : str
         Hash of everything on which the maps depend, see `irodori.rendering.reference.baking.maps_key`.
     bakes : tuple of Bake
         Size and errors of each map.
+    seen : tuple of (rows, columns, 6, side + 2, side + 2, 1 + m) float32
+        For each object and coarse texel, a cube map of what gloss sees there: the share of directions that lead to the
+        environment, then coefficients of the radiance of other objects; without rows for a mesh. Empty if there are
+        none, see `irodori.rendering.interactive.surroundings`.
+    seen_basis : (61, m) float
     """
 
     maps: tuple[np.ndarray, ...]
     basis: np.ndarray
     key: str
     bakes: tuple[Bake, ...]
+    seen: tuple[np.ndarray, ...] = ()
+    seen_basis: np.ndarray = field(default_factory=lambda: np.zeros((SAMPLES, 0)))
 
     def of(self, index: int) -> np.ndarray:
         """Return the spectra of an object's map, (rows, columns, 61)."""
@@ -60,7 +70,8 @@ class LightMaps:
         Light transport is linear and separate for each wavelength, so that the light on surfaces changes by the same
         factors as the sources.
         """
-        return replace(self, basis=self.basis * np.asarray(filter_ratio, dtype=np.float64)[:, None])
+        ratio = np.asarray(filter_ratio, dtype=np.float64)[:, None]
+        return replace(self, basis=self.basis * ratio, seen_basis=self.seen_basis * ratio)
 
     def weighted_basis(self) -> np.ndarray:
         """Return the basis, (61, k), each vector scaled by the norm of its coefficients over all maps."""
@@ -71,14 +82,17 @@ class LightMaps:
         """Write the maps to a file."""
         with store.create(path, provenance) as out:
             write_wavelength(out)
-            out.write(
-                "basis", self.basis, units="1", dims="wavelength,component", quantity="spectral basis of the light"
-            )
+            quantity = "spectral basis of the light"
+            out.write("basis", self.basis, units="1", dims="wavelength,component", quantity=quantity)
+            quantity = "spectral basis of the light of other objects"
+            out.write("seen_basis", self.seen_basis, units="1", dims="wavelength,colour", quantity=quantity)
             for index, stored in enumerate(self.maps):
-                dims = f"row_{index},column_{index},component"
+                quantity = "coefficients of the radiance of a perfect diffuser on the object"
+                out.write(f"map_{index}", stored, units="1", dims=_MAP.format(index), quantity=quantity)
+            for index, stored in enumerate(self.seen):
                 if stored.size:
-                    quantity = "coefficients of the radiance of a perfect diffuser on the object"
-                    out.write(f"map_{index}", stored, units="1", dims=dims, quantity=quantity)
+                    quantity = "share of free directions, and coefficients of the radiance of other objects"
+                    out.write(f"seen_{index}", stored, units="1", dims=_SEEN.format(index), quantity=quantity)
             out.attribute("key", self.key)
             out.attribute("bakes", [bake._asdict() for bake in self.bakes])
 
@@ -98,14 +112,14 @@ class LightMaps:
                 )
                 raise InputError(path, "key", "light maps of something else", accepted)
             bakes = tuple(Bake(**bake) for bake in file.attribute("bakes", list))
-            axes = {"basis": "wavelength,component"}
-            there = [f"map_{index}" in file for index in range(len(bakes))]
-            axes |= {f"map_{i}": f"row_{i},column_{i},component" for i, is_there in enumerate(there) if is_there}
-            file.require_axes(axes, wavelength=SAMPLES)
-            basis = file.read_within("basis")
-            none = np.zeros((0, 0, basis.shape[1]), np.float32)
-            maps = tuple(file.read_within(f"map_{i}") if is_there else none for i, is_there in enumerate(there))
-            return cls(maps, basis, key, bakes)
+            axes = {f"map_{index}": _MAP.format(index) for index in range(len(bakes))}
+            seen = {f"seen_{index}": _SEEN.format(index) for index in range(len(bakes)) if f"seen_{index}" in file}
+            of_basis = {"basis": "wavelength,component", "seen_basis": "wavelength,colour"}
+            file.require_axes(of_basis | axes | seen, wavelength=SAMPLES)
+            basis, seen_basis = (file.read_within(name) for name in of_basis)
+            none = np.zeros((0,) * 6, np.float32)
+            around = tuple(file.read_within(n) if n in seen else none for n in (f"seen_{i}" for i in range(len(bakes))))
+            return cls(tuple(map(file.read_within, axes)), basis, key, bakes, around, seen_basis)
 
 
 def look_up(picture: np.ndarray, u: np.ndarray, v: np.ndarray, wraps: bool) -> np.ndarray:

@@ -1,6 +1,7 @@
 """Rendering stage: reads materials, light and a scene; writes a spectral EXR, a PNG and figures."""
 
 import json
+import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -95,13 +96,16 @@ def bake_light(
 ) -> None:
     """Bake the light maps of a scene, which are the same for all its views, into a file.
 
-    Parameters are those of `render_view`.
+    Finished maps are kept in a folder beside ``output`` with the ending ``.part`` until all are finished, so that a
+    bake that was interrupted continues. Parameters are those of `render_view`.
     """
     placed = [Shape.from_definition(shape) for shape in shapes]
     materials = load_materials(scene, material_files)
     renderer = make_renderer(scene, placed, materials, Environment.load(environment_file), options)
     assert isinstance(renderer, InteractiveRenderer)  # the workflow asks for maps of these scenes alone
-    renderer.baked.save(output, provenance)
+    kept = Path(output).with_suffix(".part")
+    renderer.bake(kept).save(output, provenance)
+    shutil.rmtree(kept)
 
 
 def write_picture(

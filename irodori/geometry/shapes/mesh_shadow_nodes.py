@@ -47,7 +47,7 @@ def _lattice_cells(parts: int) -> np.ndarray:
     return np.array(cells)
 
 
-def _divisions(longest: np.ndarray, corners: int) -> np.ndarray:
+def _divisions(longest: np.ndarray, corners: int, most: int) -> np.ndarray:
     """Return the number of parts into which to divide the edges of each triangle, (m,) int.
 
     Parameters
@@ -56,15 +56,17 @@ def _divisions(longest: np.ndarray, corners: int) -> np.ndarray:
         Length of the longest edge of each triangle.
     corners : int
         Number of vertices of the mesh.
+    most : int
+        Largest number of nodes, unless the mesh has more vertices.
     """
     ones = np.ones(len(longest), dtype=np.int64)
-    if corners >= MESH_NODES:
+    if corners >= most:
         return ones
-    fine, coarse = longest.max() / MESH_NODES, longest.max()
+    fine, coarse = longest.max() / most, longest.max()
     for _ in range(40):
         middle = math.sqrt(fine * coarse)
         parts = np.maximum(np.ceil(longest / middle), 1.0)
-        if corners + np.where(parts > 1.0, 0.5 * (parts + 1.0) * (parts + 2.0), 0.0).sum() > MESH_NODES:
+        if corners + np.where(parts > 1.0, 0.5 * (parts + 1.0) * (parts + 2.0), 0.0).sum() > most:
             fine = middle
         else:
             coarse = middle
@@ -96,12 +98,12 @@ def _shared_corners(mesh: Mesh, chosen: np.ndarray) -> tuple[np.ndarray, np.ndar
     return node, first, whole
 
 
-def mesh_nodes(mesh: Mesh, placement: "Placement") -> Nodes:
-    """Lay out the shadow nodes of a placed mesh."""
+def mesh_nodes(mesh: Mesh, placement: "Placement", most: int | None = None) -> Nodes:
+    """Lay out the nodes of a placed mesh: at most ``most``, by default `MESH_NODES`, unless it has more vertices."""
     world = placement.points(mesh.vertices_mm)
     a, b, c = (world[mesh.faces[:, k]] for k in range(3))
     longest = np.sqrt(np.max([((p - q) ** 2).sum(axis=1) for p, q in ((a, b), (b, c), (c, a))], axis=0))
-    parts = _divisions(longest, len(world))
+    parts = _divisions(longest, len(world), MESH_NODES if most is None else most)
     sizes = (parts + 1) * (parts + 2) // 2
     first = np.cumsum(sizes) - sizes
     corners = np.empty(sizes.sum(), dtype=np.int32)

@@ -104,6 +104,30 @@ def middle_and_reach(points: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     return middle, np.maximum(np.maximum(0.5 * (high - low), 0.5 * away), least)
 
 
+def extend_to_closed(values: np.ndarray, is_open: np.ndarray, cells: np.ndarray) -> None:
+    """Replace the values of nodes that are not in the open by the mean of open nodes in the same cells, if any.
+
+    Parameters
+    ----------
+    values : (n, k) float
+    is_open : (n,) bool
+        Whether a node lies in the open, not inside or behind another surface.
+    cells : (c, 3 or 4) int
+        Groups of nodes between which values are interpolated.
+    """
+    opens = is_open[cells]
+    mixed = opens.any(axis=1) & ~opens.all(axis=1)
+    cells, opens = cells[mixed], opens[mixed]
+    total, count = np.zeros(values.shape), np.zeros(len(values))
+    mean = np.einsum("ck,ckj->cj", opens.astype(np.float64), values[cells]) / opens.sum(axis=1, keepdims=True)
+    for corner in range(cells.shape[1]):
+        shut = ~opens[:, corner]
+        np.add.at(total, cells[shut, corner], mean[shut])
+        np.add.at(count, cells[shut, corner], 1.0)
+    filled = count > 0.0
+    values[filled] = total[filled] / count[filled, None]
+
+
 class NodeHit(NamedTuple):
     """A hit, with the data needed to find the nodes around it."""
 

@@ -62,6 +62,8 @@ class Channels:
         From the coefficients of the light to the form in which it is stored.
     baked_from_radiance : (count, 61) float64
         From the radiance of a perfect diffuser in the texel's place to the light factor of the texel.
+    colour_from_radiance : (count, 61) float64
+        From radiance to the channels of a pixel.
     lamp_light, lamp_colour : (lamps, count) float64
         Light factor of texels for a lamp of irradiance E(λ), and the colour of E / π itself.
     index : (objects, 2, count) float64
@@ -85,6 +87,7 @@ class Channels:
     irradiance_from_light: np.ndarray
     stored_from_light: np.ndarray
     baked_from_radiance: np.ndarray
+    colour_from_radiance: np.ndarray
     lamp_light: np.ndarray
     lamp_colour: np.ndarray
     index: np.ndarray
@@ -125,6 +128,7 @@ def _by_channel(values: np.ndarray, objects: Objects, light: Light, lamps, xyz_f
         irradiance_from_light=colour / np.pi,
         stored_from_light=np.eye(basis.shape[1]),
         baked_from_radiance=values,
+        colour_from_radiance=values,
         lamp_light=lamp,
         lamp_colour=lamp,
         index=index @ weight.T / weight.sum(axis=1),
@@ -170,6 +174,7 @@ def rgb_channels(objects: Objects, light: Light, lamps: np.ndarray, matrix: np.n
         irradiance_from_light=rgb @ basis / np.pi,
         stored_from_light=rgb @ basis,
         baked_from_radiance=rgb,
+        colour_from_radiance=rgb,
         lamp_light=lamp,
         lamp_colour=lamp,
         index=np.stack([objects.n, objects.k], axis=1) @ seen.T / seen.sum(axis=1),
@@ -226,8 +231,9 @@ def coefficient_channels(
     pad, nearest = ((0, 0), (0, each - lit)), np.linalg.pinv(wide).T
     lamp_light = np.zeros((len(lamps), 3, each))
     lamp_light[np.arange(len(lamps)), :, lit + np.arange(len(lamps))] = 1.0 / np.pi
-    lamp_colour = np.zeros((len(lamps), 3, each))
-    lamp_colour[:, :, 0] = lamps @ matrix.T / np.pi
+    # Light that is not multiplied with a texel is carried as XYZ.
+    colour = np.zeros((3 * each, SAMPLES))
+    colour[::each] = matrix
     index = np.repeat(np.stack([objects.n[:, :1], objects.k[:, :1]], axis=1), 3 * each, axis=2)
     return Channels(
         count=3 * each,
@@ -240,8 +246,9 @@ def coefficient_channels(
         irradiance_from_light=irradiance.reshape(-1, k),
         stored_from_light=np.eye(k),
         baked_from_radiance=np.tile(np.pad(np.linalg.pinv(wide), ((0, each - lit), (0, 0))), (3, 1)),
+        colour_from_radiance=colour,
         lamp_light=lamp_light.reshape(len(lamps), 3 * each),
-        lamp_colour=lamp_colour.reshape(len(lamps), 3 * each),
+        lamp_colour=lamps @ colour.T / np.pi,
         index=index,
         xyz_from_colour=np.repeat(np.eye(3), each, axis=1),
         xyz_from_light=matrix @ basis,

@@ -193,16 +193,11 @@ def prepare_scene(
 
 
 def _further(objects: Objects, light: Light, ambient: bool, most: int, maps: LightMaps | None) -> np.ndarray:
-    """Return vectors that extend the light's basis to light maps and to light reflected between objects, (61, m)."""
+    """Return vectors that extend the light's basis to light maps, or to light reflected between objects, (61, m)."""
     basis = light.basis.T
-    if maps is None:
-        return reflected_basis(objects, basis, most) if ambient else np.zeros((SAMPLES, 0))
-    found = further_basis(maps.weighted_basis(), basis, most, LEFT_OUT)
-    if not ambient:
-        return found
-    wide = np.concatenate([basis, found], axis=1)
-    own = reflected_basis(objects, basis, most)
-    return np.concatenate([found, further_basis(own, wide, most, LEFT_OUT)], axis=1)
+    if maps is not None:
+        return further_basis(maps.weighted_basis(), basis, most, LEFT_OUT)
+    return reflected_basis(objects, basis, most) if ambient else np.zeros((SAMPLES, 0))
 
 
 def _channels(

@@ -4,7 +4,7 @@ import numpy as np
 
 from irodori.jit.compilation import uncounted
 from irodori.jit.functions import as_float, bits_as_float, bits_as_int, lower_of, root, truncated, upper_of
-from irodori.jit.vector_memory import gather, lane, load, load_like, numbered, pair_mixed, store
+from irodori.jit.vector_memory import gather, lane, load, load_like, numbered, pair_mixed, spread, store
 from irodori.reflection.fresnel import fresnel
 from irodori.rendering.interactive.cube_maps import MapPlace, bilinear, cell_of, face_of
 from irodori.rendering.interactive.packets import (
@@ -23,6 +23,8 @@ from irodori.rendering.interactive.representation_layout import (
     light_black,
     light_lanes,
     pair_black,
+    seen_black,
+    seen_lanes,
     surface_black,
     surface_lanes,
 )
@@ -31,7 +33,9 @@ from irodori.rendering.interactive.round_lobes import ENTRY, POWER, TAPS
 # Fields of a look-up, each sixteen wide, and whole numbers.
 _X, _Y, _MIX, _WEIGHT, _COS_H, _FIELDS = 0, 1, 2, 3, 4, 5
 _CELL, _LEVEL, _NUMBERS = 0, 1, 2
-LOOK_FIELDS, LOOK_NUMBERS = TAPS * _FIELDS, TAPS * _NUMBERS
+# After those of the taps: a hit's look-up in the surroundings of its object, see `surroundings`.
+_SEEN_X, _SEEN_Y, _SEEN_CELL = TAPS * _FIELDS, TAPS * _FIELDS + 1, TAPS * _NUMBERS
+LOOK_FIELDS, LOOK_NUMBERS = TAPS * _FIELDS + 2, TAPS * _NUMBERS + 1
 
 
 @uncounted(forceinline=True)
@@ -63,9 +67,9 @@ def find_sky(world, frame, paths, base, hits):
     )
     look, number, turn = hits.look, hits.look_i, frame.light_from_world
     face, u, v = face_of(turned(turn, 0, dx, dy, dz), turned(turn, 1, dx, dy, dz), turned(turn, 2, dx, dy, dz))
-    spread = load(paths.f, SPREAD * STRIDE + base, 16)
+    width = load(paths.f, SPREAD * STRIDE + base, 16)
     last = float(world.environment_levels - 1)
-    level = logarithm(upper_of(spread * world.texels_per_rad, 1.0))
+    level = logarithm(upper_of(width * world.texels_per_rad, 1.0))
     level = lower_of(upper_of(level, 0.0), last)
     lower = truncated(level)
     store(look, _MIX * RAYS, level - as_float(lower))
@@ -129,11 +133,14 @@ def find_lobes(world, layout, hits, entries):
     object_ = load(hits.i, OBJECT * RAYS, 16)
     width = surface_lanes(layout)
     n, k = gather(world.index, object_ * (2 * width)), gather(world.index, object_ * (2 * width) + width)
+    mx, my, mz = 0.0 * rx, 0.0 * ry, 0.0 * rz
     for tap in range(TAPS):
         weight, p = gather(entries, at + (1 + 3 * tap)), gather(entries, at + (2 + 3 * tap))
         cos_h = gather(entries, at + (3 + 3 * tap))
         q = root(upper_of(1.0 - p * p * sine2, 0.0)) - p * cosine
-        face, u, v = face_of(p * rx + q * nx, p * ry + q * ny, p * rz + q * nz)
+        ax, ay, az = p * rx + q * nx, p * ry + q * ny, p * rz + q * nz
+        mx, my, mz = mx + weight * ax, my + weight * ay, mz + weight * az
+        face, u, v = face_of(ax, ay, az)
         cell, x, y = cell_of(face, u, v, side)
         store(number, (tap * _NUMBERS + _CELL) * RAYS, cell)
         store(look, (tap * _FIELDS + _X) * RAYS, x)
@@ -143,6 +150,37 @@ def find_lobes(world, layout, hits, entries):
             weight = weight * fresnel(cos_h, n, k)
         store(look, (tap * _FIELDS + _WEIGHT) * RAYS, weight)
         store(look, (tap * _FIELDS + _COS_H) * RAYS, cos_h)
+    if world.seen_maps > 0:
+        face, u, v = face_of(mx, my, mz)
+        cell, x, y = cell_of(face, u, v, spread(np.float32(world.seen_side), 16))
+        store(number, _SEEN_CELL * RAYS, cell)
+        store(look, _SEEN_X * RAYS, x)
+        store(look, _SEEN_Y * RAYS, y)
+
+
+@uncounted(forceinline=True)
+def surroundings(world, layout, hits, ray, place):
+    """Return what the mean direction of a hit's lobes sees: the share of free directions, then light of other objects.
+
+    ``place`` is the place of the hit on its object, u and v.
+    """
+    shape, (u, v) = hits.i[OBJECT * RAYS + ray], place
+    columns, rows, half = world.seen_size[2 * shape], world.seen_size[2 * shape + 1], np.float32(0.5)
+    x = min(max(u * columns + half, np.float32(0.0)), columns + half)
+    y = min(max(v * rows + half, np.float32(0.0)), rows + half)
+    column, row = np.int64(x), np.int64(y)
+    fx, fy = x - np.float32(column), y - np.float32(row)
+    cell = np.int64(hits.look_i[_SEEN_CELL * RAYS + ray])
+    towards = MapPlace(cell, hits.look[_SEEN_X * RAYS + ray], hits.look[_SEEN_Y * RAYS + ray])
+    side, like, left, upper = np.int64(world.seen_side) + 2, seen_black(layout), half + half - fx, half + half - fy
+    size = 6 * side * side * seen_lanes(layout)
+    at = world.seen_first[shape] + (row * (np.int64(columns) + 2) + column) * size
+    below = at + (np.int64(columns) + 2) * size
+    top = left * bilinear(world.seen, at, side, towards, like)
+    top = top + fx * bilinear(world.seen, at + size, side, towards, like)
+    bottom = left * bilinear(world.seen, below, side, towards, like)
+    bottom = bottom + fx * bilinear(world.seen, below + size, side, towards, like)
+    return upper * top + fy * bottom
 
 
 @uncounted(forceinline=True)

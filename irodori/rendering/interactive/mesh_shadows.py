@@ -16,7 +16,7 @@ import numpy as np
 
 from irodori.geometry.embree import NO_HIT, Tracer, hit_shape, is_blocked, new_ray, trace
 from irodori.geometry.shapes.placement import Placement, reaches
-from irodori.geometry.shapes.shadow_nodes import GRID, Nodes
+from irodori.geometry.shapes.shadow_nodes import GRID, Nodes, extend_to_closed
 from irodori.jit.chunks import run_chunks
 from irodori.jit.compilation import njit
 
@@ -242,21 +242,6 @@ def _cast_some(casting, nodes, values, is_open, first, last):
         is_open[number] = _cast(casting, ray, nodes, number, values)
 
 
-def _extended(values: np.ndarray, is_open: np.ndarray, cells: np.ndarray) -> None:
-    """Replace the values of nodes that are not in the open by the mean of open nodes in the same cells, if any."""
-    opens = is_open[cells]
-    mixed = opens.any(axis=1) & ~opens.all(axis=1)
-    cells, opens = cells[mixed], opens[mixed]
-    total, count = np.zeros(values.shape), np.zeros(len(values))
-    mean = np.einsum("ck,ckj->cj", opens.astype(np.float64), values[cells]) / opens.sum(axis=1, keepdims=True)
-    for corner in range(cells.shape[1]):
-        shut = ~opens[:, corner]
-        np.add.at(total, cells[shut, corner], mean[shut])
-        np.add.at(count, cells[shut, corner], 1.0)
-    filled = count > 0.0
-    values[filled] = total[filled] / count[filled, None]
-
-
 def _values(nodes: Nodes, rays: _Rays, bounds: Bounds, layers: np.ndarray, count: int) -> np.ndarray:
     """Return the occlusion values of a shape's nodes, (n, LAYERS + LAYER * layers) float32."""
     layer_of = np.full(len(bounds.is_cast), len(layers) - 1, dtype=np.int64)
@@ -266,7 +251,7 @@ def _values(nodes: Nodes, rays: _Rays, bounds: Bounds, layers: np.ndarray, count
     places = tuple(np.ascontiguousarray(p) for p in (nodes.origin, nodes.normal, nodes.facet, nodes.probe))
     casting = _Casting(rays, bounds, layer_of, _points(count))
     run_chunks(_cast_some, len(values), _CHUNK, casting, places, values, is_open)
-    _extended(values, is_open, nodes.cells)
+    extend_to_closed(values, is_open, nodes.cells)
     return values
 
 

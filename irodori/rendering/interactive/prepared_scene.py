@@ -1,6 +1,7 @@
 """Arrays of a scene and of a frame for the kernel of the interactive integrator."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -8,7 +9,7 @@ import numpy as np
 
 from irodori.geometry.embree import Tracer
 from irodori.geometry.shape_registry import number_of
-from irodori.geometry.shapes.placement import reaches
+from irodori.geometry.shapes.placement import Placement, reaches
 from irodori.geometry.shapes.shape_rows import COLUMNS, MIRROR, ROWS, shape_row
 from irodori.geometry.surfaces import Surfaces, make_surfaces
 from irodori.light.blurred_light import WIDTHS_RAD
@@ -32,9 +33,11 @@ from irodori.rendering.interactive.round_lobes import (
     lobe_table,
     roughness_place,
 )
-from irodori.rendering.interactive.shading import FURTHER
+from irodori.rendering.interactive.shading import FURTHER, GRID
 from irodori.rendering.light_maps import LightMaps
+from irodori.rendering.map_layouts import make_layout
 from irodori.rendering.scene_arrays import Light, Objects, gloss_of, textures
+from irodori.spectra.grid import SAMPLES
 
 #: Largest number of objects for which formulas and bounds are tested one by one before Embree.
 _MOST_BOUNDED = 12
@@ -64,10 +67,20 @@ class PreparedWorld(NamedTuple):
     texels_per_rad: float
     irradiance: np.ndarray
     irradiance_side: int
-    baked: np.ndarray  # the light maps, each with a border of one texel
+    baked: np.ndarray  # the light maps, each with a border of one texel, except those of meshes
     baked_first: np.ndarray  # (objects,) int64
-    baked_size: np.ndarray  # (objects * 2,) columns and rows; 0 if an object has no map
-    baked_maps: int  # 1 if any object has a map
+    baked_size: np.ndarray  # (objects * 2,) columns and rows; 0 rows for a mesh
+    baked_grid: np.ndarray  # (objects * GRID,) float64 middle and reach of a plane's map, mm; zeros for other shapes
+    baked_parts: np.ndarray  # (triangles,) int32, see `irodori.geometry.shapes.shadow_nodes.Nodes`
+    baked_corner: np.ndarray  # (triangles,) int64, index of a triangle's first corner
+    baked_corners: np.ndarray  # int32, nodes at the points of the triangles' grids
+    baked_maps: int  # 1 if there are light maps, of all objects
+    seen: np.ndarray  # what the gloss of objects sees around them; each map has a border of one texel
+    seen_first: np.ndarray  # int64, of each object; empty without these maps
+    seen_size: np.ndarray  # (objects * 2,) columns and rows; 0 for an object without such a map
+    seen_side: int  # texels along the side of a face of their cube maps
+    seen_decode: np.ndarray  # from the light of other objects to the channels of texels
+    seen_maps: int  # 1 if any object has such a map
     gloss: np.ndarray  # like the environment; each texel of a level has the light of this level and of the next
     gloss_first: np.ndarray  # (levels,) int64
     gloss_side: np.ndarray  # (levels,) int32
@@ -198,24 +211,69 @@ def make_irradiance(light: Light, channels: Channels) -> tuple[np.ndarray, int]:
     return padded(stored, channels.surface), side
 
 
-def make_baked(maps: LightMaps | None, objects: Objects, channels: Channels) -> dict:
-    """Return the fields of a `PreparedWorld` that hold the light maps, in the channels of texels."""
-    count, flat, first = len(objects.bases), [np.zeros(0, np.float32)], [0]
-    size = np.zeros((count, 2), dtype=np.float32)
-    for index, stored in enumerate(maps.maps if maps is not None else ()):
-        if stored.size:
-            assert maps is not None  # the loop is empty without maps
-            light = stored @ (channels.baked_from_radiance @ maps.basis).T.astype(np.float32)
-            room = np.zeros((*light.shape[:2], channels.surface), dtype=np.float32)
-            room[..., : channels.count] = light
-            flat.append(_bordered(room, objects.wraps[index] == 1))
-            size[index] = stored.shape[1], stored.shape[0]
-        first.append(first[-1] + (flat[-1].size if stored.size else 0))
+def make_baked(maps: LightMaps | None, placements: Sequence[Placement], channels: Channels) -> dict:
+    """Return the fields of a `PreparedWorld` that hold the light maps, in the channels of texels.
+
+    Raises
+    ------
+    ValueError
+        If the maps do not fit the shapes.
+    """
+    count = len(placements)
+    flat, size, grid = [np.zeros(0, np.float32)], np.zeros((count, 2), np.float32), np.zeros((count, GRID))
+    parts, corners = [np.zeros(0, np.int32)], [np.zeros(0, np.int32)]
+    for index, placement in enumerate(placements if maps is not None else ()):
+        assert maps is not None  # the loop is empty without maps
+        stored, most, layout = maps.maps[index], maps.bakes[index].most, make_layout(placements, index)
+        if stored.shape[:2] != layout.size(most):
+            raise ValueError(f"a light map of {stored.shape[:2]} texels; accepted: {layout.size(most)}, of this shape")
+        room = np.zeros((*stored.shape[:2], channels.surface), dtype=np.float32)
+        room[..., : channels.count] = stored @ (channels.baked_from_radiance @ maps.basis).T.astype(np.float32)
+        is_mesh = placement.shape.triangles is not None
+        flat.append(room.ravel() if is_mesh else _bordered(room, placement.shape.wraps))
+        size[index], grid[index] = (stored.shape[1], 0 if is_mesh else stored.shape[0]), layout.grid
+        for found, own in zip((parts, corners), layout.triangles(most), strict=True):
+            found.append(own)
+    sides = np.concatenate(parts)
+    sizes = (sides.astype(np.int64) + 1) * (sides + 2) // 2
+    first = np.cumsum([one.size for one in flat], dtype=np.int64)
     return {
         "baked": np.concatenate(flat),
-        "baked_first": np.array((first[:-1] if maps is not None else [0] * count), dtype=np.int64),
+        "baked_first": first[:-1] if maps is not None else np.zeros(count, np.int64),
         "baked_size": size.ravel(),
-        "baked_maps": int(size.any()),
+        "baked_grid": grid.ravel(),
+        "baked_parts": sides,
+        "baked_corner": np.cumsum(sizes) - sizes,
+        "baked_corners": np.concatenate(corners),
+        "baked_maps": int(maps is not None),
+    }
+
+
+def make_seen(maps: LightMaps | None, placements: Sequence[Placement], channels: Channels) -> dict:
+    """Return the fields of a `PreparedWorld` that hold what the gloss of objects sees around them.
+
+    Where light is only added to pixels, that of other objects is stored as XYZ, which need fewer numbers.
+    """
+    seen, basis = (maps.seen, maps.seen_basis) if maps is not None else ((), np.zeros((SAMPLES, 0)))
+    decode = channels.colour_from_radiance @ basis
+    stored_from_seen = np.eye(basis.shape[1])
+    if not channels.coloured:
+        stored_from_seen, decode = channels.xyz_from_colour @ decode, np.linalg.pinv(channels.xyz_from_colour)
+    flat, size = [np.zeros(8, np.float32)], np.zeros((len(placements), 2), dtype=np.float32)
+    for index, found in enumerate(seen):
+        if not found.size:  # a mesh
+            flat.append(np.zeros(0, np.float32))
+            continue
+        size[index] = found.shape[1], found.shape[0]
+        texels = np.concatenate([found[..., :1], found[..., 1:] @ stored_from_seen.T.astype(np.float32)], axis=-1)
+        flat.append(_bordered(texels.reshape(*found.shape[:2], -1), placements[index].shape.wraps))
+    return {
+        "seen": np.concatenate(flat),
+        "seen_first": np.cumsum([one.size for one in flat], dtype=np.int64)[:-1],
+        "seen_size": size.ravel(),
+        "seen_side": max((found.shape[3] - 2 for found in seen if found.size), default=1),
+        "seen_decode": padded(decode.T, channels.surface),
+        "seen_maps": int(size.any()),
     }
 
 
@@ -367,7 +425,7 @@ def make_world(
     functions : (int, int, int)
         Addresses of rtcIntersect16, rtcOccluded16 and of their arguments.
     ambient : bool
-        Whether objects occlude ambient light.
+        Whether objects occlude ambient light; light maps contain that already.
     spare : int
         Number of additional texels to allocate.
     maps : LightMaps, optional
@@ -378,9 +436,10 @@ def make_world(
     pyramid = environment_pyramid(picture, channels.stored_from_light, channels.light, half=False)
     fields = _light_fields(light, needed_gloss(gloss, objects), pyramid, channels)
     fields |= _surface_fields(objects, tracer, channels, spare) | colour_fields(channels)
-    fields |= make_baked(maps, objects, channels)
+    fields |= make_baked(maps, tracer.placements, channels)
+    fields |= make_seen(maps, tracer.placements, channels)
     reflected = np.stack([channels.reflected(mean) for mean in mean_spectra(objects)])
-    reflects = ambient and fields["irradiance_side"] > 0
+    reflects = ambient and maps is None and fields["irradiance_side"] > 0
     shadows = make_mesh_shadows(tracer) if reflects else None
     fields |= {
         "ambient": padded(reflected, channels.surface),

@@ -38,6 +38,14 @@ class Layout:
     components: int = 1
     parts: int = 1
 
+    @property
+    def seen(self) -> int:
+        """Numbers that gloss sees in one direction: the share of free directions, then the light of other objects.
+
+        That light has three numbers (XYZ) if it is only added to pixels, else coefficients of a basis of spectra.
+        """
+        return 8 if self.coloured else 4
+
 
 class _LayoutType(types.Type):
     def __init__(self, layout: Layout) -> None:
@@ -87,6 +95,7 @@ def _black(field: str, times: int = 1):
 
 surface_lanes, light_lanes = _constant("surface"), _constant("light")
 is_coloured, is_profiled = _constant("coloured"), _constant("profiled")
-gloss_components, gloss_parts = _constant("components"), _constant("parts")
-#: Vectors of zeros: of a texel's lanes, of the light's, and of light at two levels.
+gloss_components, gloss_parts, seen_lanes = _constant("components"), _constant("parts"), _constant("seen")
+#: Vectors of zeros: of a texel's lanes, of the light's, of light at two levels, and of what gloss sees.
 surface_black, light_black, pair_black = _black("surface"), _black("light"), _black("light", 2)
+seen_black = _black("seen")

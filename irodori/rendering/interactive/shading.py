@@ -5,9 +5,22 @@ from typing import NamedTuple
 
 import numpy as np
 
-from irodori.geometry.shapes.shape_rows import CURVATURE, MIRROR, SHAPE
+from irodori.geometry.shapes.mesh_shadow_nodes import lattice_place
+from irodori.geometry.shapes.shadow_nodes import warped_place
+from irodori.geometry.shapes.shape_rows import CENTRE, CURVATURE, MIRROR, SHAPE, TURN
 from irodori.jit.compilation import uncounted
-from irodori.jit.vector_memory import compress, gather, largest, load, load_like, mask_bits, store, zeros_like
+from irodori.jit.vector_memory import (
+    channel_count,
+    compress,
+    gather,
+    lane,
+    largest,
+    load,
+    load_like,
+    mask_bits,
+    store,
+    zeros_like,
+)
 from irodori.reflection.fresnel import fresnel
 from irodori.reflection.lobes import constants_of, features_of, strength, value_of
 from irodori.rendering.interactive.ambient import ambient_light
@@ -19,8 +32,11 @@ from irodori.rendering.interactive.look_ups import (
     lobe_incidence,
     lobe_weight,
     sky_at,
+    surroundings,
 )
 from irodori.rendering.interactive.packets import (
+    BARYCENTRIC_B,
+    BARYCENTRIC_C,
     CONE,
     COSINE,
     DIRECTION,
@@ -31,6 +47,7 @@ from irodori.rendering.interactive.packets import (
     NORMAL_Y,
     OBJECT,
     ORIGIN,
+    POINT,
     RAYS,
     REFLECTED,
     SPREAD,
@@ -41,6 +58,7 @@ from irodori.rendering.interactive.packets import (
     TEXTURE_U,
     TEXTURE_V,
     THROUGHPUT,
+    TRIANGLE,
     WIDTH,
     raised,
 )
@@ -50,6 +68,8 @@ from irodori.rendering.interactive.representation_layout import (
     is_coloured,
     light_black,
     light_lanes,
+    seen_black,
+    seen_lanes,
     surface_black,
     surface_lanes,
 )
@@ -57,6 +77,8 @@ from irodori.rendering.interactive.round_lobes import ANGLES, ENTRY, POWER, ROUG
 
 #: Numbers per texel for the gloss components from the second on.
 FURTHER = 8
+#: Numbers per object for the light map of an endless plane, see `irodori.rendering.map_layouts.Layout`.
+GRID = 4
 
 
 class Sums(NamedTuple):
@@ -147,12 +169,49 @@ def _lobe_entry(job, hits, ray, component, power, place):
 def _baked_light(world, hits, ray, shape, like):
     """Return the baked light at a hit, interpolated in its object's light map."""
     columns, rows = world.baked_size[2 * shape], world.baked_size[2 * shape + 1]
-    half = np.float32(0.5)
-    x = min(max(hits.f[TEXTURE_U * RAYS + ray] * columns + half, np.float32(0.0)), columns + half)
-    y = min(max(hits.f[TEXTURE_V * RAYS + ray] * rows + half, np.float32(0.0)), rows + half)
+    if rows == 0.0:
+        return _light_of_nodes(world, hits, ray, shape, like)
+    half, (u, v) = np.float32(0.5), _place_on_map(world, hits, ray, shape)
+    x = min(max(u * columns + half, np.float32(0.0)), columns + half)
+    y = min(max(v * rows + half, np.float32(0.0)), rows + half)
     column, row, stride = np.int64(x), np.int64(y), np.int64(columns) + 2
     place = MapPlace(row * stride + column, x - np.float32(column), y - np.float32(row))
     return bilinear(world.baked, world.baked_first[shape], stride, place, like)
+
+
+@uncounted(forceinline=True)
+def _place_on_map(world, hits, ray, shape):
+    """Return the coordinates, 0..1, of a hit in the light map of its shape, which is not a mesh."""
+    if world.baked_grid[GRID * shape + 2] > 0.0:
+        return _place_on_plane(world, hits, ray, shape)
+    return hits.f[TEXTURE_U * RAYS + ray], hits.f[TEXTURE_V * RAYS + ray]
+
+
+@uncounted()
+def _place_on_plane(world, hits, ray, shape):
+    """Return the coordinates, 0..1, of a hit in the light map of an endless plane."""
+    hit, row, at, grid = hits.f, world.shape, shape * SHAPE, GRID * shape
+    x = hit[POINT * RAYS + ray] - row[at + CENTRE]
+    y = hit[(POINT + 1) * RAYS + ray] - row[at + CENTRE + 1]
+    z = hit[(POINT + 2) * RAYS + ray] - row[at + CENTRE + 2]
+    across = x * row[at + TURN] + y * row[at + TURN + 3] + z * row[at + TURN + 6]
+    along = x * row[at + TURN + 1] + y * row[at + TURN + 4] + z * row[at + TURN + 7]
+    u = warped_place((across - world.baked_grid[grid]) / world.baked_grid[grid + 2])
+    v = warped_place((along - world.baked_grid[grid + 1]) / world.baked_grid[grid + 3])
+    return np.float32(0.5 + 0.5 * u), np.float32(0.5 + 0.5 * v)
+
+
+@uncounted()
+def _light_of_nodes(world, hits, ray, shape, like):
+    """Return the baked light at a hit on a mesh, interpolated between nodes on its triangle."""
+    triangle = world.surfaces.first_face[shape] + hits.i[TRIANGLE * RAYS + ray]
+    b, c = np.float64(hits.f[BARYCENTRIC_B * RAYS + ray]), np.float64(hits.f[BARYCENTRIC_C * RAYS + ray])
+    places, weights = lattice_place(np.int64(world.baked_parts[triangle]), b, c)
+    first, light, width = world.baked_corner[triangle], zeros_like(like), channel_count(like)
+    for corner in range(3):
+        at = world.baked_first[shape] + np.int64(world.baked_corners[first + places[corner]]) * width
+        light = light + np.float32(weights[corner]) * load_like(world.baked, at, like)
+    return light
 
 
 @uncounted(forceinline=True)
@@ -177,7 +236,7 @@ def shade_surfaces(job, scratch, base, seen):
         x, y = hits.f[NORMAL_X * RAYS + ray], hits.f[NORMAL_Y * RAYS + ray]
         normal = MapPlace(np.int64(hits.i[NORMAL_CELL * RAYS + ray]), x, y)
         light = zeros_like(texel)
-        if world.baked_maps > 0 and world.baked_size[2 * shape] > 0.0:
+        if world.baked_maps > 0:
             light = _baked_light(world, hits, ray, shape, texel)
         else:
             if world.irradiance_side > 0:
@@ -245,6 +304,12 @@ def shade_gloss(job, scratch, base, glossy):
             continue
         slot, throughput = np.int64(paths.slot[base + ray]), paths.f[THROUGHPUT * STRIDE + base + ray]
         light, colour = light_black(layout), surface_black(layout)
+        shape, free, around = hits.i[OBJECT * RAYS + ray], np.float32(1.0), seen_black(layout)
+        has_seen = world.seen_maps > 0 and world.seen_size[2 * shape] > 0.0
+        if has_seen:
+            around = surroundings(world, layout, hits, ray, _place_on_map(world, hits, ray, shape))
+            free = lane(around, 0)
+        whole, power = colour, np.float32(0.0)  # of the lobes
         for tap in range(TAPS):
             weight, passed = lobe_weight(hits.look, ray, tap), colour
             if is_coloured(layout):
@@ -252,13 +317,25 @@ def shade_gloss(job, scratch, base, glossy):
                 n, k = load_like(world.index, index, colour), load_like(world.index, index + width, colour)
                 passed = weight * fresnel(zeros_like(colour) + lobe_incidence(hits.look, ray, tap), n, k)
                 weight = largest(passed)
-            if weight * throughput <= job.limits.least_lobe:
+                if has_seen:
+                    whole = whole + passed
+            power += weight
+            if free * weight * throughput <= job.limits.least_lobe:
                 continue
             found = lobe_at(world, layout, hits, ray, tap)
             if is_coloured(layout):
                 colour = colour + passed * decoded(world, layout, found)
             else:
                 light = light + weight * found
+        if has_seen:
+            others = surface_black(layout)
+            for number in range(1, seen_lanes(layout)):
+                others = others + lane(around, number) * load_like(world.seen_decode, (number - 1) * width, others)
+            if is_coloured(layout):
+                colour = free * colour + whole * others
+            else:
+                light = free * light
+                _add_colour(layout, scratch, base + ray, power * others)
         if is_coloured(layout):
             _add_coloured(layout, sums, slot, colour)
         else:

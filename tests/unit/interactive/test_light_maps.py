@@ -1,26 +1,39 @@
 """Light maps: what path tracing finds on the objects' textures, and pictures of the interactive renderer with it."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from made import made
-from scenes import BALL, constant_light, material, plate, sky, smooth_light
+from scenes import BALL, DATA, constant_light, material, plate, sky, smooth_light
 
+from benchmarks.render import true_light, true_materials
 from irodori.colour.colorimetry import delta_e, lab_from_xyz, xyz_from_radiance
 from irodori.config.cross_checks.plan_overrides import check_plan
-from irodori.config.models import Render, Scene
+from irodori.config.definitions import load_definitions, read_yaml
+from irodori.config.models import Render, Scene, Size
+from irodori.config.models import View as SeenFrom
 from irodori.core import store
 from irodori.core.errors import InputError
+from irodori.geometry.embree import Tracer
+from irodori.geometry.mesh import make_mesh
 from irodori.geometry.shapes.placement import Placement
 from irodori.geometry.shapes.plane import Plane
 from irodori.geometry.shapes.shape import Shape
+from irodori.light.environment_file import Environment
+from irodori.light.gloss.gloss_maps import GlossMaps
+from irodori.light.irradiance import fitted_irradiance_map
+from irodori.light.light_files import rgb_picture
 from irodori.rendering.frame_state import STILL
 from irodori.rendering.integrators import make_renderer, render_image
+from irodori.rendering.interactive.frame_renderer import light_of, prepare_scene, render_frame
 from irodori.rendering.light_maps import LightMaps, look_up
+from irodori.rendering.reference import baking
 from irodori.rendering.reference.baking import bake_maps, maps_key
-from irodori.rendering.scene_arrays import make_objects
+from irodori.rendering.scene_arrays import make_objects, make_view
 
+ROOT = Path(__file__).resolve().parents[3]
 HEIGHT_MM = 30.0
 TABLE, SHAPES = plate(120.0), [plate(120.0), BALL]
 
@@ -32,6 +45,25 @@ def placements(height_mm=HEIGHT_MM) -> list[Placement]:
 def baked(reflectances, light, height_mm=HEIGHT_MM) -> LightMaps:
     there = placements(height_mm)
     return bake_maps(there, make_objects(there, [material(r) for r in reflectances])[0], light)
+
+
+def charts(count: int) -> np.ndarray:
+    """Texture coordinates of triangles, each on its own, (count, 3, 2)."""
+    side = int(np.ceil(np.sqrt(count)))
+    cell = np.stack([np.arange(count) % side, np.arange(count) // side], axis=1)
+    return (cell[:, None] + np.array([[0.0, 0.0], [0.0, 1.0], [1.0, 0.0]])) / side
+
+
+def octahedron(radius_mm: float, halvings: int):
+    """A ball of triangles, each edge of an octahedron halved some times, with the normals of the ball."""
+    corners = np.array([[1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], dtype=float)
+    faces = corners[[[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4], [1, 0, 5], [2, 1, 5], [3, 2, 5], [0, 3, 5]]]
+    for _ in range(halvings):
+        a, b, c = faces[:, 0], faces[:, 1], faces[:, 2]
+        d, e, f = a + b, b + c, c + a
+        faces = np.concatenate([np.stack(three, axis=1) for three in ((a, d, f), (d, b, e), (f, e, c), (d, e, f))])
+        faces = faces / np.linalg.norm(faces, axis=2, keepdims=True)
+    return make_mesh(radius_mm * faces, charts(len(faces)), faces)
 
 
 def test_between_white_surfaces_in_even_light_every_place_is_as_bright():
@@ -95,6 +127,23 @@ def test_with_light_maps_a_picture_of_dull_objects_is_near_the_path_traced_one(l
     assert far["maps"] < 0.5 and far["maps"] < 0.4 * far["ambient"]
 
 
+def test_with_light_maps_a_mesh_on_an_endless_plane_is_near_the_path_traced_picture_also_from_a_file(tmp_path):
+    floor = {"shape": {"kind": "plane"}, "position_mm": [0.0, 0.0, 0.0], "material": {"spectrum": "TCS11"}}
+    mesh, materials, file = [Shape.from_mesh(octahedron(20.0, 3))], [material(COLOURED[1])], tmp_path / "m.h5"
+
+    def scene(integrator) -> Scene:
+        made = scene_of(integrator, bodies=[floor])
+        return replace(made, objects=made.objects[1:])
+
+    def far(integrator, maps_file=None) -> float:
+        arguments = (scene(integrator), "v", mesh, materials, LIGHT, OPTIONS)
+        return render_image(*arguments, distance=True, maps_file=maps_file)[1]["delta_e_to_reference"]["mean"]
+
+    make_renderer(scene(MAPS), mesh, materials, LIGHT, OPTIONS).baked.save(file, store.Provenance("test"))
+    from_maps = far(MAPS, file)
+    assert from_maps < 0.5 and from_maps < 0.5 * far({"kind": "interactive"})
+
+
 def test_products_of_light_and_surface_show_what_the_bands_show_with_light_maps():
     materials, scene = [material(one) for one in COLOURED], scene_of(MAPS)
     white = LIGHT.upward_white()
@@ -137,6 +186,7 @@ def test_maps_show_other_colours_of_the_light_and_other_sides_as_path_tracing_do
     assert far["maps"] < 0.7 and far["maps"] < 0.6 * far["ambient"]
 
 
+@pytest.mark.stability(stage="render", case="light maps whose object moved")
 def test_maps_of_a_scene_whose_object_was_moved_are_refused_by_name(tmp_path):
     materials = [material(one) for one in COLOURED]
     renderer = make_renderer(scene_of(MAPS), SHAPES, materials, LIGHT, OPTIONS)
@@ -167,9 +217,148 @@ def test_the_key_of_maps_follows_what_they_depend_on_and_nothing_else():
     assert len({own, *others}) == 7
 
 
-def test_an_endless_plane_has_no_map_and_a_tolerance_no_light_maps():
-    there = [Placement(Plane(), np.eye(3), np.zeros(3)), *placements()[1:]]
-    maps = bake_maps(there, make_objects(there, [material(0.5), material(0.5)])[0], constant_light())
-    assert maps.maps[0].size == 0 and maps.maps[1].size > 0
+def test_a_scene_with_a_tolerance_has_no_light_maps():
     with pytest.raises(InputError, match=r"light_maps: found light maps in a scene with tolerance_ciede2000"):
         check_plan(scene_of(MAPS, tolerance_ciede2000=40.0), "scene.yaml")
+
+
+def seen_from_above(placements, reflectances, light, maps=None, span_mm=400.0, size=64) -> tuple[np.ndarray, ...]:
+    """Green radiance that the interactive renderer shows to parallel rays from above, and x and y of its pixels, mm."""
+    objects = make_objects(placements, [material(r) for r in reflectances])[0]
+    maps = bake_maps(placements, objects, light) if maps is None else maps
+    tracer, gloss = Tracer(placements), GlossMaps.of(light.coefficients)
+    ready = prepare_scene(objects, light_of(light), gloss, tracer, "spectral", np.ones(61), maps=maps)
+    view = {"kind": "orthographic", "position_mm": [0.0, 0.0, 300.0], "target_mm": [0.0, 0.0, 0.0],
+            "up": [0.0, 1.0, 0.0], "height_mm": span_mm}  # fmt: skip
+    seen = make_view(made(SeenFrom, view), made(Size, {"width": size, "height": size}))
+    side = ((np.arange(size) + 0.5) / size - 0.5) * span_mm
+    return render_frame(ready, seen, bands=True)[..., 30], *np.meshgrid(side, -side)
+
+
+def test_under_a_black_ball_an_endless_plane_is_dark_by_the_ball_s_form_factor_near_and_far():
+    there = [Placement(Plane(), np.eye(3), np.zeros(3)), *placements()[1:]]
+    far = [20000.0, 400.0]
+    for span in far:
+        found, x, y = seen_from_above(there, (0.5, 0.0), constant_light(), span_mm=span)
+        distance = np.sqrt(x**2 + y**2 + HEIGHT_MM**2)
+        beside = np.hypot(x, y) > 21.0  # the rest shows the ball
+        wanted = 0.5 * (1.0 - HEIGHT_MM / distance * (20.0 / distance) ** 2)
+        assert np.abs(found - wanted)[beside].mean() < 0.01 and np.abs(found - wanted)[beside].max() < 0.05
+
+
+@pytest.mark.parametrize("mesh", [octahedron(20.0, 3), BALL.facetted(1.0)], ids=["512 triangles", "16256"])
+def test_a_ball_of_triangles_has_the_light_of_an_exact_ball(mesh):
+    """Large triangles are divided for texels; where they are small, their corners are texels."""
+    seen = []
+    for shape in (BALL, Shape.from_mesh(mesh)):
+        there = [placements()[0], replace(placements()[1], shape=shape)]
+        found, x, y = seen_from_above(there, (0.3, 0.8), LIGHT, span_mm=50.0, size=48)
+        seen.append(found[np.hypot(x, y) < 17.0])
+    assert np.abs(seen[1] / seen[0] - 1.0).mean() < 0.02
+
+
+def block(half_mm: float, low_mm: float, high_mm: float):
+    """A box of twelve triangles, two to each side."""
+    x = np.array([[sx * half_mm, sy * half_mm, z] for z in (low_mm, high_mm) for sy in (-1, 1) for sx in (-1, 1)])
+    sides = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]]
+    faces = np.array([[a, b, c] for a, b, c, _ in sides] + [[a, c, d] for a, _, c, d in sides])
+    return Shape.from_mesh(make_mesh(x[faces], charts(12)))
+
+
+def test_no_darkness_leaks_out_under_a_box_that_stands_in_a_table():
+    """A white furnace: texels inside the box have no light, and light is interpolated at the box's foot."""
+    there = [Placement(TABLE, np.eye(3), np.zeros(3)), Placement(block(19.0, -15.0, 15.0), np.eye(3), np.zeros(3))]
+    found = seen_from_above(there, (1.0, 1.0), constant_light(2.0), span_mm=110.0)[0]
+    assert np.abs(found / 2.0 - 1.0).max() < 0.05
+
+
+GLOSSY = {"beta": 4.0, "mu": 0.15}
+
+
+def test_gloss_of_white_neighbours_in_even_light_is_that_of_the_sky():
+    """A white furnace: what neighbours hide from a lobe they send back, for every surface is as bright as the sky."""
+    light = constant_light(2.0)
+    matt, glossy, blind = (
+        make_renderer(scene_of(MAPS), SHAPES, [material(1.0, **gloss)] * 2, light, OPTIONS)
+        for gloss in ({}, GLOSSY, GLOSSY)
+    )
+    glossy.baked, blind.baked = matt.baked, replace(matt.baked, seen=())
+    plain, seen, free = (renderer.picture("v")[0][..., 30] for renderer in (matt, glossy, blind))
+    shown = free - plain > 1e-3
+    assert shown.sum() > 200 and (glossy.baked.seen[0][..., 0] < 0.5).any()
+    assert np.abs((seen - plain)[shown] / (free - plain)[shown] - 1.0).max() < 0.05
+
+
+@pytest.mark.parametrize("moment", [STILL, REDDISH], ids=["as it stands", "another colour"])
+def test_gloss_shows_neighbours_as_path_tracing_does(moment):
+    """A coloured ball and plate in each other's gloss: nearer to paths than gloss that sees the sky through them."""
+    materials = [material(0.5 * one, n=1.0, k=3.0, **GLOSSY) for one in COLOURED]
+    white = LIGHT.upward_white()
+    white = white * (1.0 if moment.filter is None else np.array(moment.filter))
+    matrix, paths = xyz_from_radiance(white), {"kind": "reference", "samples": 512, "denoise": False}
+    renderers = [make_renderer(scene_of(kind), SHAPES, materials, LIGHT, OPTIONS) for kind in (MAPS, MAPS, paths)]
+    renderers[1].baked = replace(renderers[0].baked, seen=())
+    seen, blind, traced = (
+        lab_from_xyz(renderer.picture("v", moment)[0] @ matrix.T, matrix @ white) for renderer in renderers
+    )
+    far, without = delta_e(seen, traced), delta_e(blind, traced)
+    assert far.mean() < 0.6 * without.mean() and np.percentile(far, 99) < 0.8 * np.percentile(without, 99)
+
+
+@pytest.mark.heavy
+@pytest.mark.parametrize("place", ["classroom", "hall", "museum"])
+def test_with_light_maps_the_still_life_is_near_the_path_traced_one_under_measured_light_too(place):
+    """The true materials of the shipped scene in the virtual classroom, and in two photographed places."""
+    loaded = load_definitions(read_yaml(ROOT / "config/config.yaml"), ROOT)
+    scene = loaded.scenes["still-life"]
+    light = true_light(loaded, 1000) if place == "classroom" else None
+    if light is None:
+        file = DATA / "environments" / f"{place}.exr"
+        if not file.is_file():
+            pytest.skip(f"no picture at {file}")
+        picture = rgb_picture(file)
+        weights = picture.weights.astype(np.float32)
+        light = Environment(weights, picture.basis, fitted_irradiance_map(weights, max_error=2e-3, max_height=128)[0])
+    shapes = [Shape.from_definition(loaded.objects[item.object].shape) for item in scene.objects]
+    scene = replace(scene, integrator=scene_of(MAPS).integrator)
+    far = render_image(scene, "front", shapes, true_materials(loaded), light, distance=True)[1]["delta_e_to_reference"]
+    assert far["mean"] < 0.8 and far["p99"] < 4.0
+
+
+def test_black_light_gives_a_black_picture_and_a_mirror_over_a_black_table_none_brighter_than_the_sky():
+    dark = make_renderer(scene_of(MAPS), SHAPES, [material(0.5, **GLOSSY)] * 2, constant_light(0.0), OPTIONS)
+    assert (dark.picture("v")[0] == 0.0).all()
+    mirror = [material(0.0), material(0.0, mirror=1.0, n=0.2, k=3.0)]
+    found = make_renderer(scene_of(MAPS), SHAPES, mirror, constant_light(1.0), OPTIONS).picture("v")[0]
+    assert np.isfinite(found).all() and (found >= 0.0).all() and found.max() < 1.001
+
+
+@pytest.mark.stability(stage="render", case="light maps whose object moved")
+def test_a_bake_that_was_killed_goes_on_with_the_next_object(tmp_path, monkeypatch):
+    materials = [material(one) for one in COLOURED]
+
+    def renderer(scene=None):
+        return make_renderer(scene or scene_of(MAPS), SHAPES, materials, LIGHT, OPTIONS)
+
+    baked, bake = [], baking._bake
+
+    def counted(scene, index, *arguments):
+        if index == 1 and not baked[1:]:
+            baked.append("killed")
+            raise KeyboardInterrupt
+        baked.append(index)
+        return bake(scene, index, *arguments)
+
+    monkeypatch.setattr(baking, "_bake", counted)
+    with pytest.raises(KeyboardInterrupt):
+        renderer().bake(tmp_path / "maps.part")
+    found = renderer().bake(tmp_path / "maps.part")
+    assert baked == [0, "killed", 1]
+    whole = renderer().bake()
+    assert all(np.array_equal(a, b) for a, b in zip(found.maps, whole.maps, strict=True)) and found.bakes == whole.bakes
+    # A finished map of a scene whose ball moved is not used.
+    moved = scene_of(MAPS)
+    moved = replace(moved, objects=(replace(moved.objects[0], position_mm=(0.0, 0.0, 0.1)), moved.objects[1]))
+    baked[:] = [0, "killed"]
+    assert renderer(moved).bake(tmp_path / "maps.part").key != whole.key
+    assert baked == [0, "killed", 0, 1] and len(list((tmp_path / "maps.part").iterdir())) == 2
