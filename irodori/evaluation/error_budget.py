@@ -16,7 +16,16 @@ from typing import NamedTuple
 import numpy as np
 
 from irodori.colour.colorimetry import summary, xyz_from_reflectance
-from irodori.config.models import Compress, EnvironmentMaps, Fit, ReferenceIntegrator, Render, Scene, Size
+from irodori.config.models import (
+    Compress,
+    EnvironmentMaps,
+    Fit,
+    InteractiveIntegrator,
+    ReferenceIntegrator,
+    Render,
+    Scene,
+    Size,
+)
 from irodori.config.parts import Subject
 from irodori.core.progress import LOGGER, track
 from irodori.evaluation import error_prediction as draws
@@ -168,10 +177,20 @@ class _Pictures:
         """Render radiance, (height, width, 61), with the integrator ``reference``; random numbers never change."""
         return self.by_paths.picture(materials, light, samples, image=self._image(width_px))
 
-    def own(self, materials: list[Material], light: Environment, width_px: float) -> np.ndarray:
-        """Render radiance (height, width, 61) with the integrator that the scene chooses."""
+    def own(self, materials: list[Material], light: Environment, width_px: float, baked: bool = True) -> np.ndarray:
+        """Render radiance (height, width, 61) with the integrator that the scene chooses, or without its light maps."""
         scene = replace(self.scene, image=self._image(width_px))
+        if not baked and isinstance(scene.integrator, InteractiveIntegrator):
+            scene = replace(scene, integrator=replace(scene.integrator, light_maps=False))
         return render_image(scene, self._view, self._shapes, materials, light, self._options)[0]
+
+    def touched(self, one: list[Material], other: list[Material], light: Environment, width_px: float) -> np.ndarray:
+        """Return the pixels that differ between two sets of materials, (height, width) bool: those of objects.
+
+        Without light maps, which the other objects change too and which take long to bake.
+        """
+        pair = (self.own(materials, light, width_px, baked=False) for materials in (one, other))
+        return np.not_equal(*pair).any(axis=-1)
 
 
 class _Budget:
@@ -294,11 +313,9 @@ class _Budget:
             self._add_noise(self._pictures.scene.integrator)
             return
         width_px = _WIDTH_PX / _LONG_SHARE
-        long, own = (
-            picture(self._truths, self._true_light, width_px=width_px, **more)
-            for picture, more in ((self._pictures.paths, {"samples": _LONG_SAMPLES}), (self._pictures.own, {}))
-        )
-        shown = (own != self._pictures.own(self._estimates, self._true_light, width_px)).any(axis=-1)
+        long = self._pictures.paths(self._truths, self._true_light, _LONG_SAMPLES, width_px)
+        own = self._pictures.own(self._truths, self._true_light, width_px)
+        shown = self._pictures.touched(self._truths, self._estimates, self._true_light, width_px)
         by = "none: what an integrator leaves out is seen beside paths alone"
         self._add(
             "renderer: what the integrator leaves out", radiance_delta_e(long, own, self._white)[shown], np.nan, by
