@@ -4,7 +4,6 @@ A correction smaller than its own error would do harm, so that all others stay e
 """
 
 import math
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -27,7 +26,7 @@ def is_told(sigma: np.ndarray, prior: np.ndarray) -> np.ndarray:
     return sigma < _TOLD * prior
 
 
-def told_in_words(values: Sequence[float], sigma: Sequence[float], told: Sequence[bool]) -> list[str]:
+def told_in_words(values: np.ndarray, sigma: np.ndarray, told: np.ndarray) -> list[str]:
     """Return which of the `QUANTITIES` are corrected, by ``values``, which confirmed and which left undetermined.
 
     Parameters
