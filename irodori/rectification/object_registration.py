@@ -1019,14 +1019,14 @@ def register_object(
     measured; ``/outline_points`` (J). ``/angle_error`` (4,), standard deviations of θ_i, θ_r, θ_H and φ of the
     observations, degrees, as root mean squares over all of them; ``/angle_error_of_capture`` (J, 4) and
     ``/angle_error_spread`` (4, 2), the same of each photograph, and the 5th and 95th percentiles; these three are
-    missing if no texel amid others is seen and lit. What is combined with other objects that were photographed together:
-    ``/probable`` (12 + J) and ``/probable_covariance`` of the numbers above and of each photograph's own camera angle,
-    ``/light_shown`` and ``/light_shown_sigma`` if highlights show the light, ``/angle_change`` (J, 4, 13, 13) with
-    ``/observations`` (J), see `irodori.rectification.registration_file.AngleChanges`. With a sheet also ``/sheet_place`` and ``/sheet_place_sigma`` (9),
-    its place and size in the order of ``/sheet_quantity`` and their standard errors, ``/sheet_corners`` (J), its
-    corners found, and ``/sheet_residual_px`` (J). Attributes: ``told``, for each quantity whether the photographs
-    determine it; ``captures``, names of the photographs; ``sentence``, a summary in words; ``remarks``, its parts that
-    are not about these quantities.
+    missing if no texel amid others is seen and lit. What is combined with other objects that were photographed
+    together: ``/probable`` (12 + J) and ``/probable_covariance`` of the numbers above and of each photograph's own
+    camera angle, ``/light_shown`` and ``/light_shown_sigma`` if highlights show the light, ``/angle_change`` (J, 4, 13,
+    13) with ``/observations`` (J), see `irodori.rectification.registration_file.AngleChanges`. With a sheet also
+    ``/sheet_place`` and ``/sheet_place_sigma`` (9), its place and size in the order of ``/sheet_quantity`` and their
+    standard errors, ``/sheet_corners`` (J), its corners found, and ``/sheet_residual_px`` (J). Attributes: ``told``,
+    for each quantity whether the photographs determine it; ``captures``, names of the photographs; ``sentence``, a
+    summary in words; ``remarks``, its parts that are not about these quantities.
     """
     found = register(linear, definition, setup, placing, markers, light)
     names = [Path(path).stem for path in linear]
