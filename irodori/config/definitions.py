@@ -4,7 +4,7 @@ Quick to import for the Snakefile: only the standard library, PyYAML and jsonsch
 """
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -86,6 +86,7 @@ def definition_faults(config: dict, root: Path, file=_CONFIG_FILE) -> list[Input
         finder.scene(name, first, ("make", "scenes", index))
     for index, name in enumerate(given.make.cameras):
         finder.camera(name, first, ("make", "cameras", index))
+    finder.together(given.photographed_together)
     return finder.faults
 
 
@@ -126,6 +127,8 @@ def _load_definitions(
         loader.camera(name, file, ("make", "cameras", index))
     if also is not None:
         loader.load(*also)
+    else:
+        loader.together(config.photographed_together)
     loaded = Loaded(config=config, **loader.found)
     check_agreement(loaded, root, file, loader.file, photographs=photographs)
     return loaded
@@ -191,6 +194,13 @@ class _Loader:
     def camera(self, name: str, by, path: tuple) -> None:
         for camera, file in self._load("cameras", name, by, path):
             list(self._load("rigs", camera.rig, file, ("rig",)))
+
+    def together(self, sets: Sequence[Sequence[str]]) -> None:
+        """Load the other objects of each set of which an object is loaded."""
+        for number, names in enumerate(sets):
+            if any(name in self.found["objects"] for name in names):
+                for index, name in enumerate(names):
+                    self._object(name, self.config_file, ("photographed_together", number, index))
 
     def _rig(self, name: str, by, path: tuple) -> None:
         list(self._load("rigs", name, by, path))

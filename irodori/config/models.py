@@ -297,6 +297,11 @@ class Config(Definition):
     #: photographs then refine them. A quantity with 0 stays as typed.
     place: Placing = Placing()
 
+    #: Sets of objects that were photographed one after the other by one camera, while nobody moved, refocused or
+    #: readjusted camera, lens or rig; what they tell of these is combined. Where one of a set is made, all are
+    #: registered.
+    photographed_together: tuple[tuple[str, ...], ...] = ()
+
     #: From pictures to observations of each texel.
     rectify: Rectify = Rectify()
 

@@ -322,8 +322,20 @@ class PhotographSets:
         return [f"results/{wildcards.object}/linear/{capture}.h5" for capture in captures]
 
     def registration(self, wildcards) -> list[str]:
-        """Return, as a list, the file of an object's registration; empty if the configuration does not require it."""
-        return [f"results/{wildcards.object}/registration.h5"] if self.loaded.config.place.register else []
+        """Return, as a list, the file that tells where an object stood; empty if objects are not registered.
+
+        For an object photographed together with others it is the one that takes in what these tell.
+        """
+        if not self.loaded.config.place.register:
+            return []
+        shared = any(wildcards.object in names for names in self.loaded.config.photographed_together)
+        return [f"results/{wildcards.object}/{'placement' if shared else 'registration'}.h5"]
+
+    def together(self) -> list[tuple[str, ...]]:
+        """Return the sets of objects whose registrations are combined, because they were photographed together."""
+        config = self.loaded.config
+        sets = config.photographed_together if config.place.register else ()
+        return [names for names in sets if names[0] in self.loaded.objects]
 
     def tiles_of(self, name: str) -> list[tuple[int, int]]:
         """Return (first row, end row) of every texture tile of an object."""

@@ -24,7 +24,6 @@ from irodori.geometry.atlas import are_alike
 from irodori.geometry.embree import Tracer
 from irodori.geometry.rig_frame import rig_from_camera, rig_from_object, to_camera
 from irodori.geometry.shapes.shape import Shape
-from irodori.material.angle_errors import ANGLES, write_registered
 from irodori.rectification.inner_brightness import InnerSurface, inner_surface, paint_contrast, painted
 from irodori.rectification.marker_sheet import (
     OUTLINE,
@@ -48,6 +47,7 @@ from irodori.rectification.placement_correction import (
 )
 from irodori.rectification.reduced_pictures import Level, Picture
 from irodori.rectification.registration_covariance import RegisteredAngleErrors, Rows, angle_errors, excess
+from irodori.rectification.registration_file import Estimate, Told, write_angle_errors, write_estimate, write_told
 from irodori.rectification.stage import RigSetup, observe
 from irodori.rectification.texture_agreement import (
     TextureRows,
@@ -58,6 +58,14 @@ from irodori.rectification.texture_agreement import (
     texel_values,
     texture_rows,
     without_levels,
+)
+from irodori.rectification.told_values import (
+    CONTRADICTED,
+    diagonal_of_inverse,
+    inverse,
+    only_what_is_told,
+    settle_light,
+    solve,
 )
 
 if TYPE_CHECKING:
@@ -99,14 +107,6 @@ _OUTLINE_MOST_PX = 0.4  # largest standard deviation of outline points in the la
 _OUTLINE_SHARED, _TEXTURE_SHARED = 5.0, 75.0
 _SIDES = 4.0  # parts of an outline in which the errors by paints and gloss are alike
 _OUTLINED = 0.5  # share of photographs with an outline from which on coarse levels use outlines alone
-_TOLD = 0.5  # share of the prior's standard deviation; a value with a larger error is not determined by the photographs
-_SIGNIFICANT = 2.0  # standard errors that a significant correction exceeds
-#: Standard deviations, of what was typed and of the estimate together, beyond which the typed angle of the light is
-#: contradicted. A surface of two lobes, fitted with one, was seen to displace it by three.
-_CONTRADICTED = 4.0
-#: Accuracy that registration aims at, in the order of `QUANTITIES`: 0.1 mm and 0.05 degrees, and what moves the rim of
-#: an object of a hand's size by as much. Standard errors do not include the bias of an outline in dim light.
-_ACCURACY = np.array([0.1] * 3 + [0.05] * 3 + [2.0, 0.2] + [0.5] * 2 + [0.05] * 2)
 _CAMERA = range(6, CAMERA + 1)  # quantities on which the place of the sheet in a photograph depends
 _NUMERIC = np.array([0.01] * 3 + [0.01] * 3 + [0.1, 0.01, 0.1, 0.1, 0.01, 0.01])  # steps of derivatives, as QUANTITIES
 #: What may be wrong with the pose of one photograph -> the angle that is varied. The place of the object in the picture
@@ -142,14 +142,9 @@ class Registered:
 
     Parameters
     ----------
-    correction : Correction
-        Most probable corrections of the definitions; exactly 0 for values that the photographs do not determine or do
-        not change significantly.
-    covariance : (12, 12) float64
-        Covariance of the most probable values if all twelve are estimated together. If outlines, textures or corners
-        scatter between photographs by more than expected, it is the larger by as much.
-    prior : (12,) float64
-        Standard deviations of the prior.
+    estimate : Estimate
+        Corrections in use, the most probable values, and their covariance if all are estimated together. If outlines,
+        textures or corners scatter between photographs by more than expected, it is the larger by as much.
     own_camera_deg : (J,) float64
         Additional correction of the camera angle of each photograph.
     residual_px : (J,) float64
@@ -170,9 +165,7 @@ class Registered:
         Error of all light angles by shading and highlights, and its standard error, whether it is corrected or not.
     """
 
-    correction: Correction
-    covariance: np.ndarray
-    prior: np.ndarray
+    estimate: Estimate
     own_camera_deg: np.ndarray
     residual_px: np.ndarray
     mm_per_px: float
@@ -183,19 +176,19 @@ class Registered:
     light_deg: tuple[float, float] | None = None
 
     @property
+    def correction(self) -> Correction:
+        """Corrections in use."""
+        return Correction.of(self.estimate.values)
+
+    @property
     def sigma(self) -> np.ndarray:
         """Standard errors of the most probable values, (12,)."""
-        return np.sqrt(np.diag(self.covariance))
+        return self.estimate.sigma
 
     @property
     def is_told(self) -> np.ndarray:
-        """Mask of the values that the photographs determine, (12,) bool: error below half of the prior's.
-
-        A light angle that they contradict is determined by them too.
-        """
-        told = self.sigma < _TOLD * self.prior
-        told[LIGHT] |= self.correction.values[LIGHT] != 0.0
-        return told
+        """Mask of the values that the photographs determine, (12,) bool."""
+        return self.estimate.told
 
 
 class _Texels(NamedTuple):
@@ -353,38 +346,6 @@ class _Problem:
         return np.stack(parts, axis=-1)
 
 
-class SettledLight(NamedTuple):
-    """Error of all light angles, deg: the correction in use, the most probable value, and its variance, deg²."""
-
-    used_deg: float
-    probable_deg: float
-    variance: float
-
-
-def settle_light(offset_deg: float, error_deg: float, prior_deg: float) -> SettledLight:
-    """Decide what shading and highlights correct of the light's angles.
-
-    The angles are corrected where the photographs contradict them or, as other numbers are, where the photographs
-    determine them and they are significantly off. Else they stay as typed.
-
-    Parameters
-    ----------
-    offset_deg, error_deg : float
-        Error of the angles by the photographs, and its standard error.
-    prior_deg : float
-        Standard deviation of the typed angles.
-    """
-    significant = error_deg < _TOLD * prior_deg and abs(offset_deg) > max(_SIGNIFICANT * error_deg, _ACCURACY[LIGHT])
-    contradicted = abs(offset_deg) > _CONTRADICTED * math.hypot(prior_deg, error_deg)
-    if contradicted:
-        words = "the photographs contradict the typed light angles, which are corrected by %+.2f ± %.2f deg"
-        LOGGER.warning(words, offset_deg, error_deg)
-    if significant or contradicted:
-        return SettledLight(offset_deg, offset_deg, error_deg**2)
-    share = prior_deg**2 / (prior_deg**2 + error_deg**2)
-    return SettledLight(0.0, share * offset_deg, share * error_deg**2)
-
-
 def register(
     linear: Sequence,
     definition: "Object | TexturedObject",
@@ -422,8 +383,8 @@ def register(
         _descend(problem, reach, _STEPS, trace=reach == first)
         reach /= 2.0
     matrix = _descend(problem, _FINEST_REACH, _LAST_STEPS)
-    probable, whole = problem.unknowns.copy(), _inverse(_with_excess(problem, matrix), sigma)
-    problem.unknowns, problem.sigma = _only_what_is_told(problem.unknowns, matrix, sigma)
+    probable, whole = problem.unknowns.copy(), inverse(_with_excess(problem, matrix), sigma)
+    problem.unknowns, problem.sigma = only_what_is_told(problem.unknowns, matrix, sigma)
     _settle(problem, _FINEST_REACH, _LAST_STEPS)
     own, problem.unknowns[problem.own] = problem.unknowns[problem.own].copy(), 0.0
     residual, points, suspects = _residuals(problem, max(0.5 * first, 2.0 * _FINEST_REACH))
@@ -432,24 +393,22 @@ def register(
         # Nothing else depends on the light's angles: before, they were as typed, and known as well as that.
         whole[LIGHT], whole[:, LIGHT] = 0.0, 0.0
         problem.unknowns[LIGHT], probable[LIGHT], whole[LIGHT, LIGHT] = settle_light(*shown, float(sigma[LIGHT]))
-    angles, off = slice(0, problem.own.stop), probable - problem.unknowns
-    moment = (whole + np.outer(off, off))[angles, angles]
     sheet = None
     if problem.sheet is not None:
         values, errors = problem.unknowns[problem.of_sheet], np.sqrt(np.diag(whole))[problem.of_sheet]
         check_printed_size(linear, problem.sheet, values, problem.shape.reach_mm)
         corners, left = zip(*((len(view.corners), view.sheet_residual_px) for view in problem.views), strict=True)
         sheet = FoundSheet(values, errors, np.array(corners), np.array(left))
+    angles = slice(0, problem.own.stop)
+    estimate = Estimate(probable[angles], whole[angles, angles], sigma[:COUNT], problem.unknowns[:COUNT])
     return Registered(
-        Correction.of(problem.unknowns[:COUNT]),
-        whole[:COUNT, :COUNT],
-        sigma[:COUNT],
+        estimate,
         own,
         residual,
         problem.mm_per_px,
         points,
         suspects,
-        angle_errors(problem, moment, placing.light_deg),
+        angle_errors(problem, estimate.moment, placing.light_deg),
         sheet,
         shown,
     )
@@ -491,7 +450,7 @@ def _lay_sheet(problem: _Problem, linear: Sequence, placing: "Placing") -> None:
     problem.sigma = np.concatenate([problem.sigma, sheet.sigma])
     problem.unknowns = np.concatenate([problem.unknowns, place])
     matrix = _settle(problem, None, _LAST_STEPS)
-    problem.told = _inverse(matrix, problem.sigma)[:COUNT, :COUNT]
+    problem.told = inverse(matrix, problem.sigma)[:COUNT, :COUNT]
 
 
 def _descend(problem: _Problem, reach: float, most_steps: int, *, trace: bool = True) -> np.ndarray:
@@ -531,45 +490,11 @@ def _settle(problem: _Problem, reach: float | None, most_steps: int) -> np.ndarr
     """Take Gauss-Newton steps until the unknowns rest; return the last normal matrix. Parameters as in `_equations`."""
     for _ in range(most_steps):
         matrix, right = _equations(problem, reach)
-        step = _solve(matrix, right, problem.sigma)
+        step = solve(matrix, right, problem.sigma)
         problem.unknowns += step
-        if np.all(np.abs(step) <= _STILL * np.sqrt(_diagonal_of_inverse(matrix, problem.sigma))):
+        if np.all(np.abs(step) <= _STILL * np.sqrt(diagonal_of_inverse(matrix, problem.sigma))):
             break
     return matrix
-
-
-def _only_what_is_told(unknowns: np.ndarray, matrix: np.ndarray, sigma: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Reset unknowns that the photographs do not determine; return all unknowns and standard deviations of the prior.
-
-    One after the other, the least determined of the common unknowns is fixed at 0, its value in the definitions, and
-    the others are solved again: if only the sum of two unknowns is determined, fixing one determines the other. Then
-    unknowns whose correction is not significant, or is below the accuracy of the method, are fixed in the same way. The
-    returned standard deviation of a fixed unknown is 0.
-
-    Parameters
-    ----------
-    unknowns : (n,) float
-        Most probable values, the 12 common ones first.
-    matrix : (n, n) float
-        Normal matrix at these values, with the prior.
-    sigma : (n,) float
-        Standard deviations of the prior.
-    """
-    values, room = unknowns.copy(), sigma.copy()
-    while True:
-        free = np.flatnonzero(room[:COUNT] > 0)
-        if not free.size:
-            return values, room
-        error = np.sqrt(_diagonal_of_inverse(matrix, room))[free]
-        told = _TOLD * sigma[free] / error
-        sure = np.abs(values[free]) / np.maximum(_SIGNIFICANT * error, _ACCURACY[free])
-        least = told if told.min() <= 1.0 else sure
-        if least.min() > 1.0:
-            return values, room
-        out = free[np.argmin(least)]
-        room[out] = 0.0
-        values += _solve(matrix, matrix[:, out] * values[out], room)
-        values[out] = 0.0
 
 
 def _with_excess(problem: _Problem, matrix: np.ndarray) -> np.ndarray:
@@ -579,7 +504,7 @@ def _with_excess(problem: _Problem, matrix: np.ndarray) -> np.ndarray:
     photographs say of each other. The information of each photograph's outline and corners is divided by its reduced
     χ², and that of textures, which are compared with each other, by that of all of them.
     """
-    size, covariance = len(problem.unknowns), _inverse(matrix, problem.sigma)
+    size, covariance = len(problem.unknowns), inverse(matrix, problem.sigma)
     found, nothing = matrix.copy(), np.zeros(size)
     measured = [_outline(problem, view, _FINEST_REACH) for view in range(len(problem.views))]
     scale = _outline_scale(measured, is_last=True)
@@ -902,27 +827,6 @@ def _add_texture(rows: list[TextureRows], matrix: np.ndarray, right: np.ndarray)
     return found
 
 
-def _solve(matrix: np.ndarray, right: np.ndarray, sigma: np.ndarray) -> np.ndarray:
-    """Return the step of the unknowns with a positive standard deviation ``sigma``; 0 for the others."""
-    free = sigma > 0
-    step = np.zeros(len(right))
-    scaled = np.outer(sigma[free], sigma[free]) * matrix[np.ix_(free, free)]
-    step[free] = sigma[free] * np.linalg.solve(scaled, sigma[free] * right[free])
-    return step
-
-
-def _inverse(matrix: np.ndarray, sigma: np.ndarray) -> np.ndarray:
-    free = sigma > 0
-    both = np.outer(sigma, sigma)
-    out = np.zeros_like(matrix)
-    out[np.ix_(free, free)] = np.linalg.inv((both * matrix)[np.ix_(free, free)])
-    return both * out
-
-
-def _diagonal_of_inverse(matrix: np.ndarray, sigma: np.ndarray) -> np.ndarray:
-    return np.diag(_inverse(matrix, sigma))
-
-
 def _residuals(problem: _Problem, reach: float) -> tuple[np.ndarray, np.ndarray, tuple[tuple[str, float], ...]]:
     """Return residuals (J,) in superpixels, counts of outline points (J,), and the suspect angle of every photograph.
 
@@ -1115,10 +1019,14 @@ def register_object(
     measured; ``/outline_points`` (J). ``/angle_error`` (4,), standard deviations of θ_i, θ_r, θ_H and φ of the
     observations, degrees, as root mean squares over all of them; ``/angle_error_of_capture`` (J, 4) and
     ``/angle_error_spread`` (4, 2), the same of each photograph, and the 5th and 95th percentiles; these three are
-    missing if no texel amid others is seen and lit. With a sheet also ``/sheet_place`` and ``/sheet_place_sigma`` (9),
-    its place and size in the order of ``/sheet_quantity`` and their standard errors, ``/sheet_corners`` (J), its
-    corners found, and ``/sheet_residual_px`` (J). Attributes: ``told``, for each quantity whether the photographs
-    determine it; ``captures``, names of the photographs; ``sentence``, a summary in words.
+    missing if no texel amid others is seen and lit. What is combined with other objects that were photographed
+    together: ``/probable`` (12 + J) and ``/probable_covariance`` of the numbers above and of each photograph's own
+    camera angle, ``/light_shown`` and ``/light_shown_sigma`` if highlights show the light, ``/angle_change`` (J, 4, 13,
+    13) with ``/observations`` (J), see `irodori.rectification.registration_file.AngleChanges`. With a sheet also
+    ``/sheet_place`` and ``/sheet_place_sigma`` (9), its place and size in the order of ``/sheet_quantity`` and their
+    standard errors, ``/sheet_corners`` (J), its corners found, and ``/sheet_residual_px`` (J). Attributes: ``told``,
+    for each quantity whether the photographs determine it; ``captures``, names of the photographs; ``sentence``, a
+    summary in words; ``remarks``, its parts that are not about these quantities.
     """
     found = register(linear, definition, setup, placing, markers, light)
     names = [Path(path).stem for path in linear]
@@ -1128,19 +1036,7 @@ def register_object(
     LOGGER.info("%s", sentence)
     LOGGER.info("%s", found.angle_errors)
     with store.create(output, provenance) as out:
-        out.coordinate("capture", names, units="1", quantity="name of the capture")
-        units = np.array(["{px}" if one.unit == "px" else one.unit for one in QUANTITIES], "S")
-        for axis in ("quantity", "other_quantity"):
-            out.coordinate(axis, [one.name for one in QUANTITIES], units="1", quantity="names of the corrections")
-            out.write(f"{axis}_unit", units, units="1", dims=axis, quantity="its unit")
-        for name, values, quantity in (
-            ("correction", found.correction.values, "to be added to what was typed"),
-            ("sigma", found.sigma, "standard errors of the most probable values"),
-            ("prior_sigma", found.prior, "standard deviations of what was typed"),
-        ):
-            out.write(name, np.array(values), units="{quantity_unit}", dims="quantity", quantity=quantity)
-        covariance = {"units": "{quantity_unit}.{other_quantity_unit}", "dims": "quantity,other_quantity"}
-        out.write("covariance", found.covariance, **covariance, quantity="covariance of the most probable values")
+        write_estimate(out, found.estimate, names)
         out.write(
             "own_camera_deg",
             found.own_camera_deg,
@@ -1154,27 +1050,17 @@ def register_object(
         out.write(
             "outline_points", found.outline_points, units="1", dims="capture", quantity="points of the outline found"
         )
-        _write_angle_errors(out, found.angle_errors)
+        write_told(out, Told(found.estimate, found.light_deg, found.angle_errors.changes, names, _remarks(found)))
+        write_angle_errors(out, found.angle_errors.rms, found.angle_errors.by_photograph)
+        if found.angle_errors.stated is not None:
+            out.coordinate("percentile", [5.0, 95.0], units="%", quantity="share of observations with a smaller error")
+            spread = "percentiles of it over all observations"
+            out.write(
+                "angle_error_spread", found.angle_errors.spread, units="deg", dims="angle,percentile", quantity=spread
+            )
         if found.sheet is not None:
             _write_sheet(out, found.sheet)
-        out.attribute("quantities", [f"{one.name}, {one.unit}" for one in QUANTITIES])
-        out.attribute("told", [bool(told) for told in found.is_told])
-        out.attribute("captures", names)
         out.attribute("sentence", sentence)
-
-
-def _write_angle_errors(out: store.Writer, errors: RegisteredAngleErrors) -> None:
-    """Write the errors of the angles, unless there are no observations from which to tell them."""
-    if errors.stated is None:
-        return
-    out.coordinate("angle", list(ANGLES), units="1", quantity="symbol of an angle")
-    out.coordinate("percentile", [5.0, 95.0], units="%", quantity="share of observations with a smaller error")
-    write_registered(out, errors.stated)
-    for name, values, dims, quantity in (
-        ("angle_error_of_capture", errors.by_photograph, "capture,angle", "standard deviation of it in a capture"),
-        ("angle_error_spread", errors.spread, "angle,percentile", "percentiles of it over all observations"),
-    ):
-        out.write(name, values, units="deg", dims=dims, quantity=quantity)
 
 
 def _write_sheet(out: store.Writer, sheet: FoundSheet) -> None:
@@ -1211,36 +1097,24 @@ def _refuse_far(found: Registered, linear: Sequence, most_px: float) -> None:
 
 def _refuse_unlikely(found: Registered, linear: Sequence) -> None:
     """Raise an error if the object or the lens is far from what the definitions say: a search can end there wrongly."""
-    ratio = np.abs(found.correction.values)[:CAMERA] / np.maximum(found.prior[:CAMERA], np.finfo(float).tiny)
+    values, prior = found.estimate.values, found.estimate.prior
+    ratio = np.abs(values)[:CAMERA] / np.maximum(prior[:CAMERA], np.finfo(float).tiny)
     worst = int(np.argmax(ratio))
-    if ratio[worst] > _CONTRADICTED:
+    if ratio[worst] > CONTRADICTED:
         quantity, key = QUANTITIES[worst], f"place.{PRIOR_KEYS[worst]}"
-        value = f"{quantity.text} {found.correction.values[worst]:+.3g} {quantity.unit}"
-        accepted = (
-            f"at most {_CONTRADICTED:g} times {key} ({found.prior[worst]:g}); measure again, or give a larger one"
-        )
+        value = f"{quantity.text} {values[worst]:+.3g} {quantity.unit}"
+        accepted = f"at most {CONTRADICTED:g} times {key} ({prior[worst]:g}); measure again, or give a larger one"
         raise InputError(linear[0], key, f"{value} from the definitions", accepted)
 
 
 def in_words(found: Registered) -> str:
     """Return one sentence that lists which quantities the photographs correct, confirm and leave undetermined."""
-    said, confirmed, silent = [], [], []
-    for quantity, value, sigma, told in zip(
-        QUANTITIES, found.correction.values, found.sigma, found.is_told, strict=True
-    ):
-        # If a value is determined only because others are fixed, its joint standard error would mislead.
-        error = f"± {sigma:.2f} " if told else ""
-        if value:
-            said.append(f"{quantity.text} {value:+.2f} {error}{quantity.unit}")
-        elif told:
-            confirmed.append(quantity.text)
-        else:
-            silent.append(quantity.text)
-    parts = [f"corrections of what was typed: {'; '.join(said) or 'none'}"]
-    if confirmed:
-        parts.append(f"confirmed as typed: {', '.join(confirmed)}")
-    if silent:
-        parts.append(f"not determined by the photographs, kept as typed: {', '.join(silent)}")
+    return "; ".join([*found.estimate.in_words(), *_remarks(found)])
+
+
+def _remarks(found: Registered) -> list[str]:
+    """Return what is to be said of the photographs beside the quantities that they tell."""
+    parts = []
     if found.light_deg is not None:
         off = "{:+.2f} ± {:.2f} deg".format(*found.light_deg)
         parts.append(f"highlights and shading show the light {off} from its typed angles")
@@ -1252,4 +1126,4 @@ def in_words(found: Registered) -> str:
     if unjudged:
         some = f"{unjudged} of {len(found.residual_px)} photographs"
         parts.append(f"{some} show too little to tell whether their poses are right")
-    return "; ".join(parts)
+    return parts

@@ -12,6 +12,7 @@ import numpy as np
 from irodori.geometry.embree import Tracer
 from irodori.geometry.rig_frame import to_camera
 from irodori.rectification.placement_correction import CAMERA, COUNT, LIGHT
+from irodori.rectification.registration_file import AngleChanges
 from irodori.rectification.stage import observe
 from irodori.rectification.texture_agreement import picture_slope
 
@@ -62,11 +63,14 @@ class RegisteredAngleErrors(NamedTuple):
         The same over the observations of each photograph.
     spread : (4, 2) float64
         5th and 95th percentiles over all observations.
+    changes : AngleChanges
+        From which these follow for any errors of the registration, but for the percentiles.
     """
 
     rms: np.ndarray
     by_photograph: np.ndarray
     spread: np.ndarray
+    changes: AngleChanges
 
     @property
     def stated(self) -> np.ndarray | None:
@@ -131,19 +135,20 @@ def angle_errors(problem: "Problem", moment: np.ndarray, light_deg: float) -> Re
     light_deg : float
         Standard deviation of each photograph's own light angle, degrees.
     """
-    squares = []
+    squares, products = [], []
     for number in range(len(problem.views)):
         change = _angle_changes(problem, number)
         where = [*range(COUNT), COUNT + number]
         rows = change[..., [*range(COUNT), CAMERA]]
-        own = (change[..., LIGHT] * light_deg) ** 2
-        squares.append(np.einsum("nap,pq,naq->na", rows, moment[np.ix_(where, where)], rows, optimize=True) + own)
+        own = moment[np.ix_(where, where)]
+        own[LIGHT, LIGHT] += light_deg**2
+        squares.append(np.einsum("nap,pq,naq->na", rows, own, rows, optimize=True))
+        products.append(np.einsum("nap,naq->apq", rows, rows) / max(len(rows), 1))
+    changes = AngleChanges(np.array(products), np.array([len(one) for one in squares]))
+    by_photograph = changes.by_photograph(moment, light_deg)
     every = np.concatenate(squares)
-    if not len(every):
-        return RegisteredAngleErrors(np.full(4, np.nan), np.full((len(squares), 4), np.nan), np.full((4, 2), np.nan))
-    by_photograph = [one.mean(axis=0) if len(one) else np.full(4, np.nan) for one in squares]
-    spread = np.percentile(every, [5.0, 95.0], axis=0).T
-    return RegisteredAngleErrors(np.sqrt(every.mean(axis=0)), np.sqrt(by_photograph), np.sqrt(spread))
+    spread = np.percentile(every, [5.0, 95.0], axis=0).T if len(every) else np.full((4, 2), np.nan)
+    return RegisteredAngleErrors(changes.rms(by_photograph), by_photograph, np.sqrt(spread), changes)
 
 
 def _angle_changes(problem: "Problem", number: int) -> np.ndarray:

@@ -173,6 +173,42 @@ def test_a_printed_sheet_needs_the_registration_that_reads_it(root):
     assert error.field == "markers" and "place.register: true" in error.accepted
 
 
+TOGETHER = [["leaf-sphere", "tile-plate"], ["celadon-lid", "indigo-sphere"]]
+
+
+def test_objects_photographed_together_are_loaded_together(root):
+    edit(root, "scenes/still-life.yaml", "objects", [{"object": "tile-plate", "position_mm": [0.0, 0.0, 0.0]}])
+    edit(root, "config.yaml", "photographed_together", TOGETHER)
+    assert sorted(load(root).objects) == ["leaf-sphere", "tile-plate"]
+    edit(root, "config.yaml", "photographed_together", [])
+    assert list(load(root).objects) == ["tile-plate"]
+
+
+@pytest.mark.parametrize(
+    ("sets", "key", "found", "accepted"),
+    [
+        ([*TOGETHER, ["indigo-sphere", "vermilion-sphere"]], "[2][0]", "indigo-sphere, which photographed_together[1]",
+         "each object in one set"),
+        ([["tile-plate", "leaf-spher"]], "[0][1]", "'leaf-spher', for which there is no", "did you mean 'leaf-sphere'"),
+        ([["tile-plate"]], "[0]", "tile-plate", "a list of 2 to 1000"),
+        ([["tile-plate", "tile-plate"]], "[0]", "twice", "once"),
+    ],
+)  # fmt: skip
+def test_sets_of_objects_photographed_together_are_checked(root, sets, key, found, accepted):
+    edit(root, "config.yaml", "photographed_together", sets)
+    error = fault(root)
+    assert error.field == f"photographed_together{key}" and Path(error.file).name == "config.yaml"
+    assert found in error.found and accepted in error.accepted
+
+
+def test_two_cameras_do_not_photograph_together(root):
+    (root / "config/cameras/other.yaml").write_text((root / "config" / CAMERA_FILE).read_text())
+    edit(root, "objects/leaf-sphere.yaml", "camera", "other")
+    error = fault(root)
+    assert error.field == "photographed_together[0][1]"
+    assert error.found == "leaf-sphere by the camera other, where indigo-sphere is by d5100-comb"
+
+
 def test_a_lens_needs_an_integrator_that_samples(root):
     scene = "scenes/still-life.yaml"
     edit(root, scene, "views.front.lens", {"diameter_mm": 8.0, "focus_mm": 380.0})
@@ -325,6 +361,7 @@ def test_names_of_folders_of_the_results_are_reserved(root, name):
     (root / f"config/scenes/{name}.yaml").rename(root / "config/scenes/still-life.yaml")
     (root / "config" / PLATE_FILE).rename(root / f"config/objects/{name}.yaml")
     edit(root, "scenes/still-life.yaml", "objects.0.object", name)
+    edit(root, "config.yaml", "photographed_together", [])
     error = fault(root)
     assert error.file.endswith(f"objects/{name}.yaml") and "another name" in error.accepted
 

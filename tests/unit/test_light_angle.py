@@ -10,8 +10,9 @@ from irodori.core import store
 from irodori.fitting.light_angle import Sight, estimate_light_angle
 from irodori.fitting.solvers import FitOptions
 from irodori.material.lobe_choices import lobes_before_choice
-from irodori.rectification.object_registration import register_object, settle_light
+from irodori.rectification.object_registration import register_object
 from irodori.rectification.placement_correction import LIGHT, Correction
+from irodori.rectification.told_values import settle_light
 from irodori.reflection.equation5 import reflect
 
 #: Poses with a camera between the light and its mirror direction as well.

@@ -20,7 +20,6 @@ from irodori.lens.printed_sheets import LENS_SHEET, OBJECT_SHEET
 from irodori.rectification.marker_sheet import SHEET_QUANTITIES, MarkerSheet, check_first_size
 from irodori.rectification.object_registration import (
     Registered,
-    _inverse,
     _lay_sheet,
     _Problem,
     _settle,
@@ -32,6 +31,8 @@ from irodori.rectification.object_registration import (
 )
 from irodori.rectification.placement_correction import COUNT, QUANTITIES, Correction, prior_sigma
 from irodori.rectification.registration_covariance import RegisteredAngleErrors
+from irodori.rectification.registration_file import AngleChanges, Estimate
+from irodori.rectification.told_values import inverse
 
 SHEET = Markers.of({"paper": PAPER})
 #: All that the photographs have to tell, as far off as the issue asks for.
@@ -119,7 +120,7 @@ def with_corners(truth, placing, noise_px, rng, views=VIEWS):
         xy = (mosaic + LENS.centre_px + common[8:10]) / 2.0 - 0.5
         view.corners, view.corners_px = RING, xy + rng.normal(0.0, noise_px, xy.shape)
     _lay_sheet(problem, ["one.h5"], placing)
-    return problem, _inverse(_settle(problem, None, 8), problem.sigma)
+    return problem, inverse(_settle(problem, None, 8), problem.sigma)
 
 
 def test_errors_of_what_the_sheet_tells_are_as_large_as_they_are_stated():
@@ -248,15 +249,13 @@ def test_a_sheet_that_some_photographs_lack_is_used_and_the_file_says_so(tmp_pat
 
 def test_the_sentence_of_an_object_without_a_sheet_does_not_speak_of_one():
     none = Registered(
-        Correction(),
-        np.eye(COUNT),
-        np.ones(COUNT),
+        Estimate(np.zeros(COUNT), np.eye(COUNT), np.ones(COUNT), np.zeros(COUNT)),
         np.zeros(2),
         np.zeros(2),
         0.2,
         np.zeros(2),
         (("turn_deg", 0.0),) * 2,
-        RegisteredAngleErrors(np.ones(4), np.ones((2, 4)), np.ones((4, 2))),
+        RegisteredAngleErrors(np.ones(4), np.ones((2, 4)), np.ones((4, 2)), AngleChanges(np.zeros(0), np.zeros(0))),
     )
     assert "sheet" not in in_words(none)
 

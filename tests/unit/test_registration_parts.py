@@ -28,11 +28,8 @@ from irodori.rectification.object_registration import (
     Registered,
     _cauchy,
     _displacement,
-    _inverse,
-    _only_what_is_told,
     _refuse_far,
     _scatter,
-    _solve,
     in_words,
     register,
     register_object,
@@ -40,6 +37,7 @@ from irodori.rectification.object_registration import (
 from irodori.rectification.placement_correction import COUNT, QUANTITIES, Correction, prior_sigma
 from irodori.rectification.reduced_pictures import Picture
 from irodori.rectification.registration_covariance import RegisteredAngleErrors
+from irodori.rectification.registration_file import AngleChanges, Estimate
 from irodori.rectification.texture_agreement import (
     blocks,
     matt_weight,
@@ -49,6 +47,7 @@ from irodori.rectification.texture_agreement import (
     texture_rows,
     without_levels,
 )
+from irodori.rectification.told_values import inverse, only_what_is_told, solve
 
 # Corrections.
 
@@ -262,7 +261,7 @@ def test_the_step_and_the_covariance_leave_out_what_has_no_room():
     root = rng.normal(size=(4, 4))
     matrix, right, sigma = root @ root.T + np.eye(4), rng.normal(size=4), np.array([2.0, 0.0, 1.0, 0.5])
     free = [0, 2, 3]
-    step, covariance = _solve(matrix, right, sigma), _inverse(matrix, sigma)
+    step, covariance = solve(matrix, right, sigma), inverse(matrix, sigma)
     np.testing.assert_allclose(step[free], np.linalg.solve(matrix[np.ix_(free, free)], right[free]), rtol=1e-9)
     np.testing.assert_allclose(covariance[np.ix_(free, free)], np.linalg.inv(matrix[np.ix_(free, free)]), rtol=1e-9)
     assert step[1] == 0.0 and (covariance[1] == 0.0).all() and (covariance[:, 1] == 0.0).all()
@@ -272,7 +271,7 @@ def test_what_is_not_told_and_what_is_nothing_goes_back_to_what_was_typed():
     sigma, values, errors = np.full(COUNT, 2.0), np.zeros(COUNT), np.full(COUNT, 0.02)
     values[:6] = [1.0, 1.0, 0.03, 0.3, 0.11, 0.08]
     errors[1], errors[4], errors[5] = 1.5, 0.1, 0.02  # not told; within two errors; told, and more than 0.05 degrees
-    found, room = _only_what_is_told(values, information(errors), sigma)
+    found, room = only_what_is_told(values, information(errors), sigma)
     assert found[[0, 3, 5]].tolist() == pytest.approx([1.0, 0.3, 0.08])
     assert (found[[1, 2, 4]] == 0.0).all() and (found[6:] == 0.0).all()
     np.testing.assert_array_equal(room > 0, [True, False, False, True, False, True, *[False] * 6])
@@ -283,14 +282,14 @@ def test_a_value_is_told_by_an_error_below_half_of_its_prior_whatever_its_unit(p
     for share, told in ((0.45, True), (0.55, False)):
         values, errors = np.zeros(COUNT), np.full(COUNT, 0.1 * prior)
         values[6], errors[6] = 5.0 * prior, share * prior
-        found, room = _only_what_is_told(values, information(errors), np.full(COUNT, prior))
+        found, room = only_what_is_told(values, information(errors), np.full(COUNT, prior))
         assert (found[6] != 0.0) == (room[6] != 0.0) == told
 
 
 def test_of_two_that_are_told_as_a_sum_one_takes_all_of_it():
     sigma, values, errors = np.full(COUNT, 10.0), np.zeros(COUNT), np.full(COUNT, 10.0)
     values[0], values[3] = 1.0, 2.0
-    found, _ = _only_what_is_told(values, information(errors, between=(0, 3, 1e4)), sigma)
+    found, _ = only_what_is_told(values, information(errors, between=(0, 3, 1e4)), sigma)
     assert sorted(found[[0, 3]]) == pytest.approx([0.0, 3.0], abs=1e-3) and np.count_nonzero(found) == 1
 
 
@@ -307,15 +306,25 @@ def test_outliers_lose_their_weight():
 # Words.
 
 
-NO_ANGLES = RegisteredAngleErrors(np.full(4, np.nan), np.full((2, 4), np.nan), np.full((4, 2), np.nan))
+NO_ANGLES = RegisteredAngleErrors(
+    np.full(4, np.nan),
+    np.full((2, 4), np.nan),
+    np.full((4, 2), np.nan),
+    AngleChanges(np.zeros((2, 4, COUNT + 1, COUNT + 1)), np.zeros(2, dtype=int)),
+)
 
 
 def registered(values, sigma, residual=(0.1, 0.2), suspects=(("turn_deg", 0.0), ("turn_deg", 0.0))) -> Registered:
     prior = np.full(COUNT, 2.0)
     return Registered(
-        Correction.of(values), np.diag(np.array(sigma) ** 2), prior, np.zeros(2), np.array(residual), 0.2,
-        np.array([10, 20]), suspects, NO_ANGLES,
-    )  # fmt: skip
+        Estimate(np.array(values), np.diag(np.array(sigma) ** 2), prior, np.array(values)),
+        np.zeros(2),
+        np.array(residual),
+        0.2,
+        np.array([10, 20]),
+        suspects,
+        NO_ANGLES,
+    )
 
 
 @pytest.mark.parametrize(("moved", "scatter", "tells"), [(4.0, 0.8, True), (0.2, 0.8, False), (0.2, 0.25, True)])
@@ -371,7 +380,10 @@ def test_a_drawn_plate_is_found_where_it_lies(tmp_path, lies):
     assert np.abs(found.own_camera_deg).max() < 0.03
     # Four outlines of 200 points, half of which tell of one direction; five of them count as one of 0.1 superpixels.
     np.testing.assert_allclose(found.sigma[:2], 0.75 * 0.1 / np.sqrt(4 * 100 / 5), rtol=0.5)
-    assert found.mm_per_px == pytest.approx(0.75, rel=0.02) and found.prior.tolist() == prior_sigma(Placing()).tolist()
+    assert (
+        found.mm_per_px == pytest.approx(0.75, rel=0.02)
+        and found.estimate.prior.tolist() == prior_sigma(Placing()).tolist()
+    )
 
 
 def test_a_drawn_plate_turned_in_one_photograph_is_refused_for_its_turn(tmp_path):

@@ -18,7 +18,6 @@ from irodori.rectification import object_registration
 from irodori.rectification.object_registration import (
     _add_texture,
     _descend,
-    _diagonal_of_inverse,
     _displacement,
     _equations,
     _first_reach,
@@ -38,6 +37,7 @@ from irodori.rectification.object_registration import (
 )
 from irodori.rectification.placement_correction import CAMERA, COUNT, Correction, prior_sigma
 from irodori.rectification.texture_agreement import TextureRows, blocks, mean_texture
+from irodori.rectification.told_values import diagonal_of_inverse
 
 MM_PER_PX = 2.0 * 900.0 / 2400.0
 
@@ -362,7 +362,7 @@ def test_steps_end_where_they_are_a_fiftieth_of_what_is_still_unsure(tmp_path, m
     assert len(steps) == 2
     matrix = _descend(problem, 4.0, 50)
     moved = np.abs(np.diff([*steps[2:], problem.unknowns], axis=0))
-    unsure = np.sqrt(_diagonal_of_inverse(matrix, problem.sigma))
+    unsure = np.sqrt(diagonal_of_inverse(matrix, problem.sigma))
     assert 1 <= len(moved) < 50 and (moved[-1] <= 0.02 * unsure).all()
     assert all((one > 0.015 * unsure).any() for one in moved[:-1])
     np.testing.assert_allclose(problem.unknowns[:2], [0.6, -0.9], atol=0.1)

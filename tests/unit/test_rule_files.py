@@ -126,6 +126,17 @@ def test_every_capture_is_ingested_once(sets, definitions):
     assert len({part.rule_name for part in parts}) == len(parts)
 
 
+def test_where_an_object_stood_is_told_by_all_that_were_photographed_together(root):
+    edit(root, "config.yaml", "photographed_together", [["leaf-sphere", "tile-plate"]])
+    sets = PhotographSets(load(root))
+    assert sets.together() == [("leaf-sphere", "tile-plate")]
+    assert sets.registration(job(object="tile-plate")) == ["results/tile-plate/placement.h5"]
+    assert sets.registration(job(object="indigo-sphere")) == ["results/indigo-sphere/registration.h5"]
+    edit(root, "config.yaml", "place.register", False)
+    unregistered = PhotographSets(load(root))
+    assert unregistered.together() == unregistered.registration(job(object="tile-plate")) == []
+
+
 def test_the_pose_of_the_white_counts_where_the_lamp_is_near(root):
     plate = job(object="tile-plate")
     assert PhotographSets(load(root)).white_pose(plate) is None

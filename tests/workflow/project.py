@@ -70,6 +70,7 @@ def small_project(folder: Path) -> Path:
     edit(
         config / "config.yaml",
         {
+            "photographed_together": [["leaf-sphere", "tile-plate"]],
             "rectify.tile_texels": 128,
             "fit.level_by_photograph": True,
             "environment.irradiance": {"max_error": 0.002, "max_height": 64},

@@ -119,7 +119,8 @@ def test_the_fit_uses_the_errors_of_the_registration_and_material_and_report_say
     page = (finished / "results/still-life/report.html").read_text()
     for subject in ("tile-plate", "leaf-sphere"):
         folder = finished / "results" / subject
-        with open_file(folder / "registration.h5") as file:
+        # The two were photographed together.
+        with open_file(folder / "placement.h5") as file:
             theta_i, _, _, phi = file.read("angle_error")
         with open_file(folder / "material.h5") as file:
             used = file.attribute("errors", dict)["angle_errors"]
@@ -209,12 +210,24 @@ def test_a_second_run_does_nothing(again):
 
 
 @pytest.mark.heavy
-def test_one_objects_file_reruns_that_object_and_no_other(again):
+def of_neighbour(jobs) -> set[str]:
+    """Return the rules of the jobs about the plate, which is photographed together with the sphere."""
+    return {rule for rule, wildcards in jobs if wildcards.get("object") == "tile-plate"}
+
+
+def test_one_objects_file_reruns_that_object_and_the_place_of_those_photographed_with_it(again):
     edit(again / "config/objects/leaf-sphere.yaml", {"refractive_index": {"n": 1.6, "k": 0.0}})
     jobs = planned(snakemake(again, "--dry-run"))
     touched = {wildcards["object"] for _, wildcards in jobs if "object" in wildcards}
-    assert touched == {"leaf-sphere"}
-    assert {"capture_object", "fit_brdf", "compress_reflectance", "render_view"} <= {rule for rule, _ in jobs}
+    assert touched == {"leaf-sphere", "tile-plate"}
+    assert not {"capture_object", "check_captures", "register_object"} & of_neighbour(jobs)
+    assert {
+        "capture_object",
+        "combine_registrations_leaf_sphere",
+        "fit_brdf",
+        "compress_reflectance",
+        "render_view",
+    } <= {rule for rule, _ in jobs}
     assert not {"calibrate_camera", "prepare_environment", "capture_camera"} & {rule for rule, _ in jobs}
 
 
@@ -235,7 +248,23 @@ def test_a_finer_texture_does_not_photograph_again(again):
     assert "rectify_object" in rules and "capture_object" not in rules
     # The photograph of the whole scene shows the true texture, at its own size.
     assert [rule for rule in rules if rule.startswith("ingest")] == ["ingest_photograph"]
-    assert {wildcards["object"] for _, wildcards in jobs if "object" in wildcards} == {"tile-plate"}
+    assert {wildcards["object"] for _, wildcards in jobs if "object" in wildcards} == {"leaf-sphere", "tile-plate"}
+    assert ("register_object", {"object": "leaf-sphere"}) not in jobs
+
+
+def test_objects_that_are_no_longer_combined_are_placed_by_their_own_photographs(again):
+    edit(again / "config/config.yaml", {"photographed_together": []})
+    rules = {rule for rule, _ in planned(snakemake(again, "--dry-run"))}
+    assert "rectify_object" in rules and not any(rule.startswith(("register", "combine", "ingest")) for rule in rules)
+
+
+def test_a_combination_that_was_broken_off_is_made_again(again):
+    """Killed between its two files: one is there and the other is not."""
+    (again / "results/tile-plate/placement.h5").unlink()
+    run = snakemake(again, "results/leaf-sphere/placement.h5", "results/tile-plate/placement.h5")
+    assert run.returncode == 0, run.stderr[-3000:]
+    assert (again / "results/tile-plate/placement.h5").is_file()
+    assert "combine_registrations" in run.stdout + run.stderr and "rule register_object" not in run.stdout + run.stderr
 
 
 def test_a_scene_edit_renders_and_nothing_more(again):
@@ -280,7 +309,7 @@ def test_a_library_edit_reruns_the_stages_that_use_it(again, tmp_path):
     rules = {rule for rule, _ in planned(snakemake(again, "--dry-run", snakefile=code / "Snakefile"))}
     # The page draws the fit's outcomes with the fit's own names, so it uses the module too; registration fits texels to
     # find the light.
-    assert rules == STAGES_AFTER_FIT | {"register_object", "rectify_object"}
+    assert rules == STAGES_AFTER_FIT | {"register_object", "combine_registrations_leaf_sphere", "rectify_object"}
 
 
 def test_a_job_for_every_capture_but_none_for_a_tiny_tile():

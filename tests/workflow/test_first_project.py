@@ -25,7 +25,8 @@ S40 = ROOT.parent / "shared" / "data" / "raw" / "powershot_s40_chart.crw"
 def fitted(tmp_path_factory) -> Path:
     """Return a folder in which written definitions photographed and fitted a plate, as many texels as init gives it."""
     folder = small_project(tmp_path_factory.mktemp("written"))
-    edit(folder / "config/config.yaml", {"rectify.tile_texels": 40000})
+    # Photographs of one object, as they are in the other project.
+    edit(folder / "config/config.yaml", {"rectify.tile_texels": 40000, "photographed_together": []})
     edit(folder / "config/objects/tile-plate.yaml", {"texels": {"width": 128, "height": 128}})
     run = snakemake(folder, "results/tile-plate/surface.h5")
     assert run.returncode == 0, run.stderr[-4000:]

@@ -104,10 +104,14 @@ def test_a_second_scene_leaves_the_first_as_it_was(folder):
     before = state(folder)
     assert named_reports(snakemake(folder, *OF_SPHERE)) == ["results/sphere-scene/report.html"]
     page = (folder / "results/sphere-scene/report.html").read_text(encoding="utf-8")
-    assert "leaf-sphere" in page and "tile-plate" not in page and "still-life" not in page
+    # The plate tells of the camera that photographed both.
+    assert "<h3>leaf-sphere" in page and "<h3>tile-plate" not in page and "still-life" not in page
+    assert "leaf-sphere, tile-plate tell together" in page
     assert changed(before, folder) == []
     again = snakemake(folder)
     assert "Nothing to be done" in again.stdout + again.stderr
     assert main(["crate", "--directory", str(folder), "--configfile", "config/sphere.yaml"]) == 0
     parts = {Path(name).parts[1] for name in files_of_crate(folder) if name.startswith("results/")}
-    assert parts == {"cameras", "environments", "leaf-sphere", "sphere-scene"}
+    assert parts == {"cameras", "environments", "leaf-sphere", "sphere-scene", "tile-plate"}
+    plate = {name for name in files_of_crate(folder) if name.startswith("results/tile-plate/")}
+    assert "results/tile-plate/registration.h5" in plate and "results/tile-plate/material.h5" not in plate

@@ -36,6 +36,32 @@ rule register_object:
         "../scripts/register_object.py"
 
 
+# One job for objects that were photographed together. No wildcard stands for a list of them: each job is a rule of its own.
+for objects in sets.together():
+
+    rule:
+        name:
+            f"combine_registrations_{objects[0]}".replace("-", "_")
+        input:
+            registrations=expand("results/{object}/registration.h5", object=objects),
+        output:
+            placements=expand("results/{object}/placement.h5", object=objects),
+        log:
+            f"results/logs/combine_registrations/{objects[0]}.log",
+        benchmark:
+            f"results/benchmarks/combine_registrations/{objects[0]}.tsv"
+        conda:
+            "../../envs/irodori.yaml"
+        threads: 1
+        resources:
+            mem_mb=lambda wildcards, attempt: 500 * attempt,
+        params:
+            objects=objects,
+            code=code_hash("irodori.rectification.shared_camera"),
+        script:
+            "../scripts/combine_registrations.py"
+
+
 rule rectify_object:
     input:
         linear=sets.linear_files,

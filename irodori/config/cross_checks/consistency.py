@@ -94,6 +94,7 @@ def check_agreement(loaded: Loaded, root: Path, config_file, file, *, photograph
     _check_bounds(loaded.config, config_file)
     _check_orcid(loaded.config, config_file)
     _check_names(loaded, file)
+    _check_together(loaded, config_file)
     check_spectra(loaded.config.report, ("report",), root, config_file)
     checks = _Checks(loaded, root, file, photographs)
     order = {
@@ -366,6 +367,23 @@ def _check_bounds(config: Config, file) -> None:
     for name, (low, high) in config.fit.bounds.given().items():
         if not low < high:
             raise InputError(file, f"fit.bounds.{name}", f"[{low:g}, {high:g}]", "the smaller value first")
+
+
+def _check_together(loaded: Loaded, file) -> None:
+    """Refuse an object in two sets that were photographed together, and a set with two cameras."""
+    seen: dict[str, int] = {}
+    for number, names in enumerate(loaded.config.photographed_together):
+        for index, name in enumerate(names):
+            key = f"photographed_together[{number}][{index}]"
+            if seen.setdefault(name, number) != number:
+                found = f"{name}, which photographed_together[{seen[name]}] has as well"
+                raise InputError(file, key, found, "each object in one set at most")
+            if name not in loaded.objects or names[0] not in loaded.objects:
+                continue
+            first, own = (loaded.objects[one].camera for one in (names[0], name))
+            if own != first:
+                found = f"{name} by the camera {own}, where {names[0]} is by {first}"
+                raise InputError(file, key, found, "objects that one camera photographed")
 
 
 def _check_names(loaded: Loaded, file) -> None:
