@@ -17,6 +17,7 @@ from irodori.spectra.grid import SAMPLES, WAVELENGTH_NM
 
 #: Values tried: correlation lengths of a sensitivity, nm; its variances and additional noise variances, both relative.
 _LENGTHS_NM = (30.0, 40.0, 60.0)
+_SHARES = np.full(6, 1 / 6)
 _SIZES = 10.0 ** np.arange(-2.0, 5.0, 0.5)
 _FURTHER_NOISE = 10.0 ** np.arange(-10.0, -1.0)
 #: Edges of cameras' cut filters, nm: position, width, and the distance that they add between two wavelengths. They are
@@ -143,7 +144,7 @@ def _averaged(
     total = np.mean(missed**2)
     noise = variance + np.concatenate([[0.0] if variance > 0.0 else [], _FURTHER_NOISE]) * total
     logarithm, covariances, noises = [], [], []
-    for shape in shapes():
+    for shape, share in zip(shapes(), _SHARES, strict=True):
         covariance = envelope[:, None] * shape * envelope
         values, vectors = np.linalg.eigh(spectra @ covariance @ spectra.T)
         values, turned = np.maximum(values, 0.0), vectors.T @ missed
@@ -151,7 +152,7 @@ def _averaged(
         spread = size[:, None, None] * values + noise[:, None]
         likelihood = -0.5 * (turned**2 / spread + np.log(spread)).sum(axis=2)
         i, j = np.unravel_index(np.argmax(likelihood), likelihood.shape)
-        logarithm.append(likelihood[i, j])
+        logarithm.append(likelihood[i, j] + np.log(share))
         covariances.append(size[i] * covariance)
         noises.append(noise[j])
     share = np.exp(np.array(logarithm) - max(logarithm))
