@@ -25,9 +25,8 @@ from irodori.spectra.grid import SAMPLES, WAVELENGTH_NM
 _LEVELS, _LEVEL_NM = (0.003, 0.01, 0.03, 0.1), 25.0
 _EDGE_PER_LEVEL_NM, _EDGE_NM = 30.0, 10.0
 #: Levels and correlation lengths, nm, of a filter without a table. One that passes half of the range fully and nothing
-#: else departs from its mean by as much as the mean; one that blocks a tenth of the range, by a third. The levels are
-#: 0.6 of these, so that as many errors as should lie within one standard deviation (see `sensitivity_prior`).
-_UNKNOWN_LEVELS, _UNKNOWN_NM = (0.2, 0.6), (10.0, 20.0, 40.0)
+#: else departs from its mean by as much as the mean; one that blocks a tenth of the range, by a third.
+_UNKNOWN_LEVELS, _UNKNOWN_NM = (1 / 3, 1.0), (10.0, 20.0, 40.0)
 #: Starting values of the shift, in its standard deviations, and the index of the level that these searches use.
 _STARTS, _FIRST = (-1.5, 0.0, 1.5), 1
 _GAIN, _LEAST_GAIN = 0.3, 1e-3  # standard deviation of the logarithm of a gain about where the search begins

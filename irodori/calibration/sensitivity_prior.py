@@ -3,8 +3,8 @@
 The response is the light times a sensitivity. Sensitivities are smooth with bends, for which Matérn covariances allow.
 They are large in one part of the range and nearly zero elsewhere, so that the prior's standard deviation follows an
 envelope. The envelope is estimated from the chart, and so are correlation length and amplitude, by the marginal
-likelihood (Rasmussen and Williams 2006, section 5.4). At the edges of a camera's UV and IR cut filters, sensitivities
-change within a few nanometres: there, distances in wavelength are stretched.
+likelihood (Rasmussen and Williams 2006, section 5.4); the amplitude is then reduced. At the edges of a camera's UV and
+IR cut filters, sensitivities change within a few nanometres: there, distances in wavelength are stretched.
 """
 
 from collections.abc import Sequence
@@ -19,9 +19,9 @@ from irodori.spectra.grid import SAMPLES, WAVELENGTH_NM
 _LENGTHS_NM = (20.0, 30.0, 40.0)
 _SIZES = 10.0 ** np.arange(-2.0, 5.0, 0.125)
 _FURTHER_NOISE = 10.0 ** np.arange(-10.0, -1.0)
-#: Factors on prior variances: of a sensitivity whose size is the likeliest, which a few large values decide, and of the
-#: stated error of a known one. They were chosen for the share of errors within one and two standard deviations, with
-#: the two cameras in colour-science and five of the program rawtoaces, and filters with two or more passbands.
+#: Factors on prior variances: of a sensitivity, since its likeliest size is decided by few large values, and of the
+#: stated error of a known one. Like the lengths, they were chosen for the share of errors within one and two standard
+#: deviations, with the two cameras in colour-science and five of the program rawtoaces, and 15 filters.
 _LIKELIEST, _STATED = 0.4, 0.7
 #: Edges of cameras' cut filters, nm: position, width, and the distance that they add between two wavelengths. They are
 #: those of the two cameras in colour-science; no other camera was examined.
