@@ -13,7 +13,7 @@ from irodori.calibration.filter_table import FilterTable
 from irodori.calibration.sensitivity_prior import BandPrior, Posteriors, prior_about, prior_of_chart
 
 #: Smallest error of a patch's response, relative to the rms over the patches: no chart is closer to published spectra.
-_LEAST_NOISE = 1e-4
+_LEAST_NOISE = 3e-4
 CHART, FILTER, SENSITIVITIES = "chart", "filter table", "sensitivities"
 
 

@@ -3,8 +3,8 @@
 The response is the light times a sensitivity. Sensitivities are smooth with bends, for which Matérn covariances allow.
 They are large in one part of the range and nearly zero elsewhere, so that the prior's standard deviation follows an
 envelope. The envelope is estimated from the chart, and so are correlation length and amplitude, by the marginal
-likelihood (Rasmussen and Williams 2006, section 5.4). At the edges of a camera's UV and IR cut filters, sensitivities
-change within a few nanometres: there, distances in wavelength are stretched.
+likelihood (Rasmussen and Williams 2006, section 5.4); the amplitude is then reduced. At the edges of a camera's UV and
+IR cut filters, sensitivities change within a few nanometres: there, distances in wavelength are stretched.
 """
 
 from collections.abc import Sequence
@@ -16,14 +16,20 @@ import numpy as np
 from irodori.spectra.grid import SAMPLES, WAVELENGTH_NM
 
 #: Values tried: correlation lengths of a sensitivity, nm; its variances and additional noise variances, both relative.
-_LENGTHS_NM = (30.0, 40.0, 60.0)
-_SIZES = 10.0 ** np.arange(-2.0, 5.0, 0.5)
+_LENGTHS_NM = (20.0, 30.0, 40.0)
+_SIZES = 10.0 ** np.arange(-2.0, 5.0, 0.125)
 _FURTHER_NOISE = 10.0 ** np.arange(-10.0, -1.0)
+#: Factors on prior variances: of a sensitivity, since its likeliest size is decided by few large values, and of the
+#: stated error of a known one. Like the lengths, they were chosen for the share of errors within one and two standard
+#: deviations, with the two cameras in colour-science and five of the program rawtoaces, and 15 filters.
+_LIKELIEST, _STATED = 0.4, 0.7
 #: Edges of cameras' cut filters, nm: position, width, and the distance that they add between two wavelengths. They are
 #: those of the two cameras in colour-science; no other camera was examined.
 _EDGES_NM, _EDGE_WIDTH_NM, _EDGE_DISTANCE_NM = (418.0, 655.0), 10.0, 40.0
 #: Envelope: width of its local mean, nm, its smallest value relative to the largest, and its number of re-estimations.
 _ENVELOPE_NM, _LEAST, _ROUNDS = 20.0, 0.02, 2
+#: Width and smallest value of the envelope of the error of a known sensitivity.
+_KNOWN_NM, _KNOWN_LEAST = 5.0, 0.005
 _LEAST_POWER = 1e-3  # smallest power of a lamp, relative to its mean
 
 
@@ -115,11 +121,11 @@ def shapes() -> np.ndarray:
     return np.array(found)
 
 
-def _envelope(square: np.ndarray) -> np.ndarray:
+def _envelope(square: np.ndarray, width_nm: float = _ENVELOPE_NM, least: float = _LEAST) -> np.ndarray:
     """Return the square root of the local mean of squares (61,), kept above a small share of its maximum."""
-    near = np.exp(-0.5 * ((WAVELENGTH_NM[:, None] - WAVELENGTH_NM) / _ENVELOPE_NM) ** 2)
+    near = np.exp(-0.5 * ((WAVELENGTH_NM[:, None] - WAVELENGTH_NM) / width_nm) ** 2)
     mean = near @ np.maximum(square, 0.0) / near.sum(axis=1)
-    return np.sqrt(mean + _LEAST**2 * mean.max())
+    return np.sqrt(mean + least**2 * mean.max())
 
 
 def _averaged(
@@ -141,6 +147,7 @@ def _averaged(
         Prior variances to try; None for a range relative to the mean square of the residuals.
     """
     total = np.mean(missed**2)
+    factor = _LIKELIEST if sizes is None else _STATED
     noise = variance + np.concatenate([[0.0] if variance > 0.0 else [], _FURTHER_NOISE]) * total
     logarithm, covariances, noises = [], [], []
     for shape in shapes():
@@ -152,7 +159,7 @@ def _averaged(
         likelihood = -0.5 * (turned**2 / spread + np.log(spread)).sum(axis=2)
         i, j = np.unravel_index(np.argmax(likelihood), likelihood.shape)
         logarithm.append(likelihood[i, j])
-        covariances.append(size[i] * covariance)
+        covariances.append(factor * size[i] * covariance)
         noises.append(noise[j])
     share = np.exp(np.array(logarithm) - max(logarithm))
     share /= share.sum()
@@ -203,7 +210,7 @@ def prior_about(
     answer = spectra @ known
     factor = (answer @ response) / (answer @ answer)
     mean = factor * known
-    envelope = factor * light * _envelope(sensitivity**2)
+    envelope = factor * light * _envelope(sensitivity**2, _KNOWN_NM, _KNOWN_LEAST)
     covariance, noise = _averaged(response - spectra @ mean, spectra, envelope, variance, np.array([error**2]))
     # The factor itself is as uncertain as the sensitivity.
     return BandPrior(mean, covariance + error**2 * mean[:, None] * mean, noise)

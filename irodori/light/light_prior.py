@@ -161,6 +161,17 @@ def _surfaces() -> np.ndarray:
     return known.T @ known / len(known) + _spread(_OF_SURFACES)
 
 
+def seen_moment() -> np.ndarray:
+    """Return the matrix, (61, 61), that gives the mean square of the colours, as differences of CIELAB, of surfaces.
+
+    Colours of a light L(λ) on surfaces are linear near white: L* changes by 116/3 of the relative Y, a* by 500/3 of the
+    difference of relative X and Y, b* by 200/3 of that of Y and Z. Their mean square is quadratic in L.
+    """
+    x, y, z = (row / row.sum() for row in colour_matching_weights())
+    seen = np.stack([116.0 * y, 500.0 * (x - y), 200.0 * (y - z)]) / 3.0
+    return (seen.T @ seen) * _surfaces()
+
+
 def _spread(spread: tuple[float, float]) -> np.ndarray:
     deviation, length_nm = spread
     return deviation**2 * smooth_covariance(length_nm)

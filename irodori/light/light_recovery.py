@@ -16,7 +16,7 @@ import numpy as np
 
 from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.core.errors import InputError
-from irodori.light.light_prior import CommonErrors, LightPrior, prior_of_any_lamp
+from irodori.light.light_prior import CommonErrors, LightPrior, prior_of_any_lamp, seen_moment
 from irodori.light.recovery_loops import mixture_weights
 
 #: Factor on the variance of the response model in densities. Its errors are common to all directions, but the densities
@@ -30,7 +30,8 @@ _EVIDENCE, _COMPARISON = 300.0, 150.0
 #: Distance of colours that are distinct, and steps of the iteration. Repeated views of one colour share their errors.
 _ALIKE, _STEPS = 0.1, 30
 _FAMILIES = 16  # largest number of families kept for a picture
-_BASES = 8  # largest number of basis spectra of the light
+_BASES = 6  # largest number of basis vectors of the light
+_UNSEEN = 1e-3  # weight of what no colour shows of a light, relative to the mean weight, in the choice of the basis
 _DRAWS = 64  # directions drawn from each part of a picture
 _COMPARED = 1000  # approximate number of directions that are compared in colour
 #: Least share of the largest variance of errors that are kept. It is small because colours depend on errors that the
@@ -287,6 +288,22 @@ def evidence(prior: LightPrior, model: ResponseModel, directions: Directions) ->
     return float(directions.different() * (directions.share @ density))
 
 
+def _basis_for_colours(lights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the basis that loses least of the colours of surfaces under some lights, (n, 61).
+
+    Returns
+    -------
+    basis : (61, r) float64, orthonormal columns
+    weights_from_light : (r, 61) float64
+        The weights of a light are those whose colours on surfaces are closest to its own.
+    """
+    values, axes = np.linalg.eigh(seen_moment())
+    root = np.sqrt(values + _UNSEEN * values.mean())
+    kept = np.linalg.svd(lights @ (axes * root), full_matrices=False)[2][:_BASES]
+    basis, triangle = np.linalg.qr(axes @ (kept / root).T)
+    return basis, triangle @ (kept * root) @ axes.T
+
+
 def _parted(shares: np.ndarray, likelihoods: np.ndarray) -> np.ndarray:
     """Return the posterior shares of families, (m, n), from prior shares, (n,), and likelihoods, (m, n)."""
     found = shares * likelihoods
@@ -342,11 +359,11 @@ class LightRecovery:
         mean = np.einsum("mn,mnl->ml", shares, by_family)
         # Directions are weighted by their shares of the light, independent of the magnitude of their responses.
         relative = np.sqrt(directions.share) / np.linalg.norm(response, axis=1)
-        basis = np.linalg.svd(relative[:, None] * mean, full_matrices=False)[2][:_BASES].T
-        maps = basis.T @ families.light_from_response
+        basis, weights_from_light = _basis_for_colours(relative[:, None] * mean)
+        maps = weights_from_light @ families.light_from_response
         # Covariance within families, differences of their means from the total mean, and errors in common, as functions
         # of the weights.
-        weights = relative[:, None] * (mean @ basis)
+        weights = relative[:, None] * (mean @ weights_from_light.T)
 
         def of_weights(values: np.ndarray) -> np.ndarray:
             """Return values of all directions, (directions, ...), as linear functions of the weights, (..., r)."""

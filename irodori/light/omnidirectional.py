@@ -56,6 +56,29 @@ class OmnidirectionalPicture:
         return np.concatenate(list(self))
 
 
+@dataclass(frozen=True)
+class KeptPicture:
+    """Picture whose weights are stored in an array while it is read, so that it need not be computed again.
+
+    Parameters
+    ----------
+    picture : OmnidirectionalPicture
+    weights : (height, width, r) float32
+        Filled from the first row on.
+    """
+
+    picture: OmnidirectionalPicture
+    weights: np.ndarray
+
+    def __iter__(self) -> Iterator[np.ndarray]:
+        row = 0
+        for part in self.picture:
+            kept = self.weights[row : row + len(part)]
+            kept[:] = part
+            row += len(part)
+            yield kept
+
+
 class MeanLight:
     """Mean of a picture over the sphere, computed while parts of it are read in any order.
 

@@ -28,7 +28,7 @@ from irodori.light.light_files import rgb_picture, spectral_picture
 from irodori.light.light_prior import LightPrior, prior_of_any_lamp
 from irodori.light.light_recovery import Directions, LightRecovery, ResponseModel, draw_directions
 from irodori.light.mirror_ball import RIM, unwrapped
-from irodori.light.omnidirectional import MeanLight, OmnidirectionalPicture, bands, from_panorama
+from irodori.light.omnidirectional import KeptPicture, MeanLight, OmnidirectionalPicture, bands, from_panorama
 from irodori.light.placed_lights import lights_picture
 from irodori.light.room_charts import read_room_charts, recovery_with
 from irodori.material.principal_components.basis_count import Compression, CompressOptions, choose
@@ -39,6 +39,7 @@ from irodori.spectra.published import spectrum
 #: The most different test colours of CIE 224; if colours on these are preserved, those on other surfaces are too.
 SURFACES = ("TCS2", "TCS56", "TCS77")
 _WHOLE = CapturesSource()
+_KEPT = 8  # largest number of weights per pixel that are kept in memory; pictures with more are read twice
 _READERS = {"rgb": rgb_picture, "spectral": spectral_picture}
 
 
@@ -265,7 +266,8 @@ def write_environment(
 ) -> None:
     """Compress an omnidirectional picture, compute its maps and write the file of the environment.
 
-    The picture is read twice, in bands of rows; its coefficients (k per pixel) are kept in memory for the maps.
+    The picture is read in bands of rows. Its weights on at most 8 bases are kept in memory and replaced by the
+    coefficients, k per pixel, which the maps need. A picture with more bases is read twice.
 
     Parameters
     ----------
@@ -286,17 +288,23 @@ def write_environment(
     InputError
         If a pixel of the picture is not finite, or a lobe has no table.
     """
-    mean = MeanLight(picture.size)
-    tiles = Tiles(picture)
-    moments = second_moments(tiles, also=mean.add if white is None else None)
+    mean, (height, width), bases = MeanLight(picture.size), picture.size, picture.basis.shape[1]
+    kept = np.empty((height, width, bases), dtype=np.float32) if bases <= _KEPT else None
+    first = Tiles(picture if kept is None else KeptPicture(picture, kept))
+    moments = second_moments(first, also=mean.add if white is None else None)
     if moments.masked:
         raise InputError(picture.file, "", f"{moments.masked} pixels that are not finite", "finite radiance everywhere")
     white = mean.light(picture.basis) if white is None else white
     compression = choose(moments, picture.basis, observers(white), options)
-    coefficients = np.empty((*picture.size, compression.bases), dtype=np.float32)
+    if kept is None:
+        second, buffer = first, np.empty(height * width * compression.bases, dtype=np.float32)
+    else:
+        # There are no more coefficients than weights, and tiles come in order: none is overwritten before it is read.
+        second, buffer = Tiles(kept), kept.reshape(-1)[: height * width * compression.bases]
+    coefficients = buffer.reshape(height, width, compression.bases)
     with store.create(output, provenance) as out:
         compression.write(
-            out, "coefficients", tiles, picture.size, quantity=QUANTITY, codec=options.codec, decoded=coefficients
+            out, "coefficients", second, picture.size, quantity=QUANTITY, codec=options.codec, decoded=coefficients
         )
         integrator = Integrator(coefficients)
         irradiance, of_irradiance = fitted_irradiance_map(

@@ -271,6 +271,33 @@ def test_threads_do_not_change_a_bit_of_an_environment(tmp_path):
     assert found[0] == found[1]
 
 
+@pytest.mark.parametrize(("bases", "readings"), [(8, 1), (9, 2)])
+def test_pictures_of_few_weights_are_read_once_and_give_the_same_file(tmp_path, bases, readings, monkeypatch):
+    """Tiles end elsewhere when a picture is read again, which changes the rounding only."""
+    rng, count = np.random.default_rng(7), []
+    basis, mixed = np.linalg.qr(rng.normal(size=(61, bases)))[0], rng.uniform(0.1, 1.0, (5, bases))
+    weights = (rng.uniform(size=(40, 80, 5)) @ mixed).astype(np.float32)
+
+    def read():
+        count.append(1)
+        yield from np.split(weights, 5)
+
+    picture = OmnidirectionalPicture((40, 80), basis, read)
+    found = []
+    for name in ("own.h5", "always-twice.h5"):
+        write_environment(
+            picture, spectrum("D65"), tmp_path / name, options(0.0, 1),
+            made(IrradianceMap, {"max_error": 0.01, "max_height": 32}), store.Provenance("test"),
+        )  # fmt: skip
+        light = Environment.load(tmp_path / name)
+        found.append([part @ light.basis.T for part in (light.coefficients, light.irradiance)])
+        monkeypatch.setattr("irodori.light.stage._KEPT", 0)
+    assert len(count) == readings + 2
+    for one, other in zip(*found, strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-5 * np.abs(other).max())
+    np.testing.assert_allclose(found[0][0], weights @ basis.T, atol=2e-3 * np.abs(weights).max())
+
+
 @pytest.mark.parametrize("centre_azimuth_deg", [0.0, 90.0])
 def test_what_stood_to_the_right_of_a_photographs_middle_has_a_smaller_azimuth(tmp_path, centre_azimuth_deg):
     response = np.full((8, 16, 3), 0.1)

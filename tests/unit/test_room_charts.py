@@ -132,11 +132,11 @@ def test_a_chart_that_is_read_otherwise_than_it_is_is_refused(seen, fault):
 @pytest.mark.stability(stage="light", case="two lamps of different kind")
 @pytest.mark.parametrize("names", [("FL11", "D65"), ("LED-RGB1", "A"), ("FL4", "LED-B3")], ids="+".join)
 def test_two_lamps_of_different_kind_are_recovered_on_walls_and_mixed(seen, names):
-    """In the mean over three draws of the noise of the calibration."""
+    """In the mean over six draws of the noise of the calibration."""
     pair = np.stack([lamp(name) for name in names])
     lights = np.concatenate([pair, [[0.5, 0.5], [0.2, 0.8]] @ pair, *(WALLS * one for one in pair)])
     prior, found = prior_without(*names), []
-    for own in (seen, camera(1), camera(2)):
+    for own in (seen, *(camera(seed) for seed in range(1, 6))):
         room = room_of(own, lights)
         charts = [chart_under(own, np.array(share) @ pair, seed) for seed, share in enumerate([(0.8, 0.2), (0.3, 0.7)])]
         recoveries = [recovery_with(some, own.model, room, prior) for some in ([], charts)]
