@@ -1,8 +1,8 @@
 """The documents and their site: no dead link, nothing from elsewhere, formulas and figures in place, and no barrier."""
 
+import csv
 import json
 import os
-import csv
 import re
 import subprocess
 import sys
