@@ -19,7 +19,7 @@ _OWN = "own_camera_deg"  # the camera angle of one photograph, beside the quanti
 
 
 class AngleChanges(NamedTuple):
-    """What errors of a registration do to the angles θ_i, θ_r, θ_H and φ of its observations, in J photographs.
+    """Changes of the angles θ_i, θ_r, θ_H and φ of observations with errors of a registration, in J photographs.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ class AngleChanges(NamedTuple):
 
 
 class Estimate(NamedTuple):
-    """What the photographs of one object tell, as a Gaussian, and what is made of it.
+    """Estimate of the numbers of a registration from the photographs of one object: a Gaussian, and the values in use.
 
     Parameters
     ----------

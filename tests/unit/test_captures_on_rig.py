@@ -51,6 +51,7 @@ def studio(root):
     edit(root, PLATE_FILE, "captures", {"table": "plate/captures.csv"})
     edit(root, "scenes/still-life.yaml", "objects", [{"object": "tile-plate", "position_mm": [0, 0, 0]}])
     edit(root, "scenes/still-life.yaml", "photographs", {})
+    edit(root, "config.yaml", "photographed_together", ...)
     return root
 
 

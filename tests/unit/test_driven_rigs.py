@@ -29,6 +29,7 @@ def bench(root):
     edit(root, ROOM_FILE, "captures", {"table": "room/captures.csv"})
     edit(root, "scenes/still-life.yaml", "objects", ONLY_PLATE)
     edit(root, "scenes/still-life.yaml", "photographs", {})
+    edit(root, "config.yaml", "photographed_together", ...)
     (root / "room").mkdir()
     rows = [f"{i}.dng,environment,0,0,0,0,{state},0.02" for i, state in enumerate(("out", "in"))]
     (root / "room/captures.csv").write_text("\n".join([",".join(COLUMNS), *rows]))

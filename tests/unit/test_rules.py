@@ -26,7 +26,7 @@ def hashed() -> dict[str, set[str]]:
     """Return script -> modules of its rule's code_hash."""
     found = {}
     for file in (ROOT / "workflow/rules").glob("*.smk"):
-        for rule in re.split(r"\n(?=(?:use )?rule )", file.read_text()):
+        for rule in re.split(r"\n(?=(?:use )?rule |for )", file.read_text()):
             script = re.search(r'scripts/(\w+\.py)"', rule)
             if script:
                 found[script[1]] = set(re.findall(r'"((?:irodori|benchmarks)[\w.]*)"', rule))

@@ -225,7 +225,9 @@ def test_defaults_are_filled_in_and_the_argument_is_left_alone():
 
 def test_the_defaults_of_the_configuration_are_the_repository_s_own():
     own = read_yaml(ROOT / "config" / "config.yaml")
-    short = validate({"make": {"scenes": own["make"]["scenes"]}}, "config", "x")
+    # What is made, and which of these objects were photographed together, has no default.
+    names = {"make": {"scenes": own["make"]["scenes"]}, "photographed_together": own["photographed_together"]}
+    short = validate(names, "config", "x")
     assert short == validate(own, "config", "x")
     rig = example(*RIG)
     # The faults of the repository's own rig that no rig has unless it says so.
