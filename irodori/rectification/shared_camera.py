@@ -32,7 +32,7 @@ _LEAST_INFORMATION = 1.0  # of a combination of numbers, relative to the definit
 
 
 class Evidence(NamedTuple):
-    """What an object tells of k common numbers beyond their definitions, in standard deviations of these.
+    """Evidence of an object on k common numbers beyond their definitions, in standard deviations of these.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ class Common(NamedTuple):
 
 
 class Placed(NamedTuple):
-    """Where an object stood by the photographs of all objects.
+    """Place of an object by the photographs of all objects.
 
     Parameters
     ----------
