@@ -9,7 +9,7 @@ from irodori.config.models import Placing
 from irodori.config.parts import TexturedObject
 from irodori.geometry.rig_frame import rig_from_camera, rig_from_object, to_camera, to_light
 from irodori.rectification.inner_brightness import paint_contrast, painted
-from irodori.rectification.object_registration import _outline, _prepare, _problem
+from irodori.rectification.object_registration import _descend, _outline, _prepare, _problem
 
 RADIUS_MM = 25.0
 BALL = TexturedObject.of({"shape": {"kind": "sphere", "radius_mm": RADIUS_MM}, "texels": {"width": 64, "height": 32}})
@@ -18,8 +18,11 @@ POSES = [Pose(40.0, 0.0, 0.0, turn) for turn in (0.0, 90.0, 180.0, 270.0)] + [Po
 _FINE = 6  # rays along each side of a superpixel
 
 
-def a_ball(folder, border_deg, dark, poses=POSES):
-    """Linear files of a matt ball, with a darker paint below a latitude, its superpixels as averages of many rays."""
+def a_ball(folder, border_deg, dark, poses=POSES, gloss=0.0):
+    """Linear files of a ball, with a darker paint below a latitude, its superpixels as averages of many rays.
+
+    It is matt but for a highlight of 8 degrees about the mirror direction.
+    """
     files = []
     for number, pose in enumerate(poses):
         size = np.array([320, 240]) // 2
@@ -30,6 +33,9 @@ def a_ball(folder, border_deg, dark, poses=POSES):
         root = along**2 - eye @ eye + RADIUS_MM**2
         normal = (eye - (along + np.sqrt(np.maximum(root, 0.0)))[:, None] * rays) / RADIUS_MM
         paint = np.where((normal @ rig_from_object(pose))[:, 2] > np.sin(np.radians(border_deg)), 0.6, 0.6 * dark)
+        half = to_light(pose) - rays
+        away = np.arccos(np.clip(np.sum(normal * half, axis=1) / np.linalg.norm(half, axis=1), -1.0, 1.0))
+        paint = paint + gloss * np.exp(-0.5 * (away / np.radians(8.0)) ** 2)
         shown = np.where(root > 0.0, paint * np.maximum(normal @ to_light(pose), 0.0), 0.0)
         shown = shown.reshape(size[1], _FINE, size[0], _FINE).mean(axis=(1, 3)) + 0.002
         files.append(
@@ -93,3 +99,20 @@ def test_the_contrast_of_paints_is_that_of_what_the_photographs_show(tmp_path):
     assert paint_contrast(prepared(a_ball(tmp_path, 0.0, 1.0))) < 0.02
     # Two paints: at most half their difference over their mean, if each covers half of what is seen lit.
     assert 0.15 < paint_contrast(prepared(a_ball(tmp_path, 35.0, 0.5))) < 0.25 / 0.75
+
+
+def test_highlights_are_taken_for_paint_hardly_anywhere(tmp_path):
+    """Each photograph has one, five times as bright as the paint; of the same point others tell the paint."""
+    glossy = paint_contrast(prepared(a_ball(tmp_path, 0.0, 1.0, gloss=3.0)))
+    assert glossy < 0.1
+
+
+def test_paints_are_looked_up_at_the_last_level_of_the_search_alone(tmp_path):
+    """Before, the object does not lie where it is yet, and they would be those beside the place."""
+    problem = _problem(a_ball(tmp_path, 30.0, 0.4), BALL, SETUP, Placing())
+    _descend(problem, 16.0, 1)
+    for view in problem.views:
+        np.testing.assert_array_equal(view.inner.paint, 1.0)
+    _descend(problem, 4.0, 1)
+    paint = problem.views[-1].inner.paint
+    assert np.abs(np.log(paint[:, 0] / paint[:, -1])).max() == pytest.approx(np.log(1.0 / 0.4), abs=0.15)

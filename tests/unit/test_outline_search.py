@@ -307,6 +307,49 @@ def test_gloss_that_rises_from_an_outline_inwards_is_told_from_its_place():
     assert doubts[0] < 0.02 < doubts[1] < doubts[2]
 
 
+def test_a_few_places_that_brighten_otherwise_do_not_change_how_gloss_is_told_along_an_outline():
+    """The median over neighbours is taken: three places of nine darken inwards, where gloss brightens the others."""
+    xy, out = np.stack([np.full(9, 40.0), np.arange(14.0, 59.0, 5.0)], axis=1), np.tile([1.0, 0.0], (9, 1))
+    light = np.tile(0.6 + 0.2 * np.sqrt(DEPTH / 40.0), (9, 1))
+    glossy, odd = (
+        shaded(40.4, lambda deep, gloss=gloss: 0.3 * (0.6 + (0.2 + gloss) * np.sqrt(deep / 40.0)))
+        for gloss in (1.5, -0.4)
+    )
+    for strange in ([0, 3, 7], [1, 4, 5]):
+        response = glossy.copy()
+        for number in strange:
+            row = 14 + 5 * number
+            response[row - 2 : row + 3] = odd[row - 2 : row + 3]
+        seen = picture(response)
+        found = find_edges(seen, seen.level(0.0), xy, out, 4.0, inner=inner_side(light))
+        plain = np.setdiff1d(np.arange(9), strange)
+        np.testing.assert_allclose(found.distance[plain], 0.4, atol=0.03)
+
+
+def test_one_point_of_an_outline_is_read_as_many_are():
+    light = 0.6 + 0.2 * np.sqrt(DEPTH / 40.0)
+    seen = picture(shaded(40.4, lambda deep: 0.3 * (0.6 + 0.5 * np.sqrt(deep / 40.0))))
+    found = []
+    for count in (1, 2, 9):
+        xy, out = np.stack([np.full(count, 40.0), np.full(count, 34.0)], axis=1), np.tile([1.0, 0.0], (count, 1))
+        inner = inner_side(np.tile(light, (count, 1)))
+        found.append(find_edges(seen, seen.level(0.0), xy, out, 4.0, inner=inner))
+    for one in found:
+        np.testing.assert_allclose(one.distance, found[-1].distance[0], rtol=1e-9)
+        np.testing.assert_allclose(one.doubt, found[-1].doubt[0], rtol=1e-9)
+
+
+def test_deeper_than_the_surface_is_known_it_goes_on_as_at_its_last_depth():
+    xy, out = np.stack([np.full(9, 40.0), np.arange(30.0, 39.0)], axis=1), np.tile([1.0, 0.0], (9, 1))
+    light = np.tile(0.6 + 0.2 * np.sqrt(DEPTH / 40.0), (9, 1))
+    seen = picture(shaded(40.4, lambda deep: 0.3 * (0.6 + 0.2 * np.sqrt(deep / 40.0))))
+    short = InnerSide(0.5, *(one[:, :9] for one in inner_side(light)[1:]))
+    padded = InnerSide(0.5, *(np.pad(one, ((0, 0), (0, 4)), mode="edge") for one in short[1:]))
+    found = [find_edges(seen, seen.level(0.0), xy, out, 4.0, inner=inner) for inner in (short, padded)]
+    np.testing.assert_allclose(found[0], found[1], rtol=1e-9)
+    assert (np.abs(found[0].distance - 0.4) < 0.1).all()
+
+
 def test_an_edge_beside_the_border_of_two_paints_is_not_read():
     """Nor one before a background that changes; most edges of the photograph are plain."""
     rows, borders = np.arange(80), {20: 38.5, 30: 37.5, 50: 42.5}

@@ -409,6 +409,11 @@ def test_the_file_says_how_far_each_photograph_is_off(tmp_path):
         assert units[b"x_mm"] == b"mm" and units[b"about_x_deg"] == b"deg" and units[b"principal_x_px"] == b"{px}"
         for unit in units.values():
             require_unit(unit.decode())
+        # Those of what is combined with other objects, too, along either axis.
+        for axis in ("unknown", "other_unknown"):
+            assert opened[f"{axis}_unit"].values.tolist() == [*units.values(), *[b"deg"] * 4]
+        for axis in ("term", "other_term"):
+            assert opened[f"{axis}_unit"].values.tolist() == [*units.values(), b"deg"]
         assert opened.covariance.dims == ("quantity", "other_quantity") and opened.residual_mm.dims == ("capture",)
         assert opened.residual_mm.attrs["units"] == "mm" and opened.capture.values.tolist() == [b"0", b"1", b"2", b"3"]
     np.testing.assert_allclose(mm / px, 0.75, rtol=0.03)

@@ -6,14 +6,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from drawn_plates import PLATE, SETUP, SMALL, VIEWS, correction, drawn, linear_file, picture
+from scipy.spatial import ConvexHull
 
 from irodori.config.capture_table import Pose
 from irodori.config.models import Placing
 from irodori.config.parts import TexturedObject
 from irodori.geometry.lamp import Lamp
+from irodori.geometry.mesh import make_mesh
 from irodori.geometry.rig_frame import rig_from_camera, rig_from_object, rotation_x, rotation_y, rotation_z, to_light
 from irodori.geometry.shapes.plate import Plate
 from irodori.geometry.shapes.sphere import Sphere
+from irodori.geometry.shapes.triangle_mesh import TriangleMesh
 from irodori.rectification import object_registration
 from irodori.rectification.object_registration import (
     _add_texture,
@@ -21,7 +24,9 @@ from irodori.rectification.object_registration import (
     _displacement,
     _equations,
     _first_reach,
+    _Outline,
     _outline,
+    _outline_scale,
     _prepare,
     _Problem,
     _problem,
@@ -33,9 +38,10 @@ from irodori.rectification.object_registration import (
     _textures,
     _View,
     _window,
+    _with_excess,
     register,
 )
-from irodori.rectification.placement_correction import CAMERA, COUNT, Correction, prior_sigma
+from irodori.rectification.placement_correction import CAMERA, COUNT, LIGHT, Correction, prior_sigma
 from irodori.rectification.texture_agreement import TextureRows, blocks, mean_texture
 from irodori.rectification.told_values import diagonal_of_inverse
 
@@ -371,6 +377,43 @@ def test_steps_end_where_they_are_a_fiftieth_of_what_is_still_unsure(tmp_path, m
     assert np.abs(right / np.sqrt(np.diag(expected))).max() < 0.05
 
 
+@pytest.mark.parametrize("radius_mm", [20.0, 45.0])
+def test_a_ball_bends_by_its_curvature_everywhere_and_in_every_direction(radius_mm):
+    problem = problem_without_pictures(Sphere(radius_mm), FACING, columns=48, rows=24)
+    points = problem.skin[0].data
+    normal = points / np.linalg.norm(points, axis=1)[:, None]
+    across = np.eye(3) - normal[:, :, None] * normal[:, None]
+    # Chords are shorter than arcs, and points near the poles lie in few directions.
+    off = np.linalg.norm(problem.bends @ across - across / radius_mm, axis=(1, 2)) * radius_mm
+    assert np.median(off) < 0.02 and np.percentile(off, 95.0) < 0.1
+    assert problem.bend_per_mm == pytest.approx(1.0 / radius_mm, rel=0.02)
+
+
+def test_a_surface_does_not_bend_at_an_edge():
+    """The sides of a box are flat, also beside another side."""
+    corners = np.stack(np.meshgrid([-15.0, 15.0], [-12.0, 12.0], [0.0, 18.0], indexing="ij"), axis=-1).reshape(-1, 3)
+    sides = ConvexHull(corners)
+    outward = np.cross(*(corners[sides.simplices[:, k]] - corners[sides.simplices[:, 0]] for k in (1, 2)))
+    faces = np.where((np.sum(outward * sides.equations[:, :3], axis=1) > 0.0)[:, None], sides.simplices,
+                     sides.simplices[:, ::-1])  # fmt: skip
+    # Each triangle with a part of the texture to itself.
+    uv = (
+        np.array([[0.1, 0.1], [0.9, 0.1], [0.1, 0.9]]) + np.array([(n % 4, n // 4) for n in range(12)])[:, None]
+    ) / 4.0
+    problem = problem_without_pictures(TriangleMesh(make_mesh(corners[faces], uv)), FACING)
+    assert np.ptp(problem.skin[1], axis=0).min() > 1.9
+    np.testing.assert_allclose(problem.bends, 0.0, atol=1e-9)
+
+
+def test_at_the_end_no_outline_is_thought_to_scatter_much():
+    """Before, points at other edges than the outline scatter by superpixels."""
+    change = np.zeros((400, COUNT + 2))
+    distance = np.random.default_rng(5).normal(0.0, 3.0, 400)
+    far = [_Outline(distance, np.zeros(400), change, np.ones(400, dtype=bool))]
+    before, at_end = (_outline_scale(far, is_last=last) for last in (False, True))
+    assert before == pytest.approx(3.0, rel=0.1) and at_end < 0.5
+
+
 # Textures.
 
 LARGE = TexturedObject.of(
@@ -491,6 +534,36 @@ def test_textures_that_no_two_photographs_show_say_nothing():
     matrix, right = np.zeros((COUNT + 3,) * 2), np.zeros(COUNT + 3)
     _add_texture(apart, matrix, right)
     assert not matrix.any() and not right.any()
+
+
+@pytest.mark.parametrize("size_mm", [(60.0, 50.0), (130.0, 104.0)], ids=["outlines", "textures"])
+def test_photographs_that_contradict_each_other_tell_less(tmp_path, size_mm):
+    """Of the places in the picture; what none of them tells, the angle of the light, is as it was."""
+
+    def told(by_mm):
+        poses, files = [Pose(45.0, 0.0, 0.0, turn) for turn in (0.0, 180.0, 90.0)], []
+        for number, pose in enumerate(poses):
+            (folder := tmp_path / f"{by_mm}-{number}").mkdir()
+            lies = correction(x_mm=by_mm * (1.0, -1.0, 0.0)[number], y_mm=by_mm * (-1.0, 0.0, 1.0)[number])
+            contrast = 0.0 if size_mm == (60.0, 50.0) else 1.0
+            files += drawn(folder, lies, [pose], [pose], size_mm, contrast=contrast)
+        problem = _problem(files, PLATE if size_mm == (60.0, 50.0) else LARGE, SETUP, Placing())
+        matrix = _descend(problem, 4.0, 6)
+        return matrix, _with_excess(problem, matrix), problem.sigma
+
+    alike, contradicting = told(0.0), told(0.15)
+    for matrix, found, sigma in (alike, contradicting):
+        np.testing.assert_allclose(found[LIGHT], matrix[LIGHT], rtol=1e-9)
+        assert matrix[LIGHT, LIGHT] == pytest.approx(1.0 / sigma[LIGHT] ** 2)
+        np.testing.assert_allclose(found, found.T, rtol=1e-6, atol=1e-9)
+        # The prior is left of what was typed, whatever photographs say.
+        assert np.linalg.eigvalsh(found * np.outer(sigma, sigma)).min() > 0.9
+    place = np.ix_([0, 1], [0, 1])
+    shares = [
+        np.linalg.eigvalsh(found[place]) / np.linalg.eigvalsh(matrix[place])
+        for matrix, found, _ in (alike, contradicting)
+    ]
+    assert shares[0].min() > 0.9 and shares[1].min() < 0.7 and shares[1].max() < 1.0 + 1e-9
 
 
 # What each photograph is off by.
