@@ -152,6 +152,7 @@ def pages(site) -> dict[Path, _Page]:
     return {path: _Page(path) for path in sorted(site.resolve().rglob("*.html")) if path.name != "404.html"}
 
 
+@pytest.mark.heavy
 def test_every_document_has_a_page_and_every_page_its_place(site, pages):
     names = {str(path.relative_to(site.resolve())) for path in pages}
     assert {str(path.relative_to(DOCS).with_suffix(".html")) for path in DOCS.rglob("*.md")} <= names
@@ -160,6 +161,7 @@ def test_every_document_has_a_page_and_every_page_its_place(site, pages):
     assert yaml.safe_load(text_of(ROOT / "mkdocs.yml"))["validation"]["nav"]["omitted_files"] == "warn"
 
 
+@pytest.mark.heavy
 def test_no_page_loads_anything_from_elsewhere(site, pages):
     for page in pages.values():
         for target in page.loads:
@@ -170,6 +172,7 @@ def test_no_page_loads_anything_from_elsewhere(site, pages):
         assert not re.search(r"url\((?!['\"]?data:)['\"]?(https?:)?//", text_of(style)), style.name
 
 
+@pytest.mark.heavy
 def test_no_link_of_the_site_is_dead(site, pages):
     count = 0
     for page in pages.values():
@@ -193,6 +196,7 @@ def test_formulas_are_typeset_without_a_script(pages):
     assert not [name for name, text in found.items() if 'class="math"' in text or "katex-error" in text]
 
 
+@pytest.mark.heavy
 def test_the_reference_has_every_command_every_key_and_the_docstrings(site):
     from irodori.command_line import SUBCOMMANDS
     from irodori.config.validation import load_schema

@@ -40,6 +40,7 @@ def test_a_named_lamp_is_recovered_better_than_an_unknown_one_and_a_measured_one
     assert measured.max() < 0.5 and named.max() < 1.0
 
 
+@pytest.mark.heavy
 def test_off_coloured_walls_too(seen):
     some = CIE[::4]
     unknown, named, measured = (

@@ -43,13 +43,13 @@ def geometry(theta_i, theta_r, azimuth) -> np.ndarray:
     )
 
 
-@njit(cache=False, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _draws(lobes, mu, view, numbers, out):
     for j in range(numbers.shape[0]):
         out[j] = kernels.draw(lobes, 0, mu, view[0], view[1], view[2], numbers[j, 0], numbers[j, 1])
 
 
-@njit(cache=False, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _densities(lobes, mu, view, half, out):
     for j in range(half.shape[0]):
         cos_h = half[j, 0] * view[0] + half[j, 1] * view[1] + half[j, 2] * view[2]
@@ -176,7 +176,7 @@ def test_strength_is_about_the_albedo_of_a_steep_view(name):
 # --- vectors -------------------------------------------------------------------------------------------------------
 
 
-@njit(cache=False, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _by_lanes(lobes, t, cosines, factor, out):
     constant = kernels.constants(lobes, t)
     for place in range(0, cosines.shape[1], LANES):
@@ -190,7 +190,7 @@ def _by_lanes(lobes, t, cosines, factor, out):
         store(out[2], place, second)
 
 
-@njit(cache=False, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _by_numbers(lobes, t, cosines, factor, out):
     constant = kernels.constants(lobes, t)
     for j in range(cosines.shape[1]):

@@ -15,7 +15,7 @@ from irodori.rendering.scene_lights import density_towards, make_lights, sample_
 POINTS = qmc.Sobol(2, seed=1).random_base2(14)
 
 
-@njit
+@njit(cache=True)
 def _drawn(lights, point, places, towards, density, again):
     for i in range(len(places)):
         density[i] = sample_towards(lights, 0, point, places[i, 0], places[i, 1], towards[i])

@@ -93,7 +93,7 @@ def test_eight_at_once_are_as_each_alone(shared, noise, seed, level, scale, hole
     _same(SOLVERS["varpro"](problem, rules, options), _alone(problem, rules, options))
 
 
-@njit
+@njit(cache=True)
 def _done(problem, rules, captures):
     return fit_eight(problem, no_shared(), rules, 0, len(problem.response), new_eight(captures, problem.nodes.size))
 

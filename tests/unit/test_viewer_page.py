@@ -225,6 +225,7 @@ def test_a_probe_tells_what_the_material_says(written, page):
     assert page.page.evaluate("([s]) => Irodori.renderer.probe(s, 1, 1)", [state]) is None
 
 
+@pytest.mark.heavy
 def test_a_page_states_its_errors_and_its_own_check_agrees(tmp_path, capsys):
     given = sources(tmp_path / "files", room())
     errors = export_viewer(given, output=tmp_path / "viewer.html")

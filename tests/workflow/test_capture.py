@@ -116,6 +116,7 @@ def test_a_prompt_inside_snakemake_says_what_to_do_in_one_sentence(studio):
     assert "Traceback" not in said and not list((studio / "photos/jar").glob("*.cr2"))
 
 
+@pytest.mark.heavy
 def test_the_target_capture_asks_for_every_session_and_nothing_else(tmp_path):
     folder = small_project(tmp_path / "virtual")
     jobs = planned(snakemake(folder, "--dry-run", "capture"))

@@ -297,6 +297,7 @@ def test_a_scene_with_light_maps_bakes_them_once_for_all_its_views_and_again_whe
     assert "bake_light" in {rule for rule, _ in planned(snakemake(again, "--dry-run", picture))}
 
 
+@pytest.mark.heavy
 def test_a_library_edit_reruns_the_stages_that_use_it(again, tmp_path):
     code = tmp_path / "code"
     code.mkdir()

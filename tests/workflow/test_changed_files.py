@@ -85,6 +85,7 @@ def test_a_corrected_photograph_with_an_older_time_is_seen_and_the_result_differ
     assert jobs(project) == []
 
 
+@pytest.mark.heavy
 def test_files_that_were_only_touched_make_nothing_again(project):
     for file in [*(project / "raw").iterdir(), project / "white.csv"]:
         file.touch()

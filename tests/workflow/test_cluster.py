@@ -53,11 +53,13 @@ def test_the_workflows_own_profile_takes_no_setting_from_the_clusters():
     assert not set(own) & set(PROFILE)
 
 
+@pytest.mark.heavy
 def test_no_job_asks_for_more_memory_than_the_profile_lets_one_have(dry_run):
     asked = [int(number) for number in re.findall(r"mem_mb=(\d+)", dry_run)]
     assert asked and 2 * max(asked) <= PROFILE["resources"]["mem_mb"]
 
 
+@pytest.mark.heavy
 def test_the_models_cluster_cuts_the_work_as_the_profile_and_the_configuration_do(dry_run):
     config = yaml.safe_load((ROOT / "config/config.yaml").read_text())
     cluster = Cluster()

@@ -85,6 +85,7 @@ def looked_at(folder) -> tuple[list[str], dict]:
     return [str(finding) for finding in found if "sheet" in str(finding)], optics
 
 
+@pytest.mark.heavy
 def test_a_check_measures_the_lens_and_names_photographs_without_the_sheet(project, monkeypatch):
     monkeypatch.chdir(project)
     findings, optics = looked_at(project)

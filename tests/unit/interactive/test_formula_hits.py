@@ -36,7 +36,7 @@ class Shapes(NamedTuple):
     bounded: int
 
 
-@njit
+@njit(cache=True)
 def _met(world, rays, distance, shape):
     left = 0
     for base in range(0, distance.size, 16):

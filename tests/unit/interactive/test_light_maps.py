@@ -127,6 +127,7 @@ def test_with_light_maps_a_picture_of_dull_objects_is_near_the_path_traced_one(l
     assert far["maps"] < 0.5 and far["maps"] < 0.4 * far["ambient"]
 
 
+@pytest.mark.heavy
 def test_with_light_maps_a_mesh_on_an_endless_plane_is_near_the_path_traced_picture_also_from_a_file(tmp_path):
     floor = {"shape": {"kind": "plane"}, "position_mm": [0.0, 0.0, 0.0], "material": {"spectrum": "TCS11"}}
     mesh, materials, file = [Shape.from_mesh(octahedron(20.0, 3))], [material(COLOURED[1])], tmp_path / "m.h5"
