@@ -224,6 +224,9 @@ def test_levels_of_photographs_drop_out_and_the_texture_stays():
         for b in range(a):
             both = (weights[a] > 0) & (weights[b] > 0)
             np.testing.assert_allclose(without[a][both], without[b][both], atol=0.02)
+    # Shares count, and not how large all weights are.
+    for one, other in zip(without, without_levels(values, [3.0 * w for w in weights], block), strict=True):
+        np.testing.assert_allclose(other, one, rtol=1e-9)
     mean = mean_texture(without, weights)
     unseen = np.sum(weights, axis=0) == 0
     assert np.isnan(mean[unseen]).all() and np.isfinite(mean[~unseen]).all()
@@ -414,6 +417,7 @@ def test_the_file_says_how_far_each_photograph_is_off(tmp_path):
             assert opened[f"{axis}_unit"].values.tolist() == [*units.values(), *[b"deg"] * 4]
         for axis in ("term", "other_term"):
             assert opened[f"{axis}_unit"].values.tolist() == [*units.values(), b"deg"]
+        assert opened.angle_change.dims == ("capture", "angle", "term", "other_term") and len(opened.angle) == 4
         assert opened.covariance.dims == ("quantity", "other_quantity") and opened.residual_mm.dims == ("capture",)
         assert opened.residual_mm.attrs["units"] == "mm" and opened.capture.values.tolist() == [b"0", b"1", b"2", b"3"]
     np.testing.assert_allclose(mm / px, 0.75, rtol=0.03)
