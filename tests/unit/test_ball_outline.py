@@ -74,6 +74,11 @@ def test_the_circle_of_a_mask_has_its_centre_and_area_and_what_is_no_disc_is_ref
     mask = np.isfinite(BALL.normals(SIZE)[..., 0]).astype(float)
     mask[2:6, 3:9] = 1.0  # a smaller bright part does not count
     assert np.abs(np.subtract(circle_of_mask(mask, "mask.png"), BALL)).max() < 0.2
+    # A mask that a person has painted: its edge goes in and out by a pixel.
+    rows, columns = np.indices(SIZE)
+    turn = np.arctan2(rows - BALL.y, columns - BALL.x)
+    ragged = np.hypot(rows - BALL.y, columns - BALL.x) < BALL.radius + np.sin(12.0 * turn)
+    assert np.abs(np.subtract(circle_of_mask(ragged.astype(float), "mask.png"), BALL)).max() < 0.2
     mask[30:50, :] = 1.0
     with pytest.raises(InputError, match="no disc"):
         circle_of_mask(mask, "mask.png")

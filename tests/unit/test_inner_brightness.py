@@ -101,6 +101,12 @@ def test_the_contrast_of_paints_is_that_of_what_the_photographs_show(tmp_path):
     assert 0.15 < paint_contrast(prepared(a_ball(tmp_path, 35.0, 0.5))) < 0.25 / 0.75
 
 
+def test_of_an_object_that_nothing_shows_from_the_front_no_contrast_of_paints_is_known(tmp_path):
+    """It is lit from behind the only photograph."""
+    problem = prepared(a_ball(tmp_path, 30.0, 0.4, [Pose(175.0, 0.0)]))
+    assert paint_contrast(problem) == 0.0
+
+
 def test_highlights_are_taken_for_paint_hardly_anywhere(tmp_path):
     """Each photograph has one, five times as bright as the paint; of the same point others tell the paint."""
     glossy = paint_contrast(prepared(a_ball(tmp_path, 0.0, 1.0, gloss=3.0)))

@@ -106,6 +106,14 @@ def test_a_ball_learns_from_a_plate_what_it_cannot_tell_and_says_from_whom():
     assert (both[0] == both[1]).all()  # one camera
 
 
+def test_where_everything_is_told_the_most_probable_place_is_used():
+    rng = np.random.default_rng(12)
+    common = PRIOR[COMMON] * [1.0, -1.2, 0.8, 0.9, 1.1]
+    found = combined({str(n): Measured(rng, common, strength=300.0).told() for n in range(2)})
+    for placed in found.values():
+        np.testing.assert_allclose(placed.estimate.values[:6], placed.estimate.probable[:6], atol=0.02 * PRIOR[0])
+
+
 def test_stated_errors_of_what_is_combined_are_honest():
     """Over draws of everything from its prior: χ² of the common numbers, and of where each object stands."""
     rng, squares = np.random.default_rng(3), {"common": [], "place": []}
