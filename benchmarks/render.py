@@ -35,7 +35,6 @@ from irodori.light.gloss.gloss_maps import GlossMaps
 from irodori.light.irradiance import fitted_irradiance_map
 from irodori.material.material_file import Material
 from irodori.rendering.interactive.frame_renderer import CollimatedLamp, light_of, prepare_scene, profiled, render_frame
-from irodori.rendering.interactive.surroundings import with_surroundings
 from irodori.rendering.light_maps import LightMaps
 from irodori.rendering.reference.baking import bake_maps
 from irodori.rendering.reference.converging_picture import TracedScene, make_scene
@@ -133,10 +132,8 @@ class Studio:
     def maps(self) -> LightMaps:
         """Light maps of the scene, baked once."""
         began = time.process_time()
-        maps = bake_maps(self.tracer.placements, self.objects, self.environment)
-        light, no_lamps = light_of(self.environment), np.zeros((0, len(self.white)))
-        maps = with_surroundings(maps, self.objects, light, self.gloss, self.tracer, lamps=no_lamps)
-        made = ", ".join(f"{bake.texels} texels of {bake.paths} paths ({bake.error:.3f})" for bake in maps.bakes)
+        maps = bake_maps(self.tracer, self.objects, self.environment)
+        made = ", ".join(f"{bake.texels} texels ({bake.error:.3f})" for bake in maps.bakes)
         print(f"light maps: {time.process_time() - began:.1f} s of CPU time, compilation included; {made}")
         return maps
 

@@ -261,6 +261,8 @@ class InteractiveRenderer(Renderer):
     kind = "interactive"
     compiled = False
     prepared_s = 0.0
+    #: Whether all light maps follow from the transfer of light, because light or objects turn in some pictures.
+    light_turns = False
     representation, why = "spectral", "the picture is asked for in all bands"
 
     def check(self) -> None:
@@ -278,10 +280,12 @@ class InteractiveRenderer(Renderer):
         start = time.perf_counter()
         environment = moment.environment(self.environment)
         lights = moment.lights(make_lights(self.scene.lights, 0)[0])
-        light, maps, reflected = light_of(environment), self.baked if has_light_maps(self.scene) else None, 0
+        light, maps, reflected = light_of(environment), None, 0
+        if has_light_maps(self.scene):
+            maps = self._turned_maps(moment) if self.light_turns else self.baked
+            if moment.filter is not None and not self.light_turns:
+                maps = maps.under(moment.filter)
         ambient = has_ambient(self.scene) and maps is None
-        if maps is not None and moment.filter is not None:
-            maps = maps.under(moment.filter)
         if self.white is not None:
             baked = None if maps is None else maps.basis
             found = exact_representation(self.objects, light, len(lights.kind), ambient, baked)
@@ -291,7 +295,7 @@ class InteractiveRenderer(Renderer):
             self.objects,
             light,
             gloss_for(environment, self.objects),
-            Tracer(make_placements(self.scene, self.shapes)),
+            self.tracer,
             self.representation,
             np.ones(BANDS) if self.white is None else self.white,  # bands need none
             lamps=lights.spectrum[:, :BANDS],
@@ -305,8 +309,28 @@ class InteractiveRenderer(Renderer):
         return prepared
 
     @cached_property
-    def baked(self):
-        """Light maps of the scene, read from their file if there is one, else baked.
+    def tracer(self) -> Tracer:
+        """Objects and bodies of the scene where it is defined to have them, for tracing rays."""
+        return Tracer(make_placements(self.scene, self.shapes))
+
+    @cached_property
+    def transfer(self):
+        """Transfer of light between the surroundings and the surfaces of the scene."""
+        from irodori.rendering.light_transfer import LightTransfer
+
+        return LightTransfer(self.tracer, self.objects, self.environment)
+
+    def _turned_maps(self, moment: Moment) -> "LightMaps":
+        """Return the light maps of a moment in which the objects are not turned."""
+        from irodori.rendering.scene_lights import BANDS, make_lights
+
+        lights = moment.lights(make_lights(turned_scene(self.scene, moment).lights, 0)[0])
+        lamps = lights.spectrum[:, :BANDS], lights.rotation[:, :, 2]
+        return self.transfer.maps(moment.environment(self.environment), moment.environment_deg, *lamps)
+
+    @cached_property
+    def baked(self) -> "LightMaps":
+        """Light maps of the scene as it stands, read from their file if there is one, else baked.
 
         Raises
         ------
@@ -314,34 +338,12 @@ class InteractiveRenderer(Renderer):
             If the file has light maps of another scene.
         """
         from irodori.rendering.light_maps import LightMaps
-        from irodori.rendering.reference.baking import maps_key
-
-        if self.maps_file is not None:
-            key = maps_key(self.scene, self.shapes, self.objects, self.environment)
-            return LightMaps.load(self.maps_file, key)
-        return self.bake()
-
-    def bake(self, folder=None) -> "LightMaps":
-        """Bake the light maps of the scene; finished ones are kept in a ``folder`` until it is removed."""
-        from irodori.rendering.interactive.frame_renderer import light_of
-        from irodori.rendering.interactive.prepared_scene import gloss_for
-        from irodori.rendering.interactive.surroundings import with_surroundings
-        from irodori.rendering.reference.baking import FinishedMaps, bake_maps, maps_key
-        from irodori.rendering.scene_lights import BANDS, make_lights
+        from irodori.rendering.reference.baking import bake_maps, maps_key
 
         key = maps_key(self.scene, self.shapes, self.objects, self.environment)
-        finished = None if folder is None else FinishedMaps(folder, key)
-        placements, lights = make_placements(self.scene, self.shapes), make_lights(self.scene.lights, 0)[0]
-        maps = bake_maps(placements, self.objects, self.environment, self.scene.lights, key=key, finished=finished)
-        return with_surroundings(
-            maps,
-            self.objects,
-            light_of(self.environment),
-            gloss_for(self.environment, self.objects),
-            Tracer(placements),
-            lamps=lights.spectrum[:, :BANDS],
-            directions=list(lights.rotation[:, :, 2]),
-        )
+        if self.maps_file is not None:
+            return LightMaps.load(self.maps_file, key)
+        return bake_maps(self.tracer, self.objects, self.environment, self.scene.lights, key=key)
 
     def render(self, view_name, moment, keep, tiles_folder):
         """Render a frame; return the picture and its figures."""
@@ -350,11 +352,11 @@ class InteractiveRenderer(Renderer):
 
         # Rotated objects would have to be prepared again: all else is rotated instead.
         moment = moment.seen_from("objects")
-        if has_light_maps(self.scene):
-            turned = moment.environment_deg or (self.scene.lights and moment.lights_deg)
-            if turned:
-                raise ValueError("light maps in turned light; accepted: the scene's own, or no light maps")
+        if not self.light_turns and (moment.environment_deg or (self.scene.lights and moment.lights_deg)):
+            self.light_turns, self._lit = has_light_maps(self.scene), ()
         scene, prepared = turned_scene(self.scene, moment), self.light(moment)
+        if self.light_turns:
+            prepared.show(self._turned_maps(moment))
         side, size = self.options.pixel_side, scene.image
         view = make_view(scene.views[view_name], size).finer(side)
         lights = make_lights(scene.lights, 0)[0]

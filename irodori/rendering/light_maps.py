@@ -23,12 +23,10 @@ _MAP, _SEEN = "row_{0},column_{0},component", "seen_row_{0},seen_column_{0},face
 
 
 class Bake(NamedTuple):
-    """Size and errors of a map; errors are shares of the mean light on the object."""
+    """Size and error of a map."""
 
     texels: int
-    paths: int  # per texel
-    noise: float  # root mean square of the standard errors of the texels
-    error: float  # root mean square interpolation error between texels, with the noise of the comparison removed
+    error: float  # root mean square error between texels, relative to the mean light, with its own noise removed
     most: int  # number of texels that was asked for, from which the places of a mesh's texels follow
 
 
@@ -120,6 +118,16 @@ class LightMaps:
             none = np.zeros((0,) * 6, np.float32)
             around = tuple(file.read_within(n) if n in seen else none for n in (f"seen_{i}" for i in range(len(bakes))))
             return cls(tuple(map(file.read_within, axes)), basis, key, bakes, around, seen_basis)
+
+
+def spectral_basis(spectra: list[np.ndarray]) -> np.ndarray:
+    """Return orthonormal vectors (61, k) that represent spectra (..., 61) up to the relative norm `LEFT_OUT`."""
+    squares = sum((flat.T @ flat for flat in (one.reshape(-1, SAMPLES) for one in spectra)), np.zeros((SAMPLES,) * 2))
+    values, vectors = np.linalg.eigh(squares)
+    energy = np.maximum(values[::-1], 0.0)
+    left = np.append(energy[::-1].cumsum()[::-1], 0.0)  # left out with 0, 1, 2, ... vectors
+    count = max(int(np.argmax(left <= LEFT_OUT**2 * left[0])), 1)
+    return np.ascontiguousarray(vectors[:, ::-1][:, :count])
 
 
 def look_up(picture: np.ndarray, u: np.ndarray, v: np.ndarray, wraps: bool) -> np.ndarray:

@@ -22,7 +22,6 @@ from irodori.config.definition import as_plain
 from irodori.config.models import (
     Frames,
     IlluminantChange,
-    InteractiveIntegrator,
     LightSweep,
     ObjectShape,
     Render,
@@ -39,7 +38,7 @@ from irodori.light.environment_file import Environment
 from irodori.light.placed_lights import unit_luminance
 from irodori.rendering.energy_gain import load_materials
 from irodori.rendering.frame_state import Moment
-from irodori.rendering.integrators import has_ambient, has_light_maps, make_renderer
+from irodori.rendering.integrators import InteractiveRenderer, has_light_maps, make_renderer
 from irodori.rendering.scene_white import shown_white
 from irodori.rendering.stage import write_picture
 from irodori.spectra.grid import WAVELENGTH_NM
@@ -214,11 +213,11 @@ def render_frames(
     white, exposure = shown_white(scene, environment, environment_file)
     if scene.tolerance_ciede2000 is not None:
         LOGGER.info("frames are rendered in full: a plan is made for the scene's own moment")
-    if has_light_maps(scene) and not keeps_light(frames):
-        # No frame uses light maps, not even the unrotated first one, so that the sequence does not flicker.
-        LOGGER.info("frames are rendered without light maps, because light or objects turn")
-        scene = replace(scene, integrator=InteractiveIntegrator(ambient=has_ambient(scene)))
     renderer = make_renderer(scene, made, materials, environment, options, white, maps_file=maps_file)
+    if has_light_maps(scene) and not keeps_light(frames):
+        assert isinstance(renderer, InteractiveRenderer)  # which alone has light maps
+        # All frames have maps of one kind, also the first, so that the sequence does not flicker.
+        renderer.light_turns = True
     matrix_of_white = xyz_from_radiance(white)
     display = make_display(scene.display.device)
     stands = isinstance(frames, LightSweep)

@@ -1,7 +1,6 @@
 """Rendering stage: reads materials, light and a scene; writes a spectral EXR, a PNG and figures."""
 
 import json
-import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -94,18 +93,12 @@ def bake_light(
     output,
     provenance: Provenance,
 ) -> None:
-    """Bake the light maps of a scene, which are the same for all its views, into a file.
-
-    Finished maps are kept in a folder beside ``output`` with the ending ``.part`` until all are finished, so that a
-    bake that was interrupted continues. Parameters are those of `render_view`.
-    """
+    """Bake the light maps of a scene, which are the same for all its views, into a file; see `render_view`."""
     placed = [Shape.from_definition(shape) for shape in shapes]
     materials = load_materials(scene, material_files)
     renderer = make_renderer(scene, placed, materials, Environment.load(environment_file), options)
     assert isinstance(renderer, InteractiveRenderer)  # the workflow asks for maps of these scenes alone
-    kept = Path(output).with_suffix(".part")
-    renderer.bake(kept).save(output, provenance)
-    shutil.rmtree(kept)
+    renderer.baked.save(output, provenance)
 
 
 def write_picture(

@@ -23,7 +23,14 @@ from irodori.rendering.interactive.channels import (
     spectral_channels,
 )
 from irodori.rendering.interactive.packets import KEPT, PATHS, RAYS, TILE
-from irodori.rendering.interactive.prepared_scene import FrameView, PreparedWorld, make_query, make_world
+from irodori.rendering.interactive.prepared_scene import (
+    FrameView,
+    PreparedWorld,
+    make_query,
+    make_seen,
+    make_world,
+    stored_maps,
+)
 from irodori.rendering.interactive.quadrature import Quadrature, path_spectra, solve_quadrature
 from irodori.rendering.interactive.representation_layout import Layout
 from irodori.rendering.interactive.round_lobes import TAPS, lobe_table
@@ -87,8 +94,16 @@ class Prepared:
     lamps: int
     quadrature: Quadrature | None = None
     owned: tuple = ()
+    channels: Channels | None = None
     _seen: tuple | None = None
     _kept: np.ndarray = field(default_factory=lambda: np.zeros((1, 0), np.float32))
+
+    def show(self, maps: LightMaps) -> None:
+        """Replace the light maps by others of the same texels, whose spectra are in the span of the same basis."""
+        placements, channels = self.owned[0].placements, self.channels
+        assert channels is not None  # of a scene that `prepare_scene` made
+        baked = np.concatenate(stored_maps(maps, placements, channels))
+        self.world = self.world._replace(baked=baked, **make_seen(maps, placements, channels))
 
     def forget(self) -> None:
         """Discard the hits that are kept between frames, and free their memory."""
@@ -189,7 +204,7 @@ def prepare_scene(
     )
     parts = max(len(lobe_table(name).entries) for name in objects.lobes.names)
     layout = Layout(channels.surface, channels.light, channels.coloured, False, objects.lobe.shape[1], parts)
-    return Prepared(representation, world, layout, limits, len(lamps), quadrature, (tracer, query))
+    return Prepared(representation, world, layout, limits, len(lamps), quadrature, (tracer, query), channels)
 
 
 def _further(objects: Objects, light: Light, ambient: bool, most: int, maps: LightMaps | None) -> np.ndarray:

@@ -211,6 +211,17 @@ def make_irradiance(light: Light, channels: Channels) -> tuple[np.ndarray, int]:
     return padded(stored, channels.surface), side
 
 
+def stored_maps(maps: LightMaps, placements: Sequence[Placement], channels: Channels) -> list[np.ndarray]:
+    """Return the light maps as flat arrays in the channels of texels, with a border of one texel except for meshes."""
+    stored_from_map = (channels.baked_from_radiance @ maps.basis).T.astype(np.float32)
+    flat = []
+    for stored, placement in zip(maps.maps, placements, strict=True):
+        room = np.zeros((*stored.shape[:2], channels.surface), dtype=np.float32)
+        room[..., : channels.count] = stored @ stored_from_map
+        flat.append(room.ravel() if placement.shape.triangles is not None else _bordered(room, placement.shape.wraps))
+    return flat
+
+
 def make_baked(maps: LightMaps | None, placements: Sequence[Placement], channels: Channels) -> dict:
     """Return the fields of a `PreparedWorld` that hold the light maps, in the channels of texels.
 
@@ -227,13 +238,11 @@ def make_baked(maps: LightMaps | None, placements: Sequence[Placement], channels
         stored, most, layout = maps.maps[index], maps.bakes[index].most, make_layout(placements, index)
         if stored.shape[:2] != layout.size(most):
             raise ValueError(f"a light map of {stored.shape[:2]} texels; accepted: {layout.size(most)}, of this shape")
-        room = np.zeros((*stored.shape[:2], channels.surface), dtype=np.float32)
-        room[..., : channels.count] = stored @ (channels.baked_from_radiance @ maps.basis).T.astype(np.float32)
-        is_mesh = placement.shape.triangles is not None
-        flat.append(room.ravel() if is_mesh else _bordered(room, placement.shape.wraps))
-        size[index], grid[index] = (stored.shape[1], 0 if is_mesh else stored.shape[0]), layout.grid
+        rows = 0 if placement.shape.triangles is not None else stored.shape[0]
+        size[index], grid[index] = (stored.shape[1], rows), layout.grid
         for found, own in zip((parts, corners), layout.triangles(most), strict=True):
             found.append(own)
+    flat += [] if maps is None else stored_maps(maps, placements, channels)
     sides = np.concatenate(parts)
     sizes = (sides.astype(np.int64) + 1) * (sides + 2) // 2
     first = np.cumsum([one.size for one in flat], dtype=np.int64)

@@ -1,10 +1,9 @@
-"""Irradiance at given points of surfaces by path tracing, from which light maps are baked [eq. 8].
+"""Irradiance at given points of surfaces by path tracing, against which light maps are checked [eq. 8].
 
 From each point, one direction is sampled from the environment and one by the cosine, and paths continue from there as
 those of a picture do. The result is the radiance of a perfect diffuser at the point, irradiance / π.
 """
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -102,9 +101,3 @@ def incident_light(
     if places.cut.any():
         LOGGER.warning("%d paths were cut: the light is too dark by what they would have brought", places.cut.sum())
     return places.halves
-
-
-def relative_noise(halves: np.ndarray) -> float:
-    """Return the root-mean-square standard error of the mean of both halves, relative to the mean light."""
-    mean = float(halves.mean(dtype=np.float64))
-    return math.sqrt(float(np.mean(np.square(halves[0] - halves[1], dtype=np.float64)))) / 2.0 / mean if mean else 0.0

@@ -1,0 +1,539 @@
+"""Transfer of light to a scene's surfaces, from which light maps follow for any light without tracing anything again.
+
+From each texel of the maps, rays are traced once, in directions that fill cells of the sphere. They find the share of
+each cell that surfaces hide, and the texel of another map that is seen there. The light on all texels then follows for
+any light from all directions, turned about the vertical axis by any angle, any collimated lamps, and any colours:
+
+* Light from the surroundings is the irradiance without obstacles, less that of the hidden parts of cells. Of the light
+  in each cell, the integral of radiance times direction is known. Its product with a normal is the cell's irradiance,
+  exactly if all of the cell is above the horizon.
+* Light between surfaces is gathered from the texels that are seen, reflection by reflection and wavelength by
+  wavelength (radiosity). A surface sends diffuse light evenly in all directions. Its gloss and its mirror send on what
+  comes from the mirror direction, from a cell or another texel, with their albedo at that angle.
+
+The number of texels is increased until light interpolated between them is close to light found at the same points.
+"""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from irodori.geometry.embree import NO_HIT, Tracer, hit_distance, hit_shape, new_ray, trace
+from irodori.geometry.rig_frame import rotation_z
+from irodori.geometry.shapes.placement import Placement, reaches
+from irodori.geometry.shapes.shadow_nodes import extend_to_closed, raised
+from irodori.jit.chunks import run_chunks
+from irodori.jit.compilation import njit
+from irodori.light.environment_file import Environment, directions
+from irodori.light.equirectangular import look_up
+from irodori.reflection.albedo import gloss_albedo
+from irodori.reflection.fresnel import fresnel_array
+from irodori.rendering.interactive.cube_maps import FACES
+from irodori.rendering.interactive.surroundings import SEEN, SIDE, coarse_texels, stored_cubes, ways_out
+from irodori.rendering.light_maps import Bake, LightMaps, spectral_basis
+from irodori.rendering.map_layouts import Points, make_layout
+from irodori.rendering.scene_arrays import Objects, coefficients_of, gloss_of, textures
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_matrix
+
+#: Cells of the sphere by polar angle and azimuth, and rays in each of them from a texel.
+ROWS, COLUMNS, RAYS = 32, 64, 2
+_CELLS = ROWS * COLUMNS
+#: Directions of a cell among which texels take turns, so that the edges of shadows have no steps.
+_POOL = 8
+#: Texels of a map, initially and at most; largest error between them, relative to the mean light on the object.
+_FEWEST_TEXELS, _MOST_TEXELS, MOST_ERROR = 1 << 10, 1 << 16, 0.02
+#: Number of points between texels at which the error is measured, and their seed.
+_JUDGED, _SEED = 512, 307
+#: Texels along each side of a texture, about, from which the reflectances are found.
+_MOST_SIDE = 128
+#: Cosines at which the albedo of gloss and mirrors is tabulated, the place of the one that stands for its colour, and
+#: the albedo below which an object's gloss and mirror light no other object.
+_COSINES, _MIDDLE, _LEAST_SHINE = np.linspace(0.02, 1.0, 25), 17, 1e-3
+#: A texel is inside another object if this share of its rays meets surfaces from behind.
+_ENCLOSED = 0.9
+_TOGETHER, _CHUNK = 1024, 16  # texels that are traced at a time, in all and by a thread
+#: Change of the light, relative to its mean, below which no further reflection is followed; reflections at most.
+_SETTLED, _MOST_REFLECTIONS = 1e-3, 32
+#: Angles of the environment from whose light the basis of the maps is made.
+_ANGLES_DEG = (0.0, 90.0, 180.0, 270.0)
+
+
+class _Bounds(NamedTuple):
+    """Bounds of the shapes, so that most rays that meet nothing are not traced."""
+
+    centre: np.ndarray  # (shapes, 3) mm
+    radius: np.ndarray  # (shapes,) mm; infinite for endless shapes
+    normal: np.ndarray  # (shapes, 3) of flat shapes, else zeros
+    is_own: np.ndarray  # (shapes,) whether a texel of the shape may see the shape itself
+    has_inside: np.ndarray  # (shapes,) whether a ray that meets a back comes from inside
+
+
+class _Seen(NamedTuple):
+    """What texels see in each cell, filled by `_look_some`."""
+
+    hidden: np.ndarray  # (n, cells) float32 share of a cell above the horizon that is hidden
+    shape: np.ndarray  # (n, cells) int16 shape whose front is seen, or `NO_HIT`
+    distance: np.ndarray  # (n, cells) float32 mm
+    place: np.ndarray  # (n, cells) uint8 direction of the pool
+    is_open: np.ndarray  # (n,) bool whether a texel lies outside all other objects
+
+
+class _Links(NamedTuple):
+    """Places of other surfaces that texels see."""
+
+    texel: np.ndarray  # (n,) number of the texel
+    shape: np.ndarray  # (n,) that is seen
+    place: np.ndarray  # (n, 3) mm
+    way: np.ndarray  # (n, 3) mm from the texel to the place
+    weight: np.ndarray  # (n,) float32 share of the light from there in that of the texel
+
+
+class _View(NamedTuple):
+    """What the texels of an object see."""
+
+    hidden: "csr_matrix"  # (texels, cells) share that is hidden
+    is_open: np.ndarray  # (texels,) bool whether they lie outside all other objects
+    links: _Links
+
+
+class _Mirror(NamedTuple):
+    """Light that texels receive by way of an object's gloss or mirror, as if all were reflected in one direction."""
+
+    colour: np.ndarray  # (61,) relative reflectance, mean 1
+    cells: "csr_matrix"  # (texels, cells) from mean radiance in the cells
+    texels: "csr_matrix"  # (texels, texels) from the light that texels send
+
+
+class _Casting(NamedTuple):
+    """Scene into which rays are traced from the texels of one shape."""
+
+    intersect: int
+    scene: int
+    bounds: _Bounds
+    shape: int
+    direction: np.ndarray  # (cells, pool, 3)
+    first: int  # number of the first texel
+
+
+@njit(cache=True, error_model="numpy")
+def _may_meet(bounds, own, origin, direction):
+    """Return whether a ray may meet any shape, by the bounding spheres and the planes of flat shapes."""
+    for shape in range(bounds.radius.size):
+        if shape == own and not bounds.is_own[shape]:
+            continue
+        along = square = height = steep = 0.0
+        for axis in range(3):
+            away = bounds.centre[shape, axis] - origin[axis]
+            along += away * direction[axis]
+            square += away * away
+            height += away * bounds.normal[shape, axis]
+            steep += direction[axis] * bounds.normal[shape, axis]
+        if height * steep < 0.0:
+            continue  # away from the plane of a flat shape
+        radius = bounds.radius[shape]
+        if square <= radius * radius or (along > 0.0 and square - along * along <= 1.001 * radius * radius):
+            return True
+    return False
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _look_some(casting, point, normal, facet, seen, first, last):
+    ray, bounds = new_ray(), casting.bounds
+    for texel in range(first, last):
+        everywhere = behind = 0
+        shift = (casting.first + texel) * RAYS
+        for cell in range(_CELLS):
+            above = hidden = 0
+            seen.shape[texel, cell] = NO_HIT
+            for number in range(RAYS):
+                place = (shift + number) % _POOL
+                direction = casting.direction[cell, place]
+                rise = height = 0.0
+                for axis in range(3):
+                    rise += direction[axis] * normal[texel, axis]
+                    height += direction[axis] * facet[texel, axis]
+                if rise <= 0.0:
+                    continue
+                above += 1
+                if height <= 0.0:
+                    hidden += 1
+                    continue
+                if not _may_meet(bounds, casting.shape, point[texel], direction):
+                    continue
+                trace(casting.intersect, casting.scene, ray, point[texel], direction, np.inf)
+                shape = hit_shape(ray)
+                if shape == NO_HIT:
+                    continue
+                hidden += 1
+                towards = 0.0
+                for axis in range(3):
+                    towards += ray.f[ray.at + 12 + axis] * direction[axis]
+                if towards < 0.0:
+                    seen.shape[texel, cell] = shape
+                    seen.distance[texel, cell] = hit_distance(ray)
+                    seen.place[texel, cell] = place
+                elif bounds.has_inside[shape]:
+                    behind += 1
+            everywhere += above
+            seen.hidden[texel, cell] = hidden / above if above > 0 else 0.0
+        seen.is_open[texel] = behind < _ENCLOSED * everywhere
+
+
+def _bounds(placements: Sequence[Placement]) -> _Bounds:
+    """Return the bounds of placed shapes."""
+    radius = np.array([np.inf if p.shape.is_endless else reach * (1.0 + 1e-5)
+                       for p, reach in zip(placements, reaches(placements), strict=True)])  # fmt: skip
+    return _Bounds(
+        np.stack([p.shape.frame_origin(p) for p in placements]).astype(np.float64),
+        radius,
+        np.stack([p.rotation[:, 2] if p.shape.is_flat else np.zeros(3) for p in placements]),
+        np.array([not p.shape.is_convex for p in placements]),
+        np.array([p.shape.has_inside or p.shape.triangles is not None for p in placements]),
+    )
+
+
+def _pool() -> np.ndarray:
+    """Return the directions of each cell, (cells, pool, 3) unit: places of a shifted lattice in the cell."""
+    number = np.arange(_POOL)
+    u, v = (number + 0.5) / _POOL, (number * 0.6180339887498949 + 0.31) % 1.0
+    cosine = np.cos(np.pi * np.arange(ROWS + 1) / ROWS)
+    z = cosine[:-1, None] + (cosine[1:] - cosine[:-1])[:, None] * u
+    azimuth = 2.0 * np.pi * (np.arange(COLUMNS)[:, None] + v) / COLUMNS
+    sine = np.sqrt(np.maximum(1.0 - z * z, 0.0))
+    parts = (
+        sine[:, None] * np.cos(azimuth),
+        sine[:, None] * np.sin(azimuth),
+        np.broadcast_to(z[:, None], (ROWS, COLUMNS, _POOL)),
+    )
+    return np.ascontiguousarray(np.stack(parts, axis=-1).reshape(_CELLS, _POOL, 3))
+
+
+def _cell_vectors() -> np.ndarray:
+    """Return the integral of the direction over each cell, (cells, 3) sr."""
+    rows, columns = 8 * ROWS, 8 * COLUMNS
+    unit, solid_angle = directions(columns, rows)
+    parts = (unit * solid_angle[..., None]).reshape(ROWS, 8, COLUMNS, 8, 3)
+    return parts.sum(axis=(1, 3)).reshape(_CELLS, 3)
+
+
+class _Moments:
+    """Integrals over cells of an environment's radiance times direction, and of its radiance, turned by any angle.
+
+    Parameters
+    ----------
+    coefficients : (height, width, k) float
+    """
+
+    def __init__(self, coefficients: np.ndarray) -> None:
+        height, width, k = coefficients.shape
+        rows = np.zeros((ROWS, width, k, 4))
+        for row in range(height):
+            unit, solid_angle = directions(width, height, slice(row, row + 1))
+            factors = np.concatenate([unit[0], np.ones((width, 1))], axis=1) * solid_angle[0, :, None]
+            found = coefficients[row].astype(np.float64)[:, :, None] * factors[:, None, :]
+            first, last = row * ROWS / height, (row + 1) * ROWS / height
+            for band in range(int(first), min(int(np.ceil(last - 1e-9)), ROWS)):
+                rows[band] += found * ((min(last, band + 1) - max(first, band)) / (last - first))
+        self._sums = np.concatenate([np.zeros((ROWS, 1, k, 4)), rows.cumsum(axis=1)], axis=1)
+
+    def turned(self, angle: float) -> np.ndarray:
+        """Return the integrals of the cells, (cells, k, 4), if the light is turned by an angle, rad, from +x to +y."""
+        width = self._sums.shape[1] - 1
+        edge = (np.arange(COLUMNS + 1) / COLUMNS - angle / (2.0 * np.pi)) * width
+        turns, column = np.floor(edge / width), edge % width
+        whole = np.minimum(column.astype(int), width - 1)
+        part = (column - whole)[:, None, None]
+        sums = self._sums[:, whole] * (1.0 - part) + self._sums[:, whole + 1] * part
+        sums = sums + turns[:, None, None] * self._sums[:, -1:]
+        found = np.diff(sums, axis=1)
+        found[..., :3] = found[..., :3] @ rotation_z(angle).T
+        return found.reshape(_CELLS, -1, 4).astype(np.float32)
+
+
+class LightTransfer:
+    """What each texel of a scene's light maps sees, and the maps for any light; see the module.
+
+    Parameters
+    ----------
+    tracer : Tracer
+        Shape i is object i.
+    objects : Objects
+    environment : Environment
+        Light from all directions. In it, turned by quarters, the number of texels is judged.
+    """
+
+    def __init__(self, tracer: Tracer, objects: Objects, environment: Environment) -> None:
+        from scipy.sparse import vstack
+
+        self.tracer, self._moments, self._bases = tracer, _Moments(environment.coefficients), {}
+        self._bounds, self._reach, placements = (
+            _bounds(tracer.placements),
+            reaches(tracer.placements),
+            tracer.placements,
+        )
+        self.layouts = [make_layout(placements, index) for index in range(len(placements))]
+        found = [self._fine_enough(index, environment) for index in range(len(placements))]
+        self.most, self.errors, points, views = zip(*found, strict=True)
+        self.sizes = [layout.size(most) for layout, most in zip(self.layouts, self.most, strict=True)]
+        self.first = np.cumsum([0, *(len(p.point) for p in points)])
+        self.points = Points(*(np.concatenate(parts) for parts in zip(*points, strict=True)))
+        self.hidden, self.is_open = (
+            vstack([v.hidden for v in views]).tocsr(),
+            np.concatenate([v.is_open for v in views]),
+        )
+        shines = [_shine(objects, index) for index in range(len(placements))]
+        self._link(views, shines)
+        self._trace_gloss()
+        own = [_reflectances(p, objects, i, points[i]) for i, p in enumerate(placements)]
+        self.reflectance = np.concatenate(own).astype(np.float32)
+        shine = np.stack([one[_MIDDLE] for one in shines]).astype(np.float32)
+        self.shine = np.repeat(shine, np.diff(self.first), axis=0)
+
+    def _fine_enough(self, index: int, environment: Environment) -> tuple[int, float, Points, "_View"]:
+        """Return the number of an object's texels, their error, their places, raised, and what they see."""
+        layout, most = self.layouts[index], _FEWEST_TEXELS
+        while True:
+            points = self._raised(layout.points(most), index)
+            view = self._look(points, index)
+            error = self._error(index, most, points, view, environment)
+            if error <= MOST_ERROR or 4 * most > _MOST_TEXELS or layout.size(4 * most) == layout.size(most):
+                return most, error, points, view
+            most *= 4
+
+    def _raised(self, points: Points, index: int) -> Points:
+        """Return points of an object, raised above it by more than rounding errors, in double precision."""
+        parts = (np.ascontiguousarray(values, dtype=np.float64) for values in points)
+        point, normal, facet = parts
+        return Points(raised(point, facet, self._reach[index]), normal, facet)
+
+    def _error(self, index: int, most: int, points: Points, view: "_View", environment: Environment) -> float:
+        """Return the root-mean-square error of direct light between the texels, relative to its mean, without noise."""
+
+        def light(normal: np.ndarray, hidden) -> np.ndarray:
+            turned = (self._direct(environment, np.radians(a), normal, hidden).mean(axis=1) for a in _ANGLES_DEG)
+            return np.stack(list(turned), axis=1).astype(np.float64)
+
+        found, layout = light(points.normal, view.hidden), self.layouts[index]
+        extend_to_closed(found, view.is_open, layout.cells(most))
+        places, shown = layout.between(found.reshape(*layout.size(most), -1), most, _JUDGED, _SEED)
+        places, halves = self._raised(places, index), []
+        for number in range(2):
+            seen = self._look(places, index, number)
+            halves.append(light(places.normal, seen.hidden))
+        off = [(shown - half)[seen.is_open] for half in halves]
+        mean = float(np.mean(halves))
+        return float(np.sqrt(max(np.mean(off[0] * off[1]), 0.0))) / mean if mean > 0.0 and seen.is_open.any() else 0.0
+
+    def _look(self, points: Points, index: int, start: int = 0) -> "_View":
+        """Trace rays from points of an object; ``start`` selects other directions."""
+        from scipy.sparse import csr_matrix, vstack
+
+        pool, hidden, links, is_open = _pool(), [], [], []
+        for first in range(0, len(points.point), _TOGETHER):
+            some = Points(*(values[first : first + _TOGETHER] for values in points))
+            count = len(some.point)
+            kinds = (np.float32, np.int16, np.float32, np.uint8)
+            seen = _Seen(*(np.zeros((count, _CELLS), kind) for kind in kinds), np.zeros(count, np.bool_))
+            rays = self.tracer.intersect_address, self.tracer.scene
+            casting = _Casting(*rays, self._bounds, index, pool, start + first)
+            run_chunks(_look_some, count, _CHUNK, casting, *some, seen)
+            hidden.append(csr_matrix(seen.hidden))
+            is_open.append(seen.is_open)
+            texel, cell = np.nonzero(seen.shape != NO_HIT)
+            way = seen.distance[texel, cell, None] * pool[cell, seen.place[texel, cell]]
+            cosine = np.maximum((some.normal[texel] * _cell_vectors()[cell]).sum(axis=1), 0.0)
+            weight = (seen.hidden[texel, cell] * cosine / np.pi).astype(np.float32)
+            links.append(_Links(first + texel, seen.shape[texel, cell], some.point[texel] + way, way, weight))
+        joined = _Links(*(np.concatenate(parts) for parts in zip(*links, strict=True)))
+        return _View(vstack(hidden).tocsr(), np.concatenate(is_open), joined)
+
+    def _link(self, views: Sequence["_View"], shines: list[np.ndarray]) -> None:
+        """Make the matrices by which texels receive light from other texels, and from cells by way of mirrors."""
+        from scipy.sparse import csr_matrix
+
+        links = [view.links._replace(texel=first + view.links.texel)
+                 for first, view in zip(self.first, views, strict=False)]  # fmt: skip
+        texel, shape, place, way, weight = (np.concatenate(parts) for parts in zip(*links, strict=True))
+        target, count = self._nearest(shape, place), self.first[-1]
+        self.seen = csr_matrix((weight, (texel, target)), shape=(count, count))
+        self.mirrors = []
+        for index, shine in enumerate(shines):
+            if shine.max() > _LEAST_SHINE:
+                own = shape == index
+                rays = _Links(texel[own], target[own], place[own], way[own], weight[own])
+                self.mirrors.append(self._mirror(rays, shine, self._reach[index]))
+
+    def _mirror(self, rays: _Links, shine: np.ndarray, reach_mm: float) -> _Mirror:
+        """Follow rays to the texels or cells that they meet after an object has reflected them like a mirror.
+
+        In place of shapes, the rays have the texels next to the places where they arrive.
+        """
+        from scipy.sparse import csr_matrix
+
+        normal = self.points.normal[rays.shape]
+        way = rays.way / np.maximum(np.linalg.norm(rays.way, axis=1, keepdims=True), 1e-30)
+        steep = (way * normal).sum(axis=1)
+        way -= 2.0 * steep[:, None] * normal
+        distance, shape = self.tracer.intersect(raised(rays.place, normal, reach_mm), way)
+        share = np.interp(np.clip(-steep, 0.0, 1.0), _COSINES, shine.mean(axis=1)) * (steep < 0.0) * rays.weight
+        met, count = shape != NO_HIT, self.first[-1]
+        there = self._nearest(shape[met], rays.place[met] + distance[met, None] * way[met])
+        front = (self.points.facet[there] * way[met]).sum(axis=1) < 0.0
+        texels = csr_matrix((share[met] * front, (rays.texel[met], there)), shape=(count, count), dtype=np.float32)
+        row = np.minimum(np.arccos(np.clip(way[~met, 2], -1.0, 1.0)) / np.pi * ROWS, ROWS - 1).astype(int)
+        column = (np.arctan2(way[~met, 1], way[~met, 0]) / (2.0 * np.pi) * COLUMNS).astype(int) % COLUMNS
+        place = (rays.texel[~met], row * COLUMNS + column)
+        cells = csr_matrix((share[~met], place), shape=(count, _CELLS), dtype=np.float32)
+        return _Mirror((shine[_MIDDLE] / shine[_MIDDLE].mean()).astype(np.float32), cells, texels)
+
+    def _nearest(self, shape: np.ndarray, place: np.ndarray) -> np.ndarray:
+        """Return the open texel of a shape, (n,) of -1 and more, next to each place, (n, 3); -1 for no shape."""
+        from scipy.spatial import cKDTree
+
+        found = np.full(len(place), -1)
+        for index in range(len(self.sizes)):
+            chosen = np.flatnonzero(shape == index)
+            own = self.first[index] + np.flatnonzero(self.is_open[self.first[index] : self.first[index + 1]])
+            if len(chosen) and len(own):
+                found[chosen] = own[cKDTree(self.points.point[own]).query(place[chosen])[1]]
+        return found
+
+    def _trace_gloss(self) -> None:
+        from scipy.sparse import csr_matrix, vstack
+
+        places, self.gloss_sizes = coarse_texels(self.tracer.placements)
+        free, rows = [], []
+        for points in places:
+            direction = ways_out(points.facet)
+            count = direction.shape[0] * direction.shape[1]
+            flat = direction.reshape(-1, 3)
+            origin = np.repeat(points.point, direction.shape[1] * direction.shape[2], axis=0)
+            distance, shape = self.tracer.intersect(origin, flat)
+            met = np.flatnonzero(shape != NO_HIT)
+            target = self._nearest(shape[met], origin[met] + distance[met, None] * flat[met])
+            front = (self.points.facet[target] * flat[met]).sum(axis=1) < 0.0
+            cell = met // max(direction.shape[2], 1)
+            weight = np.where(front & (target >= 0), 1.0 / max(direction.shape[2], 1), 0.0).astype(np.float32)
+            rows.append(csr_matrix((weight, (cell, np.maximum(target, 0))), shape=(count, self.first[-1])))
+            free.append((shape == NO_HIT).reshape(count, -1).mean(axis=1) if count else np.zeros(0))
+        self.gloss_seen, self.gloss_free = vstack(rows).tocsr(), np.concatenate(free)
+
+    def maps(self, environment: Environment, angle_deg: float, lamps: np.ndarray, towards: np.ndarray) -> LightMaps:
+        """Return the light maps of the scene; those for lights with equal spectra have one basis.
+
+        Parameters
+        ----------
+        environment : Environment
+            Light from all directions; its basis may differ from that of other calls, its coefficients may not.
+        angle_deg : float
+            Angle by which the environment is turned, from +x towards +y.
+        lamps : (n, 61) float
+            Spectral irradiance of each collimated light; its direct light is not part of the maps.
+        towards : (n, 3) float
+            Direction towards each of them, unit.
+        """
+        key = environment.basis.tobytes() + lamps.tobytes()
+        if key not in self._bases:
+            found = [self.light(environment, angle, lamps, towards)[0] for angle in _ANGLES_DEG]
+            self._bases = {key: spectral_basis([one.astype(np.float64) for one in found])}
+        basis = self._bases[key]
+        light, sent = self.light(environment, angle_deg, lamps, towards)
+        coefficients = light @ basis.astype(np.float32)
+        parts = zip(self.first, self.first[1:], self.sizes, strict=False)
+        stored = tuple(coefficients[first:last].reshape(*size, -1) for first, last, size in parts)
+        sizes = zip(self.sizes, self.errors, self.most, strict=True)
+        bakes = tuple(Bake(rows * columns, error, most) for (rows, columns), error, most in sizes)
+        return LightMaps(stored, basis, "", bakes, *self._gloss_maps(sent))
+
+    def light(self, environment: Environment, angle_deg: float, lamps, towards) -> tuple[np.ndarray, np.ndarray]:
+        """Return the light on texels, as radiance of a perfect diffuser, and that which they send, (texels, 61) each.
+
+        Parameters are those of `maps`.
+        """
+        angle, normal = np.radians(angle_deg), self.points.normal
+        direct = self._direct(environment, angle, normal, self.hidden) + self._mirrored(environment, angle)
+        direct = np.maximum(direct, 0.0)
+        source = direct.copy()
+        for spectrum, direction in zip(lamps, towards, strict=True):
+            facing = normal @ direction
+            lit = (facing > 0.0) & ~self.tracer.occluded(self.points.point, np.tile(direction, (len(normal), 1)))
+            source += np.outer(np.where(lit, facing, 0.0), spectrum / np.pi).astype(np.float32)
+        reflected, settled = np.zeros_like(source), _SETTLED * source.mean()
+        for _ in range(_MOST_REFLECTIONS):
+            before, sent = reflected, self.reflectance * (source + reflected)
+            reflected = sum((mirror.colour * (mirror.texels @ sent) for mirror in self.mirrors), self.seen @ sent)
+            if np.abs(reflected - before).mean() <= settled:
+                break
+        found = direct + reflected
+        for layout, most, first, last in zip(self.layouts, self.most, self.first, self.first[1:], strict=False):
+            if not self.is_open[first:last].all():
+                extend_to_closed(found[first:last], self.is_open[first:last], layout.cells(most))
+        return found, (self.reflectance + self.shine) * (source + reflected)
+
+    def _direct(self, environment: Environment, angle: float, normal: np.ndarray, hidden) -> np.ndarray:
+        """Return the light from the environment, turned by an angle, rad, (n, 61), on points that see it in part.
+
+        ``normal`` and ``hidden`` have the points' normals, (n, 3), and the hidden shares of their cells, (n, cells).
+        """
+        k = environment.basis.shape[1]
+        free = np.empty((len(normal), k))
+        look_up(environment.irradiance.astype(np.float64), np.ascontiguousarray(normal @ rotation_z(angle)), free)
+        cells = self._moments.turned(angle)
+        lost = (hidden @ cells[..., :3].reshape(_CELLS, -1)).reshape(len(normal), k, 3)
+        return ((free - (lost * normal[:, None]).sum(axis=2)) / np.pi @ environment.basis.T).astype(np.float32)
+
+    def _mirrored(self, environment: Environment, angle: float) -> np.ndarray:
+        """Return the light from the turned environment that texels receive by one mirror, (texels, 61) float32."""
+        radiance = self._moments.turned(angle)[..., 3] / np.linalg.norm(_cell_vectors(), axis=1, keepdims=True)
+        basis, found = environment.basis.T.astype(np.float32), np.zeros_like(self.reflectance)
+        for mirror in self.mirrors:
+            found += mirror.colour * ((mirror.cells @ radiance.astype(np.float32)) @ basis)
+        return found
+
+    def _gloss_maps(self, sent: np.ndarray) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
+        """Return `LightMaps.seen` and `LightMaps.seen_basis` for the light that the texels send, (texels, 61)."""
+        basis = np.ascontiguousarray(np.linalg.eigh((sent.T @ sent).astype(np.float64))[1][:, ::-1][:, : SEEN - 1])
+        found = np.concatenate([self.gloss_free[:, None], self.gloss_seen @ (sent @ basis.astype(np.float32))], axis=1)
+        cubes, first, cells = [], 0, FACES * SIDE**2
+        for rows, columns in self.gloss_sizes:
+            own = found[first : first + rows * columns * cells].reshape(rows * columns, cells, SEEN)
+            cubes.append(stored_cubes(own).reshape(rows, columns, FACES, SIDE + 2, SIDE + 2, SEEN))
+            first += len(own) * cells
+        return tuple(cubes), basis
+
+
+def _reflectances(placement: Placement, objects: Objects, index: int, points: Points) -> np.ndarray:
+    """Return the diffuse reflectance of an object at its texels, (n, 61): the mean of the texture around each."""
+    from scipy.spatial import cKDTree
+
+    texture = textures(objects)[index]
+    weights = coefficients_of(objects, texture)[..., : objects.bases[index]].astype(np.float64)
+    texture_mean, count = weights.mean(axis=(0, 1)), len(points.point)
+    found = np.tile(texture_mean, (count, 1))
+    if not placement.shape.is_endless and weights.shape[0] * weights.shape[1] > 1:
+        rows, columns = (-(-side // max(side // _MOST_SIDE, 1)) for side in weights.shape[:2])
+        u, v = (np.minimum((np.arange(n) + 0.5) * side / n, side - 1).astype(int)
+                for n, side in zip((rows, columns), weights.shape[:2], strict=True))  # fmt: skip
+        covered = placement.shape.is_covered(columns, rows)
+        place = placement.points(placement.shape.atlas(columns, rows).position[covered])
+        nearest, some = cKDTree(points.point).query(place)[1], weights[np.ix_(u, v)][covered]
+        number = np.bincount(nearest, minlength=count)[:, None]
+        sums = np.stack([np.bincount(nearest, one, minlength=count) for one in some.T], axis=1)
+        found = np.where(number > 0, sums / np.maximum(number, 1), texture_mean)
+    return found @ objects.basis[index, : objects.bases[index]]
+
+
+def _shine(objects: Objects, index: int) -> np.ndarray:
+    """Return the albedo of an object's gloss and mirror at the cosines `_COSINES`, (cosines, 61)."""
+    n, k = objects.n[index], objects.k[index]
+    found = (
+        np.stack([fresnel_array(_COSINES, *pair) for pair in zip(n, k, strict=True)], axis=1) * objects.mirror[index]
+    )
+    for component, (beta, mu) in enumerate(gloss_of(objects, textures(objects)[index])):
+        if beta.any():
+            name = objects.lobes.names[objects.lobe[index, component]]
+            found += beta.mean() * gloss_albedo(name, (beta * mu).sum() / beta.sum(), _COSINES, n, k)[0]
+    return found
