@@ -28,7 +28,8 @@ from irodori.rendering.interactive.pixel_rays import render_pixels
 from irodori.rendering.planning.choices import choose
 from irodori.rendering.planning.modelled_scene import SceneParts, prepare
 from irodori.rendering.planning.planned_check import chosen_pixels, measure
-from irodori.rendering.scene_arrays import make_view
+from irodori.rendering.reference.baking import bake_maps
+from irodori.rendering.scene_arrays import Objects, make_view
 from irodori.rendering.scene_lights import make_lights, upward_radiance
 
 _LAMP = {"kind": "collimated", "spectrum": "D65", "azimuth_deg": -60.0, "elevation_deg": 50.0, "irradiance": 1.0}
@@ -49,21 +50,21 @@ def scenes(studio: Studio) -> dict[str, SceneParts]:
     nobody = np.zeros((0, 3)), np.zeros((0, 61))
     white = room.upward_white()
     black = Environment(0 * room.coefficients, room.basis, 0 * room.irradiance)
-    lights, _ = make_lights([typed(SceneLight, _LAMP)], 0)
-    lamp = lights.rotation[:, :, 2].copy(), lights.spectrum[:, :61].astype(np.float64)
+    lights = [typed(SceneLight, _LAMP)]
+    made, _ = make_lights(lights, 0)
+    lamp = made.rotation[:, :, 2].copy(), made.spectrum[:, :61].astype(np.float64)
+    matte, mirrors = objects._replace(texels=matte, mirror=0 * objects.mirror), objects._replace(texels=mirrors)
+    mirrors = mirrors._replace(mirror=np.maximum(objects.mirror, 0.9))
+
+    def parts(objects: Objects, room: Environment, lights=(), lamps=nobody, white=white) -> SceneParts:
+        maps = bake_maps(studio.tracer, objects, room, lights)
+        return SceneParts(objects, room, studio.tracer, *lamps, white, maps)
+
     return {
-        "still-life": SceneParts(objects, room, studio.tracer, *nobody, white),
-        "matte": SceneParts(
-            objects._replace(texels=matte, mirror=0 * objects.mirror), room, studio.tracer, *nobody, white
-        ),
-        "mirrors": SceneParts(
-            objects._replace(texels=mirrors, mirror=np.maximum(objects.mirror, 0.9)),
-            room,
-            studio.tracer,
-            *nobody,
-            white,
-        ),
-        "one-lamp": SceneParts(objects, black, studio.tracer, *lamp, upward_radiance(lights)),
+        "still-life": parts(objects, room),
+        "matte": parts(matte, room),
+        "mirrors": parts(mirrors, room),
+        "one-lamp": parts(objects, black, lights, lamp, upward_radiance(made)),
     }
 
 
@@ -71,7 +72,7 @@ def prepare_all(parts: SceneParts):
     """Prepare a scene for rendering without a plan."""
     gloss = GlossMaps.of(parts.environment.coefficients)
     scene = (parts.objects, light_of(parts.environment), gloss, parts.tracer, "spectral", parts.white)
-    options = {"max_bounces": _BOUNCES, "least_throughput": _LEAST_THROUGHPUT, "ambient": True}
+    options = {"max_bounces": _BOUNCES, "least_throughput": _LEAST_THROUGHPUT, "maps": parts.maps}
     return prepare_scene(*scene, lamps=parts.lamp_spectra, **options)
 
 
@@ -80,7 +81,7 @@ def measure_scene(name: str, parts: SceneParts, studio: Studio, arguments) -> li
     view = make_view(studio.scene.views["front"], studio.image)
     names = [item.object for item in studio.scene.objects]
     lamps, matrix = tuple(CollimatedLamp(towards) for towards in parts.lamp_towards), xyz_from_radiance(parts.white)
-    plan = partial(choose, parts, [view], names, arguments.tolerance, max_bounces=_BOUNCES, ambient=True,
+    plan = partial(choose, parts, [view], names, arguments.tolerance, max_bounces=_BOUNCES,
                    overrides=PlanOverrides())  # fmt: skip
     planner = plan()
     pixels = chosen_pixels(view)

@@ -661,13 +661,9 @@ class InteractiveIntegrator(Definition):
     #: Look-ups in irradiance and blurred light, mirror reflections, hard shadows; nothing is sampled.
     kind: Literal["interactive"] = "interactive"
 
-    #: Whether bodies and objects shade each other from the light of all directions; meshes shade themselves too (true
-    #: or false).
-    ambient: bool = True
-
-    #: Whether the light that falls on objects and bodies is baked by path tracing, with shadows and reflections between
-    #: them, which gloss then shows too; in place of ambient (true or false).
-    light_maps: bool = False
+    #: Whether objects and bodies shade each other from the light of all directions and reflect light onto each other,
+    #: which gloss shows too; a page that moves them has shadows alone (true or false).
+    light_maps: bool = True
 
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)

@@ -104,23 +104,23 @@ def with_planned_samples(scene: Scene, plan: ScenePlan | None) -> Scene:
     return replace(scene, integrator=replace(scene.integrator, samples=plan.decisions["samples"]))
 
 
-def has_ambient(scene: Scene) -> bool:
-    """Return whether shapes occlude ambient light: an option of `interactive`, always true for `reference`."""
-    return not isinstance(scene.integrator, InteractiveIntegrator) or scene.integrator.ambient
-
-
 def has_light_maps(scene: Scene) -> bool:
     """Return whether a scene is rendered by the integrator `interactive` with light maps."""
     return isinstance(scene.integrator, InteractiveIntegrator) and scene.integrator.light_maps
+
+
+def has_shadows(scene: Scene) -> bool:
+    """Return whether objects shade each other from the light of all directions."""
+    return not isinstance(scene.integrator, InteractiveIntegrator) or scene.integrator.light_maps
 
 
 def _planned(renderer: "Renderer", view_name: str, plan: ScenePlan, check: bool) -> tuple[np.ndarray, dict]:
     """Render a view by a plan; `irodori.rendering.planning` is imported only here."""
     from irodori.rendering.planning.planned_picture import parts_of, render_planned
 
-    scene, tracer = renderer.scene, Tracer(make_placements(renderer.scene, renderer.shapes))
-    parts = parts_of(scene, renderer.objects, renderer.environment, tracer)
-    return renderer.described(*render_planned(scene, view_name, parts, renderer.options, plan, check))
+    assert isinstance(renderer, InteractiveRenderer)  # the plan of another has no model
+    parts = parts_of(renderer)
+    return renderer.described(*render_planned(renderer.scene, view_name, parts, renderer.options, plan, check))
 
 
 def _to_reference(renderer: "Renderer", view_name: str, picture: np.ndarray, plan: ScenePlan | None) -> dict:
@@ -285,10 +285,9 @@ class InteractiveRenderer(Renderer):
             maps = self._turned_maps(moment) if self.light_turns else self.baked
             if moment.filter is not None and not self.light_turns:
                 maps = maps.under(moment.filter)
-        ambient = has_ambient(self.scene) and maps is None
         if self.white is not None:
             baked = None if maps is None else maps.basis
-            found = exact_representation(self.objects, light, len(lights.kind), ambient, baked)
+            found = exact_representation(self.objects, light, len(lights.kind), baked)
             self.representation, reflected, self.why = found
         LOGGER.info("representation %s: %s", self.representation, self.why)
         prepared = prepare_scene(
@@ -301,7 +300,6 @@ class InteractiveRenderer(Renderer):
             lamps=lights.spectrum[:, :BANDS],
             max_bounces=self.scene.max_bounces,
             least_throughput=self.options.min_throughput,
-            ambient=ambient,
             reflected=reflected,
             maps=maps,
         )

@@ -52,11 +52,13 @@ _MOST_SIDE = 128
 #: Cosines at which the albedo of gloss and mirrors is tabulated, the place of the one that stands for its colour, and
 #: the albedo below which an object's gloss and mirror light no other object.
 _COSINES, _MIDDLE, _LEAST_SHINE = np.linspace(0.02, 1.0, 25), 17, 1e-3
+#: Cosine from which a texel is seen from behind; that next to a place on an outline may face away a little.
+_GRAZING = 0.15
 #: A texel is inside another object if this share of its rays meets surfaces from behind.
 _ENCLOSED = 0.9
 _TOGETHER, _CHUNK = 1024, 16  # texels that are traced at a time, in all and by a thread
-#: Change of the light, relative to its mean, below which no further reflection is followed; reflections at most.
-_SETTLED, _MOST_REFLECTIONS = 1e-3, 32
+#: Largest change of the light, relative to its mean, below which no further reflection is followed; reflections at most.
+_SETTLED, _MOST_REFLECTIONS = 2e-3, 64
 #: Angles of the environment from whose light the basis of the maps is made.
 _ANGLES_DEG = (0.0, 90.0, 180.0, 270.0)
 
@@ -381,7 +383,7 @@ class LightTransfer:
         share = np.interp(np.clip(-steep, 0.0, 1.0), _COSINES, shine.mean(axis=1)) * (steep < 0.0) * rays.weight
         met, count = shape != NO_HIT, self.first[-1]
         there = self._nearest(shape[met], rays.place[met] + distance[met, None] * way[met])
-        front = (self.points.facet[there] * way[met]).sum(axis=1) < 0.0
+        front = (self.points.facet[there] * way[met]).sum(axis=1) < _GRAZING
         texels = csr_matrix((share[met] * front, (rays.texel[met], there)), shape=(count, count), dtype=np.float32)
         row = np.minimum(np.arccos(np.clip(way[~met, 2], -1.0, 1.0)) / np.pi * ROWS, ROWS - 1).astype(int)
         column = (np.arctan2(way[~met, 1], way[~met, 0]) / (2.0 * np.pi) * COLUMNS).astype(int) % COLUMNS
@@ -414,7 +416,7 @@ class LightTransfer:
             distance, shape = self.tracer.intersect(origin, flat)
             met = np.flatnonzero(shape != NO_HIT)
             target = self._nearest(shape[met], origin[met] + distance[met, None] * flat[met])
-            front = (self.points.facet[target] * flat[met]).sum(axis=1) < 0.0
+            front = (self.points.facet[target] * flat[met]).sum(axis=1) < _GRAZING
             cell = met // max(direction.shape[2], 1)
             weight = np.where(front & (target >= 0), 1.0 / max(direction.shape[2], 1), 0.0).astype(np.float32)
             rows.append(csr_matrix((weight, (cell, np.maximum(target, 0))), shape=(count, self.first[-1])))
@@ -465,7 +467,7 @@ class LightTransfer:
         for _ in range(_MOST_REFLECTIONS):
             before, sent = reflected, self.reflectance * (source + reflected)
             reflected = sum((mirror.colour * (mirror.texels @ sent) for mirror in self.mirrors), self.seen @ sent)
-            if np.abs(reflected - before).mean() <= settled:
+            if np.abs(reflected - before).max() <= settled:
                 break
         found = direct + reflected
         for layout, most, first, last in zip(self.layouts, self.most, self.first, self.first[1:], strict=False):

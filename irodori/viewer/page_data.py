@@ -19,7 +19,7 @@ from irodori.light.environment_file import Environment
 from irodori.material.material_file import Material, Status
 from irodori.reflection.lobes import Lobes
 from irodori.rendering.energy_gain import refuse_energy_gain
-from irodori.rendering.integrators import has_ambient, with_bodies
+from irodori.rendering.integrators import has_shadows, with_bodies
 from irodori.rendering.interactive.channels import is_grey
 from irodori.rendering.interactive.frame_renderer import light_of
 from irodori.rendering.interactive.mesh_shadows import make_mesh_shadows
@@ -219,14 +219,14 @@ def page_data(sources: SceneSources) -> PageData:
             lights.rotation[:, :, 2],
             scene.max_bounces,
             sources.least_throughput,
-            has_ambient(scene),
+            has_shadows(scene),
         )
         for file in sources.environments
     )
     planes = StoredPlanes()
     lit = [add_light(planes, i, light_maps(room.environment, objects)) for i, room in enumerate(rooms)]
     entries = [{**a, **b} for a, b in zip(add_materials(planes, objects), add_shapes(planes, placements), strict=True)]
-    is_lit = has_ambient(scene) and any(room.environment.coefficients.any() for room in rooms)
+    is_lit = has_shadows(scene) and any(room.environment.coefficients.any() for room in rooms)
     hidden = add_shadows(planes, placements, make_mesh_shadows(Tracer(placements)) if is_lit else None)
     uncertainties = [error for _, error in loaded] + [np.zeros(m.alpha.shape) for m in whole[1][len(loaded) :]]
     turns = [item.rotation_deg for item in scene.objects] + [item.rotation_deg for item in scene.bodies]
@@ -261,7 +261,7 @@ def page_data(sources: SceneSources) -> PageData:
         "image": [scene.image.width, scene.image.height],
         "max_bounces": scene.max_bounces,
         "least_throughput": sources.least_throughput,
-        "ambient": has_ambient(scene),
+        "ambient": has_shadows(scene),
         "quadrature": None if is_grey(objects) else [_add_quadrature(planes, i, room) for i, room in enumerate(rooms)],
         "illuminants": colours.illuminants(),
         "observers": colours.observers(),

@@ -114,7 +114,7 @@ def sources(
         "image": {"width": 64, "height": 48},
         "max_bounces": 3,
         "allow_energy_gain": True,  # gold mirrors under bright paint: what is tried is how they are drawn
-        "integrator": {"kind": "interactive", "ambient": ambient},
+        "integrator": {"kind": "interactive", "light_maps": ambient},
         "display": {"exposure": "auto", "device": {"kind": "standard", "name": "sRGB"}},
         "views": {"front": {"kind": "perspective", "position_mm": [30.0, -190.0, 120.0], "target_mm": [0.0, 0.0, 10.0],
                             "up": [0.0, 0.0, 1.0], "field_of_view_deg": 36.0}},

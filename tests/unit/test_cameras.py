@@ -36,7 +36,7 @@ def scene_of(view, places, integrator, size=(SIDE, SIDE), turn=(0.0, 0.0, 0.0), 
 
 
 INTEGRATORS = [
-    {"kind": "interactive", "ambient": False},
+    {"kind": "interactive", "light_maps": False},
     {"kind": "reference", "samples": 64, "seed": 0},
 ]
 

@@ -25,7 +25,7 @@ from irodori.geometry.shapes.shape import Shape
 from irodori.rendering.integrators import make_renderer
 
 FLOOR = Shape.from_definition(made(ObjectShape | BodyShape, {"kind": "plane"}))
-EVERY = [{"kind": "interactive", "ambient": True}, {"kind": "reference", "samples": 64, "seed": 0}]
+EVERY = [{"kind": "interactive", "light_maps": True}, {"kind": "reference", "samples": 64, "seed": 0}]
 EVERY_ONE = pytest.mark.parametrize("integrator", EVERY, ids=lambda i: i["kind"])
 
 

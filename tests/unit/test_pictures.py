@@ -152,7 +152,7 @@ def test_a_view_in_files_shows_a_white_diffuser_as_white(tmp_path):
     shapes = [{"kind": "plate", "width_mm": 100.0, "height_mm": 100.0}, {"kind": "sphere", "radius_mm": 20.0}]
     scene = {
         "image": {"width": 31, "height": 31}, "display": DISPLAY,
-        "integrator": {"kind": "interactive", "ambient": False},
+        "integrator": {"kind": "interactive", "light_maps": False},
         "objects": [{"object": n, "position_mm": [0, 0, z], "rotation_deg": [0, 0, 0], "scale": 1.0}
                     for n, z in (("white", 0.0), ("grey", 40.0))],
         "views": {"v": {"position_mm": [0, -0.01, 500.0], "target_mm": [0, 0, 0], "up": [0, 0, 1],
@@ -228,7 +228,7 @@ def test_a_view_by_paths_in_files_tells_its_error_and_leaves_no_tiles(tmp_path):
     assert filtered["relative_distance_to_unbiased"]["max"] < 0.005
     assert not (tmp_path / "v.tiles").exists()
     with pytest.raises(ValueError, match=r"area lights .* accepted: collimated"):
-        render(made(Scene, scene | {"integrator": {"kind": "interactive", "ambient": True}}), *arguments)
+        render(made(Scene, scene | {"integrator": {"kind": "interactive", "light_maps": True}}), *arguments)
     with pytest.raises(ValueError, match="kinds interactive, reference"):
         render(made(Scene, scene | {"integrator": {"kind": "bidirectional"}}), *arguments)
 
@@ -264,7 +264,7 @@ def test_an_interactive_view_in_files_has_the_light_of_its_lamp(tmp_path):
     sun = {"kind": "collimated", "spectrum": "A", "azimuth_deg": 0.0, "elevation_deg": 30.0, "irradiance": 4.0}
     scene = {
         "image": {"width": 7, "height": 5}, "display": DISPLAY, "lights": [sun],
-        "integrator": {"kind": "interactive", "ambient": True},
+        "integrator": {"kind": "interactive", "light_maps": True},
         "objects": [{"object": "white", "position_mm": [0, 0, 0], "rotation_deg": [0, 0, 0], "scale": 1.0}],
         "views": {"v": {"position_mm": [0, -0.01, 500.0], "target_mm": [0, 0, 0], "up": [0, 0, 1],
                         "field_of_view_deg": 0.1}},
@@ -294,7 +294,7 @@ def test_an_interactive_view_in_files_has_the_light_of_its_lamp(tmp_path):
 @pytest.mark.parametrize(
     "integrator",
     [
-        {"kind": "interactive", "ambient": False},
+        {"kind": "interactive", "light_maps": False},
         {"kind": "reference", "samples": 4096, "seed": 0},
     ],
 )

@@ -99,7 +99,7 @@ def interactive(shape: str, neighbour: str, beside_mm, eye_mm, target_mm, *, amb
         ],
         "views": {"v": {"position_mm": eye_mm.tolist(), "target_mm": target_mm.tolist(), "up": [0.0, 0.0, 1.0],
                         "field_of_view_deg": FOV_DEG}},
-        "integrator": {"kind": "interactive", "ambient": ambient},
+        "integrator": {"kind": "interactive", "light_maps": ambient},
     }  # fmt: skip
     shapes = [SHAPES[shape](1.0), NEIGHBOURS[neighbour](1.0, np.eye(3))]
     materials = [matt(shape == "sphere"), matt(False)]

@@ -29,7 +29,7 @@ from irodori.rendering.interactive import frame_renderer
 
 BASIS = np.stack([np.linspace(0.6, 1.4, 61), np.linspace(1.5, 0.2, 61)], axis=1)
 SUN = {"kind": "collimated", "spectrum": "D65", "azimuth_deg": 20.0, "elevation_deg": 50.0, "irradiance": 0.015}
-INTERACTIVE = {"kind": "interactive", "ambient": True}
+INTERACTIVE = {"kind": "interactive", "light_maps": True}
 REFERENCE = {"kind": "reference", "samples": 128, "seed": 0}
 EVERY = pytest.mark.parametrize("integrator", [INTERACTIVE, REFERENCE], ids=lambda i: i["kind"])
 SHAPES = [plate(160.0), BALL]
@@ -372,7 +372,7 @@ def differences(renderer, reference, moment, white):
 @pytest.mark.parametrize("ambient", [False, True])
 def test_pictures_in_xyz_are_carried_by_coefficients_where_these_are_exact(ambient):
     """Grey mirrors, light and surfaces on bases, two objects that throw light on each other: rounding is all."""
-    scene, white = scene_of({"kind": "interactive", "ambient": ambient}), room().upward_white()
+    scene, white = scene_of({"kind": "interactive", "light_maps": ambient}), room().upward_white()
     planned = make_renderer(made(Scene, scene), SHAPES, PAINTS, room(), OPTIONS, white=white)
     for moment in (Moment(), Moment(environment_deg=70.0, filter=tuple(np.linspace(0.5, 1.5, 61)))):
         found, figures = differences(planned, renderer(scene), moment, white)
@@ -382,7 +382,7 @@ def test_pictures_in_xyz_are_carried_by_coefficients_where_these_are_exact(ambie
 
 def test_pictures_are_carried_in_bands_where_coefficients_would_err(caplog):
     caplog.set_level("INFO", logger="irodori")
-    scene, white = scene_of({"kind": "interactive", "ambient": False}), room().upward_white()
+    scene, white = scene_of({"kind": "interactive", "light_maps": False}), room().upward_white()
     coloured = make_renderer(made(Scene, scene), SHAPES, golden(), room(), OPTIONS, white=white)
     picture, figures = coloured.picture("v")
     assert picture.shape[-1] == 61 and figures["representation"] == "spectral"

@@ -152,7 +152,7 @@ ROOM = ("environments", "classroom")
         (SCENE, "integrator", {"kind": "sampled"}, "integrator.kind", "'sampled'", "one of interactive, reference"),
         (SCENE, "integrator", {"kind": "reference", "samples": 20}, "integrator.samples", "20", "multiple of 8"),
         (SCENE, "integrator", {"kind": "interactive", "samples": 8}, "integrator.samples", "unknown key",
-         "kind, ambient"),
+         "kind, light_maps"),
         (SCENE, "lights", [{"kind": "sphere", "spectrum": "A", "position_mm": [0, 0, 9], "radius": 1, "radiance": 1}],
          "lights[0].radius", "unknown key", "did you mean 'radius_mm'?"),
         (SCENE, "max_bounces", 21, "max_bounces", "21", "a whole number from 0 to 20"),

@@ -103,7 +103,7 @@ def rendered(integrator: str) -> dict:
     `interactive` is asked for XYZ: the loop for 61 bands takes twice as long to compile.
     """
     shape, grey, white = Shape.from_definition(typed(ObjectShape, BLOCK)), material(0.5), material(1.0)
-    kind, white_light = {"kind": "interactive", "ambient": True}, np.ones(61)
+    kind, white_light = {"kind": "interactive", "light_maps": True}, np.ones(61)
     if integrator == "reference":
         kind, white_light = {"kind": "reference", "samples": 256, "seed": 0}, None
 

@@ -2,6 +2,7 @@ rule plan_scene:
     input:
         materials=scenes.materials("results/{object}/material.h5"),
         environment=scenes.environment,
+        light_maps=scenes.light_maps("results/{scene}/light-maps.h5"),
         user_files=ancient(scenes.files),
     output:
         plan="results/{scene}/plan.yaml",

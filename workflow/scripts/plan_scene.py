@@ -12,4 +12,5 @@ with run_rule(snakemake):
         snakemake.input.environment,
         options=Render.of(snakemake.params.render),
         output=snakemake.output.plan,
+        maps_file=next(iter(snakemake.input.light_maps), None),
     )

@@ -1,6 +1,6 @@
 """Checks of a scene's tolerance and plan overrides against its integrator."""
 
-from irodori.config.models import InteractiveIntegrator, Scene
+from irodori.config.models import Scene
 from irodori.core.errors import InputError
 
 #: Overrides that the plan of each integrator supports.
@@ -28,10 +28,6 @@ def check_plan(scene: Scene, file) -> None:
     InputError
     """
     kind, given = scene.integrator.kind, scene.plan.given()
-    has_maps = isinstance(scene.integrator, InteractiveIntegrator) and scene.integrator.light_maps
-    if scene.tolerance_ciede2000 is not None and has_maps:
-        found = "light maps in a scene with tolerance_ciede2000, whose plan knows of none"
-        raise InputError(file, "integrator.light_maps", found, "false, or no tolerance_ciede2000")
     if scene.tolerance_ciede2000 is None:
         if given:
             raise InputError(file, "plan", "overrides of a plan", "tolerance_ciede2000 beside them, or no plan")

@@ -258,7 +258,7 @@ def coefficient_channels(
 
 
 def exact_representation(
-    objects: Objects, light: Light, lamps: int, ambient: bool, baked: np.ndarray | None = None
+    objects: Objects, light: Light, lamps: int, baked: np.ndarray | None = None
 ) -> tuple[str, int, str]:
     """Return the representation with the least work whose XYZ equal those of the 61 bands within rounding.
 
@@ -276,9 +276,7 @@ def exact_representation(
     if not is_grey(objects):
         return "spectral", 0, "gloss or a mirror has a refractive index that varies with the wavelength"
     basis = light.basis.T
-    reflected = reflected_basis(objects, basis, SAMPLES).shape[1] if ambient else 0
-    if baked is not None:
-        reflected += baked.shape[1]
+    reflected = 0 if baked is None else baked.shape[1]
     numbers = 3 * (basis.shape[1] + reflected + lamps)
     if width_of(numbers + 2) > width_of(SAMPLES + 2):
         return "spectral", 0, f"{numbers} products of light and surface are more than {SAMPLES} bands"

@@ -4,7 +4,6 @@ from irodori.colour.colorimetry import xyz_from_radiance
 from irodori.config.models import Scene
 from irodori.core.errors import InputError
 from irodori.geometry.shapes.placement import Placement
-from irodori.rendering.integrators import has_ambient
 from irodori.rendering.interactive.frame_renderer import CollimatedLamp
 from irodori.rendering.interactive.pixel_rays import render_pixels
 from irodori.rendering.planning.modelled_scene import SceneParts, full_model, prepare
@@ -39,16 +38,14 @@ def refuse_unattainable(
     """
     traced = make_scene(placements, parts.objects, parts.environment, scene.lights)
     views = [make_view(view, scene.image) for view in scene.views.values()]
-    ambient, tolerance = has_ambient(scene), scene.tolerance_ciede2000
+    tolerance = scene.tolerance_ciede2000
     assert tolerance is not None  # of a scene that is planned
-    found = _of_full_model(scene, parts, traced, views, side, ambient)
+    found = _of_full_model(scene, parts, traced, views, side)
     if found.p99 < tolerance:
         return found
     mends = [f"a tolerance above {found.p99:.3g}", "the integrator reference"]
-    if not ambient:
-        other = _of_full_model(scene, parts, traced, views, side, True)
-        if other.p99 < found.p99:
-            mends.insert(1, f"with the integrator's `ambient: true` one above {other.p99:.3g}")
+    if parts.maps is None:
+        mends.insert(1, "the integrator's `light_maps: true`")
     raise InputError(
         f"scene {scene_name}",
         "tolerance_ciede2000",
@@ -59,13 +56,11 @@ def refuse_unattainable(
     )
 
 
-def _of_full_model(
-    scene: Scene, parts: SceneParts, traced: TracedScene, views: list[View], side: int, ambient: bool
-) -> Distance:
-    """Return the full model's distance, with or without `ambient`, in the view with the largest 99th percentile."""
+def _of_full_model(scene: Scene, parts: SceneParts, traced: TracedScene, views: list[View], side: int) -> Distance:
+    """Return the full model's distance in the view with the largest 99th percentile."""
     matrix = xyz_from_radiance(parts.white)
     lamps = tuple(CollimatedLamp(towards) for towards in parts.lamp_towards)
-    prepared, found = prepare(parts, full_model(parts, scene.max_bounces, ambient), matrix), []
+    prepared, found = prepare(parts, full_model(parts, scene.max_bounces), matrix), []
     for number, view in enumerate(views):
         pixels = object_pixels(traced.tracer, view, len(parts.objects.mirror), number)
         shown = render_pixels(prepared, view, pixels, side, lamps)

@@ -12,9 +12,10 @@ import numpy as np
 from irodori.config.models import PlanOverrides
 from irodori.core.errors import InputError
 from irodori.light.blurred_light import first_level
-from irodori.rendering.interactive.channels import reflected_basis
+from irodori.rendering.interactive.channels import further_basis
 from irodori.rendering.interactive.frame_renderer import light_of
 from irodori.rendering.interactive.quadrature import COUNTS
+from irodori.rendering.light_maps import LEFT_OUT, LightMaps
 from irodori.rendering.planning.modelled_scene import (
     SceneParts,
     beta_of,
@@ -26,6 +27,7 @@ from irodori.rendering.planning.modelled_scene import (
 from irodori.rendering.planning.probes import BLACK, Changes, Probes, halvings_of
 from irodori.rendering.planning.scene_planner import MOST_VIEWS, PROBES, SEED, ScenePlanner
 from irodori.rendering.scene_arrays import View, make_light
+from irodori.spectra.grid import SAMPLES
 
 _THROUGHPUTS = tuple(10.0 ** (-0.5 * n) for n in range(2, 11))
 _LEAST_ROWS = 32
@@ -40,7 +42,6 @@ def choose(
     tolerance: float,
     *,
     max_bounces: int,
-    ambient: bool,
     overrides: PlanOverrides,
     where: str = "scene",
 ) -> ScenePlanner:
@@ -56,8 +57,6 @@ def choose(
         Limit of CIEDE2000 for 99 of 100 pixels.
     max_bounces : int
         Number of mirror reflections in the full model.
-    ambient : bool
-        Whether objects occlude ambient light in the full model.
     overrides : PlanOverrides
         Decisions that the scene's definition states.
     where : str
@@ -75,7 +74,7 @@ def choose(
     InputError
         If an override is not among the candidates.
     """
-    ladder, model = make_light(parts.environment), full_model(parts, max_bounces, ambient)
+    ladder, model = make_light(parts.environment), full_model(parts, max_bounces)
     probes = Probes(parts, model, ladder, views, PROBES * min(len(views), MOST_VIEWS), SEED)
     planner = ScenePlanner(parts, probes, model, tolerance, names, overrides, ladder, where)
     _decide_lobes(planner)
@@ -262,18 +261,18 @@ def _error_of(planner: ScenePlanner, representation: str, nodes: int):
         def xyz(spectra):
             return spectra @ planner.matrix.T
 
-        if planner.model.ambient:
-            wide = _lit_basis(planner)
-            changes, alone = replace(changes, reflected_basis=wide), Changes(reflected_basis=wide)
+        if planner.parts.maps is not None:
+            wide = _lit_basis(planner.parts.maps, planner)
+            changes, alone = replace(changes, map_basis=wide), Changes(map_basis=wide)
     return planner.bound(planner.errors(alone, xyz)), changes, xyz
 
 
-def _lit_basis(planner: ScenePlanner) -> np.ndarray:
-    """Return the basis vectors of ``coefficients`` for light reflected between objects, (m, 61)."""
+def _lit_basis(maps: LightMaps, planner: ScenePlanner) -> np.ndarray:
+    """Return the basis vectors of ``coefficients`` for the light of the maps, (61, m)."""
     basis = planner.parts.environment.basis
     if planner.model.light_bases < basis.shape[1]:
         basis = leading_basis(light_of(planner.parts.environment), planner.model.light_bases)[1].T
-    return np.concatenate([basis, reflected_basis(planner.parts.objects, basis)], axis=1).T
+    return np.concatenate([basis, further_basis(maps.weighted_basis(), basis, SAMPLES, LEFT_OUT)], axis=1)
 
 
 def _decide_environment(planner: ScenePlanner) -> None:
@@ -353,5 +352,7 @@ def _decide_look_ups(planner: ScenePlanner) -> None:
     planner.decide("gloss_levels", 0.0, planner.changes, why, lossy=False, gloss_levels=levels)
     why = "light from all sides" if model.environment else "the environment is black"
     planner.decide("environment", 0.0, planner.changes, why, lossy=False, environment=model.environment)
-    why = "diffuse surfaces under light from all sides" if model.irradiance else "no diffuse surface, or no such light"
+    why = (
+        "diffuse surfaces under light from all sides" if model.irradiance else "no such surface or light, or light maps"
+    )
     planner.decide("irradiance", 0.0, planner.changes, why, lossy=False, irradiance=model.irradiance)

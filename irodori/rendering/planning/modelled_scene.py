@@ -10,12 +10,13 @@ from irodori.light.blurred_light import WIDTHS_RAD, first_level, level_height, p
 from irodori.light.environment_file import Environment
 from irodori.light.gloss.gloss_maps import GlossMaps
 from irodori.light.gloss.point_sources import PointLights
-from irodori.rendering.interactive.channels import reflected_basis, spectral_light_width
+from irodori.rendering.interactive.channels import further_basis, spectral_light_width
 from irodori.rendering.interactive.cube_maps import FACES, environment_side
 from irodori.rendering.interactive.frame_renderer import Prepared, light_of, prepare_scene
 from irodori.rendering.interactive.prepared_scene import levels_by_lobe
 from irodori.rendering.interactive.quadrature import Quadrature, path_spectra, solve_quadrature
 from irodori.rendering.interactive.round_lobes import TAPS, lobe_table
+from irodori.rendering.light_maps import LEFT_OUT, LightMaps
 from irodori.rendering.scene_arrays import Light, Objects, coefficients_of, gloss_of, make_light, textures
 from irodori.spectra.grid import SAMPLES
 
@@ -52,8 +53,6 @@ class Model:
         Whether any surface has a diffuse term.
     environment, irradiance : bool
         Whether the environment and the irradiance map are looked up.
-    ambient : bool
-        Whether objects occlude ambient light.
     quadrature : Quadrature, optional
         Wavelengths and weights; solved for the scene by default.
     """
@@ -71,7 +70,6 @@ class Model:
     diffuse: bool
     environment: bool
     irradiance: bool
-    ambient: bool
     quadrature: Quadrature | None = None
 
 
@@ -79,7 +77,8 @@ class Model:
 class SceneParts:
     """Objects, environment, tracer and lamps of a scene.
 
-    ``white`` is the radiance that the display shows as white, (61,), to which colour differences refer.
+    ``white`` is the radiance that the display shows as white, (61,), to which colour differences refer. ``maps`` are
+    the scene's light maps, or None.
     """
 
     objects: Objects
@@ -88,9 +87,10 @@ class SceneParts:
     lamp_towards: np.ndarray
     lamp_spectra: np.ndarray
     white: np.ndarray
+    maps: LightMaps | None = None
 
 
-def full_model(parts: SceneParts, max_bounces: int, ambient: bool) -> Model:
+def full_model(parts: SceneParts, max_bounces: int) -> Model:
     """Return the model without simplifications; only terms that the scene does not have are left out."""
     objects, environment = parts.objects, parts.environment
     count, shines = len(objects.bases), bool(environment.coefficients.any())
@@ -111,8 +111,7 @@ def full_model(parts: SceneParts, max_bounces: int, ambient: bool) -> Model:
         gloss_levels=levels,
         diffuse=diffuse,
         environment=shines,
-        irradiance=shines and diffuse,
-        ambient=ambient and shines and diffuse and (count > 1 or parts.tracer.placements[0].shape.hides_by_rays),
+        irradiance=shines and diffuse and parts.maps is None,
     )
 
 
@@ -277,9 +276,10 @@ def prepare(
         lamps=parts.lamp_spectra,
         max_bounces=model.max_bounces,
         least_throughput=model.least_throughput,
-        ambient=model.ambient,
         quadrature=quadrature,
+        reflected=SAMPLES,
         spare_texels=spare_texels,
+        maps=parts.maps,
     )
 
 
@@ -296,7 +296,6 @@ class Widths:
     surface: int
     light: int
     coloured: bool
-    reflected: int  # channels of the light reflected between objects
     rows: int  # rows of round lobes that are looked up at a glossy hit
 
 
@@ -311,14 +310,14 @@ def widths_of(parts: SceneParts, model: Model) -> Widths:
     rows = objects_rows(parts.objects)
     light, lamps, coloured = model.light_bases, len(parts.lamp_spectra), not stays_grey(parts.objects, model)
     if model.representation == "spectral":
-        return Widths(width_of(SAMPLES + 2), spectral_light_width(light), True, SAMPLES, rows)
+        return Widths(width_of(SAMPLES + 2), spectral_light_width(light), True, rows)
     if model.representation == "quadrature":
-        return Widths(width_of(model.nodes + 2), width_of(light), coloured, model.nodes, rows)
+        return Widths(width_of(model.nodes + 2), width_of(light), coloured, rows)
     extra = 0
-    if model.ambient:
+    if parts.maps is not None:
         basis = leading_basis(light_of(parts.environment), light)[1]
-        extra = reflected_basis(parts.objects, basis.T).shape[1]
-    return Widths(width_of(3 * (light + extra + lamps) + 2), width_of(light), False, light, rows)
+        extra = further_basis(parts.maps.weighted_basis(), basis.T, SAMPLES, LEFT_OUT).shape[1]
+    return Widths(width_of(3 * (light + extra + lamps) + 2), width_of(light), False, rows)
 
 
 def memory_mb(parts: SceneParts, model: Model, widths: Widths) -> float:
@@ -331,26 +330,25 @@ def memory_mb(parts: SceneParts, model: Model, widths: Widths) -> float:
         numbers += FACES * parts.environment.irradiance.shape[0] ** 2 * widths.surface
     for level in range(*model.gloss_levels):
         numbers += FACES * (2.0 / np.pi * level_height(WIDTHS_RAD[level])) ** 2 * 2 * widths.light
+    numbers += sum(float(np.prod(one.shape[:2])) for one in parts.maps.maps) * widths.surface if parts.maps else 0.0
     for size, halvings in zip(parts.objects.texture_size, model.texture_halvings, strict=True):
         numbers += float(np.prod(np.ceil(size / 2.0**halvings) + 2)) * widths.surface
     return numbers * 4.0 / 1e6
 
 
-def look_up_numbers(model: Model, widths: Widths, met: dict[str, float], objects: int) -> float:
+def look_up_numbers(model: Model, widths: Widths, met: dict[str, float], has_maps: bool) -> float:
     """Return the estimated work for a pixel with one ray: how many numbers are multiplied and added.
 
     Parameters
     ----------
     met : dict
         Mean number of ``hits``, ``glossy`` hits and ``misses`` per ray.
-    objects : int
-        Number of objects that may occlude ambient light.
+    has_maps : bool
+        Whether there are light maps.
     """
     decoding = widths.light * widths.surface if widths.coloured else 0
-    maps = int(model.diffuse or any(model.gloss)) + int(model.irradiance)
+    maps = int(model.diffuse or any(model.gloss)) + int(model.irradiance or has_maps)
     a_hit = _CORNERS * widths.surface * maps
-    if model.ambient:
-        a_hit += (objects - 1) * (_CORNERS + widths.reflected) * widths.surface
     blurred = model.gloss_levels[1] > model.gloss_levels[0]
     a_lobe = widths.rows * TAPS * (2 * _CORNERS * widths.light + decoding) if blurred else 0
     a_sky = 2 * _CORNERS * widths.light + decoding if model.environment else 0

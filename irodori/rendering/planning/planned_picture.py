@@ -9,34 +9,26 @@ from irodori.colour.colorimetry import xyz_from_radiance
 from irodori.config.models import Render, Scene
 from irodori.config.placed_names import object_names
 from irodori.core.progress import LOGGER
-from irodori.geometry.embree import Tracer
-from irodori.light.environment_file import Environment
-from irodori.rendering.integrators import has_ambient
+from irodori.rendering.integrators import InteractiveRenderer, has_light_maps
 from irodori.rendering.interactive.frame_renderer import CollimatedLamp, render_frame
 from irodori.rendering.interactive.pixel_rays import render_pixels
 from irodori.rendering.planning.modelled_scene import SceneParts, full_model, prepare
 from irodori.rendering.planning.plan_file import model_of
 from irodori.rendering.planning.planned_check import chosen_pixels, measure, refuse_above
 from irodori.rendering.planning.scene_plan import ScenePlan
-from irodori.rendering.scene_arrays import Objects, make_view
+from irodori.rendering.scene_arrays import make_view
 from irodori.rendering.scene_lights import BANDS, make_lights
 from irodori.rendering.scene_white import scene_white
 
 
-def parts_of(scene: Scene, objects: Objects, environment: Environment, tracer: Tracer) -> SceneParts:
-    """Return the parts of a scene in the planner's form.
-
-    Raises
-    ------
-    ValueError
-        If a light is not collimated.
-    """
-    if any(light.kind != "collimated" for light in scene.lights):
-        raise ValueError("area lights in a scene of the integrator 'interactive'; accepted: collimated lights")
+def parts_of(renderer: InteractiveRenderer) -> SceneParts:
+    """Return the parts of a renderer's scene in the planner's form."""
+    scene, environment = renderer.scene, renderer.environment
     lights, _ = make_lights(scene.lights, 0)
-    towards = lights.rotation[:, :, 2].copy()
+    towards, spectra = lights.rotation[:, :, 2].copy(), lights.spectrum[:, :BANDS].astype(np.float64)
     white, _ = scene_white(scene, environment)
-    return SceneParts(objects, environment, tracer, towards, lights.spectrum[:, :BANDS].astype(np.float64), white)
+    maps = renderer.baked if has_light_maps(scene) else None
+    return SceneParts(renderer.objects, environment, renderer.tracer, towards, spectra, white, maps)
 
 
 def render_planned(
@@ -65,7 +57,7 @@ def render_planned(
         If the check finds an error above the plan's tolerance.
     """
     side, matrix = options.pixel_side, xyz_from_radiance(parts.white)
-    full = full_model(parts, scene.max_bounces, has_ambient(scene))
+    full = full_model(parts, scene.max_bounces)
     model = model_of(plan, full, object_names(scene))
     bands = model.representation == "spectral"
     start = time.perf_counter()

@@ -10,7 +10,7 @@ import numpy as np
 
 from irodori.colour.colorimetry import xyz_from_radiance
 from irodori.geometry.shapes.shape_rows import COLUMNS, MIRROR, ROWS, SHAPE
-from irodori.rendering.interactive.channels import mean_spectra, spectral_channels
+from irodori.rendering.interactive.channels import spectral_channels
 from irodori.rendering.interactive.cube_maps import environment_pyramid
 from irodori.rendering.interactive.frame_renderer import CollimatedLamp, Prepared, light_of
 from irodori.rendering.interactive.pixel_rays import rays_through, render_rays
@@ -20,7 +20,7 @@ from irodori.rendering.interactive.prepared_scene import (
     colour_fields,
     environment_fields,
     make_irradiance,
-    padded,
+    stored_maps,
     stored_texels,
 )
 from irodori.rendering.interactive.round_lobes import TAPS
@@ -50,8 +50,8 @@ class Changes:
         Finest level of the environment that is used, 0 for full resolution.
     texture_level : dict
         Object -> number of halvings of its texture, or `BLACK`.
-    reflected_basis : (m, 61), optional
-        Basis on which light reflected between objects is projected.
+    map_basis : (61, m), optional
+        Basis on which the light of the light maps is projected.
     """
 
     max_bounces: int | None = None
@@ -61,7 +61,7 @@ class Changes:
     light_basis: np.ndarray | None = None
     sky_level: int = 0
     texture_level: dict = field(default_factory=dict)
-    reflected_basis: np.ndarray | None = None
+    map_basis: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -154,8 +154,10 @@ class Probes:
             fields |= self._on_basis(changes.light_basis)
         if changes.sky_level:
             fields |= self._sky(changes.sky_level)
-        if changes.reflected_basis is not None:
-            fields["ambient"] = self._thrown(changes.reflected_basis)
+        if changes.map_basis is not None and self._parts.maps is not None:
+            basis = changes.map_basis @ (np.linalg.pinv(changes.map_basis) @ self._parts.maps.basis)
+            maps = replace(self._parts.maps, basis=basis)
+            fields["baked"] = np.concatenate(stored_maps(maps, self._parts.tracer.placements, self._channels))
         if changes.without_mirror or changes.texture_level:
             fields |= self._tables(world, changes)
         return replace(self._prepared, world=world._replace(**fields), limits=limits)
@@ -176,11 +178,6 @@ class Probes:
             pyramid = environment_pyramid(picture, self._channels.stored_from_light, self._channels.light, half=False)
             self._skies[level] = environment_fields(pyramid)
         return self._skies[level]
-
-    def _thrown(self, basis: np.ndarray) -> np.ndarray:
-        onto = np.linalg.pinv(basis) @ basis
-        rows = np.stack([self._channels.reflected(mean) @ onto for mean in mean_spectra(self._parts.objects)])
-        return padded(rows, self._channels.surface)
 
     def _tables(self, world: PreparedWorld, changes: Changes) -> dict:
         shape = world.shape.copy().reshape(-1, SHAPE)

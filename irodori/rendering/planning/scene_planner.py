@@ -141,4 +141,4 @@ class ScenePlanner:
     def numbers(self, model: Model | None = None) -> float:
         """Return how many numbers are multiplied and added per ray from the eye in a model."""
         model = model or self.model
-        return look_up_numbers(model, widths_of(self.parts, model), self.met(model), len(self.names))
+        return look_up_numbers(model, widths_of(self.parts, model), self.met(model), self.parts.maps is not None)

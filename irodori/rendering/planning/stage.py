@@ -3,19 +3,18 @@
 from collections.abc import Sequence
 from dataclasses import asdict
 
-from irodori.config.models import ObjectShape, ReferenceIntegrator, Render, Scene
+from irodori.config.models import ObjectShape, Render, Scene
 from irodori.config.placed_names import object_names
 from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER
-from irodori.geometry.embree import Tracer
 from irodori.geometry.shapes.shape import Shape
 from irodori.light.environment_file import Environment
 from irodori.rendering.energy_gain import load_materials
-from irodori.rendering.integrators import has_ambient, with_bodies
+from irodori.rendering.integrators import InteractiveRenderer, make_renderer
 from irodori.rendering.planning.choices import choose
 from irodori.rendering.planning.plan_file import document_of, rounded, write_plan
 from irodori.rendering.planning.planned_picture import parts_of
-from irodori.rendering.scene_arrays import make_objects, make_placements, make_view
+from irodori.rendering.scene_arrays import make_placements, make_view
 from irodori.rendering.scene_white import scene_white
 
 
@@ -28,6 +27,7 @@ def plan_scene(
     *,
     options: Render,
     output,
+    maps_file=None,
 ) -> None:
     """Decide which simplifications to make in a scene and write the plan to a file.
 
@@ -41,6 +41,8 @@ def plan_scene(
     material_files, environment_file : paths
     options : Render
     output : path
+    maps_file : path, optional
+        File of the scene's light maps; without one they are baked if its integrator uses them.
 
     Raises
     ------
@@ -55,6 +57,7 @@ def plan_scene(
         load_materials(scene, material_files),
         Environment.load(environment_file),
         options,
+        maps_file=maps_file,
         to_reference=True,
     )
     write_plan(output, document)
@@ -74,6 +77,7 @@ def plan_of(
     environment: Environment,
     options: Render,
     *,
+    maps_file=None,
     to_reference: bool = False,
 ) -> dict:
     """Return the content of a scene's plan; parameters and errors are those of `plan_scene`.
@@ -86,15 +90,14 @@ def plan_of(
         raise InputError(f"scene {scene_name}", "tolerance_ciede2000", found, "a white that colours are seen against")
     if scene.tolerance_ciede2000 is None:
         raise ValueError("a scene without tolerance_ciede2000; accepted: one with it")
-    shapes, materials = with_bodies(scene, shapes, materials)
-    placements = make_placements(scene, shapes)
-    objects, _ = make_objects(placements, materials)
+    renderer = make_renderer(scene, shapes, materials, environment, options, maps_file=maps_file)
+    placements = make_placements(scene, renderer.shapes)
     views = [make_view(view, scene.image) for view in scene.views.values()]
-    if isinstance(scene.integrator, ReferenceIntegrator):
+    if not isinstance(renderer, InteractiveRenderer):
         from irodori.rendering.planning.paths_per_pixel import plan_reference
 
-        return plan_reference(scene_name, scene, placements, objects, environment, views=views)
-    parts = parts_of(scene, objects, environment, Tracer(placements))
+        return plan_reference(scene_name, scene, placements, renderer.objects, environment, views=views)
+    parts = parts_of(renderer)
     far = None
     if to_reference:
         from irodori.rendering.planning.attainable import refuse_unattainable
@@ -106,7 +109,6 @@ def plan_of(
         object_names(scene),
         scene.tolerance_ciede2000 - (far.p99 if far else 0.0),
         max_bounces=scene.max_bounces,
-        ambient=has_ambient(scene),
         overrides=scene.plan,
         where=f"scene {scene_name}",
     )

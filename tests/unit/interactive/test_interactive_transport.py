@@ -147,7 +147,7 @@ def test_a_scene_of_lamps_alone_has_a_picture():
     sun = {"kind": "collimated", "spectrum": "D65", "azimuth_deg": -90.0, "elevation_deg": 20.0, "irradiance": 1.0}
     seen = {"position_mm": [0, -200, 0], "target_mm": [0, 0, 0], "up": [0, 0, 1], "field_of_view_deg": 13.0}
     where = {"object": "ball", "position_mm": [0, 0, 0], "rotation_deg": [0, 0, 0], "scale": 1.0}
-    scene = {"integrator": {"kind": "interactive", "ambient": False}, "image": {"width": 8, "height": 6},
+    scene = {"integrator": {"kind": "interactive", "light_maps": False}, "image": {"width": 8, "height": 6},
              "objects": [where], "views": {"front": seen}, "lights": [sun]}  # fmt: skip
     radiance, _ = render_image(made(Scene, scene), "front", [BALL], [material(0.5)], DARK, made(Render, OPTIONS))
     assert np.isfinite(radiance).all() and (radiance[2:4, 3:5] > 0).all()

@@ -235,7 +235,7 @@ def test_a_lid_on_a_plate_is_shaded_as_the_reference_integrator_shades_it(cover,
                     for name in "ab"],
         "views": {"v": {"position_mm": eye, "target_mm": target, "up": [0, 0, 1], "field_of_view_deg": fov}},
     }  # fmt: skip
-    kinds = [{"kind": "interactive", "ambient": a} for a in (True, False)]
+    kinds = [{"kind": "interactive", "light_maps": a} for a in (True, False)]
     kinds.append({"kind": "reference", "samples": 256, "seed": 0})
     options = replace(OPTIONS, pixel_side=4)
     found, bare, truth = (

@@ -58,7 +58,7 @@ def scene_of(tolerance=1.0, lights=(), overrides=None, **integrator) -> dict:
         "objects": [{"object": name, **place} for name, place in zip(("table", "jar"), places, strict=True)],
         "views": {"v": {"position_mm": [0.0, -200.0, 90.0], "target_mm": [0.0, 0.0, 12.0], "up": [0.0, 0.0, 1.0],
                         "field_of_view_deg": 22.0}},
-        "integrator": {"kind": "interactive", "ambient": True} | integrator,
+        "integrator": {"kind": "interactive", "light_maps": True} | integrator,
         "max_bounces": 4,
         "lights": list(lights),
         "display": {"exposure": "auto", "device": {"kind": "standard", "name": "sRGB"}},

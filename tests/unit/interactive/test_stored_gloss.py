@@ -19,7 +19,7 @@ from irodori.rendering.planning.stage import plan_of
 
 SHINY = [material(0.3, beta=3.0, mu=0.15)]
 SCENE = {
-    "integrator": {"kind": "interactive", "ambient": False},
+    "integrator": {"kind": "interactive", "light_maps": False},
     "image": {"width": 24, "height": 24},
     "objects": [{"object": "ball", "position_mm": [0, 0, 0], "rotation_deg": [0, 0, 0], "scale": 1.0}],
     "views": {"v": {"position_mm": [0, -200, 0], "target_mm": [0, 0, 0], "up": [0, 0, 1], "field_of_view_deg": 13.0}},
