@@ -57,7 +57,7 @@ _GRAZING = 0.15
 #: A texel is inside another object if this share of its rays meets surfaces from behind.
 _ENCLOSED = 0.9
 _TOGETHER, _CHUNK = 1024, 16  # texels that are traced at a time, in all and by a thread
-#: Largest change of the light, relative to its mean, below which no further reflection is followed; reflections at most.
+#: Largest change of the light, relative to its mean, at which no further reflection is followed; reflections at most.
 _SETTLED, _MOST_REFLECTIONS = 2e-3, 64
 #: Angles of the environment from whose light the basis of the maps is made.
 _ANGLES_DEG = (0.0, 90.0, 180.0, 270.0)

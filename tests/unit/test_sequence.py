@@ -237,17 +237,25 @@ def test_frames_in_files_are_those_of_the_animation_and_leave_nothing_else(tmp_p
     assert not np.array_equal(single[0], single[1])
 
 
-def test_no_frame_shows_light_maps_where_objects_turn_the_first_one_included(tmp_path):
-    """The light maps are of the objects as they stand, which is the first frame alone: a sequence would jump."""
-    plain = in_files(tmp_path / "s", scene_of(INTERACTIVE, frames=turntable(2)))[0]
-    mapped = in_files(tmp_path / "m", scene_of(INTERACTIVE | {"light_maps": True}, frames=turntable(2)))[0]
-    for name in ("00000.png", "00001.png"):
-        assert np.array_equal(pixels(plain / name), pixels(mapped / name))
+def test_the_first_frame_of_a_turntable_has_maps_of_the_same_kind_as_the_others(tmp_path):
+    """A full turn ends where it began: the frames before and after must not jump."""
+    folder = in_files(tmp_path / "s", scene_of(INTERACTIVE, frames=turntable(2)))[0]
+    turning = renderer(scene_of(INTERACTIVE))
+    turning.light_turns = True
+    pictures = [turning.picture("v", Moment(objects_deg=angle))[0] for angle in (0.0, 360.0, 180.0)]
+    assert np.allclose(pictures[0], pictures[1], rtol=1e-4, atol=1e-4) and not np.allclose(
+        pictures[0], pictures[2], atol=0.01
+    )
+    assert not np.array_equal(pixels(folder / "00000.png"), pixels(folder / "00001.png"))
 
 
-@pytest.mark.parametrize("frames", [turntable(2, turned="eye"), change(["D65", "A"])], ids=["eye", "illuminants"])
-def test_every_frame_shows_light_maps_where_only_the_eye_or_the_colour_of_the_light_changes(tmp_path, frames):
-    figures = in_files(tmp_path / "m", scene_of(INTERACTIVE | {"light_maps": True}, frames=frames))[2]
+@pytest.mark.parametrize(
+    "frames",
+    [turntable(2, turned="eye"), turntable(2), change(["D65", "A"])],
+    ids=["eye", "objects", "illuminants"],
+)
+def test_every_frame_shows_light_maps(tmp_path, frames):
+    figures = in_files(tmp_path / "m", scene_of(INTERACTIVE, frames=frames))[2]
     assert [frame["light_maps"] for frame in json.loads(figures.read_text())["frames"]] == [True, True]
 
 
@@ -346,6 +354,7 @@ def test_a_sweep_keeps_what_the_eye_met_and_a_turntable_does_not(monkeypatch):
 
     monkeypatch.setattr(frame_renderer, "render_frame", noted)
     made = renderer(scene_of(INTERACTIVE))
+    made.light_turns = True  # as in a sequence
     moments = [Moment(environment_deg=a, lights_deg=a) for a in (0.0, 40.0)]
     fresh = [made.picture("v", m)[0] for m in moments]
     again = [made.picture("v", m, keep=True)[0] for m in moments]
@@ -369,15 +378,16 @@ def differences(renderer, reference, moment, white):
     return delta_e(*labs), figures
 
 
-@pytest.mark.parametrize("ambient", [False, True])
-def test_pictures_in_xyz_are_carried_by_coefficients_where_these_are_exact(ambient):
+@pytest.mark.parametrize("maps", [False, True])
+def test_pictures_in_xyz_are_carried_by_coefficients_where_these_are_exact(maps):
     """Grey mirrors, light and surfaces on bases, two objects that throw light on each other: rounding is all."""
-    scene, white = scene_of({"kind": "interactive", "light_maps": ambient}), room().upward_white()
+    scene, white = scene_of({"kind": "interactive", "light_maps": maps}), room().upward_white()
     planned = make_renderer(made(Scene, scene), SHAPES, PAINTS, room(), OPTIONS, white=white)
     for moment in (Moment(), Moment(environment_deg=70.0, filter=tuple(np.linspace(0.5, 1.5, 61)))):
         found, figures = differences(planned, renderer(scene), moment, white)
         assert figures["representation"] == "coefficients"
-        assert found.max() < 0.01
+        # The basis of light maps leaves out a thousandth of their light.
+        assert found.max() < (0.05 if maps else 0.01)
 
 
 def test_pictures_are_carried_in_bands_where_coefficients_would_err(caplog):
