@@ -55,8 +55,6 @@ VARIANTS = {
     "coefficients, all bounces": ("coefficients", {"least_throughput": 0.0}, {}),
     "coefficients, cut at 1e-2": ("coefficients", {"least_throughput": 1e-2}, {}),
     "coefficients, camera rests": ("coefficients", {}, {"keep_visibility": True}),
-    "coefficients, ambient": ("coefficients", {"ambient": True}, {}),
-    "spectral, ambient": ("spectral", {"ambient": True}, {}),
     "coefficients, light maps": ("coefficients", {"baked": True}, {}),
     "spectral, light maps": ("spectral", {"baked": True}, {}),
     "coefficients, a lamp": ("coefficients", {"lamps": 1}, {}),
@@ -201,7 +199,7 @@ def _memory_mb(names: Sequence[str], arguments, folder: Path) -> list[tuple[floa
 
 def _error(name: str, image: np.ndarray, reference: np.ndarray, white_xyz: np.ndarray) -> dict:
     """Return CIEDE2000 of a variant to the same picture in 61 bands; NaN for a picture under other light."""
-    if image.shape[2] != 3 or any(word in name for word in ("lamp", "ambient", "maps")):
+    if image.shape[2] != 3 or any(word in name for word in ("lamp", "maps")):
         return {"mean": float("nan"), "p99": float("nan"), "max": float("nan")}
     return summary(delta_e(lab_from_xyz(reference, white_xyz), lab_from_xyz(image, white_xyz)))
 

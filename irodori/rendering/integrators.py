@@ -280,15 +280,13 @@ class InteractiveRenderer(Renderer):
         start = time.perf_counter()
         environment = moment.environment(self.environment)
         lights = moment.lights(make_lights(self.scene.lights, 0)[0])
-        light, maps, reflected = light_of(environment), None, 0
+        light, maps = light_of(environment), None
         if has_light_maps(self.scene):
             maps = self._turned_maps(moment) if self.light_turns else self.baked
             if moment.filter is not None and not self.light_turns:
                 maps = maps.under(moment.filter)
         if self.white is not None:
-            baked = None if maps is None else maps.basis
-            found = exact_representation(self.objects, light, len(lights.kind), baked)
-            self.representation, reflected, self.why = found
+            self.representation, self.why = exact_representation(self.objects, light, len(lights.kind), maps)
         LOGGER.info("representation %s: %s", self.representation, self.why)
         prepared = prepare_scene(
             self.objects,
@@ -300,7 +298,6 @@ class InteractiveRenderer(Renderer):
             lamps=lights.spectrum[:, :BANDS],
             max_bounces=self.scene.max_bounces,
             least_throughput=self.options.min_throughput,
-            reflected=reflected,
             maps=maps,
         )
         self.prepared_s = time.perf_counter() - start

@@ -270,7 +270,8 @@ class LightTransfer:
     def __init__(self, tracer: Tracer, objects: Objects, environment: Environment) -> None:
         from scipy.sparse import vstack
 
-        self.tracer, self._moments, self._bases = tracer, _Moments(environment.coefficients), {}
+        self.tracer, self._moments = tracer, _Moments(environment.coefficients)
+        self._bases: dict[bytes, np.ndarray] = {}
         self._bounds, self._reach, placements = (
             _bounds(tracer.placements),
             reaches(tracer.placements),
@@ -337,8 +338,10 @@ class LightTransfer:
         for first in range(0, len(points.point), _TOGETHER):
             some = Points(*(values[first : first + _TOGETHER] for values in points))
             count = len(some.point)
-            kinds = (np.float32, np.int16, np.float32, np.uint8)
-            seen = _Seen(*(np.zeros((count, _CELLS), kind) for kind in kinds), np.zeros(count, np.bool_))
+            hides, shape, distance, place = (
+                np.zeros((count, _CELLS), kind) for kind in (np.float32, np.int16, np.float32, np.uint8)
+            )
+            seen = _Seen(hides, shape, distance, place, np.zeros(count, np.bool_))
             rays = self.tracer.intersect_address, self.tracer.scene
             casting = _Casting(*rays, self._bounds, index, pool, start + first)
             run_chunks(_look_some, count, _CHUNK, casting, *some, seen)

@@ -18,24 +18,20 @@ from the sky and from blurred maps is added in its stored form. The representati
 All operations are linear: negative samples, which spectral recovery and compression leave, are kept.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from irodori.jit.vectors import width_of
 from irodori.rendering.interactive.quadrature import Quadrature
+from irodori.rendering.light_maps import LEFT_OUT, LightMaps
 from irodori.rendering.scene_arrays import Light, Objects, gloss_of, textures
 from irodori.spectra.grid import SAMPLES
 
 REPRESENTATIONS = ("spectral", "coefficients", "quadrature", "rgb")
-#: Largest number of basis vectors, in addition to those of the light, for light reflected between objects.
-REFLECTED = 3
 #: Least number of lanes of the light in ``spectral``. With four, a picture would be about a twentieth faster, but the
 #: loop, which takes longest of all to compile, would have to be compiled once more.
 _LEAST_SPECTRAL_LIGHT = 8
-#: Share of the light reflected between objects that is considered rounding error.
-_ROUNDING = 1e-6
 #: Linear sRGB primaries and D65, for `rgb`: XYZ of 1, 1, 1 is the white of D65 with Y = 1.
 _XYZ_FROM_RGB = np.array(
     [[0.4123908, 0.3575843, 0.1804808], [0.2126390, 0.7151687, 0.0721923], [0.0193308, 0.1191948, 0.9505322]]
@@ -74,9 +70,6 @@ class Channels:
         From stored light to XYZ.
     colour_from_light : (count, s) float64
         From stored light to channels; unused if ``coloured`` is false.
-    reflected : callable
-        From a mean reflectance, (61,), to a matrix (inputs, count), by which the first ``inputs`` channels of the light
-        that falls on a surface give the light factor of the texels that the surface lights.
     """
 
     count: int
@@ -94,7 +87,6 @@ class Channels:
     xyz_from_colour: np.ndarray
     xyz_from_light: np.ndarray
     colour_from_light: np.ndarray
-    reflected: Callable[[np.ndarray], np.ndarray]
 
 
 def _bases(objects: Objects) -> list[np.ndarray]:
@@ -135,7 +127,6 @@ def _by_channel(values: np.ndarray, objects: Objects, light: Light, lamps, xyz_f
         xyz_from_colour=xyz_from_colour,
         xyz_from_light=xyz_from_colour @ colour,
         colour_from_light=colour,
-        reflected=lambda mean: np.diag(values @ mean),
     )
 
 
@@ -181,24 +172,23 @@ def rgb_channels(objects: Objects, light: Light, lamps: np.ndarray, matrix: np.n
         xyz_from_colour=_XYZ_FROM_RGB,
         xyz_from_light=_XYZ_FROM_RGB,
         colour_from_light=np.eye(3),
-        reflected=lambda mean: np.diag((rgb * white) @ mean / of_white),
     )
 
 
-def reflected_basis(objects: Objects, basis: np.ndarray, most: int = REFLECTED) -> np.ndarray:
-    """Return vectors that extend the light's basis to the light reflected by objects, (61, m), m up to ``most``."""
-    spectra = np.concatenate([mean[:, None] * basis for mean in mean_spectra(objects)], axis=1)
-    return further_basis(spectra, basis, most, _ROUNDING)
+def further_basis(spectra: np.ndarray, basis: np.ndarray) -> np.ndarray:
+    """Return the vectors (61, m) that extend the basis of a light, (61, k), to that of its light maps.
 
+    Vectors that carry less than the share `irodori.rendering.light_maps.LEFT_OUT` of the maps' norm are left out.
 
-def further_basis(spectra: np.ndarray, basis: np.ndarray, most: int, least: float) -> np.ndarray:
-    """Return the vectors (61, m), m up to ``most``, that best extend a basis (61, k) to the span of spectra (61, n).
-
-    Vectors that carry less than the share ``least`` of the norm of the spectra are left out.
+    Parameters
+    ----------
+    spectra : (61, n) float
+        See `irodori.rendering.light_maps.LightMaps.weighted_basis`.
+    basis : (61, k) float
     """
     rest = spectra - basis @ (np.linalg.pinv(basis) @ spectra)
     left, values, _ = np.linalg.svd(rest, full_matrices=False)
-    return left[:, : min(most, int((values > least * np.linalg.norm(spectra)).sum()))]
+    return left[:, : int((values > LEFT_OUT * np.linalg.norm(spectra)).sum())]
 
 
 def coefficient_channels(
@@ -207,7 +197,7 @@ def coefficient_channels(
     """Return the channels of ``coefficients``: bilinear forms for X, Y and Z in turn, each over the light's basis.
 
     Light that objects reflect onto each other is not in the span of that basis. The forms have ``further`` vectors for
-    it, (61, m); only this part has errors larger than rounding.
+    it, (61, m).
 
     Raises
     ------
@@ -228,7 +218,6 @@ def coefficient_channels(
     each = spectra.shape[1]
     irradiance = np.zeros((3, each, k))
     irradiance[:, :k] = np.eye(k) / np.pi
-    pad, nearest = ((0, 0), (0, each - lit)), np.linalg.pinv(wide).T
     lamp_light = np.zeros((len(lamps), 3, each))
     lamp_light[np.arange(len(lamps)), :, lit + np.arange(len(lamps))] = 1.0 / np.pi
     # Light that is not multiplied with a texel is carried as XYZ.
@@ -253,35 +242,30 @@ def coefficient_channels(
         xyz_from_colour=np.repeat(np.eye(3), each, axis=1),
         xyz_from_light=matrix @ basis,
         colour_from_light=np.zeros((3 * each, k)),
-        reflected=lambda mean: np.tile(np.pad(basis.T @ (mean[:, None] * nearest), pad), (1, 3)),
     )
 
 
-def exact_representation(
-    objects: Objects, light: Light, lamps: int, baked: np.ndarray | None = None
-) -> tuple[str, int, str]:
+def exact_representation(objects: Objects, light: Light, lamps: int, maps: LightMaps | None = None) -> tuple[str, str]:
     """Return the representation with the least work whose XYZ equal those of the 61 bands within rounding.
 
-    ``baked`` is the basis of the scene's light maps, (61, k), of which a thousandth may be neglected.
+    A thousandth of the light of the scene's light maps may be neglected.
 
     Returns
     -------
     representation : str
         ``coefficients`` or ``spectral``.
-    reflected : int
-        Number of further basis vectors that the light reflected between objects needs.
     why : str
         Reason, for the log.
     """
     if not is_grey(objects):
-        return "spectral", 0, "gloss or a mirror has a refractive index that varies with the wavelength"
+        return "spectral", "gloss or a mirror has a refractive index that varies with the wavelength"
     basis = light.basis.T
-    reflected = 0 if baked is None else baked.shape[1]
-    numbers = 3 * (basis.shape[1] + reflected + lamps)
+    further = 0 if maps is None else further_basis(maps.weighted_basis(), basis).shape[1]
+    numbers = 3 * (basis.shape[1] + further + lamps)
     if width_of(numbers + 2) > width_of(SAMPLES + 2):
-        return "spectral", 0, f"{numbers} products of light and surface are more than {SAMPLES} bands"
+        return "spectral", f"{numbers} products of light and surface are more than {SAMPLES} bands"
     why = f"one surface a path and grey mirrors: XYZ by {numbers} products of light and surface are exact"
-    return "coefficients", reflected, why
+    return "coefficients", why
 
 
 def is_grey(objects: Objects) -> bool:

@@ -11,14 +11,12 @@ from irodori.light.environment_file import Environment
 from irodori.light.gloss.gloss_maps import GlossMaps
 from irodori.rendering.compiled_calls import resolved
 from irodori.rendering.interactive.channels import (
-    REFLECTED,
     REPRESENTATIONS,
     Channels,
     coefficient_channels,
     further_basis,
     is_grey,
     quadrature_channels,
-    reflected_basis,
     rgb_channels,
     spectral_channels,
 )
@@ -45,7 +43,7 @@ from irodori.rendering.interactive.tile_loop import (
     PathLimits,
     render_tiles,
 )
-from irodori.rendering.light_maps import LEFT_OUT, LightMaps
+from irodori.rendering.light_maps import LightMaps
 from irodori.rendering.scene_arrays import Light, Objects, View
 from irodori.rendering.view_cameras import ORTHOGRAPHIC
 from irodori.spectra.grid import SAMPLES
@@ -137,7 +135,6 @@ def prepare_scene(
     least_throughput: float = 1e-3,
     ambient: bool = False,
     quadrature: Quadrature | None = None,
-    reflected: int = REFLECTED,
     spare_texels: int = 0,
     maps: LightMaps | None = None,
 ) -> Prepared:
@@ -164,13 +161,11 @@ def prepare_scene(
     least_throughput : float
         Throughput below which a path ends.
     ambient : bool
-        Whether shapes occlude ambient light from each other, and meshes also from themselves, see
-        `irodori.rendering.interactive.ambient`. In a scene with meshes this needs rays, which are cast once for the
-        same shapes in the same places.
+        Whether shapes hide light from each other as on the classroom page, see
+        `irodori.rendering.interactive.ambient`; only in ``spectral``. In a scene with meshes this needs rays, which are
+        cast once for the same shapes in the same places.
     quadrature : Quadrature, optional
         For the representation of that name; solved for the scene by default.
-    reflected : int
-        Largest number of basis vectors with which ``coefficients`` represents light reflected between objects.
     spare_texels : int
         Additional memory for texels, for a caller that tries other textures.
     maps : LightMaps, optional
@@ -180,19 +175,22 @@ def prepare_scene(
     Raises
     ------
     ValueError
-        For an unknown representation, or ``coefficients`` with coloured gloss or a coloured mirror.
+        For an unknown representation, ``coefficients`` with coloured gloss or a coloured mirror, or ``ambient`` in
+        another representation than ``spectral``.
     """
     if representation not in REPRESENTATIONS:
         raise ValueError(f"unknown representation {representation!r}; accepted: {', '.join(REPRESENTATIONS)}")
+    if ambient and representation != "spectral":
+        raise ValueError(f"ambient in the representation {representation!r}; accepted: spectral")
     lamps = np.asarray(lamps, dtype=np.float64).reshape(-1, SAMPLES)
     matrix = xyz_from_radiance(np.asarray(white, dtype=np.float64))
     if representation == "quadrature" and quadrature is None:
         spectra = path_spectra(objects, light, lamps, max_bounces)
         quadrature = solve_quadrature(spectra, matrix, white)
     if representation == "coefficients":
-        channels = coefficient_channels(
-            objects, light, lamps, matrix, _further(objects, light, ambient, reflected, maps)
-        )
+        basis = light.basis.T
+        further = np.zeros((SAMPLES, 0)) if maps is None else further_basis(maps.weighted_basis(), basis)
+        channels = coefficient_channels(objects, light, lamps, matrix, further)
     else:
         channels = _channels(representation, objects, light, lamps, matrix=matrix, white=white, quadrature=quadrature)
     query = make_query(_COHERENT)
@@ -205,14 +203,6 @@ def prepare_scene(
     parts = max(len(lobe_table(name).entries) for name in objects.lobes.names)
     layout = Layout(channels.surface, channels.light, channels.coloured, False, objects.lobe.shape[1], parts)
     return Prepared(representation, world, layout, limits, len(lamps), quadrature, (tracer, query), channels)
-
-
-def _further(objects: Objects, light: Light, ambient: bool, most: int, maps: LightMaps | None) -> np.ndarray:
-    """Return vectors that extend the light's basis to light maps, or to light reflected between objects, (61, m)."""
-    basis = light.basis.T
-    if maps is not None:
-        return further_basis(maps.weighted_basis(), basis, most, LEFT_OUT)
-    return reflected_basis(objects, basis, most) if ambient else np.zeros((SAMPLES, 0))
 
 
 def _channels(

@@ -447,11 +447,11 @@ def make_world(
     fields |= _surface_fields(objects, tracer, channels, spare) | colour_fields(channels)
     fields |= make_baked(maps, tracer.placements, channels)
     fields |= make_seen(maps, tracer.placements, channels)
-    reflected = np.stack([channels.reflected(mean) for mean in mean_spectra(objects)])
+    reflected = np.stack([np.diag(mean) for mean in mean_spectra(objects)])
     reflects = ambient and maps is None and fields["irradiance_side"] > 0
     shadows = make_mesh_shadows(tracer) if reflects else None
     fields |= {
-        "ambient": padded(reflected, channels.surface),
+        "ambient": padded(reflected, channels.surface) if reflects else np.zeros(0, np.float32),
         "ambient_inputs": reflected.shape[1] if reflects else 0,
         "shadows": shadows or no_mesh_shadows(),
         "shadowed": int(shadows is not None),

@@ -15,7 +15,7 @@ from irodori.light.blurred_light import first_level
 from irodori.rendering.interactive.channels import further_basis
 from irodori.rendering.interactive.frame_renderer import light_of
 from irodori.rendering.interactive.quadrature import COUNTS
-from irodori.rendering.light_maps import LEFT_OUT, LightMaps
+from irodori.rendering.light_maps import LightMaps
 from irodori.rendering.planning.modelled_scene import (
     SceneParts,
     beta_of,
@@ -27,7 +27,6 @@ from irodori.rendering.planning.modelled_scene import (
 from irodori.rendering.planning.probes import BLACK, Changes, Probes, halvings_of
 from irodori.rendering.planning.scene_planner import MOST_VIEWS, PROBES, SEED, ScenePlanner
 from irodori.rendering.scene_arrays import View, make_light
-from irodori.spectra.grid import SAMPLES
 
 _THROUGHPUTS = tuple(10.0 ** (-0.5 * n) for n in range(2, 11))
 _LEAST_ROWS = 32
@@ -272,7 +271,7 @@ def _lit_basis(maps: LightMaps, planner: ScenePlanner) -> np.ndarray:
     basis = planner.parts.environment.basis
     if planner.model.light_bases < basis.shape[1]:
         basis = leading_basis(light_of(planner.parts.environment), planner.model.light_bases)[1].T
-    return np.concatenate([basis, further_basis(maps.weighted_basis(), basis, SAMPLES, LEFT_OUT)], axis=1)
+    return np.concatenate([basis, further_basis(maps.weighted_basis(), basis)], axis=1)
 
 
 def _decide_environment(planner: ScenePlanner) -> None:

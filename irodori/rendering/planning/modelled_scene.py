@@ -16,7 +16,7 @@ from irodori.rendering.interactive.frame_renderer import Prepared, light_of, pre
 from irodori.rendering.interactive.prepared_scene import levels_by_lobe
 from irodori.rendering.interactive.quadrature import Quadrature, path_spectra, solve_quadrature
 from irodori.rendering.interactive.round_lobes import TAPS, lobe_table
-from irodori.rendering.light_maps import LEFT_OUT, LightMaps
+from irodori.rendering.light_maps import LightMaps
 from irodori.rendering.scene_arrays import Light, Objects, coefficients_of, gloss_of, make_light, textures
 from irodori.spectra.grid import SAMPLES
 
@@ -277,7 +277,6 @@ def prepare(
         max_bounces=model.max_bounces,
         least_throughput=model.least_throughput,
         quadrature=quadrature,
-        reflected=SAMPLES,
         spare_texels=spare_texels,
         maps=parts.maps,
     )
@@ -316,7 +315,7 @@ def widths_of(parts: SceneParts, model: Model) -> Widths:
     extra = 0
     if parts.maps is not None:
         basis = leading_basis(light_of(parts.environment), light)[1]
-        extra = further_basis(parts.maps.weighted_basis(), basis.T, SAMPLES, LEFT_OUT).shape[1]
+        extra = further_basis(parts.maps.weighted_basis(), basis.T).shape[1]
     return Widths(width_of(3 * (light + extra + lamps) + 2), width_of(light), False, rows)
 
 
