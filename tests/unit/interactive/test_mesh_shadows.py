@@ -216,7 +216,10 @@ def test_a_wall_hides_its_form_factor_from_the_floor_of_the_same_mesh(distance):
 def test_a_convex_mesh_hides_nothing_from_itself():
     for shape in (mesh_ball(8), box(20.0, True)):
         view = {"position": (30.0, -250, 130), "size": (50, 50)}
-        found = [picture([shape], [material(0.6)], LIGHT, view=view, ambient=ambient) for ambient in (True, False)]
+        found = [
+            picture([shape], [material(0.6)], LIGHT, "spectral", view=view, ambient=ambient)
+            for ambient in (True, False)
+        ]
         assert np.array_equal(*found)
         assert mesh_shadows.make_mesh_shadows(Tracer(placed([shape]))) is None
 
@@ -227,7 +230,7 @@ def test_a_convex_mesh_hides_nothing_from_itself():
 @pytest.mark.default_cases(1)
 @pytest.mark.parametrize(("cover", "table", "rms"), [(0.0, 0.8, 0.008), (0.5, 0.5, 0.012)])
 def test_a_lid_on_a_plate_is_shaded_as_the_reference_integrator_shades_it(cover, table, rms):
-    """With a black lid but for quadrature; else light is thrown once, by mean colours, from fully lit surfaces."""
+    """By its light maps."""
     shapes, eye, target, size, fov = [plate(100.0), lid()], (0.0, -330.0, 190.0), (0.0, 0.0, 10.0), (40, 30), 14.0
     scene = {
         "image": {"width": size[0], "height": size[1]}, "lights": [],
