@@ -44,7 +44,10 @@ _CELLS = ROWS * COLUMNS
 #: Directions of a cell among which texels take turns, so that the edges of shadows have no steps.
 _POOL = 8
 #: Texels of a map, initially and at most; largest error between them, relative to the mean light on the object.
-_FEWEST_TEXELS, _MOST_TEXELS, MOST_ERROR = 1 << 10, 1 << 16, 0.02
+_FEWEST_TEXELS, _MOST_TEXELS, MOST_ERROR = 1 << 10, 1 << 14, 0.02
+#: Neighbours from which light is spread to the other corners of a fine mesh; size of a difference of normals by 1 beside
+#: the mesh; share of open neighbours beyond which a corner is open.
+_NEIGHBOURS, _BESIDE, _MOSTLY = 4, 0.05, 0.5
 #: Number of points between texels at which the error is measured, and their seed.
 _JUDGED, _SEED = 512, 307
 #: Texels along each side of a texture, about, from which the reflectances are found.
@@ -279,7 +282,7 @@ class LightTransfer:
         )
         self.layouts = [make_layout(placements, index) for index in range(len(placements))]
         found = [self._fine_enough(index, environment) for index in range(len(placements))]
-        self.most, self.errors, points, views = zip(*found, strict=True)
+        self.most, self.errors, points, views, self._spread = zip(*found, strict=True)
         self.sizes = [layout.size(most) for layout, most in zip(self.layouts, self.most, strict=True)]
         self.first = np.cumsum([0, *(len(p.point) for p in points)])
         self.points = Points(*(np.concatenate(parts) for parts in zip(*points, strict=True)))
@@ -295,15 +298,15 @@ class LightTransfer:
         shine = np.stack([one[_MIDDLE] for one in shines]).astype(np.float32)
         self.shine = np.repeat(shine, np.diff(self.first), axis=0)
 
-    def _fine_enough(self, index: int, environment: Environment) -> tuple[int, float, Points, "_View"]:
-        """Return the number of an object's texels, their error, their places, raised, and what they see."""
+    def _fine_enough(self, index: int, environment: Environment) -> tuple:
+        """Return an object's number of texels, their error, traced places, what they see, and how light is spread."""
         layout, most = self.layouts[index], _FEWEST_TEXELS
         while True:
-            points = self._raised(layout.points(most), index)
+            points, spread = _thinned(self._raised(layout.points(most), index))
             view = self._look(points, index)
-            error = self._error(index, most, points, view, environment)
+            error = self._error(index, most, (points, view, spread), environment)
             if error <= MOST_ERROR or 4 * most > _MOST_TEXELS or layout.size(4 * most) == layout.size(most):
-                return most, error, points, view
+                return most, error, points, view, spread
             most *= 4
 
     def _raised(self, points: Points, index: int) -> Points:
@@ -312,15 +315,15 @@ class LightTransfer:
         point, normal, facet = parts
         return Points(raised(point, facet, self._reach[index]), normal, facet)
 
-    def _error(self, index: int, most: int, points: Points, view: "_View", environment: Environment) -> float:
+    def _error(self, index: int, most: int, traced: tuple, environment: Environment) -> float:
         """Return the root-mean-square error of direct light between the texels, relative to its mean, without noise."""
 
         def light(normal: np.ndarray, hidden) -> np.ndarray:
             turned = (self._direct(environment, np.radians(a), normal, hidden).mean(axis=1) for a in _ANGLES_DEG)
             return np.stack(list(turned), axis=1).astype(np.float64)
 
-        found, layout = light(points.normal, view.hidden), self.layouts[index]
-        extend_to_closed(found, view.is_open, layout.cells(most))
+        (points, view, spread), layout = traced, self.layouts[index]
+        found = _on_texels(light(points.normal, view.hidden), view.is_open, spread, layout.cells(most))
         places, shown = layout.between(found.reshape(*layout.size(most), -1), most, _JUDGED, _SEED)
         places, halves = self._raised(places, index), []
         for number in range(2):
@@ -351,7 +354,8 @@ class LightTransfer:
             way = seen.distance[texel, cell, None] * pool[cell, seen.place[texel, cell]]
             cosine = np.maximum((some.normal[texel] * _cell_vectors()[cell]).sum(axis=1), 0.0)
             weight = (seen.hidden[texel, cell] * cosine / np.pi).astype(np.float32)
-            links.append(_Links(first + texel, seen.shape[texel, cell], some.point[texel] + way, way, weight))
+            single = (some.point[texel] + way).astype(np.float32), way.astype(np.float32)
+            links.append(_Links((first + texel).astype(np.int32), seen.shape[texel, cell], *single, weight))
         joined = _Links(*(np.concatenate(parts) for parts in zip(*links, strict=True)))
         return _View(vstack(hidden).tocsr(), np.concatenate(is_open), joined)
 
@@ -446,12 +450,15 @@ class LightTransfer:
             self._bases = {key: spectral_basis([one.astype(np.float64) for one in found])}
         basis = self._bases[key]
         light, sent = self.light(environment, angle_deg, lamps, towards)
-        coefficients = light @ basis.astype(np.float32)
-        parts = zip(self.first, self.first[1:], self.sizes, strict=False)
-        stored = tuple(coefficients[first:last].reshape(*size, -1) for first, last, size in parts)
+        coefficients, stored = light @ basis.astype(np.float32), []
+        for index, (layout, size) in enumerate(zip(self.layouts, self.sizes, strict=True)):
+            own = slice(self.first[index], self.first[index + 1])
+            cells = layout.cells(self.most[index])
+            spread_out = _on_texels(coefficients[own], self.is_open[own], self._spread[index], cells)
+            stored.append(spread_out.astype(np.float32).reshape(*size, -1))
         sizes = zip(self.sizes, self.errors, self.most, strict=True)
         bakes = tuple(Bake(rows * columns, error, most) for (rows, columns), error, most in sizes)
-        return LightMaps(stored, basis, "", bakes, *self._gloss_maps(sent))
+        return LightMaps(tuple(stored), basis, "", bakes, *self._gloss_maps(sent))
 
     def light(self, environment: Environment, angle_deg: float, lamps, towards) -> tuple[np.ndarray, np.ndarray]:
         """Return the light on texels, as radiance of a perfect diffuser, and that which they send, (texels, 61) each.
@@ -472,11 +479,7 @@ class LightTransfer:
             reflected = sum((mirror.colour * (mirror.texels @ sent) for mirror in self.mirrors), self.seen @ sent)
             if np.abs(reflected - before).max() <= settled:
                 break
-        found = direct + reflected
-        for layout, most, first, last in zip(self.layouts, self.most, self.first, self.first[1:], strict=False):
-            if not self.is_open[first:last].all():
-                extend_to_closed(found[first:last], self.is_open[first:last], layout.cells(most))
-        return found, (self.reflectance + self.shine) * (source + reflected)
+        return direct + reflected, (self.reflectance + self.shine) * (source + reflected)
 
     def _direct(self, environment: Environment, angle: float, normal: np.ndarray, hidden) -> np.ndarray:
         """Return the light from the environment, turned by an angle, rad, (n, 61), on points that see it in part.
@@ -508,6 +511,38 @@ class LightTransfer:
             cubes.append(stored_cubes(own).reshape(rows, columns, FACES, SIDE + 2, SIDE + 2, SEEN))
             first += len(own) * cells
         return tuple(cubes), basis
+
+
+def _thinned(points: Points) -> tuple[Points, "csr_matrix | None"]:
+    """Return at most `_MOST_TEXELS` of some points, and the matrix that spreads light from these to all of them.
+
+    The corners of a fine mesh may be many more than there have to be.
+    """
+    from scipy.sparse import csr_matrix
+    from scipy.spatial import cKDTree
+
+    count = len(points.point)
+    if count <= 2 * _MOST_TEXELS:
+        return points, None
+    chosen = np.sort(np.random.default_rng(_SEED).permutation(count)[:_MOST_TEXELS])
+    scale = np.ptp(points.point, axis=0).max() * _BESIDE
+    place = np.concatenate([points.point, scale * points.normal], axis=1)
+    away, near = cKDTree(place[chosen]).query(place, k=_NEIGHBOURS)
+    weight = 1.0 / np.maximum(away, 1e-6 * scale)
+    weight = (weight / weight.sum(axis=1, keepdims=True)).astype(np.float32)
+    row = np.repeat(np.arange(count), _NEIGHBOURS)
+    spread = csr_matrix((weight.ravel(), (row, near.ravel())), shape=(count, len(chosen)))
+    return Points(*(values[chosen] for values in points)), spread
+
+
+def _on_texels(found: np.ndarray, is_open: np.ndarray, spread, cells: np.ndarray) -> np.ndarray:
+    """Return light on all texels of an object from that on traced ones; those inside others are as their neighbours."""
+    if spread is not None:
+        found, is_open = spread @ found, spread @ is_open > _MOSTLY
+    if not is_open.all():
+        found = found.copy()
+        extend_to_closed(found, is_open, cells)
+    return found
 
 
 def _reflectances(placement: Placement, objects: Objects, index: int, points: Points) -> np.ndarray:

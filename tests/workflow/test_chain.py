@@ -277,7 +277,7 @@ def test_a_scene_edit_renders_and_nothing_more(again):
 @pytest.mark.heavy
 def test_a_scene_with_light_maps_bakes_them_once_for_all_its_views_and_again_when_an_object_moves(again):
     scene = again / "config/scenes/still-life.yaml"
-    edit(scene, {"integrator": {"kind": "interactive", "light_maps": True}})
+    edit(scene, {"integrator": {"kind": "interactive"}})
     picture = "results/still-life/front.png"
     rules = [rule for rule, _ in planned(snakemake(again, "--dry-run", picture))]
     assert rules == ["bake_light", "render_view"]

@@ -25,6 +25,7 @@ from irodori.light.environment_file import Environment
 from irodori.light.gloss.gloss_maps import GlossMaps
 from irodori.light.irradiance import fitted_irradiance_map
 from irodori.light.light_files import rgb_picture
+from irodori.rendering import light_transfer
 from irodori.rendering.frame_state import STILL
 from irodori.rendering.integrators import make_renderer, render_image
 from irodori.rendering.interactive.frame_renderer import light_of, prepare_scene, render_frame
@@ -285,6 +286,17 @@ def test_a_ball_of_triangles_has_the_light_of_an_exact_ball(mesh):
     """Large triangles are divided for texels; where they are small, their corners are texels."""
     seen = []
     for shape in (BALL, Shape.from_mesh(mesh)):
+        there = [placements()[0], replace(placements()[1], shape=shape)]
+        found, x, y = seen_from_above(there, (0.3, 0.8), LIGHT, span_mm=50.0, size=48)
+        seen.append(found[np.hypot(x, y) < 17.0])
+    assert np.abs(seen[1] / seen[0] - 1.0).mean() < 0.02
+
+
+def test_of_a_mesh_of_many_corners_some_are_traced_and_all_have_light(monkeypatch):
+    """Light is spread from a quarter of the corners of a fine ball: the picture is that of an exact ball."""
+    seen = []
+    monkeypatch.setattr(light_transfer, "_MOST_TEXELS", 2048)
+    for shape in (BALL, Shape.from_mesh(BALL.facetted(1.0))):
         there = [placements()[0], replace(placements()[1], shape=shape)]
         found, x, y = seen_from_above(there, (0.3, 0.8), LIGHT, span_mm=50.0, size=48)
         seen.append(found[np.hypot(x, y) < 17.0])
