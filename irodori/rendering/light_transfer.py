@@ -19,34 +19,29 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from irodori.geometry.embree import NO_HIT, Tracer, hit_distance, hit_shape, new_ray, trace
+from irodori.geometry.embree import NO_HIT, Tracer
 from irodori.geometry.rig_frame import rotation_z
 from irodori.geometry.shapes.placement import Placement, reaches
 from irodori.geometry.shapes.shadow_nodes import extend_to_closed, raised
-from irodori.jit.chunks import run_chunks
-from irodori.jit.compilation import njit
-from irodori.light.environment_file import Environment, directions
+from irodori.light.environment_file import Environment
 from irodori.light.equirectangular import look_up
 from irodori.reflection.albedo import gloss_albedo
 from irodori.reflection.fresnel import fresnel_array
 from irodori.rendering.interactive.cube_maps import FACES
 from irodori.rendering.interactive.surroundings import SEEN, SIDE, coarse_texels, stored_cubes, ways_out
+from irodori.rendering.light_cells import CELLS, Moments, cell_of, cell_vectors
 from irodori.rendering.light_maps import Bake, LightMaps, spectral_basis
 from irodori.rendering.map_layouts import Points, make_layout
 from irodori.rendering.scene_arrays import Objects, coefficients_of, gloss_of, textures
+from irodori.rendering.texel_views import Links, TexelView, look_around
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_matrix
 
-#: Cells of the sphere by polar angle and azimuth, and rays in each of them from a texel.
-ROWS, COLUMNS, RAYS = 32, 64, 2
-_CELLS = ROWS * COLUMNS
-#: Directions of a cell among which texels take turns, so that the edges of shadows have no steps.
-_POOL = 8
 #: Texels of a map, initially and at most; largest error between them, relative to the mean light on the object.
 _FEWEST_TEXELS, _MOST_TEXELS, MOST_ERROR = 1 << 10, 1 << 14, 0.02
-#: Neighbours from which light is spread to the other corners of a fine mesh; size of a difference of normals by 1 beside
-#: the mesh; share of open neighbours beyond which a corner is open.
+#: Neighbours from which light is spread to the other corners of a fine mesh; distance, in sizes of the mesh, that
+#: counts like a difference of normals by 1; share of open neighbours beyond which a corner is open.
 _NEIGHBOURS, _BESIDE, _MOSTLY = 4, 0.05, 0.5
 #: Number of points between texels at which the error is measured, and their seed.
 _JUDGED, _SEED = 512, 307
@@ -57,51 +52,10 @@ _MOST_SIDE = 128
 _COSINES, _MIDDLE, _LEAST_SHINE = np.linspace(0.02, 1.0, 25), 17, 1e-3
 #: Cosine from which a texel is seen from behind; that next to a place on an outline may face away a little.
 _GRAZING = 0.15
-#: A texel is inside another object if this share of its rays meets surfaces from behind.
-_ENCLOSED = 0.9
-_TOGETHER, _CHUNK = 1024, 16  # texels that are traced at a time, in all and by a thread
 #: Largest change of the light, relative to its mean, at which no further reflection is followed; reflections at most.
 _SETTLED, _MOST_REFLECTIONS = 2e-3, 64
 #: Angles of the environment from whose light the basis of the maps is made.
 _ANGLES_DEG = (0.0, 90.0, 180.0, 270.0)
-
-
-class _Bounds(NamedTuple):
-    """Bounds of the shapes, so that most rays that meet nothing are not traced."""
-
-    centre: np.ndarray  # (shapes, 3) mm
-    radius: np.ndarray  # (shapes,) mm; infinite for endless shapes
-    normal: np.ndarray  # (shapes, 3) of flat shapes, else zeros
-    is_own: np.ndarray  # (shapes,) whether a texel of the shape may see the shape itself
-    has_inside: np.ndarray  # (shapes,) whether a ray that meets a back comes from inside
-
-
-class _Seen(NamedTuple):
-    """What texels see in each cell, filled by `_look_some`."""
-
-    hidden: np.ndarray  # (n, cells) float32 share of a cell above the horizon that is hidden
-    shape: np.ndarray  # (n, cells) int16 shape whose front is seen, or `NO_HIT`
-    distance: np.ndarray  # (n, cells) float32 mm
-    place: np.ndarray  # (n, cells) uint8 direction of the pool
-    is_open: np.ndarray  # (n,) bool whether a texel lies outside all other objects
-
-
-class _Links(NamedTuple):
-    """Places of other surfaces that texels see."""
-
-    texel: np.ndarray  # (n,) number of the texel
-    shape: np.ndarray  # (n,) that is seen
-    place: np.ndarray  # (n, 3) mm
-    way: np.ndarray  # (n, 3) mm from the texel to the place
-    weight: np.ndarray  # (n,) float32 share of the light from there in that of the texel
-
-
-class _View(NamedTuple):
-    """What the texels of an object see."""
-
-    hidden: "csr_matrix"  # (texels, cells) share that is hidden
-    is_open: np.ndarray  # (texels,) bool whether they lie outside all other objects
-    links: _Links
 
 
 class _Mirror(NamedTuple):
@@ -110,152 +64,6 @@ class _Mirror(NamedTuple):
     colour: np.ndarray  # (61,) relative reflectance, mean 1
     cells: "csr_matrix"  # (texels, cells) from mean radiance in the cells
     texels: "csr_matrix"  # (texels, texels) from the light that texels send
-
-
-class _Casting(NamedTuple):
-    """Scene into which rays are traced from the texels of one shape."""
-
-    intersect: int
-    scene: int
-    bounds: _Bounds
-    shape: int
-    direction: np.ndarray  # (cells, pool, 3)
-    first: int  # number of the first texel
-
-
-@njit(cache=True, error_model="numpy")
-def _may_meet(bounds, own, origin, direction):
-    """Return whether a ray may meet any shape, by the bounding spheres and the planes of flat shapes."""
-    for shape in range(bounds.radius.size):
-        if shape == own and not bounds.is_own[shape]:
-            continue
-        along = square = height = steep = 0.0
-        for axis in range(3):
-            away = bounds.centre[shape, axis] - origin[axis]
-            along += away * direction[axis]
-            square += away * away
-            height += away * bounds.normal[shape, axis]
-            steep += direction[axis] * bounds.normal[shape, axis]
-        if height * steep < 0.0:
-            continue  # away from the plane of a flat shape
-        radius = bounds.radius[shape]
-        if square <= radius * radius or (along > 0.0 and square - along * along <= 1.001 * radius * radius):
-            return True
-    return False
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _look_some(casting, point, normal, facet, seen, first, last):
-    ray, bounds = new_ray(), casting.bounds
-    for texel in range(first, last):
-        everywhere = behind = 0
-        shift = (casting.first + texel) * RAYS
-        for cell in range(_CELLS):
-            above = hidden = 0
-            seen.shape[texel, cell] = NO_HIT
-            for number in range(RAYS):
-                place = (shift + number) % _POOL
-                direction = casting.direction[cell, place]
-                rise = height = 0.0
-                for axis in range(3):
-                    rise += direction[axis] * normal[texel, axis]
-                    height += direction[axis] * facet[texel, axis]
-                if rise <= 0.0:
-                    continue
-                above += 1
-                if height <= 0.0:
-                    hidden += 1
-                    continue
-                if not _may_meet(bounds, casting.shape, point[texel], direction):
-                    continue
-                trace(casting.intersect, casting.scene, ray, point[texel], direction, np.inf)
-                shape = hit_shape(ray)
-                if shape == NO_HIT:
-                    continue
-                hidden += 1
-                towards = 0.0
-                for axis in range(3):
-                    towards += ray.f[ray.at + 12 + axis] * direction[axis]
-                if towards < 0.0:
-                    seen.shape[texel, cell] = shape
-                    seen.distance[texel, cell] = hit_distance(ray)
-                    seen.place[texel, cell] = place
-                elif bounds.has_inside[shape]:
-                    behind += 1
-            everywhere += above
-            seen.hidden[texel, cell] = hidden / above if above > 0 else 0.0
-        seen.is_open[texel] = behind < _ENCLOSED * everywhere
-
-
-def _bounds(placements: Sequence[Placement]) -> _Bounds:
-    """Return the bounds of placed shapes."""
-    radius = np.array([np.inf if p.shape.is_endless else reach * (1.0 + 1e-5)
-                       for p, reach in zip(placements, reaches(placements), strict=True)])  # fmt: skip
-    return _Bounds(
-        np.stack([p.shape.frame_origin(p) for p in placements]).astype(np.float64),
-        radius,
-        np.stack([p.rotation[:, 2] if p.shape.is_flat else np.zeros(3) for p in placements]),
-        np.array([not p.shape.is_convex for p in placements]),
-        np.array([p.shape.has_inside or p.shape.triangles is not None for p in placements]),
-    )
-
-
-def _pool() -> np.ndarray:
-    """Return the directions of each cell, (cells, pool, 3) unit: places of a shifted lattice in the cell."""
-    number = np.arange(_POOL)
-    u, v = (number + 0.5) / _POOL, (number * 0.6180339887498949 + 0.31) % 1.0
-    cosine = np.cos(np.pi * np.arange(ROWS + 1) / ROWS)
-    z = cosine[:-1, None] + (cosine[1:] - cosine[:-1])[:, None] * u
-    azimuth = 2.0 * np.pi * (np.arange(COLUMNS)[:, None] + v) / COLUMNS
-    sine = np.sqrt(np.maximum(1.0 - z * z, 0.0))
-    parts = (
-        sine[:, None] * np.cos(azimuth),
-        sine[:, None] * np.sin(azimuth),
-        np.broadcast_to(z[:, None], (ROWS, COLUMNS, _POOL)),
-    )
-    return np.ascontiguousarray(np.stack(parts, axis=-1).reshape(_CELLS, _POOL, 3))
-
-
-def _cell_vectors() -> np.ndarray:
-    """Return the integral of the direction over each cell, (cells, 3) sr."""
-    rows, columns = 8 * ROWS, 8 * COLUMNS
-    unit, solid_angle = directions(columns, rows)
-    parts = (unit * solid_angle[..., None]).reshape(ROWS, 8, COLUMNS, 8, 3)
-    return parts.sum(axis=(1, 3)).reshape(_CELLS, 3)
-
-
-class _Moments:
-    """Integrals over cells of an environment's radiance times direction, and of its radiance, turned by any angle.
-
-    Parameters
-    ----------
-    coefficients : (height, width, k) float
-    """
-
-    def __init__(self, coefficients: np.ndarray) -> None:
-        height, width, k = coefficients.shape
-        rows = np.zeros((ROWS, width, k, 4))
-        for row in range(height):
-            unit, solid_angle = directions(width, height, slice(row, row + 1))
-            factors = np.concatenate([unit[0], np.ones((width, 1))], axis=1) * solid_angle[0, :, None]
-            found = coefficients[row].astype(np.float64)[:, :, None] * factors[:, None, :]
-            first, last = row * ROWS / height, (row + 1) * ROWS / height
-            for band in range(int(first), min(int(np.ceil(last - 1e-9)), ROWS)):
-                rows[band] += found * ((min(last, band + 1) - max(first, band)) / (last - first))
-        self._sums = np.concatenate([np.zeros((ROWS, 1, k, 4)), rows.cumsum(axis=1)], axis=1)
-
-    def turned(self, angle: float) -> np.ndarray:
-        """Return the integrals of the cells, (cells, k, 4), if the light is turned by an angle, rad, from +x to +y."""
-        width = self._sums.shape[1] - 1
-        edge = (np.arange(COLUMNS + 1) / COLUMNS - angle / (2.0 * np.pi)) * width
-        turns, column = np.floor(edge / width), edge % width
-        whole = np.minimum(column.astype(int), width - 1)
-        part = (column - whole)[:, None, None]
-        sums = self._sums[:, whole] * (1.0 - part) + self._sums[:, whole + 1] * part
-        sums = sums + turns[:, None, None] * self._sums[:, -1:]
-        found = np.diff(sums, axis=1)
-        found[..., :3] = found[..., :3] @ rotation_z(angle).T
-        return found.reshape(_CELLS, -1, 4).astype(np.float32)
 
 
 class LightTransfer:
@@ -273,23 +81,17 @@ class LightTransfer:
     def __init__(self, tracer: Tracer, objects: Objects, environment: Environment) -> None:
         from scipy.sparse import vstack
 
-        self.tracer, self._moments = tracer, _Moments(environment.coefficients)
+        self.tracer, self._moments = tracer, Moments(environment.coefficients)
         self._bases: dict[bytes, np.ndarray] = {}
-        self._bounds, self._reach, placements = (
-            _bounds(tracer.placements),
-            reaches(tracer.placements),
-            tracer.placements,
-        )
+        self._reach, placements = reaches(tracer.placements), tracer.placements
         self.layouts = [make_layout(placements, index) for index in range(len(placements))]
         found = [self._fine_enough(index, environment) for index in range(len(placements))]
         self.most, self.errors, points, views, self._spread = zip(*found, strict=True)
         self.sizes = [layout.size(most) for layout, most in zip(self.layouts, self.most, strict=True)]
         self.first = np.cumsum([0, *(len(p.point) for p in points)])
         self.points = Points(*(np.concatenate(parts) for parts in zip(*points, strict=True)))
-        self.hidden, self.is_open = (
-            vstack([v.hidden for v in views]).tocsr(),
-            np.concatenate([v.is_open for v in views]),
-        )
+        self.hidden = vstack([view.hidden for view in views]).tocsr()
+        self.is_open = np.concatenate([view.is_open for view in views])
         shines = [_shine(objects, index) for index in range(len(placements))]
         self._link(views, shines)
         self._trace_gloss()
@@ -303,7 +105,7 @@ class LightTransfer:
         layout, most = self.layouts[index], _FEWEST_TEXELS
         while True:
             points, spread = _thinned(self._raised(layout.points(most), index))
-            view = self._look(points, index)
+            view = look_around(self.tracer, points, index)
             error = self._error(index, most, (points, view, spread), environment)
             if error <= MOST_ERROR or 4 * most > _MOST_TEXELS or layout.size(4 * most) == layout.size(most):
                 return most, error, points, view, spread
@@ -327,39 +129,13 @@ class LightTransfer:
         places, shown = layout.between(found.reshape(*layout.size(most), -1), most, _JUDGED, _SEED)
         places, halves = self._raised(places, index), []
         for number in range(2):
-            seen = self._look(places, index, number)
+            seen = look_around(self.tracer, places, index, number)
             halves.append(light(places.normal, seen.hidden))
         off = [(shown - half)[seen.is_open] for half in halves]
         mean = float(np.mean(halves))
         return float(np.sqrt(max(np.mean(off[0] * off[1]), 0.0))) / mean if mean > 0.0 and seen.is_open.any() else 0.0
 
-    def _look(self, points: Points, index: int, start: int = 0) -> "_View":
-        """Trace rays from points of an object; ``start`` selects other directions."""
-        from scipy.sparse import csr_matrix, vstack
-
-        pool, hidden, links, is_open = _pool(), [], [], []
-        for first in range(0, len(points.point), _TOGETHER):
-            some = Points(*(values[first : first + _TOGETHER] for values in points))
-            count = len(some.point)
-            hides, shape, distance, place = (
-                np.zeros((count, _CELLS), kind) for kind in (np.float32, np.int16, np.float32, np.uint8)
-            )
-            seen = _Seen(hides, shape, distance, place, np.zeros(count, np.bool_))
-            rays = self.tracer.intersect_address, self.tracer.scene
-            casting = _Casting(*rays, self._bounds, index, pool, start + first)
-            run_chunks(_look_some, count, _CHUNK, casting, *some, seen)
-            hidden.append(csr_matrix(seen.hidden))
-            is_open.append(seen.is_open)
-            texel, cell = np.nonzero(seen.shape != NO_HIT)
-            way = seen.distance[texel, cell, None] * pool[cell, seen.place[texel, cell]]
-            cosine = np.maximum((some.normal[texel] * _cell_vectors()[cell]).sum(axis=1), 0.0)
-            weight = (seen.hidden[texel, cell] * cosine / np.pi).astype(np.float32)
-            single = (some.point[texel] + way).astype(np.float32), way.astype(np.float32)
-            links.append(_Links((first + texel).astype(np.int32), seen.shape[texel, cell], *single, weight))
-        joined = _Links(*(np.concatenate(parts) for parts in zip(*links, strict=True)))
-        return _View(vstack(hidden).tocsr(), np.concatenate(is_open), joined)
-
-    def _link(self, views: Sequence["_View"], shines: list[np.ndarray]) -> None:
+    def _link(self, views: Sequence[TexelView], shines: list[np.ndarray]) -> None:
         """Make the matrices by which texels receive light from other texels, and from cells by way of mirrors."""
         from scipy.sparse import csr_matrix
 
@@ -367,15 +143,18 @@ class LightTransfer:
                  for first, view in zip(self.first, views, strict=False)]  # fmt: skip
         texel, shape, place, way, weight = (np.concatenate(parts) for parts in zip(*links, strict=True))
         target, count = self._nearest(shape, place), self.first[-1]
+        texel, shape, place, way, weight, target = (
+            values[target >= 0] for values in (texel, shape, place, way, weight, target)
+        )
         self.seen = csr_matrix((weight, (texel, target)), shape=(count, count))
         self.mirrors = []
         for index, shine in enumerate(shines):
             if shine.max() > _LEAST_SHINE:
                 own = shape == index
-                rays = _Links(texel[own], target[own], place[own], way[own], weight[own])
+                rays = Links(texel[own], target[own], place[own], way[own], weight[own])
                 self.mirrors.append(self._mirror(rays, shine, self._reach[index]))
 
-    def _mirror(self, rays: _Links, shine: np.ndarray, reach_mm: float) -> _Mirror:
+    def _mirror(self, rays: Links, shine: np.ndarray, reach_mm: float) -> _Mirror:
         """Follow rays to the texels or cells that they meet after an object has reflected them like a mirror.
 
         In place of shapes, the rays have the texels next to the places where they arrive.
@@ -390,12 +169,11 @@ class LightTransfer:
         share = np.interp(np.clip(-steep, 0.0, 1.0), _COSINES, shine.mean(axis=1)) * (steep < 0.0) * rays.weight
         met, count = shape != NO_HIT, self.first[-1]
         there = self._nearest(shape[met], rays.place[met] + distance[met, None] * way[met])
-        front = (self.points.facet[there] * way[met]).sum(axis=1) < _GRAZING
-        texels = csr_matrix((share[met] * front, (rays.texel[met], there)), shape=(count, count), dtype=np.float32)
-        row = np.minimum(np.arccos(np.clip(way[~met, 2], -1.0, 1.0)) / np.pi * ROWS, ROWS - 1).astype(int)
-        column = (np.arctan2(way[~met, 1], way[~met, 0]) / (2.0 * np.pi) * COLUMNS).astype(int) % COLUMNS
-        place = (rays.texel[~met], row * COLUMNS + column)
-        cells = csr_matrix((share[~met], place), shape=(count, _CELLS), dtype=np.float32)
+        front = ((self.points.facet[there] * way[met]).sum(axis=1) < _GRAZING) & (there >= 0)
+        onto = (rays.texel[met], np.maximum(there, 0))
+        texels = csr_matrix((share[met] * front, onto), shape=(count, count), dtype=np.float32)
+        place = (rays.texel[~met], cell_of(way[~met]))
+        cells = csr_matrix((share[~met], place), shape=(count, CELLS), dtype=np.float32)
         return _Mirror((shine[_MIDDLE] / shine[_MIDDLE].mean()).astype(np.float32), cells, texels)
 
     def _nearest(self, shape: np.ndarray, place: np.ndarray) -> np.ndarray:
@@ -490,12 +268,12 @@ class LightTransfer:
         free = np.empty((len(normal), k))
         look_up(environment.irradiance.astype(np.float64), np.ascontiguousarray(normal @ rotation_z(angle)), free)
         cells = self._moments.turned(angle)
-        lost = (hidden @ cells[..., :3].reshape(_CELLS, -1)).reshape(len(normal), k, 3)
+        lost = (hidden @ cells[..., :3].reshape(CELLS, -1)).reshape(len(normal), k, 3)
         return ((free - (lost * normal[:, None]).sum(axis=2)) / np.pi @ environment.basis.T).astype(np.float32)
 
     def _mirrored(self, environment: Environment, angle: float) -> np.ndarray:
         """Return the light from the turned environment that texels receive by one mirror, (texels, 61) float32."""
-        radiance = self._moments.turned(angle)[..., 3] / np.linalg.norm(_cell_vectors(), axis=1, keepdims=True)
+        radiance = self._moments.turned(angle)[..., 3] / np.linalg.norm(cell_vectors(), axis=1, keepdims=True)
         basis, found = environment.basis.T.astype(np.float32), np.zeros_like(self.reflectance)
         for mirror in self.mirrors:
             found += mirror.colour * ((mirror.cells @ radiance.astype(np.float32)) @ basis)
