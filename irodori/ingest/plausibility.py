@@ -38,7 +38,10 @@ _HASHED = 8
 #: Share of unlit superpixels above which a photograph counts as black; the others are hot pixels.
 _BLACK = 0.997
 #: Kinds of doubts that no correct photograph is known to raise: such photographs are refused.
-CERTAIN = ("identical", "size", "body", "lens", "focal length", "black", "blown", "light", "filter", "order")
+CERTAIN = (
+    *("identical", "size", "body", "lens", "focal length"),
+    *("black", "blown", "light", "filter", "order", "white"),
+)
 _OTHER = {"in": "out", "out": "in"}
 #: Number of photographs of each kind that are read again when a session is continued.
 _RECALLED = 3
@@ -125,6 +128,8 @@ class Look:
         Blocks without clipped superpixels.
     focal_mm : float
         Focal length stated in the file, mm; 0 if it does not state it.
+    is_thumbnail : bool
+        Whether the picture is too small to tell a shift.
     """
 
     size: tuple[int, int]
@@ -138,6 +143,7 @@ class Look:
     picture: np.ndarray = field(repr=False)
     whole: np.ndarray = field(repr=False)
     focal_mm: float = 0.0
+    is_thumbnail: bool = False
 
     def __str__(self) -> str:
         return f"brightest hundredth at {self.level:.0%} of the range, {self.clipped:.1%} blown, {self.dark:.0%} dark"
@@ -239,8 +245,7 @@ def look_at(path, mosaic: Mosaic, *, thumbnail: bool = False) -> Look:
         File of the photograph; its tags are read.
     mosaic : Mosaic
     thumbnail : bool
-        Whether to make a smaller picture (64 to 127 columns) without a measure of sharpness, which takes half the time
-        and little memory; focus and position are not checked then.
+        Whether to make a smaller picture (64 to 127 columns), which takes little memory; position is not checked then.
     """
     side = _side(mosaic, _THUMBNAIL_PX if thumbnail else _SMALL_PX)
     bands, clipped, dark = _reduced(mosaic, side)
@@ -255,10 +260,11 @@ def look_at(path, mosaic: Mosaic, *, thumbnail: bool = False) -> Look:
         time=f"{day.replace(':', '-')}T{clock}" if clock else "",
         clipped=float(clipped.mean()),
         dark=float(dark.mean()),
-        sharpness=math.nan if thumbnail else _sharpness(mosaic),
+        sharpness=_sharpness(mosaic),
         picture=bands,
         whole=_blocks(clipped, side) == 0.0,
         focal_mm=mosaic.focal_mm,
+        is_thumbnail=thumbnail,
     )
 
 
@@ -315,11 +321,11 @@ def _sharpness(mosaic: Mosaic) -> float:
 def _shift_between(first: Look, second: Look) -> np.ndarray | None:
     """Return the shift of the second picture against the first, (columns, rows), as shares of the picture's width.
 
-    None if one of them has no contours.
+    None if one of them has no contours or is a thumbnail.
     """
-    if first.picture.shape != second.picture.shape or not (
-        math.isfinite(first.sharpness) and math.isfinite(second.sharpness)
-    ):
+    if first.picture.shape != second.picture.shape or first.is_thumbnail or second.is_thumbnail:
+        return None
+    if not (math.isfinite(first.sharpness) and math.isfinite(second.sharpness)):
         return None
     spectra = [np.fft.rfft2(_outline(look)) for look in (first, second)]
     likeness = np.fft.irfft2(spectra[1] * spectra[0].conj(), first.picture.shape[:2])

@@ -1,11 +1,11 @@
 """Plausibility of a whole set of photographs: the checks of a capture session, applied to an existing table.
 
 Additional checks need the whole set: whether the photographs with the filter show the same poses as those without it,
-and whether the focal lengths agree with the definition. A photograph with a reason in the column ``accepted`` of its
-table is not checked, and others are not compared with it.
+whether those of the white reference show an even surface, and whether the focal lengths agree with the definition. A
+photograph with a reason in the column ``accepted`` of its table is not checked, and others are not compared with it.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,6 +13,7 @@ import numpy as np
 
 from irodori.config.capture_table import Shot
 from irodori.core.errors import InputError
+from irodori.ingest.flat_field import fit_flat
 from irodori.ingest.mosaic import Mosaic
 from irodori.ingest.plausibility import Doubt, Look, Series, look_at
 
@@ -25,6 +26,8 @@ _FOCAL = 0.15
 _FEWEST_BLOCKS, _NAMED = 64, 3
 #: Doubts with which a photograph is not compared for its pose: it shows nothing, or the mistake explains a mismatch.
 _TELLS_NO_POSE = ("identical", "size", "black", "blown", "filter")
+#: Doubts with which a photograph does not tell whether it shows an even surface.
+_TELLS_NO_SURFACE = ("identical", "black", "blown")
 #: Number of captures before and after, in the order of the table, with which each is compared.
 _NEIGHBOURS = 16
 
@@ -100,6 +103,7 @@ class SetLook:
         #: Accepted photographs of the white reference.
         self.whites: list[tuple[Shot, Look]] = []
         self._found: list[Doubted] = []
+        self._surfaces: list[tuple[Shot, Path, str]] = []
         self._pairs: dict[str, dict[str, tuple[Path, Look]]] = {}
 
     def see(self, shot: Shot, path: Path, mosaic: Mosaic) -> None:
@@ -118,6 +122,8 @@ class SetLook:
             self._series.add(shot, look)
             if shot.role == "white":
                 self.whites.append((shot, look))
+        if shot.role in ("white", "chart") and not any(doubt.kind in _TELLS_NO_SURFACE for doubt in doubts):
+            self._surfaces.append((shot, path, _unevenness(look)))
         if shot.role == "object" and not any(doubt.kind in _TELLS_NO_POSE for doubt in doubts):
             # From a bracket take the least clipped photograph, and among equals the brightest.
             states = self._pairs.setdefault(shot.capture, {})
@@ -130,7 +136,18 @@ class SetLook:
         elsewhere = _of_other_poses(list(self._pairs.values()))
         # A wrong pose explains other differences from the other photograph of the pair.
         explained = {one.path for one in elsewhere}
-        return [*elsewhere, *(one for one in self._found if one.path not in explained)]
+        return [*elsewhere, *(one for one in self._found if one.path not in explained), *self._uneven_whites()]
+
+    def _uneven_whites(self) -> Iterator[Doubted]:
+        """Yield the doubts about photographs of the white reference that do not show an even surface."""
+        for shot, path, unevenness in self._surfaces:
+            if shot.role != "white" or not unevenness:
+                continue
+            asked = "does the white reference fill the picture, evenly lit?"
+            for other, file, fault in self._surfaces:
+                if other.role == "chart" and other.filter == shot.filter and not fault:
+                    asked = f"are white reference and chart exchanged? {file.name} shows an even surface"
+            yield Doubted(path, Doubt("white", f"{unevenness}: {asked}"))
 
     def refuse(self, table) -> list[Doubted]:
         """Raise an error if any doubt is certain; otherwise return all doubts.
@@ -149,6 +166,15 @@ class SetLook:
             accepted = f"a photograph as {table} says, or there, in its column accepted, why it is right"
             raise InputError(first.path, first.doubt.kind, first.doubt.words + (more if names else ""), accepted)
         return found
+
+
+def _unevenness(look: Look) -> str:
+    """Return what keeps a photograph from showing an even surface, as `fit_flat` says it; empty if it shows one."""
+    try:
+        fit_flat(look.picture, look.whole)
+    except ValueError as error:
+        return str(error)
+    return ""
 
 
 def in_captures(shots: Iterable[Shot]) -> list[Shot]:

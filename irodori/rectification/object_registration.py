@@ -18,12 +18,12 @@ import numpy as np
 
 from irodori.config.capture_table import Pose
 from irodori.core import store
-from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER, track
 from irodori.geometry.atlas import are_alike
 from irodori.geometry.embree import Tracer
 from irodori.geometry.rig_frame import rig_from_camera, rig_from_object, to_camera
 from irodori.geometry.shapes.shape import Shape
+from irodori.rectification.contradicted_definitions import FREE_CAMERA_DEG, refuse_contradictions
 from irodori.rectification.inner_brightness import InnerSurface, inner_surface, paint_contrast, painted
 from irodori.rectification.marker_sheet import (
     OUTLINE,
@@ -40,8 +40,6 @@ from irodori.rectification.placement_correction import (
     CAMERA,
     COUNT,
     LIGHT,
-    PRIOR_KEYS,
-    QUANTITIES,
     Correction,
     prior_sigma,
 )
@@ -60,7 +58,6 @@ from irodori.rectification.texture_agreement import (
     without_levels,
 )
 from irodori.rectification.told_values import (
-    CONTRADICTED,
     diagonal_of_inverse,
     inverse,
     only_what_is_told,
@@ -376,7 +373,26 @@ def register(
     InputError
         If no photograph shows the sheet, or its size contradicts the typed one.
     """
+    return _registered(linear, definition, setup, placing, markers, light)[0]
+
+
+def _registered(
+    linear: Sequence,
+    definition: "Object | TexturedObject",
+    setup: RigSetup,
+    placing: "Placing",
+    markers: "Markers | None",
+    light: Callable[[RigSetup], tuple[float, float] | None] | None = None,
+    *,
+    camera_deg: float | None = None,
+) -> tuple[Registered, _Problem]:
+    """Return the result of `register`, and the problem at its end.
+
+    ``camera_deg`` is the standard deviation of the error that all camera angles share; by default that of `placing`.
+    """
     problem = _problem(linear, definition, setup, placing, markers)
+    if camera_deg is not None:
+        problem.sigma[CAMERA] = camera_deg
     sigma = problem.sigma
     reach = first = _first_reach(problem)
     while reach > _FINEST_REACH:
@@ -401,7 +417,7 @@ def register(
         sheet = FoundSheet(values, errors, np.array(corners), np.array(left))
     angles = slice(0, problem.own.stop)
     estimate = Estimate(probable[angles], whole[angles, angles], sigma[:COUNT], problem.unknowns[:COUNT])
-    return Registered(
+    found = Registered(
         estimate,
         own,
         residual,
@@ -412,6 +428,7 @@ def register(
         sheet,
         shown,
     )
+    return found, problem
 
 
 def _problem(
@@ -1004,10 +1021,8 @@ def register_object(
     Raises
     ------
     InputError
-        If the object or the sheet in a photograph is further than ``max_residual_px`` from the place that its pose and
-        the common correction predict; if no photograph shows the sheet, or its size contradicts the typed one; if a
-        correction is larger than four standard deviations of the definitions, except for the angles of camera and
-        light, whose scales may have another zero.
+        If no photograph shows the sheet, or its size contradicts the typed one; if photographs contradict what was
+        typed, see `irodori.rectification.contradicted_definitions`.
 
     Notes
     -----
@@ -1028,10 +1043,13 @@ def register_object(
     for each quantity whether the photographs determine it; ``captures``, names of the photographs; ``sentence``, a
     summary in words; ``remarks``, its parts that are not about these quantities.
     """
-    found = register(linear, definition, setup, placing, markers, light)
+    found, problem = _registered(linear, definition, setup, placing, markers, light)
     names = [Path(path).stem for path in linear]
-    _refuse_far(found, linear, placing.max_residual_px)
-    _refuse_unlikely(found, linear)
+
+    def with_free_camera() -> tuple[Registered, _Problem]:
+        return _registered(linear, definition, setup, placing, markers, camera_deg=FREE_CAMERA_DEG)
+
+    refuse_contradictions(found, problem, linear, placing, with_free_camera)
     sentence = in_words(found)
     LOGGER.info("%s", sentence)
     LOGGER.info("%s", found.angle_errors)
@@ -1076,35 +1094,6 @@ def _write_sheet(out: store.Writer, sheet: FoundSheet) -> None:
     out.write("sheet_corners", sheet.corners, units="1", dims="capture", quantity="corners of the sheet found")
     off = "distance between where a capture shows the sheet and where it is expected"
     out.write("sheet_residual_px", sheet.residual_px, units="{superpixel}", dims="capture", quantity=off)
-
-
-def _refuse_far(found: Registered, linear: Sequence, most_px: float) -> None:
-    """Raise an error that names the photograph with the largest residual if that exceeds ``most_px`` superpixels."""
-    if np.isnan(found.residual_px).all():
-        return
-    worst = int(np.nanargmax(found.residual_px))
-    residual = found.residual_px[worst]
-    if residual <= most_px:
-        return
-    angle, off = found.suspects[worst]
-    apart = f"{residual:.2g} superpixels ({residual * found.mm_per_px:.2g} mm)"
-    is_sheet = found.sheet is not None and found.sheet.residual_px[worst] == residual
-    thing = "the printed sheet" if is_sheet else "the object"
-    where = f"{thing} {apart} from its expected place; most likely {angle} is off by {off:+.1f}"
-    accepted = f"at most {most_px:g} superpixels (place.max_residual_px), and a pose as it was"
-    raise InputError(linear[worst], "pose_deg", where, accepted)
-
-
-def _refuse_unlikely(found: Registered, linear: Sequence) -> None:
-    """Raise an error if the object or the lens is far from what the definitions say: a search can end there wrongly."""
-    values, prior = found.estimate.values, found.estimate.prior
-    ratio = np.abs(values)[:CAMERA] / np.maximum(prior[:CAMERA], np.finfo(float).tiny)
-    worst = int(np.argmax(ratio))
-    if ratio[worst] > CONTRADICTED:
-        quantity, key = QUANTITIES[worst], f"place.{PRIOR_KEYS[worst]}"
-        value = f"{quantity.text} {values[worst]:+.3g} {quantity.unit}"
-        accepted = f"at most {CONTRADICTED:g} times {key} ({prior[worst]:g}); measure again, or give a larger one"
-        raise InputError(linear[0], key, f"{value} from the definitions", accepted)
 
 
 def in_words(found: Registered) -> str:

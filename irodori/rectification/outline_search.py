@@ -14,6 +14,7 @@ from irodori.geometry.pinhole import Pinhole
 from irodori.rectification.reduced_pictures import DARK, GREEN, Level, Picture
 
 _GRID = 160  # rays along the longer side of the object, between which the outline is searched
+_LEAST_GRID = 40  # rays of an object that is smaller in the picture than so many superpixels
 _ROUNDS = 16  # bisections between a ray that hits the object and one that does not
 _SMOOTH = 1.5  # blur of the object's mask that gives the outward direction, in grid steps
 _NEIGHBOURS = 12  # points through which the outline's direction is fitted
@@ -127,7 +128,8 @@ def find_rim(tracer: Tracer, pinhole: Pinhole, eye, axes, window) -> Rim:
     from scipy import ndimage
 
     x0, y0, x1, y1 = window
-    step = max(1.0, max(x1 - x0, y1 - y0) / _GRID)
+    extent = max(x1 - x0, y1 - y0, 1e-3)
+    step = max(min(1.0, extent / _LEAST_GRID), extent / _GRID)
     x, y = (np.arange(low - 3 * step, high + 3.5 * step, step) for low, high in ((x0, x1), (y0, y1)))
     grid = np.stack(np.meshgrid(x, y), axis=-1)
 

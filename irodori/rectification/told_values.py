@@ -78,7 +78,11 @@ def settle_light(offset_deg: float, error_deg: float, prior_deg: float) -> Settl
     significant = error_deg < _TOLD * prior_deg and abs(offset_deg) > max(_SIGNIFICANT * error_deg, ACCURACY[LIGHT])
     contradicted = abs(offset_deg) > CONTRADICTED * math.hypot(prior_deg, error_deg)
     if contradicted:
-        words = "the photographs contradict the typed light angles, which are corrected by %+.2f ± %.2f deg"
+        # A round object alone shows only the sum of the two scales.
+        words = (
+            "the photographs contradict the typed light angles, which are corrected by %+.2f ± %.2f deg, or else the"
+        )
+        words += " zero of the camera's scale is off by as much"
         LOGGER.warning(words, offset_deg, error_deg)
     if significant or contradicted:
         return SettledLight(offset_deg, offset_deg, error_deg**2)

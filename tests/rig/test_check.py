@@ -116,6 +116,36 @@ def test_all_mistakes_are_listed_at_once(project, tmp_path, capsys, monkeypatch)
         assert any(line.startswith(start) and words in line for line in lines), (start, lines)
 
 
+def test_white_reference_and_chart_in_each_other_s_place_are_named(project, tmp_path, capsys, monkeypatch):
+    folder = shutil.copytree(project, tmp_path / "project")
+    monkeypatch.chdir(folder)
+    table = folder / "camera/captures.csv"
+    exchanged = table.read_text().replace(",chart,", ",?,").replace(",white,", ",chart,").replace(",?,", ",white,")
+    table.write_text(exchanged)
+    status, lines = said(folder, capsys)
+    named = [line for line in lines if line.startswith("error: camera/chart-") and "about a smooth surface" in line]
+    assert status == 1 and len(named) == 2
+    for line in named:
+        assert "are white reference and chart exchanged? white-" in line and "shows an even surface" in line
+
+
+def test_a_white_reference_with_an_edge_is_said_before_any_job(project, tmp_path, capsys, monkeypatch):
+    folder = shutil.copytree(project, tmp_path / "project")
+    monkeypatch.chdir(folder)
+    white = next((folder / "camera").glob("white-out-*"))
+    taken = decode(white)
+    taken.values[:, 180:] = 700
+    write_dng(
+        white, taken.values, black_level=600, white_level=16383, exposure_s=taken.exposure_s, model="virtual camera"
+    )
+    table = folder / "camera/captures.csv"
+    table.write_text("\n".join(line.rpartition(",")[0] for line in table.read_text().splitlines()))  # its old hashes
+    status, lines = said(folder, capsys)
+    assert status == 1
+    assert any(f"error: camera/{white.name}: white: a picture that varies by" in line for line in lines)
+    assert any("does the white reference fill the picture" in line for line in lines)
+
+
 def test_a_broken_file_hides_no_other_fault_and_bodies_are_compared_between_sets(
     project, tmp_path, capsys, monkeypatch
 ):

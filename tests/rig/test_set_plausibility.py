@@ -19,6 +19,7 @@ from irodori.ingest.first_look import check_captures
 from irodori.ingest.mosaic import decode
 from irodori.simulation.virtual_rig.bench import Bench
 from irodori.simulation.virtual_rig.dng_writer import write_dng
+from irodori.simulation.virtual_rig.mishaps import Mishap
 from irodori.simulation.virtual_rig.virtual_camera import VirtualCamera
 
 POSES = [{"light_deg": [45.0, 65.0], "camera_deg": [0.0, 30.0]}]
@@ -98,6 +99,19 @@ def test_a_mistake_in_a_table_is_refused_on_its_photograph(tmp_path, sound, name
         check(folder, spoilt)
     assert shots[at].capture in caught.value.file
     assert not (folder / "checked.csv").exists()
+
+
+def test_a_photograph_out_of_focus_is_named_and_not_refused(tmp_path, sound, caplog):
+    """A grazing view may be soft for want of depth of field, so that a person has to look."""
+    folder = shutil.copytree(sound, tmp_path / "set")
+    shots = read_captures(folder / "captures.csv")
+    taken = decode(folder / shots[4].file)
+    soft = Mishap(blur_px=2.0).seen(taken.values.astype(float)).round().astype(np.uint16)
+    time = shots[4].exposure_s
+    write_dng(folder / shots[4].file, soft, black_level=600, white_level=16383, exposure_s=time, model="virtual camera")
+    check(folder, shots)
+    (said,) = [one.getMessage() for one in caplog.records if one.levelname == "WARNING"]
+    assert shots[4].file in said and "look at the focus, and whether something shook" in said
 
 
 def test_sound_photographs_pass_and_so_do_those_for_which_the_table_gives_a_reason(tmp_path, sound):

@@ -149,15 +149,18 @@ def test_the_outline_of_a_plate_is_its_four_sides_without_the_corners(pose):
     assert (np.sum(sides, axis=0) == 1).all()
 
 
-def test_what_is_smaller_than_a_few_superpixels_has_no_outline():
+@pytest.mark.parametrize("radius", [0.1, 0.3, 3.0])
+def test_a_speck_in_the_picture_has_an_outline_too(radius):
+    """It may be a larger thing whose size was typed wrong."""
     pose = Pose(45.0, 0.0)
     eye, axes = 900.0 * to_camera(pose), rig_from_camera(pose)
-    for radius, points in ((0.1, 0), (0.2, 0), (3.0, 60)):
-        tracer = Tracer(Correction().placements(Sphere(radius), pose, 0.0))
-        middle, half = PINHOLE.project(np.zeros(3), eye, axes), radius * 10_000.0 / 900.0 / 2.0
-        rim = find_rim(tracer, PINHOLE, eye, axes, (*(middle - half), *(middle + half)))
-        assert len(rim.point) == len(rim.outward) >= points
-        assert points or not len(rim.point)
+    tracer = Tracer(Correction().placements(Sphere(radius), pose, 0.0))
+    middle, half = PINHOLE.project(np.zeros(3), eye, axes), radius * 10_000.0 / 900.0 / 2.0
+    rim = find_rim(tracer, PINHOLE, eye, axes, (*(middle - half), *(middle + half)))
+    assert len(rim.point) == len(rim.outward) >= 60
+    np.testing.assert_allclose(np.linalg.norm(rim.point, axis=1), radius, rtol=1e-3)
+    # Seen from far away the outline is the equator.
+    assert np.abs(rim.point[:, 2]).max() < 0.02 * radius
 
 
 def test_what_is_not_in_the_window_has_no_outline():

@@ -317,7 +317,7 @@ def test_a_look_shows_means_of_blocks_what_clips_and_what_is_dark(silent, patter
     clipped = (shares > 0.995).any(axis=2)
     assert seen.clipped == pytest.approx(clipped.mean()) and seen.dark == pytest.approx(398 / clipped.size)
     assert np.array_equal(seen.whole, ~clipped[:140, :134].reshape(70, side, 67, side).any(axis=(1, 3)))
-    assert seen.size == (270, 282) and seen.focal_mm == 50.0 and math.isnan(seen.sharpness)
+    assert seen.size == (270, 282) and seen.focal_mm == 50.0 and seen.is_thumbnail and 0.5 < seen.sharpness < 1.0
     assert seen.level == pytest.approx(np.percentile(seen.picture.max(axis=2), 99.0))
     green = seen.picture[..., 1]
     assert seen.background == pytest.approx(np.percentile(green, 10.0) / np.percentile(green, 99.0))
@@ -344,6 +344,14 @@ def test_without_a_step_of_a_quarter_of_the_brightest_no_sharpness_is_known(sile
     shares[:30] -= step
     assert math.isfinite(look_at(silent, mosaic(shares)).sharpness) == known
     assert math.isnan(look_at(silent, mosaic(np.full((4, 4, 3), 0.5))).sharpness)
+
+
+def test_thumbnails_tell_whether_a_picture_is_sharp_and_not_whether_something_moved():
+    shots = [(OUT, look(is_thumbnail=True)), (IN, look(moved(PAINTS, 3.0, 0.0) * FILTER, is_thumbnail=True))]
+    assert not doubts(shots[:1], shots[1])
+    assert [one.kind for one in doubts([(OUT, look())], (IN, look(moved(PAINTS, 3.0, 0.0) * FILTER)))] == ["moved"]
+    soft = look(paints(3), sharpness=0.3, is_thumbnail=True)
+    assert [one.kind for one in doubts(shots[:1], (shot(camera=20.0), soft))] == ["defocus"]
 
 
 def test_what_is_recalled_is_the_first_of_each_kind_and_what_is_open():

@@ -1,6 +1,7 @@
 """Parts of the registration of objects, each against what can be written down."""
 
 import math
+import re
 from dataclasses import replace
 
 import h5py
@@ -24,11 +25,11 @@ from irodori.geometry.rig_frame import (
 from irodori.geometry.shapes.placement import on_table
 from irodori.geometry.shapes.sphere import Sphere
 from irodori.rectification import reduced_pictures
+from irodori.rectification.contradicted_definitions import fault_of
 from irodori.rectification.object_registration import (
     Registered,
     _cauchy,
     _displacement,
-    _refuse_far,
     _scatter,
     in_words,
     register,
@@ -362,10 +363,10 @@ def test_the_photograph_that_is_furthest_off_is_refused():
         np.zeros(COUNT), np.full(COUNT, 0.1), (0.5, 3.0), (("turn_deg", 0.0), ("camera_deg or tilt_deg", -1.5))
     )
     said = r"b\.h5: pose_deg.*3 superpixels \(0\.6 mm\).*camera_deg or tilt_deg is off by -1\.5.*at most 1 superpixels"
-    with pytest.raises(InputError, match=said):
-        _refuse_far(found, ["a.h5", "b.h5"], 1.0)
-    _refuse_far(found, ["a.h5", "b.h5"], 3.0)
-    _refuse_far(registered(np.zeros(COUNT), np.ones(COUNT), (math.nan, math.nan)), ["a.h5", "b.h5"], 1.0)
+    assert re.search(said, str(fault_of(found, ["a.h5", "b.h5"], Placing())))
+    assert fault_of(found, ["a.h5", "b.h5"], Placing(max_residual_px=3.0)) is None
+    silent = registered(np.zeros(COUNT), np.ones(COUNT), (math.nan, math.nan))
+    assert fault_of(silent, ["a.h5", "b.h5"], Placing()) is None
 
 
 # All of it, on a plate whose pictures are drawn by hand.
