@@ -361,10 +361,13 @@ class Series:
     planned : iterable of Shot
         All shots of the session; they determine the shortest and longest exposure of each bracket.
     limits : Limits
+    is_complete : bool
+        Whether all planned photographs exist. Then a photograph's filter is judged beside the other photograph of its
+        pose, which tells more than its colours, if there is one.
     """
 
-    def __init__(self, planned: Iterable[Shot], limits: Limits | None = None) -> None:
-        self.limits = limits or Limits()
+    def __init__(self, planned: Iterable[Shot], limits: Limits | None = None, *, is_complete: bool = False) -> None:
+        self.limits, self._is_complete = limits or Limits(), is_complete
         self._brackets: dict[tuple[str, str], list[float]] = defaultdict(list)
         for shot in planned:
             self._brackets[shot.capture, shot.filter].append(shot.exposure_s)
@@ -495,7 +498,7 @@ class Series:
             yield from found_pair
             if found_pair:
                 return
-        elif self._has_other_colour(shot, look):
+        elif not self._has_pair_to_come(shot) and self._has_other_colour(shot, look):
             found = f"it has the colours of photographs with the filter {_OTHER[shot.filter]}"
             yield Doubt("filter", f"{found}: is it {shot.filter}?")
             return
@@ -523,6 +526,9 @@ class Series:
                 found = f"the filter passes {factor:.2f} times what it passed before"
                 asked = "have lamp or aperture changed between the two photographs?"
                 yield Doubt("light changed", f"{found}: {asked}", beside)
+
+    def _has_pair_to_come(self, shot: Shot) -> bool:
+        return self._is_complete and (shot.capture, _OTHER[shot.filter]) in self._brackets
 
     def _has_other_colour(self, shot: Shot, look: Look) -> bool:
         near = {"in": math.inf, "out": math.inf}

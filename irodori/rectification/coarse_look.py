@@ -93,16 +93,30 @@ class _Outline(NamedTuple):
         size = np.atleast_1d(np.asarray(multiple, float))[:, None, None]
         on = self.middle + size * (self.xy - self.middle) + np.asarray(shift, float)[:, None]
         across = np.maximum(_ACROSS * self.half * size, _ACROSS_LEAST / picture.scale) * self.outward
-        level = picture.level(0.0)
-        inside, outside = (
-            level.sampled(level.bands[[GREEN]], picture.place(at.reshape(-1, 2)))[:, 0]
-            for at in (on - across, on + across)
-        )
-        change = np.abs(np.log(np.maximum(inside, 0.0) + DARK) - np.log(np.maximum(outside, 0.0) + DARK))
-        known = np.isfinite(change).reshape(on.shape[:2])
-        total = np.nan_to_num(change).reshape(on.shape[:2]).sum(axis=1)
-        # An outline that lies mostly beyond the picture tells nothing.
-        return np.where(known.mean(axis=1) >= 0.5, total / np.maximum(known.sum(axis=1), 1), 0.0)
+        return contrast(picture, on, across)
+
+
+def contrast(picture: Picture, on: np.ndarray, across: np.ndarray) -> np.ndarray:
+    """Return mean changes of the logarithm of brightness across outlines, (m,); 0 for those mostly beyond the picture.
+
+    Parameters
+    ----------
+    picture : Picture
+    on : (m, n, 2) float
+        Points of m outlines, superpixels.
+    across : (m, n, 2) float
+        Ways from these points to those outside where brightness is read; inside it is read as far away.
+    """
+    level = picture.level(0.0)
+    inside, outside = (
+        np.log(np.maximum(level.sampled(level.bands[[GREEN]], picture.place(at.reshape(-1, 2)))[:, 0], 0.0) + DARK)
+        for at in (on - across, on + across)
+    )
+    change = np.abs(inside - outside).reshape(on.shape[:2])
+    known = np.isfinite(change)
+    return np.where(
+        known.mean(axis=1) >= 0.5, np.nan_to_num(change).sum(axis=1) / np.maximum(known.sum(axis=1), 1), 0.0
+    )
 
 
 def look_elsewhere(problem: "Problem", linear: Sequence) -> Look:

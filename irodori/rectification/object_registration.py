@@ -23,6 +23,7 @@ from irodori.geometry.atlas import are_alike
 from irodori.geometry.embree import Tracer
 from irodori.geometry.rig_frame import rig_from_camera, rig_from_object, to_camera
 from irodori.geometry.shapes.shape import Shape
+from irodori.rectification.coarse_look import contrast
 from irodori.rectification.contradicted_definitions import FREE_CAMERA_DEG, refuse_contradictions
 from irodori.rectification.inner_brightness import InnerSurface, inner_surface, paint_contrast, painted
 from irodori.rectification.marker_sheet import (
@@ -95,6 +96,9 @@ _BOTH_WAYS = 0.1
 #: Distance from a displacement of the whole outline within which a point agrees with it: superpixels, or share of that
 #: displacement; and share of the points that have to agree.
 _AGREE_PX, _AGREE, _MOST_AGREE = 0.3, 0.25, 0.6
+#: Displacement, superpixels, from which an outline has to be clearer where it is found than where it is expected; the
+#: ratio that is clearer; and distance from the outline of the readings that tell, samples.
+_DOUBTFUL_PX, _CLEARER, _BESIDE = 0.5, 1.05, 1.5
 _MOST_DOUBT_PX = 0.4  # of a point of an outline by which a photograph is judged
 _LEAST_MATT = 0.3  # mean weight of the texels of a photograph that is judged by its texture
 #: Least standard deviation of a single measurement: the systematic errors of edges and of textures in pictures.
@@ -867,6 +871,8 @@ def _residuals(problem: _Problem, reach: float) -> tuple[np.ndarray, np.ndarray,
         if len(distance):
             xy = problem.seen(number, view.rim[found], problem.unknowns)
             residual[number] = _displacement(xy, outward, distance)
+            if residual[number] > _DOUBTFUL_PX and not _is_clearer(view, xy, outward, distance):
+                residual[number] = np.nan
         shift = np.full(2, np.nan)
         # An outline that tells both directions is more certain than a texture beside gloss.
         if rows and np.linalg.eigvalsh(outward.T @ outward)[0] < _BOTH_WAYS * len(outward) + 1e-9:
@@ -887,6 +893,20 @@ def _within(mask: np.ndarray, chosen: np.ndarray) -> np.ndarray:
     out = mask.copy()
     out[mask] = chosen
     return out
+
+
+def _is_clearer(view: _View, xy: np.ndarray, outward: np.ndarray, distance: np.ndarray) -> bool:
+    """Whether a displaced outline, arguments as in `_displaced`, is clearer in a photograph than the expected one.
+
+    A few points at borders of paints or highlights can displace an outline by far, if most points are on one side.
+    """
+    explained = _displaced(xy, outward, distance)
+    if explained is None:
+        return False
+    on = np.stack([xy, xy + explained[:, None] * outward])
+    across = np.broadcast_to(_BESIDE / view.picture.scale * outward, on.shape)
+    expected, displaced = contrast(view.picture, on, across)
+    return bool(displaced > _CLEARER * expected)
 
 
 def _displacement(xy: np.ndarray, outward: np.ndarray, distance: np.ndarray) -> float:
