@@ -54,6 +54,13 @@ def test_a_plate_a_millimetre_thicker_than_told_is_seen_to_stand_higher(tmp_path
 
 
 @BOTH
+def test_a_plate_two_millimetres_beside_its_place_is_found_there(tmp_path, poses):
+    values, sentence = registered(tmp_path, drawn(tmp_path, correction(x_mm=2.0, y_mm=-0.7), poses, poses))
+    assert (values["x_mm"], values["y_mm"]) == (pytest.approx(2.0, abs=0.03), pytest.approx(-0.7, abs=0.03))
+    assert "object along the table's x +2.0" in sentence and values["z_mm"] == 0.0
+
+
+@BOTH
 def test_a_distance_of_850_mm_for_900_is_corrected(tmp_path, poses):
     files = drawn(tmp_path, correction(), poses, poses)
     values, sentence = registered(tmp_path, files, setup=replace(SETUP, camera_distance_mm=850.0))
@@ -77,6 +84,13 @@ def test_a_focal_length_of_35_mm_for_50_is_named_where_the_files_state_none(tmp_
     lens = replace(SETUP, pinhole=replace(SETUP.pinhole, focal_px=0.7 * SETUP.pinhole.focal_px))
     error = refused(tmp_path, drawn(tmp_path, correction(), poses, poses), setup=lens)
     assert error.field == "shape" and "looks 1.5 times as large as size, distance and focal length" in error.found
+
+
+def test_a_plate_of_9_mm_for_90_mm_is_named(tmp_path):
+    files = drawn(tmp_path, correction(z_mm=0.5), TURNED, TURNED, (90.0, 90.0))
+    error = refused(tmp_path, files, plate(9.0, 9.0))
+    assert error.field == "shape"
+    assert "looks 10 times as large as size, distance and focal length say" in error.found
 
 
 def test_a_size_within_what_the_distance_explains_is_named_with_it(tmp_path):

@@ -51,7 +51,7 @@ def test_check_captures_holds_files_to_the_stated_size(tmp_path):
     studio.references()
     table = studio.table()
     check_captures(table, tmp_path, tmp_path / "a.csv", ROLES, (SIZE[1], SIZE[0]))
-    with pytest.raises(InputError, match="9000 x 6000"):
+    with pytest.raises(InputError, match="9000 x 6000 pixels, as its set states"):
         check_captures(table, tmp_path, tmp_path / "b.csv", ROLES, (9000, 6000))
 
 
