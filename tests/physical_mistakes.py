@@ -127,7 +127,8 @@ MISTAKES = (
     # What the chart shows.
     Mistake(
         "squares of the chart 40 % of their distance (15 superpixels) beside its patches", CHART, REFUSED,
-        "patches with dirt, an edge or a shadow", "irodori/calibration/charts.py", (f"{_CHECK}::test_all_mistakes_are_listed_at_once",),
+        "patches with dirt, an edge or a shadow", "irodori/calibration/charts.py",
+        (f"{_CHECK}::test_all_mistakes_are_listed_at_once",),
     ),
     Mistake(
         "spectra of another chart", CHART, REFUSED, "in the mean over patches left out", "irodori/calibration/gates.py",
