@@ -21,10 +21,8 @@ _MOST_PICTURES, _MOST_POINTS = 6, 60  # photographs, and points of each outline,
 #: Multiples of the size and shifts that are tried: ratio of neighbours and their number to either side; step and range
 #: in half widths of the object.
 _RATIO, _RATIOS, _STEP, _FARTHEST = 1.08, 36, 0.08, 2.0
-_ACROSS, _ACROSS_LEAST = (
-    0.06,
-    1.5,
-)  # distance of the readings from the outline: half widths of the object, samples at least
+#: Distance of the readings from the outline: half widths of the object, and samples at least.
+_ACROSS, _ACROSS_LEAST = 0.06, 1.5
 _FEWEST = 12  # points of an outline that tell anything
 #: Ratio of the contrast across another outline to that across the expected one from which the other one is believed;
 #: change of the size and shift, half widths of the object, from which there is another outline.
@@ -57,7 +55,7 @@ class Look(NamedTuple):
 
 
 class _Outline(NamedTuple):
-    """Expected outline in a photograph: points (n, 2) and unit normals (n, 2), superpixels, and its middle (2,)."""
+    """Expected outline in a photograph: points (n, 2), unit normals (n, 2), middle (2,) and half width, superpixels."""
 
     xy: np.ndarray
     outward: np.ndarray

@@ -64,11 +64,12 @@ ROOMS = {
     ),
     "rectification": (
         ("rectification",),
-        ("unit/test_rectification.py", "unit/test_contradicted_definitions.py", "unit/test_registration_parts.py", "unit/test_registration_steps.py",
-         "unit/test_outline_search.py", "unit/test_ball_outline.py", "unit/test_level_patch_parts.py",
-         "unit/test_marker_sheet.py", "unit/test_inner_brightness.py", "unit/test_angle_errors.py",
-         "unit/test_photometric_stereo.py", "unit/test_dome.py", "unit/test_shared_camera.py", "rig/test_level_patch.py",
-         "rig/test_object_registration.py", "rig/test_plate_registration.py"),
+        ("unit/test_rectification.py", "unit/test_registration_parts.py", "unit/test_registration_steps.py",
+         "unit/test_contradicted_definitions.py", "unit/test_outline_search.py", "unit/test_ball_outline.py",
+         "unit/test_level_patch_parts.py", "unit/test_marker_sheet.py", "unit/test_inner_brightness.py",
+         "unit/test_angle_errors.py", "unit/test_photometric_stereo.py", "unit/test_dome.py",
+         "unit/test_shared_camera.py", "rig/test_level_patch.py", "rig/test_object_registration.py",
+         "rig/test_plate_registration.py"),
     ),
     "light": (
         ("light",),

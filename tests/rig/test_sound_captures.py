@@ -81,7 +81,7 @@ def photographed(folder: Path, eye: VirtualCamera, planned) -> Path:
 
 
 @pytest.mark.heavy
-def test_none_of_fifty_sound_captures_is_refused(tmp_path, caplog, record_property):
+def test_none_of_fifty_sound_captures_is_refused(tmp_path, caplog):
     """Of glossy and matt paints on plates and balls, laid off within 1 mm and 0.5 degrees, a lens off within 1 %."""
     _, camera, rig = small()
     eye, bench, reference = made(Camera, camera), Bench(), tmp_path / "reference.h5"
@@ -114,7 +114,7 @@ def test_none_of_fifty_sound_captures_is_refused(tmp_path, caplog, record_proper
             told = np.array(file.attribute("told")[:3])
             true = np.array(rig["virtual"]["imperfections"]["laid_off"]["translation_mm"])
             off_mm += np.abs(file.read("correction")[:3] - true)[told].tolist()
-    record_property("captures with warnings", f"{len(warned)} of {COUNT}")
+    print(f"{len(warned)} of {COUNT} captures with warnings: {warned}")
     assert len(warned) <= COUNT // 4, warned
     # A superpixel is 1.2 mm wide here.
     assert np.median(off_mm) < 0.05 and np.percentile(off_mm, 90.0) < 0.6

@@ -23,6 +23,7 @@ NOT_TURNED = [
     Pose(45.0, 12.0, 20.0),
 ]  # fmt: skip
 BOTH = pytest.mark.parametrize("poses", [TURNED, NOT_TURNED], ids=["turned", "not turned"])
+ONE = pytest.mark.default_cases(1)
 
 
 def plate(width_mm, height_mm) -> TexturedObject:
@@ -46,6 +47,7 @@ def refused(folder, files, told=PLATE, setup=SETUP) -> InputError:
     return raised.value
 
 
+@ONE
 @BOTH
 def test_a_plate_a_millimetre_thicker_than_told_is_seen_to_stand_higher(tmp_path, poses):
     values, sentence = registered(tmp_path, drawn(tmp_path, correction(z_mm=1.0), poses, poses))
@@ -53,6 +55,7 @@ def test_a_plate_a_millimetre_thicker_than_told_is_seen_to_stand_higher(tmp_path
     assert values["x_mm"] == values["y_mm"] == values["camera_distance_mm"] == 0.0
 
 
+@ONE
 @BOTH
 def test_a_plate_two_millimetres_beside_its_place_is_found_there(tmp_path, poses):
     values, sentence = registered(tmp_path, drawn(tmp_path, correction(x_mm=2.0, y_mm=-0.7), poses, poses))
@@ -60,6 +63,7 @@ def test_a_plate_two_millimetres_beside_its_place_is_found_there(tmp_path, poses
     assert "object along the table's x +2.0" in sentence and values["z_mm"] == 0.0
 
 
+@ONE
 @BOTH
 def test_a_distance_of_850_mm_for_900_is_corrected(tmp_path, poses):
     files = drawn(tmp_path, correction(), poses, poses)
@@ -68,6 +72,7 @@ def test_a_distance_of_850_mm_for_900_is_corrected(tmp_path, poses):
     assert values["z_mm"] == 0.0
 
 
+@pytest.mark.default_cases(2)
 @BOTH
 @pytest.mark.parametrize(
     ("side", "looks"), [((6.0, 5.0), "looks 10 times"), ((90.0, 75.0), "looks 0.68 times"), ((40.0, 33.3), "looks 1.5")]
@@ -79,6 +84,7 @@ def test_a_size_that_is_far_off_is_named(tmp_path, poses, side, looks):
     assert "a size in mm, camera_distance_mm and optics.focal_length_mm" in error.accepted
 
 
+@ONE
 @BOTH
 def test_a_focal_length_of_35_mm_for_50_is_named_where_the_files_state_none(tmp_path, poses):
     lens = replace(SETUP, pinhole=replace(SETUP.pinhole, focal_px=0.7 * SETUP.pinhole.focal_px))
@@ -99,6 +105,7 @@ def test_a_size_within_what_the_distance_explains_is_named_with_it(tmp_path):
     assert error.field == "place.camera_distance_mm" and "measure again, the object's size, too" in error.accepted
 
 
+@pytest.mark.default_cases(2)
 @BOTH
 @pytest.mark.parametrize("off", [5.0, -5.0])
 def test_a_scale_of_the_camera_that_is_5_degrees_off_is_named(tmp_path, poses, off):
@@ -109,7 +116,8 @@ def test_a_scale_of_the_camera_that_is_5_degrees_off_is_named(tmp_path, poses, o
     assert float(said.split()[0]) == pytest.approx(-off, abs=0.3)
 
 
-@pytest.mark.parametrize("poses", [TURNED, NOT_TURNED], ids=["turned", "not turned"])
+@ONE
+@BOTH
 def test_two_exchanged_lines_of_a_table_are_named(tmp_path, poses):
     told = list(poses)
     told[1], told[-3] = told[-3], told[1]
@@ -118,6 +126,7 @@ def test_two_exchanged_lines_of_a_table_are_named(tmp_path, poses):
     assert f"the object in the pose of {len(poses) - 3}, and not in its own; 1 more" in error.found
 
 
+@ONE
 @BOTH
 def test_photographs_that_all_show_the_next_pose_are_named(tmp_path, poses):
     error = refused(tmp_path, drawn(tmp_path, correction(), poses, [*poses[1:], poses[0]]))
