@@ -18,8 +18,8 @@ from irodori.calibration.filter_table import FilterTable
 from irodori.calibration.response_model import fit_response_model, smooth_covariance, smooth_priors
 from irodori.calibration.sensitivity_prior import of_independent_bands
 from irodori.calibration.simulated_responses import band_weights
-from irodori.spectra.grid import WAVELENGTH_NM
 from irodori.spectra.published import camera_sensitivities, chart_spectra, spectrum
+from irodori.spectra.resampling import resample
 from irodori.spectra.tables import wide_table
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
@@ -117,8 +117,11 @@ class Trial:
 
 
 def trial(camera: str, name: str, noise: float, seed: int = 0) -> Trial:
-    """Return the trial of a camera with a filter in the measured data."""
-    return Trial(sensitivities(camera), np.interp(WAVELENGTH_NM, *published_filter(name)), noise, seed)
+    """Return the trial of a camera with a filter in the measured data.
+
+    A photograph integrates over wavelengths: the finely sampled transmittance is averaged around each of the 61.
+    """
+    return Trial(sensitivities(camera), resample(*published_filter(name), name, method="average"), noise, seed)
 
 
 def judged_trial(camera: str, name: str, noise: float = 0.001, seed: int = 0) -> tuple[Trial, FilterTable]:

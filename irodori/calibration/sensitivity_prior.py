@@ -5,6 +5,9 @@ They are large in one part of the range and nearly zero elsewhere, so that the p
 envelope. The envelope is estimated from the chart, and so are correlation length and amplitude, by the marginal
 likelihood (Rasmussen and Williams 2006, section 5.4); the amplitude is then reduced. At the edges of a camera's UV and
 IR cut filters, sensitivities change within a few nanometres: there, distances in wavelength are stretched.
+
+Errors of given sensitivities, those of their measurement, are smoother than sensitivities. They are relative to the
+sensitivity; where a band sees nearly nothing, a small error that has nothing to do with those nearby is added.
 """
 
 from collections.abc import Sequence
@@ -22,13 +25,13 @@ _FURTHER_NOISE = 10.0 ** np.arange(-10.0, -1.0)
 #: Factors on prior variances: of a sensitivity, since its likeliest size is decided by few large values, and of the
 #: stated error of a known one. Like the lengths, they were chosen for the share of errors within one and two standard
 #: deviations, with the two cameras in colour-science and five of the program rawtoaces, and 15 filters.
-_LIKELIEST, _STATED = 0.4, 0.7
+_LIKELIEST, _STATED = 0.4, 0.6
 #: Edges of cameras' cut filters, nm: position, width, and the distance that they add between two wavelengths. They are
 #: those of the two cameras in colour-science; no other camera was examined.
 _EDGES_NM, _EDGE_WIDTH_NM, _EDGE_DISTANCE_NM = (418.0, 655.0), 10.0, 40.0
 #: Envelope: width of its local mean, nm, its smallest value relative to the largest, and its number of re-estimations.
 _ENVELOPE_NM, _LEAST, _ROUNDS = 20.0, 0.02, 2
-#: Width and smallest value of the envelope of the error of a known sensitivity.
+#: Width of the envelope of a known sensitivity, and the additional error where it is small, relative to the largest.
 _KNOWN_NM, _KNOWN_LEAST = 5.0, 0.005
 _LEAST_POWER = 1e-3  # smallest power of a lamp, relative to its mean
 
@@ -108,17 +111,23 @@ def of_independent_bands(covariances: Sequence[np.ndarray]) -> np.ndarray:
 
 
 @lru_cache(maxsize=1)
-def shapes() -> np.ndarray:
-    """Return the covariances of unit variance that are tried, Matérn's of orders 3/2 and 5/2, (6, 61, 61)."""
+def shapes() -> tuple[np.ndarray, np.ndarray]:
+    """Return the covariances of unit variance that are tried.
+
+    Returns
+    -------
+    bent : (6, 61, 61) float64
+        Matérn's of orders 3/2 and 5/2, for sensitivities.
+    smooth : (3, 61, 61) float64
+        Squared-exponential ones, for errors of known sensitivities.
+    """
     from scipy.special import ndtr  # slow to import
 
     place = WAVELENGTH_NM + _EDGE_DISTANCE_NM * sum(ndtr((WAVELENGTH_NM - e) / _EDGE_WIDTH_NM) for e in _EDGES_NM)
-    found = []
-    for length in _LENGTHS_NM:
-        distance = np.abs(place[:, None] - place) / length
-        rough, smooth = np.sqrt(3.0) * distance, np.sqrt(5.0) * distance
-        found += [(1.0 + rough) * np.exp(-rough), (1.0 + smooth + smooth**2 / 3.0) * np.exp(-smooth)]
-    return np.array(found)
+    distance = np.abs(place[:, None] - place) / np.array(_LENGTHS_NM)[:, None, None]
+    rough, smooth = np.sqrt(3.0) * distance, np.sqrt(5.0) * distance
+    bent = (1.0 + rough) * np.exp(-rough), (1.0 + smooth + smooth**2 / 3.0) * np.exp(-smooth)
+    return np.concatenate(bent), np.exp(-0.5 * distance**2)
 
 
 def _envelope(square: np.ndarray, width_nm: float = _ENVELOPE_NM, least: float = _LEAST) -> np.ndarray:
@@ -129,41 +138,39 @@ def _envelope(square: np.ndarray, width_nm: float = _ENVELOPE_NM, least: float =
 
 
 def _averaged(
-    missed: np.ndarray, spectra: np.ndarray, envelope: np.ndarray, variance: float, sizes: np.ndarray | None
+    missed: np.ndarray, spectra: np.ndarray, covariances: np.ndarray, size: float | None, variance: float
 ) -> tuple[np.ndarray, float]:
-    """Return covariance and noise variance, averaged over `shapes` with their marginal likelihoods as weights.
+    """Return covariance and noise variance, averaged over some covariances with their marginal likelihoods as weights.
 
-    Each shape counts with the size and the noise of its highest likelihood.
+    Each covariance counts with the size and the noise of its highest likelihood.
 
     Parameters
     ----------
     missed : (m,) float64
         Residuals of the responses from the prior mean.
     spectra : (m, 61) float64
-    envelope : (61,) float64
+    covariances : (n, 61, 61) float64
+    size : float or None
+        Factor of the covariances; None to try a range relative to the mean square of the residuals.
     variance : float
         Known variance of the responses.
-    sizes : (n,) float64 or None
-        Prior variances to try; None for a range relative to the mean square of the residuals.
     """
     total = np.mean(missed**2)
-    factor = _LIKELIEST if sizes is None else _STATED
     noise = variance + np.concatenate([[0.0] if variance > 0.0 else [], _FURTHER_NOISE]) * total
-    logarithm, covariances, noises = [], [], []
-    for shape in shapes():
-        covariance = envelope[:, None] * shape * envelope
+    logarithm, sized, noises = [], [], []
+    for covariance in covariances:
         values, vectors = np.linalg.eigh(spectra @ covariance @ spectra.T)
         values, turned = np.maximum(values, 0.0), vectors.T @ missed
-        size = _SIZES * total / values.mean() if sizes is None else sizes
-        spread = size[:, None, None] * values + noise[:, None]
+        sizes = _SIZES * total / values.mean() if size is None else np.array([size])
+        spread = sizes[:, None, None] * values + noise[:, None]
         likelihood = -0.5 * (turned**2 / spread + np.log(spread)).sum(axis=2)
         i, j = np.unravel_index(np.argmax(likelihood), likelihood.shape)
         logarithm.append(likelihood[i, j])
-        covariances.append(factor * size[i] * covariance)
+        sized.append(sizes[i] * covariance)
         noises.append(noise[j])
     share = np.exp(np.array(logarithm) - max(logarithm))
     share /= share.sum()
-    return np.tensordot(share, np.array(covariances), axes=1), float(np.exp(share @ np.log(noises)))
+    return np.tensordot(share, np.array(sized), axes=1), float(np.exp(share @ np.log(noises)))
 
 
 def prior_of_chart(response: np.ndarray, spectra: np.ndarray, light: np.ndarray, variance: float = 0.0) -> BandPrior:
@@ -181,7 +188,9 @@ def prior_of_chart(response: np.ndarray, spectra: np.ndarray, light: np.ndarray,
     power = np.maximum(light / light.mean(), _LEAST_POWER)
     envelope, nothing = np.ones(len(light)), np.zeros(len(light))
     for left in reversed(range(_ROUNDS + 1)):
-        prior = BandPrior(nothing, *_averaged(response, spectra, power * envelope, variance, None))
+        extent = power * envelope
+        covariance, noise = _averaged(response, spectra, np.outer(extent, extent) * shapes()[0], None, variance)
+        prior = BandPrior(nothing, _LIKELIEST * covariance, noise)
         if left:
             found = prior.given(response, spectra)
             envelope = _envelope((found.mean**2 + np.diag(found.covariance)) / power**2)
@@ -210,7 +219,9 @@ def prior_about(
     answer = spectra @ known
     factor = (answer @ response) / (answer @ answer)
     mean = factor * known
-    envelope = factor * light * _envelope(sensitivity**2, _KNOWN_NM, _KNOWN_LEAST)
-    covariance, noise = _averaged(response - spectra @ mean, spectra, envelope, variance, np.array([error**2]))
+    relative = factor * light * _envelope(sensitivity**2, _KNOWN_NM, 0.0)
+    least = factor * light * _KNOWN_LEAST * np.abs(sensitivity).max()
+    tried = (np.outer(relative, relative) + np.outer(least, least)) * shapes()[1]
+    covariance, noise = _averaged(response - spectra @ mean, spectra, tried, error**2, variance)
     # The factor itself is as uncertain as the sensitivity.
-    return BandPrior(mean, covariance + error**2 * mean[:, None] * mean, noise)
+    return BandPrior(mean, _STATED * covariance + error**2 * mean[:, None] * mean, noise)

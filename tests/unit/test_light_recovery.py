@@ -135,20 +135,29 @@ def test_light_off_coloured_walls_is_no_worse_than_as_the_rigs_lamp_on_paint(see
     assert (found < before).all() and found.mean() < 0.7 * before.mean()
 
 
-def test_the_other_directions_of_a_room_tell_of_its_lamps():
-    """What one wall leaves open, the walls beside it under the same lamp decide."""
-    rng, alone, together, seen = np.random.default_rng(5), [], [], camera(1)
-    for name in ("FL2", "FL11", "LED-B2", "D50", "HP4"):
-        lamp = spectrum(name) / spectrum(name).mean()
-        known = prior_of_any_lamp(unlike(published_lamps(), lamp))
-        light = lamp * TCS[rng.choice(99, 8, replace=False)]
-        response = light @ seen.sensitivity.T
-        for one, answer in zip(light, response, strict=True):
-            own = LightRecovery.of_room(seen.model, one_direction(answer), known)
-            alone.append(adapted_errors(one, own.basis @ own.weights(answer)))
-        room = LightRecovery.of_room(seen.model, Directions(response, np.full(8, 1 / 8)), known)
-        together += [adapted_errors(*pair) for pair in zip(light, room.weights(response) @ room.basis.T, strict=True)]
-    assert np.mean(together) < np.mean(alone)
+@pytest.mark.parametrize(
+    ("draws", "most"), [pytest.param(10, 0.97, id="many", marks=pytest.mark.heavy), pytest.param(2, 1.0, id="two")]
+)
+def test_the_other_directions_of_a_room_tell_of_its_lamps(draws, most):
+    """What one wall leaves open, the walls beside it under the same lamp decide, in the mean over draws of the noise.
+
+    From draw to draw, the ratio of the errors scatters by 0.07 about 0.92: the bounds are two standard errors above.
+    """
+    alone, together = [], []
+    for seed in range(draws):
+        rng, own = np.random.default_rng(5 + seed), camera(seed)
+        for name in ("FL2", "FL11", "LED-B2", "D50", "HP4"):
+            lamp = spectrum(name) / spectrum(name).mean()
+            known = prior_of_any_lamp(unlike(published_lamps(), lamp))
+            light = lamp * TCS[rng.choice(99, 8, replace=False)]
+            response = light @ own.sensitivity.T
+            for one, answer in zip(light, response, strict=True):
+                wall = LightRecovery.of_room(own.model, one_direction(answer), known)
+                alone.append(adapted_errors(one, wall.basis @ wall.weights(answer)))
+            room = LightRecovery.of_room(own.model, Directions(response, np.full(8, 1 / 8)), known)
+            found = room.weights(response) @ room.basis.T
+            together += [adapted_errors(*pair) for pair in zip(light, found, strict=True)]
+    assert np.mean(together) < most * np.mean(alone)
 
 
 @pytest.mark.default_cases(1)

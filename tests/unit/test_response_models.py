@@ -171,6 +171,15 @@ def test_sensitivities_with_their_error_make_all_bands_better(noise):
     assert_within(both, true)
 
 
+def test_given_sensitivities_are_right_at_the_ends_of_the_range_too():
+    """There a sample of the response is half an integral's step."""
+    sensitivities = NIKON + 0.2 * NIKON.max(axis=1, keepdims=True)
+    own = Trial(sensitivities, np.interp(WAVELENGTH_NM, FINE_NM, COMB), 0.001)
+    best, true = own.found(Given(sensitivities=given_sensitivities(sensitivities, 0.02)))
+    assert best.sources == (CHART, SENSITIVITIES)
+    assert best.mean[:3, [0, -1]] == pytest.approx(true[:3, [0, -1]], rel=0.1)
+
+
 @pytest.mark.stability(stage="calibrate", case="sensitivities of another camera")
 def test_sensitivities_of_another_camera_are_found_out_and_not_used():
     own, table = photographed(COMB, 0.001), Wrong(1.2).table(FINE_NM, COMB)

@@ -353,10 +353,14 @@ def drawn_place(model: ResponseModel, rng) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.parametrize("shares", [(), ((0.8, 0.2), (0.3, 0.7))], ids=["without charts", "with charts"])
 def test_the_errors_that_a_recovered_light_states_are_those_of_its_tristimulus_values(seen, shares):
-    """Over draws of camera and lamps from the model; most errors of a spectrum, and the largest, cannot be seen."""
-    matching, paints, off, stated = colour_matching_weights(), chart_spectra(CHART)[1][::4], [], []
+    """Over draws of camera and lamps from the model; most errors of a spectrum, and the largest, cannot be seen.
+
+    With charts, the ratio of true to stated errors is 1.25 in the geometric mean of 64 draws, and scatters by a factor
+    of 1.5 from draw to draw.
+    """
+    matching, paints, ratios = colour_matching_weights(), chart_spectra(CHART)[1][::4], []
     model, prior = seen.model, prior_without()
-    for seed in range(4):
+    for seed in range(8):
         rng = np.random.default_rng(seed)
         true, lamps = drawn_place(model, rng)
         lights = np.concatenate([lamps, *(paints * one for one in lamps)])
@@ -365,10 +369,10 @@ def test_the_errors_that_a_recovered_light_states_are_those_of_its_tristimulus_v
         charts = [chart_under(own, np.array(share) @ lamps, 10 * seed + i) for i, share in enumerate(shares)]
         recovery = recovery_with(charts, model, room, prior)
         weights, luminance_ = recovery.weights(room.response), (lights @ matching[1])[:, None]
-        off.append((weights @ recovery.basis.T - lights) @ matching.T / luminance_)
+        off = (weights @ recovery.basis.T - lights) @ matching.T / luminance_
         drawn = np.einsum("qlr,mr,cl->qmc", recovery.errors, weights, matching) / luminance_
-        stated.append(np.sum(drawn**2, axis=0))
-    assert 0.6 < np.sqrt(np.mean(np.square(off)) / np.mean(stated)) < 1.7
+        ratios.append(np.sqrt(np.mean(off**2) / np.mean(np.sum(drawn**2, axis=0))))
+    assert 0.7 < np.exp(np.mean(np.log(ratios))) < 1.7
 
 
 def place(folder, seen, name="FL11") -> None:
