@@ -67,7 +67,7 @@ class _Mirror(NamedTuple):
 
 
 class LightTransfer:
-    """What each texel of a scene's light maps sees, and the maps for any light; see the module.
+    """Transfer of light to each texel of a scene's light maps, and the maps for any light; see the module.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What texels of light maps see: rays from each of them into the cells of the sphere."""
+"""Views from the texels of light maps: rays from each of them into the cells of the sphere."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
@@ -33,7 +33,7 @@ class Links(NamedTuple):
 
 
 class TexelView(NamedTuple):
-    """What the texels of an object see."""
+    """Surroundings as the texels of an object see them."""
 
     hidden: "csr_matrix"  # (texels, cells) share that is hidden
     is_open: np.ndarray  # (texels,) bool whether they lie outside all other objects
@@ -51,7 +51,7 @@ class _Bounds(NamedTuple):
 
 
 class _Seen(NamedTuple):
-    """What texels see in each cell, filled by `_look_some`."""
+    """Surfaces that texels see in each cell, filled by `_look_some`."""
 
     hidden: np.ndarray  # (n, cells) float32 share of a cell above the horizon that is hidden
     shape: np.ndarray  # (n, cells) int16 shape whose front is seen, or `NO_HIT`
@@ -93,9 +93,9 @@ def _may_meet(bounds, own, origin, direction):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _look_some(casting, point, normal, facet, seen, first, last):
+def _look_some(casting, points, seen, first, last):
     """Trace rays from the texels from ``first`` to before ``last`` of a shape and fill a `_Seen`."""
-    ray, bounds = new_ray(), casting.bounds
+    ray, bounds, (point, normal, facet) = new_ray(), casting.bounds, points
     for texel in range(first, last):
         everywhere = behind = 0
         shift = (casting.first + texel) * RAYS
@@ -175,7 +175,7 @@ def look_around(tracer: Tracer, points: Points, index: int, start: int = 0) -> T
         seen = _Seen(hides, shape, distance, place, np.zeros(count, np.bool_))
         rays = tracer.intersect_address, tracer.scene
         casting = _Casting(*rays, bounds, index, pool, start + first)
-        run_chunks(_look_some, count, _CHUNK, casting, *some, seen)
+        run_chunks(_look_some, count, _CHUNK, casting, some, seen)
         hidden.append(csr_matrix(seen.hidden))
         is_open.append(seen.is_open)
         texel, cell = np.nonzero(seen.shape != NO_HIT)

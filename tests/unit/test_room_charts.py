@@ -351,6 +351,7 @@ def drawn_place(model: ResponseModel, rng) -> tuple[np.ndarray, np.ndarray]:
     return model.mean + off, np.maximum(lamps, 0.0)
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("shares", [(), ((0.8, 0.2), (0.3, 0.7))], ids=["without charts", "with charts"])
 def test_the_errors_that_a_recovered_light_states_are_those_of_its_tristimulus_values(seen, shares):
     """Over draws of camera and lamps from the model; most errors of a spectrum, and the largest, cannot be seen.
