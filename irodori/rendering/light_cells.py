@@ -4,6 +4,8 @@ The cells are rows by polar angle and columns by azimuth, in the order of a pict
 along the rows.
 """
 
+from functools import cache
+
 import numpy as np
 
 from irodori.geometry.rig_frame import rotation_z
@@ -15,6 +17,7 @@ CELLS = ROWS * COLUMNS
 POOL = 8
 
 
+@cache
 def cell_directions() -> np.ndarray:
     """Return the directions of each cell, (cells, pool, 3) unit: places of a shifted lattice in the cell."""
     number = np.arange(POOL)
@@ -31,6 +34,7 @@ def cell_directions() -> np.ndarray:
     return np.ascontiguousarray(np.stack(parts, axis=-1).reshape(CELLS, POOL, 3))
 
 
+@cache
 def cell_vectors() -> np.ndarray:
     """Return the integral of the direction over each cell, (cells, 3) sr."""
     rows, columns = 8 * ROWS, 8 * COLUMNS

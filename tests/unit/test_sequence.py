@@ -27,6 +27,8 @@ from irodori.rendering.frame_state import Moment, turned_scene
 from irodori.rendering.integrators import make_renderer, render_image
 from irodori.rendering.interactive import frame_renderer
 
+pytestmark = pytest.mark.usefixtures("coarse_light_maps")
+
 BASIS = np.stack([np.linspace(0.6, 1.4, 61), np.linspace(1.5, 0.2, 61)], axis=1)
 SUN = {"kind": "collimated", "spectrum": "D65", "azimuth_deg": 20.0, "elevation_deg": 50.0, "irradiance": 0.015}
 INTERACTIVE = {"kind": "interactive", "light_maps": True}

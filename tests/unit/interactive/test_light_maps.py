@@ -318,6 +318,7 @@ def test_no_darkness_leaks_out_under_a_box_that_stands_in_a_table():
     assert np.abs(found / 2.0 - 1.0).max() < 0.05
 
 
+@pytest.mark.heavy
 def test_objects_inside_a_closed_box_are_dark_and_trace_to_an_end():
     """No texel of plate and ball is in the open, so that none may send light; from outside the box is as it was."""
     there = [*placements(), Placement(block(90.0, -90.0, 90.0), np.eye(3), np.zeros(3))]

@@ -40,6 +40,8 @@ from irodori.rendering.planning.tolerance import bound_of_share
 from irodori.rendering.scene_arrays import make_light, make_view
 from irodori.rendering.stage import render_view
 
+pytestmark = pytest.mark.usefixtures("coarse_light_maps")
+
 OPTIONS = Render(pixel_side=1, min_throughput=1e-3)
 GREENISH = 0.1 + 0.6 * np.exp(-(((np.arange(61) - 28) / 9.0) ** 2))
 PARALLEL = {"kind": "orthographic", "position_mm": [0.0, -200.0, 90.0], "target_mm": [0.0, 0.0, 12.0],
