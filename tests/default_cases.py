@@ -2,7 +2,7 @@
 
 Of a test with the marker ``default_cases(N)``, N cases run by default, and the others are heavy. The N are spread
 evenly over the cases in the order in which pytest collects them, the first among them. Where heavy tests are left out,
-the tests of properties draw a third of their examples; others are drawn in each run.
+the tests of properties draw a fifth of their examples; others are drawn in each run.
 """
 
 from collections import defaultdict
@@ -40,5 +40,5 @@ def pytest_collection_modifyitems(config, items):
     if config.option.markexpr == "not heavy":
         for test in {item.obj for item in items if hasattr(item.obj, "_hypothesis_internal_use_settings")}:
             asked = test._hypothesis_internal_use_settings
-            fewer = max(min(asked.max_examples, _FEW), asked.max_examples // 3)
+            fewer = max(min(asked.max_examples, _FEW), asked.max_examples // 5)
             test._hypothesis_internal_use_settings = settings(asked, max_examples=fewer)

@@ -72,7 +72,7 @@ def test_a_distance_of_850_mm_for_900_is_corrected(tmp_path, poses):
     assert values["z_mm"] == 0.0
 
 
-@pytest.mark.default_cases(2)
+@ONE
 @BOTH
 @pytest.mark.parametrize(
     ("side", "looks"), [((6.0, 5.0), "looks 10 times"), ((90.0, 75.0), "looks 0.68 times"), ((40.0, 33.3), "looks 1.5")]
@@ -105,7 +105,7 @@ def test_a_size_within_what_the_distance_explains_is_named_with_it(tmp_path):
     assert error.field == "place.camera_distance_mm" and "measure again, the object's size, too" in error.accepted
 
 
-@pytest.mark.default_cases(2)
+@ONE
 @BOTH
 @pytest.mark.parametrize("off", [5.0, -5.0])
 def test_a_scale_of_the_camera_that_is_5_degrees_off_is_named(tmp_path, poses, off):

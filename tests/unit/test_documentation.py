@@ -189,6 +189,7 @@ def test_no_link_of_the_site_is_dead(site, pages):
     assert count > 1000
 
 
+@pytest.mark.heavy
 def test_formulas_are_typeset_without_a_script(pages):
     found = {path: text_of(path) for path in pages}
     known = json.loads(text_of(DOCS / "hooks" / "formulas.json"))

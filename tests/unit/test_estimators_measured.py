@@ -126,6 +126,7 @@ def test_error_bars_hold_on_sets_and_a_camera_that_had_no_part_in_them(pair):
     assert found.wavelengths[1] >= 0.91 and found.delta_e[1] >= 0.93
 
 
+@pytest.mark.heavy
 def test_stated_errors_tell_which_spectra_are_recovered_worse():
     found = [coverage(CAMERAS[2], pair, 0.001).rank for pair in NEVER_SEEN]
     assert sum(rank >= 0.4 for rank in found) >= 4

@@ -108,6 +108,7 @@ def test_unknown_shapes_list_what_there_is():
 # --- pictures ----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.heavy
 @EVERY_ONE
 def test_a_white_disc_ball_and_floor_vanish_in_a_white_furnace(integrator):
     """The disc looks down from above all that is seen: nothing meets its black back."""
@@ -216,6 +217,7 @@ def test_discs_in_closed_form():
         assert endless == pytest.approx(hidden_by_plane(cosine), abs=1e-6)
 
 
+@pytest.mark.heavy
 def test_a_ball_on_a_floor_has_the_contact_shadow_of_its_form_factor_and_the_floor_lights_it():
     for distance in (12.0, 40.0):
         hidden = (20.0 / np.hypot(20.0, distance)) ** 3

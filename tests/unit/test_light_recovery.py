@@ -130,6 +130,7 @@ def test_a_mixture_of_families_is_better_than_one_family_of_all_lamps(seen):
     assert errors(seen, "mixture", names=SOME).mean() < 0.75 * errors(seen, "posterior", names=SOME).mean()
 
 
+@pytest.mark.heavy
 def test_light_off_coloured_walls_is_no_worse_than_as_the_rigs_lamp_on_paint(seen):
     found, before = (errors(seen, variant, WALLS[::2], SOME).mean(axis=0) for variant in ("mixture", "rig-lamp"))
     assert (found < before).all() and found.mean() < 0.7 * before.mean()

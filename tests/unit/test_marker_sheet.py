@@ -67,6 +67,7 @@ def test_a_sheet_that_no_typed_pose_lets_the_camera_see_is_refused_in_a_sentence
         check_first_size(["linear/a.h5"], sheet, size, SETUP, Placing())
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("definition, lies", [(BALL, OFF), (PLATE, OFF | TURNED)], ids=["uniform ball", "plate"])
 def test_camera_and_object_are_found_by_the_sheet_that_the_object_partly_hides(tmp_path, definition, lies):
     lies = correction(**lies)

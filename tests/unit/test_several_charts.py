@@ -96,6 +96,7 @@ def rows_of(path) -> list[dict]:
     return list(csv.DictReader(path.read_text(encoding="utf-8").splitlines()))
 
 
+@pytest.mark.heavy
 def test_the_table_names_the_further_chart(session):
     root, _, linear = session
     shots = [shot for shot in read_captures(root / "captures.csv", root) if shot.role == "chart"]

@@ -84,6 +84,7 @@ def test_rules_away_from_the_repository_use_the_installed_package(project, jobs,
     assert run.returncode != 0 and "produce benchmark" in said and "Traceback" not in said
 
 
+@pytest.mark.heavy
 def test_a_directory_without_a_configuration_is_refused_by_name(tmp_path):
     run = snakemake(tmp_path, "--dry-run")
     said = run.stdout + run.stderr

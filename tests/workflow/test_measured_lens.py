@@ -99,6 +99,7 @@ def test_a_check_measures_the_lens_and_names_photographs_without_the_sheet(proje
     assert any(said.startswith("error") and "the sheet in 1 photographs" in said for said in findings) and not optics
 
 
+@pytest.mark.heavy
 def test_without_opencv_a_check_says_what_is_missing_and_goes_on(project, monkeypatch):
     monkeypatch.chdir(project)
     monkeypatch.setitem(sys.modules, "cv2", None)

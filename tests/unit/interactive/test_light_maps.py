@@ -281,6 +281,7 @@ def test_under_a_black_ball_an_endless_plane_is_dark_by_the_ball_s_form_factor_n
         assert np.abs(found - wanted)[beside].mean() < 0.01 and np.abs(found - wanted)[beside].max() < 0.05
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("mesh", [octahedron(20.0, 3), BALL.facetted(1.0)], ids=["512 triangles", "16256"])
 def test_a_ball_of_triangles_has_the_light_of_an_exact_ball(mesh):
     """Large triangles are divided for texels; where they are small, their corners are texels."""
@@ -292,6 +293,7 @@ def test_a_ball_of_triangles_has_the_light_of_an_exact_ball(mesh):
     assert np.abs(seen[1] / seen[0] - 1.0).mean() < 0.02
 
 
+@pytest.mark.heavy
 def test_of_a_mesh_of_many_corners_some_are_traced_and_all_have_light(monkeypatch):
     """Light is spread from a quarter of the corners of a fine ball: the picture is that of an exact ball."""
     seen = []

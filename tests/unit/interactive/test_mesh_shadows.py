@@ -227,6 +227,7 @@ def test_a_convex_mesh_hides_nothing_from_itself():
 # --- against paths that converge ------------------------------------------------------------------------------------
 
 
+@pytest.mark.heavy
 @pytest.mark.default_cases(1)
 @pytest.mark.parametrize(("cover", "table", "rms"), [(0.0, 0.8, 0.008), (0.5, 0.5, 0.012)])
 def test_a_lid_on_a_plate_is_shaded_as_the_reference_integrator_shades_it(cover, table, rms):
