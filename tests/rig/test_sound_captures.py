@@ -89,7 +89,7 @@ def test_none_of_fifty_sound_captures_is_refused(tmp_path, caplog):
     table = photographed(tmp_path / "camera", VirtualCamera(eye, made(Rig, rig), bench, "camera", planned), planned)
     check_captures(table, table.parent, tmp_path / "checked.csv", ["dark", "white", "chart"], (WIDTH, HEIGHT))
     ingest_reference(table, table.parent, reference, MADE, 0.99, OPTIONS)
-    assert not caplog.records
+    assert not [one for one in caplog.records if one.levelno >= logging.WARNING]
     warned, off_mm = {}, []
     for number in range(COUNT):
         definition, _, rig = small()

@@ -184,13 +184,12 @@ def test_a_shape_from_outside_is_rendered(rendered, integrator, tolerance):
     expected = 0.5 / np.pi * irradiance_at(light.irradiance, normal[inner])[:, 0]
     error = found["tube"][inner] / expected - 1.0
     assert abs(error.mean()) < 0.2 * tolerance and np.abs(error).max() < 4.0 * tolerance
-    assert found["furnace"] == pytest.approx(1.0, abs=0.02)
-    # A black tube on a grey floor: `interactive` has no contact shadow of it, for the tube declares that it hides
-    # nothing; paths have it.
+    # Light maps blur the dark inside of the tube out through its wall, by less than two texels of the floor.
+    leaks = np.abs(found["furnace"] - 1.0) > 0.02
+    assert leaks.mean() < (0.004 if integrator == "interactive" else 1e-9)
+    assert found["furnace"].mean() == pytest.approx(1.0, abs=0.002)
+    # A black tube on a grey floor has a contact shadow, by paths and by light maps.
     shadow, alone = found["shadow"], found["alone"]
     floor = shadow > 1e-3
     assert 0.5 < floor.mean() < 0.95
-    if integrator == "interactive":
-        assert shadow[floor] == pytest.approx(alone[floor], rel=1e-6)
-    else:
-        assert (shadow[floor] < 0.9 * alone[floor]).sum() > 10
+    assert (shadow[floor] < 0.9 * alone[floor]).sum() > 10
