@@ -11,8 +11,8 @@ from hypothesis import settings
 # on all cores, threads that wait for each other burn up to fifteen times what they compute.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-# What a test frees is kept for the next one. Given back to the system and asked for again, page by page, it takes an
-# eighth of the CPU time of all tests. Only the GNU C library has this setting.
+# What a test frees is kept for the next one. Given back to the system and asked for again, page by page, it took an
+# eighth of the CPU time of those tests with which this was measured. Only the GNU C library has this setting.
 if keep := getattr(ctypes.CDLL(None), "mallopt", None):
     for option, most in ((-3, 1 << 30), (-1, (1 << 31) - 1), (-2, 1 << 26)):  # bytes to map, to trim and to pad
         keep(option, most)

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from irodori.core.progress import LOGGER
 from irodori.geometry.embree import NO_HIT, Tracer
 from irodori.geometry.rig_frame import rotation_z
 from irodori.geometry.shapes.placement import Placement, reaches
@@ -54,6 +55,8 @@ _COSINES, _MIDDLE, _LEAST_SHINE = np.linspace(0.02, 1.0, 25), 17, 1e-3
 _GRAZING = 0.15
 #: Largest change of the light, relative to its mean, at which no further reflection is followed; reflections at most.
 _SETTLED, _MOST_REFLECTIONS = 2e-3, 64
+#: Share of the light that objects send which its basis for gloss may leave out without a warning.
+_LEFT_OUT = 0.05
 #: Angles of the environment from whose light the basis of the maps is made.
 _ANGLES_DEG = (0.0, 90.0, 180.0, 270.0)
 
@@ -255,8 +258,16 @@ class LightTransfer:
         for _ in range(_MOST_REFLECTIONS):
             before, sent = reflected, self.reflectance * (source + reflected)
             reflected = sum((mirror.colour * (mirror.texels @ sent) for mirror in self.mirrors), self.seen @ sent)
-            if np.abs(reflected - before).max() <= settled:
+            left = np.abs(reflected - before).max()
+            if left <= settled:
                 break
+        else:
+            share = left / max(float(source.mean()), np.finfo(np.float32).tiny)
+            LOGGER.warning(
+                "light maps leave out reflections after %d; the last changed the light by %.2g of its mean",
+                _MOST_REFLECTIONS,
+                share,
+            )
         return direct + reflected, (self.reflectance + self.shine) * (source + reflected)
 
     def _direct(self, environment: Environment, angle: float, normal: np.ndarray, hidden) -> np.ndarray:
@@ -281,7 +292,12 @@ class LightTransfer:
 
     def _gloss_maps(self, sent: np.ndarray) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
         """Return `LightMaps.seen` and `LightMaps.seen_basis` for the light that the texels send, (texels, 61)."""
-        basis = np.ascontiguousarray(np.linalg.eigh((sent.T @ sent).astype(np.float64))[1][:, ::-1][:, : SEEN - 1])
+        values, vectors = np.linalg.eigh((sent.T @ sent).astype(np.float64))
+        rest, whole = max(values[: 1 - SEEN].sum(), 0.0), values.sum()
+        if rest > _LEFT_OUT**2 * whole:
+            share = np.sqrt(rest / whole)
+            LOGGER.warning("gloss shows the light of other objects without %.2g of it: its spectra differ much", share)
+        basis = np.ascontiguousarray(vectors[:, ::-1][:, : SEEN - 1])
         found = np.concatenate([self.gloss_free[:, None], self.gloss_seen @ (sent @ basis.astype(np.float32))], axis=1)
         cubes, first, cells = [], 0, FACES * SIDE**2
         for rows, columns in self.gloss_sizes:

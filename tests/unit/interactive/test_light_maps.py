@@ -331,6 +331,23 @@ def test_objects_inside_a_closed_box_are_dark_and_trace_to_an_end():
     assert maps.of(0).max() < 0.02 and maps.of(1).max() < 0.02 and np.abs(maps.of(2) - 1.0).max() < 0.02
 
 
+@pytest.mark.usefixtures("coarse_light_maps")
+def test_reflections_and_spectra_that_light_maps_leave_out_are_told(caplog, monkeypatch):
+    objects = make_objects(placements(), [material(0.8), material(0.8)])[0]
+    transfer, no_lamps = (
+        LightTransfer(Tracer(placements()), objects, constant_light()),
+        (np.zeros((0, 61)), np.zeros((0, 3))),
+    )
+    transfer.maps(constant_light(), 0.0, *no_lamps)
+    assert "leave out" not in caplog.text and "without" not in caplog.text
+    monkeypatch.setattr(light_transfer, "_MOST_REFLECTIONS", 1)
+    transfer.maps(constant_light(), 0.0, *no_lamps)
+    assert "leave out reflections after 1;" in caplog.text and "without" not in caplog.text
+    # As many spectra as texels, none like another.
+    transfer._gloss_maps(np.random.default_rng(5).uniform(size=(len(transfer.points.point), 61)).astype(np.float32))
+    assert "gloss shows the light of other objects without" in caplog.text
+
+
 GLOSSY = {"beta": 4.0, "mu": 0.15}
 
 
