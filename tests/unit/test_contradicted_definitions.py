@@ -99,6 +99,7 @@ def test_a_plate_of_9_mm_for_90_mm_is_named(tmp_path):
     assert "looks 10 times as large as size, distance and focal length say" in error.found
 
 
+@pytest.mark.heavy
 def test_a_size_within_what_the_distance_explains_is_named_with_it(tmp_path):
     files = drawn(tmp_path, correction(), TURNED, TURNED)
     error = refused(tmp_path, files, plate(51.0, 42.5))
@@ -116,6 +117,7 @@ def test_a_scale_of_the_camera_that_is_5_degrees_off_is_named(tmp_path, poses, o
     assert float(said.split()[0]) == pytest.approx(-off, abs=0.3)
 
 
+@pytest.mark.heavy
 @ONE
 @BOTH
 def test_two_exchanged_lines_of_a_table_are_named(tmp_path, poses):
@@ -157,6 +159,7 @@ def on_paper(folder, poses, side, bright) -> list:
     return files
 
 
+@pytest.mark.heavy
 def test_paper_around_an_object_is_perhaps_another_size_and_no_reason_to_refuse(tmp_path, caplog):
     files = on_paper(tmp_path, NOT_TURNED, (96.0, 80.0), 2.0)
     values, _ = registered(tmp_path, files)

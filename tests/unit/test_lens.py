@@ -45,6 +45,7 @@ def apart_px(lens: Pinhole, found: Pinhole) -> float:
     return float(np.linalg.norm(turn.apply(other) - true, axis=1).max() * lens.focal_px)
 
 
+@pytest.mark.heavy
 def test_a_lens_is_found_in_raw_photographs_of_the_sheet(tmp_path, capsys):
     store(tmp_path / "lens", [photographed(TRUE, place, seed) for seed, place in enumerate(PLACES)])
     assert main(["lens", str(tmp_path / "lens"), "--pixel-pitch-um", str(PITCH_UM)]) == 0

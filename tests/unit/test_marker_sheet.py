@@ -67,7 +67,7 @@ def test_a_sheet_that_no_typed_pose_lets_the_camera_see_is_refused_in_a_sentence
         check_first_size(["linear/a.h5"], sheet, size, SETUP, Placing())
 
 
-@pytest.mark.default_cases(1)
+@pytest.mark.heavy
 @pytest.mark.parametrize("definition, lies", [(BALL, OFF), (PLATE, OFF | TURNED)], ids=["uniform ball", "plate"])
 def test_camera_and_object_are_found_by_the_sheet_that_the_object_partly_hides(tmp_path, definition, lies):
     lies = correction(**lies)
@@ -208,6 +208,7 @@ def test_photographs_without_the_sheet_are_refused_by_the_key(tmp_path, sheet, c
     assert "markers: found" in said and "irodori markers" in said
 
 
+@pytest.mark.heavy
 @pytest.mark.stability(stage="rectify", case="a printed sheet that is missing or contradicts pose or size")
 def test_a_sheet_printed_smaller_is_used_if_that_is_said_and_refused_if_not(tmp_path):
     lies = correction(x_mm=1.0, y_mm=-1.0)

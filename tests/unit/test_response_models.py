@@ -158,6 +158,7 @@ def test_the_table_of_another_filter_is_found_out_and_not_used(wrong, noise):
     assert np.array_equal(best.mean, alone.mean) and np.array_equal(best.covariance, alone.covariance)
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("noise", [0.001, 0.01])
 def test_sensitivities_with_their_error_make_all_bands_better(noise):
     own = photographed(COMB, noise)
@@ -196,7 +197,7 @@ def test_units_of_bands_and_table_do_not_matter():
     assert half.mean == pytest.approx(best.mean, abs=1e-9) and half.covariance == pytest.approx(best.covariance)
 
 
-@pytest.mark.default_cases(1)
+@pytest.mark.heavy
 @pytest.mark.parametrize("noise", [0.001, 0.01])
 def test_what_is_stated_holds_on_cameras_and_filters_that_had_no_part_in_it(noise):
     if not DATA.is_dir():

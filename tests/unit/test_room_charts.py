@@ -64,6 +64,7 @@ def test_a_lamp_with_a_chart_under_it_is_recovered_far_better_than_without(seen)
     assert (with_chart < without + 0.1).all()
 
 
+@pytest.mark.heavy
 def test_charts_in_two_places_tell_two_lamps_that_light_both_from_each_other(seen):
     """Walls under either lamp alone are recovered, though each chart stands under both; mean over three draws."""
     pair = np.stack([lamp("D65"), lamp("LED-B3")])

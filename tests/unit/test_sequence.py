@@ -91,6 +91,7 @@ def quarter(scene, part):
     return scene
 
 
+@pytest.mark.default_cases(4)
 @pytest.mark.parametrize(
     ("integrator", "part"),
     [
@@ -380,6 +381,7 @@ def differences(renderer, reference, moment, white):
     return delta_e(*labs), figures
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("maps", [False, True])
 def test_pictures_in_xyz_are_carried_by_coefficients_where_these_are_exact(maps):
     """Grey mirrors, light and surfaces on bases, two objects that throw light on each other: rounding is all."""

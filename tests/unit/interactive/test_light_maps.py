@@ -181,6 +181,7 @@ def test_with_light_maps_a_mesh_on_an_endless_plane_is_near_the_path_traced_pict
     assert from_maps < 0.5 and from_maps < 0.5 * far(BARE)
 
 
+@pytest.mark.heavy
 def test_products_of_light_and_surface_show_what_the_bands_show_with_light_maps():
     materials, scene = [material(one) for one in COLOURED], scene_of(MAPS)
     white = LIGHT.upward_white()
@@ -199,6 +200,7 @@ REDDISH = STILL._replace(filter=tuple(np.linspace(0.2, 1.8, 61)))
 TURNED = STILL._replace(environment_deg=70.0)
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     ("moment", "lights"),
     [
@@ -281,7 +283,7 @@ def test_under_a_black_ball_an_endless_plane_is_dark_by_the_ball_s_form_factor_n
         assert np.abs(found - wanted)[beside].mean() < 0.01 and np.abs(found - wanted)[beside].max() < 0.05
 
 
-@pytest.mark.default_cases(1)
+@pytest.mark.heavy
 @pytest.mark.parametrize("mesh", [octahedron(20.0, 3), BALL.facetted(1.0)], ids=["512 triangles", "16256"])
 def test_a_ball_of_triangles_has_the_light_of_an_exact_ball(mesh):
     """Large triangles are divided for texels; where they are small, their corners are texels."""
@@ -365,6 +367,7 @@ def test_gloss_of_white_neighbours_in_even_light_is_that_of_the_sky():
     assert np.abs((seen - plain)[shown] / (free - plain)[shown] - 1.0).max() < 0.05
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("moment", [STILL, REDDISH], ids=["as it stands", "another colour"])
 def test_gloss_shows_neighbours_as_path_tracing_does(moment):
     """A coloured ball and plate in each other's gloss: nearer to paths than gloss that sees the sky through them."""

@@ -101,6 +101,7 @@ def picture(materials, light, document, definition):
     )
 
 
+@pytest.mark.heavy
 def test_a_matte_scene_pays_for_no_mirror_and_no_gloss():
     matte = [material(0.7), material(GREENISH)]
     shiny = [material(0.7, beta=1.0, mu=0.1, mirror=0.5), material(GREENISH, beta=2.0, mirror=1.0)]
@@ -239,6 +240,7 @@ def test_a_plan_that_cannot_take_its_name_leaves_nothing_behind(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["plan.yaml"]
 
 
+@pytest.mark.heavy
 def test_a_smaller_tolerance_costs_more():
     shiny = [material(0.5, beta=0.5, mu=0.2), material(GREENISH, beta=3.0, mu=0.15, mirror=0.4)]
     costs = [planned(shiny, room(), tolerance=t)[0]["cost"]["numbers_per_pixel"] for t in (20.0, 0.5, 1e-4)]
