@@ -49,14 +49,19 @@ def pytest_collection_finish():
 def pytest_collection_modifyitems(items):
     """Begin with the files that take minutes, for which the others would wait at the end.
 
-    Of these, those that read the results of the small project come after the others, but for the one that runs it.
+    Of these, those that read the results of the small project come after the others, but for the one that runs it. Then
+    files of all folders alternate: those of the rig wait for simulated controllers, while others compute.
     """
     readers = {item.path for item in items if "finished" in item.fixturenames}
+    files = {}  # of each folder, in order
+    for item in items:
+        files.setdefault(item.path.parent, {}).setdefault(item.path, len(files[item.path.parent]))
 
-    def turn(item) -> int:
+    def turn(item) -> tuple[int, float]:
         path = item.path.as_posix()
-        if not any(part in path for part in _LONG):
-            return 3
-        return 0 if path.endswith(_FIRST) else 2 if item.path in readers else 1
+        if any(part in path for part in _LONG):
+            return 0 if path.endswith(_FIRST) else 2 if item.path in readers else 1, 0.0
+        folder = files[item.path.parent]
+        return 3, folder[item.path] / len(folder)
 
     items.sort(key=turn)

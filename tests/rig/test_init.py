@@ -407,6 +407,7 @@ def test_one_photograph_of_a_chart_makes_a_camera(taken, tmp_path, monkeypatch, 
     assert np.abs(middle - [100.0 - 37.5 * scale, 75.0 - 22.5 * scale]).max() < 2.0
 
 
+@pytest.mark.heavy
 def test_linear_pictures_make_the_project_that_their_raw_files_make(taken, tmp_path, monkeypatch, capsys):
     """But for exposure times, which most programs drop: here those of the white surface are all one."""
     folder, truth = taken

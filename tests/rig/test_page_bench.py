@@ -48,6 +48,7 @@ def check_page(page) -> None:
     assert [f"{one['id']}: {node['html'][:120]}" for one in found for node in one["nodes"]] == []
 
 
+@pytest.mark.heavy
 def test_on_a_small_phone_nothing_is_cut_off_and_axe_finds_nothing_in_any_state(sitting, visit):  # noqa: F811
     pytest.importorskip("axe_playwright_python", reason="axe is not installed: no page was checked for everyone's use")
     page = visit(sitting.server.url, SMALL)

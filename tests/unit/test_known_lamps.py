@@ -33,6 +33,7 @@ def room(seen, *names: str, seed: int = 0) -> Directions:
     return Directions(response, response.sum(axis=1) / response.sum())
 
 
+@pytest.mark.heavy
 def test_a_named_lamp_is_recovered_better_than_an_unknown_one_and_a_measured_one_better_still(seen):
     """What is said of each lamp is off by some per cent; its own spectrum is in no prior."""
     unknown, named, measured = (errors(seen, variant)[:, 0] for variant in ("mixture", "named", "measured"))

@@ -130,8 +130,8 @@ def test_a_chart_that_is_read_otherwise_than_it_is_is_refused(seen, fault):
     assert caught.value.field == "room_charts.desk"
 
 
+@pytest.mark.heavy
 @pytest.mark.stability(stage="light", case="two lamps of different kind")
-@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("names", [("FL11", "D65"), ("LED-RGB1", "A"), ("FL4", "LED-B3")], ids="+".join)
 def test_two_lamps_of_different_kind_are_recovered_on_walls_and_mixed(seen, names):
     """In the mean over six draws of the noise of the calibration."""

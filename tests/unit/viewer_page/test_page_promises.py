@@ -454,6 +454,7 @@ def test_the_footer_tells_how_true_the_picture_is(visit):
     assert one.page.locator("#dialog td").all_inner_texts() == ["double", "0.01", "0.1"]
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("language", ["en", "ja"])
 def test_the_footer_of_an_unchecked_page_tells_what_was_not_checked_and_what_that_needs(
     visit, scene, tmp_path, language
