@@ -30,6 +30,8 @@ _MAKE, _MODEL, _TIME, _SERIAL, _LENS = 271, 272, 36867, 42033, 42036
 LIT, CLIPPED = 0.02, 0.995
 #: Sharpness is measured at one in this number of positions, the steepest ones; the outline of a small object suffices.
 _STEEPEST = 500
+#: Percentile of the lit pixels at which a picture is cut off before its sharpness is measured.
+_BRIGHT = 70.0
 #: Quantiles of the colours of a picture that are compared.
 _QUANTILES = (0.1, 0.25, 0.5, 0.75, 0.9)
 _FEWEST_STEPS, _STEP_PX = 16, 4
@@ -65,7 +67,8 @@ class Limits:
         Ratio of the darkest tenth to the brightest hundredth above which ambient light is suspected, if it also exceeds
         twice the largest earlier ratio of the same kind.
     sharpness, sharpest : float
-        Smallest sharpness relative to the median of the same kind; this median counts as at most `sharpest`.
+        Smallest sharpness relative to that of the other photograph of the capture or, for the first of the two, to the
+        median of the same kind; what it is compared with counts as at most `sharpest`.
     repeat : float
         Largest relative change of the light in a repeated view.
     pair, unfiltered : float
@@ -91,7 +94,7 @@ class Limits:
     dimmest: float = 0.1
     to_white: float = 0.01
     ambient: float = 0.03
-    sharpness: float = 0.6
+    sharpness: float = 0.55
     sharpest: float = 0.8
     repeat: float = 0.08
     pair: float = 1.25
@@ -295,9 +298,15 @@ def _blocks(picture: np.ndarray, side: int) -> np.ndarray:
 
 
 def _sharpness(mosaic: Mosaic) -> float:
-    """Return the share of the highest steps that occurs within one superpixel; NaN if there are no steps."""
+    """Return the share of the highest steps that occurs within one superpixel; NaN if there are no steps.
+
+    Highlights are cut off: their flanks are the highest steps on many glossy objects, and soft in a sharp picture too.
+    """
     row, column, _ = next(place for place in mosaic.places() if place[2] == 1)
     green = (mosaic.values[row::2, column::2].astype(np.float32) - mosaic.black[row, column]) / mosaic.full_scale
+    if (lit := green[green > LIT]).size == 0:
+        return math.nan
+    green = np.minimum(green, np.percentile(lit, _BRIGHT).astype(np.float32))
     wide, narrow = [], []
     # In a large picture some of the lines suffice.
     for picture in (green[:: _side(mosaic)], np.ascontiguousarray(green[:, :: _side(mosaic)].T)):
@@ -361,13 +370,10 @@ class Series:
     planned : iterable of Shot
         All shots of the session; they determine the shortest and longest exposure of each bracket.
     limits : Limits
-    is_complete : bool
-        Whether all planned photographs exist. Then a photograph's filter is judged beside the other photograph of its
-        pose, which tells more than its colours, if there is one.
     """
 
-    def __init__(self, planned: Iterable[Shot], limits: Limits | None = None, *, is_complete: bool = False) -> None:
-        self.limits, self._is_complete = limits or Limits(), is_complete
+    def __init__(self, planned: Iterable[Shot], limits: Limits | None = None) -> None:
+        self.limits = limits or Limits()
         self._brackets: dict[tuple[str, str], list[float]] = defaultdict(list)
         for shot in planned:
             self._brackets[shot.capture, shot.filter].append(shot.exposure_s)
@@ -498,7 +504,8 @@ class Series:
             yield from found_pair
             if found_pair:
                 return
-        elif not self._has_pair_to_come(shot) and self._has_other_colour(shot, look):
+        # The other photograph of the pose tells more about the filter than the colours, which highlights change too.
+        elif (shot.capture, _OTHER[shot.filter]) not in self._brackets and self._has_other_colour(shot, look):
             found = f"it has the colours of photographs with the filter {_OTHER[shot.filter]}"
             yield Doubt("filter", f"{found}: is it {shot.filter}?")
             return
@@ -527,9 +534,6 @@ class Series:
                 asked = "have lamp or aperture changed between the two photographs?"
                 yield Doubt("light changed", f"{found}: {asked}", beside)
 
-    def _has_pair_to_come(self, shot: Shot) -> bool:
-        return self._is_complete and (shot.capture, _OTHER[shot.filter]) in self._brackets
-
     def _has_other_colour(self, shot: Shot, look: Look) -> bool:
         near = {"in": math.inf, "out": math.inf}
         for s, seen in self._seen:
@@ -553,12 +557,15 @@ class Series:
     def _of_the_view(self, shot: Shot, look: Look) -> Iterator[Doubt]:
         """Yield doubts about sharpness, and about a shift against the same view or the other photograph of the pair."""
         limits = self.limits
-        known = [seen.sharpness for _, seen in self._kind(shot) if math.isfinite(seen.sharpness)]
+        # In the same pose the same contours are seen, in others perhaps only the soft border of shadow on a ball.
+        partner = self._partner(shot)
+        alike = self._kind(shot) if partner is None or math.isnan(partner[1].sharpness) else [partner]
+        known = [seen.sharpness for _, seen in alike if math.isfinite(seen.sharpness)]
         if known and look.sharpness < limits.sharpness * min(float(np.median(known)), limits.sharpest):
             found = f"contours {look.sharpness / float(np.median(known)):.0%} as steep as before"
             yield Doubt("defocus", f"{found}: look at the focus, and whether something shook")
             return
-        beside = self._repeated(shot) or self._partner(shot)
+        beside = self._repeated(shot) or partner
         if beside is not None and (beyond := self._moved(*beside, shot, look)) is not None:
             found = f"{beyond:.0f} superpixels beside {beside[0].file}"
             asked = f"has object or camera moved, or a motor lost steps?{self._in_doubt(shot)}"

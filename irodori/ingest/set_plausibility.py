@@ -97,7 +97,7 @@ class SetLook:
         self, shots: Iterable[Shot], focal: FocalRange | None = None, whites: Iterable[tuple[Shot, Look]] = ()
     ) -> None:
         self.shots = in_captures(shots)
-        self._focal, self._series = focal, Series(self.shots, is_complete=True)
+        self._focal, self._series = focal, Series(self.shots)
         for shot, look in whites:
             self._series.add(shot, look)
         #: Accepted photographs of the white reference.

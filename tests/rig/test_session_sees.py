@@ -253,13 +253,16 @@ def look(picture: np.ndarray, size=(800, 600)) -> Look:
 
 
 def test_a_pose_that_leaves_one_paint_in_the_dark_is_no_other_filter():
-    """The dark paint covers most of the plate; without it the median colour is where the filter would shift it."""
+    """The dark paint covers most of the plate; without it the median colour is where the filter would shift it.
+
+    Colours decide only where no photograph with the filter is planned: beside it, its transmittance does.
+    """
     band = np.array([0.9, 1.0, 0.55])
     dark, bright = np.array([0.02, 0.025, 0.025]), np.array([0.32, 0.4, 0.4]) * band
     paints = np.where(np.arange(40)[None, :, None] < 22, dark, bright) * np.ones((40, 1, 1))
     shots = [Shot(f"{pose:.0f}-{state}.dng", "object", Pose(45.0, pose), state, 0.02)
              for pose in (0.0, 10.0) for state in ("out", "in")]  # fmt: skip
-    series = Series(shots)
+    series = Series(shots[:3])
     for shot, filtered in zip(shots[:2], (1.0, 0.6 * band), strict=True):
         series.add(shot, look(paints * filtered))
     assert not series.doubts(shots[2], look(0.2 * paints))

@@ -1,4 +1,4 @@
-"""Fifty sound captures of the virtual rig, drawn at random: from RAW files to the registered object none is refused."""
+"""Fifty sound captures of the virtual rig, drawn at random: from session to registered object none is refused."""
 
 import logging
 import zlib
@@ -9,8 +9,11 @@ import pytest
 from made import made
 from sessions import MADE, definitions
 
+from irodori.capture.journal import Journal
+from irodori.capture.operator import AutoOperator
+from irodori.capture.session import Session, take_stock
 from irodori.capture.shot_list import camera_shots, object_shots
-from irodori.config.capture_table import read_captures, write_captures
+from irodori.config.capture_table import read_captures
 from irodori.config.models import Camera, Object, Optics, Placing, Rig
 from irodori.config.parts import PhotographedObject, RigGeometry
 from irodori.core import store
@@ -71,12 +74,11 @@ def drawn(rng, definition: dict, rig: dict) -> None:
 
 
 def photographed(folder: Path, eye: VirtualCamera, planned) -> Path:
-    """Take photographs as somebody would who asks no session, and return their table."""
+    """Take photographs in a session that nobody attends and that doubts none of them, and return their table."""
     folder.mkdir()
-    for shot in planned:
-        eye.bench.set({"subject": shot.subject, "filter": shot.filter, **vars(shot.pose)})
-        eye.capture(shot, folder / shot.file)
-    write_captures(folder / "captures.csv", planned)
+    journal = Journal(folder / "captures.csv")
+    session = Session(eye, AutoOperator(eye.bench.set), journal, None, take_stock(journal, planned))
+    assert session.run(planned, folder.name).doubted == 0
     return folder / "captures.csv"
 
 
