@@ -304,7 +304,8 @@ def _sharpness(mosaic: Mosaic) -> float:
     """
     row, column, _ = next(place for place in mosaic.places() if place[2] == 1)
     green = (mosaic.values[row::2, column::2].astype(np.float32) - mosaic.black[row, column]) / mosaic.full_scale
-    if (lit := green[green > LIT]).size == 0:
+    some = green[:: _side(mosaic), :: _side(mosaic)]
+    if (lit := some[some > LIT]).size == 0:
         return math.nan
     green = np.minimum(green, np.percentile(lit, _BRIGHT).astype(np.float32))
     wide, narrow = [], []
