@@ -349,8 +349,8 @@ class InteractiveRenderer(Renderer):
         moment = moment.seen_from("objects")
         if not self.light_turns and (moment.environment_deg or (self.scene.lights and moment.lights_deg)):
             self.light_turns, self._lit = has_light_maps(self.scene), ()
-        scene, prepared = turned_scene(self.scene, moment), self.light(moment)
-        if self.light_turns:
+        lit, scene, prepared = self._lit, turned_scene(self.scene, moment), self.light(moment)
+        if self.light_turns and self._lit is lit:  # not just prepared with its maps
             prepared.show(self._turned_maps(moment))
         side, size = self.options.pixel_side, scene.image
         view = make_view(scene.views[view_name], size).finer(side)

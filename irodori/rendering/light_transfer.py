@@ -14,7 +14,7 @@ any light from all directions, turned about the vertical axis by any angle, any 
 The number of texels is increased until light interpolated between them is close to light found at the same points.
 """
 
-from collections.abc import Sequence
+from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -38,6 +38,7 @@ from irodori.rendering.texel_views import Links, TexelView, look_around
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_matrix
+    from scipy.spatial import cKDTree
 
 #: Texels of a map, initially and at most; largest error between them, relative to the mean light on the object.
 _FEWEST_TEXELS, _MOST_TEXELS, MOST_ERROR = 1 << 10, 1 << 14, 0.02
@@ -69,6 +70,46 @@ class _Mirror(NamedTuple):
     texels: "csr_matrix"  # (texels, texels) from the light that texels send
 
 
+#: For each object, the numbers of its open texels and a tree of their places, or None if there are none.
+_Trees = list["tuple[np.ndarray, cKDTree] | None"]
+#: Numbers of a sparse matrix, with their rows and columns.
+_Entries = tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]
+
+
+class _Rows:
+    """Sparse matrix to which rows are added, so that there is no second copy of it at any time.
+
+    Parameters
+    ----------
+    rows, columns : int
+    most : int
+        Entries that are added at most.
+    """
+
+    def __init__(self, rows: int, columns: int, most: int) -> None:
+        self.columns, self.starts, self.count = columns, np.zeros(rows + 1, np.int32), 0
+        # The memory of an empty array is taken up as it is written.
+        self.data, self.indices = np.empty(most, np.float32), np.empty(most, np.int32)
+
+    def add(self, rows: int, numbers: np.ndarray, places: tuple[np.ndarray, np.ndarray]) -> None:
+        """Add some rows below those that are there, from numbers with rows and columns, summed for each place."""
+        from scipy.sparse import csr_matrix
+
+        part = csr_matrix((numbers, places), shape=(rows, self.columns), dtype=np.float32)
+        stored = slice(self.starts[self.count], self.starts[self.count] + part.nnz)
+        self.data[stored], self.indices[stored] = part.data, part.indices
+        self.starts[self.count : self.count + rows + 1] = stored.start + part.indptr
+        self.count += rows
+
+    def matrix(self) -> "csr_matrix":
+        """Return the matrix."""
+        from scipy.sparse import csr_matrix
+
+        stored = slice(self.starts[-1])
+        shape = len(self.starts) - 1, self.columns
+        return csr_matrix((self.data[stored], self.indices[stored], self.starts), shape=shape)
+
+
 class LightTransfer:
     """Transfer of light to each texel of a scene's light maps, and the maps for any light; see the module.
 
@@ -82,22 +123,22 @@ class LightTransfer:
     """
 
     def __init__(self, tracer: Tracer, objects: Objects, environment: Environment) -> None:
-        from scipy.sparse import vstack
-
         self.tracer, self._moments = tracer, Moments(environment.coefficients)
         self._bases: dict[bytes, np.ndarray] = {}
         self._reach, placements = reaches(tracer.placements), tracer.placements
         self.layouts = [make_layout(placements, index) for index in range(len(placements))]
         found = [self._fine_enough(index, environment) for index in range(len(placements))]
-        self.most, self.errors, points, views, self._spread = zip(*found, strict=True)
+        self.most, self.errors, points, around, self._spread = zip(*found, strict=True)
         self.sizes = [layout.size(most) for layout, most in zip(self.layouts, self.most, strict=True)]
         self.first = np.cumsum([0, *(len(p.point) for p in points)])
         self.points = Points(*(np.concatenate(parts) for parts in zip(*points, strict=True)))
-        self.hidden = vstack([view.hidden for view in views]).tocsr()
+        views = [view for views in around for view in views]
+        del found, around  # so that no view is kept longer than `_link` needs it
         self.is_open = np.concatenate([view.is_open for view in views])
         shines = [_shine(objects, index) for index in range(len(placements))]
-        self._link(views, shines)
-        self._trace_gloss()
+        near = self._trees()
+        self._link(views, shines, near)
+        self._trace_gloss(near)
         own = [_reflectances(p, objects, i, points[i]) for i, p in enumerate(placements)]
         self.reflectance = np.concatenate(own).astype(np.float32)
         shine = np.stack([one[_MIDDLE] for one in shines]).astype(np.float32)
@@ -108,10 +149,10 @@ class LightTransfer:
         layout, most = self.layouts[index], _FEWEST_TEXELS
         while True:
             points, spread = _thinned(self._raised(layout.points(most), index))
-            view = look_around(self.tracer, points, index)
-            error = self._error(index, most, (points, view, spread), environment)
+            views = look_around(self.tracer, points, index)
+            error = self._error(index, most, (points, views, spread), environment)
             if error <= MOST_ERROR or 4 * most > _MOST_TEXELS or layout.size(4 * most) == layout.size(most):
-                return most, error, points, view, spread
+                return most, error, points, views, spread
             most *= 4
 
     def _raised(self, points: Points, index: int) -> Points:
@@ -123,75 +164,76 @@ class LightTransfer:
     def _error(self, index: int, most: int, traced: tuple, environment: Environment) -> float:
         """Return the root-mean-square error of direct light between the texels, relative to its mean, without noise."""
 
-        def light(normal: np.ndarray, hidden) -> np.ndarray:
+        def light(normal: np.ndarray, views: list[TexelView]) -> tuple[np.ndarray, np.ndarray]:
+            hidden, is_open = ([getattr(view, name) for view in views] for name in ("hidden", "is_open"))
             turned = (self._direct(environment, np.radians(a), normal, hidden).mean(axis=1) for a in _ANGLES_DEG)
-            return np.stack(list(turned), axis=1).astype(np.float64)
+            return np.stack(list(turned), axis=1).astype(np.float64), np.concatenate(is_open)
 
-        (points, view, spread), layout = traced, self.layouts[index]
-        found = _on_texels(light(points.normal, view.hidden), view.is_open, spread, layout.cells(most))
+        (points, views, spread), layout = traced, self.layouts[index]
+        found = _on_texels(*light(points.normal, views), spread, layout.cells(most))
         places, shown = layout.between(found.reshape(*layout.size(most), -1), most, _JUDGED, _SEED)
         places, halves = self._raised(places, index), []
         for number in range(2):
-            seen = look_around(self.tracer, places, index, number)
-            halves.append(light(places.normal, seen.hidden))
-        off = [(shown - half)[seen.is_open] for half in halves]
+            half, is_open = light(places.normal, look_around(self.tracer, places, index, number))
+            halves.append(half)
+        off = [(shown - half)[is_open] for half in halves]
         mean = float(np.mean(halves))
-        return float(np.sqrt(max(np.mean(off[0] * off[1]), 0.0))) / mean if mean > 0.0 and seen.is_open.any() else 0.0
+        return float(np.sqrt(max(np.mean(off[0] * off[1]), 0.0))) / mean if mean > 0.0 and is_open.any() else 0.0
 
-    def _link(self, views: Sequence[TexelView], shines: list[np.ndarray]) -> None:
-        """Make the matrices by which texels receive light from other texels, and from cells by way of mirrors."""
-        from scipy.sparse import csr_matrix
+    def _trees(self) -> _Trees:
+        from scipy.spatial import cKDTree
 
-        links = [view.links._replace(texel=first + view.links.texel)
-                 for first, view in zip(self.first, views, strict=False)]  # fmt: skip
-        texel, shape, place, way, weight = (np.concatenate(parts) for parts in zip(*links, strict=True))
-        target, count = self._nearest(shape, place), self.first[-1]
-        texel, shape, place, way, weight, target = (
-            values[target >= 0] for values in (texel, shape, place, way, weight, target)
-        )
-        self.seen = csr_matrix((weight, (texel, target)), shape=(count, count))
-        self.mirrors = []
-        for index, shine in enumerate(shines):
-            if shine.max() > _LEAST_SHINE:
-                own = shape == index
-                rays = Links(texel[own], target[own], place[own], way[own], weight[own])
-                self.mirrors.append(self._mirror(rays, shine, self._reach[index]))
+        own = [first + np.flatnonzero(self.is_open[first:end]) for first, end in pairwise(self.first)]
+        return [(texels, cKDTree(self.points.point[texels])) if len(texels) else None for texels in own]
 
-    def _mirror(self, rays: Links, shine: np.ndarray, reach_mm: float) -> _Mirror:
-        """Follow rays to the texels or cells that they meet after an object has reflected them like a mirror.
+    def _link(self, views: list[TexelView], shines: list[np.ndarray], near: _Trees) -> None:
+        """Make the matrices by which texels receive light from cells, from other texels, and by way of mirrors.
 
-        In place of shapes, the rays have the texels next to the places where they arrive.
+        The views are removed one after the other, because enclosed texels have a thousand links each.
         """
-        from scipy.sparse import csr_matrix
+        count, shiny = self.first[-1], [index for index, one in enumerate(shines) if one.max() > _LEAST_SHINE]
+        most = np.sum([np.bincount(view.shape[view.shape != NO_HIT], minlength=len(shines)) for view in views], axis=0)
+        self.hidden: list[csr_matrix] = []
+        seen = _Rows(count, count, most.sum())
+        cells, texels = ({index: _Rows(count, size, most[index]) for index in shiny} for size in (CELLS, count))
+        views.reverse()
+        while views:
+            view, first = views.pop(), sum(part.shape[0] for part in self.hidden)
+            self.hidden.append(view.hidden)
+            links = view.links(Points(*(values[first : first + len(view.is_open)] for values in self.points)))
+            target = _nearest(near, links.shape, links.place)
+            # From here on, links have the texels next to the places that are seen, in place of shapes.
+            shape, links = links.shape[target >= 0], Links(*(v[target >= 0] for v in links._replace(shape=target)))
+            seen.add(len(view.is_open), links.weight, (links.texel, links.shape))
+            for index in shiny:
+                rays = Links(*(values[shape == index] for values in links))
+                to_cells, to_texels = self._reflected(rays, index, shines[index], near)
+                cells[index].add(len(view.is_open), *to_cells)
+                texels[index].add(len(view.is_open), *to_texels)
+        self.seen, colours = seen.matrix(), {index: shines[index][_MIDDLE] for index in shiny}
+        self.mirrors = [
+            _Mirror((colour / colour.mean()).astype(np.float32), cells[index].matrix(), texels[index].matrix())
+            for index, colour in colours.items()
+        ]
 
+    def _reflected(self, rays: Links, index: int, shine: np.ndarray, near: _Trees) -> tuple[_Entries, _Entries]:
+        """Follow rays to the cells and texels that they meet after an object has reflected them like a mirror.
+
+        Returns their weights in the light of the texels that the rays come from, and the places of these weights.
+        """
         normal = self.points.normal[rays.shape]
         way = rays.way / np.maximum(np.linalg.norm(rays.way, axis=1, keepdims=True), 1e-30)
         steep = (way * normal).sum(axis=1)
         way -= 2.0 * steep[:, None] * normal
-        distance, shape = self.tracer.intersect(raised(rays.place, normal, reach_mm), way)
+        distance, shape = self.tracer.intersect(raised(rays.place, normal, self._reach[index]), way)
         share = np.interp(np.clip(-steep, 0.0, 1.0), _COSINES, shine.mean(axis=1)) * (steep < 0.0) * rays.weight
-        met, count = shape != NO_HIT, self.first[-1]
-        there = self._nearest(shape[met], rays.place[met] + distance[met, None] * way[met])
+        met = shape != NO_HIT
+        there = _nearest(near, shape[met], rays.place[met] + distance[met, None] * way[met])
         front = ((self.points.facet[there] * way[met]).sum(axis=1) < _GRAZING) & (there >= 0)
-        onto = (rays.texel[met], np.maximum(there, 0))
-        texels = csr_matrix((share[met] * front, onto), shape=(count, count), dtype=np.float32)
-        place = (rays.texel[~met], cell_of(way[~met]))
-        cells = csr_matrix((share[~met], place), shape=(count, CELLS), dtype=np.float32)
-        return _Mirror((shine[_MIDDLE] / shine[_MIDDLE].mean()).astype(np.float32), cells, texels)
+        cells = share[~met], (rays.texel[~met], cell_of(way[~met]))
+        return cells, (share[met] * front, (rays.texel[met], np.maximum(there, 0)))
 
-    def _nearest(self, shape: np.ndarray, place: np.ndarray) -> np.ndarray:
-        """Return the open texel of a shape, (n,) of -1 and more, next to each place, (n, 3); -1 for no shape."""
-        from scipy.spatial import cKDTree
-
-        found = np.full(len(place), -1)
-        for index in range(len(self.sizes)):
-            chosen = np.flatnonzero(shape == index)
-            own = self.first[index] + np.flatnonzero(self.is_open[self.first[index] : self.first[index + 1]])
-            if len(chosen) and len(own):
-                found[chosen] = own[cKDTree(self.points.point[own]).query(place[chosen])[1]]
-        return found
-
-    def _trace_gloss(self) -> None:
+    def _trace_gloss(self, near: _Trees) -> None:
         from scipy.sparse import csr_matrix, vstack
 
         places, self.gloss_sizes = coarse_texels(self.tracer.placements)
@@ -203,7 +245,7 @@ class LightTransfer:
             origin = np.repeat(points.point, direction.shape[1] * direction.shape[2], axis=0)
             distance, shape = self.tracer.intersect(origin, flat)
             met = np.flatnonzero(shape != NO_HIT)
-            target = self._nearest(shape[met], origin[met] + distance[met, None] * flat[met])
+            target = _nearest(near, shape[met], origin[met] + distance[met, None] * flat[met])
             front = (self.points.facet[target] * flat[met]).sum(axis=1) < _GRAZING
             cell = met // max(direction.shape[2], 1)
             weight = np.where(front & (target >= 0), 1.0 / max(direction.shape[2], 1), 0.0).astype(np.float32)
@@ -273,13 +315,14 @@ class LightTransfer:
     def _direct(self, environment: Environment, angle: float, normal: np.ndarray, hidden) -> np.ndarray:
         """Return the light from the environment, turned by an angle, rad, (n, 61), on points that see it in part.
 
-        ``normal`` and ``hidden`` have the points' normals, (n, 3), and the hidden shares of their cells, (n, cells).
+        ``normal`` and ``hidden`` have the points' normals, (n, 3), and the hidden shares of their cells, in matrices of
+        (some points, cells) each.
         """
         k = environment.basis.shape[1]
         free = np.empty((len(normal), k))
         look_up(environment.irradiance.astype(np.float64), np.ascontiguousarray(normal @ rotation_z(angle)), free)
         cells = self._moments.turned(angle)
-        lost = (hidden @ cells[..., :3].reshape(CELLS, -1)).reshape(len(normal), k, 3)
+        lost = np.concatenate([part @ cells[..., :3].reshape(CELLS, -1) for part in hidden]).reshape(len(normal), k, 3)
         return ((free - (lost * normal[:, None]).sum(axis=2)) / np.pi @ environment.basis.T).astype(np.float32)
 
     def _mirrored(self, environment: Environment, angle: float) -> np.ndarray:
@@ -305,6 +348,16 @@ class LightTransfer:
             cubes.append(stored_cubes(own).reshape(rows, columns, FACES, SIDE + 2, SIDE + 2, SEEN))
             first += len(own) * cells
         return tuple(cubes), basis
+
+
+def _nearest(trees: _Trees, shape: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """Return the open texel of a shape, (n,) of -1 and more, next to each place, (n, 3); -1 for no shape."""
+    found = np.full(len(place), -1)
+    for index, tree in enumerate(trees):
+        chosen = np.flatnonzero(shape == index)
+        if len(chosen) and tree is not None:
+            found[chosen] = tree[0][tree[1].query(place[chosen])[1]]
+    return found
 
 
 def _thinned(points: Points) -> tuple[Points, "csr_matrix | None"]:

@@ -33,11 +33,28 @@ class Links(NamedTuple):
 
 
 class TexelView(NamedTuple):
-    """Surroundings as the texels of an object see them."""
+    """Surroundings as some texels see them.
 
-    hidden: "csr_matrix"  # (texels, cells) share that is hidden
+    ``hidden`` is the share of each cell that is hidden. The other arrays except ``is_open`` belong to its stored
+    entries, of which an enclosed object has a thousand for each texel, so that they take few bytes each.
+    """
+
+    hidden: "csr_matrix"  # (texels, cells)
+    shape: np.ndarray  # (entries,) int16 shape whose front is seen in the cell, or `NO_HIT`
+    distance: np.ndarray  # (entries,) float32 mm to it
+    direction: np.ndarray  # (entries,) uint8 direction of the pool
     is_open: np.ndarray  # (texels,) bool whether they lie outside all other objects
-    links: Links
+
+    def links(self, points: Points) -> Links:
+        """Return what the texels, which are at these points, see of other surfaces."""
+        entry = np.flatnonzero(self.shape != NO_HIT)
+        cell = self.hidden.indices[entry]
+        texel = np.repeat(np.arange(len(self.is_open)), np.diff(self.hidden.indptr))[entry]
+        way = self.distance[entry, None] * cell_directions()[cell, self.direction[entry]]
+        cosine = np.maximum((points.normal[texel] * cell_vectors()[cell]).sum(axis=1), 0.0)
+        weight = (self.hidden.data[entry] * cosine / np.pi).astype(np.float32)
+        single = (points.point[texel] + way).astype(np.float32), way.astype(np.float32)
+        return Links(texel, self.shape[entry], *single, weight)
 
 
 class _Bounds(NamedTuple):
@@ -149,8 +166,8 @@ def _bounds(placements: Sequence[Placement]) -> _Bounds:
     )
 
 
-def look_around(tracer: Tracer, points: Points, index: int, start: int = 0) -> TexelView:
-    """Trace rays from points of an object.
+def look_around(tracer: Tracer, points: Points, index: int, start: int = 0) -> list[TexelView]:
+    """Trace rays from points of an object; return the views of some texels after the other.
 
     Parameters
     ----------
@@ -162,10 +179,9 @@ def look_around(tracer: Tracer, points: Points, index: int, start: int = 0) -> T
     start : int
         Selects other directions in the cells.
     """
-    from scipy.sparse import csr_matrix, vstack
+    from scipy.sparse import csr_matrix
 
-    bounds = _bounds(tracer.placements)
-    pool, hidden, links, is_open = cell_directions(), [], [], []
+    bounds, pool, found = _bounds(tracer.placements), cell_directions(), []
     for first in range(0, len(points.point), _TOGETHER):
         some = Points(*(values[first : first + _TOGETHER] for values in points))
         count = len(some.point)
@@ -176,13 +192,6 @@ def look_around(tracer: Tracer, points: Points, index: int, start: int = 0) -> T
         rays = tracer.intersect_address, tracer.scene
         casting = _Casting(*rays, bounds, index, pool, start + first)
         run_chunks(_look_some, count, _CHUNK, casting, some, seen)
-        hidden.append(csr_matrix(seen.hidden))
-        is_open.append(seen.is_open)
-        texel, cell = np.nonzero(seen.shape != NO_HIT)
-        way = seen.distance[texel, cell, None] * pool[cell, seen.place[texel, cell]]
-        cosine = np.maximum((some.normal[texel] * cell_vectors()[cell]).sum(axis=1), 0.0)
-        weight = (seen.hidden[texel, cell] * cosine / np.pi).astype(np.float32)
-        single = (some.point[texel] + way).astype(np.float32), way.astype(np.float32)
-        links.append(Links((first + texel).astype(np.int32), seen.shape[texel, cell], *single, weight))
-    joined = Links(*(np.concatenate(parts) for parts in zip(*links, strict=True)))
-    return TexelView(vstack(hidden).tocsr(), np.concatenate(is_open), joined)
+        stored = hides != 0.0  # in the order of the entries
+        found.append(TexelView(csr_matrix(hides), shape[stored], distance[stored], place[stored], seen.is_open))
+    return found

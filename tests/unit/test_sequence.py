@@ -26,6 +26,7 @@ from irodori.rendering import sequence
 from irodori.rendering.frame_state import Moment, turned_scene
 from irodori.rendering.integrators import make_renderer, render_image
 from irodori.rendering.interactive import frame_renderer
+from irodori.rendering.light_transfer import LightTransfer
 
 pytestmark = pytest.mark.usefixtures("coarse_light_maps")
 
@@ -348,20 +349,22 @@ def test_threads_do_not_change_a_bit_of_a_sequence(tmp_path, integrator):
 
 
 def test_a_sweep_keeps_what_the_eye_met_and_a_turntable_does_not(monkeypatch):
-    kept = []
-    real = frame_renderer.render_frame
+    kept, baked = [], []
+    real, maps = frame_renderer.render_frame, LightTransfer.maps
 
     def noted(*arguments, keep_visibility=False, **options):
         kept.append(keep_visibility)
         return real(*arguments, keep_visibility=keep_visibility, **options)
 
     monkeypatch.setattr(frame_renderer, "render_frame", noted)
+    monkeypatch.setattr(LightTransfer, "maps", lambda *arguments: baked.append(arguments[2]) or maps(*arguments))
     made = renderer(scene_of(INTERACTIVE))
     made.light_turns = True  # as in a sequence
     moments = [Moment(environment_deg=a, lights_deg=a) for a in (0.0, 40.0)]
     fresh = [made.picture("v", m)[0] for m in moments]
     again = [made.picture("v", m, keep=True)[0] for m in moments]
     assert kept == [False, False, False, True, True]  # the first is that which compiles
+    assert baked == [0.0, 40.0, 0.0, 40.0]  # once for each picture, also for the first
     assert all(np.array_equal(a, b) for a, b in zip(fresh, again, strict=True))
 
 
