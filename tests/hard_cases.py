@@ -192,6 +192,7 @@ _TABLE = {
     ("G", "calibrate"): {"all of part C together": _RIGHT + ", or refused with what is accepted; no warning"},
     ("O", "render"): {
         "light maps whose object moved": "refused by name, or baked again; never shown",
+        "a sun of one pixel in mirrors": "found with every seed, weighs what it should",
     },
     ("G", "render"): {
         "all of part F together, by paths": "finite, between black and the light that there is, no warning",

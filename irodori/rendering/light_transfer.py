@@ -189,7 +189,7 @@ class LightTransfer:
     def _link(self, views: list[TexelView], shines: list[np.ndarray], near: _Trees) -> None:
         """Make the matrices by which texels receive light from cells, from other texels, and by way of mirrors.
 
-        The views are removed one after the other, because enclosed texels have a thousand links each.
+        The views are removed one after the other, because enclosed texels have hundreds of links each.
         """
         count, shiny = self.first[-1], [index for index, one in enumerate(shines) if one.max() > _LEAST_SHINE]
         most = np.sum([np.bincount(view.shape[view.shape != NO_HIT], minlength=len(shines)) for view in views], axis=0)

@@ -22,9 +22,11 @@ from irodori.reflection.registry import lobe
 from irodori.rendering.compiled_calls import resolved
 from irodori.rendering.reference.band_loops import padded
 from irodori.rendering.reference.denoising import Halves
+from irodori.rendering.reference.glints import find_glints
 from irodori.rendering.reference.random_numbers import Numbers, make_numbers
 from irodori.rendering.reference.row_statistics import Rows, Sampling, render_some_rows
 from irodori.rendering.reference.sky_sampling import Sky, make_sky
+from irodori.rendering.reference.sun_images import make_images
 from irodori.rendering.reference.world import SEEN, Bands, World
 from irodori.rendering.scene_arrays import Objects, View
 from irodori.rendering.scene_lights import BANDS, make_lights
@@ -79,7 +81,8 @@ def make_scene(
     offset = _OFFSET * reaches(tracer.placements)
     addresses = (tracer.intersect_address, tracer.occluded_address, tracer.scene)
     sky = environment if isinstance(environment, Sky) else make_sky(environment)
-    return TracedScene(World(surfaces, objects, bands, sky, placed, *addresses, offset, _STEPS), tracer)
+    images = make_images(placements, objects, sky)
+    return TracedScene(World(surfaces, objects, bands, sky, placed, *addresses, offset, _STEPS, images), tracer)
 
 
 def render_rows(scene: TracedScene, view: View, numbers: Numbers, rows: tuple[int, int]) -> Picture:
@@ -93,7 +96,8 @@ def render_places(scene: TracedScene, view: View, numbers: Numbers, places: np.n
     count, width, _ = places.shape
     image, seen = (np.zeros((count, width, size), dtype=np.float32) for size in (BANDS, SEEN))
     error, difference, cut = np.zeros_like(image), np.zeros_like(image), np.zeros(count, dtype=np.int64)
-    arguments = Sampling(scene.world, view, numbers), Rows(places, image, error, difference, seen, cut)
+    sampling = Sampling(scene.world, view, numbers, find_glints(scene.world.images, view))
+    arguments = sampling, Rows(places, image, error, difference, seen, cut)
     run_chunks(resolved(render_some_rows, *arguments, 0, 0), count, 1, *arguments)
     return Picture(image, error, int(cut.sum()), Halves(image, difference, seen) if numbers.replicates == 2 else None)
 

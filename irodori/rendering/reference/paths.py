@@ -42,6 +42,7 @@ from irodori.rendering.reference.random_numbers import (
     draw_from,
 )
 from irodori.rendering.reference.sky_sampling import look_at_sky, sample_sky
+from irodori.rendering.reference.sun_images import draw_image, fill_image_shares, image_density, pick_chain, sun_density
 from irodori.rendering.reference.world import ALBEDO, NORMAL, PLACE, SHINE, Branch
 from irodori.rendering.scene_lights import COLLIMATED, density_towards, sample_towards, unobstructed
 from irodori.rendering.surface_hits import surface
@@ -55,6 +56,7 @@ _ROULETTE_FROM = 4  # Russian roulette begins at the fifth surface
 #: lamp in a weak mirror, sampled seldom, would consist of bright dots. If the mirror's share is below 1 / MIRRORED,
 #: only one of MIRRORED samples follows it.
 MIRRORED = 4
+_OF_SUN = 0.5  # least probability of the mirror term where it shows a sun
 _THIRD = 20  # bands of a part of the spectrum, see `ALBEDO`
 # Columns of `Work.gloss`.
 _SHARE, _BETA, _MU, _CONSTANT = 0, 1, 2, 3
@@ -148,7 +150,7 @@ def _reflect(world, work, index, direction, probability):
     drawn = probability[0] * cos_i / math.pi
     if probability[1] <= 0.0:
         fill_mixture_grey(work.diffuse, cos_i / math.pi, 0.0, work.mixture)
-        return drawn
+        return _with_images(world, work, direction, probability, drawn)
     factor, of_gloss, cos_h = _gloss(world, work, index, direction, cos_i, cos_r)
     objects = world.objects
     if objects.grey[index] == 1:
@@ -157,7 +159,31 @@ def _reflect(world, work, index, direction, probability):
     else:
         fill_fresnel(min(cos_h, 1.0), world.bands.n, world.bands.k, index, work.fresnel)
         fill_mixture(work.diffuse, cos_i / math.pi, work.fresnel, factor, work.mixture)
-    return drawn + probability[1] * of_gloss
+    return _with_images(world, work, direction, probability, drawn + probability[1] * of_gloss)
+
+
+@uncounted(forceinline=True)
+def _with_images(world, work, direction, probability, drawn):
+    """Return the density of a direction if some are aimed at images of suns, from that without these, 1/sr.
+
+    Also fills by how much it is larger.
+    """
+    aimed, work.aimed[1] = work.aimed[0], 1.0
+    if aimed <= 0.0 or drawn <= 0.0:
+        return drawn
+    start = (work.origin[0], work.origin[1], work.origin[2])
+    towards = image_density(world.images, work.image, start, (direction[0], direction[1], direction[2]))
+    whole = (1.0 - aimed) * drawn + aimed * (probability[0] + probability[1]) * towards
+    work.aimed[1] = max(whole / drawn, 1.0)
+    return whole
+
+
+@uncounted(forceinline=True)
+def _look_for_images(world, work):
+    """Fill ``work.aimed`` and ``work.image`` at the origin of the next ray."""
+    start = (work.origin[0], work.origin[1], work.origin[2])
+    facet = (work.facet[0], work.facet[1], work.facet[2])
+    work.aimed[0] = fill_image_shares(world.images, start, facet, work.image)
 
 
 @uncounted(forceinline=True)
@@ -304,6 +330,24 @@ def _keep_mirror(world, work, index, terms, seldom):
 
 
 @uncounted(forceinline=True)
+def _favour_sun(world, work, terms):
+    """Return the shares of the terms, that of the mirror raised where it shows a sun: a weak mirror would seldom do."""
+    diffuse, gloss, mirror, reflectance = terms
+    if mirror <= 0.0 or mirror >= _OF_SUN:
+        return terms
+    cosine = 0.0
+    for axis in range(3):
+        cosine += work.to_eye[axis] * work.normal[axis]
+    x = 2.0 * cosine * work.normal[0] - work.to_eye[0]
+    y = 2.0 * cosine * work.normal[1] - work.to_eye[1]
+    z = 2.0 * cosine * work.normal[2] - work.to_eye[2]
+    if sun_density(world.images, (x, y, z)) <= 0.0:
+        return terms
+    rest = (1.0 - _OF_SUN) / (1.0 - mirror)
+    return rest * diffuse, rest * gloss, _OF_SUN, reflectance
+
+
+@uncounted(forceinline=True)
 def _component(work, choice):
     """Return the gloss component that a number from 0 to 1 selects by the components' shares, never one of share 0."""
     chosen = 0
@@ -329,14 +373,22 @@ def _turn(world, work, index, terms, stream):
         own = Branch(work.origin, d, work.throughput)
         return -1.0 if _mirror(world, work, index, reflectance, 1.0 / mirror, own) else 0.0
     u, v = draw_from(stream, LOBE), draw_from(stream, LOBE + 1)
-    if choice < mirror + gloss:
-        component = _component(work, (choice - mirror) / gloss)
-        chosen = Gloss(world.objects.lobes, world.objects.lobe[index, component], work.gloss[component, _MU])
-        if not draw_gloss(chosen, normal, work.to_eye, u, v, d):
+    choice, aimed = choice - mirror, work.aimed[0] * (diffuse + gloss)
+    if choice < aimed:
+        chain, _ = pick_chain(work.image, choice / aimed)
+        if not draw_image(world.images, world.sky, chain, (u, v), work.origin, work.spheres, d):
             return 0.0
     else:
-        draw_cosine(normal, u, v, d)
+        choice = (choice - aimed) / (1.0 - work.aimed[0])
+        if choice < gloss:
+            component = _component(work, choice / gloss)
+            chosen = Gloss(world.objects.lobes, world.objects.lobe[index, component], work.gloss[component, _MU])
+            if not draw_gloss(chosen, normal, work.to_eye, u, v, d):
+                return 0.0
+        else:
+            draw_cosine(normal, u, v, d)
     drawn = _reflect(world, work, index, d, (diffuse, gloss))
+    work.aimed[2] = work.aimed[1]
     if drawn > 0.0:
         scale_by(work.throughput, work.mixture, 1.0 / drawn)
     return drawn
@@ -355,8 +407,11 @@ def _arrive(world, work, ray, index):
 
 @uncounted(forceinline=True)
 def _survives(work, stream):
-    """Apply Russian roulette to a path; return whether it continues."""
-    chance = largest(work.throughput)
+    """Apply Russian roulette to a path; return whether it continues.
+
+    The chance is that of a path that is not aimed at an image: small throughputs would end those that find suns.
+    """
+    chance = largest(work.throughput) * work.aimed[2]
     if chance >= 1.0:
         return True
     if not draw_from(stream, SURVIVAL) < chance:
@@ -366,25 +421,26 @@ def _survives(work, stream):
 
 
 @uncounted(forceinline=True, fastmath={"reassoc", "contract", "nsz"})
-def _see(work, spectrum, shine):
+def _see(work, spectrum, shine, weight):
     """Add the diffuse reflectance (or radiance) and the share of gloss of a path's first hit to ``work.seen``."""
     for part in range(3):
         total = np.float32(0.0)
         for band in range(part * _THIRD, (part + 1) * _THIRD):
             total += spectrum[band]
-        work.seen[ALBEDO + part] += total / _THIRD
-    work.seen[SHINE] += shine
+        work.seen[ALBEDO + part] += weight * total / _THIRD
+    work.seen[SHINE] += weight * shine
 
 
 @uncounted(forceinline=True)
-def follow(world, ray, work, numbers, stream, seldom):
+def follow(world, ray, work, drawn, seldom, weight):
     """Trace one path from the eye, add its radiance to ``work.total`` and return the number of branches that were cut.
 
-    ``seldom`` is as in `_keep_mirror`.
+    ``drawn`` has the random numbers and the stream of the path; ``seldom`` is as in `_keep_mirror`; ``weight`` is that
+    of the path in the mean of its pixel.
     """
     for band in range(PADDED):
-        work.throughput[band] = np.float32(1.0)
-    return _go_on(world, ray, work, (numbers, stream), seldom, (-1.0, 0))
+        work.throughput[band] = np.float32(weight)
+    return _go_on(world, ray, work, drawn, seldom, (-1.0, 0))
 
 
 @uncounted(forceinline=True)
@@ -405,6 +461,8 @@ def gather(world, ray, work, numbers, stream):
     own = Stream(numbers, stream, VERTEX)
     for axis in range(3):
         work.origin[axis] = work.point[axis]
+    if world.images.weight.size > 0:
+        _look_for_images(world, work)
     if lit:
         _add_chosen_light(world, ray, work, index, (1.0, 0.0), own)
     density = _turn(world, work, index, (1.0, 0.0, 0.0, 0.0), own)
@@ -421,7 +479,8 @@ def _go_on(world, ray, work, drawn, seldom, begun):
     objects = world.objects.mirror.size
     numbers, stream = drawn
     density, vertex = begun
-    cut, kept = 0, False
+    cut, kept, start = 0, False, float(work.throughput[0])
+    work.aimed[2] = max(1.0, 1.0 / start) if vertex == 0 else work.aimed[2]
     while True:
         goes_on = False
         trace(world.intersect, world.scene, ray, work.origin, work.direction, np.inf)
@@ -429,22 +488,25 @@ def _go_on(world, ray, work, drawn, seldom, begun):
         if index < 0 or index >= objects:
             _meet_light(world, work, index, density)
             if vertex == 0:
-                _see(work, work.radiance, 0.0)
+                _see(work, work.radiance, 0.0, start)
         else:
             cos_r = _arrive(world, work, ray, index)
             terms = (0.0, 0.0, 0.0, 0.0)
             if cos_r > 0.0:
                 terms = _shares_of_terms(world, work, index, cos_r)
             if vertex == 0:
-                _see(work, work.diffuse, terms[1] + terms[2])
+                _see(work, work.diffuse, terms[1] + terms[2], start)
                 for axis in range(3):
-                    work.seen[NORMAL + axis] += work.normal[axis]
-                    work.seen[PLACE + axis] += work.point[axis]
+                    work.seen[NORMAL + axis] += start * work.normal[axis]
+                    work.seen[PLACE + axis] += start * work.point[axis]
             if terms[0] + terms[1] + terms[2] > 0.0:
                 own = Stream(numbers, stream, VERTEX + vertex * PER_VERTEX)
                 _leave(world, work, index, work.origin)
                 if vertex == 0:
                     terms, kept = _keep_mirror(world, work, index, terms, seldom)
+                if world.images.weight.size > 0 and terms[0] + terms[1] > 0.0:
+                    _look_for_images(world, work)
+                    terms = _favour_sun(world, work, terms)
                 if terms[0] + terms[1] > 0.0 and _fill_shares(world, work.origin, work.share):
                     _add_chosen_light(world, ray, work, index, (terms[0], terms[1]), own)
                 density = _turn(world, work, index, terms, own)
@@ -455,7 +517,7 @@ def _go_on(world, ray, work, drawn, seldom, begun):
         cut += int(goes_on)
         if not kept:
             return cut
-        density, vertex, kept = -1.0, 1, False
+        density, vertex, kept, work.aimed[2] = -1.0, 1, False, max(1.0, 1.0 / start)
         for axis in range(3):
             work.origin[axis], work.direction[axis] = work.kept.origin[axis], work.kept.direction[axis]
         for band in range(PADDED):

@@ -8,8 +8,10 @@ import numpy as np
 from irodori.geometry.embree import new_ray
 from irodori.jit.compilation import njit, uncounted
 from irodori.rendering.reference.band_loops import BANDS, PADDED
+from irodori.rendering.reference.glints import AIMED, Glints, fill_glint_shares, weight_in_pixel
 from irodori.rendering.reference.paths import MIRRORED, follow
 from irodori.rendering.reference.random_numbers import LENS, PIXEL, Numbers, draw, pixel_key, stream_of
+from irodori.rendering.reference.sun_images import draw_image, pick_chain
 from irodori.rendering.reference.world import SEEN, World, new_work
 from irodori.rendering.scene_arrays import View
 from irodori.rendering.view_cameras import aim
@@ -24,6 +26,7 @@ class Sampling(NamedTuple):
     world: World
     camera: View
     numbers: Numbers
+    glints: Glints
 
 
 class Rows(NamedTuple):
@@ -47,9 +50,27 @@ class _Sums(NamedTuple):
 
 
 @uncounted(forceinline=True)
+def _aim_near_glint(sampling, work, pixel, place, on_lens):
+    """Aim a path of a pixel with glints at one of them or anywhere; return the path's weight.
+
+    ``pixel`` has column and row, ``place`` two random numbers in [0, 1), of which both ways use even parts.
+    """
+    world, camera, (x, y), (u, v) = sampling.world, sampling.camera, pixel, place
+    if u < AIMED:
+        aim(camera, (x + 0.5, y + 0.5), on_lens, work.origin, work.direction)
+        chain, u = pick_chain(work.glint, u / AIMED)
+        if not draw_image(world.images, world.sky, chain, (u, v), work.origin, work.spheres, work.direction):
+            return 0.0
+    else:
+        aim(camera, (x + (u - AIMED) / (1.0 - AIMED), y + v), on_lens, work.origin, work.direction)
+    return weight_in_pixel(world.images, camera, sampling.glints, pixel, work.glint, work.origin, work.direction)
+
+
+@uncounted(forceinline=True)
 def _render_pixel(sampling, ray, work, x, y, sums):
     """Trace all paths of a pixel, add replicate means and their squares to sums, return the number of cut paths."""
-    (world, camera, numbers), whole, cut = sampling, sums.replicate, 0
+    (world, camera, numbers, glints), whole, cut = sampling, sums.replicate, 0
+    has_glints = glints.chain.size > 0 and fill_glint_shares(world.images, glints, x, y, work.glint)
     mirrored = numbers.samples / ((numbers.samples + MIRRORED - 1) // MIRRORED)
     for replicate in range(numbers.replicates):
         key = pixel_key(x, y, replicate, numbers.seed)
@@ -63,8 +84,14 @@ def _render_pixel(sampling, ray, work, x, y, sums):
                 on_lens = (0.0, 0.0)
                 if camera.lens_mm > 0.0:
                     on_lens = (draw(numbers, stream, LENS), draw(numbers, stream, LENS + 1))
-                aim(camera, (x + u, y + v), on_lens, work.origin, work.direction)
-                cut += follow(world, ray, work, numbers, stream, mirrored if sample % MIRRORED == 0 else 0.0)
+                weight = 1.0
+                if has_glints:
+                    weight = _aim_near_glint(sampling, work, (x, y), (u, v), on_lens)
+                else:
+                    aim(camera, (x + u, y + v), on_lens, work.origin, work.direction)
+                if weight > 0.0:
+                    seldom = mirrored if sample % MIRRORED == 0 else 0.0
+                    cut += follow(world, ray, work, (numbers, stream), seldom, weight)
             for band in range(BANDS):
                 whole[band] += work.total[band]
         for band in range(BANDS):

@@ -21,13 +21,17 @@ from irodori.rendering.reference.band_loops import padded
 _TWO_PI_SQUARED = 2.0 * math.pi**2
 #: Share of the light's power below which the part above the mean is considered rounding error.
 _EVEN = 1e-5
+#: The brightest pixels are suns if, with a share f of the light from a solid angle Ω, π f² / Ω is at least this. It is
+#: the variance of their light in a mirror, relative to the square of all light, if directions are drawn by the cosine.
+_WORTH = 100.0
+_MOST_SUNS = 4096
 
 
 class Sky(NamedTuple):
     """Environment for path tracing; the last column of ``pixels`` is the sampling density times sine of zenith angle.
 
     ``power`` is the power of the part of the light that is sampled, summed over wavelengths and the sphere; with 0,
-    nothing is sampled.
+    nothing is sampled. ``suns`` are the pixels of small bright lights, see `_WORTH`; often there are none.
     """
 
     pixels: np.ndarray  # (height * width, k + 1) float32
@@ -39,6 +43,9 @@ class Sky(NamedTuple):
     row_guides: np.ndarray  # (1, height + 1) int32, see `_guides`
     column_guides: np.ndarray  # (height, width + 1) int32
     power: float
+    whole: float  # power of all light
+    suns: np.ndarray  # (suns, 3) row, column and probability
+    least: float  # of the last column of ``pixels`` from which on a pixel is a sun
 
 
 def make_sky(environment: Environment) -> Sky:
@@ -64,6 +71,7 @@ def make_sky(environment: Environment) -> Sky:
     pixels[..., :bases] = environment.coefficients
     pixels[..., bases] = np.diff(rows)[:, None] * np.diff(columns, axis=1)
     pixels[..., bases] *= width * height / _TWO_PI_SQUARED if excess > 0.0 else 0.0
+    suns, least = _suns(pixels[..., bases], solid_angle, excess / total if excess > 0.0 else 0.0)
     return Sky(
         pixels.reshape(height * width, bases + 1),
         width,
@@ -74,7 +82,27 @@ def make_sky(environment: Environment) -> Sky:
         _guides(rows[None]),
         _guides(columns),
         excess,
+        total,
+        suns,
+        least,
     )
+
+
+def _suns(density: np.ndarray, solid_angle: np.ndarray, drawn: float) -> tuple[np.ndarray, float]:
+    """Return `Sky.suns` and `Sky.least` for the last column of its pixels, (h, w), and the share of light in it."""
+    flat = density.ravel()
+    brightest = np.argpartition(flat, -min(_MOST_SUNS, flat.size))[-_MOST_SUNS:]
+    brightest = brightest[np.argsort(-flat[brightest], kind="stable")]
+    probability = flat[brightest].astype(np.float64) * (_TWO_PI_SQUARED / flat.size)
+    angle = np.broadcast_to(solid_angle, density.shape).ravel()[brightest].cumsum()
+    worth = np.pi * (drawn * probability.cumsum()) ** 2 / angle
+    count = int(np.argmax(worth)) + 1
+    if not worth[count - 1] >= _WORTH:
+        return np.zeros((0, 3)), np.inf
+    least = float(flat[brightest[count - 1]])
+    count = int((flat[brightest] >= least).sum())  # with those that are as bright as the last
+    row, column = np.divmod(brightest[:count], density.shape[1])
+    return np.stack([row, column, probability[:count]], axis=1), least
 
 
 def _cumulative(power: np.ndarray, solid_angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -138,6 +166,16 @@ def sample_sky(sky, u, v, direction, coefficients):
     column = _entry(sky.columns, sky.column_guides, row, u)
     start = sky.columns[row, column]
     u = (u - start) / (sky.columns[row, column + 1] - start)
+    u, v, sine = place_in_pixel(sky, row, column, u, v, direction)
+    return _look(sky, u, v, sine, coefficients)
+
+
+@uncounted(forceinline=True)
+def place_in_pixel(sky, row, column, u, v, direction):
+    """Sample a direction by the weight with which a pixel is interpolated there.
+
+    Returns its place u, v in the picture, and the sine of its zenith angle.
+    """
     # The outer half of a polar row is not interpolated: its tent is flat there.
     flat = (row == 0 and v < 0.5) or (row == sky.height - 1 and v >= 0.5)
     at = v if flat else 0.5 + _under_tent(v)
@@ -147,7 +185,7 @@ def sample_sky(sky, u, v, direction, coefficients):
     sine = math.sin(math.pi * v)
     azimuth = 2.0 * math.pi * u
     direction[0], direction[1], direction[2] = sine * math.cos(azimuth), sine * math.sin(azimuth), math.cos(math.pi * v)
-    return _look(sky, u, v, sine, coefficients)
+    return u, v, sine
 
 
 @uncounted(forceinline=True)

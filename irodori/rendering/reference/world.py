@@ -12,6 +12,7 @@ import numpy as np
 from irodori.geometry.surfaces import Surfaces
 from irodori.jit.compilation import njit
 from irodori.rendering.reference.sky_sampling import Sky
+from irodori.rendering.reference.sun_images import COLUMNS, LONGEST, Images
 from irodori.rendering.scene_arrays import Objects
 from irodori.rendering.scene_lights import PADDED, Lights
 
@@ -41,6 +42,7 @@ class World(NamedTuple):
     scene: int
     offset_mm: np.ndarray  # (surfaces,) height above a surface at which rays leave it, at the origin
     steps: float  # additional height relative to the coordinates, for single precision
+    images: Images
 
 
 class Branch(NamedTuple):
@@ -73,6 +75,12 @@ class Work(NamedTuple):
     total: np.ndarray
     kept: Branch
     seen: np.ndarray  # (SEEN,) sums of the features of first hits over a pixel's paths
+    aimed: (
+        np.ndarray
+    )  # (3,) share of directions aimed at images; density over that without, of a direction, of the path
+    image: np.ndarray  # (chains,) probability of each chain of mirrors
+    glint: np.ndarray  # (chains,) the same for the eye
+    spheres: np.ndarray  # (LONGEST, COLUMNS) of a chain, see `irodori.rendering.reference.sun_images`
 
 
 @njit(cache=True)
@@ -98,4 +106,8 @@ def new_work(world):
         np.zeros(PADDED, np.float32),
         Branch(np.zeros(3), np.zeros(3), np.zeros(PADDED, np.float32)),
         np.zeros(SEEN),
+        np.zeros(3),
+        np.zeros(world.images.weight.size),
+        np.zeros(world.images.weight.size),
+        np.zeros((LONGEST, COLUMNS)),
     )

@@ -327,7 +327,7 @@ def test_no_darkness_leaks_out_under_a_box_that_stands_in_a_table():
 def test_objects_inside_a_closed_box_are_dark_and_trace_to_an_end():
     """No texel of plate and ball is in the open, so that none may send light; from outside the box is as it was.
 
-    The box has 16384 texels of a thousand links each, which took 2.9 GB when all were kept in full.
+    Of the box's 16384 texels each has a thousand hidden cells. With all their data in full this took 2.9 GB.
     """
     there = [*placements(), Placement(block(90.0, -90.0, 90.0), np.eye(3), np.zeros(3))]
     objects = make_objects(there, [material(0.8, mirror=1.0, n=0.2, k=3.0)] * 3)[0]
