@@ -42,7 +42,14 @@ from irodori.rendering.reference.random_numbers import (
     draw_from,
 )
 from irodori.rendering.reference.sky_sampling import look_at_sky, sample_sky
-from irodori.rendering.reference.sun_images import draw_image, fill_image_shares, image_density, pick_chain, sun_density
+from irodori.rendering.reference.sun_images import (
+    draw_image,
+    fill_image_shares,
+    has_images,
+    image_density,
+    pick_chain,
+    sun_density,
+)
 from irodori.rendering.reference.world import ALBEDO, NORMAL, PLACE, SHINE, Branch
 from irodori.rendering.scene_lights import COLLIMATED, density_towards, sample_towards, unobstructed
 from irodori.rendering.surface_hits import surface
@@ -168,6 +175,8 @@ def _with_images(world, work, direction, probability, drawn):
 
     Also fills by how much it is larger.
     """
+    if not has_images(world.images):
+        return drawn
     aimed, work.aimed[1] = work.aimed[0], 1.0
     if aimed <= 0.0 or drawn <= 0.0:
         return drawn
@@ -373,20 +382,23 @@ def _turn(world, work, index, terms, stream):
         own = Branch(work.origin, d, work.throughput)
         return -1.0 if _mirror(world, work, index, reflectance, 1.0 / mirror, own) else 0.0
     u, v = draw_from(stream, LOBE), draw_from(stream, LOBE + 1)
-    choice, aimed = choice - mirror, work.aimed[0] * (diffuse + gloss)
-    if choice < aimed:
-        chain, _ = pick_chain(work.image, choice / aimed)
-        if not draw_image(world.images, world.sky, chain, (u, v), work.origin, work.spheres, d):
-            return 0.0
-    else:
-        choice = (choice - aimed) / (1.0 - work.aimed[0])
-        if choice < gloss:
-            component = _component(work, choice / gloss)
-            chosen = Gloss(world.objects.lobes, world.objects.lobe[index, component], work.gloss[component, _MU])
-            if not draw_gloss(chosen, normal, work.to_eye, u, v, d):
+    choice, aims = choice - mirror, False
+    if has_images(world.images):
+        aimed = work.aimed[0] * (diffuse + gloss)
+        aims = choice < aimed
+        if aims:
+            chain, _ = pick_chain(work.image, choice / aimed)
+            if not draw_image(world.images, world.sky, chain, (u, v), work.origin, work.spheres, d):
                 return 0.0
         else:
-            draw_cosine(normal, u, v, d)
+            choice = (choice - aimed) / (1.0 - work.aimed[0])
+    if not aims and choice < gloss:
+        component = _component(work, choice / gloss)
+        chosen = Gloss(world.objects.lobes, world.objects.lobe[index, component], work.gloss[component, _MU])
+        if not draw_gloss(chosen, normal, work.to_eye, u, v, d):
+            return 0.0
+    elif not aims:
+        draw_cosine(normal, u, v, d)
     drawn = _reflect(world, work, index, d, (diffuse, gloss))
     work.aimed[2] = work.aimed[1]
     if drawn > 0.0:
@@ -406,12 +418,14 @@ def _arrive(world, work, ray, index):
 
 
 @uncounted(forceinline=True)
-def _survives(work, stream):
+def _survives(world, work, stream):
     """Apply Russian roulette to a path; return whether it continues.
 
     The chance is that of a path that is not aimed at an image: small throughputs would end those that find suns.
     """
-    chance = largest(work.throughput) * work.aimed[2]
+    chance = largest(work.throughput)
+    if has_images(world.images):
+        chance *= work.aimed[2]
     if chance >= 1.0:
         return True
     if not draw_from(stream, SURVIVAL) < chance:
@@ -461,7 +475,7 @@ def gather(world, ray, work, numbers, stream):
     own = Stream(numbers, stream, VERTEX)
     for axis in range(3):
         work.origin[axis] = work.point[axis]
-    if world.images.weight.size > 0:
+    if has_images(world.images):
         _look_for_images(world, work)
     if lit:
         _add_chosen_light(world, ray, work, index, (1.0, 0.0), own)
@@ -504,13 +518,13 @@ def _go_on(world, ray, work, drawn, seldom, begun):
                 _leave(world, work, index, work.origin)
                 if vertex == 0:
                     terms, kept = _keep_mirror(world, work, index, terms, seldom)
-                if world.images.weight.size > 0 and terms[0] + terms[1] > 0.0:
+                if has_images(world.images) and terms[0] + terms[1] > 0.0:
                     _look_for_images(world, work)
                     terms = _favour_sun(world, work, terms)
                 if terms[0] + terms[1] > 0.0 and _fill_shares(world, work.origin, work.share):
                     _add_chosen_light(world, ray, work, index, (terms[0], terms[1]), own)
                 density = _turn(world, work, index, terms, own)
-                goes_on = density != 0.0 and (vertex < _ROULETTE_FROM or _survives(work, own))
+                goes_on = density != 0.0 and (vertex < _ROULETTE_FROM or _survives(world, work, own))
         vertex += 1
         if goes_on and vertex < LONGEST:
             continue

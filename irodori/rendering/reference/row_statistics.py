@@ -11,7 +11,7 @@ from irodori.rendering.reference.band_loops import BANDS, PADDED
 from irodori.rendering.reference.glints import AIMED, Glints, fill_glint_shares, weight_in_pixel
 from irodori.rendering.reference.paths import MIRRORED, follow
 from irodori.rendering.reference.random_numbers import LENS, PIXEL, Numbers, draw, pixel_key, stream_of
-from irodori.rendering.reference.sun_images import draw_image, pick_chain
+from irodori.rendering.reference.sun_images import draw_image, has_images, pick_chain
 from irodori.rendering.reference.world import SEEN, World, new_work
 from irodori.rendering.scene_arrays import View
 from irodori.rendering.view_cameras import aim
@@ -70,7 +70,7 @@ def _aim_near_glint(sampling, work, pixel, place, on_lens):
 def _render_pixel(sampling, ray, work, x, y, sums):
     """Trace all paths of a pixel, add replicate means and their squares to sums, return the number of cut paths."""
     (world, camera, numbers, glints), whole, cut = sampling, sums.replicate, 0
-    has_glints = glints.chain.size > 0 and fill_glint_shares(world.images, glints, x, y, work.glint)
+    has_glints = has_images(world.images) and fill_glint_shares(world.images, glints, x, y, work.glint)
     mirrored = numbers.samples / ((numbers.samples + MIRRORED - 1) // MIRRORED)
     for replicate in range(numbers.replicates):
         key = pixel_key(x, y, replicate, numbers.seed)

@@ -19,6 +19,7 @@ from itertools import pairwise, product
 from typing import NamedTuple
 
 import numpy as np
+from numba.extending import overload
 
 from irodori.geometry.shapes.placement import Placement
 from irodori.geometry.shapes.sphere import Sphere
@@ -75,6 +76,24 @@ class Images(NamedTuple):
     height: int
 
 
+class NoImages(Images):
+    """Images of a scene without any: a type of its own, for which loops are compiled without what aims at images."""
+
+    __slots__ = ()
+
+
+def has_images(images):
+    """Return whether there are images; a constant of compiled loops."""
+    return not isinstance(images, NoImages)
+
+
+@overload(has_images, jit_options={"forceinline": True})
+def _has_images(images):
+    if issubclass(images.instance_class, NoImages):
+        return lambda images: False
+    return lambda images: True
+
+
 def make_images(placements: Sequence[Placement], objects: Objects, sky: Sky) -> Images:
     """Return the images of an environment's suns in a scene's mirrors: none if there are no suns or no mirrors."""
     chains = _chains(placements, objects) if len(sky.suns) else []
@@ -88,7 +107,8 @@ def make_images(placements: Sequence[Placement], objects: Objects, sky: Sky) -> 
     blur = float((part * reach**2).sum()) / 4.0
     first = np.array([chain[0] for chain, _, _ in chains], dtype=np.int64)
     padded = [[*chain, *[-1] * (LONGEST - len(chain))] for chain, _, _ in chains]
-    return Images(
+    made = Images if chains else NoImages
+    return made(
         chain=np.array(padded, np.int64).reshape(-1, LONGEST),
         weight=np.array([weight * share * sky.power for _, weight, _ in chains]),
         kappa=np.array([1.0 / (width**2 + blur) if width > 0.0 else 0.0 for _, _, width in chains]),
