@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from irodori.jit.compilation import uncounted
-from irodori.rendering.reference.sun_images import Images, aim_at_directions, image_density
+from irodori.rendering.reference.sun_images import Images, aim_at_directions, if_images, image_density
 from irodori.rendering.scene_arrays import View
 from irodori.rendering.surface_hits import frame
 from irodori.rendering.view_cameras import ORTHOGRAPHIC
@@ -77,6 +77,7 @@ def _box(images: Images, view: View, chain: int, rays: list, camera_from_world: 
     return box if seen and size.prod() <= _LARGEST_PX2 else None
 
 
+@if_images(False)
 @uncounted(error_model="numpy")
 def fill_glint_shares(images, glints, x, y, share):
     """Fill the probabilities of the chains that show glints in a pixel; return whether there are any."""
@@ -95,6 +96,7 @@ def fill_glint_shares(images, glints, x, y, share):
     return total > 0.0
 
 
+@if_images(1.0)
 @uncounted(forceinline=True, error_model="numpy")
 def weight_in_pixel(images, camera, glints, place, share, origin, direction):
     """Return the weight of a path from the eye in the mean of a pixel with glints, 0 if it lies outside the pixel.

@@ -388,7 +388,7 @@ def _turn(world, work, index, terms, stream):
         aims = choice < aimed
         if aims:
             chain, _ = pick_chain(work.image, choice / aimed)
-            if not draw_image(world.images, world.sky, chain, (u, v), work.origin, work.spheres, d):
+            if not draw_image(world.images, world.sky, chain, (u, v), work, d):
                 return 0.0
         else:
             choice = (choice - aimed) / (1.0 - work.aimed[0])

@@ -59,7 +59,7 @@ def _aim_near_glint(sampling, work, pixel, place, on_lens):
     if u < AIMED:
         aim(camera, (x + 0.5, y + 0.5), on_lens, work.origin, work.direction)
         chain, u = pick_chain(work.glint, u / AIMED)
-        if not draw_image(world.images, world.sky, chain, (u, v), work.origin, work.spheres, work.direction):
+        if not draw_image(world.images, world.sky, chain, (u, v), work, work.direction):
             return 0.0
     else:
         aim(camera, (x + (u - AIMED) / (1.0 - AIMED), y + v), on_lens, work.origin, work.direction)

@@ -15,6 +15,7 @@ mirrors are unfolded: what follows in the chain is mirrored in them.
 
 import math
 from collections.abc import Sequence
+from functools import wraps
 from itertools import pairwise, product
 from typing import NamedTuple
 
@@ -92,6 +93,27 @@ def _has_images(images):
     if issubclass(images.instance_class, NoImages):
         return lambda images: False
     return lambda images: True
+
+
+def if_images(nothing):
+    """Return a decorator of a function of images and more for compiled loops.
+
+    Loops of scenes without images have the value ``nothing`` in its place, and are compiled without the function.
+    """
+
+    def decorated(kernel):
+        def function(images, *rest):
+            return kernel(images, *rest)
+
+        @overload(function, jit_options={"forceinline": True})
+        def chosen(images, *rest):
+            if issubclass(images.instance_class, NoImages):
+                return lambda images, *rest: nothing
+            return lambda images, *rest: kernel(images, *rest)
+
+        return wraps(kernel)(function)
+
+    return decorated
 
 
 def make_images(placements: Sequence[Placement], objects: Objects, sky: Sky) -> Images:
@@ -280,6 +302,7 @@ def _density_of_sun(images, chain, direction):
     return sun_density(images, direction)
 
 
+@if_images(0.0)
 @uncounted(error_model="numpy")
 def sun_density(images, direction):
     """Return the density, 1/sr, with which a direction in the suns is drawn, 0 outside them."""
@@ -303,6 +326,7 @@ def sun_density(images, direction):
     return total / (sine * images.share)
 
 
+@if_images(0.0)
 @uncounted(error_model="numpy")
 def image_density(images, share, origin, direction):
     """Return the density, 1/sr, of a direction from a point if each chain is chosen with the probability ``share``."""
@@ -507,8 +531,9 @@ def pick_chain(share, choice):
     return chosen, min(choice / share[chosen], 1.0 - 1e-12)
 
 
+@if_images(False)
 @uncounted(error_model="numpy")
-def draw_image(images, sky, chain, place, origin, spheres, out):
+def draw_image(images, sky, chain, place, work, out):
     """Sample a direction from a point towards the image of a sun in a chain; return whether there is one.
 
     Parameters
@@ -518,16 +543,16 @@ def draw_image(images, sky, chain, place, origin, spheres, out):
     chain : int
     place : (u, v)
         Random numbers in [0, 1) that select a place in the suns.
-    origin : (3,) float
-    spheres : (LONGEST, COLUMNS) float
-        Buffer.
+    work : Work
+        Of the path; its origin is the point.
     out : (3,) float
     """
     _towards_sun(images, sky, chain, place[0], place[1], out)
-    target = (out[0], out[1], out[2])
-    return _aim(images, chain, (origin[0], origin[1], origin[2]), target, spheres, out)
+    origin, target = (work.origin[0], work.origin[1], work.origin[2]), (out[0], out[1], out[2])
+    return _aim(images, chain, origin, target, work.spheres, out)
 
 
+@if_images(0.0)
 @uncounted(error_model="numpy")
 def fill_image_shares(images, origin, facet, share):
     """Fill the probabilities of the chains at a point of a surface; return the share of directions to aim at images."""

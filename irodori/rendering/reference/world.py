@@ -75,9 +75,8 @@ class Work(NamedTuple):
     total: np.ndarray
     kept: Branch
     seen: np.ndarray  # (SEEN,) sums of the features of first hits over a pixel's paths
-    aimed: (
-        np.ndarray
-    )  # (3,) share of directions aimed at images; density over that without, of a direction, of the path
+    #: (3,) share of directions aimed at images; density relative to that without, of a direction and of the path.
+    aimed: np.ndarray
     image: np.ndarray  # (chains,) probability of each chain of mirrors
     glint: np.ndarray  # (chains,) the same for the eye
     spheres: np.ndarray  # (LONGEST, COLUMNS) of a chain, see `irodori.rendering.reference.sun_images`
