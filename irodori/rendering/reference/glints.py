@@ -98,7 +98,7 @@ def fill_glint_shares(images, glints, x, y, share):
 
 @if_images(1.0)
 @uncounted(forceinline=True, error_model="numpy")
-def weight_in_pixel(images, camera, glints, place, share, origin, direction):
+def weight_in_pixel(images, camera, glints, place, work):
     """Return the weight of a path from the eye in the mean of a pixel with glints, 0 if it lies outside the pixel.
 
     It is the inverse of the path's density in the pixel, by which all paths are drawn together.
@@ -107,10 +107,10 @@ def weight_in_pixel(images, camera, glints, place, share, origin, direction):
     ----------
     place : (x, y)
         Column and row of the pixel.
-    share : (chains,) float
-        See `fill_glint_shares`.
-    origin, direction : (3,) float
+    work : Work
+        Of the path, with its origin, its direction and the shares of `fill_glint_shares`.
     """
+    origin, direction = work.origin, work.direction
     turn, eye = glints.camera_from_world, camera.position_mm
     away_x, away_y, away_z, lens_x, lens_y = 0.0, 0.0, 0.0, 0.0, 0.0
     for axis in range(3):
@@ -127,4 +127,4 @@ def weight_in_pixel(images, camera, glints, place, share, origin, direction):
         return 0.0
     start, way = (origin[0], origin[1], origin[2]), (direction[0], direction[1], direction[2])
     of_pixel = glints.volume * away_z**3 / (camera.focal_px * camera.focal_px)  # sr / px²
-    return 1.0 / (1.0 - AIMED + AIMED * of_pixel * image_density(images, share, start, way))
+    return 1.0 / (1.0 - AIMED + AIMED * of_pixel * image_density(images, work.glint, start, way))

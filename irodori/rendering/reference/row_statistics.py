@@ -63,7 +63,7 @@ def _aim_near_glint(sampling, work, pixel, place, on_lens):
             return 0.0
     else:
         aim(camera, (x + (u - AIMED) / (1.0 - AIMED), y + v), on_lens, work.origin, work.direction)
-    return weight_in_pixel(world.images, camera, sampling.glints, pixel, work.glint, work.origin, work.direction)
+    return weight_in_pixel(world.images, camera, sampling.glints, pixel, work)
 
 
 @uncounted(forceinline=True)
