@@ -66,7 +66,7 @@ from irodori.rectification.told_values import (
     settle_light,
     solve,
 )
-from irodori.rectification.turned_texture import Side, turned, with_turn
+from irodori.rectification.turned_texture import TURN, Side, turned, with_turn
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
@@ -648,6 +648,9 @@ def _prepare(problem: _Problem, number: int, reach: float, blur: float) -> None:
     view.rim, view.outward = rim.point[bright], rim.outward[bright]
     moved = problem.derivative(lambda v, values: problem.seen(v, view.rim, values), number)
     view.change = np.einsum("ni,nip->np", view.outward, moved)
+    if problem.shape.ball_mm is not None:
+        # A ball's outline tells nothing of its turn; points beside something that hides the ball would seem to.
+        view.change[:, TURN] = 0.0
     if not problem.tells_texture:
         view.surface = inner_surface(problem, number, tracer, lit.xy[bright])
         view.inner = view.surface.evenly_painted
@@ -1088,19 +1091,19 @@ def register_object(
         placing = replace(placing, rotation_deg=placing.turned_deg)
     number, shape = placement_of(Path(linear[0]).stem), Shape.from_definition(definition.shape)
     typed, setup = setup, setup.laid(shape, definition.placements, number)
-    try:
-        found, problem = _registered(linear, definition, setup, placing, markers, light)
+    found, problem = _registered(linear, definition, setup, placing, markers, light)
 
-        def with_free_camera() -> tuple[Registered, _Problem]:
-            return _registered(linear, definition, setup, placing, markers, camera_deg=FREE_CAMERA_DEG)
+    def with_free_camera() -> tuple[Registered, _Problem]:
+        return _registered(linear, definition, setup, placing, markers, camera_deg=FREE_CAMERA_DEG)
 
-        used = problem.unknowns.copy()
-        refuse_contradictions(found, problem, linear, placing, with_free_camera)
-        problem.unknowns = used
-    except InputError as error:
-        raise _in_placement(error, number) if definition.placements else error from None
     if first is not None:
         found = _turned_from(first, found, problem, linear, definition, typed, placing)
+    used = problem.unknowns.copy()
+    try:
+        refuse_contradictions(found, problem, linear, placing, with_free_camera)
+    except InputError as error:
+        raise _in_placement(error, number) if definition.placements else error from None
+    problem.unknowns = used
     names = [Path(path).stem for path in linear]
     sentence = in_words(found)
     LOGGER.info("%s", sentence)

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from irodori.rectification.object_registration import _View as View
 
 TURN = slice(3, 6)  # the rotation about the table's axes in `irodori.rectification.placement_correction.QUANTITIES`
-_LEAST_COSINE = 0.3  # of incidence and view: at grazing angles pictures show little, and mix in what lies behind
+_LEAST_COSINE = 0.25  # of incidence and view: at grazing angles pictures show little, and mix in what lies behind
 _COARSER = (3.0, 1.5, 1.0)  # blur of the pictures, in that of the last level
 _PART_OF_TEXEL = 0.6  # blur of the last level, a sample at least
 _STEPS = 6
@@ -176,12 +176,15 @@ def turned(first: Side, own: Side, sigma_deg: float) -> Turned | None:
         other placement.
     """
     own = _nearest_turn(first, own, sigma_deg) if own.problem.shape.ball_mm is not None else own
-    found = None
+    found, blur = None, _blur(own.problem)
     for factor in _COARSER:
-        found = _fitted(first, own, factor * _blur(own.problem), sigma_deg)
+        found = _fitted(first, own, factor * blur, sigma_deg)
         if found is None:
             return None
         own = own._replace(values=np.concatenate([own.values[:3], found.rotation_deg, own.values[6:]]))
+    misfit = _misfit(*(_Shown.of(side, blur).texture(side.values) for side in (first, own)))[0]
+    if misfit > _AGREES:
+        return None
     _refuse_wrong_side(first, own)
     return found
 
