@@ -101,9 +101,14 @@ class Pose:
         return cls(*file.attribute("pose_deg"), placement=placement)
 
     @property
+    def by_angle(self) -> dict[str, float]:
+        """Angles by the names of the parameters, in their order."""
+        return {angle: getattr(self, angle) for angle in (*_ANGLES, _AZIMUTH)}
+
+    @property
     def angles_deg(self) -> tuple[float, ...]:
         """Angles in the order of the parameters."""
-        return tuple(getattr(self, angle) for angle in (*_ANGLES, _AZIMUTH))
+        return tuple(self.by_angle.values())
 
     @property
     @functools.cache  # noqa: B019 - poses are few, and a large set asks for their names all the time

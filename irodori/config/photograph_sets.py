@@ -259,7 +259,7 @@ class PhotographSets:
             return as_plain(camera.poses.white)
         assert camera.captures is not None  # a camera without a session has a table
         whites = [shot.pose for shot in read_captures(camera.captures.table) if shot.role == "white"]
-        return dataclasses.asdict(whites[0]) if whites else None
+        return whites[0].by_angle if whites else None
 
     def optics(self, wildcards) -> dict:
         """Return the optics of a set's camera."""
@@ -342,10 +342,15 @@ class PhotographSets:
         number = int(getattr(wildcards, "placement", 1))
         return [file for file in self.linear_files(wildcards) if placement_of(Path(file).stem) == number]
 
-    def first_placement(self, wildcards) -> dict:
-        """Return the named input files of a further placement's registration that are about the first one."""
+    def first_registration(self, wildcards) -> list[str]:
+        """Return, as a list, the registration of an object's first placement; empty for a job that is about this."""
+        first = PlacedUnit(wildcards.object, 1)
+        return [first.file("registration")] if hasattr(wildcards, "placement") else []
+
+    def first_linear(self, wildcards) -> list[str]:
+        """Return the linear files of an object's first placement; empty for a job that is about this placement."""
         first = SimpleNamespace(object=wildcards.object)
-        return {"first": f"results/{first.object}/registration.h5", "first_linear": self.linear_of_placement(first)}
+        return self.linear_of_placement(first) if hasattr(wildcards, "placement") else []
 
     def registration(self, wildcards) -> list[str]:
         """Return the files that tell where an object stood in each placement; empty if objects are not registered.

@@ -55,7 +55,7 @@ class Texture(NamedTuple):
 
 
 class Turned(NamedTuple):
-    """What textures tell of a rotation: corrections about the table's axes and their covariance, degrees."""
+    """Rotation that textures tell: corrections about the table's axes and their covariance, degrees."""
 
     rotation_deg: np.ndarray
     covariance: np.ndarray

@@ -1,6 +1,8 @@
 rule register_object:
     input:
         linear=sets.linear_of_placement,
+        first=sets.first_registration,
+        first_linear=sets.first_linear,
         lens=sets.lens,
         user_files=ancient(sets.mesh_and_tables_of_index),
     output:
@@ -39,11 +41,6 @@ rule register_object:
 
 # An object that was laid down again is registered anew, and its texture tells how it was turned.
 use rule register_object as register_placement with:
-    input:
-        unpack(sets.first_placement),
-        linear=sets.linear_of_placement,
-        lens=sets.lens,
-        user_files=ancient(sets.mesh_and_tables_of_index),
     output:
         registration="results/{object}/registration-{placement}.h5",
     log:

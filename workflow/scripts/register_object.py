@@ -7,7 +7,7 @@ from irodori.rectification.object_registration import FirstPlacement, register_o
 from irodori.rectification.stage import RigSetup
 
 with run_rule(snakemake) as provenance:
-    params, first = snakemake.params, snakemake.input.get("first")
+    params, first = snakemake.params, list(snakemake.input.first)
     definition = TexturedObject.of({"shape": params.shape, "texels": params.texels, "placements": params.placements})
     setup = RigSetup.from_definitions(
         optics_in_use(Optics.of(params.optics), snakemake.input.lens),
@@ -21,7 +21,7 @@ with run_rule(snakemake) as provenance:
         Placing.of(params.place),
         Markers.of(params.markers) if params.markers else None,
         light=LightSearch.of(snakemake.input.linear, definition, params),
-        first=FirstPlacement.load(snakemake.input.first_linear, first) if first else None,
+        first=FirstPlacement.load(snakemake.input.first_linear, first[0]) if first else None,
         output=snakemake.output.registration,
         provenance=provenance,
     )
