@@ -36,7 +36,7 @@ _STILL = 0.05  # standard errors within which a step ends the search
 _SHARED = 75.0
 _FLOOR = 0.01  # least standard deviation of a value
 _FEWEST = 40  # texels that two textures have in common, at least
-_LEAST_CONTRAST = 0.02  # least standard deviation of a texture, as a logarithm of reflectance, that tells anything
+_LEAST_CONTRAST = 0.1  # least standard deviation of a texture, as a logarithm: gloss leaves less on a single paint
 #: Rotations of a ball: number that are tried, spread over all; standard deviations of the typed one that are near it,
 #: and steps to either side of it.
 _ROTATIONS, _NEAR, _NEAR_STEPS = 8000, 3.0, 4
