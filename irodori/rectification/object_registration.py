@@ -1157,10 +1157,13 @@ def _turned_from(
     ``typed`` is the setup of the first placement, without correction.
     """
     before = _problem(first.linear, definition, typed, placing)
+    # However coarse the object's texels are, the blur that goes with them must not mix in what lies behind it.
+    rows = round(math.sqrt(_TEXELS / 2.0))
+    texels = _texels(problem.shape, 2 * rows, rows)
     number = problem.views[0].pose.placement
     turn = turned(
-        Side(before, first.linear, np.array(first.correction.values), 1),
-        Side(problem, linear, found.estimate.values, number),
+        Side(replace(before, texels=texels), first.linear, np.array(first.correction.values), 1),
+        Side(replace(problem, texels=texels), linear, found.estimate.values, number),
         placing.turned_deg,
     )
     estimate = with_turn(found.estimate, turn)

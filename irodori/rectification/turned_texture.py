@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 TURN = slice(3, 6)  # the rotation about the table's axes in `irodori.rectification.placement_correction.QUANTITIES`
 _LEAST_COSINE = 0.25  # of incidence and view: at grazing angles pictures show little, and mix in what lies behind
-_COARSER = (3.0, 1.5, 1.0)  # blur of the pictures, in that of the last level
+_COARSER = (2.0, 1.4, 1.0)  # blur of the pictures, in that of the last level
 _PART_OF_TEXEL = 0.6  # blur of the last level, a sample at least
 _STEPS = 6
 _ASIDE_DEG = 0.5  # of numerical derivatives
@@ -37,6 +37,7 @@ _SHARED = 75.0
 _FLOOR = 0.01  # least standard deviation of a value
 _FEWEST = 40  # texels that two textures have in common, at least
 _LEAST_CONTRAST = 0.1  # least standard deviation of a texture, as a logarithm: gloss leaves less on a single paint
+_SURE_CONTRAST = 0.2  # the same for a texture that contradicts what was typed
 #: Rotations of a ball: number that are tried, spread over all; standard deviations of the typed one that are near it,
 #: and steps to either side of it.
 _ROTATIONS, _NEAR, _NEAR_STEPS = 8000, 3.0, 4
@@ -259,7 +260,8 @@ def _nearest_turn(first: Side, own: Side, sigma_deg: float) -> Side:
     best, misfit = _best(first.problem, here, there, at, np.stack([rotation_xyz(one) for one in near]))
     anywhere = Rotation.random(_ROTATIONS, random_state=1).as_matrix()
     other, clearest = _best(first.problem, here, there, at, anywhere)
-    if clearest < _AGREES and _CLEARER * clearest < misfit:
+    contrast = np.std(here.value[here.weight > 0.0], axis=0).mean() if (here.weight > 0.0).any() else 0.0
+    if contrast > _SURE_CONTRAST and clearest < _AGREES and _CLEARER * clearest < misfit:
         is_far = Rotation.from_matrix(anywhere[other]).magnitude() > np.radians(_NEAR * max(sigma_deg, 1.0))
         if is_far:
             said = Rotation.from_matrix(anywhere[other] @ at).as_euler("xyz", degrees=True)
