@@ -73,7 +73,7 @@ class ChartPhotograph:
             response, valid = file.read("response"), file.read("valid")
             # Ingestion writes a rate, 1/s, where no white reference has evened the light.
             even = on_rig and file.dataset("response").attrs["units"] == "1"
-            pose = Pose(*file.attribute("pose_deg"))
+            pose = Pose.of_file(file)
             sample_px = file.attribute("sample_px")
             model = file.read("noise_model") if "noise_model" in file else None
             filters = tuple(file.attribute("filters"))

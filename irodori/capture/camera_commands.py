@@ -132,8 +132,9 @@ def plan(options) -> None:
         shots = object_shots(definition, target.camera, target.suffix)
     planned = target.ordered(shots)
     for shot in planned:
-        # An azimuth of 0 is not printed.
-        pose = {name: value for name, value in vars(shot.pose).items() if value or name != "light_azimuth_deg"}
+        # An azimuth of 0 and the first placement are not printed.
+        usual = {"light_azimuth_deg": 0.0, "placement": 1}
+        pose = {name: value for name, value in vars(shot.pose).items() if usual.get(name) != value}
         angles = " ".join(f"{name.removesuffix('_deg').replace('_', ' ')} {value:g}" for name, value in pose.items())
         print(f"{shot.role} {angles} filter {shot.filter} {shot.exposure_s:g} s  {shot.file}")
     print(target.estimate(planned))

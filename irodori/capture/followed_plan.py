@@ -56,20 +56,25 @@ def followed(plan: Plan, rig: Rig, states: Collection[str] = ()) -> list[str]:
         "measured from there, angles from straight above it. Leave focus, aperture and zoom alone, and note the angles",
         "where they are not those of the list.",
     ]
-    last = None
+    last: tuple[int, float, float, float] | None = None
     for number, pose in enumerate(plan.poses, 1):
         if _setting(pose) != last:
+            if pose.placement != (last[0] if last else 1):
+                lines += ["", f"Lay the object down as in placement {pose.placement} of its definition."]
             last = _setting(pose)
             lines += ["", *_of_setting(pose, rig)]
         camera = _place(rig.camera_distance_mm * to_camera(pose))
         lines.append(f"{number:4}. camera at {pose.camera_deg:g} degrees: {camera}")
     lines += ["", *plan.expectations(), "", "for irodori init, in the order of the list:"]
-    return lines + [f"{axis}: {' '.join(_numbers(plan.poses, axis))}" for axis in _AXES]
+    lines += [f"{axis}: {' '.join(_numbers(plan.poses, axis))}" for axis in _AXES]
+    if any(pose.placement > 1 for pose in plan.poses):
+        lines.append(f"then in the table, column placement: {' '.join(_numbers(plan.poses, 'placement'))}")
+    return lines
 
 
-def _setting(pose: Pose) -> tuple[float, float, float]:
-    """Return the angles of a pose that change less often than the camera's: light, tilt and turn, degrees."""
-    return pose.light_deg, pose.tilt_deg, pose.turn_deg
+def _setting(pose: Pose) -> tuple[int, float, float, float]:
+    """Return what changes less often in a pose than the camera: placement, and light, tilt and turn, degrees."""
+    return pose.placement, pose.light_deg, pose.tilt_deg, pose.turn_deg
 
 
 def _of_setting(pose: Pose, rig: Rig) -> list[str]:

@@ -19,7 +19,7 @@ from irodori.config.validation import suggest
 from irodori.core.progress import LOGGER
 
 #: The order in which a step names its settings: the subject first, the filter last.
-SETTINGS = ("subject", "light_deg", "light_azimuth_deg", "camera_deg", "tilt_deg", "turn_deg", "filter")
+SETTINGS = ("subject", "placement", "light_deg", "light_azimuth_deg", "camera_deg", "tilt_deg", "turn_deg", "filter")
 
 _ANGLE_PHRASES = {
     "light_deg": "set the light to {}",
@@ -39,8 +39,9 @@ _SUBJECT_PHRASES = {
 }
 #: Phrases by the prefix of a chart's name, see `irodori.config.capture_table.Shot.subject`.
 _CHARTS = {"chart-": "put the colour chart {} in place", "room-chart-": "point the camera at the colour chart {}"}
-#: Assumed values of settings before the first request: the lamp is in the rig's plane unless somebody moves it.
-_AT_FIRST = {"light_azimuth_deg": 0.0}
+#: Assumed values of settings before the first request: the lamp is in the rig's plane unless somebody moves it, and an
+#: object that is put in place lies as it does first.
+_AT_FIRST = {"light_azimuth_deg": 0.0, "placement": 1}
 _PROGRESS_S, _POLL_S = 60.0, 0.5
 
 
@@ -85,6 +86,8 @@ class Change:
             capped = self.new != "dark" and self.old in (None, "dark")
             phrase = _chart_phrase(self.new) or _SUBJECT_PHRASES[str(self.new)]
             return ("take the lens cap off and " if capped else "") + phrase
+        if self.name == "placement":
+            return f"lay the object down as in placement {self.new:.0f}"
         phrase = _ANGLE_PHRASES[self.name].format(_degrees(float(self.new)))
         return phrase if self.old is None else f"{phrase} (it stands at {_degrees(float(self.old))})"
 

@@ -15,7 +15,7 @@ from irodori.capture.rig.devices import Axis
 #: A place is the angle of each axis, degrees; the empty place stands for any, for a shot without a pose.
 Place = tuple
 #: A block is its phase, its settings by hand, and its places.
-Block = tuple[int, dict, list[Place]]
+Block = tuple[tuple, dict, list[Place]]
 #: Settings changed, travel in s, unrest.
 _Cost = tuple[float, float, float]
 
@@ -27,7 +27,7 @@ _EXACT_WORK = 200_000
 
 def shortest_blocks(
     blocks: Sequence[Block], axes: Sequence[Axis], start: Place, hand: Mapping[str, float | str]
-) -> list[tuple[tuple[int, dict], list[Place]]]:
+) -> list[tuple[tuple[tuple, dict], list[Place]]]:
     """Return the blocks in the order of least cost, each with the way through its places.
 
     Parameters

@@ -69,7 +69,8 @@ def order_shots(
 ) -> list[Shot]:
     """Return the shots in the order of least work by hand, then of least travel.
 
-    Dark frames come first, then the white reference, the chart, the objects, the environment, charts in it, scenes.
+    Dark frames come first, then the white reference, the chart, the objects one placement after the other, the
+    environment, charts in it, scenes.
     The exposures of one bracket (same subject, pose and filter) follow each other, the shortest first, so that a long
     exposure leaves no traces in the next picture. The order is deterministic.
 
@@ -98,7 +99,9 @@ def order_shots(
         raise ValueError(f"manual_cost_s {manual_cost_s:g}: 0 or more")
     brackets: dict[tuple, list[Shot]] = {}
     for shot in shots:
-        brackets.setdefault((PHASES.index(shot.role), shot.pose, shot.filter, shot.chart), []).append(shot)
+        # An object that is laid down again lies elsewhere: all of one placement is photographed together.
+        phase = PHASES.index(shot.role), shot.pose.placement
+        brackets.setdefault((phase, shot.pose, shot.filter, shot.chart), []).append(shot)
     for bracket in brackets.values():
         bracket.sort(key=lambda shot: shot.exposure_s)
     given = sorted(brackets, key=lambda key: key[0])  # in the given order, as far as the phases allow

@@ -25,6 +25,7 @@ from irodori.core.text_tables import table_rows
 
 if TYPE_CHECKING:
     from irodori.config.models import PoseGroup, RigPose
+    from irodori.core.store import Reader
 
 SUBJECTS = ("object", "chart", "white", "dark", "environment", "room-chart", "scene")
 #: Role of a drift frame: a repetition of an earlier photograph of the object in a session. Differences between the two
@@ -41,12 +42,25 @@ COLUMNS = ("file", "role", "light_deg", "camera_deg", "tilt_deg", "turn_deg", "f
 _ANGLES = ("light_deg", "camera_deg", "tilt_deg", "turn_deg")
 #: Azimuth of a light outside the rig's plane of incidence, as in a dome or with a lamp in the hand.
 _AZIMUTH = "light_azimuth_deg"
+#: Number of the placement in which a photograph shows its object: 1, or an empty cell, is how the object lay first.
+_PLACEMENT = "placement"
 #: In place of both angles of the light: from the rig's origin to the lamp, in any one unit.
 _DIRECTION = ("light_x", "light_y", "light_z")
 #: Angles that the controller reported at the exposure.
 _READ = tuple(f"{angle.removesuffix('_deg')}_read_deg" for angle in _ANGLES)
 #: Optional columns: the camera's own settings, which are checked, and details of each capture in a session.
-EXTRA_COLUMNS = (_AZIMUTH, "iso", "f_number", "taken_at", "camera_time", "camera", *_READ, "accepted", "sha256")
+EXTRA_COLUMNS = (
+    _AZIMUTH,
+    _PLACEMENT,
+    "iso",
+    "f_number",
+    "taken_at",
+    "camera_time",
+    "camera",
+    *_READ,
+    "accepted",
+    "sha256",
+)
 #: Whether a file is a TIFF or PNG picture that the user knows to be linear; no session takes such pictures.
 _LINEAR = "linear"
 #: Irradiance that the lamp of a photograph gives, relative to the lamp of the rig's file: under a dome, lamps differ.
@@ -58,7 +72,7 @@ _REPEATED = ("dark", "white", DRIFT, LENS)
 
 @dataclasses.dataclass(frozen=True)
 class Pose:
-    """Angles of light, camera and table, degrees.
+    """Angles of light, camera and table, degrees, and the placement of the object on the table.
 
     Parameters
     ----------
@@ -69,6 +83,8 @@ class Pose:
     light_azimuth_deg : float
         Azimuth of the light from +x towards +y, about z; 0 is the rig's plane of incidence, which always contains the
         camera.
+    placement : int
+        Number of the placement in which the object lies: 1 is how it lay first, see the key ``placements`` of objects.
     """
 
     light_deg: float
@@ -76,14 +92,35 @@ class Pose:
     tilt_deg: float = 0.0
     turn_deg: float = 0.0
     light_azimuth_deg: float = 0.0
+    placement: int = dataclasses.field(default=1, kw_only=True)
+
+    @classmethod
+    def of_file(cls, file: "Reader") -> "Pose":
+        """Return the pose of an open file of linear responses."""
+        placement = file.attribute(_PLACEMENT) if _PLACEMENT in file.attributes() else 1
+        return cls(*file.attribute("pose_deg"), placement=placement)
+
+    @property
+    def by_angle(self) -> dict[str, float]:
+        """Angles by the names of the parameters, in their order."""
+        return {angle: getattr(self, angle) for angle in (*_ANGLES, _AZIMUTH)}
+
+    @property
+    def angles_deg(self) -> tuple[float, ...]:
+        """Angles in the order of the parameters."""
+        return tuple(self.by_angle.values())
 
     @property
     @functools.cache  # noqa: B019 - poses are few, and a large set asks for their names all the time
     def name(self) -> str:
-        """Name with angles in tenths of a degree: ``l0450-c0200-t000-r0000``, with ``-a0900`` for an azimuth."""
+        """Name with angles in tenths of a degree: ``l0450-c0200-t000-r0000``.
+
+        Added are ``-a0900`` for an azimuth and ``-p2`` for a further placement.
+        """
         light, camera, tilt, turn = (round(10 * getattr(self, angle)) for angle in _ANGLES)
         azimuth = round(10 * self.light_azimuth_deg) % 3600
-        return f"l{light:04d}-c{camera:04d}-t{tilt:03d}-r{turn:04d}" + (f"-a{azimuth:04d}" if azimuth else "")
+        further = (f"-a{azimuth:04d}" if azimuth else "") + (f"-p{self.placement}" if self.placement > 1 else "")
+        return f"l{light:04d}-c{camera:04d}-t{tilt:03d}-r{turn:04d}{further}"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -151,6 +188,12 @@ class Shot:
         return self.pose.name if self.subject == "object" else self.subject
 
 
+def placement_of(capture: str) -> int:
+    """Return the number of the placement that a capture of an object shows, from the capture's name."""
+    found = re.search(r"-p(\d+)$", capture)
+    return int(found[1]) if found else 1
+
+
 def chart_capture(name: str) -> str:
     """Return the name of a chart's capture: ``chart`` for the camera's first (empty name), else ``chart-NAME``."""
     return f"chart-{name}" if name else "chart"
@@ -202,9 +245,10 @@ def expand_poses(groups: "Iterable[PoseGroup]") -> list[Pose]:
             group.tilt_deg,
             group.turn_deg,
             group.light_azimuth_deg,
+            group.placement,
         ]
-        for angles in itertools.product(*lists):
-            pose = Pose(*map(float, angles))
+        for *angles, placement in itertools.product(*lists):
+            pose = Pose(*map(float, angles), placement=int(placement))
             if pose.name in seen:
                 raise ValueError(f"the pose {pose.name} twice")
             seen.add(pose.name)
@@ -378,7 +422,19 @@ class _Shots:
         for name, angle in zip((*_ANGLES, _AZIMUTH), angles, strict=True):
             if abs(angle) > 360:
                 raise self._error(line, name, row[name].strip(), "an angle from -360 to 360 degrees")
-        return Pose(*angles)
+        return Pose(*angles, placement=self._placement(line, row))
+
+    def _placement(self, line: int, row: dict[str, str]) -> int:
+        """Return the number of an object's placement; 1 for an empty cell."""
+        text = row.get(_PLACEMENT, "").strip() or "1"
+        if not (text.isascii() and text.isdigit() and int(text) > 0):
+            raise self._error(
+                line, _PLACEMENT, repr(text), "a whole number: 1 or an empty cell for the first placement"
+            )
+        if int(text) > 1 and row["role"].strip() not in ("object", DRIFT):
+            found = f"{text} for a photograph of the role {row['role'].strip()}"
+            raise self._error(line, _PLACEMENT, found, "an empty cell: only objects are laid down again")
+        return int(text)
 
     def _direction(self, line: int, row: dict[str, str]) -> tuple[float, float]:
         """Return light angle and azimuth of a lamp's position, degrees; (0, 0, 0) is for dark frames and the sheet."""
@@ -486,7 +542,8 @@ def shot_cells(shot: Shot, sha256: str) -> list:
     """Return a photograph's line of a table, in the order of COLUMNS and EXTRA_COLUMNS; unknown values are empty."""
     angles = [getattr(shot.pose, angle) for angle in _ANGLES]
     row = [shot.file, shot.role if shot.role == DRIFT else shot.subject, *angles, shot.filter, shot.exposure_s]
-    return [*row, shot.pose.light_azimuth_deg or "", shot.iso or "", shot.f_number or "", *shot.taken.cells(), sha256]
+    row += [shot.pose.light_azimuth_deg or "", shot.pose.placement if shot.pose.placement > 1 else ""]
+    return [*row, shot.iso or "", shot.f_number or "", *shot.taken.cells(), sha256]
 
 
 def write_captures(path, shots, sha256=None) -> None:

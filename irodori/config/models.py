@@ -63,6 +63,9 @@ class Placing(Definition):
     #: Standard deviation of the object's turn about each axis of the table, in degrees.
     rotation_deg: float = 1.0
 
+    #: The same in a further placement, whose typed rotation is a rough one, in degrees.
+    turned_deg: float = 5.0
+
     #: Standard deviation of the distance of the camera, in mm.
     camera_distance_mm: float = 30.0
 
@@ -453,6 +456,15 @@ class Markers(Definition):
 
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
+class FurtherPlacement(Definition):
+    """One further placement."""
+
+    #: Rotation of the object from how it lay first, about the table's x axis, then y, then z, in degrees; "[180, 0, 0]"
+    #: turns it over.
+    rotation_deg: tuple[float, float, float]
+
+
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class PoseGroup(Definition):
     """One group of poses."""
 
@@ -470,6 +482,9 @@ class PoseGroup(Definition):
 
     #: Azimuths of the light about z, from +x towards +y, in degrees.
     light_azimuth_deg: tuple[float, ...] = (0.0,)
+
+    #: Placements of the object that are photographed so (count); further ones are those of placements.
+    placement: tuple[int, ...] = (1,)
 
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
@@ -636,6 +651,10 @@ class Object(Definition):
     #: The printed sheet of `irodori markers` on which the object is photographed; it tells where camera and table
     #: stood. It needs `place.register`.
     markers: Markers | None = None
+
+    #: Further placements in which the object is photographed, turned over or laid on its side; the first of them has
+    #: the number 2. All photographs are put together on the object's one texture.
+    placements: tuple[FurtherPlacement, ...] = ()
 
     #: Groups of poses that a session takes, on a virtual or a driven rig; a group stands for every combination of its
     #: lists.
@@ -2258,6 +2277,10 @@ class LaidOff(Definition):
 
     #: How far it is turned about x, then y, then z of the table, in degrees.
     rotation_deg: tuple[float, float, float] = (0.2, -0.3, 0.4)
+
+    #: Standard deviation of the turn about each axis in a further placement, in degrees; the object is then also off
+    #: along each axis by an error that is drawn anew, as large as translation_mm on average.
+    turned_rms_deg: float = 3.0
 
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)

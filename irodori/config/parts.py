@@ -17,6 +17,7 @@ from irodori.config.models import (
     DisplayOptions,
     EnvironmentSource,
     Exposures,
+    FurtherPlacement,
     GivenFilter,
     GivenSensitivities,
     LevelPatch,
@@ -47,6 +48,7 @@ class PhotographedObject(Definition):
     virtual: VirtualObject | None = None
     level_patch: LevelPatch | None = None
     markers: Markers | None = None
+    placements: tuple[FurtherPlacement, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
@@ -55,6 +57,7 @@ class TexturedObject(Definition):
 
     shape: ObjectShape
     texels: Size
+    placements: tuple[FurtherPlacement, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
@@ -74,6 +77,7 @@ class PlannedObject(Definition):
     refractive_index: RefractiveIndex
     plan: PosePlan
     lobes: tuple[str, ...] = Object.lobes
+    placements: tuple[FurtherPlacement, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)

@@ -10,7 +10,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, NamedTuple, TypeVar
 
-from irodori.config.capture_table import LENS, noted_hashes, read_captures
+from irodori.config.capture_table import LENS, noted_hashes, placement_of, read_captures
 from irodori.config.cross_checks.object_lobes import AUTO
 from irodori.config.definition import Definition, as_plain
 from irodori.config.loaded import Loaded
@@ -60,6 +60,22 @@ class IngestPart(NamedTuple):
     def rule_name(self) -> str:
         """Name of the job's rule; such names have no hyphen."""
         return f"ingest_raw_{self.object_name}_{self.number}".replace("-", "_")
+
+
+class PlacedUnit(NamedTuple):
+    """One placement of an object, which is registered by itself: the object's name and the placement's number."""
+
+    object_name: str
+    number: int
+
+    @property
+    def label(self) -> str:
+        """Name of the object, with the number of a further placement."""
+        return self.object_name if self.number == 1 else f"{self.object_name} in placement {self.number}"
+
+    def file(self, kind: str) -> str:
+        """Return the path of a file about it, ``registration`` or ``placement``."""
+        return f"results/{self.object_name}/{kind}{'' if self.number == 1 else f'-{self.number}'}.h5"
 
 
 class PhotographSets:
@@ -243,7 +259,7 @@ class PhotographSets:
             return as_plain(camera.poses.white)
         assert camera.captures is not None  # a camera without a session has a table
         whites = [shot.pose for shot in read_captures(camera.captures.table) if shot.role == "white"]
-        return dataclasses.asdict(whites[0]) if whites else None
+        return whites[0].by_angle if whites else None
 
     def optics(self, wildcards) -> dict:
         """Return the optics of a set's camera."""
@@ -321,21 +337,46 @@ class PhotographSets:
         captures = self.captures["objects"][wildcards.object]
         return [f"results/{wildcards.object}/linear/{capture}.h5" for capture in captures]
 
-    def registration(self, wildcards) -> list[str]:
-        """Return, as a list, the file that tells where an object stood; empty if objects are not registered.
+    def linear_of_placement(self, wildcards) -> list[str]:
+        """Return the linear files of an object in one placement, by the wildcard ``placement``; else in its first."""
+        number = int(getattr(wildcards, "placement", 1))
+        return [file for file in self.linear_files(wildcards) if placement_of(Path(file).stem) == number]
 
-        For an object photographed together with others it is the one that takes in what these tell.
+    def first_registration(self, wildcards) -> list[str]:
+        """Return, as a list, the registration of an object's first placement; empty for a job that is about this."""
+        first = PlacedUnit(wildcards.object, 1)
+        return [first.file("registration")] if hasattr(wildcards, "placement") else []
+
+    def first_linear(self, wildcards) -> list[str]:
+        """Return the linear files of an object's first placement; empty for a job that is about this placement."""
+        first = SimpleNamespace(object=wildcards.object)
+        return self.linear_of_placement(first) if hasattr(wildcards, "placement") else []
+
+    def registration(self, wildcards) -> list[str]:
+        """Return the files that tell where an object stood in each placement; empty if objects are not registered.
+
+        For an object photographed together with others, or in several placements, it is the ones that take in what the
+        others tell.
         """
         if not self.loaded.config.place.register:
             return []
+        units = self._registered(wildcards.object)
         shared = any(wildcards.object in names for names in self.loaded.config.photographed_together)
-        return [f"results/{wildcards.object}/{'placement' if shared else 'registration'}.h5"]
+        return [unit.file("placement" if shared or len(units) > 1 else "registration") for unit in units]
 
-    def together(self) -> list[tuple[str, ...]]:
-        """Return the sets of objects whose registrations are combined, because they were photographed together."""
+    def _registered(self, name: str) -> list[PlacedUnit]:
+        """Return what is registered of an object: each of its placements."""
+        return [PlacedUnit(name, number + 1) for number in range(len(self.loaded.objects[name].placements) + 1)]
+
+    def together(self) -> list[list[PlacedUnit]]:
+        """Return the sets of placements whose registrations are combined: photographed together, or of one object."""
         config = self.loaded.config
-        sets = config.photographed_together if config.place.register else ()
-        return [names for names in sets if names[0] in self.loaded.objects]
+        if not config.place.register:
+            return []
+        sets = [list(names) for names in config.photographed_together if names[0] in self.loaded.objects]
+        grouped = {name for names in sets for name in names}
+        sets += [[name] for name, one in self.loaded.objects.items() if one.placements and name not in grouped]
+        return [[unit for name in names for unit in self._registered(name)] for names in sets]
 
     def tiles_of(self, name: str) -> list[tuple[int, int]]:
         """Return (first row, end row) of every texture tile of an object."""

@@ -106,7 +106,9 @@ class SmallChain:
             chart = replace(chart, patch_px=max(1, chart.patch_px // 2))
         (x, y), repeat = faults.filter_plate.shift_px, faults.filter_plate.repeat_rms_px
         plate = replace(faults.filter_plate, shift_px=(x / 2.0, y / 2.0), repeat_rms_px=repeat / 2.0)
-        texels, poses = self.definition.texels, expand_poses(self.definition.poses or ())
+        # Of several placements, the first.
+        texels, every = self.definition.texels, expand_poses(self.definition.poses or ())
+        poses = [pose for pose in every if pose.placement == 1]
         thinned = poses[:: math.ceil(len(poses) / _MAX_POSES)]
         return replace(
             self,
@@ -115,6 +117,7 @@ class SmallChain:
                 self.definition,
                 texels=Size(width=min(texels.width, _MAX_TEXELS), height=min(texels.height, _MAX_TEXELS)),
                 poses=tuple(PoseGroup(**{name: (angle,) for name, angle in vars(pose).items()}) for pose in thinned),
+                placements=(),
             ),
         ).with_faults(replace(faults, filter_plate=plate))
 

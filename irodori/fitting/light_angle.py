@@ -20,7 +20,7 @@ from irodori.fitting.texel_sample import Readings
 from irodori.geometry.atlas import are_alike
 from irodori.geometry.shapes.shape import Shape
 from irodori.material.lobe_choices import lobes_before_choice
-from irodori.rectification.placement_correction import LIGHT, Correction
+from irodori.rectification.placement_correction import LIGHT
 from irodori.rectification.stage import RigSetup, angles_in_captures, noise_models, observe_captures
 from irodori.spectra.published import refractive_index
 
@@ -137,7 +137,7 @@ class LightSearch:
         def lit_from(offset_deg: float) -> RigSetup:
             values = list(setup.correction.values)
             values[LIGHT] += offset_deg
-            return replace(setup, correction=Correction.of(values))
+            return replace(setup, correction=setup.correction.by(values))
 
         def readings(offset_deg: float) -> Readings:
             found = observe_captures(self.linear, shape, texels, lit_from(offset_deg), self.max_angle_deg)

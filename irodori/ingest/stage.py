@@ -1,6 +1,6 @@
 """Ingestion stage: reads the RAW files of one capture; writes linear responses."""
 
-from dataclasses import astuple, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -131,7 +131,8 @@ def _write(
         if alignment is not None:
             alignment.write(out)
         pose = shots[0].pose
-        out.attribute("pose_deg", list(astuple(pose)))
+        out.attribute("pose_deg", list(pose.angles_deg))
+        out.attribute("placement", pose.placement)
         out.attribute("filters", filter_states(shots))
         out.attribute("sample_px", options.sample_px)
         out.attribute("demosaic", options.demosaic)

@@ -64,19 +64,22 @@ def write_registered(out: store.Writer, rms_deg) -> None:
     out.write(DATASET, np.array(rms_deg), units="deg", dims="angle", quantity=quantity)
 
 
-def read_registered(path) -> np.ndarray | None:
-    """Return the standard deviations of `ANGLES` by registration, (4,) degrees; None if the file has none.
+def read_registered(*paths) -> np.ndarray | None:
+    """Return the standard deviations of `ANGLES` by registration, (4,) degrees; None if no file has any.
 
     Parameters
     ----------
-    path : path
-        File of a registration, or tile of observations.
+    *paths : path
+        File of a registration, or tile of observations; of several, such as an object's placements, the root mean
+        square is returned.
     """
-    with store.open_file(path) as file:
-        if DATASET not in file:
-            return None
-        file.require_axes({DATASET: "angle"}, angle=len(ANGLES))
-        return file.read(DATASET)
+    found = []
+    for path in paths:
+        with store.open_file(path) as file:
+            if DATASET in file:
+                file.require_axes({DATASET: "angle"}, angle=len(ANGLES))
+                found.append(file.read(DATASET))
+    return np.sqrt(np.mean(np.square(found), axis=0)) if found else None
 
 
 def registered_errors(path) -> AngleErrors | None:

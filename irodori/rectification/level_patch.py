@@ -77,7 +77,9 @@ def read_patch(path, shape: Shape, setup: RigSetup, patch: "LevelPatch") -> Patc
         its shadow, clips, or is not even.
     """
     with store.open_file(path) as file:
-        pose = setup.correction.pose(Pose(*file.attribute("pose_deg")))
+        typed = Pose.of_file(file)
+        setup = setup.of(typed)
+        pose = setup.correction.pose(typed)
         rotation = rig_from_object(pose) if patch.moves_with_table else np.eye(3)
         position = _grid(patch) @ rotation.T
         normal = np.broadcast_to(rotation[:, 2], position.shape)

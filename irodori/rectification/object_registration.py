@@ -16,8 +16,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from irodori.config.capture_table import Pose
+from irodori.config.capture_table import Pose, placement_of
 from irodori.core import store
+from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER, track
 from irodori.geometry.atlas import are_alike
 from irodori.geometry.embree import Tracer
@@ -65,6 +66,7 @@ from irodori.rectification.told_values import (
     settle_light,
     solve,
 )
+from irodori.rectification.turned_texture import TURN, Side, turned, with_turn
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
@@ -164,6 +166,8 @@ class Registered:
         The printed sheet, if there is one.
     light_deg : (float, float), optional
         Error of all light angles by shading and highlights, and its standard error, whether it is corrected or not.
+    turn_remark : str
+        What textures tell of the rotation of a further placement; empty for the first.
     """
 
     estimate: Estimate
@@ -175,6 +179,7 @@ class Registered:
     angle_errors: RegisteredAngleErrors
     sheet: FoundSheet | None = None
     light_deg: tuple[float, float] | None = None
+    turn_remark: str = ""
 
     @property
     def correction(self) -> Correction:
@@ -190,6 +195,18 @@ class Registered:
     def is_told(self) -> np.ndarray:
         """Mask of the values that the photographs determine, (12,) bool."""
         return self.estimate.told
+
+
+class FirstPlacement(NamedTuple):
+    """First placement of an object: files of its photographs, and the correction that its registration found."""
+
+    linear: Sequence
+    correction: Correction
+
+    @classmethod
+    def load(cls, linear: Sequence, registration) -> "FirstPlacement":
+        """Return the placement whose registration is in a file."""
+        return cls(linear, Correction.load(registration))
 
 
 class _Texels(NamedTuple):
@@ -258,7 +275,7 @@ class _Problem:
     @property
     def mm_per_px(self) -> float:
         """Millimetres per superpixel at the distance of the object."""
-        camera = self.setup.corrected(Correction.of(self.unknowns[:COUNT]))
+        camera = self.setup.corrected(self.setup.correction.by(self.unknowns[:COUNT]))
         return 2.0 * camera.camera_distance_mm / camera.pinhole.focal_px
 
     @property
@@ -327,7 +344,7 @@ class _Problem:
 
     def standing(self, view: int, values: np.ndarray) -> tuple[Correction, Pose]:
         """Return the common correction and the corrected pose of a photograph for given unknowns."""
-        correction = Correction.of(values[:COUNT])
+        correction = self.setup.correction.by(values[:COUNT])
         return correction, correction.pose(self.views[view].pose, float(values[COUNT + view]))
 
     def derivative(self, function, view: int, numbers: Sequence[int] = range(COUNT)) -> np.ndarray:
@@ -408,7 +425,7 @@ def _registered(
     _settle(problem, _FINEST_REACH, _LAST_STEPS)
     own, problem.unknowns[problem.own] = problem.unknowns[problem.own].copy(), 0.0
     residual, points, suspects = _residuals(problem, max(0.5 * first, 2.0 * _FINEST_REACH))
-    shown = light(setup.corrected(Correction.of(problem.unknowns[:COUNT]))) if light else None
+    shown = light(setup.corrected(setup.correction.by(problem.unknowns[:COUNT]))) if light else None
     if shown is not None:
         # Nothing else depends on the light's angles: before, they were as typed, and known as well as that.
         whole[LIGHT], whole[:, LIGHT] = 0.0, 0.0
@@ -445,7 +462,7 @@ def _problem(
     problem = _Problem(shape, setup, texels, [], sigma, np.zeros(len(sigma)))
     for path in linear:
         with store.open_file(path) as file:
-            problem.views.append(_View(Pose(*file.attribute("pose_deg"))))
+            problem.views.append(_View(Pose.of_file(file)))
     if markers is not None:
         problem.sheet = MarkerSheet.of(markers, shape, placing)
         for view, path in zip(problem.views, track(linear, "find markers"), strict=True):
@@ -631,6 +648,9 @@ def _prepare(problem: _Problem, number: int, reach: float, blur: float) -> None:
     view.rim, view.outward = rim.point[bright], rim.outward[bright]
     moved = problem.derivative(lambda v, values: problem.seen(v, view.rim, values), number)
     view.change = np.einsum("ni,nip->np", view.outward, moved)
+    if problem.shape.ball_mm is not None:
+        # A ball's outline tells nothing of its turn; points beside something that hides the ball would seem to.
+        view.change[:, TURN] = 0.0
     if not problem.tells_texture:
         view.surface = inner_surface(problem, number, tracer, lit.xy[bright])
         view.inner = view.surface.evenly_painted
@@ -1019,6 +1039,7 @@ def register_object(
     markers: "Markers | None" = None,
     *,
     light: Callable[[RigSetup], tuple[float, float] | None] | None = None,
+    first: FirstPlacement | None = None,
     output,
     provenance: store.Provenance,
 ) -> None:
@@ -1027,7 +1048,7 @@ def register_object(
     Parameters
     ----------
     linear : sequence of path
-        Files of linear responses, each named after its capture.
+        Files of linear responses, each named after its capture; all show the object in one placement.
     definition : Object or TexturedObject
     setup : RigSetup
         Camera and rig as defined, without correction.
@@ -1037,12 +1058,15 @@ def register_object(
         The printed sheet on which the object stands.
     light : function, optional
         As in `register`.
+    first : FirstPlacement, optional
+        The object's first placement, if this is a further one.
 
     Raises
     ------
     InputError
         If no photograph shows the sheet, or its size contradicts the typed one; if photographs contradict what was
-        typed, see `irodori.rectification.contradicted_definitions`.
+        typed, see `irodori.rectification.contradicted_definitions` and `irodori.rectification.turned_texture`. If the
+        object has several placements, the message names this one.
 
     Notes
     -----
@@ -1063,13 +1087,24 @@ def register_object(
     for each quantity whether the photographs determine it; ``captures``, names of the photographs; ``sentence``, a
     summary in words; ``remarks``, its parts that are not about these quantities.
     """
+    if first is not None:
+        placing = replace(placing, rotation_deg=placing.turned_deg)
+    number, shape = placement_of(Path(linear[0]).stem), Shape.from_definition(definition.shape)
+    typed, setup = setup, setup.laid(shape, definition.placements, number)
     found, problem = _registered(linear, definition, setup, placing, markers, light)
-    names = [Path(path).stem for path in linear]
 
     def with_free_camera() -> tuple[Registered, _Problem]:
         return _registered(linear, definition, setup, placing, markers, camera_deg=FREE_CAMERA_DEG)
 
-    refuse_contradictions(found, problem, linear, placing, with_free_camera)
+    if first is not None:
+        found = _turned_from(first, found, problem, linear, definition, typed, placing)
+    used = problem.unknowns.copy()
+    try:
+        refuse_contradictions(found, problem, linear, placing, with_free_camera)
+    except InputError as error:
+        raise _in_placement(error, number) if definition.placements else error from None
+    problem.unknowns = used
+    names = [Path(path).stem for path in linear]
     sentence = in_words(found)
     LOGGER.info("%s", sentence)
     LOGGER.info("%s", found.angle_errors)
@@ -1101,6 +1136,48 @@ def register_object(
         out.attribute("sentence", sentence)
 
 
+def _in_placement(error: InputError, number: int) -> InputError:
+    """Return an error that names the placement of the object, which may have been mistaken for another."""
+    field = error.field.replace("place.rotation_deg", "place.turned_deg") if number > 1 else error.field
+    accepted = f"{error.accepted}; or another placement, if that is what the photograph shows"
+    return InputError(error.file, field, f"in placement {number}, {error.found}", accepted)
+
+
+def _turned_from(
+    first: FirstPlacement,
+    found: Registered,
+    problem: _Problem,
+    linear: Sequence,
+    definition: "Object | TexturedObject",
+    typed: RigSetup,
+    placing: "Placing",
+) -> Registered:
+    """Return the registration of a further placement with what textures tell of its rotation.
+
+    ``typed`` is the setup of the first placement, without correction.
+    """
+    before = _problem(first.linear, definition, typed, placing)
+    # However coarse the object's texels are, the blur that goes with them must not mix in what lies behind it.
+    rows = round(math.sqrt(_TEXELS / 2.0))
+    texels = _texels(problem.shape, 2 * rows, rows)
+    number = problem.views[0].pose.placement
+    turn = turned(
+        Side(replace(before, texels=texels), first.linear, np.array(first.correction.values), 1),
+        Side(replace(problem, texels=texels), linear, found.estimate.values, number),
+        placing.turned_deg,
+    )
+    estimate = with_turn(found.estimate, turn)
+    if turn is None:
+        said = f"placement {number}: no texture that both placements show tells its rotation from the first"
+    else:
+        angles = ", ".join(f"{angle:+.2f}" for angle in turn.rotation_deg)
+        error = math.sqrt(np.trace(turn.covariance) / 3.0)
+        said = f"placement {number}: by texture, turned by ({angles}) ± {error:.2f} deg beyond its typed rotation"
+    problem.unknowns[:COUNT] = estimate.values
+    errors = angle_errors(problem, estimate.moment, placing.light_deg)
+    return replace(found, estimate=estimate, angle_errors=errors, turn_remark=said)
+
+
 def _write_sheet(out: store.Writer, sheet: FoundSheet) -> None:
     """Write what was found of the printed sheet."""
     names, units = [one.name for one in SHEET_QUANTITIES], np.array([one.unit for one in SHEET_QUANTITIES], "S")
@@ -1123,7 +1200,7 @@ def in_words(found: Registered) -> str:
 
 def _remarks(found: Registered) -> list[str]:
     """Return what is to be said of the photographs beside the quantities that they tell."""
-    parts = []
+    parts = [found.turn_remark] if found.turn_remark else []
     if found.light_deg is not None:
         off = "{:+.2f} ± {:.2f} deg".format(*found.light_deg)
         parts.append(f"highlights and shading show the light {off} from its typed angles")

@@ -10,7 +10,7 @@ from irodori.config.capture_table import Pose
 from irodori.core import store
 from irodori.geometry.pinhole import Pinhole
 from irodori.geometry.rig_frame import rig_from_object, rotation_xyz
-from irodori.geometry.shapes.placement import Placement, on_table
+from irodori.geometry.shapes.placement import Placement, laid, on_table
 from irodori.geometry.shapes.shape import Shape
 
 if TYPE_CHECKING:
@@ -58,14 +58,29 @@ class Correction:
     ----------
     values : sequence of 12 float
         Corrections in the order and the units of `QUANTITIES`.
+    rotation_deg : (3,) float
+        Typed rotation of the object from its first placement, which comes before the corrections.
+    raised_mm : float
+        Height of the object's origin above that of the first placement, before the corrections.
     """
 
     values: tuple[float, ...] = (0.0,) * COUNT
+    rotation_deg: tuple[float, ...] = (0.0, 0.0, 0.0)
+    raised_mm: float = 0.0
 
     @classmethod
     def of(cls, values: Sequence[float] | np.ndarray) -> "Correction":
         """Return the correction with the given 12 numbers, converted to float."""
         return cls(tuple(float(value) for value in values))
+
+    @classmethod
+    def laid(cls, shape: Shape, rotation_deg: Sequence[float]) -> "Correction":
+        """Return no correction of an object that is turned from its first placement."""
+        return cls(rotation_deg=tuple(rotation_deg), raised_mm=float(laid(shape, rotation_deg).translation_mm[2]))
+
+    def by(self, values: Sequence[float] | np.ndarray) -> "Correction":
+        """Return the correction of the same placement with other 12 numbers."""
+        return replace(self, values=tuple(float(value) for value in values))
 
     @classmethod
     def load(cls, path) -> "Correction":
@@ -83,12 +98,13 @@ class Correction:
     @property
     def table_from_object(self) -> np.ndarray:
         """Rotation matrix (3, 3) of the object on the table."""
-        return rotation_xyz(self.values[3:6])
+        return rotation_xyz(self.values[3:6]) @ rotation_xyz(self.rotation_deg)
 
     @property
     def translation_mm(self) -> np.ndarray:
         """Displacement (3,) of the object's origin on the table, mm."""
-        return np.array(self.values[:3])
+        x, y, z = self.values[:3]
+        return np.array([x, y, z + self.raised_mm])
 
     def pinhole(self, typed: Pinhole) -> Pinhole:
         """Return a camera with its focal length and principal point corrected."""

@@ -6,8 +6,8 @@ and which part is removed here.
 """
 
 import math
-from collections.abc import Iterable
-from dataclasses import astuple, dataclass, fields, replace
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -31,12 +31,12 @@ from irodori.reflection.equation5 import angles_from_directions
 from irodori.spectra.coordinates import require_bands, write_bands
 
 if TYPE_CHECKING:
-    from irodori.config.models import Object, Optics, RigPose
+    from irodori.config.models import FurtherPlacement, Object, Optics, RigPose
     from irodori.config.parts import RigGeometry, TexturedObject
 
 #: Share of a sample's noise variance that remains after bilinear interpolation, on average over positions.
 _INTERPOLATED = 4.0 / 9.0
-_POSE = tuple(angle.name for angle in fields(Pose))
+_ANGLES_OF_POSE = tuple(field.name for field in fields(Pose) if field.name != "placement")
 _CHUNK = 8192  # texels that a thread takes at a time
 
 
@@ -56,6 +56,8 @@ class RigSetup:
         Pose in which the white reference was photographed; needed if the lamp is near.
     correction : Correction
         Correction of the object's place and the angles; pinhole and distance are corrected already.
+    further : tuple of RigSetup
+        The same for each further placement of the object, if photographs of all placements are read together.
     """
 
     pinhole: Pinhole
@@ -64,6 +66,7 @@ class RigSetup:
     lamp: Lamp = FAR
     white_pose: Pose | None = None
     correction: Correction = AS_TYPED
+    further: tuple["RigSetup", ...] = ()
 
     @classmethod
     def from_definitions(cls, optics: "Optics", rig: "RigGeometry", white_pose: "RigPose | None" = None) -> "RigSetup":
@@ -98,6 +101,33 @@ class RigSetup:
         distance = correction.camera_distance_mm(self.camera_distance_mm)
         pinhole = correction.pinhole(self.pinhole)
         return replace(self, pinhole=pinhole, camera_distance_mm=distance, correction=correction)
+
+    def laid(self, shape: Shape, placements: "Sequence[FurtherPlacement]", number: int = 1) -> "RigSetup":
+        """Return a copy of the setup for one placement of the object, whose place is as typed."""
+        return self if number == 1 else self.corrected(Correction.laid(shape, placements[number - 2].rotation_deg))
+
+    def registered(
+        self, shape: Shape, placements: "Sequence[FurtherPlacement]", registrations: Sequence = ()
+    ) -> "RigSetup":
+        """Return a copy of the setup for all placements of the object.
+
+        Parameters
+        ----------
+        shape : Shape
+        placements : sequence of FurtherPlacement
+            Those after the first.
+        registrations : sequence of path
+            Files of the registration of every placement; none if all lie as typed.
+        """
+        setups = [self.laid(shape, placements, number) for number in range(1, len(placements) + 2)]
+        if registrations:
+            found = zip(setups, registrations, strict=True)
+            setups = [one.corrected(one.correction.by(Correction.load(path).values)) for one, path in found]
+        return replace(setups[0], further=tuple(setups[1:]))
+
+    def of(self, pose: Pose) -> "RigSetup":
+        """Return the setup for the placement that a photograph shows."""
+        return self.further[pose.placement - 2] if self.further and pose.placement > 1 else self
 
     def light_gain(self, xy, power) -> np.ndarray:
         """Return factors (n,) that make responses relative to each texel's irradiance instead of the white reference's.
@@ -268,12 +298,14 @@ def angles_in_captures(linear: Iterable, shape: Shape, texels: Texels, setup: Ri
     captures = []
     for path in linear:
         with store.open_file(path) as file:
-            pose = setup.correction.pose(Pose(*file.attribute("pose_deg")))
-        lain = setup.correction.placements(shape, pose, setup.table_radius_mm)[0]
+            typed = Pose.of_file(file)
+        there = setup.of(typed)
+        pose = there.correction.pose(typed)
+        lain = there.correction.placements(shape, pose, there.table_radius_mm)[0]
         position = lain.points(texels.position[texels.covered])
         normal = texels.normal[texels.covered] @ lain.rotation.T
-        light, _, _ = setup.lamp.seen_from(position, pose)
-        _, view, _ = _eye(position, pose, setup)
+        light, _, _ = there.lamp.seen_from(position, pose)
+        _, view, _ = _eye(position, pose, there)
         captures.append(_spread(angles_from_directions(normal, light, view), texels.covered))
     return np.stack(captures, axis=1)
 
@@ -281,7 +313,9 @@ def angles_in_captures(linear: Iterable, shape: Shape, texels: Texels, setup: Ri
 def _observe_file(path, shape: Shape, texels: Texels, setup: RigSetup) -> Observations:
     """Return the observations of all texels in the capture of one file of linear responses."""
     with store.open_file(path) as file:
-        pose = setup.correction.pose(Pose(*file.attribute("pose_deg")))
+        typed = Pose.of_file(file)
+        setup = setup.of(typed)
+        pose = setup.correction.pose(typed)
         placements = setup.correction.placements(shape, pose, setup.table_radius_mm)
         tracer = Tracer(placements)
         position = placements[0].points(texels.position[texels.covered])
@@ -316,8 +350,8 @@ def noise_models(linear: list) -> np.ndarray:
     return np.stack(models)
 
 
-def _poses_and_filters(linear: list) -> tuple[np.ndarray, list[str]]:
-    """Return the pose of every capture, (J, 4) in deg, and the filter states that all captures have in common.
+def _poses_and_filters(linear: list) -> tuple[list[Pose], list[str]]:
+    """Return the pose of every capture and the filter states that all captures have in common.
 
     Raises
     ------
@@ -329,12 +363,12 @@ def _poses_and_filters(linear: list) -> tuple[np.ndarray, list[str]]:
     for path in linear:
         with store.open_file(path) as file:
             filters = file.attribute("filters")
-            poses.append(astuple(Pose(*file.attribute("pose_deg"))))
+            poses.append(Pose.of_file(file))
         if first is not None and first != filters:
             raise InputError(path, "filters", ", ".join(filters), f"{', '.join(first)}, as in the other captures")
         first = filters
     assert first is not None  # there is a capture
-    return np.array(poses), first
+    return poses, first
 
 
 def _maps(observed: Observations, texels: Texels, near: bool) -> dict:
@@ -373,6 +407,7 @@ def rectify_object(
         Files of linear responses of the J captures; only the window that the tile covers is read.
     definition : Object or TexturedObject
     setup : RigSetup
+        For all placements of the object, see `RigSetup.registered`.
     rows : (int, int)
         First and last-plus-one texture row of the tile.
     max_angle_deg : float, degrees
@@ -407,7 +442,7 @@ def rectify_object(
         near = f"{setup.lamp.distance_mm:g} mm, within the reach of the object, {shape.reach_mm:.4g} mm"
         raise InputError("rig", "light.distance_mm", near, "a lamp outside the object, or no such key for a far one")
     texels = shape.atlas(width, definition.texels.height, (rows[0], rows[1]))
-    poses_deg, filters = _poses_and_filters(linear)
+    poses, filters = _poses_and_filters(linear)
     observed = observe_captures(track(linear, f"rectify rows {rows[0]}-{rows[1]}"), shape, texels, setup, max_angle_deg)
     require_bands(filters, observed.response.shape[2], linear[0])
     unseen = ~(observed.weight > 0).any(axis=1) & texels.covered.ravel()
@@ -415,8 +450,11 @@ def rectify_object(
         LOGGER.info("%d of %d texels have no observation", unseen.sum(), texels.covered.sum())
     with store.create(output, provenance) as out:
         out.coordinate("capture", [Path(path).stem for path in linear], units="1", quantity="name of the capture")
-        for name, values in zip(_POSE, poses_deg.T, strict=True):
+        for name in _ANGLES_OF_POSE:
+            values = np.array([getattr(pose, name) for pose in poses])
             out.write(name, values, units="deg", dims="capture", quantity="angle of the rig, as typed")
+        number = np.array([pose.placement for pose in poses])
+        out.write("placement", number, units="1", dims="capture", quantity="number of the object's placement")
         out.coordinate("angle", list(ANGLES), units="1", quantity="symbol of an angle")
         if angle_error_deg is not None:
             write_registered(out, angle_error_deg)

@@ -87,9 +87,13 @@ def objects(names: list[str], files: list, truths: dict, placements: Sequence = 
     truths : dict
         {name: file of the true material}, as far as there are such.
     placements : sequence of path
-        Files of the objects' registrations, in the same order; empty if objects are not registered.
+        Files of the objects' registrations, in the same order, those of one object's placements side by side; empty if
+        objects are not registered.
     """
-    placed = [_sentence(path) for path in placements] or [""] * len(names)
+    said: dict[str, list[str]] = {}
+    for path in placements:
+        said.setdefault(Path(path).parent.name, []).append(_sentence(path))
+    placed = ["; ".join(one) for one in said.values()] or [""] * len(names)
     return [_object(name, path, truths.get(name), at) for name, path, at in zip(names, files, placed, strict=True)]
 
 

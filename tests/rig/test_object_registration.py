@@ -55,19 +55,18 @@ def photographs(folder, definitions, definition, poses, laid_off=(0.0,) * 6, *, 
     """Linear files of what the virtual rig sees: the object laid off by three mm and three degrees, with noise.
 
     ``lies`` are poses that the files state in place of the real ones, and ``ends`` the columns after which the frame
-    ends, both by number. With ``markers``, the object stands on the printed sheet.
+    ends, both by number. With ``markers``, the object stands on the printed sheet. The object lies as its definition's
+    ``placements`` say.
     """
     camera, rig = copy.deepcopy(definitions["cameras"]["d5100-comb"]), copy.deepcopy(definitions["rigs"]["virtual"])
     off = {"enabled": True, "translation_mm": list(laid_off[:3]), "rotation_deg": list(laid_off[3:])}
     rig["virtual"]["imperfections"] |= {"laid_off": off, "focal_length": {"enabled": False}}
     weights = band_weights(made(Camera, camera), spectrum_of_light(rig["light"]["spectrum"]))[:3]
-    sample, rng, files = (
-        Sample.from_definition(made(Object | PhotographedObject, definition)),
-        np.random.default_rng(3),
-        [],
-    )
+    whole = made(Object | PhotographedObject, definition)
+    sample, rng, files = Sample.from_definition(whole), np.random.default_rng(3), []
+    there = {"markers": markers, "placements": whole.placements}
     for number, pose in enumerate(poses):
-        mosaic = object_mosaic(sample, made(Camera, camera), made(Rig, rig), pose, STRAIGHT, weights, markers=markers)
+        mosaic = object_mosaic(sample, made(Camera, camera), made(Rig, rig), pose, STRAIGHT, weights, **there)
         green = 0.5 * (mosaic[::2, 1::2] + mosaic[1::2, ::2])
         response = np.stack([mosaic[::2, ::2], green, mosaic[1::2, 1::2]], axis=-1)
         response = response / weights.sum(axis=1) + rng.normal(0.0, NOISE, response.shape)
@@ -81,7 +80,8 @@ def photographs(folder, definitions, definition, poses, laid_off=(0.0,) * 6, *, 
             noise = np.tile([NOISE**2, 0.0], (3, 1))
             out.write("noise_model", noise, units="1", dims="band,term", quantity="noise")
             out.attribute("sample_px", 2)
-            out.attribute("pose_deg", [stated.light_deg, stated.camera_deg, stated.tilt_deg, stated.turn_deg])
+            out.attribute("pose_deg", list(stated.angles_deg))
+            out.attribute("placement", stated.placement)
     return files
 
 

@@ -124,7 +124,8 @@ def test_what_no_motor_drives_is_set_by_hand():
     axes = ("camera_deg", "turn_deg")
     assert motor_targets(shot("object"), axes) == {"camera_deg": 20.0, "turn_deg": 5.0}
     assert hand_settings(shot("object"), axes) == {
-        "subject": "object", "light_deg": 45.0, "light_azimuth_deg": 0.0, "tilt_deg": 10.0, "filter": "in",
+        "subject": "object", "placement": 1, "filter": "in",
+        "light_deg": 45.0, "light_azimuth_deg": 0.0, "tilt_deg": 10.0,
     }  # fmt: skip
 
 
@@ -142,8 +143,8 @@ def test_the_first_step_of_a_run_states_everything_once():
     hand = HandSettings(operator)
     wanted = hand_settings(shot("object"), ("camera_deg",))
     hand.set(wanted)
-    # A lamp that nobody moved beside the rig's plane stands in it.
-    assert {**operator.steps[0].new, "light_azimuth_deg": 0.0} == wanted
+    # A lamp that nobody moved beside the rig's plane stands in it, and an object put in place lies as it does first.
+    assert {**operator.steps[0].new, "light_azimuth_deg": 0.0, "placement": 1} == wanted
     assert "light_azimuth_deg" not in operator.steps[0].new
     assert all(change.old is None for change in operator.steps[0].changes)
     assert not hand.set(wanted) and len(operator.steps) == 1

@@ -144,7 +144,7 @@ def test_a_full_plan_changes_one_setting_at_a_time(axes):
     found = estimate_s(order_shots(full, axes, {}, HAND_S), axes, {}, HAND_S)
     blocks = combinations(full, axes)
     # The first step states subject, angles and filter; each later one changes a single setting.
-    first = len(hand_settings(full[0], axes)) - 1  # but the azimuth of the lamp, which stands in the plane
+    first = len(hand_settings(full[0], axes)) - 2  # but the lamp's azimuth, in the plane, and the first placement
     assert (found.steps, found.settings) == (blocks, first + blocks - 1)
 
 

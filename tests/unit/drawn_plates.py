@@ -66,5 +66,5 @@ def drawn(folder, lies, shown=VIEWS, stated=VIEWS, size=(60.0, 50.0), contrast=1
         texture = np.stack(waves, axis=-1) * [0.2, 0.25, 0.25]
         colour = [0.35, 0.4, 0.45] + contrast * texture
         cosine = (placed.rotation[:, 2] @ to_light(real)).item()
-        files.append(linear_file(folder / f"{number}.h5", on[..., None] * colour * cosine, pose=vars(said).values()))
+        files.append(linear_file(folder / f"{number}.h5", on[..., None] * colour * cosine, pose=said.angles_deg))
     return files

@@ -20,6 +20,7 @@ from irodori.config.capture_table import (
     Shot,
     check_unchanged,
     expand_poses,
+    placement_of,
     read_captures,
     shot_path,
     write_captures,
@@ -401,3 +402,20 @@ def test_a_time_or_a_place_that_is_none_is_refused_by_its_column(tmp_path, colum
     path.write_text(f"{HEADER},{column}\na.dng,object,45,0,0,0,out,0.02,{cell}\n")
     with pytest.raises(InputError, match=f"line 2, {column}: found '{cell}'"):
         read_captures(path)
+
+
+def test_the_column_placement_says_how_an_object_lay_and_survives_writing(tmp_path):
+    table = tmp_path / "captures.csv"
+    lines = ["a.dng,object,45,10,out,0.02,", "b.dng,object,45,10,out,0.02,2", "c.dng,white,45,0,out,0.02,"]
+    table.write_text("file,role,light_deg,camera_deg,filter,exposure_s,placement\n" + "\n".join(lines))
+    shots = read_captures(table)
+    assert [shot.pose.placement for shot in shots] == [1, 2, 1]
+    assert [placement_of(shot.capture) for shot in shots[:2]] == [1, 2]
+    # The same angles in another placement are another capture.
+    assert shots[1].capture == shots[0].capture + "-p2"
+    write_captures(table, shots)
+    assert read_captures(table) == shots
+    for line, said in (("d.dng,object,45,10,out,0.02,0", "a whole number"), ("d.dng,white,45,0,out,0.02,2", "white")):
+        table.write_text("file,role,light_deg,camera_deg,filter,exposure_s,placement\n" + line)
+        with pytest.raises(InputError, match=rf"line 2, placement.*{said}"):
+            read_captures(table)

@@ -414,3 +414,30 @@ def test_a_chart_in_a_room_that_is_at_fault_is_named(root, key, value, field, fo
     edit(root, ROOM_FILE, key, value)
     error = fault(root)
     assert error.field == field and found in error.found
+
+
+@pytest.mark.parametrize(
+    "file, key, value, field, said",
+    [
+        (PLATE_FILE, "placements", [{"rotation_deg": [180.0, 0.0, 0.0]}], "placements", "flat object"),
+        (
+            "objects/leaf-sphere.yaml",
+            "placements",
+            [{"rotation_deg": [90.0, 0.0, 0.0]}],
+            "placements[0]",
+            "no photograph",
+        ),
+        (
+            "objects/leaf-sphere.yaml",
+            "poses",
+            [{"light_deg": [45.0], "camera_deg": [0.0], "placement": [1, 2]}],
+            "poses[0].placement",
+            "1 to 1",
+        ),
+    ],
+)
+def test_placements_and_photographs_agree(root, file, key, value, field, said):
+    edit(root, file, key, value)
+    with pytest.raises(InputError, match=said) as raised:
+        load(root)
+    assert raised.value.field == field

@@ -155,7 +155,7 @@ def on_paper(folder, poses, side, bright) -> list:
             with store.open_file(one / f"{number}.h5") as file:
                 pictures.append(file.read("response"))
         shown = np.where(pictures[0] > 0.0, pictures[0], bright * pictures[1])
-        files.append(linear_file(folder / f"{number}.h5", shown, pose=vars(pose).values()))
+        files.append(linear_file(folder / f"{number}.h5", shown, pose=pose.angles_deg))
     return files
 
 

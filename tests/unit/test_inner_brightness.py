@@ -38,9 +38,7 @@ def a_ball(folder, border_deg, dark, poses=POSES, gloss=0.0):
         paint = paint + gloss * np.exp(-0.5 * (away / np.radians(8.0)) ** 2)
         shown = np.where(root > 0.0, paint * np.maximum(normal @ to_light(pose), 0.0), 0.0)
         shown = shown.reshape(size[1], _FINE, size[0], _FINE).mean(axis=(1, 3)) + 0.002
-        files.append(
-            linear_file(folder / f"{number}.h5", np.repeat(shown[..., None], 3, axis=2), pose=vars(pose).values())
-        )
+        files.append(linear_file(folder / f"{number}.h5", np.repeat(shown[..., None], 3, axis=2), pose=pose.angles_deg))
     return files
 
 

@@ -1,6 +1,5 @@
 """From pictures to texels: the right place, the right angles, nothing from what is unseen, unlit or saturated."""
 
-import dataclasses
 import itertools
 import math
 from pathlib import Path
@@ -36,7 +35,9 @@ SPHERE = {"shape": {"kind": "sphere", "radius_mm": 25.0}, "texels": {"width": 48
 
 def setup_of(table_radius_mm=0.0, lamp_distance_mm=None, white=None) -> RigSetup:
     rig = {"camera_distance_mm": DISTANCE, "table_radius_mm": table_radius_mm, "lamp_distance_mm": lamp_distance_mm}
-    return RigSetup.from_definitions(made(Optics, OPTICS), made(RigGeometry, rig), white and made(RigPose, vars(white)))
+    return RigSetup.from_definitions(
+        made(Optics, OPTICS), made(RigGeometry, rig), white and made(RigPose, white.by_angle)
+    )
 
 
 def texels_in_rig(definition, pose):
@@ -88,7 +89,7 @@ def linear_file(path, pose, *, response=None, valid=None, clipped=None, sample_p
         noise = np.arange(2.0 * response.shape[-1]).reshape(-1, 2) * pose.light_deg
         out.write("noise_model", noise, units="1", dims="band,term", quantity="noise")
         out.attribute("sample_px", sample_px)
-        out.attribute("pose_deg", list(dataclasses.astuple(pose)))
+        out.attribute("pose_deg", list(pose.angles_deg))
         out.attribute("filters", list(filters))
     return path
 

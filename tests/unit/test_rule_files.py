@@ -63,7 +63,7 @@ def test_parameters_are_plain_and_as_the_files_say(sets, scenes, definitions):
     assert asked["rig"] == definitions.rigs["virtual"].plain()
     scene = definitions.scenes["still-life"].plain()
     assert asked["part"] == {"objects": scene["objects"], "display": scene["display"]}
-    photographed = {"shape", "refractive_index", "mirror_weight", "poses", "exposure_s", "virtual"}
+    photographed = {"shape", "refractive_index", "mirror_weight", "poses", "exposure_s", "virtual", "placements"}
     plate_file = definitions.objects["tile-plate"].plain()
     assert set(asked["photographed"]) == photographed
     assert all(asked["photographed"][key] == plate_file[key] for key in photographed)
@@ -129,9 +129,22 @@ def test_every_capture_is_ingested_once(sets, definitions):
 def test_where_an_object_stood_is_told_by_all_that_were_photographed_together(root):
     edit(root, "config.yaml", "photographed_together", [["leaf-sphere", "tile-plate"]])
     sets = PhotographSets(load(root))
-    assert sets.together() == [("leaf-sphere", "tile-plate")]
+    assert [[unit.label for unit in units] for units in sets.together()] == [["leaf-sphere", "tile-plate"]]
     assert sets.registration(job(object="tile-plate")) == ["results/tile-plate/placement.h5"]
     assert sets.registration(job(object="indigo-sphere")) == ["results/indigo-sphere/registration.h5"]
+    # An object that was laid down again is registered in each placement, and these tell of the camera together.
+    edit(root, "objects/indigo-sphere.yaml", "placements", [{"rotation_deg": [180.0, 0.0, 0.0]}])
+    poses = [{"light_deg": [45.0], "camera_deg": [10.0, 20.0], "placement": [1, 2]}]
+    edit(root, "objects/indigo-sphere.yaml", "poses", poses)
+    sets, further = PhotographSets(load(root)), job(object="indigo-sphere", placement="2")
+    assert [unit.label for unit in sets.together()[1]] == ["indigo-sphere", "indigo-sphere in placement 2"]
+    both = [f"results/indigo-sphere/placement{end}.h5" for end in ("", "-2")]
+    assert sets.registration(job(object="indigo-sphere")) == both
+    first = [f"results/indigo-sphere/linear/l0450-c0{angle}-t000-r0000.h5" for angle in (100, 200)]
+    assert sets.linear_of_placement(job(object="indigo-sphere")) == sets.first_linear(further) == first
+    assert sets.linear_of_placement(further) == [file.replace(".h5", "-p2.h5") for file in first]
+    assert sets.first_registration(further) == ["results/indigo-sphere/registration.h5"]
+    assert sets.first_registration(job(object="indigo-sphere")) == []
     edit(root, "config.yaml", "place.register", False)
     unregistered = PhotographSets(load(root))
     assert unregistered.together() == unregistered.registration(job(object="tile-plate")) == []

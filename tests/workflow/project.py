@@ -92,8 +92,9 @@ def small_project(folder: Path) -> Path:
         {
             "texels": {"width": 16, "height": 16},
             "poses": [
-                {"light_deg": [35.0], "camera_deg": [0.0, 10.0], "turn_deg": [0.0, 90.0, 180.0, 270.0]},
+                {"light_deg": [35.0], "camera_deg": [0.0], "turn_deg": [0.0, 90.0, 180.0, 270.0], "placement": [1, 2]},
             ],
+            "placements": [{"rotation_deg": [180.0, 0.0, 0.0]}],
             "virtual.pattern": {"kind": "uniform"},
         },
     )

@@ -16,8 +16,8 @@ KINDS = (
     (r"cameras/[^/]+/reference", "cameras/CAMERA/reference", "What normalises the photographs of a camera"),
     (r"cameras/[^/]+/calibration", "cameras/CAMERA/calibration", "From responses to spectra, with its errors"),
     (r".*/linear/[^/]+", "WHERE/linear/CAPTURE", "Linear responses of one pose, both filter states on one grid"),
-    (r"[^/]+/registration", "OBJECT/registration", "Where the object stood by its photographs"),
-    (r"[^/]+/placement", "OBJECT/placement", "Where it stood by those of all objects photographed together"),
+    (r"[^/]+/registration(-\d)?", "OBJECT/registration", "Where the object stood by its photographs"),
+    (r"[^/]+/placement(-\d)?", "OBJECT/placement", "Where it stood by those of all objects photographed together"),
     (
         r"[^/]+/observations/tile-\d+",
         "OBJECT/observations/tile-NNN",

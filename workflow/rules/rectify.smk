@@ -1,6 +1,8 @@
 rule register_object:
     input:
-        linear=sets.linear_files,
+        linear=sets.linear_of_placement,
+        first=sets.first_registration,
+        first_linear=sets.first_linear,
         lens=sets.lens,
         user_files=ancient(sets.mesh_and_tables_of_index),
     output:
@@ -17,6 +19,7 @@ rule register_object:
     params:
         shape=lookup(within=config["objects"], dpath="{object}/shape"),
         texels=lookup(within=config["objects"], dpath="{object}/texels"),
+        placements=lookup(within=config["objects"], dpath="{object}/placements"),
         optics=sets.optics,
         white_pose=sets.white_pose,
         rig=sets.rig_geometry,
@@ -36,27 +39,38 @@ rule register_object:
         "../scripts/register_object.py"
 
 
-# One job for objects that were photographed together. No wildcard stands for a list of them: each job is a rule of its own.
-for objects in sets.together():
+# An object that was laid down again is registered anew, and its texture tells how it was turned.
+use rule register_object as register_placement with:
+    output:
+        registration="results/{object}/registration-{placement}.h5",
+    log:
+        "results/logs/register_object/{object}_{placement}.log",
+    benchmark:
+        "results/benchmarks/register_object/{object}_{placement}.tsv"
+
+
+# One job for objects that were photographed together, and for the placements of one. No wildcard stands for a list of
+# them: each job is a rule of its own.
+for units in sets.together():
 
     rule:
         name:
-            f"combine_registrations_{objects[0]}".replace("-", "_")
+            f"combine_registrations_{units[0].object_name}".replace("-", "_")
         input:
-            registrations=expand("results/{object}/registration.h5", object=objects),
+            registrations=[unit.file("registration") for unit in units],
         output:
-            placements=expand("results/{object}/placement.h5", object=objects),
+            placements=[unit.file("placement") for unit in units],
         log:
-            f"results/logs/combine_registrations/{objects[0]}.log",
+            f"results/logs/combine_registrations/{units[0].object_name}.log",
         benchmark:
-            f"results/benchmarks/combine_registrations/{objects[0]}.tsv"
+            f"results/benchmarks/combine_registrations/{units[0].object_name}.tsv"
         conda:
             "../../envs/irodori.yaml"
         threads: 1
         resources:
             mem_mb=lambda wildcards, attempt: 500 * attempt,
         params:
-            objects=objects,
+            labels=[unit.label for unit in units],
             code=code_hash("irodori.rectification.shared_camera"),
         script:
             "../scripts/combine_registrations.py"
@@ -82,6 +96,7 @@ rule rectify_object:
     params:
         shape=lookup(within=config["objects"], dpath="{object}/shape"),
         texels=lookup(within=config["objects"], dpath="{object}/texels"),
+        placements=lookup(within=config["objects"], dpath="{object}/placements"),
         rows=sets.tile_rows,
         optics=sets.optics,
         white_pose=sets.white_pose,
@@ -112,6 +127,8 @@ rule measure_patch:
     params:
         patch=sets.level_patch,
         shape=lookup(within=config["objects"], dpath="{object}/shape"),
+        texels=lookup(within=config["objects"], dpath="{object}/texels"),
+        placements=lookup(within=config["objects"], dpath="{object}/placements"),
         optics=sets.optics,
         white_pose=sets.white_pose,
         rig=sets.rig_geometry,

@@ -3,7 +3,7 @@ from irodori.rectification.shared_camera import combine_registrations
 
 with run_rule(snakemake) as provenance:
     combine_registrations(
-        snakemake.params.objects,
+        snakemake.params.labels,
         snakemake.input.registrations,
         snakemake.output.placements,
         provenance=provenance,

@@ -20,7 +20,7 @@ import numpy as np
 from irodori.config.capture_table import Pose
 from irodori.geometry.embree import Tracer
 from irodori.geometry.rig_frame import rig_from_object, to_camera, to_light
-from irodori.geometry.shapes.placement import on_table
+from irodori.geometry.shapes.placement import Placement, on_table
 from irodori.geometry.shapes.shape import Shape
 from irodori.jit.compilation import njit
 from irodori.reflection.equation5 import angles_from_directions
@@ -157,6 +157,8 @@ class RigSubject:
     camera_distance_mm : float
     table_radius_mm : float
         Half the side of the table's top; 0 if there is no table.
+    further_deg : tuple of (3,) float
+        Rotation of each further placement, see `irodori.geometry.shapes.placement.laid`.
     """
 
     shape: Shape
@@ -164,15 +166,22 @@ class RigSubject:
     normal: np.ndarray
     camera_distance_mm: float
     table_radius_mm: float = 0.0
+    further_deg: tuple[tuple[float, ...], ...] = ()
+
+    def placed(self, pose: Pose) -> list[Placement]:
+        """Return object and table in a pose, in the rig's frame."""
+        rotation_deg = ((0.0, 0.0, 0.0), *self.further_deg)[pose.placement - 1]
+        return on_table(self.shape, rig_from_object(pose), self.table_radius_mm, rotation_deg)
 
     def geometry(self, poses: list[Pose]) -> np.ndarray:
         """Return θ_i, θ_r, θ_H, φ of every texel in every pose, (poses, t, 4) rad."""
-        turns = {(pose.tilt_deg, pose.turn_deg): pose for pose in poses}  # few, however many the poses
-        turned = {turn: rig_from_object(pose) for turn, pose in turns.items()}
-        rotation = np.array([turned[pose.tilt_deg, pose.turn_deg] for pose in poses])
+        turns = {_turn(pose): pose for pose in poses}  # few, however many the poses
+        placed = {turn: self.placed(pose)[0] for turn, pose in turns.items()}
+        rotation = np.array([placed[_turn(pose)].rotation for pose in poses])
         normal = np.einsum("pij,tj->pti", rotation, self.normal)
         light = np.array([to_light(pose) for pose in poses])[:, None]
         view = self.camera_distance_mm * np.array([to_camera(pose) for pose in poses])[:, None]
+        view = view - np.array([placed[_turn(pose)].translation_mm for pose in poses])[:, None]
         view = view - np.einsum("pij,tj->pti", rotation, self.position)
         return angles_from_directions(normal, light, view / np.linalg.norm(view, axis=-1, keepdims=True))
 
@@ -181,11 +190,11 @@ class RigSubject:
         out = np.empty((len(poses), len(self.position)), dtype=bool)
         groups: dict[tuple, list[int]] = {}
         for index, pose in enumerate(poses):
-            groups.setdefault((pose.tilt_deg, pose.turn_deg), []).append(index)
+            groups.setdefault(_turn(pose), []).append(index)
         for group in groups.values():
-            rotation = rig_from_object(poses[group[0]])
-            tracer = Tracer(on_table(self.shape, rotation, self.table_radius_mm))
-            start = (self.position + _OFFSET_MM * self.normal) @ rotation.T
+            placed = self.placed(poses[group[0]])
+            tracer = Tracer(placed)
+            start = placed[0].points(self.position + _OFFSET_MM * self.normal)
             light = np.array([to_light(poses[index]) for index in group])[:, None]
             view = self.camera_distance_mm * np.array([to_camera(poses[index]) for index in group])[:, None] - start
             distance = np.linalg.norm(view, axis=-1)
@@ -197,6 +206,11 @@ class RigSubject:
             hidden |= tracer.occluded(start.reshape(-1, 3), light.reshape(-1, 3))
             out[group] = ~hidden.reshape(distance.shape)
         return out
+
+
+def _turn(pose: Pose) -> tuple[float, float, int]:
+    """Return what turns the object in a pose: tilt and turn of the table, degrees, and the placement."""
+    return pose.tilt_deg, pose.turn_deg, pose.placement
 
 
 class Observations(NamedTuple):

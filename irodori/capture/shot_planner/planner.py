@@ -112,7 +112,7 @@ class Plan:
     Parameters
     ----------
     poses : list of Pose
-        In the order of their manual steps: by light angle and tilt, then turn, then camera angle.
+        In the order of their manual steps: by placement, light angle and tilt, then turn, then camera angle.
     expected : dict
         {parameter: (median, 95th percentile) of the standard error} over the determined cases of the range: ``alpha``
         absolute, ``beta`` and ``mu`` relative.
@@ -135,10 +135,13 @@ class Plan:
         """Return the plan as text: one line for each setting by hand and turn, and one for each expected error."""
         groups: dict[tuple, list[str]] = {}
         for pose in self.poses:
-            groups.setdefault((pose.light_deg, pose.tilt_deg, pose.turn_deg), []).append(f"{pose.camera_deg:g}")
+            key = pose.placement, pose.light_deg, pose.tilt_deg, pose.turn_deg
+            groups.setdefault(key, []).append(f"{pose.camera_deg:g}")
+        several = any(pose.placement > 1 for pose in self.poses)
         out = [
-            f"light {light:g}, tilt {tilt:g}, turn {turn:g}: camera {', '.join(cameras)} degrees"
-            for (light, tilt, turn), cameras in groups.items()
+            (f"placement {placement}, " if several else "")
+            + f"light {light:g}, tilt {tilt:g}, turn {turn:g}: camera {', '.join(cameras)} degrees"
+            for (placement, light, tilt, turn), cameras in groups.items()
         ]
         return out + self.expectations()
 
@@ -161,7 +164,8 @@ def subject_of(definition: Object | PlannedObject, rig: Rig) -> RigSubject:
     """
     shape = Shape.from_definition(definition.shape)
     position, normal = shape.samples(_SPHERE_TEXELS)
-    return RigSubject(shape, position, normal, rig.camera_distance_mm, rig.table_radius_mm)
+    further_deg = tuple(one.rotation_deg for one in definition.placements)
+    return RigSubject(shape, position, normal, rig.camera_distance_mm, rig.table_radius_mm, further_deg)
 
 
 def axis_angles(limit: AxisLimit, coarse_deg: float) -> np.ndarray:
@@ -301,6 +305,8 @@ class Planner:
             raise TooFewPoses(
                 f"a rig whose camera never stands {clearance_deg:g} degrees from the light; accepted: some poses"
             )
+        further = range(2, len(definition.placements) + 2)
+        poses = poses + [replace(pose, placement=number) for number in further for pose in poses]
         self.range = materials or MaterialRange.from_definition(definition)
         self.sample = self.range.spread(_FLAT_MATERIALS if flat else _SPHERE_MATERIALS)
         self.noise = noise or default_noise(rig)
@@ -323,7 +329,9 @@ class Planner:
             )
         setting = np.unique([_hand(p) for p in self.poses], axis=0, return_inverse=True)[1].reshape(-1)
         chosen = choose(self.seen, _PRIOR_RELATIVE_ERROR**-2, setting, count, max_manual, criterion)
-        order = sorted(chosen, key=lambda i: (*_hand(self.poses[i]), self.poses[i].turn_deg, i))
+        order = sorted(
+            chosen, key=lambda i: (self.poses[i].placement, *_hand(self.poses[i]), self.poses[i].turn_deg, i)
+        )
         expected, fraction = expected_errors(self.seen.of(order), self.sample)
         return Plan([self.poses[i] for i in order], expected, fraction, len(self.poses), len(set(setting[order])))
 

@@ -67,6 +67,8 @@ class Reach:
         """Refuse poses of an object that the rig cannot take, or that occur twice."""
         for index, group in enumerate(groups):
             for axis, angles in group.given().items():
+                if axis not in _AXES:
+                    continue
                 for item, angle in enumerate(angles):
                     self.check_angle(axis, angle, file, f"poses[{index}].{axis}[{item}]")
         try:

@@ -23,6 +23,7 @@ from irodori.config.cross_checks.environment_sources import check_placed_charts,
 from irodori.config.cross_checks.lessons import check_lesson
 from irodori.config.cross_checks.named_spectra import check_chart, check_filter, check_index, check_spectra
 from irodori.config.cross_checks.object_lobes import check_lobes
+from irodori.config.cross_checks.object_placements import check_all_placed, check_not_flat, check_placements
 from irodori.config.cross_checks.plan_overrides import check_plan
 from irodori.config.cross_checks.plausible_units import check_in_frame
 from irodori.config.cross_checks.rig_motion import check_motion
@@ -186,16 +187,24 @@ class _Checks:
             raise InputError(file, "camera", found, accepted)
         distance_mm, rig_file = self.all.rigs[camera.rig].camera_distance_mm, self.file("rigs", camera.rig)
         check_in_frame(definition.shape, camera.optics, distance_mm, file, rig_file)
+        check_not_flat(definition, file)
         self._check_keys("objects", name)
         if self._is_taken_here("objects", name):
             self._check_exposures("objects", name)
             self._reach(camera).check_poses(definition.poses or (), file)
+            for index, group in enumerate(definition.poses or ()):
+                check_placements(definition, group.placement, file, f"poses[{index}].placement", file)
+            check_all_placed(definition, {n for group in definition.poses or () for n in group.placement}, file)
             for material in definition.virtual.materials if definition.virtual else ():
                 if isinstance(material, MeasuredMaterial):
                     brdf_table(self.root / material.file)
         elif not (self._is_to_come(definition.captures) or self._is_to_come(camera.captures)):
             table, shots = self._check_photographs("objects", name)
             self._reach(camera).check_shots(shots, table)
+            numbers = {shot.pose.placement: shot for shot in shots if shot.role == "object"}
+            for number, shot in numbers.items():
+                check_placements(definition, [number], table, f"placement of {shot.file}", file)
+            check_all_placed(definition, set(numbers), file)
         shape_files(definition.shape, self.root)
         check_index(definition.refractive_index, self.root, file, "refractive_index")
         check_lobes(definition, self.all.config.fit, file)

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from irodori.geometry.rig_frame import rotation_xyz
 from irodori.geometry.shapes.shape import Shape
 
 
@@ -37,6 +38,25 @@ class Placement:
         return self.points(signs * [half_x, half_y, 0.0])
 
 
+def laid(shape: Shape, rotation_deg: Sequence[float]) -> Placement:
+    """Place an object on the table, turned from how it lies first; the placed shape is in the frame of the table.
+
+    It stands with its lowest point on the table, which is where it was. This placement is composed before the turn of
+    the rig, and the turn of an object that is not laid exactly so.
+
+    Parameters
+    ----------
+    shape : Shape
+    rotation_deg : (3,) float
+        Rotation about x, then y, then z of the table; zeros for the first placement.
+    """
+    if not any(rotation_deg):
+        return Placement(shape)
+    rotation = rotation_xyz(rotation_deg)
+    lowest_mm = -shape.ball_mm if shape.ball_mm is not None else float((shape.hull_mm @ rotation[2]).min())
+    return Placement(shape, rotation, np.array([0.0, 0.0, shape.table_height_mm - lowest_mm]))
+
+
 def reaches(placements: Sequence[Placement]) -> np.ndarray:
     """Return the size scale of each placed shape, (n,) mm: the largest distance of its points from its origin.
 
@@ -48,14 +68,18 @@ def reaches(placements: Sequence[Placement]) -> np.ndarray:
     return np.where(endless, others.max() if others.size else 1.0, found)
 
 
-def on_table(shape: Shape, rotation: np.ndarray, table_radius_mm: float) -> list[Placement]:
+def on_table(
+    shape: Shape, rotation: np.ndarray, table_radius_mm: float, rotation_deg: Sequence[float] = (0.0, 0.0, 0.0)
+) -> list[Placement]:
     """Place an object on the table of the rig, in the rig's frame.
 
-    Shape 0 is the object, shape 1 the table, a square; it is absent for radius 0.
+    Shape 0 is the object, shape 1 the table, a square; it is absent for radius 0. ``rotation`` is that of the table in
+    the rig, and ``rotation_deg`` that of the object on the table, see `laid`.
     """
     from irodori.geometry.shapes.plate import Plate
 
-    placements = [Placement(shape, rotation)]
+    lain = laid(shape, rotation_deg)
+    placements = [Placement(shape, rotation @ lain.rotation, rotation @ lain.translation_mm)]
     if table_radius_mm > 0:
         top = Plate(2 * table_radius_mm, 2 * table_radius_mm)
         placements.append(Placement(top, rotation, rotation @ np.array([0.0, 0.0, shape.table_height_mm])))

@@ -5,14 +5,24 @@ the brightest band.
 """
 
 import math
-from collections.abc import Callable
+import zlib
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from irodori.config.capture_table import Pose, flat_incidence_rad
-from irodori.config.models import Camera, Chart, EnvironmentDefinition, LevelPatch, Markers, Rig
+from irodori.config.models import (
+    Camera,
+    Chart,
+    EnvironmentDefinition,
+    FurtherPlacement,
+    LaidOff,
+    LevelPatch,
+    Markers,
+    Rig,
+)
 from irodori.geometry.embree import Tracer
 from irodori.geometry.lamp import Lamp
 from irodori.geometry.pinhole import Pinhole
@@ -23,7 +33,7 @@ from irodori.geometry.rig_frame import (
     to_camera,
     to_light,
 )
-from irodori.geometry.shapes.placement import Placement, on_table
+from irodori.geometry.shapes.placement import Placement, laid, on_table
 from irodori.light.omnidirectional import to_panorama
 from irodori.simulation.virtual_rig.aperture import gather_rows, place_in_cell
 from irodori.simulation.virtual_rig.classroom import light_on_chart, room_coefficients, source_spectra
@@ -59,6 +69,7 @@ def object_mosaic(
     *,
     patch: LevelPatch | None = None,
     markers: Markers | None = None,
+    placements: Sequence[FurtherPlacement] = (),
 ) -> np.ndarray:
     """Return the mosaic of an object on the table, of the patch that tells the lamp's level, and of a printed sheet.
 
@@ -77,6 +88,8 @@ def object_mosaic(
         is measured.
     markers : Markers, optional
         The printed sheet, which lies under the object, somewhat off the middle of the table.
+    placements : sequence of FurtherPlacement
+        Placements of the object after the first; the pose says which one is photographed.
     """
     assert camera.optics is not None and rig.virtual is not None  # checked: the rig is virtual, its camera has optics
     rotation = rig_from_object(pose)
@@ -92,11 +105,10 @@ def object_mosaic(
         lamp_radius_rad=math.radians(rig.virtual.light_angular_radius_deg),
         ideal_from_seen=ideal_from_seen,
     )
-    lies, *table = on_table(sample.shape, rotation, rig.table_radius_mm)
-    off = faults.laid_off
-    if off.enabled:
-        way = rotation @ np.array(off.translation_mm)
-        lies = Placement(sample.shape, rotation @ rotation_xyz(off.rotation_deg), way)
+    rotation_deg = placements[pose.placement - 2].rotation_deg if pose.placement > 1 else (0.0, 0.0, 0.0)
+    lies, *table = on_table(sample.shape, rotation, rig.table_radius_mm, rotation_deg)
+    if faults.laid_off.enabled:
+        lies = _laid_off(laid(sample.shape, rotation_deg), rotation, faults.laid_off, rig.virtual.seed, pose.placement)
     tracer = Tracer([lies, *table])
     picture = expose_object(sample, tracer, view, band_weights)
     if markers is not None:
@@ -105,6 +117,29 @@ def object_mosaic(
     if patch is not None:
         _add_card(picture, _level_card(patch, rotation), pose, tracer, view, band_weights)
     return picture
+
+
+def _laid_off(lain: Placement, table: np.ndarray, off: LaidOff, seed: int, number: int) -> Placement:
+    """Return an object that does not lie exactly where it is said to; a further placement has errors of its own.
+
+    Parameters
+    ----------
+    lain : Placement
+        As it is said to lie, in the frame of the table.
+    table : (3, 3) float
+        Rotation of the table.
+    off : LaidOff
+    seed : int
+        Seed of the rig.
+    number : int
+        Number of the placement.
+    """
+    translation_mm, rotation_deg = np.array(off.translation_mm), np.array(off.rotation_deg)
+    if number > 1:
+        rng = np.random.default_rng([seed, zlib.crc32(f"placement {number}".encode())])
+        translation_mm, rotation_deg = translation_mm * rng.normal(size=3), off.turned_rms_deg * rng.normal(size=3)
+    turned = table @ rotation_xyz(rotation_deg)
+    return Placement(lain.shape, turned @ lain.rotation, table @ (lain.translation_mm + translation_mm))
 
 
 class _Card(NamedTuple):

@@ -165,8 +165,18 @@ class VirtualCamera(CameraDevice):
             return self._known[key]
         weights = self.band_weights[3 * state : 3 * state + 3]
         assert isinstance(self.subject, Object | PhotographedObject)  # as `sample` has seen
-        patch, markers = self.subject.level_patch, self.subject.markers
-        picture = object_mosaic(self.sample, self.camera, self.rig, pose, plate, weights, patch=patch, markers=markers)
+        subject = self.subject
+        picture = object_mosaic(
+            self.sample,
+            self.camera,
+            self.rig,
+            pose,
+            plate,
+            weights,
+            patch=subject.level_patch,
+            markers=subject.markers,
+            placements=subject.placements,
+        )
         if self._known is not None:
             self._known[key] = picture
         return picture
