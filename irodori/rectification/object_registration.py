@@ -1097,7 +1097,8 @@ def register_object(
         return _registered(linear, definition, setup, placing, markers, camera_deg=FREE_CAMERA_DEG)
 
     if first is not None:
-        found = _turned_from(first, found, problem, linear, definition, typed, placing)
+        before = _problem(first.linear, definition, typed, placing)
+        found = _turned_from(first, before, found, problem, linear, placing)
     used = problem.unknowns.copy()
     try:
         refuse_contradictions(found, problem, linear, placing, with_free_camera)
@@ -1145,18 +1146,16 @@ def _in_placement(error: InputError, number: int) -> InputError:
 
 def _turned_from(
     first: FirstPlacement,
+    before: _Problem,
     found: Registered,
     problem: _Problem,
     linear: Sequence,
-    definition: "Object | TexturedObject",
-    typed: RigSetup,
     placing: "Placing",
 ) -> Registered:
     """Return the registration of a further placement with what textures tell of its rotation.
 
-    ``typed`` is the setup of the first placement, without correction.
+    ``before`` is the problem of the first placement, without correction.
     """
-    before = _problem(first.linear, definition, typed, placing)
     # However coarse the object's texels are, the blur that goes with them must not mix in what lies behind it.
     rows = round(math.sqrt(_TEXELS / 2.0))
     texels = _texels(problem.shape, 2 * rows, rows)
