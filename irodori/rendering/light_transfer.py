@@ -23,7 +23,7 @@ from irodori.core.progress import LOGGER
 from irodori.geometry.embree import NO_HIT, Tracer
 from irodori.geometry.rig_frame import rotation_z
 from irodori.geometry.shapes.placement import Placement, reaches
-from irodori.geometry.shapes.shadow_nodes import extend_to_closed, raised
+from irodori.geometry.shapes.surface_nodes import extend_to_closed, raised
 from irodori.light.environment_file import Environment
 from irodori.light.equirectangular import look_up
 from irodori.reflection.albedo import gloss_albedo
@@ -51,7 +51,7 @@ _JUDGED, _SEED = 512, 307
 _MOST_SIDE = 128
 #: Cosines at which the albedo of gloss and mirrors is tabulated, the place of the one that stands for its colour, and
 #: the albedo below which an object's gloss and mirror light no other object.
-_COSINES, _MIDDLE, _LEAST_SHINE = np.linspace(0.02, 1.0, 25), 17, 1e-3
+_COSINES, _MIDDLE, LEAST_SHINE = np.linspace(0.02, 1.0, 25), 17, 1e-3
 #: Cosine from which a texel is seen from behind; that next to a place on an outline may face away a little.
 _GRAZING = 0.15
 #: Largest change of the light, relative to its mean, at which no further reflection is followed; reflections at most.
@@ -135,11 +135,14 @@ class LightTransfer:
         views = [view for views in around for view in views]
         del found, around  # so that no view is kept longer than `_link` needs it
         self.is_open = np.concatenate([view.is_open for view in views])
-        shines = [_shine(objects, index) for index in range(len(placements))]
+        shines = [shine_of(objects, index) for index in range(len(placements))]
         near = self._trees()
         self._link(views, shines, near)
         self._trace_gloss(near)
-        own = [_reflectances(p, objects, i, points[i]) for i, p in enumerate(placements)]
+        own = [
+            mean_coefficients(p, objects, i, points[i]) @ objects.basis[i, : objects.bases[i]]
+            for i, p in enumerate(placements)
+        ]
         self.reflectance = np.concatenate(own).astype(np.float32)
         shine = np.stack([one[_MIDDLE] for one in shines]).astype(np.float32)
         self.shine = np.repeat(shine, np.diff(self.first), axis=0)
@@ -148,7 +151,7 @@ class LightTransfer:
         """Return an object's number of texels, their error, traced places, what they see, and how light is spread."""
         layout, most = self.layouts[index], _FEWEST_TEXELS
         while True:
-            points, spread = _thinned(self._raised(layout.points(most), index))
+            points, spread = thinned(self._raised(layout.points(most), index), _MOST_TEXELS)
             views = look_around(self.tracer, points, index)
             error = self._error(index, most, (points, views, spread), environment)
             if error <= MOST_ERROR or 4 * most > _MOST_TEXELS or layout.size(4 * most) == layout.size(most):
@@ -191,7 +194,7 @@ class LightTransfer:
 
         The views are removed one after the other, because enclosed texels have hundreds of links each.
         """
-        count, shiny = self.first[-1], [index for index, one in enumerate(shines) if one.max() > _LEAST_SHINE]
+        count, shiny = self.first[-1], [index for index, one in enumerate(shines) if one.max() > LEAST_SHINE]
         most = np.sum([np.bincount(view.shape[view.shape != NO_HIT], minlength=len(shines)) for view in views], axis=0)
         self.hidden: list[csr_matrix] = []
         seen = _Rows(count, count, most.sum())
@@ -360,8 +363,8 @@ def _nearest(trees: _Trees, shape: np.ndarray, place: np.ndarray) -> np.ndarray:
     return found
 
 
-def _thinned(points: Points) -> tuple[Points, "csr_matrix | None"]:
-    """Return at most `_MOST_TEXELS` of some points, and the matrix that spreads light from these to all of them.
+def thinned(points: Points, most: int) -> tuple[Points, "csr_matrix | None"]:
+    """Return at most ``most`` of some points, and the matrix that spreads light from these to all of them.
 
     The corners of a fine mesh may be many more than there have to be.
     """
@@ -369,9 +372,9 @@ def _thinned(points: Points) -> tuple[Points, "csr_matrix | None"]:
     from scipy.spatial import cKDTree
 
     count = len(points.point)
-    if count <= 2 * _MOST_TEXELS:
+    if count <= 2 * most:
         return points, None
-    chosen = np.sort(np.random.default_rng(_SEED).permutation(count)[:_MOST_TEXELS])
+    chosen = np.sort(np.random.default_rng(_SEED).permutation(count)[:most])
     scale = np.ptp(points.point, axis=0).max() * _BESIDE
     place = np.concatenate([points.point, scale * points.normal], axis=1)
     away, near = cKDTree(place[chosen]).query(place, k=_NEIGHBOURS)
@@ -392,8 +395,8 @@ def _on_texels(found: np.ndarray, is_open: np.ndarray, spread, cells: np.ndarray
     return found
 
 
-def _reflectances(placement: Placement, objects: Objects, index: int, points: Points) -> np.ndarray:
-    """Return the diffuse reflectance of an object at its texels, (n, 61): the mean of the texture around each."""
+def mean_coefficients(placement: Placement, objects: Objects, index: int, points: Points) -> np.ndarray:
+    """Return coefficients of an object's diffuse reflectance at its texels, (n, k): the mean of the texture around."""
     from scipy.spatial import cKDTree
 
     texture = textures(objects)[index]
@@ -410,10 +413,10 @@ def _reflectances(placement: Placement, objects: Objects, index: int, points: Po
         number = np.bincount(nearest, minlength=count)[:, None]
         sums = np.stack([np.bincount(nearest, one, minlength=count) for one in some.T], axis=1)
         found = np.where(number > 0, sums / np.maximum(number, 1), texture_mean)
-    return found @ objects.basis[index, : objects.bases[index]]
+    return found
 
 
-def _shine(objects: Objects, index: int) -> np.ndarray:
+def shine_of(objects: Objects, index: int) -> np.ndarray:
     """Return the albedo of an object's gloss and mirror at the cosines `_COSINES`, (cosines, 61)."""
     n, k = objects.n[index], objects.k[index]
     found = (

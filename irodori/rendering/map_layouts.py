@@ -14,9 +14,9 @@ from typing import NamedTuple
 import numpy as np
 
 from irodori.geometry.mesh import Mesh
-from irodori.geometry.shapes.mesh_shadow_nodes import lattice_place, mesh_nodes
+from irodori.geometry.shapes.mesh_nodes import lattice_place, mesh_nodes
 from irodori.geometry.shapes.placement import Placement
-from irodori.geometry.shapes.shadow_nodes import Nodes, middle_and_reach, quadrangles, unwarped
+from irodori.geometry.shapes.surface_nodes import Nodes, middle_and_reach, quadrangles, unwarped
 from irodori.rendering.light_maps import look_up
 
 #: Points by which each of the other objects is represented when the picture of an endless plane is laid out.
@@ -56,7 +56,7 @@ class Layout(ABC):
         """Return random points between the texels, and a map (rows, columns, k) interpolated at them, (n, k)."""
 
     def triangles(self, most: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return parts and corners of the triangles of a mesh, see `irodori.geometry.shapes.shadow_nodes.Nodes`."""
+        """Return parts and corners of the triangles of a mesh, see `irodori.geometry.shapes.surface_nodes.Nodes`."""
         return np.zeros(0, np.int32), np.zeros(0, np.int32)
 
 

@@ -34,7 +34,8 @@ _WINDOW = {"viewport": {"width": 360, "height": 320}, "device_scale_factor": 0.2
 _USUAL = {"viewport": {"width": 1280, "height": 720}}
 #: JavaScript expression for the text that a page shows instead of a picture.
 _SAID = "!document.getElementById('poster').hidden && document.getElementById('poster-text').textContent"
-_READ = """([state, width, height]) => {
+_READ = """async ([state, width, height]) => {
+  await Irodori.renderer.findLight(state);
   const values = Irodori.renderer.readXYZ(state, width, height), bytes = new Uint8Array(values.buffer);
   let text = "";
   for (let i = 0; i < bytes.length; i += 32768) text += String.fromCharCode(...bytes.subarray(i, i + 32768));

@@ -2,19 +2,23 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from irodori.colour.colorimetry import colour_matching_weights, delta_e, lab_from_xyz
 from irodori.geometry.embree import Tracer
+from irodori.geometry.rig_frame import rotation_z
 from irodori.geometry.shapes.placement import Placement
 from irodori.light.environment_file import Environment
 from irodori.rendering.interactive.cube_maps import face_directions, fill_borders, look_up_cube
 from irodori.rendering.interactive.frame_renderer import CollimatedLamp, Prepared, light_of, prepare_scene, render_frame
 from irodori.rendering.interactive.prepared_scene import gloss_for, padded
+from irodori.rendering.light_maps import LightMaps as BakedMaps
+from irodori.rendering.light_transfer import LightTransfer
 from irodori.rendering.scene_arrays import Objects, View
 from irodori.spectra.grid import SAMPLES
-from irodori.viewer.scene_data import BORDER, HALVED_FROM, LightMaps, decoded_shadows, finer
+from irodori.viewer.scene_data import BORDER, HALVED_FROM, LightMaps, finer
 
 
 @dataclass(frozen=True)
@@ -34,8 +38,8 @@ class FrameParts:
         Mirror reflections to follow.
     least_throughput : float
         Throughput below which a path ends.
-    ambient : bool
-        Whether shapes hide ambient light from each other.
+    has_maps : bool
+        Whether shapes hide light from each other and reflect it onto each other.
     """
 
     objects: Objects
@@ -45,7 +49,24 @@ class FrameParts:
     directions: np.ndarray
     max_bounces: int
     least_throughput: float
-    ambient: bool = True
+    has_maps: bool = True
+
+    @cached_property
+    def transfer(self) -> LightTransfer:
+        """Transfer of light to the scene's light maps."""
+        return LightTransfer(Tracer(self.placements), self.objects, self.environment)
+
+    def light_maps(self, turn_deg: float) -> BakedMaps | None:
+        """Return the scene's light maps if its room is turned by an angle; None for a scene without."""
+        if not self.has_maps:
+            return None
+        if turn_deg not in self._found:
+            self._found[turn_deg] = self.transfer.maps(self.environment, turn_deg, self.lamps, self.directions)
+        return self._found[turn_deg]
+
+    @cached_property
+    def _found(self) -> dict[float, BakedMaps]:
+        return {}
 
 
 @dataclass(frozen=True)
@@ -56,17 +77,14 @@ class Decoded:
     ----------
     objects : Objects
     maps : LightMaps
-    planes : dict of array
-        All planes by their names.
     """
 
     objects: Objects
     maps: LightMaps
-    planes: dict[str, np.ndarray]
 
 
 def prepared(parts: FrameParts, decoded: Decoded | None = None) -> Prepared:
-    """Prepare a scene for frames of 61 bands, with objects, light and shadows decoded from a payload if given."""
+    """Prepare a scene for frames of 61 bands, with objects and light decoded from a payload if given."""
     maps = None if decoded is None else decoded.maps
     # The coefficients of decoded light are on the basis vectors of the maps.
     light = parts.environment if maps is None else replace(parts.environment, basis=maps.basis.T)
@@ -81,12 +99,10 @@ def prepared(parts: FrameParts, decoded: Decoded | None = None) -> Prepared:
         lamps=parts.lamps,
         max_bounces=parts.max_bounces,
         least_throughput=parts.least_throughput,
-        ambient=parts.ambient,
+        maps=parts.light_maps(0.0),
     )
     if decoded is not None and decoded.maps.sky is not None:
         found.world = found.world._replace(**_fields(found, decoded.maps))
-        if found.world.shadowed:
-            found.world = found.world._replace(shadows=decoded_shadows(decoded.planes, found.world.shadows))
     return found
 
 
@@ -144,10 +160,13 @@ def _joined(name: str, levels: list[np.ndarray], lanes: int) -> dict:
     }
 
 
-def frame_bands(scene: Prepared, view: View, parts: FrameParts, world_from_light=None) -> np.ndarray:
-    """Render a frame and return its radiance, (height, width, 61)."""
+def frame_bands(scene: Prepared, view: View, parts: FrameParts, turn_deg: float = 0.0) -> np.ndarray:
+    """Render a frame under the room turned by an angle, and return its radiance, (height, width, 61)."""
     lamps = tuple(CollimatedLamp(direction) for direction in parts.directions)
-    return render_frame(scene, view, world_from_light=world_from_light, lamps=lamps, bands=True)
+    maps = parts.light_maps(turn_deg)
+    if maps is not None:
+        scene.show(maps)
+    return render_frame(scene, view, world_from_light=rotation_z(np.radians(turn_deg)), lamps=lamps, bands=True)
 
 
 def differences(bands: np.ndarray, other: np.ndarray, white: np.ndarray) -> np.ndarray:

@@ -12,7 +12,6 @@ from irodori.config.pages import page_fault, page_rooms, page_views
 from irodori.core import store
 from irodori.core.errors import PlainError
 from irodori.core.provenance import config_hash
-from irodori.geometry.embree import Tracer
 from irodori.geometry.rig_frame import look_at
 from irodori.geometry.shapes.shape import Shape
 from irodori.light.environment_file import Environment
@@ -22,7 +21,6 @@ from irodori.rendering.energy_gain import refuse_energy_gain
 from irodori.rendering.integrators import has_shadows, with_bodies
 from irodori.rendering.interactive.channels import is_grey
 from irodori.rendering.interactive.frame_renderer import light_of
-from irodori.rendering.interactive.mesh_shadows import make_mesh_shadows
 from irodori.rendering.interactive.quadrature import path_spectra, solve_quadrature
 from irodori.rendering.scene_arrays import make_objects, make_placements
 from irodori.rendering.scene_lights import BANDS, make_lights
@@ -34,8 +32,8 @@ from irodori.viewer.measured import FrameParts
 from irodori.viewer.payload import StoredPlanes, write_payload
 from irodori.viewer.scene_data import (
     add_light,
+    add_maps,
     add_materials,
-    add_shadows,
     add_shapes,
     check_lobes,
     light_maps,
@@ -226,8 +224,7 @@ def page_data(sources: SceneSources) -> PageData:
     planes = StoredPlanes()
     lit = [add_light(planes, i, light_maps(room.environment, objects)) for i, room in enumerate(rooms)]
     entries = [{**a, **b} for a, b in zip(add_materials(planes, objects), add_shapes(planes, placements), strict=True)]
-    is_lit = has_shadows(scene) and any(room.environment.coefficients.any() for room in rooms)
-    hidden = add_shadows(planes, placements, make_mesh_shadows(Tracer(placements)) if is_lit else None)
+    maps = add_maps(planes, placements, objects) if has_shadows(scene) else [None] * len(entries)
     uncertainties = [error for _, error in loaded] + [np.zeros(m.alpha.shape) for m in whole[1][len(loaded) :]]
     turns = [item.rotation_deg for item in scene.objects] + [item.rotation_deg for item in scene.bodies]
     for i, (material, error) in enumerate(zip(whole[1], uncertainties, strict=True)):
@@ -238,7 +235,7 @@ def page_data(sources: SceneSources) -> PageData:
             "name": _names(scene)[i],
             "rotation_deg": [float(x) for x in turns[i]],
             "filled_fraction": float(filled[i]),
-            "shadow": hidden[i],
+            "map": maps[i],
         }
     weights = colour_matching_weights()
     header = {

@@ -10,7 +10,7 @@ from irodori.report.html_page import data_uri
 
 #: Scripts of the page in their order: the renderer, the parts of the page, and the interaction.
 SCRIPTS = (
-    *("payload.js", "spectra.js", "maps.js", "moved_shadows.js", "renderer.js", "selftest.js"),
+    *("payload.js", "spectra.js", "maps.js", "light_maps.js", "renderer.js", "selftest.js"),
     *("text.js", "state.js", "screens.js", "png.js", "plot.js", "lesson.js", "view.js", "controls.js", "legend.js"),
     *("app.js", "drawing.js", "changes.js", "describe.js", "marks.js", "probe.js", "input.js"),
     *("panel.js", "panel_lesson.js", "panel_light.js", "panel_compare.js", "panel_objects.js", "panel_seeing.js"),

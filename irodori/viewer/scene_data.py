@@ -1,11 +1,10 @@
-"""Encoding of a scene's shapes, materials, light and shadows into the planes of a classroom page's payload.
+"""Encoding of a scene's shapes, materials and light into the planes of a classroom page's payload.
 
 The data are those of `irodori.rendering.interactive`, because the page uses the same algorithm: light as cube maps with
 a border of one texel, levels of blurred light, gloss lobes as rows of round lobes. Data that the scene does not have
 get no plane.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,14 +12,13 @@ import numpy as np
 from irodori.core.errors import PlainError
 from irodori.geometry.mesh import Mesh
 from irodori.geometry.shapes.placement import Placement, reaches
-from irodori.geometry.shapes.shadow_nodes import COLUMNS, GRID, ROWS
 from irodori.light.environment_file import Environment
 from irodori.reflection.lobes import Lobes
-from irodori.rendering.interactive.channels import mean_spectra
 from irodori.rendering.interactive.cube_maps import environment_pyramid, face_directions, from_equirectangular
-from irodori.rendering.interactive.mesh_shadows import COUNT, FIRST, SEEN, SHAPE_NUMBERS, STRIDE, MeshShadows
 from irodori.rendering.interactive.prepared_scene import gloss_for, needed_gloss
 from irodori.rendering.interactive.round_lobes import gloss_power, ladder, lobe_table, roughness_at, roughness_place
+from irodori.rendering.light_transfer import LEAST_SHINE, mean_coefficients, shine_of, thinned
+from irodori.rendering.map_layouts import make_layout
 from irodori.rendering.scene_arrays import Objects, coefficients_of, gloss_of, textures
 from irodori.viewer.payload import StoredPlanes
 
@@ -31,6 +29,8 @@ MOST_SIDE = 256
 #: Levels of blurred light with more texels along the side are stored at half the side, with a border as wide as the
 #: interpolation of `finer` needs.
 HALVED_FROM, BORDER = 32, 4
+#: Texels of an object's light map, about; those of a mesh of many corners that are traced.
+MOST_TEXELS, MOST_TRACED = 1 << 10, 1 << 12
 
 
 @dataclass(frozen=True)
@@ -183,11 +183,10 @@ def check_lobes(lobes: Lobes) -> None:
 def add_materials(planes: StoredPlanes, objects: Objects) -> list[dict]:
     """Add the planes of the objects' materials and return each object's entry for the header."""
     check_lobes(objects.lobes)
-    means, entries = mean_spectra(objects), []
+    entries = []
     for i, texels in enumerate(textures(objects)):
         name, bases = f"object/{i}", int(objects.bases[i])
         planes.add_floats(f"{name}/basis", objects.basis[i, :bases])
-        planes.add_floats(f"{name}/mean", means[i])
         planes.add_floats(f"{name}/index", np.stack([objects.n[i], objects.k[i]]))
         planes.add_linear(f"{name}/reflectance", np.moveaxis(coefficients_of(objects, texels)[..., :bases], -1, 0))
         lobes: list[int] = []
@@ -255,60 +254,42 @@ def _mesh_planes(planes: StoredPlanes, name: str, mesh: Mesh) -> None:
     planes.add_integers(f"{name}/faces", place[inverse.ravel()].reshape(-1, 3).T)
 
 
-def _shadow_shape(grid: np.ndarray, nodes: int) -> tuple[int, ...]:
-    """Return the array shape of a shadow grid: rows and columns, or a single row for the nodes of a mesh."""
-    return (int(grid[ROWS]), int(grid[COLUMNS])) if grid[COLUMNS] else (1, nodes)
+def add_maps(planes: StoredPlanes, placements: list[Placement], objects: Objects) -> list[dict]:
+    """Add what the page needs to find the light on objects; return each object's entry for the header.
 
-
-def add_shadows(planes: StoredPlanes, placements: list[Placement], shadows: MeshShadows | None) -> list[dict | None]:
-    """Add the planes of ambient occlusion by meshes; return each shape's entry for the header, None for no occlusion.
-
-    Parameters
-    ----------
-    planes : StoredPlanes
-    placements : list of Placement
-    shadows : MeshShadows, optional
-        None if the scene has no shadows of meshes.
+    For each texel of its light map, an object has the coefficients of its mean reflectance. A mesh also has the places
+    of its texels, which are nodes of its triangles. If it has many nodes, light is found at some, and spread to all.
     """
-    entries: list[dict | None] = [None] * len(placements)
-    if shadows is None:
-        return entries
-    numbers = shadows.numbers.reshape(len(placements), SHAPE_NUMBERS)
-    grids, triangle = shadows.grid.reshape(len(placements), GRID), 0
-    for i, values in shadow_values(shadows):
-        nodes = values.shape[1]
-        planes.add_linear(f"object/{i}/shadow/values", values.reshape(len(values), *_shadow_shape(grids[i], nodes)))
-        seen = numbers[i, SEEN : SEEN + numbers[i, COUNT]]
-        entries[i] = {"layers": [int(mesh) for mesh in seen], "grid": [float(x) for x in grids[i]]}
-    for i, placement in enumerate(placements):
-        if placement.shape.triangles is None:
-            continue
-        own = slice(triangle, triangle + len(placement.shape.triangles.faces))
-        triangle = own.stop
-        parts = shadows.parts[own].astype(np.int64)
-        if entries[i] is not None:
-            first = int(shadows.first_corner[own.start])
-            places = int(((parts + 1) * (parts + 2) // 2).sum())
-            planes.add_integers(f"object/{i}/shadow/parts", parts[None])
-            planes.add_integers(f"object/{i}/shadow/corners", shadows.corners[first : first + places][None])
+    entries = []
+    for index, placement in enumerate(placements):
+        name, layout = f"object/{index}/map", make_layout(placements, index)
+        rows, columns = layout.size(MOST_TEXELS)
+        grid, points = layout.grid.copy(), layout.points(MOST_TEXELS)
+        if placement.shape.triangles is not None:
+            points, spread = thinned(points, MOST_TRACED)
+            turn = placement.rotation
+            local = (points.point - placement.translation_mm) @ turn / placement.scale
+            planes.add_linear(f"{name}/point", local.T, bits=16)
+            planes.add_linear(f"{name}/normal", (points.normal @ turn).T, bits=12)
+            planes.add_linear(f"{name}/facet", (points.facet @ turn).T, bits=12)
+            for part, numbers in zip(("parts", "corners"), layout.triangles(MOST_TEXELS), strict=True):
+                planes.add_integers(f"{name}/{part}", numbers[None].astype(np.int64))
+            if spread is not None:
+                planes.add_integers(f"{name}/near", spread.indices.reshape(columns, -1).T.astype(np.int64))
+                planes.add_linear(f"{name}/share", spread.data.reshape(columns, -1).T)
+        else:
+            # In the page, places on a plane are relative to where it stands.
+            away = placement.shape.frame_origin(placement) - placement.translation_mm
+            grid[:2] += (away @ placement.rotation)[:2]
+        colour = mean_coefficients(placement, objects, index, points)
+        shape = (colour.shape[1], rows, columns) if placement.shape.triangles is None else (colour.shape[1], -1)
+        planes.add_linear(f"{name}/colour", colour.T.reshape(shape))
+        shine = [float(x) for x in shine_of(objects, index).mean(axis=1)]
+        shines = max(shine) > LEAST_SHINE
+        entries.append(
+            {"rows": rows, "columns": columns, "grid": [float(x) for x in grid], "shine": shine if shines else None}
+        )
     return entries
-
-
-def shadow_values(shadows: MeshShadows) -> Iterator[tuple[int, np.ndarray]]:
-    """Yield index and occlusion values, a view (values, nodes) float32, of each shape from which meshes hide light."""
-    numbers = shadows.numbers.reshape(-1, SHAPE_NUMBERS)
-    shapes = np.flatnonzero(numbers[:, STRIDE])
-    ends = [*numbers[shapes[1:], FIRST], len(shadows.values)]
-    for i, end in zip(shapes, ends, strict=True):
-        yield int(i), shadows.values[numbers[i, FIRST] : end].reshape(-1, numbers[i, STRIDE]).T
-
-
-def decoded_shadows(planes: dict[str, np.ndarray], shadows: MeshShadows) -> MeshShadows:
-    """Return a copy of shadows with the occlusion values decoded from a payload."""
-    found = shadows._replace(values=shadows.values.copy())
-    for i, values in shadow_values(found):
-        values[:] = planes[f"object/{i}/shadow/values"].reshape(values.shape)
-    return found
 
 
 def add_shapes(planes: StoredPlanes, placements: list[Placement]) -> list[dict]:

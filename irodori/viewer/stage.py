@@ -13,7 +13,6 @@ from irodori.config.models import Scene, Size
 from irodori.core.atomic_files import written_whole
 from irodori.core.progress import LOGGER
 from irodori.export.pictures import read_xyz
-from irodori.geometry.rig_frame import rotation_z
 from irodori.rendering.interactive.frame_renderer import Prepared
 from irodori.rendering.scene_arrays import View, make_view
 from irodori.rendering.scene_white import shown_white
@@ -135,15 +134,11 @@ def measured_loss(data: PageData, payload: str, originals: Sequence[Prepared], v
     found = []
     for number, (parts, original) in enumerate(zip(data.rooms, originals, strict=True)):
         maps = decoded_light(planes, number, header["light"][number])
-        decoded = prepared(parts, Decoded(objects, maps, planes))
+        decoded = prepared(parts, Decoded(objects, maps))
         for turn in TURNS_DEG:
-            before, after = (frame_bands(scene, view, parts, _turned(turn)) for scene in (original, decoded))
+            before, after = (frame_bands(scene, view, parts, turn) for scene in (original, decoded))
             found.append(differences(before, after, white_of(parts)))
     return mean_and_p99(found)
-
-
-def _turned(degrees: float) -> np.ndarray:
-    return rotation_z(np.radians(degrees))
 
 
 def white_of(parts: FrameParts) -> np.ndarray:
@@ -198,7 +193,7 @@ def checks(data: PageData, originals: Sequence[Prepared], view: View) -> Iterato
     for name, parts, original in zip(data.header["environments"], data.rooms, originals, strict=True):
         white = parts.environment.upward_white()
         for turn in TURNS_DEG:
-            bands = frame_bands(original, view, parts, _turned(turn))
+            bands = frame_bands(original, view, parts, turn)
             for illuminant in ILLUMINANTS if white.all() and not len(parts.lamps) else (None,):
                 ratio = swapped(data, illuminant, parts) if illuminant else np.ones_like(white)
                 seen_white = white_of(parts) * ratio

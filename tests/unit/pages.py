@@ -95,10 +95,13 @@ def sources(
     first: Material | None = None,
     second: Material | None = None,
     further: tuple[Environment, ...] = (),
-    ambient=True,
+    light_maps=False,
     **keys,
 ) -> SceneSources:
-    """A ball on a plate, written into a folder; further rooms are those that a lesson among the keys names."""
+    """A ball on a plate, written into a folder; further rooms are those that a lesson among the keys names.
+
+    Without light maps, the page draws exactly what the renderer does.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     materials = [first or painted(), second or painted(beta=8.0, mirror=0.3)]
     files = []
@@ -114,7 +117,7 @@ def sources(
         "image": {"width": 64, "height": 48},
         "max_bounces": 3,
         "allow_energy_gain": True,  # gold mirrors under bright paint: what is tried is how they are drawn
-        "integrator": {"kind": "interactive", "light_maps": ambient},
+        "integrator": {"kind": "interactive", "light_maps": light_maps},
         "display": {"exposure": "auto", "device": {"kind": "standard", "name": "sRGB"}},
         "views": {"front": {"kind": "perspective", "position_mm": [30.0, -190.0, 120.0], "target_mm": [0.0, 0.0, 10.0],
                             "up": [0.0, 0.0, 1.0], "field_of_view_deg": 36.0}},

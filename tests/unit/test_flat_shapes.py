@@ -18,9 +18,9 @@ from irodori.config.models import (
 )
 from irodori.geometry.embree import NO_HIT, Tracer
 from irodori.geometry.rig_frame import rotation_xyz
-from irodori.geometry.shapes.disc import Disc, hidden_by_disc
+from irodori.geometry.shapes.disc import Disc
 from irodori.geometry.shapes.placement import Placement
-from irodori.geometry.shapes.plane import Plane, hidden_by_plane
+from irodori.geometry.shapes.plane import Plane
 from irodori.geometry.shapes.shape import Shape
 from irodori.rendering.integrators import make_renderer
 
@@ -173,48 +173,6 @@ def test_the_back_of_a_disc_and_of_a_plane_is_black(integrator):
 
 
 # --- what they hide from `interactive` ---------------------------------------------------------------------------
-
-
-def cosine_rays(count=40000):
-    i = np.arange(count)
-    square, turn = (i + 0.5) / count, 2 * np.pi * (i * 0.6180339887498949 % 1.0)
-    r = np.sqrt(square)
-    return np.stack([r * np.cos(turn), r * np.sin(turn), np.sqrt(1 - square)], axis=1)
-
-
-@given(
-    centre=st.tuples(st.floats(-3, 3), st.floats(-3, 3), st.floats(-3, 3)),
-    turn=st.tuples(*[st.floats(-180, 180)] * 2),
-    radius=st.floats(0.1, 6.0),
-)
-@settings(deadline=None, max_examples=60)
-def test_a_disc_hides_what_rays_say(centre, turn, radius):
-    axes, centre = rotation_xyz([*turn, 0.0]), np.array(centre)
-    if abs(centre @ axes[:, 2]) < 0.02:
-        return  # seen edge-on
-    rays = cosine_rays()
-    with np.errstate(divide="ignore", invalid="ignore"):
-        distance = (centre @ axes[:, 2]) / (rays @ axes[:, 2])
-        across = distance[:, None] * rays - centre
-    counted = ((distance > 0) & (np.linalg.norm(across, axis=1) <= radius)).mean()
-    found = hidden_by_disc((0.0, 0.0, 1.0), tuple(centre), tuple(map(tuple, axes.T)), radius)
-    assert found == pytest.approx(counted, abs=2e-3)
-
-
-def test_discs_in_closed_form():
-    """Above the point: R²/(R² + h²). Touched, an endless one is a plane; seen edge-on it hides nothing."""
-    axes = ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0))
-    for radius, height in ((1.0, 1.0), (3.0, 0.5), (0.01, 2.0)):
-        found = hidden_by_disc((0.0, 0.0, 1.0), (0.0, 0.0, height), axes, radius)
-        assert found == pytest.approx(radius**2 / (radius**2 + height**2), rel=1e-12)
-        near = hidden_by_disc((0.0, 0.0, 1.0), (1e-9, 0.0, height), axes, radius)
-        assert near == pytest.approx(found, rel=1e-6)
-    assert hidden_by_disc((0.0, 0.0, 1.0), (3.0, 0.0, 0.0), axes, 1.0) == pytest.approx(0.0, abs=1e-12)
-    assert hidden_by_disc((0.0, 0.0, 1.0), (0.0, 0.0, -1.0), axes, 1.0) == 0.0
-    for cosine in (-1.0, -0.3, 0.0, 0.6, 1.0):
-        normal = (np.sqrt(1 - cosine**2), 0.0, cosine)
-        endless = hidden_by_disc(normal, (0.0, 0.0, -1.0), ((1.0, 0, 0), (0, 1.0, 0), (0, 0, 1.0)), 1e7)
-        assert endless == pytest.approx(hidden_by_plane(cosine), abs=1e-6)
 
 
 @pytest.mark.heavy

@@ -1,4 +1,4 @@
-"""Shapes that are turned and scaled, under `ambient`: what they hide of the surroundings and throw on one another.
+"""Shapes that are turned and scaled, with light maps: what they hide of the surroundings and throw on one another.
 
 The truth are paths that know of no turn and no scale: sizes are made larger, and the world is turned the other way.
 """
@@ -16,7 +16,6 @@ from irodori.config.models import Scene
 from irodori.geometry.embree import NO_HIT, Tracer
 from irodori.geometry.mesh import make_mesh
 from irodori.geometry.rig_frame import rotation_xyz
-from irodori.geometry.shapes import flat, mesh_shadow_nodes, sphere
 from irodori.geometry.shapes.disc import Disc
 from irodori.geometry.shapes.placement import Placement
 from irodori.geometry.shapes.plane import Plane
@@ -26,7 +25,6 @@ from irodori.geometry.shapes.sphere import Sphere
 from irodori.light.environment_file import Environment
 from irodori.material.material_file import Material
 from irodori.rendering.integrators import render_image
-from irodori.rendering.interactive import mesh_shadows
 
 #: How the shape stands, and its neighbour, whose place is from the shape's origin in the shape's frame, mm.
 PLACE_MM, TURN_DEG, SCALE = np.array([15.0, -10.0, 20.0]), (35.0, -50.0, 70.0), 1.6
@@ -67,7 +65,7 @@ SHAPES = {
     "sphere": lambda scale: Sphere(20.0 * scale),
     "mesh": corner,
 }
-#: Neighbours, turned besides: one that is seen through a closed form, and one through rays.
+#: Neighbours, turned besides: a ball, and a mesh.
 NEIGHBOURS = {"sphere": lambda scale, turn: Sphere(20.0 * scale), "mesh": block}
 
 
@@ -88,7 +86,7 @@ def light(turned: bool) -> Environment:
     return sky(lambda direction: 0.5 + 0.5 * smooth_light(direction @ turn.T)[..., None], 128, 64)
 
 
-def interactive(shape: str, neighbour: str, beside_mm, eye_mm, target_mm, *, ambient: bool) -> np.ndarray:
+def interactive(shape: str, neighbour: str, beside_mm, eye_mm, target_mm, *, light_maps: bool) -> np.ndarray:
     """Radiance by the integrator `interactive`, (height, width): turns and scales as a configuration gives them."""
     definition = {
         "image": {"width": SIZE[0], "height": SIZE[1]}, "lights": [],
@@ -99,7 +97,7 @@ def interactive(shape: str, neighbour: str, beside_mm, eye_mm, target_mm, *, amb
         ],
         "views": {"v": {"position_mm": eye_mm.tolist(), "target_mm": target_mm.tolist(), "up": [0.0, 0.0, 1.0],
                         "field_of_view_deg": FOV_DEG}},
-        "integrator": {"kind": "interactive", "light_maps": ambient},
+        "integrator": {"kind": "interactive", "light_maps": light_maps},
     }  # fmt: skip
     shapes = [SHAPES[shape](1.0), NEIGHBOURS[neighbour](1.0, np.eye(3))]
     materials = [matt(shape == "sphere"), matt(False)]
@@ -107,22 +105,10 @@ def interactive(shape: str, neighbour: str, beside_mm, eye_mm, target_mm, *, amb
     return render_image(made(Scene, definition), "v", shapes, materials, light(False), options)[0][..., 30]
 
 
-#: Root mean square of the errors over a shape and over its neighbours, as parts of their mean radiance. Measured over
-#: shapes: 0.023, 0.025, 0.015, 0.013, 0.031; over neighbours: 0.012, 0.012, 0.032, 0.006, 0.012; all with the noise of
-#: the paths, 0.005 to 0.010. The rest is that hidden light counts as bright as what is left, and that neighbours throw
-#: light back as if nothing shaded them.
+#: Root mean square of the errors over a shape and over its neighbours, as parts of their mean radiance;
+#: the noise of the paths is 0.005 to 0.010 of it.
 TOLERANCES = {"plate": (0.03, 0.016), "disc": (0.03, 0.016), "plane": (0.02, 0.04), "sphere": (0.018, 0.01),
               "mesh": (0.04, 0.016)}  # fmt: skip
-
-
-@pytest.fixture(autouse=True)
-def _few_nodes(monkeypatch):
-    """Fewer nodes and rays than a user has, for speed."""
-    mesh_shadows._found.clear()
-    monkeypatch.setattr(flat, "FLAT_SIDE", 80)
-    monkeypatch.setattr(sphere, "EQUATOR", 64)
-    monkeypatch.setattr(mesh_shadow_nodes, "MESH_NODES", 4096)
-    monkeypatch.setattr(mesh_shadows, "RAYS_PER_NODE", 256)
 
 
 @pytest.mark.default_cases(2)
@@ -132,7 +118,7 @@ def test_a_turned_and_scaled_shape_and_its_neighbour_shade_each_other_as_paths_s
     turn, beside_turn = rotation_xyz(TURN_DEG), rotation_xyz(BESIDE_TURN_DEG)
     from_shape = BESIDE_MM + ([30.0, -10.0, 25.0] if shape == "sphere" else 0.0)
     eye, beside, target = (PLACE_MM + turn @ place for place in (EYE_MM, from_shape, 0.5 * from_shape))
-    found, bare = (interactive(shape, neighbour, beside, eye, target, ambient=ambient) for ambient in (True, False))
+    found, bare = (interactive(shape, neighbour, beside, eye, target, light_maps=maps) for maps in (True, False))
     # The same in the shape's frame and of full size.
     shapes = [SHAPES[shape](SCALE), NEIGHBOURS[neighbour](BESIDE_SCALE, turn.T @ beside_turn)]
     places, position = [PLACE_MM @ turn, beside @ turn], eye @ turn

@@ -107,8 +107,8 @@ def test_a_shape_is_registered_once_and_whole(monkeypatch):
     class Silent(Tube):
         name = "silent"
 
-    monkeypatch.delattr(Tube, "hides_by_rays")
-    with pytest.raises(ValueError, match="'silent' leaves undeclared: hides_by_rays"):
+    monkeypatch.delattr(Tube, "wraps")
+    with pytest.raises(ValueError, match="'silent' leaves undeclared: wraps"):
         shape_registry.register(Silent)
     assert Silent not in shape_registry.shapes()
 

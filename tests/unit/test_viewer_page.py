@@ -16,7 +16,7 @@ from written_pages import SIZE, Written, agree, differences, inside
 
 import irodori.viewer
 from irodori.export.pictures import write_spectral_exr
-from irodori.geometry.rig_frame import look_at, rotation_xyz, rotation_z
+from irodori.geometry.rig_frame import look_at, rotation_xyz
 from irodori.rendering.scene_arrays import make_view
 from irodori.viewer import viewer_command
 from irodori.viewer.browser import FLAGS, browser_command, opened
@@ -48,7 +48,7 @@ def page(written):
 @pytest.mark.heavy
 @pytest.mark.parametrize("turn", [0.0, 110.0])
 def test_every_light_and_observer_of_the_list_is_the_renderers(written, page, turn):
-    bands = frame_bands(written.scene, written.view, written.data.parts, rotation_z(np.radians(turn)))
+    bands = frame_bands(written.scene, written.view, written.data.parts, turn)
     state = page.default_state()
     state["light"]["turn_deg"] = turn
     assert_every_light_and_observer(written, page, state, bands)
@@ -84,7 +84,7 @@ def test_objects_and_camera_are_moved_as_the_scene_says(written, page):
     )
     scene = prepared(moved)
     state["light"]["turn_deg"] = 110.0
-    bands = frame_bands(scene, view, moved, rotation_z(np.radians(110.0)))
+    bands = frame_bands(scene, view, moved, 110.0)
     assert_every_light_and_observer(written, page, state, bands)
 
 
@@ -140,7 +140,7 @@ def lamps(count: int) -> list[dict]:
 def hard_case(name: str, folder):
     if name == "a mesh of 100,000 triangles":
         file = write_mesh(folder / "ball.obj", 224, 224)
-        return sources(folder, room(), ball={"kind": "mesh", "file": str(file), "unit": "mm"}, ambient=False,
+        return sources(folder, room(), ball={"kind": "mesh", "file": str(file), "unit": "mm"},
                        objects=[{"object": "ball", "position_mm": [-12.0, 4.0, 20.1], "rotation_deg": [0.0, 0.0, 0.0],
                                  "scale": 1.0},
                                 {"object": "plate", "position_mm": [0.0, 0.0, 0.0], "rotation_deg": [0.0, 0.0, 12.0],

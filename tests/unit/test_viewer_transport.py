@@ -1,24 +1,25 @@
-"""Pages in a browser, case by case: views of every kind, soft shadows of meshes, lamps nearby, lobes, coloured metals.
+"""Pages in a browser, case by case: views of every kind, light maps, lamps nearby, lobes, coloured metals.
 
 What the integrator `interactive` has is compared with `render_frame`; what the page alone has, with its formula.
 """
 
 import base64
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from made import made
 from pages import SPHERE, gold, painted, room, sources, write_mesh, write_torus
+from scenes import constant_light, material
 from shortcuts import irradiance_map
-from written_pages import SIZE, Written, agree, compared, inside
+from written_pages import SIZE, Written, agree, compared, differences, inside
 
 from irodori.colour.display import make_display, srgb, standard_display
 from irodori.colour.icc import Profile, write_profile
 from irodori.colour.tone_curves import ParametricCurve
 from irodori.config.models import PrimariesDisplay, ProfileDisplay
 from irodori.geometry.rig_frame import rotation_xyz
-from irodori.geometry.shapes import mesh_shadow_nodes
 from irodori.light.environment_file import Environment, directions
 from irodori.rendering.scene_arrays import make_view
 from irodori.spectra.published import light
@@ -26,7 +27,7 @@ from irodori.viewer.browser import browser_command, opened
 from irodori.viewer.measured import frame_bands, prepared, xyz_differences
 from irodori.viewer.page_data import page_data
 from irodori.viewer.page_file import page_html
-from irodori.viewer.stage import measured_loss, white_of
+from irodori.viewer.stage import white_of
 
 pytestmark = pytest.mark.skipif(
     browser_command() is None, reason="NO BROWSER: pages are not tested; install Debian's package chromium"
@@ -204,7 +205,8 @@ def test_each_kind_of_colour_deficiency_is_shown_as_published(seen, kind):
     white = np.array(page.page.evaluate("Irodori.renderer.lit.whiteXYZ"))
     wanted, _ = srgb().encode(srgb().linear_rgb(xyz, white) @ np.array(DICHROMATS[kind]).T)
     found = np.abs(codes - wanted.astype(int))[inside(objects)]
-    assert found.max() <= 2 and found.mean() < 0.3
+    # One step more than elsewhere: these matrices enlarge the rounding of the picture's half precision.
+    assert found.max() <= 3 and found.mean() < 0.3
     assert wrong_codes(page, state, srgb()).mean() > 1.0
 
 
@@ -225,7 +227,10 @@ def test_other_profiles_are_refused_in_a_sentence(seen, profile):
         assert page.page.evaluate("JSON.stringify(Irodori.page().state)") == before
 
 
-# ---- soft shadows of meshes
+# ---- light maps
+
+
+LAMP = {"kind": "collimated", "azimuth_deg": -40.0, "elevation_deg": 50.0, "irradiance": 0.8, "spectrum": "FL11"}
 
 
 def with_torus(folder, **keys):
@@ -242,7 +247,7 @@ def with_torus(folder, **keys):
             "refractive_index": {"n": 1.5, "k": 0.0},
         },
     }
-    return sources(folder, room(), ball={"kind": "mesh", "file": str(file), "unit": "mm"},
+    return sources(folder, room(), ball={"kind": "mesh", "file": str(file), "unit": "mm"}, light_maps=True,
                    objects=[{"object": "torus", "position_mm": [-16.0, 4.0, 26.0], "rotation_deg": [65.0, 0.0, 20.0],
                              "scale": 1.0},
                             {"object": "plate", "position_mm": [0.0, 0.0, 0.0], "rotation_deg": [0.0, 0.0, 12.0],
@@ -251,35 +256,89 @@ def with_torus(folder, **keys):
 
 @pytest.fixture(scope="module")
 def torus(tmp_path_factory):
-    """The torus with a quarter of the usual nodes, on both sides: the page casts its rays in software here."""
+    """The torus with dull surfaces under a lamp: what is seen is the light on them, and what they send each other."""
     folder = tmp_path_factory.mktemp("torus")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(mesh_shadow_nodes, "MESH_NODES", mesh_shadow_nodes.MESH_NODES // 4)
-        yield Written(folder, with_torus(folder))
+    dull = [painted(beta=0.0, mirror=0.0) for _ in range(2)]
+    return Written(folder, with_torus(folder, first=dull[0], second=dull[1], lights=[LAMP]))
 
 
-@pytest.mark.heavy
-def test_meshes_hide_light_from_all_sides_as_in_the_renderer(torus):
+def near(found, p99=4.0) -> bool:
+    """Whether a page's light maps, which have fewer texels, show what the renderer's do."""
+    return bool(found.mean() <= 0.6 and np.percentile(found, 99) <= p99)
+
+
+STANDS = {"position_mm": [-4.0, -8.0, 28.0], "turn_deg": [80.0, 10.0, 50.0]}
+
+
+def under(written, turn_deg: float, stands=None) -> tuple[np.ndarray, np.ndarray]:
+    """Return XYZ of the renderer with its own light maps, and of the white: turned, or the first object elsewhere."""
+    parts = written.data.parts
+    if stands:
+        own = replace(parts.placements[0], rotation=rotation_xyz(stands["turn_deg"]),
+                      translation_mm=np.array(stands["position_mm"]))  # fmt: skip
+        parts = replace(parts, placements=[own, *parts.placements[1:]])
+    return written.wanted(frame_bands(prepared(parts), written.view, parts, turn_deg))
+
+
+def test_the_light_on_objects_is_the_renderers_also_where_a_mesh_is_moved_and_the_room_turned(torus):
+    """The page says meanwhile that it looks for the light, and shows none of the place before."""
     with opened(torus.path) as page:
-        found = compared(torus, page, page.default_state(), torus.view)
-        moved = page.default_state()
-        moved["objects"][0]["position_mm"][0] += 1.0
-        held = page.page.evaluate(
-            "(all) => all.map((s) => Irodori.shadowed(Irodori.renderer.data.header, s))", [page.default_state(), moved]
-        )
-        page.page.evaluate("() => { Irodori.shadowed = () => 0; }")
-        without = compared(torus, page, page.default_state(), torus.view)
+        page.wait_for("Irodori.page")
+        first, found = page.default_state(), {}
+        for turn, stands in ((0.0, None), (110.0, None), (0.0, STANDS)):
+            state = json.loads(json.dumps(first))
+            state["light"]["turn_deg"] = turn
+            state["objects"][0] |= stands or {}
+            wanted, white = under(torus, turn, stands)
+            if stands:
+                draw = "(s) => Array.from(Irodori.renderer.readXYZ(s, 64, 48))"
+                at_once = np.reshape(page.page.evaluate(draw, state), (48, 64, 4))
+                given = "(s) => { location.hash = Irodori.pageToHash({...Irodori.page(), state: s}, Irodori.page()); }"
+                page.page.evaluate(given, state)
+                page.wait_for("!document.getElementById('updating').hidden")
+                assert "updated" in page.page.locator("#live").inner_text()
+                page.wait_for("document.getElementById('updating').hidden")
+                assert "updated" not in page.page.locator("#live").inner_text()
+            xyz, objects = page.read_xyz(state, 64, 48)
+            found[turn, bool(stands)] = differences(wanted, white, xyz, objects)
+            if stands:
+                bare = at_once[..., :3]
+        page.page.evaluate("() => { Irodori.renderer.bakedFor = () => null; }")
+        unshaded, objects = page.read_xyz(state, 64, 48)
         assert page.messages == []
-    assert agree(found), (found.mean(), np.percentile(found, 99))
-    assert not agree(without)
-    # The places of the nodes are those of the scene: shadows are left out where a mesh stands elsewhere.
-    assert held == [0b111, 0]
+    assert all(near(one) for one in found.values()), {k: (f.mean(), np.percentile(f, 99)) for k, f in found.items()}
+    # Until light is found for the new place, the mesh has that of the sky alone.
+    np.testing.assert_array_equal(bare, unshaded[..., :3])
+    assert differences(wanted, white, unshaded, objects).mean() > 4.0 * found[0.0, True].mean()
 
 
-@pytest.mark.heavy
-def test_shadows_of_meshes_lose_little_in_the_file(torus):
-    loss = measured_loss(torus.data, torus.payload, torus.scenes, torus.view)
-    assert 0.0 < loss["mean"] <= 0.1 and loss["p99"] <= 0.3
+def test_white_objects_vanish_in_an_even_room(tmp_path):
+    """A white furnace: what neighbours hide they send back, on a page as anywhere."""
+    white = material(1.0)
+    places = [{"object": name, "position_mm": [0.0, 0.0, z], "rotation_deg": [0.0] * 3, "scale": 1.0}
+              for name, z in (("ball", 25.0), ("plate", 0.0))]  # fmt: skip
+    given = sources(tmp_path, constant_light(), first=white, second=white, light_maps=True, objects=places)
+    path = tmp_path / "page.html"
+    path.write_text(page_html("A page", page_data(given).payload({})), encoding="utf-8")
+    with opened(path) as page:
+        xyz, objects = page.read_xyz(page.default_state(), 64, 48)
+        assert page.messages == []
+    assert (objects >= 0).sum() > 500
+    np.testing.assert_allclose(xyz[..., 1], 100.0, atol=3.0)
+    assert xyz[objects >= 0][:, 1].mean() == pytest.approx(100.0, abs=0.5)
+
+
+def test_an_object_that_is_hidden_throws_no_shadow(torus):
+    with opened(torus.path) as page:
+        state = page.default_state()
+        for number in (0, 2):
+            state["objects"][number]["visible"] = False
+        found, objects = page.read_xyz(state, 64, 48)
+        page.page.evaluate("() => { Irodori.renderer.bakedFor = () => null; }")
+        plain, _ = page.read_xyz(state, 64, 48)
+        assert page.messages == []
+    assert (objects == 1).sum() > 300 and set(np.unique(objects)) == {-1, 1}
+    np.testing.assert_allclose(found, plain, atol=2e-3 * plain.max())
 
 
 # ---- lobes and metals
@@ -289,9 +348,6 @@ def of_ggx(material):
     """Return a material whose gloss is GGX, beside a component of no weight: scenes of two share one loop."""
     gloss = {"beta": 0.0 * material.beta, "further_gloss": ((material.beta, material.mu),)}
     return replace(material, **gloss, lobes=("gaussian", "ggx"), typical_gloss=2 * material.typical_gloss)
-
-
-LAMP = {"kind": "collimated", "azimuth_deg": -40.0, "elevation_deg": 50.0, "irradiance": 0.8, "spectrum": "FL11"}
 
 
 @pytest.mark.heavy
@@ -491,18 +547,17 @@ def test_each_room_of_a_page_lights_as_in_the_renderer(tmp_path, first):
 
 
 @pytest.mark.heavy
-def test_a_mesh_of_ggx_and_its_shadow_are_the_renderers_in_both_rooms_of_a_page(tmp_path):
-    """What the heavy tests try one by one, all on one page: lobe, lamp, soft shadows, a second room."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(mesh_shadow_nodes, "MESH_NODES", mesh_shadow_nodes.MESH_NODES // 4)
-        files = with_torus(tmp_path, first=of_ggx(painted(beta=6.0)), lights=[LAMP], lesson=CELLAR, further=(cellar(),))
-        written = Written(tmp_path, files)
+def test_a_mesh_of_ggx_and_its_light_are_the_renderers_in_both_rooms_of_a_page(tmp_path):
+    """What the heavy tests try one by one, all on one page: lobe, lamp, light maps, a second room."""
+    files = with_torus(tmp_path, first=of_ggx(painted(beta=6.0)), lights=[LAMP], lesson=CELLAR, further=(cellar(),))
+    written = Written(tmp_path, files)
     with opened(written.path) as page:
         state = page.default_state()
         for name in ("room", "cellar", "room"):
             state["light"] = {**state["light"], "environment": name}
             found = compared(written, page, state, written.view)
-            assert agree(found), (name, found.mean(), np.percentile(found, 99))
+            # The renderer's gloss on a mesh sees no neighbours, the page's does.
+            assert near(found, p99=7.0), (name, found.mean(), np.percentile(found, 99))
         assert page.messages == []
 
 
@@ -524,58 +579,9 @@ def test_a_page_of_two_rooms_and_a_mesh_is_at_most_ten_megabytes(tmp_path):
         rooms.append(Environment(coefficients, coarse.basis, irradiance_map(coefficients[::8, ::8], 64, 32)))
     file = write_mesh(tmp_path / "ball.obj", 224, 224)
     given = sources(tmp_path / "files", rooms[0], further=(rooms[1],), lesson=CELLAR,
-                    ball={"kind": "mesh", "file": str(file), "unit": "mm"})  # fmt: skip
+                    ball={"kind": "mesh", "file": str(file), "unit": "mm"}, light_maps=True)  # fmt: skip
     data = page_data(given)
     assert sum(plane.shape[-1] for plane in data.planes.entries if plane.name.endswith("mesh/faces")) > 99_000
     assert [plane.shape[2] for plane in data.planes.entries if plane.name.endswith("/sky")] == [256, 256]
     size = len(page_html("A page", data.payload({})))
     assert 1e6 < size <= 10e6, size
-
-
-# ---- a mesh that stands elsewhere
-
-
-@pytest.mark.heavy
-def test_the_soft_shadows_of_a_mesh_that_is_moved_and_turned_are_the_renderers(torus):
-    """The page casts rays of its own, says meanwhile that it does, and then shows what a page built so would."""
-    stands = {"position_mm": [-4.0, -8.0, 28.0], "turn_deg": [80.0, 10.0, 50.0]}
-    parts = torus.data.parts
-    own = replace(parts.placements[0], rotation=rotation_xyz(stands["turn_deg"]),
-                  translation_mm=np.array(stands["position_mm"]))  # fmt: skip
-    moved = replace(parts, placements=[own, *parts.placements[1:]])
-    wanted, white = torus.wanted(frame_bands(prepared(moved), torus.view, moved))
-    with opened(torus.path) as page:
-        page.wait_for("Irodori.page")
-        state = page.default_state()
-        state["objects"][0] |= stands
-        xyz, objects = page.read_xyz(state, 64, 48)
-        some = inside(objects) & (objects >= 0)
-        before = xyz_differences(wanted[some], xyz[some], white)
-        given = "(s) => { location.hash = Irodori.pageToHash({...Irodori.page(), state: s}, Irodori.page()); }"
-        page.page.evaluate(given, state)
-        page.wait_for("!document.getElementById('updating').hidden")
-        assert "updated" in page.page.locator("#live").inner_text()
-        page.wait_for("document.getElementById('updating').hidden")
-        assert "updated" not in page.page.locator("#live").inner_text()
-        found = xyz_differences(wanted[some], page.read_xyz(state, 64, 48)[0][some], white)
-        # Back in its place it has the shadows of the file.
-        again = compared(torus, page, page.default_state(), torus.view)
-        assert page.messages == []
-    assert not agree(before)
-    assert agree(found), (found.mean(), np.percentile(found, 99))
-    assert agree(again)
-
-
-@pytest.mark.heavy
-def test_a_mesh_that_is_hidden_throws_no_shadow(torus):
-    with opened(torus.path) as page:
-        state = page.default_state()
-        state["objects"][0]["visible"] = False
-        page.page.evaluate("(s) => Irodori.renderer.castShadows(s).then(() => null)", state)
-        assert page.page.evaluate("(s) => Irodori.renderer.knowsShadows(s)", state)
-        found, _ = page.read_xyz(state, 64, 48)
-        page.page.evaluate("() => { Irodori.renderer.moved.found = null; }")
-        plain, objects = page.read_xyz(state, 64, 48)
-        assert page.messages == []
-    assert (objects >= 0).sum() > 300 and 0 not in objects
-    np.testing.assert_allclose(found, plain, atol=1e-4 * plain.max())

@@ -12,9 +12,7 @@ from irodori.geometry.shapes.shape import (
     Kernels,
     Shape,
     ball_may_be_met,
-    hides_nothing,
     in_frame,
-    no_nodes,
     texel_centres,
 )
 from irodori.jit.compilation import njit
@@ -64,18 +62,15 @@ class Tube(Shape):
     is_endless = False
     is_curved = True
     has_inside = True
-    hides_by_rays = False
     wraps = True
     border = "joined"
     # In `interactive` it leaves no contact shadow, and none falls on it.
     kernels = Kernels(
         surface_at=_surface_at,
-        hides=hides_nothing,
         distance=None,
         may_be_met=ball_may_be_met,
         point=None,
         texture=None,
-        nodes_about=no_nodes,
     )
 
     @classmethod
@@ -139,6 +134,3 @@ class Tube(Shape):
 
     def texture_per_mm(self, scale):
         return 0.0, 0.0
-
-    def nodes(self, placement, reach_mm, points):
-        return None

@@ -1,12 +1,7 @@
-"""Discs, and a closed form of the share of the cosine-weighted hemisphere that a disc hides, clipped at the horizon.
+"""Discs."""
 
-For a circle r(t) = c + ρ (e₁ cos t + e₂ sin t) seen from the origin, Lambert's sum over the edges of a polygon becomes
-the integral of n · (r × dr) / |r|²: a quotient of first-order trigonometric polynomials with an elementary primitive.
-"""
-
-import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,8 +11,6 @@ from irodori.geometry.shapes.flat import (
     FlatShape,
     flat_point,
     flat_texture,
-    frame_axes,
-    nodes_about_flat,
     surface_at_flat,
 )
 from irodori.geometry.shapes.placement import Placement
@@ -54,93 +47,6 @@ SCHEMA = {
 
 #: Number of sides of the polygon that approximates a disc.
 _SIDES = 128
-#: Relative variation of |r|² over the circle below which it counts as constant.
-_CENTRED = 1e-7
-
-
-class _Quotient(NamedTuple):
-    """Coefficients of (a + b cos τ + s sin τ) / (k + swing cos τ), with two values that its integral needs."""
-
-    a: float
-    b: float
-    s: float
-    k: float
-    swing: float
-    root: float  # √(k² - swing²)
-    ratio: float  # √((k - swing) / (k + swing))
-
-
-@njit(cache=True, error_model="numpy")
-def _primitive(quotient, tau):
-    """Return the integral of a `_Quotient` from 0 to τ, for τ within ±2π."""
-    a, b, s, k, swing, root, ratio = quotient
-    if swing <= _CENTRED * k:
-        return (a * tau + b * math.sin(tau) + s * (1.0 - math.cos(tau))) / k
-    plain = 2.0 / root * math.atan2(ratio * math.sin(0.5 * tau), math.cos(0.5 * tau))
-    rise = math.log1p(swing * (math.cos(tau) - 1.0) / (k + swing))
-    return b / swing * tau + (a - b * k / swing) * plain - s / swing * rise
-
-
-@njit(cache=True, error_model="numpy")
-def hidden_by_disc(normal, centre, axes, radius):
-    """Return the share of the cosine-weighted hemisphere that a disc hides.
-
-    Parameters
-    ----------
-    normal : tuple of 3 float
-        Unit normal at the point.
-    centre : tuple of 3 float
-        Centre of the disc relative to the point, mm.
-    axes : tuple of 3 tuples of 3 float
-        Two perpendicular unit vectors in the disc, and their cross product.
-    radius : float, mm
-    """
-    e, f, g = axes
-    ce = centre[0] * e[0] + centre[1] * e[1] + centre[2] * e[2]
-    cf = centre[0] * f[0] + centre[1] * f[1] + centre[2] * f[2]
-    cg = centre[0] * g[0] + centre[1] * g[1] + centre[2] * g[2]
-    ne = normal[0] * e[0] + normal[1] * e[1] + normal[2] * e[2]
-    nf = normal[0] * f[0] + normal[1] * f[1] + normal[2] * f[2]
-    ng = normal[0] * g[0] + normal[1] * g[1] + normal[2] * g[2]
-    across = math.hypot(ce, cf)
-    low, high = (radius - across) ** 2 + cg * cg, (radius + across) ** 2 + cg * cg
-    if low <= 0.0:
-        return 0.0
-    # Heights of the points of the circle above the horizon: ``middle`` plus or minus up to ``swing``.
-    middle, swing = ce * ne + cf * nf + cg * ng, radius * math.hypot(ne, nf)
-    if middle <= -swing:
-        return 0.0
-    half = math.pi if middle >= swing else math.acos(-middle / swing)
-    top, towards = math.atan2(nf, ne), math.atan2(cf, ce)
-    # n · (r × dr/dt) and |r|² with the angle counted from the centre's direction.
-    b, s = radius * (cg * ne - ce * ng), radius * (cg * nf - cf * ng)
-    turn_c, turn_s = math.cos(towards), math.sin(towards)
-    b, s = b * turn_c + s * turn_s, s * turn_c - b * turn_s
-    a, k, change = radius * radius * ng, 0.5 * (low + high), 0.5 * (high - low)
-    if half == math.pi:
-        start, end = -math.pi, math.pi
-    else:
-        way = top - towards
-        way -= 2.0 * math.pi * math.floor(way / (2.0 * math.pi) + 0.5)
-        start, end = way - half, way + half
-    quotient = _Quotient(a, -b, -s, k, change, math.sqrt(low * high), math.sqrt(low / high))
-    found = _primitive(quotient, end) - _primitive(quotient, start)
-    if half < math.pi:
-        # Close the path along the horizon, between the two points where the circle meets it.
-        pe, pf = ce + radius * math.cos(top + half), cf + radius * math.sin(top + half)
-        qe, qf = ce + radius * math.cos(top - half), cf + radius * math.sin(top - half)
-        turned = ne * (pf * cg - cg * qf) + nf * (cg * qe - pe * cg) + ng * (pe * qf - pf * qe)
-        found += math.atan2(turned, pe * qe + pf * qf + cg * cg)
-    return min(abs(found) / (2.0 * math.pi), 1.0)
-
-
-@njit(cache=True)
-def _hides(row, at, x, y, z, normal):
-    axes = frame_axes(row, at)
-    facing = axes[2]
-    if x * facing[0] + y * facing[1] + z * facing[2] >= 0.0:
-        facing = (0.0, 0.0, 0.0)
-    return hidden_by_disc(normal, (x, y, z), axes, np.float64(row[at + RADIUS])), facing
 
 
 @njit(cache=True, forceinline=True)
@@ -170,12 +76,10 @@ class Disc(FlatShape):
     is_endless = False
     kernels = Kernels(
         surface_at=surface_at_flat,
-        hides=_hides,
         distance=_distance,
         may_be_met=None,
         point=flat_point,
         texture=flat_texture,
-        nodes_about=nodes_about_flat,
     )
 
     @classmethod

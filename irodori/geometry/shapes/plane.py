@@ -7,13 +7,10 @@ import numpy as np
 
 from irodori.geometry.embree import Primitive, oriented_disc
 from irodori.geometry.mesh import Mesh
-from irodori.geometry.shapes import flat
 from irodori.geometry.shapes.flat import (
     FlatShape,
     flat_point,
     flat_texture,
-    frame_axes,
-    nodes_about_flat,
     onto_plane,
     rectangle,
 )
@@ -55,24 +52,6 @@ def _surface_at(surfaces, index, ray, point, normal, facet):
     return 0.5, 0.5
 
 
-@njit(cache=True)
-def hidden_by_plane(cosine):
-    """Return the share of the cosine-weighted hemisphere that an endless plane hides.
-
-    ``cosine`` is that of the angle between the normal at the point and the normal of the plane.
-    """
-    return 0.5 * (1.0 - cosine)
-
-
-@njit(cache=True)
-def _hides(row, at, x, y, z, normal):
-    facing = frame_axes(row, at)[2]
-    cosine = normal[0] * facing[0] + normal[1] * facing[1] + normal[2] * facing[2]
-    if x * facing[0] + y * facing[1] + z * facing[2] >= 0.0:
-        return hidden_by_plane(-cosine), (0.0, 0.0, 0.0)
-    return hidden_by_plane(cosine), facing
-
-
 @njit(cache=True, forceinline=True)
 def distance_to_plane(row, at, centre, direction):
     """Return distances along rays to the plane of a shape; negative behind the origin, NaN for rays in the plane."""
@@ -97,12 +76,10 @@ class Plane(FlatShape):
     is_endless = True
     kernels = Kernels(
         surface_at=_surface_at,
-        hides=_hides,
         distance=_distance,
         may_be_met=None,
         point=flat_point,
         texture=flat_texture,
-        nodes_about=nodes_about_flat,
     )
 
     @classmethod
@@ -140,7 +117,3 @@ class Plane(FlatShape):
     def texture_per_mm(self, scale: float) -> tuple[float, float]:
         """Return zeros, because the whole plane has the same texture coordinates."""
         return 0.0, 0.0
-
-    def grid_ends(self, axis: int, scale: float, middle_mm: float, reach_mm: float) -> np.ndarray:
-        """Return -1 and 1, reduced by half a node."""
-        return np.array([-1.0, 1.0]) * (1.0 - 1.0 / flat.FLAT_SIDE)

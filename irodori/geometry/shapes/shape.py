@@ -1,7 +1,7 @@
 """Interface of a shape: everything that the package needs from it.
 
 A shape must define all of it; `irodori.geometry.shape_registry.register` refuses an incomplete one. A function that
-does not apply to a shape is given as a placeholder, such as `hides_nothing`, `no_nodes` or None.
+does not apply to a shape is given as None.
 """
 
 from abc import ABC, abstractmethod
@@ -21,7 +21,6 @@ from irodori.jit.functions import magnitude
 if TYPE_CHECKING:
     from irodori.config.models import BodyShape, ObjectShape
     from irodori.geometry.shapes.placement import Placement
-    from irodori.geometry.shapes.shadow_nodes import Nodes
 
 #: Height above a surface at which rays start, relative to the shape's reach: some hundred steps of single precision.
 _RAY_OFFSET = 3e-5
@@ -37,10 +36,6 @@ class Kernels(NamedTuple):
     ----------
     surface_at : (surfaces, index, ray, point, normal, facet) -> u, v
         See `irodori.geometry.surfaces.surface_at`.
-    hides : (row, at, x, y, z, normal) -> share, facing
-        Share of the cosine-weighted hemisphere about a unit normal that the shape hides from a point, with its centre
-        at (x, y, z) mm relative to the point; and the unit normal of its side that faces the point, zeros if this side
-        is black. `hides_nothing` for a shape with ambient shadows that are traced or left out.
     distance : (row, at, centre, direction, along) -> distances, or None
         Distance, mm, at which rays first meet the shape from either side, in lanes; infinite where they miss it.
         Arguments: its centre relative to the origins of the rays (mm), their unit directions, and the distance along
@@ -54,17 +49,13 @@ class Kernels(NamedTuple):
     texture : (local, wide, high) -> (u, v), or None
         Texture coordinates of points in the axes of the shape's frame, in world units; ``wide`` and ``high`` are the
         row's ``WIDE`` and ``HIGH``.
-    nodes_about : (shadows, own, row, hit) -> nodes, weights
-        See `irodori.rendering.interactive.shadow_look_up.nodes_about`.
     """
 
     surface_at: Callable
-    hides: Callable
     distance: Callable | None
     may_be_met: Callable | None
     point: Callable | None
     texture: Callable | None
-    nodes_about: Callable
 
 
 class Shape(ABC):
@@ -81,7 +72,6 @@ class Shape(ABC):
             "is_endless",
             "is_curved",
             "has_inside",
-            "hides_by_rays",
             "wraps",
             "border",
         ]
@@ -94,7 +84,6 @@ class Shape(ABC):
     is_endless: ClassVar[bool]  # has no finite size
     is_curved: ClassVar[bool]  # by rounding, a visible point at its outline may seem to face away
     has_inside: ClassVar[bool]  # a ray that meets its back comes from inside
-    hides_by_rays: ClassVar[bool]  # the ambient light that it hides is computed by rays when a scene is prepared
     wraps: ClassVar[bool]  # the left and right side of the texture are joined
     border: ClassVar[str]  # surroundings of the texture: "joined" (columns only), "black", or "unknown"
 
@@ -164,19 +153,6 @@ class Shape(ABC):
         """
 
     @abstractmethod
-    def nodes(self, placement: "Placement", reach_mm: float, points: list[np.ndarray]) -> "Nodes | None":
-        """Lay out the nodes at which the ambient light hidden by other shapes is computed; None if none are needed.
-
-        Parameters
-        ----------
-        placement : Placement
-        reach_mm : float
-            Reach of the placed shape, see `irodori.geometry.shapes.placement.reaches`.
-        points : list of (vertices, 3) float
-            Points in the world, mm, of each shape of the scene with ``hides_by_rays``.
-        """
-
-    @abstractmethod
     def facetted(self, reach_mm: float) -> Mesh:
         """Return an approximation by triangles, in the shape's frame, for programs that support no other shapes.
 
@@ -225,11 +201,6 @@ class Shape(ABC):
         return None
 
     @property
-    def hull_mm(self) -> np.ndarray:
-        """Points with a convex hull that contains the shape, (n, 3); needed only with ``hides_by_rays``."""
-        raise NotImplementedError(f"a {self.name} hides by rays and has no hull")
-
-    @property
     def ray_offset_mm(self) -> float:
         """Height above the surface at which rays start, mm, so that rounding errors do not make them hit it again."""
         return _RAY_OFFSET * self.reach_mm
@@ -273,18 +244,6 @@ def in_frame(surfaces, index, point):
 
 
 # --- placeholders for shapes to which a function does not apply ------------------------------------------------------
-
-
-@njit(cache=True)
-def hides_nothing(row, at, x, y, z, normal):
-    """Return zeros: for shapes with ambient shadows that are left out or computed by rays."""
-    return 0.0, (0.0, 0.0, 0.0)
-
-
-@njit(cache=True)
-def no_nodes(shadows, own, row, hit):
-    """Return zeros as a placeholder; never called, because shapes that use it have no nodes."""
-    return (0, 0, 0, 0), (0.0, 0.0, 0.0, 0.0)
 
 
 #: Relative enlargement of bounding balls, by their size and by the distance, against rounding errors.

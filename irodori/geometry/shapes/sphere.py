@@ -10,9 +10,9 @@ from irodori.geometry.atlas import Texels
 from irodori.geometry.embree import Primitive, sphere_point
 from irodori.geometry.mesh import Mesh, make_mesh
 from irodori.geometry.shapes.placement import Placement
-from irodori.geometry.shapes.shadow_nodes import GRID, Nodes, grid_place, grid_size, quadrangles, raised
 from irodori.geometry.shapes.shape import Kernels, Shape, in_frame, texel_centres
 from irodori.geometry.shapes.shape_rows import RADIUS
+from irodori.geometry.shapes.surface_nodes import quadrangles
 from irodori.jit.compilation import njit
 from irodori.jit.functions import lower_of, magnitude, root, select, upper_of, with_sign
 
@@ -53,8 +53,6 @@ SCHEMA = {
     },
 }
 
-#: Number of nodes along the equator; there are half as many rows.
-EQUATOR = 128
 #: Number of columns of the triangles that approximate a sphere.
 _MERIDIANS = 128
 
@@ -124,50 +122,6 @@ def _texture(local, wide, high):
     return select(turn < 0.0, turn + 1.0, turn), arc_tangent(root(x * x + y * y), z) * (1.0 / np.pi)
 
 
-@njit(cache=True, error_model="numpy")
-def hidden_by_sphere(cosine, distance, radius):
-    """Return the share of the cosine-weighted hemisphere that a sphere hides.
-
-    Parameters
-    ----------
-    cosine : float
-        Cosine of the angle between the normal and the direction to the centre.
-    distance : float
-        Distance to the centre, mm; for a point inside the result is 0.
-    radius : float
-        In mm.
-    """
-    if distance <= radius:
-        return 0.0
-    ratio = distance / radius
-    square = ratio * ratio
-    if cosine * ratio >= 1.0:
-        return cosine / square
-    if cosine * ratio <= -1.0:
-        return 0.0
-    cut = 1.0 - square * cosine * cosine
-    turn = math.acos(min(max(-cosine * math.sqrt((square - 1.0) / (1.0 - cosine * cosine)), -1.0), 1.0))
-    part = (cosine * turn - math.sqrt(cut * (square - 1.0))) / square + math.atan(math.sqrt(cut / (square - 1.0)))
-    return max(part / math.pi, 0.0)
-
-
-@njit(cache=True, error_model="numpy")
-def _hides(row, at, x, y, z, normal):
-    distance = math.sqrt(x * x + y * y + z * z)
-    if distance <= 0.0:
-        return 0.0, (0.0, 0.0, 0.0)
-    cosine = (x * normal[0] + y * normal[1] + z * normal[2]) / distance
-    share = hidden_by_sphere(cosine, distance, np.float64(row[at + RADIUS]))
-    return share, (-x / distance, -y / distance, -z / distance)
-
-
-@njit(cache=True)
-def _nodes_about(shadows, own, row, hit):
-    columns, rows = grid_size(shadows.grid, own)
-    column, line = hit.u * columns - 0.5, hit.v * rows - 0.5
-    return grid_place(np.float64(column), np.float64(line), columns, rows, True)
-
-
 @dataclass(frozen=True)
 class Sphere(Shape):
     """A sphere centred on the origin; v runs from the pole +z to -z, u is the azimuth from +x towards +y over 2π.
@@ -186,17 +140,14 @@ class Sphere(Shape):
     is_endless = False
     is_curved = True
     has_inside = True
-    hides_by_rays = False
     wraps = True
     border = "joined"
     kernels = Kernels(
         surface_at=_surface_at,
-        hides=_hides,
         distance=_distance,
         may_be_met=None,
         point=_point,
         texture=_texture,
-        nodes_about=_nodes_about,
     )
 
     @classmethod
@@ -272,21 +223,3 @@ class Sphere(Shape):
     def texture_per_mm(self, scale: float) -> tuple[float, float]:
         """Return zeros, because the texture follows angles."""
         return 0.0, 0.0
-
-    def nodes(self, placement: Placement, reach_mm: float, points: list[np.ndarray]) -> Nodes:
-        """Return nodes at the texel centres of a texture with `EQUATOR` columns."""
-        columns, rows = EQUATOR, EQUATOR // 2
-        azimuth = (np.arange(columns) + 0.5) * 2.0 * np.pi / columns
-        theta = (np.arange(rows) + 0.5) * np.pi / rows
-        azimuth, theta = (values.ravel() for values in np.meshgrid(azimuth, theta))
-        local = np.stack([np.sin(theta) * np.cos(azimuth), np.sin(theta) * np.sin(azimuth), np.cos(theta)], axis=1)
-        away = np.stack([np.cos(theta) * np.cos(azimuth), np.cos(theta) * np.sin(azimuth), -np.sin(theta)], axis=1)
-        away *= np.where(theta < 0.5 * np.pi, 1.0, -1.0)[:, None]  # towards the equator
-        normal, away = local @ placement.rotation.T, away @ placement.rotation.T
-        radius = self.radius_mm * placement.scale
-        origin = raised(placement.translation_mm + radius * normal, normal, radius)
-        probe = origin + 0.5 * radius * np.pi / rows * away
-        number = np.arange(rows * columns).reshape(rows, columns)
-        cells = quadrangles(np.concatenate([number, number[:, :1]], axis=1))
-        grid = np.array([columns, rows, *[0.0] * (GRID - 2)])
-        return Nodes(origin, normal, normal, probe, cells, grid)

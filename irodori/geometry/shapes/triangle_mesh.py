@@ -9,10 +9,8 @@ import numpy as np
 from irodori.geometry.atlas import Texels, mesh_texels, rasterise
 from irodori.geometry.embree import Primitive, hit_barycentric, hit_primitive, triangles
 from irodori.geometry.mesh import Mesh
-from irodori.geometry.shapes.mesh_shadow_nodes import mesh_nodes, nodes_about_mesh
 from irodori.geometry.shapes.placement import Placement
-from irodori.geometry.shapes.shadow_nodes import Nodes
-from irodori.geometry.shapes.shape import Kernels, Shape, ball_may_be_met, hides_nothing
+from irodori.geometry.shapes.shape import Kernels, Shape, ball_may_be_met
 from irodori.jit.compilation import njit
 
 if TYPE_CHECKING:
@@ -125,17 +123,14 @@ class TriangleMesh(Shape):
     is_endless = False
     is_curved = False
     has_inside = False
-    hides_by_rays = True
     wraps = False
     border = "unknown"
     kernels = Kernels(
         surface_at=_surface_at,
-        hides=hides_nothing,
         distance=None,
         may_be_met=ball_may_be_met,
         point=None,
         texture=None,
-        nodes_about=nodes_about_mesh,
     )
 
     @classmethod
@@ -165,11 +160,6 @@ class TriangleMesh(Shape):
     def table_height_mm(self) -> float:
         """Height z of the table's top: that of the lowest point of the mesh."""
         return self.mesh.bottom_mm
-
-    @property
-    def hull_mm(self) -> np.ndarray:
-        """The vertices."""
-        return self.mesh.vertices_mm
 
     def primitive(self, placement: Placement) -> Primitive:
         """Return the triangles for Embree."""
@@ -209,7 +199,3 @@ class TriangleMesh(Shape):
     def texture_per_mm(self, scale: float) -> tuple[float, float]:
         """Return zeros, because texture coordinates depend on the triangle."""
         return 0.0, 0.0
-
-    def nodes(self, placement: Placement, reach_mm: float, points: list[np.ndarray]) -> Nodes:
-        """Lay out shadow nodes on the triangles."""
-        return mesh_nodes(self.mesh, placement)

@@ -133,7 +133,6 @@ def prepare_scene(
     lamps: np.ndarray = _NO_LAMPS,
     max_bounces: int = 5,
     least_throughput: float = 1e-3,
-    ambient: bool = False,
     quadrature: Quadrature | None = None,
     spare_texels: int = 0,
     maps: LightMaps | None = None,
@@ -160,28 +159,21 @@ def prepare_scene(
         Number of mirror reflections to follow.
     least_throughput : float
         Throughput below which a path ends.
-    ambient : bool
-        Whether shapes hide light from each other as on the classroom page, see
-        `irodori.rendering.interactive.ambient`; only in ``spectral``. In a scene with meshes this needs rays, which are
-        cast once for the same shapes in the same places.
     quadrature : Quadrature, optional
         For the representation of that name; solved for the scene by default.
     spare_texels : int
         Additional memory for texels, for a caller that tries other textures.
     maps : LightMaps, optional
-        Baked light on the objects, used instead of irradiance and ``ambient``. They must be baked for this environment
+        Baked light on the objects, used instead of irradiance. They must be baked for this environment
         without rotation and for the objects' places in the tracer.
 
     Raises
     ------
     ValueError
-        For an unknown representation, ``coefficients`` with coloured gloss or a coloured mirror, or ``ambient`` in
-        another representation than ``spectral``.
+        For an unknown representation, or ``coefficients`` with coloured gloss or a coloured mirror.
     """
     if representation not in REPRESENTATIONS:
         raise ValueError(f"unknown representation {representation!r}; accepted: {', '.join(REPRESENTATIONS)}")
-    if ambient and representation != "spectral":
-        raise ValueError(f"ambient in the representation {representation!r}; accepted: spectral")
     lamps = np.asarray(lamps, dtype=np.float64).reshape(-1, SAMPLES)
     matrix = xyz_from_radiance(np.asarray(white, dtype=np.float64))
     if representation == "quadrature" and quadrature is None:
@@ -196,7 +188,7 @@ def prepare_scene(
     query = make_query(_COHERENT)
     functions = (tracer.intersect16_address, tracer.occluded16_address, query.ctypes.data)
     scene = objects, light, gloss, tracer, channels, functions
-    world = make_world(*scene, ambient=ambient, spare=spare_texels, maps=maps)
+    world = make_world(*scene, spare=spare_texels, maps=maps)
     limits = PathLimits(
         max_bounces, least_throughput, least_throughput / TAPS, TRACED, 1 + min(max_bounces, _KEPT_REFLECTIONS)
     )

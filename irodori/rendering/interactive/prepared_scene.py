@@ -16,7 +16,7 @@ from irodori.light.blurred_light import WIDTHS_RAD
 from irodori.light.environment_file import Environment
 from irodori.light.gloss.gloss_maps import GlossMaps
 from irodori.reflection.lobes import Lobes
-from irodori.rendering.interactive.channels import Channels, mean_spectra
+from irodori.rendering.interactive.channels import Channels
 from irodori.rendering.interactive.cube_maps import (
     FACES,
     CubePyramid,
@@ -24,7 +24,6 @@ from irodori.rendering.interactive.cube_maps import (
     from_equirectangular,
     give_back,
 )
-from irodori.rendering.interactive.mesh_shadows import MeshShadows, make_mesh_shadows, no_mesh_shadows
 from irodori.rendering.interactive.round_lobes import (
     ROUGHNESSES,
     gloss_power,
@@ -48,10 +47,6 @@ class PreparedWorld(NamedTuple):
 
     shape: np.ndarray  # (objects * SHAPE,)
     objects: int
-    ambient: np.ndarray  # for each object, a matrix from channels of incident light to those of reflected light
-    ambient_inputs: int  # channels of that incident light; 0 without ambient occlusion
-    shadows: MeshShadows
-    shadowed: int  # 1 if meshes occlude ambient light
     surfaces: Surfaces
     brought_singly: int  # number of objects onto which hit points are moved one by one, without vector functions
     scatters: int  # 1 if any surface has a diffuse or a gloss term
@@ -71,7 +66,7 @@ class PreparedWorld(NamedTuple):
     baked_first: np.ndarray  # (objects,) int64
     baked_size: np.ndarray  # (objects * 2,) columns and rows; 0 rows for a mesh
     baked_grid: np.ndarray  # (objects * GRID,) float64 middle and reach of a plane's map, mm; zeros for other shapes
-    baked_parts: np.ndarray  # (triangles,) int32, see `irodori.geometry.shapes.shadow_nodes.Nodes`
+    baked_parts: np.ndarray  # (triangles,) int32, see `irodori.geometry.shapes.surface_nodes.Nodes`
     baked_corner: np.ndarray  # (triangles,) int64, index of a triangle's first corner
     baked_corners: np.ndarray  # int32, nodes at the points of the triangles' grids
     baked_maps: int  # 1 if there are light maps, of all objects
@@ -420,7 +415,6 @@ def make_world(
     channels: Channels,
     functions: tuple[int, int, int],
     *,
-    ambient: bool,
     spare: int,
     maps: LightMaps | None,
 ) -> PreparedWorld:
@@ -433,8 +427,6 @@ def make_world(
     channels : Channels
     functions : (int, int, int)
         Addresses of rtcIntersect16, rtcOccluded16 and of their arguments.
-    ambient : bool
-        Whether objects occlude ambient light; light maps contain that already.
     spare : int
         Number of additional texels to allocate.
     maps : LightMaps, optional
@@ -447,14 +439,7 @@ def make_world(
     fields |= _surface_fields(objects, tracer, channels, spare) | colour_fields(channels)
     fields |= make_baked(maps, tracer.placements, channels)
     fields |= make_seen(maps, tracer.placements, channels)
-    reflected = np.stack([np.diag(mean) for mean in mean_spectra(objects)])
-    reflects = ambient and maps is None and fields["irradiance_side"] > 0
-    shadows = make_mesh_shadows(tracer) if reflects else None
     fields |= {
-        "ambient": padded(reflected, channels.surface) if reflects else np.zeros(0, np.float32),
-        "ambient_inputs": reflected.shape[1] if reflects else 0,
-        "shadows": shadows or no_mesh_shadows(),
-        "shadowed": int(shadows is not None),
         "intersect": functions[0],
         "occluded": functions[1],
         "query": functions[2],

@@ -5,9 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from irodori.geometry.shapes.mesh_shadow_nodes import lattice_place
-from irodori.geometry.shapes.shadow_nodes import warped_place
+from irodori.geometry.shapes.mesh_nodes import lattice_place
 from irodori.geometry.shapes.shape_rows import CENTRE, CURVATURE, MIRROR, SHAPE, TURN
+from irodori.geometry.shapes.surface_nodes import warped_place
 from irodori.jit.compilation import uncounted
 from irodori.jit.vector_memory import (
     channel_count,
@@ -23,7 +23,6 @@ from irodori.jit.vector_memory import (
 )
 from irodori.reflection.fresnel import fresnel
 from irodori.reflection.lobes import constants_of, features_of, strength, value_of
-from irodori.rendering.interactive.ambient import ambient_light
 from irodori.rendering.interactive.cube_maps import MapPlace, bilinear
 from irodori.rendering.interactive.look_ups import (
     decoded,
@@ -238,11 +237,8 @@ def shade_surfaces(job, scratch, base, seen):
         light = zeros_like(texel)
         if world.baked_maps > 0:
             light = _baked_light(world, hits, ray, shape, texel)
-        else:
-            if world.irradiance_side > 0:
-                light = bilinear(world.irradiance, 0, world.irradiance_side + 2, normal, texel)
-            if world.ambient_inputs > 0:
-                light = ambient_light(job, hits, ray, light)
+        elif world.irradiance_side > 0:
+            light = bilinear(world.irradiance, 0, world.irradiance_side + 2, normal, texel)
         if gloss_components(layout) > 1:
             like = load(world.further, 0, FURTHER)
             store(sums.gloss, 0, bilinear(world.further, world.further_first[shape], stride, at, like))

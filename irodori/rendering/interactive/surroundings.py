@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from irodori.geometry.shapes.placement import Placement, reaches
-from irodori.geometry.shapes.shadow_nodes import raised
+from irodori.geometry.shapes.surface_nodes import raised
 from irodori.rendering.interactive.cube_maps import FACES, face_directions, fill_borders
 from irodori.rendering.map_layouts import Points, make_layout
 

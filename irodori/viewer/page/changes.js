@@ -25,18 +25,20 @@
       hash === I.pageToHash(app.base, app.base) ? location.pathname + location.search : "#" + hash,
     );
     tellPicture();
-    if (app.renderer.knowsShadows(app.page.state)) return;
-    app.renderer.castShadows(app.page.state, () => {
+    if (knowsLight()) return;
+    app.renderer.findLight(app.page.state, app.page.compare, () => {
       app.redraw();
-      if (app.renderer.knowsShadows(app.page.state)) tellPicture();
+      if (knowsLight()) tellPicture();
     });
   }
+
+  const knowsLight = () => app.renderer.knowsLight(app.page.state, app.page.compare);
 
   function tellPicture() {
     const words = app.describe();
     if ($("live").textContent !== words) $("live").textContent = words;
     $("picture-help").textContent = words + " " + I.text("keys_" + app.tool);
-    $("updating").hidden = app.renderer.knowsShadows(app.page.state);
+    $("updating").hidden = knowsLight();
   }
 
   function put(next, smooth) {
@@ -93,5 +95,5 @@
     );
   }
 
-  Object.assign(app, { changed, settle, put, goTo, tell, say });
+  Object.assign(app, { changed, settle, put, goTo, tell, say, knowsLight });
 })(window.Irodori);

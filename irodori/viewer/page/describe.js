@@ -41,7 +41,7 @@
       parts.push(I.text("describe_overlay", { overlay: I.text("overlay_" + app.page.state.overlay) }));
     if (app.header.environments.length > 1)
       parts.push(I.text("describe_room", { room: I.nameOf("environment", light.environment) }));
-    if (!app.renderer.knowsShadows(app.page.state)) parts.push(I.text("shadows_updating"));
+    if (!app.knowsLight()) parts.push(I.text("light_updating"));
     const hidden = app.page.state.objects.filter((one) => !one.visible).map(objectWords);
     if (hidden.length) parts.push(I.text("describe_hidden", { names: hidden.join(", ") }));
     return parts.join(" ");

@@ -48,16 +48,16 @@ var Irodori = Irodori || {};
     return out;
   }
 
-  function onFace(face, u, v) {
+  const onFace = (Irodori.onFace = function (face, u, v) {
     const axis = face >> 1,
       unit = [0, 0, 0];
     unit[axis] = face & 1 ? -1 : 1;
     unit[(axis + 1) % 3] = u;
     unit[(axis + 2) % 3] = v;
     return unit;
-  }
+  });
 
-  function lookUp(map, width, side, unit, reach) {
+  const lookUp = (Irodori.lookUpCube = function (map, width, side, unit, reach) {
     const a = unit.map(Math.abs),
       axis = a[0] >= a[1] && a[0] >= a[2] ? 0 : a[1] >= a[2] ? 1 : 2;
     const face = 2 * axis + (unit[axis] < 0 ? 1 : 0);
@@ -73,7 +73,7 @@ var Irodori = Irodori || {};
     return (
       (map[at] * (1 - fx) + map[at + 1] * fx) * (1 - fy) + (map[at + width] * (1 - fx) + map[at + width + 1] * fx) * fy
     );
-  }
+  });
 
   // Fill the border of one texel of six faces from what the other faces show there.
   function fillBorders(map, side) {
@@ -312,63 +312,37 @@ var Irodori = Irodori || {};
     return { nodes, order };
   }
 
-  // What meshes hide, in one texture of 2048 columns: numbers of the nodes of all shapes, a texel and one a layer each;
-  // then the nodes at the places of the meshes' triangles, four a texel. Null where there is nothing of it.
-  Irodori.shadowTexture = function (data) {
-    const found = data.header.objects.flatMap((o, i) => {
-      if (!o.shadow) return [];
-      const plane = (name) => data.planes["object/" + i + "/shadow/" + name],
-        stride = 1 + o.shadow.layers.length;
-      return [
-        { object: i, stride, values: plane("values"), corners: plane("corners") || [], parts: plane("parts") || [] },
-      ];
-    });
-    if (!found.length) return null;
-    const size = (f) => f.values.length / (4 * f.stride - 1);
-    const texels = found.reduce((sum, f) => sum + size(f) * f.stride, 0),
-      places = found.reduce((sum, f) => sum + f.corners.length, 0);
-    const rows = Math.ceil((texels + places / 4) / 2048),
-      out = new Float32Array(4 * 2048 * rows),
-      of = {};
-    if (rows > LARGEST)
-      throw new Error(
-        "The data of this page: found " + texels + " nodes of shadows; accepted: as many as fit in a texture.",
-      );
-    let texel = 0,
-      corner = 4 * texels;
-    for (const f of found) {
-      const nodes = size(f),
-        numbers = 4 * f.stride - 1,
+  // The nodes at the places of the meshes' triangles, between which light is interpolated, four a texel of 2048
+  // columns; and by which traced nodes each is lit, where not all are. Null where no mesh has a light map.
+  Irodori.cornerTexture = function (data) {
+    const places = {};
+    let total = 0;
+    data.header.objects.forEach((o, i) => {
+      const plane = (name) => data.planes["object/" + i + "/map/" + name],
+        parts = plane("parts"),
         starts = [];
-      for (let n = 0; n < nodes; n++)
-        for (let c = 0; c < numbers; c++)
-          out[4 * (texel + n * f.stride) + c + (c > 2 ? 1 : 0)] = f.values[c * nodes + n];
-      out.set(f.corners, corner);
-      for (const part of f.parts) {
-        starts.push(corner);
-        corner += ((part + 1) * (part + 2)) / 2;
+      if (!parts) return;
+      for (let t = 0, start = 0; t < parts.length; t++) {
+        starts.push(start);
+        start += ((parts[t] + 1) * (parts[t] + 2)) / 2;
       }
-      of[f.object] = { first: texel, stride: f.stride, starts, parts: f.parts };
-      texel += nodes * f.stride;
-    }
-    return { data: out, width: 2048, height: rows, places: of };
-  };
-
-  // Bits of the objects whose stored shadows hold: they and all meshes stand as the scene has them.
-  Irodori.shadowed = function (header, state) {
-    const same = (a, b, turn) =>
-      a.every((x, i) => Math.abs(turn ? x - b[i] - 360 * Math.round((x - b[i]) / 360) : x - b[i]) < 1e-6);
-    const stands = header.objects.map((o, i) => {
-      const at = state.objects[i];
-      return at.visible && same(at.position_mm, o.position_mm, false) && same(at.turn_deg, o.rotation_deg, true);
+      const nodes = plane("corners"),
+        near = plane("near");
+      places[i] = { first: total, parts, starts, nodes, near, share: plane("share"), count: o.map.columns };
+      total += nodes.length;
     });
-    if (header.objects.some((o, i) => o.shape === "mesh" && !stands[i])) return 0;
-    return header.objects.reduce((bits, o, i) => (o.shadow && stands[i] ? bits | (1 << i) : bits), 0);
+    if (!total) return null;
+    const rows = Math.ceil(total / 4 / 2048),
+      out = new Float32Array(4 * 2048 * rows);
+    if (rows > LARGEST)
+      throw new Error("The data of this page: found " + total + " nodes; accepted: as many as fit in a texture.");
+    for (const one of Object.values(places)) out.set(one.nodes, one.first);
+    return { data: out, width: 2048, height: rows, places };
   };
 
   // Meshes of all objects in one texture of 2048 columns: nodes of all, two texels each; then triangles: three corners,
-  // three normals, and where their places among the shadows begin and in how many parts their edges are divided.
-  Irodori.meshTexture = function (data, shadows) {
+  // three normals, and where their places among the nodes begin and in how many parts their edges are divided.
+  Irodori.meshTexture = function (data, corners) {
     const found = [];
     data.header.objects.forEach((o, i) => {
       if (o.shape !== "mesh") return;
@@ -404,7 +378,15 @@ var Irodori = Irodori || {};
       triangle = 0;
     const places = {};
     for (const f of found) {
-      places[f.object] = { first: node, last: node + f.nodes.length, triangles: 2 * nodes + TRIANGLE * triangle };
+      const { low, high } = f.nodes[0];
+      places[f.object] = {
+        first: node,
+        last: node + f.nodes.length,
+        triangles: 2 * nodes + TRIANGLE * triangle,
+        order: f.order,
+        low,
+        high,
+      };
       f.nodes.forEach((one, i) => out.set([...one.low, node + one.skip, ...one.high, one.leaf], 8 * (node + i)));
       f.order.forEach((t, place) => {
         const to = 4 * (2 * nodes + TRIANGLE * (triangle + place)),
@@ -418,8 +400,8 @@ var Irodori = Irodori || {};
             out[to + 12 + 4 * c + a] = f.at(normals, f.corner(t, c), a);
           }
         uvs.forEach((x, i) => (out[to + 4 * i + 3] = x));
-        const hidden = shadows && shadows.places[f.object];
-        if (hidden) out.set([hidden.starts[t], hidden.parts[t]], to + 24);
+        const own = corners && corners.places[f.object];
+        if (own) out.set([own.first + own.starts[t], own.parts[t]], to + 24);
       });
       node += f.nodes.length;
       triangle += f.m;

@@ -7,8 +7,13 @@ var Irodori = Irodori || {};
   const MOST_LAMPS = 8,
     FEW = 16,
     MANY = 512,
-    ROW = 14;
+    ROW = 11;
   const KINDS = { sphere: 0, plate: 1, disc: 2, plane: 3, mesh: 4 };
+  const TEXTURES = "uShapes uForms uMaterials uSky uIrradiance uGloss uRows uMesh uCorners uLight".split(" ");
+  // Light maps: with every so many texels along a side, and cells; how many are kept.
+  const COARSE = [2, 2],
+    FINE = [1, 1],
+    KEPT = 6;
   const OVERLAYS = [null, "status", "uncertainty", "gamut"],
     MODES = [null, "wipe", "difference", "metamerism"];
   const radians = (x) => (x * Math.PI) / 180;
@@ -87,12 +92,12 @@ var Irodori = Irodori || {};
       this.lit = null;
       this.coloured = this.data.header.quadrature !== null;
       this.makeMaterials();
-      const shadows = Irodori.shadowTexture(this.data),
-        mesh = Irodori.meshTexture(this.data, shadows);
-      this.shadows = shadows ? shadows.places : {};
+      const corners = Irodori.cornerTexture(this.data),
+        mesh = Irodori.meshTexture(this.data, corners);
       this.meshes = mesh ? mesh.places : {};
-      this.moved = mesh && shadows ? new Irodori.MovedShadows(this.data, mesh, shadows) : null;
-      if (shadows) this.textures.uShadows = this.texture(shadows, gl.RGBA32F, gl.RGBA, gl.FLOAT, gl.NEAREST);
+      this.maps = this.data.header.ambient ? new Irodori.LightMaps(this.data, this.spectra, mesh, corners) : null;
+      this.baked = new Map();
+      if (corners) this.textures.uCorners = this.texture(corners, gl.RGBA32F, gl.RGBA, gl.FLOAT, gl.NEAREST);
       if (mesh) this.textures.uMesh = this.texture(mesh, gl.RGBA32F, gl.RGBA, gl.FLOAT, gl.NEAREST);
       this.makeLobes();
       this.programs = {};
@@ -183,7 +188,9 @@ var Irodori = Irodori || {};
         G: Math.ceil(k / 4),
         KS: this.spectra.widest,
         BOUNCES: header.max_bounces,
-        AMBIENT: Number(header.ambient),
+        BAKED: Number(header.ambient),
+        SEES: Number(header.ambient && this.parts > 0),
+        WIDE: this.coloured ? 4 : this.spectra.widest,
         COLOURED: Number(this.coloured),
         HAS_LIGHT: Number(light.sky.length > 0),
         SKY_LEVELS: light.sky.length,
@@ -191,8 +198,6 @@ var Irodori = Irodori || {};
         PARTS: this.parts,
         LOBES: Math.max(header.lobes.length, 1),
         HAS_MESH: has("mesh"),
-        HAS_DISC: has("disc"),
-        HAS_SHADOWS: Number(Object.keys(this.shadows).length > 0),
         TRIANGLE: Irodori.TRIANGLE,
         MOST_LAMPS,
         FEW,
@@ -280,10 +285,9 @@ var Irodori = Irodori || {};
     }
 
     // Rows of the scene's shapes where a state puts them.
-    shapes(state) {
+    shapes(state, baked) {
       const header = this.data.header,
-        out = new Float32Array(4 * ROW * header.objects.length),
-        cast = this.castFor(state);
+        out = new Float32Array(4 * ROW * header.objects.length);
       let hidden = 0;
       header.objects.forEach((o, i) => {
         const at = state.objects[i] || {},
@@ -306,56 +310,94 @@ var Irodori = Irodori || {};
         );
         const mesh = this.meshes[i];
         if (mesh) put(8, [mesh.first, mesh.last, mesh.triangles, o.scale]);
-        const shadow = this.shadows[i];
-        if (shadow) {
-          put(9, [shadow.first, shadow.stride]);
-          put(10, o.shadow.layers);
-          put(11, (cast && cast.grids[i]) || o.shadow.grid);
+        if (baked && baked.places[i]) {
+          put(9, baked.places[i]);
+          put(10, o.map.grid);
         }
         if (at.visible === false) hidden |= 1 << i;
       });
       return { data: out, hidden };
     }
 
-    // What rays found of the shadows of meshes for a state that is not the scene's own, null where nothing yet.
-    castFor(state) {
-      const found = this.moved && this.moved.found;
-      return found &&
-        Irodori.shadowed(this.data.header, state) !== this.allShadowed() &&
-        found.key === Irodori.MovedShadows.key(state)
-        ? found
-        : null;
+    // The light map of a state, null where none is known. A coarse one is made at once where that takes no time.
+    bakedFor(state, isRGB) {
+      if (!this.maps) return null;
+      const kept = this.baked.get(this.lightKey(state, isRGB));
+      if (kept) return kept;
+      const isQuick = Object.keys(this.meshes).length === 0,
+        transfer = this.maps.transfer(state, COARSE) || (isQuick && this.maps.trace(state, COARSE));
+      return transfer ? this.bake(transfer, COARSE, state, isRGB) : null;
     }
 
-    allShadowed() {
-      return this.data.header.objects.reduce((bits, one, i) => (one.shadow ? bits | (1 << i) : bits), 0);
+    lightKey(state, isRGB) {
+      const { environment, turn_deg, illuminant, lamps } = state.light;
+      return JSON.stringify([
+        Irodori.LightMaps.arrangement(state),
+        [environment, turn_deg, illuminant, lamps, state.observer, isRGB],
+      ]);
     }
 
-    // Whether shadows of meshes are known for a state, all of them as finely as they get.
-    knowsShadows(state) {
-      const cast = this.castFor(state);
-      return Irodori.shadowed(this.data.header, state) === this.allShadowed() || Boolean(cast && cast.done);
+    bake(transfer, fineness, state, isRGB) {
+      const gl = this.gl,
+        key = this.lightKey(state, isRGB),
+        constants = this.spectra.constants(state.light, state.observer, isRGB),
+        lanes = this.coloured && this.spectra.channels(constants).light,
+        wide = this.coloured ? 4 : this.spectra.widest;
+      // Numbers of a texel by the vectors of its light: in each channel of colours, or XYZ by the surface's vectors.
+      const shown = (number, vectors) => {
+        const columns = lanes
+          ? vectors.map((v) => Array.from({ length: 16 }, (_, i) => lanes(v)[i] || 0))
+          : vectors.map((v) =>
+              this.spectra.objects[number].basis.flatMap((s) => [...this.spectra.pair(constants, v, s), 0]),
+            );
+        return columns[0].map((_, n) => columns.map((column) => column[n]));
+      };
+      const image = this.maps.texture(transfer, state, this.lamps(state.light.lamps || []), wide, shown),
+        made = this.texture(image, gl.RGBA32F, gl.RGBA, gl.FLOAT, gl.NEAREST),
+        old = this.baked.get(key);
+      if (old) gl.deleteTexture(old.made.texture);
+      this.baked.delete(key);
+      this.baked.set(key, { made, fineness, places: image.places });
+      for (const [other, { made: spare }] of this.baked) {
+        if (this.baked.size <= KEPT) break;
+        gl.deleteTexture(spare.texture);
+        this.baked.delete(other);
+      }
+      return this.baked.get(key);
     }
 
-    // Find the shadows of meshes for a state; see moved_shadows.js.
-    async castShadows(state, shown) {
-      if (this.lost || this.knowsShadows(state)) return true;
-      const moved = this.moved;
-      return moved.cast(JSON.parse(JSON.stringify(state)), () => {
-        if (moved !== this.moved) return; // of a context that was lost meanwhile
-        const gl = this.gl,
-          old = this.textures.uMovedShadows,
-          { width, height } = this.moved.shadows;
-        if (old) gl.deleteTexture(old.texture);
-        this.textures.uMovedShadows = this.texture(
-          { data: this.moved.found.data, width, height },
-          gl.RGBA32F,
-          gl.RGBA,
-          gl.FLOAT,
-          gl.NEAREST,
-        );
+    // The states whose light a picture shows, and whether as a plain renderer computes.
+    static lit(state, compare) {
+      if (!compare) return [[state, false]];
+      if (compare.mode === "rgb")
+        return [
+          [state, false],
+          [state, true],
+        ];
+      return [
+        [state, false],
+        [{ ...state, light: { ...state.light, ...compare.other } }, false],
+      ];
+    }
+
+    // Whether the light on the objects is known as finely as it gets.
+    knowsLight(state, compare) {
+      return Irodori.Renderer.lit(state, compare).every(
+        ([one, isRGB]) => !this.maps || this.baked.get(this.lightKey(one, isRGB))?.fineness === FINE,
+      );
+    }
+
+    // Find the light on the objects, coarsely and then finely; `shown` is called after each. See light_maps.js.
+    async findLight(state, compare, shown) {
+      const asked = JSON.parse(JSON.stringify([state, compare ?? null]));
+      for (const fineness of [COARSE, FINE]) {
+        if (this.lost || this.knowsLight(...asked)) return;
+        const maps = this.maps,
+          transfer = maps.transfer(asked[0], fineness) || (await maps.traceSlowly(asked[0], fineness));
+        if (!transfer || maps !== this.maps || this.lost) return; // something moved, or the context was lost meanwhile
+        for (const [one, isRGB] of Irodori.Renderer.lit(...asked)) this.bake(transfer, fineness, one, isRGB);
         if (shown) shown();
-      });
+      }
     }
 
     // What depends on spectra, made anew only where light, observer or lamps have other colours.
@@ -375,14 +417,14 @@ var Irodori = Irodori || {};
       let width, rows, data;
       if (!this.coloured) {
         width = Math.max(constants.basis.length, 1) * KS;
-        rows = n * (n + 1) + Math.max(constants.spectra.length, 1) * n;
+        rows = n + Math.max(constants.spectra.length, 1) * n;
         data = spectra.forms(constants, width, rows);
         found.light = new Float32Array(constants.basis.flatMap((b) => constants.xyz(b)));
         found.lamps = new Float32Array(constants.spectra.flatMap((s) => constants.xyz(s).map((x) => x / Math.PI)));
       } else {
         const channels = spectra.channels(constants),
           padded = (values) => Array.from({ length: 16 }, (_, i) => values[i] || 0);
-        width = 4 * KS + 12;
+        width = 4 * KS + 8;
         rows = n;
         data = new Float32Array(4 * width * rows);
         spectra.objects.forEach((object, o) => {
@@ -394,7 +436,6 @@ var Irodori = Irodori || {};
             Array.from({ length: 16 }, (_, i) => index[i] || 1),
           );
           put(4 * KS + 4, absorption);
-          put(4 * KS + 8, channels.surface(object.mean));
         });
         found.light = new Float32Array(constants.basis.flatMap((b) => padded(channels.light(b))));
         found.lamps = new Float32Array(
@@ -453,7 +494,8 @@ var Irodori = Irodori || {};
         light = this.lights[Math.max(this.data.header.environments.indexOf(state.light.environment), 0)];
       const program = light.program,
         colours = this.colours(state, isRGB),
-        shapes = this.shapes(state);
+        baked = this.bakedFor(state, isRGB),
+        shapes = this.shapes(state, baked);
       const place = (name) => program.place(name);
       gl.useProgram(program.program);
       gl.bindVertexArray(this.vertices);
@@ -467,12 +509,8 @@ var Irodori = Irodori || {};
         gl.FLOAT,
         gl.NEAREST,
       );
-      const textures = { ...this.textures, ...light.textures },
-        cast = this.castFor(state);
-      if (cast) textures.uShadows = this.textures.uMovedShadows;
-      ["uShapes", "uForms", "uMaterials", "uSky", "uIrradiance", "uGloss", "uRows", "uMesh", "uShadows"].forEach(
-        (name, unit) => this.setTexture(program, name, textures[name], unit),
-      );
+      const textures = { ...this.textures, ...light.textures, uLight: baked ? baked.made : this.textures.uShapes };
+      for (const [unit, name] of TEXTURES.entries()) this.setTexture(program, name, textures[name], unit);
       const { eye, right, up, back } = Irodori.frame(state.camera),
         opposite = (v) => v.map((x) => -x);
       gl.uniform3fv(place("uEye"), eye);
@@ -494,7 +532,7 @@ var Irodori = Irodori || {};
       );
       gl.uniform1f(place("uLeast"), this.data.header.least_throughput);
       gl.uniform1i(place("uHidden"), shapes.hidden);
-      gl.uniform1i(place("uShadowed"), cast ? this.allShadowed() : Irodori.shadowed(this.data.header, state));
+      gl.uniform1i(place("uBaked"), Number(baked !== null));
       gl.uniform1f(place("uPowerScale"), this.atlas.scale);
       const groups = Math.ceil(this.spectra.lights[light.number].basis.length / 4);
       const scale = Array.from({ length: 4 * groups }, (_, i) => light.scale[i] || 1);

@@ -50,6 +50,7 @@ Irodori.selftest = async function (renderer) {
       [height, width] = check.size;
     Object.assign(state.light, check.light);
     state.observer = check.observer;
+    await renderer.findLight(state);
     const start = performance.now(),
       xyz = renderer.readXYZ(state, width, height),
       wanted = planes["selftest/" + number];

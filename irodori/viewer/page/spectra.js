@@ -15,7 +15,7 @@ Irodori.Spectra = class {
     });
     this.objects = data.header.objects.map((entry, i) => {
       const plane = (name) => this.planes["object/" + i + "/" + name];
-      return { basis: rows(plane("basis"), entry.bases), mean: plane("mean"), index: rows(plane("index"), 2) };
+      return { basis: rows(plane("basis"), entry.bases), index: rows(plane("index"), 2) };
     });
   }
 
@@ -131,37 +131,32 @@ Irodori.Spectra = class {
     };
   }
 
+  // XYZ of light times surface; as a plain renderer computes it where the constants are those of one.
+  pair(constants, light, surface) {
+    if (!constants.rgb) return constants.xyz(Array.from(light, (x, i) => x * surface[i]));
+    const a = constants.rgb.light(light),
+      b = constants.rgb.surface(surface);
+    return constants.rgb.back.map((row) => row.reduce((sum, x, i) => sum + x * a[i] * b[i], 0));
+  }
+
   // XYZ of light times surface for every pair of their vectors: rows and columns as the shader reads them.
   forms(constants, width, rows) {
     const n = this.objects.length,
       out = new Float32Array(4 * width * rows),
       KS = this.widest;
     const put = (row, column, xyz) => out.set(xyz, 4 * (row * width + column));
-    const pair = (light, surface, mean) => {
-      if (!constants.rgb) return constants.xyz(light.map((x, i) => x * surface[i] * (mean ? mean[i] : 1)));
-      const a = constants.rgb.light(light),
-        b = constants.rgb.surface(surface),
-        c = mean ? constants.rgb.surface(mean) : [1, 1, 1];
-      return constants.rgb.back.map((row) => row.reduce((sum, x, i) => sum + x * a[i] * b[i] * c[i], 0));
-    };
-    this.objects.forEach((object, o) => {
-      for (let by = -1; by < n; by++) {
-        constants.basis.forEach((light, i) =>
-          object.basis.forEach((surface, j) =>
-            put(o * (n + 1) + by + 1, i * KS + j, pair(light, surface, by < 0 ? null : this.objects[by].mean)),
+    this.objects.forEach((object, o) =>
+      object.basis.forEach((surface, j) => {
+        constants.basis.forEach((light, i) => put(o, i * KS + j, this.pair(constants, light, surface)));
+        constants.spectra.forEach((light, l) =>
+          put(
+            n + l * n + o,
+            j,
+            this.pair(constants, light, surface).map((x) => x / Math.PI),
           ),
         );
-      }
-      constants.spectra.forEach((light, l) =>
-        object.basis.forEach((surface, j) =>
-          put(
-            n * (n + 1) + l * n + o,
-            j,
-            pair(light, surface, null).map((x) => x / Math.PI),
-          ),
-        ),
-      );
-    });
+      }),
+    );
     return out;
   }
 

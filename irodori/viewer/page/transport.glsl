@@ -38,9 +38,9 @@ uniform vec2 uLadder[LOBES];
 #if HAS_MESH
 uniform sampler2D uMesh;
 #endif
-#if HAS_SHADOWS
-uniform sampler2D uShadows;   // numbers of nodes, see maps.js
-uniform int uShadowed;        // bits of objects from which meshes hide light
+#if BAKED
+uniform sampler2D uLight, uCorners; // light maps, and the nodes at places on meshes; see light_maps.js and maps.js
+uniform bool uBaked;          // whether they are known
 #endif
 uniform int uLamps;
 uniform vec4 uLamp[MOST_LAMPS];     // direction and -1 of a far lamp, or position and radius, mm
@@ -289,119 +289,6 @@ vec3 raised(Place place, float reach) {
   return place.point + max(max(a.x, a.y), max(a.z, reach)) * RISE * place.facet;
 }
 
-// ---- shadows from all sides -----------------------------------------------------------------------------------------
-
-#if AMBIENT
-float hiddenBySphere(float cosine, float distance_, float radius) {
-  if (distance_ <= radius) return 0.0;
-  float ratio = distance_ / radius, square = ratio * ratio;
-  if (cosine * ratio >= 1.0) return cosine / square;
-  if (cosine * ratio <= -1.0) return 0.0;
-  float cut = 1.0 - square * cosine * cosine;
-  float turn = acos(clamp(-cosine * sqrt((square - 1.0) / (1.0 - cosine * cosine)), -1.0, 1.0));
-  float part = (cosine * turn - sqrt(cut * (square - 1.0))) / square + atan(sqrt(cut / (square - 1.0)));
-  return max(part / PI, 0.0);
-}
-float edge(vec3 normal, vec3 a, vec3 b) {
-  vec3 c = cross(a, b);
-  float sine = length(c);
-  return sine <= 0.0 ? 0.0 : atan(sine, dot(a, b)) * dot(normal, c) / sine;
-}
-float hiddenByCorners(vec3 normal, vec3 corner[4]) {
-  float found = 0.0;
-  vec3 first = vec3(0.0), last = vec3(0.0);
-  bool begun = false;
-  for (int i = 0; i < 4; i++) {
-    vec3 a = corner[i], b = corner[(i + 1) % 4], start = a, end = b;
-    float ha = dot(a, normal), hb = dot(b, normal);
-    if (ha <= 0.0 && hb <= 0.0) continue;
-    if (ha * hb < 0.0) {
-      vec3 middle = a + ha / (ha - hb) * (b - a);
-      if (ha > 0.0) end = middle; else start = middle;
-    }
-    if (begun) found += edge(normal, last, start);
-    else { first = start; begun = true; }
-    found += edge(normal, start, end);
-    last = end;
-  }
-  if (begun) found += edge(normal, last, first);
-  return abs(found) / (2.0 * PI);
-}
-#if HAS_DISC
-float primitive_(float tau, float a, float b, float s, float k, float swing, float root, float ratio) {
-  if (swing <= 1e-5 * k) return (a * tau + b * sin(tau) + s * (1.0 - cos(tau))) / k;
-  float plain = 2.0 / root * atan(ratio * sin(0.5 * tau), cos(0.5 * tau));
-  // The arc tangent of a full turn: beyond half a turn either way it goes on.
-  if (tau > PI) plain += 2.0 * PI / root * step(plain, 0.0);
-  if (tau < -PI) plain -= 2.0 * PI / root * step(0.0, plain);
-  float rise = log(1.0 + swing * (cos(tau) - 1.0) / (k + swing));
-  return b / swing * tau + (a - b * k / swing) * plain - s / swing * rise;
-}
-float hiddenByDisc(vec3 normal, vec3 centre, mat3 axes, float radius) {
-  vec3 c = centre * axes, n = normal * axes;
-  float across = length(c.xy), low = (radius - across) * (radius - across) + c.z * c.z;
-  float high = (radius + across) * (radius + across) + c.z * c.z;
-  if (low <= 0.0) return 0.0;
-  float middle = dot(c, n), swing = radius * length(n.xy);
-  if (middle <= -swing) return 0.0;
-  bool whole = middle >= swing;
-  float half_ = whole ? PI : acos(-middle / swing);
-  float top = length(n.xy) > 0.0 ? atan(n.y, n.x) : 0.0, towards = across > 0.0 ? atan(c.y, c.x) : 0.0;
-  float b0 = radius * (c.z * n.x - c.x * n.z), s0 = radius * (c.z * n.y - c.y * n.z);
-  float b = b0 * cos(towards) + s0 * sin(towards), s = s0 * cos(towards) - b0 * sin(towards);
-  float a = radius * radius * n.z, k = 0.5 * (low + high), change = 0.5 * (high - low);
-  float start = -PI, end = PI;
-  if (!whole) {
-    float way = top - towards;
-    way -= 2.0 * PI * floor(way / (2.0 * PI) + 0.5);
-    start = way - half_;
-    end = way + half_;
-  }
-  float root = sqrt(low * high), ratio = sqrt(low / high);
-  float found = primitive_(end, a, -b, -s, k, change, root, ratio)
-    - primitive_(start, a, -b, -s, k, change, root, ratio);
-  if (!whole) {
-    vec2 p = c.xy + radius * vec2(cos(top + half_), sin(top + half_));
-    vec2 q = c.xy + radius * vec2(cos(top - half_), sin(top - half_));
-    float turned = n.x * (p.y * c.z - c.z * q.y) + n.y * (c.z * q.x - p.x * c.z) + n.z * (p.x * q.y - p.y * q.x);
-    found += atan(turned, dot(p, q) + c.z * c.z);
-  }
-  return min(abs(found) / (2.0 * PI), 1.0);
-}
-#endif
-// What a shape hides of the hemisphere above a point, and the normal of the side that faces it: 0 of a black back.
-float hides(int object, vec3 point, vec3 normal, out vec3 facing) {
-  vec4 centre = shapeRow(object, 0), size = shapeRow(object, 4);
-  vec3 away = centre.xyz - point;
-  int kind = int(size.w);
-  facing = vec3(0.0);
-  if (kind == 4) return 0.0;
-  if (kind == 0) {
-    float distance_ = length(away);
-    if (distance_ <= 0.0) return 0.0;
-    facing = -away / distance_;
-    return hiddenBySphere(dot(away, normal) / distance_, distance_, centre.w);
-  }
-  mat3 turn = turnOf(object);
-  bool behind = dot(away, turn[2]) >= 0.0;
-  if (!behind) facing = turn[2];
-  if (kind == 1) {
-    vec3 u = 0.5 * size.x * turn[0], v = 0.5 * size.y * turn[1], corner[4];
-    corner[0] = away - u - v;
-    corner[1] = away + u - v;
-    corner[2] = away + u + v;
-    corner[3] = away - u + v;
-    return hiddenByCorners(normal, corner);
-  }
-  if (kind == 3) return 0.5 * (1.0 - (behind ? -1.0 : 1.0) * dot(normal, turn[2]));
-#if HAS_DISC
-  return hiddenByDisc(normal, away, turn, centre.w);
-#else
-  return 0.0;
-#endif
-}
-#endif
-
 // ---- surfaces -------------------------------------------------------------------------------------------------------
 
 struct Surface { float s[KS]; vec4 gloss; vec2 about; };
@@ -428,27 +315,25 @@ Colour surfaceColour(int object, Surface surface) {
   for (int j = 0; j < KS; j++) out_ += surface.s[j] * formsMatrix(4 * j, object);
   return out_;
 }
-Colour diffuse(int object, int by, Surface surface, Light light) { // by: -1, or the object that reflects the light
-  Colour out_ = PRODUCT(surfaceColour(object, surface), decoded(light)) / PI;
-  return by < 0 ? out_ : PRODUCT(out_, formsMatrix(4 * KS + 8, by));
+Colour diffuse(int object, Surface surface, Light light) {
+  return PRODUCT(surfaceColour(object, surface), decoded(light)) / PI;
 }
 Colour lampDiffuse(int object, int lamp, Surface surface) {
   return PRODUCT(surfaceColour(object, surface), uLampColour[lamp]);
 }
 #else
-Colour diffuse(int object, int by, Surface surface, Light light) {
-  int row = object * (OBJECTS + 1) + by + 1;
+Colour diffuse(int object, Surface surface, Light light) {
   Colour out_ = vec3(0.0);
   for (int i = 0; i < K; i++) {
     Colour one = vec3(0.0);
-    for (int j = 0; j < KS; j++) one += surface.s[j] * texelFetch(uForms, ivec2(i * KS + j, row), 0).xyz;
+    for (int j = 0; j < KS; j++) one += surface.s[j] * texelFetch(uForms, ivec2(i * KS + j, object), 0).xyz;
     out_ += light.g[i / 4][i % 4] * one;
   }
   return out_ / PI;
 }
 Colour lampDiffuse(int object, int lamp, Surface surface) {
   Colour out_ = vec3(0.0);
-  int row = OBJECTS * (OBJECTS + 1) + lamp * OBJECTS + object;
+  int row = OBJECTS + lamp * OBJECTS + object;
   for (int j = 0; j < KS; j++) out_ += surface.s[j] * texelFetch(uForms, ivec2(j, row), 0).xyz;
   return out_;
 }
@@ -476,16 +361,20 @@ float lobeValue(int lobe, float place, vec3 view, vec3 to, vec3 normal, float co
   return min(min(facet * cosI, 1.0) / cosR, facet) * exp(-phi * phi / (mu * mu)) / (mu * mu);
 }
 
-Colour lobeLight(
-  int object, int lobe, float power, float place, vec3 normal, vec3 mirror, float cosine, float through
-) {
+// What a glossy surface reflects: light from all around, or what another surface sends where the mirrored ray meets it.
+struct Gloss { int object; vec4 gloss; vec3 normal, mirror; float cosine, through; };
+
+Colour lobeLight(Gloss of, int c, bool isMet, Colour sent) {
   Colour sum_ = Colour(0.0);
-#if GLOSS_LEVELS > 0
+#if GLOSS_LEVELS > 0 || BAKED
+  int object = of.object, lobe = int(shapeRow(object, 7)[c]);
+  float power = of.gloss[2 * c], place = of.gloss[2 * c + 1], cosine = of.cosine;
+  if (lobe < 0 || power * of.through <= uLeast / 4.0) return sum_;
   vec4 index = shapeRow(object, 6);
   float x = sqrt(cosine) * 16.0, y = clamp(place, 0.0, 16.0);
   int column = min(int(x), 15), row = min(int(y), 15);
   float fx = x - float(column), fy = y - float(row), sine2 = 1.0 - cosine * cosine;
-  vec3 n = uLightFromWorld * normal, r = uLightFromWorld * mirror;
+  vec3 n = uLightFromWorld * of.normal, r = uLightFromWorld * of.mirror;
   for (int part = 0; part < PARTS; part++) {
     vec4 v[4];
     int top = (lobe * PARTS + part) * 17 + row;
@@ -499,17 +388,24 @@ Colour lobeLight(
     tap[1] = v[1].xyz;
     tap[2] = vec3(v[1].w, v[2].xy);
     tap[3] = vec3(v[2].zw, v[3].x);
+#if GLOSS_LEVELS > 0
     float level = clamp(v[0].x - uGlossFirst, 0.0, float(GLOSS_LEVELS - 1));
     int lower = int(level);
+#endif
     for (int i = 0; i < 4; i++) {
       float weight = tap[i].x * power;
 #if COLOURED
       Colour passed = weight * reflectance(object, tap[i].z);
-      if (greatest(passed) * through <= uLeast / 4.0) continue;
+      if (greatest(passed) * of.through <= uLeast / 4.0) continue;
 #else
       float passed = weight * fresnel(tap[i].z, index.x, index.y);
-      if (passed * through <= uLeast / 4.0) continue;
+      if (passed * of.through <= uLeast / 4.0) continue;
 #endif
+      if (isMet) {
+        sum_ += PRODUCT(passed, sent);
+        continue;
+      }
+#if GLOSS_LEVELS > 0
       float p = tap[i].y, q = sqrt(max(1.0 - p * p * sine2, 0.0)) - p * cosine;
       vec3 d = p * r + q * n;
       Light found = lookUp(uGloss, uGlossLevel[lower], d);
@@ -518,6 +414,7 @@ Colour lobeLight(
         found = mixed(found, lookUp(uGloss, uGlossLevel[upper], d), level - float(lower));
       }
       sum_ += PRODUCT(passed, decoded(found));
+#endif
     }
   }
 #endif
@@ -525,11 +422,10 @@ Colour lobeLight(
 }
 #endif
 
-#if HAS_SHADOWS
-struct About { ivec4 node; vec4 weight; };
+#if BAKED
+struct About { ivec4 texel; vec4 weight; };
 
-vec4 shadowTexel(int number) { return texelFetch(uShadows, ivec2(number % 2048, number / 2048), 0); }
-int shadowCorner(int number) { return int(shadowTexel(number / 4)[number % 4]); }
+int cornerAt(int number) { return int(texelFetch(uCorners, ivec2(number / 4 % 2048, number / 8192), 0)[number % 4]); }
 
 About gridPlace(vec2 at, ivec2 size, bool wraps) {
   at.y = clamp(at.y, 0.0, float(size.y - 1));
@@ -543,12 +439,10 @@ About gridPlace(vec2 at, ivec2 size, bool wraps) {
 float warped(float offset) {
   return abs(offset) <= 1.0 ? 0.5 * offset : sign(offset) * (1.0 - 0.5 / abs(offset));
 }
-// The nodes about a hit, and their weights; see irodori/geometry/shapes.
-About nodesAbout(int object, Place place, Hit hit) {
+// The texels of its light map about a hit, and their weights; see irodori/rendering/map_layouts.py.
+About texelsAbout(int object, Place place, Hit hit) {
   int kind = int(shapeRow(object, 4).w);
-  vec4 one = shapeRow(object, 11), two = shapeRow(object, 12), three = shapeRow(object, 13);
-  ivec2 size = ivec2(one.xy);
-  if (kind == 0) return gridPlace(place.uv * one.xy - 0.5, size, true);
+  vec2 size = shapeRow(object, 9).zy;
 #if HAS_MESH
   if (kind == 4) {
     vec4 where = meshTexel(int(shapeRow(object, 8).z) + TRIANGLE * hit.triangle + 6);
@@ -559,26 +453,39 @@ About nodesAbout(int object, Place place, Hit hit) {
     int here = first + j * (parts + 1) - j * (j - 1) / 2 + i, above = here + parts + 1 - j;
     bool last = i + j == parts - 1;
     if (last && f.x + f.y > 1.0) f = vec2(f.x / (f.x + f.y), f.y / (f.x + f.y));
-    if (last || f.x + f.y <= 1.0) {
-      return About(
-        ivec4(shadowCorner(here), shadowCorner(here + 1), shadowCorner(above), 0), vec4(1.0 - f.x - f.y, f, 0.0)
-      );
-    }
-    return About(
-      ivec4(shadowCorner(above + 1), shadowCorner(above), shadowCorner(here + 1), 0),
-      vec4(f.x + f.y - 1.0, 1.0 - f, 0.0)
-    );
+    if (last || f.x + f.y <= 1.0)
+      return About(ivec4(cornerAt(here), cornerAt(here + 1), cornerAt(above), 0), vec4(1.0 - f.x - f.y, f, 0.0));
+    ivec3 others = ivec3(cornerAt(above + 1), cornerAt(above), cornerAt(here + 1));
+    return About(ivec4(others, 0), vec4(f.x + f.y - 1.0, 1.0 - f, 0.0));
   }
 #endif
-  vec3 offset = (place.point - shapeRow(object, 0).xyz) * turnOf(object);
-  vec2 far = (offset.xy - one.zw) / two.xy;
-  return gridPlace((vec2(warped(far.x), warped(far.y)) - two.zw) * three.xy, size, false);
+  if (kind == 3) {
+    vec4 grid = shapeRow(object, 10);
+    vec2 far = (((place.point - shapeRow(object, 0).xyz) * turnOf(object)).xy - grid.xy) / grid.zw;
+    return gridPlace((0.5 + 0.5 * vec2(warped(far.x), warped(far.y))) * size - 0.5, ivec2(size), false);
+  }
+  return gridPlace(place.uv * size - 0.5, ivec2(size), kind == 0);
 }
-vec4 shadowMixed(int object, About about, int layer) {
-  ivec2 where = ivec2(shapeRow(object, 9).xy); // the first texel, and texels a node
+vec4 lightOf(int object, About about, int number) {
+  int first = int(shapeRow(object, 9).x) + number;
   vec4 found = vec4(0.0);
-  for (int i = 0; i < 4; i++) found += about.weight[i] * shadowTexel(where.x + about.node[i] * where.y + layer);
+  for (int i = 0; i < 4; i++) {
+    int at = first + about.texel[i] * WIDE;
+    found += about.weight[i] * texelFetch(uLight, ivec2(at % 2048, at / 2048), 0);
+  }
   return found;
+}
+Colour baked(int object, Place place, Hit hit, Surface surface) {
+  About about = texelsAbout(object, place, hit);
+#if COLOURED
+  mat4 light;
+  for (int i = 0; i < 4; i++) light[i] = lightOf(object, about, i);
+  return PRODUCT(surfaceColour(object, surface), light);
+#else
+  Colour out_ = vec3(0.0);
+  for (int j = 0; j < KS; j++) out_ += surface.s[j] * lightOf(object, about, j).xyz;
+  return out_;
+#endif
 }
 #endif
 
@@ -664,58 +571,19 @@ Colour lampLight(int object, int lamp, Place place, vec3 view, Surface surface, 
   return free == asked ? level / float(few) * whole : level / float(MANY) * part;
 }
 
-Colour shade(int object, Place place, Ray ray, Surface surface, vec3 mirror, Hit met, float through) {
+// Light that a surface sends to the eye, without what its gloss shows of the light from all around.
+Colour shade(int object, Place place, Ray ray, Surface surface, Hit met) {
   Colour sum_ = Colour(0.0);
+#if BAKED
+  if (uBaked) sum_ += baked(object, place, met, surface);
+  else
+#endif
+  {
 #if HAS_LIGHT
-  Light own = irradianceAt(place.normal);
-#if AMBIENT
-  float seen = 1.0, hidden = 0.0;
-  Colour reflected = Colour(0.0);
-  for (int other = 0; other < OBJECTS; other++) {
-    if (other == object || ((uHidden >> other) & 1) == 1) continue;
-    vec3 facing;
-    float share = hides(other, place.point, place.normal, facing);
-    if (share <= 0.0) continue;
-    seen *= 1.0 - share;
-    hidden += share;
-    if (dot(facing, facing) > 0.0) reflected += share * diffuse(object, other, surface, irradianceAt(facing));
+    sum_ += diffuse(object, surface, irradianceAt(place.normal));
+#endif
   }
-#if HAS_SHADOWS
-  if (((uShadowed >> object) & 1) == 1) {
-    About about = nodesAbout(object, place, met);
-    // What meshes leave of the free directions, of those to other shapes; and theirs.
-    vec4 rest = shadowMixed(object, about, 0);
-    seen *= rest.x;
-    hidden = rest.y * hidden + rest.z;
-    reflected *= rest.y;
-    int layers = int(shapeRow(object, 9).y) - 1;
-    vec4 meshes = shapeRow(object, 10);
-    for (int layer = 0; layer < layers; layer++) {
-      vec4 one = shadowMixed(object, about, layer + 1); // a share, and the sum of the normals there
-      if (one.x <= 0.0) continue;
-      vec3 facing = dot(one.yzw, one.yzw) < 1e-4 * one.x * one.x ? -place.normal : one.yzw;
-      reflected += one.x * diffuse(object, int(meshes[layer]), surface, irradianceAt(facing));
-    }
-  }
-#endif
-  sum_ += seen * diffuse(object, -1, surface, own);
-  if (hidden > 0.0) sum_ += ((1.0 - seen) / hidden) * reflected;
-#else
-  sum_ += diffuse(object, -1, surface, own);
-#endif
-#endif
   for (int lamp = 0; lamp < uLamps; lamp++) sum_ += lampLight(object, lamp, place, -ray.d, surface, met);
-#if PARTS > 0
-  vec4 lobes = shapeRow(object, 7);
-#endif
-#if PARTS > 0
-  for (int c = 0; c < 2; c++) {
-    float power = surface.gloss[2 * c];
-    if (lobes[c] < 0.0 || power * through <= uLeast / 4.0) continue;
-    float shape = surface.gloss[2 * c + 1];
-    sum_ += lobeLight(object, int(lobes[c]), power, shape, place.normal, mirror, place.cosine, through);
-  }
-#endif
   return sum_;
 }
 
@@ -729,13 +597,33 @@ void main() {
   Colour passed = mat4(vec4(1.0), vec4(1.0), vec4(1.0), vec4(1.0));
 #endif
   int own = -1, skip = -1;
+#if PARTS > 0
+  Gloss before; // of the surface whose mirrored ray is followed, and what its light has passed until there
+  Colour passedBefore = Colour(1.0);
+  before.object = -1;
+#endif
   outXYZ = vec4(0.0, 0.0, 0.0, -1.0);
   outPlace = vec4(0.0, 0.0, -1.0, 0.0);
   outPoint = vec4(0.0);
-  for (int bounce = 0; bounce <= BOUNCES; bounce++) {
+  for (int bounce = 0; bounce <= BOUNCES + SEES; bounce++) {
     Hit hit = Hit(1e30, -1, -1, vec2(0.0));
     meet(ray, own, skip, false, hit);
-    if (hit.object < 0) {
+    int object = hit.object;
+    bool isMet = object >= 0, front = false;
+    Place place;
+    Surface surface;
+    Colour sent = Colour(0.0);
+    if (isMet) {
+      front = placed(ray, hit, place);
+      surface = surfaceAt(object, place.uv);
+      if (front) sent = shade(object, place, ray, surface, hit);
+    }
+#if SEES
+    if (before.object >= 0)
+      for (int c = 0; c < 2; c++) sum_ += PRODUCT(passedBefore, lobeLight(before, c, isMet && uBaked, sent));
+    if (bounce > BOUNCES || through <= uLeast) break;
+#endif
+    if (!isMet) {
 #if HAS_LIGHT
 #if COLOURED
       sum_ += PRODUCT(passed, decoded(skyAt(ray.d, spread)));
@@ -745,10 +633,6 @@ void main() {
 #endif
       break;
     }
-    Place place;
-    bool front = placed(ray, hit, place);
-    int object = hit.object;
-    Surface surface = surfaceAt(object, place.uv);
     if (bounce == 0) {
       outXYZ.w = float(object);
       outPlace = vec4(place.uv, surface.about);
@@ -756,18 +640,32 @@ void main() {
     }
     if (!front) break;
     vec3 mirror = ray.d + 2.0 * place.cosine * place.normal;
-    Colour added = shade(object, place, ray, surface, mirror, hit, through);
     width += hit.t * spread;
 #if COLOURED
-    sum_ += PRODUCT(passed, added);
+    sum_ += PRODUCT(passed, sent);
+#else
+    Colour passed = Colour(through);
+    sum_ += passed * sent;
+#endif
+#if PARTS > 0
+    before = Gloss(object, surface.gloss, place.normal, mirror, place.cosine, through);
+    passedBefore = passed;
+#if !SEES
+    for (int c = 0; c < 2; c++) sum_ += PRODUCT(passed, lobeLight(before, c, false, sent));
+#endif
+#endif
+#if COLOURED
     passed = PRODUCT(passed, shapeRow(object, 6).z * reflectance(object, place.cosine));
     through = greatest(passed);
 #else
-    sum_ += through * added;
     vec4 index = shapeRow(object, 6);
     through *= index.z * fresnel(place.cosine, index.x, index.y);
 #endif
+#if SEES
+    if (through <= uLeast && max(surface.gloss.x, surface.gloss.z) * before.through <= uLeast / 4.0) break;
+#else
     if (through <= uLeast) break;
+#endif
     ray = Ray(raised(place, shapeRow(object, 0).w), mirror);
     spread += width * shapeRow(object, 4).z;
     own = object;

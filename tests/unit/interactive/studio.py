@@ -42,7 +42,6 @@ def prepared(shapes, materials, light, representation="coefficients", *, places=
              white=None, **options):  # fmt: skip
     placements = placed(shapes, places, rotations, scale)
     objects, _ = make_objects(placements, materials)
-    representation = "spectral" if options.get("ambient") else representation  # which alone has `ambient`
     white = light.upward_white() if white is None else white
     maps = gloss_maps(light)
     return prepare_scene(objects, light_of(light), maps, Tracer(placements), representation, white, **options)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from quadrangles import box
 from scenes import material
 from studio import even_light, prepared, view_of
-from test_mesh_shadows import box
 
 from irodori.geometry.embree import NO_HIT, Tracer
 from irodori.geometry.rig_frame import rotation_xyz

@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 from scenes import BALL, fresnel, material
 
 from irodori.geometry.shapes.placement import Placement
-from irodori.geometry.shapes.plate import hidden_by_corners
-from irodori.geometry.shapes.sphere import arc_tangent, hidden_by_sphere
+from irodori.geometry.shapes.sphere import arc_tangent
 from irodori.jit import functions, vector_memory
 from irodori.light.environment_file import directions
 from irodori.light.gloss.gloss_maps import GlossMaps
@@ -240,49 +239,3 @@ def test_blurred_light_that_no_lobe_asks_for_is_left_out(mu, dropped):
             assert kept.first <= lobe_table().entries[0, int(roughness_place(mu)) :, :, 0].min() or kept.first == 0
         else:
             assert len(kept.levels) == 1
-
-
-# --- what shapes hide --------------------------------------------------------------------------------------------
-
-
-def cosine_rays(count=40000):
-    """Cosine-distributed directions about +z, an even set."""
-    i = np.arange(count)
-    r2, turn = (i + 0.5) / count, 2 * np.pi * (i * 0.6180339887498949 % 1.0)
-    r = np.sqrt(r2)
-    return np.stack([r * np.cos(turn), r * np.sin(turn), np.sqrt(1 - r2)], axis=1)
-
-
-@given(angle=st.floats(0, math.pi), ratio=st.floats(1.001, 8.0))
-@settings(deadline=None, max_examples=40)
-def test_a_sphere_hides_what_rays_say(angle, ratio):
-    rays = cosine_rays()
-    centre = np.array([math.sin(angle), 0.0, math.cos(angle)])
-    counted = (rays @ centre > math.sqrt(1 - 1 / ratio**2)).mean()
-    assert hidden_by_sphere(math.cos(angle), ratio, 1.0) == pytest.approx(counted, abs=4e-3)
-
-
-def test_a_point_inside_a_sphere_is_hidden_by_nothing_and_one_on_it_by_half():
-    assert hidden_by_sphere(0.3, 0.9, 1.0) == 0.0
-    assert hidden_by_sphere(0.0, 1.0 + 1e-9, 1.0) == pytest.approx(0.5, abs=1e-3)
-    assert hidden_by_sphere(1.0, 1.0 + 1e-9, 1.0) == pytest.approx(1.0, abs=1e-6)
-
-
-@given(
-    centre=st.tuples(st.floats(-3, 3), st.floats(-3, 3), st.floats(-3, 3)),
-    tilt=st.floats(0, math.pi),
-    half=st.floats(0.2, 4.0),
-)
-@settings(deadline=None, max_examples=40)
-def test_a_plate_hides_what_rays_say(centre, tilt, half):
-    u, v = np.array([math.cos(tilt), 0.0, math.sin(tilt)]), np.array([0.0, 1.0, 0.0])
-    centre, normal = np.array(centre), np.cross(u, v)
-    if abs(centre @ normal) < 0.05:
-        return  # seen edge-on
-    corners = tuple(tuple(centre + half * (a * u + b * v)) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1)))
-    rays = cosine_rays()
-    with np.errstate(divide="ignore", invalid="ignore"):
-        distance = (centre @ normal) / (rays @ normal)
-        across = distance[:, None] * rays - centre
-    counted = ((distance > 0) & (np.abs(across @ u) <= half) & (np.abs(across @ v) <= half)).mean()
-    assert hidden_by_corners((0.0, 0.0, 1.0), corners) == pytest.approx(counted, abs=5e-3)

@@ -33,14 +33,12 @@ def expected(radiance, representation, white):
 
 
 @pytest.mark.stability(stage="render", case="white furnace")
-@pytest.mark.parametrize(
-    ("representation", "ambient"), [*((one, False) for one in REPRESENTATIONS), ("spectral", True)]
-)
-def test_white_objects_vanish_in_an_even_light(representation, ambient):
+@pytest.mark.parametrize("representation", REPRESENTATIONS)
+def test_white_objects_vanish_in_an_even_light(representation):
     shapes, places = [plate(100.0), BALL, BALL], [(0, 0, 0), (-21, 0, 20), (21, 0, 20)]
     view = {"position": (0, -250, 120), "target": (0, 0, 12), "fov": 24, "size": (40, 32)}
     light = even_light()
-    found = picture(shapes, [material(1.0)] * 3, light, representation, view, places=places, ambient=ambient)
+    found = picture(shapes, [material(1.0)] * 3, light, representation, view, places=places)
     truth = expected(spectrum_of(), representation, light.upward_white())
     assert np.abs(found / truth - 1).max() <= 1e-3
 
@@ -72,8 +70,7 @@ def test_a_surface_sends_no_more_than_it_gets(representation):
     light = even_light()
     shapes, places = [plate(100.0), BALL, BALL], [(0, 0, 0), (-21, 0, 20), (21, 0, 20)]
     view = {"position": (0, -250, 120), "target": (0, 0, 12), "fov": 24, "size": (40, 32)}
-    found = picture(shapes, materials, light, representation, view, places=places, max_bounces=12,
-                    ambient=representation == "spectral")  # fmt: skip
+    found = picture(shapes, materials, light, representation, view, places=places, max_bounces=12)
     truth = expected(spectrum_of(), representation, light.upward_white())
     assert (found <= 1.002 * truth).all() and (found >= 0).all()
 

@@ -19,6 +19,7 @@ from irodori.core.errors import InputError
 from irodori.geometry.embree import Tracer
 from irodori.geometry.mesh import make_mesh
 from irodori.geometry.rig_frame import rotation_z
+from irodori.geometry.shapes import mesh_nodes
 from irodori.geometry.shapes.placement import Placement
 from irodori.geometry.shapes.plane import Plane
 from irodori.geometry.shapes.shape import Shape
@@ -294,6 +295,22 @@ def test_a_ball_of_triangles_has_the_light_of_an_exact_ball(mesh):
         found, x, y = seen_from_above(there, (0.3, 0.8), LIGHT, span_mm=50.0, size=48)
         seen.append(found[np.hypot(x, y) < 17.0])
     assert np.abs(seen[1] / seen[0] - 1.0).mean() < 0.02
+
+
+@pytest.mark.parametrize("parts", [1, 2, 7, 40])
+def test_a_hit_at_or_just_beyond_a_triangles_edge_has_its_nodes_within_the_triangle(parts):
+    at, rng = mesh_nodes.lattice(parts), np.random.default_rng(4)
+    # Two of those whose shares added up to more than 1 when divided by their sum.
+    pairs = [(1.0929607219267723e-09, 1.0), (2.3243158786545592e-10, 1.0), (1.0, 0.0), (0.0, 1.0), (0.0, 0.0)]
+    pairs += [(x, 1.0) for x in 10.0 ** rng.uniform(-12, -7, 200)] + [
+        (1.0, x) for x in 10.0 ** rng.uniform(-12, -7, 50)
+    ]
+    pairs += [(x, 1.0 - x + 2.0**-24) for x in rng.random(200)]
+    for b, c in np.float32(pairs).astype(float):
+        places, weights = mesh_nodes.lattice_place(parts, b, c)
+        assert max(places) < len(at)
+        found = sum(w * at[place] for place, w in zip(places, weights, strict=True))
+        assert np.abs(found - (max(1.0 - b - c, 0.0), b, c)).max() <= 3e-7
 
 
 @pytest.mark.heavy

@@ -166,7 +166,7 @@ window.Irodori = window.Irodori || {};
       };
     }
 
-    knowsShadows() {
+    knowsLight() {
       return true;
     }
 

@@ -1,6 +1,5 @@
-"""Shadow nodes of a triangle mesh, and look-up of the nodes around a hit.
+"""Nodes of a triangle mesh, at which light is found (`irodori.geometry.shapes.surface_nodes`).
 
-Nodes are points at which the ambient light that other shapes hide is computed (`irodori.geometry.shapes.shadow_nodes`).
 Triangles are divided evenly into as many smaller ones as the number of nodes allows. Those of a fine mesh are not
 divided, and share nodes at their corners.
 """
@@ -11,14 +10,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from irodori.geometry.mesh import Mesh
-from irodori.geometry.shapes.shadow_nodes import GRID, Nodes, raised
+from irodori.geometry.shapes.surface_nodes import Nodes, raised
 from irodori.jit.compilation import njit
 
 if TYPE_CHECKING:
     from irodori.geometry.shapes.placement import Placement
 
-#: Largest number of nodes of a mesh, unless it has more vertices.
-MESH_NODES = 1 << 14
 #: Nodes at an edge or a crease are moved by this share of their distance towards the centre of the triangle.
 _INSET = 0.05
 #: Number of steps between -1 and 1 to which components of normals are rounded when they are compared for equality.
@@ -98,12 +95,12 @@ def _shared_corners(mesh: Mesh, chosen: np.ndarray) -> tuple[np.ndarray, np.ndar
     return node, first, whole
 
 
-def mesh_nodes(mesh: Mesh, placement: "Placement", most: int | None = None) -> Nodes:
-    """Lay out the nodes of a placed mesh: at most ``most``, by default `MESH_NODES`, unless it has more vertices."""
+def mesh_nodes(mesh: Mesh, placement: "Placement", most: int) -> Nodes:
+    """Lay out the nodes of a placed mesh: at most ``most``, unless it has more vertices."""
     world = placement.points(mesh.vertices_mm)
     a, b, c = (world[mesh.faces[:, k]] for k in range(3))
     longest = np.sqrt(np.max([((p - q) ** 2).sum(axis=1) for p, q in ((a, b), (b, c), (c, a))], axis=0))
-    parts = _divisions(longest, len(world), MESH_NODES if most is None else most)
+    parts = _divisions(longest, len(world), most)
     sizes = (parts + 1) * (parts + 2) // 2
     first = np.cumsum(sizes) - sizes
     corners = np.empty(sizes.sum(), dtype=np.int32)
@@ -118,11 +115,11 @@ def mesh_nodes(mesh: Mesh, placement: "Placement", most: int | None = None) -> N
         corners[first[chosen][:, None] + np.arange(node.shape[1])] = count + node
         cells.append(count + node[:, _lattice_cells(int(number))].reshape(-1, 3))
         count += len(local[0])
-    point, normal, facet, beside = (np.concatenate(part) for part in zip(*found, strict=True))
+    point, normal, facet = (np.concatenate(part) for part in zip(*found, strict=True))
     reach = placement.shape.reach_mm * placement.scale
     normal, facet = normal @ placement.rotation.T, facet @ placement.rotation.T
-    origin, probe = (raised(placement.points(p), facet, reach) for p in (point, beside))
-    return Nodes(origin, normal, facet, probe, np.concatenate(cells), np.zeros(GRID), parts.astype(np.int32), corners)
+    origin = raised(placement.points(point), facet, reach)
+    return Nodes(origin, normal, facet, np.concatenate(cells), parts.astype(np.int32), corners)
 
 
 def _unit(vectors: np.ndarray, other: np.ndarray) -> np.ndarray:
@@ -137,7 +134,7 @@ def _corner_nodes(mesh: Mesh, chosen: np.ndarray) -> tuple[tuple, np.ndarray]:
     Returns
     -------
     tuple
-        Points, normals, facet normals and probes of the nodes, (nodes, 3) each, in the object frame.
+        Points, normals and facet normals of the nodes, (nodes, 3) each, in the object frame.
     (triangles, 3) int
         Nodes of each triangle.
     """
@@ -152,21 +149,19 @@ def _corner_nodes(mesh: Mesh, chosen: np.ndarray) -> tuple[tuple, np.ndarray]:
     inset = np.where(whole, 0.0, _INSET)[:, None]
     point = vertex + inset * (centre - vertex)
     facet = np.where(whole[:, None], normal, facet)
-    return (point, normal, facet, centre), node.reshape(-1, 3)
+    return (point, normal, facet), node.reshape(-1, 3)
 
 
 def _divided_nodes(mesh: Mesh, chosen: np.ndarray, parts: int) -> tuple[tuple, np.ndarray]:
     """Lay out nodes as `_corner_nodes` does, for triangles that are divided and share no nodes."""
     weights, middle = lattice(parts), np.full(3, 1.0 / 3.0)
     inset = weights + _INSET / parts * (middle - weights)
-    # Probes are displaced by the distance from a corner of a small triangle to its centre.
-    beside = weights + (middle - weights) / parts
     vertices = mesh.vertices_mm[mesh.faces[chosen]]
-    point, probe = (np.einsum("pk,fkx->fpx", w, vertices).reshape(-1, 3) for w in (inset, beside))
+    point = np.einsum("pk,fkx->fpx", inset, vertices).reshape(-1, 3)
     facet = np.repeat(mesh.facets[chosen], len(weights), axis=0)
     normal = np.einsum("pk,fkx->fpx", weights, mesh.normals[chosen]).reshape(-1, 3)
     node = np.arange(len(point)).reshape(len(chosen), -1)
-    return (point, _unit(normal, facet), facet, probe), node
+    return (point, _unit(normal, facet), facet), node
 
 
 @njit(cache=True)
@@ -188,17 +183,3 @@ def lattice_place(parts, b, c):
     if i + j == parts - 1 or fx + fy <= 1.0:
         return (here, here + 1, above, above), (1.0 - fx - fy, fx, fy, 0.0)
     return (above + 1, above, here + 1, here + 1), (fx + fy - 1.0, 1.0 - fx, 1.0 - fy, 0.0)
-
-
-@njit(cache=True)
-def nodes_about_mesh(shadows, own, row, hit):
-    """Return the four nodes around a hit, and their weights, from its place in its triangle."""
-    places, weights = lattice_place(np.int64(shadows.parts[hit.triangle]), hit.b, hit.c)
-    first = shadows.first_corner[hit.triangle]
-    corners = shadows.corners
-    return (
-        np.int64(corners[first + places[0]]),
-        np.int64(corners[first + places[1]]),
-        np.int64(corners[first + places[2]]),
-        np.int64(corners[first + places[3]]),
-    ), weights

@@ -1,11 +1,6 @@
-"""Shadow nodes: points of a surface at which the ambient light hidden by other shapes is computed by ray tracing.
+"""Nodes: points of a surface at which the light of a light map is found, and between which it is interpolated."""
 
-Every shape lays out its nodes (`irodori.geometry.shapes.shape.Shape.nodes`): flat shapes and spheres on a grid, meshes
-on their triangles. At a hit, the values of the three or four nodes around it are interpolated.
-"""
-
-from dataclasses import dataclass, field
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,7 +12,7 @@ _RISE = 2.0**-18
 
 @dataclass(frozen=True)
 class Nodes:
-    """Shadow nodes of one shape, in the world.
+    """Nodes of a mesh, in the world.
 
     Parameters
     ----------
@@ -25,46 +20,30 @@ class Nodes:
         Origins of rays, mm.
     normal, facet : (n, 3) float64
         Unit shading normals, and unit geometric normals.
-    probe : (n, 3) float64
-        A point above the surface near each node. The node and its probe see each other unless another shape penetrates
-        the surface between them. It is the origin of the node if there is none.
-    cells : (c, 3 or 4) int
+    cells : (c, 3) int
         Groups of nodes between which values are interpolated.
-    grid : (GRID,) float64
-        Numbers of the grid of a flat shape or a sphere, see `COLUMNS` and the following; zeros for a mesh.
     parts : (triangles,) int32
-        For a mesh: number of parts into which each edge of a triangle is divided.
+        Number of parts into which each edge of a triangle is divided.
     corners : (places,) int32
-        For a mesh: nodes at the points of each divided triangle in turn, row by row from the first edge.
+        Nodes at the points of each divided triangle in turn, row by row from the first edge.
     """
 
     origin: np.ndarray
     normal: np.ndarray
     facet: np.ndarray
-    probe: np.ndarray
     cells: np.ndarray
-    grid: np.ndarray
-    parts: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int32))
-    corners: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int32))
+    parts: np.ndarray
+    corners: np.ndarray
 
 
-#: Indices of the numbers of a grid: columns, rows; for flat shapes also, for each of the two axes, the middle, the
-#: reach (mm) within which the grid is regular, the place of the first node, and nodes per unit of place, see `warped`.
-COLUMNS, ROWS, MIDDLE, REACH, LOW, DENSITY, GRID = 0, 1, 2, 4, 6, 8, 10
 #: Share of a mesh's height, from its lowest point, that counts as its foot.
 _FOOT = 0.1
 #: Smallest reach of a grid along an axis, relative to the largest distance of the shapes above it.
 _LEAST = 0.02
 
 
-def warped(offset: np.ndarray) -> np.ndarray:
-    """Map offsets, in units of the reach, to places -1..1: linear to -0.5..0.5 within the reach, compressed outside."""
-    away = np.maximum(np.abs(offset), 1.0)
-    return np.where(np.abs(offset) <= 1.0, 0.5 * offset, np.sign(offset) * (1.0 - 0.5 / away))
-
-
 def unwarped(place: np.ndarray) -> np.ndarray:
-    """Map places -1..1 to offsets in units of the reach; the inverse of `warped`."""
+    """Map places -1..1 to offsets in units of the reach; the inverse of `warped_place`."""
     left = np.maximum(1.0 - np.abs(place), 1e-12)
     return np.where(np.abs(place) <= 0.5, 2.0 * place, np.sign(place) * 0.5 / left)
 
@@ -128,42 +107,10 @@ def extend_to_closed(values: np.ndarray, is_open: np.ndarray, cells: np.ndarray)
     values[filled] = total[filled] / count[filled, None]
 
 
-class NodeHit(NamedTuple):
-    """A hit, with the data needed to find the nodes around it."""
-
-    u: float
-    v: float
-    triangle: int  # index among the triangles of all surfaces
-    b: float  # barycentric weight of the second corner
-    c: float  # barycentric weight of the third corner
-    point: tuple[float, float, float]  # mm
-    at: int  # start of the numbers of the shape in their table
-
-
 @njit(cache=True, error_model="numpy")
 def warped_place(offset):
-    """Map an offset, in units of a grid's reach, to a place; `warped` for a single number."""
+    """Map an offset, in units of the reach, to -1..1: linear to -0.5..0.5 within the reach, compressed outside."""
     away = abs(offset)
     if away <= 1.0:
         return 0.5 * offset
     return 1.0 - 0.5 / away if offset > 0.0 else 0.5 / away - 1.0
-
-
-@njit(cache=True)
-def grid_place(column, row, columns, rows, wraps):
-    """Return the four nodes around a place of a grid, and their bilinear weights; columns wrap around if ``wraps``."""
-    y = min(max(row, 0.0), rows - 1.0)
-    j = min(int(y), rows - 2)
-    x = column if wraps else min(max(column, 0.0), columns - 1.0)
-    i = int(np.floor(x)) if wraps else min(int(x), columns - 2)
-    fx, fy = x - i, y - j
-    left, right = i % columns, (i + 1) % columns
-    at, below = j * columns, (j + 1) * columns
-    weights = (1.0 - fx) * (1.0 - fy), fx * (1.0 - fy), (1.0 - fx) * fy, fx * fy
-    return (at + left, at + right, below + left, below + right), weights
-
-
-@njit(cache=True)
-def grid_size(grid, own):
-    """Return the numbers of columns and rows of the grid of shape ``own``."""
-    return np.int64(grid[own * GRID + COLUMNS]), np.int64(grid[own * GRID + ROWS])
