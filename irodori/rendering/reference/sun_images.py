@@ -23,7 +23,6 @@ import numpy as np
 from numba.extending import overload
 
 from irodori.geometry.shapes.placement import Placement
-from irodori.geometry.shapes.sphere import Sphere
 from irodori.jit.compilation import njit, uncounted
 from irodori.light.equirectangular import direction_uv
 from irodori.reflection.albedo import gloss_albedo
@@ -181,7 +180,8 @@ def _chains(placements: Sequence[Placement], objects: Objects) -> list[tuple[tup
     """Return chains of mirrors in order, each with its reflectance and with its blur in rad, 0 for exact mirrors."""
     kinds: dict[int, list[tuple[float, float]]] = {}
     for index, placement in enumerate(placements):
-        found = _reflections(objects, index) if placement.shape.is_flat or isinstance(placement.shape, Sphere) else []
+        is_curved = not placement.shape.is_flat and placement.shape.ball_mm is None
+        found = [] if is_curved else _reflections(objects, index)
         if found:
             kinds[index] = found
     chains = []
