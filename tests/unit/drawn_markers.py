@@ -105,7 +105,7 @@ def drawn(
             light = (0.4 + 0.1 * np.sin(0.2 * at[..., 0]) * np.cos(0.15 * at[..., 1])) * (axes[:, 2] @ to_light(real))
         picture = gaussian_filter(covered * light + (1.0 - covered) * picture, 0.5)
         noise = np.random.default_rng(number).normal(0.0, _NOISE, (*picture.shape, 3))
-        files.append(linear_file(folder / f"{number}.h5", picture[..., None] + noise, pose=vars(said).values()))
+        files.append(linear_file(folder / f"{number}.h5", picture[..., None] + noise, pose=said.angles_deg))
     return files
 
 

@@ -334,7 +334,8 @@ def test_a_library_edit_reruns_the_stages_that_use_it(again, tmp_path):
     rules = {rule for rule, _ in planned(snakemake(again, "--dry-run", snakefile=code / "Snakefile"))}
     # The page draws the fit's outcomes with the fit's own names, so it uses the module too; registration fits texels to
     # find the light.
-    assert rules == STAGES_AFTER_FIT | {"register_object", "combine_registrations_leaf_sphere", "rectify_object"}
+    placing = {"register_object", "register_placement", "combine_registrations_leaf_sphere", "rectify_object"}
+    assert rules == STAGES_AFTER_FIT | placing
 
 
 def test_a_job_for_every_capture_but_none_for_a_tiny_tile():

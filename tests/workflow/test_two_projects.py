@@ -106,7 +106,7 @@ def test_a_second_scene_leaves_the_first_as_it_was(folder):
     page = (folder / "results/sphere-scene/report.html").read_text(encoding="utf-8")
     # The plate tells of the camera that photographed both.
     assert "<h3>leaf-sphere" in page and "<h3>tile-plate" not in page and "still-life" not in page
-    assert "leaf-sphere, tile-plate tell together" in page
+    assert "leaf-sphere, leaf-sphere in placement 2, tile-plate tell together" in page
     assert changed(before, folder) == []
     again = snakemake(folder)
     assert "Nothing to be done" in again.stdout + again.stderr
