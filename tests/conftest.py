@@ -1,10 +1,12 @@
-"""Settings of all tests: in CI, property-based tests draw the same examples every time."""
+"""Settings of all tests, and light maps of few texels; in CI, properties draw the same examples every time."""
 
 import ctypes
 import gc
+import math
 import os
 import signal
 
+import pytest
 from hypothesis import settings
 
 # One thread for linear algebra, before NumPy is loaded: the matrices of tests are small, and while other tests compute
@@ -65,3 +67,14 @@ def pytest_collection_modifyitems(items):
         return 3, folder[item.path] / len(folder)
 
     items.sort(key=turn)
+
+
+@pytest.fixture
+def coarse_light_maps(monkeypatch):
+    """Give light maps as few texels as tests of other things need; a hundredth of the rays is traced."""
+    from irodori.rendering import light_transfer
+    from irodori.rendering.interactive import surroundings
+
+    monkeypatch.setattr(light_transfer, "_FEWEST_TEXELS", 64)
+    monkeypatch.setattr(light_transfer, "MOST_ERROR", math.inf)
+    monkeypatch.setattr(surroundings, "TEXELS", 16)

@@ -280,17 +280,6 @@ def test_charts_of_a_place_have_not_the_size_of_its_panorama():
     assert [d.kind for d in series.doubts(charts[1], look(0.8 * picture, (640, 480)))] == ["size"]
 
 
-@pytest.mark.heavy
-def test_none_of_two_hundred_sound_photographs_is_doubted(tmp_path, bench):
-    poses = [
-        {"light_deg": [45.0, 60.0], "camera_deg": [5.0 * i for i in range(14)], "turn_deg": [0.0, 30.0]},
-        {"light_deg": [50.0, 65.0], "camera_deg": [6.0 * i for i in range(11)], "tilt_deg": [10.0, 20.0]},
-    ]
-    planned, eye = plate(bench, poses)
-    assert len(planned) == 200
-    assert hold(tmp_path, planned, eye, AutoOperator(bench.set)).doubted == 0
-
-
 # ---- drift frames
 
 

@@ -98,6 +98,7 @@ def caches_of_benchmarks():
 
 
 @pytest.mark.heavy
+@pytest.mark.usefixtures("coarse_light_maps")
 @pytest.mark.parametrize("name", _TINY)
 def test_a_documented_benchmark_measures(name, tmp_path, monkeypatch, capsys):
     if name in ("calibrate", "materials") and not _MEASURED.is_dir():
