@@ -80,6 +80,7 @@ def angle_deg(rotation) -> float:
     return math.degrees(math.acos(min(1.0, (np.trace(rotation) - 1.0) / 2.0)))
 
 
+@pytest.mark.heavy
 def test_the_paints_tell_how_a_ball_was_turned_when_it_was_laid_down_again(laid):
     output = laid.folder / "registration-2.h5"
     laid.register(laid.second, output)

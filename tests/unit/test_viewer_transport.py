@@ -280,6 +280,7 @@ def under(written, turn_deg: float, stands=None) -> tuple[np.ndarray, np.ndarray
     return written.wanted(frame_bands(prepared(parts), written.view, parts, turn_deg))
 
 
+@pytest.mark.heavy
 def test_the_light_on_objects_is_the_renderers_also_where_a_mesh_is_moved_and_the_room_turned(torus):
     """The page says meanwhile that it looks for the light, and shows none of the place before."""
     with opened(torus.path) as page:
