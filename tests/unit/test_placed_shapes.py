@@ -11,13 +11,14 @@ import pytest
 from made import made
 from path_scenes import traced
 from scenes import OPTIONS, material, pixel_rays, sky, smooth_light
+from tube import Tube
 
 from irodori.config.models import Scene
 from irodori.geometry.embree import NO_HIT, Tracer
 from irodori.geometry.mesh import make_mesh
 from irodori.geometry.rig_frame import rotation_xyz
 from irodori.geometry.shapes.disc import Disc
-from irodori.geometry.shapes.placement import Placement
+from irodori.geometry.shapes.placement import Placement, laid
 from irodori.geometry.shapes.plane import Plane
 from irodori.geometry.shapes.plate import Plate
 from irodori.geometry.shapes.shape import Shape
@@ -137,3 +138,12 @@ def test_a_turned_and_scaled_shape_and_its_neighbour_shade_each_other_as_paths_s
         assert error <= tolerance * mean
         # Much of the picture is what this test is about.
         assert number or without >= 3.0 * error
+
+
+@pytest.mark.parametrize("rotation_deg", [(180.0, 0.0, 0.0), (90.0, 0.0, 0.0), (30.0, 20.0, 10.0)])
+def test_a_shape_from_outside_that_is_turned_over_stands_on_the_table(rotation_deg):
+    """The lowest point of a cylinder is on the rim of an end: half its height and its radius, projected."""
+    tube = Tube(20.0, 60.0)
+    upright = abs(rotation_xyz(rotation_deg)[2, 2])
+    below = 30.0 * upright + 20.0 * np.sqrt(1.0 - min(upright, 1.0) ** 2)
+    assert laid(tube, rotation_deg).translation_mm == pytest.approx([0.0, 0.0, tube.table_height_mm + below], abs=0.01)

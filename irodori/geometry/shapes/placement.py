@@ -53,7 +53,10 @@ def laid(shape: Shape, rotation_deg: Sequence[float]) -> Placement:
     if not any(rotation_deg):
         return Placement(shape)
     rotation = rotation_xyz(rotation_deg)
-    lowest_mm = -shape.ball_mm if shape.ball_mm is not None else float((shape.hull_mm @ rotation[2]).min())
+    if shape.ball_mm is not None:
+        lowest_mm = -shape.ball_mm
+    else:
+        lowest_mm = float((shape.facetted(shape.reach_mm).vertices_mm @ rotation[2]).min())
     return Placement(shape, rotation, np.array([0.0, 0.0, shape.table_height_mm - lowest_mm]))
 
 

@@ -201,11 +201,6 @@ class Shape(ABC):
         return None
 
     @property
-    def hull_mm(self) -> np.ndarray:
-        """Points with a convex hull that contains the shape, (n, 3); needed only for objects that are turned over."""
-        raise NotImplementedError(f"a {self.name} is turned over and has no hull")
-
-    @property
     def ray_offset_mm(self) -> float:
         """Height above the surface at which rays start, mm, so that rounding errors do not make them hit it again."""
         return _RAY_OFFSET * self.reach_mm

@@ -161,11 +161,6 @@ class TriangleMesh(Shape):
         """Height z of the table's top: that of the lowest point of the mesh."""
         return self.mesh.bottom_mm
 
-    @property
-    def hull_mm(self) -> np.ndarray:
-        """The vertices."""
-        return self.mesh.vertices_mm
-
     def primitive(self, placement: Placement) -> Primitive:
         """Return the triangles for Embree."""
         return triangles(placement.points(self.mesh.vertices_mm), self.mesh.faces)
