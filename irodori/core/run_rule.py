@@ -1,5 +1,6 @@
 """Context manager that every rule's script runs in: log, threads and provenance."""
 
+import gc
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -35,6 +36,7 @@ def run_rule(snakemake) -> Iterator[Provenance]:
     SystemExit
         After a `PlainError`, for example because an input has changed since its rule wrote it.
     """
+    gc.freeze()  # modules stay until the process ends: the garbage collector need not look at them again and again
     with rule_log(snakemake.log[0]):
         use_threads(snakemake.threads)
         parameters = {key: value for key, value in snakemake.params.items() if key not in _NOT_SETTINGS}

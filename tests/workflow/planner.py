@@ -6,6 +6,7 @@ input is a JSON list: working directory, file for standard output, file for stan
 the fork's process, then its exit status.
 """
 
+import gc
 import json
 import os
 import select
@@ -69,6 +70,10 @@ def main() -> None:
         load_schema(schema)
     code_hash(*modules_of("irodori"))  # each rule asks for that of its part: the sources are parsed once
     os.environ.pop("PYTHONPATH")
+    # A fork never collects what was imported here, and copies no page of it to look whether it could.
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(50_000, 20, 50)
     for line in sys.stdin:
         folder, out, err, arguments = json.loads(line)
         pid = os.fork()
