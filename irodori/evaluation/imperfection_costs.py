@@ -31,6 +31,7 @@ from irodori.config.models import (
     TrueMaterial,
 )
 from irodori.config.parts import RigGeometry
+from irodori.core.atomic_files import file_sha256
 from irodori.core.progress import LOGGER, track
 from irodori.core.provenance import config_hash
 from irodori.core.store import Provenance
@@ -179,19 +180,29 @@ def _photograph(
     return folder / "captures.csv"
 
 
-def _calibrate(chain: SmallChain, folder: Path) -> tuple[Path, Path]:
-    """Photograph and calibrate the camera; return the paths of its reference and of its calibration."""
+def _calibrate(chain: SmallChain, folder: Path, calibrated: dict[str, list[bytes]]) -> tuple[Path, Path]:
+    """Photograph and calibrate the camera; return the paths of its reference and of its calibration.
+
+    ``calibrated`` holds both files of earlier runs, by the hash of the photographs, which most faults of how an object
+    is laid, moved or lit do not change.
+    """
     table = _photograph(camera_shots(chain.camera, ".dng"), chain, "camera", None, folder / "camera")
-    options, light = chain.settings.ingest, chain.rig.light.spectrum
     reference, chart, calibration = (folder / f"{name}.h5" for name in ("reference", "chart", "calibration"))
+    photographs = config_hash([file_sha256(path) for path in sorted(table.parent.iterdir())])
+    if photographs in calibrated:
+        for path, content in zip((reference, calibration), calibrated[photographs], strict=True):
+            path.write_bytes(content)
+        return reference, calibration
+    options, light = chain.settings.ingest, chain.rig.light.spectrum
     white = chain.camera.white.reflectance_factor if chain.camera.white else 1.0
     ingest_reference(table, table.parent, reference, _MADE, white, options)
     ingest_raw(table, table.parent, "chart", reference, chart, _MADE, options=options)
     calibrate_camera(chart, chain.camera, light, calibration, folder / "chart.csv", _MADE)
+    calibrated[photographs] = [reference.read_bytes(), calibration.read_bytes()]
     return reference, calibration
 
 
-def run_chain(chain: SmallChain, folder: Path, seen: dict | None = None) -> Material:
+def run_chain(chain: SmallChain, folder: Path, seen: dict | None = None, calibrated: dict | None = None) -> Material:
     """Run all stages on one object and return the measured material.
 
     Parameters
@@ -201,9 +212,11 @@ def run_chain(chain: SmallChain, folder: Path, seen: dict | None = None) -> Mate
         An empty folder for the files that the stages exchange.
     seen : dict, optional
         Cache of `VirtualCamera`; may be shared by runs with the same definitions of object and camera.
+    calibrated : dict, optional
+        Cache of calibrations, which this fills; may be shared by runs with the same camera and settings.
     """
     settings, texels = chain.settings, chain.definition.texels
-    reference, calibration = _calibrate(chain, folder)
+    reference, calibration = _calibrate(chain, folder, {} if calibrated is None else calibrated)
     shots = object_shots(chain.definition, chain.camera, ".dng")
     table = _photograph(shots, chain, chain.name, chain.definition, folder / "object", seen)
     linear = []
@@ -236,10 +249,12 @@ def run_chain(chain: SmallChain, folder: Path, seen: dict | None = None) -> Mate
     return Material.load(material)
 
 
-def cost_rows(label: str, chain: SmallChain, seen: dict | None = None) -> list[CostRow]:
-    """Run all stages once and return the errors of the material under every light; ``seen``: see `run_chain`."""
+def cost_rows(
+    label: str, chain: SmallChain, seen: dict | None = None, calibrated: dict | None = None
+) -> list[CostRow]:
+    """Run all stages once and return the errors of the material under every light; for the caches see `run_chain`."""
     with tempfile.TemporaryDirectory(prefix="irodori-") as folder:
-        found = run_chain(chain, Path(folder), seen)
+        found = run_chain(chain, Path(folder), seen, calibrated)
     truth = true_material(chain.definition, chain.camera, chain.rig)
     chosen = found.observed & interior(truth)
     exact, estimate = (m.coefficients[chosen] @ m.basis.T for m in (truth, found))
@@ -270,7 +285,8 @@ def measure_imperfections(chain: SmallChain, output) -> None:
 
 def _all_costs(variants: list[tuple[str, SmallChain]]) -> Iterator[CostRow]:
     seen: dict[str, dict] = {}  # a cache for each sight: most faults do not change how the object looks
+    calibrated: dict[str, list[bytes]] = {}
     for label, variant in track(variants, "faults"):
-        for row in cost_rows(label, variant, seen.setdefault(config_hash(variant.sight), {})):
+        for row in cost_rows(label, variant, seen.setdefault(config_hash(variant.sight), {}), calibrated):
             LOGGER.info("%s: CIEDE2000 under %s mean %.3f p95 %.3f", row.faults, row.light, row.mean, row.p95)
             yield row

@@ -120,7 +120,7 @@ def test_a_row_says_how_far_the_chain_is_off_away_from_seams_and_holes(chain, mo
     found = replace(truth, basis=wide, beta=beta, mu=mu, alpha=hole, green_response=hole)
     folders = []
 
-    def run(variant, folder, seen):
+    def run(variant, folder, seen, calibrated):
         """Take an empty folder of its own for every run, and what was seen of the same definition before."""
         assert isinstance(variant, SmallChain) and folder.is_dir() and not list(folder.iterdir())
         assert seen.setdefault("definition", variant.definition) == variant.definition
@@ -160,7 +160,8 @@ def test_a_small_chain_finds_the_object_on_a_rig_without_faults(chain, tmp_path)
     definition = replace(small.definition, texels=Size(width=12, height=12))
     small = dict(replace(small, definition=definition).variants())["none"]
     seen: dict = {}
-    found = run_chain(small, tmp_path, seen)
+    calibrated: dict = {}
+    found = run_chain(small, tmp_path, seen, calibrated)
     assert found.alpha.shape == (12, 12) and found.observed.mean() > 0.8 and seen
     truth = true_material(definition, small.camera, small.rig)
     exact, own = (m.coefficients[found.observed] @ m.basis.T for m in (truth, found))

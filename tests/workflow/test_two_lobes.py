@@ -42,7 +42,7 @@ def made(finished, tmp_path_factory) -> Path:
         {"spectrum": s, "beta": b1, "mu_rad": m1, "further_gloss": [{"lobe": "ggx", "beta": b2, "mu_rad": m2}]}
         for s, b1, m1, b2, m2 in PAINTS
     ]
-    camera = [0.0, 20.0, 30.0, 35.0, 38.0, 41.0, 43.0, 45.0, 47.0, 49.0, 52.0, 55.0, 60.0, 65.0, 75.0]
+    camera = [0.0, 28.0, 38.0, 43.0, 46.0, 50.0, 55.0, 62.0, 72.0]
     edit(
         folder / "config/objects/tile-plate.yaml",
         {
