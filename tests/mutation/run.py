@@ -105,7 +105,7 @@ LONG = (
     "test_planned_poses_beat_as_many_others", "test_every_figure_of_the_gloss_table", "seed_gives_the_same_table",
 )  # fmt: skip
 LONGEST_S = 4.0
-TOGETHER_S = 10.0  # of the tests that one mutant is put to
+TOGETHER_S = 6.0  # of the tests that one mutant is put to
 EXAMPLES = 10  # of a property-based test, at most
 PATIENCE_S = 4.0
 QUIET_S = 40.0
