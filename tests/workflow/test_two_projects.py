@@ -11,19 +11,19 @@ from project import ROOT, planned, snakemake
 from irodori.command_line import main
 
 OF_CAMERA = ("--configfile", "config/camera.yaml")
-OF_SPHERE = ("--configfile", "config/sphere.yaml")
+OF_PLATE = ("--configfile", "config/plate.yaml")
 _REPORT_NAMED = "Pictures, errors and times: "
 
 
 @pytest.fixture
 def folder(again) -> Path:
-    """Return the finished project, in which somebody begins two more: one of a sphere, one of the camera alone."""
+    """Return the finished project, in which somebody begins two more: one of a plate, one of the camera alone."""
     shutil.copytree(ROOT / "workflow", again / "workflow", ignore=shutil.ignore_patterns("__pycache__"))
     scene = yaml.safe_load((again / "config/scenes/still-life.yaml").read_text())
-    scene |= {"photographs": {}, "objects": [{"object": "leaf-sphere", "position_mm": [0.0, 0.0, 30.1]}]}
+    scene |= {"photographs": {}, "objects": [{"object": "tile-plate", "position_mm": [0.0, 0.0, 0.0]}]}
     scene.pop("lesson", None)
-    (again / "config/scenes/sphere-scene.yaml").write_text(yaml.safe_dump(scene))
-    (again / "config/sphere.yaml").write_text("make: {scenes: [sphere-scene], cameras: []}\n")
+    (again / "config/scenes/plate-scene.yaml").write_text(yaml.safe_dump(scene))
+    (again / "config/plate.yaml").write_text("make: {scenes: [plate-scene], cameras: []}\n")
     (again / "config/camera.yaml").write_text("make: {scenes: [], cameras: [d5100-comb]}\n")
     return again
 
@@ -60,9 +60,9 @@ def files_of_crate(folder: Path) -> set[str]:
 
 
 def test_a_second_project_plans_to_write_no_file_of_the_first(folder):
-    run = snakemake(folder, "--dry-run", *OF_SPHERE)
+    run = snakemake(folder, "--dry-run", *OF_PLATE)
     files = written(run)
-    assert {"results/sphere-scene/report.html", "results/sphere-scene/errors.csv"} <= set(files)
+    assert {"results/plate-scene/report.html", "results/plate-scene/errors.csv"} <= set(files)
     assert [file for file in files if (folder / file).exists()] == []
     # What the two share is there already.
     shared = {"compress_reflectance", "prepare_environment", "calibrate_camera", "measure_registration"}
@@ -95,23 +95,23 @@ def test_a_second_project_leaves_the_first_as_it_was_and_each_crate_holds_one(fo
         "results/cameras/d5100-comb/report.html", "results/cameras/d5100-comb/errors.csv"}  # fmt: skip
     capsys.readouterr()
     # A project that was not run to its end has no crate yet.
-    assert main([*crate, "--configfile", "config/sphere.yaml"]) == 1
-    assert "results/sphere-scene/front.png: found no such file; accepted: a finished run" in capsys.readouterr().out
+    assert main([*crate, "--configfile", "config/plate.yaml"]) == 1
+    assert "results/plate-scene/front.png: found no such file; accepted: a finished run" in capsys.readouterr().out
 
 
 @pytest.mark.heavy
 def test_a_second_scene_leaves_the_first_as_it_was(folder):
     before = state(folder)
-    assert named_reports(snakemake(folder, *OF_SPHERE)) == ["results/sphere-scene/report.html"]
-    page = (folder / "results/sphere-scene/report.html").read_text(encoding="utf-8")
-    # The plate tells of the camera that photographed both.
-    assert "<h3>leaf-sphere" in page and "<h3>tile-plate" not in page and "still-life" not in page
+    assert named_reports(snakemake(folder, *OF_PLATE)) == ["results/plate-scene/report.html"]
+    page = (folder / "results/plate-scene/report.html").read_text(encoding="utf-8")
+    # The sphere tells of the camera that photographed both.
+    assert "<h3>tile-plate" in page and "<h3>leaf-sphere" not in page and "still-life" not in page
     assert "leaf-sphere, leaf-sphere in placement 2, tile-plate tell together" in page
     assert changed(before, folder) == []
     again = snakemake(folder)
     assert "Nothing to be done" in again.stdout + again.stderr
-    assert main(["crate", "--directory", str(folder), "--configfile", "config/sphere.yaml"]) == 0
+    assert main(["crate", "--directory", str(folder), "--configfile", "config/plate.yaml"]) == 0
     parts = {Path(name).parts[1] for name in files_of_crate(folder) if name.startswith("results/")}
-    assert parts == {"cameras", "environments", "leaf-sphere", "sphere-scene", "tile-plate"}
-    plate = {name for name in files_of_crate(folder) if name.startswith("results/tile-plate/")}
-    assert "results/tile-plate/registration.h5" in plate and "results/tile-plate/material.h5" not in plate
+    assert parts == {"cameras", "environments", "leaf-sphere", "plate-scene", "tile-plate"}
+    sphere = {name for name in files_of_crate(folder) if name.startswith("results/leaf-sphere/")}
+    assert "results/leaf-sphere/registration.h5" in sphere and "results/leaf-sphere/material.h5" not in sphere
