@@ -18,7 +18,7 @@ is the least processor time of all threads, and their error that of the light in
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -66,7 +66,7 @@ class Seen:
     calibration: Calibration
     sensitivity: np.ndarray
 
-    @property
+    @cached_property
     def model(self) -> ResponseModel:
         """Response model from the calibration."""
         return ResponseModel.of(self.calibration)

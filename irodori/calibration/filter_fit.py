@@ -13,6 +13,7 @@ is known of it, but all bands have the same filter, and with it none of them see
 
 import itertools
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -37,6 +38,7 @@ FILTERED = 3
 _UNKNOWN = FilterTable(WAVELENGTH_NM, np.ones(SAMPLES))
 
 
+@lru_cache(maxsize=8)
 def _matern(length_nm: float) -> np.ndarray:
     """Return Matérn's covariance of order 5/2 and unit variance, (61, 61)."""
     distance = np.sqrt(5.0) * np.abs(WAVELENGTH_NM[:, None] - WAVELENGTH_NM) / length_nm
@@ -69,90 +71,185 @@ class FilterFit:
     level: float
 
 
-class _Problem:
-    """Responses to a chart as a function of sensitivities (3 x 61), departures (4), gains (3) and remainder (61)."""
+@dataclass(frozen=True)
+class _State:
+    """Sensitivities (3, 61), departures (4,), gains (3,) and remainder (61,), or differences of them.
 
-    _DEPARTURES = slice(FILTERED * SAMPLES, FILTERED * SAMPLES + len(DEPARTURES))
-    _SHIFTS = slice(_DEPARTURES.start, _DEPARTURES.start + 2)
-    _GAINS = slice(_DEPARTURES.stop, _DEPARTURES.stop + FILTERED)
-    _REST = slice(_GAINS.stop, _GAINS.stop + SAMPLES)
+    The gains are logarithms.
+    """
+
+    sensitivities: np.ndarray
+    departures: np.ndarray
+    gains: np.ndarray
+    rest: np.ndarray
+
+    def plus(self, other: "_State", share: float = 1.0) -> "_State":
+        """Return this state with a share of another added."""
+        return _State(
+            *(one + share * more for one, more in zip(vars(self).values(), vars(other).values(), strict=True))
+        )
+
+
+@dataclass(frozen=True)
+class _Linearised:
+    """Responses at a state, and their derivatives, most of which are diagonal.
+
+    Parameters
+    ----------
+    state : _State
+    passed : (61,) float64
+        Transmittance.
+    slopes : (61, 4) float64
+        Its derivatives by the departures.
+    """
+
+    state: _State
+    passed: np.ndarray
+    slopes: np.ndarray
+
+    @cached_property
+    def value(self) -> np.ndarray:
+        """Responses per unit reflectance, (6, 61)."""
+        return np.concatenate([self.state.sensitivities, self.by_sensitivity * self.state.sensitivities])
+
+    @cached_property
+    def by_sensitivity(self) -> np.ndarray:
+        """Derivatives of the responses with the filter by the sensitivities, (3, 61)."""
+        return np.exp(self.state.gains)[:, None] * self.passed
+
+    @cached_property
+    def by_passed(self) -> np.ndarray:
+        """Derivatives of the responses with the filter by its transmittance, (3, 61)."""
+        return np.exp(self.state.gains)[:, None] * self.state.sensitivities
+
+    def times(self, change: _State) -> np.ndarray:
+        """Return the changes of the responses, (6, 61), with a change of the state."""
+        passed = self.slopes @ change.departures + change.rest
+        filtered = self.by_sensitivity * change.sensitivities + self.by_passed * passed
+        return np.concatenate([change.sensitivities, filtered + self.value[FILTERED:] * change.gains[:, None]])
+
+    def transposed(self, responses: np.ndarray) -> _State:
+        """Return the product of the transposed derivatives with values of the responses, (6, 61)."""
+        plain, filtered = responses[:FILTERED], responses[FILTERED:]
+        passed = np.sum(self.by_passed * filtered, axis=0)
+        gains = np.sum(self.value[FILTERED:] * filtered, axis=1)
+        return _State(plain + self.by_sensitivity * filtered, self.slopes.T @ passed, gains, passed)
+
+
+@dataclass(frozen=True)
+class _Covariance:
+    """Covariance of the state: blocks of the sensitivities (3, 61, 61), variances (4,) and (3,), remainder (61, 61)."""
+
+    sensitivities: np.ndarray
+    departures: np.ndarray
+    gains: np.ndarray
+    rest: np.ndarray
+
+    def times(self, state: _State) -> _State:
+        """Return the product with a state."""
+        sensitivities = (self.sensitivities @ state.sensitivities[..., None])[..., 0]
+        return _State(
+            sensitivities, self.departures * state.departures, self.gains * state.gains, self.rest @ state.rest
+        )
+
+    def of_responses(self, one: _Linearised, other: _Linearised) -> np.ndarray:
+        """Return the covariance of the responses, linearised in two states, (6, 61, 6, 61)."""
+        out = np.zeros((2 * FILTERED, SAMPLES, 2 * FILTERED, SAMPLES))
+        passed = self.rest + (one.slopes * self.departures) @ other.slopes.T
+        for band in range(FILTERED):
+            own, through = self.sensitivities[band], FILTERED + band
+            left, right = one.by_sensitivity[band][:, None], other.by_sensitivity[band]
+            out[band, :, band], out[band, :, through], out[through, :, band] = own, own * right, left * own
+            for further in range(FILTERED):
+                out[through, :, FILTERED + further] = one.by_passed[band][:, None] * passed * other.by_passed[further]
+            gain = self.gains[band] * one.value[through][:, None] * other.value[through]
+            out[through, :, through] += left * own * right + gain
+        return out
+
+
+class _Problem:
+    """Responses to a chart as a function of sensitivities, departures, gains and remainder."""
 
     def __init__(self, response, spectra, table: FilterTable, priors: list[BandPrior], noise: np.ndarray) -> None:
-        self.response, self.spectra, self.table = response.T.ravel(), spectra, table
-        self.noise = np.repeat(noise, len(spectra))
-        self.mean, self.covariance = np.zeros(self._REST.stop), np.zeros((self._REST.stop,) * 2)
-        for band, prior in enumerate(priors):
-            own = slice(band * SAMPLES, (band + 1) * SAMPLES)
-            self.mean[own], self.covariance[own, own] = prior.mean, prior.covariance
-        self.covariance[self._DEPARTURES, self._DEPARTURES] = np.diag(table.spread**2)
-        self.covariance[self._GAINS, self._GAINS] = _GAIN**2 * np.eye(FILTERED)
-        self.alone = [prior.given(own, spectra).mean for prior, own in zip(priors, response.T, strict=False)]
+        self.table, self.noise, self.further_evidence = table, noise, 0.0
+        self.alone = np.stack(
+            [prior.given(own, spectra).mean for prior, own in zip(priors, response.T[:FILTERED], strict=True)]
+        )
+        self.response, self.spectra = response.T, spectra
+        if len(spectra) > SAMPLES:
+            # What no light answers with is noise: as many combinations of the patches as wavelengths tell the same.
+            turned, self.spectra = np.linalg.qr(spectra)
+            self.response = self.response @ turned
+            left = np.sum(response.T**2, axis=1) - np.sum(self.response**2, axis=1)
+            number = len(spectra) - SAMPLES
+            self.further_evidence = -0.5 * float(np.sum(np.maximum(left, 0.0) / noise + number * np.log(noise)))
+        self.prior = np.stack([prior.covariance for prior in priors])
+        self.mean = np.stack([prior.mean for prior in priors])
 
-    def begin(self, shift: float) -> np.ndarray:
-        """Return the starting values for a shift in nm; the gains among them also become the mean of their prior."""
-        start = self.mean.copy()
-        start[: self._DEPARTURES.start] = np.concatenate(self.alone)
-        start[self._DEPARTURES.start] = shift
-        passed = self.spectra * self.table.at(start[self._DEPARTURES])
-        measured = self.response.reshape(2, FILTERED, -1)[1]
+    def begin(self, shift: float) -> _State:
+        """Return the starting values for a shift in nm; their gains are the mean of the gains' prior, too."""
+        departures = np.array([shift, *np.zeros(len(DEPARTURES) - 1)])
+        passed = self.spectra * self.table.at(departures)
         seen = [passed @ h for h in self.alone]
-        gains = [one @ own / max(one @ one, 1e-300) for one, own in zip(seen, measured, strict=True)]
-        self.mean[self._GAINS] = start[self._GAINS] = np.log(np.maximum(gains, _LEAST_GAIN))
-        return start
+        gains = [one @ own / max(one @ one, 1e-300) for one, own in zip(seen, self.response[FILTERED:], strict=True)]
+        return _State(self.alone, departures, np.log(np.maximum(gains, _LEAST_GAIN)), np.zeros(SAMPLES))
 
-    def rest(self, size: float, length_nm: float, departures: np.ndarray) -> np.ndarray:
+    def rest(self, size: float, length_nm: float, here: _Linearised) -> np.ndarray:
         """Return the prior covariance of the transmittance's remainder beyond its departures, (61, 61)."""
-        level, edge = self.table.at(departures), self.table.slopes(departures)[:, 0]
+        level, edge = here.passed - here.state.rest, here.slopes[:, 0]
         levels = level[:, None] * _matern(length_nm) * level
         return size**2 * (levels + _EDGE_PER_LEVEL_NM**2 * edge[:, None] * _matern(_EDGE_NM) * edge)
 
-    def responses(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the responses per unit reflectance (6, 61) and their derivatives (6, 61, unknowns)."""
-        h, departures = x[: self._DEPARTURES.start].reshape(FILTERED, SAMPLES), x[self._DEPARTURES]
-        gains, passed = np.exp(x[self._GAINS]), self.table.at(departures) + x[self._REST]
-        slopes, of_all = self.table.slopes(departures), np.arange(SAMPLES)
-        value = np.concatenate([h, gains[:, None] * passed * h])
-        by = np.zeros((2 * FILTERED, SAMPLES, len(x)))
-        for band in range(FILTERED):
-            own = band * SAMPLES + of_all
-            by[band, of_all, own] = 1.0
-            by[FILTERED + band, of_all, own] = gains[band] * passed
-            by[FILTERED + band][:, self._DEPARTURES] = (gains[band] * h[band])[:, None] * slopes
-            by[FILTERED + band, :, self._GAINS.start + band] = value[FILTERED + band]
-            by[FILTERED + band, of_all, self._REST.start + of_all] = gains[band] * h[band]
-        return value, by
+    def linearised(self, state: _State) -> _Linearised:
+        """Return the responses at a state with their derivatives."""
+        return _Linearised(state, self.table.at(state.departures) + state.rest, self.table.slopes(state.departures))
 
     def solve(self, size: float, shift: float = 0.0, length_nm: float = _LEVEL_NM) -> FilterFit:
         """Return the fit with a remainder of the given size and correlation length, started at a shift in nm."""
-        x, variance = self.begin(shift), np.diag(self.covariance)[: self._REST.start]
-        unit = np.sqrt(np.maximum(variance, np.finfo(float).tiny))
+        x, patches = self.begin(shift), len(self.spectra)
+        mean = _State(self.mean, np.zeros(len(DEPARTURES)), x.gains, np.zeros(SAMPLES))
+        gains = np.full(FILTERED, _GAIN**2)
+        variances = np.einsum("bll->bl", self.prior), self.table.spread**2, gains
+        units = [np.sqrt(np.maximum(one, np.finfo(float).tiny)) for one in variances]
         for _ in range(_STEPS):
-            self.covariance[self._REST, self._REST] = self.rest(size, length_nm, x[self._DEPARTURES])
-            value, by = self.responses(x)
-            slopes = np.einsum("ml,blu->bmu", self.spectra, by, optimize=True).reshape(len(self.response), -1)
-            missed = self.response - (value @ self.spectra.T).ravel() + slopes @ (x - self.mean)
-            cross = self.covariance @ slopes.T
-            moment = slopes @ cross + np.diag(self.noise)
+            here = self.linearised(x)
+            before = _Covariance(self.prior, self.table.spread**2, gains, self.rest(size, length_nm, here))
+            known = here.value + here.times(mean.plus(x, -1.0))
+            missed = (self.response - known @ self.spectra.T).ravel()
+            moment = self.seen(self.seen(before.of_responses(here, here)).T.reshape(2 * FILTERED, SAMPLES, -1)).T
+            moment[np.diag_indices_from(moment)] += np.repeat(self.noise, patches)
             solved = np.linalg.solve(moment, missed)
-            step = self.mean + cross @ solved - x
+            weighed = here.transposed(solved.reshape(2 * FILTERED, patches) @ self.spectra)
+            step = mean.plus(before.times(weighed)).plus(x, -1.0)
             # Far from the solution the linearised model is wrong: the step is limited in shifts and gains.
-            shift, gain = (np.abs(step[own]).max() for own in (self._SHIFTS, self._GAINS))
-            x = x + step / max(1.0, shift / _MOST_SHIFT_NM, gain / _MOST_GAIN)
-            if np.abs(step[: self._REST.start] / unit).max() < _ENOUGH:
+            shift, gain = np.abs(step.departures[:2]).max(), np.abs(step.gains).max()
+            x = x.plus(step, 1.0 / max(1.0, shift / _MOST_SHIFT_NM, gain / _MOST_GAIN))
+            moved = zip((step.sensitivities, step.departures, step.gains), units, strict=True)
+            if max(float(np.abs(one / unit).max()) for one, unit in moved) < _ENOUGH:
                 break
-        value, by = self.responses(x)
-        by = by.reshape(-1, by.shape[-1])
-        covariance = self.covariance - cross @ np.linalg.solve(moment, cross.T)
-        evidence = -0.5 * (missed @ solved + np.linalg.slogdet(moment)[1])
+        there = self.linearised(x)
+        cross = self.seen(before.of_responses(here, there))
+        covariance = before.of_responses(there, there).reshape(cross.shape[1], -1)
+        covariance -= cross.T @ np.linalg.solve(moment, cross)
+        of_departures = np.zeros((2 * FILTERED, SAMPLES, len(DEPARTURES)))
+        of_departures[FILTERED:] = here.by_passed[..., None] * (here.slopes * before.departures)
+        told = self.seen(of_departures)
+        left = before.departures - np.sum(told * np.linalg.solve(moment, told), axis=0)
+        evidence = self.further_evidence - 0.5 * (missed @ solved + np.linalg.slogdet(moment)[1])
         return FilterFit(
-            value,
-            (by @ covariance @ by.T).reshape(*value.shape, *value.shape),
+            there.value,
+            covariance.reshape(*there.value.shape, *there.value.shape),
             float(evidence),
-            x[self._DEPARTURES],
-            np.sqrt(np.maximum(np.diag(covariance)[self._DEPARTURES], 0.0)),
-            np.exp(x[self._GAINS]),
+            x.departures,
+            np.sqrt(np.maximum(left, 0.0)),
+            np.exp(x.gains),
             size,
         )
+
+    def seen(self, of_responses: np.ndarray) -> np.ndarray:
+        """Return values per response, (6, 61, ...), as the chart's patches show them, (6 patches, all others)."""
+        shown = self.spectra @ of_responses.reshape(2 * FILTERED, SAMPLES, -1)
+        return shown.reshape(2 * FILTERED * len(self.spectra), -1)
 
 
 def fit_filter(

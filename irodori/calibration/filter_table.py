@@ -63,18 +63,18 @@ class FilterTable:
         return place, value / value.max()
 
     def at(self, departures: np.ndarray) -> np.ndarray:
-        """Return the transmittance (61,) of a filter with such departures, relative to the maximum of the table."""
-        shift, tilt, blur, floor = departures
+        """Return the transmittance of filters with departures, (..., 4), relative to the table's maximum, (..., 61)."""
+        shift, tilt, blur, floor = np.moveaxis(np.asarray(departures)[..., None], -2, 0)
         place = WAVELENGTH_NM - shift - tilt * (WAVELENGTH_NM - _MIDDLE_NM) / _SIDE_NM
-        middle, below, above = (np.interp(place + step, *self._curve) for step in (0.0, -_BLUR_STEP_NM, _BLUR_STEP_NM))
+        beside = np.stack([place, place - _BLUR_STEP_NM, place + _BLUR_STEP_NM])
+        middle, below, above = np.interp(beside, *self._curve)
         return middle + 0.5 * blur * (below + above - 2.0 * middle) / _BLUR_STEP_NM**2 + floor
 
     def slopes(self, departures: np.ndarray) -> np.ndarray:
         """Return the derivatives of the transmittance with respect to the departures, (61, 4)."""
         steps = np.diag([_FINE_NM, _FINE_NM, 1e-2, 1e-4])
-        return np.stack(
-            [(self.at(departures + step) - self.at(departures - step)) / (2.0 * step.max()) for step in steps], axis=1
-        )
+        after, before = self.at(departures + np.stack([steps, -steps]))
+        return ((after - before) / (2.0 * steps.max(axis=1, keepdims=True))).T
 
 
 def read_filter(file, name: str | None, shift_nm: float) -> FilterTable:

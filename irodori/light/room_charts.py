@@ -135,19 +135,25 @@ def light_on(chart: ChartResponses, model: ResponseModel, prior: LightPrior) -> 
     """
     from scipy.linalg import solve_triangular  # slow to import
 
-    bands, patches = len(model.mean), len(chart.reflectance)
+    bands, (patches, count) = len(model.mean), chart.reflectance.shape
     # Responses are ordered by band, so that errors of the response model, common to all patches, are blocks.
     seen = (model.mean[:, None] * chart.reflectance).reshape(bands * patches, -1)
     answer = chart.response.T.ravel()
-    of_all, of_pairs = np.arange(len(answer)), model.covariance.swapaxes(1, 2)
+    of_all, (one, other) = np.arange(len(answer)), np.tril_indices(bands)
+    # Second moments of the response to a wavelength in one band, and to another in another, (61, pairs, 61).
+    of_bands = model.mean[:, :, None, None] * model.mean + model.covariance
+    of_pairs = np.ascontiguousarray(of_bands.transpose(1, 0, 2, 3)[:, one, other])
+    second = np.zeros((bands, patches, bands, patches))
     logarithm, means, squares = [], [], []
     for moment, share in zip(prior.moment, prior.share, strict=True):
         cross = seen @ moment
-        second = cross @ seen.T
-        of_model = chart.reflectance @ (of_pairs * moment) @ chart.reflectance.T
-        second += of_model.reshape(bands, bands, patches, patches).swapaxes(1, 2).reshape(second.shape)
-        second[of_all, of_all] *= 1.0 + _NOISE**2
-        factor = np.linalg.cholesky(second)
+        of_one = chart.reflectance @ (of_pairs * moment[:, None]).reshape(count, -1)
+        of_both = of_one.reshape(-1, count) @ chart.reflectance.T
+        # The lower triangle is all that the factor needs.
+        second[one, :, other] = of_both.reshape(patches, -1, patches).swapaxes(0, 1)
+        responses = second.reshape(len(answer), -1).copy()
+        responses[of_all, of_all] *= 1.0 + _NOISE**2
+        factor = np.linalg.cholesky(responses)
         turned = solve_triangular(factor, np.column_stack([answer, cross]), lower=True)
         square = turned[:, 0] @ turned[:, 0] / len(answer)
         logarithm.append(np.log(share) - np.log(np.diag(factor)).sum() - 0.5 * len(answer) * np.log(square))

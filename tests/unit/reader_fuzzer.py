@@ -64,9 +64,9 @@ def damaged(content: bytes, chance: random.Random) -> bytes:
             case 4:
                 out[at:at] = out[at : at + chance.randrange(1, 200)] * chance.choice([1, 2, 50])
             case _:
-                numbers = list(_NUMBER.finditer(bytes(out)))
-                if numbers:
-                    found = chance.choice(numbers)
+                # Not all numbers are listed: of a large binary file, this takes longer than reading it.
+                found = _NUMBER.search(out, at) or _NUMBER.search(out)
+                if found:
                     out[found.start() : found.end()] = chance.choice(_ODD_NUMBERS)
     return bytes(out)
 

@@ -12,7 +12,7 @@ from reader_fuzzer import LONGEST_S, ROOT
 
 #: Readers of each group, and damaged files for each of them: some hundred in all, and ten thousand.
 _READERS = {"text": 15, "pictures": 6, "meshes": 4, "HDF5": 3}
-_ORDINARY, _HEAVY = 12, 400
+_ORDINARY, _HEAVY = 12, 360
 _MOST_MB = 1000.0
 
 
