@@ -5,7 +5,7 @@ down. Mosaic coordinates are in mosaic pixels, and start with 0 at the outer cor
 """
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,6 +19,10 @@ if TYPE_CHECKING:
 #: Margin around the picture that must have view directions too, because of blur and of shifts by a filter, mosaic
 #: pixels.
 _MARGIN_PX = 16
+
+
+#: Corrected cameras, of which there are thousands, have the distortion of the one that is typed.
+_fold_radius = lru_cache(maxsize=16)(fold_radius)
 
 
 def samples_from_superpixels(xy, sample_px: int):
@@ -93,7 +97,7 @@ class Pinhole:
     @cached_property
     def fold(self) -> float:
         """Distance from the axis, at unit depth, beyond which the distortion model is not valid."""
-        return fold_radius(self.distortion)
+        return _fold_radius(self.distortion)
 
     def _check_fold(self) -> None:
         """Raise `InputError` if the distortion leaves a pixel without a view direction."""
@@ -132,11 +136,14 @@ class Pinhole:
             model is not valid.
         """
         local = (np.asarray(points, dtype=np.float64) - position) @ world_from_camera
-        depth = np.where(local[..., 2] > 1e-6, local[..., 2], np.nan)
-        plane = np.stack([local[..., 0] / depth, local[..., 1] / depth], axis=-1)
+        plane = local[..., :2] / np.where(local[..., 2:] > 1e-6, local[..., 2:], np.nan)
         if self.is_distorted:
             plane = self._through(distort_all, plane)
-        return (plane * self.focal_px + self.centre_px) / 2.0 - 0.5
+        plane *= self.focal_px
+        plane += self.centre_px
+        plane *= 0.5
+        plane -= 0.5
+        return plane
 
     def directions(self, mosaic_xy, world_from_camera) -> np.ndarray:
         """Return unit view directions in the world, (..., 3), of mosaic coordinates, (..., 2).

@@ -53,10 +53,8 @@ def rig_from_object(pose) -> np.ndarray:
 
 def rig_from_camera(pose) -> np.ndarray:
     """Return the (3, 3) rotation from camera axes (x right, y down, z forward) to the rig."""
-    angle = math.radians(pose.camera_deg)
-    right = np.array([math.cos(angle), 0.0, math.sin(angle)])
-    forward = -to_camera(pose)
-    return np.stack([right, np.cross(forward, right), forward], axis=1)
+    c, s = math.cos(math.radians(pose.camera_deg)), math.sin(math.radians(pose.camera_deg))
+    return np.array([[c, 0.0, s], [0.0, -1.0, 0.0], [s, 0.0, -c]])
 
 
 def look_at(position, target, up) -> np.ndarray:

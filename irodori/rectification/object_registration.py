@@ -315,18 +315,20 @@ class _Problem:
     def seen(self, view: int, points: np.ndarray, values: np.ndarray) -> np.ndarray:
         """Return the projections of points of the object into a photograph, (n, 2) superpixels, for given unknowns."""
         correction, pose = self.standing(view, values)
-        camera = self.setup.corrected(correction)
-        placed = correction.placements(self.shape, pose, 0.0)[0]
-        eye = camera.camera_distance_mm * to_camera(pose)
-        return camera.pinhole.project(placed.points(points), eye, rig_from_camera(pose))
+        rotation, translation_mm = correction.in_rig(pose)
+        return self._projected(points @ rotation.T + translation_mm, correction, pose)
+
+    def _projected(self, points: np.ndarray, correction: Correction, pose: Pose) -> np.ndarray:
+        """Return the projections of points of the rig, (n, 2) superpixels, by the corrected camera."""
+        eye = correction.camera_distance_mm(self.setup.camera_distance_mm) * to_camera(pose)
+        return correction.pinhole(self.setup.pinhole).project(points, eye, rig_from_camera(pose))
 
     def corners_seen(self, view: int, values: np.ndarray) -> np.ndarray:
         """Return where a photograph shows the sheet's corners that were found in it, (n, 2) superpixels."""
         assert self.sheet is not None
+        points = self.sheet.on_table(self.views[view].corners, values[self.of_sheet])
         correction, pose = self.standing(view, values)
-        camera = self.setup.corrected(correction)
-        points = self.sheet.on_table(self.views[view].corners, values[self.of_sheet]) @ rig_from_object(pose).T
-        return camera.pinhole.project(points, camera.camera_distance_mm * to_camera(pose), rig_from_camera(pose))
+        return self._projected(points @ rig_from_object(pose).T, correction, pose)
 
     def shading(self, view: int) -> np.ndarray:
         """Return every texel's cosine of incidence times the irradiance normal to the beam; NaN if lit from behind."""

@@ -80,7 +80,7 @@ class Correction:
 
     def by(self, values: Sequence[float] | np.ndarray) -> "Correction":
         """Return the correction of the same placement with other 12 numbers."""
-        return replace(self, values=tuple(float(value) for value in values))
+        return replace(self, values=tuple(np.asarray(values, dtype=float).tolist()))
 
     @classmethod
     def load(cls, path) -> "Correction":
@@ -98,7 +98,8 @@ class Correction:
     @property
     def table_from_object(self) -> np.ndarray:
         """Rotation matrix (3, 3) of the object on the table."""
-        return rotation_xyz(self.values[3:6]) @ rotation_xyz(self.rotation_deg)
+        rotation = rotation_xyz(self.values[3:6])
+        return rotation @ rotation_xyz(self.rotation_deg) if any(self.rotation_deg) else rotation
 
     @property
     def translation_mm(self) -> np.ndarray:
@@ -123,11 +124,18 @@ class Correction:
 
     def placements(self, shape: Shape, pose: Pose, table_radius_mm: float) -> list[Placement]:
         """Return the corrected placements of object (0) and table (1, absent for radius 0) in the rig's frame."""
+        lain = Placement(shape, *self.in_rig(pose))
+        if table_radius_mm == 0.0:
+            return [lain]
         rotation = rig_from_object(pose)
         _, *table = on_table(shape, rotation, table_radius_mm)
         height = rotation @ np.array([0.0, 0.0, self.values[2]])
-        lain = Placement(shape, rotation @ self.table_from_object, rotation @ self.translation_mm)
         return [lain, *(replace(top, translation_mm=top.translation_mm + height) for top in table)]
+
+    def in_rig(self, pose: Pose) -> tuple[np.ndarray, np.ndarray]:
+        """Return rotation (3, 3) and displacement (3,) mm of the object in the rig's frame."""
+        rotation = rig_from_object(pose)
+        return rotation @ self.table_from_object, rotation @ self.translation_mm
 
 
 AS_TYPED = Correction()

@@ -1,10 +1,12 @@
 """Pictures for registration: the part that may show the object, binned to a limited size, at several levels of blur."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from irodori.core import store
+from irodori.jit.compilation import njit
 
 _BANDS = 3  # bands of the first filter state; those of the second were shifted onto it, which adds an error
 GREEN = 1  # the only band whose samples lie symmetrically about the centre of a superpixel
@@ -78,15 +80,43 @@ class Picture:
 
     def level(self, sigma: float) -> "Level":
         """Return the picture blurred by a Gaussian with a standard deviation of ``sigma`` samples."""
+        if sigma <= 0.0:
+            return self._sharp
         from scipy import ndimage  # slow to import
 
         response = np.moveaxis(self.response, -1, 0)
-        if sigma <= 0.0:
-            return Level(np.ascontiguousarray(response), self.valid)
         weight = ndimage.gaussian_filter(self.valid, sigma, truncate=2.5)
         known = np.maximum(weight, 1e-6)
         bands = [ndimage.gaussian_filter(band, sigma, truncate=2.5) / known for band in response]
         return Level(np.stack(bands), (weight > _HALF).astype(np.float32), sigma)
+
+    @cached_property
+    def _sharp(self) -> "Level":
+        """The picture without blur."""
+        return Level(np.ascontiguousarray(np.moveaxis(self.response, -1, 0)), self.valid)
+
+
+@njit(cache=True, error_model="numpy")
+def _sample(pictures, valid, place, out):
+    """Interpolate pictures at points, x then y; points beyond them, or beside samples that are not valid, get NaN."""
+    height, width = valid.shape
+    for p in range(place.shape[0]):
+        x, y = place[p, 0], place[p, 1]
+        sure = 0.0
+        if 0.0 <= x <= width - 1.0 and 0.0 <= y <= height - 1.0:
+            j, i = int(x), int(y)
+            right, below = x - j, y - i
+            after, under = min(j + 1, width - 1), min(i + 1, height - 1)
+            a, b = (1.0 - below) * (1.0 - right), (1.0 - below) * right
+            c, d = below * (1.0 - right), below * right
+            sure = a * valid[i, j] + b * valid[i, after] + c * valid[under, j] + d * valid[under, after]
+        if not sure > 0.999:
+            for n in range(pictures.shape[0]):
+                out[p, n] = np.nan
+            continue
+        for n in range(pictures.shape[0]):
+            one = pictures[n]
+            out[p, n] = a * one[i, j] + b * one[i, after] + c * one[under, j] + d * one[under, after]
 
 
 @dataclass(frozen=True)
@@ -98,15 +128,9 @@ class Level:
     sigma: float = 0.0
 
     def sampled(self, pictures: np.ndarray, place: np.ndarray) -> np.ndarray:
-        """Interpolate pictures (n, height, width) bilinearly at points (p, 2); (p, n), NaN where not known."""
-        from scipy import ndimage
-
-        rows_columns = place.T[::-1]
-        out = np.stack(
-            [ndimage.map_coordinates(one, rows_columns, order=1, mode="constant", cval=np.nan) for one in pictures], -1
-        )
-        sure = ndimage.map_coordinates(self.valid, rows_columns, order=1, mode="constant", cval=0.0)
-        out[~(sure > 0.999)] = np.nan
+        """Interpolate pictures (n, height, width) bilinearly at points (p, 2); (p, n) float32, NaN where not known."""
+        out = np.empty((len(place), len(pictures)), dtype=np.float32)
+        _sample(pictures, self.valid, np.ascontiguousarray(place, dtype=np.float64), out)
         return out
 
 
