@@ -20,6 +20,7 @@ _MISFIT, _READINGS = 0.02, 100.0
 #: Roughness from which the search begins, rad.
 _STARTS = (0.1, 0.4)
 _LOG_BETA = (-7.0, 5.0)
+_STEP = 1e-4  # of numerical derivatives: standard deviations of a direction, or of the logarithm of the roughness
 
 
 @dataclass(frozen=True)
@@ -103,26 +104,75 @@ def register_lamps(
         moved = direction + turned[:, :1] * first + turned[:, 1:] * second
         return moved / np.linalg.norm(moved, axis=1)[:, None], level, *np.exp(x[-2:])
 
+    # Residuals beyond the expected misfit count by about their absolute value (soft L1), priors by their square.
+    unit, used = np.sqrt(_READINGS / weight.sum(axis=0)), weight > 0.0
+
+    def model(lamps: np.ndarray, beta: float, mu: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return cosines of incidence and gloss, (T, J) each, for lamps of level 1."""
+        angles = geometry_of(normal, view, lamps)
+        gloss = beta * evaluate(lobe, mu, angles) * fresnel_array(np.cos(angles[..., 2]), n, k)
+        return np.maximum(np.cos(angles[..., 0]), 0.0), gloss
+
+    def diffuse(cosine: np.ndarray, gloss: np.ndarray, level: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return what gloss leaves of the responses, the diffuse weights and the sums that these are divided by."""
+        off, power = response / scale - level * gloss, np.sum(weight * (level * cosine) ** 2, axis=1)
+        power = np.maximum(power, 1e-12)
+        return off, (weight * off * level * cosine).sum(axis=1) / power, power
+
     def residuals(x: np.ndarray) -> np.ndarray:
         lamps, level, beta, mu = parts(x)
-        angles = geometry_of(normal, view, lamps)
-        cosine = np.maximum(np.cos(angles[..., 0]), 0.0)
-        gloss = beta * evaluate(lobe, mu, angles) * fresnel_array(np.cos(angles[..., 2]), n, k)
-        off, power = level * (response / scale / level - gloss), weight * (level * cosine) ** 2
-        alpha = (weight * off * level * cosine).sum(axis=1) / np.maximum(power.sum(axis=1), 1e-12)
+        cosine, gloss = model(lamps, beta, mu)
+        off, alpha, _ = diffuse(cosine, gloss, level)
         left = part * (off - alpha[:, None] * level * cosine)
-        # Residuals beyond the expected misfit count by about their absolute value (soft L1), priors by their square.
-        unit = np.sqrt(_READINGS / weight.sum(axis=0))
         z = (left / unit) ** 2
         robust = np.sign(left) * unit * np.sqrt(2.0 * (np.sqrt(1.0 + z) - 1.0))
-        return np.concatenate([robust[weight > 0.0], x[count - 1 : -2]])
+        return np.concatenate([robust[used], x[count - 1 : -2]])
+
+    def slopes(x: np.ndarray) -> np.ndarray:
+        """Return the derivatives of the residuals: a lamp changes the model in its own photograph alone."""
+        lamps, level, beta, mu = parts(x)
+        cosine, gloss = model(lamps, beta, mu)
+        off, alpha, power = diffuse(cosine, gloss, level)
+        shade = level * cosine
+        left = part * (off - alpha[:, None] * shade)
+        root = np.sqrt(1.0 + (left / unit) ** 2)
+        outer = part * np.sqrt(0.5 * (root + 1.0)) / root  # derivatives of the robust residuals, times the weights
+
+        def column(off_change: np.ndarray, shade_change: np.ndarray, which: slice) -> np.ndarray:
+            """Return a column from changes, (T, J), of what gloss leaves and of shade in some of the photographs."""
+            told = weight[:, which] * (off_change * shade[:, which] + off[:, which] * shade_change)
+            doubled = 2.0 * weight[:, which] * shade[:, which] * shade_change
+            alpha_change = (told.sum(axis=1) - alpha * doubled.sum(axis=1)) / power
+            change = -alpha_change[:, None] * shade
+            change[:, which] += off_change - alpha[:, None] * shade_change
+            return (outer * change)[used]
+
+        each = [slice(number, number + 1) for number in range(count)]
+        by_level = [column(-(level * gloss)[:, own], shade[:, own], own) for own in each]
+        columns = [one - by_level[-1] for one in by_level[:-1]]
+        if error_deg:
+            ends = []
+            for axis in (0, 1):
+                moved = np.zeros((2, len(x)))
+                moved[:, count - 1 + axis : -2 : 2] = [[_STEP], [-_STEP]]
+                ahead, behind = (model(parts(x + one)[0], beta, mu) for one in moved)
+                ends.append([(one - other) / (2.0 * _STEP) * level for one, other in zip(ahead, behind, strict=True)])
+            for own in each:
+                columns += [column(-by_gloss[:, own], by_cosine[:, own], own) for by_cosine, by_gloss in ends]
+        nothing = np.zeros_like(shade)
+        rough, smooth = (model(lamps, beta, mu * np.exp(sign * _STEP))[1] for sign in (1.0, -1.0))
+        for by_gloss in (gloss, (rough - smooth) / (2.0 * _STEP)):
+            columns.append(column(-level * by_gloss, nothing, slice(None)))
+        priors = np.zeros((2 * count if error_deg else 0, len(x)))
+        priors[:, count - 1 : -2] = np.eye(len(priors))
+        return np.concatenate([np.stack(columns, axis=1), priors])
 
     size = (count - 1) + (2 * count if error_deg else 0)
     low, high = np.full(size + 2, -np.inf), np.full(size + 2, np.inf)
     low[-2:], high[-2:] = (_LOG_BETA[0], np.log(0.02)), (_LOG_BETA[1], np.log(1.2))
     found = min(
         (
-            least_squares(residuals, np.append(np.zeros(size), [0.0, np.log(start)]), bounds=(low, high), x_scale="jac")
+            least_squares(residuals, [*np.zeros(size), 0.0, np.log(start)], slopes, bounds=(low, high), x_scale="jac")
             for start in _STARTS
         ),
         key=lambda one: one.cost,

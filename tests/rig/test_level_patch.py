@@ -52,7 +52,8 @@ def pictures(tmp_path, definitions, patch, poses, level, *, distance_mm=None, gr
             response = seen(number, response)
         files.append(tmp_path / f"{number:02d}-{pose.name}.h5")
         with store.create(files[-1], PROVENANCE) as out:
-            out.write("response", response.astype("f4"), units="1", dims="row,column,band", quantity="response")
+            kept = {"units": "1", "dims": "row,column,band", "quantity": "response", "compression": "none"}
+            out.write("response", response.astype("f4"), **kept)
             clipped = (response > 3.0).any(axis=2)
             for name, mask in (("valid", ~clipped), ("clipped", clipped)):
                 out.write(name, mask.astype(np.uint8), units="1", dims="row,column", quantity=name)

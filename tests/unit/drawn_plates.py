@@ -30,7 +30,8 @@ def linear_file(path, response, valid=None, sample_px=2, pose=(45.0, 10.0, 5.0, 
     height, width, bands = response.shape
     valid = np.ones((height, width), np.uint8) if valid is None else valid
     with store.create(path, store.Provenance("test")) as out:
-        out.write("response", response.astype("f4"), units="1", dims="row,column,band", quantity="response")
+        kept = {"units": "1", "dims": "row,column,band", "quantity": "response", "compression": "none"}
+        out.write("response", response.astype("f4"), **kept)
         out.write("valid", valid, units="1", dims="row,column", quantity="valid")
         noise = np.stack([np.array([1e-4, 1e-3]) * (band + 1) for band in range(bands)])
         out.write("noise_model", noise, units="1", dims="band,term", quantity="noise")
