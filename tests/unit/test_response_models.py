@@ -1,5 +1,6 @@
 """Response models from a chart, a table of the filter and given sensitivities, against cameras that are known."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +31,7 @@ from irodori.calibration.best_response import (
     best_response,
 )
 from irodori.calibration.estimator_choice import SelectionRow
+from irodori.calibration.filter_fit import FILTERED, fit_filter
 from irodori.calibration.filter_table import FilterTable, read_filter
 from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.calibration.sensitivity_prior import Posteriors, prior_of_chart
@@ -99,6 +101,29 @@ def test_shift_and_gain_of_a_filter_are_found_with_the_response_model(curve, shi
     assert_within(best, true)
     whole = best.covariance.reshape(best.mean.size, -1)
     assert np.linalg.eigvalsh(whole).min() >= -1e-9 * whole.max()
+
+
+def test_a_chart_that_is_photographed_three_times_is_one_of_a_third_of_the_noise():
+    """In all that is found; the evidence by what three readings of a patch are worth as densities, written out.
+
+    Three charts have more patches than there are wavelengths, and are combined first.
+    """
+    own = photographed(COMB, 0.003)
+    response, spectra, *_ = own.chart()
+    table = FilterTable(FINE_NM, COMB)
+    priors = [prior_of_chart(one, spectra, own.light, 1e-5) for one in response.T[:FILTERED]]
+    third = [replace(prior, noise=prior.noise / 3.0) for prior in priors]
+    thrice = fit_filter(np.tile(response, (3, 1)), np.tile(spectra, (3, 1)), table, priors, np.zeros(6))
+    once = fit_filter(response, spectra, table, third, np.zeros(6))
+    for name in ("mean", "covariance", "departures", "errors", "gains"):
+        found, expected = getattr(thrice, name), getattr(once, name)
+        np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-5 * np.abs(expected).max())
+    square = np.mean(response**2, axis=0)
+    noise = np.array([prior.noise for prior in priors])
+    noise = np.concatenate([noise, np.mean(noise / square[:FILTERED]) * square[FILTERED:]])
+    count = len(spectra)
+    further = 0.5 * (6 * count * np.log(3.0) + 2 * count * np.log(noise).sum())
+    assert thrice.log_evidence == pytest.approx(once.log_evidence - further, rel=1e-9)
 
 
 @pytest.mark.parametrize("noise", NOISES)
