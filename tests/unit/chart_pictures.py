@@ -68,17 +68,24 @@ def shot(
     """A picture of charts on paper, (height, width, bands): edges are smoothed by three samples a side."""
     responses = SPECTRA @ sensitivities().T if responses is None else responses
     white = responses.max(axis=0) / SPECTRA.mean(axis=1).max()
+
+    def part(x, y) -> np.ndarray:
+        """Return the colours at places of the picture, (n, bands)."""
+        x, y = _unbent(x, y, width, height, distortion)
+        out = np.full((len(x), responses.shape[1]), PAPER) * white
+        for image_from_grid in maps:
+            _draw(out, (x, y), np.linalg.inv(image_from_grid), responses, FRAME * white, layout)
+        return out
+
+    y, x = np.indices((height, width)).reshape(2, -1).astype(float)
+    picture = part(x, y)
+    # Where all neighbours have one colour, so has the whole sample, if nothing is as small as a sample.
+    whole = picture.reshape(height, width, -1)
+    spread = ndimage.maximum_filter(whole, (3, 3, 1)) - ndimage.minimum_filter(whole, (3, 3, 1))
+    edge = np.flatnonzero(spread.max(axis=2))
     fine = (np.arange(3) - 1.0) / 3.0
-    picture = np.zeros((height, width, responses.shape[1]))
-    for dx in fine:
-        for dy in fine:
-            y, x = np.mgrid[0:height, 0:width].astype(float)
-            x, y = _unbent(x + dx, y + dy, width, height, distortion)
-            part = np.full_like(picture, 1.0) * PAPER * white
-            for image_from_grid in maps:
-                _draw(part, (x, y), np.linalg.inv(image_from_grid), responses, FRAME * white, layout)
-            picture += part / fine.size**2
-    return picture
+    picture[edge] = sum(part(x[edge] + dx, y[edge] + dy) for dx in fine for dy in fine) / fine.size**2
+    return whole
 
 
 def _unbent(x, y, width, height, distortion: float):
