@@ -249,9 +249,7 @@ def run_chain(chain: SmallChain, folder: Path, seen: dict | None = None, calibra
     return Material.load(material)
 
 
-def cost_rows(
-    label: str, chain: SmallChain, seen: dict | None = None, calibrated: dict | None = None
-) -> list[CostRow]:
+def cost_rows(label: str, chain: SmallChain, seen: dict | None = None, calibrated: dict | None = None) -> list[CostRow]:
     """Run all stages once and return the errors of the material under every light; for the caches see `run_chain`."""
     with tempfile.TemporaryDirectory(prefix="irodori-") as folder:
         found = run_chain(chain, Path(folder), seen, calibrated)
