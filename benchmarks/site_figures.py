@@ -40,7 +40,8 @@ PLATE, SPHERE, CAMERA, ROOM, SCENE, VIEW = (
 #: The pose of the plate's photograph that shows its highlight: light 45 degrees, camera 45 degrees.
 _HIGHLIGHT = "l0450-c0450-t000-r0000"
 _SPHERE_POSES = (
-    "l0350-c0000-t000-r0000", "l0350-c0000-t000-r0900", "l0450-c0250-t000-r0000", "l0450-c0250-t000-r0900",
+    "l0600-c0600-t000-r0450-a1500", "l0900-c0900-t000-r0000-a2100", "l0900-c0900-t000-r0450-a1500",
+    "l0800-c0300-t000-r0000",
 )  # fmt: skip
 _BANDS = tuple(f"{colour}, {shot} filter" for shot in ("without", "with") for colour in ("red", "green", "blue"))
 #: Patches of the ColorChecker that are shown: one of each region of colour.
@@ -111,8 +112,9 @@ def photographs(results: Path) -> Figure:
             response = file.read("response")[..., :3]
         # The tone curve of a display; the bands of a camera are not yet its colours.
         axes.imshow(np.clip(response / np.percentile(response, 99.8), 0.0, 1.0) ** (1 / 2.2))
-        light, camera, _, turn = (float(part[1:]) / 10.0 for part in pose.split("-"))
-        axes.set_title(f"light {light:g}°, camera {camera:g}°, turn {turn:g}°", fontsize=8)
+        angle = {part[0]: float(part[1:]) / 10.0 for part in pose.split("-")}
+        lamp = f"light {angle['l']:g}°" + (f" around {angle['a']:g}°" if "a" in angle else "")
+        axes.set_title(f"{lamp}, camera {angle['c']:g}°, turn {angle['r']:g}°", fontsize=8)
         axes.axis("off")
     return figure
 

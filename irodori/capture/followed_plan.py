@@ -13,7 +13,7 @@ from irodori.geometry.rig_frame import to_camera, to_light
 #: Largest angle of lamp and camera from the vertical in such a plan, degrees: beyond it the table is in the way.
 _LOWEST_DEG = 80.0
 #: Angles in the order in which a person sets them, as `irodori init` asks for them.
-_AXES = ("light_deg", "camera_deg", "tilt_deg", "turn_deg")
+_AXES = ("light_deg", "light_azimuth_deg", "camera_deg", "tilt_deg", "turn_deg")
 #: How each pose is photographed, by filter states; () if they are unknown.
 _TIMES = {
     ("out",): "once",
@@ -49,14 +49,18 @@ def followed(plan: Plan, rig: Rig, states: Collection[str] = ()) -> list[str]:
     """
     settings = len({_setting(pose) for pose in plan.poses})
     how = _TIMES[tuple(sorted(states))]
+    sideways = any(pose.light_azimuth_deg for pose in plan.poses)
+    lamp = "where the list says" if sideways else "to your right"
     lines = [
         f"{len(plan.poses)} poses: lamp and object are set {settings} times, the camera for every pose.",
         f"Photograph each {how}.",
-        "The lamp stands to your right and the camera to your left, both turned to the object's middle. Places are",
+        f"The lamp stands {lamp} and the camera to your left, both turned to the object's middle. Places are",
         "measured from there, angles from straight above it. Leave focus, aperture and zoom alone, and note the angles",
         "where they are not those of the list.",
     ]
-    last: tuple[int, float, float, float] | None = None
+    if sideways:
+        lines.append("The azimuth of the lamp is how far it goes around the object from your right, away from you.")
+    last: tuple[int, float, float, float, float] | None = None
     for number, pose in enumerate(plan.poses, 1):
         if _setting(pose) != last:
             if pose.placement != (last[0] if last else 1):
@@ -66,15 +70,16 @@ def followed(plan: Plan, rig: Rig, states: Collection[str] = ()) -> list[str]:
         camera = _place(rig.camera_distance_mm * to_camera(pose))
         lines.append(f"{number:4}. camera at {pose.camera_deg:g} degrees: {camera}")
     lines += ["", *plan.expectations(), "", "for irodori init, in the order of the list:"]
-    lines += [f"{axis}: {' '.join(_numbers(plan.poses, axis))}" for axis in _AXES]
+    axes = [axis for axis in _AXES if sideways or axis != "light_azimuth_deg"]
+    lines += [f"{axis}: {' '.join(_numbers(plan.poses, axis))}" for axis in axes]
     if any(pose.placement > 1 for pose in plan.poses):
         lines.append(f"then in the table, column placement: {' '.join(_numbers(plan.poses, 'placement'))}")
     return lines
 
 
-def _setting(pose: Pose) -> tuple[int, float, float, float]:
+def _setting(pose: Pose) -> tuple[int, float, float, float, float]:
     """Return what changes less often in a pose than the camera: placement, and light, tilt and turn, degrees."""
-    return pose.placement, pose.light_deg, pose.tilt_deg, pose.turn_deg
+    return pose.placement, pose.light_deg, pose.light_azimuth_deg, pose.tilt_deg, pose.turn_deg
 
 
 def _of_setting(pose: Pose, rig: Rig) -> list[str]:
@@ -83,14 +88,16 @@ def _of_setting(pose: Pose, rig: Rig) -> list[str]:
     lamp = place if away else f"{place}, for each metre that it stands away"
     tilt = f"tilted by {pose.tilt_deg:g} degrees towards the lamp" if pose.tilt_deg else "level"
     turn = f"turned by {pose.turn_deg:g} degrees, counter-clockwise from above" if pose.turn_deg else "not turned"
-    return [f"lamp at {pose.light_deg:g} degrees: {lamp}", f"object {tilt}, {turn}"]
+    azimuth = f", azimuth {pose.light_azimuth_deg:g}" if pose.light_azimuth_deg else ""
+    return [f"lamp at {pose.light_deg:g} degrees{azimuth}: {lamp}", f"object {tilt}, {turn}"]
 
 
 def _place(from_middle_mm: np.ndarray) -> str:
-    """Return a phrase for a position in the rig's plane, relative to the object's middle, mm."""
-    x, z = round(float(from_middle_mm[0])), round(float(from_middle_mm[2]))
+    """Return a phrase for a position relative to the object's middle, mm, as seen by a person in front of the rig."""
+    x, y, z = (round(float(value)) for value in from_middle_mm)
     side = f"{abs(x)} mm to the {'right' if x > 0 else 'left'}" if x else "straight"
-    return f"{side}, {abs(z)} mm {'down' if z < 0 else 'up'}"
+    beside = f", {abs(y)} mm {'away from' if y > 0 else 'towards'} you" if y else ""
+    return f"{side}{beside}, {abs(z)} mm {'down' if z < 0 else 'up'}"
 
 
 def _numbers(poses: Sequence[Pose], axis: str) -> list[str]:

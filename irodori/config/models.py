@@ -503,7 +503,7 @@ class PosePlan(Definition):
     #: Poses to plan (count).
     count: int = 12
 
-    #: Different light angles and tilts that a person will set (count).
+    #: Different places of the light and tilts that a person will set (count).
     max_manual: int = 3
 
 

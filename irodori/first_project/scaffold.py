@@ -27,7 +27,8 @@ _LIMITS = {
 }
 _ANGLES = tuple(_LIMITS)
 _AZIMUTH = "light_azimuth_deg"
-_AZIMUTHS = {_AZIMUTH: {"min": -180.0, "max": 180.0, "step": 0.1}}
+#: Of either sign and up to a whole turn, because people and light-position files count in both ways.
+_AZIMUTHS = {_AZIMUTH: {"min": -360.0, "max": 360.0, "step": 0.1}}
 #: Light of the first picture: a lamp with soft shadows, and an even sky.
 _LAMP = {"spectrum": "D65", "azimuth_deg": -60.0, "elevation_deg": 45.0, "diameter_deg": 10.0, "irradiance": 1.0}
 _SKY = {"spectrum": "D65", "azimuth_deg": 0.0, "elevation_deg": 90.0, "diameter_deg": 180.0, "radiance": 0.3}
@@ -255,7 +256,7 @@ class Scaffold:
                 "texels: a number to start with",
                 "place: the object's middle is where the axes of the rig meet",
             ]
-            for axis in ("camera_deg", "tilt_deg", "turn_deg"):
+            for axis in (_AZIMUTH, "camera_deg", "tilt_deg", "turn_deg"):
                 if axis in said:
                     notes[subject].append(f"{axis} in {table}: {said[axis]}")
             notes[environment] = [
@@ -284,7 +285,7 @@ class Scaffold:
             lens["white"] = {"reflectance_factor": _known(said.white_reflectance)}
         rig = {
             "kind": "files",
-            "limits": _LIMITS | (_AZIMUTHS if _AZIMUTH in said.angles else {}),
+            "limits": _LIMITS | _AZIMUTHS,
             "camera_distance_mm": _known(said.camera_distance_mm),
             "light": {"spectrum": _known(said.lamp)},
         }

@@ -21,6 +21,8 @@ RIG = {
     "camera_distance_mm": 900.0,
     "table_radius_mm": 25.0,
 }
+#: The same with a lamp that also stands beside the camera's plane.
+SIDEWAYS = RIG | {"limits": RIG["limits"] | {"light_azimuth_deg": {"min": -360.0, "max": 360.0, "step": 0.5}}}
 PLAN = {"alpha": [0.02, 0.9], "beta": [0.5, 8.0], "mu_rad": [0.05, 0.3], "count": 12, "max_manual": 3}
 PLATE_OBJECT = {
     "shape": {"kind": "plate", "width_mm": 90.0, "height_mm": 90.0},

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 from made import made
-from plans import PLATE_OBJECT, RIG, SPHERE_OBJECT
+from plans import PLATE_OBJECT, RIG, SIDEWAYS, SPHERE_OBJECT
 from sessions import definitions
 from test_check import CORNERS, SIZE, write
 
@@ -19,22 +19,28 @@ from irodori.config.parts import PlannedObject
 from irodori.core.errors import InputError
 from irodori.first_project.questions import numbers
 
-PLACE = r"(?:(\d+) mm to the (right|left)|straight), (\d+) mm (up|down)"
+PLACE = r"(?:(\d+) mm to the (right|left)|straight)(?:, (\d+) mm (towards|away from) you)?, (\d+) mm (up|down)"
+
+
+def place(words: str) -> tuple[float, float, float]:
+    """Return a place in words as millimetres to the right, away from the person, and up."""
+    aside, side, behind, towards, along, way = re.search(PLACE, words).groups()
+    signs = (-1.0 if word in ("left", "towards", "down") else 1.0 for word in (side, towards, way))
+    return tuple(sign * float(length or 0.0) for sign, length in zip(signs, (aside, behind, along), strict=True))
 
 
 def measured_out(words: str) -> tuple[float, float]:
     """Return the distance from the object's middle and the angle from straight above it of a place in words."""
-    aside, _, along, way = re.search(PLACE, words).groups()
-    x, z = float(aside or 0.0), float(along) * (-1.0 if way == "down" else 1.0)
-    return math.hypot(x, z), math.degrees(math.atan2(x, z))
+    x, y, z = place(words)
+    return math.hypot(x, y, z), math.degrees(math.atan2(math.hypot(x, y), z))
 
 
 def listed(lines) -> list[dict]:
     """Return the angles that a list tells, and those of the places in it."""
     found, setting = [], {}
     for line in lines:
-        if lamp := re.match(r"lamp at ([\d.]+) degrees: (.*)", line):
-            assert "to the left" not in line
+        if lamp := re.match(r"lamp at ([\d.]+) degrees(?:, azimuth -?[\d.]+)?: (.*)", line):
+            assert "to the left" not in line or "azimuth" in line
             setting = {"light_deg": float(lamp[1]), "lamp": measured_out(lamp[2])}
         elif line.startswith("object "):
             tilt, turn = re.search(r"tilted by ([\d.]+)", line), re.search(r"turned by ([\d.]+)", line)
@@ -65,6 +71,22 @@ def test_the_places_of_the_list_are_the_poses_of_the_plan(definition):
     settings = {(p.light_deg, p.tilt_deg, p.turn_deg) for p in plan.poses}
     assert lines[0].startswith(f"8 poses: lamp and object are set {len(settings)} times")
     assert "twice, without the filter and with it" in lines[1]
+
+
+def test_a_list_with_lamps_beside_the_plane_says_where_they_stand():
+    coarse = {"light_deg": 45.0, "light_azimuth_deg": 60.0, "camera_deg": 40.0, "tilt_deg": 45.0, "turn_deg": 90.0}
+    rig = by_hand(made(Rig, SIDEWAYS | {"light": {"spectrum": "A"}}))
+    plan = plan_best(made(Object | PlannedObject, SPHERE_OBJECT), rig, 8, coarse_deg=coarse)
+    lines = followed(plan, rig)
+    azimuths = {pose.light_azimuth_deg for pose in plan.poses}
+    assert len(azimuths) > 1
+    for line in lines:
+        if lamp := re.match(r"lamp at ([\d.]+) degrees(?:, azimuth (-?[\d.]+))?: ", line):
+            x, y, _ = place(line)
+            assert measured_out(line) == (pytest.approx(1000.0, abs=1.5), pytest.approx(float(lamp[1]), abs=0.1))
+            assert math.degrees(math.atan2(y, x)) % 360.0 == pytest.approx(float(lamp[2] or 0.0) % 360.0, abs=0.1)
+    (answer,) = [line.partition(": ")[2] for line in lines if line.startswith("light_azimuth_deg: ")]
+    assert numbers(8)(answer) == [pose.light_azimuth_deg for pose in plan.poses]
 
 
 def test_a_lamp_of_no_known_distance_is_placed_by_the_metre():

@@ -211,7 +211,7 @@ def test_a_light_position_file_says_where_the_lamp_of_each_pose_stood(seen, take
         else:
             assert shot.pose.light_azimuth_deg == 0.0
     loaded = load_definitions(read_yaml("config/my-plate.yaml"), tmp_path, "config/my-plate.yaml")
-    assert loaded.rigs["my-plate-rig"].limits.light_azimuth_deg.max == 180.0
+    assert loaded.rigs["my-plate-rig"].limits.light_azimuth_deg.max == 360.0
     assert "camera_deg" in Path("config/objects/my-plate.yaml").read_text()
 
 
@@ -308,14 +308,14 @@ def test_a_table_of_lamps_with_a_fault_is_refused_by_its_line(body, found, tmp_p
 
 def test_what_a_person_says_is_not_called_assumed(seen, taken, tmp_path, capsys):
     more = {"white_reflectance": 0.9, "reference_pose": [45, 10], "tilt_deg": 5, "turn_deg": 0}
+    more["light_azimuth_deg"] = -30
     assert init(taken[0], "--answers", written(tmp_path / "answers.yaml", ANSWERS | more)) == 0
     out = capsys.readouterr().out
     assert "reflectance_factor" not in out and "tilt_deg" not in out and "refractive_index" in out
     loaded = load_definitions(read_yaml("config/my-plate.yaml"), tmp_path, "config/my-plate.yaml")
     assert loaded.cameras["my-plate-camera"].white.reflectance_factor == 0.9
-    assert {shot.pose.tilt_deg for shot in read_captures("config/captures/my-plate.csv") if shot.role == "object"} == {
-        5
-    }
+    shots = [shot for shot in read_captures("config/captures/my-plate.csv") if shot.role == "object"]
+    assert {(shot.pose.tilt_deg, shot.pose.light_azimuth_deg) for shot in shots} == {(5, -30)}
 
 
 def test_what_nobody_says_is_a_gap_that_the_check_names(seen, taken, tmp_path, capsys):
@@ -338,7 +338,7 @@ def test_a_terminal_is_asked_until_it_is_understood(seen, taken, monkeypatch, tm
         "camera_distance_mm": ["90 cm", "-4", "900"], "lamp": ["A"], "reference_pose": ["45", ""],
         "white_reflectance": [""], "focal_length_mm": ["50"], "pixel_pitch_um": ["19.2"],
         "shape": ["cube 3", "plate 90 80"], "light_deg": ["45"], "camera_deg": ["20 60 70", "20 60"],
-        "tilt_deg": [""], "turn_deg": EOFError,
+        "light_azimuth_deg": [""], "tilt_deg": [""], "turn_deg": EOFError,
     }  # fmt: skip
     shown = []
 

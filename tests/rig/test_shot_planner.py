@@ -2,19 +2,21 @@
 
 import itertools
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from made import made
-from plans import PLATE_OBJECT, POSES, RIG, SPHERE_OBJECT, texel
+from plans import PLATE_OBJECT, POSES, RIG, SIDEWAYS, SPHERE_OBJECT, texel
 from shortcuts import information
 
 from irodori.capture.shot_planner.exchange import CRITERIA, Selection, TooFewPoses, choose
 from irodori.capture.shot_planner.fisher_information import (
     Materials,
     ObservationNoise,
+    RigSubject,
     Weighting,
     observe,
     standard_errors,
@@ -26,15 +28,20 @@ from irodori.capture.shot_planner.planner import (
     axis_angles,
     candidate_poses,
     default_noise,
+    open_poses,
     plan_best,
     subject_of,
 )
-from irodori.config.capture_table import Pose
+from irodori.config.capture_table import Pose, expand_poses
+from irodori.config.definitions import load_definitions, read_yaml
 from irodori.config.models import AxisLimit, Fit, Object, Rig, RigLimits
 from irodori.config.parts import PlannedObject
 from irodori.fitting import judge
 from irodori.geometry.rig_frame import to_camera, to_light
+from irodori.geometry.shapes.plate import Plate
+from irodori.geometry.shapes.shape import Shape
 
+ROOT = Path(__file__).resolve().parents[2]
 PRIOR = 1.0
 
 
@@ -182,6 +189,56 @@ def test_a_camera_in_the_lights_way_is_no_candidate():
     assert {(p.light_deg, p.camera_deg) for p in poses} == {
         (a, c) for a in range(11) for c in range(-10, 11) if abs(a + c) >= 5
     }
+
+
+def test_a_lamp_beside_the_plane_stands_at_each_place_once_and_never_where_the_camera_is():
+    coarse = {"light_deg": 35.0, "light_azimuth_deg": 90.0, "camera_deg": 35.0, "tilt_deg": 45.0, "turn_deg": 180.0}
+    poses = candidate_poses(made(Rig, SIDEWAYS).limits, coarse, clearance_deg=5.0)
+    assert len({pose.name for pose in poses}) == len(poses)
+    assert {pose.light_azimuth_deg for pose in poses} == {-90.0, 0.0, 90.0, 180.0}
+    # Opposite the lamp's plane stands the camera: where both have the same angle, it is in the way.
+    assert not any(pose.light_azimuth_deg == 180.0 and pose.light_deg == pose.camera_deg for pose in poses)
+    assert any(pose.light_azimuth_deg == 90.0 and pose.light_deg == pose.camera_deg for pose in poses)
+    # A flat object is lit in the camera's plane, by a rig that can do so.
+    plate = Plate(90.0, 90.0)
+    assert {pose.light_azimuth_deg for pose in open_poses(plate, made(Rig, SIDEWAYS).limits)} == {0.0}
+    aside = SIDEWAYS["limits"] | {"light_azimuth_deg": {"min": 90.0, "max": 135.0, "step": 0.5}}
+    assert {pose.light_azimuth_deg for pose in open_poses(plate, made(RigLimits, aside))} == {90.0, 135.0}
+
+
+def test_a_lamp_beside_the_plane_shows_the_lower_half_of_a_sphere():
+    coarse = {"light_deg": 30.0, "light_azimuth_deg": 90.0, "camera_deg": 60.0, "tilt_deg": 45.0, "turn_deg": 90.0}
+    seen = []
+    for rig in (RIG, SIDEWAYS):
+        own = {axis: step for axis, step in coarse.items() if axis in rig["limits"]}
+        planner = Planner(made(Object | PlannedObject, SPHERE_OBJECT), made(Rig, rig), coarse_deg=own)
+        plan = planner.best(12, max_manual=4)
+        assert plan.manual_settings <= 4
+        seen.append(np.isfinite(observe(planner.subject, plan.poses, planner.sample, planner.noise).variance))
+    in_plane, sideways = (found.any(axis=0).mean() for found in seen)
+    # In one plane, opposite each other and with a table in between, lamp and camera never reach below the equator.
+    assert in_plane < 0.5 and sideways > 0.6
+
+
+def test_the_default_spheres_are_photographed_all_around_and_each_paint_at_its_highlight():
+    loaded = load_definitions(read_yaml(ROOT / "config/config.yaml"), ROOT)
+    rig, spheres = loaded.rigs["virtual"], [name for name in loaded.objects if name.endswith("-sphere")]
+    assert len(spheres) == 3
+    for name in spheres:
+        definition = loaded.objects[name]
+        shape, poses = Shape.from_definition(definition.shape), expand_poses(definition.poses)
+        position, normal = shape.samples(600)
+        subject = RigSubject(shape, position, normal, rig.camera_distance_mm, rig.table_radius_mm)
+        angles = subject.geometry(poses)
+        seen = (np.degrees(angles[..., :2]) <= 80.0).all(axis=-1) & subject.unobstructed(poses)
+        assert len(poses) == 16 and seen.any(axis=0).mean() > 0.95
+        # Six bands from pole to pole have the two paints in turn, each with its gloss.
+        band = np.minimum(np.arccos(normal[:, 2]) * 6.0 / np.pi, 5.0).astype(int)
+        first, second = definition.virtual.materials
+        assert first.beta != second.beta and first.mu_rad != second.mu_rad
+        for number, material in enumerate((first, second)):
+            off = angles[..., 3][seen & (band % 2 == number)] / material.mu_rad
+            assert (off < 0.7).sum() >= 3 and ((off > 0.7) & (off < 2.0)).sum() >= 10
 
 
 def test_angles_of_an_axis_stay_on_its_steps_and_reach_no_further_than_asked():

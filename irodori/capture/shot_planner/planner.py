@@ -1,5 +1,6 @@
 """Planning of the poses that best determine an object's expected materials, within the rig's limits."""
 
+import itertools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -28,11 +29,13 @@ from irodori.material.angle_errors import errors_in_use
 from irodori.reflection.registry import DEFAULT_LOBES
 from irodori.spectra.published import refractive_index_at
 
-AXES = ("light_deg", "camera_deg", "tilt_deg", "turn_deg")
+AXES = ("light_deg", "light_azimuth_deg", "camera_deg", "tilt_deg", "turn_deg")
 #: Largest distance between candidates along each axis, degrees; the rig's own step where that is larger.
-COARSE_DEG = {"light_deg": 5.0, "camera_deg": 2.0, "tilt_deg": 15.0, "turn_deg": 45.0}
+COARSE_DEG = {"light_deg": 5.0, "light_azimuth_deg": 45.0, "camera_deg": 2.0, "tilt_deg": 15.0, "turn_deg": 45.0}
 #: Distances for curved shapes, which show many normals at once: neighbouring poses differ little, and turns matter.
-SPHERE_COARSE_DEG = {"light_deg": 15.0, "camera_deg": 10.0, "tilt_deg": 15.0, "turn_deg": 45.0}
+SPHERE_COARSE_DEG = COARSE_DEG | {"light_deg": 15.0, "camera_deg": 10.0}
+#: The same where the lamp also stands beside the plane of the camera, which makes eight times as many candidates.
+SIDEWAYS_COARSE_DEG = SPHERE_COARSE_DEG | {"camera_deg": 20.0, "tilt_deg": 45.0}
 _SPHERE_TEXELS = 64
 _FLAT_MATERIALS, _SPHERE_MATERIALS = 40, 16
 _PRIOR_RELATIVE_ERROR = 1.0  # of each parameter before any photograph: known to a factor of e
@@ -112,7 +115,7 @@ class Plan:
     Parameters
     ----------
     poses : list of Pose
-        In the order of their manual steps: by placement, light angle and tilt, then turn, then camera angle.
+        In the order of their manual steps: by placement, place of the light and tilt, then turn, then camera angle.
     expected : dict
         {parameter: (median, 95th percentile) of the standard error} over the determined cases of the range: ``alpha``
         absolute, ``beta`` and ``mu`` relative.
@@ -122,7 +125,7 @@ class Plan:
     candidates : int
         Number of poses from which these were chosen.
     manual_settings : int
-        Number of different settings of light angle and tilt, which a person sets.
+        Number of different settings of light and tilt, which a person sets.
     """
 
     poses: list[Pose]
@@ -135,13 +138,16 @@ class Plan:
         """Return the plan as text: one line for each setting by hand and turn, and one for each expected error."""
         groups: dict[tuple, list[str]] = {}
         for pose in self.poses:
-            key = pose.placement, pose.light_deg, pose.tilt_deg, pose.turn_deg
+            key = pose.placement, *_hand(pose), pose.turn_deg
             groups.setdefault(key, []).append(f"{pose.camera_deg:g}")
         several = any(pose.placement > 1 for pose in self.poses)
+        sideways = any(pose.light_azimuth_deg for pose in self.poses)
         out = [
             (f"placement {placement}, " if several else "")
-            + f"light {light:g}, tilt {tilt:g}, turn {turn:g}: camera {', '.join(cameras)} degrees"
-            for (placement, light, tilt, turn), cameras in groups.items()
+            + f"light {light:g}, "
+            + (f"azimuth {azimuth:g}, " if sideways else "")
+            + f"tilt {tilt:g}, turn {turn:g}: camera {', '.join(cameras)} degrees"
+            for (placement, light, azimuth, tilt, turn), cameras in groups.items()
         ]
         return out + self.expectations()
 
@@ -190,7 +196,7 @@ def candidate_poses(limits: RigLimits, coarse_deg: Mapping[str, float], clearanc
     ----------
     limits : RigLimits
     coarse_deg : dict
-        Distance of the candidates along each axis of AXES, degrees.
+        Distance of the candidates along each axis of AXES that the rig has, degrees.
     clearance_deg : float
         Smallest angle between the directions to the light and to the camera, degrees. A rig's definition does not have
         the size of its camera.
@@ -200,22 +206,41 @@ def candidate_poses(limits: RigLimits, coarse_deg: Mapping[str, float], clearanc
     ValueError
         If `coarse_deg` lacks an axis or has an unknown one; the message lists the axes.
     """
-    if set(coarse_deg) != set(AXES):
-        raise ValueError(f"coarse_deg for {', '.join(coarse_deg) or 'nothing'}; accepted: {', '.join(AXES)}")
-    light, camera, tilt, turn = (axis_angles(getattr(limits, axis), coarse_deg[axis]) for axis in AXES)
+    given = limits.given()
+    if not set(given) <= set(coarse_deg) <= set(AXES):
+        raise ValueError(f"coarse_deg for {', '.join(coarse_deg) or 'nothing'}; accepted: {', '.join(given)}")
+    angles = {axis: axis_angles(limit, coarse_deg[axis]).tolist() for axis, limit in given.items()}
+    # Angles that differ by a whole turn are one place, which has the smallest of them.
+    falling = sorted(angles.get("light_azimuth_deg", [0.0]), key=abs, reverse=True)
+    azimuths = {angle % 360.0: angle for angle in falling}
     away = math.cos(math.radians(clearance_deg)) + 1e-12
-    free = [(a, b) for a in light for b in camera if float(to_light(Pose(a, b)) @ to_camera(Pose(a, b))) <= away]
-    return [Pose(float(a), float(b), float(c), float(d)) for a, b in free for c in tilt for d in turn]
+    places = itertools.product(angles["light_deg"], angles["camera_deg"], sorted(azimuths.values()))
+    seen = [Pose(light, camera, light_azimuth_deg=azimuth) for light, camera, azimuth in places]
+    return [
+        replace(pose, tilt_deg=tilt, turn_deg=turn)
+        for pose in seen
+        if float(to_light(pose) @ to_camera(pose)) <= away
+        for tilt in angles["tilt_deg"]
+        for turn in angles["turn_deg"]
+    ]
 
 
 def open_poses(
     shape: Shape, limits: RigLimits, clearance_deg: float = 5.0, coarse_deg: Mapping | None = None
 ) -> list[Pose]:
-    """Return the candidate poses for a shape, by default on a grid for its kind; a flat shape is not turned."""
+    """Return the candidate poses for a shape, by default on a grid for its kind.
+
+    A flat shape is not turned, and is lit in the camera's plane, where the mirror direction is, if the rig can do so.
+    """
+    azimuth = limits.light_azimuth_deg
     if not shape.is_flat:
-        return candidate_poses(limits, coarse_deg or SPHERE_COARSE_DEG, clearance_deg)
+        usual = SPHERE_COARSE_DEG if azimuth is None else SIDEWAYS_COARSE_DEG
+        return candidate_poses(limits, coarse_deg or usual, clearance_deg)
+    if azimuth is not None and azimuth.min <= 0.0 <= azimuth.max:
+        azimuth = None
     still = replace(limits.turn_deg, max=limits.turn_deg.min)
-    return candidate_poses(replace(limits, turn_deg=still), coarse_deg or COARSE_DEG, clearance_deg)
+    flat = replace(limits, turn_deg=still, light_azimuth_deg=azimuth)
+    return candidate_poses(flat, coarse_deg or COARSE_DEG, clearance_deg)
 
 
 class StatedErrors(Protocol):
@@ -361,7 +386,7 @@ def plan_best(
         Number of poses, at least 4 (one more than the three parameters), or 6 for two gloss components; by default
         ``plan.count``.
     max_manual : int, optional
-        Largest number of different settings of light angle and tilt by hand; by default ``plan.max_manual``.
+        Largest number of different settings of light and tilt by hand; by default ``plan.max_manual``.
     criterion : str
         See `irodori.capture.shot_planner.exchange`. The default gave the smallest errors in simulated fits: it includes
         pose errors, which the weights of the fit leave out, and saturated observations.
@@ -410,6 +435,6 @@ def expected_errors(seen: Observations, materials: Materials) -> tuple[dict[str,
     return {name: (float(median[i]), float(high[i])) for i, name in enumerate(names)}, float(known.mean())
 
 
-def _hand(pose: Pose) -> tuple[float, float]:
-    """Return the angles of a pose that a person sets: light angle and tilt, degrees."""
-    return pose.light_deg, pose.tilt_deg
+def _hand(pose: Pose) -> tuple[float, float, float]:
+    """Return the angles of a pose that a person sets: light angle and azimuth, and tilt, degrees."""
+    return pose.light_deg, pose.light_azimuth_deg, pose.tilt_deg
