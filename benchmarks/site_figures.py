@@ -114,7 +114,7 @@ def photographs(results: Path) -> Figure:
         axes.imshow(np.clip(response / np.percentile(response, 99.8), 0.0, 1.0) ** (1 / 2.2))
         angle = {part[0]: float(part[1:]) / 10.0 for part in pose.split("-")}
         lamp = f"light {angle['l']:g}°" + (f" around {angle['a']:g}°" if "a" in angle else "")
-        axes.set_title(f"{lamp}, camera {angle['c']:g}°, turn {angle['r']:g}°", fontsize=8)
+        axes.set_title(f"{lamp},\ncamera {angle['c']:g}°, turn {angle['r']:g}°", fontsize=8)
         axes.axis("off")
     return figure
 
