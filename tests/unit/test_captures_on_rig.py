@@ -149,6 +149,7 @@ AROUND = [
 
 
 def test_a_lamp_beside_the_plane_needs_a_limit_of_its_azimuth(studio):
+    edit(studio, "rigs/copy-stand.yaml", "limits.light_azimuth_deg", ...)
     error = refill(studio, "plate", *AROUND)
     assert error.field.startswith("light_azimuth_deg of 0.dng") and error.found == "120"
     assert "copy-stand.yaml has no limits.light_azimuth_deg" in error.accepted
