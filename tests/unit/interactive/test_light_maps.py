@@ -33,6 +33,7 @@ from irodori.rendering.integrators import make_renderer, render_image
 from irodori.rendering.interactive.frame_renderer import light_of, prepare_scene, render_frame
 from irodori.rendering.light_maps import LightMaps, look_up
 from irodori.rendering.light_transfer import LightTransfer
+from irodori.rendering.reference import baking
 from irodori.rendering.reference.baking import bake_maps, maps_key
 from irodori.rendering.reference.converging_picture import make_scene
 from irodori.rendering.reference.incident_light import incident_light
@@ -43,6 +44,12 @@ from irodori.rendering.scene_white import scene_white
 ROOT = Path(__file__).resolve().parents[3]
 HEIGHT_MM = 30.0
 TABLE, SHAPES = plate(120.0), [plate(120.0), BALL]
+
+
+@pytest.fixture(autouse=True)
+def few_paths(monkeypatch):
+    """Measure the error that light maps state with a sixteenth of the paths: it is tried in even light, without noise."""
+    monkeypatch.setattr(baking, "_PATHS", 32)
 
 
 def placements(height_mm=HEIGHT_MM) -> list[Placement]:
