@@ -161,9 +161,11 @@ def opened(path, flags: tuple[str, ...] = FLAGS, wait: bool = True, cold: bool =
     listeners = {
         "console": lambda message: messages.append(message.text) if is_told_by_page(message.text) else None,
         "pageerror": lambda error: messages.append(str(error)),
-        "request": lambda request: messages.append(f"request {request.url}")
-        if not request.url.startswith(("file:", "data:", "blob:"))
-        else None,
+        "request": lambda request: (
+            messages.append(f"request {request.url}")
+            if not request.url.startswith(("file:", "data:", "blob:"))
+            else None
+        ),
     }
     try:
         page.set_default_timeout(_PATIENCE_MS)

@@ -48,7 +48,7 @@ TABLE, SHAPES = plate(120.0), [plate(120.0), BALL]
 
 @pytest.fixture(autouse=True)
 def few_paths(monkeypatch):
-    """Measure the error that light maps state with a sixteenth of the paths: it is tried in even light, without noise."""
+    """Measure the stated error with a sixteenth of the paths; it is tried in even light, where they have no noise."""
     monkeypatch.setattr(baking, "_PATHS", 32)
 
 
