@@ -100,13 +100,15 @@ def client():
     return started
 
 
-#: Browsers of this process that are open.
+#: Browsers of this process that are open, and the pages in them that were left, by flags: a new page would cost a
+#: process of the browser, which takes as long as all else in it.
 _started: list = []
+_left: dict[tuple[str, ...], list] = {}
 
 
 @lru_cache(maxsize=4)
 def browser(flags: tuple[str, ...] = FLAGS):
-    """Return the browser with the given flags, started once per process; pages open in it share no data.
+    """Return the browser with the given flags, started once per process.
 
     Raises
     ------
@@ -125,6 +127,7 @@ def browser(flags: tuple[str, ...] = FLAGS):
 def close_browsers() -> None:
     """Close the browsers of this process; the next page starts one again."""
     browser.cache_clear()
+    _left.clear()
     while _started:
         _started.pop().close()
 
@@ -150,15 +153,24 @@ def opened(path, flags: tuple[str, ...] = FLAGS, wait: bool = True, cold: bool =
     """
     if cold:
         browser.cache_clear()
-    context = browser(flags).new_context(**(_USUAL if cold else _WINDOW))
+        page = browser(flags).new_context(**_USUAL).new_page()
+    else:
+        idle = _left.setdefault(flags, [])
+        page = idle.pop() if idle else browser(flags).new_context(**_WINDOW).new_page()
+    messages: list[str] = []
+    listeners = {
+        "console": lambda message: messages.append(message.text) if is_told_by_page(message.text) else None,
+        "pageerror": lambda error: messages.append(str(error)),
+        "request": lambda request: (
+            messages.append(f"request {request.url}")
+            if not request.url.startswith(("file:", "data:", "blob:"))
+            else None
+        ),
+    }
     try:
-        page = context.new_page()
         page.set_default_timeout(_PATIENCE_MS)
-        messages: list[str] = []
-        page.on("console", lambda message: messages.append(message.text) if is_told_by_page(message.text) else None)
-        page.on("pageerror", lambda error: messages.append(str(error)))
-        page.on("request", lambda request: messages.append(f"request {request.url}")
-                if not request.url.startswith(("file:", "data:", "blob:")) else None)  # fmt: skip
+        for event, listener in listeners.items():
+            page.on(event, listener)
         page.goto(Path(path).resolve().as_uri())
         found = OpenPage(page, messages)
         if wait:
@@ -167,5 +179,13 @@ def opened(path, flags: tuple[str, ...] = FLAGS, wait: bool = True, cold: bool =
             if not page.evaluate(f"!!({drawn})"):
                 raise PlainError(page.evaluate(_SAID))
         yield found
-    finally:
-        context.close()
+    except BaseException:
+        page.context.close()
+        raise
+    if cold:
+        page.context.close()
+        return
+    for event, listener in listeners.items():
+        page.remove_listener(event, listener)
+    page.goto("about:blank")
+    _left[flags].append(page)

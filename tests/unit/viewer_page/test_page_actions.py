@@ -364,11 +364,10 @@ NOT_FINITE = """() => {
 
 
 @pytest.mark.heavy
-@pytest.mark.parametrize(("seed", "count"), [(0, 8), (1, 25)])
-def test_random_actions_leave_no_error_and_no_number_lost(visit, drawn_page_file, seed, count):
+def test_random_actions_leave_no_error_and_no_number_lost(visit, drawn_page_file):
     """Sequences of 8 actions each, on the product's own renderer: what is drawn after each is read back."""
-    one, draw = visit(file=drawn_page_file, **_SMALL), random.Random(seed)
-    for _ in range(count):
+    one, draw = visit(file=drawn_page_file, **_SMALL), random.Random(1)
+    for _ in range(25):
         for _ in range(8):
             chance = draw.random()
             if chance < 0.45:
