@@ -183,8 +183,8 @@ def _photograph(
 def _calibrate(chain: SmallChain, folder: Path, calibrated: dict[str, list[bytes]]) -> tuple[Path, Path]:
     """Photograph and calibrate the camera; return the paths of its reference and of its calibration.
 
-    ``calibrated`` holds both files of earlier runs, by the hash of the photographs, which most faults of how an object
-    is laid, moved or lit do not change.
+    ``calibrated`` holds the contents of both files of earlier runs, by the hash of the photographs: a fault of the
+    object's place, of a pose or of the stated focal length leaves the photographs of white and chart as they were.
     """
     table = _photograph(camera_shots(chain.camera, ".dng"), chain, "camera", None, folder / "camera")
     reference, chart, calibration = (folder / f"{name}.h5" for name in ("reference", "chart", "calibration"))

@@ -165,7 +165,7 @@ def _answers(
         else:
             words = f"Light angle, degrees: one number, or one for each of the {poses} poses"
             said.angles["light_deg"] = put("light_deg", words, numbers(poses))
-            words = f"How far the lamp stood around, from opposite the camera: 0, or one for each of the {poses} poses"
+            words = f"Azimuth of the lamp, degrees, 0 opposite the camera: one, or one for each of the {poses} poses"
             around_deg = put("light_azimuth_deg", words, numbers(poses), "0")
             if around_deg is not None and any(around_deg):
                 said.angles["light_azimuth_deg"] = around_deg

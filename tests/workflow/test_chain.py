@@ -232,7 +232,6 @@ def test_a_second_run_does_nothing(again):
     assert run.returncode == 0 and "Nothing to be done" in run.stdout + run.stderr
 
 
-@pytest.mark.heavy
 def of_neighbour(jobs) -> set[str]:
     """Return the rules of the jobs about the plate, which is photographed together with the sphere."""
     return {rule for rule, wildcards in jobs if wildcards.get("object") == "tile-plate"}
