@@ -12,8 +12,10 @@ from irodori.rendering.interactive.packets import (
     DIRECTION,
     LIT_MIRROR,
     LIT_NORMAL,
+    NORMAL,
     OBJECT,
     RAYS,
+    REFLECTED,
     SPREAD,
     STRIDE,
     turned,
@@ -133,13 +135,13 @@ def find_lobes(world, layout, hits, entries):
     object_ = load(hits.i, OBJECT * RAYS, 16)
     width = surface_lanes(layout)
     n, k = gather(world.index, object_ * (2 * width)), gather(world.index, object_ * (2 * width) + width)
-    mx, my, mz = 0.0 * rx, 0.0 * ry, 0.0 * rz
+    along_mirror, along_normal = 0.0 * cosine, 0.0 * cosine  # of the sum of the lobes' directions
     for tap in range(TAPS):
         weight, p = gather(entries, at + (1 + 3 * tap)), gather(entries, at + (2 + 3 * tap))
         cos_h = gather(entries, at + (3 + 3 * tap))
         q = root(upper_of(1.0 - p * p * sine2, 0.0)) - p * cosine
         ax, ay, az = p * rx + q * nx, p * ry + q * ny, p * rz + q * nz
-        mx, my, mz = mx + weight * ax, my + weight * ay, mz + weight * az
+        along_mirror, along_normal = along_mirror + weight * p, along_normal + weight * q
         face, u, v = face_of(ax, ay, az)
         cell, x, y = cell_of(face, u, v, side)
         store(number, (tap * _NUMBERS + _CELL) * RAYS, cell)
@@ -151,7 +153,12 @@ def find_lobes(world, layout, hits, entries):
         store(look, (tap * _FIELDS + _WEIGHT) * RAYS, weight)
         store(look, (tap * _FIELDS + _COS_H) * RAYS, cos_h)
     if world.seen_maps > 0:
-        face, u, v = face_of(mx, my, mz)
+        # Objects do not turn with the light.
+        face, u, v = face_of(
+            along_mirror * load(hit, REFLECTED * RAYS, 16) + along_normal * load(hit, NORMAL * RAYS, 16),
+            along_mirror * load(hit, (REFLECTED + 1) * RAYS, 16) + along_normal * load(hit, (NORMAL + 1) * RAYS, 16),
+            along_mirror * load(hit, (REFLECTED + 2) * RAYS, 16) + along_normal * load(hit, (NORMAL + 2) * RAYS, 16),
+        )
         cell, x, y = cell_of(face, u, v, spread(np.float32(world.seen_side), 16))
         store(number, _SEEN_CELL * RAYS, cell)
         store(look, _SEEN_X * RAYS, x)
