@@ -23,6 +23,8 @@ from irodori.light.equirectangular import direction_uv, look_up
 
 FACES = 6
 _COARSEST_SIDE = 4
+#: Side of an environment's cube map from which on its texels are as wide as the picture's pixels.
+_FINE_SIDE = 256
 #: Samples along each side of a texel of an environment, and rows of texels that are computed at a time.
 _PARTS, _ROWS = 3, 64
 
@@ -168,15 +170,19 @@ def give_back(array: np.ndarray) -> None:
 
 
 def environment_side(height: int) -> int:
-    """Return the side of a cube map whose texels have on average the solid angle of an equirectangular equator pixel.
+    """Return the side of a cube map for an equirectangular picture of this many rows.
 
-    4 π / (6 side²) = (π / height)², rounded up to a multiple of 64, so that the side can be halved several times.
+    Its texels are half as wide as a pixel at the equator, because a flat mirror magnifies the picture: texels as wide
+    as pixels blur a small lamp by a pixel. They are wider, up to a pixel, if the side would exceed `_FINE_SIDE`. A side
+    whose texels have on average a pixel's solid angle follows from 4 π / (6 side²) = (π / height)². Sides are rounded up
+    to multiples of 64, so that they can be halved several times.
     """
-    return max(int(np.ceil(height * np.sqrt(2.0 / (3.0 * np.pi)) / 64.0)) * 64, 64)
+    same, finer = (max(int(np.ceil(n * height * np.sqrt(2.0 / (3.0 * np.pi)) / 64.0)) * 64, 64) for n in (1, 2))
+    return max(same, min(finer, _FINE_SIDE))
 
 
 def environment_pyramid(picture: np.ndarray, stored_from_light: np.ndarray, channels: int, half: bool) -> CubePyramid:
-    """Return an environment as a cube map of about the same resolution, with its levels of half the side each.
+    """Return an environment as a cube map, see `environment_side`, with its levels of half the side each.
 
     Parameters
     ----------

@@ -15,6 +15,7 @@ from irodori.geometry.shapes.placement import Placement
 from irodori.geometry.shapes.sphere import arc_tangent
 from irodori.jit import functions, vector_memory
 from irodori.light.environment_file import directions
+from irodori.light.equirectangular import look_up
 from irodori.light.gloss.gloss_maps import GlossMaps
 from irodori.light.gloss.make_lobe_table import lobe_samples
 from irodori.light.irradiance import irradiance_at
@@ -157,6 +158,20 @@ def test_the_power_of_a_one_texel_sun_is_kept(row):
         values = stored[:, 1:-1, 1:-1, 0].astype(np.float64) * pyramid.scale[0]
         # Bilinear between the source's pixels, and sampled: its power is that of a blurred sun.
         assert (values * solid_angles(side)).sum() == pytest.approx(power, rel=0.1)
+
+
+def test_lights_of_one_pixel_are_hardly_blurred_between_the_pixels_of_a_picture():
+    """Where a flat mirror magnifies the picture; texels as wide as its pixels would err by half of the contrast."""
+    rng = np.random.default_rng(3)
+    picture = (rng.random((128, 256, 1)) < 0.03).astype(np.float32)
+    unit = rng.normal(size=(4000, 3))
+    unit /= np.linalg.norm(unit, axis=1, keepdims=True)
+    unit = unit[np.abs(unit[:, 2]) < 0.7]  # pixels are narrow about the poles
+    pyramid = environment_pyramid(picture, np.eye(1), 4, False)
+    side, wanted = int(pyramid.side[0]), np.empty((len(unit), 1))
+    stored = pyramid.texels[: pyramid.first[1]].reshape(6, side + 2, side + 2, 4)
+    look_up(picture, unit, wanted)
+    assert (look_up_cube(stored, unit)[:, :1] - wanted).std() < 0.3 * wanted.std()
 
 
 def test_an_irradiance_map_loses_little_by_going_round():
