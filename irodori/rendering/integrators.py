@@ -286,7 +286,8 @@ class InteractiveRenderer(Renderer):
             if moment.filter is not None and not self.light_turns:
                 maps = maps.under(moment.filter)
         if self.white is not None:
-            self.representation, self.why = exact_representation(self.objects, light, len(lights.kind), maps)
+            lamps = lights.spectrum[:, :BANDS]
+            self.representation, self.why = exact_representation(self.objects, light, lamps, maps)
         LOGGER.info("representation %s: %s", self.representation, self.why)
         prepared = prepare_scene(
             self.objects,

@@ -72,9 +72,9 @@ class LightMaps:
         return replace(self, basis=self.basis * ratio, seen_basis=self.seen_basis * ratio)
 
     def weighted_basis(self) -> np.ndarray:
-        """Return the basis, (61, k), each vector scaled by the norm of its coefficients over all maps."""
-        squares = sum((np.square(one, dtype=np.float64).sum(axis=(0, 1)) for one in self.maps), np.zeros(1))
-        return self.basis * np.sqrt(squares)
+        """Return the basis, (61, k), each vector scaled by the root mean square of its coefficients over all maps."""
+        squares = [np.square(one, dtype=np.float64).mean(axis=(0, 1)) for one in self.maps]
+        return self.basis * np.sqrt(np.mean(squares, axis=0))
 
     def save(self, path, provenance: store.Provenance) -> None:
         """Write the maps to a file."""

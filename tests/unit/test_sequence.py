@@ -404,12 +404,16 @@ def test_pictures_are_carried_in_bands_where_coefficients_would_err(caplog):
     picture, figures = coloured.picture("v")
     assert picture.shape[-1] == 61 and figures["representation"] == "spectral"
     assert "varies with the wavelength" in caplog.text
-    # A light of so many vectors that their products with the surfaces are more than the bands.
-    values = np.random.default_rng(0).random((61, 24))
+    # Light and surfaces of so many vectors that their products are more than the bands; of few surfaces they are not.
+    rng = np.random.default_rng(0)
+    values, weights = rng.random((61, 24)), rng.random((4, 8, 24), np.float32)
     many = Environment(np.ones((16, 32, 24), np.float32), values, np.full((8, 16, 24), np.pi, np.float32))
-    wide = make_renderer(made(Scene, scene), SHAPES, PAINTS, many, OPTIONS, white=white)
-    wide.light(Moment())
+    motley = [PAINTS[0], dataclasses.replace(PAINTS[0], basis=values, coefficients=weights / 12.0)]
+    wide, plain = (make_renderer(made(Scene, scene), SHAPES, m, many, OPTIONS, white=white) for m in (motley, PAINTS))
+    for one in (wide, plain):
+        one.light(Moment())
     assert wide.representation == "spectral" and "more than 61 bands" in wide.why
+    assert plain.representation == "coefficients"
     assert renderer(scene).picture("v")[0].shape[-1] == 61  # and where bands are asked for
 
 

@@ -22,16 +22,22 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from irodori.colour.colorimetry import xyz_from_radiance
 from irodori.jit.vectors import width_of
 from irodori.rendering.interactive.quadrature import Quadrature
 from irodori.rendering.light_maps import LEFT_OUT, LightMaps
-from irodori.rendering.scene_arrays import Light, Objects, gloss_of, textures
+from irodori.rendering.scene_arrays import Light, Objects, coefficients_of, gloss_of, textures
 from irodori.spectra.grid import SAMPLES
 
 REPRESENTATIONS = ("spectral", "coefficients", "quadrature", "rgb")
 #: Least number of lanes of the light in ``spectral``. With four, a picture would be about a twentieth faster, but the
 #: loop, which takes longest of all to compile, would have to be compiled once more.
 _LEAST_SPECTRAL_LIGHT = 8
+#: Least number of products for each of X, Y and Z in ``coefficients``: most scenes share one compiled loop.
+_LEAST_PRODUCTS = 4
+#: Texels of an object from which products are found, about; amplitude of vectors that are not among them, relative to
+#: the largest; and that of rounding errors.
+_MOST_TEXELS, _RARE, _TINY = 1 << 14, 1e-4, 1e-7
 #: Linear sRGB primaries and D65, for `rgb`: XYZ of 1, 1, 1 is the white of D65 with Y = 1.
 _XYZ_FROM_RGB = np.array(
     [[0.4123908, 0.3575843, 0.1804808], [0.2126390, 0.7151687, 0.0721923], [0.0193308, 0.1191948, 0.9505322]]
@@ -175,29 +181,64 @@ def rgb_channels(objects: Objects, light: Light, lamps: np.ndarray, matrix: np.n
     )
 
 
-def further_basis(spectra: np.ndarray, basis: np.ndarray) -> np.ndarray:
-    """Return the vectors (61, m) that extend the basis of a light, (61, k), to that of its light maps.
+def light_vectors(light: Light, lamps: np.ndarray, maps: LightMaps | None) -> np.ndarray:
+    """Return vectors of which the light on surfaces consists, (61, n), scaled by how much of each there is."""
+    vectors = light.basis.T / np.pi if maps is None else maps.weighted_basis()
+    return np.concatenate([vectors, lamps.T / np.pi], axis=1)
 
-    Vectors that carry less than the share `irodori.rendering.light_maps.LEFT_OUT` of the maps' norm are left out.
+
+def _surface_vectors(objects: Objects) -> np.ndarray:
+    """Return vectors of which the reflectances of surfaces consist, (61, n), scaled by how much of each there is."""
+    found = []
+    for basis, texels in zip(_bases(objects), textures(objects), strict=True):
+        weights = coefficients_of(objects, texels).reshape(-1, objects.texels.shape[1] - 2 * objects.lobe.shape[1])
+        weights = weights[:: -(-len(weights) // _MOST_TEXELS), : basis.shape[1]].astype(np.float64)
+        values, vectors = np.linalg.eigh(weights.T @ weights / len(weights))
+        # Rare colours are perhaps not among the chosen texels.
+        scale = np.sqrt(np.maximum(values, _RARE**2 * values.max(initial=0.0)))
+        found.append(basis @ (vectors * scale))
+    return np.concatenate(found, axis=1)
+
+
+def product_forms(
+    objects: Objects, vectors: np.ndarray, matrix: np.ndarray, left_out: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return linear forms of reflectance and of light, (3 t, 61) each, whose products sum to X, Y and Z in turn.
+
+    The sum Σ w S E over wavelengths is a bilinear form of a surface's S and the light's E. The singular vectors of its
+    matrix give the fewest products for the surfaces and the light of a scene.
 
     Parameters
     ----------
-    spectra : (61, n) float
-        See `irodori.rendering.light_maps.LightMaps.weighted_basis`.
-    basis : (61, k) float
+    objects : Objects
+    vectors : (61, n) float
+        See `light_vectors`.
+    matrix : (3, 61) float
+        Weights of the wavelengths in X, Y and Z.
+    left_out : float
+        Largest part of the root mean square of X, Y and Z that may be left out.
     """
-    rest = spectra - basis @ (np.linalg.pinv(basis) @ spectra)
-    left, values, _ = np.linalg.svd(rest, full_matrices=False)
-    return left[:, : int((values > LEFT_OUT * np.linalg.norm(spectra)).sum())]
+    surfaces = _surface_vectors(objects)
+    parts = [np.linalg.svd(surfaces.T @ (weights[:, None] * vectors), full_matrices=False) for weights in matrix]
+    rest = np.stack([np.append(np.square(values)[::-1].cumsum()[::-1], 0.0) for _, values, _ in parts])
+    needed = int(np.argmax((rest <= left_out**2 * rest[:, :1]).all(axis=0)))
+    # Lanes that would be empty have products as well.
+    count = max((width_of(3 * needed + 2) - 2) // 3, _LEAST_PRODUCTS)
+    of_surface, of_light = np.linalg.pinv(surfaces, _TINY), np.linalg.pinv(vectors, _TINY)
+    forms = np.zeros((2, 3, count, SAMPLES))
+    for channel, (left, values, right) in enumerate(parts):
+        some = min(count, len(values))
+        forms[0, channel, :some] = (left[:, :some] * values[:some]).T @ of_surface
+        forms[1, channel, :some] = right[:some] @ of_light
+    return forms[0].reshape(-1, SAMPLES), forms[1].reshape(-1, SAMPLES)
 
 
 def coefficient_channels(
-    objects: Objects, light: Light, lamps: np.ndarray, matrix: np.ndarray, further: np.ndarray
+    objects: Objects, light: Light, lamps: np.ndarray, matrix: np.ndarray, maps: LightMaps | None
 ) -> Channels:
-    """Return the channels of ``coefficients``: bilinear forms for X, Y and Z in turn, each over the light's basis.
+    """Return the channels of ``coefficients``: products of a surface's and the light's numbers for X, Y and Z in turn.
 
-    Light that objects reflect onto each other is not in the span of that basis. The forms have ``further`` vectors for
-    it, (61, m).
+    With light maps, `LEFT_OUT` of X, Y and Z may be left out, else only rounding errors.
 
     Raises
     ------
@@ -211,44 +252,49 @@ def coefficient_channels(
         )
     basis = light.basis.T
     k = basis.shape[1]
-    wide = np.concatenate([basis, further], axis=1)
-    lit = wide.shape[1]
-    # Lamps are further vectors of the light.
-    spectra = np.concatenate([wide, lamps.T], axis=1)
-    each = spectra.shape[1]
-    irradiance = np.zeros((3, each, k))
-    irradiance[:, :k] = np.eye(k) / np.pi
-    lamp_light = np.zeros((len(lamps), 3, each))
-    lamp_light[np.arange(len(lamps)), :, lit + np.arange(len(lamps))] = 1.0 / np.pi
+    of_surface, of_light = product_forms(objects, light_vectors(light, lamps, maps), matrix, _left_out(maps))
+    count = len(of_surface)
     # Light that is not multiplied with a texel is carried as XYZ.
-    colour = np.zeros((3 * each, SAMPLES))
-    colour[::each] = matrix
-    index = np.repeat(np.stack([objects.n[:, :1], objects.k[:, :1]], axis=1), 3 * each, axis=2)
+    colour = np.zeros((count, SAMPLES))
+    colour[:: count // 3] = matrix
+    index = np.repeat(np.stack([objects.n[:, :1], objects.k[:, :1]], axis=1), count, axis=2)
     return Channels(
-        count=3 * each,
-        surface=width_of(3 * each + 2),
+        count=count,
+        surface=width_of(count + 2),
         light=width_of(k),
         coloured=False,
-        texel_from_weights=tuple(
-            np.einsum("cl,lj,lm->cjm", matrix, spectra, b).reshape(-1, b.shape[1]) for b in _bases(objects)
-        ),
-        irradiance_from_light=irradiance.reshape(-1, k),
+        texel_from_weights=tuple(of_surface @ b for b in _bases(objects)),
+        irradiance_from_light=of_light @ basis / np.pi,
         stored_from_light=np.eye(k),
-        baked_from_radiance=np.tile(np.pad(np.linalg.pinv(wide), ((0, each - lit), (0, 0))), (3, 1)),
+        baked_from_radiance=of_light,
         colour_from_radiance=colour,
-        lamp_light=lamp_light.reshape(len(lamps), 3 * each),
+        lamp_light=lamps @ of_light.T / np.pi,
         lamp_colour=lamps @ colour.T / np.pi,
         index=index,
-        xyz_from_colour=np.repeat(np.eye(3), each, axis=1),
+        xyz_from_colour=np.repeat(np.eye(3), count // 3, axis=1),
         xyz_from_light=matrix @ basis,
-        colour_from_light=np.zeros((3 * each, k)),
+        colour_from_light=np.zeros((count, k)),
     )
 
 
-def exact_representation(objects: Objects, light: Light, lamps: int, maps: LightMaps | None = None) -> tuple[str, str]:
+def _left_out(maps: LightMaps | None) -> float:
+    return _TINY if maps is None else LEFT_OUT
+
+
+def coefficient_width(objects: Objects, light: Light, lamps: np.ndarray, maps: LightMaps | None = None) -> int:
+    """Return the lanes of a texel in ``coefficients``, for lamps (n, 61)."""
+    forms = product_forms(
+        objects, light_vectors(light, lamps, maps), xyz_from_radiance(np.ones(SAMPLES)), _left_out(maps)
+    )
+    return width_of(len(forms[0]) + 2)
+
+
+def exact_representation(
+    objects: Objects, light: Light, lamps: np.ndarray, maps: LightMaps | None = None
+) -> tuple[str, str]:
     """Return the representation with the least work whose XYZ equal those of the 61 bands within rounding.
 
-    A thousandth of the light of the scene's light maps may be neglected.
+    A thousandth of the light of the scene's light maps may be neglected. Parameters are those of `coefficient_width`.
 
     Returns
     -------
@@ -259,12 +305,10 @@ def exact_representation(objects: Objects, light: Light, lamps: int, maps: Light
     """
     if not is_grey(objects):
         return "spectral", "gloss or a mirror has a refractive index that varies with the wavelength"
-    basis = light.basis.T
-    further = 0 if maps is None else further_basis(maps.weighted_basis(), basis).shape[1]
-    numbers = 3 * (basis.shape[1] + further + lamps)
-    if width_of(numbers + 2) > width_of(SAMPLES + 2):
-        return "spectral", f"{numbers} products of light and surface are more than {SAMPLES} bands"
-    why = f"one surface a path and grey mirrors: XYZ by {numbers} products of light and surface are exact"
+    width = coefficient_width(objects, light, lamps, maps)
+    if width > width_of(SAMPLES + 2):
+        return "spectral", f"products of light and surface need {width} numbers, more than {SAMPLES} bands"
+    why = f"one surface a path and grey mirrors: XYZ by products of light and surface, {width} numbers, are exact"
     return "coefficients", why
 
 

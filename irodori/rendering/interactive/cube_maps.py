@@ -174,8 +174,8 @@ def environment_side(height: int) -> int:
 
     Its texels are half as wide as a pixel at the equator, because a flat mirror magnifies the picture: texels as wide
     as pixels blur a small lamp by a pixel. They are wider, up to a pixel, if the side would exceed `_FINE_SIDE`. A side
-    whose texels have on average a pixel's solid angle follows from 4 π / (6 side²) = (π / height)². Sides are rounded up
-    to multiples of 64, so that they can be halved several times.
+    whose texels have on average a pixel's solid angle follows from 4 π / (6 side²) = (π / height)². Sides are rounded
+    up to multiples of 64, so that they can be halved several times.
     """
     same, finer = (max(int(np.ceil(n * height * np.sqrt(2.0 / (3.0 * np.pi)) / 64.0)) * 64, 64) for n in (1, 2))
     return max(same, min(finer, _FINE_SIDE))

@@ -14,7 +14,6 @@ from irodori.rendering.interactive.channels import (
     REPRESENTATIONS,
     Channels,
     coefficient_channels,
-    further_basis,
     is_grey,
     quadrature_channels,
     rgb_channels,
@@ -180,9 +179,7 @@ def prepare_scene(
         spectra = path_spectra(objects, light, lamps, max_bounces)
         quadrature = solve_quadrature(spectra, matrix, white)
     if representation == "coefficients":
-        basis = light.basis.T
-        further = np.zeros((SAMPLES, 0)) if maps is None else further_basis(maps.weighted_basis(), basis)
-        channels = coefficient_channels(objects, light, lamps, matrix, further)
+        channels = coefficient_channels(objects, light, lamps, matrix, maps)
     else:
         channels = _channels(representation, objects, light, lamps, matrix=matrix, white=white, quadrature=quadrature)
     query = make_query(_COHERENT)

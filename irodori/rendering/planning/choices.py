@@ -12,10 +12,8 @@ import numpy as np
 from irodori.config.models import PlanOverrides
 from irodori.core.errors import InputError
 from irodori.light.blurred_light import first_level
-from irodori.rendering.interactive.channels import further_basis
 from irodori.rendering.interactive.frame_renderer import light_of
 from irodori.rendering.interactive.quadrature import COUNTS
-from irodori.rendering.light_maps import LightMaps
 from irodori.rendering.planning.modelled_scene import (
     SceneParts,
     beta_of,
@@ -260,18 +258,7 @@ def _error_of(planner: ScenePlanner, representation: str, nodes: int):
         def xyz(spectra):
             return spectra @ planner.matrix.T
 
-        if planner.parts.maps is not None:
-            wide = _lit_basis(planner.parts.maps, planner)
-            changes, alone = replace(changes, map_basis=wide), Changes(map_basis=wide)
     return planner.bound(planner.errors(alone, xyz)), changes, xyz
-
-
-def _lit_basis(maps: LightMaps, planner: ScenePlanner) -> np.ndarray:
-    """Return the basis vectors of ``coefficients`` for the light of the maps, (61, m)."""
-    basis = planner.parts.environment.basis
-    if planner.model.light_bases < basis.shape[1]:
-        basis = leading_basis(light_of(planner.parts.environment), planner.model.light_bases)[1].T
-    return np.concatenate([basis, further_basis(maps.weighted_basis(), basis)], axis=1)
 
 
 def _decide_environment(planner: ScenePlanner) -> None:

@@ -10,7 +10,7 @@ from irodori.light.blurred_light import WIDTHS_RAD, first_level, level_height, p
 from irodori.light.environment_file import Environment
 from irodori.light.gloss.gloss_maps import GlossMaps
 from irodori.light.gloss.point_sources import PointLights
-from irodori.rendering.interactive.channels import further_basis, spectral_light_width
+from irodori.rendering.interactive.channels import coefficient_width, spectral_light_width
 from irodori.rendering.interactive.cube_maps import FACES, environment_side
 from irodori.rendering.interactive.frame_renderer import Prepared, light_of, prepare_scene
 from irodori.rendering.interactive.prepared_scene import levels_by_lobe
@@ -307,16 +307,16 @@ def objects_rows(objects: Objects) -> int:
 def widths_of(parts: SceneParts, model: Model) -> Widths:
     """Return the widths of the vectors that a model's look-ups process."""
     rows = objects_rows(parts.objects)
-    light, lamps, coloured = model.light_bases, len(parts.lamp_spectra), not stays_grey(parts.objects, model)
+    light, coloured = model.light_bases, not stays_grey(parts.objects, model)
     if model.representation == "spectral":
         return Widths(width_of(SAMPLES + 2), spectral_light_width(light), True, rows)
     if model.representation == "quadrature":
         return Widths(width_of(model.nodes + 2), width_of(light), coloured, rows)
-    extra = 0
-    if parts.maps is not None:
-        basis = leading_basis(light_of(parts.environment), light)[1]
-        extra = further_basis(parts.maps.weighted_basis(), basis.T).shape[1]
-    return Widths(width_of(3 * (light + extra + lamps) + 2), width_of(light), False, rows)
+    lit = light_of(parts.environment)
+    if light < len(lit.basis):
+        lit = lit._replace(basis=leading_basis(lit, light)[1])
+    surface = coefficient_width(parts.objects, lit, parts.lamp_spectra, parts.maps)
+    return Widths(surface, width_of(light), False, rows)
 
 
 def memory_mb(parts: SceneParts, model: Model, widths: Widths) -> float:

@@ -20,7 +20,6 @@ from irodori.rendering.interactive.prepared_scene import (
     colour_fields,
     environment_fields,
     make_irradiance,
-    stored_maps,
     stored_texels,
 )
 from irodori.rendering.interactive.round_lobes import TAPS
@@ -50,8 +49,6 @@ class Changes:
         Finest level of the environment that is used, 0 for full resolution.
     texture_level : dict
         Object -> number of halvings of its texture, or `BLACK`.
-    map_basis : (61, m), optional
-        Basis on which the light of the light maps is projected.
     """
 
     max_bounces: int | None = None
@@ -61,7 +58,6 @@ class Changes:
     light_basis: np.ndarray | None = None
     sky_level: int = 0
     texture_level: dict = field(default_factory=dict)
-    map_basis: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -154,10 +150,6 @@ class Probes:
             fields |= self._on_basis(changes.light_basis)
         if changes.sky_level:
             fields |= self._sky(changes.sky_level)
-        if changes.map_basis is not None and self._parts.maps is not None:
-            basis = changes.map_basis @ (np.linalg.pinv(changes.map_basis) @ self._parts.maps.basis)
-            maps = replace(self._parts.maps, basis=basis)
-            fields["baked"] = np.concatenate(stored_maps(maps, self._parts.tracer.placements, self._channels))
         if changes.without_mirror or changes.texture_level:
             fields |= self._tables(world, changes)
         return replace(self._prepared, world=world._replace(**fields), limits=limits)
