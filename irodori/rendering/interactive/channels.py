@@ -9,9 +9,11 @@ from the sky and from blurred maps is added in its stored form. The representati
 ``quadrature``
     Radiance at a few wavelengths, with weights that integrate the scene's own spectra into XYZ.
 ``coefficients``
-    Light is given by its coefficients on a basis; a texel holds the bilinear form from coefficients to XYZ. This is
-    exact, after any number of reflections, while the throughput is the same for all wavelengths: each path has one
-    diffuse or glossy surface between the light and the mirrors, and mirrors with constant n + ik are grey.
+    X, Y and Z are sums of products of a number of the texel and one of the light, the fewest that the scene's own
+    surfaces and light need (`product_forms`). They are exact, or with light maps within `LEFT_OUT`, after any number of
+    reflections, while the throughput is the same for all wavelengths: each path has one diffuse or glossy surface
+    between the light and the mirrors, and mirrors with constant n + ik are grey. Other light is stored as coefficients
+    on its basis.
 ``rgb``
     Three products, as in an ordinary RGB renderer.
 
