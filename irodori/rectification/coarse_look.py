@@ -7,7 +7,7 @@ across it where the object really ends.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -117,6 +117,24 @@ def contrast(picture: Picture, on: np.ndarray, across: np.ndarray) -> np.ndarray
     )
 
 
+def _outlines(problem: "Problem", linear: Sequence) -> Iterator[tuple[_Outline, Picture]]:
+    """Yield the expected outline in some of the photographs, and the photograph, where enough of it is lit."""
+    some = np.unique(np.linspace(0, len(linear) - 1, min(len(linear), _MOST_PICTURES)).round().astype(int))
+    for number in some:
+        outline = _Outline.of(problem, number)
+        if outline is not None:
+            yield outline, Picture.load(linear[number])
+
+
+def expected_contrast(problem: "Problem", linear: Sequence) -> float:
+    """Return how clearly some of the photographs show the outline where it is expected; arguments as `look_elsewhere`.
+
+    The mean change of the logarithm of brightness across it; 0 if no photograph shows enough of it.
+    """
+    found = [float(outline.contrast(picture)[0]) for outline, picture in _outlines(problem, linear)]
+    return float(np.mean(found)) if found else 0.0
+
+
 def look_elsewhere(problem: "Problem", linear: Sequence) -> Look:
     """Return the outline that some of the photographs show most clearly.
 
@@ -127,16 +145,11 @@ def look_elsewhere(problem: "Problem", linear: Sequence) -> Look:
     linear : sequence of path
         Files of linear responses.
     """
-    some = np.unique(np.linspace(0, len(linear) - 1, min(len(linear), _MOST_PICTURES)).round().astype(int))
     multiples = _RATIO ** np.arange(-_RATIOS, _RATIOS + 1)
     steps = np.arange(-_FARTHEST, _FARTHEST + 0.5 * _STEP, _STEP)
     shifts = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
     expected, by_size, by_shift, ways = [], [], [], []
-    for number in some:
-        outline = _Outline.of(problem, number)
-        if outline is None:
-            continue
-        picture = Picture.load(linear[number])
+    for outline, picture in _outlines(problem, linear):
         expected.append(float(outline.contrast(picture)[0]))
         by_size.append(outline.contrast(picture, multiples, np.zeros((len(multiples), 2))))
         # A photograph shows an outline elsewhere in another direction if the table is turned.

@@ -12,7 +12,14 @@ import numpy as np
 
 from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER
-from irodori.rectification.coarse_look import CLEARER, LEAST, Look, look_elsewhere, look_for_other_poses
+from irodori.rectification.coarse_look import (
+    CLEARER,
+    LEAST,
+    Look,
+    expected_contrast,
+    look_elsewhere,
+    look_for_other_poses,
+)
 from irodori.rectification.placement_correction import CAMERA, PRIOR_KEYS, QUANTITIES
 from irodori.rectification.told_values import CONTRADICTED
 
@@ -55,21 +62,21 @@ def refuse_contradictions(
         pose of another photograph; and if the object's outline is far larger, smaller or elsewhere.
     """
     fault = fault_of(found, linear, placing)
-    # If something is wrong, what was found may be anywhere: the typed place is looked at, too.
-    looks, poses = [], []
-    for unknowns in (problem.unknowns, *([np.zeros(len(problem.unknowns))] if fault else [])):
-        problem.unknowns = unknowns
-        looks.append(look_elsewhere(problem, linear))
+    expected, poses = expected_contrast(problem, linear), [look_for_other_poses(problem)]
+    # If something is wrong, what was found may be anywhere: what is said of place and size refers to what was typed.
+    problem.unknowns = np.zeros(len(problem.unknowns))
+    clearest = look_elsewhere(problem, linear)
+    if fault is not None:
         poses.append(look_for_other_poses(problem))
-    exchanged, clearest = max(poses, key=lambda one: one.contrast), max(looks, key=lambda one: one.contrast)
+    exchanged = max(poses, key=lambda one: one.contrast)
     if fault is not None:
         freed, at_freed = with_free_camera()
-        offset, expected = freed.correction.values[CAMERA], look_elsewhere(at_freed, linear).expected
+        offset, at_scale = freed.correction.values[CAMERA], expected_contrast(at_freed, linear)
         is_sound = abs(offset) > CONTRADICTED * placing.camera_deg and fault_of(freed, linear, placing) is None
         # Other poses of the set may be nearly those that an error of the scale makes of its own.
-        if is_sound and CLEARER * expected > max(clearest.contrast, exchanged.contrast):
+        if is_sound and CLEARER * at_scale > max(clearest.contrast, exchanged.contrast):
             raise _of_scale(fault, offset, linear)
-    expected = max(look.expected for look in looks)
+    expected = max(expected, clearest.expected)
     is_elsewhere = clearest.is_elsewhere and clearest.contrast > max(LEAST, CLEARER * expected)
     if exchanged.pairs and not (is_elsewhere and clearest.contrast > exchanged.contrast):
         raise _of_exchanged(exchanged.pairs, linear)

@@ -46,7 +46,7 @@ from irodori.rectification.placement_correction import (
     prior_sigma,
 )
 from irodori.rectification.reduced_pictures import Level, Picture
-from irodori.rectification.registration_covariance import RegisteredAngleErrors, Rows, angle_errors, excess
+from irodori.rectification.registration_covariance import RegisteredAngleErrors, Rows, angle_errors, reduced_chi_square
 from irodori.rectification.registration_file import Estimate, Told, write_angle_errors, write_estimate, write_told
 from irodori.rectification.stage import RigSetup, observe
 from irodori.rectification.texture_agreement import (
@@ -239,6 +239,9 @@ class _View:
     corners: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
     corners_px: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
     sheet_residual_px: float = math.nan
+    #: Variances of what outline and corners tell, relative to the expected ones.
+    outline_scatter: float = 1.0
+    corner_scatter: float = 1.0
 
 
 @dataclass
@@ -257,6 +260,7 @@ class _Problem:
     sheet: MarkerSheet | None = None
     told: np.ndarray | None = None  # covariance of the common unknowns by definitions and sheet; None without a sheet
     block: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=int))  # of the texels
+    texture_scatter: float = 1.0  # variance of what textures tell, relative to the expected one
 
     @cached_property
     def skin(self) -> "tuple[cKDTree, np.ndarray, np.ndarray]":
@@ -421,8 +425,9 @@ def _registered(
     while reach > _FINEST_REACH:
         _descend(problem, reach, _STEPS, trace=reach == first)
         reach /= 2.0
-    matrix = _descend(problem, _FINEST_REACH, _LAST_STEPS)
-    probable, whole = problem.unknowns.copy(), inverse(_with_excess(problem, matrix), sigma)
+    _weigh(problem, _descend(problem, _FINEST_REACH, _LAST_STEPS))
+    matrix = _settle(problem, _FINEST_REACH, _LAST_STEPS)
+    probable, whole = problem.unknowns.copy(), inverse(matrix, sigma)
     problem.unknowns, problem.sigma = only_what_is_told(problem.unknowns, matrix, sigma)
     _settle(problem, _FINEST_REACH, _LAST_STEPS)
     own, problem.unknowns[problem.own] = problem.unknowns[problem.own].copy(), 0.0
@@ -537,31 +542,41 @@ def _settle(problem: _Problem, reach: float | None, most_steps: int) -> np.ndarr
     return matrix
 
 
-def _with_excess(problem: _Problem, matrix: np.ndarray) -> np.ndarray:
-    """Return the normal matrix at the most probable values, with less information from what scatters too much.
+def _weigh(problem: _Problem, matrix: np.ndarray) -> None:
+    """Weigh outlines, corners and textures by how far photographs contradict each other at the most probable values.
 
     Errors within a photograph are alike, so that the scatter of its points does not show them; they show in what
-    photographs say of each other. The information of each photograph's outline and corners is divided by its reduced
-    χ², and that of textures, which are compared with each other, by that of all of them.
+    photographs say of each other. The variances of each photograph's outline and corners are multiplied by their
+    reduced χ², and those of textures, which are compared with each other, by that of all of them. ``matrix`` is the
+    normal matrix at these values.
     """
     size, covariance = len(problem.unknowns), inverse(matrix, problem.sigma)
-    found, nothing = matrix.copy(), np.zeros(size)
-    measured = [_outline(problem, view, _FINEST_REACH) for view in range(len(problem.views))]
+    views = problem.views
+    measured = [_outline(problem, number, _FINEST_REACH) for number in range(len(views))]
     scale = _outline_scale(measured, is_last=True)
     outlines = _outline_rows(problem, measured, scale, is_last=True)
-    corners = _sheet_rows(problem) if problem.sheet is not None else []
-    for kind, errors in ((outlines, _displaced_outlines(problem, measured, outlines, scale)), (corners, corners)):
-        shares = np.zeros((len(kind), size, size))
-        for rows, share in zip(kind, shares, strict=True):
-            rows.add_to(share, nothing.copy())
-        each, _ = excess(errors, problem.sigma, float(np.sum(covariance * shares.sum(axis=0))))
-        found -= np.einsum("j,jpq->pq", 1.0 - 1.0 / each, shares)
+
+    def fitted(kind: list[Rows]) -> float:
+        information = np.zeros((size, size))
+        for rows in kind:
+            rows.add_to(information, np.zeros(size))
+        return float(np.sum(covariance * information))
+
+    displaced = _displaced_outlines(problem, measured, outlines, scale)
+    each, _ = reduced_chi_square(displaced, problem.sigma, fitted(outlines))
+    for view, scatter in zip(views, each, strict=True):
+        view.outline_scatter = float(scatter)
+    if problem.sheet is not None:
+        corners = _sheet_rows(problem)
+        each, _ = reduced_chi_square(corners, problem.sigma, fitted(corners))
+        for view, scatter in zip([view for view in views if len(view.corners)], each, strict=True):
+            view.corner_scatter = float(scatter)
     if problem.tells_texture:
         information = np.zeros((size, size))
-        textures = _add_texture(_textures(problem), information, nothing.copy())
-        _, together = excess(textures, problem.sigma, float(np.sum(covariance * information)))
-        found -= (1.0 - 1.0 / together) * information
-    return found
+        textures = _add_texture(_textures(problem), information, np.zeros(size))
+        problem.texture_scatter = reduced_chi_square(textures, problem.sigma, float(np.sum(covariance * information)))[
+            1
+        ]
 
 
 def _displaced_outlines(problem: _Problem, measured: list, outlines: list[Rows], scale: float) -> list[Rows]:
@@ -757,6 +772,7 @@ def _sheet_rows(problem: _Problem) -> list[Rows]:
         where = [*common, COUNT + number]
         rows = np.concatenate([moved, moved[..., [common.index(CAMERA)]]], axis=-1)
         factor = _cauchy(np.linalg.norm(one, axis=1) / math.sqrt(2.0), scale) / scale**2
+        factor /= problem.views[number].corner_scatter
         found.append(Rows(where, rows.reshape(-1, len(where)), np.repeat(factor, 2), one.ravel()))
     return found
 
@@ -777,7 +793,8 @@ def _outline_rows(problem: _Problem, measured: list, scale: float, *, is_last: b
             where.append(problem.of_sheet[OUTLINE])
         # Borders of paints beside an outline are many and on one side: at the end they lose all influence.
         factor = _cauchy(one.distance, np.hypot(scale, one.doubt)) ** (2 if is_last else 1)
-        found.append(Rows(where, rows, factor / _outline_variance(problem, view, one, scale), one.distance))
+        variance = problem.views[view].outline_scatter * _outline_variance(problem, view, one, scale)
+        found.append(Rows(where, rows, factor / variance, one.distance))
     return found
 
 
@@ -807,7 +824,7 @@ def _add_object(problem: _Problem, reach: float, matrix: np.ndarray, right: np.n
         rows.add_to(matrix, right)
     outlined = np.mean([len(one.distance) > 0 for one in measured]) >= _OUTLINED
     if problem.tells_texture and (is_last or not outlined):
-        _add_texture(_textures(problem), matrix, right)
+        _add_texture(_textures(problem), matrix, right, problem.texture_scatter)
 
 
 def _textures(problem: _Problem) -> list[TextureRows]:
@@ -839,7 +856,7 @@ def _spacing(problem: _Problem) -> float:
     return math.sqrt(float(np.median(found)))
 
 
-def _add_texture(rows: list[TextureRows], matrix: np.ndarray, right: np.ndarray) -> list[Rows]:
+def _add_texture(rows: list[TextureRows], matrix: np.ndarray, right: np.ndarray, scatter: float = 1.0) -> list[Rows]:
     """Add the differences between the photographs' textures to normal equations, the texels' colours eliminated.
 
     Returns the differences of every photograph from the mean texture.
@@ -854,7 +871,7 @@ def _add_texture(rows: list[TextureRows], matrix: np.ndarray, right: np.ndarray)
     off = [value - mean for value in values]
     scale = _scatter(np.concatenate([o[w > 0].ravel() for o, w in zip(off, weights, strict=True)]), _TEXTURE_FLOOR)
     weights = [
-        w * _cauchy(np.sqrt(np.mean(o**2, axis=1)), scale) / (scale**2 * _TEXTURE_SHARED)
+        w * _cauchy(np.sqrt(np.mean(o**2, axis=1)), scale) / (scatter * scale**2 * _TEXTURE_SHARED)
         for o, w in zip(off, weights, strict=True)
     ]
     mean, total = mean_texture(values, weights), np.sum(weights, axis=0)

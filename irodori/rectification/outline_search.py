@@ -329,7 +329,9 @@ def _edge_beside(profile, place, expected: "_Expected | None", noise, is_clear) 
         step, deviation = np.abs(level - outer_level), np.sqrt(np.mean((around - form)[:, judged] ** 2, axis=1))
         rough = np.maximum(np.maximum(deviation, outer.std(axis=1)) - 2.0 * noise, 0.0) / step
         rough = np.where(np.abs(height) > _LEAST_HEIGHT * step, rough, np.inf)
-        return _Reading(place + (area - whole) / height / _STEP, rough, around, height)
+        # Without a step there is no edge: it is as far away as nobody looks.
+        far = float(profile.shape[1])
+        return _Reading(place + np.clip((area - whole) / height / _STEP, -far, far), rough, around, height)
 
 
 class _Expected:

@@ -1,4 +1,4 @@
-"""Errors of a registration: scatter in excess of the expected one, and the errors of angles that follow from it.
+"""Errors of a registration: how far photographs contradict each other, and what follows for the errors of angles.
 
 The fit needs the error of the angles under which a pixel shows the surface. Not every error of a place changes them: a
 sphere that is turned shows other texels, but under the same angles. Therefore the derivatives are taken at a fixed
@@ -87,8 +87,10 @@ class RegisteredAngleErrors(NamedTuple):
         return f"errors of the angles, degrees: {', '.join(parts)}"
 
 
-def excess(photographs: list[Rows], sigma: np.ndarray, fitted: float) -> tuple[np.ndarray, float]:
-    """Return the factors by which variances exceed the expected ones: reduced χ², at least 1.
+def reduced_chi_square(photographs: list[Rows], sigma: np.ndarray, fitted: float) -> tuple[np.ndarray, float]:
+    """Return variances of what photographs tell relative to the expected ones, from how far they contradict each other.
+
+    The expected variance counts as one measurement, so that it is what is left of a few.
 
     Parameters
     ----------
@@ -103,7 +105,7 @@ def excess(photographs: list[Rows], sigma: np.ndarray, fitted: float) -> tuple[n
     Returns
     -------
     each : (photographs,) float64
-        That of each photograph.
+        That of each photograph; no less than that of all of them.
     together : float
         That of all of them.
     """
@@ -115,12 +117,11 @@ def excess(photographs: list[Rows], sigma: np.ndarray, fitted: float) -> tuple[n
         counts = information > 1.0
         squares[number] = np.sum((axes.T @ (weighted.T @ rows.off))[counts] ** 2 / information[counts])
         told[number] = counts.sum()
-    if told.sum() < fitted + 1.0:
-        return np.ones(len(photographs)), 1.0
     # The fit has taken its share of every photograph's χ².
-    left = told * (1.0 - fitted / told.sum())
-    each = np.divide(squares, left, out=np.ones(len(photographs)), where=left > 0.0)
-    return np.maximum(each, 1.0), max(1.0, float(squares.sum() / left.sum()))
+    left = told * max(0.0, 1.0 - fitted / max(told.sum(), 1.0))
+    together = float((1.0 + squares.sum()) / (1.0 + left.sum())) if left.any() else 1.0
+    each = np.divide(squares, left, out=np.full(len(photographs), together), where=left > 0.0)
+    return np.maximum(each, together), together
 
 
 def angle_errors(problem: "Problem", moment: np.ndarray, light_deg: float) -> RegisteredAngleErrors:

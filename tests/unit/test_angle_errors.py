@@ -27,7 +27,7 @@ from irodori.rectification.registration_covariance import (
     _is_amid,
     _is_seen,
     angle_errors,
-    excess,
+    reduced_chi_square,
 )
 from irodori.reflection.equation5 import angles_from_directions, reflect
 
@@ -111,19 +111,24 @@ def photographs_of(rng, count, scatter, unknowns=4, points=40):
 
 
 @pytest.mark.parametrize(("scatter", "expected"), [(0.0, 1.0), (3.0, 10.0), (10.0, 101.0)])
-def test_the_excess_of_photographs_is_the_ratio_of_variances(scatter, expected):
-    """The displacement adds ``scatter`` squared to the variance of what each photograph tells."""
+@pytest.mark.parametrize("weight", [1.0, 0.04], ids=["right", "too-small"])
+def test_variances_of_photographs_follow_from_their_contradictions(scatter, expected, weight):
+    """The displacement adds ``scatter`` squared to what each photograph tells; expected variances may be too large."""
     rng = np.random.default_rng(1)
-    found = [excess(photographs_of(rng, 12, scatter), np.full(4, 1e3), 4.0) for _ in range(30)]
-    assert np.mean([together for _, together in found]) == pytest.approx(expected, rel=0.12)
-    assert min(each.min() for each, _ in found) >= 1.0
+    found = []
+    for _ in range(30):
+        rows = [one._replace(weight=weight * one.weight) for one in photographs_of(rng, 12, scatter)]
+        found.append(reduced_chi_square(rows, np.full(4, 1e3), 4.0))
+    assert np.mean([together for _, together in found]) == pytest.approx(weight * expected, rel=0.12, abs=0.03)
+    assert all(each.min() >= together for each, together in found)
 
 
-def test_what_photographs_hardly_tell_and_what_is_fitted_is_no_excess():
+def test_without_anything_to_contradict_variances_are_as_expected():
     rows = photographs_of(np.random.default_rng(2), 3, 5.0)
     tight = np.full(4, 1e-3)  # the prior knows all of it better
-    assert excess(rows, tight, 0.0)[1] == 1.0 and excess(rows, np.full(4, 1e3), 12.0)[1] == 1.0
-    assert excess([], tight, 0.0)[1] == 1.0
+    assert reduced_chi_square(rows, tight, 0.0)[1] == 1.0
+    assert reduced_chi_square(rows, np.full(4, 1e3), 12.0)[1] == 1.0
+    assert reduced_chi_square([], tight, 0.0)[1] == 1.0
 
 
 # From the photographs to the fit

@@ -136,11 +136,13 @@ def test_photographs_that_all_show_the_next_pose_are_named(tmp_path, poses):
 
 
 def test_an_object_far_beside_its_place_is_named(tmp_path):
-    files = drawn(tmp_path, correction(x_mm=15.0), NOT_TURNED, NOT_TURNED)
-    error = refused(tmp_path, files)
+    near, far = (drawn(tmp_path / str(x_mm), correction(x_mm=x_mm), NOT_TURNED, NOT_TURNED) for x_mm in (15.0, 25.0))
+    error = refused(tmp_path, near)
+    assert error.field == "place.translation_mm" and "object along the table's x +15 mm" in error.found
+    # So far away, no outline is found near the typed place. Seen aslant, 25 mm are fewer, and the steps are 2 mm wide.
+    error = refused(tmp_path, far)
     assert error.field == "place.translation_mm" and "mm beside its stated place" in error.found
-    # Seen aslant, 15 mm are fewer, and the steps of the search are 2 mm wide.
-    assert 11.0 <= float(error.found.partition("the object about ")[2].split()[0]) <= 17.0
+    assert 18.0 <= float(error.found.partition("the object about ")[2].split()[0]) <= 27.0
 
 
 def on_paper(folder, poses, side, bright) -> list:
