@@ -44,7 +44,8 @@ def test_a_plate_tells_a_ball_where_the_camera_stands_and_a_refocused_one_does_n
     optics, ball = [DISTANCE, FOCAL], "ball"
     assert not alone[ball].told[optics].any() and together[ball].told[optics].all()
     off = np.abs(together[ball].values[optics] - true)
-    assert (off < 3.0 * together[ball].sigma[optics]).all() and (off < [5.0, 0.5]).all()
+    # As exact as photographs agree, and not as edges might be.
+    assert (off < 3.0 * together[ball].sigma[optics]).all() and (together[ball].sigma[optics] < [2.5, 0.25]).all()
     assert np.abs(alone[ball].values[optics] - true).max() > 20.0
     assert np.abs(together[ball].values[:3] - LAID_OFF[ball][:3]).max() < 0.02
     assert together[ball].sigma[HEIGHT] < 0.7 * alone[ball].sigma[HEIGHT]
