@@ -57,7 +57,10 @@ _VISIBLE_UM = (0.4, 0.7)
 
 
 class Measured(NamedTuple):
-    """BRDF measurements of a material: θ_i, θ_r, θ_H, φ, rad, (J, 4); wavelengths, nm; f, sr⁻¹, (wavelengths, J)."""
+    """BRDF measurements of a material: θ_i, θ_r, θ_H, φ, rad, (J, 4); wavelengths, nm; f, sr⁻¹, (wavelengths, J).
+
+    Angles and f are float32, as the workflow stores observations.
+    """
 
     name: str
     geometry: np.ndarray
@@ -91,16 +94,20 @@ def read(name: str, folder: Path = DATA) -> list[Measured]:
         with path.open(encoding="utf-8") as stream:
             wavelength_nm = np.array([float(word) for word in stream.readline().split(",")[4:]])
         angles = table[:, :4].T
-        return [Measured(name, _angles(angles[:2], angles[2:]), wavelength_nm, table[:, 4:].T)]
+        return [_measured(name, angles, wavelength_nm, table[:, 4:].T)]
     table = np.genfromtxt(folder / "brdf" / "nist_ptfe_mueller.csv", delimiter=",", skip_header=1)
     out = []
     for wavelength_um in np.unique(table[:, 0]):
         if _VISIBLE_UM[0] <= wavelength_um <= _VISIBLE_UM[1]:
             rows = table[table[:, 0] == wavelength_um]
             angles = np.radians(rows[:, 1:5]).T
-            geometry = _angles(angles[:2], angles[2:])
-            out.append(Measured(name, geometry, np.array([1000.0 * wavelength_um]), rows[None, :, 5]))
+            out.append(_measured(name, angles, np.array([1000.0 * wavelength_um]), rows[None, :, 5]))
     return out
+
+
+def _measured(name: str, angles: np.ndarray, wavelength_nm: np.ndarray, brdf: np.ndarray) -> Measured:
+    geometry = _angles(angles[:2], angles[2:])
+    return Measured(name, geometry.astype(np.float32), wavelength_nm, np.ascontiguousarray(brdf, dtype=np.float32))
 
 
 def _lobe_of(name: str, geometry: np.ndarray) -> Callable[[float], np.ndarray]:
@@ -292,6 +299,7 @@ def halves(name: str, lobe: str, photographs: int, surfaces: int, seed: int, fol
         rng.shuffle(row)
     clean = measured.response[rng.integers(len(measured.wavelength_nm), size=(surfaces, 1)), chosen]
     response = clean + np.sqrt(_CAMERA[0] + _CAMERA[1] * np.abs(clean)) * rng.normal(size=clean.shape)
+    response = response.astype(np.float32)
     noise, options = np.tile(_CAMERA, (photographs // 2, 1)), FitOptions(lobes=(lobe,))
     one, other = (
         fit(response[:, half], measured.geometry[chosen[:, half]], np.ones(response[:, half].shape), N, K, options,

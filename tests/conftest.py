@@ -7,7 +7,10 @@ import os
 import signal
 
 import pytest
+from _pytest.runner import runtestprotocol
 from hypothesis import settings
+
+from irodori.core.frame_memory import with_room_for_calls
 
 # One thread for linear algebra, before NumPy is loaded: the matrices of tests are small, and while other tests compute
 # on all cores, threads that wait for each other burn up to fifteen times what they compute.
@@ -18,6 +21,9 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 if keep := getattr(ctypes.CDLL(None), "mallopt", None):
     for option, most in ((-3, 1 << 30), (-1, (1 << 31) - 1), (-2, 1 << 26)):  # bytes to map, to trim and to pad
         keep(option, most)
+
+# Tests are called from so deep that their own calls would often be at the end of a piece of memory for frames.
+with_room_for_calls(runtestprotocol)
 
 pytest_plugins = ["stability_table", "cpu_times", "default_cases", "left_behind"]
 

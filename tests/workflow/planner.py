@@ -63,6 +63,7 @@ def main() -> None:
     import snakemake.cli
 
     from irodori.config.validation import SCHEMAS, load_schema
+    from irodori.core.frame_memory import with_room_for_calls
     from irodori.core.provenance import code_hash, modules_of
 
     script_forks.import_what_scripts_use()
@@ -84,7 +85,7 @@ def main() -> None:
                 os.dup2(os.open(path, os.O_RDWR | os.O_CREAT), number)
             if "--dry-run" not in arguments:
                 script_forks.run_scripts_in_forks()
-            snakemake.cli.main(arguments)
+            with_room_for_calls(snakemake.cli.main)(arguments)
             os._exit(1)  # it has not ended the process itself, as it always does
         print(pid, flush=True)
         print(os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]), flush=True)
