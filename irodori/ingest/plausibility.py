@@ -15,6 +15,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.ndimage import binary_dilation, binary_erosion
 
 from irodori.config.capture_table import DRIFT, Shot, flat_incidence_rad
 from irodori.ingest.exposure_settings import relative_exposure_s
@@ -37,6 +38,9 @@ _QUANTILES = (0.1, 0.25, 0.5, 0.75, 0.9)
 _FEWEST_STEPS, _STEP_PX = 16, 4
 #: Every eighth row is hashed: the noise in an eighth of a picture does not occur twice.
 _HASHED = 8
+#: Largest shift of a picture by the plate of a filter, as a share of the picture's width.
+PLATE_SHIFT = 0.01
+_AROUND = np.ones((3, 3), dtype=bool)  # a block and its neighbours
 #: Share of unlit superpixels above which a photograph counts as black; the others are hot pixels.
 _BLACK = 0.997
 #: Kinds of doubts that no correct photograph is known to raise: such photographs are refused.
@@ -355,10 +359,13 @@ def _shift_between(first: Look, second: Look) -> np.ndarray | None:
 
 
 def _outline(look: Look) -> np.ndarray:
-    """Return the gradient magnitude of the green picture, 0 below noise and limited to that of a clear contour."""
+    """Return the gradient magnitude of the green picture, 0 below noise and limited to that of a clear contour.
+
+    If less than a hundredth of the picture is lit, the brightest hundredth is noise: contours are those of lit parts.
+    """
     green = look.picture[..., 1]
     scale = np.percentile(green, 99.0)
-    rows, columns = np.gradient(np.minimum(green / max(float(scale), 1e-6), 1.0))
+    rows, columns = np.gradient(np.minimum(green / max(float(scale), LIT), 1.0))
     steps = np.hypot(rows, columns)
     return np.where(steps > 0.05, np.minimum(steps, 0.25), 0.0).astype(np.float32)
 
@@ -528,10 +535,11 @@ class Series:
         elif passed.min() > self.limits.unfiltered:
             found = f"it is as bright as with the filter {other}: is it {shot.filter}?"
             yield Doubt("filter", found, () if self._has_other_colour(shot, look) else beside)
-        elif earlier := [known[1] for _, known, _ in self._pairs[shot.subject] if known is not None]:
-            factor = passed[1] / float(np.median(earlier))
-            if abs(math.log(factor)) > math.log(self.limits.pair):
-                found = f"the filter passes {factor:.2f} times what it passed before"
+        elif earlier := [known for _, known, _ in self._pairs[shot.subject] if known is not None]:
+            factors = np.log(passed / np.median(earlier, axis=0))
+            # The lamp changes all bands alike, and another paint in view a single one.
+            if min(np.abs(factors)) > math.log(self.limits.pair) and abs(np.sign(factors).sum()) == 3.0:
+                found = f"the filter passes {math.exp(factors[1]):.2f} times what it passed before"
                 asked = "have lamp or aperture changed between the two photographs?"
                 yield Doubt("light changed", f"{found}: {asked}", beside)
 
@@ -616,13 +624,19 @@ def _compared(first: Shot, seen: Look, second: Shot, other: Look) -> tuple[np.nd
 def _transmittance(first: Shot, seen: Look, second: Shot, other: Look) -> np.ndarray | None:
     """Return the ratio of the second photograph's light to the first's at equal exposure, (3,).
 
-    None if too few blocks are lit and unclipped in both.
+    If only one is taken through the filter, as much is added around lit blocks as its plate may shift the picture: of a
+    narrow lit edge, few blocks are lit in both. None if too few blocks are lit and unclipped.
     """
     if seen.picture.shape != other.picture.shape:
         return None
-    common = seen.whole & other.whole & (seen.picture[..., 1] > LIT / 2.0)
+    whole, lit = seen.whole & other.whole, seen.picture[..., 1] > LIT / 2.0
+    common = lit & whole
+    if first.filter != second.filter:
+        aside = math.ceil(PLATE_SHIFT * lit.shape[1])
+        whole = binary_erosion(whole, _AROUND, aside, border_value=1)
+        common = binary_dilation(lit & whole, _AROUND, aside) & whole
     sums = [look.picture[common].sum(axis=0) for look in (seen, other)]
-    if common.sum() < _FEWEST_STEPS or not (np.array(sums) > 0.0).all():
+    if (lit & whole).sum() < _FEWEST_STEPS or not (np.array(sums) > 0.0).all():
         return None
     return sums[1] / sums[0] / _exposure_ratio(second, first)
 

@@ -5,25 +5,30 @@ whether those of the white reference show an even surface, and whether the focal
 photograph with a reason in the column ``accepted`` of its table is not checked, and others are not compared with it.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from scipy.ndimage import binary_erosion, gaussian_filter
 
 from irodori.config.capture_table import Shot
 from irodori.core.errors import InputError
 from irodori.ingest.flat_field import fit_flat
 from irodori.ingest.mosaic import Mosaic
-from irodori.ingest.plausibility import Doubt, Look, Series, look_at
+from irodori.ingest.plausibility import PLATE_SHIFT, Doubt, Look, Series, look_at
 
 #: The photographs of a capture show different poses if each is this many times more similar to one of another capture,
 _LIKER = 2.0
 #: and their dissimilarity (1 minus the correlation of the pictures) exceeds this.
 _UNLIKE = 0.02
+#: The same for smoothed pictures, from which most of the noise is gone.
+_UNLIKE_SMOOTH = 0.005
 #: Largest relative difference between the focal length in a file and that expected: makers round the values.
 _FOCAL = 0.15
 _FEWEST_BLOCKS, _NAMED = 64, 3
+#: Standard deviation of the smoothing before a shift of less than a block is measured, blocks.
+_SMOOTHED_PX = 1
 #: Doubts with which a photograph is not compared for its pose: it shows nothing, or the mistake explains a mismatch.
 _TELLS_NO_POSE = ("identical", "size", "black", "blown", "filter")
 #: Doubts with which a photograph does not tell whether it shows an even surface.
@@ -189,32 +194,71 @@ def _of_other_poses(captures: list[dict[str, tuple[Path, Look]]]) -> list[Doubte
     """Return doubts about filtered photographs that seem to show another pose than their unfiltered partners.
 
     Both photographs of the pair must be far more similar to one of another pose. A single one may differ from all
-    others, because of noise under grazing light or clipped gloss.
+    others, because of noise under grazing light or clipped gloss. If the plate of the filter shifts a picture further
+    than its lit edge is wide, the view of another pose may cover more of it than that of its own pose. What seems to
+    show another pose is therefore compared once more, after the shift that all pairs have in common.
     """
     pairs = [states for states in captures if len(states) == 2]
     if len({look.picture.shape for states in pairs for _, look in states.values()}) != 1:
         return []
     out, through = ([states[state] for states in pairs] for state in ("out", "in"))
-    found = []
-    for own, (path, look) in enumerate(through):
+
+    def elsewhere(own: int, unlikeness: Callable[[Look, Look], float], limit: float) -> int | None:
+        """Return the pose that a filtered photograph shows; None if it shows its own."""
+        look = through[own][1]
         near = range(max(0, own - _NEIGHBOURS), min(len(pairs), own + _NEIGHBOURS + 1))
-        by_out = {other: _unlikeness(out[other][1], look) for other in near}
+        by_out = {other: unlikeness(out[other][1], look) for other in near}
         nearest = min(by_out, key=by_out.__getitem__)
-        if by_out[own] <= max(_UNLIKE, _LIKER * by_out[nearest]):
+        if by_out[own] <= max(limit, _LIKER * by_out[nearest]):
+            return None
+        least = min(unlikeness(out[own][1], through[other][1]) for other in near)
+        return nearest if by_out[own] > _LIKER * least else None
+
+    found, suspects = [], [own for own in range(len(pairs)) if elsewhere(own, _unlikeness, _UNLIKE) is not None]
+    if not suspects:
+        return []
+    shift = np.median([_shift(out[own][1], through[own][1]) for own in range(len(pairs))], axis=0)
+    for own in suspects:
+        if (shown := elsewhere(own, lambda a, b: _unlikeness(a, b, shift), _UNLIKE_SMOOTH)) is None:
             continue
-        if by_out[own] > _LIKER * min(_unlikeness(out[own][1], through[other][1]) for other in near):
-            words = f"it shows what {out[nearest][0].name} shows, and not what {out[own][0].name} does"
-            asked = "are the names of one filter state shifted by a pose, or exchanged?"
-            found.append(Doubted(path, Doubt("order", f"{words}: {asked}")))
+        words = f"it shows what {out[shown][0].name} shows, and not what {out[own][0].name} does"
+        asked = "are the names of one filter state shifted by a pose, or exchanged?"
+        found.append(Doubted(through[own][0], Doubt("order", f"{words}: {asked}")))
     return found
 
 
-def _unlikeness(first: Look, second: Look) -> float:
-    """Return 1 minus the correlation of two green pictures over unclipped blocks; 1 if there are too few."""
+def _unlikeness(first: Look, second: Look, shift: np.ndarray | None = None) -> float:
+    """Return 1 minus the correlation of two green pictures over unclipped blocks; 1 if there are too few.
+
+    With a shift of the second against the first, (row, column) in blocks, both are smoothed.
+    """
     common = first.whole & second.whole
-    if common.sum() < _FEWEST_BLOCKS:
+    if shift is None:
+        a, b = (look.picture[..., 1][common].astype(np.float64) for look in (first, second))
+    else:
+        picture, slopes, b = _smoothed(first, second, common)
+        a = picture - shift @ slopes
+    if a.size < _FEWEST_BLOCKS:
         return 1.0
-    a, b = (look.picture[..., 1][common].astype(np.float64) for look in (first, second))
     a, b = a - a.mean(), b - b.mean()
     size = np.sqrt((a @ a) * (b @ b))
     return float(1.0 - (a @ b) / size) if size > 0.0 else 1.0
+
+
+def _shift(first: Look, second: Look) -> np.ndarray:
+    """Return the shift of the second picture against the first, (row, column) in blocks; at most that by a plate.
+
+    It is that of a linear regression of the second picture on the first and its derivatives. 0 if nothing is in common.
+    """
+    picture, slopes, b = _smoothed(first, second, first.whole & second.whole)
+    known = np.stack([picture, *slopes, np.ones(picture.size)], axis=1)
+    level, *by = np.linalg.lstsq(known, b)[0][:3]
+    shift = -np.array(by) / level if level > 0.0 else np.zeros(2)
+    return shift * min(1.0, PLATE_SHIFT * first.picture.shape[1] / max(float(np.hypot(*shift)), 1e-9))
+
+
+def _smoothed(first: Look, second: Look, whole: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return smoothed green where nothing near is clipped: of the first (n,), its derivatives (2, n), of the second."""
+    common = binary_erosion(whole, iterations=2 * _SMOOTHED_PX, border_value=1)
+    a, b = (gaussian_filter(look.picture[..., 1].astype(np.float64), _SMOOTHED_PX) for look in (first, second))
+    return a[common], np.stack([slope[common] for slope in np.gradient(a)]), b[common]

@@ -3,6 +3,7 @@
 import io
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from irodori.core.errors import InputError
 from irodori.ingest.mosaic import Mosaic
 from irodori.ingest.plausibility import Look, Series, look_at, worth_recalling
 from irodori.ingest.preview import preview_of
-from irodori.ingest.set_plausibility import FocalRange, SetLook, _unlikeness
+from irodori.ingest.set_plausibility import FocalRange, SetLook, _of_other_poses, _unlikeness
 
 SIDE = 8  # superpixels of a block of the small pictures
 FILTER = np.array([0.5, 0.6, 0.4])  # transmittance by band
@@ -359,6 +360,54 @@ def test_without_a_step_of_a_quarter_of_the_brightest_no_sharpness_is_known(sile
     shares[:30] -= step
     assert math.isfinite(look_at(silent, mosaic(shares)).sharpness) == known
     assert math.isnan(look_at(silent, mosaic(np.full((4, 4, 3), 0.5))).sharpness)
+
+
+def edges(places, level=0.3) -> list[np.ndarray]:
+    """Return pictures (60, 90, 3) of a lit edge of a ball, 1.6 blocks wide, at some places (blocks from the middle)."""
+    rows, columns = np.mgrid[-30:30, -45:45].astype(float)
+    beside = [np.hypot(rows, columns - at) - 20.0 for at in places]
+    lit = [np.exp(-((by / 0.7) ** 2) / 2.0) * (columns > at + 12.0) for by, at in zip(beside, places, strict=True)]
+    return [level * one[..., None].repeat(3, axis=2) for one in lit]
+
+
+@pytest.mark.parametrize("exchanged", [False, True])
+def test_a_lit_edge_narrower_than_the_shift_by_the_filter_still_tells_its_pose(exchanged):
+    """Poses lie half a block apart and the filter shifts by 0.6: each filtered view covers most of the next pose's."""
+    places = 0.5 * np.arange(6)
+    out, through = edges(places), [one * FILTER for one in edges(places + 0.6)]
+    if exchanged:
+        through[1], through[4] = through[4], through[1]
+    pairs = [
+        {"out": (Path(f"{n}-out"), look(a)), "in": (Path(f"{n}-in"), look(b))}
+        for n, (a, b) in enumerate(zip(out, through, strict=True))
+    ]
+    assert _unlikeness(pairs[0]["in"][1], pairs[1]["out"][1]) < 0.1 * _unlikeness(pairs[0]["in"][1], pairs[0]["out"][1])
+    assert [one.path.name for one in _of_other_poses(pairs)] == (["1-in", "4-in"] if exchanged else [])
+
+
+def test_the_light_of_a_narrow_lit_edge_is_compared_with_all_of_it():
+    """The filter shifts the edge by more than its half width: a third of what is lit without it is dark with it."""
+    pictures = edges([0.0, 0.0, 0.0, 0.9], 0.03)
+    shots = [shot(camera=c, state=s) for c in (10.0, 20.0) for s in ("out", "in")]
+    views = [look(a * by, sharpness=math.nan) for a, by in zip(pictures, (1.0, FILTER, 1.0, FILTER), strict=True)]
+    *known, last = zip(shots, views, strict=True)
+    assert not doubts(known, last)
+    darker = look(pictures[3] * FILTER * 0.75, sharpness=math.nan)
+    assert [one.kind for one in doubts(known, (shots[3], darker))] == ["light changed"]
+
+
+def test_the_lamp_changes_all_bands_and_another_paint_one():
+    known = [*PAIR, (shot(camera=20.0), look(paints(2)))]
+    for change, kinds in (([1.0, 1.3, 1.0], []), ([0.7, 1.3, 1.4], []), ([1.3, 1.3, 1.3], ["light changed"])):
+        seen = look(paints(2) * FILTER * change)
+        assert [one.kind for one in doubts(known, (shot(camera=20.0, state="in"), seen))] == kinds
+
+
+@pytest.mark.parametrize(("by", "kinds"), [(0.0, []), (12.0, ["moved"])])
+def test_where_less_than_a_hundredth_is_lit_noise_is_no_contour(by, kinds):
+    before, after = (np.random.default_rng(seed).normal(0.0, 3e-4, (60, 90, 3)) for seed in (1, 2))
+    before[20:24, 40:44], after[20:24, 40 + int(by) : 44 + int(by)] = 0.3, 0.2
+    assert [one.kind for one in doubts([(OUT, look(before))], (IN, look(after)))] == kinds
 
 
 def test_thumbnails_tell_whether_a_picture_is_sharp_and_not_whether_something_moved():
