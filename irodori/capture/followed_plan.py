@@ -86,7 +86,7 @@ def _of_setting(pose: Pose, rig: Rig) -> list[str]:
     away = rig.light.distance_mm
     place = _place((away or 1000.0) * to_light(pose))
     lamp = place if away else f"{place}, for each metre that it stands away"
-    tilt = f"tilted by {pose.tilt_deg:g} degrees towards the lamp" if pose.tilt_deg else "level"
+    tilt = f"tilted by {pose.tilt_deg:g} degrees to your right" if pose.tilt_deg else "level"
     turn = f"turned by {pose.turn_deg:g} degrees, counter-clockwise from above" if pose.turn_deg else "not turned"
     azimuth = f", azimuth {pose.light_azimuth_deg:g}" if pose.light_azimuth_deg else ""
     return [f"lamp at {pose.light_deg:g} degrees{azimuth}: {lamp}", f"object {tilt}, {turn}"]

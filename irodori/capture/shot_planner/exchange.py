@@ -7,6 +7,7 @@ every criterion is a mean over the cases, larger for a better design:
 ``variance``         minus the trace of P⁻¹: A-optimality, the sum of the relative variances
 ``fit-determinant``, ``fit-variance``
                      the same for the precision that the fit reaches with its own weights
+``paint-variance``   the same as ``variance`` where the texels of a patch share β and μ, as the places of one paint do
 
 Fisher information grows by a matrix of rank one with each observation, so that a candidate is judged without a new
 inversion (the matrix determinant lemma; Sherman and Morrison). The precision of the fit, N (Σ w² v J Jᵀ)⁻¹ N with
@@ -21,7 +22,7 @@ import numpy as np
 from irodori.capture.shot_planner.fisher_information import PARAMETERS, Observations
 from irodori.jit.compilation import njit
 
-CRITERIA = ("determinant", "variance", "fit-determinant", "fit-variance")
+CRITERIA = ("determinant", "variance", "fit-determinant", "fit-variance", "paint-variance")
 _MIN_GAIN = 1e-9
 _MAX_PASSES = 20
 _SETTINGS_TRIED = 4
@@ -122,6 +123,48 @@ def _judge_fit(jacobian, variance, weight, state, prior, by_determinant):
     return total / variance.size
 
 
+@njit(cache=True, error_model="numpy")
+def _judge_paints(jacobian, variance, state, prior, patch):
+    """Return minus the mean sum of variances where the texels of a patch share β and μ, and each has its own α.
+
+    What a patch tells of β and μ is the mean over its texels and not the sum: the error of the lamp in a photograph is
+    the same in all of them. Only texels with enough photographs for a fit of their own tell, as the fit finds paints by
+    the colours of such texels.
+    """
+    materials, texels = variance.size // patch.size, patch.size
+    patches, total = patch.max() + 1, 0.0
+    shared, count, seen = np.empty((patches, 3)), np.zeros(patches), np.empty((texels, 6))
+    for t in range(texels):
+        count[patch[t]] += 1.0
+    for m in range(materials):
+        shared[:] = 0.0
+        for t in range(texels):
+            c = t * materials + m
+            p = _six(state[c])
+            if variance[c] < np.inf:
+                p = _with_row(p, jacobian[c], 1.0 / variance[c])
+            for k in range(6):
+                seen[t, k] = p[k]
+            if state[c, 12] + (1.0 if variance[c] < np.inf else 0.0) <= PARAMETERS:
+                continue
+            shared[patch[t], 0] += (p[3] - prior[3] - p[1] * p[1] / p[0]) / count[patch[t]]
+            shared[patch[t], 1] += (p[4] - p[1] * p[2] / p[0]) / count[patch[t]]
+            shared[patch[t], 2] += (p[5] - prior[5] - p[2] * p[2] / p[0]) / count[patch[t]]
+        for t in range(texels):
+            beta, both, mu = shared[patch[t], 0] + prior[3], shared[patch[t], 1], shared[patch[t], 2] + prior[5]
+            determinant = beta * mu - both * both
+            of_beta, of_mu = seen[t, 1] / seen[t, 0], seen[t, 2] / seen[t, 0]
+            total -= 1.0 / seen[t, 0] + (beta + mu) / determinant
+            total -= (of_beta * of_beta * mu - 2.0 * of_beta * of_mu * both + of_mu * of_mu * beta) / determinant
+    return total / variance.size
+
+
+@njit(cache=True, parallel=True, nogil=True)
+def _judge_all_paints(seen, state, prior, allowed, patch, out):
+    for p in numba.prange(allowed.size):
+        out[p] = _judge_paints(seen[0][p], seen[1][p], state, prior, patch) if allowed[p] else -np.inf
+
+
 @njit(cache=True, parallel=True, nogil=True)
 def _judge_all(seen, state, prior, allowed, criterion, out):
     """Fill out with the criterion of the design plus each candidate; ``criterion`` is (of_fit, by_determinant)."""
@@ -158,6 +201,9 @@ class Selection:
         Largest number of different settings by hand in a design.
     criterion : str
         One of CRITERIA.
+    patch : (texels,) int, optional
+        Number of the patch of the surface to which each texel belongs, for the criterion ``paint-variance``; by default
+        there is one texel.
 
     Raises
     ------
@@ -165,7 +211,9 @@ class Selection:
         For an unknown criterion.
     """
 
-    def __init__(self, seen: Observations, prior: float, setting, max_manual: int, criterion: str) -> None:
+    def __init__(
+        self, seen: Observations, prior: float, setting, max_manual: int, criterion: str, *, patch=None
+    ) -> None:
         if criterion not in CRITERIA:
             raise ValueError(f"criterion {criterion!r}; accepted: {', '.join(CRITERIA)}")
         self.seen = Observations(*(np.ascontiguousarray(values) for values in seen))
@@ -174,16 +222,19 @@ class Selection:
         self.max_manual = max_manual
         self.of_fit = criterion.startswith("fit-")
         self.by_determinant = criterion.endswith("determinant")
+        self.patch = None
+        if criterion.startswith("paint-"):
+            self.patch = np.zeros(1, dtype=np.int64) if patch is None else np.asarray(patch, dtype=np.int64)
 
     def _state(self, chosen: list[int]) -> np.ndarray:
-        """Return the sums of a design, (cases, 13): Fisher information plus prior, or N, Σ w² v J Jᵀ and the count."""
+        """Return sums of a design, (cases, 13): Fisher information plus prior, or N and Σ w² v J Jᵀ; and the count."""
         jacobian, variance, _, weight = self.seen.of(chosen)
         seen = np.isfinite(variance)
         state = np.zeros((self.seen.variance.shape[1], 13))
+        state[:, 12] = seen.sum(axis=0)
         if self.of_fit:
             state[:, :6] = _sums(weight, jacobian)
             state[:, 6:12] = _sums(weight**2 * np.where(seen, variance, 0.0), jacobian)
-            state[:, 12] = seen.sum(axis=0)
         else:
             state[:, :6] = _sums(1.0 / variance, jacobian) + self.prior
         return state
@@ -192,6 +243,8 @@ class Selection:
         """Return the criterion of a design."""
         jacobian, variance, _, weight = self.seen
         nothing, state = np.full(variance.shape[1], np.inf), self._state(list(chosen))
+        if self.patch is not None:
+            return _judge_paints(jacobian[0], nothing, state, self.prior, self.patch)
         if self.of_fit:
             return _judge_fit(jacobian[0], nothing, weight[0], state, self.prior, self.by_determinant)
         return _judge_fisher(jacobian[0], nothing, state, self.by_determinant)
@@ -208,7 +261,10 @@ class Selection:
                 f"more than {len(chosen)} poses in {self.max_manual} manual settings; accepted: as many as the rig has"
             )
         out = np.empty(len(allowed))
-        _judge_all(self.seen, self._state(chosen), self.prior, allowed, (self.of_fit, self.by_determinant), out)
+        if self.patch is not None:
+            _judge_all_paints(self.seen, self._state(chosen), self.prior, allowed, self.patch, out)
+        else:
+            _judge_all(self.seen, self._state(chosen), self.prior, allowed, (self.of_fit, self.by_determinant), out)
         return out
 
     def _fill(self, chosen: list[int], count: int) -> tuple[list[int], float]:
@@ -263,7 +319,9 @@ class Selection:
         return list(starts.values())
 
 
-def choose(seen: Observations, prior: float, setting, count: int, max_manual: int, criterion: str) -> list[int]:
+def choose(
+    seen: Observations, prior: float, setting, count: int, max_manual: int, criterion: str, *, patch=None
+) -> list[int]:
     """Return the indices of `count` candidates, none twice; parameters as in `Selection`.
 
     The method is greedy forward selection by Fisher information, the only criterion that is defined for fewer than four
@@ -276,8 +334,9 @@ def choose(seen: Observations, prior: float, setting, count: int, max_manual: in
     TooFewPoses
         If there are fewer candidates than `count` within `max_manual` settings.
     """
-    selection = Selection(seen, prior, setting, max_manual, criterion)
-    if not selection.of_fit:
+    selection = Selection(seen, prior, setting, max_manual, criterion, patch=patch)
+    if not selection.of_fit and selection.patch is None:
         return selection.improve(selection.greedy(count))
-    fisher = Selection(seen, prior, setting, max_manual, criterion.removeprefix("fit-"))
+    plain = "variance" if criterion.startswith("paint-") else criterion.removeprefix("fit-")
+    fisher = Selection(seen, prior, setting, max_manual, plain)
     return selection.improve(fisher.improve(fisher.greedy(count)))

@@ -381,3 +381,38 @@ def standard_errors(observations: Observations) -> np.ndarray:
     covariance = inverse @ (middle[usable] / scale[apart]) @ inverse
     out[usable] = np.sqrt(np.maximum(np.einsum("cii->ci", covariance), 0.0)) / size[usable]
     return out
+
+
+def shared_errors(observations: Observations, patch: np.ndarray) -> np.ndarray:
+    """Return the expected relative standard errors of α, β, μ where the texels of a patch share β and μ, (cases, 3).
+
+    What a patch tells of β and μ is the mean over its texels, seen or not: the error of the lamp in a photograph is the
+    same in all of them, so that many texels tell little more than one. Texels with three photographs or fewer tell
+    nothing of it. Infinite where undetermined.
+
+    Parameters
+    ----------
+    observations : Observations
+    patch : (t,) int
+        Number of the patch to which each texel belongs, from 0.
+    """
+    scaled = np.where(np.isfinite(observations.variance)[..., None], observations.scaled(), 0.0)
+    information = np.einsum("pci,pcj->cij", scaled, scaled).reshape(len(patch), -1, PARAMETERS, PARAMETERS)
+    of_alpha = information[..., 0, 0]
+    seen = of_alpha > 0.0
+    mixed = information[..., 0, 1:] / np.where(seen, of_alpha, 1.0)[..., None]
+    own = information[..., 1:, 1:] - np.einsum("tm,tmi,tmj->tmij", of_alpha, mixed, mixed)
+    members = patch == np.arange(patch.max() + 1)[:, None]
+    enough = np.isfinite(observations.variance).sum(axis=0).reshape(seen.shape) > PARAMETERS
+    shared = np.einsum("gt,tm,tmij->gmij", members / members.sum(axis=1, keepdims=True), enough, own)
+    size = np.einsum("gmii->gmi", shared)
+    known = (size > 0.0).all(axis=-1) & (np.linalg.det(shared) > _SINGULAR * size.prod(axis=-1))
+    covariance = np.full(shared.shape, np.inf)
+    covariance[known] = np.linalg.inv(shared[known])
+    known, covariance = known[patch] & seen, covariance[patch]
+    out = np.full((*seen.shape, PARAMETERS), np.inf)
+    mixed, gloss = mixed[known], covariance[known]
+    of_gloss = np.einsum("ci,cij,cj->c", mixed, gloss, mixed)
+    out[known, 0] = np.sqrt(1.0 / of_alpha[known] + np.maximum(of_gloss, 0.0))
+    out[known, 1:] = np.sqrt(np.maximum(np.einsum("cii->ci", gloss), 0.0))
+    return out.reshape(-1, PARAMETERS)

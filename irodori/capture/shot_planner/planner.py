@@ -17,6 +17,7 @@ from irodori.capture.shot_planner.fisher_information import (
     RigSubject,
     Weighting,
     observe,
+    shared_errors,
     standard_errors,
 )
 from irodori.config.capture_table import Pose
@@ -40,7 +41,9 @@ _SPHERE_TEXELS = 64
 _FLAT_MATERIALS, _SPHERE_MATERIALS = 40, 16
 _PRIOR_RELATIVE_ERROR = 1.0  # of each parameter before any photograph: known to a factor of e
 _TOLERANCE_DEG = 1e-6
-DEFAULT_CRITERION = "fit-variance"
+DEFAULT_CRITERION, CURVED_CRITERION = "fit-variance", "paint-variance"
+#: Number of patches of a curved surface that may have different paints.
+_PATCHES = 16
 #: Relative standard errors from which the fit reports β and μ as not known.
 KNOWN_RELATIVE_ERROR = {"beta": 0.3, "mu": 0.2}
 
@@ -120,8 +123,8 @@ class Plan:
         {parameter: (median, 95th percentile) of the standard error} over the determined cases of the range: ``alpha``
         absolute, ``beta`` and ``mu`` relative.
     determined_fraction : float
-        Share of cases (materials on texels) with β and μ that a fit would report as known, see KNOWN_RELATIVE_ERROR.
-        It is small for a sphere: few of its texels are seen in enough poses, and its underside in none.
+        Share of cases (materials on texels) with β and μ that a fit would report as known, see KNOWN_RELATIVE_ERROR; of
+        a curved shape those of a patch of the surface together.
     candidates : int
         Number of poses from which these were chosen.
     manual_settings : int
@@ -172,6 +175,23 @@ def subject_of(definition: Object | PlannedObject, rig: Rig) -> RigSubject:
     position, normal = shape.samples(_SPHERE_TEXELS)
     further_deg = tuple(one.rotation_deg for one in definition.placements)
     return RigSubject(shape, position, normal, rig.camera_distance_mm, rig.table_radius_mm, further_deg)
+
+
+def patches(position: np.ndarray, count: int = _PATCHES) -> np.ndarray:
+    """Return the number of the patch of each texel, (t,) int: patches about as far from each other as possible.
+
+    Parameters
+    ----------
+    position : (t, 3) float
+        Object frame, mm.
+    count : int
+        Largest number of patches.
+    """
+    distance = np.linalg.norm(position[:, None] - position[None], axis=-1)
+    middles = [0]
+    while len(middles) < min(count, len(position)):
+        middles.append(int(np.argmax(distance[middles].min(axis=0))))
+    return np.argmin(distance[middles], axis=0)
 
 
 def axis_angles(limit: AxisLimit, coarse_deg: float) -> np.ndarray:
@@ -340,7 +360,7 @@ class Planner:
         useful = np.flatnonzero(np.isfinite(seen.variance).any(axis=1))
         self.poses, self.seen = [poses[i] for i in useful], seen.of(useful)
 
-    def best(self, count: int, max_manual: int | None = None, criterion: str = DEFAULT_CRITERION) -> Plan:
+    def best(self, count: int, max_manual: int | None = None, criterion: str | None = None) -> Plan:
         """Choose poses; parameters, result and errors as in `plan_best`."""
         max_manual = self.max_manual if max_manual is None else max_manual
         parameters = self.range.parameters
@@ -353,11 +373,14 @@ class Planner:
                 f"{count} poses; accepted: at most the {len(self.poses)} in which the rig sees the object"
             )
         setting = np.unique([_hand(p) for p in self.poses], axis=0, return_inverse=True)[1].reshape(-1)
-        chosen = choose(self.seen, _PRIOR_RELATIVE_ERROR**-2, setting, count, max_manual, criterion)
+        criterion = criterion or (DEFAULT_CRITERION if self.subject.shape.is_flat else CURVED_CRITERION)
+        patch, prior = patches(self.subject.position), _PRIOR_RELATIVE_ERROR**-2
+        chosen = choose(self.seen, prior, setting, count, max_manual, criterion, patch=patch)
         order = sorted(
             chosen, key=lambda i: (self.poses[i].placement, *_hand(self.poses[i]), self.poses[i].turn_deg, i)
         )
-        expected, fraction = expected_errors(self.seen.of(order), self.sample)
+        shared = patch if criterion == CURVED_CRITERION else None
+        expected, fraction = expected_errors(self.seen.of(order), self.sample, shared)
         return Plan([self.poses[i] for i in order], expected, fraction, len(self.poses), len(set(setting[order])))
 
     def expected(self, poses: list[Pose]) -> dict[str, tuple[float, float]]:
@@ -373,7 +396,7 @@ def plan_best(
     rig: Rig,
     count: int | None = None,
     max_manual: int | None = None,
-    criterion: str = DEFAULT_CRITERION,
+    criterion: str | None = None,
     **others,
 ) -> Plan:
     """Choose the poses that best determine α, β and μ over a range of materials.
@@ -387,9 +410,10 @@ def plan_best(
         ``plan.count``.
     max_manual : int, optional
         Largest number of different settings of light and tilt by hand; by default ``plan.max_manual``.
-    criterion : str
-        See `irodori.capture.shot_planner.exchange`. The default gave the smallest errors in simulated fits: it includes
-        pose errors, which the weights of the fit leave out, and saturated observations.
+    criterion : str, optional
+        See `irodori.capture.shot_planner.exchange`. The default for flat shapes gave the smallest errors in simulated
+        fits: it includes pose errors, which the weights of the fit leave out, and saturated observations. The default
+        for curved shapes reckons with the gloss of paints: where it is known, one photograph tells a place's colour.
     **others
         Further parameters of `Planner`: ``materials``, ``noise``, ``max_angle_deg``, ``clearance_deg``, ``coarse_deg``,
         ``weighting``.
@@ -409,7 +433,9 @@ def plan_best(
     return planner.best(definition.plan.count if count is None else count, max_manual, criterion)
 
 
-def expected_errors(seen: Observations, materials: Materials) -> tuple[dict[str, tuple[float, float]], float]:
+def expected_errors(
+    seen: Observations, materials: Materials, patch: np.ndarray | None = None
+) -> tuple[dict[str, tuple[float, float]], float]:
     """Return median and 95th percentile of the standard errors of a fit, and the share of cases that are determined.
 
     Parameters
@@ -418,6 +444,8 @@ def expected_errors(seen: Observations, materials: Materials) -> tuple[dict[str,
         Expected observations in the poses of a design.
     materials : Materials
         Materials of the observations.
+    patch : (t,) int, optional
+        Number of the patch of each texel, if the texels of a patch share their gloss.
 
     Returns
     -------
@@ -425,7 +453,7 @@ def expected_errors(seen: Observations, materials: Materials) -> tuple[dict[str,
         As in `Plan`; NaN if no case is determined.
     determined_fraction : float
     """
-    errors = standard_errors(seen)
+    errors = standard_errors(seen) if patch is None else shared_errors(seen, patch)
     known = (errors[:, 1] < KNOWN_RELATIVE_ERROR["beta"]) & (errors[:, 2] < KNOWN_RELATIVE_ERROR["mu"])
     names = ("alpha", "beta", "mu")
     if not known.any():
