@@ -1,12 +1,12 @@
 """Gaussian-process priors, over wavelength, of one band's response per unit reflectance.
 
 The response is the light times a sensitivity. Sensitivities are large in one part of the range and nearly zero
-elsewhere: they are an envelope times a factor. The factor has an unknown level, the same at all wavelengths, and departs
-from it by as much again, smoothly with bends, for which Matérn covariances allow. Without the level, an amplitude that
-explains why all values are positive would be too large for the departures. The envelope is estimated from the chart,
-and so are correlation length and amplitude, by the marginal likelihood (Rasmussen and Williams 2006, section 5.4); the
-amplitude is then reduced. At the edges of a camera's UV and IR cut filters, sensitivities change within a few
-nanometres: there, distances in wavelength are stretched.
+elsewhere: they are an envelope times a factor. The factor has an unknown level, the same at all wavelengths, and
+departs from it by as much again, smoothly with bends, for which Matérn covariances allow. Without the level, an
+amplitude that explains why all values are positive would be too large for the departures. The envelope is estimated
+from the chart, and so are correlation length and amplitude, by the marginal likelihood (Rasmussen and Williams 2006,
+section 5.4); the amplitude is then reduced. At the edges of a camera's UV and IR cut filters, sensitivities change
+within a few nanometres: there, distances in wavelength are stretched.
 
 Errors of given sensitivities, those of their measurement, are smoother than sensitivities, also at the edges of cut
 filters. They are relative to the sensitivity; where a band sees nearly nothing, a small error that has nothing to do
@@ -22,8 +22,8 @@ import numpy as np
 from irodori.calibration.response_model import smooth_covariance
 from irodori.spectra.grid import SAMPLES, WAVELENGTH_NM
 
-#: Values tried: correlation lengths, nm, of a sensitivity and of the error of a known one; a sensitivity's variances and
-#: additional noise variances, both relative.
+#: Values tried: correlation lengths, nm, of a sensitivity and of the error of a known one; a sensitivity's variances
+#: and additional noise variances, both relative.
 _LENGTHS_NM, _ERROR_NM = (20.0, 30.0, 40.0), (25.0, 30.0, 40.0)
 _SIZES = 10.0 ** np.arange(-2.0, 5.0, 0.125)
 _FURTHER_NOISE = 10.0 ** np.arange(-10.0, -1.0)
