@@ -1,13 +1,16 @@
 """Gaussian-process priors, over wavelength, of one band's response per unit reflectance.
 
-The response is the light times a sensitivity. Sensitivities are smooth with bends, for which Matérn covariances allow.
-They are large in one part of the range and nearly zero elsewhere, so that the prior's standard deviation follows an
-envelope. The envelope is estimated from the chart, and so are correlation length and amplitude, by the marginal
-likelihood (Rasmussen and Williams 2006, section 5.4); the amplitude is then reduced. At the edges of a camera's UV and
-IR cut filters, sensitivities change within a few nanometres: there, distances in wavelength are stretched.
+The response is the light times a sensitivity. Sensitivities are large in one part of the range and nearly zero
+elsewhere: they are an envelope times a factor. The factor has an unknown level, the same at all wavelengths, and
+departs from it by as much again, smoothly with bends, for which Matérn covariances allow. Without the level, an
+amplitude that explains why all values are positive would be too large for the departures. The envelope is estimated
+from the chart, and so are correlation length and amplitude, by the marginal likelihood (Rasmussen and Williams 2006,
+section 5.4); the amplitude is then reduced. At the edges of a camera's UV and IR cut filters, sensitivities change
+within a few nanometres: there, distances in wavelength are stretched.
 
-Errors of given sensitivities, those of their measurement, are smoother than sensitivities. They are relative to the
-sensitivity; where a band sees nearly nothing, a small error that has nothing to do with those nearby is added.
+Errors of given sensitivities, those of their measurement, are smoother than sensitivities, also at the edges of cut
+filters. They are relative to the sensitivity; where a band sees nearly nothing, a small error that has nothing to do
+with those nearby is added.
 """
 
 from collections.abc import Sequence
@@ -16,21 +19,25 @@ from functools import lru_cache
 
 import numpy as np
 
+from irodori.calibration.response_model import smooth_covariance
 from irodori.spectra.grid import SAMPLES, WAVELENGTH_NM
 
-#: Values tried: correlation lengths of a sensitivity, nm; its variances and additional noise variances, both relative.
-_LENGTHS_NM = (20.0, 30.0, 40.0)
+#: Values tried: correlation lengths, nm, of a sensitivity and of the error of a known one; a sensitivity's variances
+#: and additional noise variances, both relative.
+_LENGTHS_NM, _ERROR_NM = (20.0, 30.0, 40.0), (25.0, 30.0, 40.0)
 _SIZES = 10.0 ** np.arange(-2.0, 5.0, 0.125)
 _FURTHER_NOISE = 10.0 ** np.arange(-10.0, -1.0)
 #: Factors on prior variances: of a sensitivity, since its likeliest size is decided by few large values, and of the
-#: stated error of a known one. Like the lengths, they were chosen for the share of errors within one and two standard
-#: deviations, with the two cameras in colour-science and five of the program rawtoaces, and 15 filters.
-_LIKELIEST, _STATED = 0.4, 0.6
+#: stated error of a known one. Like the lengths and the smallest value of the envelope, they were chosen for the shares
+#: of errors within one and two standard deviations, with thirteen cameras (`docs/method/calibration.md`).
+_LIKELIEST, _STATED = 0.6, 0.6
+#: Variance of a sensitivity's level relative to that of its departures from the level.
+_LEVEL = 1.0
 #: Edges of cameras' cut filters, nm: position, width, and the distance that they add between two wavelengths. They are
 #: those of the two cameras in colour-science; no other camera was examined.
 _EDGES_NM, _EDGE_WIDTH_NM, _EDGE_DISTANCE_NM = (418.0, 655.0), 10.0, 40.0
 #: Envelope: width of its local mean, nm, its smallest value relative to the largest, and its number of re-estimations.
-_ENVELOPE_NM, _LEAST, _ROUNDS = 20.0, 0.02, 2
+_ENVELOPE_NM, _LEAST, _ROUNDS = 20.0, 0.005, 2
 #: Width of the envelope of a known sensitivity, and the additional error where it is small, relative to the largest.
 _KNOWN_NM, _KNOWN_LEAST = 5.0, 0.005
 _LEAST_POWER = 1e-3  # smallest power of a lamp, relative to its mean
@@ -112,14 +119,14 @@ def of_independent_bands(covariances: Sequence[np.ndarray]) -> np.ndarray:
 
 @lru_cache(maxsize=1)
 def shapes() -> tuple[np.ndarray, np.ndarray]:
-    """Return the covariances of unit variance that are tried.
+    """Return the covariances that are tried.
 
     Returns
     -------
     bent : (6, 61, 61) float64
-        Matérn's of orders 3/2 and 5/2, for sensitivities.
+        For sensitivities: that of the level, and Matérn's of orders 3/2 and 5/2 and unit variance.
     smooth : (3, 61, 61) float64
-        Squared-exponential ones, for errors of known sensitivities.
+        Squared-exponential ones of unit variance, for errors of known sensitivities.
     """
     from scipy.special import ndtr  # slow to import
 
@@ -127,7 +134,7 @@ def shapes() -> tuple[np.ndarray, np.ndarray]:
     distance = np.abs(place[:, None] - place) / np.array(_LENGTHS_NM)[:, None, None]
     rough, smooth = np.sqrt(3.0) * distance, np.sqrt(5.0) * distance
     bent = (1.0 + rough) * np.exp(-rough), (1.0 + smooth + smooth**2 / 3.0) * np.exp(-smooth)
-    return np.concatenate(bent), np.exp(-0.5 * distance**2)
+    return _LEVEL + np.concatenate(bent), np.stack([smooth_covariance(length) for length in _ERROR_NM])
 
 
 def _envelope(square: np.ndarray, width_nm: float = _ENVELOPE_NM, least: float = _LEAST) -> np.ndarray:

@@ -34,7 +34,7 @@ from irodori.calibration.estimator_choice import SelectionRow
 from irodori.calibration.filter_fit import FILTERED, fit_filter
 from irodori.calibration.filter_table import FilterTable, read_filter
 from irodori.calibration.recovery.calibration_file import Calibration
-from irodori.calibration.sensitivity_prior import Posteriors, prior_of_chart
+from irodori.calibration.sensitivity_prior import Posteriors, prior_about, prior_of_chart
 from irodori.calibration.simulated_responses import band_weights
 from irodori.calibration.stage import calibrate_camera, write_selection
 from irodori.config.models import CombFilter, Passband
@@ -194,7 +194,21 @@ def test_sensitivities_with_their_error_make_all_bands_better(noise):
     assert both.sources == (CHART, FILTER, SENSITIVITIES) and plain.sources == (CHART, SENSITIVITIES)
     assert (errors(both.mean, true) < errors(with_table.mean, true)).mean() >= 0.8
     assert errors(plain.mean, true)[:3].max() <= 0.06
-    assert_within(both, true)
+    rows = [shares(both.mean, both.covariance, true)]
+    for seed in (1, 2, 3):  # a single draw of what is wrong with table and sensitivities decides much
+        given = Given(Wrong(1.2).table(FINE_NM, COMB, seed), given_sensitivities(NIKON, seed=seed))
+        drawn, own_true = photographed(COMB, noise, seed).found(given)
+        rows.append(shares(drawn.mean, drawn.covariance, own_true))
+    one, two = np.mean(rows, axis=0)
+    assert 0.55 <= one <= 0.85 and two >= 0.9
+
+
+def test_errors_of_given_sensitivities_are_as_smooth_at_the_edges_of_cut_filters_as_elsewhere():
+    """Wrong readings of a lamp or a monochromator have nothing to do with the camera."""
+    flat, chart = np.ones(len(WAVELENGTH_NM)), chart_spectra("BabelColor Average")[1]
+    covariance = prior_about(flat, 0.1, chart @ flat, chart, flat, 1e-6).covariance
+    beside = covariance.diagonal(3) / covariance.diagonal()[3:]
+    assert beside == pytest.approx(np.full(len(beside), beside.mean()), rel=0.02)
 
 
 def test_given_sensitivities_are_right_at_the_ends_of_the_range_too():
@@ -235,9 +249,9 @@ def test_what_is_stated_holds_on_cameras_and_filters_that_had_no_part_in_it(nois
         better.append(errors(best.mean, true)[3:].mean() / errors(own.found(Given())[0].mean, true)[3:].mean())
         assert best.sources == (CHART, FILTER)
     one, two = np.mean(rows, axis=0)
-    # At 1 % the model expects more structure than sensitivities have, and states too wide errors. At 0.1 % more errors
-    # than the aim of 0.07 lie beyond two standard deviations: at the edges of passbands.
-    assert 0.62 <= one <= (0.75 if noise == 0.001 else 0.85) and two >= (0.91 if noise == 0.001 else 0.93)
+    # At 1 % stated errors are somewhat too wide. At 0.1 % more errors than the aim of 0.07 lie beyond two standard
+    # deviations: at the edges of passbands.
+    assert 0.62 <= one <= (0.75 if noise == 0.001 else 0.78) and two >= (0.91 if noise == 0.001 else 0.93)
     assert np.mean(better) <= 0.6
 
 
