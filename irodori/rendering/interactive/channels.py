@@ -102,15 +102,6 @@ def _bases(objects: Objects) -> list[np.ndarray]:
     return [objects.basis[i, :k].T for i, k in enumerate(objects.bases)]
 
 
-def mean_spectra(objects: Objects) -> list[np.ndarray]:
-    """Return the mean S(λ) over the texels of each object, (61,)."""
-    means = []
-    for i, texels in enumerate(textures(objects)):
-        weights = texels[..., : objects.bases[i]].reshape(-1, objects.bases[i])
-        means.append(weights.mean(axis=0, dtype=np.float64) @ objects.basis[i, : objects.bases[i]])
-    return means
-
-
 def _by_channel(values: np.ndarray, objects: Objects, light: Light, lamps, xyz_from_colour, coloured: bool) -> Channels:
     """Return channels that are linear functionals of the spectrum, the rows of ``values``, (count, 61)."""
     count = len(values)

@@ -607,11 +607,3 @@ def aim_at_directions(images, chain, origin, target, out, found):
     for i in range(chain.size):
         start, end = _row(origin, i), _row(target, i)
         found[i] = _aim(images, chain[i], start, end, spheres, out[i])
-
-
-@njit(cache=True, nogil=True)
-def image_densities(images, share, origin, direction, out):
-    """Fill `image_density` of directions, (n, 3), from one point, (n,)."""
-    start = (origin[0], origin[1], origin[2])
-    for i in range(out.size):
-        out[i] = image_density(images, share, start, _row(direction, i))
