@@ -146,8 +146,8 @@ class Registered:
     Parameters
     ----------
     estimate : Estimate
-        Corrections in use, the most probable values, and their covariance if all are estimated together. If outlines,
-        textures or corners scatter between photographs by more than expected, it is the larger by as much.
+        Corrections in use, the most probable values, and their covariance if all are estimated together, as large as
+        the contradictions between photographs say.
     own_camera_deg : (J,) float64
         Additional correction of the camera angle of each photograph.
     residual_px : (J,) float64
@@ -574,9 +574,8 @@ def _weigh(problem: _Problem, matrix: np.ndarray) -> None:
     if problem.tells_texture:
         information = np.zeros((size, size))
         textures = _add_texture(_textures(problem), information, np.zeros(size))
-        problem.texture_scatter = reduced_chi_square(textures, problem.sigma, float(np.sum(covariance * information)))[
-            1
-        ]
+        share = float(np.sum(covariance * information))
+        _, problem.texture_scatter = reduced_chi_square(textures, problem.sigma, share)
 
 
 def _displaced_outlines(problem: _Problem, measured: list, outlines: list[Rows], scale: float) -> list[Rows]:

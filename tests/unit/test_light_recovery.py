@@ -61,15 +61,15 @@ def test_lamps_that_the_prior_does_not_know_are_recovered_far_better_than_as_the
     assert (found - before).max() <= 0.2
 
 
-@pytest.mark.parametrize("seed", [1, 4, 12, 23])
-def test_warm_fluorescent_lamps_are_little_worse_than_as_the_rigs_lamp_on_paint(seed):
+@pytest.mark.parametrize(("seed", "worse"), [(1, 0.2), (4, 0.2), (12, 0.2), (23, 0.3)])
+def test_warm_fluorescent_lamps_are_little_worse_than_as_the_rigs_lamp_on_paint(seed, worse):
     """Their mercury lines lie where the chart leaves the response of the blue band with the filter open.
 
     The aim of 0.2 is missed in 3 of 2496 lamps over 48 draws of the chart's noise, one of them in the draw 23.
     """
     seen, warm = camera(seed), ("FL3", "FL4", "FL3.1")
     found, before = (errors(seen, variant, names=warm)[:, 0] for variant in ("mixture", "rig-lamp"))
-    assert (found - before).max() <= 0.3
+    assert (found - before).max() <= worse
 
 
 def test_lamps_of_three_leds_are_shaped_and_coloured_as_another_program_makes_them():
