@@ -166,9 +166,13 @@ class Reports:
         """Return the name of a scene's environment, empty for a camera."""
         return self._scene(wildcards).environment if _has_scene(wildcards) else ""
 
-    def staging(self, wildcards) -> dict:
-        """Return the parts of a scene that determine its white, lights and display; empty for a camera."""
-        return self._scenes.part("lights", "display")(wildcards) if _has_scene(wildcards) else {}
+    def scene(self, wildcards) -> dict:
+        """Return the definition of a scene without its lesson, which affects no picture; empty for a camera."""
+        return self._scenes.pictured(wildcards) if _has_scene(wildcards) else {}
+
+    def shapes(self, wildcards) -> list[dict]:
+        """Return the shapes of a scene's objects; none for a camera."""
+        return self._scenes.shapes(wildcards) if _has_scene(wildcards) else []
 
     def sessions(self, wildcards) -> list[str]:
         """Return the records of the sessions that took the photographs of a report."""

@@ -164,6 +164,10 @@ class SceneFiles:
         """Return a function that selects keys of a scene's definition, so that changes of others cause no rerun."""
         return lambda wildcards: as_plain({key: getattr(self._scene(wildcards), key) for key in keys})
 
+    def pictured(self, wildcards) -> dict:
+        """Return the definition of a scene without its lesson, which affects no picture."""
+        return {key: value for key, value in self._scene(wildcards).plain().items() if key != "lesson"}
+
     # ---- frames
 
     def with_frames(self, wildcards) -> dict:
@@ -179,7 +183,7 @@ class SceneFiles:
             file = Path(self.loaded.config.definitions) / "scenes" / f"{wildcards.scene}.yaml"
             found = f"the scene {wildcards.scene} defines no frames, so there are none to render"
             raise InputError(file, "frames", found, "a turntable, a light_sweep or an illuminant_change")
-        return {key: value for key, value in scene.plain().items() if key != "lesson"}
+        return self.pictured(wildcards)
 
     def threads_of_view(self, wildcards) -> int:
         """Return the threads for a picture: 2 if it is large enough to be worth the wait for a second core, else 1."""

@@ -190,7 +190,11 @@ class _Pictures:
         Without light maps, which the other objects change too and which take long to bake.
         """
         pair = (self.own(materials, light, width_px, baked=False) for materials in (one, other))
-        return np.not_equal(*pair).any(axis=-1)
+        return np.not_equal(*pair).any(axis=-1) & ~self.bodies(width_px)
+
+    def bodies(self, width_px: float = _WIDTH_PX) -> np.ndarray:
+        """Return the pixels that show a body of the scene, whose material is given, (height, width) bool."""
+        return self.by_paths.bodies(self._image(width_px))
 
 
 class _Budget:
@@ -207,7 +211,8 @@ class _Budget:
         self._parts = [substitutes(one) for one in objects]
         self._estimates = self._of_stage("all")
         self._true = pictures.paths(self._truths, self._true_light)
-        self._shown = (pictures.paths(self._estimates, self._true_light) != self._true).any(axis=-1)
+        differs = (pictures.paths(self._estimates, self._true_light) != self._true).any(axis=-1)
+        self._shown = differs & ~pictures.bodies()
         self._base = pictures.paths(self._estimates, self._estimated_light)
         self._squares = np.zeros(int(self._shown.sum()))
         self._rng = np.random.default_rng(_SEED)

@@ -12,9 +12,10 @@ from irodori.material.material_file import Material
 from irodori.rendering.integrators import with_bodies
 from irodori.rendering.reference.converging_picture import REPLICATES, TracedScene, make_scene, render_rows
 from irodori.rendering.reference.denoising import MARGIN, Halves, filtered_halves, make_guides, squared_error
+from irodori.rendering.reference.distance import body_pixels
 from irodori.rendering.reference.random_numbers import Numbers, make_numbers
 from irodori.rendering.reference.sky_sampling import Sky, make_sky
-from irodori.rendering.scene_arrays import make_objects, make_placements, make_view
+from irodori.rendering.scene_arrays import View, make_objects, make_placements, make_view
 from irodori.rendering.single_pixels import sheared_view
 
 #: Paths of the picture that is taken as converged, as a multiple of the scene's; its remaining noise is subtracted.
@@ -82,14 +83,25 @@ class Paths:
         Each block has its own random numbers. A margin may reach beyond the picture; it shows what a larger
         picture of the same view would show there. The other parameters are those of `picture`.
         """
-        view = make_view(self.scene.views[self._view], self.scene.image)
         prepared, numbers = self._scene(materials, light), self._numbers_of(samples, seed)
-        side, found = _SIDE + 2 * margin, []
-        for number, (x, y) in enumerate(block_places(self.scene.image, _samples(self), _margin(self))):
-            block = sheared_view(view, x, y)._replace(width=side, height=side)
+        found = []
+        for number, block in enumerate(self._block_views(margin)):
             own = numbers._replace(seed=seed * 1_000_003 + number)
-            found.append(render_rows(prepared, block, own, (0, side)).halves)
+            found.append(render_rows(prepared, block, own, (0, block.height)).halves)
         return Halves(*(np.stack([getattr(block, name) for block in found]) for name in Halves._fields))
+
+    def _block_views(self, margin: int) -> list[View]:
+        view, side = make_view(self.scene.views[self._view], self.scene.image), _SIDE + 2 * margin
+        places = block_places(self.scene.image, _samples(self), _margin(self))
+        return [sheared_view(view, x, y)._replace(width=side, height=side) for x, y in places]
+
+    def bodies(self, image: Size) -> np.ndarray:
+        """Return the pixels of a picture of the view that show a body, (height, width) bool."""
+        return body_pixels(self.scene, make_view(self.scene.views[self._view], image), self._shapes)
+
+    def bodies_in_blocks(self) -> np.ndarray:
+        """Return the pixels of the blocks without margin that show a body, (blocks · 8, 8) bool."""
+        return np.concatenate([body_pixels(self.scene, block, self._shapes) for block in self._block_views(0)])
 
 
 def block_places(image: Size, samples: int, margin: int) -> list[tuple[float, float]]:
@@ -126,9 +138,12 @@ def _inner(values: np.ndarray, margin: int) -> np.ndarray:
 
 
 def touched(paths: Paths, one: list[Material], other: list[Material], light: Environment) -> np.ndarray:
-    """Return the pixels that differ between two sets of materials, (blocks · 8, 8) bool; the others show no object."""
+    """Return the pixels of objects, (blocks · 8, 8) bool: those that differ between two sets of materials.
+
+    Bodies, which reflect the light of objects, are left out.
+    """
     pair = (_inner(paths.blocks(materials, light, REPLICATES, 0, 0).mean, 0) for materials in (one, other))
-    return np.not_equal(*pair).any(axis=-1)
+    return np.not_equal(*pair).any(axis=-1) & ~paths.bodies_in_blocks()
 
 
 class TracedBlocks(NamedTuple):

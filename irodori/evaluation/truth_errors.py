@@ -11,14 +11,17 @@ from irodori.colour.colorimetry import (
     summary,
     xyz_from_radiance,
 )
-from irodori.config.parts import Staging
+from irodori.config.models import Scene
 from irodori.core import store
 from irodori.core.progress import LOGGER
 from irodori.evaluation.result_tables import ErrorRow, write_rows
 from irodori.export.pictures import read_xyz
+from irodori.geometry.shapes.shape import Shape
 from irodori.light.environment_file import Environment, directions
 from irodori.light.irradiance import irradiance_at
 from irodori.material.material_file import Material, Status, gloss_names
+from irodori.rendering.reference.distance import body_pixels
+from irodori.rendering.scene_arrays import make_view
 from irodori.rendering.scene_white import scene_white
 
 
@@ -180,7 +183,9 @@ def calibration_errors(name: str, path, lights: list[str]) -> list[ErrorRow]:
     return rows
 
 
-def measure_errors(inputs: dict, names: dict, scene: Staging, lights: list[str], output) -> None:
+def measure_errors(
+    inputs: dict, names: dict, scene: Scene | None, shapes: list[Shape], lights: list[str], output
+) -> None:
     """Write ``errors.csv``, the errors of the materials, environments, calibrations and views of one report.
 
     Parameters
@@ -191,8 +196,10 @@ def measure_errors(inputs: dict, names: dict, scene: Staging, lights: list[str],
     names : dict
         Lists of names: ``objects``, ``environments``, ``cameras``, ``views``; and ``light``, the name of the
         environment of the views.
-    scene : Staging
-        Settings of the scene of the views that `irodori.rendering.scene_white.scene_white` reads.
+    scene : Scene or None
+        The scene of the views; None without views.
+    shapes : list of Shape
+        One for each object of the scene.
     lights : list of str
         Illuminants for the errors of reflectance.
     output : path
@@ -207,18 +214,20 @@ def measure_errors(inputs: dict, names: dict, scene: Staging, lights: list[str],
         names["environments"], inputs["environments"], inputs["true_environments"], strict=True
     ):
         rows += environment_errors(name, Environment.load(path), Environment.load(truth))
-    if names["views"]:
+    if scene is not None and names["views"]:
         (light_file,) = inputs["light"]
         white, _ = scene_white(scene, Environment.load(light_file))
         matrix = xyz_from_radiance(white)
-    for name, path, truth in zip(names["views"], inputs["views"], inputs["true_views"], strict=True):
-        pair = read_xyz(truth, matrix), read_xyz(path, matrix)
-        difference = xyz_delta_e(*pair, matrix @ white)
-        # Both pictures have the same light, samples and random numbers: pixels without an object are identical.
-        objects = (pair[0] != pair[1]).any(axis=-1)
-        of_objects = "picture CIEDE2000 to true materials, objects only"
-        rows.append(_row(name, "picture CIEDE2000 to true materials", difference, names["light"]))
-        rows.append(_row(name, of_objects, difference[objects], names["light"]))
+        for name, path, truth in zip(names["views"], inputs["views"], inputs["true_views"], strict=True):
+            pair = read_xyz(truth, matrix), read_xyz(path, matrix)
+            difference = xyz_delta_e(*pair, matrix @ white)
+            # Both pictures have the same light, samples and random numbers: pixels without an object are identical, but
+            # for bodies, which reflect the light of objects.
+            view = make_view(scene.views[name.rpartition("/")[2]], scene.image)
+            objects = (pair[0] != pair[1]).any(axis=-1) & ~body_pixels(scene, view, shapes)
+            of_objects = "picture CIEDE2000 to true materials, objects only"
+            rows.append(_row(name, "picture CIEDE2000 to true materials", difference, names["light"]))
+            rows.append(_row(name, of_objects, difference[objects], names["light"]))
     for row in rows:
         LOGGER.info(
             "%s, %s %s: mean %.4g p95 %.4g max %.4g",

@@ -8,7 +8,7 @@ import pytest
 from scenes import constant_light
 
 from irodori.colour.colorimetry import delta_e, delta_e_reflectance, lab_from_xyz, xyz_from_radiance
-from irodori.config.parts import Staging
+from irodori.config.models import Scene
 from irodori.core import store
 from irodori.evaluation.result_tables import ErrorRow, read_rows
 from irodori.evaluation.truth_errors import (
@@ -57,6 +57,14 @@ def test_equal_pictures_differ_by_nothing_and_a_tint_shows_however_bright():
     assert difference[3] == pytest.approx(difference[2], rel=1e-9)
 
 
+def seen_from_above(**keys) -> Scene:
+    """A picture of 8 x 6 pixels, each 10 mm wide, of an empty table."""
+    view = {"kind": "orthographic", "position_mm": [0.0, 0.0, 100.0], "target_mm": [0.0, 0.0, 0.0],
+            "up": [0.0, 1.0, 0.0], "height_mm": 60.0}  # fmt: skip
+    size = {"width": 8, "height": 6}
+    return Scene.of({"environment": "e", "image": size, "views": {"v": view}, "objects": []} | keys)
+
+
 def test_the_pictures_error_in_the_table_is_plain_ciede2000_up_to_white_and_scaled_beyond(tmp_path):
     """What is darker than white is compared as it is; a pixel five times white as one at white, both scaled alike."""
     provenance = store.Provenance("test")
@@ -67,14 +75,16 @@ def test_the_pictures_error_in_the_table_is_plain_ciede2000_up_to_white_and_scal
     bright = (slice(0, 1), slice(0, 4))
     truth[bright] += 5.0
     found[4:, :5] = truth[4:, :5]  # no object
+    body = (slice(0, 6), slice(6, 8))  # whose material is given
     for name, radiance in (("true", truth), ("found", found)):
         write_spectral_exr(tmp_path / f"{name}.exr", radiance, radiance[..., :3], {})
     inputs = {key: [] for key in ("materials", "true_materials", "environments", "true_environments", "calibrations")}
     inputs |= {"light": [tmp_path / "e.h5"], "views": [tmp_path / "found.exr"]}
     inputs |= {"true_views": [tmp_path / "true.exr"]}
     names = {"cameras": [], "objects": [], "environments": [], "views": ["s/v"], "light": "e"}
-    scene = Staging.of({"lights": [], "display": {"exposure": "auto"}})
-    measure_errors(inputs, names, scene, ["D65"], tmp_path / "errors.csv")
+    board = {"shape": {"kind": "plate", "width_mm": 20.0, "height_mm": 60.0}, "position_mm": [30.0, 0.0, 0.0],
+             "material": {"spectrum": "TCS1"}}  # fmt: skip
+    measure_errors(inputs, names, seen_from_above(bodies=[board]), [], ["D65"], tmp_path / "errors.csv")
     row, objects = read_rows(tmp_path / "errors.csv", ErrorRow)
     matrix = xyz_from_radiance(np.ones(61))
     pair = [radiance.astype(float) @ matrix.T for radiance in (truth, found)]
@@ -87,7 +97,8 @@ def test_the_pictures_error_in_the_table_is_plain_ciede2000_up_to_white_and_scal
     expected = colour.difference.delta_E_CIE2000(*lab)
     for name, value in (("mean", expected.mean()), ("p95", np.percentile(expected, 95)), ("max", expected.max())):
         assert getattr(row, name) == pytest.approx(value, rel=2e-3), name
-    assert objects.mean == pytest.approx(expected.sum() / (6 * 8 - 2 * 5), rel=2e-3)
+    own = expected.sum() - expected[body].sum()
+    assert objects.count == 6 * 6 - 2 * 5 and objects.mean == pytest.approx(own / objects.count, rel=2e-3)
 
 
 def test_a_pictures_error_is_judged_against_a_white_that_counts_the_scenes_lights(tmp_path):
@@ -106,8 +117,8 @@ def test_a_pictures_error_is_judged_against_a_white_that_counts_the_scenes_light
         inputs |= {"calibrations": [], "light": [tmp_path / "e.h5"]}
         inputs |= {"views": [tmp_path / "found.exr"], "true_views": [tmp_path / "true.exr"]}
         names = {"cameras": [], "objects": [], "environments": [], "views": ["s/v"], "light": "e"}
-        scene = Staging.of({"lights": lights, "display": {"exposure": exposure}})
-        measure_errors(inputs, names, scene, ["D65"], tmp_path / "errors.csv")
+        scene = seen_from_above(lights=lights, display={"exposure": exposure})
+        measure_errors(inputs, names, scene, [], ["D65"], tmp_path / "errors.csv")
         found[label] = read_rows(tmp_path / "errors.csv", ErrorRow)[0].mean
     white = 0.5 + 4.5 * unit_luminance("D65")
     assert found["lit"] == pytest.approx(radiance_delta_e(truth, pictures["found"], white).mean(), rel=1e-4)
@@ -242,7 +253,7 @@ def test_the_outcome_of_a_fit_and_of_a_calibration_stand_in_the_table(tmp_path):
               "calibrations": [tmp_path / "calibration.h5"]}  # fmt: skip
     inputs |= {"light": [], "views": [], "true_views": []}
     names = {"cameras": ["cam"], "objects": ["tile"], "environments": ["room"], "views": [], "light": ""}
-    measure_errors(inputs, names, Staging(), ["D65", "A"], tmp_path / "errors.csv")
+    measure_errors(inputs, names, None, [], ["D65", "A"], tmp_path / "errors.csv")
     rows = {(row.subject, row.quantity, row.light): row for row in read_rows(tmp_path / "errors.csv", ErrorRow)}
     assert rows["cam", "leave-one-patch-out spectral RMSE", ""].mean == 0.02
     assert rows["cam", "leave-one-patch-out CIEDE2000", "D65"].max == 2.0

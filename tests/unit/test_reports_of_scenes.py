@@ -42,7 +42,7 @@ def test_every_scene_and_every_camera_asked_for_has_a_folder_of_its_own(three):
 @pytest.mark.parametrize("scene", ["still-life", "lid", "turntable"])
 def test_a_report_is_the_same_whichever_scenes_are_made_beside_it(three, scene):
     alone, asked = reports(load(ROOT, scenes=[scene], cameras=[])), of_scene(scene)
-    for name in ("errors", "title", "light", "light_name", "staging", "sessions", "pages", "jobs"):
+    for name in ("errors", "title", "light", "light_name", "scene", "shapes", "sessions", "pages", "jobs"):
         answer = getattr(three, name)(asked)
         assert answer == getattr(alone, name)(asked), name
         assert json.loads(json.dumps(answer)) == answer

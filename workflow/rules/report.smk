@@ -80,7 +80,8 @@ rule measure_errors:
         cameras=reports.cameras("{camera}"),
         views=reports.views("{scene}/{view}", virtual_only=True),
         light=reports.light_name,
-        scene=reports.staging,
+        scene=reports.scene,
+        shapes=reports.shapes,
         lights=lookup(within=config["report"], dpath="lights"),
         code=code_hash("irodori.evaluation.truth_errors"),
     script:

@@ -15,10 +15,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from irodori.colour.colorimetry import delta_e, lab_from_xyz
+from irodori.config.models import Scene
 from irodori.geometry.embree import Tracer
+from irodori.geometry.shapes.shape import Shape
 from irodori.rendering.reference.converging_picture import REPLICATES, TracedScene, render_places
 from irodori.rendering.reference.random_numbers import make_numbers
-from irodori.rendering.scene_arrays import View
+from irodori.rendering.scene_arrays import View, make_placements
 from irodori.rendering.single_pixels import middle_rays
 
 #: Largest number of traced pixels that show objects.
@@ -78,6 +80,37 @@ def object_pixels(tracer: Tracer, view: View, objects: int, seed: int = 0, count
         if len(found) >= count:
             break
     return found[:count]
+
+
+def body_pixels(scene: Scene, view: View, shapes: list[Shape]) -> np.ndarray:
+    """Return the pixels that show a body of the scene and no object, neither at the centre nor at a corner.
+
+    The material of a body is given, not measured, so that such pixels say nothing about the errors of measured
+    materials. Returns (height, width) bool.
+
+    Parameters
+    ----------
+    scene : Scene
+    view : View
+        For a view with a lens, the ray through the centre of the lens decides.
+    shapes : list of Shape
+        One for each object of the scene, or one for each object and body.
+    """
+    if not scene.bodies:
+        return np.zeros((view.height, view.width), dtype=bool)
+    own = shapes[: len(scene.objects)]
+    placements = make_placements(scene, [*own, *(Shape.from_definition(body.shape) for body in scene.bodies)])
+    tracer = Tracer(placements)
+
+    def shown(offset: float, rows: int, columns: int) -> np.ndarray:
+        places = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).reshape(-1, 2) + offset
+        return tracer.intersect(*middle_rays(view, places))[1].reshape(rows, columns)
+
+    middle, corner = shown(0.5, view.height, view.width), shown(0.0, view.height + 1, view.width + 1)
+    around = [corner[:-1, :-1], corner[:-1, 1:], corner[1:, :-1], corner[1:, 1:]]
+    objects = [(one >= 0) & (one < len(own)) for one in (middle, *around)]
+    bodies = [one >= len(own) for one in (middle, *around)]
+    return np.any(bodies, axis=0) & ~np.any(objects, axis=0)
 
 
 def traced_halves(scene: TracedScene, view: View, pixels: np.ndarray, samples: int, seed: int) -> np.ndarray:
