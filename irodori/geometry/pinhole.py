@@ -43,6 +43,25 @@ def samples_from_superpixels(xy, sample_px: int):
     return (np.asarray(xy, dtype=np.float64) + 0.5) * (2.0 / sample_px) - 0.5
 
 
+def bayer_offsets_px(pattern: str) -> np.ndarray:
+    """Return the positions of red, green and blue in a superpixel, (3, 2), x then y, in superpixels from its centre.
+
+    Parameters
+    ----------
+    pattern : str
+        The 2 x 2 mosaic row by row, such as ``RGGB``; the two greens are averaged.
+
+    Raises
+    ------
+    ValueError
+        If the pattern does not have one red, two greens and one blue.
+    """
+    if sorted(pattern) != ["B", "G", "G", "R"]:
+        raise ValueError(f"mosaic pattern {pattern!r}; accepted: one R, two G, one B, such as 'RGGB'")
+    places = np.array([[-0.25, -0.25], [0.25, -0.25], [-0.25, 0.25], [0.25, 0.25]])
+    return np.stack([places[[letter == band for letter in pattern]].mean(axis=0) for band in "RGB"])
+
+
 def superpixels_from_samples(xy, sample_px: int):
     """Convert coordinates in samples of a picture to superpixels; the inverse of `samples_from_superpixels`."""
     return (np.asarray(xy, dtype=np.float64) + 0.5) * (sample_px / 2.0) - 0.5

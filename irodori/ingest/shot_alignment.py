@@ -8,10 +8,11 @@ from irodori.config.capture_table import Shot
 from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER
+from irodori.geometry.pinhole import bayer_offsets_px
 from irodori.ingest.develop import Developed, develop
 from irodori.ingest.exposure_settings import filter_states
 from irodori.ingest.ingest_options import IngestOptions
-from irodori.ingest.registration.similarity import Registration, bayer_offsets_px, meets_marked, register, resample
+from irodori.ingest.registration.similarity import Registration, meets_marked, register, resample
 
 #: Predicted standard error of a registration, superpixels, above which the picture has too little content.
 MAX_SIGMA_PX = 0.1

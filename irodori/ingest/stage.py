@@ -136,4 +136,6 @@ def _write(
         out.attribute("filters", filter_states(shots))
         out.attribute("sample_px", options.sample_px)
         out.attribute("demosaic", options.demosaic)
+        # Where the bands of a superpixel lie; those of demosaiced pictures coincide.
+        out.attribute("mosaic", developed[0].pattern if options.sample_px == 2 else "")
         out.attribute("orientation", frames[0].mosaic.orientation)

@@ -20,7 +20,7 @@ from irodori.core.progress import LOGGER, track
 from irodori.geometry.atlas import Texels
 from irodori.geometry.embree import Tracer
 from irodori.geometry.lamp import FAR, Lamp
-from irodori.geometry.pinhole import Pinhole, samples_from_superpixels
+from irodori.geometry.pinhole import Pinhole, bayer_offsets_px, samples_from_superpixels
 from irodori.geometry.rig_frame import rig_from_camera, to_camera
 from irodori.geometry.shapes.shape import Shape
 from irodori.jit.chunks import run_chunks
@@ -153,37 +153,47 @@ class _Window(NamedTuple):
     valid: np.ndarray  # (height, width)
     clipped: np.ndarray  # (height, width)
     corner: np.ndarray  # (2,) row and column at which it begins
+    places: np.ndarray  # (colours, 2) centres of the bands in a sample, x then y, samples from its centre; in turn
 
 
 @njit(cache=True, nogil=True)
 def _sample(window, xy, out, marks, first, last):
     """Interpolate responses bilinearly at points ``xy`` and mark which points are good and which clip.
 
-    A point is good if all neighbours with weight are in the window and valid; it clips if one of them clips.
-    Coordinates are those of the whole picture, so that a texel gets the same bits in whichever tile it is.
+    A point is good if the neighbours with weight are in the window and valid in all bands; it clips if one of them
+    clips. Coordinates are those of the whole picture, so that a texel gets the same bits in whichever tile it is.
     """
-    (response, valid, clipped, corner), (good, clips) = window, marks
+    (response, valid, clipped, corner, places), (good, clips) = window, marks
     height, width, bands = response.shape
+    colours = places.shape[0]
     for t in range(first, last):
         good[t], clips[t] = False, 0
-        x, y = xy[t, 0], xy[t, 1]
-        if not (x >= 0.0 and y >= 0.0):
-            continue
-        left, top_row = math.floor(x), math.floor(y)
-        fx, fy = x - left, y - top_row
-        x0, y0 = left - corner[1], top_row - corner[0]
-        # A neighbour without weight is not read, because it may lie outside the window or the picture.
-        x1, y1 = x0 + (1 if fx > 0.0 else 0), y0 + (1 if fy > 0.0 else 0)
-        if x0 < 0 or y0 < 0 or x1 > width - 1 or y1 > height - 1:
-            continue
-        clips[t] = clipped[y0, x0] | clipped[y0, x1] | clipped[y1, x0] | clipped[y1, x1]
-        if not (valid[y0, x0] and valid[y0, x1] and valid[y1, x0] and valid[y1, x1]):
-            continue
-        for b in range(bands):
-            top = (1.0 - fx) * response[y0, x0, b] + fx * response[y0, x1, b]
-            bottom = (1.0 - fx) * response[y1, x0, b] + fx * response[y1, x1, b]
-            out[t, b] = (1.0 - fy) * top + fy * bottom
-        good[t] = True
+        known = True
+        for colour in range(colours):
+            x, y = xy[t, 0] - places[colour, 0], xy[t, 1] - places[colour, 1]
+            if not (x >= 0.0 and y >= 0.0):
+                known = False
+                break
+            left, top_row = math.floor(x), math.floor(y)
+            fx, fy = x - left, y - top_row
+            x0, y0 = left - corner[1], top_row - corner[0]
+            # A neighbour without weight is not read, because it may lie outside the window or the picture.
+            x1, y1 = x0 + (1 if fx > 0.0 else 0), y0 + (1 if fy > 0.0 else 0)
+            if x0 < 0 or y0 < 0 or x1 > width - 1 or y1 > height - 1:
+                known = False
+                break
+            clips[t] |= clipped[y0, x0] | clipped[y0, x1] | clipped[y1, x0] | clipped[y1, x1]
+            if not (valid[y0, x0] and valid[y0, x1] and valid[y1, x0] and valid[y1, x1]):
+                known = False
+                continue
+            for b in range(colour, bands, colours):
+                top = (1.0 - fx) * response[y0, x0, b] + fx * response[y0, x1, b]
+                bottom = (1.0 - fx) * response[y1, x0, b] + fx * response[y1, x1, b]
+                out[t, b] = (1.0 - fy) * top + fy * bottom
+        good[t] = known
+        if not known:
+            for b in range(bands):
+                out[t, b] = 0.0
 
 
 class Sight(NamedTuple):
@@ -236,17 +246,23 @@ def observe(position, normal, tracer: Tracer, pose: Pose, setup: RigSetup, facet
     return Sight(setup.pinhole.project(position, camera, rig_from_camera(pose)), geometry, visible, lit, power)
 
 
-def _window(xy: np.ndarray, height: int, width: int) -> tuple[slice, slice]:
-    """Return slices of rows and columns that contain the samples around all finite points; empty without points."""
+def _window(xy: np.ndarray, margin: float, height: int, width: int) -> tuple[slice, slice]:
+    """Return slices of rows and columns that contain the samples around all finite points; empty without points.
+
+    The bands of a sample lie up to ``margin`` samples beside its centre.
+    """
     inside = xy[np.isfinite(xy).all(axis=1)]
-    first = np.floor(inside.min(axis=0, initial=np.inf))
-    last = np.ceil(inside.max(axis=0, initial=0.0)) + 1.0
+    first = np.floor(inside.min(axis=0, initial=np.inf) - margin)
+    last = np.ceil(inside.max(axis=0, initial=0.0) + margin) + 1.0
     (x0, y0), (x1, y1) = np.clip([first, last], 0, [width, height]).astype(int)
     return slice(y0, max(y0, y1)), slice(x0, max(x0, x1))
 
 
 def sample_picture(file: store.Reader, xy, within) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return interpolated responses of a capture, (n, bands) float32, which of them are good, and which clip, (n,).
+
+    Red and blue of a superpixel are measured beside its centre, and each band is interpolated between its own places.
+    Otherwise every border of two paints would have coloured fringes.
 
     Parameters
     ----------
@@ -259,12 +275,14 @@ def sample_picture(file: store.Reader, xy, within) -> tuple[np.ndarray, np.ndarr
     """
     file.require_axes({"response": "row,column,band", "valid": "row,column", "clipped": "row,column"})
     height, width, bands = file.dataset("response").shape
-    window = _window(within, height, width)
+    pattern = file.attribute("mosaic")
+    places = bayer_offsets_px(pattern) if pattern else np.zeros((1, 2))
+    window = _window(within, np.abs(places).max(), height, width)
     sampled = np.zeros((len(xy), bands), dtype=np.float32)
     good, clips = np.empty(len(xy), dtype=np.bool_), np.empty(len(xy), dtype=np.uint8)
     corner = np.array([window[0].start, window[1].start])
     response, valid, clipped = (file.read(name, window) for name in ("response", "valid", "clipped"))
-    seen = _Window(response, valid, clipped, corner)
+    seen = _Window(response, valid, clipped, corner, places)
     run_chunks(_sample, len(xy), _CHUNK, seen, np.ascontiguousarray(xy), sampled, (good, clips))
     return sampled, good, clips
 

@@ -58,6 +58,7 @@ def pictures(tmp_path, definitions, patch, poses, level, *, distance_mm=None, gr
             for name, mask in (("valid", ~clipped), ("clipped", clipped)):
                 out.write(name, mask.astype(np.uint8), units="1", dims="row,column", quantity=name)
             out.attribute("sample_px", 2)
+            out.attribute("mosaic", "")
             out.attribute("pose_deg", list(pose.angles_deg))
             out.attribute("filters", ["out"])
     return files, setup_of(camera, rig, white=distance_mm is not None)
@@ -208,6 +209,7 @@ def test_hot_pixels_do_not_count(tmp_path, definitions):
         for name, values in (("response", response), ("valid", valid), ("clipped", 0 * valid)):
             out.write(name, values, units="1", dims="row,column,band"[: 10 + 5 * (values.ndim == 3)], quantity=name)
         out.attribute("sample_px", 2)
+        out.attribute("mosaic", "")
         out.attribute("pose_deg", list(TURNS[0].angles_deg))
     spoiled = read_patch(files[0], shape, setup, patch)
     assert spoiled.response == pytest.approx(clean.response, rel=1e-3)

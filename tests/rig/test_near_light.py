@@ -116,6 +116,7 @@ def photographed(tmp_path, definition, camera, rig, poses):
                 out.write(name, values, units="1", dims="row,column", quantity=name)
             out.write("noise_model", np.zeros((3, 2)), units="1", dims="band,term", quantity="noise")
             out.attribute("sample_px", 2)
+            out.attribute("mosaic", "")
             out.attribute("pose_deg", [pose.light_deg, pose.camera_deg, pose.tilt_deg, pose.turn_deg])
             out.attribute("filters", ["out"])
     return files

@@ -81,6 +81,7 @@ def photographs(folder, definitions, definition, poses, laid_off=(0.0,) * 6, *, 
             noise = np.tile([NOISE**2, 0.0], (3, 1))
             out.write("noise_model", noise, units="1", dims="band,term", quantity="noise")
             out.attribute("sample_px", 2)
+            out.attribute("mosaic", "")
             out.attribute("pose_deg", list(stated.angles_deg))
             out.attribute("placement", stated.placement)
     return files

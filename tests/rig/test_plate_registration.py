@@ -14,7 +14,8 @@ from irodori.config.capture_table import Pose
 from irodori.config.definitions import load_definitions, read_yaml
 from irodori.config.models import Camera, Object, Rig
 from irodori.config.parts import PhotographedObject
-from irodori.ingest.registration.similarity import Registration, bayer_offsets_px, register
+from irodori.geometry.pinhole import bayer_offsets_px
+from irodori.ingest.registration.similarity import Registration, register
 from irodori.simulation.virtual_rig.samples import Sample
 from irodori.simulation.virtual_rig.sensor import band_weights
 from irodori.simulation.virtual_rig.subjects import object_mosaic

@@ -36,6 +36,7 @@ def linear_file(path, response, valid=None, sample_px=2, pose=(45.0, 10.0, 5.0, 
         noise = np.stack([np.array([1e-4, 1e-3]) * (band + 1) for band in range(bands)])
         out.write("noise_model", noise, units="1", dims="band,term", quantity="noise")
         out.attribute("sample_px", sample_px)
+        out.attribute("mosaic", "")
         out.attribute("pose_deg", list(pose))
     return path
 

@@ -101,8 +101,8 @@ def test_a_picture_without_white_reference_is_in_full_scales_per_second(tmp_path
         assert file.read("response").shape == (32, 32, 3)
         assert np.allclose(file.read("response"), 5000 / (WHITE - BLACK) / 0.25, rtol=1e-6)
         assert np.isnan(file.read("noise_model")).all()
-        told = {name: file.attribute(name) for name in ("sample_px", "demosaic", "orientation", "filters")}
-        assert told == {"sample_px": 2, "demosaic": "superpixel", "orientation": 0, "filters": ["out"]}
+        told = {name: file.attribute(name) for name in ("sample_px", "demosaic", "mosaic", "orientation")}
+        assert told == {"sample_px": 2, "demosaic": "superpixel", "mosaic": "RGGB", "orientation": 0}
         assert file.dataset("response").attrs["units"] == "1/s"
 
 

@@ -37,6 +37,7 @@ def file_of(folder, pose, response, valid=None, name="one.h5", sample_px=2):
         for mask, values in (("valid", valid), ("clipped", 0 * valid)):
             out.write(mask, values, units="1", dims="row,column", quantity=mask)
         out.attribute("sample_px", sample_px)
+        out.attribute("mosaic", "")
         out.attribute("pose_deg", list(pose.angles_deg))
         out.attribute("filters", ["out", "in"][: response.shape[2] // 3])
     return folder / name

@@ -74,12 +74,13 @@ def pixel_of(position, pose):
     return np.stack([x / 2 - 0.5, y / 2 - 0.5], axis=1)
 
 
-def linear_file(path, pose, *, response=None, valid=None, clipped=None, sample_px=2, filters=("out",)):
+def linear_file(path, pose, *, response=None, valid=None, clipped=None, sample_px=2, filters=("out",), mosaic=""):
     """A capture whose responses are known functions of the place in the picture: linear, so interpolation is exact."""
     height, width = OPTICS["height_px"] // 2, OPTICS["width_px"] // 2
     y, x = np.mgrid[:height, :width].astype(np.float64)
     if response is None:
-        response = np.stack([x / 512, y / 512, (3 * x - 2 * y) / 512], axis=-1)
+        aside = {"": 0.0, "GBRG": 0.25}[mosaic]  # of red to the lower left of a superpixel's centre, of blue opposite
+        response = np.stack([x - aside, y, 3 * (x + aside) - 2 * (y - aside)], axis=-1) / 512
     valid = np.ones((height, width), np.uint8) if valid is None else valid
     clipped = np.zeros(valid.shape, np.uint8) if clipped is None else clipped
     with store.create(path, PROVENANCE) as out:
@@ -89,6 +90,7 @@ def linear_file(path, pose, *, response=None, valid=None, clipped=None, sample_p
         noise = np.arange(2.0 * response.shape[-1]).reshape(-1, 2) * pose.light_deg
         out.write("noise_model", noise, units="1", dims="band,term", quantity="noise")
         out.attribute("sample_px", sample_px)
+        out.attribute("mosaic", mosaic)
         out.attribute("pose_deg", list(pose.angles_deg))
         out.attribute("filters", list(filters))
     return path
@@ -116,9 +118,11 @@ PLATE_POSES = [
 ]  # fmt: skip
 
 
+@pytest.mark.parametrize("mosaic", ["", "GBRG"])
 @pytest.mark.parametrize("definition", [PLATE, SPHERE], ids=["plate", "sphere"])
-def test_texels_take_their_own_place_in_the_picture(tmp_path, definition):
-    found = rectify(tmp_path, definition, PLATE_POSES)
+def test_texels_take_their_own_place_in_the_picture(tmp_path, definition, mosaic):
+    """Also where red and blue are measured beside the centre of their superpixel."""
+    found = rectify(tmp_path, definition, PLATE_POSES, mosaic=mosaic)
     for j, pose in enumerate(PLATE_POSES):
         position, _ = texels_in_rig(definition, pose)
         x, y = pixel_of(position, pose).T

@@ -22,6 +22,7 @@ from benchmarks.plate_pictures import (
     render,
     white_weights,
 )
+from irodori.geometry.pinhole import bayer_offsets_px
 from irodori.ingest.registration import similarity as similarity_module
 from irodori.ingest.registration.band_layout import flatten
 from irodori.ingest.registration.gradient_sums import gradient_moments, least_share, sample, template
@@ -33,7 +34,6 @@ from irodori.ingest.registration.similarity import (
     _Pair,
     _residual_px,
     _sigma_px,
-    bayer_offsets_px,
     meets_marked,
     register,
     resample,

@@ -61,25 +61,6 @@ _FLOOR_PX = 0.05  # blocks with a smaller error than this have equal weights in 
 _LEAST_COHERENCE = 0.1
 
 
-def bayer_offsets_px(pattern: str) -> np.ndarray:
-    """Return the positions of red, green and blue in a superpixel, (3, 2), x then y, in superpixels from its centre.
-
-    Parameters
-    ----------
-    pattern : str
-        The 2 x 2 mosaic row by row, such as ``RGGB``; the two greens are averaged.
-
-    Raises
-    ------
-    ValueError
-        If the pattern does not have one red, two greens and one blue.
-    """
-    if sorted(pattern) != ["B", "G", "G", "R"]:
-        raise ValueError(f"mosaic pattern {pattern!r}; accepted: one R, two G, one B, such as 'RGGB'")
-    places = np.array([[-0.25, -0.25], [0.25, -0.25], [-0.25, 0.25], [0.25, 0.25]])
-    return np.stack([places[[letter == band for letter in pattern]].mean(axis=0) for band in "RGB"])
-
-
 @dataclass(frozen=True)
 class Registration:
     """Similarity transform from the fixed to the moving picture: p -> c + scale R(rotation) (p - c) + (dx, dy).
