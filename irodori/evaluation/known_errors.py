@@ -14,8 +14,8 @@ from irodori.material.material_file import Material, gloss_maps
 
 _LIGHT = "D65"
 #: Variance of the footprint of a sample along an axis, in squared sample widths: a sample averages evenly over its
-#: width (1/12), and rectification interpolates linearly between sample centres (1/6 on average over all positions).
-_SAMPLE_VARIANCE = 1.0 / 12.0 + 1.0 / 6.0
+#: width. The cubic interpolation of rectification adds none.
+_SAMPLE_VARIANCE = 1.0 / 12.0
 _GREEN = 1
 #: Steps of Van Cittert's iteration, and standard deviations after which the blur kernel is cut off.
 _STEPS, _REACH = 12, 4.0

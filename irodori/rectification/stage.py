@@ -19,6 +19,7 @@ from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER, track
 from irodori.geometry.atlas import Texels
 from irodori.geometry.embree import Tracer
+from irodori.geometry.interpolation import KEYS_NOISE_SHARE, keys_weights
 from irodori.geometry.lamp import FAR, Lamp
 from irodori.geometry.pinhole import Pinhole, bayer_offsets_px, samples_from_superpixels
 from irodori.geometry.rig_frame import rig_from_camera, to_camera
@@ -34,8 +35,6 @@ if TYPE_CHECKING:
     from irodori.config.models import FurtherPlacement, Object, Optics, RigPose
     from irodori.config.parts import RigGeometry, TexturedObject
 
-#: Share of a sample's noise variance that remains after bilinear interpolation, on average over positions.
-_INTERPOLATED = 4.0 / 9.0
 _ANGLES_OF_POSE = tuple(field.name for field in fields(Pose) if field.name != "placement")
 _CHUNK = 8192  # texels that a thread takes at a time
 
@@ -156,12 +155,26 @@ class _Window(NamedTuple):
     places: np.ndarray  # (colours, 2) centres of the bands in a sample, x then y, samples from its centre; in turn
 
 
+@njit(cache=True, forceinline=True)
+def _all_valid(valid, left, top):
+    """Return whether all 4 x 4 samples from a corner on are in the window and valid."""
+    height, width = valid.shape
+    if left < 0 or top < 0 or left + 4 > width or top + 4 > height:
+        return False
+    for y in range(top, top + 4):
+        for x in range(left, left + 4):
+            if not valid[y, x]:
+                return False
+    return True
+
+
 @njit(cache=True, nogil=True)
 def _sample(window, xy, out, marks, first, last):
-    """Interpolate responses bilinearly at points ``xy`` and mark which points are good and which clip.
+    """Interpolate responses at points ``xy`` and mark which points are good and which clip.
 
-    A point is good if the neighbours with weight are in the window and valid in all bands; it clips if one of them
-    clips. Coordinates are those of the whole picture, so that a texel gets the same bits in whichever tile it is.
+    From 4 x 4 samples by Keys' cubic, or bilinearly from 2 x 2 if one of the others is not valid. A point is good if
+    those of the 2 x 2 that have weight are in the window and valid in all bands; it clips if one of them clips.
+    Coordinates are those of the whole picture, so that a texel gets the same bits in whichever tile it is.
     """
     (response, valid, clipped, corner, places), (good, clips) = window, marks
     height, width, bands = response.shape
@@ -185,6 +198,17 @@ def _sample(window, xy, out, marks, first, last):
             clips[t] |= clipped[y0, x0] | clipped[y0, x1] | clipped[y1, x0] | clipped[y1, x1]
             if not (valid[y0, x0] and valid[y0, x1] and valid[y1, x0] and valid[y1, x1]):
                 known = False
+                continue
+            if _all_valid(valid, x0 - 1, y0 - 1):
+                wx, wy = keys_weights(fx), keys_weights(fy)
+                for b in range(colour, bands, colours):
+                    total = np.float32(0.0)
+                    for j in range(4):
+                        row = np.float32(0.0)
+                        for i in range(4):
+                            row += wx[i] * response[y0 - 1 + j, x0 - 1 + i, b]
+                        total += wy[j] * row
+                    out[t, b] = total
                 continue
             for b in range(colour, bands, colours):
                 top = (1.0 - fx) * response[y0, x0, b] + fx * response[y0, x1, b]
@@ -247,13 +271,13 @@ def observe(position, normal, tracer: Tracer, pose: Pose, setup: RigSetup, facet
 
 
 def _window(xy: np.ndarray, margin: float, height: int, width: int) -> tuple[slice, slice]:
-    """Return slices of rows and columns that contain the samples around all finite points; empty without points.
+    """Return slices of rows and columns that contain the 4 x 4 samples around all finite points; empty without points.
 
     The bands of a sample lie up to ``margin`` samples beside its centre.
     """
     inside = xy[np.isfinite(xy).all(axis=1)]
-    first = np.floor(inside.min(axis=0, initial=np.inf) - margin)
-    last = np.ceil(inside.max(axis=0, initial=0.0) + margin) + 1.0
+    first = np.floor(inside.min(axis=0, initial=np.inf) - margin) - 1.0
+    last = np.floor(inside.max(axis=0, initial=0.0) + margin) + 3.0
     (x0, y0), (x1, y1) = np.clip([first, last], 0, [width, height]).astype(int)
     return slice(y0, max(y0, y1)), slice(x0, max(x0, x1))
 
@@ -364,7 +388,7 @@ def noise_models(linear: list) -> np.ndarray:
     models = []
     for path in linear:
         with store.open_file(path) as file:
-            models.append(_INTERPOLATED * file.read("noise_model"))
+            models.append(KEYS_NOISE_SHARE * file.read("noise_model"))
     return np.stack(models)
 
 

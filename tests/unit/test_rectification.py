@@ -18,6 +18,7 @@ from irodori.config.parts import RigGeometry, TexturedObject
 from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.geometry.embree import Tracer
+from irodori.geometry.interpolation import keys_weights
 from irodori.geometry.rig_frame import rig_from_object, to_light
 from irodori.geometry.shapes.placement import Placement
 from irodori.geometry.shapes.shape import Shape
@@ -522,8 +523,8 @@ def test_noise_of_an_interpolated_response_is_carried_along_by_capture_and_band(
     with store.open_file(tmp_path / "obs.h5") as file:
         noise = file.read("noise_model")
         assert [term.decode() for term in file.read("term")] == ["c0", "c1"]
-    # Bilinear weights squared, averaged over all places between four samples.
-    left = np.mean([x * x + (1 - x) ** 2 for x in (np.arange(1000) + 0.5) / 1000]) ** 2
+    # Weights of the cubic squared, averaged over all places between the samples.
+    left = np.mean([np.square(keys_weights(x)).sum() for x in (np.arange(1000) + 0.5) / 1000]) ** 2
     assert noise.shape == (2, 3, 2)
     for j, pose in enumerate(poses):
         assert noise[j] == pytest.approx(np.arange(6.0).reshape(3, 2) * pose.light_deg * left, rel=1e-5)
@@ -575,7 +576,7 @@ def test_a_texel_on_a_sample_does_not_depend_on_the_window_that_is_read():
         out, good, clips = np.zeros((3, 6), dtype=np.float32), np.empty(3, dtype=bool), np.empty(3, dtype=np.uint8)
         window = slice(first, last)
         pictures = (picture[window, window] for picture in (response, valid, clipped))
-        _sample(_Window(*pictures, np.array([first, first])), xy, out, (good, clips), 0, len(xy))
+        _sample(_Window(*pictures, np.array([first, first]), np.zeros((1, 2))), xy, out, (good, clips), 0, len(xy))
         found.append((out.copy(), good.copy(), clips.copy()))
     assert found[0][1].all() and not found[0][2].any()
     np.testing.assert_array_equal(found[0][0][0], response[2, 3])

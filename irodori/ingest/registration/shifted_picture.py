@@ -4,22 +4,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from irodori.geometry.interpolation import keys_weights
 from irodori.ingest.registration.band_layout import flatten
 from irodori.jit.chunks import run_chunks
 from irodori.jit.compilation import njit
 
 _ROWS = 64  # rows that a thread takes at a time
-
-
-@njit(cache=True, forceinline=True)
-def _keys(t):
-    """Return the weights of Keys' cubic, a = -1/2, for the taps -1..2 around a fraction t."""
-    return (
-        np.float32(((-0.5 * t + 1.0) * t - 0.5) * t),
-        np.float32((1.5 * t - 2.5) * t * t + 1.0),
-        np.float32(((-1.5 * t + 2.0) * t + 0.5) * t),
-        np.float32((0.5 * t - 0.5) * t * t),
-    )
 
 
 @njit(cache=True)
@@ -79,7 +69,7 @@ def _resample_row(moved, picture, reached, affine, y):
             ix, iy = min(int(fx), width - 2), min(int(fy), height - 2)
             tx, ty, at = fx - ix, fy - iy, iy * line + ix * step
             if reached[iy, ix]:
-                wx, wy, good = _keys(tx), _keys(ty), True
+                wx, wy, good = keys_weights(tx), keys_weights(ty), True
                 # Unsigned indices save numba the handling of negative ones.
                 first, right, down, one = np.uint64(at - line - step), np.uint64(step), np.uint64(line), np.uint64(1)
                 r = _cubic(image, first, right, down, wx, wy)
