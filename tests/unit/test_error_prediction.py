@@ -196,7 +196,7 @@ def test_a_blur_is_undone_and_a_gap_has_no_part_in_it():
     assert np.abs(spread.undone(even, seen) - even).max() < 1e-9
 
 
-def test_the_spread_of_a_sample_is_half_its_side_and_wider_at_a_slant():
+def test_the_spread_of_a_sample_is_that_of_its_even_side_and_wider_at_a_slant():
     flat = Shape.from_definition(
         made(
             ObjectShape | BodyShape,
@@ -204,7 +204,7 @@ def test_the_spread_of_a_sample_is_half_its_side_and_wider_at_a_slant():
         )
     )
     one, slanted = (Spread.of(flat, (120, 180), 0.36, stretch) for stretch in (1.0, 4.0))
-    assert one.border == "black" and one.rows == pytest.approx(0.18 / 0.5) and one.columns == pytest.approx(0.18 / 0.5)
+    assert one.border == "black" and one.rows == one.columns == pytest.approx(0.36 / np.sqrt(12.0) / 0.5)
     assert slanted.rows == pytest.approx(2 * one.rows)
     ball = Spread.of(
         Shape.from_definition(made(ObjectShape | BodyShape, {"kind": "sphere", "radius_mm": 30.0})),
@@ -212,7 +212,7 @@ def test_the_spread_of_a_sample_is_half_its_side_and_wider_at_a_slant():
         0.36,
         1.0,
     )
-    assert ball.border == "joined" and ball.rows == pytest.approx(0.18 / (np.pi * 30 / 128), rel=1e-3)
+    assert ball.border == "joined" and ball.rows == pytest.approx(0.36 / np.sqrt(12.0) / (np.pi * 30 / 128), rel=1e-3)
 
 
 def holes(rng) -> np.ndarray:

@@ -95,7 +95,8 @@ def test_words_of_a_lesson_run_no_frames_anew(root):
 
     def frames():
         loaded = load(root, scenes=["turntable"])
-        return SceneFiles.with_frames(type("Files", (), {"loaded": loaded, "_scene": SceneFiles._scene})(), Wildcards)
+        needed = {name: getattr(SceneFiles, name) for name in ("_scene", "pictured")}
+        return SceneFiles.with_frames(type("Files", (), {"loaded": loaded, **needed})(), Wildcards)
 
     before = frames()
     lesson = with_step(root, "turntable").scenes["turntable"].lesson

@@ -82,7 +82,7 @@ def test_the_pictures_error_in_the_table_is_plain_ciede2000_up_to_white_and_scal
     inputs |= {"light": [tmp_path / "e.h5"], "views": [tmp_path / "found.exr"]}
     inputs |= {"true_views": [tmp_path / "true.exr"]}
     names = {"cameras": [], "objects": [], "environments": [], "views": ["s/v"], "light": "e"}
-    board = {"shape": {"kind": "plate", "width_mm": 20.0, "height_mm": 60.0}, "position_mm": [30.0, 0.0, 0.0],
+    board = {"shape": {"kind": "plate", "width_mm": 19.0, "height_mm": 60.0}, "position_mm": [30.0, 0.0, 0.0],
              "material": {"spectrum": "TCS1"}}  # fmt: skip
     measure_errors(inputs, names, seen_from_above(bodies=[board]), [], ["D65"], tmp_path / "errors.csv")
     row, objects = read_rows(tmp_path / "errors.csv", ErrorRow)
