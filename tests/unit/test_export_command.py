@@ -130,7 +130,7 @@ def test_every_picture_of_a_view_has_its_row_in_the_table_of_losses(project, tmp
 
 
 def test_a_scene_has_its_picture_as_preview_and_its_objects_where_they_stand(project):
-    root, own = project
+    root, _ = project
     profile = standard_display("sRGB").profile
     (root / "results/still-life").mkdir()
     picture = np.full((6, 8, 3), 90, np.uint8)
