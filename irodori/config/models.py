@@ -413,6 +413,18 @@ RefractiveIndex: TypeAlias = ConstantIndex | IndexTable
 
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
+class Sheet(Definition):
+    """That the object is a thin sheet, such as a leaf, paper or textile, of which both sides are seen.
+
+    For a plate, a disc or a mesh.
+    """
+
+    #: Assumed share of the light on one side that leaves the other side, evenly diffuse (ratio, or the name or path of
+    #: a spectrum).
+    transmittance: float | str | None = None
+
+
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class LevelPatch(Definition):
     """A flat matt patch, white or grey, that tells the lamp's level in every photograph of the object."""
 
@@ -645,6 +657,10 @@ class Object(Definition):
     #: Weight of the mirror term, which reflects the surroundings (ratio).
     mirror_weight: float = 0.0
 
+    #: That the object is a thin sheet, such as a leaf, paper or textile, of which both sides are seen; for a plate, a
+    #: disc or a mesh.
+    sheet: Sheet | None = None
+
     #: A flat matt patch, white or grey, that tells the lamp's level in every photograph of the object.
     level_patch: LevelPatch | None = None
 
@@ -803,6 +819,13 @@ class Body(Definition):
 
     #: Parameters of equation (5), the same all over the body.
     material: BodyMaterial
+
+    #: Material of the back of a thin sheet, which is a plate, a disc or a mesh; by default that of its front.
+    back: BodyMaterial | None = None
+
+    #: Share of the light on one side of a thin sheet that leaves the other side, evenly diffuse (ratio, or the name or
+    #: path of a spectrum).
+    transmittance: float | str | None = None
 
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
@@ -1330,6 +1353,9 @@ class PlacedObject(Definition):
 
     #: Rotations about the scene's x, then y, then z axis, before the object is moved, in degrees.
     rotation_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    #: Name of the object whose material covers the back, which makes a plate, a disc or a mesh a sheet.
+    back: str | None = None
 
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)

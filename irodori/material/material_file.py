@@ -126,6 +126,12 @@ class Material:
         Lobe of each gloss component.
     further_gloss : tuple of (beta, mu)
         Maps of the components after the first, (height, width) float each.
+    through : Material, optional
+        Transmittance of a thin sheet, as the diffuse reflectance of a material without gloss and with maps of the same
+        size: the share of the light on one side that leaves the other side evenly diffuse.
+    back : Material, optional
+        Material of a sheet's back, as seen when it lies face up; by default that of the front. With neither ``through``
+        nor ``back`` the material is not that of a sheet, and the surface is black from behind.
 
     Raises
     ------
@@ -146,6 +152,8 @@ class Material:
     extra: dict = field(default_factory=dict)
     lobes: tuple[str, ...] = DEFAULT_LOBES
     further_gloss: tuple[tuple[np.ndarray, np.ndarray], ...] = ()
+    through: "Material | None" = None
+    back: "Material | None" = None
 
     def __post_init__(self) -> None:
         for name in self.lobes:
@@ -166,6 +174,7 @@ class Material:
         k=0.0,
         lobes: tuple[str, ...] = DEFAULT_LOBES,
         further_gloss: tuple[tuple[float, float], ...] = (),
+        transmittance=None,
     ) -> "Material":
         """Return a material with the same parameters in every texel.
 
@@ -181,6 +190,8 @@ class Material:
             Lobe of each gloss component.
         further_gloss : tuple of (beta, mu)
             Parameters of the components after the first, a pair of float each.
+        transmittance : float or (61,) float, optional
+            Transmittance of a thin sheet, even 0; a surface without one is black from behind.
         """
         one = np.ones((2, 2))
         spectrum, n, k = (np.broadcast_to(np.asarray(v, dtype=np.float64), SAMPLES).copy() for v in (reflectance, n, k))
@@ -198,6 +209,7 @@ class Material:
             typical_gloss=(beta, mu, *(value for pair in further_gloss for value in pair)),
             lobes=tuple(lobes),
             further_gloss=tuple((b * one, m * one) for b, m in further_gloss),
+            through=None if transmittance is None else cls.uniform(transmittance),
         )
 
     def save(
@@ -309,8 +321,25 @@ class Material:
 
     def rows(self, part: slice) -> "Material":
         """Return some rows of the maps as a material; its maps are views, nothing is copied."""
-        gloss = [(beta[part], mu[part]) for _, beta, mu in self.gloss]
-        maps = {name: getattr(self, name)[part] for name in (*MAPS, "coefficients")}
+        return self._at(part)
+
+    @property
+    def is_sheet(self) -> bool:
+        """Whether both sides of the surface are seen."""
+        return self.through is not None or self.back is not None
+
+    def mirrored(self) -> "Material":
+        """Return the material with its maps mirrored from left to right."""
+        return self._at(np.s_[:, ::-1])
+
+    def resized(self, size: tuple[int, int]) -> "Material":
+        """Return the material with (height, width) other texels, each the nearest of its own."""
+        rows, columns = (((np.arange(n) + 0.5) * old / n).astype(int) for n, old in zip(size, self.alpha.shape, strict=True))
+        return self._at(np.ix_(rows, columns))
+
+    def _at(self, texels) -> "Material":
+        gloss = [(beta[texels], mu[texels]) for _, beta, mu in self.gloss]
+        maps = {name: getattr(self, name)[texels] for name in (*MAPS, "coefficients")}
         return replace(self.with_gloss(gloss), **maps)
 
     @property

@@ -8,7 +8,8 @@ any light from all directions, turned about the vertical axis by any angle, any 
   in each cell, the integral of radiance times direction is known. Its product with a normal is the cell's irradiance,
   exactly if all of the cell is above the horizon.
 * Light between surfaces is gathered from the texels that are seen, reflection by reflection and wavelength by
-  wavelength (radiosity). A surface sends diffuse light evenly in all directions. Its gloss and its mirror send on what
+  wavelength (radiosity). A surface sends diffuse light evenly in all directions, and a thin sheet also that which
+  passes through it. Its gloss and its mirror send on what
   comes from the mirror direction, from a cell or another texel, with their albedo at that angle.
 
 The number of texels is increased until light interpolated between them is close to light found at the same points.
@@ -33,7 +34,7 @@ from irodori.rendering.interactive.surroundings import SEEN, SIDE, coarse_texels
 from irodori.rendering.light_cells import CELLS, Moments, cell_of, cell_vectors
 from irodori.rendering.light_maps import Bake, LightMaps, spectral_basis
 from irodori.rendering.map_layouts import Points, make_layout
-from irodori.rendering.scene_arrays import Objects, coefficients_of, gloss_of, textures
+from irodori.rendering.scene_arrays import Objects, coefficients_of, gloss_of, sides_placed, textures
 from irodori.rendering.texel_views import Links, TexelView, look_around
 
 if TYPE_CHECKING:
@@ -125,9 +126,18 @@ class LightTransfer:
     def __init__(self, tracer: Tracer, objects: Objects, environment: Environment) -> None:
         self.tracer, self._moments = tracer, Moments(environment.coefficients)
         self._bases: dict[bytes, np.ndarray] = {}
-        self._reach, placements = reaches(tracer.placements), tracer.placements
-        self.layouts = [make_layout(placements, index) for index in range(len(placements))]
-        found = [self._fine_enough(index, environment) for index in range(len(placements))]
+        self._shape, self._behind = objects.shape, objects.behind
+        fronts, placements = len(tracer.placements), sides_placed(objects, tracer.placements)
+        self._reach = reaches(tracer.placements)[self._shape]
+        self.layouts = [
+            make_layout(tracer.placements, index, 1.0 if side < fronts else -1.0)
+            for side, index in enumerate(self._shape)
+        ]
+        judged: dict[int, tuple] = {}
+        for side, other in enumerate(self._behind):
+            if side not in judged:  # both sides of a sheet have texels at the same places
+                judged |= self._fine_enough([side] if other < 0 else [side, int(other)], environment)
+        found = [judged.pop(side) for side in range(len(placements))]
         self.most, self.errors, points, around, self._spread = zip(*found, strict=True)
         self.sizes = [layout.size(most) for layout, most in zip(self.layouts, self.most, strict=True)]
         self.first = np.cumsum([0, *(len(p.point) for p in points)])
@@ -146,17 +156,36 @@ class LightTransfer:
         self.reflectance = np.concatenate(own).astype(np.float32)
         shine = np.stack([one[_MIDDLE] for one in shines]).astype(np.float32)
         self.shine = np.repeat(shine, np.diff(self.first), axis=0)
+        self.passed = [
+            (
+                np.s_[self.first[side] : self.first[side + 1]],
+                np.s_[self.first[self._behind[side]] : self.first[self._behind[side] + 1]],
+                (mean_coefficients(placements[side], objects, sent, points[side]) @ objects.basis[sent]).astype(np.float32),
+            )
+            for side, sent in enumerate(objects.through)
+            if sent >= 0
+        ]
 
-    def _fine_enough(self, index: int, environment: Environment) -> tuple:
-        """Return an object's number of texels, their error, traced places, what they see, and how light is spread."""
-        layout, most = self.layouts[index], _FEWEST_TEXELS
+    def _fine_enough(self, sides: list[int], environment: Environment) -> dict[int, tuple]:
+        """Return the number of texels of one or both sides of a shape, and for each side their error and what they see.
+
+        These are the error, the traced places, their views, and how light is spread.
+        """
+        layout, most = self.layouts[sides[0]], _FEWEST_TEXELS
         while True:
-            points, spread = thinned(self._raised(layout.points(most), index), _MOST_TEXELS)
-            views = look_around(self.tracer, points, index)
-            error = self._error(index, most, (points, views, spread), environment)
+            found = {}
+            for side in sides:
+                points, spread = thinned(self._raised(self.layouts[side].points(most), side), _MOST_TEXELS)
+                views = self._look_around(points, side)
+                found[side] = most, self._error(side, most, (points, views, spread), environment), points, views, spread
+            error = max(one[1] for one in found.values())
             if error <= MOST_ERROR or 4 * most > _MOST_TEXELS or layout.size(4 * most) == layout.size(most):
-                return most, error, points, views, spread
+                return found
             most *= 4
+
+    def _look_around(self, points: Points, side: int, start: int = 0) -> list[TexelView]:
+        behind = self._behind[: len(self.tracer.placements)]
+        return look_around(self.tracer, points, self._shape[side], behind, start)
 
     def _raised(self, points: Points, index: int) -> Points:
         """Return points of an object, raised above it by more than rounding errors, in double precision."""
@@ -177,7 +206,7 @@ class LightTransfer:
         places, shown = layout.between(found.reshape(*layout.size(most), -1), most, _JUDGED, _SEED)
         places, halves = self._raised(places, index), []
         for number in range(2):
-            half, is_open = light(places.normal, look_around(self.tracer, places, index, number))
+            half, is_open = light(places.normal, self._look_around(places, index, number))
             halves.append(half)
         off = [(shown - half)[is_open] for half in halves]
         mean = float(np.mean(halves))
@@ -231,15 +260,22 @@ class LightTransfer:
         distance, shape = self.tracer.intersect(raised(rays.place, normal, self._reach[index]), way)
         share = np.interp(np.clip(-steep, 0.0, 1.0), _COSINES, shine.mean(axis=1)) * (steep < 0.0) * rays.weight
         met = shape != NO_HIT
-        there = _nearest(near, shape[met], rays.place[met] + distance[met, None] * way[met])
-        front = ((self.points.facet[there] * way[met]).sum(axis=1) < _GRAZING) & (there >= 0)
+        there, front = self._met(near, shape[met], rays.place[met] + distance[met, None] * way[met], way[met])
         cells = share[~met], (rays.texel[~met], cell_of(way[~met]))
         return cells, (share[met] * front, (rays.texel[met], np.maximum(there, 0)))
+
+    def _met(self, near: _Trees, shape, place: np.ndarray, way: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the open texels next to the places where rays meet shapes, on the side met, and whether they face them."""
+        there = _nearest(near, shape, place)
+        over = (self._behind[shape] >= 0) & ((self.points.facet[there] * way).sum(axis=1) > 0.0)
+        if over.any():
+            there[over] = _nearest(near, self._behind[shape[over]], place[over])
+        return there, ((self.points.facet[there] * way).sum(axis=1) < _GRAZING) & (there >= 0)
 
     def _trace_gloss(self, near: _Trees) -> None:
         from scipy.sparse import csr_matrix, vstack
 
-        places, self.gloss_sizes = coarse_texels(self.tracer.placements)
+        places, self.gloss_sizes = coarse_texels(self.tracer.placements, self._shape)
         free, rows = [], []
         for points in places:
             direction = ways_out(points.facet)
@@ -248,10 +284,9 @@ class LightTransfer:
             origin = np.repeat(points.point, direction.shape[1] * direction.shape[2], axis=0)
             distance, shape = self.tracer.intersect(origin, flat)
             met = np.flatnonzero(shape != NO_HIT)
-            target = _nearest(near, shape[met], origin[met] + distance[met, None] * flat[met])
-            front = (self.points.facet[target] * flat[met]).sum(axis=1) < _GRAZING
+            target, front = self._met(near, shape[met], origin[met] + distance[met, None] * flat[met], flat[met])
             cell = met // max(direction.shape[2], 1)
-            weight = np.where(front & (target >= 0), 1.0 / max(direction.shape[2], 1), 0.0).astype(np.float32)
+            weight = np.where(front, 1.0 / max(direction.shape[2], 1), 0.0).astype(np.float32)
             rows.append(csr_matrix((weight, (cell, np.maximum(target, 0))), shape=(count, self.first[-1])))
             free.append((shape == NO_HIT).reshape(count, -1).mean(axis=1) if count else np.zeros(0))
         self.gloss_seen, self.gloss_free = vstack(rows).tocsr(), np.concatenate(free)
@@ -301,7 +336,7 @@ class LightTransfer:
             source += np.outer(np.where(lit, facing, 0.0), spectrum / np.pi).astype(np.float32)
         reflected, settled = np.zeros_like(source), _SETTLED * source.mean()
         for _ in range(_MOST_REFLECTIONS):
-            before, sent = reflected, self.reflectance * (source + reflected)
+            before, sent = reflected, self._sent(self.reflectance, source + reflected)
             reflected = sum((mirror.colour * (mirror.texels @ sent) for mirror in self.mirrors), self.seen @ sent)
             left = np.abs(reflected - before).max()
             if left <= settled:
@@ -313,7 +348,14 @@ class LightTransfer:
                 _MOST_REFLECTIONS,
                 share,
             )
-        return direct + reflected, (self.reflectance + self.shine) * (source + reflected)
+        return direct + reflected, self._sent(self.reflectance + self.shine, source + reflected)
+
+    def _sent(self, reflectance: np.ndarray, light: np.ndarray) -> np.ndarray:
+        """Return the light that texels reflect, and that sheets let through, (texels, 61), of the light on all texels."""
+        sent = reflectance * light
+        for here, there, transmittance in self.passed:
+            sent[here] += transmittance * light[there]
+        return sent
 
     def _direct(self, environment: Environment, angle: float, normal: np.ndarray, hidden) -> np.ndarray:
         """Return the light from the environment, turned by an angle, rad, (n, 61), on points that see it in part.

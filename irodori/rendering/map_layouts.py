@@ -87,8 +87,8 @@ class _Picture(Layout):
 class _OnTexture(_Picture):
     """Texels of the object's own texture."""
 
-    def __init__(self, placement: Placement) -> None:
-        self.placement, self.wraps = placement, placement.shape.wraps
+    def __init__(self, placement: Placement, sign: float) -> None:
+        self.placement, self.wraps, self.sign = placement, placement.shape.wraps, sign
 
     def size(self, most: int) -> tuple[int, int]:
         """Return rows and columns of texels that are nearly square on the shape."""
@@ -98,7 +98,8 @@ class _OnTexture(_Picture):
 
     def at(self, size: tuple[int, int]) -> Points:
         atlas = self.placement.shape.atlas(size[1], size[0])
-        normal, facet = (side.reshape(-1, 3) @ self.placement.rotation.T for side in (atlas.normal, atlas.facet))
+        turn = self.sign * self.placement.rotation.T
+        normal, facet = (side.reshape(-1, 3) @ turn for side in (atlas.normal, atlas.facet))
         return Points(self.placement.points(atlas.position).reshape(-1, 3), normal, facet)
 
 
@@ -128,8 +129,8 @@ class _OnPlane(_Picture):
 class _OnMesh(Layout):
     """Texels at nodes on the triangles of a mesh."""
 
-    def __init__(self, placement: Placement, mesh: Mesh) -> None:
-        self.placement, self.mesh = placement, mesh
+    def __init__(self, placement: Placement, mesh: Mesh, sign: float) -> None:
+        self.placement, self.mesh, self.sign = placement, mesh, sign
         self._nodes = lru_cache(maxsize=1)(self._lay_out)
 
     def _lay_out(self, most: int) -> Nodes:
@@ -140,7 +141,7 @@ class _OnMesh(Layout):
 
     def points(self, most: int) -> Points:
         nodes = self._nodes(most)
-        return Points(nodes.origin, nodes.normal, nodes.facet)
+        return Points(nodes.origin, self.sign * nodes.normal, self.sign * nodes.facet)
 
     def cells(self, most: int) -> np.ndarray:
         return self._nodes(most).cells
@@ -159,7 +160,7 @@ class _OnMesh(Layout):
         normal = (weight * self.mesh.normals[chosen]).sum(axis=1)
         length = np.linalg.norm(normal, axis=1, keepdims=True)
         normal = np.where(length > 1e-6, normal / np.maximum(length, 1e-6), facet)
-        turn, local = self.placement.rotation.T, (weight * corner[chosen]).sum(axis=1)
+        turn, local = self.sign * self.placement.rotation.T, (weight * corner[chosen]).sum(axis=1)
         shown = np.stack([self._at(picture[0], most, t, *w[1:, 0]) for t, w in zip(chosen, weight, strict=True)])
         return Points(self.placement.points(local), normal @ turn, facet @ turn), shown
 
@@ -172,12 +173,15 @@ class _OnMesh(Layout):
         return np.array(weights) @ values[corners[first + np.array(places)]]
 
 
-def make_layout(placements: Sequence[Placement], index: int) -> Layout:
-    """Return the layout of the light map of a placed shape, which for an endless plane depends on the other shapes."""
+def make_layout(placements: Sequence[Placement], index: int, sign: float = 1.0) -> Layout:
+    """Return the layout of the light map of a placed shape, which for an endless plane depends on the other shapes.
+
+    With ``sign`` -1, it is that of the back of a sheet: the places are the same, and the normals opposite.
+    """
     own = placements[index]
     if own.shape.triangles is not None:
-        return _OnMesh(own, own.shape.triangles)
+        return _OnMesh(own, own.shape.triangles, sign)
     if not own.shape.is_endless:
-        return _OnTexture(own)
+        return _OnTexture(own, sign)
     others = [p for number, p in enumerate(placements) if number != index and not p.shape.is_endless]
     return _OnPlane(own, [p.points(p.shape.samples(_SAMPLES)[0]) for p in others])

@@ -1,5 +1,6 @@
 """Scene as flat arrays for compiled loops: objects, textures, light and camera."""
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -23,6 +24,8 @@ _COARSEST_ROWS = 4
 class Objects(NamedTuple):
     """Materials of the objects; the first axis counts the objects, and bases have the wavelength on the last axis.
 
+    After the objects follow the backs of those that are thin sheets, then the transmittances of sheets as reflectances;
+    the texture of a transmittance has the size of its side's. The *sides* are the objects and the backs.
     ``texels`` has one row per texel: the coefficients of α S / S_G, then β and μ of each gloss component. An object
     with fewer components than another has β = 0 in the rest. ``lobe`` is each component's index in ``lobes``.
     ``grey`` is 1 if the refractive index does not vary with the wavelength, so that all bands have the same Fresnel
@@ -41,6 +44,9 @@ class Objects(NamedTuple):
     grey: np.ndarray  # (objects,)
     lobe: np.ndarray  # (objects, c)
     lobes: Lobes  # a compile-time constant, see `irodori.reflection.lobes`
+    shape: np.ndarray  # (sides,) placed shape of each side
+    behind: np.ndarray  # (sides,) other side of a sheet, -1 if the shape is black from behind
+    through: np.ndarray  # (sides,) transmittance from the other side, -1 if there is none
 
 
 def coefficients_of(objects: Objects, texels: np.ndarray) -> np.ndarray:
@@ -53,6 +59,11 @@ def gloss_of(objects: Objects, texels: np.ndarray) -> list[tuple[np.ndarray, np.
     pairs = texels[..., objects.texels.shape[1] - 2 * objects.lobe.shape[1] :]
     betas, mus = np.moveaxis(pairs[..., ::2], -1, 0), np.moveaxis(pairs[..., 1::2], -1, 0)
     return [(np.where(mu > 0, beta, 0.0), mu) for beta, mu in zip(betas, mus, strict=True)]
+
+
+def sides_placed(objects: Objects, placements: Sequence[Placement]) -> list[Placement]:
+    """Return the placement of each side, see `Objects`; backs are placed as their fronts."""
+    return [placements[index] for index in objects.shape]
 
 
 def textures(objects: Objects) -> list[np.ndarray]:
@@ -112,6 +123,8 @@ def make_objects(placements: list[Placement], materials: list[Material]) -> tupl
     filled : list of float
         Share of the texels on each object's surface that had no data of their own.
     """
+    shape, behind, through, materials = _sides(placements, materials)
+    placements = [placements[index] for index in shape]
     bases = max(m.basis.shape[1] for m in materials)
     lobes = Lobes.of([name for m in materials for name in m.lobes])
     components = max(len(m.lobes) for m in materials)
@@ -141,8 +154,44 @@ def make_objects(placements: list[Placement], materials: list[Material]) -> tupl
         grey=((np.ptp(n, axis=1) == 0) & (np.ptp(k, axis=1) == 0)).astype(np.int64),
         lobe=lobe,
         lobes=lobes,
+        shape=np.array(shape[: len(behind)]),
+        behind=np.array(behind),
+        through=np.array(through),
     )
     return objects, filled
+
+
+def _sides(placements: list[Placement], materials: list[Material]) -> tuple[list, list, list, list[Material]]:
+    """Return placed shape, other side and transmittance of each side, see `Objects`, and all materials.
+
+    The shapes of transmittances follow those of the sides.
+
+    Raises
+    ------
+    ValueError
+        For a sheet of a shape that is no plate, disc or mesh.
+    """
+    count, sheets = len(placements), [index for index, one in enumerate(materials) if one.is_sheet]
+    shape, found = [*range(count), *sheets], list(materials)
+    behind, through = [-1] * len(shape), [-1] * len(shape)
+    for number, index in enumerate(sheets):
+        front, kind = materials[index], placements[index].shape
+        if kind.is_endless or not (kind.is_flat or kind.triangles is not None):
+            raise ValueError(f"a thin sheet of the shape {kind.name}; accepted: a plate, a disc or a mesh")
+        behind[index], behind[count + number] = count + number, index
+        back = front if front.back is None else front.back.mirrored() if kind.is_flat else front.back
+        found.insert(count + number, back)
+    for side, other in enumerate(behind):
+        sent = materials[shape[side]].through
+        if other < 0 or sent is None:
+            continue
+        if through[other] >= 0 and found[side].alpha.shape == found[other].alpha.shape:
+            through[side] = through[other]
+            continue
+        through[side] = len(found)
+        shape.append(shape[side])
+        found.append(sent.resized(found[side].alpha.shape))
+    return shape, behind, through, found
 
 
 def _fill_texels(

@@ -2,6 +2,8 @@
 
 import math
 
+import numpy as np
+
 from irodori.geometry.surfaces import surface_at
 from irodori.jit.compilation import njit
 from irodori.light.equirectangular import StackedPicture
@@ -35,7 +37,9 @@ def _interpolate(picture, u, v, out):
 
 @njit(cache=True, forceinline=True)
 def surface(world, index, ray, work):
-    """Move a hit point onto its surface; fill its normals and its interpolated texel.
+    """Move a hit point onto its surface; fill its normals and its interpolated texel, and return which side is seen.
+
+    If the back of a sheet faces the eye, that side is seen, and normals and texel are those of the back.
 
     Parameters
     ----------
@@ -46,12 +50,23 @@ def surface(world, index, ray, work):
         Number of the surface that was hit.
     ray : as in `irodori.geometry.embree.trace`
     work : irodori.rendering.reference.world.Work
-        Its ``point`` is moved; ``normal`` (for shading), ``facet`` (of the surface itself) and ``texel`` are filled.
+        Its ``point`` is moved; ``normal`` (for shading), ``facet`` (of the surface itself) and ``texel`` are filled,
+        for a sheet also ``through_texel``. It has the direction ``to_eye``.
     """
     u, v = surface_at(world.surfaces, index, ray, work.point, work.normal, work.facet)
-    objects = world.objects
-    width, height = objects.texture_size[index, 0], objects.texture_size[index, 1]
-    if objects.wraps[index] == 0:
+    objects, side = world.objects, np.int64(index)
+    if objects.behind[index] >= 0:
+        facet, normal, eye = work.facet, work.normal, work.to_eye
+        if facet[0] * eye[0] + facet[1] * eye[1] + facet[2] * eye[2] < 0.0:
+            side = objects.behind[index]
+            for axis in range(3):
+                facet[axis], normal[axis] = -facet[axis], -normal[axis]
+    width, height = objects.texture_size[side, 0], objects.texture_size[side, 1]
+    if objects.wraps[side] == 0:
         # Columns that do not wrap: stay half a texel inside the texture's edges.
         u = min(max(u, 0.5 / width), 1.0 - 0.5 / width)
-    _interpolate(StackedPicture(objects.texels, objects.first_texel[index], width, height), u, v, work.texel)
+    _interpolate(StackedPicture(objects.texels, objects.first_texel[side], width, height), u, v, work.texel)
+    sent = objects.through[side]
+    if sent >= 0:
+        _interpolate(StackedPicture(objects.texels, objects.first_texel[sent], width, height), u, v, work.through_texel)
+    return side

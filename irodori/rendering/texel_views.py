@@ -26,7 +26,7 @@ class Links(NamedTuple):
     """Places of other surfaces that texels see."""
 
     texel: np.ndarray  # (n,) number of the texel
-    shape: np.ndarray  # (n,) that is seen
+    shape: np.ndarray  # (n,) side of a shape that is seen
     place: np.ndarray  # (n, 3) mm
     way: np.ndarray  # (n, 3) mm from the texel to the place
     weight: np.ndarray  # (n,) float32 share of the light from there in that of the texel
@@ -40,7 +40,7 @@ class TexelView(NamedTuple):
     """
 
     hidden: "csr_matrix"  # (texels, cells)
-    shape: np.ndarray  # (entries,) int16 shape whose front is seen in the cell, or `NO_HIT`
+    shape: np.ndarray  # (entries,) int16 side of a shape that is seen in the cell, or `NO_HIT`
     distance: np.ndarray  # (entries,) float32 mm to it
     direction: np.ndarray  # (entries,) uint8 direction of the pool
     is_open: np.ndarray  # (texels,) bool whether they lie outside all other objects
@@ -65,13 +65,14 @@ class _Bounds(NamedTuple):
     normal: np.ndarray  # (shapes, 3) of flat shapes, else zeros
     is_own: np.ndarray  # (shapes,) whether a texel of the shape may see the shape itself
     has_inside: np.ndarray  # (shapes,) whether a ray that meets a back comes from inside
+    behind: np.ndarray  # (shapes,) the back of a sheet, or -1
 
 
 class _Seen(NamedTuple):
     """Surfaces that texels see in each cell, filled by `_look_some`."""
 
     hidden: np.ndarray  # (n, cells) float32 share of a cell above the horizon that is hidden
-    shape: np.ndarray  # (n, cells) int16 shape whose front is seen, or `NO_HIT`
+    shape: np.ndarray  # (n, cells) int16 side of a shape that is seen, or `NO_HIT`
     distance: np.ndarray  # (n, cells) float32 mm
     place: np.ndarray  # (n, cells) uint8 direction of the pool
     is_open: np.ndarray  # (n,) bool whether a texel lies outside all other objects
@@ -142,8 +143,8 @@ def _look_some(casting, points, seen, first, last):
                 towards = 0.0
                 for axis in range(3):
                     towards += ray.f[ray.at + 12 + axis] * direction[axis]
-                if towards < 0.0:
-                    seen.shape[texel, cell] = shape
+                if towards < 0.0 or bounds.behind[shape] >= 0:
+                    seen.shape[texel, cell] = shape if towards < 0.0 else bounds.behind[shape]
                     seen.distance[texel, cell] = hit_distance(ray)
                     seen.place[texel, cell] = place
                 elif bounds.has_inside[shape]:
@@ -153,7 +154,7 @@ def _look_some(casting, points, seen, first, last):
         seen.is_open[texel] = behind < _ENCLOSED * everywhere
 
 
-def _bounds(placements: Sequence[Placement]) -> _Bounds:
+def _bounds(placements: Sequence[Placement], behind: np.ndarray) -> _Bounds:
     """Return the bounds of placed shapes."""
     radius = np.array([np.inf if p.shape.is_endless else reach * (1.0 + 1e-5)
                        for p, reach in zip(placements, reaches(placements), strict=True)])  # fmt: skip
@@ -163,10 +164,13 @@ def _bounds(placements: Sequence[Placement]) -> _Bounds:
         np.stack([p.rotation[:, 2] if p.shape.is_flat else np.zeros(3) for p in placements]),
         np.array([not p.shape.is_convex for p in placements]),
         np.array([p.shape.has_inside or p.shape.triangles is not None for p in placements]),
+        behind,
     )
 
 
-def look_around(tracer: Tracer, points: Points, index: int, start: int = 0) -> list[TexelView]:
+def look_around(
+    tracer: Tracer, points: Points, index: int, behind: np.ndarray, start: int = 0
+) -> list[TexelView]:
     """Trace rays from points of an object; return the views of some texels after the other.
 
     Parameters
@@ -175,13 +179,15 @@ def look_around(tracer: Tracer, points: Points, index: int, start: int = 0) -> l
     points : Points
         Points raised above the surface, float64 and contiguous.
     index : int
-        Number of the object.
+        Number of the placed shape.
+    behind : (shapes,) int
+        The side that is the back of each shape, -1 if it is black from behind.
     start : int
         Selects other directions in the cells.
     """
     from scipy.sparse import csr_matrix
 
-    bounds, pool, found = _bounds(tracer.placements), cell_directions(), []
+    bounds, pool, found = _bounds(tracer.placements, behind), cell_directions(), []
     for first in range(0, len(points.point), _TOGETHER):
         some = Points(*(values[first : first + _TOGETHER] for values in points))
         count = len(some.point)

@@ -9,7 +9,7 @@ if TYPE_CHECKING:
 
 #: Count of numbers for each shape, and the index of each number.
 SHAPE = 24
-CENTRE, RADIUS, CURVATURE, TURN, WIDE, HIGH, KIND, MIRROR, COLUMNS, ROWS = 0, 3, 4, 5, 14, 15, 16, 17, 18, 19
+CENTRE, RADIUS, CURVATURE, TURN, WIDE, HIGH, KIND, MIRROR, COLUMNS, ROWS, BEHIND, THROUGH = 0, 3, 4, 5, 14, 15, 16, 17, 18, 19, 20, 21
 
 
 def shape_row(placement: "Placement", reach_mm: float, number: int, dtype=np.float32) -> np.ndarray:

@@ -269,6 +269,17 @@ class MapPlace(NamedTuple):
 
 
 @uncounted(forceinline=True)
+def opposite(place, side):
+    """Return the point of a cube map, with ``side`` texels along a face, that is opposite to another."""
+    stride = np.int64(side) + 2
+    upper, column = place.cell // stride, place.cell % stride
+    face, row = upper // stride, upper % stride
+    x, y = np.float32(side + 1 - column) - place.x, np.float32(side + 1 - row) - place.y
+    column, row = np.int64(x), np.int64(y)
+    return MapPlace(((face ^ 1) * stride + row) * stride + column, x - np.float32(column), y - np.float32(row))
+
+
+@uncounted(forceinline=True)
 def bilinear(texels, first, stride, place, like):
     """Interpolate a flat map bilinearly.
 

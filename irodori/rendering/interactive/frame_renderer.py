@@ -43,7 +43,7 @@ from irodori.rendering.interactive.tile_loop import (
     render_tiles,
 )
 from irodori.rendering.light_maps import LightMaps
-from irodori.rendering.scene_arrays import Light, Objects, View
+from irodori.rendering.scene_arrays import Light, Objects, View, sides_placed
 from irodori.rendering.view_cameras import ORTHOGRAPHIC
 from irodori.spectra.grid import SAMPLES
 
@@ -97,7 +97,7 @@ class Prepared:
 
     def show(self, maps: LightMaps) -> None:
         """Replace the light maps by others of the same texels, whose spectra are in the span of the same basis."""
-        placements, channels = self.owned[0].placements, self.channels
+        placements, channels = self.owned[2], self.channels
         assert channels is not None  # of a scene that `prepare_scene` made
         baked = np.concatenate(stored_maps(maps, placements, channels))
         self.world = self.world._replace(baked=baked, **make_seen(maps, placements, channels))
@@ -189,9 +189,10 @@ def prepare_scene(
     limits = PathLimits(
         max_bounces, least_throughput, least_throughput / TAPS, TRACED, 1 + min(max_bounces, _KEPT_REFLECTIONS)
     )
+    owned = tracer, query, sides_placed(objects, tracer.placements)
     parts = max(len(lobe_table(name).entries) for name in objects.lobes.names)
     layout = Layout(channels.surface, channels.light, channels.coloured, False, objects.lobe.shape[1], parts)
-    return Prepared(representation, world, layout, limits, len(lamps), quadrature, (tracer, query), channels)
+    return Prepared(representation, world, layout, limits, len(lamps), quadrature, owned, channels)
 
 
 def _channels(

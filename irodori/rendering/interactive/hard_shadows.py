@@ -3,11 +3,12 @@
 import numpy as np
 from numba import types
 
+from irodori.geometry.shapes.shape_rows import SHAPE, THROUGH
 from irodori.jit.c_functions import c_function
 from irodori.jit.compilation import uncounted
-from irodori.jit.functions import select, upper_of
-from irodori.jit.vector_memory import load, mask_bits, spread, store
-from irodori.rendering.interactive.packets import FACET, NORMAL, RAYS, nearest_shapes, raised
+from irodori.jit.functions import select
+from irodori.jit.vector_memory import gather, load, mask_bits, spread, store
+from irodori.rendering.interactive.packets import FACET, NORMAL, OBJECT, RAYS, nearest_shapes, raised
 
 _occluded = c_function(types.void, types.uintp, types.uintp, types.uintp, types.uintp)
 # RTCRay16 begins as RTCRayHit16 does: origin, direction and far end, sixteen words each.
@@ -16,8 +17,12 @@ _ORIGIN, _DIRECTION, _FAR = 0, 64, 128
 
 @uncounted(forceinline=True)
 def light_hits(world, frame, packet, hits, seen):
-    """Fill ``hits.lit`` with the cosine of incidence of each lamp at each hit, 0 for hits facing away or in shadow."""
+    """Fill ``hits.lit`` with the cosine of incidence of each lamp at each hit, 0 for hits facing away or in shadow.
+
+    It is negative where a lamp lights a sheet that lets light through from the other side.
+    """
     f, i, hit = packet.f, packet.i, hits.f
+    side = spread(np.float32(1.0), 16)
     for lamp in range(frame.lamps):
         lx, ly, lz = (
             frame.lamp_direction[3 * lamp],
@@ -28,9 +33,12 @@ def light_hits(world, frame, packet, hits, seen):
         cosine = cosine + load(hit, (NORMAL + 2) * RAYS, 16) * lz
         front = load(hit, FACET * RAYS, 16) * lx + load(hit, (FACET + 1) * RAYS, 16) * ly
         front = front + load(hit, (FACET + 2) * RAYS, 16) * lz
-        facing = seen & (cosine > 0.0) & (front > 0.0)
+        if world.sheets > 0:
+            through = gather(world.shape, load(hits.i, OBJECT * RAYS, 16) * SHAPE + THROUGH) >= 0.0
+            side = select(through & (cosine < 0.0) & (front < 0.0), spread(np.float32(-1.0), 16), 1.0)
+        facing = seen & (side * cosine > 0.0) & (side * front > 0.0)
         if mask_bits(facing):
-            origin, left = (raised(hit, 0), raised(hit, 1), raised(hit, 2)), facing
+            origin, left = (raised(hit, 0, side), raised(hit, 1, side), raised(hit, 2, side)), facing
             direction = spread(lx, 16), spread(ly, 16), spread(lz, 16)
             if world.bounded > 0:
                 distance, _, doubtful = nearest_shapes(world, origin, direction)
@@ -44,4 +52,4 @@ def light_hits(world, frame, packet, hits, seen):
                 store(i, 0, select(left, spread(-1, 16), 0))
                 _occluded(world.occluded, packet.valid, world.scene, packet.rays, world.query)
                 facing = facing & (load(f, RAYS + _FAR, 16) >= 0.0)
-        store(hits.lit, lamp * RAYS, select(facing, upper_of(cosine, 0.0), 0.0))
+        store(hits.lit, lamp * RAYS, select(facing, cosine, 0.0))

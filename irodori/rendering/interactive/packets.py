@@ -7,7 +7,7 @@ from numba import types
 
 from irodori.geometry.embree import NO_HIT, Ray
 from irodori.geometry.shape_dispatch import chain, lane_chain, lanes_are
-from irodori.geometry.shapes.shape_rows import COLUMNS, HIGH, KIND, RADIUS, ROWS, SHAPE, TURN, WIDE
+from irodori.geometry.shapes.shape_rows import BEHIND, COLUMNS, HIGH, KIND, RADIUS, ROWS, SHAPE, TURN, WIDE
 from irodori.geometry.surfaces import surface_at
 from irodori.jit.c_functions import c_function
 from irodori.jit.compilation import uncounted
@@ -269,9 +269,9 @@ def turned(rotation, row, x, y, z):
 
 @uncounted(forceinline=True)
 def prepare_hits(job, scratch, base, met, placed):
-    """Fill reflection directions, texels and look-up points of hits; return the mask of those seen from the front.
+    """Fill reflection directions, texels and look-up points of hits; return the mask of those not black from behind.
 
-    ``placed`` is the result of `place_hits`.
+    If the back of a sheet is seen, `OBJECT` becomes that side, and the normals become its own. ``placed`` is the result of `place_hits`.
     """
     world, paths, hit, number = job.world, scratch.paths, scratch.hits.f, scratch.hits.i
     shape, kind, distance = placed
@@ -283,8 +283,18 @@ def prepare_hits(job, scratch, base, met, placed):
     )
     fx, fy, fz = load(hit, FACET * RAYS, 16), load(hit, (FACET + 1) * RAYS, 16), load(hit, (FACET + 2) * RAYS, 16)
     front = -(fx * dx + fy * dy + fz * dz)
-    seen = met & ((front > 0.0) | (_are_curved(kind) & (front > _OUTLINE)))
     nx, ny, nz = load(hit, NORMAL * RAYS, 16), load(hit, (NORMAL + 1) * RAYS, 16), load(hit, (NORMAL + 2) * RAYS, 16)
+    if world.sheets > 0:
+        behind = gather(table, at + BEHIND)
+        over = met & (front < 0.0) & (behind >= 0.0)
+        shape, sign = select(over, truncated(behind), shape), select(over, spread(np.float32(-1.0), 16), 1.0)
+        at, front = shape * SHAPE, front * sign
+        nx, ny, nz, fx, fy, fz = nx * sign, ny * sign, nz * sign, fx * sign, fy * sign, fz * sign
+        store(number, OBJECT * RAYS, shape)
+        store(hit, FACET * RAYS, fx)
+        store(hit, (FACET + 1) * RAYS, fy)
+        store(hit, (FACET + 2) * RAYS, fz)
+    seen = met & ((front > 0.0) | (_are_curved(kind) & (front > _OUTLINE)))
     cosine = -(nx * dx + ny * dy + nz * dz)
     away = cosine <= 0.0
     nx, ny, nz = select(away, fx, nx), select(away, fy, ny), select(away, fz, nz)
@@ -328,12 +338,12 @@ def prepare_hits(job, scratch, base, met, placed):
 
 
 @uncounted(forceinline=True)
-def raised(hit, axis):
-    """Return one coordinate of the hits' points, raised above the surface by the error of single precision."""
+def raised(hit, axis, side):
+    """Return one coordinate of the hits' points, raised by the error of single precision; below where ``side`` is -1."""
     facet = load(hit, (FACET + axis) * RAYS, 16)
     x, y, z = load(hit, POINT * RAYS, 16), load(hit, (POINT + 1) * RAYS, 16), load(hit, (POINT + 2) * RAYS, 16)
     reach = upper_of(upper_of(magnitude(x), magnitude(y)), upper_of(magnitude(z), load(hit, SIZE * RAYS, 16)))
-    return load(hit, (POINT + axis) * RAYS, 16) + reach * _RISE * facet
+    return load(hit, (POINT + axis) * RAYS, 16) + reach * _RISE * (facet * side)
 
 
 @uncounted(forceinline=True)

@@ -10,7 +10,7 @@ import numpy as np
 from irodori.geometry.embree import Tracer
 from irodori.geometry.shape_registry import number_of
 from irodori.geometry.shapes.placement import Placement, reaches
-from irodori.geometry.shapes.shape_rows import COLUMNS, MIRROR, ROWS, shape_row
+from irodori.geometry.shapes.shape_rows import BEHIND, COLUMNS, MIRROR, ROWS, THROUGH, shape_row
 from irodori.geometry.surfaces import Surfaces, make_surfaces
 from irodori.light.blurred_light import WIDTHS_RAD
 from irodori.light.environment_file import Environment
@@ -35,7 +35,7 @@ from irodori.rendering.interactive.round_lobes import (
 from irodori.rendering.interactive.shading import FURTHER, GRID
 from irodori.rendering.light_maps import LightMaps
 from irodori.rendering.map_layouts import make_layout
-from irodori.rendering.scene_arrays import Light, Objects, gloss_of, textures
+from irodori.rendering.scene_arrays import Light, Objects, gloss_of, sides_placed, textures
 from irodori.spectra.grid import SAMPLES
 
 #: Largest number of objects for which formulas and bounds are tested one by one before Embree.
@@ -45,9 +45,11 @@ _MOST_BOUNDED = 12
 class PreparedWorld(NamedTuple):
     """Scene as the kernel reads it; arrays are flat float32 unless stated otherwise."""
 
-    shape: np.ndarray  # (objects * SHAPE,)
+    shape: np.ndarray  # (sides * SHAPE,)
     objects: int
+    sheets: int  # 1 if any object is a thin sheet
     surfaces: Surfaces
+    first_face: np.ndarray  # (sides,) int64, index of the first triangle of each side's shape
     brought_singly: int  # number of objects onto which hit points are moved one by one, without vector functions
     scatters: int  # 1 if any surface has a diffuse or a gloss term
     bounded: int  # number of objects whose formulas and bounds are tested before Embree: all, or none if too many
@@ -122,12 +124,14 @@ def padded(rows: np.ndarray, width: int) -> np.ndarray:
 
 
 def make_shapes(tracer: Tracer, objects: Objects) -> np.ndarray:
-    """Return the table of the shapes' parameters, (objects * SHAPE,) float32."""
+    """Return the table of the sides' parameters, (sides * SHAPE,) float32; the first rows are those of the shapes."""
     placed = zip(tracer.placements, reaches(tracer.placements), strict=True)
-    table = np.stack([shape_row(placement, reach, number_of(placement.shape)) for placement, reach in placed])
-    for row, size, mirror in zip(table, objects.texture_size, objects.mirror, strict=True):
-        row[MIRROR] = mirror
-        row[COLUMNS], row[ROWS] = size
+    fronts = np.stack([shape_row(placement, reach, number_of(placement.shape)) for placement, reach in placed])
+    table = fronts[objects.shape]
+    for side, row in enumerate(table):
+        row[MIRROR] = objects.mirror[side]
+        row[COLUMNS], row[ROWS] = objects.texture_size[side]
+        row[BEHIND], row[THROUGH] = objects.behind[side], objects.through[side]
     return table.ravel()
 
 
@@ -217,27 +221,33 @@ def stored_maps(maps: LightMaps, placements: Sequence[Placement], channels: Chan
     return flat
 
 
-def make_baked(maps: LightMaps | None, placements: Sequence[Placement], channels: Channels) -> dict:
+def make_baked(
+    maps: LightMaps | None, placements: Sequence[Placement], shape: np.ndarray, channels: Channels
+) -> dict:
     """Return the fields of a `PreparedWorld` that hold the light maps, in the channels of texels.
+
+    ``shape`` has the placed shape of each side.
 
     Raises
     ------
     ValueError
         If the maps do not fit the shapes.
     """
-    count = len(placements)
+    count = len(shape)
     flat, size, grid = [np.zeros(0, np.float32)], np.zeros((count, 2), np.float32), np.zeros((count, GRID))
     parts, corners = [np.zeros(0, np.int32)], [np.zeros(0, np.int32)]
-    for index, placement in enumerate(placements if maps is not None else ()):
+    for index, placed in enumerate(shape if maps is not None else ()):
         assert maps is not None  # the loop is empty without maps
-        stored, most, layout = maps.maps[index], maps.bakes[index].most, make_layout(placements, index)
+        stored, most, layout = maps.maps[index], maps.bakes[index].most, make_layout(placements, placed)
         if stored.shape[:2] != layout.size(most):
             raise ValueError(f"a light map of {stored.shape[:2]} texels; accepted: {layout.size(most)}, of this shape")
-        rows = 0 if placement.shape.triangles is not None else stored.shape[0]
+        rows = 0 if placements[placed].shape.triangles is not None else stored.shape[0]
         size[index], grid[index] = (stored.shape[1], rows), layout.grid
+        if index >= len(placements):
+            continue  # the back of a sheet has the triangles of its front
         for found, own in zip((parts, corners), layout.triangles(most), strict=True):
             found.append(own)
-    flat += [] if maps is None else stored_maps(maps, placements, channels)
+    flat += [] if maps is None else stored_maps(maps, [placements[index] for index in shape], channels)
     sides = np.concatenate(parts)
     sizes = (sides.astype(np.int64) + 1) * (sides + 2) // 2
     first = np.cumsum([one.size for one in flat], dtype=np.int64)
@@ -373,7 +383,7 @@ def _light_fields(light: Light, gloss: GlossMaps, pyramid: CubePyramid, channels
 
 def _surface_fields(objects: Objects, tracer: Tracer, channels: Channels, spare: int) -> dict:
     """Return the fields of a `PreparedWorld` that hold shapes and materials."""
-    fields = make_textures(objects, channels, spare)
+    fields, surfaces = make_textures(objects, channels, spare), make_surfaces(tracer.placements)
     index = np.concatenate(
         [channels.index, np.repeat(channels.index[..., -1:], channels.surface - channels.count, axis=2)], axis=2
     )
@@ -382,7 +392,9 @@ def _surface_fields(objects: Objects, tracer: Tracer, channels: Channels, spare:
     return fields | {
         "shape": make_shapes(tracer, objects),
         "objects": len(tracer.placements),
-        "surfaces": make_surfaces(tracer.placements),
+        "sheets": int((objects.behind >= 0).any()),
+        "surfaces": surfaces,
+        "first_face": surfaces.first_face[objects.shape],
         "brought_singly": sum(p.shape.kernels.point is None for p in tracer.placements),
         "scatters": int(scatters or fields["further"][: texels * FURTHER : 2].any()),
         "lobes": objects.lobes,
@@ -437,8 +449,8 @@ def make_world(
     pyramid = environment_pyramid(picture, channels.stored_from_light, channels.light, half=False)
     fields = _light_fields(light, needed_gloss(gloss, objects), pyramid, channels)
     fields |= _surface_fields(objects, tracer, channels, spare) | colour_fields(channels)
-    fields |= make_baked(maps, tracer.placements, channels)
-    fields |= make_seen(maps, tracer.placements, channels)
+    fields |= make_baked(maps, tracer.placements, objects.shape, channels)
+    fields |= make_seen(maps, sides_placed(objects, tracer.placements), channels)
     fields |= {
         "intersect": functions[0],
         "occluded": functions[1],

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from irodori.geometry.shapes.mesh_nodes import lattice_place
-from irodori.geometry.shapes.shape_rows import CENTRE, CURVATURE, MIRROR, SHAPE, TURN
+from irodori.geometry.shapes.shape_rows import BEHIND, CENTRE, CURVATURE, MIRROR, SHAPE, THROUGH, TURN
 from irodori.geometry.shapes.surface_nodes import warped_place
 from irodori.jit.compilation import uncounted
 from irodori.jit.vector_memory import (
@@ -23,7 +23,7 @@ from irodori.jit.vector_memory import (
 )
 from irodori.reflection.fresnel import fresnel
 from irodori.reflection.lobes import constants_of, features_of, strength, value_of
-from irodori.rendering.interactive.cube_maps import MapPlace, bilinear
+from irodori.rendering.interactive.cube_maps import MapPlace, bilinear, opposite
 from irodori.rendering.interactive.look_ups import (
     decoded,
     find_sky,
@@ -203,7 +203,7 @@ def _place_on_plane(world, hits, ray, shape):
 @uncounted()
 def _light_of_nodes(world, hits, ray, shape, like):
     """Return the baked light at a hit on a mesh, interpolated between nodes on its triangle."""
-    triangle = world.surfaces.first_face[shape] + hits.i[TRIANGLE * RAYS + ray]
+    triangle = world.first_face[shape] + hits.i[TRIANGLE * RAYS + ray]
     b, c = np.float64(hits.f[BARYCENTRIC_B * RAYS + ray]), np.float64(hits.f[BARYCENTRIC_C * RAYS + ray])
     places, weights = lattice_place(np.int64(world.baked_parts[triangle]), b, c)
     first, light, width = world.baked_corner[triangle], zeros_like(like), channel_count(like)
@@ -211,6 +211,29 @@ def _light_of_nodes(world, hits, ray, shape, like):
         at = world.baked_first[shape] + np.int64(world.baked_corners[first + places[corner]]) * width
         light = light + np.float32(weights[corner]) * load_like(world.baked, at, like)
     return light
+
+
+@uncounted()
+def _passed_light(job, hits, ray, shape, like):
+    """Return the light that a hit's sheet lets through from its other side, as a colour."""
+    world, frame, through = job.world, job.frame, job.world.shape[shape * SHAPE + THROUGH]
+    light = zeros_like(like)
+    if through < 0.0:
+        return light
+    if world.baked_maps > 0:
+        light = _baked_light(world, hits, ray, np.int64(world.shape[shape * SHAPE + BEHIND]), like)
+    elif world.irradiance_side > 0:
+        x, y, side = hits.f[NORMAL_X * RAYS + ray], hits.f[NORMAL_Y * RAYS + ray], world.irradiance_side
+        place = opposite(MapPlace(np.int64(hits.i[NORMAL_CELL * RAYS + ray]), x, y), side)
+        light = bilinear(world.irradiance, 0, side + 2, place, like)
+    for lamp in range(frame.lamps):
+        cosine = hits.lit[lamp * RAYS + ray]
+        if cosine < 0.0:
+            at = lamp * channel_count(like)
+            light = light - (frame.lamp_strength[lamp] * cosine) * load_like(world.lamp_light, at, like)
+    x, y = hits.f[TEXEL_X * RAYS + ray], hits.f[TEXEL_Y * RAYS + ray]
+    at, row = MapPlace(np.int64(hits.i[TEXEL * RAYS + ray]), x, y), np.int64(through)
+    return light * bilinear(world.texels, world.texture_first[row], world.texture_stride[row], at, like)
 
 
 @uncounted(forceinline=True)
@@ -250,6 +273,8 @@ def shade_surfaces(job, scratch, base, seen):
                     if _component(layout, sums, component)[0] > 0.0:
                         _add_highlight(job, scratch, base, ray, lamp, component)
         _add_colour(layout, scratch, base + ray, texel * light)
+        if world.sheets > 0:
+            _add_colour(layout, scratch, base + ray, _passed_light(job, hits, ray, shape, texel))
         for component in range(gloss_components(layout)):
             power, place = _component(layout, sums, component)
             if power * paths.f[THROUGHPUT * STRIDE + base + ray] > job.limits.least_lobe:
@@ -376,7 +401,7 @@ def advance(job, scratch, base, seen, after):
     if count == 0:
         return after
     shape = load(hits.i, OBJECT * RAYS, 16)
-    x, y, z = raised(hits.f, 0), raised(hits.f, 1), raised(hits.f, 2)
+    x, y, z = raised(hits.f, 0, 1.0), raised(hits.f, 1, 1.0), raised(hits.f, 2, 1.0)
     width = load(hits.f, WIDTH * RAYS, 16)
     spread = load(paths.f, SPREAD * STRIDE + base, 16) + width * gather(world.shape, shape * SHAPE + CURVATURE)
     slot = load(paths.slot, base, 16)

@@ -21,14 +21,17 @@ SEEN = 8
 _LIFT = 0.02  # height above the horizon to which directions below it are lifted, for the look-ups next to it
 
 
-def coarse_texels(placements: Sequence[Placement]) -> tuple[list[Points], list[tuple[int, int]]]:
-    """Return the texels of each object from which gloss sees, raised above the surface, and their rows and columns.
+def coarse_texels(
+    placements: Sequence[Placement], shape: np.ndarray
+) -> tuple[list[Points], list[tuple[int, int]]]:
+    """Return the texels of each side from which gloss sees, raised above the surface, and their rows and columns.
 
-    Meshes have none.
+    Meshes have none. ``shape`` has the placed shape of each side, first those of the fronts.
     """
-    places, sizes = [], []
-    for index, (placement, reach) in enumerate(zip(placements, reaches(placements), strict=True)):
-        layout, is_mesh = make_layout(placements, index), placement.shape.triangles is not None
+    places, sizes, found = [], [], reaches(placements)
+    for side, index in enumerate(shape):
+        layout, reach = make_layout(placements, index, 1.0 if side < len(placements) else -1.0), found[index]
+        is_mesh = placements[index].shape.triangles is not None
         points = Points(*np.zeros((3, 0, 3))) if is_mesh else layout.points(TEXELS)
         places.append(points._replace(point=raised(points.point, points.facet, reach)))
         sizes.append((0, 0) if is_mesh else layout.size(TEXELS))

@@ -82,7 +82,8 @@ def make_scene(
     addresses = (tracer.intersect_address, tracer.occluded_address, tracer.scene)
     sky = environment if isinstance(environment, Sky) else make_sky(environment)
     images = make_images(placements, objects, sky)
-    return TracedScene(World(surfaces, objects, bands, sky, placed, *addresses, offset, _STEPS, images), tracer)
+    parts = surfaces, objects, bands, sky, placed, *addresses, offset, _STEPS, images
+    return TracedScene(World(*parts, len(placements)), tracer)
 
 
 def render_rows(scene: TracedScene, view: View, numbers: Numbers, rows: tuple[int, int]) -> Picture:

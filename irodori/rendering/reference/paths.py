@@ -143,8 +143,8 @@ def _gloss(world, work, index, direction, cos_i, cos_r):
 def _reflect(world, work, index, direction, probability):
     """Fill ``work.mixture`` with diffuse and gloss term for a light direction; return its sampling density, 1/sr.
 
-    ``probability`` has the probabilities of the diffuse and of the gloss term. For a direction below the surface, 0 is
-    returned and nothing filled.
+    ``probability`` has the probabilities of the diffuse, the gloss and the transmission term. For a direction below the
+    surface, the transmission term of a sheet is filled; without one, 0 is returned and nothing filled.
     """
     normal, facet = work.normal, work.facet
     cos_i, above, cos_r = 0.0, 0.0, 0.0
@@ -153,7 +153,11 @@ def _reflect(world, work, index, direction, probability):
         above += direction[axis] * facet[axis]
         cos_r += work.to_eye[axis] * normal[axis]
     if cos_i <= 0.0 or above <= 0.0:
-        return 0.0
+        if probability[2] <= 0.0 or cos_i >= 0.0 or above >= 0.0:
+            return 0.0
+        work.aimed[1] = 1.0
+        fill_mixture_grey(work.through, -cos_i / math.pi, 0.0, work.mixture)
+        return probability[2] * -cos_i / math.pi
     drawn = probability[0] * cos_i / math.pi
     if probability[1] <= 0.0:
         fill_mixture_grey(work.diffuse, cos_i / math.pi, 0.0, work.mixture)
@@ -196,12 +200,19 @@ def _look_for_images(world, work):
 
 
 @uncounted(forceinline=True)
-def _leave(world, work, index, origin):
-    """Compute the origin of a ray that leaves a surface, slightly above its point."""
+def _leave(world, work, index, sign):
+    """Set the origin of a ray that leaves a side slightly above its point; with ``sign`` -1, slightly below it."""
     p = work.point
-    height = world.offset_mm[index] + world.steps * (abs(p[0]) + abs(p[1]) + abs(p[2]))
+    height = world.offset_mm[world.objects.shape[index]] + world.steps * (abs(p[0]) + abs(p[1]) + abs(p[2]))
     for axis in range(3):
-        origin[axis] = p[axis] + height * work.facet[axis]
+        work.origin[axis] = p[axis] + sign * height * work.facet[axis]
+
+
+@uncounted(forceinline=True)
+def _crosses(work, direction):
+    """Return whether a direction leads below the surface."""
+    facet = work.facet
+    return facet[0] * direction[0] + facet[1] * direction[1] + facet[2] * direction[2] < 0.0
 
 
 @uncounted(forceinline=True)
@@ -228,6 +239,8 @@ def _add_chosen_light(world, ray, work, index, probability, stream):
     other = _reflect(world, work, index, work.light, probability)
     if other <= 0.0:
         return
+    if probability[2] > 0.0 and _crosses(work, work.light):
+        _leave(world, work, index, -1.0)
     share = work.share[chosen]
     if chosen < count and world.lights.surface[chosen] >= 0:
         trace(world.intersect, world.scene, ray, work.origin, work.light, np.inf)
@@ -273,10 +286,10 @@ def _fill_gloss(world, work, index):
 
 @uncounted(forceinline=True)
 def _shares_of_terms(world, work, index, cos_r):
-    """Return the approximate shares of diffuse, gloss and mirror term in the reflected light, and F of the mirror.
+    """Return the approximate shares of diffuse, gloss and mirror term in the light, F of the mirror, and transmission's.
 
-    Also fills ``work.gloss``, ``work.diffuse`` and, if the refractive index varies between bands, ``work.fresnel`` with
-    the mirror's reflectance.
+    Also fills ``work.gloss``, ``work.diffuse``, ``work.through`` of a sheet and, if the refractive index varies between
+    bands, ``work.fresnel`` with the mirror's reflectance.
     """
     objects = world.objects
     decode(world.bands.basis, index, objects.bases[index], work.texel, work.diffuse)
@@ -293,10 +306,14 @@ def _shares_of_terms(world, work, index, cos_r):
     if chi > 0.0 and objects.grey[index] == 0:
         fill_fresnel(min(cos_r, 1.0), world.bands.n, world.bands.k, index, work.fresnel)
         mirror = chi * summed_product(work.throughput, work.fresnel)
-    whole = diffuse + gloss + mirror
+    through, sent = 0.0, objects.through[index]
+    if sent >= 0:
+        decode(world.bands.basis, sent, objects.bases[sent], work.through_texel, work.through)
+        through = summed_product(work.throughput, work.through)
+    whole = diffuse + gloss + mirror + through
     if not whole > 0.0:
-        return 0.0, 0.0, 0.0, reflectance
-    return diffuse / whole, gloss / whole, mirror / whole, reflectance
+        return 0.0, 0.0, 0.0, reflectance, 0.0
+    return diffuse / whole, gloss / whole, mirror / whole, reflectance, through / whole
 
 
 @uncounted(forceinline=True)
@@ -324,8 +341,8 @@ def _keep_mirror(world, work, index, terms, seldom):
 
     A weak mirror is followed only in some samples; ``seldom`` is its weight in this sample, 0 if it is left out.
     """
-    diffuse, gloss, mirror, reflectance = terms
-    rough = diffuse + gloss
+    diffuse, gloss, mirror, reflectance, through = terms
+    rough = diffuse + gloss + through
     if mirror <= 0.0 or rough <= 0.0:
         return terms, False
     weight, follows = 1.0 if mirror * MIRRORED >= 1.0 else seldom, False
@@ -335,13 +352,13 @@ def _keep_mirror(world, work, index, terms, seldom):
         follows = _mirror(world, work, index, reflectance, weight, work.kept)
         for axis in range(3):
             work.kept.origin[axis] = work.origin[axis]
-    return (diffuse / rough, gloss / rough, 0.0, reflectance), follows
+    return (diffuse / rough, gloss / rough, 0.0, reflectance, through / rough), follows
 
 
 @uncounted(forceinline=True)
 def _favour_sun(world, work, terms):
     """Return the shares of the terms, that of the mirror raised where it shows a sun: a weak mirror would seldom do."""
-    diffuse, gloss, mirror, reflectance = terms
+    diffuse, gloss, mirror, reflectance, through = terms
     if mirror <= 0.0 or mirror >= _OF_SUN:
         return terms
     cosine = 0.0
@@ -353,7 +370,7 @@ def _favour_sun(world, work, terms):
     if sun_density(world.images, (x, y, z)) <= 0.0:
         return terms
     rest = (1.0 - _OF_SUN) / (1.0 - mirror)
-    return rest * diffuse, rest * gloss, _OF_SUN, reflectance
+    return rest * diffuse, rest * gloss, _OF_SUN, reflectance, rest * through
 
 
 @uncounted(forceinline=True)
@@ -375,31 +392,41 @@ def _turn(world, work, index, terms, stream):
 
     Returns the density of the direction in 1/sr, below 0 for the mirror direction, 0 if the path ends.
     """
-    diffuse, gloss, mirror, reflectance = terms
+    diffuse, gloss, mirror, reflectance, through = terms
     choice = draw_from(stream, CHOICE)
     d, normal = work.direction, work.normal
+    if through > 0.0:
+        _leave(world, work, index, 1.0)  # a light may have been sampled on the other side
     if choice < mirror:
         own = Branch(work.origin, d, work.throughput)
         return -1.0 if _mirror(world, work, index, reflectance, 1.0 / mirror, own) else 0.0
     u, v = draw_from(stream, LOBE), draw_from(stream, LOBE + 1)
-    choice, aims = choice - mirror, False
+    choice, aims, crosses = choice - mirror, False, False
+    if through > 0.0:
+        crosses = choice < through
+        choice -= through
     if has_images(world.images):
         aimed = work.aimed[0] * (diffuse + gloss)
-        aims = choice < aimed
+        aims = choice < aimed and not crosses
         if aims:
             chain, _ = pick_chain(work.image, choice / aimed)
             if not draw_image(world.images, world.sky, chain, (u, v), work, d):
                 return 0.0
         else:
             choice = (choice - aimed) / (1.0 - work.aimed[0])
-    if not aims and choice < gloss:
+    if crosses:
+        draw_cosine(normal, u, v, d)
+        for axis in range(3):
+            d[axis] = -d[axis]
+        _leave(world, work, index, -1.0)
+    elif not aims and choice < gloss:
         component = _component(work, choice / gloss)
         chosen = Gloss(world.objects.lobes, world.objects.lobe[index, component], work.gloss[component, _MU])
         if not draw_gloss(chosen, normal, work.to_eye, u, v, d):
             return 0.0
     elif not aims:
         draw_cosine(normal, u, v, d)
-    drawn = _reflect(world, work, index, d, (diffuse, gloss))
+    drawn = _reflect(world, work, index, d, (diffuse, gloss, through))
     work.aimed[2] = work.aimed[1]
     if drawn > 0.0:
         scale_by(work.throughput, work.mixture, 1.0 / drawn)
@@ -408,13 +435,13 @@ def _turn(world, work, index, terms, stream):
 
 @uncounted(forceinline=True)
 def _arrive(world, work, ray, index):
-    """Fill point, normals and texel of the surface that a path hit; return the cosine of the angle to the viewer."""
+    """Fill point, normals and texel of the shape that a path hit; return the cosine to the viewer and the side seen."""
     distance, d = hit_distance(ray), work.direction
     for axis in range(3):
         work.point[axis] = work.origin[axis] + distance * d[axis]
         work.to_eye[axis] = -d[axis]
-    surface(world, index, ray, work)
-    return face_viewer(work.normal, work.facet, d)
+    side = surface(world, index, ray, work)
+    return face_viewer(work.normal, work.facet, d), side
 
 
 @uncounted(forceinline=True)
@@ -478,8 +505,8 @@ def gather(world, ray, work, numbers, stream):
     if has_images(world.images):
         _look_for_images(world, work)
     if lit:
-        _add_chosen_light(world, ray, work, index, (1.0, 0.0), own)
-    density = _turn(world, work, index, (1.0, 0.0, 0.0, 0.0), own)
+        _add_chosen_light(world, ray, work, index, (1.0, 0.0, 0.0), own)
+    density = _turn(world, work, index, (1.0, 0.0, 0.0, 0.0, 0.0), own)
     return _go_on(world, ray, work, (numbers, stream), 0.0, (density, 1)) if density != 0.0 else 0
 
 
@@ -490,7 +517,6 @@ def _go_on(world, ray, work, drawn, seldom, begun):
     ``drawn`` has the random numbers and the stream of the path; ``begun`` has the density of the ray's direction, as
     `_turn` returns it, and the number of surfaces that the path has hit.
     """
-    objects = world.objects.mirror.size
     numbers, stream = drawn
     density, vertex = begun
     cut, kept, start = 0, False, float(work.throughput[0])
@@ -498,31 +524,33 @@ def _go_on(world, ray, work, drawn, seldom, begun):
     while True:
         goes_on = False
         trace(world.intersect, world.scene, ray, work.origin, work.direction, np.inf)
-        index = hit_shape(ray)
-        if index < 0 or index >= objects:
+        index = np.int64(hit_shape(ray))
+        if index < 0 or index >= world.placed:
             _meet_light(world, work, index, density)
             if vertex == 0:
                 _see(work, work.radiance, 0.0, start)
         else:
-            cos_r = _arrive(world, work, ray, index)
-            terms = (0.0, 0.0, 0.0, 0.0)
+            cos_r, index = _arrive(world, work, ray, index)
+            terms = (0.0, 0.0, 0.0, 0.0, 0.0)
             if cos_r > 0.0:
                 terms = _shares_of_terms(world, work, index, cos_r)
             if vertex == 0:
                 _see(work, work.diffuse, terms[1] + terms[2], start)
+                if terms[4] > 0.0:
+                    _see(work, work.through, 0.0, start)
                 for axis in range(3):
                     work.seen[NORMAL + axis] += start * work.normal[axis]
                     work.seen[PLACE + axis] += start * work.point[axis]
-            if terms[0] + terms[1] + terms[2] > 0.0:
+            if terms[0] + terms[1] + terms[2] + terms[4] > 0.0:
                 own = Stream(numbers, stream, VERTEX + vertex * PER_VERTEX)
-                _leave(world, work, index, work.origin)
+                _leave(world, work, index, 1.0)
                 if vertex == 0:
                     terms, kept = _keep_mirror(world, work, index, terms, seldom)
                 if has_images(world.images) and terms[0] + terms[1] > 0.0:
                     _look_for_images(world, work)
                     terms = _favour_sun(world, work, terms)
-                if terms[0] + terms[1] > 0.0 and _fill_shares(world, work.origin, work.share):
-                    _add_chosen_light(world, ray, work, index, (terms[0], terms[1]), own)
+                if terms[0] + terms[1] + terms[4] > 0.0 and _fill_shares(world, work.origin, work.share):
+                    _add_chosen_light(world, ray, work, index, (terms[0], terms[1], terms[4]), own)
                 density = _turn(world, work, index, terms, own)
                 goes_on = density != 0.0 and (vertex < _ROULETTE_FROM or _survives(world, work, own))
         vertex += 1

@@ -43,6 +43,7 @@ class World(NamedTuple):
     offset_mm: np.ndarray  # (surfaces,) height above a surface at which rays leave it, at the origin
     steps: float  # additional height relative to the coordinates, for single precision
     images: Images
+    placed: int  # number of the objects' placed shapes
 
 
 class Branch(NamedTuple):
@@ -80,6 +81,8 @@ class Work(NamedTuple):
     image: np.ndarray  # (chains,) probability of each chain of mirrors
     glint: np.ndarray  # (chains,) the same for the eye
     spheres: np.ndarray  # (LONGEST, COLUMNS) of a chain, see `irodori.rendering.reference.sun_images`
+    through_texel: np.ndarray  # (k + 2 c,) of the transmittance of a sheet
+    through: np.ndarray  # (64,) float32 transmittance
 
 
 @njit(cache=True)
@@ -109,4 +112,6 @@ def new_work(world):
         np.zeros(world.images.weight.size),
         np.zeros(world.images.weight.size),
         np.zeros((LONGEST, COLUMNS)),
+        np.zeros(world.objects.texels.shape[1]),
+        np.zeros(PADDED, np.float32),
     )
