@@ -193,6 +193,10 @@ _TABLE = {
     ("O", "render"): {
         "light maps whose object moved": "refused by name, or baked again; never shown",
         "a sun of one pixel in mirrors": "found with every seed, weighs what it should",
+        "sheet that loses no light": "vanishes in a furnace, from both sides",
+        "leaf lit from behind": "T E cosθ / π, also at grazing incidence",
+        "sheet on a table": "light maps as paths, from both sides",
+        "sheet that reflects and lets through more light than it gets": "refused with side, albedo and key",
     },
     ("G", "render"): {
         "all of part F together, by paths": "finite, between black and the light that there is, no warning",

@@ -188,6 +188,8 @@ class _Loader:
                         self._environment(light.environment, file, ("lesson", "steps", index, *keys, "environment"))
             for index, placed in enumerate(scene.objects):
                 self._object(placed.object, file, ("objects", index, "object"))
+                if placed.back is not None:
+                    self._object(placed.back, file, ("objects", index, "back"))
             for label, photograph in scene.photographs.items():
                 self.camera(photograph.camera, file, ("photographs", label, "camera"))
 

@@ -2,7 +2,12 @@
 
 from irodori.config.models import Scene
 
-__all__ = ["object_names"]
+__all__ = ["materials_of", "object_names"]
+
+
+def materials_of(scene: Scene) -> list[str]:
+    """Return the names of a scene's objects, in its order, then those of the objects on the backs of sheets."""
+    return [item.object for item in scene.objects] + [item.back for item in scene.objects if item.back is not None]
 
 
 def object_names(scene: Scene) -> list[str]:

@@ -25,6 +25,7 @@ from irodori.config.models import (
 from irodori.config.pages import page_fault, page_rooms, page_views
 from irodori.config.parts import Subject
 from irodori.config.photograph_sets import PhotographSets, named_tables
+from irodori.config.placed_names import materials_of
 from irodori.core.errors import InputError
 
 __all__ = ["SceneFiles", "keeps_light"]
@@ -60,8 +61,8 @@ class SceneFiles:
         return [placed.object for placed in self._scene(wildcards).objects]
 
     def materials(self, pattern: str) -> Callable[[Any], list[str]]:
-        """Return a function that fills a pattern with every object of the scene in the wildcards."""
-        return lambda wildcards: [pattern.format(object=name) for name in self.objects(wildcards)]
+        """Return a function that fills a pattern with the objects of the scene in the wildcards, then the backs."""
+        return lambda wildcards: [pattern.format(object=name) for name in materials_of(self._scene(wildcards))]
 
     def environment(self, wildcards) -> str:
         """Return the path of the environment file that lights a scene."""
@@ -213,7 +214,7 @@ class SceneFiles:
     def truth_is_rendered(self, scene: str) -> bool:
         """Whether a scene can be rendered with the true materials of its objects, all of which are then virtual."""
         known = {name for name in self.sets.virtual("objects") if self._follows_the_model(name)}
-        return known.issuperset(placed.object for placed in self.loaded.scenes[scene].objects)
+        return known.issuperset(materials_of(self.loaded.scenes[scene]))
 
     def pictures(self) -> list[str]:
         """Return the paths of all pictures of the run."""
@@ -229,7 +230,7 @@ class SceneFiles:
 
     def pages(self) -> list[str]:
         """Return the paths of the classroom pages, one for every scene that such a page can show."""
-        shown = (name for name, scene in self.loaded.scenes.items() if page_fault(scene) is None)
+        shown = (name for name, scene in self.loaded.scenes.items() if page_fault(scene, self.loaded.sheets) is None)
         return [f"results/{name}/viewer.html" for name in shown]
 
     def page_view(self, pattern: str) -> Callable[[Any], str]:
@@ -243,7 +244,7 @@ class SceneFiles:
 
         def found(wildcards) -> str:
             scene = self._scene(wildcards)
-            fault = page_fault(scene)
+            fault = page_fault(scene, self.loaded.sheets)
             if fault is not None:
                 raise InputError(Path(self.loaded.config.definitions) / "scenes" / f"{wildcards.scene}.yaml", *fault)
             return pattern.format(scene=wildcards.scene, view=page_views(scene)[0])

@@ -29,6 +29,7 @@ from irodori.geometry.shapes.shape import Shape
 from irodori.light.environment_file import Environment
 from irodori.material.coefficients import read_coefficients
 from irodori.material.material_file import Material
+from irodori.rendering.integrators import with_backs
 from irodori.rendering.photographed_view import HALVES, render_halves
 from irodori.rendering.scene_arrays import make_placements
 from irodori.rendering.scene_white import scene_white
@@ -199,7 +200,7 @@ def compare_photograph(
         with store.open_file(inputs["radiance"][0]) as file:
             before = np.stack([ideal.gathered(half) for half in read_coefficients(file, "radiance")])
     environment = Environment.load(inputs["environment"])
-    materials = [Material.load(path) for path in inputs["materials"]]
+    materials = with_backs(scene, [Material.load(path) for path in inputs["materials"]])
     solids = [Shape.from_definition(shape) for shape in shapes]
     samples = placed.samples * placed.block**2
     # A seed of its own, so that the noise is independent of that in a virtual photograph.

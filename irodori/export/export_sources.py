@@ -7,6 +7,7 @@ import numpy as np
 
 from irodori.config.definitions import load_definitions, load_one
 from irodori.config.models import Scene
+from irodori.config.placed_names import materials_of
 from irodori.core.atomic_files import file_sha256
 from irodori.core.errors import InputError
 from irodori.core.yaml_files import read_yaml
@@ -101,11 +102,11 @@ def find(name: str) -> Source:
         return Source(own, _FOLDERS[folder], [_item(own, Placement(shape), Material.load(file), file)])
     loaded = load_definitions(read_yaml(_CONFIG) | {"make": {"scenes": [own]}}, Path())
     scene = loaded.scenes[own]
-    files = [result(Path(f"results/{item.object}/material.h5")) for item in scene.objects]
+    files = [result(Path(f"results/{name}/material.h5")) for name in materials_of(scene)]
     shapes = [Shape.from_definition(loaded.objects[item.object].shape) for item in scene.objects]
     shapes, materials = with_bodies(scene, shapes, load_materials(scene, files))
     names = [item.object for item in scene.objects] + [f"body-{i + 1}" for i in range(len(scene.bodies))]
-    known: list[Path | None] = [*files, *([None] * len(scene.bodies))]
+    known: list[Path | None] = [*files[: len(scene.objects)], *([None] * len(scene.bodies))]
     parts = zip(names, make_placements(scene, shapes), materials, known, strict=True)
     items = [_item(*part) for part in parts]
     return Source(own, _FOLDERS[folder], items, scene, result(Path(f"results/environments/{scene.environment}.h5")))

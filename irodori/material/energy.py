@@ -1,5 +1,7 @@
 """The albedo of materials: the share of incident light that a surface reflects, and texels where it exceeds 1.
 
+A thin sheet also sends light out of its other side; this share is added.
+
 The reflection model (equation 5) adds the diffuse, gloss and mirror terms; the diffuse term is not reduced by what
 gloss and mirror reflect. The sum may therefore exceed the incident light, and two figures are computed. The *albedo* is
 the share of uniform light from all sides that is reflected, over all directions together or towards any direction up to
@@ -249,13 +251,16 @@ def energy_of(material: "Material", albedo_error: np.ndarray | None = None) -> E
     """
     energy, rows = Energy(), max(1, _AT_ONCE // material.alpha.shape[1])
     model = AlbedoModel(material.lobes, material.n, material.k, material.mirror)
+    basis = material.basis if material.through is None else np.hstack([material.basis, material.through.basis])
     for first in range(0, len(material.alpha), rows):
         part = material.rows(slice(first, first + rows))
         observed, gloss = part.observed, part.typically_filled()
         beta = np.stack([values[observed] for _, values, _ in gloss], axis=-1)
         mu = np.stack([values[observed] for _, _, values in gloss], axis=-1)
         coefficients = part.coefficients[observed] * part.spectrum_scale[observed][:, None]
-        found = model.of(Reflecting(coefficients, material.basis, beta, mu), Errors.none(len(beta), len(gloss)))
+        if part.through is not None:  # a sheet also sends light out of its other side
+            coefficients = np.hstack([coefficients, np.nan_to_num(part.through.coefficients[observed])])
+        found = model.of(Reflecting(coefficients, basis, beta, mu), Errors.none(len(beta), len(gloss)))
         if albedo_error is not None:
             found[:, ERROR] = np.nan_to_num(albedo_error[first : first + rows][observed])
         energy = energy.joined(Energy.of(found))

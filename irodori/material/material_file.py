@@ -27,6 +27,12 @@ BASIS, COEFFICIENTS, QUANTITY = (
     "reflectance/coefficients",
     "coefficients of the reflectance factor",
 )
+#: Of a thin sheet's transmittance.
+SENT_BASIS, SENT_COEFFICIENTS, SENT = (
+    "transmittance/basis",
+    "transmittance/coefficients",
+    "coefficients of the transmittance",
+)
 _ERROR = "reflectance_error"
 #: First version of the files that names the lobes; earlier ones have a single Gaussian lobe.
 _LOBES_SINCE = 2
@@ -132,6 +138,8 @@ class Material:
     back : Material, optional
         Material of a sheet's back, as seen when it lies face up; by default that of the front. With neither ``through``
         nor ``back`` the material is not that of a sheet, and the surface is black from behind.
+    transmittance : str
+        Where the transmittance of a material's file is from: ``measured`` or ``assumed``.
 
     Raises
     ------
@@ -154,6 +162,7 @@ class Material:
     further_gloss: tuple[tuple[np.ndarray, np.ndarray], ...] = ()
     through: "Material | None" = None
     back: "Material | None" = None
+    transmittance: str = ""
 
     def __post_init__(self) -> None:
         for name in self.lobes:
@@ -212,6 +221,13 @@ class Material:
             through=None if transmittance is None else cls.uniform(transmittance),
         )
 
+    @classmethod
+    def diffuse(cls, coefficients: np.ndarray, basis: np.ndarray) -> "Material":
+        """Return a material without gloss from its reflectance: coefficients (height, width, k) on a basis, (61, k)."""
+        one = np.ones(coefficients.shape[:2])
+        n, k, nothing = np.full(SAMPLES, 1.5), np.zeros(SAMPLES), np.zeros_like(one)
+        return cls(one, nothing, 0.1 * one, one, coefficients, basis, n, k, 0.0, (0.0, 0.1))
+
     def save(
         self,
         path,
@@ -241,6 +257,17 @@ class Material:
                 codec=codec,
                 basis=BASIS,
             )
+            if self.through is not None:
+                write_coefficients(
+                    out,
+                    SENT_COEFFICIENTS,
+                    self.through.coefficients,
+                    quantity=SENT,
+                    storage=storage,
+                    codec=codec,
+                    basis=SENT_BASIS,
+                )
+                write_sent_basis(out, self.through.basis, self.transmittance)
             constants = (self.basis, self.n, self.k, self.mirror)
             write_constants(out, *constants, errors, lobes=self.lobes, typical_gloss=self.typical_gloss)
 
@@ -264,6 +291,9 @@ class Material:
         with store.open_file(path) as file:
             lobes = read_lobes(file)
             named = [*MAPS, *gloss_maps(lobes), *(name for name in (_ERROR,) if name in file)]
+            is_sheet = SENT_BASIS in file
+            if is_sheet:
+                axes |= {SENT_COEFFICIENTS: "row,column,part", SENT_BASIS: "wavelength,part"}
             file.require_axes(dict.fromkeys(named, "row,column") | axes, wavelength=SAMPLES)
             typical = file.attribute("typical_gloss", list)
             if len(typical) != 2 * len(lobes):
@@ -282,6 +312,10 @@ class Material:
                 typical_gloss=tuple(typical),
                 lobes=lobes,
                 further_gloss=tuple((file.read(beta), file.read(mu)) for beta, mu in further),
+                through=cls.diffuse(read_coefficients(file, SENT_COEFFICIENTS), file.read_within(SENT_BASIS))
+                if is_sheet
+                else None,
+                transmittance=file.attribute("transmittance", str) if is_sheet else "",
             )
             error = file.read(_ERROR) if _ERROR in file else np.zeros(found.alpha.shape)
             found._check_reflectance(error, path)
@@ -334,13 +368,16 @@ class Material:
 
     def resized(self, size: tuple[int, int]) -> "Material":
         """Return the material with (height, width) other texels, each the nearest of its own."""
-        rows, columns = (((np.arange(n) + 0.5) * old / n).astype(int) for n, old in zip(size, self.alpha.shape, strict=True))
+        rows, columns = (
+            ((np.arange(n) + 0.5) * old / n).astype(int) for n, old in zip(size, self.alpha.shape, strict=True)
+        )
         return self._at(np.ix_(rows, columns))
 
     def _at(self, texels) -> "Material":
         gloss = [(beta[texels], mu[texels]) for _, beta, mu in self.gloss]
         maps = {name: getattr(self, name)[texels] for name in (*MAPS, "coefficients")}
-        return replace(self.with_gloss(gloss), **maps)
+        through = None if self.through is None else self.through._at(texels)
+        return replace(self.with_gloss(gloss), **maps, through=through)
 
     @property
     def observed(self) -> np.ndarray:
@@ -433,6 +470,13 @@ def typically_filled(lobes, gloss, typical_gloss) -> list[tuple[str, np.ndarray,
         weighed = known | (beta == 0.0) if len(lobes) > 1 else known
         found.append((name, np.where(weighed, beta, usual_beta), np.where(known, mu, usual_mu)))
     return found
+
+
+def write_sent_basis(out: store.Writer, basis: np.ndarray, source: str) -> None:
+    """Write the basis of a sheet's transmittance, (61, k), and whether it is ``measured`` or ``assumed``."""
+    quantity = "spectral basis of the transmittance"
+    out.write(SENT_BASIS, basis, units="1", dims="wavelength,part", quantity=quantity)
+    out.attribute("transmittance", source)
 
 
 def write_constants(

@@ -8,14 +8,14 @@ from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER
 from irodori.material.energy import Energy, energy_of
 from irodori.material.material_file import Material
-from irodori.rendering.integrators import body_material
+from irodori.rendering.integrators import as_back, body_material, with_backs
 
 _KEY = "allow_energy_gain"
 
 
 def load_materials(scene: Scene, files: Sequence) -> list[Material]:
     """Load and check the materials of a scene's objects; arguments and errors as in `refuse_energy_gain`."""
-    materials = [Material.load(path) for path in files]
+    materials = with_backs(scene, [Material.load(path) for path in files])
     refuse_energy_gain(scene, files, materials)
     return materials
 
@@ -27,27 +27,31 @@ def refuse_energy_gain(scene: Scene, files: Sequence, materials: Sequence[Materi
     ----------
     scene : Scene
     files : sequence of path
-        Files of the objects' materials, in the order of the scene.
+        Files of the objects' materials, in the order of the scene, then those of the backs that it gives.
     materials : sequence of Material
-        Materials loaded from these files.
+        Materials loaded from these files, with their backs.
 
     Raises
     ------
     InputError
         The message names the object, the share of its texels and the largest albedo.
     """
-    known: dict[str, Energy] = {}
-    for item, path, material in zip(scene.objects, files, materials, strict=True):
-        if str(path) in known:
+    known: dict[tuple[str, str], Energy] = {}
+    named = [(item.object, path, m) for item, path, m in zip(scene.objects, files, materials, strict=False)]
+    turned = [(item, m) for item, m in zip(scene.objects, materials, strict=True) if item.back is not None]
+    for (item, material), path in zip(turned, files[len(materials) :], strict=True):
+        named.append((f"{item.back} as the back of {item.object}", path, as_back(material)))
+    for name, path, material in named:
+        if (name, str(path)) in known:
             continue
         with store.open_file(path) as file:
             error = file.read("albedo_error") if "albedo_error" in file else None
-        energy = known[str(path)] = energy_of(material, error)
+        energy = known[name, str(path)] = energy_of(material, error)
         if energy.gains:
-            _refuse(scene, InputError(path, "albedo", *_words(item.object, energy)))
+            _refuse(scene, InputError(path, "albedo", *_words(name, energy)))
         elif energy.rim_fraction > 0.0:
             text = "%s: %.1f %% of texels send back up to %.2f times the light at grazing angles (%.0f degrees)"
-            LOGGER.info(text, item.object, 100 * energy.rim_fraction, energy.rim_max, energy.rim_deg)
+            LOGGER.info(text, name, 100 * energy.rim_fraction, energy.rim_max, energy.rim_deg)
     for index, body in enumerate(scene.bodies):
         fault = body_fault(index, body)
         if fault is not None:
@@ -56,8 +60,11 @@ def refuse_energy_gain(scene: Scene, files: Sequence, materials: Sequence[Materi
 
 def body_fault(index: int, body: Body) -> tuple[str, str, str] | None:
     """Return field, fault and accepted values of a body that reflects more light than it receives, else None."""
-    energy = energy_of(body_material(body))
-    return (f"bodies[{index}].material", *_words("a body", energy)) if energy.gains else None
+    material = body_material(body)
+    for key, side in (("material", material), ("back", None if body.back is None else as_back(material))):
+        if side is not None and (energy := energy_of(side)).gains:
+            return f"bodies[{index}].{key}", *_words("a body", energy)
+    return None
 
 
 def _words(name: str, energy: Energy) -> tuple[str, str]:

@@ -1,4 +1,4 @@
-"""Refusal of views from inside an object: surfaces are black from behind, and the picture would be black."""
+"""Refusal of views from inside an object, whose surface is black from behind, as the whole picture would be."""
 
 import numpy as np
 

@@ -2,6 +2,7 @@
 
 import time
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -9,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from irodori.colour.colorimetry import xyz_from_radiance
-from irodori.config.models import Body, InteractiveIntegrator, ReferenceIntegrator, Render, Scene
+from irodori.config.models import Body, BodyMaterial, InteractiveIntegrator, ReferenceIntegrator, Render, Scene
 from irodori.core.progress import LOGGER
 from irodori.geometry.embree import Tracer
 from irodori.geometry.shapes.shape import Shape
@@ -22,6 +23,7 @@ from irodori.rendering.scene_white import scene_white
 from irodori.spectra.published import refractive_index, spectrum
 
 if TYPE_CHECKING:
+    from irodori.config.parts import Staging
     from irodori.rendering.light_maps import LightMaps
 
 #: Options if a configuration has none.
@@ -248,11 +250,33 @@ def with_bodies(scene: Scene, shapes: list[Shape], materials: list[Material]) ->
     return [*shapes, *(Shape.from_definition(body.shape) for body in scene.bodies)], [*materials, *made]
 
 
+def with_backs(scene: "Scene | Staging", materials: Sequence[Material]) -> list[Material]:
+    """Return the materials of a scene's objects, each with its back; those of the backs follow them in the argument."""
+    backs = iter(materials[len(scene.objects) :])
+    pairs = zip(scene.objects, materials, strict=False)
+    return [material if item.back is None else replace(material, back=next(backs)) for item, material in pairs]
+
+
+def as_back(material: Material) -> Material:
+    """Return the material of a sheet's back, which must be its own, with the sheet's transmittance."""
+    assert material.back is not None
+    through = material.through
+    through = None if through is None else through.mirrored().resized(material.back.alpha.shape)
+    return replace(material.back, through=through)
+
+
 def body_material(body: Body) -> Material:
-    """Return the uniform material of a scene's body."""
-    own = body.material
+    """Return the uniform material of a scene's body, of a sheet with its back and its transmittance."""
+    material = _uniform(body.material, body.transmittance)
+    return material if body.back is None else replace(material, back=_uniform(body.back))
+
+
+def _uniform(own: BodyMaterial, transmittance: float | str | None = None) -> Material:
     n, k = refractive_index(own.refractive_index)
-    return Material.uniform(spectrum(own.spectrum), beta=own.beta, mu=own.mu_rad, mirror=own.mirror, n=n, k=k)
+    sent = spectrum(transmittance) if isinstance(transmittance, str) else transmittance
+    return Material.uniform(
+        spectrum(own.spectrum), beta=own.beta, mu=own.mu_rad, mirror=own.mirror, n=n, k=k, transmittance=sent
+    )
 
 
 class InteractiveRenderer(Renderer):

@@ -149,22 +149,25 @@ class LightTransfer:
         near = self._trees()
         self._link(views, shines, near)
         self._trace_gloss(near)
-        own = [
-            mean_coefficients(p, objects, i, points[i]) @ objects.basis[i, : objects.bases[i]]
-            for i, p in enumerate(placements)
-        ]
-        self.reflectance = np.concatenate(own).astype(np.float32)
+        own = [self._mean_spectra(p, objects, i, points[i]) for i, p in enumerate(placements)]
+        self.reflectance = np.concatenate(own)
         shine = np.stack([one[_MIDDLE] for one in shines]).astype(np.float32)
         self.shine = np.repeat(shine, np.diff(self.first), axis=0)
         self.passed = [
             (
                 np.s_[self.first[side] : self.first[side + 1]],
                 np.s_[self.first[self._behind[side]] : self.first[self._behind[side] + 1]],
-                (mean_coefficients(placements[side], objects, sent, points[side]) @ objects.basis[sent]).astype(np.float32),
+                self._mean_spectra(placements[side], objects, sent, points[side]),
             )
             for side, sent in enumerate(objects.through)
             if sent >= 0
         ]
+
+    @staticmethod
+    def _mean_spectra(placement: Placement, objects: Objects, index: int, points: Points) -> np.ndarray:
+        """Return the mean spectra of a texture around the texels at some points, (n, 61) float32."""
+        found = mean_coefficients(placement, objects, index, points) @ objects.basis[index, : objects.bases[index]]
+        return found.astype(np.float32)
 
     def _fine_enough(self, sides: list[int], environment: Environment) -> dict[int, tuple]:
         """Return the number of texels of one or both sides of a shape, and for each side their error and what they see.
@@ -265,7 +268,7 @@ class LightTransfer:
         return cells, (share[met] * front, (rays.texel[met], np.maximum(there, 0)))
 
     def _met(self, near: _Trees, shape, place: np.ndarray, way: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the open texels next to the places where rays meet shapes, on the side met, and whether they face them."""
+        """Return the open texels where rays meet sides of shapes, and whether they face the rays."""
         there = _nearest(near, shape, place)
         over = (self._behind[shape] >= 0) & ((self.points.facet[there] * way).sum(axis=1) > 0.0)
         if over.any():
@@ -351,7 +354,7 @@ class LightTransfer:
         return direct + reflected, self._sent(self.reflectance + self.shine, source + reflected)
 
     def _sent(self, reflectance: np.ndarray, light: np.ndarray) -> np.ndarray:
-        """Return the light that texels reflect, and that sheets let through, (texels, 61), of the light on all texels."""
+        """Return the light that texels reflect or sheets let through, (texels, 61), of the light on all texels."""
         sent = reflectance * light
         for here, there, transmittance in self.passed:
             sent[here] += transmittance * light[there]

@@ -16,7 +16,7 @@ import numpy as np
 from irodori.geometry.mesh import Mesh
 from irodori.geometry.shapes.mesh_nodes import lattice_place, mesh_nodes
 from irodori.geometry.shapes.placement import Placement
-from irodori.geometry.shapes.surface_nodes import Nodes, middle_and_reach, quadrangles, unwarped
+from irodori.geometry.shapes.surface_nodes import Nodes, middle_and_reach, quadrangles, raised, unwarped
 from irodori.rendering.light_maps import look_up
 
 #: Points by which each of the other objects is represented when the picture of an endless plane is laid out.
@@ -141,7 +141,10 @@ class _OnMesh(Layout):
 
     def points(self, most: int) -> Points:
         nodes = self._nodes(most)
-        return Points(nodes.origin, self.sign * nodes.normal, self.sign * nodes.facet)
+        origin, facet = nodes.origin, self.sign * nodes.facet
+        for _ in range(2 if self.sign < 0.0 else 0):  # nodes are above the front
+            origin = raised(origin, facet, self.placement.shape.reach_mm * self.placement.scale)
+        return Points(origin, self.sign * nodes.normal, facet)
 
     def cells(self, most: int) -> np.ndarray:
         return self._nodes(most).cells

@@ -13,7 +13,7 @@ from irodori.geometry.shapes.shape import Shape
 from irodori.light.environment_file import Environment
 from irodori.material.coefficients import write_coefficients
 from irodori.material.material_file import Material
-from irodori.rendering.integrators import render_image
+from irodori.rendering.integrators import render_image, with_backs
 from irodori.spectra.coordinates import write_wavelength
 
 #: Width of the rendered margin around the sensor, mosaic pixels, because a filter plate shifts the picture.
@@ -100,7 +100,7 @@ def render_photographed(
         placed,
         IdealView.covering(Pinhole.from_optics(optics), 1, MARGIN_PX),
         [Shape.from_definition(shape) for shape in shapes],
-        [Material.load(path) for path in material_files],
+        with_backs(scene, [Material.load(path) for path in material_files]),
         Environment.load(environment_file),
         samples=placed.samples,
         seed=placed.seed,

@@ -66,6 +66,15 @@ def sides_placed(objects: Objects, placements: Sequence[Placement]) -> list[Plac
     return [placements[index] for index in objects.shape]
 
 
+def row_names(names: list[str], objects: Objects) -> list[str]:
+    """Return a name for each material of `Objects`, from those of the placed shapes."""
+    found = names + [f"{names[index]}, back" for index in objects.shape[len(names) :]]
+    of_sent = {
+        int(sent): f"{names[index]}, transmittance" for index, sent in zip(objects.shape, objects.through, strict=True)
+    }
+    return found + [of_sent[index] for index in range(len(found), len(objects.bases))]
+
+
 def textures(objects: Objects) -> list[np.ndarray]:
     """Return views of the texels of each object, (height, width, k + 2 c)."""
     found = []

@@ -168,9 +168,7 @@ def _bounds(placements: Sequence[Placement], behind: np.ndarray) -> _Bounds:
     )
 
 
-def look_around(
-    tracer: Tracer, points: Points, index: int, behind: np.ndarray, start: int = 0
-) -> list[TexelView]:
+def look_around(tracer: Tracer, points: Points, index: int, behind: np.ndarray, start: int = 0) -> list[TexelView]:
     """Trace rays from points of an object; return the views of some texels after the other.
 
     Parameters

@@ -197,11 +197,12 @@ def page_data(sources: SceneSources) -> PageData:
         If the page cannot show the scene, or a material reflects more light than falls on it.
     """
     name, scene, material_files = sources.name, sources.scene, sources.materials
-    fault = page_fault(scene)
+    loaded = [_with_maps(path) for path in material_files]
+    sheets = {item.object: material.is_sheet for item, (material, _) in zip(scene.objects, loaded, strict=False)}
+    fault = page_fault(scene, sheets)
     if fault is not None:
         field, found, accepted = fault
         raise PlainError(f"The scene {name}: {field}: found {found}; accepted: {accepted}.")
-    loaded = [_with_maps(path) for path in material_files]
     refuse_energy_gain(scene, material_files, [material for material, _ in loaded])
     whole = with_bodies(scene, [Shape.from_definition(s) for s in sources.shapes], [material for material, _ in loaded])
     placements = make_placements(scene, whole[0])

@@ -28,6 +28,7 @@ from irodori.config.cross_checks.plan_overrides import check_plan
 from irodori.config.cross_checks.plausible_units import check_in_frame
 from irodori.config.cross_checks.rig_motion import check_motion
 from irodori.config.cross_checks.scene_photographs import check_aim, check_photograph
+from irodori.config.cross_checks.thin_sheets import check_thin_sheet, check_thin_sheets
 from irodori.config.loaded import Loaded
 from irodori.config.models import (
     Camera,
@@ -208,6 +209,7 @@ class _Checks:
         shape_files(definition.shape, self.root)
         check_index(definition.refractive_index, self.root, file, "refractive_index")
         check_lobes(definition, self.all.config.fit, file)
+        check_thin_sheet(definition, file)
         if definition.markers is not None and not self.all.config.place.register:
             found = "given, though place.register is false and nothing reads it"
             raise InputError(file, "markers", found, "place.register: true in the configuration, or no markers")
@@ -230,6 +232,7 @@ class _Checks:
             found = f"{frames.turned}, but the scene has no lights beside its environment"
             raise InputError(file, "frames.turned", found, "environment, or lights in the scene")
         check_plan(scene, file)
+        check_thin_sheets(self.all, scene, file)
         check_lesson(scene, self.root, file)
         for label, placed in scene.photographs.items():
             states = self._states(placed.camera)
@@ -237,8 +240,9 @@ class _Checks:
         check_display(scene.display.device, self.root, file)
         check_spectra(scene, (), self.root, file)
         for index, body in enumerate(scene.bodies):
-            field = f"bodies[{index}].material.refractive_index"
-            check_index(body.material.refractive_index, self.root, file, field)
+            for key, own in (("material", body.material), ("back", body.back)):
+                if own is not None:
+                    check_index(own.refractive_index, self.root, file, f"bodies[{index}].{key}.refractive_index")
         strange = [light.kind for light in scene.lights if light.kind != "collimated"]
         if strange and interactive:
             found = f"a {strange[0]} light, which the integrator interactive does not trace"

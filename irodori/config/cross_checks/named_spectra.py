@@ -123,6 +123,8 @@ def _kind(path: tuple) -> str | None:
         return "sensitivities"
     if keys[-1] == "spectrum":
         return "reflectance" if {"materials", "surfaces", "bodies"} & set(keys) else "light"
+    if keys[-1] == "transmittance" and {"sheet", "bodies", "materials"} & set(keys):
+        return "reflectance"
     kinds = {"spectra": "chart", "sensitivities": "sensitivities", "reflectance_factor": "reflectance"}
     return kinds.get(keys[-1])
 

@@ -9,7 +9,9 @@ if TYPE_CHECKING:
 
 #: Count of numbers for each shape, and the index of each number.
 SHAPE = 24
-CENTRE, RADIUS, CURVATURE, TURN, WIDE, HIGH, KIND, MIRROR, COLUMNS, ROWS, BEHIND, THROUGH = 0, 3, 4, 5, 14, 15, 16, 17, 18, 19, 20, 21
+CENTRE, RADIUS, CURVATURE, TURN, WIDE, HIGH, KIND, MIRROR, COLUMNS, ROWS = 0, 3, 4, 5, 14, 15, 16, 17, 18, 19
+#: Of a thin sheet: the row of the other side, and the number of the texture of its transmittance; -1 if there is none.
+BEHIND, THROUGH = 20, 21
 
 
 def shape_row(placement: "Placement", reach_mm: float, number: int, dtype=np.float32) -> np.ndarray:

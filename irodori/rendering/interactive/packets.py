@@ -271,7 +271,8 @@ def turned(rotation, row, x, y, z):
 def prepare_hits(job, scratch, base, met, placed):
     """Fill reflection directions, texels and look-up points of hits; return the mask of those not black from behind.
 
-    If the back of a sheet is seen, `OBJECT` becomes that side, and the normals become its own. ``placed`` is the result of `place_hits`.
+    Where the back of a sheet is seen, `OBJECT` becomes that side, and the normals its own. ``placed`` is the result of
+    `place_hits`.
     """
     world, paths, hit, number = job.world, scratch.paths, scratch.hits.f, scratch.hits.i
     shape, kind, distance = placed
@@ -339,7 +340,7 @@ def prepare_hits(job, scratch, base, met, placed):
 
 @uncounted(forceinline=True)
 def raised(hit, axis, side):
-    """Return one coordinate of the hits' points, raised by the error of single precision; below where ``side`` is -1."""
+    """Return one coordinate of the hits' points, raised by the error of single precision; lowered if ``side`` is -1."""
     facet = load(hit, (FACET + axis) * RAYS, 16)
     x, y, z = load(hit, POINT * RAYS, 16), load(hit, (POINT + 1) * RAYS, 16), load(hit, (POINT + 2) * RAYS, 16)
     reach = upper_of(upper_of(magnitude(x), magnitude(y)), upper_of(magnitude(z), load(hit, SIZE * RAYS, 16)))

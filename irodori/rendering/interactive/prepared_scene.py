@@ -221,9 +221,7 @@ def stored_maps(maps: LightMaps, placements: Sequence[Placement], channels: Chan
     return flat
 
 
-def make_baked(
-    maps: LightMaps | None, placements: Sequence[Placement], shape: np.ndarray, channels: Channels
-) -> dict:
+def make_baked(maps: LightMaps | None, placements: Sequence[Placement], shape: np.ndarray, channels: Channels) -> dict:
     """Return the fields of a `PreparedWorld` that hold the light maps, in the channels of texels.
 
     ``shape`` has the placed shape of each side.

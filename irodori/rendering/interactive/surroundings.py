@@ -21,9 +21,7 @@ SEEN = 8
 _LIFT = 0.02  # height above the horizon to which directions below it are lifted, for the look-ups next to it
 
 
-def coarse_texels(
-    placements: Sequence[Placement], shape: np.ndarray
-) -> tuple[list[Points], list[tuple[int, int]]]:
+def coarse_texels(placements: Sequence[Placement], shape: np.ndarray) -> tuple[list[Points], list[tuple[int, int]]]:
     """Return the texels of each side from which gloss sees, raised above the surface, and their rows and columns.
 
     Meshes have none. ``shape`` has the placed shape of each side, first those of the fronts.

@@ -280,7 +280,8 @@ def _decide_environment(planner: ScenePlanner) -> None:
 
 def _decide_textures(planner: ScenePlanner) -> None:
     objects, count = planner.parts.objects, len(planner.names)
-    most = [halvings_of(*size) for size in objects.texture_size]
+    whole = {*np.flatnonzero(objects.behind >= 0), *objects.through}  # both sides of a sheet, and what passes through
+    most = [0 if index in whole else halvings_of(*size) for index, size in enumerate(objects.texture_size)]
     wanted = planner.overrides.texture_halvings
     if wanted is not None:
         halvings = {i: min(wanted, most[i]) for i in range(count) if min(wanted, most[i])}

@@ -97,7 +97,7 @@ def model_of(plan: ScenePlan, full: Model, names: list[str]) -> Model:
     full : Model
         Full model of the scene.
     names : list of str
-        Names of the objects, see `irodori.config.placed_names.object_names`.
+        Names of the objects, see `irodori.rendering.scene_arrays.row_names`.
     """
     values, found = plan.decisions, plan.quadrature
     quadrature = None

@@ -16,7 +16,7 @@ from irodori.rendering.planning.modelled_scene import SceneParts, full_model, pr
 from irodori.rendering.planning.plan_file import model_of
 from irodori.rendering.planning.planned_check import chosen_pixels, measure, refuse_above
 from irodori.rendering.planning.scene_plan import ScenePlan
-from irodori.rendering.scene_arrays import make_view
+from irodori.rendering.scene_arrays import make_view, row_names
 from irodori.rendering.scene_lights import BANDS, make_lights
 from irodori.rendering.scene_white import scene_white
 
@@ -58,7 +58,7 @@ def render_planned(
     """
     side, matrix = options.pixel_side, xyz_from_radiance(parts.white)
     full = full_model(parts, scene.max_bounces)
-    model = model_of(plan, full, object_names(scene))
+    model = model_of(plan, full, row_names(object_names(scene), parts.objects))
     bands = model.representation == "spectral"
     start = time.perf_counter()
     prepared = prepare(parts, model, matrix)

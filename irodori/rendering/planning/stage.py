@@ -14,7 +14,7 @@ from irodori.rendering.integrators import InteractiveRenderer, make_renderer
 from irodori.rendering.planning.choices import choose
 from irodori.rendering.planning.plan_file import document_of, rounded, write_plan
 from irodori.rendering.planning.planned_picture import parts_of
-from irodori.rendering.scene_arrays import make_placements, make_view
+from irodori.rendering.scene_arrays import make_placements, make_view, row_names
 from irodori.rendering.scene_white import scene_white
 
 
@@ -106,7 +106,7 @@ def plan_of(
     planner = choose(
         parts,
         [view.finer(options.pixel_side) for view in views],
-        object_names(scene),
+        row_names(object_names(scene), parts.objects),
         scene.tolerance_ciede2000 - (far.p99 if far else 0.0),
         max_bounces=scene.max_bounces,
         overrides=scene.plan,

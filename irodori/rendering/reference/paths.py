@@ -286,7 +286,7 @@ def _fill_gloss(world, work, index):
 
 @uncounted(forceinline=True)
 def _shares_of_terms(world, work, index, cos_r):
-    """Return the approximate shares of diffuse, gloss and mirror term in the light, F of the mirror, and transmission's.
+    """Return approximate shares of diffuse, gloss and mirror term in the light, F of the mirror, and transmission's.
 
     Also fills ``work.gloss``, ``work.diffuse``, ``work.through`` of a sheet and, if the refractive index varies between
     bands, ``work.fresnel`` with the mirror's reflectance.
