@@ -605,6 +605,9 @@ class ModelledMaterial(Definition):
     #: A second gloss component, added to the first.
     further_gloss: tuple[FurtherGloss, ...] = ()
 
+    #: Share of the light from behind that comes through, evenly diffuse (ratio, or the name or path of a spectrum).
+    transmittance: float | str = 0.0
+
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class MeasuredMaterial(Definition):

@@ -31,6 +31,7 @@ from irodori.config.models import (
     Rig,
     SceneLight,
     SensorOptions,
+    Sheet,
     Size,
     VirtualObject,
 )
@@ -58,6 +59,7 @@ class TexturedObject(Definition):
     shape: ObjectShape
     texels: Size
     placements: tuple[FurtherPlacement, ...] = ()
+    sheet: Sheet | None = None
 
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
@@ -67,6 +69,7 @@ class Surface(Definition):
     texels: Size
     refractive_index: RefractiveIndex
     mirror_weight: float
+    sheet: Sheet | None = None
 
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)

@@ -231,6 +231,11 @@ class PhotographSets:
         """Return, as a list, the table of an object's refractive index; empty if it has none."""
         return named_tables(self.loaded.objects[wildcards.object].refractive_index)
 
+    def tables_of_surface(self, wildcards) -> list[str]:
+        """Return the tables of an object's refractive index and of its assumed transmittance."""
+        definition = self.loaded.objects[wildcards.object]
+        return named_tables(definition.refractive_index, definition.sheet)
+
     def meshes_of(self, *names: str) -> list[str]:
         """Return the mesh files of the objects with these names."""
         return [file for name in names for file in shape_files(self.loaded.objects[name].shape)]
@@ -425,6 +430,19 @@ class PhotographSets:
         if self.level_patch(wildcards):
             return [f"results/{wildcards.object}/patch_levels.h5"]
         return [f"results/{wildcards.object}/levels.h5"] if self.loaded.config.fit.level_by_photograph else []
+
+    def thin_sheet(self, wildcards) -> dict | None:
+        """Return the block ``sheet`` of an object; None if it is not a thin sheet."""
+        return as_plain(self.loaded.objects[wildcards.object].sheet)
+
+    def observations_of_sheet(self, wildcards) -> list[str]:
+        """Return the observation files of a thin sheet whose transmittance is measured; empty for other objects."""
+        sheet = self.loaded.objects[wildcards.object].sheet
+        return self.observed_tiles(wildcards) if sheet is not None and sheet.transmittance is None else []
+
+    def levels_of_sheet(self, wildcards) -> list[str]:
+        """Return the file of `photograph_levels` for such an object."""
+        return self.photograph_levels(wildcards) if self.observations_of_sheet(wildcards) else []
 
     def markers(self, wildcards) -> dict | None:
         """Return the block ``markers`` of an object."""

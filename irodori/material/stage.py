@@ -27,17 +27,23 @@ from irodori.material.material_file import (
     COEFFICIENTS,
     MAPS,
     QUANTITY,
+    SENT,
+    SENT_BASIS,
+    SENT_COEFFICIENTS,
     gloss_maps,
     gloss_names,
     spectrum_scale,
     typically_filled,
     write_constants,
+    write_sent_basis,
 )
+from irodori.material.passed_light import PassedLight
 from irodori.material.principal_components.basis_count import Compression, CompressOptions, choose
 from irodori.material.principal_components.decomposition import WEIGHTINGS
 from irodori.material.principal_components.repeated_reflection import drift
 from irodori.material.principal_components.second_moments import second_moments
-from irodori.spectra.published import refractive_index
+from irodori.spectra.grid import SAMPLES
+from irodori.spectra.published import refractive_index, spectrum
 
 _GREEN = 1
 _RESPONSE = ("diffuse_response", "diffuse_variance")
@@ -78,14 +84,22 @@ class _Sent:
     lobes: tuple[str, ...]
     typical_gloss: tuple[float, ...]
 
-    def of(self, maps: dict, weights: np.ndarray, basis: np.ndarray, reflectance_error: np.ndarray) -> np.ndarray:
-        """Return the array of `AlbedoModel.of` for a tile's texels, NaN where the colour is not known."""
+    def of(
+        self, maps: dict, weights: np.ndarray, basis: np.ndarray, reflectance_error: np.ndarray, through=None
+    ) -> np.ndarray:
+        """Return the array of `AlbedoModel.of` for a tile's texels, NaN where the colour is not known.
+
+        ``through`` has coefficients and basis of a sheet's transmittance, which is added.
+        """
         alpha, scale = maps["alpha"].ravel(), spectrum_scale(maps["alpha"], maps["diffuse_response"][..., _GREEN])
         names = [gloss_names(component) for component in range(len(self.lobes))]
         pairs = typically_filled(self.lobes, [(maps[beta], maps[mu]) for beta, mu in names], self.typical_gloss)
         beta = np.stack([values.ravel() for _, values, _ in pairs], axis=-1)
         mu = np.stack([values.ravel() for _, _, values in pairs], axis=-1)
         coefficients = (weights * scale[..., None]).reshape(-1, weights.shape[-1])
+        if through is not None:
+            sent = np.nan_to_num(through[0]).reshape(len(coefficients), -1)
+            coefficients, basis = np.hstack([coefficients, sent]), np.hstack([basis, through[1]])
         relative = np.full(beta.shape, np.nan)
         with np.errstate(divide="ignore", invalid="ignore"):
             alpha_error = maps["alpha_error"].ravel() / alpha
@@ -162,6 +176,8 @@ def compress_reflectance(
     lights: list[str],
     provenance: store.Provenance,
     lobe_choice: Sequence[LeftOut] = (),
+    observations: Sequence = (),
+    levels: Sequence = (),
 ) -> None:
     """Write an object's ``material.h5`` from its fitted tiles.
 
@@ -176,6 +192,8 @@ def compress_reflectance(
     lobe_choice : sequence of LeftOut
         Prediction errors of the candidates if the object's lobes were chosen by cross-validation; empty if the
         definition names the lobes.
+    observations, levels : sequence of path
+        Of a thin sheet whose transmittance is measured, see `irodori.material.passed_light`.
     """
     fitted = FittedTiles(tiles, definition.texels.height, definition.texels.width)
     calibration = Calibration.load(calibration_file)
@@ -189,8 +207,11 @@ def compress_reflectance(
     n, k = refractive_index(definition.refractive_index)
     typical_gloss = fitted.typical_gloss()
     sent = _Sent(AlbedoModel(fitted.lobes, n, k, definition.mirror_weight), fitted.lobes, typical_gloss)
+    sheet = _sheet_of(definition, calibration, observations, levels)
     with store.create(output, provenance) as out:
-        gathered = _write_maps(out, reflectance, compression, options.codec, sent)
+        gathered = _write_maps(out, reflectance, compression, options.codec, sent, sheet=sheet)
+        if sheet is not None:
+            write_sent_basis(out, sheet.basis, sheet.source)
         errors = gathered.errors() | {
             "delta_e": compression.errors,
             "negative_fraction": compression.negative.fraction,
@@ -205,8 +226,48 @@ def compress_reflectance(
     _log(compression, gathered, fitted.height * fitted.width)
 
 
+@dataclass(frozen=True)
+class _Sheet:
+    """Transmittance of a thin sheet: one spectrum that is assumed, or of each texel by the light that passed."""
+
+    calibration: Calibration
+    basis: np.ndarray  # (61, k)
+    passed: PassedLight | None
+
+    @property
+    def source(self) -> str:
+        return "assumed" if self.passed is None else "measured"
+
+    def of(self, rows: slice, shape: tuple, posterior: Posterior) -> tuple[np.ndarray, np.ndarray | None]:
+        """Return the coefficients (rows, width, k) of a tile, and the standard deviations if it is measured."""
+        if self.passed is None:
+            return np.ones((*shape, 1), dtype=np.float32), None
+        response, variance = (values.reshape(*shape, -1) for values in self.passed.of(rows))
+        told = variance if np.isfinite(variance[np.isfinite(response)]).all() else None
+        error = posterior.of(response, told, stated=told is not None).rms
+        return self.calibration.weights(response, told).astype(np.float32), error
+
+
+def _sheet_of(definition: Object | Surface, calibration: Calibration, observations, levels) -> _Sheet | None:
+    """Return the transmittance of an object that is a thin sheet; None for others."""
+    if definition.sheet is None:
+        return None
+    known = definition.sheet.transmittance
+    if known is None:
+        return _Sheet(calibration, calibration.basis, PassedLight(observations, levels))
+    LOGGER.info("the transmittance is assumed, not measured")
+    values = spectrum(known) if isinstance(known, str) else np.full(SAMPLES, float(known))
+    return _Sheet(calibration, values[:, None], None)
+
+
 def _write_maps(
-    out: store.Writer, reflectance: _Reflectance, compression: Compression, codec: str, sent: _Sent
+    out: store.Writer,
+    reflectance: _Reflectance,
+    compression: Compression,
+    codec: str,
+    sent: _Sent,
+    *,
+    sheet: _Sheet | None,
 ) -> _Gathered:
     """Write all maps of the material, a tile at a time."""
     fitted, posterior, gathered = reflectance.fitted, Posterior(reflectance.calibration), _Gathered()
@@ -215,6 +276,18 @@ def _write_maps(
     coefficients = reserve_coefficients(
         out, COEFFICIENTS, shape, quantity=QUANTITY, storage=compression.storage, codec=codec, scale=scale, basis=BASIS
     )
+    if sheet is not None:
+        passed = reserve_coefficients(
+            out,
+            SENT_COEFFICIENTS,
+            (*size, sheet.basis.shape[1]),
+            quantity=SENT,
+            storage="single",
+            codec=codec,
+            scale=None,
+            dims="row,column,part",
+            basis=SENT_BASIS,
+        )
     out.coordinate("error_wavelength", ERROR_NM, units="nm", quantity="wavelength of a standard deviation")
     datasets = {}
     described_maps: dict[str, tuple] = MAPS | gloss_maps(fitted.lobes)
@@ -228,7 +301,14 @@ def _write_maps(
         described = {n: (v, (what := described_maps[n])[0], "row,column", what[1]) for n, v in own.items()}
         described |= {n: (maps[n], units, "row,column", quantity) for n, (units, quantity) in kept.items()}
         described |= confidence(posterior, response, reflectance.variance(maps))
-        albedo = sent.of(maps, weights, reflectance.calibration.basis, described["reflectance_error"][0])
+        through = None
+        if sheet is not None:
+            passed[rows], error = sheet.of(rows, weights.shape[:2], posterior)
+            through = passed[rows], sheet.basis
+            if error is not None:
+                described["transmittance_error"] = (error, "1", "row,column", "standard deviation of the transmittance")
+        basis, reflectance_error = reflectance.calibration.basis, described["reflectance_error"][0]
+        albedo = sent.of(maps, weights, basis, reflectance_error, through)
         for name, column, quantity in _ALBEDO_MAPS:
             texels = albedo[:, column].astype(np.float32).reshape(weights.shape[:2])
             described[name] = (texels, "1", "row,column", quantity)

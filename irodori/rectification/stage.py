@@ -225,7 +225,7 @@ class Sight(NamedTuple):
 
     ``xy`` (n, 2) position in the picture, superpixels; ``geometry`` (n, 4) θ_i, θ_r, θ_H, φ in rad; ``visible``,
     ``lit`` (n,) bool, from the angles with the normal and from shadow rays; ``power`` (n,) irradiance normal to the
-    beam, 1 at the origin.
+    beam, 1 at the origin; ``lit_behind`` (n,) whether the light reaches the other side of a sheet there.
     """
 
     xy: np.ndarray
@@ -233,6 +233,7 @@ class Sight(NamedTuple):
     visible: np.ndarray
     lit: np.ndarray
     power: np.ndarray
+    lit_behind: np.ndarray
 
 
 def _eye(position, pose: Pose, setup: RigSetup) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -243,7 +244,9 @@ def _eye(position, pose: Pose, setup: RigSetup) -> tuple[np.ndarray, np.ndarray,
     return camera, to_eye / distance[:, None], distance
 
 
-def observe(position, normal, tracer: Tracer, pose: Pose, setup: RigSetup, facet=None) -> Sight:
+def observe(
+    position, normal, tracer: Tracer, pose: Pose, setup: RigSetup, facet=None, *, is_sheet: bool = False
+) -> Sight:
     """Return the positions of texels in a capture, their angles, and whether they are seen and lit.
 
     Parameters
@@ -257,6 +260,8 @@ def observe(position, normal, tracer: Tracer, pose: Pose, setup: RigSetup, facet
     facet : (n, 3) float, optional
         Unit normals of the facets if they differ from the shading normals. A texel is seen or lit only from the front
         side of both.
+    is_sheet : bool
+        Whether to trace on which texels the light falls from behind.
     """
     facet = normal if facet is None else facet
     light, power, lamp_distance = setup.lamp.seen_from(position, pose)
@@ -267,7 +272,13 @@ def observe(position, normal, tracer: Tracer, pose: Pose, setup: RigSetup, facet
     visible &= ~tracer.occluded(start, view, far=distance)
     lit = (geometry[:, 0] < np.pi / 2) & (np.sum(facet * light, axis=1) > 0)
     lit &= ~tracer.occluded(start, light, far=lamp_distance)
-    return Sight(setup.pinhole.project(position, camera, rig_from_camera(pose)), geometry, visible, lit, power)
+    lit_behind = np.zeros(len(lit), dtype=bool)
+    if is_sheet:
+        lit_behind = (geometry[:, 0] > np.pi / 2) & (np.sum(facet * light, axis=1) < 0)
+        below = position - tracer.placements[0].shape.ray_offset_mm * facet
+        lit_behind &= ~tracer.occluded(below, light, far=lamp_distance)
+    xy = setup.pinhole.project(position, camera, rig_from_camera(pose))
+    return Sight(xy, geometry, visible, lit, power, lit_behind)
 
 
 def _window(xy: np.ndarray, margin: float, height: int, width: int) -> tuple[slice, slice]:
@@ -320,18 +331,20 @@ class Observations(NamedTuple):
     shadowed: np.ndarray
     clipped: np.ndarray
     gain: np.ndarray
+    passed: np.ndarray
 
 
 def observe_captures(
-    linear: Iterable, shape: Shape, texels: Texels, setup: RigSetup, max_angle_deg: float
+    linear: Iterable, shape: Shape, texels: Texels, setup: RigSetup, max_angle_deg: float, *, is_sheet: bool = False
 ) -> Observations:
     """Return the observations of texels in files of linear responses; arguments as in `rectify_object`."""
     limit, captures = np.radians(max_angle_deg), []
     for path in linear:
-        found = _observe_file(path, shape, texels, setup)
+        found = _observe_file(path, shape, texels, setup, is_sheet)
         frontal = (found.geometry[:, 0] <= limit) & (found.geometry[:, 1] <= limit)
-        weight = (found.weight & frontal).astype(np.float32)
-        captures.append(found._replace(weight=weight, geometry=found.geometry.astype(np.float32)))
+        behind = (np.pi - found.geometry[:, 0] <= limit) & (found.geometry[:, 1] <= limit)
+        weight, passed = (found.weight & frontal).astype(np.float32), (found.passed & behind).astype(np.uint8)
+        captures.append(found._replace(weight=weight, geometry=found.geometry.astype(np.float32), passed=passed))
     return Observations(*(np.stack(values, axis=1) for values in zip(*captures, strict=True)))
 
 
@@ -352,7 +365,7 @@ def angles_in_captures(linear: Iterable, shape: Shape, texels: Texels, setup: Ri
     return np.stack(captures, axis=1)
 
 
-def _observe_file(path, shape: Shape, texels: Texels, setup: RigSetup) -> Observations:
+def _observe_file(path, shape: Shape, texels: Texels, setup: RigSetup, is_sheet: bool) -> Observations:
     """Return the observations of all texels in the capture of one file of linear responses."""
     with store.open_file(path) as file:
         typed = Pose.of_file(file)
@@ -362,7 +375,7 @@ def _observe_file(path, shape: Shape, texels: Texels, setup: RigSetup) -> Observ
         tracer = Tracer(placements)
         position = placements[0].points(texels.position[texels.covered])
         normal, facet = (v[texels.covered] @ placements[0].rotation.T for v in (texels.normal, texels.facet))
-        sight = observe(position, normal, tracer, pose, setup, facet)
+        sight = observe(position, normal, tracer, pose, setup, facet, is_sheet=is_sheet)
         visible = sight.visible
         xy = samples_from_superpixels(sight.xy, file.attribute("sample_px"))
         sampled, good, clips = sample_picture(file, xy, xy[visible])
@@ -372,7 +385,8 @@ def _observe_file(path, shape: Shape, texels: Texels, setup: RigSetup) -> Observ
     gain[good] = setup.light_gain(sight.xy[good], sight.power[good])
     sampled *= gain[:, None].astype(np.float32)
     shadowed = visible & ~sight.lit & (sight.geometry[:, 0] < np.pi / 2)
-    found = (sampled, sight.geometry, visible & sight.lit & good, shadowed, clips, gain)
+    passed = visible & sight.lit_behind & good
+    found = (sampled, sight.geometry, visible & sight.lit & good, shadowed, clips, gain, passed)
     return Observations(*(_spread(values, texels.covered) for values in found))
 
 
@@ -413,7 +427,7 @@ def _poses_and_filters(linear: list) -> tuple[list[Pose], list[str]]:
     return poses, first
 
 
-def _maps(observed: Observations, texels: Texels, near: bool) -> dict:
+def _maps(observed: Observations, texels: Texels, near: bool, is_sheet: bool) -> dict:
     """Return the datasets that `rectify_object` writes for each texel: name -> (values, units, quantity)."""
     shadowed, covered = observed.shadowed.astype(np.uint8), texels.covered.ravel().astype(np.uint8)
     maps = {
@@ -424,6 +438,9 @@ def _maps(observed: Observations, texels: Texels, near: bool) -> dict:
         "clipped": (observed.clipped, store.Mask, "whether the picture clips in every exposure"),
         "texel": (covered, store.Mask, "whether a surface lies under the texel's centre"),
     }
+    if is_sheet:
+        what = "whether the texel is seen and measured with the light behind it"
+        maps["passed"] = (observed.passed, store.Mask, what)
     if near:
         quantity = "irradiance of the white reference in the pixel over that of the texel"
         maps["light_gain"] = (observed.gain.astype(np.float32), "1", quantity)
@@ -473,6 +490,9 @@ def rectify_object(
     datasets and is not fitted; ``/noise_model`` (J, bands, 2), variance of a response = c0 + c1 * response, NaN where
     the camera's noise was not measured.
 
+    For a thin sheet, ``/passed`` (texel, J) uint8 is 1 where the texel is seen and validly measured, and the light
+    reaches its other side.
+
     Under a near light, ``/light_gain`` (texel, J) float32 is the factor by which a response was multiplied: irradiance
     of the white reference over irradiance of the texel. The variance of a response is then
     gain² c0 + gain c1 * response. If the object was registered, ``/angle_error`` (4,) are the standard deviations of
@@ -485,7 +505,8 @@ def rectify_object(
         raise InputError("rig", "light.distance_mm", near, "a lamp outside the object, or no such key for a far one")
     texels = shape.atlas(width, definition.texels.height, (rows[0], rows[1]))
     poses, filters = _poses_and_filters(linear)
-    observed = observe_captures(track(linear, f"rectify rows {rows[0]}-{rows[1]}"), shape, texels, setup, max_angle_deg)
+    tracked, is_sheet = track(linear, f"rectify rows {rows[0]}-{rows[1]}"), definition.sheet is not None
+    observed = observe_captures(tracked, shape, texels, setup, max_angle_deg, is_sheet=is_sheet)
     require_bands(filters, observed.response.shape[2], linear[0])
     unseen = ~(observed.weight > 0).any(axis=1) & texels.covered.ravel()
     if unseen.any():
@@ -502,7 +523,7 @@ def rectify_object(
             write_registered(out, angle_error_deg)
         write_bands(out, filters)
         out.coordinate("term", ["c0", "c1"], units="1", quantity="coefficient of the variance")
-        for name, (values, units, quantity) in _maps(observed, texels, setup.lamp.is_near).items():
+        for name, (values, units, quantity) in _maps(observed, texels, setup.lamp.is_near, is_sheet).items():
             dims = ",".join(["texel_number", "capture", "angle" if name == "geometry" else "band"][: values.ndim])
             out.write(name, values, units=units, dims=dims, quantity=quantity)
         noise = noise_models(linear)

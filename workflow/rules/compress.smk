@@ -2,7 +2,9 @@ rule compress_reflectance:
     input:
         tiles=sets.fitted_tiles,
         lobes=sets.lobe_choice,
-        user_files=ancient(sets.tables_of_index),
+        observations=sets.observations_of_sheet,
+        levels=sets.levels_of_sheet,
+        user_files=ancient(sets.tables_of_surface),
         calibration=sets.camera_file("results/cameras/{camera}/calibration.h5"),
     output:
         material="results/{object}/material.h5",
@@ -21,7 +23,8 @@ rule compress_reflectance:
         mirror_weight=lookup(within=config["objects"], dpath="{object}/mirror_weight"),
         compress=lookup(within=config, dpath="compress"),
         lights=lookup(within=config["report"], dpath="lights"),
-        user_files=ledger.content(sets.tables_of_index),
+        sheet=sets.thin_sheet,
+        user_files=ledger.content(sets.tables_of_surface),
         code=code_hash("irodori.material.stage"),
     script:
         "../scripts/compress_reflectance.py"

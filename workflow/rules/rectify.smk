@@ -97,6 +97,7 @@ rule rectify_object:
         shape=lookup(within=config["objects"], dpath="{object}/shape"),
         texels=lookup(within=config["objects"], dpath="{object}/texels"),
         placements=lookup(within=config["objects"], dpath="{object}/placements"),
+        sheet=sets.thin_sheet,
         rows=sets.tile_rows,
         optics=sets.optics,
         white_pose=sets.white_pose,

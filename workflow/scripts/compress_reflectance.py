@@ -8,10 +8,12 @@ with run_rule(snakemake) as provenance:
     compress_reflectance(
         snakemake.input.tiles,
         snakemake.input.calibration,
-        Surface.of({key: snakemake.params[key] for key in ("texels", "refractive_index", "mirror_weight")}),
+        Surface.of({key: snakemake.params[key] for key in ("texels", "refractive_index", "mirror_weight", "sheet")}),
         snakemake.output.material,
         options=CompressOptions(**snakemake.params.compress),
         lights=snakemake.params.lights,
         lobe_choice=read_choice(snakemake.input.lobes),
+        observations=snakemake.input.observations,
+        levels=snakemake.input.levels,
         provenance=provenance,
     )

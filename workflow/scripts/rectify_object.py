@@ -8,7 +8,7 @@ from irodori.rectification.stage import RigSetup, rectify_object
 
 with run_rule(snakemake) as provenance:
     white, params = snakemake.params.white_pose, snakemake.params
-    whole = {"shape": params.shape, "texels": params.texels, "placements": params.placements}
+    whole = {"shape": params.shape, "texels": params.texels, "placements": params.placements, "sheet": params.sheet}
     definition = TexturedObject.of(whole)
     rectify_object(
         snakemake.input.linear,

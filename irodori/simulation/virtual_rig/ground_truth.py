@@ -28,12 +28,15 @@ def true_material(definition: Object, camera: Camera, rig: Rig) -> Material:
     green = sample.reflectance @ weights / weights.sum()
     lobes, gloss, typical = _gloss(sample)
     (beta, mu), *further = [(beta[index], mu[index]) for beta, mu in gloss]
+    coefficients, through = np.eye(len(green), dtype=np.float32)[index], None
+    if definition.sheet is not None:
+        through = Material.diffuse(coefficients, sample.through.T)
     return Material(
         alpha=green[index],
         beta=beta,
         mu=mu,
         green_response=green[index],
-        coefficients=np.eye(len(green), dtype=np.float32)[index],
+        coefficients=coefficients,
         basis=sample.reflectance.T,
         n=sample.n,
         k=sample.k,
@@ -41,6 +44,8 @@ def true_material(definition: Object, camera: Camera, rig: Rig) -> Material:
         typical_gloss=typical,
         lobes=lobes,
         further_gloss=tuple(further),
+        through=through,
+        transmittance="" if through is None else "measured",
     )
 
 

@@ -120,6 +120,8 @@ class _Subject(NamedTuple):
     mirror: float
     fresnel: np.ndarray  # (nodes, 3)
     surfaces: Surfaces
+    through: np.ndarray  # (materials, 3) band responses of the transmittance
+    is_sheet: bool
 
 
 class _Row(NamedTuple):
@@ -179,7 +181,7 @@ def _is_seen(setup, surfaces, ray, point):
 
 @njit(cache=True, forceinline=True)
 def _face_lamp(setup, point):
-    """Compute direction to the lamp and its irradiance at a point; return the cosine of incidence, 0 from behind."""
+    """Compute direction to the lamp and its irradiance at a point; return the cosine of incidence, at most 0 behind."""
     if math.isinf(setup.light_distance_mm):
         for a in range(3):
             point.light[a] = setup.to_light[a]
@@ -197,14 +199,14 @@ def _face_lamp(setup, point):
     for a in range(3):
         cosine += point.normal[a] * point.light[a]
         front += point.facet[a] * point.light[a]
-    return cosine if front > 0.0 else 0.0
+    return cosine if front > 0.0 else min(cosine, 0.0)
 
 
 @njit(cache=True, forceinline=True)
-def _is_lit(setup, ray, point):
-    """Return whether nothing blocks the light at a point."""
+def _is_lit(setup, ray, point, side):
+    """Return whether nothing blocks the light at a point; ``side`` is -1 for the other side of a sheet."""
     for a in range(3):
-        point.origin[a] = point.world[a] + setup.offset_mm * point.facet[a]
+        point.origin[a] = point.world[a] + side * setup.offset_mm * point.facet[a]
     trace(setup.occluded, setup.scene, ray, point.origin, point.light, point.lamp[1])
     return not is_blocked(ray)
 
@@ -239,8 +241,12 @@ def _look(setup, sample, ray, point, points, rows):
             _turn(setup, row.x[j], row.y[j], point.direction)
             if _is_seen(setup, sample.surfaces, ray, point):
                 ci = _face_lamp(setup, point)
-                if ci > 0.0 and (setup.is_open or _is_lit(setup, ray, point)):
+                if ci > 0.0 and (setup.is_open or _is_lit(setup, ray, point, 1.0)):
                     _response(points[i, j], sample, _material_at(sample, point), setup, point, ci)
+                elif ci < 0.0 and sample.is_sheet and _is_lit(setup, ray, point, -1.0):
+                    for band in range(3):
+                        through = sample.through[_material_at(sample, point), band]
+                        points[i, j, band] = -ci * point.lamp[0] * through
 
 
 @dataclass(frozen=True)
@@ -329,6 +335,8 @@ def expose_object(sample, tracer: Tracer, view: RigView, band_weights: np.ndarra
         mirror=sample.mirror,
         fresnel=sample.fresnel @ band_weights.T,
         surfaces=make_surfaces(list(tracer.placements[:1])),
+        through=np.ascontiguousarray(sample.through @ band_weights.T),
+        is_sheet=bool(sample.through.any()),
     )
     image = np.empty((view.pinhole.height_px, view.pinhole.width_px))
     run_chunks(_expose, len(image), _BLOCK_ROWS, setup, subject, image)

@@ -49,6 +49,8 @@ class Sample:
         Weight χ of the mirror term.
     n, k : (61,) float
         Complex refractive index.
+    through : (m, 61) float
+        Transmittance of each material.
     """
 
     shape: Shape
@@ -63,6 +65,7 @@ class Sample:
     mirror: float
     n: np.ndarray
     k: np.ndarray
+    through: np.ndarray
 
     @classmethod
     def from_definition(cls, definition: Object | PhotographedObject) -> "Sample":
@@ -101,6 +104,7 @@ class Sample:
             mirror=definition.mirror_weight,
             n=n,
             k=k,
+            through=np.stack([_transmittance(material) for material in materials]),
         )
 
     @cached_property
@@ -119,6 +123,11 @@ class Sample:
 def _components(material: TrueMaterial) -> list[ModelledMaterial | FurtherGloss]:
     """Return the gloss components of a virtual material's definition: ``lobe``, ``beta`` and ``mu_rad`` of each."""
     return [] if isinstance(material, MeasuredMaterial) else [material, *material.further_gloss]
+
+
+def _transmittance(material: TrueMaterial) -> np.ndarray:
+    sent = 0.0 if isinstance(material, MeasuredMaterial) else material.transmittance
+    return spectrum(sent) if isinstance(sent, str) else np.full(SAMPLES, float(sent))
 
 
 def _reflectance_factor(table: np.ndarray) -> np.ndarray:

@@ -1,0 +1,72 @@
+"""Responses to the light that passes through a thin sheet, from photographs whose light stands behind it.
+
+A sheet sends what passes through it out evenly diffuse. An observation is therefore T cosθ, with the transmittance T
+of the band and the angle θ of the light to the normal on the far side.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from irodori.core import store
+from irodori.core.errors import InputError
+from irodori.material.photograph_levels import levels_of
+
+_AXES = {
+    "response": "texel,capture,band",
+    "geometry": "texel,capture,angle",
+    "passed": "texel,capture",
+    "noise_model": "capture,band,coefficient",
+}
+
+
+class PassedLight:
+    """Observations of a sheet with the light behind it, tile by tile.
+
+    Parameters
+    ----------
+    observations : sequence of path
+        Tiles of observations of an object that is a sheet.
+    levels : sequence of path
+        File of the lamp's level in every photograph, by which responses are divided; none if it is constant.
+
+    Raises
+    ------
+    InputError
+        If no photograph shows light behind the sheet.
+    """
+
+    def __init__(self, observations: Sequence, levels: Sequence) -> None:
+        self._files, self._levels, seen = {}, levels, False
+        for path in observations:
+            with store.open_file(path) as file:
+                first, last = file.attribute("rows", list)
+                self._files[first, last] = path
+                seen |= "passed" in file and bool(file.read("passed").any())
+        if not seen:
+            accepted = "a photograph of the sheet with the light behind it, or sheet.transmittance in its definition"
+            raise InputError(observations[0], "passed", "no texel that shows light from behind", accepted)
+
+    def of(self, rows: slice) -> tuple[np.ndarray, np.ndarray]:
+        """Return transmittances of the bands in a tile's rows, and their variances by noise, (texels, bands) each.
+
+        Both are NaN where no photograph shows light from behind; variances also where the camera's noise is not known.
+        """
+        path = self._files[rows.start, rows.stop]
+        with store.open_file(path) as file:
+            file.require_axes(_AXES, angle=4, coefficient=2)
+            response, passed = file.read("response").astype(np.float64), file.read("passed").astype(np.float64)
+            cosine, noise = np.cos(np.pi - file.read("geometry")[..., 0].astype(np.float64)), file.read("noise_model")
+            gain = file.read("light_gain") if "light_gain" in file else np.ones(passed.shape)
+            captures = file.read("capture").astype(str).tolist()
+        for name in self._levels:
+            level = levels_of(name, captures, response.shape[2], path)
+            response, gain = response / level, gain[..., None] / level
+        gain = gain.reshape(*passed.shape, -1)
+        variance = gain**2 * noise[:, :, 0] + gain * noise[:, :, 1] * np.maximum(response, 0.0)
+        weight = (passed * cosine)[..., None]
+        whole = (weight * cosine[..., None]).sum(axis=1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            found = np.where(whole > 0.0, (weight * response).sum(axis=1) / whole, np.nan)
+            error = np.where(passed[..., None] > 0.0, weight**2 * variance, 0.0).sum(axis=1) / whole**2
+        return found, np.where(whole > 0.0, error, np.nan)
