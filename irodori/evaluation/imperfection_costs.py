@@ -107,7 +107,7 @@ class SmallChain:
             chart = replace(chart, patch_px=max(1, chart.patch_px // 2))
         (x, y), repeat = faults.filter_plate.shift_px, faults.filter_plate.repeat_rms_px
         plate = replace(faults.filter_plate, shift_px=(x / 2.0, y / 2.0), repeat_rms_px=repeat / 2.0)
-        # Of several placements, the first.
+        # Of several placements, the first; of a sheet, its front.
         texels, every = self.definition.texels, expand_poses(self.definition.poses or ())
         poses = [pose for pose in every if pose.placement == 1]
         thinned = poses[:: math.ceil(len(poses) / _MAX_POSES)]
@@ -119,6 +119,7 @@ class SmallChain:
                 texels=Size(width=min(texels.width, _MAX_TEXELS), height=min(texels.height, _MAX_TEXELS)),
                 poses=tuple(PoseGroup(**{name: (angle,) for name, angle in vars(pose).items()}) for pose in thinned),
                 placements=(),
+                sheet=None,
             ),
         ).with_faults(replace(faults, filter_plate=plate))
 
@@ -245,6 +246,7 @@ def run_chain(chain: SmallChain, folder: Path, seen: dict | None = None, calibra
         options=settings.compress,
         lights=settings.lights,
         provenance=_MADE,
+        observations=[tile],
     )
     return Material.load(material)
 

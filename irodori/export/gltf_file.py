@@ -161,7 +161,7 @@ class _Document:
                 },
                 "extensions": extensions,
                 "extras": {"irodori": {"illuminant": illuminant}},
-            }
+            } | ({"doubleSided": True} if item.material.is_sheet else {})
             numbers.append(self._add("materials", entry))
         return numbers
 
@@ -303,6 +303,8 @@ def write_gltf(source: Source, path, illuminants: Sequence[str] = ILLUMINANTS) -
         numbers = document.materials(item, found)
         mesh = item.placement.shape.facetted(reach / item.placement.scale)
         extras = {"spectra": _spectra(item), "mirror": item.material.mirror, "lobes": list(item.material.lobes)}
+        if item.material.is_sheet:
+            extras["sheet"] = "shown with the front's reflection on both sides; what passes through is left out"
         nodes.append(_placed(item, document.mesh(mesh, item.name, numbers, extras)))
     half = float(np.sqrt(0.5))
     root = {"name": source.name, "rotation": [-half, 0.0, 0.0, half], "scale": [_M_PER_MM] * 3}

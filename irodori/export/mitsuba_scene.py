@@ -183,7 +183,8 @@ def write_mitsuba(source: Source, folder) -> None:
     Raises
     ------
     PlainError
-        If the source is not a scene and so has no light, or if it has a lobe that the plugin does not implement.
+        If the source is not a scene and so has no light, or if it has a lobe or a thin sheet, which the plugin does not
+        implement.
     InputError
         If no light falls on the scene, or a file has the name of the folder.
     """
@@ -192,6 +193,9 @@ def write_mitsuba(source: Source, folder) -> None:
     unknown = [name for item in source.items for name in item.material.lobes if name not in LOBES]
     if unknown:
         raise PlainError(f"--to mitsuba: found the lobe {unknown[0]!r}; accepted: {', '.join(LOBES)}.")
+    sheets = [item.name for item in source.items if item.material.is_sheet]
+    if sheets:
+        raise PlainError(f"--to mitsuba: found the thin sheet {sheets[0]!r}; accepted: surfaces black from behind.")
     folder = Path(folder)
     if folder.exists() and not folder.is_dir():
         raise InputError(folder, "", "a file", "the name of a folder, which may be there already")

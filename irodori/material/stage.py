@@ -120,6 +120,8 @@ class _Gathered:
     colour: list = field(default_factory=list)
     ratio: list = field(default_factory=list)
     energy: Energy = field(default_factory=Energy)
+    passed: list = field(default_factory=list)
+    passed_error: list = field(default_factory=list)
 
     def add(self, maps: dict, values: dict, observed: np.ndarray) -> None:
         self.observed += int(observed.sum())
@@ -135,6 +137,12 @@ class _Gathered:
             "observed_fraction": self.observed / max(self.texels, 1),
             "energy": asdict(self.energy),
         }
+
+    def transmittance(self, sheet: "_Sheet") -> dict:
+        """Return source, mean over texels and wavelengths, and median standard error of a sheet's transmittance."""
+        mean = np.nanmean(np.concatenate(self.passed), axis=0) @ sheet.basis.mean(axis=0)
+        error = float(np.nanmedian(np.concatenate(self.passed_error))) if self.passed_error else None
+        return {"source": sheet.source, "mean": float(mean), "error_median": error}
 
 
 def confidence(posterior: Posterior, response, variance) -> dict[str, tuple]:
@@ -221,6 +229,8 @@ def compress_reflectance(
             "angle_errors": fitted.angle_errors or None,
             "lobe_choice": [asdict(one) for one in lobe_choice],
         }
+        if sheet is not None:
+            errors["transmittance"] = gathered.transmittance(sheet)
         constants = (compression.basis, n, k, definition.mirror_weight)
         write_constants(out, *constants, errors, lobes=fitted.lobes, typical_gloss=typical_gloss)
     _log(compression, gathered, fitted.height * fitted.width)
@@ -305,7 +315,9 @@ def _write_maps(
         if sheet is not None:
             passed[rows], error = sheet.of(rows, weights.shape[:2], posterior)
             through = passed[rows], sheet.basis
+            gathered.passed.append(through[0].reshape(-1, sheet.basis.shape[1]))
             if error is not None:
+                gathered.passed_error.append(error.ravel())
                 described["transmittance_error"] = (error, "1", "row,column", "standard deviation of the transmittance")
         basis, reflectance_error = reflectance.calibration.basis, described["reflectance_error"][0]
         albedo = sent.of(maps, weights, basis, reflectance_error, through)

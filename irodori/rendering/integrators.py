@@ -188,6 +188,8 @@ class Renderer(ABC):
         white: np.ndarray | None = None,
     ) -> None:
         self.scene, self.environment, self.options, self.white = scene, environment, options, white
+        pairs = zip(scene.objects, materials, strict=False)
+        self.sheets = {item.object: material.transmittance or "none" for item, material in pairs if material.is_sheet}
         self.shapes, materials = with_bodies(scene, shapes, materials)
         self.check()
         # Textures do not depend on where objects stand.
@@ -241,6 +243,8 @@ class Renderer(ABC):
     def described(self, picture: np.ndarray, figures: dict) -> tuple[np.ndarray, dict]:
         """Add the figures that all integrators have to those of a picture; return picture and figures."""
         figures["pixels_per_second"] = picture.shape[0] * picture.shape[1] / figures["seconds"]
+        if self.sheets:
+            figures["transmittance"] = self.sheets
         return picture, {"integrator": self.kind, **figures, "filled_fraction": self.filled}
 
 

@@ -17,8 +17,8 @@ from irodori.export.pictures import read_xyz, write_display_picture, write_spect
 from irodori.geometry.shapes.shape import Shape
 from irodori.light.environment_file import Environment
 from irodori.rendering.energy_gain import load_materials
-from irodori.rendering.eyes import refuse_enclosed_eye
-from irodori.rendering.integrators import InteractiveRenderer, make_renderer, render_image
+from irodori.rendering.eyes import refuse_enclosed_eye, tell_black_backs
+from irodori.rendering.integrators import InteractiveRenderer, body_material, make_renderer, render_image
 from irodori.rendering.planning.scene_plan import read_plan
 from irodori.rendering.scene_white import scene_white, shown_white
 
@@ -53,6 +53,8 @@ def render_view(
     placed = [Shape.from_definition(shape) for shape in shapes]
     refuse_enclosed_eye(scene, view_name, placed)
     materials = load_materials(scene, material_files)
+    two_sided = [material.is_sheet for material in materials]
+    tell_black_backs(scene, view_name, placed, two_sided + [body_material(body).is_sheet for body in scene.bodies])
     environment = Environment.load(environment_file)
     white, exposure = shown_white(scene, environment, environment_file)
     radiance, figures = render_image(

@@ -191,7 +191,14 @@ def prepare_scene(
     )
     owned = tracer, query, sides_placed(objects, tracer.placements)
     parts = max(len(lobe_table(name).entries) for name in objects.lobes.names)
-    layout = Layout(channels.surface, channels.light, channels.coloured, False, objects.lobe.shape[1], parts)
+    layout = Layout(
+        channels.surface,
+        channels.light,
+        channels.coloured,
+        components=objects.lobe.shape[1],
+        parts=parts,
+        sheets=bool((objects.behind >= 0).any()),
+    )
     return Prepared(representation, world, layout, limits, len(lamps), quadrature, owned, channels)
 
 

@@ -9,6 +9,7 @@ from irodori.jit.compilation import uncounted
 from irodori.jit.functions import select
 from irodori.jit.vector_memory import gather, load, mask_bits, spread, store
 from irodori.rendering.interactive.packets import FACET, NORMAL, OBJECT, RAYS, nearest_shapes, raised
+from irodori.rendering.interactive.representation_layout import has_sheets
 
 _occluded = c_function(types.void, types.uintp, types.uintp, types.uintp, types.uintp)
 # RTCRay16 begins as RTCRayHit16 does: origin, direction and far end, sixteen words each.
@@ -16,12 +17,12 @@ _ORIGIN, _DIRECTION, _FAR = 0, 64, 128
 
 
 @uncounted(forceinline=True)
-def light_hits(world, frame, packet, hits, seen):
+def light_hits(job, packet, hits, seen):
     """Fill ``hits.lit`` with the cosine of incidence of each lamp at each hit, 0 for hits facing away or in shadow.
 
     It is negative where a lamp lights a sheet that lets light through from the other side.
     """
-    f, i, hit = packet.f, packet.i, hits.f
+    world, frame, layout, f, i, hit = job.world, job.frame, job.layout, packet.f, packet.i, hits.f
     side = spread(np.float32(1.0), 16)
     for lamp in range(frame.lamps):
         lx, ly, lz = (
@@ -33,7 +34,7 @@ def light_hits(world, frame, packet, hits, seen):
         cosine = cosine + load(hit, (NORMAL + 2) * RAYS, 16) * lz
         front = load(hit, FACET * RAYS, 16) * lx + load(hit, (FACET + 1) * RAYS, 16) * ly
         front = front + load(hit, (FACET + 2) * RAYS, 16) * lz
-        if world.sheets > 0:
+        if has_sheets(layout):
             through = gather(world.shape, load(hits.i, OBJECT * RAYS, 16) * SHAPE + THROUGH) >= 0.0
             side = select(through & (cosine < 0.0) & (front < 0.0), spread(np.float32(-1.0), 16), 1.0)
         facing = seen & (side * cosine > 0.0) & (side * front > 0.0)

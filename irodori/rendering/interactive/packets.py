@@ -14,6 +14,7 @@ from irodori.jit.compilation import uncounted
 from irodori.jit.functions import as_float, bits_as_float, bits_as_int, lower_of, magnitude, select, truncated, upper_of
 from irodori.jit.vector_memory import gather, load, mask_bits, numbered, spread, store
 from irodori.rendering.interactive.cube_maps import cell_of, face_of
+from irodori.rendering.interactive.representation_layout import has_sheets
 
 RAYS = 16
 TILE = 16  # pixels along a side
@@ -285,7 +286,7 @@ def prepare_hits(job, scratch, base, met, placed):
     fx, fy, fz = load(hit, FACET * RAYS, 16), load(hit, (FACET + 1) * RAYS, 16), load(hit, (FACET + 2) * RAYS, 16)
     front = -(fx * dx + fy * dy + fz * dz)
     nx, ny, nz = load(hit, NORMAL * RAYS, 16), load(hit, (NORMAL + 1) * RAYS, 16), load(hit, (NORMAL + 2) * RAYS, 16)
-    if world.sheets > 0:
+    if has_sheets(job.layout):
         behind = gather(table, at + BEHIND)
         over = met & (front < 0.0) & (behind >= 0.0)
         shape, sign = select(over, truncated(behind), shape), select(over, spread(np.float32(-1.0), 16), 1.0)

@@ -47,7 +47,6 @@ class PreparedWorld(NamedTuple):
 
     shape: np.ndarray  # (sides * SHAPE,)
     objects: int
-    sheets: int  # 1 if any object is a thin sheet
     surfaces: Surfaces
     first_face: np.ndarray  # (sides,) int64, index of the first triangle of each side's shape
     brought_singly: int  # number of objects onto which hit points are moved one by one, without vector functions
@@ -390,7 +389,6 @@ def _surface_fields(objects: Objects, tracer: Tracer, channels: Channels, spare:
     return fields | {
         "shape": make_shapes(tracer, objects),
         "objects": len(tracer.placements),
-        "sheets": int((objects.behind >= 0).any()),
         "surfaces": surfaces,
         "first_face": surfaces.first_face[objects.shape],
         "brought_singly": sum(p.shape.kernels.point is None for p in tracer.placements),

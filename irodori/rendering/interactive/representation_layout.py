@@ -29,6 +29,8 @@ class Layout:
         Gloss components of a texel, at most 5.
     parts : int
         Largest number of rows of round lobes per component, see `irodori.rendering.interactive.round_lobes`.
+    sheets : bool
+        Whether any object is a thin sheet; kernels for other scenes have no code for them.
     """
 
     surface: int
@@ -37,6 +39,7 @@ class Layout:
     profiled: bool = False
     components: int = 1
     parts: int = 1
+    sheets: bool = False
 
     @property
     def seen(self) -> int:
@@ -94,7 +97,7 @@ def _black(field: str, times: int = 1):
 
 
 surface_lanes, light_lanes = _constant("surface"), _constant("light")
-is_coloured, is_profiled = _constant("coloured"), _constant("profiled")
+is_coloured, is_profiled, has_sheets = _constant("coloured"), _constant("profiled"), _constant("sheets")
 gloss_components, gloss_parts, seen_lanes = _constant("components"), _constant("parts"), _constant("seen")
 #: Vectors of zeros: of a texel's lanes, of the light's, of light at two levels, and of what gloss sees.
 surface_black, light_black, pair_black = _black("surface"), _black("light"), _black("light", 2)

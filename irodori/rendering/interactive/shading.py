@@ -64,6 +64,7 @@ from irodori.rendering.interactive.packets import (
 from irodori.rendering.interactive.representation_layout import (
     gloss_components,
     gloss_parts,
+    has_sheets,
     is_coloured,
     light_black,
     light_lanes,
@@ -273,7 +274,7 @@ def shade_surfaces(job, scratch, base, seen):
                     if _component(layout, sums, component)[0] > 0.0:
                         _add_highlight(job, scratch, base, ray, lamp, component)
         _add_colour(layout, scratch, base + ray, texel * light)
-        if world.sheets > 0:
+        if has_sheets(layout):
             _add_colour(layout, scratch, base + ray, _passed_light(job, hits, ray, shape, texel))
         for component in range(gloss_components(layout)):
             power, place = _component(layout, sums, component)

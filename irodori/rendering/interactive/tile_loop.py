@@ -235,7 +235,7 @@ def _shade_packet(job, scratch, base, count, bounce, after):
     since = _count(layout, figures, _PLACE, since)
     bits = mask_bits(seen)
     if frame.lamps > 0:
-        light_hits(world, frame, packet, hits, seen)
+        light_hits(job, packet, hits, seen)
         since = _count(layout, figures, _TRACE, since)
     glossy = 0
     if world.scatters > 0:

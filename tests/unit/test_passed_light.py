@@ -1,0 +1,75 @@
+"""Transmittance of a thin sheet: photographed on the virtual rig with the lamp behind it, or assumed."""
+
+import logging
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from definitions import ROOT
+
+from irodori.config.definitions import read_yaml
+from irodori.config.models import Camera, Object, Placing, Rectify, Rig
+from irodori.core import store
+from irodori.core.errors import InputError
+from irodori.evaluation.imperfection_costs import Settings, SmallChain, run_chain
+from irodori.fitting.solvers import FitOptions
+from irodori.ingest.ingest_options import IngestOptions
+from irodori.material.material_file import Material
+from irodori.material.principal_components.basis_count import CompressOptions
+from irodori.simulation.virtual_rig.ground_truth import true_material
+
+#: A leaf of two shades: what is reflected, and what comes through.
+SHADES = [("TCS31", "TCS81"), ("TCS20", 0.1)]
+FRONT = {"light_deg": [45.0], "camera_deg": [0.0, 20.0, 41.0, 49.0, 65.0]}
+BEHIND = {"light_deg": [115.0, 125.0], "camera_deg": [20.0]}
+
+
+def chain_of(sheet: dict, poses=(FRONT, BEHIND)) -> SmallChain:
+    """A quarter of the camera's sides, 12 x 12 texels, the rig's faults but for the place, and no table in the way."""
+    plate, camera, rig = (read_yaml(ROOT / "config" / f"{name}.yaml") for name in
+                          ("objects/tile-plate", "cameras/d5100-comb", "rigs/virtual"))  # fmt: skip
+    paints = [{"spectrum": s, "beta": 2.0, "mu_rad": 0.15, "transmittance": t} for s, t in SHADES]
+    plate |= {"mirror_weight": 0.0, "texels": {"width": 12, "height": 12}, "poses": list(poses),
+              "virtual": {"pattern": {"kind": "checks", "columns": 2, "rows": 1}, "materials": paints}}  # fmt: skip
+    settings = Settings(IngestOptions(), Placing(), Rectify.of({}), FitOptions(), CompressOptions(), ["D65"])
+    small = SmallChain("leaf", Object.of(plate), Camera.of(camera), Rig.of(rig | {"table_radius_mm": 0.0}), settings)
+    halved = small.halved().halved()
+    faults = replace(halved.faults, laid_off=replace(halved.faults.laid_off, enabled=False),
+                     focal_length=replace(halved.faults.focal_length, enabled=False))  # fmt: skip
+    virtual = replace(halved.rig.virtual, imperfections=faults)
+    definition = replace(small.definition, sheet=Object.of(plate | {"sheet": sheet}).sheet)
+    return replace(halved, definition=definition, rig=replace(halved.rig, virtual=virtual))
+
+
+def test_what_passes_through_a_leaf_is_measured_with_the_lamp_behind_it(tmp_path):
+    """Spectra, errors, and the front, which the photographs from behind do not change."""
+    small = chain_of({})
+    found = run_chain(small, tmp_path)
+    truth = true_material(small.definition, small.camera, small.rig)
+    assert found.transmittance == "measured" and found.is_sheet
+    inner = np.zeros((12, 12), dtype=bool)
+    inner[2:10, [2, 3, 8, 9]] = True  # away from seam and edges
+    own, exact = ((m.through.coefficients @ m.through.basis.T)[inner] for m in (found, truth))
+    assert np.isfinite(own).all()
+    with store.open_file(tmp_path / "material.h5") as file:
+        error, figures = file.read("transmittance_error")[inner], file.attribute("errors", dict)["transmittance"]
+        albedo = file.read("albedo")[inner]
+    off = np.sqrt(np.mean((own - exact) ** 2, axis=1))
+    assert off.mean() < 0.04 and np.mean(off < 2.0 * error) > 0.9
+    assert abs(own.mean() - exact.mean()) < 0.01 and figures["source"] == "measured"
+    assert figures["mean"] == pytest.approx(exact.mean(), rel=0.05)
+    reflected = (found.coefficients @ found.basis.T)[inner]
+    assert (albedo > (reflected + own).max(axis=1) - 0.01).all()  # of both sides together
+
+
+def test_a_sheet_that_no_lamp_lights_from_behind_is_refused_or_assumed(tmp_path, caplog):
+    none, some = tmp_path / "none", tmp_path / "some"
+    for folder in (none, some):
+        folder.mkdir()
+    with pytest.raises(InputError, match="passed: found no texel that shows light from behind; accepted: a photograph"):
+        run_chain(chain_of({}, [FRONT]), none)
+    with caplog.at_level(logging.INFO, "irodori"):
+        found = run_chain(chain_of({"transmittance": 0.3}, [FRONT]), some)
+    assert "assumed" in caplog.text and found.transmittance == "assumed"
+    np.testing.assert_allclose(found.through.coefficients @ found.through.basis.T, 0.3, rtol=1e-6)
+    assert Material.load(some / "material.h5").is_sheet
