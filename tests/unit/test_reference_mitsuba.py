@@ -15,6 +15,7 @@ from path_scenes import DARK, ball, traced
 from scenes import GOLD_K, GOLD_N, THIRDS, constant_light, material, plate
 
 from irodori.geometry.rig_frame import rotation_x, rotation_xyz, rotation_y
+from irodori.material.material_file import Material
 from irodori.spectra.published import light as spectrum_of
 
 mitsuba = pytest.importorskip("mitsuba", reason="Mitsuba 3 is not installed: nothing to compare with")
@@ -197,3 +198,21 @@ def test_mitsuba_agrees_on_light_between_the_walls_of_a_box(lamp, samples, their
     ours = traced(shapes, materials, light, samples, places=[p for p, _, _ in box] + [(20, 10, 15)],
                   rotations=[r for _, r, _ in box] + [np.eye(3)], lights=lights, **view)  # fmt: skip
     agree(ours, mitsuba_picture(parts, samples=theirs, **view))
+
+
+def test_mitsuba_agrees_on_a_leaf_over_a_plate_lit_from_behind():
+    """A blend of Mitsuba's two-sided diffuse surface and of its thin one whose diffuse light all passes through."""
+    through, share = np.array([0.2, 0.45, 0.1]), 0.5
+    sheet = Material.uniform(RED[THIRDS] * (1.0 - share), transmittance=through[THIRDS] * share)
+    view = {"position": (0.0, -170.0, 60.0), "target": (0.0, 0.0, 22.0), "fov": 20.0, "size": (20, 15)}
+    turn = rotation_x(np.radians(50.0))
+    ours = traced([plate(120.0), plate(50.0)], [material(GREEN[THIRDS]), sheet], constant_light(SKY[THIRDS]), 512,
+                  places=[(0, 0, 0), (0, 0, 25)], rotations=[np.eye(3), turn], **view)  # fmt: skip
+    thin = {"type": "principledthin", "base_color": rgb(through), "diff_trans": 2.0, "spec_trans": 0.0, "eta": 1.0001}
+    bsdf = {"type": "blendbsdf", "weight": share, "matt": {"type": "twosided", "inner": diffuse(RED)}, "thin": thin}
+    parts = {
+        "plate": lambda: {"type": "rectangle", "to_world": transform(half=(60, 60)), "bsdf": diffuse(GREEN)},
+        "leaf": lambda: {"type": "rectangle", "to_world": transform((0, 0, 25), turn, (25, 25)), "bsdf": bsdf},
+        "sky": sky_light,
+    }
+    agree(ours, mitsuba_picture(parts, samples=32, **view))
