@@ -12,7 +12,7 @@ from studio import BASIS, placed, prepared, view_of
 from irodori.colour.colorimetry import xyz_from_radiance
 from irodori.config.cross_checks.thin_sheets import check_thin_sheet, check_thin_sheets
 from irodori.config.loaded import Loaded
-from irodori.config.models import Object, Scene
+from irodori.config.models import Object, Render, Scene
 from irodori.core.errors import InputError
 from irodori.core.store import Provenance
 from irodori.geometry.embree import Tracer
@@ -22,7 +22,12 @@ from irodori.geometry.shapes.shape import Shape
 from irodori.material.material_file import Material
 from irodori.rendering import light_transfer
 from irodori.rendering.energy_gain import body_fault, load_materials
+from irodori.rendering.eyes import tell_black_backs
+from irodori.rendering.integrators import render_image
 from irodori.rendering.interactive.frame_renderer import CollimatedLamp, render_frame
+from irodori.rendering.planning.plan_file import write_plan
+from irodori.rendering.planning.scene_plan import read_plan
+from irodori.rendering.planning.stage import plan_of
 from irodori.rendering.reference import baking
 from irodori.rendering.scene_arrays import make_objects
 from irodori.spectra.grid import SAMPLES
@@ -213,3 +218,43 @@ def test_a_sheet_has_an_open_shape():
     scene = made(Scene, {"objects": [], "bodies": [BODY | body]})
     with pytest.raises(InputError, match=r"bodies\[0\]\.transmittance: found a sheet of the shape sphere"):
         check_thin_sheets(made(Loaded, {}), scene, "scene.yaml")
+
+
+def scene_of(**changes) -> Scene:
+    """A leaf that leans over a table, seen from its front and from behind."""
+    table = {"shape": {"kind": "plate", "width_mm": 120.0, "height_mm": 120.0}, "position_mm": [0.0, 0.0, -20.0]}
+    bodies = [BODY | {"rotation_deg": [60.0, 0.0, 0.0], "material": {"spectrum": "TCS31"}, "transmittance": 0.3,
+                      "back": {"spectrum": "TCS81"}},
+              table | {"material": {"spectrum": "TCS4"}}]  # fmt: skip
+    views = {name: {"position_mm": [0.0, y, 60.0], "target_mm": [0.0, 0.0, -5.0], "field_of_view_deg": 24.0}
+             for name, y in (("front", -150.0), ("behind", 150.0))}  # fmt: skip
+    display = {"exposure": "auto", "device": {"kind": "standard", "name": "sRGB"}}
+    whole = {"image": {"width": 40, "height": 30}, "objects": [], "bodies": bodies, "views": views, "max_bounces": 2,
+             "integrator": {"kind": "interactive", "light_maps": True}, "display": display}  # fmt: skip
+    return made(Scene, whole | changes)
+
+
+@pytest.mark.usefixtures("coarse_light_maps")
+def test_a_plan_keeps_both_sides_of_a_sheet_and_what_passes_through(tmp_path):
+    """Seen from behind too, the planned picture is as near to the full model as the plan says."""
+    light, options = soft_sky(), Render(pixel_side=1, min_throughput=1e-3)
+    scene = scene_of(tolerance_ciede2000=3.0, plan={})
+    document = plan_of("leaf", scene, [], [], light, options)
+    write_plan(tmp_path / "plan.yaml", document)
+    plan = read_plan(tmp_path / "plan.yaml")
+    names = ["bodies[0]", "bodies[1]", "bodies[0], back", "bodies[0], transmittance"]
+    assert list(plan.decisions["texture_halvings"]) == names
+    for view in scene.views:
+        _, figures = render_image(scene, view, [], [], light, options, plan=plan)
+        measured = figures["plan"]["delta_e_to_full_model"]
+        assert measured["p99"] <= plan.predicted_delta_e + 0.02
+
+
+def test_a_plate_that_is_black_from_behind_is_told(caplog):
+    scene = scene_of()
+    for is_sheet, said in (([True, True], False), ([False, True], True)):
+        caplog.clear()
+        tell_black_backs(scene, "front", [], is_sheet)
+        tell_black_backs(scene, "behind", [], is_sheet)
+        assert ("the view behind sees bodies[0] from behind" in caplog.text) == said
+        assert "bodies[1]" not in caplog.text and "the view front" not in caplog.text
