@@ -14,6 +14,7 @@ from typing import Any
 
 from irodori.config.models import Scene
 from irodori.config.pages import page_fault, page_rooms
+from irodori.config.placed_names import materials_of
 from irodori.config.scene_files import SceneFiles
 from irodori.geometry.shape_blocks import is_flat
 
@@ -53,7 +54,7 @@ class Reports:
     # ---- what one report covers
 
     def _objects(self, wildcards, virtual_only: bool = False) -> list[str]:
-        names = dict.fromkeys(self._scenes.objects(wildcards)) if _has_scene(wildcards) else ()
+        names = dict.fromkeys(materials_of(self._scene(wildcards))) if _has_scene(wildcards) else ()
         return [name for name in names if not virtual_only or self._loaded.is_virtual("objects", name)]
 
     def _environments(self, wildcards, virtual_only: bool = False) -> list[str]:

@@ -212,9 +212,13 @@ class SceneFiles:
         )
 
     def truth_is_rendered(self, scene: str) -> bool:
-        """Whether a scene can be rendered with the true materials of its objects, all of which are then virtual."""
+        """Whether a scene can be rendered with the true materials of its objects, all of which are then virtual.
+
+        Not if another object covers the back of one: the error budget knows the errors of fronts alone.
+        """
         known = {name for name in self.sets.virtual("objects") if self._follows_the_model(name)}
-        return known.issuperset(materials_of(self.loaded.scenes[scene]))
+        objects = self.loaded.scenes[scene].objects
+        return known.issuperset(item.object for item in objects) and not any(item.back for item in objects)
 
     def pictures(self) -> list[str]:
         """Return the paths of all pictures of the run."""

@@ -266,6 +266,7 @@ class Material:
                     storage=storage,
                     codec=codec,
                     basis=SENT_BASIS,
+                    dims="row,column,part",
                 )
                 write_sent_basis(out, self.through.basis, self.transmittance)
             constants = (self.basis, self.n, self.k, self.mirror)

@@ -38,7 +38,7 @@ def refuse_energy_gain(scene: Scene, files: Sequence, materials: Sequence[Materi
     """
     known: dict[tuple[str, str], Energy] = {}
     named = [(item.object, path, m) for item, path, m in zip(scene.objects, files, materials, strict=False)]
-    turned = [(item, m) for item, m in zip(scene.objects, materials, strict=True) if item.back is not None]
+    turned = [(item, m) for item, m in zip(scene.objects, materials, strict=False) if item.back is not None]
     for (item, material), path in zip(turned, files[len(materials) :], strict=True):
         named.append((f"{item.back} as the back of {item.object}", path, as_back(material)))
     for name, path, material in named:

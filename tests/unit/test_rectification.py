@@ -141,7 +141,7 @@ def test_angles_at_a_plates_centre_are_those_of_the_rig(light, camera, tilt):
     shape = Shape.from_definition(made(ObjectShape | BodyShape, PLATE["shape"]))
     rotation = rig_from_object(pose)
     tracer = Tracer([Placement(shape, rotation)])
-    xy, geometry, visible, lit, power = observe(np.zeros((1, 3)), rotation[:, 2][None], tracer, pose, setup_of())
+    xy, geometry, visible, lit, power, _ = observe(np.zeros((1, 3)), rotation[:, 2][None], tracer, pose, setup_of())
     incidence, view = math.radians(light - tilt), math.radians(camera + tilt)
     assert visible[0] and lit[0] and power[0] == 1.0
     expected = [incidence, view, (incidence + view) / 2, abs(incidence - view) / 2]

@@ -6,7 +6,7 @@ import json
 from types import SimpleNamespace
 
 import pytest
-from definitions import CAMERA_FILE, PLATE_FILE, ROOT, edit, load
+from definitions import CAMERA_FILE, PLATE_FILE, ROOT, edit, fault, load
 
 from irodori.config import models, parts
 from irodori.config.photograph_sets import PhotographSets, named_tables
@@ -195,3 +195,24 @@ def test_pictures_are_those_that_scenes_ask_for(root):
     assert {"results/still-life/front.tif", "results/still-life/front.frames.png"} <= set(wanted)
     image = scenes.loaded.scenes["still-life"].image
     assert scenes.memory_of_frames_mb(job(scene="still-life")) == 8 * image.width * image.height * 4 // 1_000_000
+
+
+def test_a_sheet_needs_its_back_and_the_photographs_that_tell_its_transmittance(root):
+    (root / "config/objects/rear.yaml").write_text((root / "config/objects/tile-plate.yaml").read_text())
+    edit(root, "scenes/still-life.yaml", "objects.0.back", "rear")
+    edit(root, "objects/rear.yaml", "sheet", {"transmittance": "TCS81"})
+    edit(root, "objects/tile-plate.yaml", "sheet", {})
+    sets, scene = PhotographSets(load(root)), job(scene="still-life")
+    scenes = SceneFiles(sets)
+    names = ["tile-plate", "vermilion-sphere", "indigo-sphere", "leaf-sphere", "rear"]
+    assert scenes.materials("{object}")(scene) == names and scenes.pages() == []
+    assert not scenes.truth_is_rendered("still-life")
+    plate, rear = job(object="tile-plate"), job(object="rear")
+    assert sets.observations_of_sheet(plate) == sets.observed_tiles(plate) != []
+    assert sets.observations_of_sheet(rear) == [] and sets.thin_sheet(rear) == {"transmittance": "TCS81"}
+    edit(root, "scenes/still-life.yaml", "objects.0.back", "leaf-sphere")
+    said = "found leaf-sphere, a sphere, on the back of a plate; accepted: an object of the shape plate"
+    assert said in str(fault(root))
+    edit(root, "scenes/still-life.yaml", "objects.0.back", "rear")
+    edit(root, "objects/rear.yaml", "sheet.transmittance", "TCS999")
+    assert fault(root).field == "sheet.transmittance"
