@@ -764,9 +764,9 @@ class PlanOverrides(Definition):
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class DiscShape(Definition):
-    """A flat disc that faces +z before it is turned, and is black behind."""
+    """A flat disc that faces +z before it is turned; black behind unless a sheet."""
 
-    #: A flat disc that faces +z before it is turned, and is black behind.
+    #: A flat disc that faces +z before it is turned; black behind unless a sheet.
     kind: Literal["disc"] = "disc"
 
     #: Radius, in mm.

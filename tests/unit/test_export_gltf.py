@@ -236,12 +236,19 @@ def test_the_loss_is_that_of_the_file(tmp_path):
 
 
 def test_a_matt_grey_loses_its_rounding_alone_and_gold_keeps_its_colour(tmp_path):
-    losses = write_gltf(alone("plate", material(0.4)), tmp_path / "grey.glb")
+    """The grey one is a sheet: shown from both sides, without what passes through, as its mesh says."""
+    sheet = dataclasses.replace(material(0.4), through=material(0.2))
+    losses = write_gltf(alone("plate", sheet), tmp_path / "grey.glb")
+    content = ParsedGltf.load(tmp_path / "grey.glb").content
+    assert all(one["doubleSided"] for one in content["materials"])
+    assert "what passes through is left out" in content["meshes"][0]["extras"]["irodori"]["sheet"]
     assert max(loss.largest for loss in losses.values()) < 0.5  # a code of 8 bits is 0.4 of lightness there
     gold = material(0.0, mirror=1.0, n=np.array(GOLD_N)[::-1][THIRDS], k=np.array(GOLD_K)[::-1][THIRDS])
     losses = write_gltf(alone("plate", gold), tmp_path / "gold.glb")
     assert losses["plate: even light"].largest < 4.0
-    entry = ParsedGltf.load(tmp_path / "gold.glb").content["materials"][0]["extensions"]
+    (entry, *_) = ParsedGltf.load(tmp_path / "gold.glb").content["materials"]
+    assert "doubleSided" not in entry
+    entry = entry["extensions"]
     red, green, blue = entry["KHR_materials_specular"]["specularColorFactor"]
     assert red > green > blue > 0
     issues = validated(tmp_path / "gold.glb")["issues"]

@@ -212,6 +212,14 @@ def test_a_lobe_that_the_plugin_does_not_know_is_refused(tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+def test_a_sheet_is_refused(tmp_path):
+    source = scene_of(
+        [("plate", Material.uniform(0.3, transmittance=0.2), (0, 0, 0), (0, 0, 0))], {"v": VIEW}, tmp_path
+    )
+    with pytest.raises(PlainError, match="found the thin sheet 'plate'; accepted: surfaces black from behind"):
+        write_mitsuba(source, tmp_path / "out")
+
+
 def test_an_object_and_a_scene_without_light_are_refused(tmp_path):
     with pytest.raises(PlainError, match="accepted: a scene"):
         write_mitsuba(Source("jar", "object", []), tmp_path)

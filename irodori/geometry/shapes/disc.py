@@ -33,7 +33,7 @@ SCHEMA = {
         "properties": {
             "kind": {
                 "const": "disc",
-                "description": "A flat disc that faces +z before it is turned, and is black behind.",
+                "description": "A flat disc that faces +z before it is turned; black behind unless a sheet.",
             },
             "radius_mm": {
                 "type": "number",

@@ -57,7 +57,7 @@ SCHEMA = {
         "properties": {
             "kind": {
                 "const": "plate",
-                "description": "A flat rectangle that faces +z before it is turned, and is black behind.",
+                "description": "A flat rectangle that faces +z before it is turned; black behind unless a sheet.",
             },
             "width_mm": {
                 "type": "number",

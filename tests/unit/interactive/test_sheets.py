@@ -95,6 +95,9 @@ def test_a_leaf_shows_the_light_of_a_lamp_behind_it(grazing):
     black = material(0.0)
     shaded = traced(shapes, [leaf(), black], DARK, 8, rotations=turns, places=places, lights=[towards(lamp)], **view)
     assert not shaded.radiance.any()
+    ready = prepared(shapes, [leaf(), black], dark, "spectral", rotations=turns, places=places,
+                     lamps=np.pi * spectrum_of("D65")[None], white=np.ones(61))  # fmt: skip
+    assert not render_frame(ready, view_of(**view), bands=True, lamps=(CollimatedLamp(lamp),)).any()
 
 
 def test_a_leaf_lets_as_much_light_through_in_either_direction():
@@ -133,7 +136,7 @@ def test_the_look_ups_show_a_sheet_alone_as_the_paths_do(representation):
     """Under a sky, from both sides: its back, a sheet that was turned over about y, and what comes through."""
     light, view = soft_sky(), {"size": (16, 16), "fov": 5.0}
     through = painted((0.1, 0.4))
-    sheet = dataclasses.replace(painted((0.2, 0.5)), through=through, back=painted((0.55, 0.05)))
+    sheet = dataclasses.replace(painted((0.2, 0.5)), through=through, back=painted((0.55, 0.05)).resized((6, 4)))
     white = light.upward_white()
     ready = prepared([plate(30.0)], [sheet], light, representation, rotations=[TURN], white=white)
     means = []
