@@ -8,9 +8,9 @@ any light from all directions, turned about the vertical axis by any angle, any 
   in each cell, the integral of radiance times direction is known. Its product with a normal is the cell's irradiance,
   exactly if all of the cell is above the horizon.
 * Light between surfaces is gathered from the texels that are seen, reflection by reflection and wavelength by
-  wavelength (radiosity). A surface sends diffuse light evenly in all directions, and a thin sheet also that which
-  passes through it. Its gloss and its mirror send on what
-  comes from the mirror direction, from a cell or another texel, with their albedo at that angle.
+  wavelength (radiosity). A surface sends diffuse light evenly in all directions, and a thin sheet also what passes
+  through it. Its gloss and its mirror send on what comes from the mirror direction, from a cell or another texel, with
+  their albedo at that angle.
 
 The number of texels is increased until light interpolated between them is close to light found at the same points.
 """

@@ -169,6 +169,7 @@ def open_mesh() -> Shape:
 
 
 @pytest.mark.stability(stage="render", case="sheet on a table")
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("shape", [plate(30.0), open_mesh()], ids=["plate", "mesh"])
 def test_light_maps_carry_light_through_a_sheet(shape, monkeypatch):
     """A leaf over a table and a ball: its shadow, what falls through it, and both sides, as the paths show them."""
@@ -241,7 +242,7 @@ def scene_of(**changes) -> Scene:
 def test_a_plan_keeps_both_sides_of_a_sheet_and_what_passes_through(tmp_path):
     """Seen from behind too, the planned picture is as near to the full model as the plan says."""
     light, options = soft_sky(), Render(pixel_side=1, min_throughput=1e-3)
-    scene = scene_of(tolerance_ciede2000=3.0, plan={})
+    scene = scene_of(tolerance_ciede2000=3.0, plan={"representation": "spectral"})
     document = plan_of("leaf", scene, [], [], light, options)
     write_plan(tmp_path / "plan.yaml", document)
     plan = read_plan(tmp_path / "plan.yaml")
