@@ -59,7 +59,9 @@ def test_what_passes_through_a_leaf_is_measured_with_the_lamp_behind_it(tmp_path
     assert abs(own.mean() - exact.mean()) < 0.01 and figures["source"] == "measured"
     assert figures["mean"] == pytest.approx(exact.mean(), rel=0.05)
     reflected = (found.coefficients @ found.basis.T)[inner]
-    assert (albedo > (reflected + own).max(axis=1) - 0.01).all()  # of both sides together
+    known = np.isfinite(reflected).all(axis=1)  # a front that few pixels show may have gaps
+    assert known.mean() > 0.9
+    assert (albedo > (reflected + own).max(axis=1) - 0.01)[known].all()  # of both sides together
 
 
 def test_a_sheet_that_no_lamp_lights_from_behind_is_refused_or_assumed(tmp_path, caplog):
