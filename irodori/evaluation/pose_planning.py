@@ -12,7 +12,7 @@ import numpy as np
 
 from irodori.capture.shot_planner.exchange import TooFewPoses
 from irodori.capture.shot_planner.fisher_information import Materials, Weighting
-from irodori.capture.shot_planner.planner import DEFAULT_CRITERION, Planner, axis_angles, default_noise
+from irodori.capture.shot_planner.planner import Planner, axis_angles, default_noise
 from irodori.config.capture_table import Pose
 from irodori.config.models import Planning, RigLimits
 from irodori.config.parts import PlannedPlate
@@ -235,8 +235,7 @@ def measure_object(name: str, planned: PlannedPlate, options: FitOptions, max_an
     rng = np.random.default_rng(_SEED)
     limits, manual = rig.limits, planner.max_manual
     designs = {
-        "planned": lambda count: [planner.best(count, criterion=DEFAULT_CRITERION).poses],
-        "planned-determinant": lambda count: [planner.best(count, criterion="determinant").poses],
+        "planned": lambda count: [planner.best(count).poses],
         "even-grid": lambda count: [even_poses(limits, count, manual, max_angle_deg)],
         "even-one-light": lambda count: [even_poses(limits, count, 1, max_angle_deg)],
         "random": lambda count: [random_poses(planner.poses, count, manual, rng) for _ in range(_RANDOM_DRAWS)],

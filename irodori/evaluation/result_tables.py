@@ -73,9 +73,8 @@ class PlanRow:
     object : str
     poses : int
     design : str
-        Choice of poses: ``planned``; ``planned-determinant``, planned with the criterion ``determinant``;
-        ``even-grid``, with as many light angles as a plan may have; ``even-one-light``, an even grid with one light
-        angle; ``random``, pooled over several draws.
+        Choice of poses: ``planned``; ``even-grid``, with as many light angles as a plan may have; ``even-one-light``,
+        an even grid with one light angle; ``random``, pooled over several draws.
     parameter : str
         ``alpha`` (absolute errors), ``beta`` or ``mu`` (relative errors).
     median, p95 : float

@@ -3,18 +3,14 @@
 A *design* is a set of poses. It is judged by the precision matrix P of (ln α, ln β, ln μ) of each case, prior included;
 every criterion is a mean over the cases, larger for a better design:
 
-``determinant``      ln det P, where P is the Fisher information: D-optimality, the volume of the confidence region
-``variance``         minus the trace of P⁻¹: A-optimality, the sum of the relative variances
-``fit-determinant``, ``fit-variance``
-                     the same for the precision that the fit reaches with its own weights
-``paint-variance``   the same as ``variance`` where the texels of a patch share β and μ, as the places of one paint do
+``variance``        minus the trace of P⁻¹, where P is the Fisher information: the sum of the relative variances
+``fit-variance``    the same for the precision that the fit reaches with its own weights
+``paint-variance``  the same as ``variance`` where the texels of a patch share β and μ, as the places of one paint do
 
 Fisher information grows by a matrix of rank one with each observation, so that a candidate is judged without a new
 inversion (the matrix determinant lemma; Sherman and Morrison). The precision of the fit, N (Σ w² v J Jᵀ)⁻¹ N with
 N = Σ w J Jᵀ, is computed anew for each candidate; a further observation can decrease it if its weight is too large.
 """
-
-import math
 
 import numba
 import numpy as np
@@ -22,7 +18,7 @@ import numpy as np
 from irodori.capture.shot_planner.fisher_information import PARAMETERS, Observations
 from irodori.jit.compilation import njit
 
-CRITERIA = ("determinant", "variance", "fit-determinant", "fit-variance", "paint-variance")
+CRITERIA = ("variance", "fit-variance", "paint-variance")
 _MIN_GAIN = 1e-9
 _MAX_PASSES = 20
 _SETTINGS_TRIED = 4
@@ -61,9 +57,9 @@ def _with_row(a, row, weight):
 
 
 @njit(cache=True, error_model="numpy")
-def _score(precision, by_determinant):
+def _score(precision):
     determinant, adjugate = _adjugate(precision)
-    return math.log(determinant) if by_determinant else -(adjugate[0] + adjugate[3] + adjugate[5]) / determinant
+    return -(adjugate[0] + adjugate[3] + adjugate[5]) / determinant
 
 
 @njit(cache=True)
@@ -100,18 +96,18 @@ def _six(a):
 
 
 @njit(cache=True)
-def _judge_fisher(jacobian, variance, state, by_determinant):
+def _judge_fisher(jacobian, variance, state):
     total = 0.0
     for c in range(variance.size):
         precision = _six(state[c])
         if variance[c] < np.inf:
             precision = _with_row(precision, jacobian[c], 1.0 / variance[c])
-        total += _score(precision, by_determinant)
+        total += _score(precision)
     return total / variance.size
 
 
 @njit(cache=True)
-def _judge_fit(jacobian, variance, weight, state, prior, by_determinant):
+def _judge_fit(jacobian, variance, weight, state, prior):
     total = 0.0
     for c in range(variance.size):
         normal, middle, count = _six(state[c]), _six(state[c, 6:]), state[c, 12]
@@ -119,7 +115,7 @@ def _judge_fit(jacobian, variance, weight, state, prior, by_determinant):
             normal = _with_row(normal, jacobian[c], weight[c])
             middle = _with_row(middle, jacobian[c], weight[c] * weight[c] * variance[c])
             count += 1.0
-        total += _score(_fit_precision(prior, normal, middle, count), by_determinant)
+        total += _score(_fit_precision(prior, normal, middle, count))
     return total / variance.size
 
 
@@ -166,16 +162,16 @@ def _judge_all_paints(seen, state, prior, allowed, patch, out):
 
 
 @njit(cache=True, parallel=True, nogil=True)
-def _judge_all(seen, state, prior, allowed, criterion, out):
-    """Fill out with the criterion of the design plus each candidate; ``criterion`` is (of_fit, by_determinant)."""
-    (jacobian, variance, _, weight), (of_fit, by_determinant) = seen, criterion
+def _judge_all(seen, state, prior, allowed, of_fit, out):
+    """Fill out with the variance, or that of the fit, of the design plus each candidate."""
+    jacobian, variance, _, weight = seen
     for p in numba.prange(allowed.size):
         if not allowed[p]:
             out[p] = -np.inf
         elif of_fit:
-            out[p] = _judge_fit(jacobian[p], variance[p], weight[p], state, prior, by_determinant)
+            out[p] = _judge_fit(jacobian[p], variance[p], weight[p], state, prior)
         else:
-            out[p] = _judge_fisher(jacobian[p], variance[p], state, by_determinant)
+            out[p] = _judge_fisher(jacobian[p], variance[p], state)
 
 
 _UPPER = np.triu_indices(PARAMETERS)
@@ -221,7 +217,6 @@ class Selection:
         self.setting = np.asarray(setting)
         self.max_manual = max_manual
         self.of_fit = criterion.startswith("fit-")
-        self.by_determinant = criterion.endswith("determinant")
         self.patch = None
         if criterion.startswith("paint-"):
             self.patch = np.zeros(1, dtype=np.int64) if patch is None else np.asarray(patch, dtype=np.int64)
@@ -246,8 +241,8 @@ class Selection:
         if self.patch is not None:
             return _judge_paints(jacobian[0], nothing, state, self.prior, self.patch)
         if self.of_fit:
-            return _judge_fit(jacobian[0], nothing, weight[0], state, self.prior, self.by_determinant)
-        return _judge_fisher(jacobian[0], nothing, state, self.by_determinant)
+            return _judge_fit(jacobian[0], nothing, weight[0], state, self.prior)
+        return _judge_fisher(jacobian[0], nothing, state)
 
     def _additions(self, chosen: list[int]) -> np.ndarray:
         """Return the criterion with each candidate added, (candidates,); minus infinity if it may not be added."""
@@ -264,7 +259,7 @@ class Selection:
         if self.patch is not None:
             _judge_all_paints(self.seen, self._state(chosen), self.prior, allowed, self.patch, out)
         else:
-            _judge_all(self.seen, self._state(chosen), self.prior, allowed, (self.of_fit, self.by_determinant), out)
+            _judge_all(self.seen, self._state(chosen), self.prior, allowed, self.of_fit, out)
         return out
 
     def _fill(self, chosen: list[int], count: int) -> tuple[list[int], float]:
@@ -334,9 +329,6 @@ def choose(
     TooFewPoses
         If there are fewer candidates than `count` within `max_manual` settings.
     """
-    selection = Selection(seen, prior, setting, max_manual, criterion, patch=patch)
-    if not selection.of_fit and selection.patch is None:
-        return selection.improve(selection.greedy(count))
-    plain = "variance" if criterion.startswith("paint-") else criterion.removeprefix("fit-")
-    fisher = Selection(seen, prior, setting, max_manual, plain)
-    return selection.improve(fisher.improve(fisher.greedy(count)))
+    fisher = Selection(seen, prior, setting, max_manual, "variance")
+    start = fisher.improve(fisher.greedy(count))
+    return Selection(seen, prior, setting, max_manual, criterion, patch=patch).improve(start)

@@ -1,9 +1,7 @@
 """Fisher information of photographs about α, β and μ of equation (5), and predicted standard errors.
 
-The parameters are (ln α, ln β, ln μ), so that their errors are relative. The determinant of the information then has
-no unit: other units of light or angle multiply a material's parameters, which shifts their logarithms and leaves the
-derivatives unchanged. With any other scale fixed for each material the determinant criterion would choose the same
-poses. A sum of variances depends on the scale; relative errors are chosen because the report states those of β and μ.
+The parameters are (ln α, ln β, ln μ), so that their errors are relative and have no unit. The best poses depend on the
+scale of the parameters, because a sum of variances does; the report states relative errors of β and μ.
 
 A *case* is one material on one texel: case = texel * materials + material. A material here has one gloss component.
 For an object with two, materials with either lobe alone are used. The poses then serve both lobes, but the separation

@@ -41,7 +41,6 @@ _SPHERE_TEXELS = 64
 _FLAT_MATERIALS, _SPHERE_MATERIALS = 40, 16
 _PRIOR_RELATIVE_ERROR = 1.0  # of each parameter before any photograph: known to a factor of e
 _TOLERANCE_DEG = 1e-6
-DEFAULT_CRITERION, CURVED_CRITERION = "fit-variance", "paint-variance"
 #: Number of patches of a curved surface that may have different paints.
 _PATCHES = 16
 #: Relative standard errors from which the fit reports β and μ as not known.
@@ -360,7 +359,7 @@ class Planner:
         useful = np.flatnonzero(np.isfinite(seen.variance).any(axis=1))
         self.poses, self.seen = [poses[i] for i in useful], seen.of(useful)
 
-    def best(self, count: int, max_manual: int | None = None, criterion: str | None = None) -> Plan:
+    def best(self, count: int, max_manual: int | None = None) -> Plan:
         """Choose poses; parameters, result and errors as in `plan_best`."""
         max_manual = self.max_manual if max_manual is None else max_manual
         parameters = self.range.parameters
@@ -373,14 +372,14 @@ class Planner:
                 f"{count} poses; accepted: at most the {len(self.poses)} in which the rig sees the object"
             )
         setting = np.unique([_hand(p) for p in self.poses], axis=0, return_inverse=True)[1].reshape(-1)
-        criterion = criterion or (DEFAULT_CRITERION if self.subject.shape.is_flat else CURVED_CRITERION)
-        patch, prior = patches(self.subject.position), _PRIOR_RELATIVE_ERROR**-2
+        criterion, patch, prior = "fit-variance", None, _PRIOR_RELATIVE_ERROR**-2
+        if not self.subject.shape.is_flat:
+            criterion, patch = "paint-variance", patches(self.subject.position)
         chosen = choose(self.seen, prior, setting, count, max_manual, criterion, patch=patch)
         order = sorted(
             chosen, key=lambda i: (self.poses[i].placement, *_hand(self.poses[i]), self.poses[i].turn_deg, i)
         )
-        shared = patch if criterion == CURVED_CRITERION else None
-        expected, fraction = expected_errors(self.seen.of(order), self.sample, shared)
+        expected, fraction = expected_errors(self.seen.of(order), self.sample, patch)
         return Plan([self.poses[i] for i in order], expected, fraction, len(self.poses), len(set(setting[order])))
 
     def expected(self, poses: list[Pose]) -> dict[str, tuple[float, float]]:
@@ -396,10 +395,13 @@ def plan_best(
     rig: Rig,
     count: int | None = None,
     max_manual: int | None = None,
-    criterion: str | None = None,
     **others,
 ) -> Plan:
     """Choose the poses that best determine α, β and μ over a range of materials.
+
+    Poses of flat shapes have the smallest variances that the fit reaches, because they include pose errors, which the
+    weights of the fit leave out, and saturated observations. Those of curved shapes have the smallest variances with
+    the gloss of paints: where it is known, one photograph tells a place's colour.
 
     Parameters
     ----------
@@ -410,10 +412,6 @@ def plan_best(
         ``plan.count``.
     max_manual : int, optional
         Largest number of different settings of light and tilt by hand; by default ``plan.max_manual``.
-    criterion : str, optional
-        See `irodori.capture.shot_planner.exchange`. The default for flat shapes gave the smallest errors in simulated
-        fits: it includes pose errors, which the weights of the fit leave out, and saturated observations. The default
-        for curved shapes reckons with the gloss of paints: where it is known, one photograph tells a place's colour.
     **others
         Further parameters of `Planner`: ``materials``, ``noise``, ``max_angle_deg``, ``clearance_deg``, ``coarse_deg``,
         ``weighting``.
@@ -425,12 +423,12 @@ def plan_best(
     Raises
     ------
     ValueError
-        For too small a count, less than one manual setting or an unknown criterion.
+        For too small a count, or less than one manual setting.
     TooFewPoses
         If the rig has fewer poses than required.
     """
     planner = Planner(definition, rig, **others)
-    return planner.best(definition.plan.count if count is None else count, max_manual, criterion)
+    return planner.best(definition.plan.count if count is None else count, max_manual)
 
 
 def expected_errors(
