@@ -2,7 +2,6 @@
 
 import math
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 
@@ -11,28 +10,12 @@ from irodori.reflection.fresnel import fresnel
 from irodori.reflection.lobes import Lobes, constants, features, value
 from irodori.reflection.registry import lobe
 
-_NODES = 128
-_GLOSS_NODES = 48
-_NO_INDEX = np.empty(0)
-_ROUGHNESSES, _COSINES, _ROUNDING = 25, 17, 1e-12
-
-
-class AlbedoTable(NamedTuple):
-    """Albedo of a lobe, tabulated over roughness and cosine of the angle.
-
-    ``albedo`` is ∫ D G / cosθ_r dω_i / π: the radiance towards an angle θ_r under uniform light of radiance 1, for
-    β F = 1. Lobes are reciprocal, so it is also the share of light from that angle that is reflected in all directions.
-    """
-
-    mu: np.ndarray  # (m,) in the unit of the lobe
-    cosine: np.ndarray  # (c,) above 0
-    albedo: np.ndarray  # (m, c)
-    error: np.ndarray  # (m,) largest difference, over the cosines, from a quadrature with half as many nodes
+_NODES = 48  # of the quadrature, along the angle from the normal and around it
 
 
 @njit(cache=True, error_model="numpy")
 def _integrate(lobes, mu, cos_r, rule, index, out):
-    """Fill ``out`` with ∫ D G / cosθ_r dω_i / π, then ∫ F D G / cosθ_r dω_i / π for each refractive index.
+    """Fill ``out`` with ∫ F D G / cosθ_r dω_i / π for each refractive index.
 
     ``rule`` has the nodes and weights of a quadrature over 0..1, ``index`` arrays of n and k. The angle of the half
     vector is substituted by φ = μ sinh t.
@@ -56,9 +39,8 @@ def _integrate(lobes, mu, cos_r, rule, index, out):
             cos_i = 2.0 * cos_h * cos_phi - cos_r
             factor, f0, f1, f2 = features(lobes, cos_i, cos_r, cos_phi, cos_h, phi)
             part = ring * weight[j] * factor * value(lobes, constant, f0, f1, f2) * 4.0 * cos_h
-            out[0] += part
             for which in range(n.size):
-                out[1 + which] += part * fresnel(cos_h, n[which], k[which])
+                out[which] += part * fresnel(cos_h, n[which], k[which])
 
 
 @njit(cache=True, error_model="numpy")
@@ -78,53 +60,22 @@ def _fill(lobes, mu, cosine, rule, index, out):
             _integrate(lobes, mu[i], cosine[j], rule, index, out[i, j])
 
 
-def _integrals(name: str, mu: np.ndarray, cosine: np.ndarray, nodes: int, n: np.ndarray, k: np.ndarray) -> np.ndarray:
-    """Return the integrals of `_integrate` with ``nodes`` nodes along each angle, (m, c, 1 + indices)."""
-    given = (np.asarray(x, dtype=np.float64).tobytes() for x in (mu, cosine, n, k))
-    return _kept_integrals(name, lobe(name).digest, nodes, *given)
-
-
 @lru_cache(maxsize=16)  # objects of a scene share lobes and refractive indices
-def _kept_integrals(name: str, digest: str, nodes: int, *given: bytes) -> np.ndarray:
+def _kept_integrals(name: str, digest: str, *given: bytes) -> np.ndarray:
+    """Return the integrals of `_integrate`, (m, c, indices)."""
     mu, cosine, n, k = (np.frombuffer(values).copy() for values in given)
-    node, weight = np.polynomial.legendre.leggauss(nodes)
-    out = np.empty((len(mu), len(cosine), 1 + len(n)))
+    node, weight = np.polynomial.legendre.leggauss(_NODES)
+    out = np.empty((len(mu), len(cosine), len(n)))
     _fill(Lobes.of(name), mu, cosine, (0.5 * (node + 1.0), 0.5 * weight), (n, k), out)
     out.flags.writeable = False
     return out
 
 
-def albedo_table(name: str, mu=None, cosine=None, nodes: int = _NODES) -> AlbedoTable:
-    """Return the albedo of a lobe for β F = 1 over roughness and viewing angle.
-
-    Parameters
-    ----------
-    name : str
-        Name of a registered lobe.
-    mu : (m,) float, optional
-        Roughnesses; by default 25 between the bounds of the lobe, evenly spaced in their logarithm.
-    cosine : (c,) float, optional
-        Cosines of the viewing angle, above 0; by default 17 from 0.01 to 1, evenly spaced in the angle.
-    nodes : int
-        Number of quadrature nodes along the angle from the normal and around it.
-
-    Raises
-    ------
-    ValueError
-        If there is no lobe of that name.
-    """
-    bounds = lobe(name).roughness
-    mu = np.geomspace(bounds.low, bounds.high, _ROUGHNESSES) if mu is None else np.atleast_1d(mu).astype(np.float64)
-    if cosine is None:
-        cosine = np.cos(np.linspace(0.0, math.acos(0.01), _COSINES))
-    cosine = np.atleast_1d(cosine).astype(np.float64)
-    fine, coarse = (_integrals(name, mu, cosine, n, _NO_INDEX, _NO_INDEX)[..., 0] for n in (nodes, nodes // 2))
-    error = np.maximum(np.abs(fine - coarse), _ROUNDING * fine).max(axis=1)
-    return AlbedoTable(mu, cosine, fine, error)
-
-
 def gloss_albedo(name: str, mu, cosine, n, k) -> np.ndarray:
     """Return the albedo of a lobe with its Fresnel reflectance, for β = 1: ∫ F D G / cosθ_r dω_i / π.
+
+    It is the radiance towards an angle θ_r under uniform light of radiance 1. Lobes are reciprocal, so it is also the
+    share of light from that angle that is reflected in all directions.
 
     Parameters
     ----------
@@ -146,5 +97,5 @@ def gloss_albedo(name: str, mu, cosine, n, k) -> np.ndarray:
     ValueError
         If there is no lobe of that name.
     """
-    mu, cosine, n, k = (np.atleast_1d(np.asarray(x, dtype=np.float64)) for x in (mu, cosine, n, k))
-    return _integrals(name, mu, cosine, _GLOSS_NODES, n, k)[..., 1:]
+    given = (np.atleast_1d(np.asarray(x, dtype=np.float64)).tobytes() for x in (mu, cosine, n, k))
+    return _kept_integrals(name, lobe(name).digest, *given)
