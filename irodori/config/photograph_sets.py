@@ -1,4 +1,4 @@
-"""Input files and parameters of the rules about photographs of objects, cameras and environments, for the Snakefile.
+"""Input files and parameters of the rules about photographs of objects, cameras and places, for the Snakefile.
 
 Quick to import. Every method with the argument `wildcards` serves as an input or parameter function of Snakemake; the
 argument is any object with the wildcards as attributes.
@@ -25,8 +25,14 @@ __all__ = ["IngestPart", "PhotographSets", "named_tables"]
 _Part = TypeVar("_Part", bound=Definition)
 
 _FOLDERS = {"objects": "results", "cameras": "results/cameras", "environments": "results/environments"}
-_ROLES = {"objects": ["object"], "cameras": ["chart", "white", "dark"], "environments": ["environment", "room-chart"]}
-_SET_OF = {"object": "objects", "camera": "cameras", "environment": "environments"}
+_ROLES = {
+    "objects": ["object"],
+    "cameras": ["chart", "white", "dark"],
+    "environments": ["environment", "room-chart"],
+    "photographs": ["scene"],
+}
+#: Kinds of sets by the wildcard with their name.
+_SET_OF = {"photograph": "photographs", "object": "objects", "camera": "cameras", "environment": "environments"}
 
 
 def named_tables(*values: Any) -> list[str]:
@@ -79,7 +85,7 @@ class PlacedUnit(NamedTuple):
 
 
 class PhotographSets:
-    """Sets of photographs of a run: of an object, of a camera's charts and white reference, or of an environment.
+    """Sets of photographs of a run: of an object, a camera's charts and white reference, an environment, or a scene.
 
     Parameters
     ----------
@@ -105,14 +111,26 @@ class PhotographSets:
         return next((kind, getattr(wildcards, key)) for key, kind in _SET_OF.items() if hasattr(wildcards, key))
 
     def _definition(self, wildcards) -> Any:
-        return self.loaded.photographed(*self._set(wildcards))
+        kind, name = self._set(wildcards)
+        if kind == "photographs":
+            return self.loaded.scenes[wildcards.scene].photographs[name]
+        return self.loaded.photographed(kind, name)
+
+    def _folder(self, wildcards) -> str:
+        """Return the folder of a set's results."""
+        kind, name = self._set(wildcards)
+        return f"results/{wildcards.scene}/photographs/{name}" if kind == "photographs" else f"{_FOLDERS[kind]}/{name}"
 
     def _is_virtual(self, wildcards) -> bool:
-        return self.loaded.is_virtual(*self._set(wildcards))
+        kind, name = self._set(wildcards)
+        if kind == "photographs":
+            return self.loaded.rigs[self.rig_of(wildcards)].kind == "virtual"
+        return self.loaded.is_virtual(kind, name)
 
     def camera_of(self, wildcards) -> str:
         """Return the name of a set's camera."""
-        return self.loaded.camera_of(*self._set(wildcards))
+        kind, name = self._set(wildcards)
+        return self._definition(wildcards).camera if kind == "photographs" else self.loaded.camera_of(kind, name)
 
     def rig_of(self, wildcards) -> str:
         """Return the name of a set's rig."""
@@ -134,14 +152,14 @@ class PhotographSets:
 
     def table(self, wildcards) -> str:
         """Return the path of a set's capture table: that of the virtual rig, or the user's own."""
-        kind, name = self._set(wildcards)
         if self._is_virtual(wildcards):
-            return f"{_FOLDERS[kind]}/{name}/captures/captures.csv"
+            return f"{self._folder(wildcards)}/captures/captures.csv"
         return self._definition(wildcards).captures.table
 
     def made(self, wildcards) -> list[str]:
         """Return, as a list, the record of the session that takes a set's photographs; empty for the user's own."""
-        return self.session_of(*self._set(wildcards))
+        taken_here = self._definition(wildcards).exposure_s is not None
+        return [f"{self._folder(wildcards)}/captures/session.json"] if taken_here else []
 
     def session_of(self, kind: str, name: str) -> list[str]:
         """Return, as a list, the record of the session that takes a set; empty for the user's own photographs."""
@@ -154,11 +172,10 @@ class PhotographSets:
 
     def own_photographs(self, wildcards) -> list[str]:
         """Return the user's table and RAW files of a set; empty if a session takes them, which records their hashes."""
-        kind, name = self._set(wildcards)
-        if self.loaded.is_taken_here(kind, name):
+        if self.made(wildcards):
             return []
-        table, folder = self.table(wildcards), self.folder(wildcards)
-        return [table, *(f"{folder}/{shot.file}" for shot in read_captures(table, folder) if shot.role in _ROLES[kind])]
+        table, folder, roles = self.table(wildcards), self.folder(wildcards), self.roles(wildcards)
+        return [table, *(f"{folder}/{shot.file}" for shot in read_captures(table, folder) if shot.role in roles)]
 
     def photographs_of_session(self, wildcards) -> dict[str, str]:
         """Return {RAW file: hash} from the table of the session that took a set; empty for the user's own."""
@@ -169,8 +186,7 @@ class PhotographSets:
 
     def checked_table(self, wildcards) -> str:
         """Return the path of the table of a set that is written after a check of every file."""
-        kind, name = self._set(wildcards)
-        return f"{_FOLDERS[kind]}/{name}/captures.csv"
+        return f"{self._folder(wildcards)}/captures.csv"
 
     def roles(self, wildcards) -> list[str]:
         """Return the roles of the photographs in a set."""

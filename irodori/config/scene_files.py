@@ -8,10 +8,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from irodori.config.capture_table import noted_hashes, read_captures
 from irodori.config.definition import as_plain
 from irodori.config.models import (
-    Camera,
     Frames,
     IlluminantChange,
     InteractiveIntegrator,
@@ -19,7 +17,6 @@ from irodori.config.models import (
     ModelledMaterial,
     ProfileDisplay,
     Scene,
-    ScenePhotograph,
     Turntable,
 )
 from irodori.config.pages import page_fault, page_rooms, page_views
@@ -257,79 +254,12 @@ class SceneFiles:
 
     # ---- photographs of scenes
 
-    def _photograph(self, wildcards) -> ScenePhotograph:
-        return self._scene(wildcards).photographs[wildcards.photograph]
-
-    def _camera(self, wildcards) -> Camera:
-        return self.loaded.cameras[self._photograph(wildcards).camera]
-
-    def _is_virtual(self, wildcards) -> bool:
-        return self.loaded.rigs[self._camera(wildcards).rig].kind == "virtual"
-
     def photograph(self, wildcards) -> dict:
         """Return the definition of a photograph of a scene."""
-        return self._photograph(wildcards).plain()
-
-    def photograph_camera(self, wildcards) -> dict:
-        """Return the definition of the camera of a photograph."""
-        return self._camera(wildcards).plain()
-
-    def photograph_rig(self, wildcards) -> dict:
-        """Return the definition of the rig of a photograph's camera."""
-        return self.loaded.rigs[self._camera(wildcards).rig].plain()
-
-    def photograph_optics(self, wildcards) -> dict:
-        """Return the optics of a photograph's camera."""
-        return as_plain(self._camera(wildcards).optics)
-
-    def photograph_lens(self, wildcards) -> list[str]:
-        """Return, as a list, the file of the measured lens of a photograph's camera; empty if it is as typed."""
-        return self.sets.lens_of(self._photograph(wildcards).camera)
-
-    def photograph_tables(self, wildcards) -> list[str]:
-        """Return the tables of spectra of a photograph's camera and its rig."""
-        camera = self._camera(wildcards)
-        return named_tables(camera, self.loaded.rigs[camera.rig])
-
-    def of_photograph(self, pattern: str) -> Callable[[Any], str]:
-        """Return a function that fills a pattern with the camera of the photograph in the wildcards."""
-        return lambda wildcards: pattern.format(camera=self._photograph(wildcards).camera)
-
-    def photograph_folder(self, wildcards) -> str:
-        """Return the folder of a photograph's RAW files."""
-        if self._is_virtual(wildcards):
-            return f"results/{wildcards.scene}/photographs/{wildcards.photograph}/captures"
-        captures = self._photograph(wildcards).captures
-        assert captures is not None  # checked: a photograph by a real camera has a table
-        return captures.folder or str(Path(captures.table).parent)
-
-    def photograph_table(self, wildcards) -> str:
-        """Return the path of a photograph's capture table: that of the virtual camera, or the user's own."""
-        captures = self._photograph(wildcards).captures
-        if self._is_virtual(wildcards) or captures is None:
-            return f"{self.photograph_folder(wildcards)}/captures.csv"
-        return captures.table
-
-    def photograph_made(self, wildcards) -> list[str]:
-        """Return, as a list, the record of the session that takes a photograph; empty for the user's own."""
-        return [f"{self.photograph_folder(wildcards)}/session.json"] if self._is_virtual(wildcards) else []
-
-    def own_photograph(self, wildcards) -> list[str]:
-        """Return the user's table and RAW files of a photograph; empty for a virtual camera, which records hashes."""
-        if self._is_virtual(wildcards):
-            return []
-        folder, table = self.photograph_folder(wildcards), self.photograph_table(wildcards)
-        return [table, *(f"{folder}/{shot.file}" for shot in read_captures(table, folder) if shot.role == "scene")]
-
-    def photographs_of_session(self, wildcards) -> dict[str, str]:
-        """Return {RAW file: hash} from the table of the virtual session of a photograph; empty for the user's own."""
-        folder, table = self.photograph_folder(wildcards), self.photograph_table(wildcards)
-        if not self._is_virtual(wildcards) or not Path(table).is_file():
-            return {}
-        return {f"{folder}/{file}": sha256 for file, sha256 in noted_hashes(table).items()}
+        return self._scene(wildcards).photographs[wildcards.photograph].plain()
 
     def photograph_radiance(self, wildcards) -> list[str]:
         """Return, as a list, the file of the radiance in front of a virtual camera; empty for a real camera."""
-        if not self._is_virtual(wildcards):
+        if not self.sets.made(wildcards):
             return []
         return [f"results/{wildcards.scene}/photographs/{wildcards.photograph}/radiance.h5"]

@@ -44,6 +44,10 @@ def test_a_set_is_found_by_its_wildcard(sets):
     assert sets.rig_of(job(environment="classroom")) == "virtual"
     assert sets.roles(job(camera="d5100-comb")) == ["chart", "white", "dark"]
     assert sets.camera_file("{camera}.h5")(job(object="tile-plate")) == "d5100-comb.h5"
+    scene = job(scene="still-life", photograph="front")
+    assert sets.folder(scene) == "results/still-life/photographs/front/captures"
+    assert sets.made(scene) == [f"{sets.folder(scene)}/session.json"] and sets.roles(scene) == ["scene"]
+    assert sets.camera_of(scene) == "d5100-comb" and not sets.own_photographs(scene)
 
 
 def test_parameters_are_plain_and_as_the_files_say(sets, scenes, definitions):
@@ -89,7 +93,7 @@ def test_scripts_make_the_parts_of_what_the_snakefile_gives(sets, scenes):
         scenes.shapes(still_life)
     )
     assert models.ScenePhotograph.of(scenes.photograph(still_life)) == scene.photographs["front"]
-    assert models.Camera.of(scenes.photograph_camera(still_life)).optics == sets.loaded.cameras[whole.camera].optics
+    assert models.Camera.of(sets.camera(still_life)).optics == sets.loaded.cameras[whole.camera].optics
 
 
 def test_options_of_stages_have_the_defaults_of_the_configuration():

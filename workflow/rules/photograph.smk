@@ -20,7 +20,7 @@ rule render_photographed:
     params:
         scene=scenes.part("objects", "bodies", "lights"),
         placed=scenes.photograph,
-        optics=scenes.photograph_optics,
+        optics=sets.optics,
         shapes=scenes.shapes,
         user_files=ledger.content(scenes.files),
         code=code_hash("irodori.rendering.photographed_view"),
@@ -31,7 +31,7 @@ rule render_photographed:
 rule capture_photograph:
     input:
         radiance="results/{scene}/photographs/{photograph}/radiance.h5",
-        user_files=ancient(scenes.photograph_tables),
+        user_files=ancient(sets.files_of_session),
     output:
         session="results/{scene}/photographs/{photograph}/captures/session.json",
     log:
@@ -45,10 +45,10 @@ rule capture_photograph:
         mem_mb=lambda wildcards, attempt: 1500 * attempt,
     params:
         placed=scenes.photograph,
-        camera=scenes.photograph_camera,
-        rig=scenes.photograph_rig,
-        table=scenes.photograph_table,
-        user_files=ledger.content(scenes.photograph_tables),
+        camera=sets.camera,
+        rig=sets.rig,
+        table=sets.table,
+        user_files=ledger.content(sets.files_of_session),
         code=code_hash("irodori.capture.stage"),
     script:
         "../scripts/capture_photograph.py"
@@ -56,9 +56,9 @@ rule capture_photograph:
 
 rule ingest_photograph:
     input:
-        made=scenes.photograph_made,
-        user_files=ancient(scenes.own_photograph),
-        reference=scenes.of_photograph("results/cameras/{camera}/reference.h5"),
+        made=sets.made,
+        user_files=ancient(sets.own_photographs),
+        reference=sets.camera_file("results/cameras/{camera}/reference.h5"),
     output:
         linear="results/{scene}/photographs/{photograph}/linear/scene.h5",
     log:
@@ -71,11 +71,11 @@ rule ingest_photograph:
     resources:
         mem_mb=lambda wildcards, attempt: 1500 * attempt,
     params:
-        table=scenes.photograph_table,
-        folder=scenes.photograph_folder,
+        table=sets.table,
+        folder=sets.folder,
         options=sets.ingest_options,
-        user_files=ledger.content(scenes.own_photograph),
-        altered=ledger.altered(scenes.photographs_of_session),
+        user_files=ledger.content(sets.own_photographs),
+        altered=ledger.altered(sets.photographs_of_session),
         code=code_hash("irodori.ingest.stage"),
     script:
         "../scripts/ingest_photograph.py"
@@ -84,11 +84,11 @@ rule ingest_photograph:
 rule compare_photograph:
     input:
         linear="results/{scene}/photographs/{photograph}/linear/scene.h5",
-        calibration=scenes.of_photograph("results/cameras/{camera}/calibration.h5"),
+        calibration=sets.camera_file("results/cameras/{camera}/calibration.h5"),
         radiance=scenes.photograph_radiance,
         materials=scenes.materials("results/{object}/material.h5"),
         environment=scenes.environment,
-        lens=scenes.photograph_lens,
+        lens=sets.lens,
         user_files=ancient(scenes.shown_files),
     output:
         comparison=report(
@@ -113,7 +113,7 @@ rule compare_photograph:
     params:
         scene=scenes.part("objects", "bodies", "lights", "display"),
         placed=scenes.photograph,
-        optics=scenes.photograph_optics,
+        optics=sets.optics,
         shapes=scenes.shapes,
         user_files=ledger.content(scenes.shown_files),
         code=code_hash("irodori.evaluation.photograph_comparison", "irodori.lens.lens_file"),
