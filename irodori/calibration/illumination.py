@@ -3,8 +3,7 @@
 A patch has a uniform reflectance, so the slope of the response across it is the slope of the light: the slopes of all
 patches determine a smooth field, exp of a polynomial in x and y, up to its scale. The dark frame between the patches
 has a uniform reflectance too, but it reflects little: light scattered in the lens from bright patches and from the
-paper, and the gloss of the frame's different surface, are as large as the vignetting. The field of the frame is
-computed for comparison only.
+paper, and the gloss of the frame's different surface, are as large as the vignetting. It is not used.
 """
 
 from dataclasses import dataclass
@@ -12,7 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from irodori.calibration.chart import Located, read_located
-from irodori.calibration.chart_grid import pitch_px
 
 _SHARE = 0.75  # of a patch's side: the square whose slope is taken, clear of blurred edges
 _DEGREES = (0, 1, 2)
@@ -21,8 +19,6 @@ _MIN_SLOPES = 12  # patches
 _ROUNDS = 12
 _CLEAR = 2.0  # standard errors by which a richer model must predict better
 _HUBER = 1.5  # standard deviations
-_STRIP = (0.4, 0.6)  # of the gap's width and of the patch's side: the part of a gap that is read
-_MIN_GAP_PX = 4.0
 
 
 @dataclass(frozen=True)
@@ -43,9 +39,6 @@ class Illumination:
         Light on the patches, the mean of each band 1; all 1 where not correctable.
     standard_error : float
         Largest standard error of the field at a patch, relative; NaN where no slope was measured.
-    frame_difference : float
-        Rms difference between the field of the dark frame and the patches' field, relative; NaN where the frame cannot
-        be read.
     """
 
     correctable: bool
@@ -54,7 +47,6 @@ class Illumination:
     per_band: bool
     field: np.ndarray
     standard_error: float
-    frame_difference: float
 
 
 def illumination(response: np.ndarray, valid: np.ndarray, located: Located, file, sample_px: int = 2) -> Illumination:
@@ -88,20 +80,17 @@ def illumination(response: np.ndarray, valid: np.ndarray, located: Located, file
     even = np.ones_like(reading.mean)
     if known.sum() < _MIN_SLOPES:
         reason = f"not correctable: slopes of {known.sum()} patches of {side_px:.1f} superpixels, {_MIN_SLOPES} needed"
-        return Illumination(False, reason, 0, False, even, np.nan, np.nan)
+        return Illumination(False, reason, 0, False, even, np.nan)
     degree, per_band = _choose(xy[known], slopes[known], weights[known])
     exponent, error = _field(xy, xy[known], slopes[known], weights[known], degree, per_band)
     field = np.exp(exponent)
     field /= field.mean(axis=0)
-    difference = _frame_difference(response, valid, located, sample_px, field)
     kind = "one a band" if per_band else "common to the bands"
     words = f"degree {degree}, {kind}, {field.min():.2f} to {field.max():.2f}, standard error {error:.2%} at most"
     if error > _MAX_STANDARD_ERROR:
         reason = f"not correctable: {words}, accepted {_MAX_STANDARD_ERROR:.0%}"
-        return Illumination(False, reason, degree, per_band, even, error, difference)
-    return Illumination(
-        True, f"corrected: {words}" if degree else "even light", degree, per_band, field, error, difference
-    )
+        return Illumination(False, reason, degree, per_band, even, error)
+    return Illumination(True, f"corrected: {words}" if degree else "even light", degree, per_band, field, error)
 
 
 def _unit(centres_px: np.ndarray) -> tuple[np.ndarray, float]:
@@ -195,44 +184,3 @@ def _field(xy_all, xy, slopes, weights, degree: int, per_band: bool) -> tuple[np
     about = terms - terms.mean(axis=0)
     variance = np.einsum("pt,btu,pu->pb", about, covariances, about)
     return exponent, float(np.sqrt(variance.max())) if degree else 0.0
-
-
-def _frame_difference(response, valid, located: Located, sample_px: int, field: np.ndarray) -> float:
-    """Return the rms difference, relative, of the frame's field from the patches'; NaN if the gaps cannot be read."""
-    from scipy import ndimage  # slow to import
-
-    rows, columns = located.rows, located.columns
-    gap_px = pitch_px(located.centres_px, rows, columns) - located.patch_side_px
-    if not gap_px >= _MIN_GAP_PX or min(rows, columns) < 3:
-        return np.nan
-    centres = located.centres_px.reshape(rows, columns, 2)
-    strips = []
-    for first, second in ((centres[:, :-1], centres[:, 1:]), (centres[:-1], centres[1:])):
-        step = (second - first).reshape(-1, 2)
-        pitch = np.linalg.norm(step, axis=1, keepdims=True)
-        across = np.linspace(-0.5, 0.5, 5)[:, None, None] * step / pitch * gap_px * _STRIP[0]
-        turned = np.stack([-step[:, 1], step[:, 0]], axis=1)
-        along = np.linspace(-0.5, 0.5, 31)[:, None, None] * turned / pitch * located.patch_side_px * _STRIP[1]
-        middle = ((first + second) / 2.0).reshape(-1, 2)
-        strips.append(np.moveaxis(middle + across[:, None] + along[None], 2, 0).reshape(len(middle), -1, 2))
-    points = np.concatenate(strips)
-    samples = (points + 0.5) * (2.0 / sample_px) - 0.5
-    where = [samples[..., 1], samples[..., 0]]
-    seen = ndimage.map_coordinates(valid.astype(float), where, order=0) > 0.5
-    bands = []
-    for band in np.moveaxis(response, -1, 0):
-        read = np.where(seen, ndimage.map_coordinates(band.astype(np.float64), where, order=1), np.nan)
-        usable = seen.mean(axis=1) > 0.5
-        bands.append([np.nanmean(row) if good else np.nan for row, good in zip(read, usable, strict=True)])
-    levels = np.array(bands).T
-    good = (np.isfinite(levels) & (np.nan_to_num(levels) > 0)).all(axis=1)
-    low, high = located.centres_px.min(axis=0), located.centres_px.max(axis=0)
-    scale_px = (high - low).max() / 2.0
-    at = (points.mean(axis=1) - (low + high) / 2.0) / scale_px
-    if good.sum() < 2 * len(_powers(2)):
-        return np.nan
-    design = np.column_stack([np.ones(good.sum()), _terms(at[good], 2)])
-    solved = np.linalg.lstsq(design, np.log(levels[good]))[0]
-    frame = np.exp(_terms(_unit(located.centres_px)[0], 2) @ solved[1:])
-    frame /= frame.mean(axis=0)
-    return float(np.sqrt(np.mean((frame / field - 1.0) ** 2)))

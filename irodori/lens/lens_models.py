@@ -67,8 +67,8 @@ class Lens:
         Focal length and its standard error, samples.
     centre, centre_error : (2,) float64
         Principal point, x then y, and its standard errors, samples.
-    coefficients, coefficient_errors : (8,) float64
-        k1, k2, p1, p2, k3, k4, k5, k6 and their standard errors; 0 for coefficients that the model does not have.
+    coefficients : (8,) float64
+        k1, k2, p1, p2, k3, k4, k5, k6; 0 for coefficients that the model does not have.
     rms : float
         RMS distance of the corners from their predicted positions, samples.
     left_out : float
@@ -81,7 +81,6 @@ class Lens:
     centre: np.ndarray
     centre_error: np.ndarray
     coefficients: np.ndarray
-    coefficient_errors: np.ndarray
     rms: float
     left_out: float
 
@@ -229,12 +228,11 @@ def _fit(
     rms, matrix, found, _, _, deviation, _, per_sheet = cv2.calibrateCameraExtended(
         points, seen, size, _matrix(focal, middle), np.zeros(8), flags=flags, criteria=stop
     )
-    coefficients, errors = np.zeros(8), np.zeros(8)
+    coefficients = np.zeros(8)
     count = min(8, found.size)
     coefficients[:count] = found.ravel()[:count]
     # The order in OpenCV is fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, ...; fixed parameters have 0.
     sigma = deviation.ravel()
-    errors[:count] = sigma[4 : 4 + count]
     return (
         Lens(
             model=model,
@@ -243,7 +241,6 @@ def _fit(
             centre=matrix[:2, 2].copy(),
             centre_error=sigma[2:4].copy(),
             coefficients=coefficients,
-            coefficient_errors=errors,
             rms=float(rms),
             left_out=np.nan,
         ),

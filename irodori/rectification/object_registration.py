@@ -191,11 +191,6 @@ class Registered:
         """Standard errors of the most probable values, (12,)."""
         return self.estimate.sigma
 
-    @property
-    def is_told(self) -> np.ndarray:
-        """Mask of the values that the photographs determine, (12,) bool."""
-        return self.estimate.told
-
 
 class FirstPlacement(NamedTuple):
     """First placement of an object: files of its photographs, and the correction that its registration found."""

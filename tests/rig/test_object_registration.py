@@ -171,9 +171,9 @@ def test_a_uniform_sphere_tells_its_place_and_nothing_of_its_turn(tmp_path, defi
     laid_off = (1.5, -1.0, 0.5, 0.0, 0.0, 0.0)
     result = found(tmp_path, definitions, definition, laid_off=laid_off)
     assert np.abs(np.array(result.correction.values[:3]) - laid_off[:3]).max() <= 0.1
-    assert result.is_told[:3].all() and not result.is_told[3:6].any()
+    assert result.estimate.told[:3].all() and not result.estimate.told[3:6].any()
     assert (result.sigma[3:6] > 0.9).all() and result.correction.values[3:] == (0.0,) * 9
-    assert not result.is_told[NAMES.index("light_deg")]
+    assert not result.estimate.told[NAMES.index("light_deg")]
 
 
 def test_an_object_far_from_where_it_is_stated_is_refused_with_the_key_that_allows_it(tmp_path, definitions):

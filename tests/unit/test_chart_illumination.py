@@ -97,15 +97,12 @@ def test_dirt_on_two_patches_does_not_rule_the_field():
     assert found.correctable and off(found, field) < 0.01
 
 
-def test_scattered_light_spoils_the_frame_and_not_the_patches():
+def test_scattered_light_changes_the_field_by_far_less_than_the_dark_frame():
     field = light_field(WIDTH, HEIGHT, 0.4)
-    clean = told(noisy(EVEN * field, np.random.default_rng(6), 0.001))
-    assert clean.frame_difference < 0.02
     # Paper on one side reflects into the lens: a veil of 2 % of white over the left, none over the right.
     veil = 0.02 * np.linspace(1.0, 0.0, WIDTH)[None, :, None]
     veiled = told(noisy(EVEN * field + veil, np.random.default_rng(6), 0.001))
-    assert veiled.frame_difference > 0.05
-    assert off(veiled, field) < 0.5 * veiled.frame_difference
+    assert off(veiled, field) < 0.1 * (veil.max() / EVEN.min())
 
 
 def test_patches_too_small_for_slopes_are_not_corrected():
@@ -122,9 +119,8 @@ def test_noise_that_hides_the_light_is_not_corrected():
     assert (found.field == 1.0).all()
 
 
-def test_without_the_patches_size_the_frame_is_not_read():
-    found = told(EVEN, replace(PLACE, patch_side_px=np.nan))
-    assert found.correctable and np.isnan(found.frame_difference)
+def test_without_the_patches_size_the_squares_tell_the_light():
+    assert told(EVEN, replace(PLACE, patch_side_px=np.nan)).correctable
 
 
 def test_six_bands_and_the_scale_of_responses_do_not_matter():

@@ -75,7 +75,7 @@ def test_camera_and_object_are_found_by_the_sheet_that_the_object_partly_hides(t
     off = np.array(found.correction.values) - lies.values
     assert np.abs(off[:3]).max() <= 0.05 and np.abs(off[3:6]).max() <= 0.05
     # The camera is found as exactly as the printed size is known: half a percent.
-    told = dict(zip(NAMES, found.is_told, strict=True))
+    told = dict(zip(NAMES, found.estimate.told, strict=True))
     assert told["camera_distance_mm"] and told["focal_length_percent"]
     assert abs(off[6]) < 5.0 and abs(off[7]) < 0.5 and np.abs(off[8:10]).max() < 0.1
     assert error_at_object_mm(found, lies, Shape.from_definition(definition.shape)) <= 0.1
@@ -88,7 +88,7 @@ def test_camera_and_object_are_found_by_the_sheet_that_the_object_partly_hides(t
 def test_without_the_sheet_a_uniform_ball_does_not_tell_where_the_camera_stands(tmp_path):
     lies = correction(**OFF)
     found = register(drawn(tmp_path, lies, BALL), BALL, SETUP, Placing())
-    assert not found.is_told[NAMES.index("camera_distance_mm")] and found.sheet is None
+    assert not found.estimate.told[NAMES.index("camera_distance_mm")] and found.sheet is None
     assert abs(found.correction.values[6] - 50.0) > 20.0
 
 
