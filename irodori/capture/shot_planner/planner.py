@@ -124,17 +124,11 @@ class Plan:
     determined_fraction : float
         Share of cases (materials on texels) with β and μ that a fit would report as known, see KNOWN_RELATIVE_ERROR; of
         a curved shape those of a patch of the surface together.
-    candidates : int
-        Number of poses from which these were chosen.
-    manual_settings : int
-        Number of different settings of light and tilt, which a person sets.
     """
 
     poses: list[Pose]
     expected: dict[str, tuple[float, float]]
     determined_fraction: float
-    candidates: int
-    manual_settings: int
 
     def lines(self) -> list[str]:
         """Return the plan as text: one line for each setting by hand and turn, and one for each expected error."""
@@ -380,7 +374,7 @@ class Planner:
             chosen, key=lambda i: (self.poses[i].placement, *_hand(self.poses[i]), self.poses[i].turn_deg, i)
         )
         expected, fraction = expected_errors(self.seen.of(order), self.sample, patch)
-        return Plan([self.poses[i] for i in order], expected, fraction, len(self.poses), len(set(setting[order])))
+        return Plan([self.poses[i] for i in order], expected, fraction)
 
     def expected(self, poses: list[Pose]) -> dict[str, tuple[float, float]]:
         """Return the expected errors of a fit to photographs in given poses, as in `Plan`."""
