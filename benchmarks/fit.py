@@ -121,7 +121,6 @@ def variants() -> dict[str, FitOptions]:
         "nlopt-reference": FitOptions(solver="nlopt-reference"),
         "nlopt-LD_LBFGS": FitOptions(solver="nlopt"),
         "varpro": FitOptions(),
-        "varpro-scan-4": FitOptions(scan_per_octave=4),
     }
 
 

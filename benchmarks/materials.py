@@ -171,7 +171,7 @@ def fit_all(measured: Measured, keep_outliers: bool = False) -> dict[str, Fitted
     out = {}
     alpha = (kept * response) @ cosine / (kept @ cosine**2)
     out["lambert"] = Fitted(np.stack([alpha, 0 * alpha, 0 * alpha + 1.0], axis=1), alpha[:, None] * cosine)
-    options = FitOptions(weights="equal", bounds=_BOUNDS, scan_per_octave=4)
+    options = FitOptions(weights="equal", bounds=_BOUNDS)
     result = fit(response, geometry, kept.astype(float), N, K, options)
     parameters = np.column_stack([result.alpha, result.gloss])
     a, b, m = (parameters[:, i, None] for i in range(3))

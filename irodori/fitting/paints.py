@@ -8,7 +8,7 @@ colour of a texel.
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -191,7 +191,7 @@ def _with_gloss(
     samples: list[Tile], labels: list[np.ndarray], paints: Paints, numbers: Iterable[int], optics: GlossModel
 ) -> Paints:
     """Return the paints after fitting the gloss of those in ``numbers`` to the texels labelled with them."""
-    nodes = replace(optics.options, scan_per_octave=2).nodes()
+    nodes = optics.options.nodes()
     gloss = dict(enumerate(paints.gloss))
     for number in numbers:
         total = sum(int((label == number).sum()) for label in labels)

@@ -28,7 +28,7 @@ _ALGORITHM, _XTOL_REL, _MAX_EVALUATIONS = nlopt.LD_LBFGS, 1e-8, 400
 MAX_LOBES = 2
 _SETTINGS = ("objective", "algorithm", "xtol_rel", "max_evaluations")
 _BOUNDS = {"alpha": (0.0, 2.0), "beta": (0.0, 1e4), "mu_rad": (0.005, 1.2), "n": (1.2, 2.5)}
-_CHOICES = {"weights": ("noise", "equal"), "refractive_index": ("fixed", "fitted"), "scan_per_octave": (2, 4)}
+_CHOICES = {"weights": ("noise", "equal"), "refractive_index": ("fixed", "fitted")}
 
 
 @dataclass(frozen=True)
@@ -40,8 +40,6 @@ class FitOptions:
     solver : str
         ``varpro`` (variable projection), ``nlopt`` (NLopt's L-BFGS in a compiled loop over texels) or
         ``nlopt-reference`` (the same from Python, with a callback for each evaluation).
-    scan_per_octave : int
-        Number of values of μ in the scan for every factor 2, equally spaced in log μ: 2 or 4.
     weights : str
         ``noise``: weighted by inverse variance if the camera's noise is known; ``equal``: equally weighted.
     model_error : float
@@ -69,7 +67,6 @@ class FitOptions:
     """
 
     solver: str = "varpro"
-    scan_per_octave: int = 2
     weights: str = "noise"
     model_error: float = 0.01
     pose_error_deg: Literal["auto"] | float = AUTO
@@ -118,11 +115,10 @@ class FitOptions:
     def nodes(self) -> np.ndarray:
         """Return log μ of the scan, in decreasing order from the upper to the lower bound.
 
-        Successive μ differ by a factor √2, or its square root; the last step may be shorter.
+        Successive μ differ by a factor √2; the last step may be shorter.
         """
         low, high = np.log(self.limits("mu_rad"))
-        step = NODE_STEP / (self.scan_per_octave // 2)
-        nodes = high - step * np.arange(int((high - low) / step + 1e-9) + 1)
+        nodes = high - NODE_STEP * np.arange(int((high - low) / NODE_STEP + 1e-9) + 1)
         return np.append(nodes[nodes > low + 1e-9], low)
 
 
@@ -322,7 +318,7 @@ def problem_of(
     camera, known = camera_noise(noise, captures)
     problem = texels.Problem(
         response, weight, geometry, np.require(clipped, requirements=["C", "W"]), n, float(k), camera, nodes,
-        options.scan_per_octave // 2, Lobes((options.lobes[0],)),
+        Lobes((options.lobes[0],)),
     )  # fmt: skip
     rules = Rules(
         *options.limits("alpha"), *options.limits("beta"), float(nodes[-1]), float(nodes[0]), known,

@@ -50,8 +50,6 @@ class Problem(NamedTuple):
         c0 and c1 of the variance c0 + c1 ρ of a response ρ by the camera's noise, for each capture.
     nodes : (nodes,) float64
         log μ of the scan, in decreasing order.
-    chains : int
-        Number of nodes for every factor √2 in μ.
     lobes : Lobes
         The lobe to fit.
     """
@@ -64,7 +62,6 @@ class Problem(NamedTuple):
     k: float
     noise: np.ndarray
     nodes: np.ndarray
-    chains: int
     lobes: Lobes
 
     def in_float64(self, texels: slice = slice(None)) -> "Problem":

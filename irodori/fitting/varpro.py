@@ -188,19 +188,18 @@ def scan(rows, problem, sums, zero):
     ----------
     rows : (ROWS, P) float64
     problem : irodori.fitting.texels.Problem
-        Its nodes, log μ, decrease in steps of `NODE_STEP` / ``chains``; the last step may be smaller.
+        Its nodes, log μ, decrease in steps of `NODE_STEP`; the last step may be smaller.
     sums : (SUMS, nodes) float64, or for eight texels (SUMS, 8 nodes)
     zero : float or lanes
         0 of the type that selects one texel or eight.
     """
     lobes, count = problem.lobes, problem.nodes.size
     if lobe_kernels.squares_at_half_octave(lobes):
-        for chain in range(problem.chains + 1):
-            first, step = (chain, problem.chains) if chain < problem.chains else (count - 1, count)
+        for first, end in ((0, count - 1), (count - 1, count)):
             constant = lobe_kernels.constants(lobes, problem.nodes[first])
             _fill_value(rows, lobes, constant)
             steepness = -2.0 * constant[0]
-            for i in range(first, count - 1 if chain < problem.chains else count, step):
+            for i in range(first, end):
                 _sum_squared_node(steepness, rows, sums, i, zero)
                 steepness *= 2.0
     else:
