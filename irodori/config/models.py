@@ -122,9 +122,6 @@ class Fit(Definition):
     #: How the fit is computed; varpro is variable projection, nlopt calls NLopt's L-BFGS from a compiled loop.
     solver: Literal["varpro", "nlopt"] = "varpro"
 
-    #: Values of the roughness that the scan tries in each octave, a factor of 2 (count).
-    scan_per_octave: Literal[2, 4] = 2
-
     #: Whether observations count by inverse variance, where the noise of the camera is known, or all the same.
     weights: Literal["noise", "equal"] = "noise"
 
