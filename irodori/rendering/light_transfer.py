@@ -278,7 +278,7 @@ class LightTransfer:
     def _trace_gloss(self, near: _Trees) -> None:
         from scipy.sparse import csr_matrix, vstack
 
-        places, self.gloss_sizes = coarse_texels(self.tracer.placements, self._shape)
+        places, self.gloss_sizes = coarse_texels(self.tracer.placements, self._shape, self.most)
         free, rows = [], []
         for points in places:
             direction = ways_out(points.facet)

@@ -40,6 +40,8 @@ _LEAST_PRODUCTS = 4
 #: Texels of an object from which products are found, about; amplitude of vectors that are not among them, relative to
 #: the largest; and that of rounding errors.
 _MOST_TEXELS, _RARE, _TINY = 1 << 14, 1e-4, 1e-7
+#: Singular value, relative to the largest, below which XYZ of stored light have one dimension less.
+_LEAST_VALUE = 1e-3
 #: Linear sRGB primaries and D65, for `rgb`: XYZ of 1, 1, 1 is the white of D65 with Y = 1.
 _XYZ_FROM_RGB = np.array(
     [[0.4123908, 0.3575843, 0.1804808], [0.2126390, 0.7151687, 0.0721923], [0.0193308, 0.1191948, 0.9505322]]
@@ -113,7 +115,7 @@ def _by_channel(values: np.ndarray, objects: Objects, light: Light, lamps, xyz_f
     return Channels(
         count=count,
         surface=width_of(count + 2),
-        light=width_of(basis.shape[1]),
+        light=_light_width(xyz_from_colour @ colour),
         coloured=coloured,
         texel_from_weights=tuple(values @ b for b in _bases(objects)),
         irradiance_from_light=colour / np.pi,
@@ -127,6 +129,15 @@ def _by_channel(values: np.ndarray, objects: Objects, light: Light, lamps, xyz_f
         xyz_from_light=xyz_from_colour @ colour,
         colour_from_light=colour,
     )
+
+
+def _light_width(xyz_from_light: np.ndarray) -> int:
+    """Return the lanes of stored light from which any XYZ can be made, for the matrix from stored light, (3, s).
+
+    The light of other objects in gloss is stored as such light.
+    """
+    values = np.linalg.svd(xyz_from_light, compute_uv=False)
+    return width_of(xyz_from_light.shape[1] + 3 - int((values > _LEAST_VALUE * values.max(initial=0.0)).sum()))
 
 
 def spectral_light_width(count: int) -> int:
@@ -254,7 +265,7 @@ def coefficient_channels(
     return Channels(
         count=count,
         surface=width_of(count + 2),
-        light=width_of(k),
+        light=_light_width(matrix @ basis),
         coloured=False,
         texel_from_weights=tuple(of_surface @ b for b in _bases(objects)),
         irradiance_from_light=of_light @ basis / np.pi,

@@ -18,8 +18,9 @@ import numpy as np
 
 from irodori.jit.compilation import njit, uncounted
 from irodori.jit.functions import as_float, lower_of, magnitude, select, truncated, upper_of
-from irodori.jit.vector_memory import channel_count, lane, load, load_like
+from irodori.jit.vector_memory import channel_count, lane, load, load_like, store
 from irodori.light.equirectangular import direction_uv, look_up
+from irodori.rendering.interactive.prefetching import prefetch
 
 FACES = 6
 _COARSEST_SIDE = 4
@@ -27,6 +28,7 @@ _COARSEST_SIDE = 4
 _FINE_SIDE = 256
 #: Samples along each side of a texel of an environment, and rows of texels that are computed at a time.
 _PARTS, _ROWS = 3, 64
+_LINE = 64  # bytes of a line of the processor's cache
 
 
 def _on_face(face: int, u: np.ndarray, v: np.ndarray) -> np.ndarray:
@@ -101,6 +103,13 @@ def from_equirectangular(picture: np.ndarray, side: int) -> Iterator[np.ndarray]
         found = np.empty((unit.size // 3, picture.shape[2]))
         look_up(picture, unit.reshape(-1, 3), found)
         yield found.reshape(*unit.shape[:2], -1)
+
+
+def on_cache_lines(count: int, dtype: type = np.float32) -> np.ndarray:
+    """Return zeros, (count,), that begin with a line of the processor's cache, so that few texels lie in two lines."""
+    room: np.ndarray = np.zeros(count + _LINE // np.dtype(dtype).itemsize, dtype)
+    first = -room.ctypes.data % _LINE // room.itemsize
+    return room[first : first + count]
 
 
 class CubePyramid(NamedTuple):
@@ -206,7 +215,7 @@ def environment_pyramid(picture: np.ndarray, stored_from_light: np.ndarray, chan
     while sides[-1] % 2 == 0 and sides[-1] // 2 >= _COARSEST_SIDE:
         sides.append(sides[-1] // 2)
     first = np.concatenate([[0], np.cumsum([FACES * (s + 2) ** 2 * channels for s in sides])])
-    texels = np.zeros(first[-1], dtype=np.float16 if half else np.float32)
+    texels = on_cache_lines(first[-1], np.float16 if half else np.float32)
     maps = [
         texels[a:b].reshape(FACES, s + 2, s + 2, channels) for a, b, s in zip(first, first[1:], sides, strict=False)
     ]
@@ -260,45 +269,110 @@ def cell_of(face, u, v, side):
     return (start + row) * stride + column, x - as_float(column), y - as_float(row)
 
 
-class MapPlace(NamedTuple):
-    """A point in a flat map, for bilinear interpolation."""
+class Corners(NamedTuple):
+    """Where the four texels around each of sixteen points are kept: see `keep_corners`."""
 
-    cell: int | np.integer  # index of the upper left of the four texels around it
-    x: float | np.floating  # fractions of the way to the next column and the next row, 0..1
-    y: float | np.floating
-
-
-@uncounted(forceinline=True)
-def opposite(place, side):
-    """Return the point of a cube map, with ``side`` texels along a face, that is opposite to another."""
-    stride = np.int64(side) + 2
-    upper, column = place.cell // stride, place.cell % stride
-    face, row = upper // stride, upper % stride
-    x, y = np.float32(side + 1 - column) - place.x, np.float32(side + 1 - row) - place.y
-    column, row = np.int64(x), np.int64(y)
-    return MapPlace(((face ^ 1) * stride + row) * stride + column, x - np.float32(column), y - np.float32(row))
+    weights: np.ndarray
+    first_weight: int  # of the upper left texel; those of the upper right, lower left and lower right follow after 16
+    texels: np.ndarray
+    first_texel: int  # index of the upper left texel; that of the lower left follows after 16
 
 
 @uncounted(forceinline=True)
-def bilinear(texels, first, stride, place, like):
-    """Interpolate a flat map bilinearly.
+def keep_corners(corners, texel, stride, place, weight):
+    """Store weights and indices of the four texels around each of sixteen points.
+
+    Weights instead of differences: non-negative values stay non-negative, also next to a sun.
 
     Parameters
     ----------
-    texels : flat array
-    first : int
-        Index of the map's first number.
-    stride : int
-        Texels per stored row.
-    place : MapPlace
-    like : vector
-        Vector with as many lanes as the map has channels.
+    corners : Corners
+    texel, stride : vectors of int
+        Index of the upper left texel, and texels from a row to the next one.
+    place : two vectors of float
+        Fractions of the way to the next column and the next row.
+    weight : vector of float
+        Sum of the weights.
     """
-    width, fx, fy = channel_count(like), place.x, place.y
-    a = first + place.cell * width
-    b = a + stride * width
-    # Sums with weights instead of differences: non-negative values stay non-negative, also next to a sun.
-    left, upper = 1.0 - fx, 1.0 - fy
-    top = left * load_like(texels, a, like) + fx * load_like(texels, a + width, like)
-    bottom = left * load_like(texels, b, like) + fx * load_like(texels, b + width, like)
-    return upper * top + fy * bottom
+    weights, first, texels, number = corners
+    x, y = place
+    right, upper = weight * x, 1.0 - y
+    left = weight - right
+    store(weights, first, upper * left)
+    store(weights, first + 16, upper * right)
+    store(weights, first + 32, y * left)
+    store(weights, first + 48, y * right)
+    store(texels, number, texel)
+    store(texels, number + 16, texel + stride)
+
+
+@uncounted(forceinline=True)
+def corners_apart(array, corners, ray, steps, like):
+    """Add up the four texels around one of the points of `keep_corners`, with their weights.
+
+    Parameters
+    ----------
+    array : flat array
+    corners : Corners
+    ray : int
+        Number of the point.
+    steps : (int, int)
+        Numbers of a texel, and numbers from the left texel to the right one.
+    like : vector
+        Vector with as many lanes as there are numbers to read at each of the four places.
+    """
+    upper, lower, weights = texels_kept(corners, ray)
+    return mix_corners(array, (upper * steps[0], lower * steps[0], steps[1]), weights, like)
+
+
+@uncounted(forceinline=True)
+def texels_kept(corners, ray):
+    """Return the texels to the upper and lower left of a point, the array of weights, and the index of the first."""
+    weights, first, texels, number = corners
+    return np.int64(texels[number + ray]), np.int64(texels[number + 16 + ray]), (weights, first + ray)
+
+
+@uncounted(forceinline=True)
+def opposite_texel(texel, side):
+    """Return the texel of a cube map, with ``side`` texels along a face, that is opposite to another."""
+    size = (np.int64(side) + 2) * (np.int64(side) + 2)
+    return ((texel // size) ^ 1) * size + size - 1 - texel % size
+
+
+@uncounted(forceinline=True)
+def mix_corners(array, places, weights, like):
+    """Add up four texels with their weights.
+
+    Parameters
+    ----------
+    array : flat array
+    places : (int, int, int)
+        Index of the first number of the upper left and of the lower left texel, and numbers from these to the right.
+    weights : (array, int)
+        See `texels_kept`.
+    like : vector
+        Vector with as many lanes as there are numbers to read at each of the four places.
+    """
+    (upper, lower, right), (weights, at) = places, weights
+    top = weights[at] * load_like(array, upper, like) + weights[at + 16] * load_like(array, upper + right, like)
+    bottom = weights[at + 32] * load_like(array, lower, like)
+    return top + (bottom + weights[at + 48] * load_like(array, lower + right, like))
+
+
+@uncounted(forceinline=True)
+def at_corners(array, corners, ray, like):
+    """Add up four adjacent texels like `corners_apart`; a texel has as many numbers as ``like`` has lanes."""
+    width = channel_count(like)
+    return corners_apart(array, corners, ray, (width, width), like)
+
+
+@uncounted(forceinline=True)
+def prefetch_corners(array, corners, ray, width):
+    """Ask for the texels that `at_corners` reads soon; ``width`` is the count of their numbers."""
+    upper = np.int64(corners.texels[corners.first_texel + ray]) * width
+    lower = np.int64(corners.texels[corners.first_texel + 16 + ray]) * width
+    prefetch(array, upper)
+    prefetch(array, lower)
+    if width > 8:  # else they are mostly in one line
+        prefetch(array, upper + width)
+        prefetch(array, lower + width)

@@ -23,6 +23,7 @@ from irodori.rendering.interactive.packets import KEPT, PATHS, RAYS, TILE
 from irodori.rendering.interactive.prepared_scene import (
     FrameView,
     PreparedWorld,
+    joined,
     make_query,
     make_seen,
     make_world,
@@ -99,7 +100,7 @@ class Prepared:
         """Replace the light maps by others of the same texels, whose spectra are in the span of the same basis."""
         placements, channels = self.owned[2], self.channels
         assert channels is not None  # of a scene that `prepare_scene` made
-        baked = np.concatenate(stored_maps(maps, placements, channels))
+        baked = joined(stored_maps(maps, placements, channels))
         self.world = self.world._replace(baked=baked, **make_seen(maps, placements, channels))
 
     def forget(self) -> None:

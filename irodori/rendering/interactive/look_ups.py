@@ -3,21 +3,45 @@
 import numpy as np
 
 from irodori.jit.compilation import uncounted
-from irodori.jit.functions import as_float, bits_as_float, bits_as_int, lower_of, root, truncated, upper_of
-from irodori.jit.vector_memory import gather, lane, load, load_like, numbered, pair_mixed, spread, store
+from irodori.jit.functions import as_float, bits_as_float, bits_as_int, lower_of, root, select, truncated, upper_of
+from irodori.jit.vector_memory import (
+    gather,
+    lane,
+    load,
+    load_like,
+    mask_bits,
+    numbered,
+    pair_mixed,
+    spread,
+    store,
+    zeros_like,
+)
 from irodori.reflection.fresnel import fresnel
-from irodori.rendering.interactive.cube_maps import MapPlace, bilinear, cell_of, face_of
+from irodori.rendering.interactive.cube_maps import (
+    Corners,
+    at_corners,
+    cell_of,
+    corners_apart,
+    face_of,
+    keep_corners,
+    prefetch_corners,
+)
 from irodori.rendering.interactive.packets import (
     COSINE,
     DIRECTION,
     LIT_MIRROR,
     LIT_NORMAL,
+    MAP_U,
     NORMAL,
     OBJECT,
     RAYS,
     REFLECTED,
     SPREAD,
     STRIDE,
+    THROUGHPUT,
+    nodes_around,
+    of_shapes,
+    texel_of,
     turned,
 )
 from irodori.rendering.interactive.representation_layout import (
@@ -25,19 +49,42 @@ from irodori.rendering.interactive.representation_layout import (
     light_black,
     light_lanes,
     pair_black,
-    seen_black,
+    seen_cells_black,
     seen_lanes,
     surface_black,
     surface_lanes,
 )
-from irodori.rendering.interactive.round_lobes import ENTRY, POWER, TAPS
+from irodori.rendering.interactive.round_lobes import ANGLES, ENTRY, POWER, ROUGHNESSES, TAPS
 
-# Fields of a look-up, each sixteen wide, and whole numbers.
-_X, _Y, _MIX, _WEIGHT, _COS_H, _FIELDS = 0, 1, 2, 3, 4, 5
-_CELL, _LEVEL, _NUMBERS = 0, 1, 2
-# After those of the taps: a hit's look-up in the surroundings of its object, see `surroundings`.
-_SEEN_X, _SEEN_Y, _SEEN_CELL = TAPS * _FIELDS, TAPS * _FIELDS + 1, TAPS * _NUMBERS
-LOOK_FIELDS, LOOK_NUMBERS = TAPS * _FIELDS + 2, TAPS * _NUMBERS + 1
+# Fields of a look-up, each sixteen wide, and whole numbers; see `Corners` for the first of both.
+_WEIGHT, _COS_H, _FIELDS = 4, 5, 6
+_NUMBERS = 2
+#: Cube maps of surroundings that are mixed at each node of a mesh.
+LINKS = 3
+# After those of the taps: how far the level is from the next, and a hit's look-up in the surroundings of its object:
+# weights of the four texels around it, and fractions of the way to the next cell of their cubes.
+_MIX, _SEEN, _SEEN_X, _SEEN_Y = TAPS * _FIELDS, TAPS * _FIELDS + 1, TAPS * _FIELDS + 5, TAPS * _FIELDS + 6
+_SEEN_CELL = TAPS * _NUMBERS
+LOOK_FIELDS, LOOK_NUMBERS = TAPS * _FIELDS + 7, TAPS * _NUMBERS + 2
+#: Share of the next level below which it is left out.
+_LEAST_MIX = 0.01
+
+
+@uncounted(forceinline=True)
+def _corners(hits, tap):
+    """Return where the texels of a lobe, or of one of the sky's two levels, are kept."""
+    return Corners(hits.look, tap * _FIELDS * RAYS, hits.look_i, tap * _NUMBERS * RAYS)
+
+
+@uncounted(forceinline=True)
+def _seen_corners(hits):
+    return Corners(hits.look, _SEEN * RAYS, hits.look_i, _SEEN_CELL * RAYS)
+
+
+@uncounted(forceinline=True)
+def cells_of(world):
+    """Return the number of cells of a cube map of surroundings."""
+    return 6 * (world.seen_side + 2) * (world.seen_side + 2)
 
 
 @uncounted(forceinline=True)
@@ -60,58 +107,58 @@ def logarithm(x):
 
 
 @uncounted(forceinline=True)
-def find_sky(world, frame, paths, base, hits):
-    """Compute where sixteen paths from ``base`` on look up the sky, in the two levels nearest to their cones' width."""
+def find_sky(job, paths, base, hits, missed):
+    """Compute where sixteen paths from ``base`` on look up the sky, in the two levels nearest to their cones' width.
+
+    Returns whether any of them looks the second one up. Weights include the throughput unless paths are coloured.
+    """
     dx, dy, dz = (
         load(paths.f, DIRECTION * STRIDE + base, 16),
         load(paths.f, (DIRECTION + 1) * STRIDE + base, 16),
         load(paths.f, (DIRECTION + 2) * STRIDE + base, 16),
     )
-    look, number, turn = hits.look, hits.look_i, frame.light_from_world
+    world, layout, turn = job.world, job.layout, job.frame.light_from_world
     face, u, v = face_of(turned(turn, 0, dx, dy, dz), turned(turn, 1, dx, dy, dz), turned(turn, 2, dx, dy, dz))
     width = load(paths.f, SPREAD * STRIDE + base, 16)
     last = float(world.environment_levels - 1)
     level = logarithm(upper_of(width * world.texels_per_rad, 1.0))
     level = lower_of(upper_of(level, 0.0), last)
     lower = truncated(level)
-    store(look, _MIX * RAYS, level - as_float(lower))
+    mix = level - as_float(lower)
+    mix = select(mix > _LEAST_MIX, mix, 0.0)
+    weight = spread(np.float32(1.0), 16)
+    if not is_coloured(layout):
+        weight = load(paths.f, THROUGHPUT * STRIDE + base, 16)
+    blends = mask_bits(mix > 0.0) != 0
     for step in range(2):
-        chosen = truncated(lower_of(as_float(lower + step), last))
-        side = as_float(gather(world.environment_side, chosen))
-        cell, x, y = cell_of(face, u, v, side)
-        store(number, (step * _NUMBERS + _CELL) * RAYS, cell)
-        store(number, (step * _NUMBERS + _LEVEL) * RAYS, chosen)
-        store(look, (step * _FIELDS + _X) * RAYS, x)
-        store(look, (step * _FIELDS + _Y) * RAYS, y)
+        if step == 0 or blends:
+            chosen = truncated(lower_of(as_float(lower + step), last))
+            side = gather(world.environment_side, chosen)
+            cell, x, y = cell_of(face, u, v, as_float(side))
+            cell = cell + gather(world.environment_first, chosen)
+            keep_corners(_corners(hits, step), cell, side + 2, (x, y), weight * (mix if step else 1.0 - mix))
+            for ray in range(RAYS):
+                if (missed >> ray) & 1:
+                    prefetch_corners(world.environment, _corners(hits, step), ray, light_lanes(layout))
+    return blends
 
 
 @uncounted(forceinline=True)
-def _place(hits, ray, number):
-    """Return the map point of one ray's look-up ``number``: the number of a lobe, or of one of the sky's two levels."""
-    cell = np.int64(hits.look_i[(number * _NUMBERS + _CELL) * RAYS + ray])
-    look, at = hits.look, number * _FIELDS
-    return MapPlace(cell, look[(at + _X) * RAYS + ray], look[(at + _Y) * RAYS + ray])
-
-
-@uncounted(forceinline=True)
-def sky_at(world, layout, hits, ray):
-    """Return the sky's light, in stored form, for one ray of the packet."""
-    like = light_black(layout)
-    level = hits.look_i[_LEVEL * RAYS + ray]
-    first, stride = world.environment_first[level], world.environment_side[level] + 2
-    found = bilinear(world.environment, first, stride, _place(hits, ray, 0), like)
-    mix = hits.look[_MIX * RAYS + ray]
-    if mix > 0.01:
-        level = hits.look_i[(_NUMBERS + _LEVEL) * RAYS + ray]
-        first, stride = world.environment_first[level], world.environment_side[level] + 2
-        found = (1.0 - mix) * found + mix * bilinear(world.environment, first, stride, _place(hits, ray, 1), like)
+def sky_at(world, layout, hits, ray, blends):
+    """Return the sky's light, in stored form, for one ray of the packet, times the weight of `find_sky`."""
+    found = at_corners(world.environment, _corners(hits, 0), ray, light_black(layout))
+    if blends:
+        found = found + at_corners(world.environment, _corners(hits, 1), ray, found)
     return found
 
 
 @uncounted(forceinline=True)
-def find_lobes(world, layout, hits, entries):
-    """Compute where the four lobes of a row are looked up for a packet's hits, from their table entries."""
-    hit, look, number = hits.f, hits.look, hits.look_i
+def find_lobes(world, layout, hits, entries, placed):
+    """Compute where the four lobes of a row are looked up for a packet's hits, from their table entries.
+
+    ``placed`` is the result of `irodori.rendering.interactive.packets.place_hits`.
+    """
+    hit, look = hits.f, hits.look
     cosine = load(hit, COSINE * RAYS, 16)
     nx, ny, nz = (
         load(hit, LIT_NORMAL * RAYS, 16),
@@ -127,14 +174,12 @@ def find_lobes(world, layout, hits, entries):
     last = float(world.gloss_levels - 1)
     level = lower_of(upper_of(gather(entries, at) - world.gloss_level, 0.0), last)
     lower = truncated(level)
-    side = as_float(gather(world.gloss_side, lower))
+    side, first_texel = gather(world.gloss_side, lower), gather(world.gloss_first, lower)
     store(look, _MIX * RAYS, level - as_float(lower))
-    store(number, _LEVEL * RAYS, lower)
     sine2 = 1.0 - cosine * cosine
     power = gather(entries, at + POWER)
-    object_ = load(hits.i, OBJECT * RAYS, 16)
     width = surface_lanes(layout)
-    n, k = gather(world.index, object_ * (2 * width)), gather(world.index, object_ * (2 * width) + width)
+    n, k = of_shapes(world.index, 2 * width, 0, placed), of_shapes(world.index, 2 * width, width, placed)
     along_mirror, along_normal = 0.0 * cosine, 0.0 * cosine  # of the sum of the lobes' directions
     for tap in range(TAPS):
         weight, p = gather(entries, at + (1 + 3 * tap)), gather(entries, at + (2 + 3 * tap))
@@ -143,13 +188,11 @@ def find_lobes(world, layout, hits, entries):
         ax, ay, az = p * rx + q * nx, p * ry + q * ny, p * rz + q * nz
         along_mirror, along_normal = along_mirror + weight * p, along_normal + weight * q
         face, u, v = face_of(ax, ay, az)
-        cell, x, y = cell_of(face, u, v, side)
-        store(number, (tap * _NUMBERS + _CELL) * RAYS, cell)
-        store(look, (tap * _FIELDS + _X) * RAYS, x)
-        store(look, (tap * _FIELDS + _Y) * RAYS, y)
+        cell, x, y = cell_of(face, u, v, as_float(side))
         weight = weight * power
         if not is_coloured(layout):
             weight = weight * fresnel(cos_h, n, k)
+        keep_corners(_corners(hits, tap), cell + first_texel, side + 2, (x, y), weight)
         store(look, (tap * _FIELDS + _WEIGHT) * RAYS, weight)
         store(look, (tap * _FIELDS + _COS_H) * RAYS, cos_h)
     if world.seen_maps > 0:
@@ -160,43 +203,52 @@ def find_lobes(world, layout, hits, entries):
             along_mirror * load(hit, (REFLECTED + 2) * RAYS, 16) + along_normal * load(hit, (NORMAL + 2) * RAYS, 16),
         )
         cell, x, y = cell_of(face, u, v, spread(np.float32(world.seen_side), 16))
-        store(number, _SEEN_CELL * RAYS, cell)
+        columns, rows = of_shapes(world.seen_size, 2, 0, placed), of_shapes(world.seen_size, 2, 1, placed)
+        texel, stride, place = texel_of(hit, MAP_U, columns, rows)
         store(look, _SEEN_X * RAYS, x)
         store(look, _SEEN_Y * RAYS, y)
+        cell = cell + (texel + of_shapes(world.seen_first, 1, 0, placed)) * cells_of(world)
+        keep_corners(_seen_corners(hits), cell, stride * cells_of(world), place, spread(np.float32(1.0), 16))
 
 
 @uncounted(forceinline=True)
-def surroundings(world, layout, hits, ray, place):
-    """Return what the mean direction of a hit's lobes sees: the share of free directions, then light of other objects.
+def surroundings(world, layout, hits, ray):
+    """Return what a hit's lobes see in their mean direction: the share of free directions, then others' light."""
+    # A cell, the one below it, and the two to the right of them are read at once.
+    like, width = seen_cells_black(layout), 2 * seen_lanes(layout)
+    if world.baked_size[2 * hits.i[OBJECT * RAYS + ray] + 1] == 0.0:
+        found = _around_nodes(world, hits, ray, width, like)
+    else:
+        found = corners_apart(world.seen, _seen_corners(hits), ray, (width, cells_of(world) * width), like)
+    return pair_mixed(pair_mixed(found, hits.look[_SEEN_X * RAYS + ray]), hits.look[_SEEN_Y * RAYS + ray])
 
-    ``place`` is the place of the hit on its object, u and v.
-    """
-    shape, (u, v) = hits.i[OBJECT * RAYS + ray], place
-    columns, rows, half = world.seen_size[2 * shape], world.seen_size[2 * shape + 1], np.float32(0.5)
-    x = min(max(u * columns + half, np.float32(0.0)), columns + half)
-    y = min(max(v * rows + half, np.float32(0.0)), rows + half)
-    column, row = np.int64(x), np.int64(y)
-    fx, fy = x - np.float32(column), y - np.float32(row)
+
+@uncounted()
+def _around_nodes(world, hits, ray, width, like):
+    """Add up the four cells that a hit on a mesh looks up, of the cube maps next to the nodes around it."""
+    shape, found = hits.i[OBJECT * RAYS + ray], zeros_like(like)
+    first, places, weights = nodes_around(world, hits, ray, shape)
+    # Maps of meshes have no columns, so that this is the cell of the object's first map.
     cell = np.int64(hits.look_i[_SEEN_CELL * RAYS + ray])
-    towards = MapPlace(cell, hits.look[_SEEN_X * RAYS + ray], hits.look[_SEEN_Y * RAYS + ray])
-    side, like, left, upper = np.int64(world.seen_side) + 2, seen_black(layout), half + half - fx, half + half - fy
-    size = 6 * side * side * seen_lanes(layout)
-    at = world.seen_first[shape] + (row * (np.int64(columns) + 2) + column) * size
-    below = at + (np.int64(columns) + 2) * size
-    top = left * bilinear(world.seen, at, side, towards, like)
-    top = top + fx * bilinear(world.seen, at + size, side, towards, like)
-    bottom = left * bilinear(world.seen, below, side, towards, like)
-    bottom = bottom + fx * bilinear(world.seen, below + size, side, towards, like)
-    return upper * top + fy * bottom
+    for corner in range(3):
+        node = (np.int64(world.seen_nodes[shape]) + world.baked_corners[first + places[corner]]) * LINKS
+        for number in range(node, node + LINKS):
+            weight = np.float32(weights[corner]) * world.seen_shares[number]
+            at = (cell + np.int64(world.seen_links[number]) * cells_of(world)) * width
+            found = found + weight * load_like(world.seen, at, found)
+    return found
 
 
 @uncounted(forceinline=True)
 def lobe_at(world, layout, hits, ray, tap):
-    """Return the blurred light for one lobe of one hit, in stored form, without the lobe's weight."""
-    level = hits.look_i[_LEVEL * RAYS + ray]
-    first, stride = world.gloss_first[level], world.gloss_side[level] + 2
-    found = bilinear(world.gloss, first, stride, _place(hits, ray, tap), pair_black(layout))
-    return pair_mixed(found, hits.look[_MIX * RAYS + ray])
+    """Return the blurred light of two levels for one lobe of one hit, in stored form, times the lobe's weight."""
+    return at_corners(world.gloss, _corners(hits, tap), ray, pair_black(layout))
+
+
+@uncounted(forceinline=True)
+def of_level(hits, ray, pair):
+    """Return blurred light between the two levels of a hit's look-ups."""
+    return pair_mixed(pair, hits.look[_MIX * RAYS + ray])
 
 
 @uncounted(forceinline=True)
@@ -209,3 +261,19 @@ def lobe_weight(look, ray, tap):
 def lobe_incidence(look, ray, tap):
     """Return cosθ_H of one lobe of one hit."""
     return look[(tap * _FIELDS + _COS_H) * RAYS + ray]
+
+
+@uncounted(forceinline=True)
+def find_entries(hits, places):
+    """Compute where sixteen hits are looked up in the table of lobes, from their roughness coordinates."""
+    x = root(load(hits.f, COSINE * RAYS, 16)) * (ANGLES - 1)
+    y = lower_of(upper_of(places, 0.0), ROUGHNESSES - 1)
+    column, row = truncated(lower_of(x, ANGLES - 2)), truncated(lower_of(y, ROUGHNESSES - 2))
+    place, one = (x - as_float(column), y - as_float(row)), spread(np.float32(1.0), 16)
+    keep_corners(_corners(hits, 0), row * ANGLES + column, spread(ANGLES, 16), place, one)
+
+
+@uncounted(forceinline=True)
+def entry_at(world, hits, ray, first):
+    """Return the entry of one hit in the table of lobes whose first number has the index ``first``."""
+    return at_corners(world.rows[first:], _corners(hits, 0), ray, load(world.rows, 0, ENTRY))

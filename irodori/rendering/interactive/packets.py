@@ -7,18 +7,22 @@ from numba import types
 
 from irodori.geometry.embree import NO_HIT, Ray
 from irodori.geometry.shape_dispatch import chain, lane_chain, lanes_are
-from irodori.geometry.shapes.shape_rows import BEHIND, COLUMNS, HIGH, KIND, RADIUS, ROWS, SHAPE, TURN, WIDE
+from irodori.geometry.shapes.mesh_nodes import lattice_place
+from irodori.geometry.shapes.shape_rows import BEHIND, CENTRE, COLUMNS, HIGH, KIND, RADIUS, ROWS, SHAPE, TURN, WIDE
+from irodori.geometry.shapes.surface_nodes import warped_place
 from irodori.geometry.surfaces import surface_at
 from irodori.jit.c_functions import c_function
 from irodori.jit.compilation import uncounted
 from irodori.jit.functions import as_float, bits_as_float, bits_as_int, lower_of, magnitude, select, truncated, upper_of
-from irodori.jit.vector_memory import gather, load, mask_bits, numbered, spread, store
-from irodori.rendering.interactive.cube_maps import cell_of, face_of
+from irodori.jit.vector_memory import gather, largest, load, mask_bits, numbered, spread, store
+from irodori.rendering.interactive.cube_maps import Corners, cell_of, face_of, keep_corners
 from irodori.rendering.interactive.representation_layout import has_sheets
 
 RAYS = 16
 TILE = 16  # pixels along a side
 PATHS = TILE * TILE
+#: Numbers per object for the light map of an endless plane, see `irodori.rendering.map_layouts.Layout`.
+GRID = 4
 #: Height, relative to the coordinates, by which points of hits are raised above the surface: 32 float32 steps.
 _RISE = 2.0**-18
 #: Least cosine of a curved shape at a hit: rounding at the outline may make it slightly negative.
@@ -54,6 +58,16 @@ class Packet(NamedTuple):
     facet: np.ndarray  # (3,) float64
 
 
+class Placed(NamedTuple):
+    """Shapes of a packet's hits, and distances."""
+
+    shape: np.ndarray  # vector of int32; rays without a hit have that of another one
+    kind: np.ndarray  # vector of float32
+    distance: np.ndarray  # vector of float32, mm
+    first: int | np.integer  # the only shape, if all rays hit the same
+    alike: bool  # whether they do
+
+
 class TilePaths(NamedTuple):
     """Active paths of a tile; field f of path j is at ``f * STRIDE + j``."""
 
@@ -67,13 +81,15 @@ ORIGIN, DIRECTION, THROUGHPUT, CONE, SPREAD, PATH_FIELDS = 0, 3, 6, 7, 8, 9
 
 # Fields of a packet's hits, each sixteen wide.
 POINT, NORMAL, FACET, TEXTURE_U, TEXTURE_V = 0, 3, 6, 9, 10
-COSINE, REFLECTED, TEXEL_X, TEXEL_Y, NORMAL_X, NORMAL_Y = 11, 12, 15, 16, 17, 18
-LIT_NORMAL, LIT_MIRROR, NEXT, WIDTH = 20, 23, 26, 27
-SIZE = 29
+COSINE, REFLECTED, NEXT, WIDTH, SIZE = 11, 12, 15, 16, 17
+LIT_NORMAL, LIT_MIRROR = 18, 21
 # The weights of a triangle's second and third corner.
-BARYCENTRIC_B, BARYCENTRIC_C, HIT_FIELDS = 28, 30, 31
+BARYCENTRIC_B, BARYCENTRIC_C = 24, 25
+# The place of a hit in its object's light map; the weights of the four texels around it in the texture, and in the
+# light map or the irradiance.
+MAP_U, MAP_V, _TEXEL_WEIGHTS, _LIGHT_WEIGHTS, HIT_FIELDS = 26, 27, 28, 32, 36
 # Integer fields of a packet's hits.
-OBJECT, TEXEL, NORMAL_CELL, TRIANGLE, HIT_NUMBERS = 0, 1, 2, 3, 4
+OBJECT, TRIANGLE, _TEXEL, _LIGHT_TEXEL, HIT_NUMBERS = 0, 1, 2, 4, 6
 
 
 #: Number of float32 and of float64 in a packet.
@@ -191,14 +207,64 @@ def distances(packet):
 
 
 @uncounted(forceinline=True)
-def _onto_shapes(world, hit, shape, point):
+def of_shapes(table, size, field, placed):
+    """Return one of the ``size`` numbers that a table has for each shape, for the shapes of a packet's hits."""
+    if placed.alike:  # as most packets are
+        return spread(table[placed.first * size + field], 16)
+    return gather(table, placed.shape * size + field)
+
+
+@uncounted(forceinline=True)
+def texture_corners(hits):
+    """Return where the texels around the hits in the textures are kept."""
+    return Corners(hits.f, _TEXEL_WEIGHTS * RAYS, hits.i, _TEXEL * RAYS)
+
+
+@uncounted(forceinline=True)
+def light_corners(hits):
+    """Return where the texels around the hits in light maps, or around their normals in the irradiance, are kept."""
+    return Corners(hits.f, _LIGHT_WEIGHTS * RAYS, hits.i, _LIGHT_TEXEL * RAYS)
+
+
+@uncounted(forceinline=True)
+def texel_of(hit, field, columns, rows):
+    """Return the upper left of the four texels around hits in bordered maps, texels a row, and fractions to the next.
+
+    ``field`` is that of the hits' first texture coordinate; the second follows.
+    """
+    u, v = load(hit, field * RAYS, 16), load(hit, (field + 1) * RAYS, 16)
+    x = lower_of(upper_of(u * columns + 0.5, 0.0), columns + 0.5)
+    y = lower_of(upper_of(v * rows + 0.5, 0.0), rows + 0.5)
+    column, row, stride = truncated(x), truncated(y), truncated(columns) + 2
+    return row * stride + column, stride, (x - as_float(column), y - as_float(row))
+
+
+@uncounted(forceinline=True)
+def _onto_shapes(world, hit, placed, point):
     """Move hit points exactly onto their shapes; fill points, normals and texture coordinates."""
-    table, at, (px, py, pz) = world.shape, shape * SHAPE, point
-    cx, cy, cz = gather(table, at), gather(table, at + 1), gather(table, at + 2)
-    radius, kind = gather(table, at + RADIUS), gather(table, at + KIND)
-    r00, r01, r02 = gather(table, at + TURN), gather(table, at + (TURN + 1)), gather(table, at + (TURN + 2))
-    r10, r11, r12 = gather(table, at + (TURN + 3)), gather(table, at + (TURN + 4)), gather(table, at + (TURN + 5))
-    r20, r21, r22 = gather(table, at + (TURN + 6)), gather(table, at + (TURN + 7)), gather(table, at + (TURN + 8))
+    table, (px, py, pz) = world.shape, point
+    cx, cy, cz = (
+        of_shapes(table, SHAPE, 0, placed),
+        of_shapes(table, SHAPE, 1, placed),
+        of_shapes(table, SHAPE, 2, placed),
+    )
+    radius, kind = of_shapes(table, SHAPE, RADIUS, placed), placed.kind
+    r00, r01, r02 = (
+        of_shapes(table, SHAPE, TURN, placed),
+        of_shapes(table, SHAPE, TURN + 1, placed),
+        of_shapes(table, SHAPE, TURN + 2, placed),
+    )
+    r10, r11, r12 = (
+        of_shapes(table, SHAPE, TURN + 3, placed),
+        of_shapes(table, SHAPE, TURN + 4, placed),
+        of_shapes(table, SHAPE, TURN + 5, placed),
+    )
+    r20, r21, r22 = (
+        of_shapes(table, SHAPE, TURN + 6, placed),
+        of_shapes(table, SHAPE, TURN + 7, placed),
+        of_shapes(table, SHAPE, TURN + 8, placed),
+    )
+    store(hit, SIZE * RAYS, radius)
     x, y, z, nx, ny, nz = _point(kind, (px - cx, py - cy, pz - cz), (r02, r12, r22), radius)
     store(hit, POINT * RAYS, cx + x)
     store(hit, (POINT + 1) * RAYS, cy + y)
@@ -208,10 +274,9 @@ def _onto_shapes(world, hit, shape, point):
         store(hit, (NORMAL + 3 * field + 1) * RAYS, ny)
         store(hit, (NORMAL + 3 * field + 2) * RAYS, nz)
     local = x * r00 + y * r10 + z * r20, x * r01 + y * r11 + z * r21, x * r02 + y * r12 + z * r22
-    u, v = _texture(kind, local, gather(table, at + WIDE), gather(table, at + HIGH))
+    u, v = _texture(kind, local, of_shapes(table, SHAPE, WIDE, placed), of_shapes(table, SHAPE, HIGH, placed))
     store(hit, TEXTURE_U * RAYS, u)
     store(hit, TEXTURE_V * RAYS, v)
-    return kind
 
 
 @uncounted()
@@ -238,28 +303,61 @@ def _onto_shape(world, packet, hits, lane, shape):
 
 @uncounted(forceinline=True)
 def place_hits(world, scratch, base, met):
-    """Fill points, normals and texture coordinates of the hits that the mask ``met`` selects.
-
-    Returns
-    -------
-    shape, kind : vectors of int
-    distance : vector of float, mm
-    """
+    """Fill points, normals and texture coordinates of the hits that the mask ``met`` selects; return a `Placed`."""
     packet, paths, hits = scratch.packet, scratch.paths, scratch.hits
     distance = select(met, distances(packet), 0.0)
-    shape = select(met, shapes_met(packet), 0)
+    shape = shapes_met(packet)
+    first = np.int64(largest(as_float(select(met, shape, 0))))
+    shape = select(met, shape, spread(first, 16))
+    alike = mask_bits(shape == first) == 0xFFFF
+    placed = Placed(
+        shape,
+        of_shapes(world.shape, SHAPE, KIND, Placed(shape, distance, distance, first, alike)),
+        distance,
+        first,
+        alike,
+    )
     px = load(paths.f, ORIGIN * STRIDE + base, 16) + distance * load(paths.f, DIRECTION * STRIDE + base, 16)
     py = load(paths.f, (ORIGIN + 1) * STRIDE + base, 16) + distance * load(paths.f, (DIRECTION + 1) * STRIDE + base, 16)
     pz = load(paths.f, (ORIGIN + 2) * STRIDE + base, 16) + distance * load(paths.f, (DIRECTION + 2) * STRIDE + base, 16)
     store(hits.i, OBJECT * RAYS, shape)
-    store(hits.f, SIZE * RAYS, gather(world.shape, shape * SHAPE + RADIUS))
-    kind = _onto_shapes(world, hits.f, shape, (px, py, pz))
+    _onto_shapes(world, hits.f, placed, (px, py, pz))
     if world.brought_singly > 0:
-        single = mask_bits(_are_brought_singly(kind) & met)
+        single = mask_bits(_are_brought_singly(placed.kind) & met)
         for lane in range(RAYS):
             if (single >> lane) & 1:
                 _onto_shape(world, packet, hits, lane, hits.i[OBJECT * RAYS + lane])
-    return shape, kind, distance
+    return placed
+
+
+@uncounted()
+def place_on_planes(world, hit, number, bits):
+    """Replace the places in light maps of those hits, given as bits, that are on endless planes."""
+    for ray in range(RAYS):
+        shape = number[OBJECT * RAYS + ray]
+        if not (bits >> ray) & 1 or world.baked_grid[GRID * shape + 2] == 0.0:
+            continue
+        row, at, grid = world.shape, shape * SHAPE, GRID * shape
+        x = hit[POINT * RAYS + ray] - row[at + CENTRE]
+        y = hit[(POINT + 1) * RAYS + ray] - row[at + CENTRE + 1]
+        z = hit[(POINT + 2) * RAYS + ray] - row[at + CENTRE + 2]
+        across = x * row[at + TURN] + y * row[at + TURN + 3] + z * row[at + TURN + 6]
+        along = x * row[at + TURN + 1] + y * row[at + TURN + 4] + z * row[at + TURN + 7]
+        u = warped_place((across - world.baked_grid[grid]) / world.baked_grid[grid + 2])
+        v = warped_place((along - world.baked_grid[grid + 1]) / world.baked_grid[grid + 3])
+        hit[MAP_U * RAYS + ray], hit[MAP_V * RAYS + ray] = 0.5 + 0.5 * u, 0.5 + 0.5 * v
+
+
+@uncounted(forceinline=True)
+def nodes_around(world, hits, ray, shape):
+    """Return the first corner of the triangle that a ray hit, and corners around the hit with weights.
+
+    See `irodori.geometry.shapes.mesh_nodes.lattice_place`.
+    """
+    triangle = world.first_face[shape] + hits.i[TRIANGLE * RAYS + ray]
+    b, c = np.float64(hits.f[BARYCENTRIC_B * RAYS + ray]), np.float64(hits.f[BARYCENTRIC_C * RAYS + ray])
+    places, weights = lattice_place(np.int64(world.baked_parts[triangle]), b, c)
+    return world.baked_corner[triangle], places, weights
 
 
 @uncounted(forceinline=True)
@@ -270,14 +368,19 @@ def turned(rotation, row, x, y, z):
 
 @uncounted(forceinline=True)
 def prepare_hits(job, scratch, base, met, placed):
-    """Fill reflection directions, texels and look-up points of hits; return the mask of those not black from behind.
+    """Fill reflection directions, texels and look-up points of hits.
 
     Where the back of a sheet is seen, `OBJECT` becomes that side, and the normals its own. ``placed`` is the result of
     `place_hits`.
+
+    Returns
+    -------
+    mask of the hits that are not black from behind
+    Placed
+        With those sides as shapes.
     """
     world, paths, hit, number = job.world, scratch.paths, scratch.hits.f, scratch.hits.i
-    shape, kind, distance = placed
-    table, at = world.shape, shape * SHAPE
+    kind, distance = placed.kind, placed.distance
     dx, dy, dz = (
         load(paths.f, DIRECTION * STRIDE + base, 16),
         load(paths.f, (DIRECTION + 1) * STRIDE + base, 16),
@@ -287,10 +390,11 @@ def prepare_hits(job, scratch, base, met, placed):
     front = -(fx * dx + fy * dy + fz * dz)
     nx, ny, nz = load(hit, NORMAL * RAYS, 16), load(hit, (NORMAL + 1) * RAYS, 16), load(hit, (NORMAL + 2) * RAYS, 16)
     if has_sheets(job.layout):
-        behind = gather(table, at + BEHIND)
+        behind = of_shapes(world.shape, SHAPE, BEHIND, placed)
         over = met & (front < 0.0) & (behind >= 0.0)
-        shape, sign = select(over, truncated(behind), shape), select(over, spread(np.float32(-1.0), 16), 1.0)
-        at, front = shape * SHAPE, front * sign
+        shape, sign = select(over, truncated(behind), placed.shape), select(over, spread(np.float32(-1.0), 16), 1.0)
+        front = front * sign
+        placed = Placed(shape, kind, distance, placed.first, placed.alike and mask_bits(over) == 0)
         nx, ny, nz, fx, fy, fz = nx * sign, ny * sign, nz * sign, fx * sign, fy * sign, fz * sign
         store(number, OBJECT * RAYS, shape)
         store(hit, FACET * RAYS, fx)
@@ -312,16 +416,14 @@ def prepare_hits(job, scratch, base, met, placed):
     width = load(paths.f, CONE * STRIDE + base, 16) + distance * load(paths.f, SPREAD * STRIDE + base, 16)
     store(hit, WIDTH * RAYS, width)
     # The texture has a border, which its sides or its edges fill.
-    columns, rows = gather(table, at + COLUMNS), gather(table, at + ROWS)
-    u, v = load(hit, TEXTURE_U * RAYS, 16), load(hit, TEXTURE_V * RAYS, 16)
-    x, y = (
-        lower_of(upper_of(u * columns + 0.5, 0.0), columns + 0.5),
-        lower_of(upper_of(v * rows + 0.5, 0.0), rows + 0.5),
+    one = spread(np.float32(1.0), 16)
+    columns, rows = (
+        of_shapes(world.shape, SHAPE, COLUMNS, placed),
+        of_shapes(world.shape, SHAPE, ROWS, placed),
     )
-    column, row = truncated(x), truncated(y)
-    store(hit, TEXEL_X * RAYS, x - as_float(column))
-    store(hit, TEXEL_Y * RAYS, y - as_float(row))
-    store(number, TEXEL * RAYS, row * (truncated(columns) + 2) + column)
+    texel, stride, place = texel_of(hit, TEXTURE_U, columns, rows)
+    texel = texel + of_shapes(world.texture_first, 1, 0, placed)
+    keep_corners(texture_corners(scratch.hits), texel, stride, place, one)
     # The light may be rotated: directions are rotated back before they are looked up.
     turn = job.frame.light_from_world
     lx, ly, lz = turned(turn, 0, nx, ny, nz), turned(turn, 1, nx, ny, nz), turned(turn, 2, nx, ny, nz)
@@ -331,12 +433,21 @@ def prepare_hits(job, scratch, base, met, placed):
     store(hit, LIT_MIRROR * RAYS, turned(turn, 0, rx, ry, rz))
     store(hit, (LIT_MIRROR + 1) * RAYS, turned(turn, 1, rx, ry, rz))
     store(hit, (LIT_MIRROR + 2) * RAYS, turned(turn, 2, rx, ry, rz))
-    face, a, b = face_of(lx, ly, lz)
-    cell, sx, sy = cell_of(face, a, b, spread(np.float32(world.irradiance_side), 16))
-    store(number, NORMAL_CELL * RAYS, cell)
-    store(hit, NORMAL_X * RAYS, sx)
-    store(hit, NORMAL_Y * RAYS, sy)
-    return seen
+    if world.baked_maps > 0:
+        store(hit, MAP_U * RAYS, load(hit, TEXTURE_U * RAYS, 16))
+        store(hit, MAP_V * RAYS, load(hit, TEXTURE_V * RAYS, 16))
+        if world.baked_planes > 0:
+            place_on_planes(world, hit, number, mask_bits(seen))
+        columns, rows = of_shapes(world.baked_size, 2, 0, placed), of_shapes(world.baked_size, 2, 1, placed)
+        texel, stride, place = texel_of(hit, MAP_U, columns, rows)
+        texel = texel + of_shapes(world.baked_first, 1, 0, placed)
+        keep_corners(light_corners(scratch.hits), texel, stride, place, one)
+    elif world.irradiance_side > 0:
+        face, a, b = face_of(lx, ly, lz)
+        cell, x, y = cell_of(face, a, b, spread(np.float32(world.irradiance_side), 16))
+        stride = spread(world.irradiance_side + 2, 16)
+        keep_corners(light_corners(scratch.hits), cell, stride, (x, y), one)
+    return seen, placed
 
 
 @uncounted(forceinline=True)

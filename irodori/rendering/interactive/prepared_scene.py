@@ -23,7 +23,10 @@ from irodori.rendering.interactive.cube_maps import (
     environment_pyramid,
     from_equirectangular,
     give_back,
+    on_cache_lines,
 )
+from irodori.rendering.interactive.look_ups import LINKS
+from irodori.rendering.interactive.packets import GRID
 from irodori.rendering.interactive.round_lobes import (
     ROUGHNESSES,
     gloss_power,
@@ -32,7 +35,8 @@ from irodori.rendering.interactive.round_lobes import (
     lobe_table,
     roughness_place,
 )
-from irodori.rendering.interactive.shading import FURTHER, GRID
+from irodori.rendering.interactive.shading import FURTHER
+from irodori.rendering.interactive.surroundings import node_links
 from irodori.rendering.light_maps import LightMaps
 from irodori.rendering.map_layouts import make_layout
 from irodori.rendering.scene_arrays import Light, Objects, gloss_of, sides_placed, textures
@@ -53,32 +57,35 @@ class PreparedWorld(NamedTuple):
     scatters: int  # 1 if any surface has a diffuse or a gloss term
     bounded: int  # number of objects whose formulas and bounds are tested before Embree: all, or none if too many
     texels: np.ndarray
-    texture_first: np.ndarray  # (objects,) int64
-    texture_stride: np.ndarray  # (objects,) int64
+    texture_first: np.ndarray  # (objects,) int32 first texel of each object
     index: np.ndarray  # type: ignore[assignment]  # n, then k, of each object; hides the method of tuples
     environment: np.ndarray
-    environment_first: np.ndarray  # (levels,) int64
+    environment_first: np.ndarray  # (levels,) int32 first texel of each level
     environment_side: np.ndarray  # (levels,) int32
     environment_levels: int  # 0 if nothing is looked up in it; likewise for irradiance_side and gloss_levels
     texels_per_rad: float
     irradiance: np.ndarray
     irradiance_side: int
     baked: np.ndarray  # the light maps, each with a border of one texel, except those of meshes
-    baked_first: np.ndarray  # (objects,) int64
+    baked_first: np.ndarray  # (objects,) int32 first texel of each map
     baked_size: np.ndarray  # (objects * 2,) columns and rows; 0 rows for a mesh
     baked_grid: np.ndarray  # (objects * GRID,) float64 middle and reach of a plane's map, mm; zeros for other shapes
+    baked_planes: int  # number of objects that are endless planes
     baked_parts: np.ndarray  # (triangles,) int32, see `irodori.geometry.shapes.surface_nodes.Nodes`
     baked_corner: np.ndarray  # (triangles,) int64, index of a triangle's first corner
     baked_corners: np.ndarray  # int32, nodes at the points of the triangles' grids
     baked_maps: int  # 1 if there are light maps, of all objects
-    seen: np.ndarray  # what the gloss of objects sees around them; each map has a border of one texel
-    seen_first: np.ndarray  # int64, of each object; empty without these maps
+    seen: np.ndarray  # what gloss sees, each cell with the one below, in half precision; maps but meshes' have a border
+    seen_first: np.ndarray  # (objects,) int32 first texel of each map, of `cells_of` cells each
     seen_size: np.ndarray  # (objects * 2,) columns and rows; 0 for an object without such a map
     seen_side: int  # texels along the side of a face of their cube maps
-    seen_decode: np.ndarray  # from the light of other objects to the channels of texels
-    seen_maps: int  # 1 if any object has such a map
+    seen_decode: np.ndarray  # from the light of other objects to the channels of texels, or to stored light
+    seen_maps: int  # 1 if objects have such maps, then all have
+    seen_nodes: np.ndarray  # (objects,) int32 first node of each mesh
+    seen_links: np.ndarray  # (nodes * LINKS,) int32 texels of these maps at each node
+    seen_shares: np.ndarray  # (nodes * LINKS,) their weights
     gloss: np.ndarray  # like the environment; each texel of a level has the light of this level and of the next
-    gloss_first: np.ndarray  # (levels,) int64
+    gloss_first: np.ndarray  # (levels,) int32 first texel of each level
     gloss_side: np.ndarray  # (levels,) int32
     gloss_levels: int
     gloss_level: float  # index of the finest level in `irodori.light.blurred_light.WIDTHS_RAD`
@@ -87,11 +94,10 @@ class PreparedWorld(NamedTuple):
     rows: np.ndarray  # see `irodori.rendering.interactive.round_lobes.joined_tables`
     ladder: np.ndarray  # (lobes * 2,) float64 ln μ of the first roughness, and the step
     further: np.ndarray  # (texels * FURTHER,) of the gloss components from the second on
-    further_first: np.ndarray  # (objects,) int64
     decode: np.ndarray
     lamp_light: np.ndarray
     lamp_colour: np.ndarray
-    xyz_from_colour: np.ndarray
+    xyz_from_colour: np.ndarray  # by channel, then X, Y, Z and 0
     xyz_from_light: np.ndarray
     intersect: int
     occluded: int
@@ -120,6 +126,26 @@ def padded(rows: np.ndarray, width: int) -> np.ndarray:
     """Pad rows, (..., n), with zeros to a width and return them as a flat float32 array."""
     room = width - rows.shape[-1]
     return np.pad(rows, [(0, 0)] * (rows.ndim - 1) + [(0, room)]).astype(np.float32).ravel()
+
+
+def indices(first: np.ndarray) -> np.ndarray:
+    """Return indices of texels as the kernel reads them.
+
+    Raises
+    ------
+    ValueError
+        If there are too many texels.
+    """
+    if max(first, default=0) >= 1 << 30:
+        raise ValueError(f"{max(first)} texels of a kind in a scene; accepted: fewer than {1 << 30}")
+    return np.asarray(first, dtype=np.int32)
+
+
+def joined(parts: Sequence[np.ndarray]) -> np.ndarray:
+    """Return flat float32 arrays one after the other, the first at the beginning of a line of the processor's cache."""
+    out = on_cache_lines(sum(part.size for part in parts))
+    np.concatenate(parts, out=out)
+    return out
 
 
 def make_shapes(tracer: Tracer, objects: Objects) -> np.ndarray:
@@ -176,16 +202,14 @@ def make_textures(objects: Objects, channels: Channels, spare: int = 0) -> dict:
     sizes = [bordered_size(rows, columns) for columns, rows in objects.texture_size]
     first = np.cumsum([0, *sizes]).astype(np.int64)
     widths = channels.surface, FURTHER if _has_further(objects) else 0
-    room = [np.empty((int(first[-1]) + spare) * width, dtype=np.float32) for width in widths]
+    room = [on_cache_lines((int(first[-1]) + spare) * width) for width in widths]
     for i, texels in enumerate(textures(objects)):
         for flat, numbers, width in zip(room, stored_texels(objects, i, texels, channels), widths, strict=True):
             flat[first[i] * width : first[i + 1] * width] = numbers
     return {
         "texels": room[0],
-        "texture_first": first[:-1] * channels.surface,
-        "texture_stride": objects.texture_size[:, 0].astype(np.int64) + 2,
+        "texture_first": indices(first[:-1]),
         "further": room[1],
-        "further_first": first[:-1] * FURTHER,
     }
 
 
@@ -206,7 +230,7 @@ def make_irradiance(light: Light, channels: Channels) -> tuple[np.ndarray, int]:
     picture = light.irradiance.reshape(height, width, -1)
     side = int(height)
     stored = np.stack([face @ channels.irradiance_from_light.T for face in from_equirectangular(picture, side)])
-    return padded(stored, channels.surface), side
+    return joined([padded(stored, channels.surface)]), side
 
 
 def stored_maps(maps: LightMaps, placements: Sequence[Placement], channels: Channels) -> list[np.ndarray]:
@@ -233,6 +257,7 @@ def make_baked(maps: LightMaps | None, placements: Sequence[Placement], shape: n
     count = len(shape)
     flat, size, grid = [np.zeros(0, np.float32)], np.zeros((count, 2), np.float32), np.zeros((count, GRID))
     parts, corners = [np.zeros(0, np.int32)], [np.zeros(0, np.int32)]
+    nodes, links, shares = np.zeros(count, np.int32), [np.zeros(0, np.int32)], [np.zeros(0, np.float32)]
     for index, placed in enumerate(shape if maps is not None else ()):
         assert maps is not None  # the loop is empty without maps
         stored, most, layout = maps.maps[index], maps.bakes[index].most, make_layout(placements, placed)
@@ -241,50 +266,69 @@ def make_baked(maps: LightMaps | None, placements: Sequence[Placement], shape: n
         rows = 0 if placements[placed].shape.triangles is not None else stored.shape[0]
         size[index], grid[index] = (stored.shape[1], rows), layout.grid
         if index >= len(placements):
+            nodes[index] = nodes[placed]
             continue  # the back of a sheet has the triangles of its front
         for found, own in zip((parts, corners), layout.triangles(most), strict=True):
             found.append(own)
+        nodes[index] = sum(one.size for one in links) // LINKS
+        if not rows:
+            linked, weights = node_links(layout.points(most))
+            links.append(linked.ravel())
+            shares.append(weights.ravel())
     flat += [] if maps is None else stored_maps(maps, [placements[index] for index in shape], channels)
     sides = np.concatenate(parts)
     sizes = (sides.astype(np.int64) + 1) * (sides + 2) // 2
     first = np.cumsum([one.size for one in flat], dtype=np.int64)
     return {
-        "baked": np.concatenate(flat),
-        "baked_first": first[:-1] if maps is not None else np.zeros(count, np.int64),
+        "baked": joined(flat),
+        "baked_first": indices(first[:-1] // channels.surface) if maps is not None else np.zeros(count, np.int32),
         "baked_size": size.ravel(),
         "baked_grid": grid.ravel(),
+        "baked_planes": int((grid[:, 2] > 0.0).sum()),
         "baked_parts": sides,
         "baked_corner": np.cumsum(sizes) - sizes,
         "baked_corners": np.concatenate(corners),
         "baked_maps": int(maps is not None),
+        "seen_nodes": nodes,
+        "seen_links": np.concatenate(links),
+        "seen_shares": np.concatenate(shares),
     }
 
 
 def make_seen(maps: LightMaps | None, placements: Sequence[Placement], channels: Channels) -> dict:
     """Return the fields of a `PreparedWorld` that hold what the gloss of objects sees around them.
 
-    Where light is only added to pixels, that of other objects is stored as XYZ, which need fewer numbers.
+    Where light is only added to pixels, that of other objects is kept as XYZ, which need fewer numbers.
     """
     seen, basis = (maps.seen, maps.seen_basis) if maps is not None else ((), np.zeros((SAMPLES, 0)))
     decode = channels.colour_from_radiance @ basis
     stored_from_seen = np.eye(basis.shape[1])
     if not channels.coloured:
-        stored_from_seen, decode = channels.xyz_from_colour @ decode, np.linalg.pinv(channels.xyz_from_colour)
-    flat, size = [np.zeros(8, np.float32)], np.zeros((len(placements), 2), dtype=np.float32)
+        stored_from_seen, decode = channels.xyz_from_colour @ decode, stored_from_xyz(channels)[1]
+    # The largest number is brought to between 16384 and 32768, by a power of two.
+    largest = max((float(np.abs(one[..., 1:] @ stored_from_seen.T).max()) for one in seen), default=0.0)
+    scale = np.exp2(np.ceil(np.log2(largest)) - 15.0) if largest > 0.0 else 1.0
+    flat, first = [np.zeros(0, np.float32)], np.zeros(len(placements) + 1, np.int64)
+    size = np.zeros((len(placements), 2), dtype=np.float32)
     for index, found in enumerate(seen):
-        if not found.size:  # a mesh
-            flat.append(np.zeros(0, np.float32))
-            continue
-        size[index] = found.shape[1], found.shape[0]
-        texels = np.concatenate([found[..., :1], found[..., 1:] @ stored_from_seen.T.astype(np.float32)], axis=-1)
-        flat.append(_bordered(texels.reshape(*found.shape[:2], -1), placements[index].shape.wraps))
+        others = found[..., 1:] @ (stored_from_seen.T / scale).astype(np.float32)
+        texels = np.concatenate([found[..., :1], others], axis=-1)
+        texels = np.concatenate([texels, np.roll(texels, -1, axis=3)], axis=-1)
+        shape, count = placements[index].shape, found.shape[0] * found.shape[1]
+        if shape.triangles is None:
+            size[index], count = (found.shape[1], found.shape[0]), bordered_size(*found.shape[:2])
+            texels = _bordered(texels.reshape(*found.shape[:2], -1), shape.wraps)
+        flat.append(texels.ravel())
+        first[index + 1] = first[index] + count
+    stored = on_cache_lines(sum(one.size for one in flat), np.float16)
+    np.concatenate(flat, out=stored, casting="unsafe")
     return {
-        "seen": np.concatenate(flat),
-        "seen_first": np.cumsum([one.size for one in flat], dtype=np.int64)[:-1],
+        "seen": stored.view(np.uint16),
+        "seen_first": indices(first[:-1]),
         "seen_size": size.ravel(),
-        "seen_side": max((found.shape[3] - 2 for found in seen if found.size), default=1),
-        "seen_decode": padded(decode.T, channels.surface),
-        "seen_maps": int(size.any()),
+        "seen_side": max((found.shape[3] - 2 for found in seen), default=1),
+        "seen_decode": padded(scale * decode.T, channels.surface if channels.coloured else channels.light),
+        "seen_maps": int(len(seen) > 0),
     }
 
 
@@ -335,14 +379,14 @@ def make_gloss(gloss: GlossMaps, channels: Channels) -> tuple[np.ndarray, np.nda
     # Texels in the centre of a face are as wide as a row of the equirectangular maps is high.
     sides = [int(np.ceil(level.shape[0] * 2.0 / np.pi)) for level in gloss.levels]
     first = np.cumsum([0] + [FACES * (side + 2) ** 2 * 2 * channels.light for side in sides])
-    flat, stored = np.zeros(first[-1], np.float32), len(channels.stored_from_light)
+    flat, stored = on_cache_lines(first[-1]), len(channels.stored_from_light)
     for number, side in enumerate(sides):
         there = flat[first[number] : first[number + 1]].reshape(FACES, side + 2, side + 2, 2, channels.light)
         for place, level in enumerate((number, min(number + 1, len(sides) - 1))):
             for face, found in enumerate(from_equirectangular(gloss.levels[level], side)):
                 there[face, :, :, place, :stored] = found @ channels.stored_from_light.T
             give_back(gloss.levels[level])
-    return flat, first[:-1].astype(np.int64), np.array(sides, dtype=np.int32)
+    return flat, indices(first[:-1] // (2 * channels.light)), np.array(sides, dtype=np.int32)
 
 
 def make_query(flags: int) -> np.ndarray:
@@ -352,11 +396,11 @@ def make_query(flags: int) -> np.ndarray:
     return query
 
 
-def environment_fields(pyramid: CubePyramid) -> dict:
+def environment_fields(pyramid: CubePyramid, channels: Channels) -> dict:
     """Return the fields of a `PreparedWorld` that hold the environment."""
     return {
         "environment": pyramid.texels,
-        "environment_first": pyramid.first.astype(np.int64),
+        "environment_first": indices(pyramid.first // channels.light),
         "environment_side": pyramid.side.astype(np.int32),
         "environment_levels": len(pyramid.side),
         "texels_per_rad": float(pyramid.side.max(initial=0) * np.sqrt(FACES / (4.0 * np.pi))),
@@ -367,7 +411,7 @@ def _light_fields(light: Light, gloss: GlossMaps, pyramid: CubePyramid, channels
     """Return the fields of a `PreparedWorld` that hold environment, irradiance and blurred light."""
     irradiance, irradiance_side = make_irradiance(light, channels)
     blurred, gloss_first, gloss_side = make_gloss(gloss, channels)
-    return environment_fields(pyramid) | {
+    return environment_fields(pyramid, channels) | {
         "irradiance": irradiance,
         "irradiance_side": irradiance_side,
         "gloss": blurred,
@@ -395,12 +439,31 @@ def _surface_fields(objects: Objects, tracer: Tracer, channels: Channels, spare:
         "scatters": int(scatters or fields["further"][: texels * FURTHER : 2].any()),
         "lobes": objects.lobes,
         "lobe": objects.lobe.ravel(),
-        "rows": joined_tables(objects.lobes).ravel(),
+        "rows": joined([joined_tables(objects.lobes).ravel()]),
         "ladder": ladder(objects.lobes).ravel(),
         "bounded": len(tracer.placements) if len(tracer.placements) <= _MOST_BOUNDED else 0,
         "index": index.astype(np.float32).ravel(),
         "scene": tracer.scene,
     }
+
+
+def stored_from_xyz(channels: Channels) -> tuple[np.ndarray, np.ndarray]:
+    """Return matrices from all lanes of stored light to XYZ, (3, lanes), and back, (lanes, 3).
+
+    Lanes that hold no light of the environment are given those parts of XYZ that the others lack.
+    """
+    xyz, used = np.zeros((3, channels.light)), channels.xyz_from_light.shape[1]
+    left, values, _ = np.linalg.svd(channels.xyz_from_light)
+    spare = min(channels.light - used, 3)
+    xyz[:, :used], xyz[:, used : used + spare] = channels.xyz_from_light, values.max() * left[:, 3 - spare :]
+    return xyz, np.linalg.pinv(xyz)
+
+
+def _by_lane(xyz: np.ndarray, lanes: int) -> np.ndarray:
+    """Return X, Y, Z and 0 for each lane, flat, of a matrix to XYZ, (3, n)."""
+    room = np.zeros((lanes, 4), np.float32)
+    room[: xyz.shape[1], :3] = xyz.T
+    return room.ravel()
 
 
 def colour_fields(channels: Channels) -> dict:
@@ -410,8 +473,8 @@ def colour_fields(channels: Channels) -> dict:
         "decode": padded(decode.T, channels.surface),
         "lamp_light": padded(channels.lamp_light, channels.surface),
         "lamp_colour": padded(channels.lamp_colour, channels.surface),
-        "xyz_from_colour": padded(channels.xyz_from_colour, channels.surface),
-        "xyz_from_light": padded(channels.xyz_from_light, channels.light),
+        "xyz_from_colour": _by_lane(channels.xyz_from_colour, channels.surface),
+        "xyz_from_light": _by_lane(stored_from_xyz(channels)[0], channels.light),
     }
 
 

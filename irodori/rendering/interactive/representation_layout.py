@@ -99,6 +99,7 @@ def _black(field: str, times: int = 1):
 surface_lanes, light_lanes = _constant("surface"), _constant("light")
 is_coloured, is_profiled, has_sheets = _constant("coloured"), _constant("profiled"), _constant("sheets")
 gloss_components, gloss_parts, seen_lanes = _constant("components"), _constant("parts"), _constant("seen")
-#: Vectors of zeros: of a texel's lanes, of the light's, of light at two levels, and of what gloss sees.
+#: Vectors of zeros: of a texel's lanes, of the light's, of light at two levels, and of what gloss sees in
+#: four cells.
 surface_black, light_black, pair_black = _black("surface"), _black("light"), _black("light", 2)
-seen_black = _black("seen")
+seen_cells_black = _black("seen", 4)

@@ -5,9 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from irodori.geometry.shapes.mesh_nodes import lattice_place
-from irodori.geometry.shapes.shape_rows import BEHIND, CENTRE, CURVATURE, MIRROR, SHAPE, THROUGH, TURN
-from irodori.geometry.shapes.surface_nodes import warped_place
+from irodori.geometry.shapes.shape_rows import BEHIND, CURVATURE, MIRROR, SHAPE, THROUGH
 from irodori.jit.compilation import uncounted
 from irodori.jit.vector_memory import (
     channel_count,
@@ -18,57 +16,58 @@ from irodori.jit.vector_memory import (
     load,
     load_like,
     mask_bits,
+    numbered,
     store,
     zeros_like,
 )
 from irodori.reflection.fresnel import fresnel
 from irodori.reflection.lobes import constants_of, features_of, strength, value_of
-from irodori.rendering.interactive.cube_maps import MapPlace, bilinear, opposite
+from irodori.rendering.interactive.cube_maps import (
+    at_corners,
+    mix_corners,
+    opposite_texel,
+    prefetch_corners,
+    texels_kept,
+)
 from irodori.rendering.interactive.look_ups import (
     decoded,
+    entry_at,
+    find_entries,
     find_sky,
     lobe_at,
     lobe_incidence,
     lobe_weight,
+    of_level,
     sky_at,
     surroundings,
 )
 from irodori.rendering.interactive.packets import (
-    BARYCENTRIC_B,
-    BARYCENTRIC_C,
     CONE,
     COSINE,
     DIRECTION,
     NEXT,
     NORMAL,
-    NORMAL_CELL,
-    NORMAL_X,
-    NORMAL_Y,
     OBJECT,
     ORIGIN,
-    POINT,
     RAYS,
     REFLECTED,
     SPREAD,
     STRIDE,
-    TEXEL,
-    TEXEL_X,
-    TEXEL_Y,
-    TEXTURE_U,
-    TEXTURE_V,
     THROUGHPUT,
-    TRIANGLE,
     WIDTH,
+    light_corners,
+    nodes_around,
+    of_shapes,
     raised,
+    texture_corners,
 )
 from irodori.rendering.interactive.representation_layout import (
     gloss_components,
     gloss_parts,
     has_sheets,
     is_coloured,
-    light_black,
     light_lanes,
-    seen_black,
+    pair_black,
     seen_lanes,
     surface_black,
     surface_lanes,
@@ -77,8 +76,8 @@ from irodori.rendering.interactive.round_lobes import ANGLES, ENTRY, POWER, ROUG
 
 #: Numbers per texel for the gloss components from the second on.
 FURTHER = 8
-#: Numbers per object for the light map of an endless plane, see `irodori.rendering.map_layouts.Layout`.
-GRID = 4
+#: Place of a hit's roughness coordinate in the entry of its lobe's first row, until that is filled.
+_PLACE = POWER + 1
 
 
 class Sums(NamedTuple):
@@ -106,17 +105,16 @@ class Hits(NamedTuple):
 def shade_sky(job, scratch, base, missed):
     """Add the environment's radiance to the pixels of the rays that missed all objects, given as bits."""
     world, layout, paths, hits, sums = job.world, job.layout, scratch.paths, scratch.hits, scratch.sums
-    find_sky(world, job.frame, paths, base, hits)
+    blends = find_sky(job, paths, base, hits, missed)
     for ray in range(RAYS):
         if (missed >> ray) & 1:
             slot = np.int64(paths.slot[base + ray])
-            light = sky_at(world, layout, hits, ray)
+            light = sky_at(world, layout, hits, ray, blends)
             if is_coloured(layout):
                 _add_coloured(layout, sums, slot, decoded(world, layout, light))
             else:
                 at = slot * light_lanes(layout)
-                throughput = paths.f[THROUGHPUT * STRIDE + base + ray]
-                store(sums.light, at, load_like(sums.light, at, light) + throughput * light)
+                store(sums.light, at, load_like(sums.light, at, light) + light)
 
 
 @uncounted(forceinline=True)
@@ -150,66 +148,50 @@ def _component(layout, sums, component):
 
 
 @uncounted(forceinline=True)
-def _lobe_entry(job, hits, ray, component, power, place):
-    """Fill the table entries of a hit's lobe, interpolated over angle and roughness coordinate, and its power."""
-    world, layout = job.world, job.layout
-    cosine, parts = hits.f[COSINE * RAYS + ray], gloss_parts(layout)
-    x, y = math.sqrt(cosine) * np.float32(ANGLES - 1), min(max(place, np.float32(0.0)), np.float32(ROUGHNESSES - 1))
-    column, row = min(int(x), ANGLES - 2), min(int(y), ROUGHNESSES - 2)
-    which = world.lobe[hits.i[OBJECT * RAYS + ray] * gloss_components(layout) + component]
-    for part in range(parts):
-        first, at = (which * parts + part) * (ROUGHNESSES * ANGLES * ENTRY), (component * parts + part) * RAYS + ray
-        like = load(world.rows, 0, ENTRY)
-        entry = bilinear(world.rows, first, ANGLES, MapPlace(row * ANGLES + column, x - column, y - row), like)
-        store(hits.entries, at * ENTRY, entry)
-        hits.entries[at * ENTRY + POWER] = power
+def _fill_entries(job, scratch, base, seen):
+    """Fill the table entries of the lobes of the hits given as bits, and their powers; return the bits of glossy hits.
+
+    The entries are interpolated over angle and roughness coordinate. The bits are those of `shade_surfaces`.
+    """
+    world, layout, hits, parts, glossy = job.world, job.layout, scratch.hits, gloss_parts(job.layout), 0
+    for component in range(gloss_components(layout)):
+        first = component * parts * RAYS
+        entries = hits.entries[first * ENTRY :]
+        power, place = gather(entries, numbered(16) * ENTRY + POWER), gather(entries, numbered(16) * ENTRY + _PLACE)
+        throughput = load(scratch.paths.f, THROUGHPUT * STRIDE + base, 16)
+        bits = mask_bits(power * throughput > job.limits.least_lobe) & seen
+        if not bits:
+            continue
+        glossy |= bits << (component * RAYS)
+        find_entries(hits, place)
+        for ray in range(RAYS):
+            if not (bits >> ray) & 1:
+                continue
+            which = world.lobe[hits.i[OBJECT * RAYS + ray] * gloss_components(layout) + component]
+            own = entries[ray * ENTRY + POWER]
+            for part in range(parts):
+                at = (part * RAYS + ray) * ENTRY
+                number = (which * parts + part) * (ROUGHNESSES * ANGLES * ENTRY)
+                store(entries, at, entry_at(world, hits, ray, number))
+                entries[at + POWER] = own
+    return glossy
 
 
 @uncounted(forceinline=True)
 def _baked_light(world, hits, ray, shape, like):
     """Return the baked light at a hit, interpolated in its object's light map."""
-    columns, rows = world.baked_size[2 * shape], world.baked_size[2 * shape + 1]
-    if rows == 0.0:
+    if world.baked_size[2 * shape + 1] == 0.0:
         return _light_of_nodes(world, hits, ray, shape, like)
-    half, (u, v) = np.float32(0.5), _place_on_map(world, hits, ray, shape)
-    x = min(max(u * columns + half, np.float32(0.0)), columns + half)
-    y = min(max(v * rows + half, np.float32(0.0)), rows + half)
-    column, row, stride = np.int64(x), np.int64(y), np.int64(columns) + 2
-    place = MapPlace(row * stride + column, x - np.float32(column), y - np.float32(row))
-    return bilinear(world.baked, world.baked_first[shape], stride, place, like)
-
-
-@uncounted(forceinline=True)
-def _place_on_map(world, hits, ray, shape):
-    """Return the coordinates, 0..1, of a hit in the light map of its shape, which is not a mesh."""
-    if world.baked_grid[GRID * shape + 2] > 0.0:
-        return _place_on_plane(world, hits, ray, shape)
-    return hits.f[TEXTURE_U * RAYS + ray], hits.f[TEXTURE_V * RAYS + ray]
-
-
-@uncounted()
-def _place_on_plane(world, hits, ray, shape):
-    """Return the coordinates, 0..1, of a hit in the light map of an endless plane."""
-    hit, row, at, grid = hits.f, world.shape, shape * SHAPE, GRID * shape
-    x = hit[POINT * RAYS + ray] - row[at + CENTRE]
-    y = hit[(POINT + 1) * RAYS + ray] - row[at + CENTRE + 1]
-    z = hit[(POINT + 2) * RAYS + ray] - row[at + CENTRE + 2]
-    across = x * row[at + TURN] + y * row[at + TURN + 3] + z * row[at + TURN + 6]
-    along = x * row[at + TURN + 1] + y * row[at + TURN + 4] + z * row[at + TURN + 7]
-    u = warped_place((across - world.baked_grid[grid]) / world.baked_grid[grid + 2])
-    v = warped_place((along - world.baked_grid[grid + 1]) / world.baked_grid[grid + 3])
-    return np.float32(0.5 + 0.5 * u), np.float32(0.5 + 0.5 * v)
+    return at_corners(world.baked, light_corners(hits), ray, like)
 
 
 @uncounted()
 def _light_of_nodes(world, hits, ray, shape, like):
     """Return the baked light at a hit on a mesh, interpolated between nodes on its triangle."""
-    triangle = world.first_face[shape] + hits.i[TRIANGLE * RAYS + ray]
-    b, c = np.float64(hits.f[BARYCENTRIC_B * RAYS + ray]), np.float64(hits.f[BARYCENTRIC_C * RAYS + ray])
-    places, weights = lattice_place(np.int64(world.baked_parts[triangle]), b, c)
-    first, light, width = world.baked_corner[triangle], zeros_like(like), channel_count(like)
+    first, places, weights = nodes_around(world, hits, ray, shape)
+    light, width = zeros_like(like), channel_count(like)
     for corner in range(3):
-        at = world.baked_first[shape] + np.int64(world.baked_corners[first + places[corner]]) * width
+        at = (np.int64(world.baked_first[shape]) + world.baked_corners[first + places[corner]]) * width
         light = light + np.float32(weights[corner]) * load_like(world.baked, at, like)
     return light
 
@@ -221,20 +203,31 @@ def _passed_light(job, hits, ray, shape, like):
     light = zeros_like(like)
     if through < 0.0:
         return light
+    width, corners = channel_count(like), light_corners(hits)
+    upper, lower, weights = texels_kept(corners, ray)
     if world.baked_maps > 0:
-        light = _baked_light(world, hits, ray, np.int64(world.shape[shape * SHAPE + BEHIND]), like)
+        behind = np.int64(world.shape[shape * SHAPE + BEHIND])
+        if world.baked_size[2 * shape + 1] == 0.0:
+            light = _light_of_nodes(world, hits, ray, behind, like)
+        else:
+            further = np.int64(world.baked_first[behind]) - world.baked_first[shape]
+            places = (upper + further) * width, (lower + further) * width, width
+            light = mix_corners(world.baked, places, weights, like)
     elif world.irradiance_side > 0:
-        x, y, side = hits.f[NORMAL_X * RAYS + ray], hits.f[NORMAL_Y * RAYS + ray], world.irradiance_side
-        place = opposite(MapPlace(np.int64(hits.i[NORMAL_CELL * RAYS + ray]), x, y), side)
-        light = bilinear(world.irradiance, 0, side + 2, place, like)
+        upper, lower = (
+            opposite_texel(upper, world.irradiance_side) * width,
+            opposite_texel(lower, world.irradiance_side) * width,
+        )
+        light = mix_corners(world.irradiance, (upper, lower, -width), weights, like)
     for lamp in range(frame.lamps):
         cosine = hits.lit[lamp * RAYS + ray]
         if cosine < 0.0:
             at = lamp * channel_count(like)
             light = light - (frame.lamp_strength[lamp] * cosine) * load_like(world.lamp_light, at, like)
-    x, y = hits.f[TEXEL_X * RAYS + ray], hits.f[TEXEL_Y * RAYS + ray]
-    at, row = MapPlace(np.int64(hits.i[TEXEL * RAYS + ray]), x, y), np.int64(through)
-    return light * bilinear(world.texels, world.texture_first[row], world.texture_stride[row], at, like)
+    upper, lower, weights = texels_kept(texture_corners(hits), ray)
+    further = np.int64(world.texture_first[np.int64(through)]) - world.texture_first[shape]
+    places = (upper + further) * width, (lower + further) * width, width
+    return light * mix_corners(world.texels, places, weights, like)
 
 
 @uncounted(forceinline=True)
@@ -245,27 +238,24 @@ def shade_surfaces(job, scratch, base, seen):
     table entries of their lobes are filled.
     """
     world, frame, layout = job.world, job.frame, job.layout
-    paths, hits, sums = scratch.paths, scratch.hits, scratch.sums
-    glossy = 0
-    width = surface_lanes(layout)
+    hits, sums = scratch.hits, scratch.sums
+    width, corners = surface_lanes(layout), texture_corners(hits)
+    for ray in range(RAYS):
+        if (seen >> ray) & 1:
+            prefetch_corners(world.texels, corners, ray, width)
     for ray in range(RAYS):
         if not (seen >> ray) & 1:
             continue
-        shape, black = hits.i[OBJECT * RAYS + ray], surface_black(layout)
-        x, y = hits.f[TEXEL_X * RAYS + ray], hits.f[TEXEL_Y * RAYS + ray]
-        at, stride = MapPlace(np.int64(hits.i[TEXEL * RAYS + ray]), x, y), world.texture_stride[shape]
-        texel = bilinear(world.texels, world.texture_first[shape], stride, at, black)
+        texel = at_corners(world.texels, corners, ray, surface_black(layout))
         store(sums.texel, 0, texel)
-        x, y = hits.f[NORMAL_X * RAYS + ray], hits.f[NORMAL_Y * RAYS + ray]
-        normal = MapPlace(np.int64(hits.i[NORMAL_CELL * RAYS + ray]), x, y)
         light = zeros_like(texel)
         if world.baked_maps > 0:
-            light = _baked_light(world, hits, ray, shape, texel)
+            light = _baked_light(world, hits, ray, hits.i[OBJECT * RAYS + ray], texel)
         elif world.irradiance_side > 0:
-            light = bilinear(world.irradiance, 0, world.irradiance_side + 2, normal, texel)
+            light = at_corners(world.irradiance, light_corners(hits), ray, texel)
         if gloss_components(layout) > 1:
             like = load(world.further, 0, FURTHER)
-            store(sums.gloss, 0, bilinear(world.further, world.further_first[shape], stride, at, like))
+            store(sums.gloss, 0, at_corners(world.further, corners, ray, like))
         for lamp in range(frame.lamps):
             cosine = hits.lit[lamp * RAYS + ray]
             if cosine > 0.0:
@@ -275,13 +265,11 @@ def shade_surfaces(job, scratch, base, seen):
                         _add_highlight(job, scratch, base, ray, lamp, component)
         _add_colour(layout, scratch, base + ray, texel * light)
         if has_sheets(layout):
-            _add_colour(layout, scratch, base + ray, _passed_light(job, hits, ray, shape, texel))
+            _add_colour(layout, scratch, base + ray, _passed_light(job, hits, ray, hits.i[OBJECT * RAYS + ray], texel))
         for component in range(gloss_components(layout)):
-            power, place = _component(layout, sums, component)
-            if power * paths.f[THROUGHPUT * STRIDE + base + ray] > job.limits.least_lobe:
-                glossy |= 1 << (component * RAYS + ray)
-                _lobe_entry(job, hits, ray, component, power, place)
-    return glossy
+            at = (component * gloss_parts(layout) * RAYS + ray) * ENTRY
+            hits.entries[at + POWER], hits.entries[at + _PLACE] = _component(layout, sums, component)
+    return _fill_entries(job, scratch, base, seen)
 
 
 @uncounted()
@@ -317,47 +305,44 @@ def _add_highlight(job, scratch, base, ray, lamp, component):
 
 
 @uncounted(forceinline=True)
+def _others(world, layout, around, like):
+    """Return the light of other objects, from what `surroundings` found, as a colour or as stored light."""
+    width, others = channel_count(like), zeros_like(like)
+    for number in range(1, seen_lanes(layout)):
+        others = others + lane(around, number) * load_like(world.seen_decode, (number - 1) * width, others)
+    return others
+
+
+@uncounted(forceinline=True)
 def shade_gloss(job, scratch, base, glossy):
-    """Add the blurred light of the glossy hits' lobes; lobes with a weight below the limit are skipped."""
+    """Add the blurred light of the glossy hits' lobes."""
     world, layout, paths, hits, sums = job.world, job.layout, scratch.paths, scratch.hits, scratch.sums
     width = surface_lanes(layout)
     for ray in range(RAYS):
         if not (glossy >> ray) & 1:
             continue
-        slot, throughput = np.int64(paths.slot[base + ray]), paths.f[THROUGHPUT * STRIDE + base + ray]
-        light, colour = light_black(layout), surface_black(layout)
-        shape, free, around = hits.i[OBJECT * RAYS + ray], np.float32(1.0), seen_black(layout)
-        has_seen = world.seen_maps > 0 and world.seen_size[2 * shape] > 0.0
-        if has_seen:
-            around = surroundings(world, layout, hits, ray, _place_on_map(world, hits, ray, shape))
-            free = lane(around, 0)
-        whole, power = colour, np.float32(0.0)  # of the lobes
+        colour, whole, pair = surface_black(layout), surface_black(layout), pair_black(layout)
+        power = np.float32(0.0)  # of the lobes
         for tap in range(TAPS):
-            weight, passed = lobe_weight(hits.look, ray, tap), colour
+            found = lobe_at(world, layout, hits, ray, tap)
             if is_coloured(layout):
                 index = np.int64(hits.i[OBJECT * RAYS + ray]) * 2 * width
                 n, k = load_like(world.index, index, colour), load_like(world.index, index + width, colour)
-                passed = weight * fresnel(zeros_like(colour) + lobe_incidence(hits.look, ray, tap), n, k)
-                weight = largest(passed)
-                if has_seen:
-                    whole = whole + passed
-            power += weight
-            if free * weight * throughput <= job.limits.least_lobe:
-                continue
-            found = lobe_at(world, layout, hits, ray, tap)
-            if is_coloured(layout):
-                colour = colour + passed * decoded(world, layout, found)
+                passed = fresnel(zeros_like(colour) + lobe_incidence(hits.look, ray, tap), n, k)
+                colour = colour + passed * decoded(world, layout, of_level(hits, ray, found))
+                whole = whole + lobe_weight(hits.look, ray, tap) * passed
             else:
-                light = light + weight * found
-        if has_seen:
-            others = surface_black(layout)
-            for number in range(1, seen_lanes(layout)):
-                others = others + lane(around, number) * load_like(world.seen_decode, (number - 1) * width, others)
+                pair = pair + found
+                power += lobe_weight(hits.look, ray, tap)
+        light = of_level(hits, ray, pair)
+        slot, throughput = np.int64(paths.slot[base + ray]), paths.f[THROUGHPUT * STRIDE + base + ray]
+        if world.seen_maps > 0:
+            around = surroundings(world, layout, hits, ray)
+            free = lane(around, 0)
             if is_coloured(layout):
-                colour = free * colour + whole * others
+                colour = free * colour + whole * _others(world, layout, around, colour)
             else:
-                light = free * light
-                _add_colour(layout, scratch, base + ray, power * others)
+                light = free * light + power * _others(world, layout, around, light)
         if is_coloured(layout):
             _add_coloured(layout, sums, slot, colour)
         else:
@@ -366,14 +351,13 @@ def shade_gloss(job, scratch, base, glossy):
 
 
 @uncounted(forceinline=True)
-def reflect_packet(job, scratch, base, seen):
+def reflect_packet(job, scratch, base, seen, placed):
     """Compute the throughput of the hits' paths after the mirror reflection."""
     world, layout, paths, hits, sums = job.world, job.layout, scratch.paths, scratch.hits, scratch.sums
     width = surface_lanes(layout)
-    shape = load(hits.i, OBJECT * RAYS, 16)
-    mirror = gather(world.shape, shape * SHAPE + MIRROR)
+    mirror = of_shapes(world.shape, SHAPE, MIRROR, placed)
     if not is_coloured(layout):
-        n, k = gather(world.index, shape * (2 * width)), gather(world.index, shape * (2 * width) + width)
+        n, k = of_shapes(world.index, 2 * width, 0, placed), of_shapes(world.index, 2 * width, width, placed)
         factor = mirror * fresnel(load(hits.f, COSINE * RAYS, 16), n, k)
         store(hits.f, NEXT * RAYS, factor * load(paths.f, THROUGHPUT * STRIDE + base, 16))
         return
@@ -393,7 +377,7 @@ def reflect_packet(job, scratch, base, seen):
 
 
 @uncounted(forceinline=True)
-def advance(job, scratch, base, seen, after):
+def advance(job, scratch, base, seen, after, placed):
     """Write the continuing paths contiguously from index ``after`` on; return the index after the last."""
     world, paths, hits = job.world, scratch.paths, scratch.hits
     throughput = load(hits.f, NEXT * RAYS, 16)
@@ -401,10 +385,9 @@ def advance(job, scratch, base, seen, after):
     count = bits_set(mask_bits(going))
     if count == 0:
         return after
-    shape = load(hits.i, OBJECT * RAYS, 16)
     x, y, z = raised(hits.f, 0, 1.0), raised(hits.f, 1, 1.0), raised(hits.f, 2, 1.0)
     width = load(hits.f, WIDTH * RAYS, 16)
-    spread = load(paths.f, SPREAD * STRIDE + base, 16) + width * gather(world.shape, shape * SHAPE + CURVATURE)
+    spread = load(paths.f, SPREAD * STRIDE + base, 16) + width * of_shapes(world.shape, SHAPE, CURVATURE, placed)
     slot = load(paths.slot, base, 16)
     compress(paths.f, ORIGIN * STRIDE + after, going, x)
     compress(paths.f, (ORIGIN + 1) * STRIDE + after, going, y)

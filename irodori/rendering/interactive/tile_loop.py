@@ -7,7 +7,15 @@ import numpy as np
 from irodori.jit.c_functions import cycles
 from irodori.jit.compilation import njit, uncounted
 from irodori.jit.functions import as_float, root
-from irodori.jit.vector_memory import compress, load_like, mask_bits, numbered, spread, store, total
+from irodori.jit.vector_memory import (
+    compress,
+    lane,
+    load,
+    mask_bits,
+    numbered,
+    spread,
+    store,
+)
 from irodori.rendering.interactive.hard_shadows import light_hits
 from irodori.rendering.interactive.look_ups import LOOK_FIELDS, LOOK_NUMBERS, find_lobes
 from irodori.rendering.interactive.packets import (
@@ -231,7 +239,7 @@ def _shade_packet(job, scratch, base, count, bounce, after):
     since = cycles() if is_profiled(layout) else 0
     met = active_lanes(count, base) & (shapes_met(packet) >= 0)
     placed = place_hits(world, scratch, base, met)
-    seen = prepare_hits(job, scratch, base, met, placed)
+    seen, placed = prepare_hits(job, scratch, base, met, placed)
     since = _count(layout, figures, _PLACE, since)
     bits = mask_bits(seen)
     if frame.lamps > 0:
@@ -251,12 +259,12 @@ def _shade_packet(job, scratch, base, count, bounce, after):
             bits_of_row = (glossy >> (row // gloss_parts(layout) * RAYS)) & 0xFFFF
             if bits_of_row:
                 entries = hits.entries[row * RAYS * ENTRY :]
-                find_lobes(world, layout, hits, entries)
+                find_lobes(world, layout, hits, entries, placed)
                 shade_gloss(job, scratch, base, bits_of_row)
         since = _count(layout, figures, _GLOSS, since)
     if bounce < job.limits.max_bounces:
-        reflect_packet(job, scratch, base, bits)
-        after = advance(job, scratch, base, seen, after)
+        reflect_packet(job, scratch, base, bits, placed)
+        after = advance(job, scratch, base, seen, after, placed)
         since = _count(layout, figures, _MIRROR, since)
     return after
 
@@ -290,26 +298,34 @@ def _finish_tile(job, sums, left, top, target):
     world, frame, layout, image, channels = job.world, job.frame, job.layout, target.image, target.channels
     surface, light = surface_lanes(layout), light_lanes(layout)
     for block in range(PATHS // RAYS):
-        for lane in range(RAYS):
-            slot = block * RAYS + lane
-            x, y = left + (block & 3) * 4 + (lane & 3), top + (block >> 2) * 4 + (lane >> 2)
+        for place in range(RAYS):
+            slot = block * RAYS + place
+            x, y = left + (block & 3) * 4 + (place & 3), top + (block >> 2) * 4 + (place >> 2)
             if x >= frame.width or y >= frame.height:
                 continue
             at = (y * frame.width + x) * channels
-            colour = load_like(sums.colour, slot * surface, surface_black(layout))
-            store(sums.colour, slot * surface, surface_black(layout))
             if channels != 3:
-                store(sums.texel, 0, colour)
                 for channel in range(channels):
-                    image[at + channel] = sums.texel[channel]
+                    image[at + channel] = sums.colour[slot * surface + channel]
+                store(sums.colour, slot * surface, surface_black(layout))
                 continue
-            direct = load_like(sums.light, slot * light, light_black(layout))
-            store(sums.light, slot * light, light_black(layout))
+            # No matrix has a column for the last two numbers, which are not channels.
+            first = slot * surface
+            xyz = sums.colour[first] * load(world.xyz_from_colour, 0, 4)
+            odd = sums.colour[first + 1] * load(world.xyz_from_colour, 4, 4)
+            for number in range(2, surface - 2, 2):  # in two sums, which need not wait for each other
+                xyz = xyz + sums.colour[first + number] * load(world.xyz_from_colour, 4 * number, 4)
+                odd = odd + sums.colour[first + number + 1] * load(world.xyz_from_colour, 4 * number + 4, 4)
+            xyz = xyz + odd
+            store(sums.colour, slot * surface, surface_black(layout))
+            if not is_coloured(layout):
+                direct = sums.light[slot * light] * load(world.xyz_from_light, 0, 4)
+                for number in range(1, light):
+                    direct = direct + sums.light[slot * light + number] * load(world.xyz_from_light, 4 * number, 4)
+                xyz = xyz + direct
+                store(sums.light, slot * light, light_black(layout))
             for channel in range(3):
-                value = total(colour * load_like(world.xyz_from_colour, channel * surface, colour))
-                if not is_coloured(layout):
-                    value += total(direct * load_like(world.xyz_from_light, channel * light, direct))
-                image[at + channel] = value
+                image[at + channel] = lane(xyz, channel)
 
 
 @uncounted()

@@ -104,7 +104,7 @@ class Probes:
         self._channels = spectral_channels(parts.objects, light_of(parts.environment), parts.lamp_spectra, matrix)
         self._skies: dict[int, dict] = {}
         self._met: dict[tuple, dict[str, float]] = {}
-        self._fill = self._prepared.world.texture_first[-1] // self._channels.surface + bordered_size(
+        self._fill = int(self._prepared.world.texture_first[-1]) + bordered_size(
             *(int(size) for size in parts.objects.texture_size[-1])
         )
 
@@ -168,20 +168,18 @@ class Probes:
             first, (columns, rows) = self._ladder.first_pixel[level], self._ladder.size[level]
             picture = self._ladder.pixels[first : first + columns * rows].reshape(rows, columns, -1)
             pyramid = environment_pyramid(picture, self._channels.stored_from_light, self._channels.light, half=False)
-            self._skies[level] = environment_fields(pyramid)
+            self._skies[level] = environment_fields(pyramid, self._channels)
         return self._skies[level]
 
     def _tables(self, world: PreparedWorld, changes: Changes) -> dict:
         shape = world.shape.copy().reshape(-1, SHAPE)
         shape[list(changes.without_mirror), MIRROR] = 0.0
-        first, stride = world.texture_first.copy(), world.texture_stride.copy()
-        further = world.further_first.copy()
+        first = world.texture_first.copy()
         for index, level in changes.texture_level.items():
             texture = self._texture(index, level)
             shape[index, COLUMNS], shape[index, ROWS] = texture.columns, texture.rows
-            stride[index] = texture.columns + 2
-            first[index], further[index] = texture.first * self._channels.surface, texture.first * FURTHER
-        return {"shape": shape.ravel(), "texture_first": first, "texture_stride": stride, "further_first": further}
+            first[index] = texture.first
+        return {"shape": shape.ravel(), "texture_first": first}
 
     def _places_of_textures(self) -> dict[tuple[int, int], Texture]:
         places, at = {}, 0

@@ -20,8 +20,8 @@ from irodori.light.gloss.gloss_maps import GlossMaps
 from irodori.light.gloss.make_lobe_table import lobe_samples
 from irodori.light.irradiance import irradiance_at
 from irodori.rendering.interactive.cube_maps import (
-    MapPlace,
-    bilinear,
+    Corners,
+    at_corners,
     cell_of,
     environment_pyramid,
     face_directions,
@@ -29,6 +29,7 @@ from irodori.rendering.interactive.cube_maps import (
     fill_borders,
     from_equirectangular,
     give_back,
+    keep_corners,
     look_up_cube,
 )
 from irodori.rendering.interactive.prepared_scene import needed_gloss
@@ -114,19 +115,16 @@ def test_a_map_errs_with_the_square_of_a_texel_over_edges_and_corners_too():
 
 
 @numba.njit
-def _compiled_look_up(texels, side, unit, out):
+def _compiled_look_up(texels, side, unit, corners, out):
     for i in range(0, unit.shape[1], 16):
         face, u, v = face_of(
             vector_memory.load(unit[0], i, 16), vector_memory.load(unit[1], i, 16), vector_memory.load(unit[2], i, 16)
         )
         cell, x, y = cell_of(face, u, v, vector_memory.spread(np.float32(side), 16))
+        one, stride = vector_memory.spread(np.float32(1.0), 16), vector_memory.spread(side + 2, 16)
+        keep_corners(corners, cell, stride, (x, y), one)
         for ray in range(16):
-            place = MapPlace(
-                np.int64(vector_memory.lane(cell, ray)),
-                vector_memory.lane(x, ray),
-                vector_memory.lane(y, ray),
-            )
-            found = bilinear(texels, 0, side + 2, place, vector_memory.load(texels, 0, 4))
+            found = at_corners(texels, corners, ray, vector_memory.load(texels, 0, 4))
             vector_memory.store(out, (i + ray) * 4, found)
 
 
@@ -134,7 +132,8 @@ def test_compiled_look_up_is_that_of_numpy():
     stored = np.random.default_rng(2).random((6, 10, 10, 4)).astype(np.float32)
     unit = directions_near_edges(320).astype(np.float32)
     out = np.zeros(320 * 4, np.float32)
-    _compiled_look_up(stored.ravel(), 8, np.ascontiguousarray(unit.T), out)
+    corners = Corners(np.zeros(64, np.float32), 0, np.zeros(32, np.int32), 0)
+    _compiled_look_up(stored.ravel(), 8, np.ascontiguousarray(unit.T), corners, out)
     assert np.abs(out.reshape(-1, 4) - look_up_cube(stored, unit.astype(np.float64))).max() <= 1e-4
 
 

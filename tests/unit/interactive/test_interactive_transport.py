@@ -299,7 +299,8 @@ def test_an_eye_that_lies_in_a_plate_sees_what_embree_lets_it_see(eye):
     everything = dataclasses.replace(ready, world=ready.world._replace(bounded=0))
     for target in ((0.0, 10.0, 60.0), (5.0, 1.0, -60.0)):
         view = view_of(eye, target, (24, 24), 40.0)
-        assert np.array_equal(render_frame(ready, view), render_frame(everything, view))
+        # Places on the plate differ by rounding errors.
+        np.testing.assert_allclose(render_frame(ready, view), render_frame(everything, view), rtol=1e-6)
 
 
 @given(
