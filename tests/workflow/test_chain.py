@@ -310,7 +310,8 @@ def test_a_scene_with_light_maps_bakes_them_once_for_all_its_views_and_again_whe
     assert figures["light_maps"] and figures["delta_e_to_reference"]["mean"] < 2.0
     with open_file(again / "results/still-life/light-maps.h5") as file:
         bakes = file.attribute("bakes", list)
-        assert len(bakes) == len(yaml.safe_load(scene.read_text())["objects"])
+        shown = yaml.safe_load(scene.read_text())
+        assert len(bakes) == len(shown["objects"]) + len(shown["bodies"])
         assert all(bake["texels"] > 0 and bake["error"] < 0.1 for bake in bakes)
     edit(scene, {"display.exposure": 1.0})
     assert "bake_light" not in {rule for rule, _ in planned(snakemake(again, "--dry-run", picture))}
