@@ -231,7 +231,8 @@ def pooled(error: np.ndarray) -> np.ndarray:
 
 def picture_key(scene: TracedScene, view: View, samples: int, seed: int) -> str:
     """Return a hash of everything on which a picture depends: the scene, the view, the samples and this code."""
-    digest = hashlib.blake2b(code_hash(__name__).encode(), digest_size=16)
+    code = code_hash("irodori.rendering.reference.filling_cache")  # which uses this module
+    digest = hashlib.blake2b(code.encode(), digest_size=16)
     for part in (
         scene.world.surfaces,
         scene.world.objects,
@@ -245,7 +246,8 @@ def picture_key(scene: TracedScene, view: View, samples: int, seed: int) -> str:
                 digest.update(" ".join(f"{name} {lobe(name).digest}" for name in value.names).encode())
             else:
                 digest.update(np.ascontiguousarray(value).data)
-    digest.update(f"{samples} {seed}".encode())
+    # The light of a cache follows from the rest.
+    digest.update(f"{samples} {seed} {len(scene.world.cache.light)}".encode())
     return digest.hexdigest()
 
 

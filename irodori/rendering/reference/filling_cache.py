@@ -11,13 +11,16 @@ from irodori.jit.compilation import njit
 from irodori.rendering.map_layouts import Layout, Points, make_layout
 from irodori.rendering.reference.band_loops import padded
 from irodori.rendering.reference.converging_picture import TracedScene
-from irodori.rendering.reference.incident_light import incident_light
+from irodori.rendering.reference.incident_light import light_at, make_places
 from irodori.rendering.reference.light_cache import Cache
+from irodori.rendering.reference.random_numbers import make_numbers
 
 #: Paths from each texel in each pass, and the seed of the first.
 _PASSES, _SEED = (4, 8, 8), 401
-#: Share of a picture's paths that the cache may take; texels of a surface, at least and at most.
-_SHARE, _FEWEST, _MOST = 0.25, 64, 4096
+#: Share of a picture's paths that the cache may cost; its cost in paths, to prepare it and for each texel.
+_SHARE, _TO_PREPARE, _EACH = 0.1, 10_000, 24
+#: Texels of a surface, at least and at most.
+_FEWEST, _MOST = 64, 4096
 #: Area in which a path may have arrived, in squares of a texel's side, from which on the texel is used.
 _LEAST_TEXELS = 4.0
 #: Directions from a texel in which surfaces that are met from behind tell that it lies inside another object.
@@ -111,24 +114,24 @@ def _texels(placements: list[Placement], index: int, most: int) -> _Texels | Non
 
 
 def with_cache(scene: TracedScene, paths: int) -> TracedScene:
-    """Return a scene with a filled cache for a picture of a number of paths, which determines the number of texels."""
+    """Return a scene with a filled cache for a picture of a number of paths, if it is worth the time.
+
+    The number of paths determines that of the texels. If too few of them fit into the share of the time that the cache
+    may take, the scene is returned as it is.
+    """
     placements = list(scene.tracer.placements)[: scene.world.objects.mirror.size]
-    count = len(placements)
-    most = int(np.clip(_SHARE * paths / (sum(_PASSES) * count), _FEWEST, _MOST))
-    found = [_texels(placements, index, most) for index in range(count)]
-    cache, points, surface = _laid_out(scene, found)
-    scene = scene._replace(world=scene.world._replace(cache=cache))
+    share = (_SHARE * paths - _TO_PREPARE) / (_EACH * max(len(placements), 1))
+    if share < _FEWEST:
+        return scene
+    most = int(min(share, _MOST))
+    cache, points, surface = _laid_out(scene, [_texels(placements, index, most) for index in range(len(placements))])
+    places, numbers = make_places(scene, surface, *points)._replace(lamps=True), make_numbers(max(_PASSES), _SEED, 2)
+    world = scene.world
     for number, samples in enumerate(_PASSES):
-        source = scene if number else scene._replace(world=scene.world._replace(cache=_unused(cache)))
-        arguments = surface, *points
-        halves = incident_light(source, *arguments, samples=samples, seed=_SEED + number, lamps=True)
-        light = padded(halves.mean(axis=0))
-        scene = scene._replace(world=scene.world._replace(cache=cache._replace(light=light)))
-    return scene
-
-
-def _unused(cache: Cache) -> Cache:
-    return cache._replace(first=np.full_like(cache.first, -1))
+        own = numbers._replace(samples=samples // 2, seed=_SEED + number)
+        light = light_at(scene._replace(world=world), places, own).mean(axis=0)
+        world = scene.world._replace(cache=cache._replace(light=padded(light)))
+    return scene._replace(world=world)
 
 
 def _laid_out(scene: TracedScene, found: list[_Texels | None]) -> tuple[Cache, Points, np.ndarray]:

@@ -12,6 +12,7 @@ from irodori.core.progress import LOGGER
 from irodori.geometry.embree import new_ray
 from irodori.jit.chunks import run_chunks
 from irodori.jit.compilation import njit
+from irodori.rendering.compiled_calls import resolved
 from irodori.rendering.reference.band_loops import BANDS, PADDED
 from irodori.rendering.reference.converging_picture import TracedScene
 from irodori.rendering.reference.paths import gather
@@ -89,12 +90,17 @@ def incident_light(
     -------
     (2, n, 61) float32, irradiance / π from two independent halves of the paths
     """
-    numbers: Numbers = make_numbers(samples, seed, _REPLICATES)
+    places = make_places(scene, surface, point, normal, facet)._replace(lamps=lamps)
+    return light_at(scene, places, make_numbers(samples, seed, _REPLICATES))
+
+
+def make_places(scene: TracedScene, surface, point: np.ndarray, normal: np.ndarray, facet: np.ndarray) -> Places:
+    """Return the places of `incident_light`, without direct light of the scene's own lights."""
     reach = np.abs(point).sum(axis=1, keepdims=True)
     count = len(point)
     own = np.broadcast_to(surface, count)
     raised = point + (scene.world.offset_mm[own, None] + scene.world.steps * reach) * facet
-    places = Places(
+    return Places(
         np.ascontiguousarray(raised, dtype=np.float64),
         np.ascontiguousarray(normal, dtype=np.float64),
         np.ascontiguousarray(facet, dtype=np.float64),
@@ -102,9 +108,16 @@ def incident_light(
         own * (1 << 24) + np.arange(count),
         np.zeros((_REPLICATES, count, BANDS), dtype=np.float32),
         np.zeros(count, dtype=np.int64),
-        lamps,
+        False,
     )
-    run_chunks(_gather_at_some, count, _CHUNK, scene.world, numbers, places)
+
+
+def light_at(scene: TracedScene, places: Places, numbers: Numbers) -> np.ndarray:
+    """Trace the paths from places, each with the samples of ``numbers``; return the result of `incident_light`."""
+    count = len(places.point)
+    places = places._replace(halves=np.zeros_like(places.halves), cut=np.zeros(count, dtype=np.int64))
+    arguments = scene.world, numbers, places
+    run_chunks(resolved(_gather_at_some, *arguments, 0, 0), count, _CHUNK, *arguments)
     if places.cut.any():
         LOGGER.warning("%d paths were cut: the light is too dark by what they would have brought", places.cut.sum())
     return places.halves
