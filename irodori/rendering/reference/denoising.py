@@ -147,29 +147,23 @@ def _compare(guides, which, shift, rows, scratch, weights):
             out[x] = zero
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz"}, error_model="numpy")
 def _solve(matrix, out):
-    """Fill ``out`` with the last column of the inverse of a positive definite matrix, overwritten by its factor.
+    """Fill ``out`` with the last column of the inverse of a positive definite matrix, which is overwritten.
 
-    The diagonal of the factor is stored as its inverse.
+    Rows are eliminated as vectors; the right-hand side, the last unit vector, stays as it is meanwhile.
     """
-    for a in range(_COLUMNS):
-        for b in range(a):
-            rest = matrix[a, b]
-            for c in range(b):
-                rest -= matrix[a, c] * matrix[b, c]
-            matrix[a, b] = rest * matrix[b, b]
-        rest = matrix[a, a]
-        for c in range(a):
-            rest -= matrix[a, c] * matrix[a, c]
-        matrix[a, a] = 1.0 / math.sqrt(max(rest, 1e-12))
-    last = _COLUMNS - 1
-    out[last] = matrix[last, last] ** 2
-    for a in range(last - 1, -1, -1):
+    for k in range(_COLUMNS):
+        inverse, own = 1.0 / max(matrix[k, k], 1e-12), load(matrix, k * _LANES, _LANES)
+        out[k] = inverse
+        for a in range(k + 1, _COLUMNS):
+            factor = spread(matrix[a, k] * inverse, _LANES)
+            store(matrix, a * _LANES, load(matrix, a * _LANES, _LANES) - factor * own)
+    for a in range(_COLUMNS - 2, -1, -1):
         rest = 0.0
         for c in range(a + 1, _COLUMNS):
-            rest -= matrix[c, a] * out[c]
-        out[a] = rest * matrix[a, a]
+            rest -= matrix[a, c] * out[c]
+        out[a] *= rest
 
 
 @njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz"})
@@ -204,8 +198,8 @@ def _regress(guides, row, x, near, scratch):
             share = spread(design[place, a], _LANES)
             store(sums, a * _LANES, load(sums, a * _LANES, _LANES) + share * scaled)
     for a in range(_COLUMNS):
-        for b in range(a + 1):
-            matrix[a, b] = sums[a, b]
+        for lane in range(_LANES):
+            matrix[a, lane] = sums[a, lane]
     for a in range(_COLUMNS - 1):
         matrix[a, a] += _RIDGE * whole
     _solve(matrix, solved)
@@ -229,7 +223,7 @@ def _new_scratch():
         np.zeros((_WINDOW, _LANES), np.float32),
         np.zeros(_WINDOW, np.float32),
         np.zeros((_COLUMNS, _LANES), np.float32),
-        np.empty((_COLUMNS, _COLUMNS)),
+        np.empty((_COLUMNS, _LANES)),
         np.empty(_COLUMNS),
         lanes,
     )
@@ -327,6 +321,26 @@ def squared_error(distance, first: np.ndarray, second: np.ndarray, filtered: np.
     return 0.5 * crossed - 0.5 * own - 0.25 * np.square(distance(*filtered))
 
 
+@njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz"})
+def _square_some_rows(halves, filtered, start, out, first, last):
+    """Fill rows of ``out`` (2, rows, width): `squared_error` of the bands' mean square, and what two filtered sets tell.
+
+    ``start`` is the row of ``halves`` that is the first of ``filtered`` and ``out``.
+    """
+    bands = halves.mean.shape[2]
+    for row in range(first, last):
+        for x in range(halves.mean.shape[1]):
+            crossed, own, between = 0.0, 0.0, 0.0
+            for c in range(bands):
+                mean, half = np.float64(halves.mean[start + row, x, c]), np.float64(halves.difference[start + row, x, c])
+                one, two = np.float64(filtered[0, row, x, c]), np.float64(filtered[1, row, x, c])
+                crossed += (one - mean + half) ** 2 + (two - mean - half) ** 2
+                own += half * half
+                between += (one - two) ** 2
+            out[1, row, x] = 0.25 * between / bands
+            out[0, row, x] = (0.5 * crossed - 2.0 * own) / bands - out[1, row, x]
+
+
 def _band_distance(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     apart = np.subtract(one, other, dtype=np.float64)
     return np.sqrt(np.einsum("...c,...c->...", apart, apart) / apart.shape[-1])
@@ -341,9 +355,9 @@ def denoise(halves: Halves) -> Denoised:
         filtered = filtered_halves(halves, guides, rows)
         part = slice(*rows)
         radiance[part] = 0.5 * (filtered[0] + filtered[1])
-        mean, half = halves.mean[part], halves.difference[part]
-        squares[part] = squared_error(_band_distance, mean + half, mean - half, filtered)
-        least[part] = np.square(_band_distance(*filtered)) / 4.0
+        own = np.empty((2, *filtered.shape[1:3]))
+        run_chunks(_square_some_rows, filtered.shape[1], _ROWS, halves, filtered, first, own)
+        squares[part], least[part] = own
     # The remaining noise of the filtered sets is a lower limit, if the estimate is lost in the original noise.
     squares = np.maximum(_averaged(squares, _ERROR_SIDE), _averaged(least, _ERROR_SIDE))
     return Denoised(radiance, np.sqrt(squares).astype(np.float32))

@@ -18,7 +18,7 @@ from irodori.rendering.reference.random_numbers import make_numbers
 #: Paths from each texel in each pass, and the seed of the first.
 _PASSES, _SEED = (4, 8, 8), 401
 #: Share of a picture's paths that the cache may cost; its cost in paths, to prepare it and for each texel.
-_SHARE, _TO_PREPARE, _EACH = 0.1, 10_000, 24
+_SHARE, _TO_PREPARE, _EACH = 0.2, 10_000, 24
 #: Texels of a surface, at least and at most.
 _FEWEST, _MOST = 64, 4096
 #: Area in which a path may have arrived, in squares of a texel's side, from which on the texel is used.
