@@ -201,10 +201,7 @@ def render(
     seen = np.empty((view.height, view.width, SEEN), dtype=np.float32)
     for first in track(range(0, view.height, tile_rows), label):
         rows = (first, min(first + tile_rows, view.height))
-        if tiles is None:
-            part = renderer.rows(rows)
-        else:
-            part = tiles.get(rows, partial(renderer.rows, rows))
+        part = renderer.rows(rows) if tiles is None else tiles.get(rows, partial(renderer.rows, rows))
         radiance[slice(*rows)] = part.radiance
         spread = part.standard_error
         error[slice(*rows)] = spread if error_by_band else np.sqrt(np.mean(spread**2, axis=-1, keepdims=True))

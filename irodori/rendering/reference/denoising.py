@@ -323,16 +323,17 @@ def squared_error(distance, first: np.ndarray, second: np.ndarray, filtered: np.
 
 @njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz"})
 def _square_some_rows(halves, filtered, start, out, first, last):
-    """Fill rows of ``out`` (2, rows, width): `squared_error` of the bands' mean square, and what two filtered sets tell.
+    """Fill rows of ``out``, (2, rows, width), with `squared_error` and with the noise of the filtered sets alone.
 
-    ``start`` is the row of ``halves`` that is the first of ``filtered`` and ``out``.
+    Both are mean squares over the bands. ``start`` is the row of ``halves`` with which ``filtered`` and ``out`` begin.
     """
     bands = halves.mean.shape[2]
     for row in range(first, last):
         for x in range(halves.mean.shape[1]):
             crossed, own, between = 0.0, 0.0, 0.0
             for c in range(bands):
-                mean, half = np.float64(halves.mean[start + row, x, c]), np.float64(halves.difference[start + row, x, c])
+                mean = np.float64(halves.mean[start + row, x, c])
+                half = np.float64(halves.difference[start + row, x, c])
                 one, two = np.float64(filtered[0, row, x, c]), np.float64(filtered[1, row, x, c])
                 crossed += (one - mean + half) ** 2 + (two - mean - half) ** 2
                 own += half * half

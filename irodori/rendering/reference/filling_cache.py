@@ -21,6 +21,8 @@ _PASSES, _SEED = (4, 8, 8), 401
 _SHARE, _TO_PREPARE, _EACH = 0.2, 10_000, 24
 #: Texels of a surface, at least and at most.
 _FEWEST, _MOST = 64, 4096
+#: Triangles of a mesh for each texel that it may have, beyond which it has none: laying them out would take long.
+_FACES = 64
 #: Area in which a path may have arrived, in squares of a texel's side, from which on the texel is used.
 _LEAST_TEXELS = 4.0
 #: Directions from a texel in which surfaces that are met from behind tell that it lies inside another object.
@@ -94,8 +96,10 @@ def _sides(layout: Layout, most: int, point: np.ndarray) -> np.ndarray:
 
 def _texels(placements: list[Placement], index: int, most: int) -> _Texels | None:
     """Return the texels of a surface; None for a mesh whose vertices are too many to be looked through."""
-    layout = make_layout(placements, index)
-    points, mesh = layout.points(most), placements[index].shape.triangles
+    layout, mesh = make_layout(placements, index), placements[index].shape.triangles
+    if mesh is not None and len(mesh.faces) > _FACES * most:
+        return None
+    points = layout.points(most)
     if mesh is None:
         return _Texels(layout, most, points, None, _sides(layout, most, points.point))
     count, numbers = len(points.point), np.arange(len(points.point))
@@ -124,7 +128,10 @@ def with_cache(scene: TracedScene, paths: int) -> TracedScene:
     if share < _FEWEST:
         return scene
     most = int(min(share, _MOST))
-    cache, points, surface = _laid_out(scene, [_texels(placements, index, most) for index in range(len(placements))])
+    found = [_texels(placements, index, most) for index in range(len(placements))]
+    if not any(found):
+        return scene
+    cache, points, surface = _laid_out(scene, found)
     places, numbers = make_places(scene, surface, *points)._replace(lamps=True), make_numbers(max(_PASSES), _SEED, 2)
     world = scene.world
     for number, samples in enumerate(_PASSES):
@@ -142,9 +149,9 @@ def _laid_out(scene: TracedScene, found: list[_Texels | None]) -> tuple[Cache, P
     size, wraps, grid = np.zeros((count, 2), np.int64), np.zeros(count, np.int64), np.zeros((count, 4))
     parts, corners = [np.zeros(0, np.int32)], [np.zeros(0, np.int32)]
     for index, one in enumerate(found):
-        mesh = placements[index].shape.triangles
         if one is None:
-            parts.append(np.zeros(len(mesh.faces), np.int32))
+            mesh = placements[index].shape.triangles
+            parts.append(np.zeros(0 if mesh is None else len(mesh.faces), np.int32))
             continue
         if one.numbers is not None:
             own_parts, own_corners = one.layout.triangles(one.most)

@@ -21,7 +21,6 @@ from typing import NamedTuple
 import numpy as np
 
 from irodori.geometry.embree import hit_barycentric, hit_primitive
-from irodori.geometry.enclosure import encloses
 from irodori.geometry.shapes.mesh_nodes import lattice_place
 from irodori.geometry.shapes.surface_nodes import warped_place
 from irodori.jit.compilation import uncounted

@@ -522,8 +522,8 @@ def follow(world, ray, work, drawn, seldom, weight):
 def gather(world, ray, work, numbers, stream, lamps):
     """Trace one path from a point of a surface; add the radiance of a perfect diffuser there to ``work.total``.
 
-    ``work`` has the point in ``point``, ``normal`` and ``facet``. ``lamps`` says whether the direct light of the scene's
-    lights other than the environment is added. Returns the number of paths that were cut.
+    ``work`` has the point in ``point``, ``normal`` and ``facet``. ``lamps`` says whether direct light of the scene's
+    own lights, other than the environment, is added. Returns the number of paths that were cut.
     """
     index, count, lit = 0, world.lights.kind.size, world.sky.power > 0.0
     for band in range(PADDED):

@@ -22,7 +22,7 @@ _distance = chain("distance", "row, at, centre, direction, along", __name__, for
 
 
 def shape_rows(placements: Sequence[Placement]) -> tuple[np.ndarray, np.ndarray]:
-    """Return the numbers of the shapes' kinds, (n,) int64, and their rows, (n * SHAPE,); empty if Embree is to trace."""
+    """Return the numbers of the shapes' kinds, (n,) int64, and their rows, (n * SHAPE,); empty if Embree traces."""
     simple = all(placement.shape.kernels.distance is not None for placement in placements)
     if not simple or len(placements) > _MOST:
         return np.zeros(0, np.int64), np.zeros(0)
@@ -47,12 +47,14 @@ def meet(world, ray, origin, direction):
     if count == 0:
         trace(world.intersect, world.scene, ray, origin, direction, np.inf)
         return
-    nearest, met = np.inf, np.int64(NO_HIT)
+    nearest = np.inf
+    ray.i[ray.at + 18] = NO_HIT
     for shape in range(count):
         distance = _distance_of(world, shape, origin, direction)
         if distance < nearest:
-            nearest, met = distance, shape
-    ray.f[ray.at + 8], ray.i[ray.at + 18] = nearest, met
+            nearest = distance
+            ray.i[ray.at + 18] = shape
+    ray.f[ray.at + 8] = nearest
 
 
 @uncounted(forceinline=True)
@@ -62,7 +64,7 @@ def is_hidden(world, ray, origin, direction):
     if count == 0:
         trace(world.occluded, world.scene, ray, origin, direction, np.inf)
         return is_blocked(ray)
-    for shape in range(count):
+    for shape in range(count):  # noqa: SIM110  `any` is not compiled
         if _distance_of(world, shape, origin, direction) < np.inf:
             return True
     return False
