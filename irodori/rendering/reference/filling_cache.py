@@ -123,12 +123,13 @@ def with_cache(scene: TracedScene, paths: int) -> TracedScene:
     The number of paths determines that of the texels. If too few of them fit into the share of the time that the cache
     may take, the scene is returned as it is.
     """
-    placements = list(scene.tracer.placements)[: scene.world.objects.mirror.size]
+    placements = list(scene.tracer.placements)[: scene.world.placed]
     share = (_SHARE * paths - _TO_PREPARE) / (_EACH * max(len(placements), 1))
     if share < _FEWEST:
         return scene
     most = int(min(share, _MOST))
-    found = [_texels(placements, index, most) for index in range(len(placements))]
+    is_sheet = scene.world.objects.behind[: len(placements)] >= 0
+    found = [None if is_sheet[index] else _texels(placements, index, most) for index in range(len(placements))]
     if not any(found):
         return scene
     cache, points, surface = _laid_out(scene, found)
