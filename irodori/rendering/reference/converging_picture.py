@@ -100,11 +100,11 @@ def make_scene(
     return TracedScene(world, tracer)
 
 
-class _Renderer:
+class Renderer:
     """Compiled loop for a view of a scene, whose argument types take a millisecond to determine."""
 
     def __init__(self, scene: TracedScene, view: View, numbers: Numbers) -> None:
-        self._width, self._with_halves = view.width, numbers.replicates == 2
+        self.width, self._with_halves = view.width, numbers.replicates == 2
         self._sampling = Sampling(scene.world, view, numbers, find_glints(scene.world.images, view))
         self._loop = resolved(render_some_rows, self._sampling, _empty_rows(np.zeros((0, 0, 2), np.int64)), 0, 0)
 
@@ -117,7 +117,7 @@ class _Renderer:
 
     def rows(self, rows: tuple[int, int]) -> Picture:
         """Render a band of rows."""
-        places = np.moveaxis(np.mgrid[slice(*rows), : self._width], 0, -1)[..., ::-1]
+        places = np.moveaxis(np.mgrid[slice(*rows), : self.width], 0, -1)[..., ::-1]
         return self.places(np.ascontiguousarray(places, dtype=np.int64))
 
 
@@ -129,12 +129,12 @@ def _empty_rows(places: np.ndarray) -> Rows:
 
 def render_rows(scene: TracedScene, view: View, numbers: Numbers, rows: tuple[int, int]) -> Picture:
     """Render a band of rows on all threads of numba; the result does not depend on their number."""
-    return _Renderer(scene, view, numbers).rows(rows)
+    return Renderer(scene, view, numbers).rows(rows)
 
 
 def render_places(scene: TracedScene, view: View, numbers: Numbers, places: np.ndarray) -> Picture:
     """Render pixels of a view given by column and row, (rows, width, 2), with the same result as `render_rows`."""
-    return _Renderer(scene, view, numbers).places(np.ascontiguousarray(places, dtype=np.int64))
+    return Renderer(scene, view, numbers).places(np.ascontiguousarray(places, dtype=np.int64))
 
 
 def check_samples(samples: int, replicates: int = REPLICATES) -> None:
@@ -194,7 +194,7 @@ def render(
     check_samples(samples, replicates)
     if halves and replicates != 2:
         raise ValueError(f"halves of {replicates} replicates; accepted: 2")
-    renderer = _Renderer(scene, view, make_numbers(samples, seed, replicates))
+    renderer = Renderer(scene, view, make_numbers(samples, seed, replicates))
     radiance = np.empty((view.height, view.width, BANDS), dtype=np.float32)
     error, cut = np.empty((view.height, view.width, BANDS if error_by_band else 1), dtype=np.float32), 0
     difference = np.empty_like(radiance) if halves else None
