@@ -1,13 +1,16 @@
 """Benchmark of the integrator `reference` and Mitsuba 3: time to the same colour error, and growth of the time.
 
-``python -m benchmarks.reference [--size small] [--pixels 96x72] [--runs 5] [--output speed_error.csv]``. There are two
-scenes that both renderers can represent equally, in 61 bands: three spheres on a plate (test colours of CIE 224, gold
-as a mirror) under uniform D65 and a tungsten panel, and a box of five walls with only that panel. Mitsuba traces four
-random wavelengths per path; our integrator carries 61 bands.
+``python -m benchmarks.reference [--size small] [--pixels 96x72] [--runs 5] [--output speed_error.csv]``. There are
+three scenes that both renderers can represent equally, in 61 bands: ``spheres``, three spheres on a plate (test colours
+of CIE 224, gold as a mirror) under uniform D65 and a tungsten panel; ``box``, five walls with only that panel; and
+``image``, a ball, a ring of triangles and a golden ball on a plate, lit by the picture of a classroom. Mitsuba traces
+four random wavelengths per path; our integrator carries 61 bands.
 
 The error of each renderer is measured against a converged picture of its own (``--converged`` paths per pixel, another
 seed), as the mean CIEDE2000 over the pixels with the same white for both, so that differences between the renderers do
-not count. ``reference-filtered`` is compared with the converged picture without filter, so that its bias counts. The
+not count. ``reference-spectral`` is our integrator as it is by default, with the light cache and the noise filter; the
+filling of the cache and the filter are part of its time. ``reference-unbiased`` has neither. Both are compared with the
+same converged picture without cache and filter, so that the bias of both counts. The
 errors at several sample counts, with two seeds each, give a line on logarithmic scales. From it, the sample count for
 the error ``--target`` is read, and the seconds are those of that count (the time is a constant plus a part for each
 sample). ``converged pictures`` is the mean CIEDE2000 between the converged pictures of both renderers, which shows that
@@ -24,6 +27,9 @@ Each variant is first tried in a separate process; for one that cannot run, the 
 
 import argparse
 import os
+import tempfile
+from functools import cache
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -40,6 +46,7 @@ from benchmarks.table import (
 )
 from irodori.colour.colorimetry import colour_matching_weights, delta_e, lab_from_xyz, xyz_from_radiance
 from irodori.config.definition import typed
+from irodori.config.definitions import load_definitions, read_yaml
 from irodori.config.models import BodyShape, ObjectShape, SceneLight, Size
 from irodori.config.models import View as SeenFrom
 from irodori.core.threads import use_threads
@@ -47,13 +54,17 @@ from irodori.geometry.mesh import Mesh
 from irodori.geometry.rig_frame import rotation_x, rotation_xyz, rotation_y
 from irodori.geometry.shapes.placement import Placement
 from irodori.geometry.shapes.shape import Shape
-from irodori.light.environment_file import Environment
+from irodori.light.environment_file import Environment, directions
 from irodori.light.placed_lights import unit_luminance
 from irodori.material.material_file import Material
 from irodori.rendering.reference.converging_picture import make_scene, render
 from irodori.rendering.reference.denoising import denoise
+from irodori.rendering.reference.filling_cache import with_cache
 from irodori.rendering.scene_arrays import View, make_objects, make_view
+from irodori.simulation.virtual_rig.classroom import room_coefficients
 from irodori.spectra.published import spectrum
+
+_ROOT = Path(__file__).resolve().parents[1]
 
 # Gold (Johnson and Christy 1972) at 400, 450 ... 700 nm.
 GOLD_NM = np.array([400, 450, 500, 550, 600, 650, 700])
@@ -64,10 +75,14 @@ PANEL = {"kind": "rectangle", "spectrum": "A", "radiance": 12.0, "rotation_deg":
          "height_mm": 40.0}  # fmt: skip
 # Those of Mitsuba are such as its multijittered sampler takes.
 OUR_SAMPLES, THEIR_SAMPLES = (16, 64, 256), (35, 132, 528)
+#: Those of our integrator with cache and filter; close together, because its error falls less evenly.
+DEFAULT_SAMPLES = (4, 8, 16, 32)
+#: Size of the picture that lights the scene ``image``.
+SKY_PX = (512, 256)
 #: What is measured where the command line does not say it.
 SIZES = {
     "small": {"pixels": "48x36", "converged": 1024, "scenes": ["spheres"], "no_growth": True},
-    "full": {"pixels": "96x72", "converged": 8192, "scenes": ["spheres", "box"], "no_growth": False},
+    "full": {"pixels": "96x72", "converged": 8192, "scenes": ["spheres", "box", "image"], "no_growth": False},
 }
 
 
@@ -75,7 +90,7 @@ class Body(NamedTuple):
     """A placed shape with a uniform reflectance, or a mirror with refractive index n, k."""
 
     kind: str
-    size_mm: float  # side of a plate, radius of a sphere
+    size_mm: float  # side of a plate, radius of a sphere, outer radius of a ring
     place_mm: tuple
     turn: np.ndarray
     reflectance: np.ndarray | None  # (61,)
@@ -86,10 +101,11 @@ class Stage(NamedTuple):
 
     bodies: list
     sky: np.ndarray | None  # (61,) radiance
-    panel_mm: tuple
+    panel_mm: tuple | None
     eye_mm: tuple
     target_mm: tuple
     field_deg: float
+    picture: np.ndarray | None = None  # (height, width) by which the radiance is multiplied
 
 
 def stages() -> dict[str, Stage]:
@@ -104,11 +120,30 @@ def stages() -> dict[str, Stage]:
              ((-50, 0, 50), rotation_y(np.pi / 2), "TCS3"), ((50, 0, 50), rotation_y(-np.pi / 2), "TCS40")]  # fmt: skip
     box = [Body("plate", 100.0, place, turn, spectrum(name)) for place, turn, name in walls]
     box.append(Body("sphere", 18.0, (15, 5, 18), up, spectrum("TCS70")))
+    image = [Body("plate", 240.0, (0, 0, 0), up, spectrum("TCS10")),
+             Body("sphere", 30.0, (-52, 8, 30), up, spectrum("TCS3")),
+             Body("ring", 34.0, (14, 42, 12), up, spectrum("TCS40")),
+             Body("sphere", 30.0, (46, -34, 30), up, None)]  # fmt: skip
     sky = 0.3 * unit_luminance("D65")
     return {
         "spheres": Stage(spheres, sky, (-60.0, -40.0, 180.0), (0, -330, 190), (0, 0, 22), 34.0),
         "box": Stage(box, None, (0.0, 0.0, 98.0), (0, -220, 50), (0, 0, 50), 32.0),
+        "image": Stage(image, unit_luminance("D65"), None, (0, -330, 190), (0, 0, 22), 34.0, room_picture()),
     }
+
+
+@cache
+def room_picture() -> np.ndarray:
+    """Return the classroom of `config` as a picture of grey light, (height, width), with the mean 1 over the sphere."""
+    room = load_definitions(read_yaml(_ROOT / "config/config.yaml"), _ROOT).environments["classroom"].virtual
+    sources = room_coefficients(room, *SKY_PX).sum(axis=-1).astype(np.float64)
+    solid_angle = np.broadcast_to(directions(*SKY_PX)[1], sources.shape)
+    return (sources / np.average(sources, weights=solid_angle)).astype(np.float32)
+
+
+def ring(radius_mm: float) -> trimesh.Trimesh:
+    """Return a ring of triangles that lies on the plane z = -0.35 of its radius."""
+    return trimesh.creation.torus(0.65 * radius_mm, 0.35 * radius_mm, major_sections=48, minor_sections=24)
 
 
 def gold() -> tuple[np.ndarray, np.ndarray]:
@@ -124,14 +159,17 @@ def uniform(reflectance: np.ndarray | None) -> Material:
     return Material.uniform(0.0, mirror=1.0, n=n, k=k)
 
 
-def even_light(radiance: np.ndarray | None) -> Environment:
-    """Return an environment of uniform radiance, or a dark one."""
-    basis = (np.zeros(61) if radiance is None else radiance)[:, None]
-    return Environment(np.ones((8, 16, 1), np.float32), basis, np.full((8, 16, 1), np.pi, np.float32))
+def light_of(stage: Stage) -> Environment:
+    """Return the light of a stage from all directions: uniform, a picture, or none."""
+    basis = (np.zeros(61) if stage.sky is None else stage.sky)[:, None]
+    picture = np.ones((8, 16), np.float32) if stage.picture is None else stage.picture
+    return Environment(picture[..., None], basis, np.full((8, 16, 1), np.pi, np.float32))
 
 
 def shape_of(body: Body) -> Shape:
     """Return the shape of a body."""
+    if body.kind == "ring":
+        return flat_mesh(ring(body.size_mm))
     size = (
         {"width_mm": body.size_mm, "height_mm": body.size_mm} if body.kind == "plate" else {"radius_mm": body.size_mm}
     )
@@ -139,15 +177,15 @@ def shape_of(body: Body) -> Shape:
 
 
 class Ours:
-    """Renderer for one scene with the integrator `reference`, without filter."""
+    """Renderer for one scene with the integrator `reference`, without cache and filter."""
 
-    name = "reference-spectral"
+    name, samples = "reference-unbiased", OUR_SAMPLES
 
     def __init__(self, stage: Stage, size: tuple[int, int], white: np.ndarray) -> None:
         placements = [Placement(shape_of(b), b.turn, np.array(b.place_mm, float)) for b in stage.bodies]
         objects, _ = make_objects(placements, [uniform(b.reflectance) for b in stage.bodies])
-        lights = [PANEL | {"position_mm": list(stage.panel_mm)}]
-        self.scene = make_scene(placements, objects, even_light(stage.sky), [typed(SceneLight, one) for one in lights])
+        lights = [PANEL | {"position_mm": list(stage.panel_mm)}] if stage.panel_mm is not None else []
+        self.scene = make_scene(placements, objects, light_of(stage), [typed(SceneLight, one) for one in lights])
         self.view = view_of(stage, size)
         self.matrix = xyz_from_radiance(white)
 
@@ -156,14 +194,15 @@ class Ours:
         return render(self.scene, self.view, samples, seed).radiance @ self.matrix.T
 
 
-class OursFiltered(Ours):
-    """The integrator `reference` with its noise filter, as used by default; the filter adds a constant time."""
+class OursByDefault(Ours):
+    """The integrator `reference` with its light cache and noise filter, as used by default."""
 
-    name = "reference-filtered"
+    name, samples = "reference-spectral", DEFAULT_SAMPLES
 
     def xyz(self, samples: int, seed: int) -> np.ndarray:
         """Return a picture, (height, width, 3), white Y = 100."""
-        halves = render(self.scene, self.view, samples, seed, halves=True).halves
+        scene = with_cache(self.scene, samples * self.view.width * self.view.height)
+        halves = render(scene, self.view, samples, seed, halves=True).halves
         assert halves is not None
         return denoise(halves).radiance @ self.matrix.T
 
@@ -183,6 +222,8 @@ def name_of(variant: str) -> str:
 class Theirs:
     """Renderer for one scene with a variant of Mitsuba 3."""
 
+    samples = THEIR_SAMPLES
+
     def __init__(self, variant: str, sampler: str, stage: Stage, size: tuple[int, int], white: np.ndarray) -> None:
         import mitsuba
 
@@ -193,19 +234,33 @@ class Theirs:
                 "rfilter": {"type": "box"}, "component_format": "float32"}  # fmt: skip
         camera = {"type": "perspective", "fov": stage.field_deg, "fov_axis": "y", "to_world": eye, "film": film}
         parts = {f"body{i}": self._body(body) for i, body in enumerate(stage.bodies)}
-        if stage.sky is not None:
+        weights = colour_matching_weights()[1]
+        self.scale = 100.0 * weights.sum() / (weights @ white)
+        if stage.picture is not None:
+            parts["sky"] = self._picture(stage.picture, float(weights @ stage.sky / weights.sum()))
+        elif stage.sky is not None:
             parts["sky"] = {"type": "constant", "radiance": self._spectrum(stage.sky)}
-        turn, half = rotation_xyz(PANEL["rotation_deg"]), (PANEL["width_mm"] / 2, PANEL["height_mm"] / 2)
-        parts["panel"] = {
-            "type": "rectangle", "to_world": self._transform(stage.panel_mm, turn, half),
-            "bsdf": {"type": "diffuse", "reflectance": {"type": "uniform", "value": 0.0}},
-            "emitter": {"type": "area", "radiance": self._spectrum(PANEL["radiance"] * unit_luminance("A"))},
-        }  # fmt: skip
+        if stage.panel_mm is not None:
+            parts["panel"] = self._panel(stage.panel_mm)
         camera["sampler"] = {"type": sampler}
         integrator = {"type": "path", "max_depth": -1}
         self.scene = mitsuba.load_dict({"type": "scene", "integrator": integrator, "camera": camera, **parts})
-        weights = colour_matching_weights()[1]
-        self.scale = 100.0 * weights.sum() / (weights @ white)
+
+    def _panel(self, place_mm: tuple) -> dict:
+        turn, half = rotation_xyz(PANEL["rotation_deg"]), (PANEL["width_mm"] / 2, PANEL["height_mm"] / 2)
+        return {
+            "type": "rectangle", "to_world": self._transform(place_mm, turn, half),
+            "bsdf": {"type": "diffuse", "reflectance": {"type": "uniform", "value": 0.0}},
+            "emitter": {"type": "area", "radiance": self._spectrum(PANEL["radiance"] * unit_luminance("A"))},
+        }  # fmt: skip
+
+    def _picture(self, picture: np.ndarray, luminance: float) -> dict:
+        """Return an environment of D65, which has luminance 1 in Mitsuba; there azimuths turn the other way about y."""
+        colours = np.repeat(picture[:, ::-1, None], 3, axis=2)
+        turn = np.array([[0.0, 0.0, -1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+        bitmap = self.mitsuba.Bitmap(np.ascontiguousarray(colours, dtype=np.float32))
+        return {"type": "envmap", "bitmap": bitmap, "scale": luminance,
+                "to_world": self.mitsuba.ScalarTransform4f(turn)}  # fmt: skip
 
     def _spectrum(self, values: np.ndarray) -> dict:
         # Held at its ends outside the grid, as ours are when they become colours.
@@ -226,8 +281,18 @@ class Theirs:
             bsdf = {"type": "diffuse", "reflectance": self._spectrum(body.reflectance)}
         if body.kind == "sphere":
             return {"type": "sphere", "center": list(body.place_mm), "radius": body.size_mm, "bsdf": bsdf}
+        if body.kind == "ring":
+            return self._ring(body, bsdf)
         half = (body.size_mm / 2, body.size_mm / 2)
         return {"type": "rectangle", "to_world": self._transform(body.place_mm, body.turn, half), "bsdf": bsdf}
+
+    def _ring(self, body: Body, bsdf: dict):
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "ring.ply"
+            ring(body.size_mm).export(path)
+            turn = self._transform(body.place_mm, body.turn, (1.0, 1.0))
+            plain = {"type": "ply", "filename": str(path), "face_normals": True, "to_world": turn, "bsdf": bsdf}
+            return self.mitsuba.load_dict(plain)
 
     def xyz(self, samples: int, seed: int) -> np.ndarray:
         """Return a picture, (height, width, 3), white Y = 100; Mitsuba's own scale is ∫ L x̄ dλ / ∫ ȳ dλ."""
@@ -280,16 +345,16 @@ def compare(name: str, stage: Stage, arguments) -> list[dict]:
     white_xyz = xyz_from_radiance(white) @ white
     size = tuple(map(int, arguments.pixels.split("x")))
     pixels = size[0] * size[1]
-    renderers = [(Ours(stage, size, white), OUR_SAMPLES), (OursFiltered(stage, size, white), OUR_SAMPLES)]
-    for variant in arguments.variants:
-        renderers.append((Theirs(variant, arguments.sampler, stage, size, white), THEIR_SAMPLES))
+    renderers = [OursByDefault(stage, size, white), Ours(stage, size, white)]
+    renderers += [Theirs(variant, arguments.sampler, stage, size, white) for variant in arguments.variants]
     truths: dict[str, np.ndarray] = {}
     lines = []
-    for renderer, samples in renderers:
+    truths["reference"] = renderers[1].xyz(arguments.converged, 99)
+    for renderer in renderers:
         kind = renderer.name.split("-")[0]
         if kind not in truths:  # the variants of Mitsuba share their limit
             truths[kind] = renderer.xyz(arguments.converged, 99)
-        lines.append(line_of(renderer, samples, truths[kind], white_xyz, arguments.runs))
+        lines.append(line_of(renderer, renderer.samples, truths[kind], white_xyz, arguments.runs))
         text = ", ".join(f"{n}: {e:.3f}" for n, e in zip(lines[-1].samples, lines[-1].errors, strict=True))
         speed = 1e-6 * pixels / lines[-1].process_s
         print(f"{name} {renderer.name}: CIEDE2000 at samples {text}; {speed:.2f} million paths/s a core", flush=True)
@@ -297,7 +362,7 @@ def compare(name: str, stage: Stage, arguments) -> list[dict]:
         between = mean_error(*truths.values(), white_xyz)
         print(f"{name} converged pictures: mean CIEDE2000 {between:.3f}")
     rows = []
-    for (renderer, _), line in zip(renderers, lines, strict=True):
+    for renderer, line in zip(renderers, lines, strict=True):
         samples = line.samples_for(arguments.target)
         seconds = line.seconds_for(arguments.target) / arguments.threads
         first = lines[0].seconds_for(arguments.target) / arguments.threads
@@ -314,10 +379,18 @@ def ball_of(triangles: int) -> Shape:
     rows = max(3, round((triangles / 4) ** 0.5))
     sphere = trimesh.creation.uv_sphere(radius=30.0, count=[rows, 2 * rows])
     corners = np.asarray(sphere.vertices)[sphere.faces]
-    uv = np.full((len(corners), 3, 2), 0.5)
-    uv[0] = [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]
-    normals = corners / np.linalg.norm(corners, axis=-1, keepdims=True)
-    return Shape.from_mesh(Mesh(np.asarray(sphere.vertices), np.asarray(sphere.faces, dtype=np.int32), uv, normals))
+    return _mesh(sphere, corners / np.linalg.norm(corners, axis=-1, keepdims=True))
+
+
+def flat_mesh(mesh: trimesh.Trimesh) -> Shape:
+    """Return a mesh whose triangles have the normals of their planes."""
+    return _mesh(mesh, np.repeat(np.asarray(mesh.face_normals)[:, None], 3, axis=1))
+
+
+def _mesh(mesh: trimesh.Trimesh, normals: np.ndarray) -> Shape:
+    uv = np.full((len(mesh.faces), 3, 2), 0.5)
+    uv[0] = [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]  # one triangle has the whole texture, which is of one colour
+    return Shape.from_mesh(Mesh(np.asarray(mesh.vertices), np.asarray(mesh.faces, dtype=np.int32), uv, normals))
 
 
 def growth(runs: int) -> None:
@@ -337,7 +410,7 @@ def growth(runs: int) -> None:
         placements = [Placement(shape_of(bodies[0])), Placement(shape, np.eye(3), np.array([0.0, 0.0, 30.0]))]
         objects, _ = make_objects(placements, [uniform(bodies[0].reflectance), uniform(spectrum("TCS3"))])
         panel = typed(SceneLight, PANEL | {"position_mm": [0, 0, 180]})
-        scene = make_scene(placements, objects, even_light(stage.sky), [panel])
+        scene = make_scene(placements, objects, light_of(stage), [panel])
         close = stage._replace(field_deg=14.0)
         view = view_of(close, (96, 72))
         render(scene, view, 8)

@@ -714,6 +714,10 @@ class ReferenceIntegrator(Definition):
     #: Whether the noise is filtered out of the picture, at the price of a bias that is measured (true or false).
     denoise: bool = True
 
+    #: Whether a coarse cache of the light on all surfaces ends paths after their first diffuse reflection, where none
+    #: of it is seen; a small picture goes without, because filling takes time (true or false).
+    cache: bool = True
+
     #: Standard error of a pixel over its radiance (share): where one has more, log and report say so.
     max_relative_standard_error: float = 1.0
 

@@ -13,6 +13,7 @@ from irodori.rendering.integrators import with_bodies
 from irodori.rendering.reference.converging_picture import REPLICATES, TracedScene, make_scene, render_rows
 from irodori.rendering.reference.denoising import MARGIN, Halves, filtered_halves, make_guides, squared_error
 from irodori.rendering.reference.distance import body_pixels
+from irodori.rendering.reference.filling_cache import with_cache
 from irodori.rendering.reference.random_numbers import Numbers, make_numbers
 from irodori.rendering.reference.sky_sampling import Sky, make_sky
 from irodori.rendering.scene_arrays import View, make_objects, make_placements, make_view
@@ -49,11 +50,12 @@ class Paths:
         self._skies = (found + [pair for pair in self._skies if pair[0] is not light])[:_LIGHTS_KEPT]
         return found[0][1]
 
-    def _scene(self, materials: list[Material], light: Environment) -> TracedScene:
+    def _scene(self, materials: list[Material], light: Environment, cached: bool = False) -> TracedScene:
         shapes, materials = with_bodies(self.scene, self._shapes, materials)
         placements = make_placements(self.scene, shapes)
         objects, _ = make_objects(placements, materials)
-        return make_scene(placements, objects, self._lit(light), self.scene.lights)
+        scene, image = make_scene(placements, objects, self._lit(light), self.scene.lights), self.scene.image
+        return with_cache(scene, image.width * image.height * _samples(self)) if cached else scene
 
     def _numbers_of(self, samples: int, seed: int) -> Numbers:
         if (samples, seed) not in self._numbers:
@@ -77,13 +79,16 @@ class Paths:
         prepared = self._scene(materials, light)
         return render_rows(prepared, view, self._numbers_of(samples, 0), (0, view.height)).radiance
 
-    def blocks(self, materials: list[Material], light: Environment, samples: int, seed: int, margin: int) -> Halves:
+    def blocks(
+        self, materials: list[Material], light: Environment, samples: int, seed: int, margin: int, cached: bool = False
+    ) -> Halves:
         """Render blocks of the scene's picture, each with a margin; return them stacked along the first axis.
 
         Each block has its own random numbers. A margin may reach beyond the picture; it shows what a larger
-        picture of the same view would show there. The other parameters are those of `picture`.
+        picture of the same view would show there. With ``cached``, paths end in the cache of the scene's whole picture.
+        The other parameters are those of `picture`.
         """
-        prepared, numbers = self._scene(materials, light), self._numbers_of(samples, seed)
+        prepared, numbers = self._scene(materials, light, cached), self._numbers_of(samples, seed)
         found = []
         for number, block in enumerate(self._block_views(margin)):
             own = numbers._replace(seed=seed * 1_000_003 + number)
@@ -158,7 +163,7 @@ class TracedBlocks(NamedTuple):
 def traced_blocks(paths: Paths, materials: list[Material], light: Environment, seed: int) -> TracedBlocks:
     """Render blocks with the scene's number of paths per pixel, and filter them if the scene is to be filtered."""
     margin = _margin(paths)
-    halves = paths.blocks(materials, light, _samples(paths), seed, margin)
+    halves = paths.blocks(materials, light, _samples(paths), seed, margin, _integrator(paths).cache)
     first, second = (_inner(halves.mean + sign * halves.difference, margin) for sign in (1.0, -1.0))
     filtered = np.stack([first, second])
     if margin:

@@ -54,6 +54,7 @@ def surface(world, index, ray, work):
         for a sheet also ``through_texel``. It has the direction ``to_eye``.
     """
     u, v = surface_at(world.surfaces, index, ray, work.point, work.normal, work.facet)
+    work.place[0], work.place[1] = u, v
     objects, side = world.objects, np.int64(index)
     if objects.behind[index] >= 0:
         facet, normal, eye = work.facet, work.normal, work.to_eye

@@ -301,7 +301,7 @@ class Scattering:
     def __init__(self, denoise: bool) -> None:
         self.scene = SimpleNamespace(integrator=ReferenceIntegrator(samples=16, denoise=denoise))
 
-    def blocks(self, materials, light, samples, seed, margin) -> Halves:
+    def blocks(self, materials, light, samples, seed, margin, cached=False) -> Halves:
         size = (60, 8 + 2 * margin, 8 + 2 * margin, 1)
         mean, half = np.random.default_rng(seed).normal(size=(2, *size)) / np.sqrt(samples)
         seen = np.zeros((*size[:3], SEEN), np.float32)
@@ -331,8 +331,8 @@ def test_the_noise_of_the_picture_beside_it_is_subtracted(monkeypatch):
 
 def test_pictures_without_noise_have_none():
     class Certain(Scattering):
-        def blocks(self, materials, light, samples, seed, margin) -> Halves:
-            halves = super().blocks(materials, light, samples, seed, margin)
+        def blocks(self, materials, light, samples, seed, margin, cached=False) -> Halves:
+            halves = super().blocks(materials, light, samples, seed, margin, cached)
             return halves._replace(mean=np.full_like(halves.mean, 0.4), difference=np.zeros_like(halves.mean))
 
     for noise in (measured_noise, expected_noise):

@@ -225,12 +225,12 @@ def test_one_error_for_all_bands_is_right_where_they_err_apart_from_each_other(m
 
     sigma, rng = np.linspace(0.5, 2.0, 61), np.random.default_rng(0)
 
-    def noise(scene, view, numbers, rows):
+    def noise(renderer, rows):
         # As of two sets: half their difference.
-        shape = (rows[1] - rows[0], view.width, 61)
+        shape = (rows[1] - rows[0], renderer.width, 61)
         return module.Picture(np.zeros(shape, np.float32), np.abs(rng.normal(0, sigma, shape)).astype(np.float32), 0)
 
-    monkeypatch.setattr(module, "render_rows", noise)
+    monkeypatch.setattr(module.Renderer, "rows", noise)
     stated = pooled(still_life(16, error_by_band=False).standard_error[..., 0])
     assert stated.mean() == pytest.approx(np.sqrt(np.mean(sigma**2)), rel=0.02)
 
@@ -273,15 +273,15 @@ def test_an_interrupted_picture_goes_on_where_it_stopped(tmp_path, monkeypatch):
     from irodori.rendering.reference import converging_picture as module
 
     whole = still_life(16, tile_rows=6)
-    real, made = module.render_rows, []
+    real, made = module.Renderer.rows, []
 
-    def counted(scene, view, numbers, rows):
+    def counted(renderer, rows):
         if len(made) == 2:
             raise KeyboardInterrupt
         made.append(rows)
-        return real(scene, view, numbers, rows)
+        return real(renderer, rows)
 
-    monkeypatch.setattr(module, "render_rows", counted)
+    monkeypatch.setattr(module.Renderer, "rows", counted)
     with pytest.raises(KeyboardInterrupt):
         still_life(16, tile_rows=6, tiles=FinishedTiles(tmp_path / "t", "a"))
     assert made == [(0, 6), (6, 12)]

@@ -23,8 +23,10 @@ from irodori.rendering.compiled_calls import resolved
 from irodori.rendering.reference.band_loops import padded
 from irodori.rendering.reference.denoising import Halves
 from irodori.rendering.reference.glints import find_glints
+from irodori.rendering.reference.light_cache import no_cache
 from irodori.rendering.reference.random_numbers import Numbers, make_numbers
 from irodori.rendering.reference.row_statistics import Rows, Sampling, render_some_rows
+from irodori.rendering.reference.shape_hits import shape_rows
 from irodori.rendering.reference.sky_sampling import Sky, make_sky
 from irodori.rendering.reference.sun_images import make_images
 from irodori.rendering.reference.world import SEEN, Bands, World
@@ -81,26 +83,58 @@ def make_scene(
     offset = _OFFSET * reaches(tracer.placements)
     addresses = (tracer.intersect_address, tracer.occluded_address, tracer.scene)
     sky = environment if isinstance(environment, Sky) else make_sky(environment)
-    images = make_images(placements, objects, sky)
-    parts = surfaces, objects, bands, sky, placed, *addresses, offset, _STEPS, images
-    return TracedScene(World(*parts, len(placements)), tracer)
+    world = World(
+        surfaces,
+        objects,
+        bands,
+        sky,
+        placed,
+        *addresses,
+        offset,
+        _STEPS,
+        make_images(placements, objects, sky),
+        no_cache(len(placements)),
+        *shape_rows(tracer.placements),
+        len(placements),
+    )
+    return TracedScene(world, tracer)
+
+
+class Renderer:
+    """Compiled loop for a view of a scene, whose argument types take a millisecond to determine."""
+
+    def __init__(self, scene: TracedScene, view: View, numbers: Numbers) -> None:
+        self.width, self._with_halves = view.width, numbers.replicates == 2
+        self._sampling = Sampling(scene.world, view, numbers, find_glints(scene.world.images, view))
+        self._loop = resolved(render_some_rows, self._sampling, _empty_rows(np.zeros((0, 0, 2), np.int64)), 0, 0)
+
+    def places(self, places: np.ndarray) -> Picture:
+        """Render pixels given by column and row, (rows, width, 2) int64."""
+        rows = _empty_rows(places)
+        run_chunks(self._loop, len(places), 1, self._sampling, rows)
+        halves = Halves(rows.image, rows.difference, rows.seen) if self._with_halves else None
+        return Picture(rows.image, rows.error, int(rows.cut.sum()), halves)
+
+    def rows(self, rows: tuple[int, int]) -> Picture:
+        """Render a band of rows."""
+        places = np.moveaxis(np.mgrid[slice(*rows), : self.width], 0, -1)[..., ::-1]
+        return self.places(np.ascontiguousarray(places, dtype=np.int64))
+
+
+def _empty_rows(places: np.ndarray) -> Rows:
+    count, width, _ = places.shape
+    image, seen = (np.zeros((count, width, size), dtype=np.float32) for size in (BANDS, SEEN))
+    return Rows(places, image, np.zeros_like(image), np.zeros_like(image), seen, np.zeros(count, dtype=np.int64))
 
 
 def render_rows(scene: TracedScene, view: View, numbers: Numbers, rows: tuple[int, int]) -> Picture:
     """Render a band of rows on all threads of numba; the result does not depend on their number."""
-    return render_places(scene, view, numbers, np.moveaxis(np.mgrid[slice(*rows), : view.width], 0, -1)[..., ::-1])
+    return Renderer(scene, view, numbers).rows(rows)
 
 
 def render_places(scene: TracedScene, view: View, numbers: Numbers, places: np.ndarray) -> Picture:
     """Render pixels of a view given by column and row, (rows, width, 2), with the same result as `render_rows`."""
-    places = np.ascontiguousarray(places, dtype=np.int64)
-    count, width, _ = places.shape
-    image, seen = (np.zeros((count, width, size), dtype=np.float32) for size in (BANDS, SEEN))
-    error, difference, cut = np.zeros_like(image), np.zeros_like(image), np.zeros(count, dtype=np.int64)
-    sampling = Sampling(scene.world, view, numbers, find_glints(scene.world.images, view))
-    arguments = sampling, Rows(places, image, error, difference, seen, cut)
-    run_chunks(resolved(render_some_rows, *arguments, 0, 0), count, 1, *arguments)
-    return Picture(image, error, int(cut.sum()), Halves(image, difference, seen) if numbers.replicates == 2 else None)
+    return Renderer(scene, view, numbers).places(np.ascontiguousarray(places, dtype=np.int64))
 
 
 def check_samples(samples: int, replicates: int = REPLICATES) -> None:
@@ -160,17 +194,14 @@ def render(
     check_samples(samples, replicates)
     if halves and replicates != 2:
         raise ValueError(f"halves of {replicates} replicates; accepted: 2")
-    numbers = make_numbers(samples, seed, replicates)
+    renderer = Renderer(scene, view, make_numbers(samples, seed, replicates))
     radiance = np.empty((view.height, view.width, BANDS), dtype=np.float32)
     error, cut = np.empty((view.height, view.width, BANDS if error_by_band else 1), dtype=np.float32), 0
     difference = np.empty_like(radiance) if halves else None
     seen = np.empty((view.height, view.width, SEEN), dtype=np.float32)
     for first in track(range(0, view.height, tile_rows), label):
         rows = (first, min(first + tile_rows, view.height))
-        if tiles is None:
-            part = render_rows(scene, view, numbers, rows)
-        else:
-            part = tiles.get(rows, partial(render_rows, scene, view, numbers, rows))
+        part = renderer.rows(rows) if tiles is None else tiles.get(rows, partial(renderer.rows, rows))
         radiance[slice(*rows)] = part.radiance
         spread = part.standard_error
         error[slice(*rows)] = spread if error_by_band else np.sqrt(np.mean(spread**2, axis=-1, keepdims=True))
@@ -197,7 +228,8 @@ def pooled(error: np.ndarray) -> np.ndarray:
 
 def picture_key(scene: TracedScene, view: View, samples: int, seed: int) -> str:
     """Return a hash of everything on which a picture depends: the scene, the view, the samples and this code."""
-    digest = hashlib.blake2b(code_hash(__name__).encode(), digest_size=16)
+    code = code_hash("irodori.rendering.reference.filling_cache")  # which uses this module
+    digest = hashlib.blake2b(code.encode(), digest_size=16)
     for part in (
         scene.world.surfaces,
         scene.world.objects,
@@ -211,7 +243,8 @@ def picture_key(scene: TracedScene, view: View, samples: int, seed: int) -> str:
                 digest.update(" ".join(f"{name} {lobe(name).digest}" for name in value.names).encode())
             else:
                 digest.update(np.ascontiguousarray(value).data)
-    digest.update(f"{samples} {seed}".encode())
+    # The light of a cache follows from the rest.
+    digest.update(f"{samples} {seed} {len(scene.world.cache.light)}".encode())
     return digest.hexdigest()
 
 

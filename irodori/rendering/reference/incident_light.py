@@ -12,6 +12,7 @@ from irodori.core.progress import LOGGER
 from irodori.geometry.embree import new_ray
 from irodori.jit.chunks import run_chunks
 from irodori.jit.compilation import njit
+from irodori.rendering.compiled_calls import resolved
 from irodori.rendering.reference.band_loops import BANDS, PADDED
 from irodori.rendering.reference.converging_picture import TracedScene
 from irodori.rendering.reference.paths import gather
@@ -31,6 +32,7 @@ class Places(NamedTuple):
     key: np.ndarray  # (n,) int64, not negative, selects the random numbers
     halves: np.ndarray  # (2, n, 61) float32 irradiance / π from each half of the paths
     cut: np.ndarray  # (n,) int64 paths that were cut
+    lamps: bool  # whether direct light of the scene's lights other than the environment is added
 
 
 @njit(cache=True, nogil=True)
@@ -48,7 +50,8 @@ def _gather_at_some(world, numbers, places, first, last):
                     work.facet[axis] = places.facet[place, axis]
                 for band in range(PADDED):
                     work.total[band] = np.float32(0.0)
-                places.cut[place] += gather(world, ray, work, numbers, stream_of(numbers, key, replicate, sample))
+                stream = stream_of(numbers, key, replicate, sample)
+                places.cut[place] += gather(world, ray, work, numbers, stream, places.lamps)
                 for band in range(BANDS):
                     whole[band] += work.total[band]
             for band in range(BANDS):
@@ -57,47 +60,64 @@ def _gather_at_some(world, numbers, places, first, last):
 
 def incident_light(
     scene: TracedScene,
-    surface: int,
+    surface: int | np.ndarray,
     point: np.ndarray,
     normal: np.ndarray,
     facet: np.ndarray,
     *,
     samples: int,
     seed: int = 0,
+    lamps: bool = False,
 ) -> np.ndarray:
-    """Return the light on points of a surface, as the radiance of a perfect diffuser there, in two halves of paths.
+    """Return the light on points of surfaces, as the radiance of a perfect diffuser there, in two halves of paths.
 
-    Direct light of the scene's own lights is left out; their light reflected by other surfaces is included.
+    Light of the scene's own lights that other surfaces reflect is always included.
 
     Parameters
     ----------
     scene : TracedScene
-    surface : int
+    surface : int or (n,) int
         Number of the surface on which the points lie.
     point, normal, facet : (n, 3) float
         Points in mm, unit shading normals and unit normals of the surface itself.
     samples : int
         Paths per point, a multiple of 2.
     seed : int, from 0
+    lamps : bool
+        Whether the direct light of the scene's own lights is included.
 
     Returns
     -------
     (2, n, 61) float32, irradiance / π from two independent halves of the paths
     """
-    numbers: Numbers = make_numbers(samples, seed, _REPLICATES)
+    places = make_places(scene, surface, point, normal, facet)._replace(lamps=lamps)
+    return light_at(scene, places, make_numbers(samples, seed, _REPLICATES))
+
+
+def make_places(scene: TracedScene, surface, point: np.ndarray, normal: np.ndarray, facet: np.ndarray) -> Places:
+    """Return the places of `incident_light`, without direct light of the scene's own lights."""
     reach = np.abs(point).sum(axis=1, keepdims=True)
-    raised = point + (scene.world.offset_mm[surface] + scene.world.steps * reach) * facet
     count = len(point)
-    places = Places(
+    own = np.broadcast_to(surface, count)
+    raised = point + (scene.world.offset_mm[own, None] + scene.world.steps * reach) * facet
+    return Places(
         np.ascontiguousarray(raised, dtype=np.float64),
         np.ascontiguousarray(normal, dtype=np.float64),
         np.ascontiguousarray(facet, dtype=np.float64),
         # Places of other surfaces have other numbers.
-        surface * (1 << 24) + np.arange(count),
+        own * (1 << 24) + np.arange(count),
         np.zeros((_REPLICATES, count, BANDS), dtype=np.float32),
         np.zeros(count, dtype=np.int64),
+        False,
     )
-    run_chunks(_gather_at_some, count, _CHUNK, scene.world, numbers, places)
+
+
+def light_at(scene: TracedScene, places: Places, numbers: Numbers) -> np.ndarray:
+    """Trace the paths from places, each with the samples of ``numbers``; return the result of `incident_light`."""
+    count = len(places.point)
+    places = places._replace(halves=np.zeros_like(places.halves), cut=np.zeros(count, dtype=np.int64))
+    arguments = scene.world, numbers, places
+    run_chunks(resolved(_gather_at_some, *arguments, 0, 0), count, _CHUNK, *arguments)
     if places.cut.any():
         LOGGER.warning("%d paths were cut: the light is too dark by what they would have brought", places.cut.sum())
     return places.halves

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from irodori.geometry.embree import hit_distance, hit_shape, is_blocked, trace
+from irodori.geometry.embree import hit_distance, hit_shape
 from irodori.geometry.surfaces import face_viewer
 from irodori.jit.compilation import uncounted
 from irodori.reflection.fresnel import fresnel
@@ -29,6 +29,7 @@ from irodori.rendering.reference.band_loops import (
     summed,
     summed_product,
 )
+from irodori.rendering.reference.light_cache import cached_texel
 from irodori.rendering.reference.lobe_sampling import Gloss, draw_cosine, draw_gloss, half_angles
 from irodori.rendering.reference.random_numbers import (
     CHOICE,
@@ -36,11 +37,14 @@ from irodori.rendering.reference.random_numbers import (
     LOBE,
     PER_VERTEX,
     PICK,
+    REST,
     SURVIVAL,
+    TEXEL,
     VERTEX,
     Stream,
     draw_from,
 )
+from irodori.rendering.reference.shape_hits import is_hidden, meet
 from irodori.rendering.reference.sky_sampling import look_at_sky, sample_sky
 from irodori.rendering.reference.sun_images import (
     draw_image,
@@ -63,6 +67,7 @@ _ROULETTE_FROM = 4  # Russian roulette begins at the fifth surface
 #: lamp in a weak mirror, sampled seldom, would consist of bright dots. If the mirror's share is below 1 / MIRRORED,
 #: only one of MIRRORED samples follows it.
 MIRRORED = 4
+_WIDEST = 2.0 * math.pi  # largest solid angle over which a direction is spread, sr
 _OF_SUN = 0.5  # least probability of the mirror term where it shows a sun
 _THIRD = 20  # bands of a part of the spectrum, see `ALBEDO`
 # Columns of `Work.gloss`.
@@ -243,13 +248,11 @@ def _add_chosen_light(world, ray, work, index, probability, stream):
         _leave(world, work, index, -1.0)
     share = work.share[chosen]
     if chosen < count and world.lights.surface[chosen] >= 0:
-        trace(world.intersect, world.scene, ray, work.origin, work.light, np.inf)
+        meet(world, ray, work.origin, work.light)
         if hit_shape(ray) != world.lights.surface[chosen]:
             return
-    else:
-        trace(world.occluded, world.scene, ray, work.origin, work.light, np.inf)
-        if is_blocked(ray):
-            return
+    elif is_hidden(world, ray, work.origin, work.light):
+        return
     if chosen == count:
         decode(world.sky.basis, 0, work.coefficients.size - 1, work.coefficients, work.radiance)
     else:
@@ -441,7 +444,38 @@ def _arrive(world, work, ray, index):
         work.point[axis] = work.origin[axis] + distance * d[axis]
         work.to_eye[axis] = -d[axis]
     side = surface(world, index, ray, work)
+    work.spread[1] += work.spread[0] * distance * distance
     return face_viewer(work.normal, work.facet, d), side
+
+
+@uncounted(forceinline=True)
+def _spread(work, density):
+    """Note the solid angle over which a direction is spread that was sampled with a density, 1/sr; -1 for a mirror."""
+    if density > 0.0:
+        work.spread[0] = max(work.spread[0], min(1.0 / density, _WIDEST))
+
+
+@uncounted(forceinline=True)
+def _add_cached(world, ray, work, index, terms, stream):
+    """Add the diffuse light of a surface from the cache, if a texel may stand for it.
+
+    Returns the terms that are left to the path, zeros if it ends. Sheets, which let light through, have no texels.
+    """
+    texel = -1
+    if terms[0] > 0.0 and index < world.placed:
+        texel = cached_texel(world, ray, work, index, draw_from(stream, TEXEL))
+    if texel < 0:
+        return terms
+    for band in range(PADDED):
+        work.mixture[band] = work.diffuse[band] * world.cache.light[texel, band]
+        work.diffuse[band] = np.float32(0.0)
+    add_product(work.throughput, work.mixture, 1.0, work.total)
+    _, gloss, mirror, reflectance, through = terms
+    rest = gloss + mirror
+    if not draw_from(stream, REST) < rest:
+        return 0.0, 0.0, 0.0, reflectance, through
+    scale(work.throughput, 1.0 / rest)
+    return 0.0, gloss / rest, mirror / rest, reflectance, through
 
 
 @uncounted(forceinline=True)
@@ -485,11 +519,11 @@ def follow(world, ray, work, drawn, seldom, weight):
 
 
 @uncounted(forceinline=True)
-def gather(world, ray, work, numbers, stream):
+def gather(world, ray, work, numbers, stream, lamps):
     """Trace one path from a point of a surface; add the radiance of a perfect diffuser there to ``work.total``.
 
-    ``work`` has the point in ``point``, ``normal`` and ``facet``. Direct light of the scene's lights other than the
-    environment is left out. Returns the number of paths that were cut.
+    ``work`` has the point in ``point``, ``normal`` and ``facet``. ``lamps`` says whether direct light of the scene's
+    own lights, other than the environment, is added. Returns the number of paths that were cut.
     """
     index, count, lit = 0, world.lights.kind.size, world.sky.power > 0.0
     for band in range(PADDED):
@@ -504,6 +538,8 @@ def gather(world, ray, work, numbers, stream):
         work.origin[axis] = work.point[axis]
     if has_images(world.images):
         _look_for_images(world, work)
+    if lamps:
+        lit = _fill_shares(world, work.origin, work.share)
     if lit:
         _add_chosen_light(world, ray, work, index, (1.0, 0.0, 0.0), own)
     density = _turn(world, work, index, (1.0, 0.0, 0.0, 0.0, 0.0), own)
@@ -521,9 +557,11 @@ def _go_on(world, ray, work, drawn, seldom, begun):
     density, vertex = begun
     cut, kept, start = 0, False, float(work.throughput[0])
     work.aimed[2] = max(1.0, 1.0 / start) if vertex == 0 else work.aimed[2]
+    work.spread[0] = work.spread[1] = 0.0
+    _spread(work, density)
     while True:
         goes_on = False
-        trace(world.intersect, world.scene, ray, work.origin, work.direction, np.inf)
+        meet(world, ray, work.origin, work.direction)
         index = np.int64(hit_shape(ray))
         if index < 0 or index >= world.placed:
             _meet_light(world, work, index, density)
@@ -541,8 +579,10 @@ def _go_on(world, ray, work, drawn, seldom, begun):
                 for axis in range(3):
                     work.seen[NORMAL + axis] += start * work.normal[axis]
                     work.seen[PLACE + axis] += start * work.point[axis]
+            own = Stream(numbers, stream, VERTEX + vertex * PER_VERTEX)
+            if work.spread[1] > 0.0:
+                terms = _add_cached(world, ray, work, index, terms, own)
             if terms[0] + terms[1] + terms[2] + terms[4] > 0.0:
-                own = Stream(numbers, stream, VERTEX + vertex * PER_VERTEX)
                 _leave(world, work, index, 1.0)
                 if vertex == 0:
                     terms, kept = _keep_mirror(world, work, index, terms, seldom)
@@ -552,6 +592,7 @@ def _go_on(world, ray, work, drawn, seldom, begun):
                 if terms[0] + terms[1] + terms[4] > 0.0 and _fill_shares(world, work.origin, work.share):
                     _add_chosen_light(world, ray, work, index, (terms[0], terms[1], terms[4]), own)
                 density = _turn(world, work, index, terms, own)
+                _spread(work, density)
                 goes_on = density != 0.0 and (vertex < _ROULETTE_FROM or _survives(world, work, own))
         vertex += 1
         if goes_on and vertex < LONGEST:
@@ -560,6 +601,7 @@ def _go_on(world, ray, work, drawn, seldom, begun):
         if not kept:
             return cut
         density, vertex, kept, work.aimed[2] = -1.0, 1, False, max(1.0, 1.0 / start)
+        work.spread[0] = work.spread[1] = 0.0
         for axis in range(3):
             work.origin[axis], work.direction[axis] = work.kept.origin[axis], work.kept.direction[axis]
         for band in range(PADDED):

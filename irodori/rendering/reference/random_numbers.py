@@ -14,8 +14,9 @@ from irodori.jit.compilation import uncounted
 
 PIXEL, LENS = 0, 2
 VERTEX = 4  # first dimension of the first surface
-LIGHT, LOBE, CHOICE, PICK, SURVIVAL = 0, 2, 4, 5, 6
+LIGHT, LOBE, CHOICE, PICK, SURVIVAL, TEXEL = 0, 2, 4, 5, 6, 7
 PER_VERTEX = 8
+REST = 1 << 20  # a dimension of each surface beyond those of the sequence
 _VERTICES = 4
 DIMENSIONS = VERTEX + _VERTICES * PER_VERTEX
 _LARGEST_SET = 4096
@@ -68,7 +69,9 @@ def _scrambled_sobol(count: int, generator: np.random.Generator) -> np.ndarray:
     shift = generator.integers(2, size=(2, 32), dtype=np.uint32) @ (np.uint32(1) << np.arange(32, dtype=np.uint32))
     matrices = np.tril(generator.integers(2, size=(2, 32, 32), dtype=np.uint32), -1) | np.eye(32, dtype=np.uint32)
     bits = directions[:, None, :] >> places[::-1, None] & np.uint64(1)  # (dimension, bit from the highest, column)
-    scrambled = np.bitwise_or.reduce((matrices @ bits & np.uint64(1)) << places[::-1, None], axis=1)
+    # Sums of 32 bits are exact in single precision, whose products of matrices are fast.
+    sums = (matrices.astype(np.float32) @ bits.astype(np.float32)).astype(np.uint64)
+    scrambled = np.bitwise_or.reduce((sums & np.uint64(1)) << places[::-1, None], axis=1)
     # In Gray code each point differs from the one before by the direction of the lowest bit set in its number.
     number = np.arange(1, count)
     steps = np.zeros((count, 2), dtype=np.uint64)

@@ -11,6 +11,7 @@ import numpy as np
 
 from irodori.geometry.surfaces import Surfaces
 from irodori.jit.compilation import njit
+from irodori.rendering.reference.light_cache import Cache
 from irodori.rendering.reference.sky_sampling import Sky
 from irodori.rendering.reference.sun_images import COLUMNS, LONGEST, Images
 from irodori.rendering.scene_arrays import Objects
@@ -43,6 +44,9 @@ class World(NamedTuple):
     offset_mm: np.ndarray  # (surfaces,) height above a surface at which rays leave it, at the origin
     steps: float  # additional height relative to the coordinates, for single precision
     images: Images
+    cache: Cache
+    shape_kinds: np.ndarray  # (surfaces,) int64, empty if Embree traces; see `irodori.rendering.reference.shape_hits`
+    shape_rows: np.ndarray
     placed: int  # number of the objects' placed shapes
 
 
@@ -83,6 +87,9 @@ class Work(NamedTuple):
     spheres: np.ndarray  # (LONGEST, COLUMNS) of a chain, see `irodori.rendering.reference.sun_images`
     through_texel: np.ndarray  # (k + 2 c,) of the transmittance of a sheet
     through: np.ndarray  # (64,) float32 transmittance
+    #: (2,) solid angle over which the path's direction is spread, sr, and area in which it may have arrived, mm².
+    spread: np.ndarray
+    place: np.ndarray  # (2,) texture coordinates u, v
 
 
 @njit(cache=True)
@@ -114,4 +121,6 @@ def new_work(world):
         np.zeros((LONGEST, COLUMNS)),
         np.zeros(world.objects.texels.shape[1]),
         np.zeros(PADDED, np.float32),
+        np.zeros(2),
+        np.zeros(2),
     )
