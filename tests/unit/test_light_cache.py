@@ -9,13 +9,11 @@ from path_scenes import DARK, ball, facetted_sphere
 from scenes import constant_light, material, plate
 
 from irodori.config.models import SceneLight, Size, View
-from irodori.geometry.embree import hit_distance, hit_shape, new_ray
 from irodori.geometry.rig_frame import rotation_x, rotation_y
 from irodori.geometry.shapes.placement import Placement
 from irodori.geometry.shapes.shape import Shape
 from irodori.rendering.reference.converging_picture import TracedScene, make_scene, render
 from irodori.rendering.reference.filling_cache import with_cache
-from irodori.rendering.reference.shape_hits import is_hidden, meet
 from irodori.rendering.scene_arrays import make_objects, make_view
 from irodori.spectra.published import light as spectrum_of
 
@@ -107,17 +105,3 @@ def test_the_cache_is_never_seen_itself(pictures):
 def test_a_small_picture_goes_without():
     scene = room()
     assert with_cache(scene, 10_000) is scene
-
-
-def test_formulas_find_the_hits_that_embree_finds():
-    scene = room()
-    world, ray = scene.world, new_ray()
-    assert world.shape_kinds.size == 8
-    way = np.random.default_rng(3).normal(size=(400, 3))
-    way /= np.linalg.norm(way, axis=1, keepdims=True)
-    start = np.array([3.0, 1.0, 50.0])
-    distance, shape = scene.tracer.intersect(np.tile(start, (400, 1)), way)
-    for direction, far, met in zip(way, distance, shape, strict=True):
-        meet(world, ray, start, direction)
-        assert hit_shape(ray) == met and is_hidden(world, ray, start, direction) == (met >= 0)
-        assert met < 0 or hit_distance(ray) == pytest.approx(far, rel=1e-5)

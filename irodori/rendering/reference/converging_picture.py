@@ -26,7 +26,6 @@ from irodori.rendering.reference.glints import find_glints
 from irodori.rendering.reference.light_cache import no_cache
 from irodori.rendering.reference.random_numbers import Numbers, make_numbers
 from irodori.rendering.reference.row_statistics import Rows, Sampling, render_some_rows
-from irodori.rendering.reference.shape_hits import shape_rows
 from irodori.rendering.reference.sky_sampling import Sky, make_sky
 from irodori.rendering.reference.sun_images import make_images
 from irodori.rendering.reference.world import SEEN, Bands, World
@@ -94,7 +93,6 @@ def make_scene(
         _STEPS,
         make_images(placements, objects, sky),
         no_cache(len(placements)),
-        *shape_rows(tracer.placements),
         len(placements),
     )
     return TracedScene(world, tracer)

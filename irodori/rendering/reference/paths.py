@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from irodori.geometry.embree import hit_distance, hit_shape
+from irodori.geometry.embree import hit_distance, hit_shape, is_blocked, trace
 from irodori.geometry.surfaces import face_viewer
 from irodori.jit.compilation import uncounted
 from irodori.reflection.fresnel import fresnel
@@ -44,7 +44,6 @@ from irodori.rendering.reference.random_numbers import (
     Stream,
     draw_from,
 )
-from irodori.rendering.reference.shape_hits import is_hidden, meet
 from irodori.rendering.reference.sky_sampling import look_at_sky, sample_sky
 from irodori.rendering.reference.sun_images import (
     draw_image,
@@ -248,11 +247,13 @@ def _add_chosen_light(world, ray, work, index, probability, stream):
         _leave(world, work, index, -1.0)
     share = work.share[chosen]
     if chosen < count and world.lights.surface[chosen] >= 0:
-        meet(world, ray, work.origin, work.light)
+        trace(world.intersect, world.scene, ray, work.origin, work.light, np.inf)
         if hit_shape(ray) != world.lights.surface[chosen]:
             return
-    elif is_hidden(world, ray, work.origin, work.light):
-        return
+    else:
+        trace(world.occluded, world.scene, ray, work.origin, work.light, np.inf)
+        if is_blocked(ray):
+            return
     if chosen == count:
         decode(world.sky.basis, 0, work.coefficients.size - 1, work.coefficients, work.radiance)
     else:
@@ -561,7 +562,7 @@ def _go_on(world, ray, work, drawn, seldom, begun):
     _spread(work, density)
     while True:
         goes_on = False
-        meet(world, ray, work.origin, work.direction)
+        trace(world.intersect, world.scene, ray, work.origin, work.direction, np.inf)
         index = np.int64(hit_shape(ray))
         if index < 0 or index >= world.placed:
             _meet_light(world, work, index, density)

@@ -45,8 +45,6 @@ class World(NamedTuple):
     steps: float  # additional height relative to the coordinates, for single precision
     images: Images
     cache: Cache
-    shape_kinds: np.ndarray  # (surfaces,) int64, empty if Embree traces; see `irodori.rendering.reference.shape_hits`
-    shape_rows: np.ndarray
     placed: int  # number of the objects' placed shapes
 
 
