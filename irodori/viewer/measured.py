@@ -1,5 +1,6 @@
 """Colour differences, CIEDE2000, between a page's rendering and that of the package, and the scenes to measure them."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -13,7 +14,7 @@ from irodori.geometry.shapes.placement import Placement
 from irodori.light.environment_file import Environment
 from irodori.rendering.interactive.cube_maps import face_directions, fill_borders, look_up_cube
 from irodori.rendering.interactive.frame_renderer import CollimatedLamp, Prepared, light_of, prepare_scene, render_frame
-from irodori.rendering.interactive.prepared_scene import gloss_for, padded
+from irodori.rendering.interactive.prepared_scene import gloss_for, indices, joined, padded
 from irodori.rendering.light_maps import LightMaps as BakedMaps
 from irodori.rendering.light_transfer import LightTransfer
 from irodori.rendering.scene_arrays import Objects, View
@@ -151,11 +152,11 @@ def _bordered(inner: np.ndarray) -> np.ndarray:
 def _joined(name: str, levels: list[np.ndarray], lanes: int) -> dict:
     """Return the fields of maps that are concatenated into one flat array, with their last axis padded to ``lanes``."""
     flat = [padded(level, lanes) for level in levels]
-    sizes = [len(values) for values in flat]
+    texels = [math.prod(level.shape[:3]) for level in levels]
     sides = [level.shape[1] - 2 for level in levels]
     return {
-        name: np.concatenate(flat),
-        f"{name}_first": (np.cumsum(sizes) - sizes).astype(np.int64),
+        name: joined(flat),
+        f"{name}_first": indices(np.cumsum(texels) - texels),
         f"{name}_side": np.array(sides, dtype=np.int32),
     }
 
