@@ -225,7 +225,7 @@ def page_data(sources: SceneSources) -> PageData:
     planes = StoredPlanes()
     lit = [add_light(planes, i, light_maps(room.environment, objects)) for i, room in enumerate(rooms)]
     entries = [{**a, **b} for a, b in zip(add_materials(planes, objects), add_shapes(planes, placements), strict=True)]
-    maps = add_maps(planes, placements, objects) if has_shadows(scene) else [None] * len(entries)
+    maps = add_maps(planes, placements, objects, len(scene.bodies)) if has_shadows(scene) else [None] * len(entries)
     uncertainties = [error for _, error in loaded] + [np.zeros(m.alpha.shape) for m in whole[1][len(loaded) :]]
     turns = [item.rotation_deg for item in scene.objects] + [item.rotation_deg for item in scene.bodies]
     for i, (material, error) in enumerate(zip(whole[1], uncertainties, strict=True)):

@@ -29,8 +29,8 @@ MOST_SIDE = 256
 #: Levels of blurred light with more texels along the side are stored at half the side, with a border as wide as the
 #: interpolation of `finer` needs.
 HALVED_FROM, BORDER = 32, 4
-#: Texels of an object's light map, about; those of a mesh of many corners that are traced.
-MOST_TEXELS, MOST_TRACED = 1 << 10, 1 << 12
+#: Texels of the light map of an object and of a body, about; those of a mesh of many corners that are traced.
+MOST_TEXELS, MOST_BODY_TEXELS, MOST_TRACED = 1 << 10, 1 << 12, 1 << 12
 
 
 @dataclass(frozen=True)
@@ -254,17 +254,19 @@ def _mesh_planes(planes: StoredPlanes, name: str, mesh: Mesh) -> None:
     planes.add_integers(f"{name}/faces", place[inverse.ravel()].reshape(-1, 3).T)
 
 
-def add_maps(planes: StoredPlanes, placements: list[Placement], objects: Objects) -> list[dict]:
+def add_maps(planes: StoredPlanes, placements: list[Placement], objects: Objects, bodies: int) -> list[dict]:
     """Add what the page needs to find the light on objects; return each object's entry for the header.
 
     For each texel of its light map, an object has the coefficients of its mean reflectance. A mesh also has the places
     of its texels, which are nodes of its triangles. If it has many nodes, light is found at some, and spread to all.
+    The last placements are those of ``bodies``, such as tables and walls, which are large beside objects.
     """
     entries = []
     for index, placement in enumerate(placements):
         name, layout = f"object/{index}/map", make_layout(placements, index)
-        rows, columns = layout.size(MOST_TEXELS)
-        grid, points = layout.grid.copy(), layout.points(MOST_TEXELS)
+        most = MOST_TEXELS if index < len(placements) - bodies else MOST_BODY_TEXELS
+        rows, columns = layout.size(most)
+        grid, points = layout.grid.copy(), layout.points(most)
         if placement.shape.triangles is not None:
             points, spread = thinned(points, MOST_TRACED)
             turn = placement.rotation
@@ -272,7 +274,7 @@ def add_maps(planes: StoredPlanes, placements: list[Placement], objects: Objects
             planes.add_linear(f"{name}/point", local.T, bits=16)
             planes.add_linear(f"{name}/normal", (points.normal @ turn).T, bits=12)
             planes.add_linear(f"{name}/facet", (points.facet @ turn).T, bits=12)
-            for part, numbers in zip(("parts", "corners"), layout.triangles(MOST_TEXELS), strict=True):
+            for part, numbers in zip(("parts", "corners"), layout.triangles(most), strict=True):
                 planes.add_integers(f"{name}/{part}", numbers[None].astype(np.int64))
             if spread is not None:
                 planes.add_integers(f"{name}/near", spread.indices.reshape(columns, -1).T.astype(np.int64))
