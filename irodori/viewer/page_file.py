@@ -1,12 +1,13 @@
 """Assembly of the page as one HTML file, from its scripts in a fixed order, styles, texts and payload."""
 
+import base64
 import html
+import io
 import json
 from importlib import resources
 from pathlib import Path
 
 from irodori.core.atomic_files import written_whole
-from irodori.report.html_page import data_uri
 
 #: Scripts of the page in their order: the renderer, the parts of the page, and the interaction.
 SCRIPTS = (
@@ -16,6 +17,7 @@ SCRIPTS = (
     *("panel.js", "panel_lesson.js", "panel_light.js", "panel_compare.js", "panel_objects.js", "panel_seeing.js"),
     *("dialogs.js", "files.js", "start.js"),
 )
+_POSTER_PX = (640, 640)  # largest width and height of the picture for a page that cannot draw
 #: Nothing is fetched from anywhere: all that a page shows is in it.
 POLICY = (
     "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:; base-uri 'none'"
@@ -43,6 +45,18 @@ def _script(text: str) -> str:
     return "<script>\n" + text.replace("</script", "<\\/script") + "\n</script>"
 
 
+def _poster_uri(path) -> str:
+    """Return a picture as a PNG in a data URI, reduced if it is large, with its colour profile."""
+    from PIL import Image  # slow to import
+
+    content = io.BytesIO()
+    with Image.open(path) as picture:
+        profile = picture.info.get("icc_profile")
+        picture.thumbnail(_POSTER_PX)
+        picture.save(content, "PNG", icc_profile=profile)
+    return "data:image/png;base64," + base64.b64encode(content.getvalue()).decode("ascii")
+
+
 def page_html(title: str, payload: str, poster: Path | None = None) -> str:
     """Return the HTML of the page.
 
@@ -52,7 +66,7 @@ def page_html(title: str, payload: str, poster: Path | None = None) -> str:
     payload : str
         Base64 text made by `irodori.viewer.payload`.
     poster : path, optional
-        PNG to show if the page cannot draw.
+        PNG to show, at most 640 pixels a side, if the page cannot draw.
     """
     sources = {name: _text(name) for name in _names(".glsl")}
     scripts = [f"var Irodori = Irodori || {{}};\nIrodori.sources = {json.dumps(sources)};"]
@@ -61,7 +75,7 @@ def page_html(title: str, payload: str, poster: Path | None = None) -> str:
         "{{title}}": html.escape(title),
         "{{policy}}": POLICY,
         "{{style}}": "<style>\n" + "\n".join(_text(name) for name in _names(".css")) + "\n</style>",
-        "{{poster}}": data_uri(poster) if poster else "data:,",
+        "{{poster}}": _poster_uri(poster) if poster else "data:,",
         "{{languages}}": f'<script type="application/json" id="languages">{_languages()}</script>',
         "{{payload}}": f'<script type="application/octet-stream" id="payload">{payload}</script>',
         "{{scripts}}": "\n".join(_script(text) for text in scripts),
