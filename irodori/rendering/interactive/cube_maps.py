@@ -270,7 +270,7 @@ def cell_of(face, u, v, side):
 
 
 class Corners(NamedTuple):
-    """Where the four texels around each of sixteen points are kept: see `keep_corners`."""
+    """Places in the buffers of the four texels around each of sixteen points, see `keep_corners`."""
 
     weights: np.ndarray
     first_weight: int  # of the upper left texel; those of the upper right, lower left and lower right follow after 16
