@@ -1,9 +1,9 @@
 """Short tours through poses, and through blocks of poses between which a person has to set something.
 
-All orders of up to six points or blocks are tried, and a single axis is swept from end to end. For more, the best of
-several boustrophedon orders is taken, or of a nearest-neighbour order improved by 2-opt and Or-opt (moves of up to
-three neighbours). Costs are tuples that compare from the left: settings changed by hand, travel in s, then *unrest*, a
-small cost of changes that are slow by hand.
+Small problems are solved exactly (dynamic programming over subsets, Held and Karp 1962), and a single axis is swept
+from end to end. For many points, the best of several boustrophedon orders is taken, or of a nearest-neighbour order
+improved by 2-opt and Or-opt (moves of up to three neighbours). Costs are tuples that compare from the left: settings
+changed by hand, travel in s, then *unrest*, a small cost of changes that are slow by hand.
 """
 
 import functools
@@ -21,9 +21,8 @@ _Cost = tuple[float, float, float]
 
 #: Above the first number of points, none is moved singly; above the second, orders are not searched at all but swept.
 _MOVED_POINTS, _SEARCH_POINTS = 120, 400
-_EXACT = 6  # points, or blocks
-#: Partial plans that are continued, and orders of the blocks of a phase for which ways through them are chosen.
-_FRONTIER, _MOST_ORDERS = 12, 720
+_EXACT_POINTS, _FRONTIER = 6, 12
+_EXACT_WORK = 200_000
 
 
 def shortest_blocks(
@@ -89,13 +88,13 @@ def _ways(places: list[Place], axes: Sequence[Axis], travel: _Travel) -> list[tu
     varying = [i for i in range(len(axes)) if len({place[i] for place in places if place}) > 1]
     if len(places) <= 1 or len(varying) == 1:
         ways = [sorted(places)]
-    elif len(places) <= _EXACT:
+    elif len(places) <= _EXACT_POINTS:
         ways = list(_exact_ways(places, travel))
     else:
         ways = [snake for order in itertools.permutations(varying) for snake in _snakes(places, order)]
         if len(places) <= _SEARCH_POINTS:
             ways.append(_bettered(places, travel, lambda a: 0.0))
-        ways = sorted(ways, key=travel.along)[:_EXACT]
+        ways = sorted(ways, key=travel.along)[:_EXACT_POINTS]
     ways += [way[::-1] for way in ways if len(way) > 1]
     return [(way, travel.along(way)) for way in ways]
 
@@ -197,21 +196,49 @@ def _phase(phase: list[tuple], hand: dict, place: Place, travel: _Travel) -> Ite
         block, ways = phase[0]
         way = _bettered(block[2], travel, lambda a: travel(place, a))
         phase = [(block, [*ways, (way, travel.along(way))])]
+    ways = max(len(ways) for _, ways in phase)
+    if len(phase) ** 2 * 2 ** len(phase) * ways**2 <= _EXACT_WORK:
+        yield from _exact_order(phase, hand, place, travel)
+        return
     costs = [(_hand_cost_along([block for block, _ in order], hand), order) for order in _orders(phase, hand)]
     fewest = min(cost[0] for cost, _ in costs)
     seen: set[tuple[int, ...]] = set()
     for cost, order in sorted((pair for pair in costs if pair[0][0] == fewest), key=lambda pair: pair[0]):
         key = tuple(id(block) for block, _ in order)
-        if key not in seen and len(seen) < _MOST_ORDERS:
+        if key not in seen and len(seen) < 4 * _FRONTIER:
             seen.add(key)
             yield from ((_sum(cost, more), chosen) for more, chosen in _choose_ways(order, place, travel))
 
 
+def _exact_order(phase: list[tuple], hand: dict, place: Place, travel: _Travel) -> Iterator[tuple]:
+    """Yield the best order for each last block and way, by dynamic programming over subsets of blocks."""
+    count, ways = len(phase), max(len(ways) for _, ways in phase)
+    best: dict[tuple, tuple] = {}
+    for i, (block, ways_of_block) in enumerate(phase):
+        for k, (way, length) in enumerate(ways_of_block):
+            cost = _sum(_hand_cost(hand, block[1]), (0, travel(place, way[0]) + length, 0.0))
+            best[1 << i, i, k] = (cost, None)
+    for mask in range(1, 1 << count):
+        for i, k in [key[1:] for key in itertools.product([mask], range(count), range(ways)) if key in best]:
+            cost, stands, end = best[mask, i, k][0], phase[i][0][1], phase[i][1][k][0][-1]
+            for j in (j for j in range(count) if not mask >> j & 1):
+                by_hand = _hand_cost(stands, phase[j][0][1])
+                for m, (way, length) in enumerate(phase[j][1]):
+                    total = _sum(_sum(cost, by_hand), (0, travel(end, way[0]) + length, 0.0))
+                    key = (mask | 1 << j, j, m)
+                    if key not in best or _rounded(total) < _rounded(best[key][0]):
+                        best[key] = (total, (mask, i, k))
+    full = (1 << count) - 1
+    for key in [key for key in best if key[0] == full]:
+        order, step = [], key
+        while step is not None:
+            order.append((phase[step[1]][0], phase[step[1]][1][step[2]][0]))
+            step = best[step][1]
+        yield best[key][0], order[::-1]
+
+
 def _orders(phase: list[tuple], hand: dict) -> Iterator[list[tuple]]:
-    """Yield orders of blocks that are likely to need few changes by hand; all orders of up to six."""
-    if len(phase) <= _EXACT:
-        yield from map(list, itertools.permutations(phase))
-        return
+    """Yield orders of blocks that are likely to need few changes by hand."""
     names = sorted(phase[0][0][1])
     points = {tuple(block[1][name] for name in names): (block, ways) for block, ways in phase}
     varying = [i for i in range(len(names)) if len({point[i] for point in points}) > 1]
