@@ -33,6 +33,9 @@ _C, _G, _F0, _F1, _F2, _R, _W, _SIDE = range(PACKED)
     POWER, TOTAL, USED,
 ) = range(14)  # fmt: skip
 PARTS = 14
+#: Errors that all texels of a photograph share.
+LEVEL, HALF, INCIDENCE, VEIL = range(4)
+SHARED = 4
 _GLOSS, _SLOPE, _STEEP, _SHARE, _KNOWN = range(5)
 _ROOM = 5
 _TOP = 1e-9  # 2 sinφ sinθ_H below which a texel counts as at the centre of the highlight
@@ -199,35 +202,112 @@ def parts(surface: SearchedTexels, gloss: np.ndarray) -> np.ndarray:
 
 
 @njit(cache=True, error_model="numpy")
-def _common_part(surface, gloss):
-    """Return the change of the gradient by one standard error of each photograph's light, φ and θ_i, (P, 3, 2)."""
-    blocks, rules = surface.blocks, surface.rules
-    common, part, room = np.zeros((blocks.shape[2], 3, 2)), np.empty(PARTS), np.empty((_ROOM, blocks.shape[2]))
+def _fill_changes(block, alpha, rules, veil, room, out):
+    """Fill ``out``, (SHARED, P), with the change of each response by one expected size of the errors of its photograph.
+
+    These are the lamp's level, the angle to the half vector, the angle of incidence, and veiling glare.
+    """
+    for j in range(block.shape[1]):
+        c, g = block[_C, j], room[_GLOSS, j]
+        out[LEVEL, j] = rules.model_error * (alpha * c + g)
+        # A pose error moves the highlight of a photograph towards the texels on one side, away from the others.
+        out[HALF, j] = block[_SIDE, j] * math.sqrt(rules.phi_variance * room[_STEEP, j]) * g
+        out[INCIDENCE, j] = math.sqrt(rules.incidence_variance * max(1.0 - c * c, 0.0)) * alpha
+        out[VEIL, j] = veil
+
+
+@njit(cache=True, error_model="numpy")
+def add_equations(surface, gloss, errors, veil, normal, down):
+    """Add a paint's normal equations of its log β and log μ and of the errors of photographs; every α is eliminated.
+
+    Parameters
+    ----------
+    surface : SearchedTexels
+        Texels of one paint.
+    gloss : (2,) float64
+        log β and log μ.
+    errors : (P, SHARED) float64
+        Present errors of the photographs, in their expected sizes.
+    veil : float
+        Expected size of veiling glare, in the unit of responses.
+    normal : (2 + P SHARED, 2 + P SHARED) float64
+        Output: the upper triangle is added to.
+    down : (2 + P SHARED,) float64
+        Output: the negative gradient of half the sum of squares is added to.
+    """
+    blocks, count = surface.blocks, surface.blocks.shape[2]
+    part, room, changes = np.empty(PARTS), np.empty((_ROOM, count)), np.empty((SHARED, count))
+    along, used = np.zeros(down.size), np.empty(count, dtype=np.int64)
     for t in range(blocks.shape[0]):
-        _take_part(blocks[t], surface.lobes, rules, gloss, room, part)
+        _take_part(blocks[t], surface.lobes, surface.rules, gloss, room, part)
         if not part[ALPHA_WEIGHT] > 0.0:
             continue
-        for j in range(blocks.shape[2]):
-            c, g, w = blocks[t, _C, j], room[_GLOSS, j], room[_KNOWN, j]
-            jb, jm = g + c * part[ALPHA_BY_BETA], room[_SLOPE, j] + c * part[ALPHA_BY_MU]
-            light = rules.model_error * (part[ALPHA] * c + g)
-            # A pose error moves the highlight of a photograph towards the texels on one side, away from the others.
-            flank = blocks[t, _SIDE, j] * math.sqrt(rules.phi_variance * room[_STEEP, j]) * g
-            tilt = math.sqrt(rules.incidence_variance * max(1.0 - c * c, 0.0)) * part[ALPHA]
-            for i, size in enumerate((light, flank, tilt)):
-                common[j, i, 0] += w * size * jb
-                common[j, i, 1] += w * size * jm
-    return common
+        _fill_changes(blocks[t], part[ALPHA], surface.rules, veil, room, changes)
+        many, cc, cr, along[0], along[1] = 0, part[ALPHA_WEIGHT], 0.0, 0.0, 0.0
+        for j in range(count):
+            w = room[_KNOWN, j]
+            if not w > 0.0:
+                continue
+            used[many] = j
+            many += 1
+            c, left = w * blocks[t, _C, j], blocks[t, _R, j] - room[_GLOSS, j]
+            for i in range(SHARED):
+                left -= errors[j, i] * changes[i, j]
+                along[2 + j * SHARED + i] = c * changes[i, j]
+            cr += c * left
+            along[0] += c * room[_GLOSS, j]
+            along[1] += c * room[_SLOPE, j]
+        for n in range(many):
+            j = used[n]
+            first, w, g, s = 2 + j * SHARED, room[_KNOWN, j], room[_GLOSS, j], room[_SLOPE, j]
+            left = blocks[t, _R, j] - g - cr / cc * blocks[t, _C, j]
+            for i in range(SHARED):
+                left -= errors[j, i] * changes[i, j]
+            down[0] += w * g * left
+            down[1] += w * s * left
+            normal[0, 0] += w * g * g
+            normal[0, 1] += w * g * s
+            normal[1, 1] += w * s * s
+            for i in range(SHARED):
+                change = w * changes[i, j]
+                down[first + i] += change * left
+                normal[0, first + i] += change * g
+                normal[1, first + i] += change * s
+                for k in range(i, SHARED):
+                    normal[first + i, first + k] += change * changes[k, j]
+        # With α eliminated, the unknowns of all photographs that see the texel depend on each other.
+        for a in range(2):
+            share = along[a] / cc
+            for b in range(a, 2):
+                normal[a, b] -= share * along[b]
+            for n in range(many):
+                for b in range(2 + used[n] * SHARED, 2 + (used[n] + 1) * SHARED):
+                    normal[a, b] -= share * along[b]
+        for n in range(many):
+            for a in range(2 + used[n] * SHARED, 2 + (used[n] + 1) * SHARED):
+                share = along[a] / cc
+                for b in range(a, 2 + (used[n] + 1) * SHARED):
+                    normal[a, b] -= share * along[b]
+                for m in range(n + 1, many):
+                    for b in range(2 + used[m] * SHARED, 2 + (used[m] + 1) * SHARED):
+                        normal[a, b] -= share * along[b]
 
 
-def shared_error(surface: SearchedTexels, gloss: np.ndarray) -> np.ndarray:
-    """Return the covariance of the gradient, (2, 2), due to errors that all texels of a photograph share.
-
-    Drift of the light and pose errors are the same for all texels of a photograph, so averaging over texels does not
-    reduce them. ``gloss`` has log β and log μ.
-    """
-    common = _common_part(surface, np.ascontiguousarray(gloss, dtype=np.float64)).reshape(-1, 2)
-    return common.T @ common
+@njit(cache=True, error_model="numpy")
+def without_errors(surface, gloss, errors, veil):
+    """Return packed texels without the errors of their photographs, (texels, PACKED, P); see `add_equations`."""
+    blocks, count = surface.blocks.copy(), surface.blocks.shape[2]
+    part, room, changes = np.empty(PARTS), np.empty((_ROOM, count)), np.empty((SHARED, count))
+    for t in range(blocks.shape[0]):
+        _take_part(blocks[t], surface.lobes, surface.rules, gloss, room, part)
+        if not part[ALPHA_WEIGHT] > 0.0:
+            continue
+        _fill_changes(blocks[t], part[ALPHA], surface.rules, veil, room, changes)
+        for j in range(count):
+            if blocks[t, _W, j] > 0.0:
+                for i in range(SHARED):
+                    blocks[t, _R, j] -= errors[j, i] * changes[i, j]
+    return blocks
 
 
 @njit(cache=True, error_model="numpy")

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from irodori.fitting import gloss_sums
-from irodori.fitting.paint_gloss import PaintGloss, gloss_of_paint, share
+from irodori.fitting.joint_gloss import gloss_of_paints
+from irodori.fitting.paint_gloss import PaintGloss, share
 from irodori.fitting.solvers import FitOptions, problem_of
 from irodori.reflection.equation5 import reflect
 
@@ -78,7 +79,9 @@ def fit_one_gloss(response, geometry, weight, options: FitOptions, n: float, k: 
     )  # fmt: skip
     told = np.flatnonzero((weight > 0.0).sum(axis=1) > 3)
     chosen = told[:: max(1, len(told) // _MOST)]
-    gloss = gloss_of_paint(surface._replace(blocks=surface.blocks[chosen]), options.nodes()) if len(chosen) else None
+    (gloss,) = (
+        gloss_of_paints([surface._replace(blocks=surface.blocks[chosen])], options.nodes()) if len(chosen) else [None]
+    )
     if gloss is None:
         return matt(response, geometry, weight, lobe, n, k)
     own = share(surface, gloss)

@@ -12,7 +12,6 @@ import numpy as np
 
 from irodori.fitting import gloss_sums as sums
 from irodori.fitting.gloss_sums import SearchedTexels
-from irodori.fitting.judge import MAX_RELATIVE_ERROR
 from irodori.fitting.judge import SEEN as LEAST_SEEN
 
 _STEPS = 12
@@ -23,8 +22,25 @@ _FOREIGN = 4.0  # multiple of the median misfit beyond which a texel is left out
 _ROUNDS = 300  # largest number of rounds of expectation maximisation
 _FIRST, _ANY = 0.1**2, 0.5**2  # initial variance of log β and log μ, and a variance that hardly constrains them
 _LEAST_FREE = 0.5  # fewest degrees of freedom of a texel to compare its misfit
-_LEAST_PHOTOGRAPHS = 4  # fewest photographs for a jackknife
 _LEAST_VARYING = 1e-8  # smallest variance of log β and log μ: a standard deviation of 0.01 %
+
+
+@dataclass(frozen=True)
+class SeparateGloss:
+    """Gloss fitted to the texels of one paint as if no photograph had errors of its own.
+
+    Parameters
+    ----------
+    surface : SearchedTexels
+        Texels in the fit.
+    log_gloss, varying, excess
+        As in `PaintGloss`.
+    """
+
+    surface: SearchedTexels
+    log_gloss: np.ndarray
+    varying: np.ndarray
+    excess: float
 
 
 @dataclass(frozen=True)
@@ -90,7 +106,7 @@ class TexelGloss:
         return cls(**{name: np.concatenate([getattr(one, name) for one in several]) for name in names})
 
 
-def _matrices(part: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def matrices(part: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return negative gradients, (texels, 2), and normal matrices, (texels, 2, 2), from contributions of texels."""
     entries = part[:, [sums.BETA_BETA, sums.BETA_MU, sums.BETA_MU, sums.MU_MU]]
     return part[:, [sums.DOWN_BETA, sums.DOWN_MU]], entries.reshape(-1, 2, 2)
@@ -127,7 +143,7 @@ def _minimum(surface: SearchedTexels, start: np.ndarray) -> np.ndarray | None:
     rules, place, damping = surface.rules, start, 0.0
     part = sums.parts(surface, np.tile(place, (len(surface.blocks), 1)))
     for _ in range(_STEPS):
-        slope, normal = (one.sum(axis=0) for one in _matrices(part))
+        slope, normal = (one.sum(axis=0) for one in matrices(part))
         if not np.linalg.det(normal) > 1e-10 * normal[0, 0] * normal[1, 1]:
             return None
         step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), slope)
@@ -146,37 +162,14 @@ def _minimum(surface: SearchedTexels, start: np.ndarray) -> np.ndarray | None:
 
 def _is_told(part: np.ndarray, varying: np.ndarray, excess: float) -> bool:
     """Return whether the variation of gloss among texels is significant, by Schwarz's criterion for 3 parameters."""
-    slope, normal = (one / excess for one in _matrices(part))
+    slope, normal = (one / excess for one in matrices(part))
     gain = np.einsum("ti,tij,tj->", slope, _inverse(normal + np.linalg.inv(varying)), slope)
     cost = np.log(np.linalg.det(np.eye(2) + varying @ normal)).sum()
     return bool(gain - cost > 3.0 * np.log(len(part)))
 
 
-def _of_photographs(surface: SearchedTexels, place: np.ndarray) -> np.ndarray:
-    """Return the covariance of log β and log μ by the jackknife over photographs, (2, 2).
-
-    The errors of a photograph are common to all its texels, so only photographs are independent. Zero if there are too
-    few photographs.
-    """
-    moved, told = sums.without_each(surface, place)
-    count = int(told.sum())
-    if count < _LEAST_PHOTOGRAPHS:
-        return np.zeros((2, 2))
-    apart = moved[told] - moved[told].mean(axis=0)
-    return (count - 1) / count * apart.T @ apart
-
-
-def _larger(expected: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """Return the smallest covariance that is in every direction at least as large as both of the given ones."""
-    root = np.linalg.cholesky(expected)
-    inverse = np.linalg.inv(root)
-    size, along = np.linalg.eigh(inverse @ seen @ inverse.T)
-    axes = root @ along
-    return axes * np.maximum(size, 1.0) @ axes.T
-
-
-def gloss_of_paint(surface: SearchedTexels, nodes: np.ndarray) -> PaintGloss | None:
-    """Fit the common gloss of the texels of one paint.
+def separate_gloss(surface: SearchedTexels, nodes: np.ndarray) -> SeparateGloss | None:
+    """Fit the common gloss of the texels of one paint by itself.
 
     Parameters
     ----------
@@ -187,7 +180,7 @@ def gloss_of_paint(surface: SearchedTexels, nodes: np.ndarray) -> PaintGloss | N
 
     Returns
     -------
-    PaintGloss or None
+    SeparateGloss or None
         None if the texels show no gloss, or do not determine it.
     """
     found = _start(surface, nodes)
@@ -216,14 +209,7 @@ def gloss_of_paint(surface: SearchedTexels, nodes: np.ndarray) -> PaintGloss | N
     observations = part[:, sums.USED].sum()
     if not found[1] / excess > 2.0 * np.log(observations) or not part[:, sums.SEEN].max() >= LEAST_SEEN:
         return None  # gloss is not significant by Schwarz's criterion, or no texel sees the lobe near its peak
-    _, normal = _matrices(part)
-    inverse = np.linalg.inv(normal.sum(axis=0))
-    spread = np.einsum("tij,jk,tkl->il", normal, varying, normal)
-    middle = excess * normal.sum(axis=0) + spread + sums.shared_error(surface, place)
-    error = _larger(inverse @ middle @ inverse, _of_photographs(surface, place))
-    error += np.diag([surface.rules.level_error**2, 0.0])
-    known = np.sqrt(error[0, 0]) < MAX_RELATIVE_ERROR["beta"] and np.sqrt(error[1, 1]) < MAX_RELATIVE_ERROR["mu"]
-    return PaintGloss(place, error, varying, float(excess), len(surface.blocks)) if known else None
+    return SeparateGloss(surface, place, varying, float(excess))
 
 
 def share(surface: SearchedTexels, gloss: PaintGloss) -> TexelGloss:
@@ -233,14 +219,14 @@ def share(surface: SearchedTexels, gloss: PaintGloss) -> TexelGloss:
     own = np.tile(place, (count, 1))
     for _ in range(3):
         part = sums.parts(surface, own)
-        slope, normal = (one / gloss.excess for one in _matrices(part))
+        slope, normal = (one / gloss.excess for one in matrices(part))
         pull = slope - (own - place) @ precision
         step = np.einsum("tij,tj->ti", _inverse(normal + precision), pull)
         own = own + np.clip(step, -_LONGEST, _LONGEST)
         if np.abs(step).max(initial=0.0) < _CLOSE:
             break
     part = sums.parts(surface, own)
-    _, normal = _matrices(part)
+    _, normal = matrices(part)
     after = _inverse(normal / gloss.excess + precision)
     kept = after @ precision  # share of an error of the paint's gloss that remains in the texel's gloss
     covariance = after + kept @ gloss.error @ np.swapaxes(kept, 1, 2)

@@ -7,7 +7,6 @@ subtracted, its diffuse responses have the colour of the paint. Therefore a sing
 colour of a texel.
 """
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,8 +14,9 @@ import numpy as np
 from irodori.fitting import gloss_sums
 from irodori.fitting.band_fresnel import BandGloss
 from irodori.fitting.gloss_sums import SearchedTexels
+from irodori.fitting.joint_gloss import gloss_of_paints
 from irodori.fitting.paint_colours import NEAR, Colours
-from irodori.fitting.paint_gloss import PaintGloss, TexelGloss, gloss_of_paint, share
+from irodori.fitting.paint_gloss import PaintGloss, TexelGloss, share
 from irodori.fitting.solvers import FitOptions, problem_of
 from irodori.fitting.stage import GREEN, Observed, without_gloss
 from irodori.material.material_file import Status
@@ -181,26 +181,24 @@ def find_paints(samples: list[Tile], colours: Colours, optics: GlossModel) -> Pa
         Texels from `sample`, for each tile.
     """
     first = [by_colour(tile, colours) for tile in samples]
-    paints = _with_gloss(samples, first, Paints(colours, []), range(colours.count), optics)
+    paints = _with_gloss(samples, first, colours, optics)
     labels = [assign(tile, paint, paints, optics) for tile, paint in zip(samples, first, strict=True)]
-    changed = [np.concatenate([old[old != new], new[old != new]]) for old, new in zip(first, labels, strict=True)]
-    return _with_gloss(samples, labels, paints, sorted({*np.concatenate(changed).tolist()} - {-1}), optics)
+    if all(np.array_equal(old, new) for old, new in zip(first, labels, strict=True)):
+        return paints
+    return _with_gloss(samples, labels, colours, optics)
 
 
-def _with_gloss(
-    samples: list[Tile], labels: list[np.ndarray], paints: Paints, numbers: Iterable[int], optics: GlossModel
-) -> Paints:
-    """Return the paints after fitting the gloss of those in ``numbers`` to the texels labelled with them."""
-    nodes = optics.options.nodes()
-    gloss = dict(enumerate(paints.gloss))
-    for number in numbers:
+def _with_gloss(samples: list[Tile], labels: list[np.ndarray], colours: Colours, optics: GlossModel) -> Paints:
+    """Return the paints with the gloss of the texels that are labelled with them."""
+    surfaces = []
+    for number in range(colours.count):
         total = sum(int((label == number).sum()) for label in labels)
         step = max(1, -(-total // MOST_TEXELS))
         parts = [tile[np.flatnonzero(label == number)[::step]] for tile, label in zip(samples, labels, strict=True)]
-        surfaces = [part.surface(optics) for part in parts if len(part.status)]
-        blocks = np.concatenate([surface.blocks for surface in surfaces]) if surfaces else None
-        gloss[number] = None if blocks is None else gloss_of_paint(surfaces[0]._replace(blocks=blocks), nodes)
-    return Paints(paints.colours, [gloss[number] for number in range(paints.colours.count)])
+        packed = [part.surface(optics) for part in parts if len(part.status)]
+        blocks = np.concatenate([surface.blocks for surface in packed]) if packed else None
+        surfaces.append(None if blocks is None else packed[0]._replace(blocks=blocks))
+    return Paints(colours, gloss_of_paints(surfaces, optics.options.nodes()))
 
 
 @dataclass(frozen=True)

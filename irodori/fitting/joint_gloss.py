@@ -1,0 +1,144 @@
+"""Gloss of all paints of an object, fitted jointly with the errors that the texels of a photograph share.
+
+Between one photograph and the next, the lamp's brightness drifts, the angles are a little off, and the mirror image of
+a lamp in a glossy surface spreads a veil of stray light over the picture. The texels of one paint cannot distinguish
+such an error from a wider or stronger gloss, as all of them see it alike. Paints that differ in colour and gloss can.
+The unknowns are therefore log β and log μ of every paint, and four errors of every photograph, each with a prior of its
+expected size; the α of every texel are eliminated. The expected size of the veil is itself estimated from all
+photographs (empirical Bayes).
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from irodori.fitting import gloss_sums as sums
+from irodori.fitting.gloss_sums import SHARED, VEIL, SearchedTexels
+from irodori.fitting.judge import MAX_RELATIVE_ERROR
+from irodori.fitting.paint_gloss import PaintGloss, SeparateGloss, matrices, separate_gloss
+
+_STEPS = 40
+_SETTLED, _STEADY = 1e-5, 0.02  # changes of log β and log μ, and of the logarithm of the veil's size, that end it
+_LONGEST = 0.3  # longest step of log β or log μ
+_FIRST_VEIL = 0.01  # initial size of the veil, of the mean response
+_LEAST_VEIL = 1e-9
+_LEAST_PHOTOGRAPHS = 4  # fewest photographs for a jackknife
+
+
+class _Solution(NamedTuple):
+    """Unknowns of all paints and photographs, and their covariance.
+
+    ``log_gloss`` (paints, 2) has log β and log μ; ``errors`` (P, SHARED) those of the photographs, in their expected
+    sizes; ``veil`` is the expected size of the veil. In the covariance, paints come first.
+    """
+
+    log_gloss: np.ndarray
+    errors: np.ndarray
+    veil: float
+    covariance: np.ndarray
+
+
+def _mean_response(surface: SearchedTexels) -> float:
+    """Return the mean response of all observations."""
+    part = sums.parts(surface, np.zeros((len(surface.blocks), 2)))
+    return float(np.sqrt(part[:, sums.POWER].sum() / part[:, sums.TOTAL].sum()))
+
+
+def _joint(paints: list[SeparateGloss]) -> _Solution:
+    """Search the most probable gloss of all paints and errors of all photographs by Newton's method."""
+    count, photographs = len(paints), paints[0].surface.blocks.shape[2]
+    first, size = 2 * count, 2 + photographs * SHARED
+    place, errors = np.array([paint.log_gloss for paint in paints]), np.zeros((photographs, SHARED))
+    veil = max(_FIRST_VEIL * float(np.mean([_mean_response(paint.surface) for paint in paints])), _LEAST_VEIL)
+    for _ in range(_STEPS):
+        matrix, down = np.zeros((first + size - 2,) * 2), np.zeros(first + size - 2)
+        for number, paint in enumerate(paints):
+            normal, slope = np.zeros((size, size)), np.zeros(size)
+            sums.add_equations(paint.surface, place[number], errors, veil, normal, slope)
+            here = np.r_[2 * number : 2 * number + 2, first : len(matrix)]
+            matrix[np.ix_(here, here)] += (np.triu(normal) + np.triu(normal, 1).T) / paint.excess
+            down[here] += slope / paint.excess
+        matrix[first:, first:] += np.eye(size - 2)
+        down[first:] -= errors.ravel()
+        covariance = np.linalg.inv(matrix)
+        step = covariance @ down
+        step *= min(1.0, _LONGEST / max(np.abs(step[:first]).max(), 1e-300))
+        place, errors = place + step[:first].reshape(-1, 2), errors + step[first:].reshape(-1, SHARED)
+        variances = np.diag(covariance)[first:].reshape(-1, SHARED)
+        seen = variances[:, VEIL] < 1.0
+        growth = np.sqrt(np.mean((errors[:, VEIL] ** 2 + variances[:, VEIL])[seen])) if seen.any() else 1.0
+        growth = max(growth, _LEAST_VEIL / veil)
+        if np.abs(step[:first]).max() < _SETTLED and abs(np.log(growth)) < _STEADY:
+            break
+        veil, errors[:, VEIL] = veil * growth, errors[:, VEIL] / growth
+    return _Solution(place, errors, veil, covariance)
+
+
+def _of_photographs(surface: SearchedTexels, place: np.ndarray) -> np.ndarray:
+    """Return the covariance of log β and log μ by the jackknife over photographs, (2, 2).
+
+    It tells what neither the errors of photographs nor those of texels describe, such as a lobe of another form. Zero
+    if there are too few photographs.
+    """
+    moved, told = sums.without_each(surface, place)
+    count = int(told.sum())
+    if count < _LEAST_PHOTOGRAPHS:
+        return np.zeros((2, 2))
+    apart = moved[told] - moved[told].mean(axis=0)
+    return (count - 1) / count * apart.T @ apart
+
+
+def _larger(expected: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """Return the smallest covariance that is in every direction at least as large as both of the given ones."""
+    root = np.linalg.cholesky(expected)
+    inverse = np.linalg.inv(root)
+    size, along = np.linalg.eigh(inverse @ seen @ inverse.T)
+    axes = root @ along
+    return axes * np.maximum(size, 1.0) @ axes.T
+
+
+def _with_error(paint: SeparateGloss, place, covariance, errors, veil: float) -> PaintGloss | None:
+    """Return the gloss of a paint with its errors; None if they are too large, or if it is beyond its bounds."""
+    surface, rules = paint.surface, paint.surface.rules
+    if not (rules.low_log_mu < place[1] < rules.high_log_mu and place[0] < np.log(rules.high_beta)):
+        return None
+    surface = surface._replace(blocks=sums.without_errors(surface, place, errors, veil))
+    _, normal = matrices(sums.parts(surface, np.tile(place, (len(surface.blocks), 1))))
+    inverse = np.linalg.inv(normal.sum(axis=0))
+    spread = np.einsum("tij,jk,tkl->il", normal, paint.varying, normal)
+    error = _larger(covariance + inverse @ spread @ inverse, _of_photographs(surface, place))
+    error += np.diag([rules.level_error**2, 0.0])
+    known = np.sqrt(error[0, 0]) < MAX_RELATIVE_ERROR["beta"] and np.sqrt(error[1, 1]) < MAX_RELATIVE_ERROR["mu"]
+    return PaintGloss(place, error, paint.varying, paint.excess, len(surface.blocks)) if known else None
+
+
+def gloss_of_paints(surfaces: Sequence[SearchedTexels | None], nodes: np.ndarray) -> list[PaintGloss | None]:
+    """Fit the gloss of all paints of an object.
+
+    Parameters
+    ----------
+    surfaces : sequence of SearchedTexels or None
+        Texels of each paint, all of the same photographs; None for a paint without texels.
+    nodes : (nodes,) float
+        Values of log μ for the initial scan.
+
+    Returns
+    -------
+    list of PaintGloss or None
+        None for a paint whose texels show no gloss, or do not determine it.
+    """
+    found = [None if surface is None else separate_gloss(surface, nodes) for surface in surfaces]
+    paints = [paint for paint in found if paint is not None]
+    if not paints:
+        return [None] * len(found)
+    joint, number, glosses = _joint(paints), 0, []
+    for paint in found:
+        if paint is None:
+            glosses.append(None)
+            continue
+        own = slice(2 * number, 2 * number + 2)
+        covariance = joint.covariance[own, own]
+        glosses.append(_with_error(paint, joint.log_gloss[number], covariance, joint.errors, joint.veil))
+        number += 1
+    return glosses
