@@ -151,17 +151,34 @@ def test_gloss_that_varies_within_a_paint_is_each_texels_own_as_far_as_it_is_tol
 @pytest.mark.heavy
 @pytest.mark.stability(stage="fit", case="sittings whose lamp and poses are off")
 def test_errors_of_paints_cover_the_truth_from_sitting_to_sitting():
-    off = {"alpha": [], "beta": [], "mu": []}
+    off, size = {"alpha": [], "beta": [], "mu": []}, {"alpha": [], "beta": [], "mu": []}
     for seed in range(24):
         truth, (_, _, found) = sitting(seed)
         for name, exact in truth.items():
             wrong = getattr(found.shared, name) - exact[found.texel]
             off[name].append(wrong / getattr(found.shared, f"{name}_error"))
-    # Drift is slow, and taken to be independent from photograph to photograph: mu is better than stated.
-    for name, narrowest in {"alpha": 0.7, "beta": 0.7, "mu": 0.35}.items():
-        one = np.concatenate(off[name])
+            size[name].append(wrong / exact[found.texel])
+    for each in off.values():
+        one = np.concatenate(each)
         assert (np.abs(one) < 1).mean() > 0.62 and (np.abs(one) < 2).mean() > 0.93
-        assert np.sqrt((one**2).mean()) > narrowest  # nor are they so wide that they say nothing
+        assert np.sqrt((one**2).mean()) > 0.7  # nor are they so wide that they say nothing
+    # The level at the white reference is 1 % off, and all that the photographs themselves tell is known better.
+    for name, most in {"beta": 0.02, "mu": 0.006}.items():
+        assert np.sqrt((np.concatenate(size[name]) ** 2).mean()) < most
+
+
+def test_a_veil_over_one_photograph_is_not_taken_for_gloss():
+    paint = halves()
+    colour, beta, mu = np.array([VERMILION, CREAM])[paint], np.array([2.0, 0.6])[paint], np.array([0.15, 0.3])[paint]
+    seen = photographed(colour, beta, mu, sphere())
+    response = seen.response.copy()
+    # The photograph in which most texels shine, as where the lamp's mirror image is in the frame.
+    shining = int((seen.geometry[..., 3] < 0.1).sum(axis=0).argmax())
+    response[:, shining] += 0.02
+    _, paints, found = painted(Observed(response, seen.geometry, seen.weight, seen.clipped, seen.noise), optics=DEFAULT)
+    assert len(paints.known) == 2
+    assert np.sqrt((off(found, "beta", beta) ** 2).mean()) < 0.01
+    assert np.sqrt((off(found, "mu", mu) ** 2).mean()) < 0.005
 
 
 def test_a_photograph_that_is_wrong_is_in_the_error_of_its_paint():
