@@ -624,6 +624,9 @@ TrueMaterial: TypeAlias = ModelledMaterial | MeasuredMaterial
 class VirtualObject(Definition):
     """What the virtual rig shows to its camera; needed where the rig is of kind virtual."""
 
+    #: Coat of the true materials, as the object's coat names it.
+    coat: Literal["sum", "coupled"] = "sum"
+
     #: How the materials are laid out over the object's map.
     pattern: MaterialPattern
 
@@ -653,6 +656,12 @@ class Object(Definition):
     #: Models of the rough gloss that the fit uses; a second one applies only where the data call for it. With auto, the
     #: fit takes the simplest that predict left-out photographs within one standard error of the best.
     lobes: tuple[str, ...] = ("gaussian",)
+
+    #: Whether the surface takes from the light of the diffuse ground what it reflects. With sum, diffuse light and
+    #: gloss are added, as in equation (5). With coupled, the diffuse light passes the surface on its way in and out and
+    #: is reduced at large angles by Fresnel's equations, by 5 % at 60° and all at grazing angles. With auto, the one
+    #: that predicts left-out photographs better. A scene with a coupled coat needs the integrator reference.
+    coat: Literal["sum", "coupled", "auto"] = "sum"
 
     #: Weight of the mirror term, which reflects the surroundings (ratio).
     mirror_weight: float = 0.0

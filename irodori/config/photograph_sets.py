@@ -437,9 +437,9 @@ class PhotographSets:
         return sorted({name for definition in self.loaded.objects.values() for name in definition.lobes})
 
     def lobe_choice(self, wildcards) -> list[str]:
-        """Return, as a list, the file with the choice of an object's lobes; empty if its definition names them."""
-        of_object = self.loaded.objects[wildcards.object].lobes
-        return [f"results/{wildcards.object}/lobes.h5"] if AUTO in of_object else []
+        """Return, as a list, the file with the choice of an object's lobes and coat; empty if both are named."""
+        definition = self.loaded.objects[wildcards.object]
+        return [f"results/{wildcards.object}/lobes.h5"] if AUTO in (*definition.lobes, definition.coat) else []
 
     def photograph_levels(self, wildcards) -> list[str]:
         """Return the file of the lamp's level in an object's photographs; none where nothing is to tell it."""

@@ -94,8 +94,8 @@ def _add(rows, moved, lobes, found, rules, into):
 @njit(cache=True, error_model="numpy")
 def _pack(geometry, problem, index, log_mu, rows, moved):
     """Fill the rows of a texel, and the arrays of `Moved`."""
-    lobes, k, tilt = problem.lobes, problem.k, moved.tilt
-    pack_geometry(geometry, lobes, index, k, rows)
+    lobes, k, coupled, tilt = problem.lobes, problem.k, problem.coupled, moved.tilt
+    pack_geometry(geometry, lobes, index, k, coupled, rows)
     fill_lobe(rows, lobes, log_mu)
     base = rows[LOBE].copy()
     tilt[:] = 0.0
@@ -104,14 +104,14 @@ def _pack(geometry, problem, index, log_mu, rows, moved):
         for j in range(geometry.shape[0]):
             other[j, 0], other[j, 1], other[j, 2] = geometry[j, 0], geometry[j, 1], geometry[j, 2] + 0.5 * _TILT
             other[j, side] += _TILT
-        pack_geometry(other, lobes, index, k, rows)
+        pack_geometry(other, lobes, index, k, coupled, rows)
         fill_lobe(rows, lobes, log_mu)
         for j in range(tilt.size):
             tilt[j] += ((rows[LOBE, j] - base[j]) / _TILT) ** 2
-    pack_geometry(geometry, lobes, index * (1.0 + _STEP), k, rows)
+    pack_geometry(geometry, lobes, index * (1.0 + _STEP), k, coupled, rows)
     for j in range(rows.shape[1]):
         moved.above[j] = rows[GLOSS, j]
-    pack_geometry(geometry, lobes, index, k, rows)
+    pack_geometry(geometry, lobes, index, k, coupled, rows)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

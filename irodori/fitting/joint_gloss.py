@@ -132,7 +132,8 @@ def gloss_of_paints(surfaces: Sequence[SearchedTexels | None], nodes: np.ndarray
     paints = [paint for paint in found if paint is not None]
     if not paints:
         return [None] * len(found)
-    joint, number, glosses = _joint(paints), 0, []
+    glosses: list[PaintGloss | None] = []
+    joint, number = _joint(paints), 0
     for paint in found:
         if paint is None:
             glosses.append(None)

@@ -123,12 +123,6 @@ def _tents(values: np.ndarray, nodes: np.ndarray) -> np.ndarray:
     return np.stack([np.interp(values, nodes, one) for one in np.eye(len(nodes))], axis=-1)
 
 
-def _diffuse(geometry: np.ndarray) -> np.ndarray:
-    """Return cosθ_i if light and camera are above the surface, else 0."""
-    lit = (geometry[..., :2] < 0.5 * np.pi).all(axis=-1)
-    return np.where(lit, np.cos(geometry[..., 0]), 0.0)
-
-
 def _variance(readings: Readings, response: np.ndarray, relative: float) -> np.ndarray:
     """Return the variance of responses due to noise, if known, and to a relative error."""
     noise = np.nan_to_num(np.asarray(readings.noise, dtype=np.float64))
@@ -138,7 +132,7 @@ def _variance(readings: Readings, response: np.ndarray, relative: float) -> np.n
 def _modelled(texels: DescribedTexels) -> _Model:
     """Return the fitted model with the least-squares α of the observations."""
     readings, seen = texels.readings, texels.seen
-    cosine, fresnel = _diffuse(readings.geometry), texels.fresnel(readings.geometry)
+    cosine, fresnel = readings.diffuse(readings.geometry), texels.fresnel(readings.geometry)
     gloss, slopes = np.zeros_like(cosine), [cosine]
     for component, name in enumerate(texels.lobes):
         beta, mu = texels.gloss[:, 2 * component, None], texels.gloss[:, 2 * component + 1, None]
@@ -160,7 +154,7 @@ def _of_photographs(texels: DescribedTexels, model: _Model, options: FitOptions)
         sides = []
         for angle in (_TURN_RAD, -_TURN_RAD):
             moved = turned(geometry, angle, light=light)
-            sides.append(model.alpha * _diffuse(moved) + texels.gloss_at(moved))
+            sides.append(model.alpha * texels.readings.diffuse(moved) + texels.gloss_at(moved))
         changes.append((sides[0] - sides[1]) * (np.radians(options.angles.rig_deg) / (2.0 * _TURN_RAD)))
     return np.stack(changes, axis=-1)
 
@@ -177,7 +171,7 @@ def _of_all(texels: DescribedTexels, model: _Model) -> np.ndarray:
 
 def predict(texels: DescribedTexels, geometry: np.ndarray) -> np.ndarray:
     """Return the responses of the fitted texels under other angles, (texels, J) of (texels, J, 4)."""
-    return _modelled(texels).alpha * _diffuse(geometry) + texels.gloss_at(geometry)
+    return _modelled(texels).alpha * texels.readings.diffuse(geometry) + texels.gloss_at(geometry)
 
 
 class _Equations(NamedTuple):

@@ -36,7 +36,7 @@ def measure_levels(observations: list, output, options: FitOptions, n, k, *, pro
     sample = sample_texels(observations, MOST_TEXELS, _OBSERVATIONS)
     found = []
     for band in range(GREEN, bands, BANDS_OF_STATE):
-        found.append(estimate_levels(Readings.of_band(sample, band, fresnel.n, fresnel.k), options))
+        found.append(estimate_levels(Readings.of_band(sample, band, fresnel.n, fresnel.k, options.is_coupled), options))
     told = [one for one in found if one is not None]
     if len(told) < len(filters):
         nothing = np.ones((len(captures), len(filters)))

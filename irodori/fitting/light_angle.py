@@ -19,7 +19,7 @@ from irodori.fitting.stage import GREEN
 from irodori.fitting.texel_sample import Readings
 from irodori.geometry.atlas import are_alike
 from irodori.geometry.shapes.shape import Shape
-from irodori.material.lobe_choices import lobes_before_choice
+from irodori.material.lobe_choices import model_before_choice
 from irodori.rectification.placement_correction import LIGHT
 from irodori.rectification.stage import RigSetup, angles_in_captures, noise_models, observe_captures
 from irodori.spectra.published import refractive_index
@@ -114,8 +114,8 @@ class LightSearch:
 
     @classmethod
     def of(cls, linear: Sequence, definition: "Object | TexturedObject", params) -> "LightSearch":
-        """Return the search with a rule's plain parameters fit, lobes, refractive_index and max_angle_deg."""
-        options = FitOptions(**params.fit, lobes=lobes_before_choice(params.lobes))
+        """Return the search with a rule's plain parameters fit, lobes, coat, refractive_index and max_angle_deg."""
+        options = FitOptions(**params.fit, **model_before_choice(params.lobes, params.coat))
         index = refractive_index(typed_index(params.refractive_index))
         return cls(linear, definition, options, index, params.max_angle_deg)
 
@@ -141,7 +141,8 @@ class LightSearch:
 
         def readings(offset_deg: float) -> Readings:
             found = observe_captures(self.linear, shape, texels, lit_from(offset_deg), self.max_angle_deg)
-            return Readings(found.response[..., GREEN], found.weight, found.geometry.astype(np.float64), noise, n, k)
+            angles, coupled = found.geometry.astype(np.float64), self.options.is_coupled
+            return Readings(found.response[..., GREEN], found.weight, angles, noise, n, k, coupled)
 
         def geometry(offset_deg: float) -> np.ndarray:
             return angles_in_captures(self.linear, shape, texels, lit_from(offset_deg))

@@ -1,6 +1,7 @@
-"""Choice of an object's lobes by cross-validation over photographs.
+"""Choice of an object's lobes and coat by cross-validation over photographs.
 
-The candidates are the lobe of equation (5), every other lobe, and sums of two. Each is fitted to a sample of texels
+The candidates are the lobe of equation (5), every other lobe, and sums of two, each beside the diffuse term of equation
+(5) or under a coupled coat (`irodori.reflection.coat`). Each is fitted to a sample of texels
 without some of the photographs, which are then predicted. The errors of a photograph are common to all its texels, so
 photographs are left out as a whole, and only photographs count as independent. The choice is the simplest candidate
 with predictions within one standard error of the best (Breiman et al., *Classification and Regression Trees*, 1984;
@@ -17,7 +18,8 @@ import numpy as np
 from irodori.config.cross_checks.object_lobes import SETTINGS_WITH_TWO_LOBES
 from irodori.fitting.solvers import MAX_LOBES, FitOptions, FitResult, fit
 from irodori.fitting.texel_sample import Readings
-from irodori.material.lobe_choices import LeftOut
+from irodori.material.lobe_choices import Candidate, LeftOut
+from irodori.reflection.coat import SUM
 from irodori.reflection.fresnel import fresnel_array
 from irodori.reflection.lobe_arrays import evaluate
 from irodori.reflection.registry import DEFAULT_LOBES, names
@@ -29,29 +31,41 @@ _LEAST_VARIANCE = 1e-8  # smallest variance, relative to the mean square respons
 _NORMAL_MEDIAN = 0.6744897501960817  # median absolute value of a standard normal variable
 
 
-def candidates(options: FitOptions) -> list[tuple[str, ...]]:
-    """List the candidates: all lobes, that of equation (5) first, then all sums of two if the options allow them."""
+def candidates(
+    options: FitOptions, lobes: tuple[str, ...] | None = None, coats: tuple[str, ...] = (SUM,)
+) -> list[Candidate]:
+    """List the candidates: all lobes, that of equation (5) first, then all sums of two if the options allow them.
+
+    Parameters
+    ----------
+    options : FitOptions
+    lobes : tuple of str, optional
+        Those of all candidates, if they are given.
+    coats : tuple of str
+        Coats that are tried with each, the simplest first.
+    """
+    if lobes is not None:
+        return [Candidate(lobes, coat) for coat in coats]
     single = sorted(names(), key=lambda name: (name,) != DEFAULT_LOBES)
     several = all(getattr(options, name) == value for name, value in SETTINGS_WITH_TWO_LOBES.items())
     most = MAX_LOBES if several else 1
-    return [chosen for count in range(1, most + 1) for chosen in combinations_with_replacement(single, count)]
+    several_of = (combinations_with_replacement(single, count) for count in range(1, most + 1))
+    return [Candidate(chosen, coat) for group in several_of for chosen in group for coat in coats]
 
 
-def choose(
-    sample: Readings, options: FitOptions, tried: Iterable[tuple[str, ...]]
-) -> tuple[tuple[str, ...], list[LeftOut]]:
-    """Choose the lobes; return them, and for every candidate how well it predicts left-out photographs.
+def choose(sample: Readings, options: FitOptions, tried: Iterable[Candidate]) -> tuple[Candidate, list[LeftOut]]:
+    """Choose a candidate; return it, and for every candidate how well it predicts left-out photographs.
 
     Parameters
     ----------
     sample : Readings
     options : FitOptions
-        Options of the fit; its lobes are ignored, and the refractive index is fixed.
-    tried : iterable of tuple of str
-        Candidates, the simplest first.
+        Options of the fit; its lobes and coat are ignored, and the refractive index is fixed.
+    tried : iterable of Candidate
+        The simplest first.
     """
     tried = list(tried)
-    errors = [left_out_errors(sample, replace(options, lobes=lobes)) for lobes in tried]
+    errors = [left_out_errors(sample, replace(options, **one._asdict())) for one in tried]
     deviations = [_deviation(error) for error in errors]
     scale = max(1.0, min((one for one in deviations if one > 0.0), default=1.0))
     losses = np.array([_by_photograph(error / scale) for error in errors])
@@ -60,10 +74,11 @@ def choose(
     count = behind.shape[1]
     spread = behind.std(axis=1, ddof=1) / math.sqrt(count) if count > 1 else np.zeros(len(tried))
     found = [
-        LeftOut(lobes, deviation, float(gap), float(scatter))
-        for lobes, deviation, gap, scatter in zip(tried, deviations, mean - mean.min(), spread, strict=True)
+        LeftOut(one.lobes, deviation, float(gap), float(scatter), one.coat)
+        for one, deviation, gap, scatter in zip(tried, deviations, mean - mean.min(), spread, strict=True)
     ]
-    return next(one.lobes for one in found if one.behind <= one.behind_error or one.behind == 0.0), found
+    chosen = next(one for one in found if one.behind <= one.behind_error or one.behind == 0.0)
+    return Candidate(chosen.lobes, chosen.coat), found
 
 
 def _by_photograph(errors: np.ndarray) -> np.ndarray:
@@ -83,7 +98,7 @@ def left_out_errors(sample: Readings, options: FitOptions) -> np.ndarray:
 
     NaN where an observation has no weight.
     """
-    fixed = replace(options, refractive_index="fixed")
+    fixed, sample = replace(options, refractive_index="fixed"), replace(sample, coupled=options.is_coupled)
     weight, out = np.asarray(sample.weight), np.full(sample.response.shape, np.nan)
     fold = np.arange(weight.shape[1]) % min(_FOLDS, weight.shape[1])
     for number in range(fold.max(initial=-1) + 1):
@@ -133,10 +148,10 @@ def predicted(sample: Readings, result: FitResult, fitted: Readings, options: Fi
 
 
 def _terms(sample: Readings, result: FitResult) -> tuple[np.ndarray, np.ndarray]:
-    """Return cosθ_i (0 if light or camera is below the horizon) and the gloss of a fit, (texels, J) each."""
+    """Return the diffuse term for α = 1 and the gloss of a fit, (texels, J) each."""
     angles = sample.geometry.astype(np.float64)
-    lit, gloss = (angles[..., :2] < 0.5 * np.pi).all(axis=-1), np.zeros(angles.shape[:2])
+    gloss = np.zeros(angles.shape[:2])
     for component, name in enumerate(result.lobes):
         beta, mu = result.gloss[:, 2 * component, None], result.gloss[:, 2 * component + 1, None]
         gloss += beta * evaluate(name, mu, angles)
-    return np.where(lit, np.cos(angles[..., 0]), 0.0), gloss * fresnel_array(np.cos(angles[..., 2]), sample.n, sample.k)
+    return sample.diffuse(angles), gloss * fresnel_array(np.cos(angles[..., 2]), sample.n, sample.k)

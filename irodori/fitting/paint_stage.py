@@ -139,6 +139,7 @@ def share_gloss(
             out.attribute(name, value)
         out.attribute("paint_seconds", time.perf_counter() - start)
         out.attribute("lobes", list(options.lobes))
+        out.attribute("coat", options.coat)
         out.attribute("common_error", options.level_error)
         out.attribute("angle_errors", options.angles.plain())
     if paints:
@@ -169,7 +170,13 @@ def _share_tile(tile: Tile, maps: dict[str, np.ndarray], paints: Paints, width: 
     maps["paint"] = found.paint.astype(np.int16)
     some, gloss = tile[here], np.column_stack([shared.beta, shared.mu])
     maps["diffuse_response"][here], maps["diffuse_variance"][here] = without_gloss(
-        some.observed, gloss, some.index, options.lobes, optics.fresnel, model_error=options.model_error
+        some.observed,
+        gloss,
+        some.index,
+        options.lobes,
+        optics.fresnel,
+        model_error=options.model_error,
+        coupled=options.is_coupled,
     )
     return len(here)
 

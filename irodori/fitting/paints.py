@@ -98,7 +98,13 @@ class Tile:
         gloss = np.tile(np.exp(log_gloss), (len(self.status), 1))
         options = optics.options
         return without_gloss(
-            self.observed, gloss, self.index, options.lobes, optics.fresnel, model_error=options.model_error
+            self.observed,
+            gloss,
+            self.index,
+            options.lobes,
+            optics.fresnel,
+            model_error=options.model_error,
+            coupled=options.is_coupled,
         )
 
 

@@ -20,6 +20,7 @@ from irodori.fitting.shared_geometry import no_shared
 from irodori.fitting.texel_rows import COSINE, LOBE, LOBE_SLOPE, RESPONSE, WEIGHT
 from irodori.fitting.varpro import NODE_STEP
 from irodori.material.angle_errors import AUTO, AngleErrors, errors_in_use
+from irodori.reflection.coat import COATS, COUPLED, SUM
 from irodori.reflection.lobes import Lobes
 from irodori.reflection.registry import DEFAULT_LOBES, lobe, names
 
@@ -28,7 +29,7 @@ _ALGORITHM, _XTOL_REL, _MAX_EVALUATIONS = nlopt.LD_LBFGS, 1e-8, 400
 MAX_LOBES = 2
 _SETTINGS = ("objective", "algorithm", "xtol_rel", "max_evaluations")
 _BOUNDS = {"alpha": (0.0, 2.0), "beta": (0.0, 1e4), "mu_rad": (0.005, 1.2), "n": (1.2, 2.5)}
-_CHOICES = {"weights": ("noise", "equal"), "refractive_index": ("fixed", "fitted")}
+_CHOICES = {"coat": COATS, "weights": ("noise", "equal"), "refractive_index": ("fixed", "fitted")}
 
 
 @dataclass(frozen=True)
@@ -64,6 +65,8 @@ class FitOptions:
         Lobes of the gloss, one or two, see `irodori.reflection.registry`. The bounds of μ are in the unit of the lobe.
     registered : AngleErrors, optional
         Errors of the angles by registration of the object.
+    coat : str
+        ``sum``: as in equation (5); ``coupled``: the coat reduces the diffuse term, see `irodori.reflection.coat`.
     """
 
     solver: str = "varpro"
@@ -77,6 +80,7 @@ class FitOptions:
     bounds: dict | None = None
     lobes: tuple[str, ...] = DEFAULT_LOBES
     registered: AngleErrors | None = None
+    coat: str = SUM
 
     def __post_init__(self):
         if self.solver not in SOLVERS:
@@ -106,6 +110,11 @@ class FitOptions:
             defined = [lobe(one).roughness for one in self.lobes]
             low, high = max(low, *(one.low for one in defined)), min(high, *(one.high for one in defined))
         return float(low), float(high)
+
+    @property
+    def is_coupled(self) -> bool:
+        """Whether the coat reduces the diffuse term."""
+        return self.coat == COUPLED
 
     @property
     def angles(self) -> AngleErrors:
@@ -318,7 +327,7 @@ def problem_of(
     camera, known = camera_noise(noise, captures)
     problem = texels.Problem(
         response, weight, geometry, np.require(clipped, requirements=["C", "W"]), n, float(k), camera, nodes,
-        Lobes((options.lobes[0],)),
+        Lobes((options.lobes[0],)), options.is_coupled,
     )  # fmt: skip
     rules = Rules(
         *options.limits("alpha"), *options.limits("beta"), float(nodes[-1]), float(nodes[0]), known,

@@ -104,6 +104,8 @@ class Fitted(NamedTuple):
     n : (texels,) float64
     k : float
         Complex refractive index of the fit.
+    coupled : bool
+        Whether the coat reduces the diffuse term.
     ratio : (bands, angles) float64
         Fresnel reflectance of each band divided by that of the fit, at equally spaced θ_H from 0 to π/2.
     """
@@ -117,6 +119,7 @@ class Fitted(NamedTuple):
     gloss: np.ndarray
     n: np.ndarray
     k: float
+    coupled: bool
     ratio: np.ndarray
 
 
@@ -200,7 +203,7 @@ def _combine_texel(t, given, rows, fitted, out, variance):
 def _add_gloss(t, given, component, lobes, rows, fitted):
     """Fill the rows of a texel's geometry, and add the gloss of a component to ``fitted``, (P,)."""
     beta, mu = given.gloss[t, 2 * component], given.gloss[t, 2 * component + 1]
-    pack_geometry(given.geometry[t], lobes, given.n[t], given.k, rows)
+    pack_geometry(given.geometry[t], lobes, given.n[t], given.k, given.coupled, rows)
     if beta > 0.0:
         fill_lobe(rows, lobes, math.log(mu))
         for j in range(fitted.size):
@@ -220,7 +223,15 @@ def _combine_chunk(given, out, variance, first, last):
 
 
 def diffuse_response(
-    response, geometry, weight, result: FitResult, fresnel: BandGloss, noise, *, model_error: float = 0.01
+    response,
+    geometry,
+    weight,
+    result: FitResult,
+    fresnel: BandGloss,
+    noise,
+    *,
+    model_error: float = 0.01,
+    coupled: bool = False,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Combine the observations of each texel to its diffuse response, without gloss, in every band.
 
@@ -240,6 +251,8 @@ def diffuse_response(
         c0 and c1 of the variance c0 + c1 ρ of a response ρ by the camera's noise.
     model_error : float
         Relative error of an observation apart from noise.
+    coupled : bool
+        Whether the coat reduces the diffuse term, see `irodori.reflection.coat`.
 
     Returns
     -------
@@ -250,11 +263,18 @@ def diffuse_response(
     """
     observed = Observed(response, geometry, weight, np.empty((0, 0), np.uint8), noise)
     index = np.where(np.isfinite(result.index), result.index, fresnel.n)
-    return without_gloss(observed, result.gloss, index, result.lobes, fresnel, model_error=model_error)
+    return without_gloss(observed, result.gloss, index, result.lobes, fresnel, model_error=model_error, coupled=coupled)
 
 
 def without_gloss(
-    observed: Observed, gloss, index, lobes: tuple[str, ...], fresnel: BandGloss, *, model_error: float
+    observed: Observed,
+    gloss,
+    index,
+    lobes: tuple[str, ...],
+    fresnel: BandGloss,
+    *,
+    model_error: float,
+    coupled: bool = False,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Compute diffuse responses and variances as `diffuse_response` does, for a given gloss.
 
@@ -267,7 +287,7 @@ def without_gloss(
         Real refractive index.
     lobes : tuple of str
         Lobe of each component.
-    fresnel, model_error
+    fresnel, model_error, coupled
         As in `diffuse_response`.
     """
     out, variance = np.empty((2, len(observed.response), observed.response.shape[2]))
@@ -275,7 +295,7 @@ def without_gloss(
     alone = tuple(Lobes((name,)) for name in (lobes if len(lobes) > 1 else lobes * 2))
     given = Fitted(
         observed.response, observed.geometry, observed.weight, noise, float(model_error), alone, gloss, index,
-        fresnel.k, fresnel.ratio,
+        fresnel.k, coupled, fresnel.ratio,
     )  # fmt: skip
     run_chunks(_combine_chunk, len(out), _CHUNK, given, out, variance)
     return out, variance
@@ -456,13 +476,15 @@ def fit_brdf(
     seconds = time.perf_counter() - start
     fitted = int((result.evaluations > 0).sum())
     error = options.model_error
-    diffuse, diffuse_variance = diffuse_response(response, geometry, weight, result, fresnel, noise, model_error=error)
+    diffuse, diffuse_variance = diffuse_response(
+        response, geometry, weight, result, fresnel, noise, model_error=error, coupled=options.is_coupled
+    )
     index = {"refractive_index": result.index, "refractive_index_error": result.index_error}
     other = {"texel": texel, "diffuse_response": diffuse, "diffuse_variance": diffuse_variance}
     other["paint"] = np.full(len(texel), -1, dtype=np.int16)
     own = {name: getattr(result, name) for name in fitted_maps(result.lobes) if name not in index | other}
     attributes = carried | {"fit_seconds": seconds, "texels_fitted": fitted, "common_error": options.level_error}
-    attributes["angle_errors"] = options.angles.plain()
+    attributes |= {"angle_errors": options.angles.plain(), "coat": options.coat}
     write_fitted(output, own | index | other, attributes, result.lobes, provenance)
     counts = np.bincount(result.status, minlength=len(Status))
     LOGGER.info("fitted %d texels in %.2f s (%.0f texels/s)", fitted, seconds, fitted / max(seconds, 1e-9))

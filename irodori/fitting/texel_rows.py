@@ -17,6 +17,7 @@ from irodori.jit.functions import lower_of, magnitude, select, upper_of
 from irodori.jit.vector_memory import aligned, lane, load, mask_bits, spread, store
 from irodori.jit.vectors import LANES
 from irodori.reflection import lobes as lobe_kernels
+from irodori.reflection.coat import passed
 from irodori.reflection.fresnel import fresnel
 
 #: Rows: cosθ_i; the gloss for a lobe of 1 (F times its factor); three features of the lobe; NaN where an angle is not
@@ -147,8 +148,11 @@ def cosine_of(angle):
 
 
 @uncounted(error_model="numpy")
-def _fill_geometry(rows, lobes, n, k):
-    """Fill cosine, gloss, lobe features and the mark for non-finite angles from the angles; n is a number or lanes."""
+def _fill_geometry(rows, lobes, n, k, coupled):
+    """Fill diffuse term, gloss, lobe features and the mark for non-finite angles from the angles.
+
+    The refractive index n is a number or lanes.
+    """
     for j in range(vectors_of(rows)):
         theta_i, theta_r = get(rows, _ANGLES, j), get(rows, _ANGLES + 1, j)
         theta_h, phi = get(rows, _ANGLES + 2, j), get(rows, _ANGLES + 3, j)
@@ -161,11 +165,14 @@ def _fill_geometry(rows, lobes, n, k):
         put(rows, F1, j, f1)
         put(rows, F2, j, f2)
         # 0 unless light and camera are above the horizon of the surface.
-        put(rows, COSINE, j, select((cos_i > 0.0) & (cos_r > 0.0), cos_i, 0.0))
+        lit = select((cos_i > 0.0) & (cos_r > 0.0), cos_i, 0.0)
+        if coupled:
+            lit = lit * passed(cos_i, n, k) * passed(cos_r, n, k)
+        put(rows, COSINE, j, lit)
 
 
 @uncounted(error_model="numpy")
-def pack_geometry(geometry, lobes, n, k, rows):
+def pack_geometry(geometry, lobes, n, k, coupled, rows):
     """Fill the rows of a texel that depend on its geometry; `SPOILED` is NaN if an angle is not finite, else 0.
 
     Parameters
@@ -177,6 +184,8 @@ def pack_geometry(geometry, lobes, n, k, rows):
         One lobe.
     n, k : float
         Complex refractive index.
+    coupled : bool
+        Whether the coat reduces the diffuse term, see `irodori.reflection.coat`.
     rows : (ROWS, P) float64
         P is J rounded up to a multiple of eight. Four rows from `RESPONSE` on are overwritten with the angles.
     """
@@ -185,7 +194,7 @@ def pack_geometry(geometry, lobes, n, k, rows):
             rows[_ANGLES + i, j] = geometry[j, i]
         for j in range(geometry.shape[0], rows.shape[1]):
             rows[_ANGLES + i, j] = 0.0
-    _fill_geometry(rows, lobes, n, k)
+    _fill_geometry(rows, lobes, n, k, coupled)
 
 
 @uncounted(error_model="numpy")
@@ -198,7 +207,7 @@ def pack_eight(problem, first, last, rows):
             for angle in range(4):
                 rows[_ANGLES + angle, j * LANES + i] = problem.geometry[t, j, angle]
         rows[LOBE, i] = problem.n[t if many else 0]
-    _fill_geometry(rows, problem.lobes, get(rows, LOBE, 0), problem.k)
+    _fill_geometry(rows, problem.lobes, get(rows, LOBE, 0), problem.k, problem.coupled)
 
 
 @uncounted()

@@ -6,6 +6,7 @@ import numpy as np
 
 from irodori.core import store
 from irodori.fitting.stage import Observed, read_observations
+from irodori.reflection.coat import diffuse_cosine
 
 _MOST_TILES = 16  # evenly over the object: of ten million texels one tile in sixteen
 
@@ -23,6 +24,8 @@ class Readings:
         c0 and c1 of the variance c0 + c1 ρ of a response; NaN if unknown.
     n, k : float
         Complex refractive index.
+    coupled : bool
+        Whether the coat reduces the diffuse term, see `irodori.reflection.coat`.
     """
 
     response: np.ndarray
@@ -31,11 +34,17 @@ class Readings:
     noise: np.ndarray
     n: float
     k: float
+    coupled: bool = False
 
     @classmethod
-    def of_band(cls, observed: Observed, band: int, n: float, k: float) -> "Readings":
+    def of_band(cls, observed: Observed, band: int, n: float, k: float, coupled: bool = False) -> "Readings":
         """Return the observations of one band."""
-        return cls(observed.response[..., band], observed.weight, observed.geometry, observed.noise[:, band], n, k)
+        response, noise = observed.response[..., band], observed.noise[:, band]
+        return cls(response, observed.weight, observed.geometry, noise, n, k, coupled)
+
+    def diffuse(self, geometry: np.ndarray) -> np.ndarray:
+        """Return the diffuse term for α = 1 under any angles, (...) of (..., 4)."""
+        return diffuse_cosine(geometry, self.n, self.k, self.coupled)
 
 
 def sample_texels(tiles: list, most: int, enough: int) -> Observed:

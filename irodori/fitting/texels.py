@@ -52,6 +52,8 @@ class Problem(NamedTuple):
         log μ of the scan, in decreasing order.
     lobes : Lobes
         The lobe to fit.
+    coupled : bool
+        Whether the coat reduces the diffuse term.
     """
 
     response: np.ndarray
@@ -63,6 +65,7 @@ class Problem(NamedTuple):
     noise: np.ndarray
     nodes: np.ndarray
     lobes: Lobes
+    coupled: bool
 
     def in_float64(self, texels: slice = slice(None)) -> "Problem":
         """Return a range of the texels with float64 observations, so that a slow loop is compiled for one type only."""
@@ -313,7 +316,8 @@ def load_texel(t, problem, rules, rows):
 def pack_texel(t, problem, rows):
     """Fill the rows that depend on the geometry of texel t."""
     n = problem.n[t if problem.n.size > 1 else 0]
-    pack_geometry(problem.geometry[t if problem.geometry.shape[0] > 1 else 0], problem.lobes, n, problem.k, rows)
+    geometry = problem.geometry[t if problem.geometry.shape[0] > 1 else 0]
+    pack_geometry(geometry, problem.lobes, n, problem.k, problem.coupled, rows)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -354,10 +358,10 @@ def _fit_alone(t, task, room, out):
 
 
 @njit(cache=True)
-def _common_rows(geometry, lobes, n, k):
+def _common_rows(problem):
     """Allocate rows and fill them with the geometry that all texels share."""
-    rows = new_rows(geometry.shape[0])
-    pack_geometry(geometry, lobes, n, k, rows)
+    rows = new_rows(problem.geometry.shape[1])
+    pack_texel(0, problem, rows)
     return rows
 
 
@@ -365,6 +369,6 @@ def fit_texels(problem: Problem, rules: Rules, out: Output) -> None:
     """Fit every texel by variable projection, with separate geometries or a shared one; fills ``out``."""
     shared = no_shared()
     if problem.geometry.shape[0] == 1 and problem.n.size == 1:
-        rows = _common_rows(problem.geometry[0], problem.lobes, problem.n[0], problem.k)
+        rows = _common_rows(problem)
         shared = tabulate(rows, problem.lobes, problem.nodes)
     run_chunks(_fit_chunk, len(problem.response), _CHUNK, problem, rules, shared, out)

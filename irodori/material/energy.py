@@ -20,6 +20,7 @@ import numpy as np
 from irodori.jit.chunks import run_chunks
 from irodori.jit.compilation import njit
 from irodori.reflection.albedo import gloss_albedo
+from irodori.reflection.coat import COUPLED, SUM, diffuse_albedo
 from irodori.reflection.fresnel import fresnel_array
 from irodori.reflection.registry import lobe
 
@@ -60,7 +61,7 @@ class Reflecting(NamedTuple):
 
 @njit(cache=True, error_model="numpy")
 def _judge(tables, texels, errors, out, first, last):
-    gloss, mirror, cosine, steep, ladder = tables
+    gloss, mirror, ground, cosine, steep, ladder = tables
     coefficients, basis, beta, mu = texels
     directions, bands = mirror.shape
     components = beta.shape[1]
@@ -97,9 +98,9 @@ def _judge(tables, texels, errors, out, first, last):
                         low = gloss[component, r, direction, band]
                         slope = gloss[component, r + 1, direction, band] - low
                         glossy += weight[component] * (low + t * slope)
-                sent = under + glossy + mirror[direction, band]
+                sent = under * ground[direction, band] + glossy + mirror[direction, band]
                 if steep[direction] and sent > albedo:
-                    albedo, below, shiny = sent, under, glossy
+                    albedo, below, shiny = sent, under * ground[direction, band], glossy
                 if sent > rim:
                     rim, at = sent, cosine[direction]
         variance = 0.0
@@ -125,9 +126,11 @@ class AlbedoModel:
         Complex refractive index.
     mirror : float
         Weight of the mirror term.
+    coat : str
+        Whether the coat reduces the diffuse term, see `irodori.reflection.coat`.
     """
 
-    def __init__(self, lobes: Sequence[str], n: np.ndarray, k: np.ndarray, mirror: float) -> None:
+    def __init__(self, lobes: Sequence[str], n: np.ndarray, k: np.ndarray, mirror: float, coat: str = SUM) -> None:
         n, k = (np.asarray(x, dtype=np.float64) for x in (n, k))
         if np.ptp(n) == 0.0 and np.ptp(k) == 0.0:
             n, k = n[:1], k[:1]
@@ -148,9 +151,13 @@ class AlbedoModel:
             tables[component] = with_mean(gloss_albedo(name, mu, cosine, n, k)) / mu[:, None, None] ** 2
             ladder[component] = math.log(mu[0]), math.log(mu[1] / mu[0])
         fresnel = np.stack([fresnel_array(cosine, a, b) for a, b in zip(n, k, strict=True)], axis=-1)
+        ground = np.ones_like(fresnel)
+        if coat == COUPLED:
+            ground = np.stack([diffuse_albedo(cosine, a, b) for a, b in zip(n, k, strict=True)], axis=-1)
         is_steep = np.append(cosine >= math.cos(math.radians(_STEEP_DEG)) - 1e-12, True)
         # The mean has no angle and stands with cosine 1: it is the largest value only if all directions are equal.
-        self._tables = tables, mirror * with_mean(fresnel), np.append(cosine, 1.0), is_steep, ladder
+        cosine = np.append(cosine, 1.0)
+        self._tables = tables, mirror * with_mean(fresnel), with_mean(ground), cosine, is_steep, ladder
 
     def of(self, texels: Reflecting, errors: Errors) -> np.ndarray:
         """Return albedo, rim albedo, cosine of the rim albedo's angle, and standard error of the albedo, (texels, 4).
@@ -250,7 +257,7 @@ def energy_of(material: "Material", albedo_error: np.ndarray | None = None) -> E
         Standard error of each albedo; 0 where absent.
     """
     energy, rows = Energy(), max(1, _AT_ONCE // material.alpha.shape[1])
-    model = AlbedoModel(material.lobes, material.n, material.k, material.mirror)
+    model = AlbedoModel(material.lobes, material.n, material.k, material.mirror, material.coat)
     basis = material.basis if material.through is None else np.hstack([material.basis, material.through.basis])
     for first in range(0, len(material.alpha), rows):
         part = material.rows(slice(first, first + rows))

@@ -8,7 +8,8 @@ import numpy as np
 from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER
-from irodori.material.material_file import NloptResult, Status, gloss_maps, gloss_names, read_lobes
+from irodori.material.material_file import NloptResult, Status, gloss_maps, gloss_names, read_coat, read_lobes
+from irodori.reflection.coat import SUM
 
 #: Maps of the fit, other than α, β and μ, that a material's file keeps for any lobes: units and quantity.
 COLUMNS: dict[str, tuple[store.Units, str]] = {
@@ -47,6 +48,8 @@ class FittedTiles:
         Filter states of the bands.
     lobes : tuple of str
         Lobe of each gloss component.
+    coat : str
+        Coat with which the texels were fitted, see `irodori.reflection.coat`.
     speed : dict
         ``fit_seconds`` without start-up and compilation, and ``texels_fitted``.
     common_error : float
@@ -64,6 +67,7 @@ class FittedTiles:
     def __init__(self, paths: list, height: int, width: int) -> None:
         self.first, self.height, self.width, self.filters = paths[0], height, width, None
         self.lobes: tuple[str, ...] = ()
+        self.coat = SUM
         self.speed: dict = dict.fromkeys(SPEED, 0)
         self.common_error = math.nan
         self.angle_errors: dict = {}
@@ -78,7 +82,7 @@ class FittedTiles:
                 lobes = read_lobes(file)
                 if self.lobes not in ((), lobes):
                     raise InputError(path, "lobes", ", ".join(lobes), f"{', '.join(self.lobes)}, as in the other tiles")
-                self.lobes = lobes
+                self.lobes, self.coat = lobes, read_coat(file)
                 for name in self.speed:
                     self.speed[name] += file.attribute(name)
                 if file.has_attribute("common_error"):

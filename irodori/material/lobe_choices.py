@@ -1,11 +1,13 @@
-"""The file that records which gloss lobes were chosen for an object, with the prediction errors of all candidates."""
+"""The file of the lobes and the coat that were chosen for an object, with the prediction errors of all candidates."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from irodori.config.cross_checks.object_lobes import AUTO
 from irodori.core import store
+from irodori.reflection.coat import SUM
 from irodori.reflection.registry import DEFAULT_LOBES
 
 _FIGURES = {
@@ -17,7 +19,7 @@ _FIGURES = {
 
 @dataclass(frozen=True)
 class LeftOut:
-    """Cross-validation of one candidate set of lobes: errors in predicting photographs that the fit left out.
+    """Cross-validation of one candidate: errors in predicting photographs that the fit left out.
 
     Parameters
     ----------
@@ -32,28 +34,41 @@ class LeftOut:
         that exceeds 1.
     behind_error : float
         Standard error of ``behind``, from its scatter over photographs.
+    coat : str
+        Coat of the candidate, see `irodori.reflection.coat`.
     """
 
     lobes: tuple[str, ...]
     deviation: float
     behind: float
     behind_error: float
+    coat: str = SUM
+
+    @property
+    def text(self) -> str:
+        """Names of the lobes joined as a sum, and a coat that is coupled: ``gaussian + ggx, coupled coat``."""
+        return model_text(self.lobes, self.coat)
 
 
-def lobes_text(lobes: tuple[str, ...] | list[str]) -> str:
-    """Return the names of an object's lobes joined as a sum, for example ``gaussian + ggx``."""
-    return " + ".join(lobes)
+class Candidate(NamedTuple):
+    """Form of the reflection model that an object may have: the lobe of each gloss component, and the coat."""
+
+    lobes: tuple[str, ...]
+    coat: str = SUM
 
 
-def write_choice(
-    output, chosen: tuple[str, ...], found: list[LeftOut], texels: int, provenance: store.Provenance
-) -> None:
-    """Write the chosen lobes (attribute ``lobes``) and the prediction errors of every candidate, the simplest first.
+def model_text(lobes: tuple[str, ...] | list[str], coat: str) -> str:
+    """Return the names of an object's lobes joined as a sum, and its coat if that is coupled."""
+    return " + ".join(lobes) + (f", {coat} coat" if coat != SUM else "")
+
+
+def write_choice(output, chosen: Candidate, found: list[LeftOut], texels: int, provenance: store.Provenance) -> None:
+    """Write the choice (attributes ``lobes`` and ``coat``) and the prediction errors of every candidate in order.
 
     Parameters
     ----------
     output : path
-    chosen : tuple of str
+    chosen : Candidate
     found : list of LeftOut
         Prediction errors of all candidates.
     texels : int
@@ -61,34 +76,36 @@ def write_choice(
     provenance : Provenance
     """
     with store.create(output, provenance) as out:
-        out.coordinate("candidate", [lobes_text(one.lobes) for one in found], units="1", quantity="lobes, as a sum")
+        out.coordinate("candidate", [one.text for one in found], units="1", quantity="lobes, as a sum, and coat")
         for name, quantity in _FIGURES.items():
             values = np.array([getattr(one, name) for one in found])
             out.write(name, values, units="1", dims="candidate", quantity=quantity)
-        attributes = {"lobes": list(chosen), "candidates": [list(one.lobes) for one in found], "texels": texels}
+        tried = {"candidates": [list(one.lobes) for one in found], "coats": [one.coat for one in found]}
+        attributes = {"lobes": list(chosen.lobes), "coat": chosen.coat, **tried, "texels": texels}
         for name, value in attributes.items():
             out.attribute(name, value)
 
 
-def chosen_lobes(named: list[str], choices: list) -> tuple[str, ...]:
-    """Return an object's lobes: the chosen ones if there is a file of a choice, else those that its definition names.
+def chosen_model(lobes: list[str], coat: str, choices: list) -> dict:
+    """Return lobes and coat of an object as options of a fit, from its definition or from the file of a choice.
 
     Parameters
     ----------
-    named : list of str
-        Lobes in the object's definition.
+    lobes : list of str
+    coat : str
+        As in the object's definition.
     choices : list of path
-        The file of the choice; empty if the definition names the lobes.
+        The file of the choice; empty if the definition names both.
     """
     if not choices:
-        return tuple(named)
+        return {"lobes": tuple(lobes), "coat": coat}
     with store.open_file(choices[0]) as file:
-        return tuple(file.attribute("lobes", list))
+        return {"lobes": tuple(file.attribute("lobes", list)), "coat": file.attribute("coat", str)}
 
 
-def lobes_before_choice(named: list[str]) -> tuple[str, ...]:
-    """Return the lobes that an object's definition names; equation (5) as long as they are still to be chosen."""
-    return DEFAULT_LOBES if AUTO in named else tuple(named)
+def model_before_choice(lobes: list[str], coat: str) -> dict:
+    """Return lobes and coat that an object's definition names; those of equation (5) in place of ``auto``."""
+    return {"lobes": DEFAULT_LOBES if AUTO in lobes else tuple(lobes), "coat": SUM if coat == AUTO else coat}
 
 
 def read_choice(choices: list) -> list[LeftOut]:
@@ -96,8 +113,10 @@ def read_choice(choices: list) -> list[LeftOut]:
     found = []
     for path in choices:
         with store.open_file(path) as file:
-            tried, figures = file.attribute("candidates", list), [file.read(name) for name in _FIGURES]
+            tried, coats = file.attribute("candidates", list), file.attribute("coats", list)
+            figures = np.transpose([file.read(name) for name in _FIGURES])
         found += [
-            LeftOut(tuple(lobes), *map(float, row)) for lobes, row in zip(tried, np.transpose(figures), strict=True)
+            LeftOut(tuple(lobes), float(row[0]), float(row[1]), float(row[2]), coat)
+            for lobes, coat, row in zip(tried, coats, figures, strict=True)
         ]
     return found

@@ -8,6 +8,7 @@ import numpy as np
 from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.material.coefficients import read_coefficients, write_coefficients
+from irodori.reflection.coat import COATS, SUM
 from irodori.reflection.registry import DEFAULT_LOBES, lobe, names
 from irodori.spectra.coordinates import write_wavelength
 from irodori.spectra.grid import SAMPLES
@@ -105,6 +106,20 @@ def read_lobes(file: store.Reader) -> tuple[str, ...]:
     return tuple(found)
 
 
+def read_coat(file: store.Reader) -> str:
+    """Return the coat in an open file of fitted tiles or of a material; files of earlier versions name none.
+
+    Raises
+    ------
+    InputError
+        If the file names an unknown coat.
+    """
+    found = file.attribute("coat", str) if file.has_attribute("coat") else SUM
+    if found not in COATS:
+        raise InputError(file.path, "coat", found, f"one of: {', '.join(COATS)}")
+    return found
+
+
 @dataclass(frozen=True)
 class Material:
     """Diffuse reflection, gloss components and perfect mirror over a texture.
@@ -140,11 +155,13 @@ class Material:
         nor ``back`` the material is not that of a sheet, and the surface is black from behind.
     transmittance : str
         Where the transmittance of a material's file is from: ``measured`` or ``assumed``.
+    coat : str
+        ``sum``, or ``coupled`` if the coat reduces the diffuse term, see `irodori.reflection.coat`.
 
     Raises
     ------
     ValueError
-        For an unknown lobe, or if ``further_gloss`` or ``typical_gloss`` does not fit the number of ``lobes``.
+        For an unknown lobe or coat, or if ``further_gloss`` or ``typical_gloss`` does not fit the number of ``lobes``.
     """
 
     alpha: np.ndarray
@@ -163,8 +180,11 @@ class Material:
     through: "Material | None" = None
     back: "Material | None" = None
     transmittance: str = ""
+    coat: str = SUM
 
     def __post_init__(self) -> None:
+        if self.coat not in COATS:
+            raise ValueError(f"the coat {self.coat!r}; accepted: {', '.join(COATS)}")
         for name in self.lobes:
             lobe(name)
         for what, count in (("maps", 1 + len(self.further_gloss)), ("typical gloss", len(self.typical_gloss) / 2)):
@@ -184,6 +204,7 @@ class Material:
         lobes: tuple[str, ...] = DEFAULT_LOBES,
         further_gloss: tuple[tuple[float, float], ...] = (),
         transmittance=None,
+        coat: str = SUM,
     ) -> "Material":
         """Return a material with the same parameters in every texel.
 
@@ -201,6 +222,8 @@ class Material:
             Parameters of the components after the first, a pair of float each.
         transmittance : float or (61,) float, optional
             Transmittance of a thin sheet, even 0; a surface without one is black from behind.
+        coat : str
+            See `Material`.
         """
         one = np.ones((2, 2))
         spectrum, n, k = (np.broadcast_to(np.asarray(v, dtype=np.float64), SAMPLES).copy() for v in (reflectance, n, k))
@@ -219,6 +242,7 @@ class Material:
             lobes=tuple(lobes),
             further_gloss=tuple((b * one, m * one) for b, m in further_gloss),
             through=None if transmittance is None else cls.uniform(transmittance),
+            coat=coat,
         )
 
     @classmethod
@@ -270,7 +294,7 @@ class Material:
                 )
                 write_sent_basis(out, self.through.basis, self.transmittance)
             constants = (self.basis, self.n, self.k, self.mirror)
-            write_constants(out, *constants, errors, lobes=self.lobes, typical_gloss=self.typical_gloss)
+            write_constants(out, *constants, errors, lobes=self.lobes, typical_gloss=self.typical_gloss, coat=self.coat)
 
     @classmethod
     def load(cls, path) -> "Material":
@@ -317,6 +341,7 @@ class Material:
                 if is_sheet
                 else None,
                 transmittance=file.attribute("transmittance", str) if is_sheet else "",
+                coat=read_coat(file),
             )
             error = file.read(_ERROR) if _ERROR in file else np.zeros(found.alpha.shape)
             found._check_reflectance(error, path)
@@ -490,8 +515,9 @@ def write_constants(
     *,
     lobes: tuple[str, ...],
     typical_gloss: tuple[float, ...],
+    coat: str,
 ) -> None:
-    """Write basis, refractive index, mirror weight, lobes, typical gloss and errors of a material to an open file."""
+    """Write basis, refractive index, mirror weight, lobes, coat, typical gloss and errors to an open file."""
     write_wavelength(out)
     out.write(BASIS, basis, units="1", dims="wavelength,component", quantity="spectral basis")
     names = {"units": "1", "dims": "wavelength", "quantity": "complex refractive index n + ik"}
@@ -499,5 +525,6 @@ def write_constants(
         out.write(f"refractive_index/{name}", values, **names)
     out.attribute("mirror", mirror)
     out.attribute("lobes", list(lobes))
+    out.attribute("coat", coat)
     out.attribute("typical_gloss", list(typical_gloss))
     out.attribute("errors", errors or {})

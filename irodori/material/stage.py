@@ -214,7 +214,7 @@ def compress_reflectance(
     compression, compared = compress_maps(reflectance, calibration.basis, observers, options)
     n, k = refractive_index(definition.refractive_index)
     typical_gloss = fitted.typical_gloss()
-    sent = _Sent(AlbedoModel(fitted.lobes, n, k, definition.mirror_weight), fitted.lobes, typical_gloss)
+    sent = _Sent(AlbedoModel(fitted.lobes, n, k, definition.mirror_weight, fitted.coat), fitted.lobes, typical_gloss)
     sheet = _sheet_of(definition, calibration, observations, levels)
     with store.create(output, provenance) as out:
         gathered = _write_maps(out, reflectance, compression, options.codec, sent, sheet=sheet)
@@ -232,7 +232,7 @@ def compress_reflectance(
         if sheet is not None:
             errors["transmittance"] = gathered.transmittance(sheet)
         constants = (compression.basis, n, k, definition.mirror_weight)
-        write_constants(out, *constants, errors, lobes=fitted.lobes, typical_gloss=typical_gloss)
+        write_constants(out, *constants, errors, lobes=fitted.lobes, typical_gloss=typical_gloss, coat=fitted.coat)
     _log(compression, gathered, fitted.height * fitted.width)
 
 

@@ -9,6 +9,7 @@ import math
 import numpy as np
 
 from irodori.jit.compilation import njit
+from irodori.reflection.coat import diffuse_cosine
 from irodori.reflection.fresnel import fresnel_array
 from irodori.reflection.lobe_arrays import evaluate
 
@@ -35,7 +36,7 @@ def _fill_angles(normal, to_light, to_camera, out):
         out[j, 3] = _angle(nx, ny, nz, hx, hy, hz)
 
 
-def reflect(alpha, reflectance, beta, mu, geometry, *, n=1.5, k=0.0, lobe: str = "gaussian"):
+def reflect(alpha, reflectance, beta, mu, geometry, *, n=1.5, k=0.0, lobe: str = "gaussian", coupled: bool = False):
     """Return π L_o / E_n, reflected radiance over irradiance, of diffuse reflection and one gloss component [eq. 5].
 
     Parameters
@@ -50,6 +51,8 @@ def reflect(alpha, reflectance, beta, mu, geometry, *, n=1.5, k=0.0, lobe: str =
         Complex refractive index.
     lobe : str
         Name of a lobe in `irodori.reflection.registry`.
+    coupled : bool
+        Whether the coat reduces the diffuse term, see `irodori.reflection.coat`.
 
     Returns
     -------
@@ -58,7 +61,7 @@ def reflect(alpha, reflectance, beta, mu, geometry, *, n=1.5, k=0.0, lobe: str =
     geometry = np.asarray(geometry, dtype=np.float64)
     lit = (geometry[..., 0] < math.pi / 2) & (geometry[..., 1] < math.pi / 2)
     gloss = beta * fresnel_array(np.cos(geometry[..., 2]), n, k) * evaluate(lobe, mu, geometry)
-    return np.where(lit, alpha * reflectance * np.cos(geometry[..., 0]) + gloss, 0.0)
+    return np.where(lit, alpha * reflectance * diffuse_cosine(geometry, n, k, coupled) + gloss, 0.0)
 
 
 def angles_from_directions(normal, to_light, to_camera) -> np.ndarray:

@@ -16,6 +16,7 @@ from irodori.geometry.embree import Tracer
 from irodori.geometry.shapes.shape import Shape
 from irodori.light.environment_file import Environment
 from irodori.material.material_file import Material
+from irodori.reflection.coat import COUPLED
 from irodori.rendering.frame_state import STILL, Moment, turned_scene
 from irodori.rendering.planning.scene_plan import ScenePlan
 from irodori.rendering.scene_arrays import make_objects, make_placements, make_view
@@ -188,8 +189,9 @@ class Renderer(ABC):
         white: np.ndarray | None = None,
     ) -> None:
         self.scene, self.environment, self.options, self.white = scene, environment, options, white
-        pairs = zip(scene.objects, materials, strict=False)
+        pairs = list(zip(scene.objects, materials, strict=False))
         self.sheets = {item.object: material.transmittance or "none" for item, material in pairs if material.is_sheet}
+        self.coated = [item.object for item, material in pairs if material.coat == COUPLED]
         self.shapes, materials = with_bodies(scene, shapes, materials)
         self.check()
         # Textures do not depend on where objects stand.
@@ -294,9 +296,12 @@ class InteractiveRenderer(Renderer):
     representation, why = "spectral", "the picture is asked for in all bands"
 
     def check(self) -> None:
-        """Raise an error for area lights, whose soft shadows the integrator cannot render."""
+        """Raise an error for area lights, whose soft shadows the integrator cannot render, and for coupled coats."""
         if any(light.kind != "collimated" for light in self.scene.lights):
             raise ValueError("area lights in a scene of the integrator 'interactive'; accepted: collimated lights")
+        if self.coated:
+            found = f"the coupled coat of {', '.join(self.coated)} in a scene of the integrator 'interactive'"
+            raise ValueError(f"{found}; accepted: the integrator 'reference'")
 
     def make_light(self, moment: Moment):
         """Return the scene prepared for frames in the light of a moment."""

@@ -10,6 +10,7 @@ from irodori.geometry.shapes.placement import Placement
 from irodori.geometry.shapes.shape import Shape
 from irodori.light.environment_file import Environment, directions
 from irodori.material.material_file import Material
+from irodori.reflection.coat import COUPLED
 from irodori.reflection.lobes import Lobes
 from irodori.rendering.view_cameras import KINDS, PERSPECTIVE
 
@@ -42,6 +43,7 @@ class Objects(NamedTuple):
     n: np.ndarray  # (objects, 61)
     k: np.ndarray  # (objects, 61)
     grey: np.ndarray  # (objects,)
+    coupled: np.ndarray  # (objects,) 1 if the coat reduces the diffuse term, see `irodori.reflection.coat`
     lobe: np.ndarray  # (objects, c)
     lobes: Lobes  # a compile-time constant, see `irodori.reflection.lobes`
     shape: np.ndarray  # (sides,) placed shape of each side
@@ -161,6 +163,7 @@ def make_objects(placements: list[Placement], materials: list[Material]) -> tupl
         n=n,
         k=k,
         grey=((np.ptp(n, axis=1) == 0) & (np.ptp(k, axis=1) == 0)).astype(np.int64),
+        coupled=np.array([m.coat == COUPLED for m in materials], dtype=np.int64),
         lobe=lobe,
         lobes=lobes,
         shape=np.array(shape[: len(behind)]),

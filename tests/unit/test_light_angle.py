@@ -9,7 +9,7 @@ from irodori.config.models import Placing
 from irodori.core import store
 from irodori.fitting.light_angle import Sight, estimate_light_angle
 from irodori.fitting.solvers import FitOptions
-from irodori.material.lobe_choices import lobes_before_choice
+from irodori.material.lobe_choices import model_before_choice
 from irodori.rectification.object_registration import register_object
 from irodori.rectification.placement_correction import LIGHT, Correction
 from irodori.rectification.told_values import settle_light
@@ -115,5 +115,5 @@ def test_the_file_and_the_errors_of_angles_have_what_was_found_of_the_light(tmp_
 
 
 def test_lobes_that_are_still_to_be_chosen_are_equation_5():
-    assert lobes_before_choice(["auto"]) == ("gaussian",)
-    assert lobes_before_choice(["ggx", "gaussian"]) == ("ggx", "gaussian")
+    assert model_before_choice(["auto"], "auto") == {"lobes": ("gaussian",), "coat": "sum"}
+    assert model_before_choice(["ggx", "gaussian"], "coupled") == {"lobes": ("ggx", "gaussian"), "coat": "coupled"}

@@ -17,7 +17,7 @@ from irodori.fitting.solvers import FitOptions
 from irodori.fitting.stage import fit_brdf
 from irodori.fitting.texel_sample import Readings
 from irodori.material.fitted_tiles import FittedTiles
-from irodori.material.lobe_choices import LeftOut, chosen_lobes, read_choice
+from irodori.material.lobe_choices import Candidate, LeftOut, chosen_model, read_choice
 from irodori.reflection import registry
 from irodori.reflection.fresnel import fresnel_array
 from irodori.reflection.lobe_arrays import evaluate
@@ -26,7 +26,7 @@ from irodori.report import html_page
 TEXELS, POSES = 24, slice(0, 60, 2)
 OPTIONS = FitOptions(model_error=0.005)
 #: The package's own: the lobe that other tests register may stand beside them in this process.
-ALL = [lobes for lobes in candidates(OPTIONS) if "toy" not in lobes]
+ALL = [one for one in candidates(OPTIONS) if "toy" not in one.lobes]
 
 
 @pytest.fixture(autouse=True)
@@ -47,12 +47,12 @@ def sample_of(clean, seed=2, drift=0.005) -> Readings:
 
 @pytest.mark.default_cases(5)
 @pytest.mark.parametrize("seed", [1, 2, 3])
-@pytest.mark.parametrize("lobes", ALL, ids="+".join)
+@pytest.mark.parametrize("lobes", [one.lobes for one in ALL], ids="+".join)
 def test_the_lobes_that_made_the_photographs_are_chosen(lobes, seed):
     alpha, broad, narrow = two_components(TEXELS, seed)
     parts = [broad] if len(lobes) == 1 else [(2.0 * broad[0], broad[1]), (3.0 * narrow[0], narrow[1])]
     chosen, found = choose(sample_of(responses(lobes, alpha, *parts), seed), OPTIONS, ALL)
-    assert chosen == lobes
+    assert chosen.lobes == lobes
     assert min(one.behind for one in found) == 0.0
     right = next(one for one in found if one.lobes == lobes)
     assert right.deviation < 1.6
@@ -61,7 +61,7 @@ def test_the_lobes_that_made_the_photographs_are_chosen(lobes, seed):
 
 def test_a_matt_object_takes_the_simplest():
     chosen, found = choose(sample_of(np.linspace(0.1, 0.8, TEXELS)[:, None] * COSINE), OPTIONS, ALL)
-    assert chosen == ("gaussian",) and all(one.behind < 0.05 for one in found)
+    assert chosen.lobes == ("gaussian",) and all(one.behind < 0.05 for one in found)
 
 
 def test_one_bad_photograph_changes_no_choice():
@@ -69,7 +69,7 @@ def test_one_bad_photograph_changes_no_choice():
     for lobes in (("gaussian",), ("ggx",)):
         clean = responses(lobes, alpha, broad)
         clean[:, 14] *= 0.3
-        assert choose(sample_of(clean), OPTIONS, ALL)[0] == lobes
+        assert choose(sample_of(clean), OPTIONS, ALL)[0].lobes == lobes
 
 
 def test_a_prediction_knows_nothing_of_what_is_left_out_with_it():
@@ -90,18 +90,18 @@ def test_readings_without_weight_are_not_judged():
     plain.weight[:, 7], plain.response[:, 7] = 0.0, np.nan
     errors = left_out_errors(plain, OPTIONS)
     assert np.isnan(errors[:, 7]).all() and np.isfinite(np.delete(errors, 7, axis=1)).all()
-    assert choose(plain, OPTIONS, ALL)[0] == ("gaussian",)
+    assert choose(plain, OPTIONS, ALL)[0].lobes == ("gaussian",)
 
 
 def test_nothing_seen_takes_the_simplest():
     nothing = Readings(np.zeros((0, 8)), np.zeros((0, 8)), np.zeros((0, 8, 4)), NOISE[:8], N, K)
     chosen, found = choose(nothing, OPTIONS, ALL[:2])
-    assert chosen == ("gaussian",) and np.isnan([one.deviation for one in found]).all()
+    assert chosen.lobes == ("gaussian",) and np.isnan([one.deviation for one in found]).all()
 
 
 def test_a_lobe_that_registers_takes_part_alone_and_in_sums(monkeypatch):
     monkeypatch.setitem(registry._LOBES, "bent", replace(registry.lobe("ggx"), name="bent"))
-    found = candidates(OPTIONS)
+    found = [one.lobes for one in candidates(OPTIONS)]
     assert found[:3] == [("gaussian",), ("bent",), ("ggx",)]
     assert set(found[3:]) == {
         ("gaussian", "gaussian"), ("gaussian", "bent"), ("gaussian", "ggx"), ("bent", "bent"), ("bent", "ggx"),
@@ -111,7 +111,7 @@ def test_a_lobe_that_registers_takes_part_alone_and_in_sums(monkeypatch):
 
 @pytest.mark.parametrize("setting", [{"solver": "nlopt"}, {"refractive_index": "fitted"}])
 def test_sums_are_not_tried_where_the_fit_cannot_have_them(setting):
-    assert candidates(replace(OPTIONS, **setting)) == [("gaussian",), ("ggx",)]
+    assert [one.lobes for one in candidates(replace(OPTIONS, **setting))] == [("gaussian",), ("ggx",)]
 
 
 def ggx_sphere():
@@ -128,10 +128,13 @@ def test_the_choice_of_an_object_is_one_for_its_tiles_and_is_kept(tmp_path):
         write_tile(files["observations"][-1], seen[first * SIDE : last * SIDE], [first, last])
     choice = tmp_path / "lobes.h5"
     choose_lobes(files["observations"], choice, OPTICS.options, N, K, provenance=PROVENANCE)
-    assert chosen_lobes(["auto"], [choice]) == ("ggx",)
-    assert [one.lobes for one in read_choice([choice])] == candidates(OPTICS.options)
+    assert chosen_model(["auto"], "sum", [choice]) == {"lobes": ("ggx",), "coat": "sum"}
+    assert [Candidate(one.lobes, one.coat) for one in read_choice([choice])] == candidates(OPTICS.options)
     assert next(one for one in read_choice([choice]) if one.lobes == ("ggx",)).deviation < 1.5
-    assert chosen_lobes(["gaussian"], []) == ("gaussian",) and read_choice([]) == []
+    assert (
+        chosen_model(["gaussian"], "coupled", []) == {"lobes": ("gaussian",), "coat": "coupled"}
+        and read_choice([]) == []
+    )
 
 
 def test_two_lobes_that_were_chosen_keep_each_texels_own_gloss(tmp_path):

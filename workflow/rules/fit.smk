@@ -17,6 +17,8 @@ rule choose_lobes:
         mem_mb=lambda wildcards, attempt: 2000 * attempt,
     params:
         fit=lookup(within=config, dpath="fit"),
+        lobes=lookup(within=config["objects"], dpath="{object}/lobes"),
+        coat=lookup(within=config["objects"], dpath="{object}/coat"),
         refractive_index=lookup(within=config["objects"], dpath="{object}/refractive_index"),
         user_files=ledger.content(sets.tables_of_index),
         code=code_hash("irodori.fitting.lobe_stage", "irodori.spectra.published"),
@@ -45,6 +47,7 @@ rule measure_levels:
     params:
         fit=lookup(within=config, dpath="fit"),
         lobes=lookup(within=config["objects"], dpath="{object}/lobes"),
+        coat=lookup(within=config["objects"], dpath="{object}/coat"),
         refractive_index=lookup(within=config["objects"], dpath="{object}/refractive_index"),
         user_files=ledger.content(sets.tables_of_index),
         code=code_hash("irodori.fitting.level_stage", "irodori.material.lobe_choices", "irodori.spectra.published"),
@@ -74,6 +77,7 @@ rule fit_brdf:
     params:
         fit=lookup(within=config, dpath="fit"),
         lobes=lookup(within=config["objects"], dpath="{object}/lobes"),
+        coat=lookup(within=config["objects"], dpath="{object}/coat"),
         refractive_index=lookup(within=config["objects"], dpath="{object}/refractive_index"),
         user_files=ledger.content(sets.tables_of_index),
         code=code_hash("irodori.fitting.stage", "irodori.material.lobe_choices", "irodori.spectra.published"),
@@ -104,6 +108,7 @@ rule share_gloss:
     params:
         fit=lookup(within=config, dpath="fit"),
         lobes=lookup(within=config["objects"], dpath="{object}/lobes"),
+        coat=lookup(within=config["objects"], dpath="{object}/coat"),
         refractive_index=lookup(within=config["objects"], dpath="{object}/refractive_index"),
         user_files=ledger.content(sets.tables_of_index),
         code=code_hash("irodori.fitting.paint_stage", "irodori.material.lobe_choices", "irodori.spectra.published"),

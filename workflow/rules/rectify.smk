@@ -27,6 +27,7 @@ rule register_object:
         markers=sets.markers,
         fit=lookup(within=config, dpath="fit"),
         lobes=lookup(within=config["objects"], dpath="{object}/lobes"),
+        coat=lookup(within=config["objects"], dpath="{object}/coat"),
         refractive_index=lookup(within=config["objects"], dpath="{object}/refractive_index"),
         max_angle_deg=lookup(within=config["rectify"], dpath="max_angle_deg"),
         user_files=ledger.content(sets.mesh_and_tables_of_index),

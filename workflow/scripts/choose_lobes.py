@@ -12,4 +12,6 @@ with run_rule(snakemake) as provenance:
         *refractive_index(typed_index(snakemake.params.refractive_index)),
         provenance=provenance,
         calibration=next(iter(snakemake.input.calibration), None),
+        lobes=snakemake.params.lobes,
+        coat=snakemake.params.coat,
     )

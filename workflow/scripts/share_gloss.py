@@ -2,7 +2,7 @@ from irodori.config.parts import typed_index
 from irodori.core.run_rule import run_rule
 from irodori.fitting.paint_stage import share_gloss
 from irodori.fitting.solvers import FitOptions
-from irodori.material.lobe_choices import chosen_lobes
+from irodori.material.lobe_choices import chosen_model
 from irodori.spectra.published import refractive_index
 
 with run_rule(snakemake) as provenance:
@@ -10,7 +10,10 @@ with run_rule(snakemake) as provenance:
         snakemake.input.observations,
         snakemake.input.tiles,
         snakemake.output.surface,
-        FitOptions(**snakemake.params.fit, lobes=chosen_lobes(snakemake.params.lobes, snakemake.input.lobes)),
+        FitOptions(
+            **snakemake.params.fit,
+            **chosen_model(snakemake.params.lobes, snakemake.params.coat, snakemake.input.lobes),
+        ),
         *refractive_index(typed_index(snakemake.params.refractive_index)),
         provenance=provenance,
         calibration=next(iter(snakemake.input.calibration), None),

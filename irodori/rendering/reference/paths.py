@@ -13,6 +13,7 @@ import numpy as np
 from irodori.geometry.embree import hit_distance, hit_shape, is_blocked, trace
 from irodori.geometry.surfaces import face_viewer
 from irodori.jit.compilation import uncounted
+from irodori.reflection.coat import passed
 from irodori.reflection.fresnel import fresnel
 from irodori.reflection.lobes import constants_of, features_of, strength, value_of
 from irodori.reflection.lobes import density as lobe_density
@@ -162,18 +163,19 @@ def _reflect(world, work, index, direction, probability):
         work.aimed[1] = 1.0
         fill_mixture_grey(work.through, -cos_i / math.pi, 0.0, work.mixture)
         return probability[2] * -cos_i / math.pi
-    drawn = probability[0] * cos_i / math.pi
+    objects, drawn, ground = world.objects, probability[0] * cos_i / math.pi, cos_i / math.pi
+    if objects.coupled[index] == 1:
+        ground *= passed(cos_i, objects.n[index, _GREEN], objects.k[index, _GREEN])
     if probability[1] <= 0.0:
-        fill_mixture_grey(work.diffuse, cos_i / math.pi, 0.0, work.mixture)
+        fill_mixture_grey(work.diffuse, ground, 0.0, work.mixture)
         return _with_images(world, work, direction, probability, drawn)
     factor, of_gloss, cos_h = _gloss(world, work, index, direction, cos_i, cos_r)
-    objects = world.objects
     if objects.grey[index] == 1:
         reflected = factor * fresnel(cos_h, objects.n[index, 0], objects.k[index, 0])
-        fill_mixture_grey(work.diffuse, cos_i / math.pi, reflected, work.mixture)
+        fill_mixture_grey(work.diffuse, ground, reflected, work.mixture)
     else:
         fill_fresnel(min(cos_h, 1.0), world.bands.n, world.bands.k, index, work.fresnel)
-        fill_mixture(work.diffuse, cos_i / math.pi, work.fresnel, factor, work.mixture)
+        fill_mixture(work.diffuse, ground, work.fresnel, factor, work.mixture)
     return _with_images(world, work, direction, probability, drawn + probability[1] * of_gloss)
 
 
@@ -297,6 +299,8 @@ def _shares_of_terms(world, work, index, cos_r):
     """
     objects = world.objects
     decode(world.bands.basis, index, objects.bases[index], work.texel, work.diffuse)
+    if objects.coupled[index] == 1:
+        scale(work.diffuse, passed(cos_r, objects.n[index, _GREEN], objects.k[index, _GREEN]))
     chi = objects.mirror[index]
     diffuse = summed_product(work.throughput, work.diffuse)
     total = summed(work.throughput)
@@ -460,10 +464,11 @@ def _spread(work, density):
 def _add_cached(world, ray, work, index, terms, stream):
     """Add the diffuse light of a surface from the cache, if a texel may stand for it.
 
-    Returns the terms that are left to the path, zeros if it ends. Sheets, which let light through, have no texels.
+    Returns the terms that are left to the path, zeros if it ends. Sheets, which let light through, have no texels, and
+    under a coupled coat the light counts by its angle, which texels do not tell.
     """
     texel = -1
-    if terms[0] > 0.0 and index < world.placed:
+    if terms[0] > 0.0 and index < world.placed and world.objects.coupled[index] == 0:
         texel = cached_texel(world, ray, work, index, draw_from(stream, TEXEL))
     if texel < 0:
         return terms

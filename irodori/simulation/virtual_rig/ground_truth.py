@@ -6,6 +6,7 @@ from irodori.config.models import Camera, EnvironmentDefinition, IrradianceMap, 
 from irodori.light.environment_file import Environment
 from irodori.light.irradiance import fitted_irradiance_map
 from irodori.material.material_file import Material
+from irodori.reflection.coat import COUPLED, SUM
 from irodori.simulation.virtual_rig.classroom import room_coefficients, source_spectra
 from irodori.simulation.virtual_rig.samples import Sample
 from irodori.simulation.virtual_rig.sensor import band_weights
@@ -46,6 +47,7 @@ def true_material(definition: Object, camera: Camera, rig: Rig) -> Material:
         further_gloss=tuple(further),
         through=through,
         transmittance="" if through is None else "measured",
+        coat=COUPLED if sample.is_coupled else SUM,
     )
 
 

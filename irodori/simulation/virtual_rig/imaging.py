@@ -54,7 +54,11 @@ def _response(out, sample, material, setup, point, ci):
         if sample.table[material] >= 0:
             rough = ci * measured_lobe(sample.measured[sample.table[material]], cos_phi, cos_h, band)
         else:
-            rough = sample.diffuse[material, band] * ci + lobe * _lookup(sample.fresnel, cos_h, band)
+            ground = sample.diffuse[material, band] * ci
+            if sample.is_coupled:
+                through = (1.0 - _lookup(sample.fresnel, ci, band)) * (1.0 - _lookup(sample.fresnel, cr, band))
+                ground *= through / (1.0 - _lookup(sample.fresnel, 1.0, band)) ** 2
+            rough = ground + lobe * _lookup(sample.fresnel, cos_h, band)
         out[band] = power * (rough + image * _lookup(sample.fresnel, ci, band))
 
 
@@ -122,6 +126,7 @@ class _Subject(NamedTuple):
     surfaces: Surfaces
     through: np.ndarray  # (materials, 3) band responses of the transmittance
     is_sheet: bool
+    is_coupled: bool
 
 
 class _Row(NamedTuple):
@@ -337,6 +342,7 @@ def expose_object(sample, tracer: Tracer, view: RigView, band_weights: np.ndarra
         surfaces=make_surfaces(list(tracer.placements[:1])),
         through=np.ascontiguousarray(sample.through @ band_weights.T),
         is_sheet=bool(sample.through.any()),
+        is_coupled=sample.is_coupled,
     )
     image = np.empty((view.pinhole.height_px, view.pinhole.width_px))
     run_chunks(_expose, len(image), _BLOCK_ROWS, setup, subject, image)

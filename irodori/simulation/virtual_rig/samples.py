@@ -16,6 +16,7 @@ from irodori.config.models import (
 )
 from irodori.config.parts import PhotographedObject
 from irodori.geometry.shapes.shape import Shape
+from irodori.reflection.coat import COUPLED
 from irodori.reflection.fresnel import fresnel
 from irodori.simulation.virtual_rig.sample_reflection import measured_lobe, read_measured
 from irodori.spectra.grid import SAMPLES
@@ -51,6 +52,8 @@ class Sample:
         Complex refractive index.
     through : (m, 61) float
         Transmittance of each material.
+    is_coupled : bool
+        Whether the coat reduces the diffuse term, see `irodori.reflection.coat`.
     """
 
     shape: Shape
@@ -66,6 +69,7 @@ class Sample:
     n: np.ndarray
     k: np.ndarray
     through: np.ndarray
+    is_coupled: bool = False
 
     @classmethod
     def from_definition(cls, definition: Object | PhotographedObject) -> "Sample":
@@ -105,6 +109,7 @@ class Sample:
             n=n,
             k=k,
             through=np.stack([_transmittance(material) for material in materials]),
+            is_coupled=virtual.coat == COUPLED,
         )
 
     @cached_property
