@@ -270,7 +270,7 @@ def choices(name: str, folder: Path = DATA, seed: int = 0) -> list[dict]:
             result = fit(halves[0].response, geometry[order[::2]], halves[0].weight, N, K, own)
             fitted, held = (_off(half, result, halves[0], own) for half in halves)
             label = name if len(measured.wavelength_nm) > 1 else f"{name} {measured.wavelength_nm[0]:.0f} nm"
-            out.append({"material": label, "lobes": "+".join(one.lobes), "chosen": one.lobes == chosen,
+            out.append({"material": label, "lobes": "+".join(one.lobes), "chosen": (one.lobes, one.coat) == chosen,
                         "behind": one.behind, "behind_error": one.behind_error, "fitted_rms": fitted[0],
                         "fitted_median": fitted[1], "held_out_rms": held[0], "held_out_median": held[1]})  # fmt: skip
     return out

@@ -18,7 +18,7 @@ GAUSSIAN = Lobes(("gaussian",))
 def test_vector_form_of_the_gloss_is_that_of_the_reflection_model(n, k):
     geometry = np.random.default_rng(0).uniform(0.0, 1.7, (53, 4))
     rows = new_rows(53)
-    pack_geometry(geometry, GAUSSIAN, n, k, rows)
+    pack_geometry(geometry, GAUSSIAN, n, k, False, rows)
     np.testing.assert_allclose(rows[GLOSS, :53], gloss_factors(geometry, n, k), rtol=1e-12, atol=1e-15)
     seen = (geometry[:, :2] < np.pi / 2).all(axis=1)
     np.testing.assert_allclose(rows[COSINE, :53], np.cos(geometry[:, 0]) * seen, rtol=1e-14, atol=1e-15)
@@ -30,7 +30,7 @@ def test_vector_form_of_the_gloss_is_that_of_the_reflection_model(n, k):
 def test_rows_of_a_texel_hold_the_value_of_its_lobe(name):
     geometry, log_mu = np.random.default_rng(1).uniform(0.0, 1.4, (21, 4)), np.log(0.2)
     rows, kind = new_rows(21), lobe(name)
-    pack_geometry(geometry, Lobes((name,)), 1.5, 0.0, rows)
+    pack_geometry(geometry, Lobes((name,)), 1.5, 0.0, False, rows)
     fill_lobe(rows, Lobes((name,)), log_mu)
     for j, (theta_i, theta_r, theta_h, phi) in enumerate(geometry):
         factor, *features = kind.features(np.cos(theta_i), np.cos(theta_r), np.cos(phi), np.cos(theta_h), phi)

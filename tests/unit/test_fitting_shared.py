@@ -38,7 +38,7 @@ def poses(light_deg, camera_deg) -> np.ndarray:
 def block_of(geometry, lobes: Lobes, seed: int) -> np.ndarray:
     rng = np.random.default_rng(seed)
     block = new_rows(len(geometry))
-    pack_geometry(geometry, lobes, 1.5, 0.0, block)
+    pack_geometry(geometry, lobes, 1.5, 0.0, False, block)
     filled = [WEIGHT, WEIGHTED_COSINE, WEIGHTED_RESPONSE]
     block[filled] = 0.0
     block[filled, : len(geometry)] = rng.uniform(0.1, 2.0, (3, len(geometry)))

@@ -54,18 +54,21 @@ def test_a_material_of_gaps_alone_is_refused():
 
 
 def same(a: Material, b: Material) -> bool:
-    apart = ("extra", "lobes", "through", "back", "transmittance")
+    apart = ("extra", "lobes", "through", "back", "transmittance", "coat")
     names = [field.name for field in dataclasses.fields(Material) if field.name not in apart]
     alike = all(np.array_equal(getattr(a, n), getattr(b, n), equal_nan=True) for n in names)
     if a.through is not None or b.through is not None:
         alike &= np.array_equal(a.through.spectra(), b.through.spectra())
-    return alike and (a.lobes, a.transmittance) == (b.lobes, b.transmittance)
+    return alike and (a.lobes, a.transmittance, a.coat) == (b.lobes, b.transmittance, b.coat)
 
 
 def test_a_material_survives_its_file(tmp_path):
     saved = material(np.linspace(0.1, 0.9, 61), beta=np.nan, mu=np.nan, mirror=0.4, n=np.linspace(1.4, 1.6, 61))
     sheet = Material.diffuse(np.random.default_rng(3).random((4, 8, 2), dtype=np.float32), np.ones((61, 2)))
-    for one in (dataclasses.replace(saved, through=sheet, transmittance="assumed"), saved):
+    for one in (
+        dataclasses.replace(saved, through=sheet, transmittance="assumed"),
+        dataclasses.replace(saved, coat="coupled"),
+    ):
         one.save(tmp_path / "m.h5", store.Provenance("test"))
         loaded = Material.load(tmp_path / "m.h5")
         assert same(loaded, one)
