@@ -7,7 +7,7 @@ attenuation of equation (5); α, β and roughness with the GGX distribution and 
 ρ = π f cosθ_i over the root mean square of ρ. `irodori.fitting` fits equation (5); a dense scan over roughness with
 bounded minimisation fits GGX. With ``--peer``, SciPy's least squares searches from many starts for a lower minimum.
 
-``--lobes`` shows the lobes that are chosen (`irodori.fitting.lobe_choice`) from one half of the directions, and how
+``--lobes`` shows the lobes and the coat that are chosen (`irodori.fitting.lobe_choice`) from one half of the directions, and how
 well all candidates fit that half and predict the other, for light and view up to 70°, where the outliers of the
 laboratory begin.
 
@@ -36,6 +36,7 @@ from irodori.fitting.lobe_choice import candidates, choose, predicted
 from irodori.fitting.solvers import FitOptions, FitResult, fit
 from irodori.fitting.texel_sample import Readings
 from irodori.material.material_file import Status
+from irodori.reflection.coat import COATS
 from irodori.reflection.equation5 import angles_from_directions, reflect
 from irodori.reflection.fresnel import fresnel_array
 from irodori.reflection.lobe_arrays import evaluate
@@ -264,13 +265,13 @@ def choices(name: str, folder: Path = DATA, seed: int = 0) -> list[dict]:
             for half in (order[::2], order[1::2])
         ]  # fmt: skip
         options = FitOptions(weights="equal", bounds=_BOUNDS)
-        chosen, found = choose(halves[0], options, candidates(options))
+        chosen, found = choose(halves[0], options, candidates(options, coats=COATS))
         for one in found:
-            own = replace(options, lobes=one.lobes)
+            own = replace(options, lobes=one.lobes, coat=one.coat)
             result = fit(halves[0].response, geometry[order[::2]], halves[0].weight, N, K, own)
             fitted, held = (_off(half, result, halves[0], own) for half in halves)
             label = name if len(measured.wavelength_nm) > 1 else f"{name} {measured.wavelength_nm[0]:.0f} nm"
-            out.append({"material": label, "lobes": "+".join(one.lobes), "chosen": (one.lobes, one.coat) == chosen,
+            out.append({"material": label, "lobes": "+".join(one.lobes), "coat": one.coat, "chosen": (one.lobes, one.coat) == chosen,
                         "behind": one.behind, "behind_error": one.behind_error, "fitted_rms": fitted[0],
                         "fitted_median": fitted[1], "held_out_rms": held[0], "held_out_median": held[1]})  # fmt: skip
     return out
@@ -278,6 +279,7 @@ def choices(name: str, folder: Path = DATA, seed: int = 0) -> list[dict]:
 
 def _off(sample: Readings, result: FitResult, fitted: Readings, options: FitOptions) -> tuple[float, float]:
     """Return the rms residual over the rms response, and the median of residual over response."""
+    sample, fitted = (replace(one, coupled=options.is_coupled) for one in (sample, fitted))
     off = predicted(sample, result, fitted, options) - sample.response
     relative_rms = float(np.sqrt(np.mean(off**2) / np.mean(sample.response**2)))
     return relative_rms, float(np.median(np.abs(off) / np.maximum(sample.response, np.finfo(float).tiny)))
@@ -350,7 +352,7 @@ def main() -> None:
     if arguments.lobes:
         for row in (row for name in MATERIALS for row in choices(name, arguments.data)):
             print(
-                "{material:>22} {lobes:>17} {0:>6} behind {behind:.3f} ± {behind_error:.3f}; rms, median: "
+                "{material:>22} {lobes:>17} {coat:>7} {0:>6} behind {behind:.3f} ± {behind_error:.3f}; rms, median: "
                 "fitted {fitted_rms:.3f} {fitted_median:.3f}, held out {held_out_rms:.3f} {held_out_median:.3f}".format(
                     "chosen" if row["chosen"] else "", **row
                 )

@@ -68,6 +68,7 @@ def _object(name: str, path, truth_file, placement) -> dict:
         "bases": material.basis.shape[1],
         "gloss": typical_gloss_text(material),
         "lobes": list(material.lobes),
+        "coat": material.coat,
         "mirror": material.mirror,
         "angles": str(AngleErrors(**errors["angle_errors"])) if errors.get("angle_errors") else "",
         "errors": errors,
