@@ -18,11 +18,12 @@ from written_pages import SIZE, Written, agree, compared, differences, inside
 from irodori.colour.display import make_display, srgb, standard_display
 from irodori.colour.icc import Profile, write_profile
 from irodori.colour.tone_curves import ParametricCurve
-from irodori.config.models import PrimariesDisplay, ProfileDisplay
+from irodori.config.models import CollimatedLight, PrimariesDisplay, ProfileDisplay
 from irodori.geometry.rig_frame import rotation_xyz
 from irodori.light.environment_file import Environment, directions
 from irodori.material.material_file import Material
 from irodori.rendering.scene_arrays import make_view
+from irodori.rendering.scene_lights import make_lights
 from irodori.spectra.published import light, spectrum
 from irodori.viewer.browser import browser_command, opened
 from irodori.viewer.measured import frame_bands, prepared, xyz_differences
@@ -66,13 +67,13 @@ LEAF = {
     "back": {"spectrum": "TCS56"},
     "transmittance": "TCS38",
 }
-BEHIND = LAMP | {"azimuth_deg": 120.0}
+BEHIND = LAMP | {"azimuth_deg": 120.0, "irradiance": 0.2}
 
 
 @pytest.fixture(scope="module")
 def seen(tmp_path_factory):
     folder = tmp_path_factory.mktemp("views")
-    written = Written(folder, sources(folder / "files", room(), views=VIEWS, bodies=[LEAF], lights=[BEHIND]))
+    written = Written(folder, sources(folder / "files", room(), views=VIEWS, bodies=[LEAF]))
     with opened(written.path) as page:
         yield written, page
         assert page.messages == []
@@ -260,6 +261,16 @@ def test_a_leaf_shows_its_back_and_what_passes_through(seen):
         page.page.evaluate(given, None)
         assert not agree(compared(written, page, state, written.view))
         page.page.evaluate(given, row)
+    # A lamp behind it.
+    lights = make_lights([made(CollimatedLight, BEHIND)], 0)[0]
+    towards, spectra = lights.rotation[:, :, 2], lights.spectrum[:, :61].astype(float)
+    parts = replace(written.data.parts, lamps=spectra, directions=towards)
+    state["light"]["lamps"] = [{"position_mm": list(1e3 * towards[0]), "size_mm": 0.0, "far": True, "strength": 0.2,
+                                "illuminant": {"power": list(light("FL11"))}, "on": True}]  # fmt: skip
+    matrix = np.array(written.data.header["observers"][0]["xyz"]).T
+    matrix = matrix * (100.0 / (matrix[1] @ white_of(parts)))
+    wanted = frame_bands(prepared(parts), written.view, parts) @ matrix.T
+    assert agree(differences(wanted, matrix @ white_of(parts), *page.read_xyz(state, 64, 48)))
 
 
 # ---- light maps
