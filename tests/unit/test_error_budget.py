@@ -470,7 +470,9 @@ def test_each_object_is_judged_by_its_own_files_and_shape(tmp_path, monkeypatch)
     described = [{"shape": plate, "sample_mm": mm} for plate, mm in zip(plates, samples_mm, strict=True)]
     subjects = made(Sequence[Subject], described)
     options = BudgetOptions(*(None,) * 4)
-    measure_error_budget(inputs, made(Scene, scene_of({"kind": "interactive"})), "v", subjects, options, tmp_path / "c")
+    scene = scene_of({"kind": "interactive"})
+    scene["objects"].append(scene["objects"][0] | {"object": "b"})
+    measure_error_budget(inputs, made(Scene, scene), "v", subjects, options, tmp_path / "c")
     _, view, solids, objects, lights, given = taken[0]
     assert view == "v" and given is options and len(lights) == 2
     assert [one.known for one in objects] == inputs["materials"]

@@ -116,7 +116,7 @@ def test_a_textured_ball_and_a_leaf_on_a_plate_look_as_ours_do(tmp_path):
     """The back of the leaf is seen, with the light that passes through."""
     front, sent = painted(reflectance=0.4, beta=1.0, mu=0.3), painted(reflectance=0.4)
     sent = replace(sent, coefficients=sent.coefficients * np.linspace(0.2, 0.9, 16)[:, None])
-    leaf = replace(front, back=painted(12, 4, reflectance=0.2), through=sent)
+    leaf = replace(front, back=painted(12, 16, reflectance=0.2), through=sent)
     things = [
         ("plate", leaf, (-24, -14, 13), (-110, 0, 20)),
         ("plate", painted(reflectance=0.4, beta=3.0, mu=0.12, mirror=0.5), (0, 0, 0), (0, 0, 25)),
