@@ -21,6 +21,8 @@ _POINTS = 400
 #: Depth of overlap, and distance to all other things, from which a warning is given, as shares of a thing's reach (the
 #: radius about its origin). Surfaces are sampled by points, which on a mesh are about a tenth of its reach apart.
 _DEEP, _FLOATS, _FLOATS_BY_A_MESH = 0.02, 0.05, 0.15
+#: Distance of parallel flat things, as a share of the reach, below which rays cannot tell them apart.
+_FLUSH = 1e-5
 
 
 def of_scene(loaded: Loaded, name: str) -> Iterator[Finding]:
@@ -95,7 +97,11 @@ def _of_places(things: dict[str, Placement], file: str) -> Iterator[Finding]:
         if a.shape.is_endless and b.shape.is_endless:
             continue
         # In both directions: points sample the first, and the second is exact. An endless plane has no points.
-        ways = [_between(x, y) for x, y in ((a, b), (b, a)) if not x.shape.is_endless]
+        pairs = [(x, y) for x, y in ((a, b), (b, a)) if not x.shape.is_endless]
+        if any(_is_flush(x, y) for x, y in pairs):
+            text = f"{one} and {other} lie in one plane, where it is chance which of them is seen; raise one a little"
+            yield Finding(False, f"{file}: {text}")
+        ways = [_between(x, y) for x, y in pairs]
         gap, depth = min(gap for gap, _ in ways), max(depth for _, depth in ways)
         for label in (one, other):
             gaps[label].append(gap)
@@ -129,16 +135,28 @@ def _is_ball(thing: Placement) -> bool:
     return thing.shape.is_convex and thing.shape.is_curved
 
 
+def _is_flush(a: Placement, b: Placement) -> bool:
+    """Whether a flat thing lies in the plane of another one, with some of its points within that."""
+    if not (a.shape.is_flat and b.shape.is_flat):
+        return False
+    local = (a.points(a.shape.samples(_POINTS)[0]) - b.translation_mm) @ b.rotation
+    thick = _FLUSH * a.shape.reach_mm * a.scale
+    return bool(np.abs(local[:, 2]).max() <= thick and _beside(local, b).min() < -thick)
+
+
+def _beside(local: np.ndarray, flat: Placement) -> np.ndarray:
+    """Return how far points (n, 3) in the local coordinates of a flat thing lie beside it, mm; below 0 within it."""
+    if flat.shape.is_endless:
+        return np.full(len(local), -np.inf)
+    halves = np.array(flat.shape.size_mm) * flat.scale / 2.0
+    beside = (np.abs(local[:, :2]) - halves).max(axis=1)
+    # A disc ends before the corners of its square; no plate reaches further than its own.
+    return np.maximum(beside, np.hypot(local[:, 0], local[:, 1]) - flat.shape.reach_mm * flat.scale)
+
+
 def _from_flat(local: np.ndarray, flat: Placement, round_mm: float) -> tuple[float, float]:
     """Return gap and depth, mm, of a thing's points (n, 3) in the local coordinates of a plate, a disc or a plane."""
-    if flat.shape.is_endless:
-        beside = np.zeros(len(local))
-    else:
-        halves = np.array(flat.shape.size_mm) * flat.scale / 2.0
-        beside = (np.abs(local[:, :2]) - halves).max(axis=1)
-        # A disc ends before the corners of its square; no plate reaches further than its own.
-        beside = np.maximum(beside, np.hypot(local[:, 0], local[:, 1]) - flat.shape.reach_mm * flat.scale)
-    height = local[:, 2]
+    beside, height = _beside(local, flat), local[:, 2]
     gap = float(np.hypot(np.maximum(beside, 0.0), height).min()) - round_mm
     over = height[beside <= 0.0]
     # What reaches through has points on both sides; the shorter way out is its depth.

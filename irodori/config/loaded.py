@@ -28,11 +28,6 @@ class Loaded(Definition):
     cameras: Mapping[str, Camera] = dataclasses.field(hash=False)
     rigs: Mapping[str, Rig] = dataclasses.field(hash=False)
 
-    @property
-    def sheets(self) -> dict[str, bool]:
-        """Whether each object is a thin sheet."""
-        return {name: one.sheet is not None for name, one in self.objects.items()}
-
     def photographed(self, kind: str, name: str) -> Object | Camera | EnvironmentDefinition:
         """Return the definition of the subject of a set of photographs."""
         kinds = ("objects", "cameras", "environments")

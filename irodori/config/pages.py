@@ -1,7 +1,5 @@
 """Classroom pages of scenes: the views and environments that a page can show. Quick to import for the Snakefile."""
 
-from collections.abc import Mapping
-
 from irodori.config.models import PerspectiveView, Scene
 
 
@@ -17,18 +15,11 @@ def page_rooms(scene: Scene) -> list[str]:
     return list(dict.fromkeys([scene.environment, *(light.environment for light in lights if light.environment)]))
 
 
-def page_fault(scene: Scene, is_sheet: Mapping[str, bool]) -> tuple[str, str, str] | None:
-    """Return (field, found, accepted) of the reason why a page cannot show a scene; None if it can.
-
-    ``is_sheet`` says by the names of the scene's objects which of them are thin sheets.
-    """
+def page_fault(scene: Scene) -> tuple[str, str, str] | None:
+    """Return (field, found, accepted) of the reason why a page cannot show a scene; None if it can."""
     if not page_views(scene):
         return "views", "no view but through a lens", "a view without a lens for the scene's page"
     for number, light in enumerate(scene.lights):
         if light.kind != "collimated":
             return f"lights[{number}].kind", light.kind, "collimated lights alone in a scene that has a page"
-    sheets = [f"objects[{i}]" for i, one in enumerate(scene.objects) if one.back or is_sheet[one.object]]
-    sheets += [f"bodies[{i}]" for i, one in enumerate(scene.bodies) if one.back or one.transmittance is not None]
-    if sheets:
-        return sheets[0], "a thin sheet", "surfaces that are black from behind in a scene that has a page"
     return None

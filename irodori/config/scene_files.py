@@ -76,23 +76,24 @@ class SceneFiles:
         return f"results/environments/{name}/truth.h5" if known else f"results/environments/{name}.h5"
 
     def calibrations(self, wildcards) -> list[str]:
-        """Return, for each object of a scene, the calibration file of the camera that photographed it."""
-        cameras = [self.loaded.objects[name].camera for name in self.objects(wildcards)]
+        """Return the calibration files of the cameras that photographed a scene's objects and backs."""
+        cameras = [self.loaded.objects[name].camera for name in materials_of(self._scene(wildcards))]
         return [f"results/cameras/{camera}/calibration.h5" for camera in cameras]
 
     def tiles(self, wildcards) -> list[str]:
-        """Return the files of the fits of a scene's objects, for each object once."""
-        return [file for name in dict.fromkeys(self.objects(wildcards)) for file in self.sets.fitted_files(name)]
+        """Return the files of the fits of a scene's objects and backs, for each object once."""
+        names = dict.fromkeys(materials_of(self._scene(wildcards)))
+        return [file for name in names for file in self.sets.fitted_files(name)]
 
     def observations(self, wildcards) -> list[str]:
-        """Return the observation files of a scene's objects, in the order of their fits."""
-        names = dict.fromkeys(self.objects(wildcards))
+        """Return the observation files of a scene's objects and backs, in the order of their fits."""
+        names = dict.fromkeys(materials_of(self._scene(wildcards)))
         return [file for name in names for file in self.sets.tile_files(name, "observations")]
 
     def subjects(self, wildcards) -> list[dict]:
-        """Return, for each object of a scene, a plain `Subject`: its shape and the size of a superpixel on it, mm."""
+        """Return a plain `Subject`, shape and size of a superpixel on it, mm, of a scene's objects, then the backs."""
         found = []
-        for name in self.objects(wildcards):
+        for name in materials_of(self._scene(wildcards)):
             definition = self.loaded.objects[name]
             optics, rig = self.loaded.cameras[definition.camera].optics, self.loaded.rig_of("objects", name)
             assert optics is not None  # checked: a camera of objects has optics
@@ -105,8 +106,8 @@ class SceneFiles:
         return [self.loaded.objects[name].shape.plain() for name in self.objects(wildcards)]
 
     def files(self, wildcards) -> list[str]:
-        """Return the meshes of a scene's objects and the spectral tables of its own lights, bodies and frames."""
-        meshes = self.sets.meshes_of(*dict.fromkeys(self.objects(wildcards)))
+        """Return the meshes of a scene's objects and backs, and the tables of its own lights, bodies and frames."""
+        meshes = self.sets.meshes_of(*dict.fromkeys(materials_of(self._scene(wildcards))))
         return meshes + self.tables(wildcards)
 
     def page_files(self, wildcards) -> list[str]:
@@ -209,13 +210,9 @@ class SceneFiles:
         )
 
     def truth_is_rendered(self, scene: str) -> bool:
-        """Whether a scene can be rendered with the true materials of its objects, all of which are then virtual.
-
-        Not if another object covers the back of one: the error budget knows the errors of fronts alone.
-        """
+        """Whether a scene can be rendered with the true materials of its objects, all of which are then virtual."""
         known = {name for name in self.sets.virtual("objects") if self._follows_the_model(name)}
-        objects = self.loaded.scenes[scene].objects
-        return known.issuperset(item.object for item in objects) and not any(item.back for item in objects)
+        return known.issuperset(materials_of(self.loaded.scenes[scene]))
 
     def pictures(self) -> list[str]:
         """Return the paths of all pictures of the run."""
@@ -231,7 +228,7 @@ class SceneFiles:
 
     def pages(self) -> list[str]:
         """Return the paths of the classroom pages, one for every scene that such a page can show."""
-        shown = (name for name, scene in self.loaded.scenes.items() if page_fault(scene, self.loaded.sheets) is None)
+        shown = (name for name, scene in self.loaded.scenes.items() if page_fault(scene) is None)
         return [f"results/{name}/viewer.html" for name in shown]
 
     def page_view(self, pattern: str) -> Callable[[Any], str]:
@@ -245,7 +242,7 @@ class SceneFiles:
 
         def found(wildcards) -> str:
             scene = self._scene(wildcards)
-            fault = page_fault(scene, self.loaded.sheets)
+            fault = page_fault(scene)
             if fault is not None:
                 raise InputError(Path(self.loaded.config.definitions) / "scenes" / f"{wildcards.scene}.yaml", *fault)
             return pattern.format(scene=wildcards.scene, view=page_views(scene)[0])

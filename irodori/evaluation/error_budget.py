@@ -38,7 +38,7 @@ from irodori.light.environment_file import Environment
 from irodori.light.stage import observers
 from irodori.material.material_file import Material
 from irodori.material.principal_components.basis_count import CompressOptions, analyse
-from irodori.rendering.integrators import render_image, with_planned_samples
+from irodori.rendering.integrators import render_image, with_backs, with_planned_samples
 from irodori.rendering.planning.scene_plan import read_plan
 from irodori.rendering.scene_white import scene_white
 
@@ -182,7 +182,8 @@ class _Pictures:
         scene = replace(self.scene, image=self._image(width_px))
         if not baked and isinstance(scene.integrator, InteractiveIntegrator):
             scene = replace(scene, integrator=replace(scene.integrator, light_maps=False))
-        return render_image(scene, self._view, self._shapes, materials, light, self._options)[0]
+        whole = with_backs(scene, materials)
+        return render_image(scene, self._view, self._shapes, whole, light, self._options)[0]
 
     def touched(self, one: list[Material], other: list[Material], light: Environment, width_px: float) -> np.ndarray:
         """Return the pixels that differ between two sets of materials, (height, width) bool: those of objects.
@@ -353,7 +354,7 @@ def error_budget(
     shapes : list of Shape
         One for each object of the scene.
     objects : list of Measured
-        One for each object of the scene.
+        One for each object of the scene, then those of the backs that it gives.
     lights : (Environment, Environment)
         The measured light and the true one.
     options : BudgetOptions
@@ -386,13 +387,13 @@ def measure_error_budget(
     Parameters
     ----------
     inputs : dict
-        Files: the lists ``materials``, ``true_materials`` and ``calibrations`` with one file for each object; the lists
-        ``tiles`` and ``observations`` with the files of all objects; ``environment`` and ``true_environment``;
-        ``plan``, a list with one file or none.
+        Files: the lists ``materials``, ``true_materials`` and ``calibrations`` with one file for each object, then
+        for the backs; the lists ``tiles`` and ``observations`` with the files of all of them; ``environment`` and
+        ``true_environment``; ``plan``, a list with one file or none.
     scene, view, options
         See `error_budget`.
     subjects : sequence of Subject
-        One for each object.
+        One for each object, then for the backs.
     output : path
     """
     shapes = [Shape.from_definition(one.shape) for one in subjects]
@@ -407,7 +408,7 @@ def measure_error_budget(
     lights = Environment.load(inputs["environment"]), Environment.load(inputs["true_environment"])
     for path in inputs["plan"]:
         scene = with_planned_samples(scene, read_plan(path))
-    rows = error_budget(scene, view, shapes, objects, lights, options)
+    rows = error_budget(scene, view, shapes[: len(scene.objects)], objects, lights, options)
     write_rows(output, BudgetRow, _logged(rows))
 
 

@@ -9,7 +9,7 @@ from irodori.evaluation.truth_errors import radiance_delta_e
 from irodori.geometry.shapes.shape import Shape
 from irodori.light.environment_file import Environment
 from irodori.material.material_file import Material
-from irodori.rendering.integrators import with_bodies
+from irodori.rendering.integrators import with_backs, with_bodies
 from irodori.rendering.reference.converging_picture import REPLICATES, TracedScene, make_scene, render_rows
 from irodori.rendering.reference.denoising import MARGIN, Halves, filtered_halves, make_guides, squared_error
 from irodori.rendering.reference.distance import body_pixels
@@ -51,7 +51,7 @@ class Paths:
         return found[0][1]
 
     def _scene(self, materials: list[Material], light: Environment, cached: bool = False) -> TracedScene:
-        shapes, materials = with_bodies(self.scene, self._shapes, materials)
+        shapes, materials = with_bodies(self.scene, self._shapes, with_backs(self.scene, materials))
         placements = make_placements(self.scene, shapes)
         objects, _ = make_objects(placements, materials)
         scene, image = make_scene(placements, objects, self._lit(light), self.scene.lights), self.scene.image
@@ -68,7 +68,7 @@ class Paths:
         Parameters
         ----------
         materials : list of Material
-            One for each object of the scene.
+            One for each object of the scene, then those of the backs that it gives.
         light : Environment
         samples : int
             Paths per pixel, a multiple of 8.

@@ -104,7 +104,7 @@ def find(name: str) -> Source:
     scene = loaded.scenes[own]
     files = [result(Path(f"results/{name}/material.h5")) for name in materials_of(scene)]
     shapes = [Shape.from_definition(loaded.objects[item.object].shape) for item in scene.objects]
-    shapes, materials = with_bodies(scene, shapes, load_materials(scene, files))
+    shapes, materials = with_bodies(scene, shapes, load_materials(scene, shapes, files))
     names = [item.object for item in scene.objects] + [f"body-{i + 1}" for i in range(len(scene.bodies))]
     known: list[Path | None] = [*files[: len(scene.objects)], *([None] * len(scene.bodies))]
     parts = zip(names, make_placements(scene, shapes), materials, known, strict=True)

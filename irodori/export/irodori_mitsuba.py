@@ -147,114 +147,167 @@ def _density(name: str, mu, view, half, cos_h):
     return mi.MicrofacetDistribution(mi.MicrofacetType.GGX, mu, True).pdf(view, half) / (4.0 * cos_h)
 
 
+class _Side:
+    """What one side of a surface reflects, and what a thin sheet lets through from its other side.
+
+    Its directions are local, with +z away from this side. ``held`` has the arrays of an .npz file, those of the side
+    with the prefix ``name``.
+    """
+
+    def __init__(self, held: dict, name: str = "") -> None:
+        self.lobes = [str(lobe) for lobe in held[f"{name}lobes"]]
+        unknown = [lobe for lobe in self.lobes if lobe not in _LOBES]
+        if unknown:
+            raise ValueError(f"the lobe {unknown[0]!r}; accepted: {', '.join(_LOBES)}")
+        self.texture = _Picture(held[f"{name}texels"], bool(held["wraps"]))
+        self.basis = _Vectors(held[f"{name}basis"])
+        self.passed = _Vectors(held[f"{name}passed"])
+        index = held[f"{name}index"]
+        self.index = _Vectors(index)
+        self.green = float(index[0, _GREEN]), float(index[1, _GREEN])
+        self.mirror = float(held[f"{name}mirror"])
+
+    def terms(self, si, wi, uv, active):
+        """Return reflectance, transmittance, β and μ of each gloss component, and the probabilities of all terms.
+
+        The probabilities are those of the diffuse term, of each gloss component, of the mirror and of the light that
+        passes through, in this order.
+        """
+        texel = self.texture.at(*uv, active)
+        spectra = []
+        for vectors, first in ((self.basis, 0), (self.passed, len(texel) - self.passed.count)):
+            pairs = zip(texel[first:], vectors.at(si.wavelengths, active), strict=False)
+            spectra.append(sum((c * vector for c, vector in pairs), mi.Spectrum(0.0)))
+        pairs = texel[self.basis.count : len(texel) - self.passed.count]
+        betas = [dr.select(mu > 0.0, beta, 0.0) for beta, mu in zip(pairs[::2], pairs[1::2], strict=True)]
+        mus = [dr.select(mu > 0.0, mu, 1.0) for mu in pairs[1::2]]
+        facing = fresnel(mi.Frame3f.cos_theta(wi), *self.green)
+        gloss = [
+            b * 4.0 * dr.square(m) * dr.maximum(facing, _LEAST_REFLECTANCE) for b, m in zip(betas, mus, strict=True)
+        ]
+        through = dr.maximum(dr.mean(spectra[1]), 1e-4) if self.passed.count else mi.Float(0.0)
+        shares = [dr.maximum(dr.mean(spectra[0]), 1e-4), *gloss, self.mirror * facing, through]
+        total = sum(shares)
+        return spectra, betas, mus, [share / total for share in shares]
+
+    def rough(self, si, wi, wo, terms, active):
+        """Return all terms but the mirror times cosθ_i, and the density with which they sample ``wo``, 1/sr."""
+        (spectrum, passed), betas, mus, shares = terms
+        cos_i, cos_r = mi.Frame3f.cos_theta(wo), mi.Frame3f.cos_theta(wi)
+        behind = active & (cos_i < 0.0) & (cos_r > 0.0)
+        active = active & (cos_i > 0.0) & (cos_r > 0.0)
+        half = dr.normalize(wi + wo)
+        cos_h = dr.maximum(dr.dot(wi, half), _TINY)
+        n, k = self.index.at(si.wavelengths, active)
+        reflectance = fresnel(cos_h, n, k)
+        factor, density = mi.Float(0.0), shares[0] * cos_i * dr.inv_pi
+        for name, beta, mu, share in zip(self.lobes, betas, mus, shares[1:], strict=False):
+            factor += beta * _lobe(name, mu, cos_i, cos_r, half, cos_h)
+            density += dr.select(beta > 0.0, share * _density(name, mu, wi, half, cos_h), 0.0)
+        value = (spectrum * cos_i + reflectance * factor) * dr.inv_pi
+        value, density = dr.select(active, value, 0.0), dr.select(active, density, 0.0)
+        if self.passed.count:
+            value = dr.select(behind, passed * (-cos_i * dr.inv_pi), value)
+            density = dr.select(behind, shares[-1] * -cos_i * dr.inv_pi, density)
+        return value, density
+
+    def sample(self, si, wi, terms, sample1, sample2, active):
+        """Draw a direction; return it, whether the mirror is chosen, density and weight: BSDF times cosine over it."""
+        mus, shares = terms[2:]
+        cos_r = mi.Frame3f.cos_theta(wi)
+        active = active & (cos_r > 0.0)
+        even = mi.warp.square_to_cosine_hemisphere(sample2)
+        wo, passed = even, mi.Float(shares[0])
+        for name, mu, share in zip(self.lobes, mus, shares[1:], strict=False):
+            half = _draw(name, mu, wi, sample2)
+            chosen = (sample1 >= passed) & (sample1 < passed + share)
+            wo = dr.select(chosen, mi.reflect(wi, half), wo)
+            passed = passed + share
+        is_mirror = (sample1 >= passed) & (shares[-2] > 0.0)
+        wo = dr.select(is_mirror, mi.reflect(wi), wo)
+        if self.passed.count:
+            crosses = sample1 >= passed + shares[-2]
+            is_mirror &= ~crosses
+            wo = dr.select(crosses, mi.Vector3f(even.x, even.y, -even.z), wo)
+            active &= crosses | (mi.Frame3f.cos_theta(wo) > 0.0)  # gloss below the surface is lost
+        value, density = self.rough(si, wi, wo, terms, active)
+        n, k = self.index.at(si.wavelengths, active)
+        weight = dr.select(is_mirror, self.mirror * fresnel(cos_r, n, k) / dr.maximum(shares[-2], _TINY),
+                           value / dr.maximum(density, _TINY))  # fmt: skip
+        return wo, is_mirror, dr.select(is_mirror, shares[-2], density), weight
+
+
 class Surface(mi.BSDF):
     """BSDF of an object: diffuse reflection, gloss components and mirror reflection (equation 5 of the paper).
 
     Properties: ``file``, an .npz file of this export. The texture of a ball is looked up by the direction of the
-    normal, rotated as the file states; that of other shapes by their texture coordinates, with v from the top.
+    normal, rotated as the file states; that of other shapes by their texture coordinates, with v from the top. A thin
+    sheet has two sides, through which diffuse light passes; others are black from behind.
     """
 
     def __init__(self, props) -> None:
         mi.BSDF.__init__(self, props)
         held = _read(props)
         self.is_ball = bool(held["is_ball"])
-        self.lobes = [str(name) for name in held["lobes"]]
-        unknown = [name for name in self.lobes if name not in _LOBES]
-        if unknown:
-            raise ValueError(f"the lobe {unknown[0]!r}; accepted: {', '.join(_LOBES)}")
-        self.texture = _Picture(held["texels"], bool(held["wraps"]))
-        self.basis = _Vectors(held["basis"])
-        self.index = _Vectors(held["index"])
-        self.green = float(held["index"][0, _GREEN]), float(held["index"][1, _GREEN])
-        self.mirror = float(held["mirror"])
         self.object_from_world = mi.Matrix3f(np.ascontiguousarray(held["rotation"].T, dtype=np.float32))
-        rough, delta = mi.BSDFFlags.DiffuseReflection, mi.BSDFFlags.DeltaReflection
-        varies = mi.BSDFFlags.SpatiallyVarying | mi.BSDFFlags.FrontSide
-        rough = rough | mi.BSDFFlags.GlossyReflection
-        self.m_components = [rough | varies, delta | varies]
-        self.m_flags = rough | delta | varies
+        is_sheet = "back_texels" in held
+        self.sides = [(1.0, _Side(held))] + ([(-1.0, _Side(held, "back_"))] if is_sheet else [])
+        flags = mi.BSDFFlags
+        varies = flags.SpatiallyVarying | flags.FrontSide
+        rough = flags.DiffuseReflection | flags.GlossyReflection
+        if is_sheet:
+            varies, rough = varies | flags.BackSide, rough | flags.DiffuseTransmission
+        self.m_components = [rough | varies, flags.DeltaReflection | varies]
+        self.m_flags = rough | flags.DeltaReflection | varies
 
-    def _terms(self, si, active):
-        """Return the diffuse reflectance, β and μ of each gloss component, and the sampling probabilities of all terms.
+    def _seen(self, si, active):
+        """Yield each side, the direction to the eye in its frame, a function that turns directions, and its terms."""
+        uv = _angles(self.object_from_world @ si.n) if self.is_ball else (si.uv.x, si.uv.y)
+        for sign, side in self.sides:
 
-        The probabilities are those of the diffuse term, of each gloss component, and of the mirror, in this order.
-        """
-        u, v = si.uv.x, si.uv.y
-        if self.is_ball:
-            u, v = _angles(self.object_from_world @ si.n)
-        texel = self.texture.at(u, v, active)
-        vectors = self.basis.at(si.wavelengths, active)
-        spectrum = sum((c * vector for c, vector in zip(texel, vectors, strict=False)), mi.Spectrum(0.0))
-        pairs = texel[self.basis.count :]
-        betas = [dr.select(mu > 0.0, beta, 0.0) for beta, mu in zip(pairs[::2], pairs[1::2], strict=True)]
-        mus = [dr.select(mu > 0.0, mu, 1.0) for mu in pairs[1::2]]
-        facing = fresnel(mi.Frame3f.cos_theta(si.wi), *self.green)
-        gloss = [
-            b * 4.0 * dr.square(m) * dr.maximum(facing, _LEAST_REFLECTANCE) for b, m in zip(betas, mus, strict=True)
-        ]
-        shares = [dr.maximum(dr.mean(spectrum), 1e-4), *gloss, self.mirror * facing]
-        total = sum(shares)
-        return spectrum, betas, mus, [share / total for share in shares]
+            def turned(way, sign=sign):
+                return mi.Vector3f(way.x, way.y, sign * way.z)
 
-    def _rough(self, si, wo, terms, active):
-        """Return the diffuse and gloss terms times cosθ_i, and the density with which they sample ``wo``, 1/sr."""
-        spectrum, betas, mus, shares = terms
-        cos_i, cos_r = mi.Frame3f.cos_theta(wo), mi.Frame3f.cos_theta(si.wi)
-        active = active & (cos_i > 0.0) & (cos_r > 0.0)
-        half = dr.normalize(si.wi + wo)
-        cos_h = dr.maximum(dr.dot(si.wi, half), _TINY)
-        n, k = self.index.at(si.wavelengths, active)
-        reflectance = fresnel(cos_h, n, k)
-        factor, density = mi.Float(0.0), shares[0] * cos_i * dr.inv_pi
-        for name, beta, mu, share in zip(self.lobes, betas, mus, shares[1:], strict=False):
-            factor += beta * _lobe(name, mu, cos_i, cos_r, half, cos_h)
-            density += dr.select(beta > 0.0, share * _density(name, mu, si.wi, half, cos_h), 0.0)
-        value = (spectrum * cos_i + reflectance * factor) * dr.inv_pi
-        return dr.select(active, value, 0.0), dr.select(active, density, 0.0)
+            wi = turned(si.wi)
+            yield side, wi, turned, side.terms(si, wi, uv, active)
 
     def eval(self, ctx, si, wo, active=True):
         """Return the BSDF times the cosine of the angle of incidence."""
-        return self._rough(si, wo, self._terms(si, active), active)[0]
+        return self.eval_pdf(ctx, si, wo, active)[0]
 
     def pdf(self, ctx, si, wo, active=True):
         """Return the probability density of sampling the direction ``wo``, 1/sr."""
-        return self._rough(si, wo, self._terms(si, active), active)[1]
+        return self.eval_pdf(ctx, si, wo, active)[1]
 
     def eval_pdf(self, ctx, si, wo, active=True):
         """Return the results of `eval` and `pdf`."""
-        return self._rough(si, wo, self._terms(si, active), active)
+        value, density = mi.Spectrum(0.0), mi.Float(0.0)
+        for side, wi, turned, terms in self._seen(si, active):  # one is seen, the other adds nothing
+            found = side.rough(si, wi, turned(wo), terms, active)
+            value, density = value + found[0], density + found[1]
+        return value, density
 
     def sample(self, ctx, si, sample1, sample2, active=True):
         """Draw a direction; return it as a BSDF sample, and its weight: BSDF times cosine over density."""
-        terms = self._terms(si, active)
-        _, _, mus, shares = terms
-        cos_r = mi.Frame3f.cos_theta(si.wi)
-        active = active & (cos_r > 0.0)
-        wo = mi.warp.square_to_cosine_hemisphere(sample2)
-        passed = mi.Float(shares[0])
-        for name, mu, share in zip(self.lobes, mus, shares[1:], strict=False):
-            half = _draw(name, mu, si.wi, sample2)
-            chosen = (sample1 >= passed) & (sample1 < passed + share)
-            wo = dr.select(chosen, mi.reflect(si.wi, half), wo)
-            passed = passed + share
-        is_mirror = (sample1 >= passed) & (shares[-1] > 0.0)
-        wo = dr.select(is_mirror, mi.reflect(si.wi), wo)
-        value, density = self._rough(si, wo, terms, active)
-        n, k = self.index.at(si.wavelengths, active)
-        weight = dr.select(is_mirror, self.mirror * fresnel(cos_r, n, k) / dr.maximum(shares[-1], _TINY),
-                           value / dr.maximum(density, _TINY))  # fmt: skip
+        wo, is_mirror, density, weight = mi.Vector3f(0.0, 0.0, 1.0), mi.Mask(False), mi.Float(0.0), mi.Spectrum(0.0)
+        for side, wi, turned, terms in self._seen(si, active):
+            seen = mi.Frame3f.cos_theta(wi) > 0.0
+            way, *found = side.sample(si, wi, terms, sample1, sample2, active)
+            wo = dr.select(seen, turned(way), wo)
+            is_mirror, density, weight = (
+                dr.select(seen, new, old) for new, old in zip(found, (is_mirror, density, weight), strict=True)
+            )
         bs = dr.zeros(mi.BSDFSample3f)
-        bs.wo, bs.eta = wo, 1.0
-        bs.pdf = dr.select(is_mirror, shares[-1], density)
+        bs.wo, bs.eta, bs.pdf = wo, 1.0, density
         bs.sampled_type = dr.select(is_mirror, mi.UInt32(+mi.BSDFFlags.DeltaReflection),
                                     mi.UInt32(+mi.BSDFFlags.GlossyReflection))  # fmt: skip
         bs.sampled_component = dr.select(is_mirror, mi.UInt32(1), mi.UInt32(0))
-        active = active & (bs.pdf > 0.0) & (mi.Frame3f.cos_theta(wo) > 0.0)
+        active = active & (bs.pdf > 0.0)
         return bs, dr.select(active, weight, 0.0)
 
     def to_string(self) -> str:
         """Return its name for Mitsuba's log."""
-        return f"irodori_surface[{', '.join(self.lobes)}]"
+        return f"irodori_surface[{', '.join(self.sides[0][1].lobes)}]"
 
 
 class Sky(mi.Emitter):

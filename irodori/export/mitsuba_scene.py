@@ -20,7 +20,10 @@ from irodori.core.errors import InputError, PlainError
 from irodori.export.export_sources import Item, Source
 from irodori.geometry.mesh import Mesh
 from irodori.geometry.shapes.placement import reaches
+from irodori.geometry.shapes.shape import Shape
 from irodori.light.environment_file import Environment
+from irodori.material.material_file import Material
+from irodori.rendering.scene_arrays import back_of
 from irodori.rendering.scene_lights import BALL, BANDS, COLLIMATED, make_lights
 from irodori.rendering.scene_white import shown_white
 from irodori.spectra.grid import WAVELENGTH_NM
@@ -71,25 +74,44 @@ def _write_archive(path: Path, **arrays) -> None:
         np.savez(temporary, **arrays)
 
 
-def _write_surface(path: Path, item: Item) -> None:
-    """Write the archive that the plugin's BSDF reads.
+def _side(material: Material, sent: Material | None, shape: Shape) -> dict:
+    """Return the plugin's arrays for one side of a surface, without the gaps of its maps.
 
-    Its main arrays are texels (h, w, k + 2 c), with k coefficients and β and μ of c gloss components, basis (k, 61) and
-    refractive index (2, 61).
+    These are texels (h, w, k + 2 c + m), with k coefficients, β and μ of c gloss components, and m coefficients of the
+    transmittance ``sent``; the bases (k, 61) and, under the name ``passed``, (m, 61); refractive index (2, 61).
     """
-    material = item.material
-    maps = [values[..., None] for _, *pair in material.gloss for values in pair]
-    texels = np.concatenate([material.coefficients * material.spectrum_scale[..., None], *maps], axis=-1)
+    covered = shape.is_covered(*material.alpha.shape[::-1])
+    material, _ = material.filled(covered)
+    maps = [material.coefficients * material.spectrum_scale[..., None]]
+    maps += [values[..., None] for _, *pair in material.gloss for values in pair]
+    passed = np.zeros((0, len(WAVELENGTH_NM)), dtype=np.float32)
+    if sent is not None:
+        sent, _ = sent.resized(material.alpha.shape).filled(covered)
+        maps.append(sent.coefficients * sent.spectrum_scale[..., None])
+        passed = sent.basis.T.astype(np.float32)
+    return {
+        "texels": np.nan_to_num(np.concatenate(maps, axis=-1)).astype(np.float32),
+        "basis": material.basis.T.astype(np.float32),
+        "passed": passed,
+        "index": np.stack([material.n, material.k]),
+        "mirror": float(material.mirror),
+        "lobes": np.array(material.lobes),
+    }
+
+
+def _write_surface(path: Path, item: Item) -> None:
+    """Write the archive that the plugin's BSDF reads; the arrays of a sheet's back have the prefix ``back_``."""
+    shape, material = item.placement.shape, item.material
+    arrays = _side(material, material.through, shape)
+    if material.is_sheet:
+        back = _side(back_of(material, shape), material.through, shape)
+        arrays |= {f"back_{name}": values for name, values in back.items()}
     _write_archive(
         path,
-        texels=np.nan_to_num(texels).astype(np.float32),
-        basis=material.basis.T.astype(np.float32),
-        index=np.stack([material.n, material.k]),
-        mirror=float(material.mirror),
-        lobes=np.array(material.lobes),
-        wraps=item.placement.shape.wraps,
+        **arrays,
+        wraps=shape.wraps,
         rotation=item.placement.rotation,
-        is_ball=item.placement.shape.ball_mm is not None,
+        is_ball=shape.ball_mm is not None,
     )
 
 
@@ -183,19 +205,16 @@ def write_mitsuba(source: Source, folder) -> None:
     Raises
     ------
     PlainError
-        If the source is not a scene and so has no light, or if it has a lobe or a thin sheet, which the plugin does not
-        implement.
+        If the source is not a scene and so has no light, or if it has a lobe that the plugin does not implement.
     InputError
         If no light falls on the scene, or a file has the name of the folder.
     """
     if source.scene is None:
         raise PlainError(f"--to mitsuba: found the {source.kind} {source.name!r}; accepted: a scene, which has light.")
-    unknown = [name for item in source.items for name in item.material.lobes if name not in LOBES]
+    sides = [one for item in source.items for one in (item.material, item.material.back) if one is not None]
+    unknown = [name for side in sides for name in side.lobes if name not in LOBES]
     if unknown:
         raise PlainError(f"--to mitsuba: found the lobe {unknown[0]!r}; accepted: {', '.join(LOBES)}.")
-    sheets = [item.name for item in source.items if item.material.is_sheet]
-    if sheets:
-        raise PlainError(f"--to mitsuba: found the thin sheet {sheets[0]!r}; accepted: surfaces black from behind.")
     folder = Path(folder)
     if folder.exists() and not folder.is_dir():
         raise InputError(folder, "", "a file", "the name of a folder, which may be there already")

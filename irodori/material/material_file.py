@@ -403,7 +403,8 @@ class Material:
         gloss = [(beta[texels], mu[texels]) for _, beta, mu in self.gloss]
         maps = {name: getattr(self, name)[texels] for name in (*MAPS, "coefficients")}
         through = None if self.through is None else self.through._at(texels)
-        return replace(self.with_gloss(gloss), **maps, through=through)
+        extra = {name: (values[texels], *about) for name, (values, *about) in self.extra.items()}
+        return replace(self.with_gloss(gloss), **maps, through=through, extra=extra)
 
     @property
     def observed(self) -> np.ndarray:

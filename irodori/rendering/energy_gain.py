@@ -6,26 +6,30 @@ from irodori.config.models import Body, Scene
 from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER
+from irodori.geometry.shapes.shape import Shape
 from irodori.material.energy import Energy, energy_of
 from irodori.material.material_file import Material
-from irodori.rendering.integrators import as_back, body_material, with_backs
+from irodori.rendering.integrators import body_material, with_backs
+from irodori.rendering.scene_arrays import as_back
 
 _KEY = "allow_energy_gain"
 
 
-def load_materials(scene: Scene, files: Sequence) -> list[Material]:
+def load_materials(scene: Scene, shapes: Sequence[Shape], files: Sequence) -> list[Material]:
     """Load and check the materials of a scene's objects; arguments and errors as in `refuse_energy_gain`."""
     materials = with_backs(scene, [Material.load(path) for path in files])
-    refuse_energy_gain(scene, files, materials)
+    refuse_energy_gain(scene, shapes, files, materials)
     return materials
 
 
-def refuse_energy_gain(scene: Scene, files: Sequence, materials: Sequence[Material]) -> None:
+def refuse_energy_gain(scene: Scene, shapes: Sequence[Shape], files: Sequence, materials: Sequence[Material]) -> None:
     """Raise an error if a material's albedo exceeds 1 by more than its error, unless the scene allows that.
 
     Parameters
     ----------
     scene : Scene
+    shapes : sequence of Shape
+        Shapes of the scene's objects.
     files : sequence of path
         Files of the objects' materials, in the order of the scene, then those of the backs that it gives.
     materials : sequence of Material
@@ -38,9 +42,9 @@ def refuse_energy_gain(scene: Scene, files: Sequence, materials: Sequence[Materi
     """
     known: dict[tuple[str, str], Energy] = {}
     named = [(item.object, path, m) for item, path, m in zip(scene.objects, files, materials, strict=False)]
-    turned = [(item, m) for item, m in zip(scene.objects, materials, strict=False) if item.back is not None]
-    for (item, material), path in zip(turned, files[len(materials) :], strict=True):
-        named.append((f"{item.back} as the back of {item.object}", path, as_back(material)))
+    turned = [one for one in zip(scene.objects, materials, shapes, strict=True) if one[0].back is not None]
+    for (item, material, shape), path in zip(turned, files[len(materials) :], strict=True):
+        named.append((f"{item.back} as the back of {item.object}", path, as_back(material, shape)))
     for name, path, material in named:
         if (name, str(path)) in known:
             continue
@@ -61,8 +65,11 @@ def refuse_energy_gain(scene: Scene, files: Sequence, materials: Sequence[Materi
 def body_fault(index: int, body: Body) -> tuple[str, str, str] | None:
     """Return field, fault and accepted values of a body that reflects more light than it receives, else None."""
     material = body_material(body)
-    for key, side in (("material", material), ("back", None if body.back is None else as_back(material))):
-        if side is not None and (energy := energy_of(side)).gains:
+    sides = {"material": material}
+    if body.back is not None:
+        sides["back"] = as_back(material, Shape.from_definition(body.shape))
+    for key, side in sides.items():
+        if (energy := energy_of(side)).gains:
             return f"bodies[{index}].{key}", *_words("a body", energy)
     return None
 

@@ -263,14 +263,6 @@ def with_backs(scene: "Scene | Staging", materials: Sequence[Material]) -> list[
     return [material if item.back is None else replace(material, back=next(backs)) for item, material in pairs]
 
 
-def as_back(material: Material) -> Material:
-    """Return the material of a sheet's back, which must be its own, with the sheet's transmittance."""
-    assert material.back is not None
-    through = material.through
-    through = None if through is None else through.mirrored().resized(material.back.alpha.shape)
-    return replace(material.back, through=through)
-
-
 def body_material(body: Body) -> Material:
     """Return the uniform material of a scene's body, of a sheet with its back and its transmittance."""
     material = _uniform(body.material, body.transmittance)

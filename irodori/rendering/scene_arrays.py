@@ -1,6 +1,7 @@
 """Scene as flat arrays for compiled loops: objects, textures, light and camera."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -68,13 +69,19 @@ def sides_placed(objects: Objects, placements: Sequence[Placement]) -> list[Plac
     return [placements[index] for index in objects.shape]
 
 
+def placed_of_rows(objects: Objects) -> list[int]:
+    """Return the number of the placed shape of each material of `Objects`, of objects, backs and transmittances."""
+    sent = dict(zip(objects.through.tolist(), objects.shape.tolist(), strict=True))
+    return objects.shape.tolist() + [sent[row] for row in range(len(objects.shape), len(objects.bases))]
+
+
 def row_names(names: list[str], objects: Objects) -> list[str]:
     """Return a name for each material of `Objects`, from those of the placed shapes."""
-    found = names + [f"{names[index]}, back" for index in objects.shape[len(names) :]]
-    of_sent = {
-        int(sent): f"{names[index]}, transmittance" for index, sent in zip(objects.shape, objects.through, strict=True)
-    }
-    return found + [of_sent[index] for index in range(len(found), len(objects.bases))]
+    of_side = [""] * len(names) + [", back"] * (len(objects.shape) - len(names))
+    return [
+        names[index] + (of_side[row] if row < len(of_side) else ", transmittance")
+        for row, index in enumerate(placed_of_rows(objects))
+    ]
 
 
 def textures(objects: Objects) -> list[np.ndarray]:
@@ -191,8 +198,7 @@ def _sides(placements: list[Placement], materials: list[Material]) -> tuple[list
         if kind.is_endless or not (kind.is_flat or kind.triangles is not None):
             raise ValueError(f"a thin sheet of the shape {kind.name}; accepted: a plate, a disc or a mesh")
         behind[index], behind[count + number] = count + number, index
-        back = front if front.back is None else front.back.mirrored() if kind.is_flat else front.back
-        found.insert(count + number, back)
+        found.insert(count + number, back_of(front, kind))
     for side, other in enumerate(behind):
         sent = materials[shape[side]].through
         if other < 0 or sent is None:
@@ -204,6 +210,23 @@ def _sides(placements: list[Placement], materials: list[Material]) -> tuple[list
         shape.append(shape[side])
         found.append(sent.resized(found[side].alpha.shape))
     return shape, behind, through, found
+
+
+def back_of(sheet: Material, shape: Shape) -> Material:
+    """Return the material of a sheet's back over the texture coordinates of its front."""
+    return sheet if sheet.back is None else _turned_over(sheet.back, shape)
+
+
+def as_back(sheet: Material, shape: Shape) -> Material:
+    """Return the material of a sheet's back, which must be its own, as seen face up, with the sheet's transmittance."""
+    assert sheet.back is not None
+    sent = None if sheet.through is None else sheet.through.resized(sheet.back.alpha.shape)
+    return replace(sheet.back, through=None if sent is None else _turned_over(sent, shape))
+
+
+def _turned_over(material: Material, shape: Shape) -> Material:
+    """Return a material turned over about the y axis; on a mesh, both sides have the same texture coordinates."""
+    return material.mirrored() if shape.is_flat else material
 
 
 def _fill_texels(

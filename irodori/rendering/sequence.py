@@ -209,7 +209,7 @@ def render_frames(
         LOGGER.info("%d of %d frames are there from an earlier run", len(moments) - len(missing), len(moments))
     environment = Environment.load(environment_file)
     made = [Shape.from_definition(shape) for shape in shapes]
-    materials = load_materials(scene, material_files)
+    materials = load_materials(scene, made, material_files)
     white, exposure = shown_white(scene, environment, environment_file)
     if scene.tolerance_ciede2000 is not None:
         LOGGER.info("frames are rendered in full: a plan is made for the scene's own moment")

@@ -52,7 +52,7 @@ def render_view(
     display = make_display(scene.display.device)
     placed = [Shape.from_definition(shape) for shape in shapes]
     refuse_enclosed_eye(scene, view_name, placed)
-    materials = load_materials(scene, material_files)
+    materials = load_materials(scene, placed, material_files)
     two_sided = [material.is_sheet for material in materials]
     tell_black_backs(scene, view_name, placed, two_sided + [body_material(body).is_sheet for body in scene.bodies])
     environment = Environment.load(environment_file)
@@ -97,7 +97,7 @@ def bake_light(
 ) -> None:
     """Bake the light maps of a scene, which are the same for all its views, into a file; see `render_view`."""
     placed = [Shape.from_definition(shape) for shape in shapes]
-    materials = load_materials(scene, material_files)
+    materials = load_materials(scene, placed, material_files)
     renderer = make_renderer(scene, placed, materials, Environment.load(environment_file), options)
     assert isinstance(renderer, InteractiveRenderer)  # the workflow asks for maps of these scenes alone
     renderer.baked.save(output, provenance)

@@ -18,11 +18,11 @@ from irodori.light.environment_file import Environment
 from irodori.material.material_file import Material, Status
 from irodori.reflection.lobes import Lobes
 from irodori.rendering.energy_gain import refuse_energy_gain
-from irodori.rendering.integrators import has_shadows, with_bodies
+from irodori.rendering.integrators import has_shadows, with_backs, with_bodies
 from irodori.rendering.interactive.channels import is_grey
 from irodori.rendering.interactive.frame_renderer import light_of
 from irodori.rendering.interactive.quadrature import path_spectra, solve_quadrature
-from irodori.rendering.scene_arrays import make_objects, make_placements
+from irodori.rendering.scene_arrays import back_of, make_objects, make_placements, placed_of_rows
 from irodori.rendering.scene_lights import BANDS, make_lights
 from irodori.spectra.grid import WAVELENGTH_NM
 from irodori.spectra.published import light
@@ -46,6 +46,8 @@ MEASURED, PAINT, FILLED, UNKNOWN = 0, 1, 2, 3
 #: Wavelengths that stand for a spectrum where mirrors have colours; the shader has room for 16.
 _WAVELENGTHS = 14
 _SINGLE_PLANE_BITS = 8
+#: Names of maps of a material's file.
+_STATUS, _ERROR = "status", "reflectance_error"
 #: Field of view in the page's state for a view with parallel rays, which do not use it.
 _FOV_DEG = 34.0
 #: Sine of the angle to the vertical below which a line of sight has no azimuth.
@@ -106,22 +108,27 @@ class PageData:
 def _status(material: Material) -> np.ndarray:
     """Return for each texel whether it was measured, filled, of a paint or of unknown gloss, (height, width) uint8."""
     found = np.full(material.alpha.shape, MEASURED, dtype=np.uint8)
-    if "status" in material.extra:
-        fit = material.extra["status"]
+    if _STATUS in material.extra:
+        fit = material.extra[_STATUS][0]
         found[fit == Status.PAINT] = PAINT
         found[fit == Status.MU_UNIDENTIFIABLE] = UNKNOWN
     found[~material.observed] = FILLED
     return found
 
 
-def _with_maps(path) -> tuple[Material, np.ndarray]:
-    """Return a material with the status map of its fit, and the standard error of its reflectance, (height, width)."""
-    material = Material.load(path)
+def _with_maps(path) -> Material:
+    """Return a material with the status map of its fit, and the standard error of its reflectance where it is known."""
+    material, extra = Material.load(path), {}
     with store.open_file(path) as file:
-        status = file.read("status") if "status" in file else np.zeros(material.alpha.shape, np.int8)
-        error = file.read("reflectance_error") if "reflectance_error" in file else np.zeros(material.alpha.shape)
-    extra = {**material.extra, "status": status}
-    return replace(material, extra=extra), np.nan_to_num(error)
+        for name in (_STATUS, _ERROR):
+            if name in file:
+                extra[name] = np.nan_to_num(file.read(name)), "1", name
+    return replace(material, extra=extra)
+
+
+def _uncertainty(material: Material) -> np.ndarray:
+    """Return the standard error of the reflectance of each texel, (height, width); 0 where none is known."""
+    return material.extra[_ERROR][0] if _ERROR in material.extra else np.zeros(material.alpha.shape)
 
 
 def _camera(view: PerspectiveView | OrthographicView) -> dict:
@@ -197,16 +204,16 @@ def page_data(sources: SceneSources) -> PageData:
         If the page cannot show the scene, or a material reflects more light than falls on it.
     """
     name, scene, material_files = sources.name, sources.scene, sources.materials
-    loaded = [_with_maps(path) for path in material_files]
-    sheets = {item.object: material.is_sheet for item, (material, _) in zip(scene.objects, loaded, strict=False)}
-    fault = page_fault(scene, sheets)
+    fault = page_fault(scene)
     if fault is not None:
         field, found, accepted = fault
         raise PlainError(f"The scene {name}: {field}: found {found}; accepted: {accepted}.")
-    refuse_energy_gain(scene, material_files, [material for material, _ in loaded])
-    whole = with_bodies(scene, [Shape.from_definition(s) for s in sources.shapes], [material for material, _ in loaded])
-    placements = make_placements(scene, whole[0])
-    objects, filled = make_objects(placements, whole[1])
+    shapes = [Shape.from_definition(s) for s in sources.shapes]
+    loaded = with_backs(scene, [_with_maps(path) for path in material_files])
+    refuse_energy_gain(scene, shapes, material_files, loaded)
+    shapes, materials = with_bodies(scene, shapes, loaded)
+    placements = make_placements(scene, shapes)
+    objects, filled = make_objects(placements, materials)
     check_lobes(Lobes(objects.lobes.names))
     lights = make_lights(scene.lights, 0)[0]
     rooms = tuple(
@@ -224,20 +231,24 @@ def page_data(sources: SceneSources) -> PageData:
     )
     planes = StoredPlanes()
     lit = [add_light(planes, i, light_maps(room.environment, objects)) for i, room in enumerate(rooms)]
-    entries = [{**a, **b} for a, b in zip(add_materials(planes, objects), add_shapes(planes, placements), strict=True)]
+    entries = [{"map": None, "behind": None, "through": None} | one for one in add_materials(planes, objects)]
     maps = add_maps(planes, placements, objects, len(scene.bodies)) if has_shadows(scene) else [None] * len(entries)
-    uncertainties = [error for _, error in loaded] + [np.zeros(m.alpha.shape) for m in whole[1][len(loaded) :]]
-    turns = [item.rotation_deg for item in scene.objects] + [item.rotation_deg for item in scene.bodies]
-    for i, (material, error) in enumerate(zip(whole[1], uncertainties, strict=True)):
+    sides = [back_of(m, shapes[i]) for i, m in enumerate(materials) if m.is_sheet]
+    uncertainties = [_uncertainty(material) for material in (*materials, *sides)]
+    for i, (material, error) in enumerate(zip((*materials, *sides), uncertainties, strict=True)):
         planes.add_integers(f"object/{i}/status", _status(material)[None])
         planes.add_log(f"object/{i}/uncertainty", error[None], _SINGLE_PLANE_BITS)
         planes.add_linear(f"object/{i}/alpha", np.nan_to_num(material.filled()[0].alpha)[None])
-        entries[i] |= {
+        rows = {"behind": int(objects.behind[i]), "through": int(objects.through[i])}
+        entries[i] |= {key: row for key, row in rows.items() if row >= 0} | {"map": maps[i]}
+    turns = [item.rotation_deg for item in scene.objects] + [item.rotation_deg for item in scene.bodies]
+    for i, shape in enumerate(add_shapes(planes, placements)):
+        entries[i] |= shape | {
             "name": _names(scene)[i],
             "rotation_deg": [float(x) for x in turns[i]],
             "filled_fraction": float(filled[i]),
-            "map": maps[i],
         }
+    of_sides = zip(entries[len(placements) :], placed_of_rows(objects)[len(placements) :], strict=True)
     weights = colour_matching_weights()
     header = {
         "scene": name,
@@ -250,7 +261,8 @@ def page_data(sources: SceneSources) -> PageData:
             "environments": [store_hash(path) for path in sources.environments],
         },
         "wavelength_nm": [float(x) for x in WAVELENGTH_NM],
-        "objects": entries,
+        "objects": entries[: len(placements)],
+        "sides": [entry | {"of": index} for entry, index in of_sides],
         "lobes": lobe_entries(objects),
         "environments": page_rooms(scene),
         "light": lit,

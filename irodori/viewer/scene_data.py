@@ -19,7 +19,7 @@ from irodori.rendering.interactive.prepared_scene import gloss_for, needed_gloss
 from irodori.rendering.interactive.round_lobes import gloss_power, ladder, lobe_table, roughness_at, roughness_place
 from irodori.rendering.light_transfer import LEAST_SHINE, mean_coefficients, shine_of, thinned
 from irodori.rendering.map_layouts import make_layout
-from irodori.rendering.scene_arrays import Objects, coefficients_of, gloss_of, textures
+from irodori.rendering.scene_arrays import Objects, coefficients_of, gloss_of, placed_of_rows, textures
 from irodori.viewer.payload import StoredPlanes
 
 #: Lobes that the page's shader knows; a lobe from elsewhere has no page.
@@ -181,7 +181,7 @@ def check_lobes(lobes: Lobes) -> None:
 
 
 def add_materials(planes: StoredPlanes, objects: Objects) -> list[dict]:
-    """Add the planes of the objects' materials and return each object's entry for the header."""
+    """Add the planes of all materials of `Objects` and return each one's entry for the header."""
     check_lobes(objects.lobes)
     entries = []
     for i, texels in enumerate(textures(objects)):
@@ -255,13 +255,14 @@ def _mesh_planes(planes: StoredPlanes, name: str, mesh: Mesh) -> None:
 
 
 def add_maps(planes: StoredPlanes, placements: list[Placement], objects: Objects, bodies: int) -> list[dict]:
-    """Add what the page needs to find the light on objects; return each object's entry for the header.
+    """Add what the page needs to find the light on objects; return each side's entry for the header, see `Objects`.
 
-    For each texel of its light map, an object has the coefficients of its mean reflectance. A mesh also has the places
-    of its texels, which are nodes of its triangles. If it has many nodes, light is found at some, and spread to all.
-    The last placements are those of ``bodies``, such as tables and walls, which are large beside objects.
+    For each texel of its light map, a side has the coefficients of its mean reflectance, and a sheet those of its
+    transmittance. A mesh also has the places of its texels, which are nodes of its triangles. If it has many nodes,
+    light is found at some, and spread to all. The last placements are those of ``bodies``, such as tables and walls,
+    which are large beside objects.
     """
-    entries = []
+    layouts, places = [], []
     for index, placement in enumerate(placements):
         name, layout = f"object/{index}/map", make_layout(placements, index)
         most = MOST_TEXELS if index < len(placements) - bodies else MOST_BODY_TEXELS
@@ -283,14 +284,16 @@ def add_maps(planes: StoredPlanes, placements: list[Placement], objects: Objects
             # In the page, places on a plane are relative to where it stands.
             away = placement.shape.frame_origin(placement) - placement.translation_mm
             grid[:2] += (away @ placement.rotation)[:2]
-        colour = mean_coefficients(placement, objects, index, points)
-        shape = (colour.shape[1], rows, columns) if placement.shape.triangles is None else (colour.shape[1], -1)
-        planes.add_linear(f"{name}/colour", colour.T.reshape(shape))
-        shine = [float(x) for x in shine_of(objects, index).mean(axis=1)]
-        shines = max(shine) > LEAST_SHINE
-        entries.append(
-            {"rows": rows, "columns": columns, "grid": [float(x) for x in grid], "shine": shine if shines else None}
-        )
+        places.append(points)
+        layouts.append({"rows": rows, "columns": columns, "grid": [float(x) for x in grid]})
+    for row, index in enumerate(placed_of_rows(objects)):
+        colour, shape = mean_coefficients(placements[index], objects, row, places[index]), layouts[index]
+        size = (shape["rows"], shape["columns"]) if placements[index].shape.triangles is None else (-1,)
+        planes.add_linear(f"object/{row}/map/colour", colour.T.reshape(colour.shape[1], *size))
+    entries = []
+    for row, index in enumerate(objects.shape):
+        shine = [float(x) for x in shine_of(objects, row).mean(axis=1)]
+        entries.append(layouts[index] | {"shine": shine if max(shine) > LEAST_SHINE else None})
     return entries
 
 

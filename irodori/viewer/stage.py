@@ -130,7 +130,7 @@ def _drawn(payload: str, output) -> Iterator[OpenPage]:
 def measured_loss(data: PageData, payload: str, originals: Sequence[Prepared], view: View) -> dict:
     """Return mean and 99th percentile of CIEDE2000 between frames from decoded planes and from the original data."""
     header, planes = read_payload(payload)
-    objects = decoded_objects(data.parts.objects, planes, header["objects"])
+    objects = decoded_objects(data.parts.objects, planes, header["objects"] + header["sides"])
     found = []
     for number, (parts, original) in enumerate(zip(data.rooms, originals, strict=True)):
         maps = decoded_light(planes, number, header["light"][number])

@@ -96,6 +96,8 @@ def test_all_mistakes_are_listed_at_once(project, tmp_path, capsys, monkeypatch)
     scene["bodies"][0]["position_mm"] = [0, 0, 35]
     scene["bodies"].append(copy.deepcopy(SCENE["bodies"][0]) | {"position_mm": [-30, 30, 12]})
     scene["bodies"][1]["material"] |= {"beta": 50.0, "mu_rad": 0.5}
+    leaf = {"shape": {"kind": "disc", "radius_mm": 6.0}, "position_mm": scene["objects"][0]["position_mm"]}
+    scene["bodies"].append({"material": SCENE["bodies"][0]["material"], "transmittance": 0.0} | leaf)
     camera = yaml.safe_load((folder / "config/cameras/own.yaml").read_text())
     for corner in camera["chart"]["centres_px"].values():
         corner[0] += 5.0
@@ -103,13 +105,14 @@ def test_all_mistakes_are_listed_at_once(project, tmp_path, capsys, monkeypatch)
     table = folder / "plate/captures.csv"
     table.write_text(table.read_text().replace(",in,", ",?,").replace(",out,", ",in,").replace(",?,", ",out,"))
     status, lines = said(folder, capsys)
-    assert status == 1 and lines[-1].endswith("5 errors, 2 warnings")
+    assert status == 1 and lines[-1].endswith("5 errors, 3 warnings")
     for start, words in (
         ("error: config/scenes/desk.yaml: views.away", "sees none of objects[0] (plate)"),
         ("error: config/scenes/desk.yaml: views.within.position_mm", "an eye inside bodies[1] (sphere)"),
         ("error: config/scenes/desk.yaml: bodies[1].material", "allow_energy_gain: true in the scene"),
         ("warning: config/scenes/desk.yaml: bodies[0] (sphere)", "floats 8.26 mm from all else"),
         ("warning: config/scenes/desk.yaml: objects[0] (plate)", "and bodies[1] (sphere) stand 8 mm in each other"),
+        ("warning: config/scenes/desk.yaml: objects[0] (plate)", "and bodies[2] (disc) lie in one plane"),
         ("error: camera/chart-out-20000us.dng: chart", "of 24 patches with dirt, an edge or a shadow"),
         ("error: plate/", "no filter adds light"),
     ):

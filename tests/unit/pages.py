@@ -83,6 +83,19 @@ def write_torus(path: Path, around: int = 48, across: int = 24, radius: float = 
     return path
 
 
+def write_bent(path: Path, count: int = 8, side: float = 60.0) -> Path:
+    """Write a square sheet of triangles that is bent about the y axis as OBJ."""
+    v, u = np.meshgrid(np.arange(count + 1) / count, np.arange(count + 1) / count, indexing="ij")
+    x, y = side * (u - 0.5), side * (v - 0.5)
+    lines = [f"v {a:.6f} {b:.6f} {a * a / side:.6f}" for a, b in zip(x.ravel(), y.ravel(), strict=True)]
+    lines += [f"vt {a:.6f} {b:.6f}" for a, b in zip(u.ravel(), v.ravel(), strict=True)]
+    n = np.arange(u.size).reshape(u.shape) + 1
+    corners = (n[:-1, :-1].ravel(), n[:-1, 1:].ravel(), n[1:, 1:].ravel(), n[1:, :-1].ravel())
+    lines += [f"f {a}/{a} {b}/{b} {c}/{c}\nf {a}/{a} {c}/{c} {d}/{d}" for a, b, c, d in zip(*corners, strict=True)]
+    path.write_text("\n".join(lines), encoding="utf-8")
+    return path
+
+
 SPHERE = {"kind": "sphere", "radius_mm": 20.0}
 PLATE = {"kind": "plate", "width_mm": 110.0, "height_mm": 90.0}
 

@@ -91,7 +91,7 @@ def test_a_ball_in_a_furnace_is_as_bright_as_its_albedo(tmp_path):
     steep = off[inside] <= math.sin(math.radians(60.0))
     assert judged(glossy)[0, ALBEDO] == pytest.approx(expected[steep].max(), rel=0.02)
     with pytest.raises(InputError, match="allow_energy_gain"):
-        load_materials(scene(), [saved(glossy, tmp_path)])
+        load_materials(scene(), [BALL] * 2, [saved(glossy, tmp_path)] * 2)
 
 
 def test_what_a_coat_reflects_at_the_rim_is_told_apart():
@@ -171,17 +171,17 @@ def test_a_scene_refuses_a_material_that_makes_light_in_one_sentence(tmp_path, c
     part.beta[0, :2], part.mu[0, :2] = 50.0, 0.5
     path = saved(part, tmp_path)
     with pytest.raises(InputError) as caught:
-        load_materials(scene(), [path, path])
+        load_materials(scene(), [BALL] * 2, [path, path])
     said = str(caught.value)
     for words in ("material.h5: albedo: found jar", "on 6.25 % of its texels", "allow_energy_gain: true in the scene"):
         assert words in said
     assert f"up to {judged(part)[:, ALBEDO].max():.3g} times" in said and "\n" not in said
     with caplog.at_level("WARNING", "irodori"):
-        loaded = load_materials(scene(allow_energy_gain=True), [path, path])
+        loaded = load_materials(scene(allow_energy_gain=True), [BALL] * 2, [path, path])
     assert len(loaded) == 2 and "allow_energy_gain is set" in caplog.text
     # An error in the file that is as large makes it possible that there is no gain.
     path = saved(part, tmp_path, error=2.0)
-    assert len(load_materials(scene(), [path, path])) == 2
+    assert len(load_materials(scene(), [BALL] * 2, [path, path])) == 2
 
 
 def test_a_scene_refuses_a_body_that_makes_light():
@@ -191,5 +191,5 @@ def test_a_scene_refuses_a_body_that_makes_light():
     own = made(Scene, {"bodies": bodies})
     assert body_fault(0, own.bodies[0]) is None
     with pytest.raises(InputError, match=r"bodies\[1\]\.material: found a body that sends back up to 3\.\d+ times"):
-        load_materials(own, [])
-    load_materials(replace(own, allow_energy_gain=True), [])
+        load_materials(own, [], [])
+    load_materials(replace(own, allow_energy_gain=True), [], [])

@@ -189,7 +189,7 @@ def scene_of(integrator: dict) -> dict:
     }  # fmt: skip
 
 
-def budget(one: Measured, estimated, scene=None) -> dict[str, BudgetRow]:
+def budget(one: Measured, estimated, scene=None, backs=()) -> dict[str, BudgetRow]:
     """Return the rows of a small picture by the first words of their stage."""
     names = ("target_delta_e_mean", "target_delta_e_p99", "align", "weighting", "storage", "codec")
     compress = dict(zip(names, (0.1, 0.5, 4, "nothing", "half", "gzip"), strict=True))
@@ -198,7 +198,7 @@ def budget(one: Measured, estimated, scene=None) -> dict[str, BudgetRow]:
     )
     scene = made(Scene, scene or scene_of({"kind": "reference", "samples": 16, "seed": 0}))
     lights = (estimated, light_of_three())
-    rows = error_budget(scene, "v", [plate(60.0)], [one], lights, options)
+    rows = error_budget(scene, "v", [plate(60.0)], [one, *backs], lights, options)
     return {row.stage.split(":")[0]: row for row in rows}
 
 
@@ -281,6 +281,16 @@ def test_each_row_is_the_picture_with_one_part_not_true():
     assert found["compression of the materials"].predicted == compressed_material(one.truth, COMPRESSION)[1]
     off = radiance_delta_e(true, paths.picture([one.truth], compressed_light(light, COMPRESSION)[0], 64), white)[shown]
     assert found["compression of the light"].mean == pytest.approx(off.mean(), rel=1e-3)
+
+
+def test_a_back_has_the_errors_of_its_own_photographs(rows):
+    """A sheet that lies on its face shows the errors of its back, as the back alone does face up."""
+    scene = scene_of({"kind": "reference", "samples": 16, "seed": 0})
+    scene["objects"][0] |= {"rotation_deg": [0.0, 180.0, 0.0], "back": "b"}
+    found = budget(measured(0.05), light_of_three(), scene, [measured(0.02, 0.01, gloss=(0.3, 0.01))])
+    for stage in ("noise", "calibration and fit", "rectification", "gloss of the fit", "all but the renderer"):
+        assert found[stage].mean == pytest.approx(rows[0][stage].mean, rel=1e-3), stage
+    assert found["noise"].predicted == pytest.approx(rows[0]["noise"].predicted, rel=0.1)
 
 
 def test_what_an_integrator_leaves_out_is_seen_beside_paths():
@@ -460,7 +470,9 @@ def test_each_object_is_judged_by_its_own_files_and_shape(tmp_path, monkeypatch)
     described = [{"shape": plate, "sample_mm": mm} for plate, mm in zip(plates, samples_mm, strict=True)]
     subjects = made(Sequence[Subject], described)
     options = BudgetOptions(*(None,) * 4)
-    measure_error_budget(inputs, made(Scene, scene_of({"kind": "interactive"})), "v", subjects, options, tmp_path / "c")
+    scene = scene_of({"kind": "interactive"})
+    scene["objects"].append(scene["objects"][0] | {"object": "b"})
+    measure_error_budget(inputs, made(Scene, scene), "v", subjects, options, tmp_path / "c")
     _, view, solids, objects, lights, given = taken[0]
     assert view == "v" and given is options and len(lights) == 2
     assert [one.known for one in objects] == inputs["materials"]

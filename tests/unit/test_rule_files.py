@@ -209,8 +209,11 @@ def test_a_sheet_needs_its_back_and_the_photographs_that_tell_its_transmittance(
     sets, scene = PhotographSets(load(root)), job(scene="still-life")
     scenes = SceneFiles(sets)
     names = ["tile-plate", "vermilion-sphere", "indigo-sphere", "leaf-sphere", "rear"]
-    assert scenes.materials("{object}")(scene) == names and scenes.pages() == []
-    assert not scenes.truth_is_rendered("still-life")
+    assert scenes.materials("{object}")(scene) == names and scenes.pages() == ["results/still-life/viewer.html"]
+    # The error budget takes the back as an object of its own.
+    assert scenes.truth_is_rendered("still-life")
+    assert len(scenes.subjects(scene)) == len(scenes.calibrations(scene)) == 5
+    assert set(sets.fitted_files("rear")) < set(scenes.tiles(scene))
     plate, rear = job(object="tile-plate"), job(object="rear")
     assert sets.observations_of_sheet(plate) == sets.observed_tiles(plate) != []
     assert sets.observations_of_sheet(rear) == [] and sets.thin_sheet(rear) == {"transmittance": "TCS81"}

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from made import made
-from pages import SPHERE, gold, painted, room, sources, write_mesh, write_torus
+from pages import SPHERE, gold, painted, room, sources, write_bent, write_mesh, write_torus
 from scenes import constant_light, material
 from shortcuts import irradiance_map
 from written_pages import SIZE, Written, agree, compared, differences, inside
@@ -18,11 +18,13 @@ from written_pages import SIZE, Written, agree, compared, differences, inside
 from irodori.colour.display import make_display, srgb, standard_display
 from irodori.colour.icc import Profile, write_profile
 from irodori.colour.tone_curves import ParametricCurve
-from irodori.config.models import PrimariesDisplay, ProfileDisplay
+from irodori.config.models import CollimatedLight, PrimariesDisplay, ProfileDisplay
 from irodori.geometry.rig_frame import rotation_xyz
 from irodori.light.environment_file import Environment, directions
+from irodori.material.material_file import Material
 from irodori.rendering.scene_arrays import make_view
-from irodori.spectra.published import light
+from irodori.rendering.scene_lights import make_lights
+from irodori.spectra.published import light, spectrum
 from irodori.viewer.browser import browser_command, opened
 from irodori.viewer.measured import frame_bands, prepared, xyz_differences
 from irodori.viewer.page_data import page_data
@@ -55,10 +57,23 @@ VIEWS = {
 }
 
 
+LAMP = {"kind": "collimated", "azimuth_deg": -40.0, "elevation_deg": 50.0, "irradiance": 0.8, "spectrum": "FL11"}
+#: A leaf whose back faces the front view; the lamp stands behind it.
+LEAF = {
+    "shape": {"kind": "disc", "radius_mm": 14.0},
+    "position_mm": [26.0, -22.0, 16.0],
+    "rotation_deg": [70.0, 0.0, 210.0],
+    "material": {"spectrum": "TCS31", "beta": 1.0, "mu_rad": 0.2},
+    "back": {"spectrum": "TCS56"},
+    "transmittance": "TCS38",
+}
+BEHIND = LAMP | {"azimuth_deg": 120.0, "irradiance": 0.2}
+
+
 @pytest.fixture(scope="module")
 def seen(tmp_path_factory):
     folder = tmp_path_factory.mktemp("views")
-    written = Written(folder, sources(folder / "files", room(), views=VIEWS))
+    written = Written(folder, sources(folder / "files", room(), views=VIEWS, bodies=[LEAF]))
     with opened(written.path) as page:
         yield written, page
         assert page.messages == []
@@ -227,14 +242,42 @@ def test_other_profiles_are_refused_in_a_sentence(seen, profile):
         assert page.page.evaluate("JSON.stringify(Irodori.page().state)") == before
 
 
+def test_a_leaf_shows_its_back_and_what_passes_through(seen):
+    """The page without either differs from the renderer; data of a point are those of the side that is seen."""
+    written, page = seen
+    state = page.default_state()
+    assert agree(compared(written, page, state, written.view))
+    places = np.argwhere(page.read_xyz(state, 64, 48)[1] == 3)
+    row, column = places[len(places) // 2]
+    probe = """([state, x, y]) => { const {width, height} = Irodori.renderer.canvas;
+               const {object, reflectance} = Irodori.renderer.probe(state, x * width, y * height);
+               return [object, Array.from(reflectance)]; }"""
+    name, reflectance = page.page.evaluate(probe, [state, (column + 0.5) / 64, (row + 0.5) / 48])
+    assert name == "body-1"
+    np.testing.assert_allclose(reflectance, spectrum("TCS56"), atol=2e-3)
+    for place in ("objects[2].behind", "sides[0].through"):
+        given = f"(row) => {{ Irodori.renderer.data.header.{place} = row; }}"
+        row = page.page.evaluate(f"Irodori.renderer.data.header.{place}")
+        page.page.evaluate(given, None)
+        assert not agree(compared(written, page, state, written.view))
+        page.page.evaluate(given, row)
+    # A lamp behind it.
+    lights = make_lights([made(CollimatedLight, BEHIND)], 0)[0]
+    towards, spectra = lights.rotation[:, :, 2], lights.spectrum[:, :61].astype(float)
+    parts = replace(written.data.parts, lamps=spectra, directions=towards)
+    state["light"]["lamps"] = [{"position_mm": list(1e3 * towards[0]), "size_mm": 0.0, "far": True, "strength": 0.2,
+                                "illuminant": {"power": list(light("FL11"))}, "on": True}]  # fmt: skip
+    matrix = np.array(written.data.header["observers"][0]["xyz"]).T
+    matrix = matrix * (100.0 / (matrix[1] @ white_of(parts)))
+    wanted = frame_bands(prepared(parts), written.view, parts) @ matrix.T
+    assert agree(differences(wanted, matrix @ white_of(parts), *page.read_xyz(state, 64, 48)))
+
+
 # ---- light maps
 
 
-LAMP = {"kind": "collimated", "azimuth_deg": -40.0, "elevation_deg": 50.0, "irradiance": 0.8, "spectrum": "FL11"}
-
-
 def with_torus(folder, **keys):
-    """A torus that stands on a plate beside a ball: each hides light from the others, and the torus from itself."""
+    """A torus on a plate beside a ball and a leaf: each hides light from the others, and the torus from itself."""
     file = write_torus(folder / "torus.obj")
     ball = {
         "shape": SPHERE,
@@ -251,7 +294,8 @@ def with_torus(folder, **keys):
                    objects=[{"object": "torus", "position_mm": [-16.0, 4.0, 26.0], "rotation_deg": [65.0, 0.0, 20.0],
                              "scale": 1.0},
                             {"object": "plate", "position_mm": [0.0, 0.0, 0.0], "rotation_deg": [0.0, 0.0, 12.0],
-                             "scale": 1.0}], bodies=[ball], **keys)  # fmt: skip
+                             "scale": 1.0}],
+                   bodies=[ball, LEAF | {"position_mm": [22.0, 26.0, 16.0]}], **keys)  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -314,11 +358,11 @@ def test_the_light_on_objects_is_the_renderers_also_where_a_mesh_is_moved_and_th
 
 
 def test_white_objects_vanish_in_an_even_room(tmp_path):
-    """A white furnace: what neighbours hide they send back, on a page as anywhere."""
-    white = material(1.0)
+    """A white furnace: what neighbours hide they send back or let through, on a page as anywhere."""
+    white, sheet = material(1.0), Material.uniform(0.6, transmittance=0.4)
     places = [{"object": name, "position_mm": [0.0, 0.0, z], "rotation_deg": [0.0] * 3, "scale": 1.0}
               for name, z in (("ball", 25.0), ("plate", 0.0))]  # fmt: skip
-    given = sources(tmp_path, constant_light(), first=white, second=white, light_maps=True, objects=places)
+    given = sources(tmp_path, constant_light(), first=white, second=sheet, light_maps=True, objects=places)
     path = tmp_path / "page.html"
     path.write_text(page_html("A page", page_data(given).payload({})), encoding="utf-8")
     with opened(path) as page:
@@ -332,7 +376,7 @@ def test_white_objects_vanish_in_an_even_room(tmp_path):
 def test_an_object_that_is_hidden_throws_no_shadow(torus):
     with opened(torus.path) as page:
         state = page.default_state()
-        for number in (0, 2):
+        for number in (0, 2, 3):
             state["objects"][number]["visible"] = False
         found, objects = page.read_xyz(state, 64, 48)
         page.page.evaluate("() => { Irodori.renderer.bakedFor = () => null; }")
@@ -545,6 +589,23 @@ def test_each_room_of_a_page_lights_as_in_the_renderer(tmp_path, first):
             rooms.append(page.page.evaluate("Irodori.page().state.light.environment"))
         assert rooms == ["cellar", "room"]
         assert page.messages == []
+
+
+@pytest.mark.heavy
+def test_a_bent_leaf_over_a_golden_plate_is_the_renderers(tmp_path):
+    """A mesh of two sides whose light maps carry light through, in a scene of a coloured mirror."""
+    dull, golden = painted(beta=0.0, mirror=0.0), replace(gold(), beta=0.0 * gold().beta)
+    leaf = replace(dull, through=replace(dull, coefficients=0.4 * dull.coefficients), transmittance="assumed")
+    bent = {"kind": "mesh", "file": str(write_bent(tmp_path / "bent.obj")), "unit": "mm"}
+    place = {"object": "leaf", "position_mm": [0.0, 0.0, 24.0], "rotation_deg": [150.0, 0.0, 20.0], "scale": 1.0}
+    floor = {"object": "plate", "position_mm": [0.0, 0.0, 0.0], "rotation_deg": [0.0] * 3, "scale": 1.0}
+    given = sources(tmp_path / "files", room(), ball=bent, first=leaf, second=golden, light_maps=True,
+                    objects=[place, floor], lights=[BEHIND | {"spectrum": "D65"}])  # fmt: skip
+    written = Written(tmp_path, given)
+    with opened(written.path) as page:
+        found = compared(written, page, page.default_state(), written.view)
+        assert page.messages == []
+    assert near(found), (found.mean(), np.percentile(found, 99))
 
 
 @pytest.mark.heavy

@@ -50,11 +50,12 @@ def plan_scene(
         If an override is not possible, a material reflects more light than falls on it, the scene has no light, or the
         integrator cannot keep the tolerance.
     """
+    placed = [Shape.from_definition(shape) for shape in shapes]
     document = plan_of(
         scene_name,
         scene,
-        [Shape.from_definition(shape) for shape in shapes],
-        load_materials(scene, material_files),
+        placed,
+        load_materials(scene, placed, material_files),
         Environment.load(environment_file),
         options,
         maps_file=maps_file,

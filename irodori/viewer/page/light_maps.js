@@ -38,7 +38,6 @@ var Irodori = Irodori || {};
         turn: Irodori.turned(own.turn_deg).map((row) => Float64Array.from(row)),
         size: Float64Array.from(o.size_mm, (x) => x * o.scale),
         scale: o.scale,
-        map: o.map,
         tree: mesh ? mesh.places[i] : null,
       };
       if (o.shape === "mesh") {
@@ -206,14 +205,15 @@ var Irodori = Irodori || {};
     return t;
   }
 
-  // Texels of an object's map, every so many apart: points, normals and facets in the world, three numbers each.
-  function texelsOf(data, number, one, apart) {
-    const plane = (name) => data.planes["object/" + number + "/map/" + name],
+  // Texels of the map of a side of an object, every so many apart: points, normals and facets in the world, three
+  // numbers each; `sign` is -1 on the back of a sheet.
+  function texelsOf(data, layout, one, apart, sign) {
+    const plane = (name) => data.planes["object/" + one.number + "/map/" + name],
       isMesh = one.shape === "mesh",
-      rows = isMesh ? 1 : Math.ceil(one.map.rows / apart),
-      columns = isMesh ? plane("point").length / 3 : Math.ceil(one.map.columns / apart),
+      rows = isMesh ? 1 : Math.ceil(layout.rows / apart),
+      columns = isMesh ? plane("point").length / 3 : Math.ceil(layout.columns / apart),
       count = rows * columns,
-      { grid } = one.map;
+      { grid } = layout;
     const [point, normal, facet] = [0, 1, 2].map(() => new Float64Array(3 * count));
     for (let t = 0; t < count; t++) {
       const u = ((t % columns) + 0.5) / columns,
@@ -233,16 +233,16 @@ var Irodori = Irodori || {};
         place = [grid[0] + grid[2] * unwarped(2 * u - 1), grid[1] + grid[3] * unwarped(2 * v - 1), 0];
       else place = [(u - 0.5) * one.size[0], (0.5 - v) * one.size[1], 0];
       place = times(one.turn, place).map((x, a) => x + one.at[a]);
-      side = times(one.turn, side);
+      [up, side] = [up, side].map((values) => times(one.turn, values).map((x) => sign * x));
       const rise = (isMesh ? MESH_RISE : RISE) * Math.max(...place.map(Math.abs), one.reach);
       point.set(
         place.map((x, a) => x + rise * side[a]),
         3 * t,
       );
-      normal.set(times(one.turn, up), 3 * t);
+      normal.set(up, 3 * t);
       facet.set(side, 3 * t);
     }
-    return { rows, columns, count, point, normal, facet };
+    return { layout, one, rows, columns, count, point, normal, facet };
   }
 
   // The texel next to a place on an object, in the world; on a mesh by `found` of `meetMesh`.
@@ -269,7 +269,7 @@ var Irodori = Irodori || {};
       u = turned < 0 ? turned + 1 : turned;
       v = Math.atan2(Math.sqrt(lx * lx + ly * ly), lz) / Math.PI;
     } else if (one.shape === "plane") {
-      const { grid } = one.map;
+      const { grid } = map.layout;
       u = 0.5 + 0.5 * warped((lx - grid[0]) / grid[2]);
       v = 0.5 + 0.5 * warped((ly - grid[1]) / grid[3]);
     } else {
@@ -338,12 +338,14 @@ var Irodori = Irodori || {};
       maps = [];
     let count = 0,
       used = 0;
-    all.forEach((one, i) => {
-      if (!one) return;
-      maps[i] = { ...texelsOf(data, i, one, apart), first: count, one };
+    Irodori.surfaces(data.header).forEach(({ map, of, through }, i) => {
+      const one = all[of ?? i];
+      if (!one || !map) return;
+      maps[i] = { ...texelsOf(data, map, one, apart, of === undefined ? 1 : -1), first: count, through };
       count += maps[i].count;
+      if (of === undefined) one.texels = maps[i];
+      else [maps[i].other, one.texels.other] = [one.texels, maps[i]];
     });
-    all.forEach((one, i) => one && (one.texels = maps[i]));
     const start = new Int32Array(count + 1),
       open = new Uint8Array(count),
       ray = new Float64Array(6),
@@ -358,8 +360,9 @@ var Irodori = Irodori || {};
       next.set(old);
       return next;
     };
-    // The nearest object along the ray, the way to it, its front's normal there, and the texel that is seen, or -1.
+    // The nearest object along the ray, the way to it, the normal of the side that is seen, its map, and the texel, or -1.
     let what = null,
+      met = null,
       nearest = 0,
       target = BLACK;
     const facing = new Float64Array(3);
@@ -384,8 +387,12 @@ var Irodori = Irodori || {};
         z = ray[2] + nearest * ray[5];
       for (let a = 0, place = [x, y, z]; a < 3; a++)
         facing[a] = what.tree ? found[a] : what.shape === "sphere" ? (place[a] - at[a]) / reach : turn[a][2];
-      if (facing[0] * ray[3] + facing[1] * ray[4] + facing[2] * ray[5] < 0)
-        target = texelAt(what, what.texels, what.tree && corners.places[what.number], x, y, z, found);
+      met = what.texels;
+      if (facing[0] * ray[3] + facing[1] * ray[4] + facing[2] * ray[5] >= 0) {
+        met = met.other; // the back of a sheet
+        for (let a = 0; a < 3; a++) facing[a] = -facing[a];
+      }
+      if (met) target = texelAt(what, met, what.tree && corners.places[what.number], x, y, z, found);
     };
     const push = (c, seen_, share) => {
       if (used === cell.length) [cell, seen, weight] = [cell, seen, weight].map(grown);
@@ -393,9 +400,9 @@ var Irodori = Irodori || {};
       seen[used] = seen_;
       weight[used++] = share;
     };
-    for (const [number, map] of maps.entries()) {
+    for (const map of maps) {
       if (!map) continue;
-      const others = around(number);
+      const others = around(map.one.number);
       for (let t = 0; t < map.count; t++) {
         const own = map.first + t,
           [px, py, pz] = map.point.subarray(3 * t, 3 * t + 3),
@@ -429,10 +436,10 @@ var Irodori = Irodori || {};
           if (!what) continue;
           push(c, target, share);
           if (target === BLACK) inside += Number(Boolean(what.tree) || what.shape === "sphere");
-          else if (what.map.shine) {
+          else if (met.layout.shine) {
             // As if all that the object's gloss and mirror reflect came from one direction.
             const steep = -(facing[0] * dx + facing[1] * dy + facing[2] * dz),
-              passed = share * shineAt(what.map.shine, steep),
+              passed = share * shineAt(met.layout.shine, steep),
               rise = RISE * Math.max(what.reach, Math.abs(px), Math.abs(py), Math.abs(pz));
             for (let a = 0; a < 3; a++) {
               ray[a] += nearest * ray[3 + a] + rise * facing[a];
@@ -534,6 +541,15 @@ var Irodori = Irodori || {};
     return sum;
   };
   const norm = (values) => Math.sqrt(values.reduce((sum, x) => sum + x * x, 0) / Math.max(values.length, 1));
+
+  // What texels send: their own light by their colour, and through a sheet that of the texels on its other side, `from`,
+  // by its transmittance; `number` is the row of the material.
+  const partsOf = (maps) =>
+    maps.flatMap((map, number) => {
+      if (!map) return [];
+      const own = { map, from: map, number };
+      return map.through == null ? [own] : [own, { map, from: map.other, number: map.through }];
+    });
 
   Irodori.LightMaps = class {
     // `mesh` and `corners` are textures of the renderer, with their data.
@@ -655,7 +671,7 @@ var Irodori = Irodori || {};
       const bases = this.spectra.objects[number].basis.length,
         plane = this.data.planes["object/" + number + "/map/colour"],
         all = plane.length / bases,
-        { rows, columns } = map.one.map,
+        { rows, columns } = map.layout,
         out = new Float64Array(map.count * bases);
       for (let t = 0; t < map.count; t++) {
         const row = Math.floor(((Math.floor(t / map.columns) + 0.5) * rows) / map.rows),
@@ -674,19 +690,17 @@ var Irodori = Irodori || {};
         k = constants.basis.length,
         room = this.fromRoom(transfer, constants.number, turn),
         lit = constants.spectra.map((_, l) => this.fromLamp(transfer, lamps.places.subarray(4 * l), lamps.levels[l])),
-        colours = maps.map((map, number) => map && this.reflectances(map, number));
+        parts = partsOf(maps).map((part) => ({ ...part, colours: this.reflectances(part.map, part.number) }));
       // Vectors for the light of all sources, once and twice reflected.
       const scaled = (spectrum, by) => Array.from(spectrum, (x) => x * by),
         sources = [
           ...constants.basis.map((e, i) => scaled(e, norm(room.filter((_, n) => n % k === i)))),
           ...constants.spectra.map((e, l) => scaled(e, norm(lit[l]))),
         ],
-        mirrors = maps.flatMap((map, number) =>
-          map
-            ? this.spectra.objects[number].basis.map((s, j, { length }) =>
-                scaled(s, norm(colours[number].filter((_, n) => n % length === j))),
-              )
-            : [],
+        mirrors = parts.flatMap(({ number, colours }) =>
+          this.spectra.objects[number].basis.map((s, j, { length }) =>
+            scaled(s, norm(colours.filter((_, n) => n % length === j))),
+          ),
         ),
         products = (some) => some.flatMap((e) => mirrors.map((s) => e.map((x, i) => x * s[i]))),
         once = products(sources),
@@ -705,28 +719,29 @@ var Irodori = Irodori || {};
         }),
       );
       // How a texel's colour changes the coefficients.
-      const sending = new Float32Array(count * K * K);
-      maps.forEach((map, number) => {
-        if (!map) return;
-        const { basis } = this.spectra.objects[number],
+      for (const part of parts) {
+        const { basis } = this.spectra.objects[part.number],
           each = basis.map((s) => vectors.flatMap((a) => vectors.map((b) => inner(a, b, s))));
-        for (let t = 0; t < map.count; t++)
+        part.sending = new Float32Array(part.map.count * K * K);
+        for (let t = 0; t < part.map.count; t++)
           each.forEach((matrix, j) => {
-            const by = colours[number][t * basis.length + j];
-            for (let i = 0, at = (map.first + t) * K * K; i < K * K; i++) sending[at + i] += by * matrix[i];
+            const by = part.colours[t * basis.length + j];
+            for (let i = 0, at = t * K * K; i < K * K; i++) part.sending[at + i] += by * matrix[i];
           });
-      });
+      }
       let reflected = new Float64Array(count * K);
       const sent = new Float64Array(count * K),
         settled = SETTLED * norm(source);
       for (let n = 0; n < REFLECTIONS; n++) {
-        for (let t = 0; t < count; t++)
-          for (let c = 0; c < K; c++) {
-            let sum = 0;
-            for (let d = 0, at = (t * K + c) * K; d < K; d++)
-              sum += sending[at + d] * (source[t * K + d] + reflected[t * K + d]);
-            sent[t * K + c] = sum;
-          }
+        sent.fill(0);
+        for (const { map, from, sending } of parts)
+          for (let t = 0; t < map.count; t++)
+            for (let c = 0, lit = (from.first + t) * K; c < K; c++) {
+              let sum = 0;
+              for (let d = 0, at = (t * K + c) * K; d < K; d++)
+                sum += sending[at + d] * (source[lit + d] + reflected[lit + d]);
+              sent[(map.first + t) * K + c] += sum;
+            }
         const next = new Float64Array(count * K);
         let most = 0;
         for (let t = 0; t < count; t++) {
@@ -746,39 +761,42 @@ var Irodori = Irodori || {};
     }
 
     // The texture of a state's light: `wide` texels for each of the maps', made by `shown` of an object and the
-    // vectors, (numbers, vectors); and where the map of each object begins in it.
+    // vectors, (numbers, vectors); where the map of each side begins in it, and that of the light on its other side.
     texture(transfer, state, lamps, wide, shown) {
       const { vectors, light } = this.light(transfer, state, lamps),
         K = vectors.length,
-        near = (number) => this.corners && this.corners.places[number],
-        sizes = transfer.maps.map((map, number) => (map.one.tree ? near(number).count : map.count)),
+        near = (map) => map.one.tree && this.corners.places[map.one.number],
+        parts = partsOf(transfer.maps),
+        sizes = parts.map(({ map }) => (near(map) ? near(map).count : map.count)),
         rows = Math.ceil((wide * sizes.reduce((sum, n) => sum + n, 0)) / 2048),
         data = new Float32Array(4 * 2048 * Math.max(rows, 1)),
-        places = [];
+        places = [],
+        passed = [];
       let first = 0;
-      transfer.maps.forEach((map, number) => {
+      parts.forEach(({ map, from, number }, part) => {
         const matrix = shown(number, vectors),
           numbers = matrix.length,
           own = new Float64Array(numbers * map.count);
         for (let t = 0; t < map.count; t++)
           for (let n = 0; n < numbers; n++) {
             let sum = 0;
-            for (let c = 0, at = (map.first + t) * K; c < K; c++) sum += matrix[n][c] * light[at + c];
+            for (let c = 0, at = (from.first + t) * K; c < K; c++) sum += matrix[n][c] * light[at + c];
             own[t * numbers + n] = sum;
           }
-        const spread = map.one.tree && near(number).share;
-        for (let t = 0; t < sizes[number]; t++)
+        const spread = near(map) && near(map).share;
+        for (let t = 0; t < sizes[part]; t++)
           for (let n = 0; n < numbers; n++) {
             let sum = spread ? 0 : own[t * numbers + n];
             if (spread)
-              for (let c = 0, size = sizes[number]; c < spread.length / size; c++)
-                sum += spread[c * size + t] * own[near(number).near[c * size + t] * numbers + n];
+              for (let c = 0, size = sizes[part]; c < spread.length / size; c++)
+                sum += spread[c * size + t] * own[near(map).near[c * size + t] * numbers + n];
             data[4 * (first + t * wide) + n] = sum;
           }
-        places[number] = [first, map.rows, map.columns];
-        first += wide * sizes[number];
+        if (from === map) places[number] = [first, map.rows, map.columns];
+        else passed[transfer.maps.indexOf(map)] = first;
+        first += wide * sizes[part];
       });
-      return { data, width: 2048, height: Math.max(rows, 1), places };
+      return { data, width: 2048, height: Math.max(rows, 1), places, passed };
     }
   };
 

@@ -237,9 +237,9 @@ var Irodori = Irodori || {};
     };
   };
 
-  // Materials of all objects with their borders: coefficients, then power and place of two lobes, then what is known.
+  // Materials of all surfaces with their borders: coefficients, then power and place of two lobes, then what is known.
   Irodori.materialAtlas = function (data, widest) {
-    const objects = data.header.objects,
+    const objects = Irodori.surfaces(data.header),
       groups = Math.ceil(widest / 4);
     const { places, width, height } = packed(objects.map((o) => [o.texels[1] + 2, o.texels[0] + 2]));
     const layers = groups + 2,
@@ -268,6 +268,7 @@ var Irodori = Irodori || {};
         put(groups, 2 * c, plane(i, "power/" + c), scale);
         put(groups, 2 * c + 1, plane(i, "place/" + c), 1);
       });
+      if (!plane(i, "status")) return; // of a transmittance
       put(groups + 1, 0, plane(i, "status"), 1);
       put(groups + 1, 1, plane(i, "uncertainty"), 1);
     });

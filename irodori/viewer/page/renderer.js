@@ -7,7 +7,7 @@ var Irodori = Irodori || {};
   const MOST_LAMPS = 8,
     FEW = 16,
     MANY = 512,
-    ROW = 11;
+    ROW = 12;
   const KINDS = { sphere: 0, plate: 1, disc: 2, plane: 3, mesh: 4 };
   const TEXTURES = "uShapes uForms uMaterials uSky uIrradiance uGloss uRows uMesh uCorners uLight".split(" ");
   // Light maps: with every so many texels along a side, and cells; how many are kept.
@@ -184,6 +184,8 @@ var Irodori = Irodori || {};
       const ggx = header.lobes.map((lobe, i) => (lobe.name === "ggx" ? "(l) == " + i : null)).filter(Boolean);
       const values = {
         OBJECTS: header.objects.length,
+        SURFACES: header.objects.length + header.sides.length,
+        SHEETS: Number(header.sides.length > 0),
         K: k,
         G: Math.ceil(k / 4),
         KS: this.spectra.widest,
@@ -287,10 +289,11 @@ var Irodori = Irodori || {};
     // Rows of the scene's shapes where a state puts them.
     shapes(state, baked) {
       const header = this.data.header,
-        out = new Float32Array(4 * ROW * header.objects.length);
+        surfaces = Irodori.surfaces(header),
+        out = new Float32Array(4 * ROW * surfaces.length);
       let hidden = 0;
-      header.objects.forEach((o, i) => {
-        const at = state.objects[i] || {},
+      surfaces.forEach((o, i) => {
+        const at = state.objects[o.of ?? i] || {},
           put = (texel, values) => out.set(values, 4 * (ROW * i + texel));
         const turn = at.turn_deg ? turned(at.turn_deg) : o.world_from_object,
           size = o.size_mm.map((x) => x * o.scale);
@@ -308,13 +311,14 @@ var Irodori = Irodori || {};
           7,
           [0, 1, 2, 3].map((c) => (c < o.lobes.length ? o.lobes[c] : -1)),
         );
-        const mesh = this.meshes[i];
+        const mesh = this.meshes[o.of ?? i];
         if (mesh) put(8, [mesh.first, mesh.last, mesh.triangles, o.scale]);
         if (baked && baked.places[i]) {
           put(9, baked.places[i]);
           put(10, o.map.grid);
         }
-        if (at.visible === false) hidden |= 1 << i;
+        put(11, [o.behind ?? -1, o.through ?? -1, (baked && baked.passed[i]) ?? 0, 0]);
+        if (at.visible === false && i < header.objects.length) hidden |= 1 << i;
       });
       return { data: out, hidden };
     }
@@ -357,7 +361,7 @@ var Irodori = Irodori || {};
         old = this.baked.get(key);
       if (old) gl.deleteTexture(old.made.texture);
       this.baked.delete(key);
-      this.baked.set(key, { made, fineness, places: image.places });
+      this.baked.set(key, { made, fineness, places: image.places, passed: image.passed });
       for (const [other, { made: spare }] of this.baked) {
         if (this.baked.size <= KEPT) break;
         gl.deleteTexture(spare.texture);
@@ -503,7 +507,7 @@ var Irodori = Irodori || {};
       gl.viewport(0, 0, target.width, target.height);
       if (this.textures.uShapes) gl.deleteTexture(this.textures.uShapes.texture);
       this.textures.uShapes = this.texture(
-        { data: shapes.data, width: ROW, height: this.data.header.objects.length },
+        { data: shapes.data, width: ROW, height: shapes.data.length / (4 * ROW) },
         gl.RGBA32F,
         gl.RGBA,
         gl.FLOAT,
@@ -699,7 +703,7 @@ var Irodori = Irodori || {};
       return out;
     }
 
-    // X, Y, Z and the object (-1 for none) of every pixel of a picture, rows from the top; a white has Y = 100.
+    // X, Y, Z and the side of an object (-1 for none) of every pixel of a picture, rows from the top; a white has Y = 100.
     readXYZ(state, width, height) {
       return this.read(state, width, height, [0, 0], [width, height])[0];
     }
@@ -714,7 +718,7 @@ var Irodori = Irodori || {};
         [this.canvas.width, this.canvas.height],
       );
       if (number < 0) return null;
-      const o = this.data.header.objects[number],
+      const o = Irodori.surfaces(this.data.header)[number],
         [rows, columns_] = o.texels,
         plane = (name) => this.data.planes["object/" + number + "/" + name];
       const row = Math.min(Math.max(Math.floor(v * rows), 0), rows - 1),

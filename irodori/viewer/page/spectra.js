@@ -3,6 +3,12 @@
 "use strict";
 var Irodori = Irodori || {};
 
+// The materials of a page: those of its objects, then the backs and the transmittances of thin sheets; these have the
+// shape and the place of their front, whose number is `of`.
+Irodori.surfaces = function (header) {
+  return [...header.objects, ...header.sides.map((side) => ({ ...header.objects[side.of], ...side }))];
+};
+
 Irodori.Spectra = class {
   constructor(data) {
     this.header = data.header;
@@ -13,7 +19,7 @@ Irodori.Spectra = class {
       const basis = this.planes["light/" + i + "/basis"];
       return { basis: rows(basis, basis.length / 61), white: this.planes["light/" + i + "/white"] };
     });
-    this.objects = data.header.objects.map((entry, i) => {
+    this.objects = Irodori.surfaces(data.header).map((entry, i) => {
       const plane = (name) => this.planes["object/" + i + "/" + name];
       return { basis: rows(plane("basis"), entry.bases), index: rows(plane("index"), 2) };
     });

@@ -5,7 +5,7 @@ precision highp int;
 precision highp sampler2D;
 precision highp sampler2DArray;
 
-layout(location = 0) out vec4 outXYZ;   // X, Y, Z and the object, -1 for none
+layout(location = 0) out vec4 outXYZ;   // X, Y, Z and the row of the side that is seen, -1 for none
 layout(location = 1) out vec4 outPlace; // place in the texture, status, uncertainty
 layout(location = 2) out vec4 outPoint; // x, y, z of what is seen, mm
 
@@ -67,7 +67,7 @@ uniform vec3 uLampColour[MOST_LAMPS];
 
 struct Ray { vec3 o, d; };
 struct Hit { float t; int object; int triangle; vec2 b; };
-struct Place { vec3 point, normal, facet; vec2 uv; float cosine; };
+struct Place { vec3 point, normal, facet; vec2 uv; float cosine; int side; }; // the row of the side that is seen
 
 vec4 shapeRow(int object, int number) { return texelFetch(uShapes, ivec2(number, object), 0); }
 mat3 turnOf(int object) { // world from object, by columns
@@ -275,6 +275,16 @@ bool placed(Ray ray, Hit hit, out Place place) {
     place.uv = kind == 3 ? vec2(0.5) : vec2(local.x / size.x + 0.5, 0.5 - local.y / size.y);
   }
   float front = -dot(place.facet, ray.d);
+  place.side = object;
+#if SHEETS
+  int behind = int(shapeRow(object, 11).x);
+  if (front < 0.0 && behind >= 0) {
+    place.side = behind;
+    place.normal = -place.normal;
+    place.facet = -place.facet;
+    front = -front;
+  }
+#endif
   place.cosine = -dot(place.normal, ray.d);
   if (place.cosine <= 0.0) {
     place.normal = place.facet;
@@ -333,7 +343,7 @@ Colour diffuse(int object, Surface surface, Light light) {
 }
 Colour lampDiffuse(int object, int lamp, Surface surface) {
   Colour out_ = vec3(0.0);
-  int row = OBJECTS + lamp * OBJECTS + object;
+  int row = SURFACES + lamp * SURFACES + object;
   for (int j = 0; j < KS; j++) out_ += surface.s[j] * texelFetch(uForms, ivec2(j, row), 0).xyz;
   return out_;
 }
@@ -466,24 +476,23 @@ About texelsAbout(int object, Place place, Hit hit) {
   }
   return gridPlace(place.uv * size - 0.5, ivec2(size), kind == 0);
 }
-vec4 lightOf(int object, About about, int number) {
-  int first = int(shapeRow(object, 9).x) + number;
+vec4 lightOf(int first, About about, int number) {
   vec4 found = vec4(0.0);
   for (int i = 0; i < 4; i++) {
-    int at = first + about.texel[i] * WIDE;
+    int at = first + number + about.texel[i] * WIDE;
     found += about.weight[i] * texelFetch(uLight, ivec2(at % 2048, at / 2048), 0);
   }
   return found;
 }
-Colour baked(int object, Place place, Hit hit, Surface surface) {
-  About about = texelsAbout(object, place, hit);
+// What a surface sends of the light whose map begins at `first`.
+Colour baked(int object, int first, About about, Surface surface) {
 #if COLOURED
   mat4 light;
-  for (int i = 0; i < 4; i++) light[i] = lightOf(object, about, i);
+  for (int i = 0; i < 4; i++) light[i] = lightOf(first, about, i);
   return PRODUCT(surfaceColour(object, surface), light);
 #else
   Colour out_ = vec3(0.0);
-  for (int j = 0; j < KS; j++) out_ += surface.s[j] * lightOf(object, about, j).xyz;
+  for (int j = 0; j < KS; j++) out_ += surface.s[j] * lightOf(first, about, j).xyz;
   return out_;
 #endif
 }
@@ -499,7 +508,8 @@ bool seesLamp(int object, Place place, Ray ray, float far, int triangle) {
 }
 
 // What light from one direction sends to the eye, a unit of irradiance that falls on the surface from above.
-Colour sent(int object, int lamp, Place place, vec3 view, vec3 to, Surface surface) {
+Colour sent(int lamp, Place place, vec3 view, vec3 to, Surface surface) {
+  int object = place.side;
   Colour sum_ = dot(place.normal, to) * lampDiffuse(object, lamp, surface);
 #if PARTS > 0
   vec4 lobes = shapeRow(object, 7);
@@ -518,6 +528,9 @@ Colour sent(int object, int lamp, Place place, vec3 view, vec3 to, Surface surfa
   return sum_;
 }
 
+// What passes through a thin sheet: the row of its transmittance, -1 where nothing does, and its texel.
+struct Passing { int row; Surface surface; };
+
 // The cone in which a ball is seen: its axis and what stands across it, the cosine at its rim, the way to its middle.
 struct Cone { vec3 axis, across, beside; float least, far; };
 
@@ -534,7 +547,7 @@ vec3 spread_(Cone cone, int number, int count, out float far) {
   return inCone(cone, (2.0 * pair + 1.0) / float(count), 2.0 * PI * fract(turn), far);
 }
 
-Colour lampLight(int object, int lamp, Place place, vec3 view, Surface surface, Hit met) {
+Colour lampLight(int object, int lamp, Place place, vec3 view, Surface surface, Passing passing, Hit met) {
   vec3 start = raised(place, shapeRow(object, 0).w), to = uLamp[lamp].xyz;
   float radius = uLamp[lamp].w, far = 1e30, level = uLampLevel[lamp];
   Cone cone;
@@ -561,10 +574,25 @@ Colour lampLight(int object, int lamp, Place place, vec3 view, Surface surface, 
       else if (i < asked) to = inCone(cone, 0.9999, 2.0 * PI * float(i) / float(FEW), far);
       else to = spread_(cone, i - asked, MANY, far);
     }
-    if (!seesLamp(object, place, Ray(start, to), far, met.triangle)) continue;
+    Place lit = place;
+    vec3 from = start;
+#if SHEETS
+    bool behind = passing.row >= 0 && dot(place.normal, to) < 0.0 && dot(place.facet, to) < 0.0;
+    if (behind) {
+      lit.normal = -place.normal;
+      lit.facet = -place.facet;
+      from = raised(lit, shapeRow(object, 0).w);
+    }
+#endif
+    if (!seesLamp(object, lit, Ray(from, to), far, met.triangle)) continue;
     if (i < asked) free++;
     if (i >= few && i < asked) continue;
-    Colour one = sent(object, lamp, place, view, to, surface);
+    Colour one;
+#if SHEETS
+    if (behind) one = dot(lit.normal, to) * lampDiffuse(passing.row, lamp, passing.surface);
+    else
+#endif
+      one = sent(lamp, place, view, to, surface);
     if (i < asked) whole += one;
     else part += one;
   }
@@ -572,18 +600,32 @@ Colour lampLight(int object, int lamp, Place place, vec3 view, Surface surface, 
 }
 
 // Light that a surface sends to the eye, without what its gloss shows of the light from all around.
-Colour shade(int object, Place place, Ray ray, Surface surface, Hit met) {
+Colour shade(Place place, Ray ray, Surface surface, Hit met) {
   Colour sum_ = Colour(0.0);
+  Passing passing = Passing(-1, surface);
+#if SHEETS
+  vec4 sheet = shapeRow(place.side, 11);
+  if (sheet.y >= 0.0) passing = Passing(int(sheet.y), surfaceAt(int(sheet.y), place.uv));
+#endif
 #if BAKED
-  if (uBaked) sum_ += baked(object, place, met, surface);
-  else
+  if (uBaked) {
+    About about = texelsAbout(place.side, place, met);
+    sum_ += baked(place.side, int(shapeRow(place.side, 9).x), about, surface);
+#if SHEETS
+    if (passing.row >= 0) sum_ += baked(passing.row, int(sheet.z), about, passing.surface);
+#endif
+  } else
 #endif
   {
 #if HAS_LIGHT
-    sum_ += diffuse(object, surface, irradianceAt(place.normal));
+    sum_ += diffuse(place.side, surface, irradianceAt(place.normal));
+#if SHEETS
+    if (passing.row >= 0) sum_ += diffuse(passing.row, passing.surface, irradianceAt(-place.normal));
+#endif
 #endif
   }
-  for (int lamp = 0; lamp < uLamps; lamp++) sum_ += lampLight(object, lamp, place, -ray.d, surface, met);
+  for (int lamp = 0; lamp < uLamps; lamp++)
+    sum_ += lampLight(met.object, lamp, place, -ray.d, surface, passing, met);
   return sum_;
 }
 
@@ -615,8 +657,8 @@ void main() {
     Colour sent = Colour(0.0);
     if (isMet) {
       front = placed(ray, hit, place);
-      surface = surfaceAt(object, place.uv);
-      if (front) sent = shade(object, place, ray, surface, hit);
+      surface = surfaceAt(place.side, place.uv);
+      if (front) sent = shade(place, ray, surface, hit);
     }
 #if SEES
     if (before.object >= 0)
@@ -634,7 +676,7 @@ void main() {
       break;
     }
     if (bounce == 0) {
-      outXYZ.w = float(object);
+      outXYZ.w = float(place.side);
       outPlace = vec4(place.uv, surface.about);
       outPoint = vec4(place.point, 1.0);
     }
@@ -648,17 +690,17 @@ void main() {
     sum_ += passed * sent;
 #endif
 #if PARTS > 0
-    before = Gloss(object, surface.gloss, place.normal, mirror, place.cosine, through);
+    before = Gloss(place.side, surface.gloss, place.normal, mirror, place.cosine, through);
     passedBefore = passed;
 #if !SEES
     for (int c = 0; c < 2; c++) sum_ += PRODUCT(passed, lobeLight(before, c, false, sent));
 #endif
 #endif
 #if COLOURED
-    passed = PRODUCT(passed, shapeRow(object, 6).z * reflectance(object, place.cosine));
+    passed = PRODUCT(passed, shapeRow(place.side, 6).z * reflectance(place.side, place.cosine));
     through = greatest(passed);
 #else
-    vec4 index = shapeRow(object, 6);
+    vec4 index = shapeRow(place.side, 6);
     through *= index.z * fresnel(place.cosine, index.x, index.y);
 #endif
 #if SEES

@@ -209,9 +209,19 @@ def test_a_sheet_that_makes_light_is_refused(tmp_path):
     for path, one in zip(paths, (Material.uniform(0.3, transmittance=0.6), Material.uniform(0.5)), strict=True):
         one.save(path, Provenance("test"))
     placed_object = {"object": "leaf", "position_mm": [0.0, 0.0, 0.0]}
-    assert load_materials(made(Scene, {"objects": [placed_object]}), paths[:1])[0].through.basis.max() == 0.6
+    flat, bent = [plate(30.0)], [open_mesh()]
+    assert load_materials(made(Scene, {"objects": [placed_object]}), flat, paths[:1])[0].through.basis.max() == 0.6
+    turned = made(Scene, {"objects": [placed_object | {"back": "rear"}]})
     with pytest.raises(InputError, match="rear as the back of leaf"):
-        load_materials(made(Scene, {"objects": [placed_object | {"back": "rear"}]}), paths)
+        load_materials(turned, flat, paths)
+    # A plate is turned over, so that the left half of its back lies behind its right half; a mesh has one atlas.
+    for columns, good, bad in (((0.3, 0.8), flat, bent), ((0.8, 0.3), bent, flat)):
+        sheet = dataclasses.replace(Material.uniform(0.1), through=painted((0.1, 0.6)), transmittance="assumed")
+        for path, one in zip(paths, (sheet, painted(columns)), strict=True):
+            one.save(path, Provenance("test"))
+        load_materials(turned, good, paths)
+        with pytest.raises(InputError, match=r"rear as the back of leaf that sends back up to 1\.4 times"):
+            load_materials(turned, bad, paths)
 
 
 def test_a_sheet_has_an_open_shape():
