@@ -7,9 +7,9 @@ attenuation of equation (5); α, β and roughness with the GGX distribution and 
 ρ = π f cosθ_i over the root mean square of ρ. `irodori.fitting` fits equation (5); a dense scan over roughness with
 bounded minimisation fits GGX. With ``--peer``, SciPy's least squares searches from many starts for a lower minimum.
 
-``--lobes`` shows the lobes and the coat that are chosen (`irodori.fitting.lobe_choice`) from one half of the directions, and how
-well all candidates fit that half and predict the other, for light and view up to 70°, where the outliers of the
-laboratory begin.
+``--lobes`` shows the lobes and the coat that are chosen (`irodori.fitting.lobe_choice`) from one half of the
+directions, and how well all candidates fit that half and predict the other, for light and view up to 70°, where the
+outliers of the laboratory begin.
 
 ``--halves`` simulates surfaces with 16 to 64 photographs, half of them within 25° of the mirror direction, with the
 noise of a camera. Two disjoint halves of the photographs are fitted, and if both have the status OK, they are compared.
@@ -271,7 +271,8 @@ def choices(name: str, folder: Path = DATA, seed: int = 0) -> list[dict]:
             result = fit(halves[0].response, geometry[order[::2]], halves[0].weight, N, K, own)
             fitted, held = (_off(half, result, halves[0], own) for half in halves)
             label = name if len(measured.wavelength_nm) > 1 else f"{name} {measured.wavelength_nm[0]:.0f} nm"
-            out.append({"material": label, "lobes": "+".join(one.lobes), "coat": one.coat, "chosen": (one.lobes, one.coat) == chosen,
+            out.append({"material": label, "lobes": "+".join(one.lobes), "coat": one.coat,
+                        "chosen": (one.lobes, one.coat) == chosen,
                         "behind": one.behind, "behind_error": one.behind_error, "fitted_rms": fitted[0],
                         "fitted_median": fitted[1], "held_out_rms": held[0], "held_out_median": held[1]})  # fmt: skip
     return out

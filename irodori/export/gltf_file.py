@@ -24,6 +24,7 @@ from irodori import __version__
 from irodori.colour.colorimetry import xyz_from_reflectance
 from irodori.colour.tone_curves import SRGB
 from irodori.core.atomic_files import written_whole
+from irodori.core.errors import PlainError
 from irodori.export.diffuse_picture import colours_from_bands, diffuse_colours
 from irodori.export.export_sources import Item, Source
 from irodori.export.gltf_loss import SPECTRA, ZLIB_URI, ParsedGltf, judge, judge_spectra, kinds_of_light
@@ -33,6 +34,7 @@ from irodori.geometry.mesh import Mesh
 from irodori.geometry.rig_frame import look_at
 from irodori.geometry.shapes.placement import reaches
 from irodori.material.coefficients import rounded_to_half, scale_of
+from irodori.reflection.coat import SUM
 from irodori.spectra.grid import WAVELENGTH_NM
 
 #: Default illuminants of the variants; a viewer without support for variants shows the first.
@@ -292,9 +294,19 @@ def write_gltf(source: Source, path, illuminants: Sequence[str] = ILLUMINANTS) -
     dict of str to Loss
         The loss over all variants under the key ``OBJECT: KIND OF LIGHT``, and that of the spectra under ``extras``
         with the key ``OBJECT: SPECTRA``; see `irodori.export.gltf_loss`.
+
+    Raises
+    ------
+    PlainError
+        If an object has a coupled coat, which glTF's own coat does not describe.
     """
     for name in illuminants:
         xyz_from_reflectance(name)  # refuses an unknown light before any work
+    coated = [item.name for item in source.items if item.material.coat != SUM]
+    if coated:
+        raise PlainError(
+            f"--to gltf: found the coupled coat of {', '.join(coated)}; accepted: objects of the coat sum."
+        )
     document, nodes = _Document(illuminants), []
     reach = float(max(reaches([item.placement for item in source.items])))
     cameras, eyes = _cameras(source)

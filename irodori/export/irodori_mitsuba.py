@@ -166,6 +166,7 @@ class _Side:
         self.index = _Vectors(index)
         self.green = float(index[0, _GREEN]), float(index[1, _GREEN])
         self.mirror = float(held[f"{name}mirror"])
+        self.is_coupled = bool(held[f"{name}coupled"])
 
     def terms(self, si, wi, uv, active):
         """Return reflectance, transmittance, β and μ of each gloss component, and the probabilities of all terms.
@@ -204,7 +205,11 @@ class _Side:
         for name, beta, mu, share in zip(self.lobes, betas, mus, shares[1:], strict=False):
             factor += beta * _lobe(name, mu, cos_i, cos_r, half, cos_h)
             density += dr.select(beta > 0.0, share * _density(name, mu, wi, half, cos_h), 0.0)
-        value = (spectrum * cos_i + reflectance * factor) * dr.inv_pi
+        ground = spectrum * cos_i
+        if self.is_coupled:  # the ground has the light that passes the surface in and out
+            green = [fresnel(cosine, *self.green) for cosine in (cos_i, cos_r, 1.0)]
+            ground = ground * ((1.0 - green[0]) * (1.0 - green[1]) / dr.square(1.0 - green[2]))
+        value = (ground + reflectance * factor) * dr.inv_pi
         value, density = dr.select(active, value, 0.0), dr.select(active, density, 0.0)
         if self.passed.count:
             value = dr.select(behind, passed * (-cos_i * dr.inv_pi), value)

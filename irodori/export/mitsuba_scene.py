@@ -23,6 +23,7 @@ from irodori.geometry.shapes.placement import reaches
 from irodori.geometry.shapes.shape import Shape
 from irodori.light.environment_file import Environment
 from irodori.material.material_file import Material
+from irodori.reflection.coat import COUPLED
 from irodori.rendering.scene_arrays import back_of
 from irodori.rendering.scene_lights import BALL, BANDS, COLLIMATED, make_lights
 from irodori.rendering.scene_white import shown_white
@@ -95,6 +96,7 @@ def _side(material: Material, sent: Material | None, shape: Shape) -> dict:
         "passed": passed,
         "index": np.stack([material.n, material.k]),
         "mirror": float(material.mirror),
+        "coupled": material.coat == COUPLED,
         "lobes": np.array(material.lobes),
     }
 

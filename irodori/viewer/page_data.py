@@ -204,12 +204,13 @@ def page_data(sources: SceneSources) -> PageData:
         If the page cannot show the scene, or a material reflects more light than falls on it.
     """
     name, scene, material_files = sources.name, sources.scene, sources.materials
-    fault = page_fault(scene)
+    shapes = [Shape.from_definition(s) for s in sources.shapes]
+    loaded = [_with_maps(path) for path in material_files]
+    fault = page_fault(scene, {item.object: own.coat for item, own in zip(scene.objects, loaded, strict=False)})
     if fault is not None:
         field, found, accepted = fault
         raise PlainError(f"The scene {name}: {field}: found {found}; accepted: {accepted}.")
-    shapes = [Shape.from_definition(s) for s in sources.shapes]
-    loaded = with_backs(scene, [_with_maps(path) for path in material_files])
+    loaded = with_backs(scene, loaded)
     refuse_energy_gain(scene, shapes, material_files, loaded)
     shapes, materials = with_bodies(scene, shapes, loaded)
     placements = make_placements(scene, shapes)

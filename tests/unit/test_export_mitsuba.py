@@ -113,14 +113,14 @@ VIEW = {"position_mm": [0.0, -200.0, 110.0], "target_mm": [0.0, 0.0, 8.0], "fiel
 
 @NEEDS_MITSUBA
 def test_a_textured_ball_and_a_leaf_on_a_plate_look_as_ours_do(tmp_path):
-    """The back of the leaf is seen, with the light that passes through."""
+    """The back of the leaf is seen, with the light that passes through; the ball has a coupled coat."""
     front, sent = painted(reflectance=0.4, beta=1.0, mu=0.3), painted(reflectance=0.4)
     sent = replace(sent, coefficients=sent.coefficients * np.linspace(0.2, 0.9, 16)[:, None])
     leaf = replace(front, back=painted(12, 16, reflectance=0.2), through=sent)
     things = [
         ("plate", leaf, (-24, -14, 13), (-110, 0, 20)),
         ("plate", painted(reflectance=0.4, beta=3.0, mu=0.12, mirror=0.5), (0, 0, 0), (0, 0, 25)),
-        ("sphere", painted(reflectance=0.4, beta=1.0, mu=0.3), (4, 2, 20.1), (60, 20, 0)),
+        ("sphere", replace(painted(reflectance=0.4, beta=1.0, mu=0.3), coat="coupled"), (4, 2, 20.1), (60, 20, 0)),
     ]
     source = scene_of(things, {"v": VIEW}, light_file(tmp_path))
     folder = tmp_path / "out"
