@@ -15,6 +15,7 @@ from project import edit, snakemake
 from irodori.colour.colorimetry import xyz_from_radiance
 from irodori.evaluation.truth_errors import interior
 from irodori.export.pictures import read_xyz
+from irodori.material.lobe_choices import read_choice
 from irodori.material.material_file import Material
 from irodori.spectra.grid import SAMPLES
 
@@ -47,6 +48,7 @@ def made(finished, tmp_path_factory) -> Path:
         folder / "config/objects/tile-plate.yaml",
         {
             "lobes": ["gaussian", "ggx"],
+            "coat": "auto",
             "mirror_weight": 0.0,
             "virtual.materials": materials,
             "poses": [{"light_deg": [light], "camera_deg": camera} for light in (45.0, 60.0)],
@@ -69,6 +71,9 @@ def made(finished, tmp_path_factory) -> Path:
 def test_both_lobes_are_recovered_where_the_data_calls_for_them(made):
     found, truth = (Material.load(made / f"results/tile-plate/{name}.h5") for name in ("material", "truth"))
     assert found.lobes == truth.lobes == ("gaussian", "ggx")
+    tried = read_choice([made / "results/tile-plate/lobes.h5"])
+    assert [(one.lobes, one.coat) for one in tried] == [(found.lobes, "sum"), (found.lobes, "coupled")]
+    assert found.coat == truth.coat == "sum"
     chosen = found.observed & interior(truth)
     second = chosen & (component(found, "beta_2") > 0)
     assert chosen.mean() > 0.3 and second.sum() > 0.9 * chosen.sum()
