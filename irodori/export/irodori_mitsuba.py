@@ -148,7 +148,7 @@ def _density(name: str, mu, view, half, cos_h):
 
 
 class _Side:
-    """What one side of a surface reflects, and what a thin sheet lets through from its other side.
+    """Reflection of one side of a surface, and light that a thin sheet lets through from its other side.
 
     Its directions are local, with +z away from this side. ``held`` has the arrays of an .npz file, those of the side
     with the prefix ``name``.
