@@ -2109,6 +2109,10 @@ class RigLight(Definition):
     #: inverse square of the distance. If absent, the light is far away.
     distance_mm: float | None = None
 
+    #: Angular radius of the lamp seen from the object, in degrees. With it, the mirror weight of objects is measured in
+    #: photographs that show the lamp's mirror image unclipped.
+    angular_radius_deg: float | None = None
+
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class Motor(Definition):

@@ -291,6 +291,11 @@ class PhotographSets:
         rig = self.loaded.rigs[self.rig_of(wildcards)]
         return RigGeometry.of_rig(rig).plain()
 
+    def lamp_radius_deg(self, wildcards) -> float | None:
+        """Return the angular radius of the lamp of a set's rig, degrees; None if it is not known."""
+        rig = self.loaded.rigs[self.rig_of(wildcards)]
+        return rig.light.angular_radius_deg or (rig.virtual.light_angular_radius_deg if rig.virtual else None)
+
     def light(self, wildcards) -> str:
         """Return the name or file of the spectrum of the light of a set's rig."""
         return self.loaded.rigs[self.rig_of(wildcards)].light.spectrum

@@ -3,12 +3,14 @@
 import math
 import time
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER
+from irodori.fitting.mirror_image import MirrorImages, without_images
 from irodori.fitting.paint_colours import MOST_CORES, Colours, cores, find_colours, noise_floor
 from irodori.fitting.paint_gloss import PaintGloss
 from irodori.fitting.paints import BELIEVED, GlossModel, Paints, Tile, find_paints, sample, share_by_paint
@@ -16,6 +18,7 @@ from irodori.fitting.solvers import FitOptions
 from irodori.fitting.stage import (
     CARRIED,
     FITTED_AXES,
+    GREEN,
     Model,
     fitted_maps,
     for_object,
@@ -85,7 +88,16 @@ def _indexed(tile: Tile, optics: GlossModel) -> Tile:
 
 
 def share_gloss(
-    observations: list, tiles: list, output, options: FitOptions, n, k, *, provenance, calibration=None, levels=()
+    observations: list,
+    tiles: list,
+    output,
+    options: FitOptions,
+    n,
+    k,
+    *,
+    provenance,
+    calibration=None,
+    levels=(),
 ) -> None:
     """Find the paints of an object and write its fit with the gloss of the paints, all tiles in one file.
 
@@ -104,7 +116,7 @@ def share_gloss(
     With one lobe there are further datasets with one entry for each paint: ``/paints/log_gloss``, log β and log μ, NaN
     if unknown; ``/paints/error``, the covariance of their errors; ``/paints/varying``, the covariance of the texels'
     log β and log μ about them; ``/paints/excess``, the factor on the variance of observations; ``/paints/texels``, the
-    number of texels in the fit.
+    number of texels in the fit. The attribute ``mirror_weight`` is a `MirrorWeight`.
     """
     options = for_object(options, observations, levels)
     colours = _find_colours(tiles) if len(options.lobes) == 1 else None
@@ -114,6 +126,7 @@ def share_gloss(
         tile, _, attributes = _read_tile(seen, own, levels)
         optics = optics or GlossModel(options, fresnel_of(n, k, calibration, tile.response.shape[1]))
         if colours:
+            tile = replace(tile, observed=without_images(tile.observed, options))
             samples.append(sample(_indexed(tile, optics), colours, attributes["width"], len(tiles)))
         parts.append(attributes["rows"])
         seconds, fitted = seconds + attributes["fit_seconds"], fitted + attributes["texels_fitted"]
@@ -121,14 +134,17 @@ def share_gloss(
     assert optics is not None  # an object has a tile
     start = time.perf_counter()
     paints = find_paints(samples, colours, optics) if colours else None
-    width, shared = carried["width"], 0
+    width, shared, images = carried["width"], 0, MirrorImages(options, optics.fresnel.k, GREEN)
     with store.create(output, provenance) as out:
         write_bands(out, carried["filters"])
         datasets: dict = {}
         for seen, own, (first, last) in zip(observations, tiles, parts, strict=True):
             tile, maps, _ = _read_tile(seen, own, levels)
             if paints:
-                shared += _share_tile(_indexed(tile, optics), maps, paints, width, optics)
+                own_tile = _indexed(tile, optics)
+                fitted_tile = replace(own_tile, observed=without_images(tile.observed, options))
+                shared += _share_tile(fitted_tile, maps, paints, width, optics)
+                images.add(tile.observed, own_tile.index, maps)
             datasets = datasets or _reserve(out, maps, max(map(max, parts)) * width, options.lobes)
             for name, dataset in datasets.items():
                 dataset[first * width : last * width] = maps[name]
@@ -142,6 +158,7 @@ def share_gloss(
         out.attribute("coat", options.coat)
         out.attribute("common_error", options.level_error)
         out.attribute("angle_errors", options.angles.plain())
+        out.attribute("mirror_weight", images.measured().plain())
     if paints:
         _log(paints, shared)
     else:

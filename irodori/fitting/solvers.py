@@ -67,6 +67,9 @@ class FitOptions:
         Errors of the angles by registration of the object.
     coat : str
         ``sum``: as in equation (5); ``coupled``: the coat reduces the diffuse term, see `irodori.reflection.coat`.
+    lamp_radius_deg : float, optional
+        Angular radius of the lamp, if it is known. Readings in which its mirror image may be are then not fitted, see
+        `irodori.fitting.mirror_image`; `fit` ignores it.
     """
 
     solver: str = "varpro"
@@ -81,6 +84,7 @@ class FitOptions:
     lobes: tuple[str, ...] = DEFAULT_LOBES
     registered: AngleErrors | None = None
     coat: str = SUM
+    lamp_radius_deg: float | None = None
 
     def __post_init__(self):
         if self.solver not in SOLVERS:

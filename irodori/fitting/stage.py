@@ -15,6 +15,7 @@ from irodori.core.progress import LOGGER
 from irodori.core.store import Units
 from irodori.fitting import judge
 from irodori.fitting.band_fresnel import BandGloss, band_gloss, uniform, varies
+from irodori.fitting.mirror_image import without_images
 from irodori.fitting.solvers import FitOptions, FitResult, fit
 from irodori.fitting.texel_rows import COSINE, LOBE, SPOILED, WEIGHT, fill_lobe, new_rows, pack_geometry
 from irodori.jit.chunks import run_chunks
@@ -457,7 +458,8 @@ def fit_brdf(
     error of α and β that all texels share; the stated errors of the texels include it. The attribute ``angle_errors``
     tells the errors of the angles that were used, in degrees, and their source.
     """
-    observed, options = read_observations(observations, levels), for_object(options, [observations], levels)
+    options = for_object(options, [observations], levels)
+    observed = without_images(read_observations(observations, levels), options)
     with store.open_file(observations) as file:
         texel = file.read("texel")
         carried = {name: file.attribute(name, kind) for name, kind in CARRIED.items()}

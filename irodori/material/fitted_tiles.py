@@ -54,6 +54,9 @@ class FittedTiles:
         ``fit_seconds`` without start-up and compilation, and ``texels_fitted``.
     common_error : float
         Relative error of α and β that all texels share; NaN if the tiles do not state it.
+    mirror_weight : dict
+        Measured weight of the mirror term, as `irodori.fitting.mirror_image.MirrorWeight.plain`; empty if the tiles do
+        not state it.
     angle_errors : dict
         Errors of the angles that the fit used, as `irodori.material.angle_errors.AngleErrors.plain`; empty if the tiles
         do not state them.
@@ -71,6 +74,7 @@ class FittedTiles:
         self.speed: dict = dict.fromkeys(SPEED, 0)
         self.common_error = math.nan
         self.angle_errors: dict = {}
+        self.mirror_weight: dict = {}
         covered, tiles = np.zeros(height, dtype=int), []
         for path in paths:
             with store.open_file(path) as file:
@@ -87,6 +91,8 @@ class FittedTiles:
                     self.speed[name] += file.attribute(name)
                 if file.has_attribute("common_error"):
                     self.common_error = file.attribute("common_error", float)
+                if file.has_attribute("mirror_weight"):
+                    self.mirror_weight = file.attribute("mirror_weight", dict)
                 if file.has_attribute("angle_errors"):
                     self.angle_errors = file.attribute("angle_errors", dict)
                 whole = file.attribute("rows", list)

@@ -214,7 +214,8 @@ def compress_reflectance(
     compression, compared = compress_maps(reflectance, calibration.basis, observers, options)
     n, k = refractive_index(definition.refractive_index)
     typical_gloss = fitted.typical_gloss()
-    sent = _Sent(AlbedoModel(fitted.lobes, n, k, definition.mirror_weight, fitted.coat), fitted.lobes, typical_gloss)
+    mirror = _mirror_weight(fitted, definition.mirror_weight)
+    sent = _Sent(AlbedoModel(fitted.lobes, n, k, mirror["weight"], fitted.coat), fitted.lobes, typical_gloss)
     sheet = _sheet_of(definition, calibration, observations, levels)
     with store.create(output, provenance) as out:
         gathered = _write_maps(out, reflectance, compression, options.codec, sent, sheet=sheet)
@@ -228,12 +229,30 @@ def compress_reflectance(
             "common_error": None if math.isnan(fitted.common_error) else fitted.common_error,
             "angle_errors": fitted.angle_errors or None,
             "lobe_choice": [asdict(one) for one in lobe_choice],
+            "mirror": mirror,
         }
         if sheet is not None:
             errors["transmittance"] = gathered.transmittance(sheet)
-        constants = (compression.basis, n, k, definition.mirror_weight)
+        constants = (compression.basis, n, k, mirror["weight"])
         write_constants(out, *constants, errors, lobes=fitted.lobes, typical_gloss=typical_gloss, coat=fitted.coat)
     _log(compression, gathered, fitted.height * fitted.width)
+
+
+def _mirror_weight(fitted: FittedTiles, typed: float) -> dict:
+    """Return the weight of the mirror term, measured if photographs measure it, and what is known of it.
+
+    ``typed`` is that of the object's definition. A measured weight is at least 0 and at most 1.
+    """
+    found = {"photographs": 0, "clipped": 0} | fitted.mirror_weight
+    told = found.get("weight")
+    if told is None:
+        return {**found, "weight": typed, "error": None, "source": "assumed", "typed": typed}
+    weight, error = min(max(told, 0.0), 1.0), found["error"]
+    LOGGER.info("mirror weight: %.3g +- %.2g by %d photographs", weight, error, found["photographs"])
+    if abs(typed - told) > 3.0 * error:
+        text = "mirror_weight: found %.3g in the definition, %.3g +- %.2g in the photographs, which are believed"
+        LOGGER.warning(text, typed, told, error)
+    return {**found, "weight": weight, "source": "measured", "typed": typed}
 
 
 @dataclass(frozen=True)
