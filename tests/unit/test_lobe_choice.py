@@ -159,7 +159,7 @@ def test_the_report_shows_a_choice_and_no_table_without_one(figures):
     shown = {"name": "jar", "errors": errors, "stored": "", "maps": "", "spectra": "", "bases": 3, "gloss": ""}
     shown["placement"] = "confirmed as typed: every camera angle" if figures else ""
     shown["mirror"], shown["angles"], errors["energy"] = 0.0, "0.09 deg by registration" if figures else "", {}
-    page = template.render(objects=[shown | {"lobes": ["ggx"]}])
+    page = template.render(objects=[shown | {"lobes": ["ggx"], "coat": "sum"}])
     assert ("Standard errors of the angles: 0.09 deg by registration." in page) == bool(figures)
     assert ("Standard errors of the angles" in page) == bool(figures)
     assert ("Registration: confirmed as typed: every camera angle." in page) == bool(figures)

@@ -158,7 +158,7 @@ def test_what_texels_send_back_is_mapped_summed_up_and_told(tmp_path, calibratio
     assert largest == (4, 10) and albedo[largest] > 10.0
     text = " ".join(fragment("objects.html.j2", objects=objects(["jar"], [tmp_path / "m.h5"], {})).split())
     assert f"back): at most {stated['albedo_max']:.3f}, above 1 in {stated['gain_fraction']:.2%} of texels" in text
-    assert "Mirror weight: 0, as the object's file states; it is not measured." in text
+    assert "Mirror weight: 0, as the object's file states; it is ASSUMED." in text
     # The same from the file as it is rendered from, compressed.
     again = asdict(energy_of(found, error))
     assert again["texels"] == stated["texels"] == 88
