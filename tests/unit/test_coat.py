@@ -51,6 +51,7 @@ def test_light_and_view_can_be_exchanged(light, view, n):
     assert there == pytest.approx(back, rel=1e-12) and 0.0 < there <= 1.0
 
 
+@pytest.mark.stability(stage="fit", case="a white ground under a coat at grazing angles")
 def test_a_white_ground_and_the_mirror_above_it_send_back_no_more_than_falls_on_them():
     cosine = np.linspace(0.02, 1.0, 40)
     ground = diffuse_albedo(cosine, N, K)

@@ -167,6 +167,7 @@ def test_errors_of_paints_cover_the_truth_from_sitting_to_sitting():
         assert np.sqrt((np.concatenate(size[name]) ** 2).mean()) < most
 
 
+@pytest.mark.stability(stage="fit", case="a veil of stray light over one photograph")
 def test_a_veil_over_one_photograph_is_not_taken_for_gloss():
     paint = halves()
     colour, beta, mu = np.array([VERMILION, CREAM])[paint], np.array([2.0, 0.6])[paint], np.array([0.15, 0.3])[paint]
