@@ -703,7 +703,7 @@ var Irodori = Irodori || {};
       return out;
     }
 
-    // X, Y, Z and the side of an object (-1 for none) of every pixel of a picture, rows from the top; a white has Y = 100.
+    // X, Y, Z and the side seen (-1 for none) of every pixel of a picture, rows from the top; a white has Y = 100.
     readXYZ(state, width, height) {
       return this.read(state, width, height, [0, 0], [width, height])[0];
     }
