@@ -360,7 +360,7 @@ var Irodori = Irodori || {};
       next.set(old);
       return next;
     };
-    // The nearest object along the ray, the way to it, the normal of the side that is seen, its map, and the texel, or -1.
+    // The nearest object along the ray, the map of the side that is seen, the way to it, the texel, or -1, and the normal.
     let what = null,
       met = null,
       nearest = 0,
@@ -542,8 +542,8 @@ var Irodori = Irodori || {};
   };
   const norm = (values) => Math.sqrt(values.reduce((sum, x) => sum + x * x, 0) / Math.max(values.length, 1));
 
-  // What texels send: their own light by their colour, and through a sheet that of the texels on its other side, `from`,
-  // by its transmittance; `number` is the row of the material.
+  // What texels send: their own light by their colour, and through a sheet that of the texels on its other side by its
+  // transmittance. `from` is the map of this light, and `number` the row of the material.
   const partsOf = (maps) =>
     maps.flatMap((map, number) => {
       if (!map) return [];
