@@ -221,5 +221,8 @@ def test_a_sheet_needs_its_back_and_the_photographs_that_tell_its_transmittance(
     said = "found leaf-sphere, a sphere, on the back of a plate; accepted: an object of the shape plate"
     assert said in str(fault(root))
     edit(root, "scenes/still-life.yaml", "objects.0.back", "rear")
+    edit(root, "objects/rear.yaml", "shape.width_mm", 60.0)
+    assert "accepted: one of the size of its front" in str(fault(root))
+    edit(root, "objects/rear.yaml", "shape.width_mm", 90.0)
     edit(root, "objects/rear.yaml", "sheet.transmittance", "TCS999")
     assert fault(root).field == "sheet.transmittance"

@@ -1,11 +1,13 @@
 """Checks of thin sheets: their shapes, and the objects whose materials cover their backs."""
 
 from irodori.config.loaded import Loaded
-from irodori.config.models import Object, Scene
+from irodori.config.models import Object, PlateShape, Scene
 from irodori.core.errors import InputError
 
 #: Shapes that may be sheets.
 _OPEN = ("plate", "disc", "mesh")
+#: Share by which the sides of the plates on both sides of a sheet may differ.
+_UNLIKE = 0.02
 
 
 def check_thin_sheet(definition: Object, file) -> None:
@@ -15,19 +17,30 @@ def check_thin_sheet(definition: Object, file) -> None:
 
 
 def check_thin_sheets(loaded: Loaded, scene: Scene, file) -> None:
-    """Refuse sheets of a scene with a closed or endless shape, and backs whose object has another shape."""
+    """Refuse sheets of a scene with a closed or endless shape, and backs whose object has another shape or size."""
     for index, item in enumerate(scene.objects):
         if item.back is None:
             continue
-        front, back = (loaded.objects[name].shape.kind for name in (item.object, item.back))
-        _check_shape(front, file, f"objects[{index}].back")
-        if front != back:
-            found = f"{item.back}, a {back}, on the back of a {front}"
-            raise InputError(file, f"objects[{index}].back", found, f"an object of the shape {front}")
+        front, back = (loaded.objects[name].shape for name in (item.object, item.back))
+        _check_shape(front.kind, file, f"objects[{index}].back")
+        if front.kind != back.kind:
+            found = f"{item.back}, a {back.kind}, on the back of a {front.kind}"
+            raise InputError(file, f"objects[{index}].back", found, f"an object of the shape {front.kind}")
+        if isinstance(front, PlateShape) and isinstance(back, PlateShape):
+            _check_sizes(front, back, file, f"objects[{index}].back")
     for index, body in enumerate(scene.bodies):
         for key in ("back", "transmittance"):
             if getattr(body, key) is not None:
                 _check_shape(body.shape.kind, file, f"bodies[{index}].{key}")
+
+
+def _check_sizes(front: PlateShape, back: PlateShape, file, field: str) -> None:
+    sides = (front.width_mm, back.width_mm), (front.height_mm, back.height_mm)
+    if any(abs(a - b) > _UNLIKE * a for a, b in sides):
+        found = f"a plate of {back.width_mm:g} mm × {back.height_mm:g} mm"
+        raise InputError(
+            file, field, found, f"one of the size of its front, {front.width_mm:g} mm × {front.height_mm:g} mm"
+        )
 
 
 def _check_shape(kind: str, file, field: str) -> None:

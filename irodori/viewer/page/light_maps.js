@@ -360,7 +360,7 @@ var Irodori = Irodori || {};
       next.set(old);
       return next;
     };
-    // The nearest object along the ray, the map of the side that is seen, the way to it, the texel, or -1, and the normal.
+    // The nearest object along the ray, the map of the side that is seen, the way to it, the texel or -1, the normal.
     let what = null,
       met = null,
       nearest = 0,
