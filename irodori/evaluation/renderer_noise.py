@@ -14,6 +14,7 @@ from irodori.rendering.reference.converging_picture import REPLICATES, TracedSce
 from irodori.rendering.reference.denoising import MARGIN, Halves, filtered_halves, make_guides, squared_error
 from irodori.rendering.reference.distance import body_pixels
 from irodori.rendering.reference.filling_cache import with_cache
+from irodori.rendering.reference.outlines import MORE as MORE_AT_OUTLINES
 from irodori.rendering.reference.random_numbers import Numbers, make_numbers
 from irodori.rendering.reference.sky_sampling import Sky, make_sky
 from irodori.rendering.scene_arrays import View, make_objects, make_placements, make_view
@@ -59,7 +60,7 @@ class Paths:
 
     def _numbers_of(self, samples: int, seed: int) -> Numbers:
         if (samples, seed) not in self._numbers:
-            self._numbers[samples, seed] = make_numbers(samples, seed, REPLICATES)
+            self._numbers[samples, seed] = make_numbers(samples, seed, REPLICATES, MORE_AT_OUTLINES)
         return self._numbers[samples, seed]
 
     def picture(self, materials: list[Material], light: Environment, samples: int, image=None) -> np.ndarray:

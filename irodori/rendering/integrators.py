@@ -470,7 +470,8 @@ class _Reference(Renderer):
             "seconds": filled_s + time.perf_counter() - start,
             "samples": samples,
             "cache": {"texels": len(prepared.world.cache.light), "seconds": filled_s},
-            "paths_per_second": view.width * view.height * samples / seconds,
+            "paths": picture.paths,
+            "paths_per_second": picture.paths / seconds,
             "paths_cut": picture.cut,
             **errors,
         }

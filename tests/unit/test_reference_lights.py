@@ -220,21 +220,6 @@ def test_two_sets_need_fewer_samples_than_eight_and_know_their_error():
     assert 0.02 < (np.abs(z) > 2.0).mean() < 0.12
 
 
-def test_one_error_for_all_bands_is_right_where_they_err_apart_from_each_other(monkeypatch):
-    from irodori.rendering.reference import converging_picture as module
-
-    sigma, rng = np.linspace(0.5, 2.0, 61), np.random.default_rng(0)
-
-    def noise(renderer, rows):
-        # As of two sets: half their difference.
-        shape = (rows[1] - rows[0], renderer.width, 61)
-        return module.Picture(np.zeros(shape, np.float32), np.abs(rng.normal(0, sigma, shape)).astype(np.float32), 0)
-
-    monkeypatch.setattr(module.Renderer, "rows", noise)
-    stated = pooled(still_life(16, error_by_band=False).standard_error[..., 0])
-    assert stated.mean() == pytest.approx(np.sqrt(np.mean(sigma**2)), rel=0.02)
-
-
 def test_the_error_of_dark_pixels_is_theirs_however_bright_others_are():
     error = np.full((40, 50), 1e-3)
     error[5:9, 4:9] = np.random.default_rng(0).uniform(0, 1e7, (4, 5))
@@ -273,15 +258,15 @@ def test_an_interrupted_picture_goes_on_where_it_stopped(tmp_path, monkeypatch):
     from irodori.rendering.reference import converging_picture as module
 
     whole = still_life(16, tile_rows=6)
-    real, made = module.Renderer.rows, []
+    real, made = module.Renderer.fill, []
 
     def counted(renderer, rows):
         if len(made) == 2:
             raise KeyboardInterrupt
-        made.append(rows)
+        made.append((rows.places[0, 0, 1], rows.places[-1, 0, 1] + 1))
         return real(renderer, rows)
 
-    monkeypatch.setattr(module.Renderer, "rows", counted)
+    monkeypatch.setattr(module.Renderer, "fill", counted)
     with pytest.raises(KeyboardInterrupt):
         still_life(16, tile_rows=6, tiles=FinishedTiles(tmp_path / "t", "a"))
     assert made == [(0, 6), (6, 12)]

@@ -24,7 +24,8 @@ from irodori.rendering.reference.band_loops import padded
 from irodori.rendering.reference.denoising import Halves
 from irodori.rendering.reference.glints import find_glints
 from irodori.rendering.reference.light_cache import no_cache
-from irodori.rendering.reference.random_numbers import Numbers, make_numbers
+from irodori.rendering.reference.outlines import MORE, at_outlines
+from irodori.rendering.reference.random_numbers import Numbers, in_order, make_numbers
 from irodori.rendering.reference.row_statistics import Rows, Sampling, render_some_rows
 from irodori.rendering.reference.sky_sampling import Sky, make_sky
 from irodori.rendering.reference.sun_images import make_images
@@ -38,6 +39,7 @@ REPLICATES = 2
 _NEIGHBOURS = 7  # pixels along the side of the square over which `pooled` takes its mean
 #: Height above a surface at which rays start, relative to its size and to its coordinates, for single precision.
 _OFFSET, _STEPS = 3e-7, 1e-6
+_CHUNKS = 16  # that a band of rows is divided into for the threads
 
 
 class TracedScene(NamedTuple):
@@ -51,13 +53,14 @@ class Picture(NamedTuple):
     """A path-traced picture or some of its rows.
 
     ``radiance`` is the mean over all paths and ``standard_error`` the error of that mean; ``halves`` has the two
-    independent sets of paths if requested. ``cut`` counts the paths that were ended after
+    independent sets of paths if requested. ``paths`` counts all paths, ``cut`` those that were ended after
     `irodori.rendering.reference.paths.LONGEST` surfaces, the only cause of a bias, which makes the mean too low.
     """
 
     radiance: np.ndarray  # (rows, width, 61) float32
     standard_error: np.ndarray  # (rows, width, 61) float32
     cut: int
+    paths: int
     halves: Halves | None = None
 
 
@@ -103,26 +106,41 @@ class Renderer:
 
     def __init__(self, scene: TracedScene, view: View, numbers: Numbers) -> None:
         self.width, self._with_halves = view.width, numbers.replicates == 2
+        numbers = in_order(numbers, view.width, view.height)
         self._sampling = Sampling(scene.world, view, numbers, find_glints(scene.world.images, view))
         self._loop = resolved(render_some_rows, self._sampling, _empty_rows(np.zeros((0, 0, 2), np.int64)), 0, 0)
 
+    def fill(self, rows: Rows) -> Picture:
+        """Render pixels into arrays, and return these."""
+        if self._sampling.numbers.most > self._sampling.numbers.samples:
+            rows.more[:] = at_outlines(self._sampling.world, self._sampling.camera, rows.places)
+        chunk = max(len(rows.places) // _CHUNKS, 1)
+        run_chunks(self._loop, len(rows.places), chunk, self._sampling, rows)
+        halves = Halves(rows.image, rows.difference, rows.seen) if self._with_halves else None
+        return Picture(rows.image, rows.error, int(rows.cut.sum()), int(rows.paths.sum()), halves)
+
     def places(self, places: np.ndarray) -> Picture:
         """Render pixels given by column and row, (rows, width, 2) int64."""
-        rows = _empty_rows(places)
-        run_chunks(self._loop, len(places), 1, self._sampling, rows)
-        halves = Halves(rows.image, rows.difference, rows.seen) if self._with_halves else None
-        return Picture(rows.image, rows.error, int(rows.cut.sum()), halves)
+        return self.fill(_empty_rows(places))
 
     def rows(self, rows: tuple[int, int]) -> Picture:
         """Render a band of rows."""
+        return self.places(self.places_of(rows))
+
+    def places_of(self, rows: tuple[int, int]) -> np.ndarray:
+        """Return the pixels of a band of rows, (rows, width, 2) int64."""
         places = np.moveaxis(np.mgrid[slice(*rows), : self.width], 0, -1)[..., ::-1]
-        return self.places(np.ascontiguousarray(places, dtype=np.int64))
+        return np.ascontiguousarray(places, dtype=np.int64)
 
 
-def _empty_rows(places: np.ndarray) -> Rows:
+def _empty_rows(places: np.ndarray, by_band: bool = True) -> Rows:
+    """Return arrays for the results of pixels; their memory is taken when it is first written."""
     count, width, _ = places.shape
-    image, seen = (np.zeros((count, width, size), dtype=np.float32) for size in (BANDS, SEEN))
-    return Rows(places, image, np.zeros_like(image), np.zeros_like(image), seen, np.zeros(count, dtype=np.int64))
+    image, difference = (np.empty((count, width, BANDS), dtype=np.float32) for _ in range(2))
+    seen = np.empty((count, width, SEEN), dtype=np.float32)
+    error = np.empty((count, width, BANDS if by_band else 1), dtype=np.float32)
+    cut, paths = np.zeros((2, count), dtype=np.int64)
+    return Rows(places, np.zeros((count, width), np.bool_), image, error, difference, seen, cut, paths)
 
 
 def render_rows(scene: TracedScene, view: View, numbers: Numbers, rows: tuple[int, int]) -> Picture:
@@ -152,7 +170,7 @@ def render(
     samples: int,
     seed: int = 0,
     *,
-    tile_rows: int = 16,
+    tile_rows: int = 64,
     label: str = "render",
     tiles: "FinishedTiles | None" = None,
     error_by_band: bool = True,
@@ -166,7 +184,8 @@ def render(
     scene : TracedScene
     view : View
     samples : int
-        Paths per pixel, a multiple of ``replicates``; powers of two are distributed best.
+        Paths per pixel, a multiple of ``replicates``; powers of two are distributed best. Pixels at outlines have `MORE`
+        times as many.
     seed : int, from 0
     tile_rows : int
         Rows of a tile; progress is reported and tiles are stored after each.
@@ -192,21 +211,22 @@ def render(
     check_samples(samples, replicates)
     if halves and replicates != 2:
         raise ValueError(f"halves of {replicates} replicates; accepted: 2")
-    renderer = Renderer(scene, view, make_numbers(samples, seed, replicates))
-    radiance = np.empty((view.height, view.width, BANDS), dtype=np.float32)
-    error, cut = np.empty((view.height, view.width, BANDS if error_by_band else 1), dtype=np.float32), 0
-    difference = np.empty_like(radiance) if halves else None
-    seen = np.empty((view.height, view.width, SEEN), dtype=np.float32)
+    renderer = Renderer(scene, view, make_numbers(samples, seed, replicates, MORE))
+    whole, parts = _empty_rows(renderer.places_of((0, view.height)), error_by_band), []
     for first in track(range(0, view.height, tile_rows), label):
         rows = (first, min(first + tile_rows, view.height))
-        part = renderer.rows(rows) if tiles is None else tiles.get(rows, partial(renderer.rows, rows))
-        radiance[slice(*rows)] = part.radiance
-        spread = part.standard_error
-        error[slice(*rows)] = spread if error_by_band else np.sqrt(np.mean(spread**2, axis=-1, keepdims=True))
-        cut += part.cut
-        if difference is not None and part.halves is not None:
-            difference[slice(*rows)], seen[slice(*rows)] = part.halves.difference, part.halves.seen
-    return Picture(radiance, error, cut, None if difference is None else Halves(radiance, difference, seen))
+        own = Rows(*(array[slice(*rows)] for array in whole))
+        if tiles is None:
+            parts.append(renderer.fill(own))
+            continue
+        parts.append(tiles.get(rows, partial(renderer.fill, own)))
+        read = parts[-1].halves or Halves(parts[-1].radiance, own.difference, own.seen)
+        own.image[:], own.error[:], own.difference[:], own.seen[:] = (
+            read.mean, parts[-1].standard_error, read.difference, read.seen
+        )  # fmt: skip
+    cut, paths = sum(part.cut for part in parts), sum(part.paths for part in parts)
+    made = Halves(whole.image, whole.difference, whole.seen) if halves else None
+    return Picture(whole.image, whole.error, cut, paths, made)
 
 
 def pooled(error: np.ndarray) -> np.ndarray:
@@ -268,10 +288,11 @@ class FinishedTiles:
             with np.load(path) as kept:
                 radiance, error = kept["radiance"], kept["standard_error"]
                 halves = Halves(radiance, kept["difference"], kept["seen"]) if "seen" in kept else None
-                return Picture(radiance, error, int(kept["cut"]), halves)
+                return Picture(radiance, error, int(kept["cut"]), int(kept["paths"]), halves)
         part = make()
         with written_whole(path) as temporary:
-            named = {"standard_error": part.standard_error, "cut": np.array(part.cut)}
+            counts = {"cut": np.array(part.cut), "paths": np.array(part.paths)}
+            named = {"standard_error": part.standard_error, **counts}
             if part.halves is not None:
                 named |= {"difference": part.halves.difference, "seen": part.halves.seen}
             np.savez(temporary, allow_pickle=False, radiance=part.radiance, **named)

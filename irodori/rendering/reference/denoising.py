@@ -18,7 +18,7 @@ import numpy as np
 
 from irodori.jit.chunks import run_chunks
 from irodori.jit.compilation import njit
-from irodori.jit.functions import exp, upper_of
+from irodori.jit.functions import exp, lower_of, select, upper_of
 from irodori.jit.vector_memory import load, spread, store, total, zeros_like
 from irodori.rendering.reference.world import ALBEDO, NORMAL, PLACE, SEEN, SHINE
 from irodori.rendering.scene_lights import PADDED
@@ -32,12 +32,18 @@ _SIDE = 2 * RADIUS + 1
 _WINDOW = _SIDE * _SIDE
 _STRICT = 0.49  # square of the number of standard deviations by which patches may differ (k = 0.7, Rousselle et al.)
 _RIDGE = 1e-4  # regularisation of the regression's slopes, relative to the sum of the weights
+#: Mean square, over the window, of a feature's differences from the pixel below which it has no part in the regression:
+#: the regularisation would leave it a hundredth of its slope.
+_EVEN = 1e-2 * _RIDGE
 _LEAST_WEIGHT = 1e-4
-_COLUMNS, _LANES = SEEN + 1, 16  # of the regression, its constant last; the same filled up to a vector
-_ONE, _SCALE = _LANES, 2 * _LANES  # places of vectors, see `_new_scratch`
+_COLUMNS, _LANES = SEEN + 1, 16  # of the regression, its constant last; numbers in a vector
+_PLACES = _SIDE * _LANES  # of a window, each row filled up to a vector
 #: Differences of the normal, of the albedo's cube root and of the share of gloss that count as another surface.
 _SAME_NORMAL, _SAME_ALBEDO, _SAME_SHINE = 0.3, 0.3, 0.2
 _DARK = 1e-3  # share of the picture's mean below which differences are not visible
+#: Noise of a pixel that nobody sees, in lightness; and the change of lightness, where it is 50, for a change of the cube
+#: root by its own size. The picture's mean counts as 50.
+_VISIBLE, _LIGHTNESS = 0.1, 66.0
 _NOISE_SIDE = 7  # side, in pixels, of the square over which the noise is averaged
 _ERROR_SIDE = 31  # the same for squared errors, whose single values are inaccurate and may be negative
 _TILE_ROWS = 64
@@ -63,13 +69,15 @@ class Denoised(NamedTuple):
 class Guides(NamedTuple):
     """Features of the pixels of `Halves` that determine the weights of the filter.
 
-    ``colour`` and ``noise`` go on by `RADIUS` pixels beyond the left and the right edge, with the values of the edge.
+    All go on beyond the left and the right edge with the values of the edge: ``colour`` and ``noise`` by `MARGIN` pixels,
+    ``seen`` by `RADIUS`, and to the right by as many more as a vector needs.
     """
 
-    colour: np.ndarray  # (2 sets, 3 parts of the spectrum, height, width + 2 RADIUS) float32, cube roots
-    noise: np.ndarray  # (3, height, width + 2 RADIUS) float32 variance of one set
-    seen: np.ndarray  # (height, width, 16) float32, scaled to about one over the window; SEEN features, then 1, then 0
-    surface: np.ndarray  # (height, width) bool: whether any path hit a surface; other pixels have little noise
+    colour: np.ndarray  # (2 sets, 3 parts of the spectrum, height, width + 2 MARGIN + 16) float32, cube roots
+    noise: np.ndarray  # (3, height, width + 2 MARGIN + 16) float32 variance of one set
+    seen: np.ndarray  # (SEEN, height, width + 16) float32, scaled to about one over the window
+    #: (height, width) bool: whether any path hit a surface and the noise there is visible. Other pixels stay as they are.
+    noisy: np.ndarray
 
 
 def _averaged(values: np.ndarray, side: int) -> np.ndarray:
@@ -83,8 +91,10 @@ def _averaged(values: np.ndarray, side: int) -> np.ndarray:
 
 def _parts(spectra: np.ndarray) -> np.ndarray:
     """Return the means of spectra over three parts of the wavelength range, (3, ...) float32."""
-    thirds = np.array_split(np.arange(spectra.shape[-1]), 3)
-    return np.stack([spectra[..., third].mean(axis=-1, dtype=np.float32) for third in thirds])
+    weights = np.zeros((spectra.shape[-1], 3), dtype=np.float32)
+    for part, third in enumerate(np.array_split(np.arange(len(weights)), 3)):
+        weights[third, part] = 1.0 / len(third)
+    return np.moveaxis(spectra @ weights, -1, 0)
 
 
 def make_guides(halves: Halves) -> Guides:
@@ -95,151 +105,166 @@ def make_guides(halves: Halves) -> Guides:
     colour = np.stack([np.cbrt(np.maximum(mean + sign * half, 0.0) + dark) for sign in (1.0, -1.0)]).astype(np.float32)
     squares = 0.5 * np.square(colour[0] - colour[1])
     noise = np.stack([_averaged(part, _NOISE_SIDE) for part in squares]).astype(np.float32)
-    seen = np.zeros((*halves.seen.shape[:2], _LANES), dtype=np.float32)
-    seen[..., :SEEN], seen[..., SEEN] = halves.seen, 1.0
+    most = noise.max(axis=0)
+    seen = halves.seen.copy()
     surface = np.square(halves.seen[..., NORMAL:PLACE]).sum(axis=-1) > 0.0
     seen[..., ALBEDO:NORMAL] = np.cbrt(np.maximum(seen[..., ALBEDO:NORMAL], 0.0) + 1e-3)
     both = surface[:, 1:] & surface[:, :-1]
     steps = np.linalg.norm(np.diff(seen[..., PLACE:SHINE], axis=1), axis=-1)[both]
     seen[..., PLACE:SHINE] /= 2.0 * RADIUS * (float(np.median(steps)) if steps.size else 0.0) or 1.0
-    beyond = [(0, 0), (0, 0), (RADIUS, RADIUS)]
-    return Guides(np.pad(colour, [(0, 0), *beyond], mode="edge"), np.pad(noise, beyond, mode="edge"), seen, surface)
+    beyond = [(0, 0), (0, 0), (MARGIN, MARGIN + _LANES)]
+    colour, noise = np.pad(colour, [(0, 0), *beyond], mode="edge"), np.pad(noise, beyond, mode="edge")
+    planes = np.pad(np.moveaxis(seen, -1, 0), [(0, 0), (0, 0), (RADIUS, _LANES - RADIUS)], mode="edge")
+    visible = 2.0 * np.square(_VISIBLE / _LIGHTNESS * np.cbrt(dark / _DARK))
+    return Guides(colour, noise, planes, surface & (most > visible))
 
 
 @njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz"}, error_model="numpy")
-def _compare(guides, which, shift, rows, scratch, weights):
-    """Fill the weights (rows, width) of the neighbours at one offset from patches of a set; 0 outside the picture."""
-    height, width = guides.surface.shape
-    (down, right), (first, last), (patches, column) = shift, rows, scratch
+def _compare(guides, which, shift, part, scratch, weights):
+    """Fill the weights of the neighbours at one offset, (rows, width), from patches of a set; 0 outside the picture.
+
+    ``part`` has first and last-plus-one row and column.
+    """
+    height, width = guides.noisy.shape
+    (down, right), (first, last, left, end), (patches, column) = shift, part, scratch
+    count, step, beside = end - left, guides.noise.shape[2], patches.shape[1]
+    start, strict, zero = MARGIN + left - PATCH, np.float32(_STRICT), np.float32(0.0)
     for row in range(first - PATCH, last + PATCH):
-        own = min(max(row, 0), height - 1)
-        other = min(max(row + down, 0), height - 1)
-        line = patches[row - first + PATCH]
-        line[:] = np.float32(0.0)
-        for part in range(3):
-            here, there = guides.colour[which, part, own], guides.colour[which, part, other]
-            noise_here, noise_there = guides.noise[part, own], guides.noise[part, other]
-            for x in range(width):
-                step = here[RADIUS + x] - there[RADIUS + right + x]
-                one, two = noise_here[RADIUS + x], noise_there[RADIUS + right + x]
-                over = step * step - (one + min(one, two))
-                line[x] += over / (np.float32(1e-12) + np.float32(_STRICT) * (one + two))
-    share, zero = np.float32(-1.0 / (3 * (2 * PATCH + 1) ** 2)), np.float32(0.0)
-    for row in range(first, last):
-        out = weights[row - first]
-        if not 0 <= row + down < height:
-            out[:] = zero
-            continue
-        column[:] = zero
-        for line in range(row - first, row - first + 2 * PATCH + 1):
-            for x in range(width):
-                column[PATCH + x] += patches[line, x]
-        for x in range(PATCH):
-            column[x], column[PATCH + width + x] = column[PATCH], column[PATCH + width - 1]
-        for x in range(width):
-            mean = zero
-            for beside in range(2 * PATCH + 1):
-                mean += share * column[x + beside]
-            out[x] = exp(min(mean, zero))
-        for x in range(-right):
-            out[x] = zero
-        for x in range(width - right, width):
-            out[x] = zero
+        own = min(max(row, 0), height - 1) * step + start
+        other = min(max(row + down, 0), height - 1) * step + start + right
+        for x in range(0, count + 2 * PATCH, _LANES):
+            sums = spread(zero, _LANES)
+            for third in range(3):
+                colour, noise = (which * 3 + third) * height * step + x, third * height * step + x
+                apart = load(guides.colour, colour + own, _LANES) - load(guides.colour, colour + other, _LANES)
+                one, two = load(guides.noise, noise + own, _LANES), load(guides.noise, noise + other, _LANES)
+                over = apart * apart - one - lower_of(one, two)
+                sums = sums + over / (spread(np.float32(1e-12), _LANES) + strict * (one + two))
+            store(patches, (row - first + PATCH) * beside + x, sums)
+    share = np.float32(-1.0 / (3 * (2 * PATCH + 1) ** 2))
+    for row in range(last - first):
+        for x in range(0, count + 2 * PATCH, _LANES):
+            sums = load(patches, row * beside + x, _LANES)
+            for line in range(row + 1, row + 2 * PATCH + 1):
+                sums = sums + load(patches, line * beside + x, _LANES)
+            store(column, x, share * sums)
+        inside = 0 <= first + row + down < height
+        for x in range(0, count, _LANES):
+            mean = load(column, x, _LANES)
+            for place in range(1, 2 * PATCH + 1):
+                mean = mean + load(column, x + place, _LANES)
+            weight = exp(lower_of(mean, zero))
+            weight = select(weight >= spread(np.float32(_LEAST_WEIGHT), _LANES), weight, spread(zero, _LANES))
+            store(weights, row * weights.shape[1] + left + x, weight if inside else spread(zero, _LANES))
+        for x in range(left, min(end, -right)):
+            weights[row, x] = zero
+        for x in range(max(left, width - right), end):
+            weights[row, x] = zero
 
 
 @njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz"}, error_model="numpy")
-def _solve(matrix, out):
+def _solve(matrix, count, out):
     """Fill ``out`` with the last column of the inverse of a positive definite matrix, which is overwritten.
 
-    Rows are eliminated as vectors; the right-hand side, the last unit vector, stays as it is meanwhile.
+    The matrix is in the first ``count`` rows and columns. Rows are eliminated as vectors; the right-hand side, the last
+    unit vector, stays as it is meanwhile.
     """
-    for k in range(_COLUMNS):
+    for k in range(count):
         inverse, own = 1.0 / max(matrix[k, k], 1e-12), load(matrix, k * _LANES, _LANES)
         out[k] = inverse
-        for a in range(k + 1, _COLUMNS):
+        for a in range(k + 1, count):
             factor = spread(matrix[a, k] * inverse, _LANES)
             store(matrix, a * _LANES, load(matrix, a * _LANES, _LANES) - factor * own)
-    for a in range(_COLUMNS - 2, -1, -1):
+    for a in range(count - 2, -1, -1):
         rest = 0.0
-        for c in range(a + 1, _COLUMNS):
+        for c in range(a + 1, count):
             rest -= matrix[a, c] * out[c]
         out[a] *= rest
 
 
 @njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz"})
-def _weigh(count, unlike, weights):
-    """Multiply the weights of neighbours by those of their similarity to the pixel."""
-    for place in range(count):
-        weights[place] *= exp(-unlike[place])
+def _product(one, a, other, b):
+    """Return the sum of the products of two windows, rows ``a`` and ``b`` of two arrays of windows."""
+    sums = zeros_like(load(one, 0, _LANES))
+    for place in range(0, _PLACES, _LANES):
+        sums = sums + load(one, a * _PLACES + place, _LANES) * load(other, b * _PLACES + place, _LANES)
+    return float(total(sums))
 
 
 @njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz"})
-def _regress(guides, row, x, near, scratch):
-    """Replace the weights of a pixel's neighbours by those with which the regression combines their values.
+def _regress(guides, row, x, weights, scratch):
+    """Replace the weights of a pixel's window by those with which the regression combines the values.
 
-    ``near`` has the number of neighbours, their places relative to the pixel in the picture, and their weights.
+    The rows of the window are vectors; each feature's differences from the pixel fill such a window. The last feature
+    is the constant, whose window has ones.
     """
-    count, away, weights = near
-    design, unlike, sums, matrix, solved, lanes = scratch
-    here = row * guides.surface.shape[1] + x
-    own, one, scale = load(guides.seen, here * _LANES, _LANES), load(lanes, _ONE, _LANES), load(lanes, _SCALE, _LANES)
-    for place in range(count):
-        apart = load(guides.seen, (here + away[place]) * _LANES, _LANES) - own
-        unlike[place] = total(apart * apart * scale)
-        store(design, place * _LANES, apart + one)
-    _weigh(count, unlike, weights)
+    design, weighted, matrix, solved, scale, used = scratch
+    height, step = guides.noisy.shape[0], guides.seen.shape[2]
+    for line in range(_SIDE):
+        other = min(max(row + line - RADIUS, 0), height - 1)
+        unlike = zeros_like(load(design, 0, _LANES))
+        for a in range(SEEN):
+            plane = guides.seen[a]
+            apart = load(plane, other * step + x, _LANES) - spread(plane[row, x + RADIUS], _LANES)
+            store(design, a * _PLACES + line * _LANES, apart)
+            unlike = unlike + apart * apart * spread(scale[a], _LANES)
+        weight = load(weights, line * _LANES, _LANES) * exp(zeros_like(unlike) - unlike)
+        store(weighted, SEEN * _PLACES + line * _LANES, weight)
+        for a in range(SEEN):
+            place = a * _PLACES + line * _LANES
+            store(weighted, place, weight * load(design, place, _LANES))
+    whole, count = _product(weighted, SEEN, design, SEEN), 0
     for a in range(_COLUMNS):
-        store(sums, a * _LANES, zeros_like(own))
-    whole = np.float32(0.0)
-    for place in range(count):
-        whole += weights[place]
-        scaled = load(design, place * _LANES, _LANES) * spread(weights[place], _LANES)
-        for a in range(_COLUMNS):
-            share = spread(design[place, a], _LANES)
-            store(sums, a * _LANES, load(sums, a * _LANES, _LANES) + share * scaled)
-    for a in range(_COLUMNS):
-        for lane in range(_LANES):
-            matrix[a, lane] = sums[a, lane]
-    for a in range(_COLUMNS - 1):
-        matrix[a, a] += _RIDGE * whole
-    _solve(matrix, solved)
-    for lane in range(_COLUMNS):
-        lanes[lane] = solved[lane]
-    factors = load(lanes, 0, _LANES)
-    for place in range(count):
-        weights[place] *= total(factors * load(design, place * _LANES, _LANES))
+        square = _product(weighted, a, design, a)
+        if square > _EVEN * whole:
+            used[count], matrix[count, count] = a, square if a == SEEN else square + _RIDGE * whole
+            count += 1
+    for a in range(count):
+        for b in range(a + 1, count):
+            matrix[a, b] = matrix[b, a] = _product(weighted, used[b], design, used[a])
+    _solve(matrix, count, solved)
+    for line in range(0, _PLACES, _LANES):
+        factor = zeros_like(load(design, 0, _LANES))
+        for a in range(count):
+            factor = factor + spread(np.float32(solved[a]), _LANES) * load(design, used[a] * _PLACES + line, _LANES)
+        store(weights, line, factor * load(weighted, SEEN * _PLACES + line, _LANES))
 
 
 @njit(cache=True, nogil=True)
 def _new_scratch():
     """Return the buffers of `_regress`."""
-    lanes = np.zeros(3 * _LANES, np.float32)  # the regression's result, the unit of the constant, and 1 / scale²
-    lanes[_ONE + SEEN] = 1.0
-    for axis in range(3):
-        lanes[_SCALE + NORMAL + axis] = 1.0 / _SAME_NORMAL**2
-        lanes[_SCALE + ALBEDO + axis] = 1.0 / _SAME_ALBEDO**2
-    lanes[_SCALE + SHINE] = 1.0 / _SAME_SHINE**2
-    return (
-        np.zeros((_WINDOW, _LANES), np.float32),
-        np.zeros(_WINDOW, np.float32),
-        np.zeros((_COLUMNS, _LANES), np.float32),
-        np.empty((_COLUMNS, _LANES)),
-        np.empty(_COLUMNS),
-        lanes,
-    )
+    scale = np.zeros(SEEN, np.float32)
+    scale[NORMAL : NORMAL + 3] = np.float32(1.0 / _SAME_NORMAL**2)
+    scale[ALBEDO : ALBEDO + 3] = np.float32(1.0 / _SAME_ALBEDO**2)
+    scale[SHINE] = np.float32(1.0 / _SAME_SHINE**2)
+    design = np.ones((_COLUMNS, _PLACES), np.float32)
+    solved, used = np.empty(_COLUMNS), np.empty(_COLUMNS, np.int64)
+    return design, np.zeros_like(design), np.zeros((_COLUMNS, _LANES)), solved, scale, used
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
-def _combine(sets, at, near, out, to):
-    """Store the weighted sum of neighbours' spectra, which are not negative, in ``out``; both by flat indices."""
-    count, away, weights = near
-    for band in range(0, PADDED, _LANES):
-        sums = zeros_like(load(sets, at, _LANES))
-        for place in range(count):
-            value = load(sets, at + away[place] * PADDED + band, _LANES)
-            sums = sums + spread(weights[place], _LANES) * value
-        # The regression may give negative radiance.
-        store(out, to + band, upper_of(sums, np.float32(0.0)))
+def _combine(sets, at, weights, out, to):
+    """Store the weighted sum of a window's spectra, which are not negative, in ``out``; both by flat indices.
+
+    ``at`` has the place of the pixel in ``sets`` and the step from one row to the next.
+    """
+    here, step = at
+    zero = zeros_like(load(sets, here, _LANES))
+    one, two, three, four = zero, zero, zero, zero
+    for line in range(_SIDE):
+        for beside in range(_SIDE):
+            weight = weights[line * _LANES + beside]
+            if weight != np.float32(0.0):
+                place, share = here + (line - RADIUS) * step + (beside - RADIUS) * PADDED, spread(weight, _LANES)
+                one = one + share * load(sets, place, _LANES)
+                two = two + share * load(sets, place + _LANES, _LANES)
+                three = three + share * load(sets, place + 2 * _LANES, _LANES)
+                four = four + share * load(sets, place + 3 * _LANES, _LANES)
+    # The regression may give negative radiance.
+    store(out, to, upper_of(one, np.float32(0.0)))
+    store(out, to + _LANES, upper_of(two, np.float32(0.0)))
+    store(out, to + 2 * _LANES, upper_of(three, np.float32(0.0)))
+    store(out, to + 3 * _LANES, upper_of(four, np.float32(0.0)))
 
 
 @njit(cache=True, nogil=True)
@@ -249,33 +274,36 @@ def _filter_some_rows(sets, guides, starts, filtered, first, last):
     ``starts`` has the first row of ``sets``, and that of ``filtered``.
     """
     read, start = starts
-    width, count = guides.surface.shape[1], filtered.shape[1]
-    compared = np.empty((_ROWS + 2 * PATCH, width), np.float32), np.empty(width + 2 * PATCH, np.float32)
-    weights = np.empty((_WINDOW, _ROWS, width), np.float32)
-    away, own, scratch = np.empty(_WINDOW, np.int64), np.empty(_WINDOW, np.float32), _new_scratch()
+    width, count = guides.noisy.shape[1], filtered.shape[1]
+    compared = (
+        np.empty((_ROWS + 2 * PATCH, width + 2 * _LANES), np.float32),
+        np.empty(width + 2 * _LANES, np.float32),
+    )
+    weights, scratch = np.empty((_WINDOW, _ROWS, width + _LANES), np.float32), _new_scratch()
+    own = np.zeros(_PLACES, np.float32)
     for band in range(first, last):
         top, bottom = start + band * _ROWS, min(start + (band + 1) * _ROWS, start + count)
+        left, end = width, np.int64(0)
+        for row in range(top, bottom):
+            for x in range(width):
+                if guides.noisy[row, x]:
+                    left, end = min(left, x), max(end, x + 1)
         for which in range(2):
-            for offset in range(_WINDOW):
+            for offset in range(_WINDOW if left < end else 0):
                 shift = offset // _SIDE - RADIUS, offset % _SIDE - RADIUS
-                _compare(guides, 1 - which, shift, (top, bottom), compared, weights[offset])
+                _compare(guides, 1 - which, shift, (top, bottom, left, end), compared, weights[offset])
             for row in range(top, bottom):
                 for x in range(width):
-                    if not guides.surface[row, x]:
+                    if not guides.noisy[row, x]:
                         for c in range(PADDED):
                             filtered[which, row - start, x, c] = sets[which, row - read, x, c]
                         continue
-                    near = 0
                     for offset in range(_WINDOW):
-                        weight = weights[offset, row - top, x]
-                        if weight >= _LEAST_WEIGHT:
-                            away[near] = (offset // _SIDE - RADIUS) * width + offset % _SIDE - RADIUS
-                            own[near] = weight
-                            near += 1
-                    _regress(guides, row, x, (near, away, own), scratch)
+                        own[offset // _SIDE * _LANES + offset % _SIDE] = weights[offset, row - top, x]
+                    _regress(guides, row, x, own, scratch)
                     at = ((which * sets.shape[1] + row - read) * width + x) * PADDED
                     to = ((which * count + row - start) * width + x) * PADDED
-                    _combine(sets, at, (near, away, own), filtered, to)
+                    _combine(sets, (at, width * PADDED), own, filtered, to)
 
 
 def filtered_halves(halves: Halves, guides: Guides, rows: tuple[int, int]) -> np.ndarray:
@@ -330,11 +358,10 @@ def _square_some_rows(halves, filtered, start, out, first, last):
     bands = halves.mean.shape[2]
     for row in range(first, last):
         for x in range(halves.mean.shape[1]):
-            crossed, own, between = 0.0, 0.0, 0.0
+            crossed = own = between = np.float32(0.0)
             for c in range(bands):
-                mean = np.float64(halves.mean[start + row, x, c])
-                half = np.float64(halves.difference[start + row, x, c])
-                one, two = np.float64(filtered[0, row, x, c]), np.float64(filtered[1, row, x, c])
+                mean, half = halves.mean[start + row, x, c], halves.difference[start + row, x, c]
+                one, two = filtered[0, row, x, c], filtered[1, row, x, c]
                 crossed += (one - mean + half) ** 2 + (two - mean - half) ** 2
                 own += half * half
                 between += (one - two) ** 2

@@ -19,6 +19,7 @@ from irodori.config.models import Scene
 from irodori.geometry.embree import Tracer
 from irodori.geometry.shapes.shape import Shape
 from irodori.rendering.reference.converging_picture import REPLICATES, TracedScene, render_places
+from irodori.rendering.reference.outlines import MORE
 from irodori.rendering.reference.random_numbers import make_numbers
 from irodori.rendering.scene_arrays import View, make_placements
 from irodori.rendering.single_pixels import middle_rays
@@ -123,10 +124,10 @@ def traced_halves(scene: TracedScene, view: View, pixels: np.ndarray, samples: i
     pixels : (n, 2) int
         Column and row; equal pixels have the same random numbers.
     samples : int
-        Paths per pixel, a multiple of 2.
+        Paths per pixel, a multiple of 2; at outlines more, as in a picture.
     seed : int
     """
-    halves = render_places(scene, view, make_numbers(samples, seed, REPLICATES), pixels[:, None]).halves
+    halves = render_places(scene, view, make_numbers(samples, seed, REPLICATES, MORE), pixels[:, None]).halves
     assert halves is not None  # of two replicates
     mean, half = halves.mean[:, 0].astype(np.float64), halves.difference[:, 0].astype(np.float64)
     return np.stack([mean + half, mean - half])

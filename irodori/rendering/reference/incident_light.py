@@ -11,12 +11,19 @@ import numpy as np
 from irodori.core.progress import LOGGER
 from irodori.geometry.embree import new_ray
 from irodori.jit.chunks import run_chunks
-from irodori.jit.compilation import njit
+from irodori.jit.compilation import njit, uncounted
 from irodori.rendering.compiled_calls import resolved
 from irodori.rendering.reference.band_loops import BANDS, PADDED
 from irodori.rendering.reference.converging_picture import TracedScene
 from irodori.rendering.reference.paths import gather
-from irodori.rendering.reference.random_numbers import Numbers, make_numbers, pixel_key, stream_of
+from irodori.rendering.reference.random_numbers import (
+    DIMENSIONS,
+    Numbers,
+    fill_shifts,
+    make_numbers,
+    pixel_key,
+    stream_of,
+)
 from irodori.rendering.reference.world import new_work
 
 _REPLICATES = 2
@@ -35,23 +42,37 @@ class Places(NamedTuple):
     lamps: bool  # whether direct light of the scene's lights other than the environment is added
 
 
+@uncounted(forceinline=True)
+def _gather_once(world, buffers, numbers, of_sample, lamps):
+    """Trace one path of a place; ``of_sample`` has the arguments of `stream_of`.
+
+    The stream holds an array: a function that counts references would free that once for every path.
+    """
+    ray, work = buffers
+    return gather(world, ray, work, numbers, stream_of(numbers, *of_sample), lamps)
+
+
 @njit(cache=True, nogil=True)
 def _gather_at_some(world, numbers, places, first, last):
     """Trace the paths of the points from ``first`` to before ``last`` and fill their ``halves``."""
     ray, work, whole = new_ray(), new_work(world), np.empty(BANDS)
+    shifts, size = np.empty(DIMENSIONS, np.uint32), numbers.points.shape[1]
     for place in range(first, last):
         for replicate in range(_REPLICATES):
             key = pixel_key(places.key[place], 0, replicate, numbers.seed)
             whole[:] = 0.0
             for sample in range(numbers.samples):
+                if sample % size == 0:
+                    own = (places.key[place], 0, numbers.samples)
+                    fill_shifts(numbers, own, replicate, sample // size, shifts)
                 for axis in range(3):
                     work.point[axis] = places.point[place, axis]
                     work.normal[axis] = places.normal[place, axis]
                     work.facet[axis] = places.facet[place, axis]
                 for band in range(PADDED):
                     work.total[band] = np.float32(0.0)
-                stream = stream_of(numbers, key, replicate, sample)
-                places.cut[place] += gather(world, ray, work, numbers, stream, places.lamps)
+                of_sample = key, replicate, sample, shifts
+                places.cut[place] += _gather_once(world, (ray, work), numbers, of_sample, places.lamps)
                 for band in range(BANDS):
                     whole[band] += work.total[band]
             for band in range(BANDS):
