@@ -31,10 +31,12 @@ _ROWS = 8  # rows filtered together, because patches of neighbouring rows share 
 _SIDE = 2 * RADIUS + 1
 _WINDOW = _SIDE * _SIDE
 _STRICT = 0.49  # square of the number of standard deviations by which patches may differ (k = 0.7, Rousselle et al.)
-_RIDGE = 1e-4  # regularisation of the regression's slopes, relative to the sum of the weights
-#: Mean square, over the window, of a feature's differences from the pixel below which it has no part in the regression:
-#: the regularisation would leave it a hundredth of its slope.
-_EVEN = 1e-2 * _RIDGE
+#: Regularisation of the regression's slopes, relative to the sum of the weights. That of the albedo is small, because
+#: textures are to be kept and their features have little noise.
+_RIDGE, _RIDGE_OF_ALBEDO = 1e-2, 1e-4
+#: Mean square, over the window, of a feature's differences from the pixel, relative to the regularisation, below which it
+#: has no part in the regression: a hundredth of its slope would be left.
+_EVEN = 1e-2
 _LEAST_WEIGHT = 1e-4
 _COLUMNS, _LANES = SEEN + 1, 16  # of the regression, its constant last; numbers in a vector
 _PLACES = _SIDE * _LANES  # of a window, each row filled up to a vector
@@ -198,7 +200,7 @@ def _regress(guides, row, x, weights, scratch):
     The rows of the window are vectors; each feature's differences from the pixel fill such a window. The last feature
     is the constant, whose window has ones.
     """
-    design, weighted, matrix, solved, scale, used = scratch
+    design, weighted, matrix, solved, (scale, ridge), used = scratch
     height, step = guides.noisy.shape[0], guides.seen.shape[2]
     for line in range(_SIDE):
         other = min(max(row + line - RADIUS, 0), height - 1)
@@ -216,8 +218,8 @@ def _regress(guides, row, x, weights, scratch):
     whole, count = _product(weighted, SEEN, design, SEEN), 0
     for a in range(_COLUMNS):
         square = _product(weighted, a, design, a)
-        if square > _EVEN * whole:
-            used[count], matrix[count, count] = a, square if a == SEEN else square + _RIDGE * whole
+        if square > _EVEN * ridge[a] * whole:
+            used[count], matrix[count, count] = a, square + ridge[a] * whole
             count += 1
     for a in range(count):
         for b in range(a + 1, count):
@@ -239,7 +241,9 @@ def _new_scratch():
     scale[SHINE] = np.float32(1.0 / _SAME_SHINE**2)
     design = np.ones((_COLUMNS, _PLACES), np.float32)
     solved, used = np.empty(_COLUMNS), np.empty(_COLUMNS, np.int64)
-    return design, np.zeros_like(design), np.zeros((_COLUMNS, _LANES)), solved, scale, used
+    ridge = np.full(_COLUMNS, _RIDGE)
+    ridge[ALBEDO : ALBEDO + 3], ridge[SEEN] = _RIDGE_OF_ALBEDO, 0.0
+    return design, np.zeros_like(design), np.zeros((_COLUMNS, _LANES)), solved, (scale, ridge), used
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
@@ -358,10 +362,11 @@ def _square_some_rows(halves, filtered, start, out, first, last):
     bands = halves.mean.shape[2]
     for row in range(first, last):
         for x in range(halves.mean.shape[1]):
-            crossed = own = between = np.float32(0.0)
+            crossed, own, between = 0.0, 0.0, 0.0
             for c in range(bands):
-                mean, half = halves.mean[start + row, x, c], halves.difference[start + row, x, c]
-                one, two = filtered[0, row, x, c], filtered[1, row, x, c]
+                mean = np.float64(halves.mean[start + row, x, c])
+                half = np.float64(halves.difference[start + row, x, c])
+                one, two = np.float64(filtered[0, row, x, c]), np.float64(filtered[1, row, x, c])
                 crossed += (one - mean + half) ** 2 + (two - mean - half) ** 2
                 own += half * half
                 between += (one - two) ** 2

@@ -11,16 +11,16 @@ from irodori.jit.compilation import njit
 from irodori.rendering.map_layouts import Layout, Points, make_layout
 from irodori.rendering.reference.band_loops import padded
 from irodori.rendering.reference.converging_picture import TracedScene
-from irodori.rendering.reference.incident_light import light_at, make_places
+from irodori.rendering.reference.incident_light import gathering_loop, light_at, make_places
 from irodori.rendering.reference.light_cache import Cache
 from irodori.rendering.reference.random_numbers import make_numbers
 
 #: Paths from each texel in each pass, and the seed of the first.
 _PASSES, _SEED = (4, 8, 8), 401
 #: Share of a picture's paths that the cache may cost; its cost in paths, to prepare it and for each texel.
-_SHARE, _TO_PREPARE, _EACH = 0.2, 10_000, 24
+_SHARE, _TO_PREPARE, _EACH = 0.2, 5_000, 24
 #: Texels of a surface, at least and at most.
-_FEWEST, _MOST = 64, 4096
+_FEWEST, _MOST = 16, 4096
 #: Triangles of a mesh for each texel that it may have, beyond which it has none: laying them out would take long.
 _FACES = 64
 #: Area in which a path may have arrived, in squares of a texel's side, from which on the texel is used.
@@ -134,10 +134,10 @@ def with_cache(scene: TracedScene, paths: int) -> TracedScene:
         return scene
     cache, points, surface = _laid_out(scene, found)
     places, numbers = make_places(scene, surface, *points)._replace(lamps=True), make_numbers(max(_PASSES), _SEED, 2)
-    world = scene.world
+    world, loop = scene.world, gathering_loop(scene, places, numbers)
     for number, samples in enumerate(_PASSES):
         own = numbers._replace(samples=samples // 2, seed=_SEED + number)
-        light = light_at(scene._replace(world=world), places, own).mean(axis=0)
+        light = light_at(scene._replace(world=world), places, own, loop).mean(axis=0)
         world = scene.world._replace(cache=cache._replace(light=padded(light)))
     return scene._replace(world=world)
 

@@ -133,12 +133,19 @@ def make_places(scene: TracedScene, surface, point: np.ndarray, normal: np.ndarr
     )
 
 
-def light_at(scene: TracedScene, places: Places, numbers: Numbers) -> np.ndarray:
-    """Trace the paths from places, each with the samples of ``numbers``; return the result of `incident_light`."""
+def gathering_loop(scene: TracedScene, places: Places, numbers: Numbers):
+    """Return the compiled loop of `light_at`, whose argument types take a millisecond to determine."""
+    return resolved(_gather_at_some, scene.world, numbers, places, 0, 0)
+
+
+def light_at(scene: TracedScene, places: Places, numbers: Numbers, loop=None) -> np.ndarray:
+    """Trace the paths from places, each with the samples of ``numbers``; return the result of `incident_light`.
+
+    ``loop`` is that of `gathering_loop`, if there is one already for a scene with arrays of the same types.
+    """
     count = len(places.point)
     places = places._replace(halves=np.zeros_like(places.halves), cut=np.zeros(count, dtype=np.int64))
-    arguments = scene.world, numbers, places
-    run_chunks(resolved(_gather_at_some, *arguments, 0, 0), count, _CHUNK, *arguments)
+    run_chunks(loop or gathering_loop(scene, places, numbers), count, _CHUNK, scene.world, numbers, places)
     if places.cut.any():
         LOGGER.warning("%d paths were cut: the light is too dark by what they would have brought", places.cut.sum())
     return places.halves
