@@ -195,15 +195,17 @@ def measured_noise(paths: Paths, materials: list[Material], light: Environment, 
 def expected_noise(paths: Paths, materials: list[Material], light: Environment, white: np.ndarray) -> np.ndarray:
     """Estimate CIEDE2000 due to the scene's number of paths from one picture alone, (blocks · 8, 8).
 
-    For a filtered picture it is the root mean square over all blocks, because the estimated square of a single pixel
-    scatters by more than its value. It includes the bias of the filter, see
-    `irodori.rendering.reference.denoising.squared_error`. For an unfiltered picture it is half the colour difference
-    between its two sets of paths. Standard errors of single bands would not do, because the errors of the bands are
-    correlated.
+    For a filtered picture, the root mean square over all blocks is estimated, bias of the filter included, see
+    `irodori.rendering.reference.denoising.squared_error`; the estimated square of a single pixel scatters by more than
+    its value. It is divided among the pixels in proportion to the colour differences between the two filtered sets:
+    the mean of an error that is the same everywhere would be too large. For an unfiltered picture it is half the colour
+    difference between its two sets of paths. Standard errors of single bands would not do, because the errors of the
+    bands are correlated.
     """
     one = traced_blocks(paths, materials, light, _SEEDS[2])
     if not _margin(paths):
         return radiance_delta_e(one.first, one.second, white) / 2.0
     squares = squared_error(lambda a, b: radiance_delta_e(a, b, white), one.first, one.second, one.filtered)
     least = np.square(radiance_delta_e(one.filtered[0], one.filtered[1], white)) / 4.0
-    return np.full(squares.shape, np.sqrt(max(float(squares.mean()), float(least.mean()))))
+    whole, left = max(float(squares.mean()), float(least.mean())), float(least.mean())
+    return np.sqrt(least * (whole / left)) if left > 0.0 else np.full(squares.shape, np.sqrt(whole))

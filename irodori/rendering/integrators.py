@@ -469,7 +469,7 @@ class _Reference(Renderer):
         return radiance, {
             "seconds": filled_s + time.perf_counter() - start,
             "samples": samples,
-            "cache": {"texels": len(prepared.world.cache.light), "seconds": filled_s},
+            "cache": {"texels": len(prepared.world.cache.least_mm2), "seconds": filled_s},
             "paths": picture.paths,
             "paths_per_second": picture.paths / seconds,
             "paths_cut": picture.cut,

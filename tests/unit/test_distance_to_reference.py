@@ -95,6 +95,7 @@ def test_a_diffuse_ball_under_constant_light_is_as_far_as_its_closed_form_says()
         exact[None] / (matrix @ white) * WHITE_XYZ, 1.1 * exact[None] / (matrix @ white) * WHITE_XYZ
     )
     assert found.rms == pytest.approx(expected["rms"], abs=3 * found.standard_error_of_rms + 0.01)
+    assert found.brightness == pytest.approx(0.1, abs=1e-3) and found.standard_error_of_brightness < 1e-3
     right = distance_to_reference(scene, VIEW, pixels, np.broadcast_to(exact, shown.shape), matrix, matrix @ white)
     assert right.rms < 0.05
 

@@ -40,9 +40,10 @@ def picture_without_more(monkeypatch, picture):
 
 def paths_of(*materials, position) -> int:
     """Paths of a ball that stands beside the view of a plate."""
-    shapes = [plate(4000.0), ball(20.0)][: len(materials)]
-    return traced(shapes, list(materials), constant_light(), 2, size=(24, 24), places=[(0, 0, 0), (0, 30, 25)][: len(shapes)],
-                  position=position, target=(0, 0, 0), fov=6.0, replicates=2).paths  # fmt: skip
+    shapes, places = [plate(4000.0), ball(20.0)], [(0, 0, 0), (0, 30, 25)]
+    shown = shapes[: len(materials)], list(materials), constant_light(), 2
+    return traced(*shown, size=(24, 24), places=places[: len(materials)], position=position, target=(0, 0, 0), fov=6.0,
+                  replicates=2).paths  # fmt: skip
 
 
 def test_outlines_are_looked_for_in_mirrors_and_a_plane_has_none():

@@ -184,8 +184,8 @@ def render(
     scene : TracedScene
     view : View
     samples : int
-        Paths per pixel, a multiple of ``replicates``; powers of two are distributed best. Pixels at outlines have `MORE`
-        times as many.
+        Paths per pixel, a multiple of ``replicates``; powers of two are distributed best. Pixels at outlines have
+        `MORE` times as many.
     seed : int, from 0
     tile_rows : int
         Rows of a tile; progress is reported and tiles are stored after each.
@@ -262,7 +262,7 @@ def picture_key(scene: TracedScene, view: View, samples: int, seed: int) -> str:
             else:
                 digest.update(np.ascontiguousarray(value).data)
     # The light of a cache follows from the rest.
-    digest.update(f"{samples} {seed} {len(scene.world.cache.light)}".encode())
+    digest.update(f"{samples} {seed} {len(scene.world.cache.least_mm2)}".encode())
     return digest.hexdigest()
 
 

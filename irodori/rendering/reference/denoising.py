@@ -34,8 +34,8 @@ _STRICT = 0.49  # square of the number of standard deviations by which patches m
 #: Regularisation of the regression's slopes, relative to the sum of the weights. That of the albedo is small, because
 #: textures are to be kept and their features have little noise.
 _RIDGE, _RIDGE_OF_ALBEDO = 1e-2, 1e-4
-#: Mean square, over the window, of a feature's differences from the pixel, relative to the regularisation, below which it
-#: has no part in the regression: a hundredth of its slope would be left.
+#: Mean square, over the window, of a feature's differences from the pixel, relative to the regularisation, below which
+#: it has no part in the regression: a hundredth of its slope would be left.
 _EVEN = 1e-2
 _LEAST_WEIGHT = 1e-4
 _COLUMNS, _LANES = SEEN + 1, 16  # of the regression, its constant last; numbers in a vector
@@ -43,9 +43,6 @@ _PLACES = _SIDE * _LANES  # of a window, each row filled up to a vector
 #: Differences of the normal, of the albedo's cube root and of the share of gloss that count as another surface.
 _SAME_NORMAL, _SAME_ALBEDO, _SAME_SHINE = 0.3, 0.3, 0.2
 _DARK = 1e-3  # share of the picture's mean below which differences are not visible
-#: Noise of a pixel that nobody sees, in lightness; and the change of lightness, where it is 50, for a change of the cube
-#: root by its own size. The picture's mean counts as 50.
-_VISIBLE, _LIGHTNESS = 0.1, 66.0
 _NOISE_SIDE = 7  # side, in pixels, of the square over which the noise is averaged
 _ERROR_SIDE = 31  # the same for squared errors, whose single values are inaccurate and may be negative
 _TILE_ROWS = 64
@@ -71,15 +68,14 @@ class Denoised(NamedTuple):
 class Guides(NamedTuple):
     """Features of the pixels of `Halves` that determine the weights of the filter.
 
-    All go on beyond the left and the right edge with the values of the edge: ``colour`` and ``noise`` by `MARGIN` pixels,
-    ``seen`` by `RADIUS`, and to the right by as many more as a vector needs.
+    All go on beyond the left and the right edge with the values of the edge: ``colour`` and ``noise`` by `MARGIN`
+    pixels, ``seen`` by `RADIUS`, and to the right by as many more as a vector needs.
     """
 
     colour: np.ndarray  # (2 sets, 3 parts of the spectrum, height, width + 2 MARGIN + 16) float32, cube roots
     noise: np.ndarray  # (3, height, width + 2 MARGIN + 16) float32 variance of one set
     seen: np.ndarray  # (SEEN, height, width + 16) float32, scaled to about one over the window
-    #: (height, width) bool: whether any path hit a surface and the noise there is visible. Other pixels stay as they are.
-    noisy: np.ndarray
+    surface: np.ndarray  # (height, width) bool: whether any path hit a surface; other pixels have little noise
 
 
 def _averaged(values: np.ndarray, side: int) -> np.ndarray:
@@ -107,7 +103,6 @@ def make_guides(halves: Halves) -> Guides:
     colour = np.stack([np.cbrt(np.maximum(mean + sign * half, 0.0) + dark) for sign in (1.0, -1.0)]).astype(np.float32)
     squares = 0.5 * np.square(colour[0] - colour[1])
     noise = np.stack([_averaged(part, _NOISE_SIDE) for part in squares]).astype(np.float32)
-    most = noise.max(axis=0)
     seen = halves.seen.copy()
     surface = np.square(halves.seen[..., NORMAL:PLACE]).sum(axis=-1) > 0.0
     seen[..., ALBEDO:NORMAL] = np.cbrt(np.maximum(seen[..., ALBEDO:NORMAL], 0.0) + 1e-3)
@@ -117,8 +112,7 @@ def make_guides(halves: Halves) -> Guides:
     beyond = [(0, 0), (0, 0), (MARGIN, MARGIN + _LANES)]
     colour, noise = np.pad(colour, [(0, 0), *beyond], mode="edge"), np.pad(noise, beyond, mode="edge")
     planes = np.pad(np.moveaxis(seen, -1, 0), [(0, 0), (0, 0), (RADIUS, _LANES - RADIUS)], mode="edge")
-    visible = 2.0 * np.square(_VISIBLE / _LIGHTNESS * np.cbrt(dark / _DARK))
-    return Guides(colour, noise, planes, surface & (most > visible))
+    return Guides(colour, noise, planes, surface)
 
 
 @njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz"}, error_model="numpy")
@@ -127,7 +121,7 @@ def _compare(guides, which, shift, part, scratch, weights):
 
     ``part`` has first and last-plus-one row and column.
     """
-    height, width = guides.noisy.shape
+    height, width = guides.surface.shape
     (down, right), (first, last, left, end), (patches, column) = shift, part, scratch
     count, step, beside = end - left, guides.noise.shape[2], patches.shape[1]
     start, strict, zero = MARGIN + left - PATCH, np.float32(_STRICT), np.float32(0.0)
@@ -201,7 +195,7 @@ def _regress(guides, row, x, weights, scratch):
     is the constant, whose window has ones.
     """
     design, weighted, matrix, solved, (scale, ridge), used = scratch
-    height, step = guides.noisy.shape[0], guides.seen.shape[2]
+    height, step = guides.surface.shape[0], guides.seen.shape[2]
     for line in range(_SIDE):
         other = min(max(row + line - RADIUS, 0), height - 1)
         unlike = zeros_like(load(design, 0, _LANES))
@@ -278,7 +272,7 @@ def _filter_some_rows(sets, guides, starts, filtered, first, last):
     ``starts`` has the first row of ``sets``, and that of ``filtered``.
     """
     read, start = starts
-    width, count = guides.noisy.shape[1], filtered.shape[1]
+    width, count = guides.surface.shape[1], filtered.shape[1]
     compared = (
         np.empty((_ROWS + 2 * PATCH, width + 2 * _LANES), np.float32),
         np.empty(width + 2 * _LANES, np.float32),
@@ -287,10 +281,10 @@ def _filter_some_rows(sets, guides, starts, filtered, first, last):
     own = np.zeros(_PLACES, np.float32)
     for band in range(first, last):
         top, bottom = start + band * _ROWS, min(start + (band + 1) * _ROWS, start + count)
-        left, end = width, np.int64(0)
+        left, end = width, 0
         for row in range(top, bottom):
             for x in range(width):
-                if guides.noisy[row, x]:
+                if guides.surface[row, x]:
                     left, end = min(left, x), max(end, x + 1)
         for which in range(2):
             for offset in range(_WINDOW if left < end else 0):
@@ -298,7 +292,7 @@ def _filter_some_rows(sets, guides, starts, filtered, first, last):
                 _compare(guides, 1 - which, shift, (top, bottom, left, end), compared, weights[offset])
             for row in range(top, bottom):
                 for x in range(width):
-                    if not guides.noisy[row, x]:
+                    if not guides.surface[row, x]:
                         for c in range(PADDED):
                             filtered[which, row - start, x, c] = sets[which, row - read, x, c]
                         continue

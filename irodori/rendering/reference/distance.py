@@ -55,6 +55,9 @@ class Distance:
     standard_error_of_p95: float
     standard_error_of_p99: float
     standard_error_of_rms: float
+    #: Luminance of all pixels together relative to that of the paths, less 1: a bias is seen that single pixels hide.
+    brightness: float
+    standard_error_of_brightness: float
 
 
 def object_pixels(tracer: Tracer, view: View, objects: int, seed: int = 0, count: int = PIXELS) -> np.ndarray:
@@ -149,7 +152,7 @@ def distance_to_halves(shown: np.ndarray, halves: np.ndarray, white_xyz: np.ndar
     """
     mean = halves.mean(axis=0)
     if not len(mean):
-        return Distance(0, paths, *[0.0] * 9)
+        return Distance(0, paths, *[0.0] * 11)
     scale = np.maximum(mean[:, 1:2] / 100.0, 1.0)
     own, middle, first, second = (lab_from_xyz(xyz / scale, white_xyz) for xyz in (shown, mean, *halves))
     noise = np.sqrt(np.mean(np.square(delta_e(first, second)))) / 2.0
@@ -159,7 +162,10 @@ def distance_to_halves(shown: np.ndarray, halves: np.ndarray, white_xyz: np.ndar
     figures = np.sqrt(np.maximum(squares, 0.0))
     # Standard error of a statistic: its increase if its square grows by one standard error, also for a statistic of 0.
     errors = np.sqrt(np.square(figures) + spread) - figures
-    return Distance(len(mean), paths, float(noise), *map(float, figures), *map(float, errors))
+    light = np.stack([shown[:, 1], np.maximum(mean[:, 1], 0.0)])
+    ratios = light[0][drawn].sum(axis=1) / np.maximum(light[1][drawn].sum(axis=1), np.finfo(np.float64).tiny)
+    brightness = light[0].sum() / max(light[1].sum(), np.finfo(np.float64).tiny) - 1.0, np.std(ratios, ddof=1)
+    return Distance(len(mean), paths, *map(float, (noise, *figures, *errors, *brightness)))
 
 
 def _extrapolated(distances: np.ndarray) -> np.ndarray:

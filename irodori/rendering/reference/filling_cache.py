@@ -137,7 +137,7 @@ def with_cache(scene: TracedScene, paths: int) -> TracedScene:
     world, loop = scene.world, gathering_loop(scene, places, numbers)
     for number, samples in enumerate(_PASSES):
         own = numbers._replace(samples=samples // 2, seed=_SEED + number)
-        light = light_at(scene._replace(world=world), places, own, loop).mean(axis=0)
+        light = light_at(scene._replace(world=world), places, own, loop)
         world = scene.world._replace(cache=cache._replace(light=padded(light)))
     return scene._replace(world=world)
 
@@ -171,7 +171,7 @@ def _laid_out(scene: TracedScene, found: list[_Texels | None]) -> tuple[Cache, P
     sides = np.concatenate(parts)
     sizes = (sides.astype(np.int64) + 1) * (sides + 2) // 2
     cache = Cache(
-        np.zeros((0, 64), np.float32),
+        np.zeros((2, 0, 64), np.float32),
         least.astype(np.float32),
         np.where(numbers > 0, first, -1),
         size,

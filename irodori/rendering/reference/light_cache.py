@@ -13,7 +13,8 @@ contacts, paths therefore go on without the cache.
 
 Texels have the places of light maps (`irodori.rendering.map_layouts`). Their light is path-traced in passes. The paths
 of the first pass are complete; those of the next passes end in the cache of the pass before, so that their noise is a
-fraction of the former's. Each pass is unbiased, but for the size of the texels.
+fraction of the former's. Each pass is unbiased, but for the size of the texels. The two independent sets of a picture's
+paths have each their own half of all this, so that the difference between the sets shows the noise of the cache too.
 """
 
 from typing import NamedTuple
@@ -33,7 +34,7 @@ class Cache(NamedTuple):
     The texels of a picture are numbered row by row, those of a mesh as in `irodori.geometry.shapes.surface_nodes`.
     """
 
-    light: np.ndarray  # (texels, 64) float32 radiance of a perfect diffuser
+    light: np.ndarray  # (2, texels, 64) float32 radiance of a perfect diffuser, for each of two sets of paths
     least_mm2: np.ndarray  # (texels,) float32 area from which on a texel is used, infinite inside other objects
     first: np.ndarray  # (surfaces,) int64 first texel of a surface, -1 without a cache
     size: np.ndarray  # (surfaces, 2) int64 rows and columns of a picture; 0 rows for a mesh
@@ -47,7 +48,7 @@ class Cache(NamedTuple):
 def no_cache(surfaces: int) -> Cache:
     """Return a cache without texels for a number of surfaces."""
     return Cache(
-        np.zeros((0, PADDED), np.float32),
+        np.zeros((2, 0, PADDED), np.float32),
         np.zeros(0, np.float32),
         np.full(surfaces, -1, np.int64),
         np.zeros((surfaces, 2), np.int64),

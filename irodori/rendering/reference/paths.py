@@ -472,8 +472,9 @@ def _add_cached(world, ray, work, index, terms, stream):
         texel = cached_texel(world, ray, work, index, draw_from(stream, TEXEL))
     if texel < 0:
         return terms
+    half = stream.of_sample[1] % 2
     for band in range(PADDED):
-        work.mixture[band] = work.diffuse[band] * world.cache.light[texel, band]
+        work.mixture[band] = work.diffuse[band] * world.cache.light[half, texel, band]
         work.diffuse[band] = np.float32(0.0)
     add_product(work.throughput, work.mixture, 1.0, work.total)
     _, gloss, mirror, reflectance, through = terms

@@ -10,7 +10,16 @@ from irodori.jit.compilation import njit, uncounted
 from irodori.rendering.reference.band_loops import BANDS, PADDED
 from irodori.rendering.reference.glints import AIMED, Glints, fill_glint_shares, weight_in_pixel
 from irodori.rendering.reference.paths import MIRRORED, follow
-from irodori.rendering.reference.random_numbers import DIMENSIONS, LENS, PIXEL, Numbers, draw, fill_shifts, pixel_key, stream_of
+from irodori.rendering.reference.random_numbers import (
+    DIMENSIONS,
+    LENS,
+    PIXEL,
+    Numbers,
+    draw,
+    fill_shifts,
+    pixel_key,
+    stream_of,
+)
 from irodori.rendering.reference.sun_images import draw_image, has_images, pick_chain
 from irodori.rendering.reference.world import SEEN, World, new_work
 from irodori.rendering.scene_arrays import View
@@ -35,8 +44,8 @@ class Rows(NamedTuple):
     places: np.ndarray  # (rows, width, 2) int64 column and row in the picture
     more: np.ndarray  # (rows, width) bool: whether the pixel has the most samples
     image: np.ndarray  # (rows, width, 61) float32 mean radiance
-    #: (rows, width, 61) float32 standard error of that mean by the spread of the replicates, or (rows, width, 1) its root
-    #: mean square over the bands.
+    #: (rows, width, 61) float32 standard error of that mean by the spread of the replicates, or (rows, width, 1) its
+    #: root mean square over the bands.
     error: np.ndarray
     difference: np.ndarray  # (rows, width, 61) float32 half the difference of the means, first set less last set
     seen: np.ndarray  # (rows, width, SEEN) float32 mean features of the paths' first hits

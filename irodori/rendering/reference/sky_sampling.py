@@ -46,6 +46,7 @@ class Sky(NamedTuple):
     whole: float  # power of all light
     suns: np.ndarray  # (suns, 3) row, column and probability
     least: float  # of the last column of ``pixels`` from which on a pixel is a sun
+    even: bool  # whether all pixels are the same
 
 
 def make_sky(environment: Environment) -> Sky:
@@ -85,6 +86,7 @@ def make_sky(environment: Environment) -> Sky:
         total,
         suns,
         least,
+        bool((environment.coefficients == environment.coefficients[:1, :1]).all()),
     )
 
 
@@ -209,6 +211,10 @@ def _look(sky, u, v, sine, coefficients):
 @uncounted(forceinline=True)
 def look_at_sky(sky, direction, coefficients):
     """Fill the coefficients of the radiance from a direction; return the density of sampling it, 1/sr."""
+    if sky.even:
+        for i in range(coefficients.size):
+            coefficients[i] = sky.pixels[0, i]
+        return 0.0
     u, v = direction_uv(direction[0], direction[1], direction[2])
     sine = math.sqrt(direction[0] * direction[0] + direction[1] * direction[1])
     return _look(sky, u, v, sine, coefficients)
