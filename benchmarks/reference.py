@@ -12,9 +12,9 @@ not count. ``reference-spectral`` is our integrator as it is by default, with th
 filling of the cache and the filter are part of its time. ``reference-unbiased`` has neither. Both are compared with the
 same converged picture without cache and filter, so that the bias of both counts. The
 errors at several sample counts, with two seeds each, give a line on logarithmic scales. From it, the sample count for
-the error ``--target`` is read, and the seconds are those of that count (the time is a constant plus a part for each
-sample). ``converged pictures`` is the mean CIEDE2000 between the converged pictures of both renderers, which shows that
-the scenes are the same.
+the error ``--target`` is read, and the seconds are those of that count, on straight lines between the measured counts.
+``converged pictures`` is the mean CIEDE2000 between the converged pictures of both renderers, which shows that the
+scenes are the same.
 
 Mitsuba's kernels are compiled before the measurement. Seconds are processor time of all threads divided by their
 number, the least of the runs; other work on the machine disturbs them less than wall-clock time. Mitsuba's default
@@ -310,12 +310,19 @@ class Line(NamedTuple):
 
     samples: np.ndarray
     errors: np.ndarray
-    process_s: float  # a sample
-    fixed_s: float = 0.0  # however many there are
+    process_s: np.ndarray
 
     def seconds_for(self, error: float) -> float:
-        """Return the processor time at which the error is reached."""
-        return self.fixed_s + self.samples_for(error) * self.process_s
+        """Return the processor time at which the error is reached, on straight lines through the measured times."""
+        count, last = self.samples_for(error), len(self.samples) - 1
+        after = int(np.clip(np.searchsorted(self.samples, count), 1, last))
+        (start, end), (few, many) = self.samples[after - 1 : after + 1], self.process_s[after - 1 : after + 1]
+        return float(few + (count - start) * (many - few) / (end - start))
+
+    @property
+    def path_s(self) -> float:
+        """Processor time of a further sample."""
+        return float((self.process_s[-1] - self.process_s[0]) / (self.samples[-1] - self.samples[0]))
 
     def samples_for(self, error: float) -> float:
         """Return the number of samples at which the error is reached, by a straight line on logarithmic scales."""
@@ -334,9 +341,8 @@ def line_of(renderer, samples: tuple, truth: np.ndarray, white_xyz: np.ndarray, 
     """Measure error and time of a renderer at several numbers of samples."""
     renderer.xyz(samples[0], 1)  # compile
     errors = [np.mean([mean_error(renderer.xyz(n, seed), truth, white_xyz) for seed in (11, 12)]) for n in samples]
-    few, many = (least_processor_s(lambda n=n: renderer.xyz(n, 21), runs) for n in (samples[0], samples[-1]))
-    process = (many - few) / (samples[-1] - samples[0])
-    return Line(np.array(samples), np.array(errors), process, max(few - process * samples[0], 0.0))
+    process = [least_processor_s(lambda n=n: renderer.xyz(n, 21), runs) for n in samples]
+    return Line(np.array(samples), np.array(errors), np.array(process))
 
 
 def compare(name: str, stage: Stage, arguments) -> list[dict]:
@@ -356,7 +362,7 @@ def compare(name: str, stage: Stage, arguments) -> list[dict]:
             truths[kind] = renderer.xyz(arguments.converged, 99)
         lines.append(line_of(renderer, renderer.samples, truths[kind], white_xyz, arguments.runs))
         text = ", ".join(f"{n}: {e:.3f}" for n, e in zip(lines[-1].samples, lines[-1].errors, strict=True))
-        speed = 1e-6 * pixels / lines[-1].process_s
+        speed = 1e-6 * pixels / lines[-1].path_s
         print(f"{name} {renderer.name}: CIEDE2000 at samples {text}; {speed:.2f} million paths/s a core", flush=True)
     if len(truths) == 2:
         between = mean_error(*truths.values(), white_xyz)

@@ -39,7 +39,7 @@ REPLICATES = 2
 _NEIGHBOURS = 7  # pixels along the side of the square over which `pooled` takes its mean
 #: Height above a surface at which rays start, relative to its size and to its coordinates, for single precision.
 _OFFSET, _STEPS = 3e-7, 1e-6
-_CHUNKS = 16  # that a band of rows is divided into for the threads
+_CHUNKS = 8  # that a band of rows is divided into for the threads
 
 
 class TracedScene(NamedTuple):
@@ -170,7 +170,7 @@ def render(
     samples: int,
     seed: int = 0,
     *,
-    tile_rows: int = 64,
+    tile_rows: int = 128,
     label: str = "render",
     tiles: "FinishedTiles | None" = None,
     error_by_band: bool = True,

@@ -45,7 +45,7 @@ _SAME_NORMAL, _SAME_ALBEDO, _SAME_SHINE = 0.3, 0.3, 0.2
 _DARK = 1e-3  # share of the picture's mean below which differences are not visible
 _NOISE_SIDE = 7  # side, in pixels, of the square over which the noise is averaged
 _ERROR_SIDE = 31  # the same for squared errors, whose single values are inaccurate and may be negative
-_TILE_ROWS = 64
+_TILE_PIXELS = 1 << 17  # filtered together, which takes 1 kB of memory each
 #: Side, in pixels, of the blocks whose means are compared before and after filtering, because means have little noise.
 BLOCK_PX = 16
 
@@ -377,8 +377,9 @@ def denoise(halves: Halves) -> Denoised:
     """Filter a picture and estimate its error; the temporary memory is that of a few rows."""
     guides, (height, width, _) = make_guides(halves), halves.mean.shape
     radiance, squares, least = np.empty_like(halves.mean), np.empty((height, width)), np.empty((height, width))
-    for first in range(0, height, _TILE_ROWS):
-        rows = (first, min(first + _TILE_ROWS, height))
+    count = max(_TILE_PIXELS // width // _ROWS, 1) * _ROWS
+    for first in range(0, height, count):
+        rows = (first, min(first + count, height))
         filtered = filtered_halves(halves, guides, rows)
         part = slice(*rows)
         radiance[part] = 0.5 * (filtered[0] + filtered[1])
