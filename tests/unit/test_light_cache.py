@@ -102,6 +102,22 @@ def test_the_cache_is_never_seen_itself(pictures):
     assert bright.radiance.mean() > 100.0 * plain.radiance.mean()
 
 
+def test_each_set_of_paths_has_its_half_of_the_cache(pictures):
+    """What is wrong in one half is seen as a difference between the sets."""
+    _, _, scene = pictures
+    first, second = scene.world.cache.light
+    assert 0.0 < np.abs(first - second).mean() < 0.2 * first.mean()
+    cache = scene.world.cache._replace(light=np.stack([0.0 * first, second]))
+    halves = render(
+        scene._replace(world=scene.world._replace(cache=cache)),
+        view_of((0, -240, 50), (0, 0, 50), 26.0),
+        8,
+        halves=True,
+    ).halves
+    dark, whole = (np.mean(halves.mean + sign * halves.difference) for sign in (1.0, -1.0))
+    assert whole > 1.1 * dark
+
+
 def test_a_small_picture_goes_without():
     scene = room()
-    assert with_cache(scene, 10_000) is scene
+    assert with_cache(scene, 5_000) is scene

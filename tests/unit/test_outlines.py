@@ -29,7 +29,8 @@ def test_the_outline_of_a_ball_is_as_even_as_its_area_in_each_pixel(monkeypatch)
         covered = 2.0 - 2.0 * one.radiance[..., 30]
         assert covered.sum() == pytest.approx(np.pi * radius**2, rel=5e-3)
         errors.append(np.sqrt(np.mean(np.square(covered - inside)[edge])))
-    assert errors[0] < 0.35 * errors[1]
+    # Points that cover a pixel evenly: the error falls with the power 3/4 of their number.
+    assert errors[0] < 1.3 * MORE**-0.75 * errors[1]
 
 
 def picture_without_more(monkeypatch, picture):
