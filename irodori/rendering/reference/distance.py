@@ -117,7 +117,9 @@ def body_pixels(scene: Scene, view: View, shapes: list[Shape]) -> np.ndarray:
     return np.any(bodies, axis=0) & ~np.any(objects, axis=0)
 
 
-def traced_halves(scene: TracedScene, view: View, pixels: np.ndarray, samples: int, seed: int) -> np.ndarray:
+def traced_halves(
+    scene: TracedScene, view: View, pixels: np.ndarray, samples: int, seed: int, more: int = MORE
+) -> np.ndarray:
     """Path-trace chosen pixels in two independent halves, (2, n, 61) float64 radiance.
 
     Parameters
@@ -127,10 +129,12 @@ def traced_halves(scene: TracedScene, view: View, pixels: np.ndarray, samples: i
     pixels : (n, 2) int
         Column and row; equal pixels have the same random numbers.
     samples : int
-        Paths per pixel, a multiple of 2; at outlines more, as in a picture.
+        Paths per pixel, a multiple of 2.
     seed : int
+    more : int
+        Paths of pixels at outlines as a multiple of that, by default as in a picture.
     """
-    halves = render_places(scene, view, make_numbers(samples, seed, REPLICATES, MORE), pixels[:, None]).halves
+    halves = render_places(scene, view, make_numbers(samples, seed, REPLICATES, more), pixels[:, None]).halves
     assert halves is not None  # of two replicates
     mean, half = halves.mean[:, 0].astype(np.float64), halves.difference[:, 0].astype(np.float64)
     return np.stack([mean + half, mean - half])
