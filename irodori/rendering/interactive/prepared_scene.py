@@ -121,6 +121,7 @@ class FrameView(NamedTuple):
     lamp_strength: np.ndarray  # (lamps,)
     rays: np.ndarray  # (rays * LISTED,) list instead of a picture, see `irodori.rendering.interactive.tile_loop`
     listed: int  # number of listed rays, which fill a picture of TILE columns; 0 without a list
+    parts: np.ndarray  # where the rays of a pixel at an outline pass, from its upper left corner: columns, then rows
 
 
 def padded(rows: np.ndarray, width: int) -> np.ndarray:
