@@ -317,9 +317,9 @@ def render_frame(
         Whether to keep the hits of the rays and use them in later frames of the same view. The picture has the same
         bits.
     figures : dict, optional
-        Filled with the number of ``rays``, including those decided by the shapes' bounds; of their ``hits``, ``glossy``
-        hits and ``misses``; and, for a scene from `profiled`, with the processor cycles of each stage, summed over all
-        threads.
+        Filled with the number of ``rays``, including those decided by the shapes' bounds and those that find outlines;
+        of their ``hits``, ``glossy`` hits and ``misses``; and, for a scene from `profiled`, with the processor cycles of
+        each stage, summed over all threads.
     out : array, optional
         Picture to fill.
 
