@@ -318,8 +318,8 @@ def render_frame(
         bits.
     figures : dict, optional
         Filled with the number of ``rays``, including those decided by the shapes' bounds and those that find outlines;
-        of their ``hits``, ``glossy`` hits and ``misses``; and, for a scene from `profiled`, with the processor cycles of
-        each stage, summed over all threads.
+        of their ``hits``, ``glossy`` hits and ``misses``; and, for a scene from `profiled`, with the processor cycles
+        of each stage, summed over all threads.
     out : array, optional
         Picture to fill.
 

@@ -136,6 +136,7 @@ class Scratch(NamedTuple):
     sums: Sums
     figures: np.ndarray  # (FIGURES,) int64, counters of the thread
     met: Met
+    outlines: np.ndarray  # (PATHS,) int32, pixels of the tile that are at outlines, see `_list_outlines`
     pixels: np.ndarray  # (PATHS,) int32, column and row, in the tile, of the pixel of each additional path
     shares: np.ndarray  # (PATHS + RAYS,) for how much of its pixel each additional path counts
 
@@ -146,7 +147,7 @@ def _singles(layout, lamps):
     entries = gloss_components(layout) * gloss_parts(layout) * ENTRY
     fixed = PACKET_SINGLES + (PATH_FIELDS + 1) * STRIDE + (HIT_FIELDS + HIT_NUMBERS + entries + LOOK_FIELDS) * RAYS
     lanes = (2 * PATHS + 1) * surface_lanes(layout) + PATHS * light_lanes(layout)
-    return fixed + (LOOK_NUMBERS + max(lamps, 1)) * RAYS + lanes + FURTHER + 2 * (MET + PATHS) + RAYS
+    return fixed + (LOOK_NUMBERS + max(lamps, 1)) * RAYS + lanes + FURTHER + 2 * MET + 3 * PATHS + RAYS
 
 
 @uncounted()
@@ -173,7 +174,8 @@ def scratch_in(job, singles, doubles, figures):
     at = gloss[FURTHER:]
     met = Met(at.view(np.int32), at[MET:])
     at = at[2 * MET :]
-    return Scratch(packet, paths, hits, sums, figures, met, at.view(np.int32), at[PATHS:])
+    outlines, pixels = at.view(np.int32), at[PATHS:].view(np.int32)
+    return Scratch(packet, paths, hits, sums, figures, met, outlines, pixels, at[2 * PATHS :])
 
 
 @uncounted(forceinline=True)
@@ -475,26 +477,37 @@ def _clear_throughput(layout, sums):
 
 @uncounted()
 def _render_tile(job, scratch, tile, target):
+    """Render a tile, then those of its pixels again that are at outlines, in batches."""
     frame, layout, limits = job.frame, job.layout, job.limits
     columns = (frame.width + TILE - 1) // TILE
     left, top = (tile % columns) * TILE, (tile // columns) * TILE
     listed, refines = frame.listed > 0, limits.outlines > 0
     count = start_rays(frame, tile, scratch.paths) if listed else start_tile(frame, left, top, scratch.paths)
-    _clear_throughput(layout, scratch.sums)
     numbers = limits.kept_bounces * (PATHS // RAYS) * KEPT if limits.visibility != TRACED else 0
-    _follow(job, scratch, count, limits.visibility, target.kept[tile * numbers :], refines)
-    since = cycles() if is_profiled(layout) else 0
-    _finish_tile(job, scratch.sums, left, top, target)
-    _count(layout, scratch.figures, _COLOUR, since)
-    if refines:
-        _refine_tile(job, scratch, left, top, target)
+    visibility, again, done, found = limits.visibility, False, np.int64(0), np.int64(0)
+    while count > 0:
+        _clear_throughput(layout, scratch.sums)
+        # The only call, so that it is compiled once.
+        _follow(job, scratch, count, visibility, target.kept[tile * numbers :], refines and not again)
+        since = cycles() if is_profiled(layout) else 0
+        if again:
+            _finish_parts(job, scratch, count, (left, top), target)
+        else:
+            _finish_tile(job, scratch.sums, left, top, target)
+        since = _count(layout, scratch.figures, _COLOUR, since)
+        if refines and not again:
+            visibility, again, found = TRACED, True, _list_outlines(job, scratch, left, top)
+        count = np.int64(0)
+        while done < found and count <= PATHS - RAYS:
+            count = _add_parts(job, scratch, count, (left, top), scratch.outlines[done])
+            done += 1
+        _count(layout, scratch.figures, _TRACE, since)
 
 
 @uncounted()
-def _refine_tile(job, scratch, left, top, target):
-    """Render those pixels of a tile again that are at outlines, with several rays each."""
-    frame, layout, count = job.frame, job.layout, np.int64(0)
-    since = cycles() if is_profiled(layout) else 0
+def _list_outlines(job, scratch, left, top):
+    """List the pixels of a tile that are at outlines, plus `PATHS` where a mesh bends; return their number."""
+    frame, count = job.frame, 0
     _note_around(job, scratch, left, top)
     inside = (1 << min(TILE, frame.width - left)) - 1
     for row in range(min(TILE, frame.height - top)):
@@ -502,43 +515,28 @@ def _refine_tile(job, scratch, left, top, target):
         left_over, column = (beside | bent) & inside, 0
         while left_over:
             if left_over & 1:
-                count = _add_parts(job, scratch, count, (left, top), (column, row), (bent >> column) & 1)
-                if count > PATHS - RAYS:
-                    since = _count(layout, scratch.figures, _TRACE, since)
-                    count = _follow_parts(job, scratch, count, (left, top), target)
-                    since = cycles() if is_profiled(layout) else 0
+                scratch.outlines[count] = row * TILE + column + ((bent >> column) & 1) * PATHS
+                count += 1
             left_over, column = left_over >> 1, column + 1
-    _count(layout, scratch.figures, _TRACE, since)
-    if count > 0:
-        _follow_parts(job, scratch, count, (left, top), target)
+    return count
 
 
 @uncounted()
-def _add_parts(job, scratch, count, corner, pixel, bends):
-    """Start the paths of a pixel at an outline from index ``count`` on; return the index after the last."""
+def _add_parts(job, scratch, count, corner, listed):
+    """Start the paths of a listed pixel at an outline from index ``count`` on; return the index after the last."""
+    pixel = listed % TILE, listed % PATHS // TILE
     inside = _start_parts(job.frame, scratch.paths, count, np.int64(0xFFFF), corner, pixel)
     _trace_apart(job.world, scratch, count, inside)
     scratch.figures[_RAYS] += RAYS
     shape, inverse = _met_by(job.world, scratch.packet)
-    if not bends and mask_bits(shape == lane(shape, 0)) == 0xFFFF:
+    if listed < PATHS and mask_bits(shape == lane(shape, 0)) == 0xFFFF:
         return count
     chosen, share = shaded_rays(job.frame, shape, inverse)
     inside = _start_parts(job.frame, scratch.paths, count, chosen, corner, pixel)
     compress(scratch.shares, count, inside, share)
     for path in range(count, count + bits_set(chosen)):
-        scratch.pixels[path], scratch.paths.slot[path] = pixel[1] * TILE + pixel[0], path
+        scratch.pixels[path], scratch.paths.slot[path] = listed % PATHS, path
     return count + bits_set(chosen)
-
-
-@uncounted()
-def _follow_parts(job, scratch, count, corner, target):
-    """Follow the paths of pixels at outlines and write these pixels; return 0, the number of paths that are left."""
-    _clear_throughput(job.layout, scratch.sums)
-    _follow(job, scratch, count, TRACED, target.kept, False)
-    since = cycles() if is_profiled(job.layout) else 0
-    _finish_parts(job, scratch, count, corner, target)
-    _count(job.layout, scratch.figures, _COLOUR, since)
-    return np.int64(0)
 
 
 @uncounted()
