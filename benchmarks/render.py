@@ -9,7 +9,7 @@ files of the light, prepares one variant and renders it. Processor time divided 
 a frame on idle cores. ``spectral`` carries 61 bands and decodes them from the four coefficients at every look-up;
 ``spectral, stored`` uses no compression and also stores light and blurred light in 61 bands. ``light maps`` are baked
 for the unrotated light, which therefore does not turn. Full also counts the processor cycles of each stage, in loops
-compiled for that.
+compiled for that. Outlines are smooth as in a scene by default, except in the variant with rough ones.
 """
 
 import pickle
@@ -26,7 +26,7 @@ import numpy as np
 from benchmarks.table import arguments_of, least_processor_s, medians_s, own_peak_mb, printed_by, report
 from irodori.colour.colorimetry import delta_e, lab_from_xyz, summary, xyz_from_radiance
 from irodori.config.definitions import load_definitions, read_yaml
-from irodori.config.models import Size
+from irodori.config.models import InteractiveIntegrator, Size
 from irodori.geometry.embree import Tracer
 from irodori.geometry.rig_frame import rotation_xyz
 from irodori.geometry.shapes.shape import Shape
@@ -55,6 +55,7 @@ VARIANTS = {
     "coefficients, all bounces": ("coefficients", {"least_throughput": 0.0}, {}),
     "coefficients, cut at 1e-2": ("coefficients", {"least_throughput": 1e-2}, {}),
     "coefficients, camera rests": ("coefficients", {}, {"keep_visibility": True}),
+    "coefficients, rough outlines": ("coefficients", {"smooth_outlines": False}, {}),
     "coefficients, light maps": ("coefficients", {"baked": True}, {}),
     "spectral, light maps": ("spectral", {"baked": True}, {}),
     "coefficients, a lamp": ("coefficients", {"lamps": 1}, {}),
@@ -138,6 +139,7 @@ class Studio:
 
     def prepare(self, representation: str, lamps: int = 0, stored: bool = False, baked: bool = False, **options):
         """Prepare the scene for a representation; with ``stored``, light is decoded to 61 bands in advance."""
+        options = {"smooth_outlines": InteractiveIntegrator().smooth_outlines} | options
         options |= {"maps": self.maps} if baked else {}
         spectra = np.repeat(2.0 * light("LED-B3")[None] / light("LED-B3").mean(), lamps, axis=0)
         environment, gloss = self._in_bands() if stored else (self.environment, self.gloss)

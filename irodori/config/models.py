@@ -709,6 +709,10 @@ class InteractiveIntegrator(Definition):
     #: which gloss shows too; a page that moves them has shadows alone (true or false).
     light_maps: bool = True
 
+    #: Whether a sample at an outline, where another surface begins or a mesh bends, is the mean over what several rays
+    #: meet (true or false).
+    smooth_outlines: bool = True
+
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class ReferenceIntegrator(Definition):

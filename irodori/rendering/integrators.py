@@ -303,6 +303,7 @@ class InteractiveRenderer(Renderer):
         from irodori.rendering.scene_lights import BANDS, make_lights
 
         start = time.perf_counter()
+        assert isinstance(self.scene.integrator, InteractiveIntegrator)  # `make_renderer` chooses this class for it
         environment = moment.environment(self.environment)
         lights = moment.lights(make_lights(self.scene.lights, 0)[0])
         light, maps = light_of(environment), None
@@ -325,6 +326,7 @@ class InteractiveRenderer(Renderer):
             max_bounces=self.scene.max_bounces,
             least_throughput=self.options.min_throughput,
             maps=maps,
+            smooth_outlines=self.scene.integrator.smooth_outlines,
         )
         self.prepared_s = time.perf_counter() - start
         return prepared

@@ -85,7 +85,10 @@ class Decoded:
 
 
 def prepared(parts: FrameParts, decoded: Decoded | None = None) -> Prepared:
-    """Prepare a scene for frames of 61 bands, with objects and light decoded from a payload if given."""
+    """Prepare a scene for frames of 61 bands, with objects and light decoded from a payload if given.
+
+    A pixel has one ray, also at outlines, as in the pictures that are read from a page.
+    """
     maps = None if decoded is None else decoded.maps
     # The coefficients of decoded light are on the basis vectors of the maps.
     light = parts.environment if maps is None else replace(parts.environment, basis=maps.basis.T)

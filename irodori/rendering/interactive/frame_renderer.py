@@ -19,6 +19,7 @@ from irodori.rendering.interactive.channels import (
     rgb_channels,
     spectral_channels,
 )
+from irodori.rendering.interactive.outlines import spread_points
 from irodori.rendering.interactive.packets import KEPT, PATHS, RAYS, TILE
 from irodori.rendering.interactive.prepared_scene import (
     FrameView,
@@ -136,6 +137,7 @@ def prepare_scene(
     quadrature: Quadrature | None = None,
     spare_texels: int = 0,
     maps: LightMaps | None = None,
+    smooth_outlines: bool = False,
 ) -> Prepared:
     """Prepare a scene for `render_frame`.
 
@@ -166,6 +168,8 @@ def prepare_scene(
     maps : LightMaps, optional
         Baked light on the objects, used instead of irradiance. They must be baked for this environment
         without rotation and for the objects' places in the tracer.
+    smooth_outlines : bool
+        Whether pixels at outlines show the mean over several rays, see `irodori.rendering.interactive.outlines`.
 
     Raises
     ------
@@ -188,7 +192,12 @@ def prepare_scene(
     scene = objects, light, gloss, tracer, channels, functions
     world = make_world(*scene, spare=spare_texels, maps=maps)
     limits = PathLimits(
-        max_bounces, least_throughput, least_throughput / TAPS, TRACED, 1 + min(max_bounces, _KEPT_REFLECTIONS)
+        max_bounces,
+        least_throughput,
+        least_throughput / TAPS,
+        TRACED,
+        1 + min(max_bounces, _KEPT_REFLECTIONS),
+        int(smooth_outlines),
     )
     owned = tracer, query, sides_placed(objects, tracer.placements)
     parts = max(len(lobe_table(name).entries) for name in objects.lobes.names)
@@ -263,6 +272,7 @@ def frame_of(prepared: Prepared, view: View, world_from_light, lamps) -> FrameVi
         lamp_strength=_single([lamp.strength for lamp in lamps]),
         rays=_single([]),
         listed=0,
+        parts=spread_points().T.ravel(),
     )
 
 
@@ -307,9 +317,9 @@ def render_frame(
         Whether to keep the hits of the rays and use them in later frames of the same view. The picture has the same
         bits.
     figures : dict, optional
-        Filled with the number of ``rays``, including those decided by the shapes' bounds; of their ``hits``, ``glossy``
-        hits and ``misses``; and, for a scene from `profiled`, with the processor cycles of each stage, summed over all
-        threads.
+        Filled with the number of ``rays``, including those decided by the shapes' bounds and those that find outlines;
+        of their ``hits``, ``glossy`` hits and ``misses``; and, for a scene from `profiled`, with the processor cycles
+        of each stage, summed over all threads.
     out : array, optional
         Picture to fill.
 

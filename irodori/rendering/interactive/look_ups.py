@@ -212,6 +212,12 @@ def find_lobes(world, layout, hits, entries, placed):
 
 
 @uncounted(forceinline=True)
+def sees_objects(world, hits, ray):
+    """Return whether a hit's lobes may see other objects in their mean direction; else that is free."""
+    return world.seen_maps > 0 and world.seen_free[hits.look_i[_SEEN_CELL * RAYS + ray]] == 0
+
+
+@uncounted(forceinline=True)
 def surroundings(world, layout, hits, ray):
     """Return what a hit's lobes see in their mean direction: the share of free directions, then others' light."""
     # A cell, the one below it, and the two to the right of them are read at once.

@@ -207,6 +207,13 @@ def distances(packet):
 
 
 @uncounted(forceinline=True)
+def are_meshes(world, shape):
+    """Return the mask of the rays that hit shapes without formulas, from their numbers."""
+    hit = shape >= 0
+    return hit & _are_brought_singly(gather(world.shape, select(hit, shape, 0) * SHAPE + KIND))
+
+
+@uncounted(forceinline=True)
 def of_shapes(table, size, field, placed):
     """Return one of the ``size`` numbers that a table has for each shape, for the shapes of a packet's hits."""
     if placed.alike:  # as most packets are

@@ -69,7 +69,7 @@ def render_rays(
     frame = frame._replace(rays=rays.ravel(), listed=len(rays))
     tiles = -(-len(rays) // PATHS)
     image, counted = np.empty((rows * TILE, channels), dtype=np.float32), np.zeros((tiles, FIGURES), dtype=np.int64)
-    limits, kept = prepared.limits._replace(visibility=TRACED), np.zeros(0, dtype=np.float32)
+    limits, kept = prepared.limits._replace(visibility=TRACED, outlines=0), np.zeros(0, dtype=np.float32)
     job = Job(prepared.world, frame, prepared.layout, limits)
     target = FrameBuffers(image.ravel(), channels, kept, counted.ravel())
     run_chunks(resolved(render_tiles, job, target, 0, 0), tiles, 1, job, target)
@@ -82,6 +82,8 @@ def render_pixels(
     prepared: Prepared, view: View, pixels: np.ndarray, side: int = 1, lamps: tuple[CollimatedLamp, ...] = ()
 ) -> np.ndarray:
     """Render chosen pixels of a view, (n, 3) float64 XYZ, equal to those of `render_frame` within rounding.
+
+    Outlines have no more rays than other places here.
 
     Parameters
     ----------

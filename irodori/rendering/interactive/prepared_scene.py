@@ -81,6 +81,7 @@ class PreparedWorld(NamedTuple):
     seen_side: int  # texels along the side of a face of their cube maps
     seen_decode: np.ndarray  # from the light of other objects to the channels of texels, or to stored light
     seen_maps: int  # 1 if objects have such maps, then all have
+    seen_free: np.ndarray  # (texels * cells,) uint8, 1 where no look-up beginning there sees another object
     seen_nodes: np.ndarray  # (objects,) int32 first node of each mesh
     seen_links: np.ndarray  # (nodes * LINKS,) int32 texels of these maps at each node
     seen_shares: np.ndarray  # (nodes * LINKS,) their weights
@@ -120,6 +121,7 @@ class FrameView(NamedTuple):
     lamp_strength: np.ndarray  # (lamps,)
     rays: np.ndarray  # (rays * LISTED,) list instead of a picture, see `irodori.rendering.interactive.tile_loop`
     listed: int  # number of listed rays, which fill a picture of TILE columns; 0 without a list
+    parts: np.ndarray  # where the rays of a pixel at an outline pass, from its upper left corner: columns, then rows
 
 
 def padded(rows: np.ndarray, width: int) -> np.ndarray:
@@ -309,16 +311,19 @@ def make_seen(maps: LightMaps | None, placements: Sequence[Placement], channels:
     largest = max((float(np.abs(one[..., 1:] @ stored_from_seen.T).max()) for one in seen), default=0.0)
     scale = np.exp2(np.ceil(np.log2(largest)) - 15.0) if largest > 0.0 else 1.0
     flat, first = [np.zeros(0, np.float32)], np.zeros(len(placements) + 1, np.int64)
-    size = np.zeros((len(placements), 2), dtype=np.float32)
+    size, free = np.zeros((len(placements), 2), dtype=np.float32), [np.zeros(0, bool)]
     for index, found in enumerate(seen):
         others = found[..., 1:] @ (stored_from_seen.T / scale).astype(np.float32)
         texels = np.concatenate([found[..., :1], others], axis=-1)
         texels = np.concatenate([texels, np.roll(texels, -1, axis=3)], axis=-1)
-        shape, count = placements[index].shape, found.shape[0] * found.shape[1]
+        shape, (rows, columns), cells = placements[index].shape, found.shape[:2], texels.shape[2:]
+        count, sees_none = rows * columns, np.zeros((rows, columns, *cells[:3]), bool)
         if shape.triangles is None:
-            size[index], count = (found.shape[1], found.shape[0]), bordered_size(*found.shape[:2])
-            texels = _bordered(texels.reshape(*found.shape[:2], -1), shape.wraps)
+            size[index], count = (columns, rows), bordered_size(rows, columns)
+            texels = _bordered(texels.reshape(rows, columns, -1), shape.wraps)
+            sees_none = _sees_none(texels.reshape(rows + 2, columns + 2, *cells)[..., : cells[-1] // 2])
         flat.append(texels.ravel())
+        free.append(sees_none.ravel())
         first[index + 1] = first[index] + count
     stored = on_cache_lines(sum(one.size for one in flat), np.float16)
     np.concatenate(flat, out=stored, casting="unsafe")
@@ -329,7 +334,24 @@ def make_seen(maps: LightMaps | None, placements: Sequence[Placement], channels:
         "seen_side": max((found.shape[3] - 2 for found in seen), default=1),
         "seen_decode": padded(scale * decode.T, channels.surface if channels.coloured else channels.light),
         "seen_maps": int(len(seen) > 0),
+        "seen_free": np.concatenate(free).view(np.uint8),
     }
+
+
+def _sees_none(cells: np.ndarray) -> np.ndarray:
+    """Return whether look-ups between texels and cells see no object: (rows, columns, faces, side, side) bool.
+
+    A look-up begins at the upper left texel, of the four around a hit, and at the upper left cell of its cube map.
+
+    Parameters
+    ----------
+    cells : (rows, columns, faces, side, side, n) float
+        Share of free directions, then the light of other objects.
+    """
+    free = (cells[..., 0].astype(np.float16) == 1.0) & (cells[..., 1:] == 0.0).all(axis=-1)
+    for axis in (0, 1, 3, 4):  # no look-up begins at the last of them
+        free = free & np.roll(free, -1, axis=axis)
+    return free
 
 
 def needed_gloss(gloss: GlossMaps, objects: Objects) -> GlossMaps:

@@ -38,6 +38,7 @@ from irodori.rendering.interactive.look_ups import (
     lobe_incidence,
     lobe_weight,
     of_level,
+    sees_objects,
     sky_at,
     surroundings,
 )
@@ -243,6 +244,8 @@ def shade_surfaces(job, scratch, base, seen):
     for ray in range(RAYS):
         if (seen >> ray) & 1:
             prefetch_corners(world.texels, corners, ray, width)
+            if world.baked_maps > 0:
+                prefetch_corners(world.baked, light_corners(hits), ray, width)
     for ray in range(RAYS):
         if not (seen >> ray) & 1:
             continue
@@ -336,7 +339,7 @@ def shade_gloss(job, scratch, base, glossy):
                 power += lobe_weight(hits.look, ray, tap)
         light = of_level(hits, ray, pair)
         slot, throughput = np.int64(paths.slot[base + ray]), paths.f[THROUGHPUT * STRIDE + base + ray]
-        if world.seen_maps > 0:
+        if sees_objects(world, hits, ray):
             around = surroundings(world, layout, hits, ray)
             free = lane(around, 0)
             if is_coloured(layout):

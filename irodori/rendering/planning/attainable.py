@@ -1,11 +1,12 @@
 """Check whether the integrator `interactive` can keep a scene's tolerance at all, with advice if it cannot."""
 
+import numpy as np
+
 from irodori.colour.colorimetry import xyz_from_radiance
-from irodori.config.models import Scene
+from irodori.config.models import InteractiveIntegrator, Scene
 from irodori.core.errors import InputError
 from irodori.geometry.shapes.placement import Placement
-from irodori.rendering.interactive.frame_renderer import CollimatedLamp
-from irodori.rendering.interactive.pixel_rays import render_pixels
+from irodori.rendering.interactive.frame_renderer import CollimatedLamp, render_frame
 from irodori.rendering.planning.modelled_scene import SceneParts, full_model, prepare
 from irodori.rendering.reference.converging_picture import TracedScene, make_scene
 from irodori.rendering.reference.distance import Distance, distance_to_reference, object_pixels
@@ -60,9 +61,13 @@ def _of_full_model(scene: Scene, parts: SceneParts, traced: TracedScene, views: 
     """Return the full model's distance in the view with the largest 99th percentile."""
     matrix = xyz_from_radiance(parts.white)
     lamps = tuple(CollimatedLamp(towards) for towards in parts.lamp_towards)
-    prepared, found = prepare(parts, full_model(parts, scene.max_bounces), matrix), []
+    assert isinstance(scene.integrator, InteractiveIntegrator)  # another has no full model
+    full, found = full_model(parts, scene.max_bounces), []
+    prepared = prepare(parts, full, matrix, smooth_outlines=scene.integrator.smooth_outlines)
     for number, view in enumerate(views):
         pixels = object_pixels(traced.tracer, view, len(parts.objects.mirror), number)
-        shown = render_pixels(prepared, view, pixels, side, lamps)
+        picture = render_frame(prepared, view.finer(side), lamps=lamps)
+        picture = picture.reshape(view.height, side, view.width, side, 3).mean(axis=(1, 3))
+        shown = picture[pixels[:, 1], pixels[:, 0]].astype(np.float64)
         found.append(distance_to_reference(traced, view, pixels, shown, matrix, matrix @ parts.white))
     return max(found, key=lambda one: one.p99)

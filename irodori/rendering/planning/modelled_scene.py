@@ -245,7 +245,13 @@ def solved_nodes(parts: SceneParts, bounces: int, matrix: np.ndarray, count: int
 
 
 def prepare(
-    parts: SceneParts, model: Model, matrix: np.ndarray, ladder: Light | None = None, *, spare_texels: int = 0
+    parts: SceneParts,
+    model: Model,
+    matrix: np.ndarray,
+    ladder: Light | None = None,
+    *,
+    spare_texels: int = 0,
+    smooth_outlines: bool = False,
 ) -> Prepared:
     """Prepare a scene for the frames of a model.
 
@@ -257,7 +263,7 @@ def prepare(
         Matrix from radiance to XYZ.
     ladder : Light, optional
         Environment with all its levels; made here by default if the model needs it.
-    spare_texels : int
+    spare_texels, smooth_outlines
         See `irodori.rendering.interactive.frame_renderer.prepare_scene`.
     """
     light = light_of(parts.environment)
@@ -279,6 +285,7 @@ def prepare(
         quadrature=quadrature,
         spare_texels=spare_texels,
         maps=parts.maps,
+        smooth_outlines=smooth_outlines,
     )
 
 

@@ -6,7 +6,7 @@ from dataclasses import asdict
 import numpy as np
 
 from irodori.colour.colorimetry import xyz_from_radiance
-from irodori.config.models import Render, Scene
+from irodori.config.models import InteractiveIntegrator, Render, Scene
 from irodori.config.placed_names import object_names
 from irodori.core.progress import LOGGER
 from irodori.rendering.integrators import InteractiveRenderer, has_light_maps
@@ -44,7 +44,7 @@ def render_planned(
     options : Render
     plan : ScenePlan
     check : bool
-        Whether to compare random pixels with the full model.
+        Whether to compare random pixels with the full model, both without additional rays at outlines.
 
     Returns
     -------
@@ -61,7 +61,8 @@ def render_planned(
     model = model_of(plan, full, row_names(object_names(scene), parts.objects))
     bands = model.representation == "spectral"
     start = time.perf_counter()
-    prepared = prepare(parts, model, matrix)
+    assert isinstance(scene.integrator, InteractiveIntegrator)  # the plan of another has no model
+    prepared = prepare(parts, model, matrix, smooth_outlines=scene.integrator.smooth_outlines)
     prepared_s = time.perf_counter() - start
     lamps = tuple(CollimatedLamp(towards) for towards in parts.lamp_towards)
     view = make_view(scene.views[view_name], scene.image)
@@ -81,12 +82,12 @@ def render_planned(
         "plan": of_plan,
     }
     if check:
-        del prepared
         start = time.perf_counter()
         pixels = chosen_pixels(view)
+        found = render_pixels(prepared, view, pixels, side, lamps)
+        del prepared
         truth = render_pixels(prepare(parts, full, matrix), view, pixels, side, lamps)
-        found = picture[pixels[:, 1], pixels[:, 0]].astype(np.float64)
-        measured = measure(found @ matrix.T if bands else found, truth, matrix @ parts.white)
+        measured = measure(found, truth, matrix @ parts.white)
         of_plan |= {"delta_e_to_full_model": asdict(measured), "seconds_to_check": time.perf_counter() - start}
         LOGGER.info("plan: predicted %.3g, measured %.3g ΔE2000", plan.predicted_delta_e, measured.p99)
         refuse_above(measured, plan, view_name)

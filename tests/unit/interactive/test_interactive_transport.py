@@ -251,7 +251,7 @@ def threads():
 def test_threads_do_not_change_a_bit(threads):
     if numba.config.NUMBA_NUM_THREADS < 2:
         pytest.skip("one thread only")
-    ready = prepared(CROWD, crowd(), sky_of(smooth_light, 64), places=CROWD_PLACES)
+    ready = prepared(CROWD, crowd(), sky_of(smooth_light, 64), places=CROWD_PLACES, smooth_outlines=True)
     pictures = []
     for count in (1, 2):
         threads(count)
@@ -260,7 +260,7 @@ def test_threads_do_not_change_a_bit(threads):
 
 
 def test_kept_visibility_changes_no_bit_and_is_of_its_view():
-    ready = prepared(CROWD, crowd(), sky_of(smooth_light, 64), places=CROWD_PLACES)
+    ready = prepared(CROWD, crowd(), sky_of(smooth_light, 64), places=CROWD_PLACES, smooth_outlines=True)
     turned = {"world_from_light": rotation_xyz([0.0, 0.0, 50.0])}
     one, other = view_of(**CROWD_VIEW), view_of(**CROWD_VIEW | {"position": (-40, -250, 110)})
     for view, frame in ((one, {}), (one, turned), (other, turned), (one, turned)):
