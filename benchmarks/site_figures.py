@@ -23,6 +23,7 @@ from irodori.core.errors import PlainError
 from irodori.export.pictures import read_spectral_exr
 from irodori.material.coefficients import read_coefficients
 from irodori.material.material_file import Material
+from irodori.material.observed_angles import read_angles
 from irodori.reflection.equation5 import reflect
 from irodori.reflection.lobe_arrays import evaluate
 from irodori.spectra.grid import WAVELENGTH_NM
@@ -122,7 +123,7 @@ def photographs(results: Path) -> Figure:
 def rectified(results: Path) -> Figure:
     """Return a figure of the green responses of all texels of the plate in four photographs."""
     with store.open_file(results / PLATE / "observations" / "tile-000.h5") as file:
-        response, weight, geometry = file.read("response")[..., 1], file.read("weight"), file.read("geometry")
+        response, weight, geometry = file.read("response")[..., 1], file.read("weight"), read_angles(file)
     side = round(len(response) ** 0.5)
     angles = np.degrees(np.median(geometry[..., :2], axis=0))
     # Four cameras under the light that stands at 45 degrees over the untilted plate.
@@ -162,7 +163,7 @@ def one_texel(results: Path) -> Figure:
     alpha, beta, mu = (float(fitted[name][texel]) for name in ("alpha", "beta", "mu"))
     with store.open_file(results / PLATE / "observations" / "tile-000.h5") as file:
         seen = file.read("weight")[texel] > 0.0
-        geometry, response = file.read("geometry")[texel][seen], file.read("response")[texel, seen, 1]
+        geometry, response = read_angles(file)[texel][seen], file.read("response")[texel, seen, 1]
     light, camera = np.degrees(geometry[:, 0]), np.degrees(geometry[:, 1])
     figure, axes = _plot()
     for low, high in ((20.0, 35.0), (35.0, 55.0), (55.0, 75.0)):

@@ -11,6 +11,7 @@ from irodori.geometry.shapes.shape import Shape
 from irodori.material.angle_errors import errors_in_use, registered_errors
 from irodori.material.fitted_tiles import FittedTiles
 from irodori.material.material_file import Material, gloss_maps
+from irodori.material.observed_angles import read_angles
 
 _LIGHT = "D65"
 #: Variance of the footprint of a sample along an axis, in squared sample widths: a sample averages evenly over its
@@ -76,7 +77,7 @@ class Photographs:
         for path in tiles:
             with store.open_file(path) as file:
                 first, last = file.attribute("rows")
-                maps = [file.read(name) for name in ("weight", "geometry", "noise_model")]
+                maps = [file.read("weight"), read_angles(file), file.read("noise_model")]
             parts.append((first, last, *maps))
         shares, tangents, weights, slants = [], [], 0.0, 0.0
         for first, last, weight, geometry, noise in sorted(parts, key=lambda part: part[0]):

@@ -11,12 +11,30 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from irodori.jit.chunks import run_chunks
+from irodori.jit.compilation import njit
+
 #: Relative scatter of the colours of one paint in a band (1 %), from errors of light and pose.
 STEP = 0.01
 MOST_CORES = 20000  # texels from which the paints of an object are found
 _LEAST_SHARE = 0.002  # share of the cores below which a ball counts as a mixture or an outlier
 _LEAST_CORES = 8
 _MOST_BALLS = 400
+_CHUNK = 8192  # texels that a thread takes at a time
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _nearest_chunk(colour, precision, centre, best, place, first, last):
+    """Fill the mean squared distance to the nearest centre, in units of the scatter, and the centre's index."""
+    for t in range(first, last):
+        least = np.inf
+        for ball in range(centre.shape[0]):
+            square = 0.0
+            for band in range(centre.shape[1]):
+                square += (colour[t, band] - centre[ball, band]) ** 2 * precision[t, band]
+            if square < least:
+                least, place[t] = square, ball
+        best[t] = least / centre.shape[1]
 
 
 @dataclass(frozen=True)
@@ -67,11 +85,8 @@ class Colours:
             return out, distance
         colour = self.scaled(response[known])
         spread = 1.0 + np.nan_to_num(variance[known]) / (STEP * (response[known] + self.floor)) ** 2
-        best, place = np.full(len(colour), np.inf), np.zeros(len(colour), dtype=int)
-        for ball, centre in enumerate(self.centre):
-            square = ((colour - centre) ** 2 / spread).mean(axis=1)
-            nearer = square < best
-            best[nearer], place[nearer] = square[nearer], ball
+        best, place = np.empty(len(colour)), np.zeros(len(colour), dtype=np.int64)
+        run_chunks(_nearest_chunk, len(colour), _CHUNK, colour, 1.0 / spread, self.centre, best, place)
         out[known], distance[known] = self.paint[place], np.sqrt(best)
         return out, distance
 

@@ -16,7 +16,7 @@ from irodori.fitting.judge import SEEN as LEAST_SEEN
 
 _STEPS = 12
 _SETTLED = 1e-6
-_CLOSE = 1e-2  # step of a texel's log β or log μ below which the iteration ends: its square is negligible
+_CLOSE = 1e-4  # step of a texel's log β or log μ below which the iteration ends: its square is negligible
 _LONGEST = 0.5  # longest step of log β or log μ
 _FOREIGN = 4.0  # multiple of the median misfit beyond which a texel is left out of the fit of its paint's gloss
 _ROUNDS = 300  # largest number of rounds of expectation maximisation

@@ -3,8 +3,10 @@
 import math
 import time
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
+import numba
 import numpy as np
 
 from irodori.core import store
@@ -13,13 +15,24 @@ from irodori.core.progress import LOGGER
 from irodori.fitting.mirror_image import MirrorImages, without_images
 from irodori.fitting.paint_colours import MOST_CORES, Colours, cores, find_colours, noise_floor
 from irodori.fitting.paint_gloss import PaintGloss
-from irodori.fitting.paints import BELIEVED, GlossModel, Paints, Tile, find_paints, sample, share_by_paint
+from irodori.fitting.paints import (
+    BELIEVED,
+    GlossModel,
+    Paints,
+    Tile,
+    by_colour,
+    find_paints,
+    in_pieces,
+    sample_of,
+    share_by_paint,
+)
 from irodori.fitting.solvers import FitOptions
 from irodori.fitting.stage import (
     CARRIED,
     FITTED_AXES,
     GREEN,
     Model,
+    Observed,
     fitted_maps,
     for_object,
     fresnel_of,
@@ -59,32 +72,53 @@ def _find_colours(tiles: list) -> Colours:
     return find_colours(np.concatenate(found), floor)
 
 
-def _read_tile(observations, fitted, levels: Sequence) -> tuple[Tile, dict[str, np.ndarray], dict]:
-    """Read the texels of a tile, the maps of its fit, and the attributes that are passed on.
-
-    Raises
-    ------
-    InputError
-        If the numbers of texels of fit and observations differ.
-    """
-    observed = read_observations(observations, levels)
+def _read_fit(fitted) -> tuple[dict[str, np.ndarray], dict]:
+    """Read the maps of a tile's fit, and the attributes that are passed on."""
     with store.open_file(fitted) as file:
         lobes = tuple(file.attribute("lobes", list))
         maps = {name: file.read(name) for name in fitted_maps(lobes)}
         attributes = {name: file.attribute(name, kind) for name, kind in CARRIED.items()}
         attributes |= {name: file.attribute(name) for name in SPEED}
     require_bands(attributes["filters"], maps["diffuse_response"].shape[-1], fitted)
-    if len(maps["status"]) != len(observed.response):
-        found, accepted = f"{len(maps['status'])} texels", f"{len(observed.response)}, as in {observations}"
-        raise InputError(fitted, "status", found, accepted)
-    columns = (maps[name] for name in ("refractive_index", "status", "diffuse_response", "diffuse_variance"))
-    return Tile(observed, *columns), maps, attributes
+    return maps, attributes
 
 
-def _indexed(tile: Tile, optics: GlossModel) -> Tile:
-    """Return the tile with the nominal refractive index for texels with an unknown one."""
-    index = np.where(np.isfinite(tile.index), tile.index, optics.fresnel.n)
-    return Tile(tile.observed, index, tile.status, tile.response, tile.variance)
+def _seen(observations, fitted, texels: int) -> np.ndarray:
+    """Return which texels of a tile have an observation, (texels,) bool.
+
+    Raises
+    ------
+    InputError
+        If the fit has another number of texels.
+    """
+    with store.open_file(observations) as file:
+        weight = file.read("weight")
+    if len(weight) != texels:
+        raise InputError(fitted, "status", f"{texels} texels", f"{len(weight)}, as in {observations}")
+    return (weight > 0.0).any(axis=1)
+
+
+def _tile(observed: Observed, maps: dict, optics: GlossModel, chosen=slice(None)) -> Tile:
+    """Return texels with their observations and fits; those with an unknown refractive index get the nominal one."""
+    index, status, *colour = (maps[name][chosen] for name in ("refractive_index", "status", *_RESPONSE))
+    index = np.where(np.isfinite(index), index, optics.fresnel.n).astype(np.float64)
+    return Tile(observed, index, status, *colour)
+
+
+def _ahead(observations: Sequence, tiles: Sequence, levels: Sequence) -> Iterator[tuple[Observed, dict]]:
+    """Yield the observations of each tile, and the maps of its fit, while the next one is read."""
+
+    def read(pair):
+        return read_observations(pair[0], levels), _read_fit(pair[1])[0]
+
+    pairs = list(zip(observations, tiles, strict=True))
+    with ThreadPoolExecutor(1, initializer=numba.set_num_threads, initargs=(1,)) as pool:
+        coming = pool.submit(read, pairs[0])
+        for pair in [*pairs[1:], None]:
+            now = coming.result()
+            if pair is not None:
+                coming = pool.submit(read, pair)
+            yield now
 
 
 def share_gloss(
@@ -123,11 +157,14 @@ def share_gloss(
     samples, optics, seconds = [], None, 0.0
     parts, carried, fitted = [], {}, 0
     for seen, own in zip(observations, tiles, strict=True):
-        tile, _, attributes = _read_tile(seen, own, levels)
-        optics = optics or GlossModel(options, fresnel_of(n, k, calibration, tile.response.shape[1]))
+        maps, attributes = _read_fit(own)
+        optics = optics or GlossModel(options, fresnel_of(n, k, calibration, maps["diffuse_response"].shape[1]))
         if colours:
-            tile = replace(tile, observed=without_images(tile.observed, options))
-            samples.append(sample(_indexed(tile, optics), colours, attributes["width"], len(tiles)))
+            paint = by_colour(*(maps[name] for name in _RESPONSE), colours)
+            with_light = _seen(seen, own, len(maps["status"]))
+            chosen = sample_of(paint, with_light, colours, attributes["width"], len(tiles))
+            observed = without_images(read_observations(seen, levels, chosen), options)
+            samples.append(_tile(observed, maps, optics, chosen))
         parts.append(attributes["rows"])
         seconds, fitted = seconds + attributes["fit_seconds"], fitted + attributes["texels_fitted"]
         carried = attributes
@@ -138,13 +175,14 @@ def share_gloss(
     with store.create(output, provenance) as out:
         write_bands(out, carried["filters"])
         datasets: dict = {}
-        for seen, own, (first, last) in zip(observations, tiles, parts, strict=True):
-            tile, maps, _ = _read_tile(seen, own, levels)
+        for (observed, maps), (first, last) in zip(_ahead(observations, tiles, levels), parts, strict=True):
             if paints:
-                own_tile = _indexed(tile, optics)
-                fitted_tile = replace(own_tile, observed=without_images(tile.observed, options))
+                own_tile = _tile(observed, maps, optics)
+                fitted_tile = replace(own_tile, observed=without_images(observed, options))
                 shared += _share_tile(fitted_tile, maps, paints, width, optics)
-                images.add(tile.observed, own_tile.index, maps)
+                images.add(observed, own_tile.index, maps)
+                del own_tile, fitted_tile
+            del observed  # before the next one comes
             datasets = datasets or _reserve(out, maps, max(map(max, parts)) * width, options.lobes)
             for name, dataset in datasets.items():
                 dataset[first * width : last * width] = maps[name]
@@ -185,16 +223,22 @@ def _share_tile(tile: Tile, maps: dict[str, np.ndarray], paints: Paints, width: 
     maps["status"][here] = np.where(own, Status.OK, Status.PAINT)
     maps["model"][here] = Model.BOTH
     maps["paint"] = found.paint.astype(np.int16)
-    some, gloss = tile[here], np.column_stack([shared.beta, shared.mu])
-    maps["diffuse_response"][here], maps["diffuse_variance"][here] = without_gloss(
-        some.observed,
-        gloss,
-        some.index,
-        options.lobes,
-        optics.fresnel,
-        model_error=options.model_error,
-        coupled=options.is_coupled,
-    )
+    gloss = np.column_stack([shared.beta, shared.mu])
+
+    def diffuse(piece: np.ndarray) -> None:
+        texels = here[piece]
+        some = tile[texels]
+        maps["diffuse_response"][texels], maps["diffuse_variance"][texels] = without_gloss(
+            some.observed,
+            gloss[piece],
+            some.index,
+            options.lobes,
+            optics.fresnel,
+            model_error=options.model_error,
+            coupled=options.is_coupled,
+        )
+
+    in_pieces(diffuse, np.arange(len(here)))
     return len(here)
 
 

@@ -7,8 +7,12 @@ subtracted, its diffuse responses have the colour of the paint. Therefore a sing
 colour of a texel.
 """
 
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import TypeVar
 
+import numba
 import numpy as np
 
 from irodori.fitting import gloss_sums
@@ -21,6 +25,8 @@ from irodori.fitting.solvers import FitOptions, problem_of
 from irodori.fitting.stage import GREEN, Observed, without_gloss
 from irodori.material.material_file import Status
 
+Result = TypeVar("Result")
+_PIECE = 16384  # texels that a thread takes at a time
 MOST_TEXELS = 600  # largest number of texels from which the gloss of a paint is fitted
 _LEAST_OF_TILE = 100  # texels of one paint that are taken from a tile, if it has as many
 _SEAM = 5  # width of a seam in texels, within which a picture shows a mixture
@@ -84,12 +90,12 @@ class Tile:
         index, status, response = self.index[chosen], self.status[chosen], self.response[chosen]
         return Tile(self.observed[chosen], index, status, response, self.variance[chosen])
 
-    def surface(self, optics: GlossModel) -> SearchedTexels:
-        """Pack the observations of the green band for the joint fit of gloss."""
+    def surface(self, optics: GlossModel, chosen=slice(None)) -> SearchedTexels:
+        """Pack the observations of the green band for the joint fit of gloss; ``chosen`` is any NumPy index."""
         seen, k = self.observed, optics.fresnel.k
         problem = problem_of(
-            seen.response[..., GREEN], seen.geometry, seen.weight, self.index, k, optics.options,
-            noise=seen.noise[:, GREEN],
+            seen.response[chosen, :, GREEN], seen.geometry[chosen], seen.weight[chosen], self.index[chosen], k,
+            optics.options, noise=seen.noise[:, GREEN],
         )  # fmt: skip
         return gloss_sums.pack(*problem)
 
@@ -108,6 +114,19 @@ class Tile:
         )
 
 
+def in_pieces(work: Callable[[np.ndarray], Result], texels: np.ndarray) -> list[Result]:
+    """Return what a function makes of each piece of some texels' indices, on the threads of numba.
+
+    A piece is small, because packed observations take four times the space of a tile's.
+    """
+    pieces = [texels[first : first + _PIECE] for first in range(0, max(len(texels), 1), _PIECE)]
+    threads = min(numba.get_num_threads(), len(pieces))
+    if threads <= 1:
+        return [work(piece) for piece in pieces]
+    with ThreadPoolExecutor(threads, initializer=numba.set_num_threads, initargs=(1,)) as pool:
+        return list(pool.map(work, pieces))
+
+
 def believed(tile: Tile) -> np.ndarray:
     """Return the texels with a reliable colour from their separate fits, (texels,) bool."""
     return np.isin(tile.status, BELIEVED)
@@ -123,27 +142,39 @@ def seams(paint: np.ndarray) -> np.ndarray:
 
 
 def sample(tile: Tile, colours: Colours, width: int, tiles: int) -> Tile:
+    """Return the texels of a tile that `sample_of` chooses."""
+    paint, seen = by_colour(tile.response, tile.variance, colours), (tile.observed.weight > 0.0).any(axis=1)
+    return tile[sample_of(paint, seen, colours, width, tiles)]
+
+
+def sample_of(paint: np.ndarray, seen: np.ndarray, colours: Colours, width: int, tiles: int) -> np.ndarray:
     """Draw a sample of texels away from seams for the fit of gloss, of limited size for each paint and for no paint.
 
     Parameters
     ----------
-    tile : Tile
-        Texels in rows of ``width``.
+    paint : (texels,) int
+        Paints from `by_colour`, of texels in rows of ``width``.
+    seen : (texels,) bool
+        Whether a texel has an observation.
     tiles : int
         Number of tiles of the object.
+
+    Returns
+    -------
+    (sampled,) int
+        Indices of the texels, sorted.
     """
-    paint = by_colour(tile, colours)
-    free = ~seams(paint.reshape(-1, width)).ravel() & (tile.observed.weight > 0.0).any(axis=1)
+    free = ~seams(paint.reshape(-1, width)).ravel() & seen
     most, chosen = max(_LEAST_OF_TILE, MOST_TEXELS // tiles), []
     for number in range(-1, colours.count):
         here = np.flatnonzero(free & (paint == number))
         chosen.append(here[:: max(1, -(-len(here) // most))])
-    return tile[np.sort(np.concatenate(chosen))]
+    return np.sort(np.concatenate(chosen))
 
 
-def by_colour(tile: Tile, colours: Colours) -> np.ndarray:
-    """Return the paint nearest in colour to the separate fit of each texel, (texels,) int; -1 if none is near."""
-    paint, apart = colours.nearest(tile.response, tile.variance)
+def by_colour(response: np.ndarray, variance: np.ndarray, colours: Colours) -> np.ndarray:
+    """Return the paint nearest in colour to each texel's diffuse response, (texels,) int; -1 if none is near."""
+    paint, apart = colours.nearest(response, variance)
     return np.where(apart <= 2.0 * NEAR, paint, -1)
 
 
@@ -186,7 +217,7 @@ def find_paints(samples: list[Tile], colours: Colours, optics: GlossModel) -> Pa
     samples : list of Tile
         Texels from `sample`, for each tile.
     """
-    first = [by_colour(tile, colours) for tile in samples]
+    first = [by_colour(tile.response, tile.variance, colours) for tile in samples]
     paints = _with_gloss(samples, first, colours, optics)
     labels = [assign(tile, paint, paints, optics) for tile, paint in zip(samples, first, strict=True)]
     if all(np.array_equal(old, new) for old, new in zip(first, labels, strict=True)):
@@ -236,7 +267,7 @@ def share_by_paint(tile: Tile, paints: Paints, width: int, optics: GlossModel) -
     """
     from scipy import ndimage  # slow to import
 
-    paint = by_colour(tile, paints.colours)
+    paint = by_colour(tile.response, tile.variance, paints.colours)
     mixed = seams(paint.reshape(-1, width)).ravel()
     found = assign(tile, paint, paints, optics, mixed).reshape(-1, width)
     if (found >= 0).any():
@@ -248,7 +279,8 @@ def share_by_paint(tile: Tile, paints: Paints, width: int, optics: GlossModel) -
     for number in paints.known:
         gloss, here = paints.gloss[number], np.flatnonzero(found.ravel() == number)
         assert gloss is not None
-        one = share(tile[here].surface(optics), gloss)
+        pieces = in_pieces(lambda piece, gloss=gloss: share(tile.surface(optics, piece), gloss), here)
+        one = TexelGloss.joined(pieces)
         # A mixture may fit badly without having a gloss of its own.
         good = (one.agrees | mixed[here]) & (one.alpha_error <= np.maximum(_WORTH * one.alpha, _DARK))
         paint[here[good]] = number

@@ -22,6 +22,7 @@ from irodori.jit.chunks import run_chunks
 from irodori.jit.compilation import njit
 from irodori.material.angle_errors import registered_errors
 from irodori.material.material_file import NloptResult, Status, gloss_maps
+from irodori.material.observed_angles import STORED, read_angles
 from irodori.material.photograph_levels import common_error, levels_of
 from irodori.reflection.lobes import Lobes
 from irodori.spectra.coordinates import require_bands, write_bands
@@ -37,7 +38,6 @@ _CHUNK = 2048  # texels that a thread takes at a time
 #: Datasets of a tile of observations that every fit reads.
 _AXES = {
     "response": "texel,capture,band",
-    "geometry": "texel,capture,angle",
     "weight": "texel,capture",
     "clipped": "texel,capture",
     "noise_model": "capture,band,coefficient",
@@ -373,9 +373,16 @@ def fitted_maps(lobes: tuple[str, ...]) -> dict[str, tuple[Units, str]]:
     }
 
 
+def narrowed(values: np.ndarray) -> np.ndarray:
+    """Return values as they are stored: numbers of double precision, of which noise fills half, in single precision."""
+    with np.errstate(over="ignore", under="ignore"):
+        return values.astype(np.float32) if values.dtype == np.float64 else values
+
+
 def write_fitted(output, maps: dict, attributes: dict, lobes: tuple[str, ...], provenance: store.Provenance) -> None:
     """Write a fitted tile: the maps named in `fitted_maps`, and attributes of the file."""
     described = fitted_maps(lobes)
+    maps = {name: narrowed(values) for name, values in maps.items()}
     with store.create(output, provenance) as out:
         write_bands(out, attributes["filters"])
         store.write_maps(out, {name: (maps[name], *described[name]) for name in described}, ",".join(FITTED_AXES))
@@ -383,7 +390,7 @@ def write_fitted(output, maps: dict, attributes: dict, lobes: tuple[str, ...], p
             out.attribute(name, value)
 
 
-def read_observations(path, levels: Sequence = ()) -> Observed:
+def read_observations(path, levels: Sequence = (), texels=slice(None)) -> Observed:
     """Read the observations of a tile; their noise model includes the gain for a near light and the lamp's levels.
 
     Parameters
@@ -393,6 +400,8 @@ def read_observations(path, levels: Sequence = ()) -> Observed:
     levels : sequence of path
         File of the lamp's level in every photograph, see `irodori.material.photograph_levels`, by which responses are
         divided. If empty, responses stay as they are.
+    texels : index
+        Texels to return, as any NumPy index; all by default.
 
     Raises
     ------
@@ -401,12 +410,16 @@ def read_observations(path, levels: Sequence = ()) -> Observed:
         are those of other captures.
     """
     with store.open_file(path) as file:
-        file.require_axes(_AXES, angle=4, coefficient=2)
-        response, geometry, weight = file.read("response"), file.read("geometry"), file.read("weight")
-        clipped, noise = file.read("clipped"), file.read("noise_model")
+        file.require_axes(_AXES, coefficient=2)
+        weight, noise = file.read("weight"), file.read("noise_model")
         if "light_gain" in file:
             file.require_axes(_AXES | {"light_gain": "texel,capture"})
             noise = _of_near_light(noise, file.read("light_gain"), weight)
+        response, clipped, geometry = file.read("response")[texels], file.read("clipped"), read_angles(file, texels)
+        weight, clipped = weight[texels], clipped[texels]
+        if geometry.shape[:2] != weight.shape:
+            found, accepted = f"angles of {geometry.shape[:2]} texels and captures", f"those of {weight.shape} weights"
+            raise InputError(path, STORED, found, accepted)
         captures = file.read("capture").astype(str).tolist() if levels else []
     for name in levels:
         level = levels_of(name, captures, response.shape[2], path)

@@ -10,11 +10,11 @@ import numpy as np
 
 from irodori.core import store
 from irodori.core.errors import InputError
+from irodori.material.observed_angles import read_angles
 from irodori.material.photograph_levels import levels_of
 
 _AXES = {
     "response": "texel,capture,band",
-    "geometry": "texel,capture,angle",
     "passed": "texel,capture",
     "noise_model": "capture,band,coefficient",
 }
@@ -54,9 +54,9 @@ class PassedLight:
         """
         path = self._files[rows.start, rows.stop]
         with store.open_file(path) as file:
-            file.require_axes(_AXES, angle=4, coefficient=2)
+            file.require_axes(_AXES, coefficient=2)
             response, passed = file.read("response").astype(np.float64), file.read("passed").astype(np.float64)
-            cosine, noise = np.cos(np.pi - file.read("geometry")[..., 0].astype(np.float64)), file.read("noise_model")
+            cosine, noise = np.cos(np.pi - read_angles(file)[..., 0].astype(np.float64)), file.read("noise_model")
             gain = file.read("light_gain") if "light_gain" in file else np.ones(passed.shape)
             captures = file.read("capture").astype(str).tolist()
         for name in self._levels:

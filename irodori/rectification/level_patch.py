@@ -90,7 +90,7 @@ def read_patch(path, shape: Shape, setup: RigSetup, patch: "LevelPatch") -> Patc
         height, width, _ = file.dataset("response").shape
         inside = (xy >= 0.0).all(axis=1) & (xy <= np.array([width - 1.0, height - 1.0])).all(axis=1)
         _check_sight(path, sight, inside)
-        response, good, clipped = sample_picture(file, xy, xy)
+        response, good, clipped = sample_picture(file, xy)
     if clipped.any():
         raise _refused(path, "clips in every exposure", "a shorter exposure, or a darker patch")
     if good.mean() < _LEAST_SHARE:

@@ -22,12 +22,14 @@ from irodori.geometry.embree import Tracer
 from irodori.geometry.interpolation import KEYS_NOISE_SHARE, keys_weights
 from irodori.geometry.lamp import FAR, Lamp
 from irodori.geometry.pinhole import Pinhole, bayer_offsets_px, samples_from_superpixels
-from irodori.geometry.rig_frame import rig_from_camera, to_camera
+from irodori.geometry.rig_frame import rig_from_camera, to_camera, to_light
 from irodori.geometry.shapes.shape import Shape
 from irodori.jit.chunks import run_chunks
 from irodori.jit.compilation import njit
 from irodori.material.angle_errors import ANGLES, write_registered
+from irodori.material.observed_angles import Surroundings, write_surroundings
 from irodori.rectification.placement_correction import AS_TYPED, Correction
+from irodori.reflection.angle_kernels import angles_between, unit
 from irodori.reflection.equation5 import angles_from_directions
 from irodori.spectra.coordinates import require_bands, write_bands
 
@@ -220,6 +222,35 @@ def _sample(window, xy, out, marks, first, last):
                 out[t, b] = 0.0
 
 
+class _Looked(NamedTuple):
+    """Arrays that `_look` fills for n texels."""
+
+    geometry: np.ndarray  # (n, 4) angles, rad
+    light: np.ndarray  # (n, 3) unit vectors to the light
+    view: np.ndarray  # (n, 3) unit vectors to the camera
+    distance: np.ndarray  # (2, n) to the light and to the camera, mm
+    facing: np.ndarray  # (2, n) cosines between the facet and these directions
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _look(surface, places, near, looked, first, last):
+    """Fill angles and directions of texels; ``places`` has light and camera, of which a far light is a direction."""
+    (position, normal, facet), (source, camera) = surface, places
+    geometry, light, view, distance, facing = looked
+    for t in range(first, last):
+        px, py, pz = position[t, 0], position[t, 1], position[t, 2]
+        lx, ly, lz, light_mm = unit(source[0] - near * px, source[1] - near * py, source[2] - near * pz)
+        vx, vy, vz, camera_mm = unit(camera[0] - px, camera[1] - py, camera[2] - pz)
+        nx, ny, nz = normal[t, 0], normal[t, 1], normal[t, 2]
+        angles = angles_between(nx, ny, nz, lx, ly, lz, vx, vy, vz)
+        geometry[t, 0], geometry[t, 1], geometry[t, 2], geometry[t, 3] = angles
+        light[t, 0], light[t, 1], light[t, 2] = lx, ly, lz
+        view[t, 0], view[t, 1], view[t, 2] = vx, vy, vz
+        distance[0, t], distance[1, t] = light_mm, camera_mm
+        fx, fy, fz = facet[t, 0], facet[t, 1], facet[t, 2]
+        facing[0, t], facing[1, t] = fx * lx + fy * ly + fz * lz, fx * vx + fy * vy + fz * vz
+
+
 class Sight(NamedTuple):
     """Position, angles and visibility of texels in a capture.
 
@@ -234,14 +265,6 @@ class Sight(NamedTuple):
     lit: np.ndarray
     power: np.ndarray
     lit_behind: np.ndarray
-
-
-def _eye(position, pose: Pose, setup: RigSetup) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the centre of projection, (3,) mm, and directions and distances to it from points, (n, 3) and (n,) mm."""
-    camera = setup.camera_distance_mm * to_camera(pose)
-    to_eye = camera - position
-    distance = np.linalg.norm(to_eye, axis=1)
-    return camera, to_eye / distance[:, None], distance
 
 
 def observe(
@@ -264,36 +287,51 @@ def observe(
         Whether to trace on which texels the light falls from behind.
     """
     facet = normal if facet is None else facet
-    light, power, lamp_distance = setup.lamp.seen_from(position, pose)
-    camera, view, distance = _eye(position, pose, setup)
-    geometry = angles_from_directions(normal, light, view)
-    start = position + tracer.placements[0].shape.ray_offset_mm * facet
-    visible = (geometry[:, 1] < np.pi / 2) & (np.sum(facet * view, axis=1) > 0)
-    visible &= ~tracer.occluded(start, view, far=distance)
-    lit = (geometry[:, 0] < np.pi / 2) & (np.sum(facet * light, axis=1) > 0)
-    lit &= ~tracer.occluded(start, light, far=lamp_distance)
-    lit_behind = np.zeros(len(lit), dtype=bool)
+    count, near, camera = len(position), setup.lamp.is_near, setup.camera_distance_mm * to_camera(pose)
+    looked = _Looked(np.empty((count, 4)), *np.empty((2, count, 3)), *np.empty((2, 2, count)))
+    source = to_light(pose) * (setup.lamp.distance_mm if near else 1.0)
+    surface = tuple(np.ascontiguousarray(one, dtype=np.float64) for one in (position, normal, facet))
+    run_chunks(_look, count, _CHUNK, surface, (source, camera), float(near), looked)
+    geometry, (light_mm, camera_mm), (to_lamp, to_eye) = looked.geometry, looked.distance, looked.facing
+    power = (setup.lamp.distance_mm / light_mm) ** 2 if near else np.ones(count)
+    far = light_mm if near else np.inf
+    offset = tracer.placements[0].shape.ray_offset_mm * facet
+    start = position + offset
+    visible = (geometry[:, 1] < np.pi / 2) & (to_eye > 0)
+    visible &= ~tracer.occluded(start, looked.view, far=camera_mm)
+    lit = (geometry[:, 0] < np.pi / 2) & (to_lamp > 0)
+    lit &= ~tracer.occluded(start, looked.light, far=far)
+    lit_behind = np.zeros(count, dtype=bool)
     if is_sheet:
-        lit_behind = (geometry[:, 0] > np.pi / 2) & (np.sum(facet * light, axis=1) < 0)
-        below = position - tracer.placements[0].shape.ray_offset_mm * facet
-        lit_behind &= ~tracer.occluded(below, light, far=lamp_distance)
+        lit_behind = (geometry[:, 0] > np.pi / 2) & (to_lamp < 0)
+        lit_behind &= ~tracer.occluded(position - offset, looked.light, far=far)
     xy = setup.pinhole.project(position, camera, rig_from_camera(pose))
     return Sight(xy, geometry, visible, lit, power, lit_behind)
 
 
-def _window(xy: np.ndarray, margin: float, height: int, width: int) -> tuple[slice, slice]:
-    """Return slices of rows and columns that contain the 4 x 4 samples around all finite points; empty without points.
+@njit(cache=True, nogil=True)
+def _bounds(xy, chosen):
+    """Return the least and largest finite coordinates of chosen points, (2, 2); without points, inf and 0."""
+    out = np.array([[np.inf, np.inf], [0.0, 0.0]])
+    for t in range(xy.shape[0]):
+        if chosen[t] and math.isfinite(xy[t, 0]) and math.isfinite(xy[t, 1]):
+            for axis in range(2):
+                out[0, axis], out[1, axis] = min(out[0, axis], xy[t, axis]), max(out[1, axis], xy[t, axis])
+    return out
+
+
+def _window(xy: np.ndarray, chosen: np.ndarray, margin: float, height: int, width: int) -> tuple[slice, slice]:
+    """Return slices of rows and columns with the 4 x 4 samples around all chosen finite points; empty without points.
 
     The bands of a sample lie up to ``margin`` samples beside its centre.
     """
-    inside = xy[np.isfinite(xy).all(axis=1)]
-    first = np.floor(inside.min(axis=0, initial=np.inf) - margin) - 1.0
-    last = np.floor(inside.max(axis=0, initial=0.0) + margin) + 3.0
+    least, largest = _bounds(xy, chosen)
+    first, last = np.floor(least - margin) - 1.0, np.floor(largest + margin) + 3.0
     (x0, y0), (x1, y1) = np.clip([first, last], 0, [width, height]).astype(int)
     return slice(y0, max(y0, y1)), slice(x0, max(x0, x1))
 
 
-def sample_picture(file: store.Reader, xy, within) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def sample_picture(file: store.Reader, xy, within=None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return interpolated responses of a capture, (n, bands) float32, which of them are good, and which clip, (n,).
 
     Red and blue of a superpixel are measured beside its centre, and each band is interpolated between its own places.
@@ -305,20 +343,22 @@ def sample_picture(file: store.Reader, xy, within) -> tuple[np.ndarray, np.ndarr
         Linear responses of the capture.
     xy : (n, 2) float
         Samples of the picture, x then y.
-    within : (m, 2) float
-        Those of them that matter: only the window of the picture that holds them is read.
+    within : (n,) bool, optional
+        Those of them that matter, all by default: only the window of the picture that holds them is read.
     """
     file.require_axes({"response": "row,column,band", "valid": "row,column", "clipped": "row,column"})
     height, width, bands = file.dataset("response").shape
     pattern = file.attribute("mosaic")
     places = bayer_offsets_px(pattern) if pattern else np.zeros((1, 2))
-    window = _window(within, np.abs(places).max(), height, width)
+    xy = np.ascontiguousarray(xy, dtype=np.float64)
+    chosen = np.ones(len(xy), dtype=bool) if within is None else within
+    window = _window(xy, chosen, np.abs(places).max(), height, width)
     sampled = np.zeros((len(xy), bands), dtype=np.float32)
     good, clips = np.empty(len(xy), dtype=np.bool_), np.empty(len(xy), dtype=np.uint8)
     corner = np.array([window[0].start, window[1].start])
     response, valid, clipped = (file.read(name, window) for name in ("response", "valid", "clipped"))
     seen = _Window(response, valid, clipped, corner, places)
-    run_chunks(_sample, len(xy), _CHUNK, seen, np.ascontiguousarray(xy), sampled, (good, clips))
+    run_chunks(_sample, len(xy), _CHUNK, seen, xy, sampled, (good, clips))
     return sampled, good, clips
 
 
@@ -335,17 +375,42 @@ class Observations(NamedTuple):
 
 
 def observe_captures(
-    linear: Iterable, shape: Shape, texels: Texels, setup: RigSetup, max_angle_deg: float, *, is_sheet: bool = False
+    linear: Iterable,
+    shape: Shape,
+    texels: Texels,
+    setup: RigSetup,
+    max_angle_deg: float,
+    *,
+    is_sheet: bool = False,
+    angles: bool = True,
 ) -> Observations:
-    """Return the observations of texels in files of linear responses; arguments as in `rectify_object`."""
-    limit, captures = np.radians(max_angle_deg), []
-    for path in linear:
+    """Return the observations of texels in files of linear responses; arguments as in `rectify_object`.
+
+    Without ``angles``, the geometry is empty: it takes as much memory as four bands.
+    """
+    limit, paths = np.radians(max_angle_deg), list(linear)
+    covered = slice(None) if texels.covered.all() else np.flatnonzero(texels.covered)
+    several: Observations | None = None
+    for number, path in enumerate(paths):
         found = _observe_file(path, shape, texels, setup, is_sheet)
-        frontal = (found.geometry[:, 0] <= limit) & (found.geometry[:, 1] <= limit)
-        behind = (np.pi - found.geometry[:, 0] <= limit) & (found.geometry[:, 1] <= limit)
-        weight, passed = (found.weight & frontal).astype(np.float32), (found.passed & behind).astype(np.uint8)
-        captures.append(found._replace(weight=weight, geometry=found.geometry.astype(np.float32), passed=passed))
-    return Observations(*(np.stack(values, axis=1) for values in zip(*captures, strict=True)))
+        incidence, reflection = found.geometry[:, 0], found.geometry[:, 1]
+        frontal = (incidence <= limit) & (reflection <= limit)
+        behind = (np.pi - incidence <= limit) & (reflection <= limit)
+        geometry = found.geometry if angles else np.empty((len(frontal), 0))
+        found = found._replace(weight=found.weight & frontal, geometry=geometry, passed=found.passed & behind)
+        if several is None:
+            several = _nothing_seen(texels.covered.size, len(paths), found)
+        for whole, values in zip(several, found, strict=True):
+            whole[covered, number] = values
+    assert several is not None  # there is a capture
+    return several
+
+
+def _nothing_seen(texels: int, captures: int, like: Observations) -> Observations:
+    """Return observations of texels in captures that are all 0, with the axes of those of one capture."""
+    kinds = Observations(np.float32, np.float32, np.float32, np.bool_, np.uint8, np.float32, np.uint8)
+    sizes = ((texels, captures, *values.shape[1:]) for values in like)
+    return Observations(*(np.zeros(size, kind) for size, kind in zip(sizes, kinds, strict=True)))
 
 
 def angles_in_captures(linear: Iterable, shape: Shape, texels: Texels, setup: RigSetup) -> np.ndarray:
@@ -360,13 +425,14 @@ def angles_in_captures(linear: Iterable, shape: Shape, texels: Texels, setup: Ri
         position = lain.points(texels.position[texels.covered])
         normal = texels.normal[texels.covered] @ lain.rotation.T
         light, _, _ = there.lamp.seen_from(position, pose)
-        _, view, _ = _eye(position, pose, there)
+        view = there.camera_distance_mm * to_camera(pose) - position
+        view /= np.linalg.norm(view, axis=1)[:, None]
         captures.append(_spread(angles_from_directions(normal, light, view), texels.covered))
     return np.stack(captures, axis=1)
 
 
 def _observe_file(path, shape: Shape, texels: Texels, setup: RigSetup, is_sheet: bool) -> Observations:
-    """Return the observations of all texels in the capture of one file of linear responses."""
+    """Return the observations of the texels on the surface in the capture of one file of linear responses."""
     with store.open_file(path) as file:
         typed = Pose.of_file(file)
         setup = setup.of(typed)
@@ -378,16 +444,16 @@ def _observe_file(path, shape: Shape, texels: Texels, setup: RigSetup, is_sheet:
         sight = observe(position, normal, tracer, pose, setup, facet, is_sheet=is_sheet)
         visible = sight.visible
         xy = samples_from_superpixels(sight.xy, file.attribute("sample_px"))
-        sampled, good, clips = sample_picture(file, xy, xy[visible])
+        sampled, good, clips = sample_picture(file, xy, visible)
     # A hidden texel's samples show another surface, and whether they were read depends on the window of the tile.
     sampled[~visible], clips[~visible] = 0.0, 0
     gain = np.ones(len(xy))
-    gain[good] = setup.light_gain(sight.xy[good], sight.power[good])
-    sampled *= gain[:, None].astype(np.float32)
+    if setup.lamp.is_near:
+        gain[good] = setup.light_gain(sight.xy[good], sight.power[good])
+        sampled *= gain[:, None].astype(np.float32)
     shadowed = visible & ~sight.lit & (sight.geometry[:, 0] < np.pi / 2)
     passed = visible & sight.lit_behind & good
-    found = (sampled, sight.geometry, visible & sight.lit & good, shadowed, clips, gain, passed)
-    return Observations(*(_spread(values, texels.covered) for values in found))
+    return Observations(sampled, sight.geometry, visible & sight.lit & good, shadowed, clips, gain, passed)
 
 
 def _spread(values: np.ndarray, covered: np.ndarray) -> np.ndarray:
@@ -395,6 +461,24 @@ def _spread(values: np.ndarray, covered: np.ndarray) -> np.ndarray:
     out = np.zeros((covered.size, *values.shape[1:]), dtype=values.dtype)
     out[covered.ravel()] = values
     return out
+
+
+def _surroundings(linear: list, shape: Shape, texels: Texels, setup: RigSetup) -> Surroundings:
+    """Return what determines the angles of texels in captures, in the frame of the object."""
+    light, camera = np.empty((2, len(linear), 3))
+    for number, path in enumerate(linear):
+        with store.open_file(path) as file:
+            typed = Pose.of_file(file)
+        there = setup.of(typed)
+        pose = there.correction.pose(typed)
+        lain = there.correction.placements(shape, pose, there.table_radius_mm)[0]
+        near = there.lamp.is_near
+        source = to_light(pose) * (there.lamp.distance_mm if near else 1.0)
+        light[number] = (source - lain.translation_mm if near else source) @ lain.rotation
+        camera[number] = (there.camera_distance_mm * to_camera(pose) - lain.translation_mm) @ lain.rotation
+    seen = texels.covered[..., None]
+    position, normal = (np.where(seen, values, 0.0).reshape(-1, 3) for values in (texels.position, texels.normal))
+    return Surroundings(position, normal, light, camera, setup.lamp.is_near)
 
 
 def noise_models(linear: list) -> np.ndarray:
@@ -429,10 +513,9 @@ def _poses_and_filters(linear: list) -> tuple[list[Pose], list[str]]:
 
 def _maps(observed: Observations, texels: Texels, near: bool, is_sheet: bool) -> dict:
     """Return the datasets that `rectify_object` writes for each texel: name -> (values, units, quantity)."""
-    shadowed, covered = observed.shadowed.astype(np.uint8), texels.covered.ravel().astype(np.uint8)
+    shadowed, covered = observed.shadowed.view(np.uint8), texels.covered.ravel().astype(np.uint8)
     maps = {
         "response": (observed.response, "1", "response, 1 = perfect diffuser at normal incidence"),
-        "geometry": (observed.geometry, "rad", "theta_i, theta_r, theta_h, phi"),
         "weight": (observed.weight, "1", "weight in the fit"),
         "shadowed": (shadowed, store.Mask, "whether another surface keeps the light away"),
         "clipped": (observed.clipped, store.Mask, "whether the picture clips in every exposure"),
@@ -482,7 +565,9 @@ def rectify_object(
 
     Notes
     -----
-    Datasets: ``/response`` (texel, J, bands) float32; ``/geometry`` (texel, J, 4) float32, θ_i, θ_r, θ_H, φ in rad;
+    Datasets: ``/response`` (texel, J, bands) float32; what determines the angles, which
+    `irodori.material.observed_angles.read_angles` computes, in the frame of the object: ``/position`` (texel, 3) mm,
+    ``/normal`` (texel, 3), ``/light`` (J, 3) and ``/camera`` (J, 3) mm;
     ``/weight`` (texel, J) float32, 1 where the texel is seen, lit and validly measured, else 0; ``/shadowed`` (texel,
     J) uint8, 1 where the texel faces the light but another surface blocks it; ``/clipped`` (texel, J) uint8, 1 where
     the texel is seen and a sample under it clips in every exposure, which distinguishes a highlight from a hot pixel or
@@ -506,7 +591,7 @@ def rectify_object(
     texels = shape.atlas(width, definition.texels.height, (rows[0], rows[1]))
     poses, filters = _poses_and_filters(linear)
     tracked, is_sheet = track(linear, f"rectify rows {rows[0]}-{rows[1]}"), definition.sheet is not None
-    observed = observe_captures(tracked, shape, texels, setup, max_angle_deg, is_sheet=is_sheet)
+    observed = observe_captures(tracked, shape, texels, setup, max_angle_deg, is_sheet=is_sheet, angles=False)
     require_bands(filters, observed.response.shape[2], linear[0])
     unseen = ~(observed.weight > 0).any(axis=1) & texels.covered.ravel()
     if unseen.any():
@@ -524,8 +609,10 @@ def rectify_object(
         write_bands(out, filters)
         out.coordinate("term", ["c0", "c1"], units="1", quantity="coefficient of the variance")
         for name, (values, units, quantity) in _maps(observed, texels, setup.lamp.is_near, is_sheet).items():
-            dims = ",".join(["texel_number", "capture", "angle" if name == "geometry" else "band"][: values.ndim])
-            out.write(name, values, units=units, dims=dims, quantity=quantity)
+            dims = ",".join(["texel_number", "capture", "band"][: values.ndim])
+            packing = "fast" if name == "response" else "small"
+            out.write(name, values, units=units, dims=dims, quantity=quantity, compression=packing)
+        write_surroundings(out, _surroundings(linear, shape, texels, setup))
         noise = noise_models(linear)
         out.write("noise_model", noise, units="1", dims="capture,band,term", quantity="variance c0 + c1 rho")
         out.attribute("rows", list(rows))
