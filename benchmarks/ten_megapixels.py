@@ -102,7 +102,7 @@ def make_project(folder: Path, size: Size) -> None:
     _write(folder / "config/scenes/still-life.yaml", scene)
     config = _read(folder / "config/config.yaml")
     config["rectify"]["tile_texels"] = size.tile_texels
-    config["photographed_together"] = []
+    config |= {"photographed_together": [], "keep_intermediate": False}
     _write(folder / "config/config.yaml", config)
 
 

@@ -297,6 +297,10 @@ class Config(Definition):
     #: photographs then refine them. A quantity with 0 stays as typed.
     place: Placing = Placing()
 
+    #: Whether linear pictures, observations and separate fits of texels stay on the disk. If not, each is removed as
+    #: soon as no job of the run needs it any more, and made again if a later run does.
+    keep_intermediate: bool = True
+
     #: Sets of objects that were photographed one after the other by one camera, while nobody moved, refocused or
     #: readjusted camera, lens or rig; what they tell of these is combined. Where one of a set is made, all are
     #: registered.

@@ -434,41 +434,65 @@ class Material:
             Mask of the texels that lie on the surface; all by default. The others are filled too, from the nearest
             texel of the surface, but are not counted in the share.
         """
-        from scipy import ndimage  # slow to import
+        gap, origin, share = self.gaps(covered)
 
+        def patched(values: np.ndarray) -> np.ndarray:
+            out = values.reshape(-1, *values.shape[2:]).copy()
+            out[gap] = out[origin]
+            return out.reshape(values.shape)
+
+        pairs = [(patched(beta), patched(mu)) for _, beta, mu in self.typically_filled()]
+        maps = {name: patched(getattr(self, name)) for name in (*MAPS, "coefficients")}
+        return replace(self.with_gloss(pairs), **maps), share
+
+    def gaps(self, covered: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, float]:
+        """Return the texels that `filled` fills and those that they take their values from; arguments as there.
+
+        Returns
+        -------
+        gap, origin : (m,) int
+            Indices into the flattened maps.
+        share : float
+            Share of the texels on the surface that are filled.
+
+        Raises
+        ------
+        ValueError
+            If no texel on the surface was observed.
+        """
         observed = self.observed
-        if covered is not None and not covered.all():
-            return self._padded(covered)
+        if covered is None or covered.all():
+            covered = np.ones(observed.shape, dtype=bool)
+        observed &= covered
         if not observed.any():
             raise ValueError("a material without a single observed texel; accepted: at least one")
+        share = float(1.0 - observed[covered].mean())
+        gap = np.flatnonzero(~observed)
+        if not gap.size:
+            return gap, gap, share
         width = observed.shape[1]
-        wrapped = np.concatenate([observed, observed, observed], axis=1)
-        row, column = ndimage.distance_transform_edt(~wrapped, return_distances=False, return_indices=True)
-        row, column = row[:, width : 2 * width], column[:, width : 2 * width] % width
-        pairs = [(beta[row, column], mu[row, column]) for _, beta, mu in self.typically_filled()]
-        filled = replace(
-            self.with_gloss(pairs),
-            alpha=self.alpha[row, column],
-            green_response=self.green_response[row, column],
-            coefficients=self.coefficients[row, column],
+        beside = (width + 1) // 2  # nothing is farther away around the texture than this
+        origin = _nearest(
+            np.concatenate([observed[:, -beside:], observed, observed[:, :beside]], axis=1), beside, width
         )
-        return filled, float(1.0 - observed.mean())
-
-    def _padded(self, covered: np.ndarray) -> tuple["Material", float]:
-        """Fill gaps on the surface from observed texels, then texels off the surface from the nearest texel on it."""
-        from scipy import ndimage  # slow to import
-
-        observed = self.observed & covered
-        own = replace(self, alpha=np.where(covered, self.alpha, np.nan))
-        inside, _ = own.filled()
-        row, column = ndimage.distance_transform_edt(~covered, return_distances=False, return_indices=True)
-        maps = {name: getattr(inside, name)[row, column] for name in (*MAPS, "coefficients")}
-        padded = inside.with_gloss([(beta[row, column], mu[row, column]) for _, beta, mu in inside.gloss])
-        return replace(padded, **maps), float(1.0 - observed.sum() / covered.sum())
+        if not covered.all():
+            outside = np.flatnonzero(~covered)
+            on_surface = _nearest(covered, 0, width)[outside]
+            origin[outside] = origin[on_surface]
+        return gap, origin[gap], share
 
     def spectra(self) -> np.ndarray:
         """Return S(λ) of every texel, (height, width, 61)."""
         return self.coefficients @ self.basis.T
+
+
+def _nearest(chosen: np.ndarray, skipped: int, width: int) -> np.ndarray:
+    """Return the flat index of the chosen texel nearest to each texel; the texture begins after ``skipped`` columns."""
+    from scipy import ndimage  # slow to import
+
+    places = ndimage.distance_transform_edt(~chosen, return_distances=False, return_indices=True)
+    row, column = places[:, :, skipped : skipped + width]
+    return (row.astype(np.int64) * width + (column - skipped) % width).ravel()
 
 
 def spectrum_scale(alpha: np.ndarray, green_response: np.ndarray) -> np.ndarray:

@@ -240,13 +240,16 @@ def _fill_texels(
     share : float
         Share of the texels that had no data.
     """
-    whole, share = material.filled(placement.shape.is_covered(*material.alpha.shape[::-1]))
-    count = whole.basis.shape[1]
-    scale = whole.spectrum_scale.reshape(-1, 1)
-    np.multiply(whole.coefficients.reshape(-1, count), scale, out=coefficients[:, :count], casting="same_kind")
-    for number, (_, beta, mu) in enumerate(whole.gloss):
+    # Without a filled copy of the material, which would take as much memory as all texels here.
+    gap, origin, share = material.gaps(placement.shape.is_covered(*material.alpha.shape[::-1]))
+    count = material.basis.shape[1]
+    scale = material.spectrum_scale.reshape(-1, 1)
+    np.multiply(material.coefficients.reshape(-1, count), scale, out=coefficients[:, :count], casting="same_kind")
+    for number, (_, beta, mu) in enumerate(material.typically_filled()):
         gloss[:, 2 * number], gloss[:, 2 * number + 1] = beta.ravel(), mu.ravel()
-    return whole.basis.T, share
+    for filled in (coefficients, gloss):
+        filled[gap] = filled[origin]
+    return material.basis.T, share
 
 
 def make_light(environment: Environment) -> Light:

@@ -23,6 +23,7 @@ from irodori.geometry.rig_frame import rig_from_object, to_light
 from irodori.geometry.shapes.placement import Placement
 from irodori.geometry.shapes.shape import Shape
 from irodori.material.angle_errors import REGISTERED, AngleErrors, registered_errors
+from irodori.material.observed_angles import read_angles
 from irodori.rectification.stage import RigSetup, _sample, _Window, observe, rectify_object
 from irodori.rectification.texture_tiles import tile_rows
 
@@ -110,8 +111,8 @@ def rectify(tmp_path, definition, poses, *, rows=None, max_angle_deg=85.0, setup
         provenance=PROVENANCE,
     )
     with store.open_file(tmp_path / name) as file:
-        names = ("response", "geometry", "weight", "shadowed", "clipped", "texel", "light_gain")
-        return {name: file.read(name) for name in names if name in file}
+        names = ("response", "weight", "shadowed", "clipped", "texel", "light_gain")
+        return {name: file.read(name) for name in names if name in file} | {"geometry": read_angles(file)}
 
 
 PLATE_POSES = [

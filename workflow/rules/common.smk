@@ -30,3 +30,8 @@ BENCHMARKS = ["ingest", "calibrate", "fit", "compress", "light", "environment", 
 def tests_of_stability(wildcards):
     """Return the tests, of which the hard cases are tried."""
     return sorted(map(str, Path(REPOSITORY, "tests").rglob("*.py")))
+
+
+def intermediate(files):
+    """Return output files that are removed after their last use, unless the configuration keeps them."""
+    return files if config["keep_intermediate"] else temp(files)

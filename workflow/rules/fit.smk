@@ -63,7 +63,7 @@ rule fit_brdf:
         user_files=ancient(sets.tables_of_index),
         calibration=sets.calibration_of_index,
     output:
-        brdf="results/{object}/brdf/tile-{tile}.h5",
+        brdf=intermediate("results/{object}/brdf/tile-{tile}.h5"),
     log:
         "results/logs/fit_brdf/{object}_{tile}.log",
     benchmark:
@@ -103,7 +103,8 @@ rule share_gloss:
         "results/benchmarks/share_gloss/{object}.tsv"
     conda:
         "../../envs/irodori.yaml"
-    threads: 1
+    # Of a large object, nothing else can run meanwhile.
+    threads: lambda wildcards: min(2, len(sets.tiles_of(wildcards.object)))
     resources:
         mem_mb=lambda wildcards, attempt: 2000 * attempt,
     params:

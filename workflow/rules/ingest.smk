@@ -118,7 +118,7 @@ for part in sets.ingest_parts():
             table=sets.checked_table,
             reference=sets.camera_file("results/cameras/{camera}/reference.h5"),
         output:
-            linear=expand("results/{{object}}/linear/{capture}.h5", capture=part.captures),
+            linear=intermediate(expand("results/{{object}}/linear/{capture}.h5", capture=part.captures)),
         log:
             f"results/logs/ingest_raw/{{object}}_{part.number}.log",
         benchmark:

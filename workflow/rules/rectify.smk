@@ -84,7 +84,7 @@ rule rectify_object:
         registration=sets.registration,
         user_files=ancient(sets.mesh),
     output:
-        observations="results/{object}/observations/tile-{tile}.h5",
+        observations=intermediate("results/{object}/observations/tile-{tile}.h5"),
     log:
         "results/logs/rectify_object/{object}_{tile}.log",
     benchmark:
