@@ -95,7 +95,7 @@ def _seen(observations, fitted, texels: int) -> np.ndarray:
         weight = file.read("weight")
     if len(weight) != texels:
         raise InputError(fitted, "status", f"{texels} texels", f"{len(weight)}, as in {observations}")
-    return (weight > 0.0).any(axis=1)
+    return np.any(weight > 0.0, axis=1)
 
 
 def _tile(observed: Observed, maps: dict, optics: GlossModel, chosen=slice(None)) -> Tile:
@@ -160,7 +160,7 @@ def share_gloss(
         maps, attributes = _read_fit(own)
         optics = optics or GlossModel(options, fresnel_of(n, k, calibration, maps["diffuse_response"].shape[1]))
         if colours:
-            paint = by_colour(*(maps[name] for name in _RESPONSE), colours)
+            paint = by_colour(maps["diffuse_response"], maps["diffuse_variance"], colours)
             with_light = _seen(seen, own, len(maps["status"]))
             chosen = sample_of(paint, with_light, colours, attributes["width"], len(tiles))
             observed = without_images(read_observations(seen, levels, chosen), options)

@@ -7,6 +7,7 @@ subtracted, its diffuse responses have the colour of the paint. Therefore a sing
 colour of a texel.
 """
 
+import functools
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -143,8 +144,8 @@ def seams(paint: np.ndarray) -> np.ndarray:
 
 def sample(tile: Tile, colours: Colours, width: int, tiles: int) -> Tile:
     """Return the texels of a tile that `sample_of` chooses."""
-    paint, seen = by_colour(tile.response, tile.variance, colours), (tile.observed.weight > 0.0).any(axis=1)
-    return tile[sample_of(paint, seen, colours, width, tiles)]
+    paint = by_colour(tile.response, tile.variance, colours)
+    return tile[sample_of(paint, np.any(tile.observed.weight > 0.0, axis=1), colours, width, tiles)]
 
 
 def sample_of(paint: np.ndarray, seen: np.ndarray, colours: Colours, width: int, tiles: int) -> np.ndarray:
@@ -257,6 +258,10 @@ class Painted:
     shared: TexelGloss
 
 
+def _share_piece(tile: Tile, gloss: PaintGloss, optics: GlossModel, texels: np.ndarray) -> TexelGloss:
+    return share(tile.surface(optics, texels), gloss)
+
+
 def share_by_paint(tile: Tile, paints: Paints, width: int, optics: GlossModel) -> Painted:
     """Fit the texels of a tile with the gloss of their paints as prior.
 
@@ -279,7 +284,7 @@ def share_by_paint(tile: Tile, paints: Paints, width: int, optics: GlossModel) -
     for number in paints.known:
         gloss, here = paints.gloss[number], np.flatnonzero(found.ravel() == number)
         assert gloss is not None
-        pieces = in_pieces(lambda piece, gloss=gloss: share(tile.surface(optics, piece), gloss), here)
+        pieces = in_pieces(functools.partial(_share_piece, tile, gloss, optics), here)
         one = TexelGloss.joined(pieces)
         # A mixture may fit badly without having a gloss of its own.
         good = (one.agrees | mixed[here]) & (one.alpha_error <= np.maximum(_WORTH * one.alpha, _DARK))

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
+from typing import Any
 
 import numpy as np
 
@@ -442,7 +443,7 @@ class Material:
             return out.reshape(values.shape)
 
         pairs = [(patched(beta), patched(mu)) for _, beta, mu in self.typically_filled()]
-        maps = {name: patched(getattr(self, name)) for name in (*MAPS, "coefficients")}
+        maps: dict[str, Any] = {name: patched(getattr(self, name)) for name in (*MAPS, "coefficients")}
         return replace(self.with_gloss(pairs), **maps), share
 
     def gaps(self, covered: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, float]:

@@ -408,9 +408,13 @@ def observe_captures(
 
 def _nothing_seen(texels: int, captures: int, like: Observations) -> Observations:
     """Return observations of texels in captures that are all 0, with the axes of those of one capture."""
-    kinds = Observations(np.float32, np.float32, np.float32, np.bool_, np.uint8, np.float32, np.uint8)
-    sizes = ((texels, captures, *values.shape[1:]) for values in like)
-    return Observations(*(np.zeros(size, kind) for size, kind in zip(sizes, kinds, strict=True)))
+    kinds = {"shadowed": np.bool_, "clipped": np.uint8, "passed": np.uint8}
+    return Observations(
+        *(
+            np.zeros((texels, captures, *values.shape[1:]), kinds.get(name, np.float32))
+            for name, values in zip(like._fields, like, strict=True)
+        )
+    )
 
 
 def angles_in_captures(linear: Iterable, shape: Shape, texels: Texels, setup: RigSetup) -> np.ndarray:
