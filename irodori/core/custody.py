@@ -31,6 +31,8 @@ _DAMAGED = ".damaged"
 #: Results that must have a record even where no other result names them; single frames have none.
 _RECORDED = (".h5", ".exr", ".png", ".tif")
 _FRAMES = ("frames", "frames.part")
+#: Folders of an object's results that the workflow removes after their last use, if the configuration says so.
+_INTERMEDIATE = ("linear", "observations", "brdf")
 
 
 @dataclass(frozen=True)
@@ -314,6 +316,12 @@ def _name(path: Path) -> str:
     return str(path if folder is None else path.absolute().relative_to(folder.parent))
 
 
+def _may_be_removed(path: Path) -> bool:
+    """Return whether a missing file is of a kind that the workflow removes without `keep_intermediate`."""
+    of_object = path.parent.name in _INTERMEDIATE and path.parent.parent.parent.name == _RESULTS
+    return of_object and path.suffix == ".h5" and not path.is_file()
+
+
 class Chain:
     """Records of all results of a project.
 
@@ -334,6 +342,7 @@ class Chain:
             raise InputError(self.folder, "", "no such folder", "a folder of results")
         self._top = _results_folder(self.folder) or self.folder.absolute()
         self.accepted: list[Path] = []
+        self.removed: set[Path] = set()
         self._seen: set[Path] = set()
 
     def __len__(self) -> int:
@@ -379,6 +388,11 @@ class Chain:
             The given results and those from which they were made, sorted.
         given : list of path
             Files of the user from which they were made, sorted.
+
+        Raises
+        ------
+        InputError
+            If an intermediate result was removed (`keep_intermediate` of the configuration).
         """
         results: set[Path] = set()
         given: set[Path] = set()
@@ -387,6 +401,8 @@ class Chain:
             path = waiting.pop()
             if path in results or path in given:
                 continue
+            if _may_be_removed(path):
+                raise InputError(path, "", "a result that was removed", "keep_intermediate: true, and snakemake again")
             record = read_record(path)
             (given if record is None else results).add(path)
             waiting += [self._place(name) for name in record.inputs] if record else []
@@ -403,6 +419,9 @@ class Chain:
             known = read_record(behind)
             if known is not None:
                 yield from self._broken_before(behind)
+            if _may_be_removed(behind):
+                self.removed.add(behind)
+                continue
             hashes[name] = known.sha256 if known else content_sha256(behind) if behind.is_file() else None
         try:
             record = verified(path)
@@ -442,7 +461,8 @@ def main(arguments: list[str] | None = None, prog: str = "irodori verify") -> in
         print(said)
         return 1
     print("".join(f"{path}: taken as it is\n" for path in chain.accepted), end="")
-    print(f"every link holds ({len(chain)} results)")
+    removed = f"; {len(chain.removed)} intermediate files are not kept" if chain.removed else ""
+    print(f"every link holds ({len(chain)} results{removed})")
     return 0
 
 

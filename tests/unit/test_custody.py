@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from irodori.core import store
-from irodori.core.custody import beside, main, read_record, received, verified, write_record
+from irodori.core.custody import Chain, beside, main, read_record, received, verified, write_record
 from irodori.core.errors import InputError
 
 
@@ -151,6 +151,19 @@ def test_a_users_file_that_changed_breaks_the_first_link(project, capsys, change
     status, said = verify(capsys, "results")
     what = "has changed since" if change == "edited" else "is gone"
     assert status == 1 and f"brdf.h5: found a result of jar.csv, which {what}" in said
+
+
+def test_intermediate_files_that_were_removed_break_no_link_but_are_counted(project, capsys):
+    tile, picture = "results/jar/observations/tile-000.h5", "results/scene/front.png"
+    make(tile, ["jar.csv"], alpha=0.4)
+    make(MATERIAL, ["results/jar/brdf.h5", tile], alpha=0.4)
+    write_record(picture, picture, hashes(MATERIAL))
+    assert "not kept" not in verify(capsys)[1]
+    Path(tile).unlink()
+    status, said = verify(capsys)
+    assert status == 0 and "1 intermediate files are not kept" in said
+    with pytest.raises(InputError, match="keep_intermediate: true"):
+        Chain("results").made_from([Path(MATERIAL)])
 
 
 def test_pictures_and_files_that_nobody_reads_must_have_a_record_too(project, capsys):
