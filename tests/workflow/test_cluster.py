@@ -47,6 +47,12 @@ def test_every_tile_is_fitted_where_it_was_rectified(dry_run):
         assert rectified == fitted and 0 < len(fitted) <= 50
 
 
+@pytest.mark.heavy
+def test_what_one_stage_hands_to_the_next_is_removed_where_the_configuration_says_so(dry_run):
+    removed = re.findall(r"temporary output results/tile-plate/(\w+)/", dry_run)
+    assert set(removed) == {"linear", "observations", "brdf"}
+
+
 def test_the_workflows_own_profile_takes_no_setting_from_the_clusters():
     # Snakemake loads both and keeps the whole value of the workflow's own where both name a key.
     own = yaml.safe_load((ROOT / "profiles/default/config.yaml").read_text())
