@@ -124,6 +124,9 @@ class FrameView(NamedTuple):
     parts: np.ndarray  # where the rays of a pixel at an outline pass, from its upper left corner: columns, then rows
 
 
+_TEXELS_AT_ONCE = 1 << 18  # texels that are converted together
+
+
 def padded(rows: np.ndarray, width: int) -> np.ndarray:
     """Pad rows, (..., n), with zeros to a width and return them as a flat float32 array."""
     room = width - rows.shape[-1]
@@ -181,18 +184,34 @@ def stored_texels(
     further : (texels * FURTHER,) float32
         Gloss components from the second on; empty if the scene's objects have one component.
     """
-    weights = texels[..., : objects.bases[index]].astype(np.float64)
-    stored = np.zeros((*texels.shape[:2], channels.surface), dtype=np.float32)
-    stored[..., : channels.count] = weights @ channels.texel_from_weights[index].T
-    others = np.zeros((*texels.shape[:2], FURTHER), dtype=np.float32)
-    for component, (beta, mu) in enumerate(gloss_of(objects, texels)):
-        name = objects.lobes.names[objects.lobe[index, component]]
-        # β times a quarter of the lobe's strength, its power: one number less to compute at a hit.
-        pair = stored[..., -2:] if component == 0 else others[..., 2 * component - 2 : 2 * component]
-        pair[..., 0] = gloss_power(beta, mu, name)
-        pair[..., 1] = roughness_place(np.where(mu > 0, mu, 1.0), name)
-    wraps = objects.wraps[index] == 1
-    return _bordered(stored, wraps), _bordered(others, wraps) if _has_further(objects) else np.zeros(0, np.float32)
+    size = texels.shape[0] + 2, texels.shape[1] + 2
+    stored = np.zeros((*size, channels.surface), dtype=np.float32)
+    further = np.zeros((*size, FURTHER) if _has_further(objects) else 0, dtype=np.float32)
+    _fill_texture(objects, index, texels, channels, (stored, further))
+    return stored.ravel(), further.ravel()
+
+
+def _fill_texture(
+    objects: Objects, index: int, texels: np.ndarray, channels: Channels, out: tuple[np.ndarray, np.ndarray]
+) -> None:
+    """Fill the arrays of `stored_texels`, (rows + 2, columns + 2, numbers) each, some rows at a time."""
+    stored, further = out
+    step = max(1, _TEXELS_AT_ONCE // texels.shape[1])
+    for first in range(0, len(texels), step):
+        some = texels[first : first + step]
+        inside = np.s_[1 + first : 1 + first + len(some), 1:-1]
+        weights = some[..., : objects.bases[index]].astype(np.float64)
+        stored[inside][..., : channels.count] = weights @ channels.texel_from_weights[index].T
+        for component, (beta, mu) in enumerate(gloss_of(objects, some)):
+            name = objects.lobes.names[objects.lobe[index, component]]
+            # β times a quarter of the lobe's strength, its power: one number less to compute at a hit.
+            place = 2 * component - 2
+            pair = stored[inside][..., -2:] if component == 0 else further[inside][..., place : place + 2]
+            pair[..., 0] = gloss_power(beta, mu, name)
+            pair[..., 1] = roughness_place(np.where(mu > 0, mu, 1.0), name)
+    for values in out:
+        if values.size:
+            _repeat_border(values, objects.wraps[index] == 1)
 
 
 def _has_further(objects: Objects) -> bool:
@@ -206,8 +225,13 @@ def make_textures(objects: Objects, channels: Channels, spare: int = 0) -> dict:
     widths = channels.surface, FURTHER if _has_further(objects) else 0
     room = [on_cache_lines((int(first[-1]) + spare) * width) for width in widths]
     for i, texels in enumerate(textures(objects)):
-        for flat, numbers, width in zip(room, stored_texels(objects, i, texels, channels), widths, strict=True):
-            flat[first[i] * width : first[i + 1] * width] = numbers
+        size = texels.shape[0] + 2, texels.shape[1] + 2
+        # In place: of a texture of ten megapixels, a copy takes hundreds of megabytes.
+        stored, further = (
+            flat[first[i] * width : first[i + 1] * width].reshape(*size, width)
+            for flat, width in zip(room, widths, strict=True)
+        )
+        _fill_texture(objects, i, texels, channels, (stored, further))
     return {
         "texels": room[0],
         "texture_first": indices(first[:-1]),
@@ -219,9 +243,14 @@ def _bordered(texels: np.ndarray, wraps: bool) -> np.ndarray:
     """Return a texture, (rows, columns, numbers), with a border of one texel added, as a flat array."""
     stored = np.zeros((texels.shape[0] + 2, texels.shape[1] + 2, texels.shape[2]), dtype=np.float32)
     stored[1:-1, 1:-1] = texels
+    _repeat_border(stored, wraps)
+    return stored.ravel()
+
+
+def _repeat_border(stored: np.ndarray, wraps: bool) -> None:
+    """Fill the border of one texel of a texture, (rows + 2, columns + 2, numbers)."""
     stored[:, 0], stored[:, -1] = (stored[:, -2], stored[:, 1]) if wraps else (stored[:, 1], stored[:, -2])
     stored[0], stored[-1] = stored[1], stored[-2]
-    return stored.ravel()
 
 
 def make_irradiance(light: Light, channels: Channels) -> tuple[np.ndarray, int]:
