@@ -14,7 +14,7 @@ from irodori.rendering.reference.converging_picture import REPLICATES, TracedSce
 from irodori.rendering.reference.denoising import MARGIN, Halves, filtered_halves, make_guides, squared_error
 from irodori.rendering.reference.distance import body_pixels
 from irodori.rendering.reference.filling_cache import with_cache
-from irodori.rendering.reference.outlines import MORE as MORE_AT_OUTLINES
+from irodori.rendering.reference.outline_paths import MORE as MORE_AT_OUTLINES
 from irodori.rendering.reference.random_numbers import Numbers, make_numbers
 from irodori.rendering.reference.sky_sampling import Sky, make_sky
 from irodori.rendering.scene_arrays import View, make_objects, make_placements, make_view

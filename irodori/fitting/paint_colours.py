@@ -24,8 +24,9 @@ _CHUNK = 8192  # texels that a thread takes at a time
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _nearest_chunk(colour, precision, centre, best, place, first, last):
+def _nearest_chunk(colour, precision, centre, found, first, last):
     """Fill the mean squared distance to the nearest centre, in units of the scatter, and the centre's index."""
+    best, place = found
     for t in range(first, last):
         least = np.inf
         for ball in range(centre.shape[0]):
@@ -86,7 +87,7 @@ class Colours:
         colour = self.scaled(response[known])
         spread = 1.0 + np.nan_to_num(variance[known]) / (STEP * (response[known] + self.floor)) ** 2
         best, place = np.empty(len(colour)), np.zeros(len(colour), dtype=np.int64)
-        run_chunks(_nearest_chunk, len(colour), _CHUNK, colour, 1.0 / spread, self.centre, best, place)
+        run_chunks(_nearest_chunk, len(colour), _CHUNK, colour, 1.0 / spread, self.centre, (best, place))
         out[known], distance[known] = self.paint[place], np.sqrt(best)
         return out, distance
 

@@ -50,8 +50,12 @@ class Surroundings(NamedTuple):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _angles_chunk(position, normal, light, camera, near, out, first, last):
-    """Fill the angles of texels; ``light`` and ``camera`` are (3, J), ``near`` is 1 for positions of the light."""
+def _angles_chunk(surface, places, out, first, last):
+    """Fill the angles of texels.
+
+    ``surface`` has positions and normals; ``places`` light and camera, (3, J) each, and 1 for positions of the light.
+    """
+    (position, normal), (light, camera, near) = surface, places
     captures = light.shape[1]
     row = np.empty((4, captures))
     for t in range(first, last):
@@ -63,7 +67,7 @@ def _angles_chunk(position, normal, light, camera, near, out, first, last):
         for j in range(captures):
             lx, ly, lz, _ = unit(light[0, j] - near * px, light[1, j] - near * py, light[2, j] - near * pz)
             vx, vy, vz, _ = unit(camera[0, j] - px, camera[1, j] - py, camera[2, j] - pz)
-            row[0, j], row[1, j], row[2, j], row[3, j] = angles_between(nx, ny, nz, lx, ly, lz, vx, vy, vz)
+            row[0, j], row[1, j], row[2, j], row[3, j] = angles_between((nx, ny, nz), (lx, ly, lz), (vx, vy, vz))
         for j in range(captures):
             for i in range(4):
                 out[t, j, i] = row[i, j]
@@ -73,9 +77,8 @@ def angles_of(around: Surroundings) -> np.ndarray:
     """Return θ_i, θ_r, θ_H and φ of every texel in every photograph, (n, J, 4) float32 rad; 0 without a surface."""
     out = np.empty((len(around.position), len(around.light), 4), dtype=np.float32)
     light, camera = (np.ascontiguousarray(places.T) for places in (around.light, around.camera))
-    run_chunks(
-        _angles_chunk, len(out), _CHUNK, around.position, around.normal, light, camera, float(around.is_near), out
-    )
+    surface, places = (around.position, around.normal), (light, camera, float(around.is_near))
+    run_chunks(_angles_chunk, len(out), _CHUNK, surface, places, out)
     return out
 
 

@@ -242,7 +242,7 @@ def _look(surface, places, near, looked, first, last):
         lx, ly, lz, light_mm = unit(source[0] - near * px, source[1] - near * py, source[2] - near * pz)
         vx, vy, vz, camera_mm = unit(camera[0] - px, camera[1] - py, camera[2] - pz)
         nx, ny, nz = normal[t, 0], normal[t, 1], normal[t, 2]
-        angles = angles_between(nx, ny, nz, lx, ly, lz, vx, vy, vz)
+        angles = angles_between((nx, ny, nz), (lx, ly, lz), (vx, vy, vz))
         geometry[t, 0], geometry[t, 1], geometry[t, 2], geometry[t, 3] = angles
         light[t, 0], light[t, 1], light[t, 2] = lx, ly, lz
         view[t, 0], view[t, 1], view[t, 2] = vx, vy, vz

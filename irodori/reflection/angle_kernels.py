@@ -40,7 +40,8 @@ def _arc(y, x):
 
 
 @njit(cache=True, forceinline=True, error_model="numpy")
-def _between(ax, ay, az, bx, by, bz):
+def _between(a, b):
+    (ax, ay, az), (bx, by, bz) = a, b
     x, y, z = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
     return _arc(math.sqrt(x * x + y * y + z * z), ax * bx + ay * by + az * bz)
 
@@ -53,15 +54,10 @@ def unit(x, y, z):
 
 
 @njit(cache=True, forceinline=True, error_model="numpy")
-def angles_between(nx, ny, nz, lx, ly, lz, vx, vy, vz):
-    """Return θ_i, θ_r, θ_H, φ, rad, of the components of the unit vectors N, L and V."""
-    hx, hy, hz = lx + vx, ly + vy, lz + vz
+def angles_between(normal, light, view):
+    """Return θ_i, θ_r, θ_H, φ, rad, of the unit vectors N, L and V, three components each."""
+    hx, hy, hz = light[0] + view[0], light[1] + view[1], light[2] + view[2]
     # Between opposite directions, the normal stands for the half vector.
     is_half = hx * hx + hy * hy + hz * hz > _LEAST * _LEAST
-    hx, hy, hz = hx if is_half else nx, hy if is_half else ny, hz if is_half else nz
-    return (
-        _between(nx, ny, nz, lx, ly, lz),
-        _between(nx, ny, nz, vx, vy, vz),
-        _between(hx, hy, hz, lx, ly, lz),
-        _between(nx, ny, nz, hx, hy, hz),
-    )
+    half = hx if is_half else normal[0], hy if is_half else normal[1], hz if is_half else normal[2]
+    return _between(normal, light), _between(normal, view), _between(half, light), _between(normal, half)

@@ -19,7 +19,6 @@ from irodori.rendering.interactive.channels import (
     rgb_channels,
     spectral_channels,
 )
-from irodori.rendering.interactive.outlines import spread_points
 from irodori.rendering.interactive.packets import KEPT, PATHS, RAYS, TILE
 from irodori.rendering.interactive.prepared_scene import (
     FrameView,
@@ -33,6 +32,7 @@ from irodori.rendering.interactive.prepared_scene import (
 from irodori.rendering.interactive.quadrature import Quadrature, path_spectra, solve_quadrature
 from irodori.rendering.interactive.representation_layout import Layout
 from irodori.rendering.interactive.round_lobes import TAPS, lobe_table
+from irodori.rendering.interactive.smooth_outlines import spread_points
 from irodori.rendering.interactive.tile_loop import (
     FIGURES,
     RECALLED,
@@ -169,7 +169,7 @@ def prepare_scene(
         Baked light on the objects, used instead of irradiance. They must be baked for this environment
         without rotation and for the objects' places in the tracer.
     smooth_outlines : bool
-        Whether pixels at outlines show the mean over several rays, see `irodori.rendering.interactive.outlines`.
+        Whether pixels at outlines show the mean over several rays, see `irodori.rendering.interactive.smooth_outlines`.
 
     Raises
     ------

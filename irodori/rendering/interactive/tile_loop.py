@@ -19,16 +19,6 @@ from irodori.jit.vector_memory import (
 )
 from irodori.rendering.interactive.hard_shadows import light_hits
 from irodori.rendering.interactive.look_ups import LOOK_FIELDS, LOOK_NUMBERS, find_lobes
-from irodori.rendering.interactive.outlines import (
-    MET,
-    SIDE,
-    Met,
-    note_block,
-    note_pixel,
-    note_row,
-    outline_bits,
-    shaded_rays,
-)
 from irodori.rendering.interactive.packets import (
     CONE,
     DIRECTION,
@@ -82,6 +72,16 @@ from irodori.rendering.interactive.shading import (
     shade_sky,
     shade_surfaces,
 )
+from irodori.rendering.interactive.smooth_outlines import (
+    MET,
+    SIDE,
+    Met,
+    note_block,
+    note_pixel,
+    note_row,
+    outline_bits,
+    shaded_rays,
+)
 
 if TYPE_CHECKING:  # keeps their other imports out of the kernel's import closure
     from irodori.rendering.interactive.prepared_scene import FrameView, PreparedWorld
@@ -106,7 +106,7 @@ class PathLimits(NamedTuple):
     least_lobe: float  # least weight times throughput of a lobe that is looked up
     visibility: int  # see `TRACED`
     kept_bounces: int  # number of bounces whose hits are kept, including the rays from the eye
-    outlines: int  # 1 if pixels at outlines have more rays, see `irodori.rendering.interactive.outlines`; else 0
+    outlines: int  # 1 if pixels at outlines have more rays, see `irodori.rendering.interactive.smooth_outlines`; else 0
 
 
 class Job(NamedTuple):
@@ -274,8 +274,12 @@ def _trace_apart(world, scratch, base, active):
 
 
 @uncounted()
-def _meet(job, scratch, base, count, bounce, visibility, kept):
-    """Trace a packet or recall its hits from ``kept``; return the bits of rays that hit and of those that missed."""
+def _meet(job, scratch, base, count, bounce, memory):
+    """Trace a packet or recall its hits; return the bits of rays that hit and of those that missed.
+
+    ``memory`` tells whether hits are kept or recalled, and where.
+    """
+    visibility, kept = memory
     world, limits, active = job.world, job.limits, active_lanes(count, base)
     if visibility == RECALLED and bounce < limits.kept_bounces:
         recall_packet(scratch.packet, kept)
@@ -388,7 +392,7 @@ def _follow(job, scratch, count, visibility, kept, notes):
         after = np.int64(0)  # for a literal 0, `_shade_packet` would be compiled a second time
         for base in range(0, count, RAYS):
             since = cycles() if is_profiled(layout) else 0
-            met, missed = _meet(job, scratch, base, count, bounce, visibility, kept[packets * KEPT :])
+            met, missed = _meet(job, scratch, base, count, bounce, (visibility, kept[packets * KEPT :]))
             packets += 1
             if notes and bounce == 0:
                 _note(job.world, scratch, base, count)

@@ -24,7 +24,7 @@ from irodori.rendering.reference.band_loops import padded
 from irodori.rendering.reference.denoising import Halves
 from irodori.rendering.reference.glints import find_glints
 from irodori.rendering.reference.light_cache import no_cache
-from irodori.rendering.reference.outlines import MORE, at_outlines
+from irodori.rendering.reference.outline_paths import MORE, at_outlines
 from irodori.rendering.reference.random_numbers import Numbers, in_order, make_numbers
 from irodori.rendering.reference.row_statistics import Rows, Sampling, render_some_rows
 from irodori.rendering.reference.sky_sampling import Sky, make_sky

@@ -19,7 +19,7 @@ from irodori.config.models import Scene
 from irodori.geometry.embree import Tracer
 from irodori.geometry.shapes.shape import Shape
 from irodori.rendering.reference.converging_picture import REPLICATES, TracedScene, render_places
-from irodori.rendering.reference.outlines import MORE
+from irodori.rendering.reference.outline_paths import MORE
 from irodori.rendering.reference.random_numbers import make_numbers
 from irodori.rendering.scene_arrays import View, make_placements
 from irodori.rendering.single_pixels import middle_rays

@@ -12,8 +12,8 @@ from irodori.geometry.embree import Tracer
 from irodori.geometry.shapes.plane import Plane
 from irodori.rendering.integrators import render_image
 from irodori.rendering.interactive.frame_renderer import CollimatedLamp, render_frame
-from irodori.rendering.interactive.outlines import spread_points
 from irodori.rendering.interactive.pixel_rays import rays_through, render_rays
+from irodori.rendering.interactive.smooth_outlines import spread_points
 from irodori.rendering.scene_arrays import make_view
 from irodori.rendering.single_pixels import middle_rays
 

@@ -37,7 +37,7 @@ MET = _STRIDE * _STRIDE + _TILE
 
 
 class Met(NamedTuple):
-    """What the rays through the pixels of a tile and those around it meet, in rows; see `place_in`."""
+    """Shapes that the rays through the pixels of a tile and those around it meet, in rows; see `place_in`."""
 
     number: np.ndarray  # (MET,) int32, of the shape; -1 for none
     inverse: np.ndarray  # (MET,) float32, of the distance to a mesh, 1 / mm; 0 for all else

@@ -40,7 +40,7 @@ class _Eye(NamedTuple):
 
 
 class _Sights(NamedTuple):
-    """What points of a picture show."""
+    """Shapes and mirrors that points of a picture show."""
 
     place: np.ndarray  # (points, 2) px
     number: np.ndarray  # (points,) int64 of the surfaces, one after another

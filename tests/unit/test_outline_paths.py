@@ -6,7 +6,7 @@ from path_scenes import DARK, ball, traced
 from scenes import constant_light, material, plate
 
 from irodori.rendering.reference import converging_picture
-from irodori.rendering.reference.outlines import MORE
+from irodori.rendering.reference.outline_paths import MORE
 
 SIDE, SAMPLES = 32, 8
 
