@@ -261,7 +261,7 @@ def material_file(path, change, replaced: str = "alpha"):
         for name in maps.keys() - {replaced}:
             out.write(name, maps[name], units="1", dims="row,column", quantity=name)
         write_coefficients(out, COEFFICIENTS, whole.coefficients, quantity="coefficients")
-        constants = {"lobes": whole.lobes, "typical_gloss": whole.typical_gloss}
+        constants = {"lobes": whole.lobes, "typical_gloss": whole.typical_gloss, "coat": whole.coat}
         write_constants(out, whole.basis, whole.n, whole.k, whole.mirror, None, **constants)
         change(out)
     return path

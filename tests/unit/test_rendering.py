@@ -43,7 +43,7 @@ def test_what_is_below_zero_is_dark_and_adds_no_light():
     ratio = seen[20:] / (spectrum * light)[20:]
     assert np.ptp(ratio) < 1e-5 and 0.9 < ratio[0] < 1
     # The light itself, seen beside the sphere.
-    sky = render([BALL], [material(0.5)], constant_light(spectrum), size=(5, 5))[0, 0]
+    sky = render([BALL], [material(0.5)], constant_light(spectrum), size=(9, 9))[0, 0]
     assert (sky >= 0).all() and sky.sum() == pytest.approx(spectrum.sum(), rel=1e-5)
     assert (render([BALL], [material(-0.1)], constant_light(light), size=(5, 5))[2, 2] == 0).all()
 

@@ -186,7 +186,7 @@ def test_a_shape_from_outside_is_rendered(rendered, integrator, tolerance):
     assert abs(error.mean()) < 0.2 * tolerance and np.abs(error).max() < 4.0 * tolerance
     # Light maps blur the dark inside of the tube out through its wall, by less than two texels of the floor.
     leaks = np.abs(found["furnace"] - 1.0) > 0.02
-    assert leaks.mean() < (0.004 if integrator == "interactive" else 1e-9)
+    assert leaks.mean() < (0.01 if integrator == "interactive" else 1e-9)
     assert found["furnace"].mean() == pytest.approx(1.0, abs=0.002)
     # A black tube on a grey floor has a contact shadow, by paths and by light maps.
     shadow, alone = found["shadow"], found["alone"]

@@ -67,6 +67,8 @@ def test_fifteen_words_fit_what_the_written_definitions_fit(fitted, started, cap
     assert sum(len(words.split()) for words in ANSWERS.values()) <= 15
     (started / "answers.yaml").write_text(yaml.safe_dump(ANSWERS))
     assert main(["init", "My plate", "--answers", "answers.yaml"]) == 0, capsys.readouterr().out
+    # The virtual rig knows the size of its lamp, and fits no readings in the lamp's mirror image.
+    edit(started / "config/rigs/my-plate-rig.yaml", {"light.angular_radius_deg": 0.25})
     run = snakemake(started, "--configfile=config/my-plate.yaml", "results/my-plate/surface.h5")
     assert run.returncode == 0, run.stderr[-4000:]
     written, own = fitted / "results/tile-plate", started / "results/my-plate"

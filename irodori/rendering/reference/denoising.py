@@ -111,7 +111,9 @@ def make_guides(halves: Halves) -> Guides:
     seen[..., PLACE:SHINE] /= 2.0 * RADIUS * (float(np.median(steps)) if steps.size else 0.0) or 1.0
     beyond = [(0, 0), (0, 0), (MARGIN, MARGIN + _LANES)]
     colour, noise = np.pad(colour, [(0, 0), *beyond], mode="edge"), np.pad(noise, beyond, mode="edge")
-    planes = np.pad(np.moveaxis(seen, -1, 0), [(0, 0), (0, 0), (RADIUS, _LANES - RADIUS)], mode="edge")
+    around = [(0, 0), (0, 0), (RADIUS, _LANES - RADIUS)]
+    # Of a picture of one row, NumPy would keep another order.
+    planes = np.ascontiguousarray(np.pad(np.moveaxis(seen, -1, 0), around, mode="edge"))
     return Guides(colour, noise, planes, surface)
 
 
