@@ -13,16 +13,19 @@ from typing import NamedTuple
 
 import numpy as np
 
+from irodori.core.progress import LOGGER
 from irodori.fitting import gloss_sums as sums
 from irodori.fitting.gloss_sums import SHARED, VEIL, SearchedTexels
 from irodori.fitting.judge import MAX_RELATIVE_ERROR
 from irodori.fitting.paint_gloss import PaintGloss, SeparateGloss, matrices, separate_gloss
 
 _STEPS = 40
-_SETTLED, _STEADY = 1e-5, 0.02  # changes of log β and log μ, and of the logarithm of the veil's size, that end it
+_SETTLED = 1e-5  # change of log β and log μ that ends the search
+_STEADY = 0.02  # change of the logarithm of the veil's size that does, too
 _LONGEST = 0.3  # longest step of log β or log μ
-_FIRST_VEIL = 0.01  # initial size of the veil, of the mean response
-_LEAST_VEIL = 1e-9
+_FIRST_VEIL = 0.01  # initial size of the veil, of the rms response
+_LEAST_VEIL = 1e-3  # smallest size, of the first
+_TOLD = 0.5  # number of photographs that tell their veil below which its size stays
 _LEAST_PHOTOGRAPHS = 4  # fewest photographs for a jackknife
 
 
@@ -39,10 +42,22 @@ class _Solution(NamedTuple):
     covariance: np.ndarray
 
 
-def _mean_response(surface: SearchedTexels) -> float:
-    """Return the mean response of all observations."""
+def _rms_response(surface: SearchedTexels) -> float:
+    """Return the root mean square response of all observations."""
     part = sums.parts(surface, np.zeros((len(surface.blocks), 2)))
     return float(np.sqrt(part[:, sums.POWER].sum() / part[:, sums.TOTAL].sum()))
+
+
+def _growth(veils: np.ndarray, variances: np.ndarray, least: float) -> float:
+    """Return the factor on the expected size of the veil that makes it likelier, from ``least`` (or a tenth) to ten.
+
+    The squares of the veils, in the expected size, should sum to the number of photographs that tell theirs (MacKay,
+    *Neural Computation* 4, 1992).
+    """
+    told = float(np.sum(1.0 - variances))
+    if told < _TOLD:
+        return 1.0
+    return min(max(float(np.sqrt(np.sum(veils**2) / told)), 0.1, least), 10.0)
 
 
 def _joint(paints: list[SeparateGloss]) -> _Solution:
@@ -50,7 +65,8 @@ def _joint(paints: list[SeparateGloss]) -> _Solution:
     count, photographs = len(paints), paints[0].surface.blocks.shape[2]
     first, size = 2 * count, 2 + photographs * SHARED
     place, errors = np.array([paint.log_gloss for paint in paints]), np.zeros((photographs, SHARED))
-    veil = max(_FIRST_VEIL * float(np.mean([_mean_response(paint.surface) for paint in paints])), _LEAST_VEIL)
+    veil = _FIRST_VEIL * float(np.mean([_rms_response(paint.surface) for paint in paints]))
+    least = _LEAST_VEIL * veil
     for _ in range(_STEPS):
         matrix, down = np.zeros((first + size - 2,) * 2), np.zeros(first + size - 2)
         for number, paint in enumerate(paints):
@@ -65,13 +81,12 @@ def _joint(paints: list[SeparateGloss]) -> _Solution:
         step = covariance @ down
         step *= min(1.0, _LONGEST / max(np.abs(step[:first]).max(), 1e-300))
         place, errors = place + step[:first].reshape(-1, 2), errors + step[first:].reshape(-1, SHARED)
-        variances = np.diag(covariance)[first:].reshape(-1, SHARED)
-        seen = variances[:, VEIL] < 1.0
-        growth = np.sqrt(np.mean((errors[:, VEIL] ** 2 + variances[:, VEIL])[seen])) if seen.any() else 1.0
-        growth = max(growth, _LEAST_VEIL / veil)
+        growth = _growth(errors[:, VEIL], np.diag(covariance)[first:].reshape(-1, SHARED)[:, VEIL], least / veil)
         if np.abs(step[:first]).max() < _SETTLED and abs(np.log(growth)) < _STEADY:
             break
         veil, errors[:, VEIL] = veil * growth, errors[:, VEIL] / growth
+    else:
+        LOGGER.warning("the joint fit of gloss has not settled in %d steps; the last one counts", _STEPS)
     return _Solution(place, errors, veil, covariance)
 
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from irodori.core import store
 from irodori.fitting.level_estimate import MOST_TEXELS, estimate_levels
+from irodori.fitting.mirror_image import without_images
 from irodori.fitting.solvers import FitOptions
 from irodori.fitting.stage import GREEN, for_object, fresnel_of
 from irodori.fitting.texel_sample import Readings, sample_texels
@@ -33,7 +34,7 @@ def measure_levels(observations: list, output, options: FitOptions, n, k, *, pro
         captures = file.read("capture").astype(str).tolist()
         filters, bands = file.attribute("filters", list), file.dataset("response").shape[2]
     fresnel, options = fresnel_of(n, k, calibration, bands), for_object(options, observations)
-    sample = sample_texels(observations, MOST_TEXELS, _OBSERVATIONS)
+    sample = without_images(sample_texels(observations, MOST_TEXELS, _OBSERVATIONS), options)
     found = []
     for band in range(GREEN, bands, BANDS_OF_STATE):
         found.append(estimate_levels(Readings.of_band(sample, band, fresnel.n, fresnel.k, options.is_coupled), options))

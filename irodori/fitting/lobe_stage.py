@@ -4,6 +4,7 @@ from irodori.config.cross_checks.object_lobes import AUTO
 from irodori.core import store
 from irodori.core.progress import LOGGER
 from irodori.fitting.lobe_choice import ENOUGH_OBSERVATIONS, MOST_TEXELS, candidates, choose
+from irodori.fitting.mirror_image import without_images
 from irodori.fitting.solvers import FitOptions
 from irodori.fitting.stage import GREEN, for_object, fresnel_of
 from irodori.fitting.texel_sample import Readings, sample_texels
@@ -33,7 +34,7 @@ def choose_lobes(
     with store.open_file(observations[0]) as file:
         bands = file.dataset("response").shape[2]
     fresnel, options = fresnel_of(n, k, calibration, bands), for_object(options, observations)
-    seen = sample_texels(observations, MOST_TEXELS, ENOUGH_OBSERVATIONS)
+    seen = without_images(sample_texels(observations, MOST_TEXELS, ENOUGH_OBSERVATIONS), options)
     sample = Readings.of_band(seen, GREEN, fresnel.n, fresnel.k)
     tried = candidates(options, None if AUTO in lobes else tuple(lobes), COATS if coat == AUTO else (coat,))
     chosen, found = choose(sample, options, tried)

@@ -64,7 +64,7 @@ class FittedTiles:
     Raises
     ------
     InputError
-        If the tiles do not cover the texture exactly, or differ in their filter states or lobes.
+        If the tiles do not cover the texture exactly, or differ in their filter states, lobes or coat.
     """
 
     def __init__(self, paths: list, height: int, width: int) -> None:
@@ -86,7 +86,10 @@ class FittedTiles:
                 lobes = read_lobes(file)
                 if self.lobes not in ((), lobes):
                     raise InputError(path, "lobes", ", ".join(lobes), f"{', '.join(self.lobes)}, as in the other tiles")
-                self.lobes, self.coat = lobes, read_coat(file)
+                coat = read_coat(file)
+                if self.lobes and coat != self.coat:
+                    raise InputError(path, "coat", coat, f"{self.coat}, as in the other tiles")
+                self.lobes, self.coat = lobes, coat
                 for name in self.speed:
                     self.speed[name] += file.attribute(name)
                 if file.has_attribute("common_error"):

@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from irodori.jit.compilation import njit
-from irodori.reflection.fresnel import fresnel
+from irodori.reflection.fresnel import fresnel, fresnel_array
 
 #: Coats of an object: none beside the sum of equation (5), or a coupled one.
 SUM, COUPLED = "sum", "coupled"
@@ -38,12 +38,6 @@ def passed(cosine, n, k):
     return (1.0 - fresnel(cosine, n, k)) / (1.0 - fresnel(0.0 * cosine + 1.0, n, k))
 
 
-@njit(cache=True, error_model="numpy")
-def _fill(cosine, n, k, out):
-    for j in range(cosine.size):
-        out[j] = passed(cosine[j], n, k)
-
-
 def passed_array(cosine, n: float, k: float) -> np.ndarray:
     """Return `passed` over an array of cosines, (...) float64.
 
@@ -54,10 +48,7 @@ def passed_array(cosine, n: float, k: float) -> np.ndarray:
     >>> passed_array([1.0, 0.5, 0.0], 1.5, 0.0).round(2).tolist()
     [1.0, 0.95, 0.0]
     """
-    cosine = np.asarray(cosine, dtype=np.float64, order="C")
-    out = np.empty(cosine.size)
-    _fill(cosine.reshape(-1), float(n), float(k), out)
-    return out.reshape(cosine.shape)
+    return (1.0 - fresnel_array(cosine, n, k)) / (1.0 - fresnel_array(1.0, n, k))
 
 
 def diffuse_cosine(geometry, n: float, k: float, coupled: bool) -> np.ndarray:

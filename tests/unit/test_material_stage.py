@@ -31,7 +31,7 @@ BASIS = np.linalg.svd(np.stack([spectrum(f"TCS{i}") for i in range(99)]), full_m
 FILTERS = ["out", "in"]
 
 
-def write_tile(path, rows, width, seed, *, filters=FILTERS, noise=1e-6, lobes=("gaussian",)):
+def write_tile(path, rows, width, seed, *, filters=FILTERS, noise=1e-6, lobes=("gaussian",), coat="sum"):
     """A fitted tile of random measured colours; the first texel of each row was not seen."""
     first, last = rows
     count = (last - first) * width
@@ -51,6 +51,7 @@ def write_tile(path, rows, width, seed, *, filters=FILTERS, noise=1e-6, lobes=("
             out.write(name, one, units="1", dims=",".join(["texel_number", "band"][: one.ndim]), quantity=name)
         out.attribute("filters", filters)
         out.attribute("lobes", list(lobes))
+        out.attribute("coat", coat)
         out.attribute("rows", list(rows))
         out.attribute("fit_seconds", 0.5)
         out.attribute("texels_fitted", count)
@@ -199,6 +200,9 @@ def test_tiles_that_do_not_make_the_texture_are_refused(tmp_path, calibration):
     write_tile(tmp_path / "e.h5", (4, 8), 10, 2, lobes=("ggx",))
     with pytest.raises(InputError, match=r"lobes.*ggx.*gaussian, as in the other tiles"):
         FittedTiles([tmp_path / "a.h5", tmp_path / "e.h5"], 8, 10)
+    write_tile(tmp_path / "f.h5", (4, 8), 10, 2, coat="coupled")
+    with pytest.raises(InputError, match=r"coat.*coupled.*sum, as in the other tiles"):
+        FittedTiles([tmp_path / "a.h5", tmp_path / "f.h5"], 8, 10)
     write_tile(tmp_path / "d.h5", (0, 4), 1, 3)  # its only column was not seen
     with pytest.raises(InputError, match="no texel with enough observations"):
         compress([tmp_path / "d.h5"], calibration, (4, 1), tmp_path / "m.h5")

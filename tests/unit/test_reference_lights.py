@@ -220,6 +220,15 @@ def test_two_sets_need_fewer_samples_than_eight_and_know_their_error():
     assert 0.02 < (np.abs(z) > 2.0).mean() < 0.12
 
 
+def test_one_error_for_all_bands_is_the_root_mean_square_of_theirs():
+    """The plain mean of half differences would be a fifth too small where bands err apart from each other."""
+    each, one = still_life(16), still_life(16, error_by_band=False)
+    assert one.standard_error.shape == (*each.standard_error.shape[:2], 1)
+    expected = np.sqrt(np.mean(np.square(each.standard_error, dtype=np.float64), axis=-1))
+    np.testing.assert_allclose(one.standard_error[..., 0], expected, rtol=1e-4, atol=1e-9)
+    np.testing.assert_array_equal(one.radiance, each.radiance)
+
+
 def test_the_error_of_dark_pixels_is_theirs_however_bright_others_are():
     error = np.full((40, 50), 1e-3)
     error[5:9, 4:9] = np.random.default_rng(0).uniform(0, 1e7, (4, 5))

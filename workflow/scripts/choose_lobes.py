@@ -8,7 +8,7 @@ with run_rule(snakemake) as provenance:
     choose_lobes(
         snakemake.input.observations,
         snakemake.output.choice,
-        FitOptions(**snakemake.params.fit),
+        FitOptions(**snakemake.params.fit, lamp_radius_deg=snakemake.params.lamp_radius_deg),
         *refractive_index(typed_index(snakemake.params.refractive_index)),
         provenance=provenance,
         calibration=next(iter(snakemake.input.calibration), None),
