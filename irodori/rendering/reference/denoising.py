@@ -39,7 +39,8 @@ _RIDGE, _RIDGE_OF_ALBEDO = 1e-2, 1e-4
 _EVEN = 1e-2
 _LEAST_WEIGHT = 1e-4
 _COLUMNS, _LANES = SEEN + 1, 16  # of the regression, its constant last; numbers in a vector
-_PLACES = _SIDE * _LANES  # of a window, each row filled up to a vector
+_PLACES = -(-_WINDOW // _LANES) * _LANES  # of a window, filled up to whole vectors
+_ROOM = _PLACES + _LANES  # of a feature's window in memory, for the end of the last row's vector
 #: Differences of the normal, of the albedo's cube root and of the share of gloss that count as another surface.
 _SAME_NORMAL, _SAME_ALBEDO, _SAME_SHINE = 0.3, 0.3, 0.2
 _DARK = 1e-3  # share of the picture's mean below which differences are not visible
@@ -95,19 +96,28 @@ def _parts(spectra: np.ndarray) -> np.ndarray:
     return np.moveaxis(spectra @ weights, -1, 0)
 
 
+def _cube_roots(values: np.ndarray) -> np.ndarray:
+    """Return the cube roots of positive numbers; `np.cbrt` takes four times as long."""
+    return np.exp(np.log(values) / np.float32(3.0))
+
+
+def _squared_length(vectors: np.ndarray) -> np.ndarray:
+    return np.einsum("...c,...c->...", vectors, vectors)
+
+
 def make_guides(halves: Halves) -> Guides:
     """Return the guides of a picture, or of some rows; those of rows differ slightly because of the mean brightness."""
     mean, half = _parts(halves.mean), _parts(halves.difference)
     # Cube roots approximate perceived lightness and make the noise similar in dark and bright regions.
-    dark = _DARK * float(mean.mean()) or 1.0
-    colour = np.stack([np.cbrt(np.maximum(mean + sign * half, 0.0) + dark) for sign in (1.0, -1.0)]).astype(np.float32)
+    dark = np.float32(_DARK * float(mean.mean()) or 1.0)
+    colour = _cube_roots(np.maximum(np.stack([mean + half, mean - half]), np.float32(0.0)) + dark)
     squares = 0.5 * np.square(colour[0] - colour[1])
     noise = np.stack([_averaged(part, _NOISE_SIDE) for part in squares]).astype(np.float32)
     seen = halves.seen.copy()
-    surface = np.square(halves.seen[..., NORMAL:PLACE]).sum(axis=-1) > 0.0
-    seen[..., ALBEDO:NORMAL] = np.cbrt(np.maximum(seen[..., ALBEDO:NORMAL], 0.0) + 1e-3)
+    surface = _squared_length(halves.seen[..., NORMAL:PLACE]) > 0.0
+    seen[..., ALBEDO:NORMAL] = _cube_roots(np.maximum(seen[..., ALBEDO:NORMAL], 0.0) + np.float32(1e-3))
     both = surface[:, 1:] & surface[:, :-1]
-    steps = np.linalg.norm(np.diff(seen[..., PLACE:SHINE], axis=1), axis=-1)[both]
+    steps = np.sqrt(_squared_length(np.diff(seen[..., PLACE:SHINE], axis=1)))[both]
     seen[..., PLACE:SHINE] /= 2.0 * RADIUS * (float(np.median(steps)) if steps.size else 0.0) or 1.0
     beyond = [(0, 0), (0, 0), (MARGIN, MARGIN + _LANES)]
     colour, noise = np.pad(colour, [(0, 0), *beyond], mode="edge"), np.pad(noise, beyond, mode="edge")
@@ -185,7 +195,7 @@ def _product(one, a, other, b):
     """Return the sum of the products of two windows, rows ``a`` and ``b`` of two arrays of windows."""
     sums = zeros_like(load(one, 0, _LANES))
     for place in range(0, _PLACES, _LANES):
-        sums = sums + load(one, a * _PLACES + place, _LANES) * load(other, b * _PLACES + place, _LANES)
+        sums = sums + load(one, a * _ROOM + place, _LANES) * load(other, b * _ROOM + place, _LANES)
     return float(total(sums))
 
 
@@ -193,8 +203,8 @@ def _product(one, a, other, b):
 def _regress(guides, row, x, weights, scratch):
     """Replace the weights of a pixel's window by those with which the regression combines the values.
 
-    The rows of the window are vectors; each feature's differences from the pixel fill such a window. The last feature
-    is the constant, whose window has ones.
+    Each feature's differences from the pixel fill such a window, row after row: a row is stored as a vector, whose end
+    the next row overwrites. The last feature is the constant, whose window has ones. Weights beyond the window are 0.
     """
     design, weighted, matrix, solved, (scale, ridge), used = scratch
     height, step = guides.surface.shape[0], guides.seen.shape[2]
@@ -204,13 +214,14 @@ def _regress(guides, row, x, weights, scratch):
         for a in range(SEEN):
             plane = guides.seen[a]
             apart = load(plane, other * step + x, _LANES) - spread(plane[row, x + RADIUS], _LANES)
-            store(design, a * _PLACES + line * _LANES, apart)
+            store(design, a * _ROOM + line * _SIDE, apart)
             unlike = unlike + apart * apart * spread(scale[a], _LANES)
-        weight = load(weights, line * _LANES, _LANES) * exp(zeros_like(unlike) - unlike)
-        store(weighted, SEEN * _PLACES + line * _LANES, weight)
+        store(weighted, SEEN * _ROOM + line * _SIDE, exp(zeros_like(unlike) - unlike))
+    for place in range(0, _PLACES, _LANES):
+        weight = load(weights, place, _LANES) * load(weighted, SEEN * _ROOM + place, _LANES)
+        store(weighted, SEEN * _ROOM + place, weight)
         for a in range(SEEN):
-            place = a * _PLACES + line * _LANES
-            store(weighted, place, weight * load(design, place, _LANES))
+            store(weighted, a * _ROOM + place, weight * load(design, a * _ROOM + place, _LANES))
     whole, count = _product(weighted, SEEN, design, SEEN), 0
     for a in range(_COLUMNS):
         square = _product(weighted, a, design, a)
@@ -224,8 +235,8 @@ def _regress(guides, row, x, weights, scratch):
     for line in range(0, _PLACES, _LANES):
         factor = zeros_like(load(design, 0, _LANES))
         for a in range(count):
-            factor = factor + spread(np.float32(solved[a]), _LANES) * load(design, used[a] * _PLACES + line, _LANES)
-        store(weights, line, factor * load(weighted, SEEN * _PLACES + line, _LANES))
+            factor = factor + spread(np.float32(solved[a]), _LANES) * load(design, used[a] * _ROOM + line, _LANES)
+        store(weights, line, factor * load(weighted, SEEN * _ROOM + line, _LANES))
 
 
 @njit(cache=True, nogil=True)
@@ -235,7 +246,7 @@ def _new_scratch():
     scale[NORMAL : NORMAL + 3] = np.float32(1.0 / _SAME_NORMAL**2)
     scale[ALBEDO : ALBEDO + 3] = np.float32(1.0 / _SAME_ALBEDO**2)
     scale[SHINE] = np.float32(1.0 / _SAME_SHINE**2)
-    design = np.ones((_COLUMNS, _PLACES), np.float32)
+    design = np.ones((_COLUMNS, _ROOM), np.float32)
     solved, used = np.empty(_COLUMNS), np.empty(_COLUMNS, np.int64)
     ridge = np.full(_COLUMNS, _RIDGE)
     ridge[ALBEDO : ALBEDO + 3], ridge[SEEN] = _RIDGE_OF_ALBEDO, 0.0
@@ -253,7 +264,7 @@ def _combine(sets, at, weights, out, to):
     one, two, three, four = zero, zero, zero, zero
     for line in range(_SIDE):
         for beside in range(_SIDE):
-            weight = weights[line * _LANES + beside]
+            weight = weights[line * _SIDE + beside]
             if weight != np.float32(0.0):
                 place, share = here + (line - RADIUS) * step + (beside - RADIUS) * PADDED, spread(weight, _LANES)
                 one = one + share * load(sets, place, _LANES)
@@ -299,7 +310,7 @@ def _filter_some_rows(sets, guides, starts, filtered, first, last):
                             filtered[which, row - start, x, c] = sets[which, row - read, x, c]
                         continue
                     for offset in range(_WINDOW):
-                        own[offset // _SIDE * _LANES + offset % _SIDE] = weights[offset, row - top, x]
+                        own[offset] = weights[offset, row - top, x]
                     _regress(guides, row, x, own, scratch)
                     at = ((which * sets.shape[1] + row - read) * width + x) * PADDED
                     to = ((which * count + row - start) * width + x) * PADDED
