@@ -41,6 +41,7 @@ _ROOM = 5
 _TOP = 1e-9  # 2 sinφ sinθ_H below which a texel counts as at the centre of the highlight
 _ALONE = 1e-9  # remaining share of a texel's weight below which it has no other observation
 _OPEN = 1e-3  # relative determinant below which β and μ cannot be separated
+_LEAST_EXCESS = 1e-3
 _CHUNK = 2048  # texels that a thread takes at a time
 
 
@@ -438,7 +439,8 @@ def varying(part, start, least, rounds):
     -------
     covariance : (2, 2) float64
     excess : float
-        Factor on the variances of the observations, at least 1.
+        Factor on the variances of the observations. It is below 1 where the expected errors of photographs are larger
+        than the actual ones.
     """
     covariance, precision, each = np.zeros((2, 2)), np.zeros((2, 2)), np.empty((part.shape[0], 2))
     covariance[0, 0], covariance[1, 1], excess = start, start, 1.0
@@ -447,7 +449,7 @@ def varying(part, start, least, rounds):
         precision[0, 0], precision[1, 1] = covariance[1, 1] / determinant, covariance[0, 0] / determinant
         precision[0, 1] = precision[1, 0] = -covariance[0, 1] / determinant
         squares, free, new = own_shares(part, precision, excess, each)
-        excess = max(squares / max(free - 2.0, 1.0), 1.0)
+        excess = max(squares / max(free - 2.0, 1.0), _LEAST_EXCESS)
         new[0, 0] += least
         new[1, 1] += least
         change, largest = 0.0, 0.0

@@ -56,7 +56,7 @@ class PaintGloss:
     varying : (2, 2) float64
         Covariance of the texels' log β and log μ about those of the paint.
     excess : float
-        Factor on the variances of observations, at least 1, that explains the residuals of the paint's texels.
+        Factor on the variances of observations that explains the residuals of the paint's texels.
     texels : int
         Number of texels in the fit.
     """
@@ -162,7 +162,7 @@ def _minimum(surface: SearchedTexels, start: np.ndarray) -> np.ndarray | None:
 
 def _is_told(part: np.ndarray, varying: np.ndarray, excess: float) -> bool:
     """Return whether the variation of gloss among texels is significant, by Schwarz's criterion for 3 parameters."""
-    slope, normal = (one / excess for one in matrices(part))
+    slope, normal = (one / max(excess, 1.0) for one in matrices(part))
     gain = np.einsum("ti,tij,tj->", slope, _inverse(normal + np.linalg.inv(varying)), slope)
     cost = np.log(np.linalg.det(np.eye(2) + varying @ normal)).sum()
     return bool(gain - cost > 3.0 * np.log(len(part)))
@@ -207,7 +207,7 @@ def separate_gloss(surface: SearchedTexels, nodes: np.ndarray) -> SeparateGloss 
     if not _is_told(part[tells], varying, excess):
         varying = _LEAST_VARYING * np.eye(2)
     observations = part[:, sums.USED].sum()
-    if not found[1] / excess > 2.0 * np.log(observations) or not part[:, sums.SEEN].max() >= LEAST_SEEN:
+    if not found[1] / max(excess, 1.0) > 2.0 * np.log(observations) or not part[:, sums.SEEN].max() >= LEAST_SEEN:
         return None  # gloss is not significant by Schwarz's criterion, or no texel sees the lobe near its peak
     return SeparateGloss(surface, place, varying, float(excess))
 
@@ -236,7 +236,7 @@ def share(surface: SearchedTexels, gloss: PaintGloss) -> TexelGloss:
         variance = gloss.excess / part[:, sums.ALPHA_WEIGHT] + np.einsum("ti,tij,tj->t", by, covariance, by)
         alpha, used = part[:, sums.ALPHA], part[:, sums.USED]
         free = np.maximum(used - 1.0, 1.0)
-        misfit = part[:, sums.SQUARES] / gloss.excess
+        misfit = part[:, sums.SQUARES] / max(gloss.excess, 1.0)
         beta, mu = np.exp(own).T
         return TexelGloss(
             alpha=alpha,
