@@ -5,8 +5,6 @@ from concurrent.futures import ThreadPoolExecutor
 import numba
 from numba.core.dispatcher import Dispatcher
 
-from irodori.jit.compiled_calls import resolved
-
 
 def _holds_functions(argument) -> bool:
     if isinstance(argument, tuple):
@@ -18,7 +16,7 @@ def run_chunks(kernel, count: int, chunk: int, *arguments) -> None:
     """Run ``kernel(*arguments, first, last)`` for chunks of the range from 0 to ``count``, on the threads of numba.
 
     This is used instead of parallel loops of numba, which take a third longer to compile. If compiled functions are
-    among the arguments, types are determined once for all chunks, as this takes milliseconds for nested tuples.
+    among the arguments, types are determined once for all chunks, as this takes a millisecond for nested tuples.
     Otherwise numba recognises the types of a call in microseconds.
 
     Parameters
@@ -29,8 +27,8 @@ def run_chunks(kernel, count: int, chunk: int, *arguments) -> None:
     pieces = [(first, min(first + chunk, count)) for first in range(0, count, chunk)]
     if not pieces:
         return
-    if _holds_functions(arguments):
-        kernel = resolved(kernel, *arguments, *pieces[0])
+    if hasattr(kernel, "compile") and _holds_functions(arguments):  # no `compile` if compilation by numba is disabled
+        kernel = kernel.compile(tuple(numba.typeof(argument) for argument in (*arguments, *pieces[0])))
     threads = min(numba.get_num_threads(), len(pieces))
     if threads == 1:
         for piece in pieces:

@@ -3,7 +3,7 @@
 import numpy as np
 
 from irodori.jit.chunks import run_chunks
-from irodori.jit.compiled_calls import resolved
+from irodori.rendering.compiled_calls import resolved
 from irodori.rendering.interactive.frame_renderer import CollimatedLamp, Prepared, frame_of
 from irodori.rendering.interactive.packets import PATHS, TILE
 from irodori.rendering.interactive.tile_loop import FIGURES, LISTED, STAGES, TRACED, FrameBuffers, Job, render_tiles

@@ -16,10 +16,10 @@ from irodori.geometry.embree import Tracer
 from irodori.geometry.shapes.placement import Placement, reaches
 from irodori.geometry.surfaces import make_surfaces
 from irodori.jit.chunks import run_chunks
-from irodori.jit.compiled_calls import resolved
 from irodori.light.environment_file import Environment
 from irodori.reflection.lobes import Lobes
 from irodori.reflection.registry import lobe
+from irodori.rendering.compiled_calls import resolved
 from irodori.rendering.reference.band_loops import padded
 from irodori.rendering.reference.denoising import Halves
 from irodori.rendering.reference.glints import find_glints

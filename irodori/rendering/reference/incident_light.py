@@ -12,7 +12,7 @@ from irodori.core.progress import LOGGER
 from irodori.geometry.embree import new_ray
 from irodori.jit.chunks import run_chunks
 from irodori.jit.compilation import njit, uncounted
-from irodori.jit.compiled_calls import resolved
+from irodori.rendering.compiled_calls import resolved
 from irodori.rendering.reference.band_loops import BANDS, PADDED
 from irodori.rendering.reference.converging_picture import TracedScene
 from irodori.rendering.reference.paths import gather
