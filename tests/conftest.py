@@ -25,7 +25,7 @@ if keep := getattr(ctypes.CDLL(None), "mallopt", None):
 # Tests are called from so deep that their own calls would often be at the end of a piece of memory for frames.
 with_room_for_calls(runtestprotocol)
 
-pytest_plugins = ["stability_table", "cpu_times", "default_cases", "left_behind"]
+pytest_plugins = ["stability_table", "cpu_times", "default_cases", "left_behind", "rewritten_once"]
 
 settings.register_profile("ci", derandomize=True, deadline=None)
 settings.register_profile("here", deadline=None)  # the first example of a test compiles its loops
