@@ -39,7 +39,10 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 
 
 #: Files that take minutes: the workflow's, and those that start programs and wait for them.
-_LONG = ("/workflow/", "test_mutation.py", "/viewer_page/", "/test_viewer_")
+_LONG = (
+    "/workflow/", "test_mutation.py", "/viewer_page/", "/test_viewer_", "test_session_killed.py",
+    "test_sound_captures.py", "test_shapes.py",
+)  # fmt: skip
 #: The file whose first test runs the small project, for which the others that read its results would wait.
 _FIRST = "/workflow/test_chain.py"
 
