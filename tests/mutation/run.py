@@ -88,7 +88,7 @@ ROOMS = {
     ),
     "reflection": (
         ("reflection",),
-        ("unit/test_brdf.py", "unit/test_lobe_arrays.py"),
+        ("unit/test_brdf.py", "unit/test_lobe_arrays.py", "unit/test_coat.py"),
     ),
     "capture limits": (
         ("capture/rig",),
@@ -105,6 +105,8 @@ LONG = (
     "test_any_plate_before_any_scene_is_found", "test_predicted_errors_are_those_that_occur",
     "test_a_named_lamp_is_recovered_better", "test_errors_of_the_look_up_are_those_against",
     "test_planned_poses_beat_as_many_others", "test_every_figure_of_the_gloss_table", "seed_gives_the_same_table",
+    "test_the_fit_finds_what_a_coupled_coat", "test_photographs_choose_the_coat", "test_left_out_directions_of",
+    "test_under_even_light_the_path_tracer_shows_the_albedo_of_the_ground",
 )  # fmt: skip
 LONGEST_S = 4.0
 TOGETHER_S = 6.0  # of the tests that one mutant is put to

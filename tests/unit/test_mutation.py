@@ -3,6 +3,7 @@
 import ast
 import importlib.util
 import os
+import re
 import subprocess
 import sys
 from collections import defaultdict
@@ -115,6 +116,21 @@ def test_statements_that_are_marked_say_when_they_are_passed(mutants, tmp_path):
     assert loaded["f"](1) == 3 and passed == [2, 3, 6]
     passed.clear()
     assert loaded["f"](0) == 3 and passed == [2, 4, 6]
+
+
+def imported(file: Path) -> set[str]:
+    """Return the modules of the package that a file imports, and what it imports from them, by their whole names."""
+    found = re.findall(r"from (irodori[\w.]*) import (\([^)]*\)|[^\n]*)", file.read_text(encoding="utf-8"))
+    return {module for module, _ in found} | {f"{m}.{name}" for m, names in found for name in re.findall(r"\w+", names)}
+
+
+def test_a_module_that_tests_import_is_among_what_the_tests_of_its_room_import():
+    """Otherwise nobody would be asked about its mutants, all of which would survive."""
+    run, tests = loaded("run"), ROOT / "tests"
+    found = {file.relative_to(tests).as_posix(): imported(file) for file in tests.rglob("test_*.py")}
+    for room, (_, files) in run.ROOMS.items():
+        own, all_of = set().union(*(found[file] for file in files)), set().union(*found.values())
+        assert set(run.modules_of(room)) & all_of <= own, room
 
 
 def verdicts(share: float, is_told) -> tuple[float, float]:
