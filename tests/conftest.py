@@ -25,7 +25,7 @@ if keep := getattr(ctypes.CDLL(None), "mallopt", None):
 # Tests are called from so deep that their own calls would often be at the end of a piece of memory for frames.
 with_room_for_calls(runtestprotocol)
 
-pytest_plugins = ["stability_table", "cpu_times", "default_cases", "left_behind"]
+pytest_plugins = ["stability_table", "cpu_times", "default_cases", "left_behind", "rewritten_once"]
 
 settings.register_profile("ci", derandomize=True, deadline=None)
 settings.register_profile("here", deadline=None)  # the first example of a test compiles its loops
@@ -39,7 +39,10 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 
 
 #: Files that take minutes: the workflow's, and those that start programs and wait for them.
-_LONG = ("/workflow/", "test_mutation.py", "/viewer_page/", "/test_viewer_")
+_LONG = (
+    "/workflow/", "test_mutation.py", "/viewer_page/", "/test_viewer_", "test_session_killed.py",
+    "test_sound_captures.py", "test_shapes.py",
+)  # fmt: skip
 #: The file whose first test runs the small project, for which the others that read its results would wait.
 _FIRST = "/workflow/test_chain.py"
 

@@ -2,12 +2,13 @@
 
 ``python tests/mutation/run.py [--sample 60] [--seed TEXT] [--rooms ingest light | --room] [--only TEXT]``, at the top
 of the repository. As many mutants of each room are drawn at random, by the seed (the commit where none is given): every
-commit tries others, with ``--room`` of one room only, for before the first mutant all tests of a room are run. Each
-is put into a process of its own, forked from one that has run all tests and loaded all compiled loops: the code of the
-function is replaced where it stands. The process runs the tests that pass over the mutant's statement, those of files
-with the module's name first, the shortest first and one case of each before a second, and ends at the first that fails.
-Each mutant is printed, with the test that noticed it or as a survivor, and how many of each room were noticed; the exit
-status is 1 where too few of all were (``--least``).
+commit tries others, with ``--room`` of one room only, for before the first mutant all tests of a room are run. With
+``--until-told`` a room's mutants end as soon as they tell enough (`sequential`). Each is put into a process of its own,
+forked from one that has run all tests and loaded all compiled loops: the code of the function is replaced where it
+stands. The process runs the tests that pass over the mutant's statement, those of files with the module's name first,
+the shortest first and one case of each before a second, and ends at the first that fails. Each mutant is printed, with
+the test that noticed it or as a survivor, and how many of each room were noticed; the exit status is 1 where too few of
+all were (``--least``).
 
 Only the tests of a room's own files are asked (`ROOMS`), of these only such as take less than `LONGEST_S` once their
 loops are loaded, and as many as take `TOGETHER_S` together: a fault that others alone would notice counts as a
@@ -50,6 +51,7 @@ import psutil  # noqa: E402
 import pytest  # noqa: E402
 from mutants import Mutant, compiled, marked, mutants_of, mutated  # noqa: E402
 from scipy.stats import binomtest  # noqa: E402
+from sequential import is_told  # noqa: E402
 
 #: Room of the package -> its modules (folders or files under irodori/) and the files of its tests (under tests/).
 ROOMS = {
@@ -86,7 +88,7 @@ ROOMS = {
     ),
     "reflection": (
         ("reflection",),
-        ("unit/test_brdf.py", "unit/test_lobe_arrays.py"),
+        ("unit/test_brdf.py", "unit/test_lobe_arrays.py", "unit/test_coat.py"),
     ),
     "capture limits": (
         ("capture/rig",),
@@ -103,6 +105,8 @@ LONG = (
     "test_any_plate_before_any_scene_is_found", "test_predicted_errors_are_those_that_occur",
     "test_a_named_lamp_is_recovered_better", "test_errors_of_the_look_up_are_those_against",
     "test_planned_poses_beat_as_many_others", "test_every_figure_of_the_gloss_table", "seed_gives_the_same_table",
+    "test_the_fit_finds_what_a_coupled_coat", "test_photographs_choose_the_coat", "test_left_out_directions_of",
+    "test_under_even_light_the_path_tracer_shows_the_albedo_of_the_ground",
 )  # fmt: skip
 LONGEST_S = 4.0
 TOGETHER_S = 6.0  # of the tests that one mutant is put to
@@ -148,9 +152,10 @@ def drawn(rooms: list[str], count: int, seed: str, only: str) -> dict[str, list[
 class Runner:
     """Plugin of pytest that runs the collected tests, not once, but for every mutant."""
 
-    def __init__(self, room: str, mutants: list[Mutant]) -> None:
+    def __init__(self, room: str, mutants: list[Mutant], until_told: bool) -> None:
         self.room, self.mutants, self.paths = room, mutants, modules_of(room)
         self.noticed: list[bool] = []
+        self.ended, self._until_told = False, until_told
         self._baseline, self._items, self._alone_s = Baseline(), {}, {}
         self._caches: list = []
 
@@ -194,6 +199,9 @@ class Runner:
             noticed, how = self._try(mutant)
             self.noticed.append(noticed)
             print(f"  {number} ({_computed_s() - begun:.1f} s) {how}: {mutant}", flush=True)
+            if self._until_told and is_told(sum(self.noticed), number):
+                break
+        self.ended = True
         return True
 
     def _run_unspoilt(self, items) -> None:
@@ -393,6 +401,7 @@ def main() -> int:
     parser.add_argument("--room", action="store_true", help="only one of the rooms, drawn by the seed")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--least", type=float, default=0.9, help="share of the mutants that must be noticed")
+    parser.add_argument("--until-told", action="store_true", help="no more mutants of a room than its verdict takes")
     parser.add_argument("--parent", type=int, help="process with which the run ends")
     given = parser.parse_args()
     if given.parent:
@@ -411,7 +420,7 @@ def main() -> int:
     # A process for each room: it loads what that room's tests need, and is small to fork.
     spawn = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(given.jobs, spawn, end_with, (os.getpid(),), max_tasks_per_child=1) as pool:
-        for outcome in pool.map(_try_all, mutants, mutants.values()):
+        for outcome in pool.map(functools.partial(_try_all, given.until_told), mutants, mutants.values()):
             if outcome is None:
                 return 2
             noticed, tried = noticed + sum(outcome), tried + len(outcome)
@@ -427,15 +436,15 @@ def _score(noticed: int, tried: int) -> str:
     return f"{noticed} of {tried} mutants noticed, {noticed / tried:.0%} ({low:.0%} to {high:.0%})"
 
 
-def _try_all(room: str, mutants: list[Mutant]) -> list[bool] | None:
+def _try_all(until_told: bool, room: str, mutants: list[Mutant]) -> list[bool] | None:
     """Return which mutants of a room were noticed; None where its tests do not run."""
-    runner = Runner(room, mutants)
+    runner = Runner(room, mutants, until_told)
     options = ["-q", "-p", "no:xdist", "-p", "no:cacheprovider", "-o", "addopts=", "-m", "not heavy or default_cases"]
     options += ["-k", f"not ({' or '.join(LONG)})"]
     status = pytest.main([*options, *(f"tests/{f}" for f in ROOMS[room][1])], plugins=[runner])
-    if status not in (0, pytest.ExitCode.NO_TESTS_COLLECTED) or len(runner.noticed) != len(mutants):
+    if status not in (0, pytest.ExitCode.NO_TESTS_COLLECTED) or not runner.ended:
         return None
-    print(f"{room}: {_score(sum(runner.noticed), len(mutants))}", flush=True)
+    print(f"{room}: {_score(sum(runner.noticed), len(runner.noticed))}", flush=True)
     return runner.noticed
 
 

@@ -1,5 +1,7 @@
 """``python -m irodori.rig``: what each command says and returns, on the simulated rig."""
 
+import contextlib
+import io
 import json
 import os
 import re
@@ -263,15 +265,16 @@ def test_capture_resumes_with_what_is_missing(capsys, monkeypatch):
     assert_whole(folder, read_captures(folder / "captures.csv"))
 
 
-def observed(capsys, *words: str) -> dict:
+def observed(*words: str) -> dict:
     """Hold a session with a page, of which an observer reads the address; return what it saw before it finished it."""
 
+    def address() -> re.Match | None:
+        # What is said is looked at and not taken, for what is said meanwhile would be lost with it.
+        return re.search(r"http://(127\.0\.0\.1:\d+)/\?token=(\S+)\s", said.getvalue())
+
     def observe():
-        said = ""
-        while not (found := re.search(r"http://(127\.0\.0\.1:\d+)/\?token=(\S+)", said)):
-            time.sleep(0.05)
-            said += capsys.readouterr().err
-        host, token = found.groups()
+        patience.until(address)
+        host, token = address().groups()
         cookie = {"Cookie": f"irodori-{host.partition(':')[2]}={token}"}
         asked = urllib.request.Request(f"http://{host}/news", headers=cookie)
         with urllib.request.urlopen(asked, timeout=patience.LONG_S) as news:
@@ -284,15 +287,16 @@ def observed(capsys, *words: str) -> dict:
         urllib.request.urlopen(acted, timeout=patience.LONG_S).close()
         seen.append(view)
 
-    seen, observer = [], threading.Thread(target=observe, daemon=True)
+    said, seen, observer = io.StringIO(), [], threading.Thread(target=observe, daemon=True)
     observer.start()
-    assert main(list(words)) == 0
+    with contextlib.redirect_stderr(said):
+        assert main(list(words)) == 0
     observer.join(patience.LONG_S)
     return seen[0]
 
 
-def test_capture_shows_a_page_whose_address_the_terminal_says(capsys):
-    seen = observed(capsys, "capture", "tile-plate", "--page", "--port", "0")
+def test_capture_shows_a_page_whose_address_the_terminal_says():
+    seen = observed("capture", "tile-plate", "--page", "--port", "0")
     assert (seen["done"], seen["total"], seen["name"]) == (8, 8, "tile-plate")
     folder = Path("results/rig/bench/tile-plate")
     assert_whole(folder, read_captures(folder / "captures.csv"))
@@ -418,7 +422,7 @@ def test_a_documented_command_of_the_bench_does_its_work(documented, capsys, boa
         simulate(program, *words)
         return
     if "--page" in words:
-        seen = observed(capsys, *words, "--port", "0")
+        seen = observed(*words, "--port", "0")
         assert (seen["done"], seen["total"], seen["name"]) == (8, 8, "jar")
         return
     if words[0] in ("move", "jog", "recount"):

@@ -183,8 +183,13 @@ def test_what_is_wanted_while_the_session_works_means_the_photograph_that_was_se
     dialogue.act(Action.RETAKE_LAST, dialogue.view.turn)
     with pytest.raises(Refused, match="retake last first"):
         dialogue.act(Action.PAUSE)
+
     # Meanwhile the next one comes, is doubted, taken again and stored.
-    answers = threading.Timer(0.05, lambda: dialogue.act(Action.RETAKE, dialogue.view.turn))
+    def answer() -> None:
+        patience.until(lambda: dialogue.view.state is State.DOUBT)
+        dialogue.act(Action.RETAKE, dialogue.view.turn)
+
+    answers = threading.Thread(target=answer)
     answers.start()
     assert dialogue.ask(State.DOUBT, "b.dng: blown") == ""
     answers.join()
@@ -290,9 +295,8 @@ def test_a_picture_is_still_there_for_a_page_that_asks_when_the_next_is_shown(si
     sitting.eye.free = True
     for _ in range(2):
         sitting.comes_to(State.STEP)
-        sitting.dialogue.act(Action.DONE, sitting.dialogue.view.turn)
-        turn = sitting.dialogue.view.turn
-        patience.until(lambda: sitting.dialogue.view.turn != turn)  # noqa: B023
+        sitting.dialogue.act(Action.DONE, sitting.dialogue.view.turn)  # and no longer asks, at once
+    sitting.comes_to(State.STEP)
     shown = sitting.dialogue.view.shown
     for number in range(1, 8):
         sitting.server.tell(replace(shown, number=number))

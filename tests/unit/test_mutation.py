@@ -3,16 +3,22 @@
 import ast
 import importlib.util
 import os
+import re
 import subprocess
 import sys
+from collections import defaultdict
 from pathlib import Path
 
+import numpy as np
 import patience
 import psutil
 import pytest
 from documented import of_kind, words_of
+from scipy.stats import binom
 
 ROOT = Path(__file__).resolve().parents[2]
+#: Mutants of a sample, and the share of them that must be noticed.
+MOST, LEAST = 60, 0.75
 
 MODULE = '''
 from numba import njit
@@ -41,13 +47,17 @@ class Rig:
 '''
 
 
+def loaded(name: str):
+    """Return a module of the folder of mutants, which is on nobody's path."""
+    spec = importlib.util.spec_from_file_location(name, ROOT / f"tests/mutation/{name}.py")
+    sys.modules[name] = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(sys.modules[name])
+    return sys.modules[name]
+
+
 @pytest.fixture(scope="module")
 def mutants():
-    spec = importlib.util.spec_from_file_location("mutants", ROOT / "tests/mutation/mutants.py")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["mutants"] = module
-    spec.loader.exec_module(module)
-    return module
+    return loaded("mutants")
 
 
 def test_faults_stand_in_what_functions_do_and_in_no_message_default_or_kernel(mutants, tmp_path):
@@ -108,14 +118,54 @@ def test_statements_that_are_marked_say_when_they_are_passed(mutants, tmp_path):
     assert loaded["f"](0) == 3 and passed == [2, 4, 6]
 
 
+def imported(file: Path) -> set[str]:
+    """Return the modules of the package that a file imports, and what it imports from them, by their whole names."""
+    found = re.findall(r"from (irodori[\w.]*) import (\([^)]*\)|[^\n]*)", file.read_text(encoding="utf-8"))
+    return {module for module, _ in found} | {f"{m}.{name}" for m, names in found for name in re.findall(r"\w+", names)}
+
+
+def test_a_module_that_tests_import_is_among_what_the_tests_of_its_room_import():
+    """Otherwise nobody would be asked about its mutants, all of which would survive."""
+    run, tests = loaded("run"), ROOT / "tests"
+    found = {file.relative_to(tests).as_posix(): imported(file) for file in tests.rglob("test_*.py")}
+    for room, (_, files) in run.ROOMS.items():
+        own, all_of = set().union(*(found[file] for file in files)), set().union(*found.values())
+        assert set(run.modules_of(room)) & all_of <= own, room
+
+
+def verdicts(share: float, is_told) -> tuple[float, float]:
+    """Return how often a sample of tests that notice a share fails, and how many mutants it takes, both exactly."""
+    failed, taken, going = 0.0, 0.0, {0: 1.0}  # noticed -> probability
+    for tried in range(1, MOST + 1):
+        taken += sum(going.values())
+        after = defaultdict(float)
+        for noticed, chance in going.items():
+            after[noticed + 1] += chance * share
+            after[noticed] += chance * (1.0 - share)
+        going = {n: chance for n, chance in after.items() if tried < MOST and not is_told(n, tried)}
+        failed += sum(chance for n, chance in after.items() if n not in going and n < LEAST * tried)
+    return failed, taken
+
+
+def test_a_sample_that_ends_early_judges_as_sixty_mutants_do():
+    is_told = loaded("sequential").is_told
+    for share in np.arange(0.5, 1.0, 0.05):
+        failed, taken = verdicts(share, is_told)
+        assert failed == pytest.approx(binom.cdf(LEAST * MOST - 1, MOST, share), abs=0.03), share
+        assert taken < 47.0
+    (false_alarms, taken), (_, of_better) = (verdicts(share, is_told) for share in (0.9, 0.95))
+    assert false_alarms < 1e-3 and taken < 26.0 and of_better < 17.0
+
+
 @pytest.mark.heavy
 def test_a_sample_of_mutants_is_put_to_the_tests():
-    """Sixty of one room, others at every commit; those that nobody noticed are printed.
+    """Of one room, others at every commit, as many as tell good tests from bad ones; survivors are printed.
 
-    Where tests notice nine in ten, a sample of 60 has fewer than 45 once in a thousand runs: CONTRIBUTING.md has the
-    scores.
+    Where tests notice nine in ten, a sample has fewer than three in four once in a thousand runs: CONTRIBUTING.md has
+    the scores.
     """
-    command = run_of("--room", "--sample", "60", "--jobs", "1", "--least", "0.75", "--parent", str(os.getpid()))
+    command = run_of("--room", "--sample", f"{MOST}", "--until-told", "--jobs", "1", "--least", f"{LEAST}",
+                     "--parent", str(os.getpid()))  # fmt: skip
     done = subprocess.run(command, cwd=ROOT, env=outside_of_pytest(), capture_output=True, text=True)
     print(done.stdout)
     assert done.returncode == 0, done.stdout + done.stderr[-2000:]

@@ -375,8 +375,7 @@ def test_a_picture_given_to_a_step_is_shown_and_exported_with_the_lesson(visit, 
         with page.expect_file_chooser() as chooser:
             page.get_by_role("button", name="Give it a picture").click()
         chooser.value.set_files(tmp_path / "red tube.png")
-        page.wait_for_selector("#page-lesson .prose img")
-        assert page.evaluate("document.querySelector('#page-lesson .prose img').naturalWidth") == 4
+        one.wait_for("document.querySelector('#page-lesson .prose img')?.naturalWidth === 4")
     downloads = []
     page.on("download", lambda found: downloads.append(found))
     page.get_by_role("button", name="Export").click()
