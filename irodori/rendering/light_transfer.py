@@ -131,7 +131,7 @@ class LightTransfer:
         self.tracer, self._moments = tracer, Moments(environment.coefficients)
         self._bases: dict[bytes, np.ndarray] = {}
         self._shape, self._behind, self._coats = objects.shape, objects.behind, coats_of(objects)
-        self._under = [environment.irradiance_under(n, k) for n, k in self._coats.index.tolist()]
+        self._under = [environment.irradiance_under(n, k) for n, k in self._coats.n_k.tolist()]
         fronts, placements = len(tracer.placements), sides_placed(objects, tracer.placements)
         self._reach = reaches(tracer.placements)[self._shape]
         self.layouts = [
@@ -197,21 +197,21 @@ class LightTransfer:
         views, coat = look_around(self.tracer, points, self._shape[side], behind, start), self._coats.of_side[side]
         for number, view in enumerate(views if coat else ()):
             normal = points.normal[first : first + len(view.is_open)]
-            views[number] = view.weighted(normal, lambda cosine: passed_array(cosine, *self._coats.index[coat - 1]))
+            views[number] = view.weighted(normal, lambda cosine: passed_array(cosine, *self._coats.n_k[coat - 1]))
             first += len(normal)
         return views
 
     def _passed(self, coat: np.ndarray, cosine: np.ndarray) -> np.ndarray:
         """Return the share of light that passes coats by their numbers, (n,), at cosines to the normals, (n,)."""
         share = np.ones(len(cosine))
-        for number, (n, k) in enumerate(self._coats.index, 1):
+        for number, (n, k) in enumerate(self._coats.n_k, 1):
             own = coat == number
             share[own] = passed_array(np.clip(cosine[own], 0.0, 1.0), n, k)
         return share
 
     def _let_out(self, texel: np.ndarray, way: np.ndarray) -> np.ndarray:
         """Return the share of diffuse light that texels let out against ways, (n, 3) of any length; 1 for no texel."""
-        if not len(self._coats.index):
+        if not len(self._coats.n_k):
             return np.ones(len(texel))
         cosine = -(self.points.normal[texel] * way).sum(axis=1) / np.maximum(np.linalg.norm(way, axis=1), 1e-30)
         return self._passed(np.where(texel < 0, 0, self._coat[texel]), cosine)

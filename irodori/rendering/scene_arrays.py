@@ -98,7 +98,7 @@ class Coats(NamedTuple):
     """Coupled coats of a scene's sides, each index once."""
 
     of_side: np.ndarray  # (sides,) int64, 0 for a side without a coat, else 1 and the number of its coat
-    index: np.ndarray  # (coats, 2) n and k
+    n_k: np.ndarray  # (coats, 2) refractive index
 
 
 def coats_of(objects: Objects) -> Coats:
@@ -133,7 +133,7 @@ class Light(NamedTuple):
 
 def under_coats(light: Light, environment: Environment, objects: Objects) -> Light:
     """Return a light with the irradiance under the coats of a scene's objects, from the environment it was made of."""
-    maps = (environment.irradiance_under(n, k) for n, k in coats_of(objects).index.tolist())
+    maps = (environment.irradiance_under(n, k) for n, k in coats_of(objects).n_k.tolist())
     return light._replace(under_coats=tuple(one.reshape(-1, one.shape[2]) for one in maps))
 
 

@@ -265,7 +265,7 @@ def page_data(sources: SceneSources) -> PageData:
         "objects": entries[: len(placements)],
         "sides": [entry | {"of": index} for entry, index in of_sides],
         "lobes": lobe_entries(objects),
-        "coats": coats_of(objects).index.tolist(),
+        "coats": coats_of(objects).n_k.tolist(),
         "environments": page_rooms(scene),
         "light": lit,
         "lamps": _lamps(scene),

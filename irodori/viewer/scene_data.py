@@ -133,7 +133,7 @@ def light_maps(environment: Environment, objects: Objects) -> LightMaps:
     whole = pyramid.texels[first : first + 6 * (side + 2) ** 2 * k].reshape(6, side + 2, side + 2, k)
     sky = np.moveaxis(whole[:, 1:-1, 1:-1], -1, 0)
     rows = environment.irradiance.shape[0]
-    under = [environment.irradiance_under(n, k) for n, k in coats_of(objects).index.tolist()]
+    under = [environment.irradiance_under(n, k) for n, k in coats_of(objects).n_k.tolist()]
     irradiance, *coated = (
         _cube((one @ principal_from_stored.T).astype(np.float32), rows, 1) for one in (environment.irradiance, *under)
     )

@@ -123,9 +123,7 @@ def test_coats_that_cannot_be_had_are_refused():
     with pytest.raises(ValueError, match="the coat 'double'; accepted: sum, coupled"):
         Material.uniform(0.5, coat="double")
     leaf = Material.uniform(0.5, coat=COUPLED, transmittance=0.2)
-    with pytest.raises(
-        ValueError, match="coupled coat on a thin sheet that lets light through; accepted: the"
-    ):
+    with pytest.raises(ValueError, match="coupled coat on a thin sheet that lets light through; accepted: the"):
         seen([plate(9.0)], [leaf], [(0, 0, 0)], {"kind": "interactive", "light_maps": False})
     sheet = {"camera": "c", "shape": {"kind": "plate", "width_mm": 9.0, "height_mm": 9.0}, "coat": "auto",
              "texels": {"width": 4, "height": 4}, "sheet": {}}  # fmt: skip

@@ -277,9 +277,9 @@ def make_coats(objects: Objects, light: Light, side: int) -> dict:
         If the light lacks the irradiance under the coats.
     """
     coats = coats_of(objects)
-    if side and len(light.under_coats) != len(coats.index):
-        raise ValueError(f"irradiance under {len(light.under_coats)} coats; accepted: under {len(coats.index)}")
-    index = np.concatenate([np.zeros((1, 2)), coats.index])[coats.of_side]
+    if side and len(light.under_coats) != len(coats.n_k):
+        raise ValueError(f"irradiance under {len(light.under_coats)} coats; accepted: under {len(coats.n_k)}")
+    index = np.concatenate([np.zeros((1, 2)), coats.n_k])[coats.of_side]
     first = coats.of_side * (FACES * (side + 2) ** 2 if side else 0)
     return {"coat": index.astype(np.float32).ravel(), "coat_first": indices(first)}
 

@@ -346,7 +346,7 @@ def memory_mb(parts: SceneParts, model: Model, widths: Widths) -> float:
     if model.environment:
         numbers += FACES * environment_side(height) ** 2 * 4.0 / 3.0 * widths.light
     if model.irradiance:
-        maps = 1 + len(coats_of(parts.objects).index)
+        maps = 1 + len(coats_of(parts.objects).n_k)
         numbers += maps * FACES * parts.environment.irradiance.shape[0] ** 2 * widths.surface
     for level in range(*model.gloss_levels):
         numbers += FACES * (2.0 / np.pi * level_height(WIDTHS_RAD[level])) ** 2 * 2 * widths.light
