@@ -422,9 +422,7 @@ var Irodori = Irodori || {};
     };
     // The share of its diffuse light that what is met lets out against the ray.
     const letOut = () =>
-      met && met.index
-        ? throughCoat(met.index, -(facing[0] * ray[3] + facing[1] * ray[4] + facing[2] * ray[5]))
-        : 1;
+      met && met.index ? throughCoat(met.index, -facing[0] * ray[3] - facing[1] * ray[4] - facing[2] * ray[5]) : 1;
     const push = (c, seen_, share) => {
       if (used === cell.length) [cell, seen, weight] = [cell, seen, weight].map(grown);
       cell[used] = c;
@@ -657,9 +655,10 @@ var Irodori = Irodori || {};
           for (let e = start[own]; e < start[own + 1]; e++)
             if (cell[e] >= 0) {
               const c = cell[e],
-                [a, b, d] = [vectors[3 * c], vectors[3 * c + 1], vectors[3 * c + 2]],
-                by = map.index ? throughCoat(map.index, (a * x + b * y + d * z) / lengths[c]) : 1;
-              for (let i = 0, at = 3 * k * c; i < 3 * k; i++, at++) lost[i] += by * cells[at];
+                v = 3 * c,
+                high = vectors[v] * x + vectors[v + 1] * y + vectors[v + 2] * z,
+                by = map.index ? throughCoat(map.index, high / lengths[c]) : 1;
+              for (let i = 0, at = k * v; i < 3 * k; i++, at++) lost[i] += by * cells[at];
             } else if (cell[e] < -1)
               for (let i = 0, c = -2 - cell[e], at = 3 * k * c; i < k; i++, at += 3) {
                 const [a, b, d] = [vectors[3 * c], vectors[3 * c + 1], vectors[3 * c + 2]],

@@ -161,7 +161,8 @@ var Irodori = Irodori || {};
     // Maps of the light of an environment.
     makeLight(number) {
       const entry = this.data.header.light[number],
-        light = { number, textures: {}, sky: [], gloss: [], scale: [1, 1, 1, 1], first: entry.gloss_first, irradiance: [] };
+        scale = [1, 1, 1, 1],
+        light = { number, textures: {}, sky: [], gloss: [], scale, first: entry.gloss_first, irradiance: [] };
       if (entry.is_dark) return light;
       const levels = Irodori.lightLevels(this.data, number);
       light.scale = Irodori.halfScale([...levels.sky.slice(0, 1), ...levels.irradiance, ...levels.gloss]);

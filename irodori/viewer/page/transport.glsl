@@ -175,7 +175,9 @@ Light skyAt(vec3 d, float spread) {
   if (part > 0.01) found = mixed(found, lookUp(uSky, uSkyLevel[min(lower + 1, SKY_LEVELS - 1)], turned), part);
   return found;
 }
-Light irradianceAt(int coat, vec3 normal) { return lookUp(uIrradiance, uIrradianceLevel[coat], uLightFromWorld * normal); }
+Light irradianceAt(int coat, vec3 normal) {
+  return lookUp(uIrradiance, uIrradianceLevel[coat], uLightFromWorld * normal);
+}
 #endif
 
 // ---- shapes ---------------------------------------------------------------------------------------------------------
