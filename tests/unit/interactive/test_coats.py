@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from made import made
 from scenes import BALL, constant_light, material, plate, sky, smooth_light, sphere_hits
+from studio import prepared
 from test_coat import glass
 
 from irodori.colour.colorimetry import delta_e, lab_from_xyz, xyz_from_radiance
@@ -73,6 +74,7 @@ def few_paths(monkeypatch):
     monkeypatch.setattr(baking, "_PATHS", 32)
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("coats", [(COUPLED, SUM), (SUM, COUPLED)], ids=["table", "ball"])
 def test_maps_of_coated_surfaces_hold_the_light_that_passes_their_coats(few_paths, coats):
     """A ball over a table, one of them coated: the maps err little against traced paths, and differ without a coat."""
@@ -118,10 +120,15 @@ def test_with_light_maps_a_coated_ball_on_a_coated_table_is_shown_as_paths_show_
     white = LIGHT.upward_white() + len(lights)
     matrix = xyz_from_radiance(white)
     without = [replace(one, coat=SUM) for one in materials]
-    reference = {"kind": "reference", "samples": 512, "denoise": False}
+    reference = {"kind": "reference", "samples": 256, "denoise": False}
     paths, shown, plain = (
         lab_from_xyz(picture @ matrix.T, matrix @ white)
         for picture in (seen(reference, materials), seen(MAPS, materials), seen(MAPS, without))
     )
     far = delta_e(shown, paths).mean()
     assert far < 0.5 and far < 0.2 * delta_e(plain, paths).mean()
+
+
+def test_light_without_the_irradiance_under_a_coat_is_refused():
+    with pytest.raises(ValueError, match="irradiance under 0 coats; accepted: under 1"):
+        prepared([BALL], [coated(0.5)], constant_light())
