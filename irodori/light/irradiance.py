@@ -179,9 +179,7 @@ def _lower_bound(cells, level, normal):
 
 @njit(cache=True)
 def _weighted(weight, cosine):
-    """Return a cosine times the weight of light at that angle, tabulated at even steps; None leaves it as it is."""
-    if weight is None:
-        return cosine
+    """Return a cosine times the weight of light at that angle, tabulated at even steps."""
     place = min(max(cosine, 0.0), 1.0) * (weight.size - 1)
     low = min(int(place), weight.size - 2)
     return cosine * (weight[low] + (place - low) * (weight[low + 1] - weight[low]))
@@ -194,8 +192,6 @@ def _is_curved(weight, height, spread, most):
     The heights above the horizon in the cell are within ``spread`` of ``height``. The mean over a uniform range differs
     by a sixth of the second difference.
     """
-    if weight is None:
-        return False
     low, high = max(height - spread, 0.0), min(height + spread, 1.0)
     middle = _weighted(weight, 0.5 * (low + high))
     return abs(_weighted(weight, low) + _weighted(weight, high) - 2.0 * middle) > 6.0 * most
@@ -212,7 +208,7 @@ def _add_pixels(pixels, i, j, normal, weight, out):
         for column in range(j * _BLOCK, min(width, (j + 1) * _BLOCK)):
             cosine = s * (nx * pixels.cos_azimuth[column] + ny * pixels.sin_azimuth[column]) + z
             if cosine > 0.0:
-                factor = _weighted(weight, cosine) * solid_angle
+                factor = cosine * solid_angle if weight is None else _weighted(weight, cosine) * solid_angle
                 for b in range(bases):
                     out[b] += factor * values[row, column, b]
 
@@ -235,8 +231,10 @@ def _add_irradiance(light, normal, weight, stack, out):
         height = nx * cells.centre[j, 0] + ny * cells.centre[j, 1] + nz * cells.centre[j, 2]
         if height <= -cells.sine[j] or cells.power[j] == 0.0:
             continue
-        cut, spread = height < cells.sine[j], _SPREAD * cells.radius[j]
-        if (cut and cells.power[j] * cells.radius[j] > limit) or _is_curved(weight, height, spread, most):
+        divides = height < cells.sine[j] and cells.power[j] * cells.radius[j] > limit
+        if weight is not None:
+            divides = divides or _is_curved(weight, height, _SPREAD * cells.radius[j], most)
+        if divides:
             columns = cells.columns[level]
             i, k = place // columns, place % columns
             if level == 0:
@@ -249,18 +247,20 @@ def _add_irradiance(light, normal, weight, stack, out):
                     waiting += 1
             continue
         m, c = cells.moment[j], cells.centre[j]
+        spread = _SPREAD * cells.radius[j]
         if abs(height) < spread:
             # Assume that the light is uniform over the heights within ``spread`` of the centre.
-            mean = _weighted(weight, (height + spread) ** 2 / (4.0 * spread))
+            mean = (height + spread) ** 2 / (4.0 * spread)
+            if weight is not None:
+                mean = _weighted(weight, mean)
             for b in range(out.size):
                 out[b] += mean * (c[0] * m[b, 0] + c[1] * m[b, 1] + c[2] * m[b, 2])
-        elif weight is None and height > 0.0:
-            for b in range(out.size):
-                out[b] += nx * m[b, 0] + ny * m[b, 1] + nz * m[b, 2]
         elif height > 0.0:
-            p = cells.power_moment[j]
-            mean = max((nx * p[0] + ny * p[1] + nz * p[2]) / cells.power[j], 0.0)
-            share = _weighted(weight, mean) / mean if mean > 0.0 else 0.0
+            share = 1.0
+            if weight is not None:
+                p = cells.power_moment[j]
+                mean = max((nx * p[0] + ny * p[1] + nz * p[2]) / cells.power[j], 1e-30)
+                share = _weighted(weight, mean) / mean
             for b in range(out.size):
                 out[b] += share * (nx * m[b, 0] + ny * m[b, 1] + nz * m[b, 2])
 
