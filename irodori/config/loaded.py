@@ -28,11 +28,6 @@ class Loaded(Definition):
     cameras: Mapping[str, Camera] = dataclasses.field(hash=False)
     rigs: Mapping[str, Rig] = dataclasses.field(hash=False)
 
-    @property
-    def coats(self) -> dict[str, str]:
-        """The coat of each object by its name, which may still be ``auto``."""
-        return {name: definition.coat for name, definition in self.objects.items()}
-
     def photographed(self, kind: str, name: str) -> Object | Camera | EnvironmentDefinition:
         """Return the definition of the subject of a set of photographs."""
         kinds = ("objects", "cameras", "environments")

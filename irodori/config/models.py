@@ -664,8 +664,7 @@ class Object(Definition):
     #: Whether the surface takes from the light of the diffuse ground what it reflects. With sum, diffuse light and
     #: gloss are added, as in equation (5). With coupled, the diffuse light passes the surface on its way in and out and
     #: is reduced at large angles by Fresnel's equations, by 5 % at 60° and all at grazing angles. With auto, the one
-    #: that predicts left-out photographs better. A scene with a coupled coat needs the integrator reference, and with
-    #: any coat but sum it has no classroom page.
+    #: that predicts left-out photographs better.
     coat: Literal["sum", "coupled", "auto"] = "sum"
 
     #: Weight of the mirror term, which reflects the surroundings (ratio).

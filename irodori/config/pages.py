@@ -1,8 +1,6 @@
 """Classroom pages of scenes: the views and environments that a page can show. Quick to import for the Snakefile."""
 
-from collections.abc import Mapping
-
-from irodori.config.models import Object, PerspectiveView, Scene
+from irodori.config.models import PerspectiveView, Scene
 
 
 def page_views(scene: Scene) -> list[str]:
@@ -17,15 +15,8 @@ def page_rooms(scene: Scene) -> list[str]:
     return list(dict.fromkeys([scene.environment, *(light.environment for light in lights if light.environment)]))
 
 
-def page_fault(scene: Scene, coats: Mapping[str, str]) -> tuple[str, str, str] | None:
-    """Return (field, found, accepted) of the reason why a page cannot show a scene; None if it can.
-
-    ``coats`` has the coat of each object by its name.
-    """
-    for number, item in enumerate(scene.objects):
-        if coats[item.object] != Object.coat:
-            found = f"{item.object}, whose coat is {coats[item.object]}"
-            return f"objects[{number}].object", found, f"objects of the coat {Object.coat} in a scene that has a page"
+def page_fault(scene: Scene) -> tuple[str, str, str] | None:
+    """Return (field, found, accepted) of the reason why a page cannot show a scene; None if it can."""
     if not page_views(scene):
         return "views", "no view but through a lens", "a view without a lens for the scene's page"
     for number, light in enumerate(scene.lights):

@@ -156,7 +156,7 @@ class Reports:
 
     def pages(self, wildcards) -> list[str]:
         """Return, as a list, the classroom page of a scene; empty if it has none."""
-        shown = _has_scene(wildcards) and page_fault(self._scene(wildcards), self._loaded.coats) is None
+        shown = _has_scene(wildcards) and page_fault(self._scene(wildcards)) is None
         return [f"results/{wildcards.scene}/viewer.html"] if shown else []
 
     def light(self, wildcards) -> list[str]:

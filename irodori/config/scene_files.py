@@ -228,7 +228,7 @@ class SceneFiles:
 
     def pages(self) -> list[str]:
         """Return the paths of the classroom pages, one for every scene that such a page can show."""
-        shown = (name for name, scene in self.loaded.scenes.items() if page_fault(scene, self.loaded.coats) is None)
+        shown = (name for name, scene in self.loaded.scenes.items() if page_fault(scene) is None)
         return [f"results/{name}/viewer.html" for name in shown]
 
     def page_view(self, pattern: str) -> Callable[[Any], str]:
@@ -242,7 +242,7 @@ class SceneFiles:
 
         def found(wildcards) -> str:
             scene = self._scene(wildcards)
-            fault = page_fault(scene, self.loaded.coats)
+            fault = page_fault(scene)
             if fault is not None:
                 raise InputError(Path(self.loaded.config.definitions) / "scenes" / f"{wildcards.scene}.yaml", *fault)
             return pattern.format(scene=wildcards.scene, view=page_views(scene)[0])

@@ -5,6 +5,7 @@ at pixel centres. Radiance is relative: 1 is that of a perfect diffuser lit at n
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -44,6 +45,24 @@ class Environment:
     irradiance: np.ndarray
     file: Path | None = None
     basis_errors: np.ndarray | None = None
+
+    def irradiance_under(self, n: float, k: float) -> np.ndarray:
+        """Return the irradiance under a coat of the index n + ik, (h, w, k) float32, for the normals of `irradiance`.
+
+        Each light counts by the share that passes the surface at its angle, see `irodori.reflection.coat.passed`.
+        """
+        if (n, k) not in self._under:
+            from irodori.light.irradiance import Integrator
+            from irodori.reflection.coat import passed_array
+
+            normals = directions(self.irradiance.shape[1], self.irradiance.shape[0])[0]
+            found = Integrator(self.coefficients)(normals, lambda cosine: passed_array(cosine, n, k))
+            self._under[n, k] = found.astype(np.float32)
+        return self._under[n, k]
+
+    @cached_property
+    def _under(self) -> dict[tuple[float, float], np.ndarray]:
+        return {}
 
     def save(
         self,

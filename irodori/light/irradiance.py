@@ -3,9 +3,13 @@
 The picture is stored as a quadtree of cells of constant angular size, each with Σ L ω dΩ. For a normal N, a cell
 entirely above the horizon contributes exactly N · Σ L ω dΩ, and one entirely below contributes nothing. A cell that the
 horizon cuts is divided, down to the pixels, until its possible error is a small share of the irradiance.
+
+A weight of the light by its angle, such as that of a coat, multiplies the cosine. Then cells in which the product is
+not linear enough are divided too.
 """
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -25,6 +29,9 @@ _DARKEST = 1e-7  # ratio of irradiance to power below which the tolerance is not
 _STACK = 1024
 _NORMALS = 256  # normals that a thread takes at a time
 _SMALLEST_HEIGHT = 32
+#: Steps of cosine at which a weight is tabulated; largest error of weighted light by its curvature within cells, all
+#: together, relative to the irradiance.
+_COSINES, _CURVED = 2048, 5e-4
 _MIDPOINTS = 1 << 15
 
 
@@ -171,26 +178,48 @@ def _lower_bound(cells, level, normal):
 
 
 @njit(cache=True)
-def _add_pixels(pixels, i, j, normal, out):
+def _weighted(weight, cosine):
+    """Return a cosine times the weight of light at that angle, tabulated at even steps."""
+    place = min(max(cosine, 0.0), 1.0) * (weight.size - 1)
+    low = min(int(place), weight.size - 2)
+    return cosine * (weight[low] + (place - low) * (weight[low + 1] - weight[low]))
+
+
+@njit(cache=True)
+def _is_curved(weight, height, spread, most):
+    """Return whether the mean of a weighted cosine over a cell differs by more than ``most`` from that in its middle.
+
+    The heights above the horizon in the cell are within ``spread`` of ``height``. The mean over a uniform range differs
+    by a sixth of the second difference.
+    """
+    low, high = max(height - spread, 0.0), min(height + spread, 1.0)
+    middle = _weighted(weight, 0.5 * (low + high))
+    return abs(_weighted(weight, low) + _weighted(weight, high) - 2.0 * middle) > 6.0 * most
+
+
+@njit(cache=True)
+def _add_pixels(pixels, i, j, normal, weight, out):
     """Add the irradiance from the pixels of a block one by one."""
     values, (nx, ny, nz) = pixels.values, normal
     height, width, bases = values.shape
     for row in range(i * _BLOCK, min(height, (i + 1) * _BLOCK)):
-        s, weight = pixels.sin_theta[row], pixels.solid_angle[row]
+        s, solid_angle = pixels.sin_theta[row], pixels.solid_angle[row]
         z = nz * pixels.cos_theta[row]
         for column in range(j * _BLOCK, min(width, (j + 1) * _BLOCK)):
             cosine = s * (nx * pixels.cos_azimuth[column] + ny * pixels.sin_azimuth[column]) + z
             if cosine > 0.0:
+                factor = cosine * solid_angle if weight is None else _weighted(weight, cosine) * solid_angle
                 for b in range(bases):
-                    out[b] += cosine * weight * values[row, column, b]
+                    out[b] += factor * values[row, column, b]
 
 
 @njit(cache=True)
-def _add_irradiance(cells, pixels, coarse, normal, stack, out):
+def _add_irradiance(light, normal, weight, stack, out):
     """Add the irradiance for a normal; ``stack`` is memory for the levels and indices of cells to process."""
-    (nx, ny, nz), (levels, places) = normal, stack
+    (cells, pixels, coarse), (nx, ny, nz), (levels, places) = light, normal, stack
     bound, total = _lower_bound(cells, coarse, normal)
     limit = _TOLERANCE * max(bound, _DARKEST * total)
+    most = _CURVED * max(bound, _DARKEST * total) / max(total, 1e-300)
     top = cells.first.size - 1
     waiting = cells.rows[top] * cells.columns[top]
     for place in range(waiting):
@@ -202,12 +231,14 @@ def _add_irradiance(cells, pixels, coarse, normal, stack, out):
         height = nx * cells.centre[j, 0] + ny * cells.centre[j, 1] + nz * cells.centre[j, 2]
         if height <= -cells.sine[j] or cells.power[j] == 0.0:
             continue
-        cut = height < cells.sine[j]
-        if cut and cells.power[j] * cells.radius[j] > limit:
+        divides = height < cells.sine[j] and cells.power[j] * cells.radius[j] > limit
+        if weight is not None:
+            divides = divides or _is_curved(weight, height, _SPREAD * cells.radius[j], most)
+        if divides:
             columns = cells.columns[level]
             i, k = place // columns, place % columns
             if level == 0:
-                _add_pixels(pixels, i, k, normal, out)
+                _add_pixels(pixels, i, k, normal, weight, out)
                 continue
             below_rows, below_columns = cells.rows[level - 1], cells.columns[level - 1]
             for row in range(2 * i, min(2 * i + 2, below_rows)):
@@ -220,19 +251,25 @@ def _add_irradiance(cells, pixels, coarse, normal, stack, out):
         if abs(height) < spread:
             # Assume that the light is uniform over the heights within ``spread`` of the centre.
             mean = (height + spread) ** 2 / (4.0 * spread)
+            if weight is not None:
+                mean = _weighted(weight, mean)
             for b in range(out.size):
                 out[b] += mean * (c[0] * m[b, 0] + c[1] * m[b, 1] + c[2] * m[b, 2])
         elif height > 0.0:
+            share = 1.0
+            if weight is not None:
+                p = cells.power_moment[j]
+                mean = max((nx * p[0] + ny * p[1] + nz * p[2]) / cells.power[j], 1e-30)
+                share = _weighted(weight, mean) / mean
             for b in range(out.size):
-                out[b] += nx * m[b, 0] + ny * m[b, 1] + nz * m[b, 2]
+                out[b] += share * (nx * m[b, 0] + ny * m[b, 1] + nz * m[b, 2])
 
 
 @njit(cache=True, nogil=True)
-def _add_irradiances(light, normals, out, first, last):
-    cells, pixels, coarse = light
+def _add_irradiances(light, weight, normals, out, first, last):
     stack = np.empty(_STACK, dtype=np.int64), np.empty(_STACK, dtype=np.int64)
     for i in range(first, last):
-        _add_irradiance(cells, pixels, coarse, (normals[i, 0], normals[i, 1], normals[i, 2]), stack, out[i])
+        _add_irradiance(light, (normals[i, 0], normals[i, 1], normals[i, 2]), weight, stack, out[i])
 
 
 class Integrator:
@@ -250,12 +287,17 @@ class Integrator:
         counts = self.cells.rows * self.cells.columns
         self._coarse = int(np.argmax(counts <= max(_COARSE_CELLS, counts[-1])))
 
-    def __call__(self, normals: np.ndarray) -> np.ndarray:
-        """Compute the irradiance, (..., k) float64 in radiance unit times sr, for unit normals, (..., 3)."""
+    def __call__(self, normals: np.ndarray, weight: Callable[[np.ndarray], np.ndarray] | None = None) -> np.ndarray:
+        """Compute the irradiance, (..., k) float64 in radiance unit times sr, for unit normals, (..., 3).
+
+        With a ``weight``, each light counts by its value at the cosine to the normal, a function of (n,) to (n,) whose
+        values are tabulated.
+        """
         flat = np.ascontiguousarray(np.reshape(normals, (-1, 3)), dtype=np.float64)
         out = np.zeros((len(flat), self.pixels.values.shape[2]))
         light = self.cells, self.pixels, self._coarse
-        run_chunks(_add_irradiances, len(flat), _NORMALS, light, flat, out)
+        table = None if weight is None else np.asarray(weight(np.linspace(0.0, 1.0, _COSINES)), dtype=np.float64)
+        run_chunks(_add_irradiances, len(flat), _NORMALS, light, table, flat, out)
         return out.reshape(*np.shape(normals)[:-1], out.shape[1])
 
 

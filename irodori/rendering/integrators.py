@@ -16,10 +16,9 @@ from irodori.geometry.embree import Tracer
 from irodori.geometry.shapes.shape import Shape
 from irodori.light.environment_file import Environment
 from irodori.material.material_file import Material
-from irodori.reflection.coat import COUPLED
 from irodori.rendering.frame_state import STILL, Moment, turned_scene
 from irodori.rendering.planning.scene_plan import ScenePlan
-from irodori.rendering.scene_arrays import make_objects, make_placements, make_view
+from irodori.rendering.scene_arrays import make_objects, make_placements, make_view, under_coats
 from irodori.rendering.scene_white import scene_white
 from irodori.spectra.published import refractive_index, spectrum
 
@@ -191,7 +190,6 @@ class Renderer(ABC):
         self.scene, self.environment, self.options, self.white = scene, environment, options, white
         pairs = list(zip(scene.objects, materials, strict=False))
         self.sheets = {item.object: material.transmittance or "none" for item, material in pairs if material.is_sheet}
-        self.coated = [item.object for item, material in pairs if material.coat == COUPLED]
         self.shapes, materials = with_bodies(scene, shapes, materials)
         self.check()
         # Textures do not depend on where objects stand.
@@ -288,12 +286,9 @@ class InteractiveRenderer(Renderer):
     representation, why = "spectral", "the picture is asked for in all bands"
 
     def check(self) -> None:
-        """Raise an error for area lights, whose soft shadows the integrator cannot render, and for coupled coats."""
+        """Raise an error for area lights, whose soft shadows the integrator cannot render."""
         if any(light.kind != "collimated" for light in self.scene.lights):
             raise ValueError("area lights in a scene of the integrator 'interactive'; accepted: collimated lights")
-        if self.coated:
-            found = f"the coupled coat of {', '.join(self.coated)} in a scene of the integrator 'interactive'"
-            raise ValueError(f"{found}; accepted: the integrator 'reference'")
 
     def make_light(self, moment: Moment):
         """Return the scene prepared for frames in the light of a moment."""
@@ -311,6 +306,8 @@ class InteractiveRenderer(Renderer):
             maps = self._turned_maps(moment) if self.light_turns else self.baked
             if moment.filter is not None and not self.light_turns:
                 maps = maps.under(moment.filter)
+        else:
+            light = under_coats(light, environment, self.objects)
         if self.white is not None:
             lamps = lights.spectrum[:, :BANDS]
             self.representation, self.why = exact_representation(self.objects, light, lamps, maps)

@@ -12,6 +12,9 @@ any light from all directions, turned about the vertical axis by any angle, any 
   through it. Its gloss and its mirror send on what comes from the mirror direction, from a cell or another texel, with
   their albedo at that angle.
 
+Under a coupled coat, the light that falls on a texel and the diffuse light that it sends count by their angles to its
+normal (`irodori.reflection.coat`); the map of a coated object holds light that has been reduced on its way in.
+
 The number of texels is increased until light interpolated between them is close to light found at the same points.
 """
 
@@ -28,13 +31,14 @@ from irodori.geometry.shapes.surface_nodes import extend_to_closed, raised
 from irodori.light.environment_file import Environment
 from irodori.light.equirectangular import look_up
 from irodori.reflection.albedo import gloss_albedo
+from irodori.reflection.coat import passed_array
 from irodori.reflection.fresnel import fresnel_array
 from irodori.rendering.interactive.cube_maps import FACES
 from irodori.rendering.interactive.surroundings import SEEN, SIDE, coarse_texels, stored_cubes, ways_out
 from irodori.rendering.light_cells import CELLS, Moments, cell_of, cell_vectors
 from irodori.rendering.light_maps import Bake, LightMaps, spectral_basis
 from irodori.rendering.map_layouts import Points, make_layout
-from irodori.rendering.scene_arrays import Objects, coefficients_of, gloss_of, sides_placed, textures
+from irodori.rendering.scene_arrays import Objects, coats_of, coefficients_of, gloss_of, sides_placed, textures
 from irodori.rendering.texel_views import Links, TexelView, look_around
 
 if TYPE_CHECKING:
@@ -126,7 +130,8 @@ class LightTransfer:
     def __init__(self, tracer: Tracer, objects: Objects, environment: Environment) -> None:
         self.tracer, self._moments = tracer, Moments(environment.coefficients)
         self._bases: dict[bytes, np.ndarray] = {}
-        self._shape, self._behind = objects.shape, objects.behind
+        self._shape, self._behind, self._coats = objects.shape, objects.behind, coats_of(objects)
+        self._under = [environment.irradiance_under(n, k) for n, k in self._coats.n_k.tolist()]
         fronts, placements = len(tracer.placements), sides_placed(objects, tracer.placements)
         self._reach = reaches(tracer.placements)[self._shape]
         self.layouts = [
@@ -142,6 +147,7 @@ class LightTransfer:
         self.sizes = [layout.size(most) for layout, most in zip(self.layouts, self.most, strict=True)]
         self.first = np.cumsum([0, *(len(p.point) for p in points)])
         self.points = Points(*(np.concatenate(parts) for parts in zip(*points, strict=True)))
+        self._coat = np.repeat(self._coats.of_side, np.diff(self.first))
         views = [view for views in around for view in views]
         del found, around  # so that no view is kept longer than `_link` needs it
         self.is_open = np.concatenate([view.is_open for view in views])
@@ -187,8 +193,28 @@ class LightTransfer:
             most *= 4
 
     def _look_around(self, points: Points, side: int, start: int = 0) -> list[TexelView]:
-        behind = self._behind[: len(self.tracer.placements)]
-        return look_around(self.tracer, points, self._shape[side], behind, start)
+        behind, first = self._behind[: len(self.tracer.placements)], 0
+        views, coat = look_around(self.tracer, points, self._shape[side], behind, start), self._coats.of_side[side]
+        for number, view in enumerate(views if coat else ()):
+            normal = points.normal[first : first + len(view.is_open)]
+            views[number] = view.weighted(normal, lambda cosine: passed_array(cosine, *self._coats.n_k[coat - 1]))
+            first += len(normal)
+        return views
+
+    def _passed(self, coat: np.ndarray, cosine: np.ndarray) -> np.ndarray:
+        """Return the share of light that passes coats by their numbers, (n,), at cosines to the normals, (n,)."""
+        share = np.ones(len(cosine))
+        for number, (n, k) in enumerate(self._coats.n_k, 1):
+            own = coat == number
+            share[own] = passed_array(np.clip(cosine[own], 0.0, 1.0), n, k)
+        return share
+
+    def _let_out(self, texel: np.ndarray, way: np.ndarray) -> np.ndarray:
+        """Return the share of diffuse light that texels let out against ways, (n, 3) of any length; 1 for no texel."""
+        if not len(self._coats.n_k):
+            return np.ones(len(texel))
+        cosine = -(self.points.normal[texel] * way).sum(axis=1) / np.maximum(np.linalg.norm(way, axis=1), 1e-30)
+        return self._passed(np.where(texel < 0, 0, self._coat[texel]), cosine)
 
     def _raised(self, points: Points, index: int) -> Points:
         """Return points of an object, raised above it by more than rounding errors, in double precision."""
@@ -201,7 +227,10 @@ class LightTransfer:
 
         def light(normal: np.ndarray, views: list[TexelView]) -> tuple[np.ndarray, np.ndarray]:
             hidden, is_open = ([getattr(view, name) for view in views] for name in ("hidden", "is_open"))
-            turned = (self._direct(environment, np.radians(a), normal, hidden).mean(axis=1) for a in _ANGLES_DEG)
+            coat = np.full(len(normal), self._coats.of_side[index])
+            turned = (
+                self._direct(environment, np.radians(a), (normal, coat), hidden).mean(axis=1) for a in _ANGLES_DEG
+            )
             return np.stack(list(turned), axis=1).astype(np.float64), np.concatenate(is_open)
 
         (points, views, spread), layout = traced, self.layouts[index]
@@ -239,7 +268,8 @@ class LightTransfer:
             target = _nearest(near, links.shape, links.place)
             # From here on, links have the texels next to the places that are seen, in place of shapes.
             shape, links = links.shape[target >= 0], Links(*(v[target >= 0] for v in links._replace(shape=target)))
-            seen.add(len(view.is_open), links.weight, (links.texel, links.shape))
+            sent = links.weight * self._let_out(links.shape, links.way)
+            seen.add(len(view.is_open), sent, (links.texel, links.shape))
             for index in shiny:
                 rays = Links(*(values[shape == index] for values in links))
                 to_cells, to_texels = self._reflected(rays, index, shines[index], near)
@@ -265,6 +295,7 @@ class LightTransfer:
         met = shape != NO_HIT
         there, front = self._met(near, shape[met], rays.place[met] + distance[met, None] * way[met], way[met])
         cells = share[~met], (rays.texel[~met], cell_of(way[~met]))
+        front = front * self._let_out(there, way[met])
         return cells, (share[met] * front, (rays.texel[met], np.maximum(there, 0)))
 
     def _met(self, near: _Trees, shape, place: np.ndarray, way: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -289,7 +320,8 @@ class LightTransfer:
             met = np.flatnonzero(shape != NO_HIT)
             target, front = self._met(near, shape[met], origin[met] + distance[met, None] * flat[met], flat[met])
             cell = met // max(direction.shape[2], 1)
-            weight = np.where(front, 1.0 / max(direction.shape[2], 1), 0.0).astype(np.float32)
+            sent = self._let_out(target, flat[met]) / max(direction.shape[2], 1)
+            weight = np.where(front, sent, 0.0).astype(np.float32)
             rows.append(csr_matrix((weight, (cell, np.maximum(target, 0))), shape=(count, self.first[-1])))
             free.append((shape == NO_HIT).reshape(count, -1).mean(axis=1) if count else np.zeros(0))
         self.gloss_seen, self.gloss_free = vstack(rows).tocsr(), np.concatenate(free)
@@ -330,13 +362,16 @@ class LightTransfer:
         Parameters are those of `maps`.
         """
         angle, normal = np.radians(angle_deg), self.points.normal
-        direct = self._direct(environment, angle, normal, self.hidden) + self._mirrored(environment, angle)
+        direct = self._direct(environment, angle, (normal, self._coat), self.hidden) + self._mirrored(
+            environment, angle
+        )
         direct = np.maximum(direct, 0.0)
         source = direct.copy()
         for spectrum, direction in zip(lamps, towards, strict=True):
             facing = normal @ direction
             lit = (facing > 0.0) & ~self.tracer.occluded(self.points.point, np.tile(direction, (len(normal), 1)))
-            source += np.outer(np.where(lit, facing, 0.0), spectrum / np.pi).astype(np.float32)
+            facing = np.where(lit, facing * self._passed(self._coat, facing), 0.0)
+            source += np.outer(facing, spectrum / np.pi).astype(np.float32)
         reflected, settled = np.zeros_like(source), _SETTLED * source.mean()
         for _ in range(_MOST_REFLECTIONS):
             before, sent = reflected, self._sent(self.reflectance, source + reflected)
@@ -360,15 +395,19 @@ class LightTransfer:
             sent[here] += transmittance * light[there]
         return sent
 
-    def _direct(self, environment: Environment, angle: float, normal: np.ndarray, hidden) -> np.ndarray:
+    def _direct(self, environment: Environment, angle: float, places: tuple, hidden) -> np.ndarray:
         """Return the light from the environment, turned by an angle, rad, (n, 61), on points that see it in part.
 
-        ``normal`` and ``hidden`` have the points' normals, (n, 3), and the hidden shares of their cells, in matrices of
-        (some points, cells) each.
+        ``places`` and ``hidden`` have the points' normals, (n, 3), and coats, (n,), and the hidden shares of their
+        cells, in matrices of (some points, cells) each.
         """
-        k = environment.basis.shape[1]
-        free = np.empty((len(normal), k))
-        look_up(environment.irradiance.astype(np.float64), np.ascontiguousarray(normal @ rotation_z(angle)), free)
+        (normal, coat), k = places, environment.basis.shape[1]
+        free, unit = np.empty((len(normal), k)), normal @ rotation_z(angle)
+        for number, irradiance in enumerate((environment.irradiance, *self._under)):
+            own = coat == number
+            found = np.empty((np.count_nonzero(own), k))
+            look_up(irradiance.astype(np.float64), np.ascontiguousarray(unit[own]), found)
+            free[own] = found
         cells = self._moments.turned(angle)
         lost = np.concatenate([part @ cells[..., :3].reshape(CELLS, -1) for part in hidden]).reshape(len(normal), k, 3)
         return ((free - (lost * normal[:, None]).sum(axis=2)) / np.pi @ environment.basis.T).astype(np.float32)

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from irodori.config.parts import Staging
 
 _COARSEST_ROWS = 4
+#: Band whose refractive index a coat has at all wavelengths, 550 nm.
+COAT_BAND = 30
 
 
 class Objects(NamedTuple):
@@ -92,6 +94,31 @@ def textures(objects: Objects) -> list[np.ndarray]:
     return found
 
 
+class Coats(NamedTuple):
+    """Coupled coats of a scene's sides, each index once."""
+
+    of_side: np.ndarray  # (sides,) int64, 0 for a side without a coat, else 1 and the number of its coat
+    n_k: np.ndarray  # (coats, 2) refractive index
+
+
+def coats_of(objects: Objects) -> Coats:
+    """Return the coupled coats of a scene's sides.
+
+    Raises
+    ------
+    ValueError
+        If light passes through a side that has one: it counts by its angle on that side, but not beneath it.
+    """
+    sides, of_side = len(objects.shape), np.zeros(len(objects.shape), dtype=np.int64)
+    coated = np.flatnonzero(objects.coupled[:sides])
+    if (objects.through[coated] >= 0).any():
+        raise ValueError("a coupled coat on a thin sheet that lets light through; accepted: the coat sum")
+    index = np.stack([objects.n[coated, COAT_BAND], objects.k[coated, COAT_BAND]], axis=1).astype(np.float64)
+    found, number = np.unique(index, axis=0, return_inverse=True)
+    of_side[coated] = 1 + number.ravel()
+    return Coats(of_side, found)
+
+
 class Light(NamedTuple):
     """Environment as a series of pictures of decreasing resolution, finest first, with its irradiance map."""
 
@@ -101,6 +128,13 @@ class Light(NamedTuple):
     basis: np.ndarray  # (k, 61)
     irradiance: np.ndarray  # (h * w, k) float32
     irradiance_size: np.ndarray  # (2,) width, height
+    under_coats: tuple[np.ndarray, ...] = ()  # (h * w, k) float32 irradiance under each of a scene's `Coats`
+
+
+def under_coats(light: Light, environment: Environment, objects: Objects) -> Light:
+    """Return a light with the irradiance under the coats of a scene's objects, from the environment it was made of."""
+    maps = (environment.irradiance_under(n, k) for n, k in coats_of(objects).n_k.tolist())
+    return light._replace(under_coats=tuple(one.reshape(-1, one.shape[2]) for one in maps))
 
 
 class View(NamedTuple):

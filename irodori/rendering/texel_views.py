@@ -1,6 +1,6 @@
 """Views from the texels of light maps: rays from each of them into the cells of the sphere."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -35,8 +35,9 @@ class Links(NamedTuple):
 class TexelView(NamedTuple):
     """Surroundings as some texels see them.
 
-    ``hidden`` is the share of each cell that is hidden. The other arrays except ``is_open`` belong to its stored
-    entries, of which an enclosed object has a thousand for each texel, so that they take few bytes each.
+    ``hidden`` is the share of each cell that is hidden, times the weight of its light. The other arrays except
+    ``is_open`` belong to its stored entries, of which an enclosed object has a thousand for each texel, so that they
+    take few bytes each.
     """
 
     hidden: "csr_matrix"  # (texels, cells)
@@ -55,6 +56,15 @@ class TexelView(NamedTuple):
         weight = (self.hidden.data[entry] * cosine / np.pi).astype(np.float32)
         single = (points.point[texel] + way).astype(np.float32), way.astype(np.float32)
         return Links(texel, self.shape[entry], *single, weight)
+
+    def weighted(self, normal: np.ndarray, weight: Callable[[np.ndarray], np.ndarray]) -> "TexelView":
+        """Return the view with shares of cells times a weight of light by the cosine to the texels' normals, (n, 3)."""
+        texel, vector = np.repeat(np.arange(len(self.is_open)), np.diff(self.hidden.indptr)), cell_vectors()
+        unit = vector / np.linalg.norm(vector, axis=1, keepdims=True)
+        cosine = (normal[texel] * unit[self.hidden.indices]).sum(axis=1)
+        hidden = self.hidden.copy()
+        hidden.data = (hidden.data * weight(np.clip(cosine, 0.0, 1.0))).astype(np.float32)
+        return self._replace(hidden=hidden)
 
 
 class _Bounds(NamedTuple):

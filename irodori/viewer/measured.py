@@ -17,7 +17,7 @@ from irodori.rendering.interactive.frame_renderer import CollimatedLamp, Prepare
 from irodori.rendering.interactive.prepared_scene import gloss_for, indices, joined, padded
 from irodori.rendering.light_maps import LightMaps as BakedMaps
 from irodori.rendering.light_transfer import LightTransfer
-from irodori.rendering.scene_arrays import Objects, View
+from irodori.rendering.scene_arrays import Objects, View, under_coats
 from irodori.spectra.grid import SAMPLES
 from irodori.viewer.scene_data import BORDER, HALVED_FROM, LightMaps, finer
 
@@ -95,7 +95,7 @@ def prepared(parts: FrameParts, decoded: Decoded | None = None) -> Prepared:
     objects = parts.objects if decoded is None else decoded.objects
     found = prepare_scene(
         objects,
-        light_of(light),
+        light_of(light) if parts.has_maps else under_coats(light_of(light), light, objects),
         gloss_for(parts.environment, objects),
         Tracer(parts.placements),
         "spectral",
@@ -121,9 +121,9 @@ def _fields(scene: Prepared, maps: LightMaps) -> dict:
     fields = _joined("environment", levels, lanes)
     fields["environment_levels"] = len(levels)
     fields["texels_per_rad"] = float((levels[0].shape[1] - 2) * np.sqrt(6.0 / (4.0 * np.pi)))
-    irradiance = np.moveaxis(maps.irradiance, 0, -1)
-    fields["irradiance"] = padded(irradiance @ maps.basis / np.pi, scene.layout.surface)
-    fields["irradiance_side"] = irradiance.shape[1] - 2
+    irradiance = [np.moveaxis(one, 0, -1) for one in (maps.irradiance, *maps.under_coats)]
+    fields["irradiance"] = joined([padded(one @ maps.basis / np.pi, scene.layout.surface) for one in irradiance])
+    fields["irradiance_side"] = irradiance[0].shape[1] - 2
     gloss = [np.moveaxis(level, 0, -1) for level in looked_up(maps)]
     pairs = []
     for place, level in enumerate(gloss):

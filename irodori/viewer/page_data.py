@@ -22,7 +22,7 @@ from irodori.rendering.integrators import has_shadows, with_backs, with_bodies
 from irodori.rendering.interactive.channels import is_grey
 from irodori.rendering.interactive.frame_renderer import light_of
 from irodori.rendering.interactive.quadrature import path_spectra, solve_quadrature
-from irodori.rendering.scene_arrays import back_of, make_objects, make_placements, placed_of_rows
+from irodori.rendering.scene_arrays import back_of, coats_of, make_objects, make_placements, placed_of_rows
 from irodori.rendering.scene_lights import BANDS, make_lights
 from irodori.spectra.grid import WAVELENGTH_NM
 from irodori.spectra.published import light
@@ -206,7 +206,7 @@ def page_data(sources: SceneSources) -> PageData:
     name, scene, material_files = sources.name, sources.scene, sources.materials
     shapes = [Shape.from_definition(s) for s in sources.shapes]
     loaded = [_with_maps(path) for path in material_files]
-    fault = page_fault(scene, {item.object: own.coat for item, own in zip(scene.objects, loaded, strict=False)})
+    fault = page_fault(scene)
     if fault is not None:
         field, found, accepted = fault
         raise PlainError(f"The scene {name}: {field}: found {found}; accepted: {accepted}.")
@@ -265,6 +265,7 @@ def page_data(sources: SceneSources) -> PageData:
         "objects": entries[: len(placements)],
         "sides": [entry | {"of": index} for entry, index in of_sides],
         "lobes": lobe_entries(objects),
+        "coats": coats_of(objects).n_k.tolist(),
         "environments": page_rooms(scene),
         "light": lit,
         "lamps": _lamps(scene),

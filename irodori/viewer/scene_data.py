@@ -5,6 +5,7 @@ a border of one texel, levels of blurred light, gloss lobes as rows of round lob
 get no plane.
 """
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,7 +20,7 @@ from irodori.rendering.interactive.prepared_scene import gloss_for, needed_gloss
 from irodori.rendering.interactive.round_lobes import gloss_power, ladder, lobe_table, roughness_at, roughness_place
 from irodori.rendering.light_transfer import LEAST_SHINE, mean_coefficients, shine_of, thinned
 from irodori.rendering.map_layouts import make_layout
-from irodori.rendering.scene_arrays import Objects, coefficients_of, gloss_of, placed_of_rows, textures
+from irodori.rendering.scene_arrays import Objects, coats_of, coefficients_of, gloss_of, placed_of_rows, textures
 from irodori.viewer.payload import StoredPlanes
 
 #: Lobes that the page's shader knows; a lobe from elsewhere has no page.
@@ -46,6 +47,8 @@ class LightMaps:
         Radiance, without border.
     irradiance : (k, 6, side + 2, side + 2) float, or None
         Irradiance, in the unit of radiance times sr.
+    under_coats : tuple of (k, 6, side + 2, side + 2) float
+        Irradiance under each of the scene's coats; empty if the environment is dark.
     gloss : list of (k, 6, n, n) float
         Levels of blurred radiance as stored: at half the side with a border of `BORDER`, or with a border of 1.
     sides : list of int
@@ -58,6 +61,7 @@ class LightMaps:
     white: np.ndarray
     sky: np.ndarray | None
     irradiance: np.ndarray | None
+    under_coats: tuple[np.ndarray, ...]
     gloss: list[np.ndarray]
     sides: list[int]
     first: int
@@ -120,7 +124,7 @@ def light_maps(environment: Environment, objects: Objects) -> LightMaps:
     """Return the maps of an environment that the materials of a scene's objects need."""
     white = environment.upward_white()
     if not environment.coefficients.any():
-        return LightMaps(environment.basis.T.astype(np.float64), white, None, None, [], [], 0)
+        return LightMaps(environment.basis.T.astype(np.float64), white, None, None, (), [], [], 0)
     basis, principal_from_stored = _principal(environment)
     k = len(basis)
     pyramid = environment_pyramid(environment.coefficients, principal_from_stored, k, half=False)
@@ -129,7 +133,10 @@ def light_maps(environment: Environment, objects: Objects) -> LightMaps:
     whole = pyramid.texels[first : first + 6 * (side + 2) ** 2 * k].reshape(6, side + 2, side + 2, k)
     sky = np.moveaxis(whole[:, 1:-1, 1:-1], -1, 0)
     rows = environment.irradiance.shape[0]
-    irradiance = _cube((environment.irradiance @ principal_from_stored.T).astype(np.float32), rows, 1)
+    under = [environment.irradiance_under(n, k) for n, k in coats_of(objects).n_k.tolist()]
+    irradiance, *coated = (
+        _cube((one @ principal_from_stored.T).astype(np.float32), rows, 1) for one in (environment.irradiance, *under)
+    )
     gloss, sides, number = [], [], 0
     if any(beta.any() for texels in textures(objects) for beta, _ in gloss_of(objects, texels)):
         maps = needed_gloss(gloss_for(environment, objects), objects)
@@ -143,7 +150,7 @@ def light_maps(environment: Environment, objects: Objects) -> LightMaps:
             else:
                 gloss.append(_cube(picture, wanted, 1))
                 sides.append(wanted)
-    return LightMaps(basis, white, sky, irradiance, gloss, sides, number)
+    return LightMaps(basis, white, sky, irradiance, tuple(coated), gloss, sides, number)
 
 
 def add_light(planes: StoredPlanes, number: int, maps: LightMaps) -> dict:
@@ -154,6 +161,8 @@ def add_light(planes: StoredPlanes, number: int, maps: LightMaps) -> dict:
     if maps.sky is not None and maps.irradiance is not None:
         planes.add_light(f"{name}/sky", maps.sky, maps.basis)
         planes.add_light(f"{name}/irradiance", maps.irradiance, maps.basis)
+        for coat, values in enumerate(maps.under_coats):
+            planes.add_light(f"{name}/irradiance/{coat}", values, maps.basis)
         for level, values in enumerate(maps.gloss):
             planes.add_light(f"{name}/gloss/{level}", values, maps.basis)
     return {"is_dark": maps.sky is None, "gloss_sides": maps.sides, "gloss_first": maps.first}
@@ -165,7 +174,9 @@ def decoded_light(planes: dict[str, np.ndarray], number: int, entry: dict) -> Li
     gloss = [planes[f"{name}/gloss/{level}"] for level in range(len(entry["gloss_sides"]))]
     basis, white = (planes[f"{name}/{part}"].astype(np.float64) for part in ("basis", "white"))
     sky, irradiance = planes.get(f"{name}/sky"), planes.get(f"{name}/irradiance")
-    return LightMaps(basis, white, sky, irradiance, gloss, entry["gloss_sides"], entry["gloss_first"])
+    coats = itertools.takewhile(planes.__contains__, (f"{name}/irradiance/{coat}" for coat in itertools.count()))
+    under = tuple(planes[coat] for coat in coats)
+    return LightMaps(basis, white, sky, irradiance, under, gloss, entry["gloss_sides"], entry["gloss_first"])
 
 
 def check_lobes(lobes: Lobes) -> None:
@@ -183,7 +194,7 @@ def check_lobes(lobes: Lobes) -> None:
 def add_materials(planes: StoredPlanes, objects: Objects) -> list[dict]:
     """Add the planes of all materials of `Objects` and return each one's entry for the header."""
     check_lobes(objects.lobes)
-    entries = []
+    entries, coats = [], coats_of(objects).of_side
     for i, texels in enumerate(textures(objects)):
         name, bases = f"object/{i}", int(objects.bases[i])
         planes.add_floats(f"{name}/basis", objects.basis[i, :bases])
@@ -207,6 +218,7 @@ def add_materials(planes: StoredPlanes, objects: Objects) -> list[dict]:
                 "components": components,
                 "has_gloss": bool(lobes),
                 "mirror": float(objects.mirror[i]),
+                "coat": int(coats[i]) if i < len(coats) else 0,
                 "is_grey": bool(objects.grey[i]),
                 "wraps": bool(objects.wraps[i]),
             }

@@ -1,22 +1,21 @@
 """A coupled coat: what it takes from diffuse light, in the fit, in the choice by photographs, and in pictures."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from made import made
+from scenes import plate
 from test_fitting_two_lobes import ANGLES, EXACT, NOISE, gloss, two_components
 from test_flat_shapes import seen
 from test_lobe_choice import OPTIONS, sample_of
 from test_measured_materials import needs_data
 
 from benchmarks import materials
-from irodori.config.cross_checks.object_lobes import check_coat, check_coats_rendered
-from irodori.config.models import BodyShape, Object, ObjectShape, Scene
-from irodori.config.pages import page_fault
+from irodori.config.cross_checks.object_lobes import check_coat
+from irodori.config.models import BodyShape, Object, ObjectShape
 from irodori.core.errors import InputError
 from irodori.fitting.lobe_choice import candidates, choose
 from irodori.fitting.solvers import SOLVERS, FitOptions, fit
@@ -120,25 +119,12 @@ def test_under_even_light_the_path_tracer_shows_the_albedo_of_the_ground(angle_d
     assert picture.mean() == pytest.approx(0.5 * float(diffuse_albedo(np.cos(angle), 1.4, K)), rel=0.004)
 
 
-def seen_by(integrator) -> Scene:
-    """A scene of one object, o0."""
-    view = {"position_mm": [0.0, -300.0, 0.0], "target_mm": [0.0, 0.0, 0.0], "field_of_view_deg": 20.0}
-    placed = {"object": "o0", "position_mm": [0.0, 0.0, 0.0]}
-    return made(Scene, {"environment": "e", "objects": [placed], "views": {"v": view}, "integrator": integrator})
-
-
 def test_coats_that_cannot_be_had_are_refused():
-    plate = Shape.from_definition(made(ObjectShape | BodyShape, {"kind": "plate", "width_mm": 9.0, "height_mm": 9.0}))
-    with pytest.raises(ValueError, match="coupled coat of o0 in a scene of the integrator 'interactive'"):
-        seen([plate], [Material.uniform(0.5, coat=COUPLED)], [(0, 0, 0)], {"kind": "interactive", "light_maps": False})
     with pytest.raises(ValueError, match="the coat 'double'; accepted: sum, coupled"):
         Material.uniform(0.5, coat="double")
-    scene, coats = seen_by({"kind": "interactive"}), {"o0": COUPLED}
-    assert page_fault(scene, coats)[1] == "o0, whose coat is coupled" and page_fault(scene, {"o0": SUM}) is None
-    loaded = SimpleNamespace(objects={"o0": SimpleNamespace(coat=COUPLED)})
-    with pytest.raises(InputError, match=r"integrator.kind: found interactive, with the coupled coat of o0 \(obj"):
-        check_coats_rendered(loaded, scene, "scene.yaml")
-    check_coats_rendered(loaded, seen_by(REFERENCE), "scene.yaml")
+    leaf = Material.uniform(0.5, coat=COUPLED, transmittance=0.2)
+    with pytest.raises(ValueError, match="coupled coat on a thin sheet that lets light through; accepted: the"):
+        seen([plate(9.0)], [leaf], [(0, 0, 0)], {"kind": "interactive", "light_maps": False})
     sheet = {"camera": "c", "shape": {"kind": "plate", "width_mm": 9.0, "height_mm": 9.0}, "coat": "auto",
              "texels": {"width": 4, "height": 4}, "sheet": {}}  # fmt: skip
     with pytest.raises(InputError, match="auto of a thin sheet; accepted: sum of a sheet"):

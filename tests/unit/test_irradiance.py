@@ -8,6 +8,7 @@ from shortcuts import irradiance_map
 
 from irodori.light.environment_file import directions
 from irodori.light.irradiance import Integrator, fitted_irradiance_map, irradiance_at, midpoints
+from irodori.reflection.coat import passed_array
 
 
 def exact(coefficients, normals):
@@ -46,6 +47,22 @@ def test_one_bright_texel_is_exact_everywhere(place):
     normals = np.concatenate([directions(40, 21)[0].reshape(-1, 3), beside / np.linalg.norm(beside, axis=1)[:, None]])
     expected, _ = exact(coefficients, normals)
     assert np.abs(Integrator(coefficients)(normals) - expected).max() <= 1e-6 * expected.max()
+
+
+@pytest.mark.parametrize("n", [1.1, 1.5, 2.5])
+def test_light_that_passes_a_coat_counts_by_its_angle(n):
+    """Against the sum over all pixels, in even light, in light of random pixels, and in light of one."""
+    normals, sun = random_normals(3), np.full((128, 256, 1), 1e-3, dtype=np.float32)
+    sun[40, 70] = 500.0
+    uneven = np.exp(2.0 * np.random.default_rng(4).normal(size=(128, 256, 2))).astype(np.float32)
+    for coefficients in (np.ones((128, 256, 1), np.float32), uneven, sun):
+        unit, solid_angle = directions(256, 128)
+        cosine = np.maximum(normals @ unit.reshape(-1, 3).T, 0.0)
+        expected = (cosine * passed_array(cosine, n, 0.0)) @ (coefficients * solid_angle[..., None]).reshape(
+            cosine.shape[1], -1
+        )
+        found = Integrator(coefficients)(normals, lambda cosine: passed_array(cosine, n, 0.0))
+        np.testing.assert_allclose(found, expected, rtol=2e-3)
 
 
 @given(

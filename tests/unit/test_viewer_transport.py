@@ -644,3 +644,27 @@ def test_a_page_of_two_rooms_and_a_mesh_is_at_most_ten_megabytes(tmp_path):
     assert [plane.shape[2] for plane in data.planes.entries if plane.name.endswith("/sky")] == [256, 256]
     size = len(page_html("A page", data.payload({})))
     assert 1e6 < size <= 10e6, size
+
+
+# ---- coats
+
+
+@pytest.mark.default_cases(1)
+@pytest.mark.parametrize("light_maps", [True, False], ids=["light maps", "sky"])
+def test_light_under_coats_is_the_renderers(tmp_path, light_maps):
+    """Two coats of different indices under a lamp and a turned room, at a low angle; without coats the page errs."""
+    materials, low = (painted(beta=1.0, mirror=0.0),) * 2, {"front": view_of(position=(30.0, -190.0, 40.0))}
+    first, second = (replace(m, coat="coupled", n=np.full(61, n)) for m, n in zip(materials, (1.4, 1.9), strict=True))
+    given = sources(tmp_path / "f", room(), first=first, second=second, lights=[LAMP], light_maps=light_maps, views=low)
+    written, bounds = Written(tmp_path, given), near if light_maps else agree
+    with opened(written.path) as page:
+        state = page.default_state()
+        state["light"]["turn_deg"] = 110.0
+        wanted = under(written, 110.0)
+        found = differences(*wanted, *page.read_xyz(state, 64, 48))
+        page.page.evaluate("""() => { for (const o of Irodori.renderer.data.header.objects) o.coat = 0;
+          Irodori.renderer.baked.clear(); if (Irodori.renderer.maps) Irodori.renderer.maps.transfers = {}; }""")
+        bare = differences(*wanted, *page.read_xyz(state, 64, 48))
+        assert page.messages == []
+    assert bounds(found), (found.mean(), np.percentile(found, 99))
+    assert bare.mean() > 4.0 * found.mean(), (found.mean(), bare.mean())

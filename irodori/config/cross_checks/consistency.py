@@ -22,7 +22,7 @@ from irodori.config.cross_checks.display_files import check_display
 from irodori.config.cross_checks.environment_sources import check_placed_charts, check_source, is_photographed
 from irodori.config.cross_checks.lessons import check_lesson
 from irodori.config.cross_checks.named_spectra import check_chart, check_filter, check_index, check_spectra
-from irodori.config.cross_checks.object_lobes import check_coat, check_coats_rendered, check_lobes
+from irodori.config.cross_checks.object_lobes import check_coat, check_lobes
 from irodori.config.cross_checks.object_placements import check_all_placed, check_not_flat, check_placements
 from irodori.config.cross_checks.plan_overrides import check_plan
 from irodori.config.cross_checks.plausible_units import check_in_frame
@@ -234,7 +234,6 @@ class _Checks:
             raise InputError(file, "frames.turned", found, "environment, or lights in the scene")
         check_plan(scene, file)
         check_thin_sheets(self.all, scene, file)
-        check_coats_rendered(self.all, scene, file)
         check_lesson(scene, self.root, file)
         for label, placed in scene.photographs.items():
             states = self._states(placed.camera)

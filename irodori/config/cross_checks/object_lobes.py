@@ -1,7 +1,6 @@
 """Checks of an object's lobes and coat, of its virtual materials, and of settings that exclude some of them."""
 
-from irodori.config.loaded import Loaded
-from irodori.config.models import Fit, InteractiveIntegrator, ModelledMaterial, Object, Scene
+from irodori.config.models import Fit, ModelledMaterial, Object
 from irodori.config.validation import suggest
 from irodori.core.errors import InputError
 
@@ -33,14 +32,6 @@ def check_coat(definition: Object, file) -> None:
     """Refuse the coat of a thin sheet, whose transmitted light it would reduce too."""
     if definition.coat != Object.coat and definition.sheet is not None:
         raise InputError(file, "coat", f"{definition.coat} of a thin sheet", f"{Object.coat} of a sheet")
-
-
-def check_coats_rendered(loaded: Loaded, scene: Scene, file) -> None:
-    """Refuse objects with a coupled coat in a scene whose integrator does not know it."""
-    for index, item in enumerate(scene.objects):
-        if loaded.objects[item.object].coat == "coupled" and isinstance(scene.integrator, InteractiveIntegrator):
-            found = f"interactive, with the coupled coat of {item.object} (objects[{index}])"
-            raise InputError(file, "integrator.kind", found, "reference")
 
 
 def _check_names(definition: Object, file) -> None:

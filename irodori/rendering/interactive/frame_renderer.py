@@ -146,7 +146,8 @@ def prepare_scene(
     objects : Objects
         Object i is shape i of the tracer.
     light : Light
-        Environment, of which the finest level and the irradiance are used; see `light_of`.
+        Environment, of which the finest level and the irradiance are used; see `light_of`. Without ``maps``, it needs
+        the irradiance under the objects' coats, see `irodori.rendering.scene_arrays.under_coats`.
     gloss : GlossMaps
         Blurred maps of the same environment.
     tracer : Tracer
@@ -208,6 +209,7 @@ def prepare_scene(
         components=objects.lobe.shape[1],
         parts=parts,
         sheets=bool((objects.behind >= 0).any()),
+        coats=bool(objects.coupled.any()),
     )
     return Prepared(representation, world, layout, limits, len(lamps), quadrature, owned, channels)
 

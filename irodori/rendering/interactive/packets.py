@@ -16,7 +16,7 @@ from irodori.jit.compilation import uncounted
 from irodori.jit.functions import as_float, bits_as_float, bits_as_int, lower_of, magnitude, select, truncated, upper_of
 from irodori.jit.vector_memory import gather, largest, load, mask_bits, numbered, spread, store
 from irodori.rendering.interactive.cube_maps import Corners, cell_of, face_of, keep_corners
-from irodori.rendering.interactive.representation_layout import has_sheets
+from irodori.rendering.interactive.representation_layout import has_coats, has_sheets
 
 RAYS = 16
 TILE = 16  # pixels along a side
@@ -452,6 +452,8 @@ def prepare_hits(job, scratch, base, met, placed):
     elif world.irradiance_side > 0:
         face, a, b = face_of(lx, ly, lz)
         cell, x, y = cell_of(face, a, b, spread(np.float32(world.irradiance_side), 16))
+        if has_coats(job.layout):
+            cell = cell + of_shapes(world.coat_first, 1, 0, placed)
         stride = spread(world.irradiance_side + 2, 16)
         keep_corners(light_corners(scratch.hits), cell, stride, (x, y), one)
     return seen, placed

@@ -39,7 +39,7 @@ from irodori.rendering.interactive.shading import FURTHER
 from irodori.rendering.interactive.surroundings import node_links
 from irodori.rendering.light_maps import LightMaps
 from irodori.rendering.map_layouts import make_layout
-from irodori.rendering.scene_arrays import Light, Objects, gloss_of, sides_placed, textures
+from irodori.rendering.scene_arrays import Light, Objects, coats_of, gloss_of, sides_placed, textures
 from irodori.spectra.grid import SAMPLES
 
 #: Largest number of objects for which formulas and bounds are tested one by one before Embree.
@@ -64,8 +64,10 @@ class PreparedWorld(NamedTuple):
     environment_side: np.ndarray  # (levels,) int32
     environment_levels: int  # 0 if nothing is looked up in it; likewise for irradiance_side and gloss_levels
     texels_per_rad: float
-    irradiance: np.ndarray
+    irradiance: np.ndarray  # without a coat, then under each of the scene's coats
     irradiance_side: int
+    coat: np.ndarray  # (sides * 2,) n and k of each side's coupled coat, zeros without one
+    coat_first: np.ndarray  # (sides,) int32 first texel of the irradiance under each side's coat
     baked: np.ndarray  # the light maps, each with a border of one texel, except those of meshes
     baked_first: np.ndarray  # (objects,) int32 first texel of each map
     baked_size: np.ndarray  # (objects * 2,) columns and rows; 0 rows for a mesh
@@ -254,14 +256,32 @@ def _repeat_border(stored: np.ndarray, wraps: bool) -> None:
 
 
 def make_irradiance(light: Light, channels: Channels) -> tuple[np.ndarray, int]:
-    """Return the irradiance map in the channels of texels, flat, and its side, 0 if the light has no irradiance."""
+    """Return the irradiance maps in the channels of texels, flat, and their side, 0 if the light has no irradiance."""
     width, height = light.irradiance_size
     if height == 0:
         return np.zeros(0, dtype=np.float32), 0
-    picture = light.irradiance.reshape(height, width, -1)
-    side = int(height)
-    stored = np.stack([face @ channels.irradiance_from_light.T for face in from_equirectangular(picture, side)])
-    return joined([padded(stored, channels.surface)]), side
+    side, found = int(height), []
+    for one in (light.irradiance, *light.under_coats):
+        faces = from_equirectangular(one.reshape(height, width, -1), side)
+        stored = np.stack([face @ channels.irradiance_from_light.T for face in faces])
+        found.append(padded(stored, channels.surface))
+    return joined(found), side
+
+
+def make_coats(objects: Objects, light: Light, side: int) -> dict:
+    """Return the fields of a `PreparedWorld` with the sides' coats, for irradiance maps of a side, 0 for none.
+
+    Raises
+    ------
+    ValueError
+        If the light lacks the irradiance under the coats.
+    """
+    coats = coats_of(objects)
+    if side and len(light.under_coats) != len(coats.n_k):
+        raise ValueError(f"irradiance under {len(light.under_coats)} coats; accepted: under {len(coats.n_k)}")
+    index = np.concatenate([np.zeros((1, 2)), coats.n_k])[coats.of_side]
+    first = coats.of_side * (FACES * (side + 2) ** 2 if side else 0)
+    return {"coat": index.astype(np.float32).ravel(), "coat_first": indices(first)}
 
 
 def stored_maps(maps: LightMaps, placements: Sequence[Placement], channels: Channels) -> list[np.ndarray]:
@@ -559,6 +579,7 @@ def make_world(
     pyramid = environment_pyramid(picture, channels.stored_from_light, channels.light, half=False)
     fields = _light_fields(light, needed_gloss(gloss, objects), pyramid, channels)
     fields |= _surface_fields(objects, tracer, channels, spare) | colour_fields(channels)
+    fields |= make_coats(objects, light, fields["irradiance_side"] if maps is None else 0)
     fields |= make_baked(maps, tracer.placements, objects.shape, channels)
     fields |= make_seen(maps, sides_placed(objects, tracer.placements), channels)
     fields |= {

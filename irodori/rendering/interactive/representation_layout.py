@@ -31,6 +31,8 @@ class Layout:
         Largest number of rows of round lobes per component, see `irodori.rendering.interactive.round_lobes`.
     sheets : bool
         Whether any object is a thin sheet; kernels for other scenes have no code for them.
+    coats : bool
+        Whether any object has a coupled coat; kernels for other scenes have no code for them.
     """
 
     surface: int
@@ -40,6 +42,7 @@ class Layout:
     components: int = 1
     parts: int = 1
     sheets: bool = False
+    coats: bool = False
 
     @property
     def seen(self) -> int:
@@ -97,7 +100,8 @@ def _black(field: str, times: int = 1):
 
 
 surface_lanes, light_lanes = _constant("surface"), _constant("light")
-is_coloured, is_profiled, has_sheets = _constant("coloured"), _constant("profiled"), _constant("sheets")
+is_coloured, is_profiled = _constant("coloured"), _constant("profiled")
+has_sheets, has_coats = _constant("sheets"), _constant("coats")
 gloss_components, gloss_parts, seen_lanes = _constant("components"), _constant("parts"), _constant("seen")
 #: Vectors of zeros: of a texel's lanes, of the light's, of light at two levels, and of what gloss sees in
 #: four cells.

@@ -20,6 +20,7 @@ from irodori.jit.vector_memory import (
     store,
     zeros_like,
 )
+from irodori.reflection import coat
 from irodori.reflection.fresnel import fresnel
 from irodori.reflection.lobes import constants_of, features_of, strength, value_of
 from irodori.rendering.interactive.cube_maps import (
@@ -65,6 +66,7 @@ from irodori.rendering.interactive.packets import (
 from irodori.rendering.interactive.representation_layout import (
     gloss_components,
     gloss_parts,
+    has_coats,
     has_sheets,
     is_coloured,
     light_lanes,
@@ -232,6 +234,14 @@ def _passed_light(job, hits, ray, shape, like):
 
 
 @uncounted(forceinline=True)
+def _through_coat(job, hits, ray, cosine):
+    """Return the share of light that passes the coat of a hit's object at an angle; 1 without a coat."""
+    shape = hits.i[OBJECT * RAYS + ray]
+    n = job.world.coat[2 * shape]
+    return np.float32(coat.passed(cosine, n, job.world.coat[2 * shape + 1])) if n > 0.0 else np.float32(1.0)
+
+
+@uncounted(forceinline=True)
 def shade_surfaces(job, scratch, base, seen):
     """Add diffuse light and lamps' highlights of the hits given as bits; return the bits of glossy hits.
 
@@ -262,10 +272,15 @@ def shade_surfaces(job, scratch, base, seen):
         for lamp in range(frame.lamps):
             cosine = hits.lit[lamp * RAYS + ray]
             if cosine > 0.0:
-                light = light + (frame.lamp_strength[lamp] * cosine) * load_like(world.lamp_light, lamp * width, texel)
+                level = frame.lamp_strength[lamp] * cosine
+                if has_coats(layout):
+                    level = level * _through_coat(job, hits, ray, cosine)
+                light = light + level * load_like(world.lamp_light, lamp * width, texel)
                 for component in range(gloss_components(layout)):
                     if _component(layout, sums, component)[0] > 0.0:
                         _add_highlight(job, scratch, base, ray, lamp, component)
+        if has_coats(layout):
+            light = _through_coat(job, hits, ray, hits.f[COSINE * RAYS + ray]) * light
         _add_colour(layout, scratch, base + ray, texel * light)
         if has_sheets(layout):
             _add_colour(layout, scratch, base + ray, _passed_light(job, hits, ray, hits.i[OBJECT * RAYS + ray], texel))

@@ -17,7 +17,16 @@ from irodori.rendering.interactive.prepared_scene import levels_by_lobe
 from irodori.rendering.interactive.quadrature import Quadrature, path_spectra, solve_quadrature
 from irodori.rendering.interactive.round_lobes import TAPS, lobe_table
 from irodori.rendering.light_maps import LightMaps
-from irodori.rendering.scene_arrays import Light, Objects, coefficients_of, gloss_of, make_light, textures
+from irodori.rendering.scene_arrays import (
+    Light,
+    Objects,
+    coats_of,
+    coefficients_of,
+    gloss_of,
+    make_light,
+    textures,
+    under_coats,
+)
 from irodori.spectra.grid import SAMPLES
 
 _CORNERS = 4  # of a bilinear look-up
@@ -184,16 +193,18 @@ def _light(light: Light, model: Model) -> Light:
     first, (columns, rows) = light.first_pixel[level], light.size[level]
     pixels, basis = light.pixels[first : first + columns * rows], light.basis
     irradiance = light.irradiance
+    coated = light.under_coats if model.irradiance else ()
     if model.light_bases < light.basis.shape[0]:
         to, basis = leading_basis(light, model.light_bases)
         pixels, irradiance = (pixels @ to).astype(np.float32), (irradiance @ to).astype(np.float32)
+        coated = tuple((one @ to).astype(np.float32) for one in coated)
     size = np.array([(columns, rows)])
     if not model.environment:
         pixels, size = pixels[:0], np.zeros((1, 2), dtype=np.int64)
     irradiance_size = light.irradiance_size
     if not model.irradiance:
         irradiance, irradiance_size = irradiance[:0], np.zeros(2, dtype=np.int64)
-    return Light(pixels, np.array([0]), size, basis, irradiance, irradiance_size)
+    return Light(pixels, np.array([0]), size, basis, irradiance, irradiance_size, coated)
 
 
 def _gloss(parts: SceneParts, model: Model) -> GlossMaps:
@@ -269,6 +280,8 @@ def prepare(
     light = light_of(parts.environment)
     if model.environment_halvings:
         light = make_light(parts.environment) if ladder is None else ladder
+    if model.irradiance:
+        light = under_coats(light, parts.environment, parts.objects)
     quadrature = None
     if model.representation == "quadrature":
         quadrature = model.quadrature or solved_nodes(parts, model.max_bounces, matrix, model.nodes)
@@ -333,7 +346,8 @@ def memory_mb(parts: SceneParts, model: Model, widths: Widths) -> float:
     if model.environment:
         numbers += FACES * environment_side(height) ** 2 * 4.0 / 3.0 * widths.light
     if model.irradiance:
-        numbers += FACES * parts.environment.irradiance.shape[0] ** 2 * widths.surface
+        maps = 1 + len(coats_of(parts.objects).n_k)
+        numbers += maps * FACES * parts.environment.irradiance.shape[0] ** 2 * widths.surface
     for level in range(*model.gloss_levels):
         numbers += FACES * (2.0 / np.pi * level_height(WIDTHS_RAD[level])) ** 2 * 2 * widths.light
     numbers += sum(float(np.prod(one.shape[:2])) for one in parts.maps.maps) * widths.surface if parts.maps else 0.0

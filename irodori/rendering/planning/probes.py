@@ -25,7 +25,7 @@ from irodori.rendering.interactive.prepared_scene import (
 from irodori.rendering.interactive.round_lobes import TAPS
 from irodori.rendering.interactive.shading import FURTHER
 from irodori.rendering.planning.modelled_scene import Model, SceneParts, coarser, prepare
-from irodori.rendering.scene_arrays import Light, View, textures
+from irodori.rendering.scene_arrays import Light, View, textures, under_coats
 
 #: Value in place of a level for a texture that reflects nothing.
 BLACK = -1
@@ -160,7 +160,8 @@ class Probes:
         channels = spectral_channels(self._parts.objects, light, self._parts.lamp_spectra, matrix)
         fields = colour_fields(channels)
         if self._prepared.world.irradiance_side > 0:
-            fields["irradiance"] = make_irradiance(light, channels)[0]
+            coated = under_coats(light, self._parts.environment, self._parts.objects)
+            fields["irradiance"] = make_irradiance(coated, channels)[0]
         return fields
 
     def _sky(self, level: int) -> dict:

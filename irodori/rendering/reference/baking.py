@@ -51,7 +51,8 @@ def maps_key(scene: Scene, shapes: Sequence[Shape], objects: Objects, environmen
     meshes = [part for mesh in triangles for part in (mesh.vertices_mm, mesh.faces)]
     materials = (objects.texture_size, objects.texels, objects.basis, objects.mirror, objects.n, objects.k)
     sheets = () if (objects.behind < 0).all() else (objects.behind, objects.through)
-    for values in (*meshes, *materials, *sheets, objects.lobe, environment.coefficients, environment.basis):
+    coats = (objects.coupled,) if objects.coupled.any() else ()
+    for values in (*meshes, *materials, *sheets, *coats, objects.lobe, environment.coefficients, environment.basis):
         digest.update(np.ascontiguousarray(values).data)
     return digest.hexdigest()
 
@@ -81,7 +82,7 @@ def bake_maps(
     maps = transfer.maps(environment, 0.0, lamps.spectrum[:, :SAMPLES].astype(np.float64), lamps.rotation[:, :, 2])
     scene, bakes = make_scene(list(tracer.placements), objects, environment, lights), []
     for index, bake in enumerate(maps.bakes):
-        error = _error(scene, objects.shape[index], transfer.layouts[index], maps.of(index), bake.most)
+        error = _error(scene, index, transfer.layouts[index], maps.of(index), bake.most)
         bakes.append(bake._replace(error=error))
         LOGGER.info("light map %d: %d texels, error %.3g of the light", index, bake.texels, error)
         if error > _WARNED:

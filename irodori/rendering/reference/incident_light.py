@@ -1,7 +1,8 @@
 """Irradiance at given points of surfaces by path tracing, against which light maps are checked [eq. 8].
 
 From each point, one direction is sampled from the environment and one by the cosine, and paths continue from there as
-those of a picture do. The result is the radiance of a perfect diffuser at the point, irradiance / π.
+those of a picture do. The result is the radiance of a perfect diffuser at the point, irradiance / π. On a surface with
+a coupled coat, light counts by the share that passes the coat at its angle.
 """
 
 from typing import NamedTuple
@@ -36,6 +37,7 @@ class Places(NamedTuple):
     point: np.ndarray  # (n, 3) mm
     normal: np.ndarray  # (n, 3) unit, of shading
     facet: np.ndarray  # (n, 3) unit, of the surface itself
+    surface: np.ndarray  # (n,) int64 side of a shape on which each point lies
     key: np.ndarray  # (n,) int64, not negative, selects the random numbers
     halves: np.ndarray  # (2, n, 61) float32 irradiance / π from each half of the paths
     cut: np.ndarray  # (n,) int64 paths that were cut
@@ -43,13 +45,13 @@ class Places(NamedTuple):
 
 
 @uncounted(forceinline=True)
-def _gather_once(world, buffers, numbers, of_sample, lamps):
-    """Trace one path of a place; ``of_sample`` has the arguments of `stream_of`.
+def _gather_once(world, buffers, numbers, of_sample, start):
+    """Trace one path of a place; ``of_sample`` has the arguments of `stream_of`, ``start`` the last of `gather`.
 
     The stream holds an array: a function that counts references would free that once for every path.
     """
     ray, work = buffers
-    return gather(world, ray, work, numbers, stream_of(numbers, *of_sample), lamps)
+    return gather(world, ray, work, numbers, stream_of(numbers, *of_sample), start)
 
 
 @njit(cache=True, nogil=True)
@@ -71,8 +73,8 @@ def _gather_at_some(world, numbers, places, first, last):
                     work.facet[axis] = places.facet[place, axis]
                 for band in range(PADDED):
                     work.total[band] = np.float32(0.0)
-                of_sample = key, replicate, sample, shifts
-                places.cut[place] += _gather_once(world, (ray, work), numbers, of_sample, places.lamps)
+                of_sample, start = (key, replicate, sample, shifts), (places.surface[place], places.lamps)
+                places.cut[place] += _gather_once(world, (ray, work), numbers, of_sample, start)
                 for band in range(BANDS):
                     whole[band] += work.total[band]
             for band in range(BANDS):
@@ -98,7 +100,7 @@ def incident_light(
     ----------
     scene : TracedScene
     surface : int or (n,) int
-        Number of the surface on which the points lie.
+        Side of a shape on which the points lie, see `irodori.rendering.scene_arrays.Objects`.
     point, normal, facet : (n, 3) float
         Points in mm, unit shading normals and unit normals of the surface itself.
     samples : int
@@ -120,11 +122,13 @@ def make_places(scene: TracedScene, surface, point: np.ndarray, normal: np.ndarr
     reach = np.abs(point).sum(axis=1, keepdims=True)
     count = len(point)
     own = np.broadcast_to(surface, count)
-    raised = point + (scene.world.offset_mm[own, None] + scene.world.steps * reach) * facet
+    offset = scene.world.offset_mm[scene.world.objects.shape[own], None]
+    raised = point + (offset + scene.world.steps * reach) * facet
     return Places(
         np.ascontiguousarray(raised, dtype=np.float64),
         np.ascontiguousarray(normal, dtype=np.float64),
         np.ascontiguousarray(facet, dtype=np.float64),
+        np.array(own, dtype=np.int64),
         # Places of other surfaces have other numbers.
         own * (1 << 24) + np.arange(count),
         np.zeros((_REPLICATES, count, BANDS), dtype=np.float32),

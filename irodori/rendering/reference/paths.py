@@ -55,12 +55,13 @@ from irodori.rendering.reference.sun_images import (
     sun_density,
 )
 from irodori.rendering.reference.world import ALBEDO, NORMAL, PLACE, SHINE, Branch
+from irodori.rendering.scene_arrays import COAT_BAND
 from irodori.rendering.scene_lights import COLLIMATED, density_towards, sample_towards, unobstructed
 from irodori.rendering.surface_hits import surface
 
 #: Number of surfaces after which a path is cut and counted as cut; between two perfect mirrors it might never end.
 LONGEST = 20_000
-_GREEN = 30  # band whose refractive index represents all bands when a term is chosen
+_GREEN = COAT_BAND  # band whose refractive index represents all bands when a term is chosen
 _LEAST_REFLECTANCE = 1e-3  # least reflectance in that choice, because other bands may reflect more
 _ROULETTE_FROM = 4  # Russian roulette begins at the fifth surface
 #: At the first surface, the mirror term is followed in addition to the others, not with a probability: the image of a
@@ -526,13 +527,14 @@ def follow(world, ray, work, drawn, seldom, weight):
 
 
 @uncounted(forceinline=True)
-def gather(world, ray, work, numbers, stream, lamps):
+def gather(world, ray, work, numbers, stream, start):
     """Trace one path from a point of a surface; add the radiance of a perfect diffuser there to ``work.total``.
 
-    ``work`` has the point in ``point``, ``normal`` and ``facet``. ``lamps`` says whether direct light of the scene's
-    own lights, other than the environment, is added. Returns the number of paths that were cut.
+    ``work`` has the point in ``point``, ``normal`` and ``facet``. ``start`` has the side whose coat reduces the light,
+    and says whether direct light of the scene's own lights, other than the environment, is added. Returns the number of
+    paths that were cut.
     """
-    index, count, lit = 0, world.lights.kind.size, world.sky.power > 0.0
+    (index, lamps), count, lit = start, world.lights.kind.size, world.sky.power > 0.0
     for band in range(PADDED):
         work.throughput[band] = work.diffuse[band] = np.float32(1.0)
     for axis in range(3):

@@ -312,12 +312,36 @@ var Irodori = Irodori || {};
     return out;
   }
 
+  const lengthsOf = (vectors) =>
+    Float64Array.from({ length: vectors.length / 3 }, (_, c) => Math.hypot(...vectors.subarray(3 * c, 3 * c + 3)));
+
   // The albedo of gloss and mirror at a cosine, from its values at even steps between 0.02 and 1.
   function shineAt(shine, cosine) {
     const place = Math.min(Math.max(((cosine - 0.02) / 0.98) * (shine.length - 1), 0), shine.length - 1),
       low = Math.min(Math.floor(place), shine.length - 2);
     return shine[low] + (place - low) * (shine[low + 1] - shine[low]);
   }
+
+  // Reflectance of a surface n + ik at a cosine; as in transport.glsl.
+  function fresnel(cosine, n, k) {
+    const c = Math.min(Math.max(cosine, 0), 1),
+      c2 = c * c,
+      nk = n * k,
+      s2 = (1 - c) * (1 + c),
+      real = n * n - s2 - k * k,
+      modulus = Math.hypot(real, 2 * nk),
+      large = Math.sqrt(0.5 * (modulus + Math.abs(real))),
+      small = nk / Math.max(large, 1e-18),
+      [a, b2] = real >= 0 ? [large, small * small] : [small, large * large],
+      square = (a + c) ** 2,
+      even = modulus * c2 + s2 * s2,
+      under = square * (square + b2) * (even + 2 * a * c * s2);
+    if (!(under > 0)) return b2 > 0 ? 1 : 0;
+    return Math.min(1, (((a * a - c2) ** 2 + b2 * square) * even) / under);
+  }
+
+  // The share of light that passes a coat, n and k, relative to that from straight above; all without a coat.
+  const throughCoat = (coat, cosine) => (coat ? (1 - fresnel(cosine, ...coat)) / (1 - fresnel(1, ...coat)) : 1);
 
   // The cell of a ray's direction.
   function cellOf(ray, rows, columns) {
@@ -335,13 +359,15 @@ var Irodori = Irodori || {};
       cells = rows * columns,
       ways = directionsOf(rows, columns),
       vectors = vectorsOf(rows, columns),
+      lengths = lengthsOf(vectors),
       maps = [];
     let count = 0,
       used = 0;
-    Irodori.surfaces(data.header).forEach(({ map, of, through }, i) => {
+    Irodori.surfaces(data.header).forEach(({ map, of, through, coat }, i) => {
       const one = all[of ?? i];
       if (!one || !map) return;
-      maps[i] = { ...texelsOf(data, map, one, apart, of === undefined ? 1 : -1), first: count, through };
+      maps[i] = { ...texelsOf(data, map, one, apart, of === undefined ? 1 : -1), first: count, through, coat };
+      maps[i].index = data.header.coats[coat - 1];
       count += maps[i].count;
       if (of === undefined) one.texels = maps[i];
       else [maps[i].other, one.texels.other] = [one.texels, maps[i]];
@@ -394,6 +420,9 @@ var Irodori = Irodori || {};
       }
       if (met) target = texelAt(what, met, what.tree && corners.places[what.number], x, y, z, found);
     };
+    // The share of its diffuse light that what is met lets out against the ray.
+    const letOut = () =>
+      met && met.index ? throughCoat(met.index, -facing[0] * ray[3] - facing[1] * ray[4] - facing[2] * ray[5]) : 1;
     const push = (c, seen_, share) => {
       if (used === cell.length) [cell, seen, weight] = [cell, seen, weight].map(grown);
       cell[used] = c;
@@ -421,7 +450,8 @@ var Irodori = Irodori || {};
           if (dx * nx + dy * ny + dz * nz <= 0) continue;
           everywhere++;
           const v = 3 * c,
-            share = Math.max(vectors[v] * nx + vectors[v + 1] * ny + vectors[v + 2] * nz, 0) / Math.PI;
+            high = Math.max(vectors[v] * nx + vectors[v + 1] * ny + vectors[v + 2] * nz, 0),
+            share = ((map.index ? throughCoat(map.index, high / lengths[c]) : 1) * high) / Math.PI;
           if (dx * fx + dy * fy + dz * fz <= 0) {
             push(c, BLACK, share);
             continue;
@@ -434,7 +464,7 @@ var Irodori = Irodori || {};
           ray[5] = dz;
           follow(near);
           if (!what) continue;
-          push(c, target, share);
+          push(c, target, share * letOut());
           if (target === BLACK) inside += Number(Boolean(what.tree) || what.shape === "sphere");
           else if (met.layout.shine) {
             // As if all that the object's gloss and mirror reflect came from one direction.
@@ -447,7 +477,7 @@ var Irodori = Irodori || {};
             }
             follow(around(what.number));
             if (!what) push(-2 - cellOf(ray, rows, columns), BLACK, passed);
-            else if (target !== BLACK) push(-1, target, passed);
+            else if (target !== BLACK) push(-1, target, passed * letOut());
           }
         }
         open[own] = Number(inside < ENCLOSED * everywhere);
@@ -604,24 +634,32 @@ var Irodori = Irodori || {};
       this.sums[number] ??= sumsOf(this.data, number) ?? false;
       if (!this.sums[number]) return out;
       const cells = cellsOf(this.sums[number], turn, rows, columns),
-        irradiance = this.data.planes["light/" + number + "/irradiance"],
-        width = this.data.shapes["light/" + number + "/irradiance"][2],
+        name = "light/" + number + "/irradiance",
+        width = this.data.shapes[name][2],
         size = 6 * width ** 2,
-        channels = Array.from({ length: k }, (_, i) => irradiance.subarray(i * size, (i + 1) * size)),
         [cosine, sine] = [Math.cos(turn), Math.sin(turn)],
         lost = new Float64Array(3 * k),
         mirrored = new Float64Array(k),
-        vectors = vectorsOf(rows, columns);
-      for (const map of maps)
-        for (let t = 0; map && t < map.count; t++) {
+        vectors = vectorsOf(rows, columns),
+        lengths = lengthsOf(vectors);
+      for (const map of maps) {
+        if (!map) continue;
+        const irradiance = this.data.planes[map.coat ? name + "/" + (map.coat - 1) : name],
+          channels = Array.from({ length: k }, (_, i) => irradiance.subarray(i * size, (i + 1) * size));
+        for (let t = 0; t < map.count; t++) {
           const own = map.first + t,
             [x, y, z] = map.normal.subarray(3 * t, 3 * t + 3),
             unit = [cosine * x + sine * y, cosine * y - sine * x, z];
           lost.fill(0);
           mirrored.fill(0);
           for (let e = start[own]; e < start[own + 1]; e++)
-            if (cell[e] >= 0) for (let i = 0, at = 3 * k * cell[e]; i < 3 * k; i++, at++) lost[i] += cells[at];
-            else if (cell[e] < -1)
+            if (cell[e] >= 0) {
+              const c = cell[e],
+                v = 3 * c,
+                high = vectors[v] * x + vectors[v + 1] * y + vectors[v + 2] * z,
+                by = map.index ? throughCoat(map.index, high / lengths[c]) : 1;
+              for (let i = 0, at = k * v; i < 3 * k; i++, at++) lost[i] += by * cells[at];
+            } else if (cell[e] < -1)
               for (let i = 0, c = -2 - cell[e], at = 3 * k * c; i < k; i++, at += 3) {
                 const [a, b, d] = [vectors[3 * c], vectors[3 * c + 1], vectors[3 * c + 2]],
                   radiance = (cells[at] * a + cells[at + 1] * b + cells[at + 2] * d) / (a * a + b * b + d * d);
@@ -633,6 +671,7 @@ var Irodori = Irodori || {};
               (free - lost[3 * i] * x - lost[3 * i + 1] * y - lost[3 * i + 2] * z) / Math.PI + mirrored[i];
           }
         }
+      }
       return out;
     }
 
@@ -661,7 +700,9 @@ var Irodori = Irodori || {};
                 : 0;
             return met > 0 && met < far;
           });
-          if (!isHidden) out[map.first + t] = (cosine * level) / (far < Infinity ? far * far : 1) / Math.PI;
+          if (isHidden) continue;
+          const falls = cosine * throughCoat(map.index, cosine);
+          out[map.first + t] = (falls * level) / (far < Infinity ? far * far : 1) / Math.PI;
         }
       return out;
     }

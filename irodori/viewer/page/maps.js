@@ -232,7 +232,10 @@ var Irodori = Irodori || {};
     const k = shape[0];
     return {
       sky: skyLevels(data.planes[name + "sky"], k, shape[2]),
-      irradiance: [level(data.planes[name + "irradiance"], k, data.shapes[name + "irradiance"][2] - 2)],
+      // Without a coat, then under each of the scene's coats.
+      irradiance: ["irradiance", ...data.header.coats.map((_, coat) => "irradiance/" + coat)].map((own) =>
+        level(data.planes[name + own], k, data.shapes[name + own][2] - 2),
+      ),
       gloss: entry.gloss_sides.map((side, i) => level(data.planes[name + "gloss/" + i], k, side)),
     };
   };

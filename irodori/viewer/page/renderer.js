@@ -161,7 +161,8 @@ var Irodori = Irodori || {};
     // Maps of the light of an environment.
     makeLight(number) {
       const entry = this.data.header.light[number],
-        light = { number, textures: {}, sky: [], gloss: [], scale: [1, 1, 1, 1], first: entry.gloss_first, side: 0 };
+        scale = [1, 1, 1, 1],
+        light = { number, textures: {}, sky: [], gloss: [], scale, first: entry.gloss_first, irradiance: [] };
       if (entry.is_dark) return light;
       const levels = Irodori.lightLevels(this.data, number);
       light.scale = Irodori.halfScale([...levels.sky.slice(0, 1), ...levels.irradiance, ...levels.gloss]);
@@ -171,8 +172,7 @@ var Irodori = Irodori || {};
         return made.origins;
       };
       light.sky = map("uSky", levels.sky);
-      map("uIrradiance", levels.irradiance);
-      light.side = levels.irradiance[0].side;
+      light.irradiance = map("uIrradiance", levels.irradiance);
       if (levels.gloss.length) light.gloss = map("uGloss", levels.gloss);
       return light;
     }
@@ -186,6 +186,7 @@ var Irodori = Irodori || {};
         OBJECTS: header.objects.length,
         SURFACES: header.objects.length + header.sides.length,
         SHEETS: Number(header.sides.length > 0),
+        COATS: header.coats.length,
         K: k,
         G: Math.ceil(k / 4),
         KS: this.spectra.widest,
@@ -306,7 +307,7 @@ var Irodori = Irodori || {};
         put(4, [size[0], size[1], o.shape === "sphere" ? 2 / o.reach_mm : 0, KINDS[o.shape]]);
         const place = this.atlas.places[i];
         put(5, [place.x, place.y, o.texels[1], o.texels[0]]);
-        put(6, [this.spectra.objects[i].index[0][0], this.spectra.objects[i].index[1][0], o.mirror, 0]);
+        put(6, [this.spectra.objects[i].index[0][0], this.spectra.objects[i].index[1][0], o.mirror, o.coat]);
         put(
           7,
           [0, 1, 2, 3].map((c) => (c < o.lobes.length ? o.lobes[c] : -1)),
@@ -543,9 +544,10 @@ var Irodori = Irodori || {};
       gl.uniform4fv(place("uLightScale"), scale);
       if (light.sky.length) {
         gl.uniform3fv(place("uSkyLevel"), light.sky.flat());
-        gl.uniform1f(place("uIrradianceSide"), light.side);
+        gl.uniform3fv(place("uIrradianceLevel"), light.irradiance.flat());
         gl.uniform1f(place("uTexelsPerRad"), light.sky[0][2] * Math.sqrt(6 / (4 * Math.PI)));
       }
+      if (this.data.header.coats.length) gl.uniform2fv(place("uCoat"), this.data.header.coats.flat());
       if (light.gloss.length) {
         gl.uniform3fv(place("uGlossLevel"), light.gloss.flat());
         gl.uniform1f(place("uGlossFirst"), light.first);

@@ -24,12 +24,16 @@ uniform float uPowerScale;
 #if HAS_LIGHT
 uniform sampler2DArray uSky, uIrradiance;
 uniform vec3 uSkyLevel[SKY_LEVELS]; // where its faces begin, and their side
-uniform float uIrradianceSide, uTexelsPerRad;
+uniform vec3 uIrradianceLevel[1 + COATS]; // likewise, without a coat and under each
+uniform float uTexelsPerRad;
 #endif
 #if GLOSS_LEVELS > 0
 uniform sampler2DArray uGloss;
 uniform vec3 uGlossLevel[GLOSS_LEVELS];
 uniform float uGlossFirst;
+#endif
+#if COATS > 0
+uniform vec2 uCoat[COATS];    // n and k of each coupled coat
 #endif
 #if PARTS > 0
 uniform sampler2D uRows;      // tables of round lobes, 4 texels an entry
@@ -86,6 +90,25 @@ float fresnel(float cosine, float n, float k) {
   float over = (difference * difference + b2 * square) * even;
   float under = square * (square + b2) * (even + 2.0 * (a * c * s2));
   return min(1.0, under > 0.0 ? over / under : (b2 > 0.0 ? 1.0 : 0.0));
+}
+
+// The number of a side's coat, 0 for none; and the share of light that passes it, relative to that from straight above.
+int coatOf(int side) {
+#if COATS > 0
+  return int(shapeRow(side, 6).w);
+#else
+  return 0;
+#endif
+}
+float throughCoat(int side, float cosine) {
+#if COATS > 0
+  int coat = coatOf(side);
+  if (coat == 0) return 1.0;
+  vec2 index = uCoat[coat - 1];
+  return (1.0 - fresnel(cosine, index.x, index.y)) / (1.0 - fresnel(1.0, index.x, index.y));
+#else
+  return 1.0;
+#endif
 }
 
 #if COLOURED
@@ -152,8 +175,8 @@ Light skyAt(vec3 d, float spread) {
   if (part > 0.01) found = mixed(found, lookUp(uSky, uSkyLevel[min(lower + 1, SKY_LEVELS - 1)], turned), part);
   return found;
 }
-Light irradianceAt(vec3 normal) {
-  return lookUp(uIrradiance, vec3(0.0, 0.0, uIrradianceSide), uLightFromWorld * normal);
+Light irradianceAt(int coat, vec3 normal) {
+  return lookUp(uIrradiance, uIrradianceLevel[coat], uLightFromWorld * normal);
 }
 #endif
 
@@ -510,7 +533,8 @@ bool seesLamp(int object, Place place, Ray ray, float far, int triangle) {
 // What light from one direction sends to the eye, a unit of irradiance that falls on the surface from above.
 Colour sent(int lamp, Place place, vec3 view, vec3 to, Surface surface) {
   int object = place.side;
-  Colour sum_ = dot(place.normal, to) * lampDiffuse(object, lamp, surface);
+  float ground = dot(place.normal, to) * throughCoat(object, dot(place.normal, to)) * throughCoat(object, place.cosine);
+  Colour sum_ = ground * lampDiffuse(object, lamp, surface);
 #if PARTS > 0
   vec4 lobes = shapeRow(object, 7);
   for (int c = 0; c < 2; c++) {
@@ -602,6 +626,7 @@ Colour lampLight(int object, int lamp, Place place, vec3 view, Surface surface, 
 // Light that a surface sends to the eye, without what its gloss shows of the light from all around.
 Colour shade(Place place, Ray ray, Surface surface, Hit met) {
   Colour sum_ = Colour(0.0);
+  float out_ = throughCoat(place.side, place.cosine);
   Passing passing = Passing(-1, surface);
 #if SHEETS
   vec4 sheet = shapeRow(place.side, 11);
@@ -610,7 +635,7 @@ Colour shade(Place place, Ray ray, Surface surface, Hit met) {
 #if BAKED
   if (uBaked) {
     About about = texelsAbout(place.side, place, met);
-    sum_ += baked(place.side, int(shapeRow(place.side, 9).x), about, surface);
+    sum_ += out_ * baked(place.side, int(shapeRow(place.side, 9).x), about, surface);
 #if SHEETS
     if (passing.row >= 0) sum_ += baked(passing.row, int(sheet.z), about, passing.surface);
 #endif
@@ -618,9 +643,9 @@ Colour shade(Place place, Ray ray, Surface surface, Hit met) {
 #endif
   {
 #if HAS_LIGHT
-    sum_ += diffuse(place.side, surface, irradianceAt(place.normal));
+    sum_ += out_ * diffuse(place.side, surface, irradianceAt(coatOf(place.side), place.normal));
 #if SHEETS
-    if (passing.row >= 0) sum_ += diffuse(passing.row, passing.surface, irradianceAt(-place.normal));
+    if (passing.row >= 0) sum_ += diffuse(passing.row, passing.surface, irradianceAt(0, -place.normal));
 #endif
 #endif
   }

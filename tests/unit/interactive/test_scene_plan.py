@@ -378,7 +378,7 @@ class Probed(NamedTuple):
 def probed(lamps: int) -> Probed:
     """Return the scene under a sky and lamps; one for all changes, each of which is taken back."""
     rng = np.random.default_rng(4)
-    materials = [checked_texture(rng, 1.0, 0.4), checked_texture(rng, 2.0, 0.8)]
+    materials = [checked_texture(rng, 1.0, 0.4), dataclasses.replace(checked_texture(rng, 2.0, 0.8), coat="coupled")]
     definition = scene_of(lights=[LAMP] * lamps)
     parts = parts_of(make_renderer(made(Scene, definition), [TABLE, JAR], materials, room(), made(Render, OPTIONS)))
     full, matrix = full_model(parts, 4), xyz_from_radiance(parts.white)
