@@ -643,7 +643,7 @@ def _grown(mask: np.ndarray, by: int) -> np.ndarray:
     """Return a mask, (height, width) bool, with all within so many pixels of it in both directions."""
     for axis in (0, 1):
         beyond = np.pad(mask, [(by, by) if axis == one else (0, 0) for one in (0, 1)])
-        mask = np.lib.stride_tricks.sliding_window_view(beyond, 2 * by + 1, axis).any(axis=-1)
+        mask = np.asarray(np.lib.stride_tricks.sliding_window_view(beyond, 2 * by + 1, axis).any(axis=-1))
     return mask
 
 
