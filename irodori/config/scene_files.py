@@ -29,8 +29,9 @@ __all__ = ["SceneFiles", "keeps_light"]
 
 #: Optional files of each view, in addition to the spectral EXR and the PNG.
 _FURTHER_OUTPUTS = {"xyz-exr": "results/{scene}/{view}.xyz.exr", "tiff": "results/{scene}/{view}.tif"}
-# Pixels from which a picture takes long enough to wait for a second core.
-_LARGE_PICTURE_PX = 500_000
+# Pixels from which a picture takes long enough to wait for a second core, which is idle until the other cores' jobs end
+# and while the picture is written.
+_LARGE_PICTURE_PX = 2_000_000
 
 
 def keeps_light(frames: Frames) -> bool:

@@ -15,7 +15,6 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.ndimage import binary_dilation, binary_erosion
 
 from irodori.config.capture_table import DRIFT, Shot, flat_incidence_rad
 from irodori.ingest.exposure_settings import relative_exposure_s
@@ -40,7 +39,6 @@ _FEWEST_STEPS, _STEP_PX = 16, 4
 _HASHED = 8
 #: Largest shift of a picture by the plate of a filter, as a share of the picture's width.
 PLATE_SHIFT = 0.01
-_AROUND = np.ones((3, 3), dtype=bool)  # a block and its neighbours
 #: Share of unlit superpixels above which a photograph counts as black; the others are hot pixels.
 _BLACK = 0.997
 #: Kinds of doubts that no correct photograph is known to raise: such photographs are refused.
@@ -633,12 +631,20 @@ def _transmittance(first: Shot, seen: Look, second: Shot, other: Look) -> np.nda
     common = lit & whole
     if first.filter != second.filter:
         aside = math.ceil(PLATE_SHIFT * lit.shape[1])
-        whole = binary_erosion(whole, _AROUND, aside, border_value=1)
-        common = binary_dilation(lit & whole, _AROUND, aside) & whole
+        whole = ~_grown(~whole, aside)
+        common = _grown(lit & whole, aside) & whole
     sums = [look.picture[common].sum(axis=0) for look in (seen, other)]
     if (lit & whole).sum() < _FEWEST_STEPS or not (np.array(sums) > 0.0).all():
         return None
     return sums[1] / sums[0] / _exposure_ratio(second, first)
+
+
+def _grown(mask: np.ndarray, by: int) -> np.ndarray:
+    """Return a mask, (height, width) bool, with all within so many pixels of it in both directions."""
+    for axis in (0, 1):
+        beyond = np.pad(mask, [(by, by) if axis == one else (0, 0) for one in (0, 1)])
+        mask = np.asarray(np.lib.stride_tricks.sliding_window_view(beyond, 2 * by + 1, axis).any(axis=-1))
+    return mask
 
 
 def _exposure_ratio(one: Shot, other: Shot) -> float:

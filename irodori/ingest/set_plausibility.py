@@ -10,11 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.ndimage import binary_erosion, gaussian_filter
 
 from irodori.config.capture_table import Shot
 from irodori.core.errors import InputError
-from irodori.ingest.flat_field import fit_flat
 from irodori.ingest.mosaic import Mosaic
 from irodori.ingest.plausibility import PLATE_SHIFT, Doubt, Look, Series, look_at
 
@@ -175,6 +173,8 @@ class SetLook:
 
 def _unevenness(look: Look) -> str:
     """Return what keeps a photograph from showing an even surface, as `fit_flat` says it; empty if it shows one."""
+    from irodori.ingest.flat_field import fit_flat  # compiled loops, slow to import
+
     try:
         fit_flat(look.picture, look.whole)
     except ValueError as error:
@@ -259,6 +259,8 @@ def _shift(first: Look, second: Look) -> np.ndarray:
 
 def _smoothed(first: Look, second: Look, whole: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return smoothed green where nothing near is clipped: of the first (n,), its derivatives (2, n), of the second."""
+    from scipy.ndimage import binary_erosion, gaussian_filter  # slow to import
+
     common = binary_erosion(whole, iterations=2 * _SMOOTHED_PX, border_value=1)
     a, b = (gaussian_filter(look.picture[..., 1].astype(np.float64), _SMOOTHED_PX) for look in (first, second))
     return a[common], np.stack([slope[common] for slope in np.gradient(a)]), b[common]

@@ -16,8 +16,8 @@ def run_chunks(kernel, count: int, chunk: int, *arguments) -> None:
     """Run ``kernel(*arguments, first, last)`` for chunks of the range from 0 to ``count``, on the threads of numba.
 
     This is used instead of parallel loops of numba, which take a third longer to compile. If compiled functions are
-    among the arguments, types are determined once for all chunks, as this takes a millisecond for nested tuples.
-    Otherwise numba recognises the types of a call in microseconds.
+    among the arguments, the loop for their types is looked up once for all chunks, see
+    `irodori.jit.compilation.Kernel.resolved`. Otherwise numba recognises the types of a call in microseconds.
 
     Parameters
     ----------
@@ -27,8 +27,8 @@ def run_chunks(kernel, count: int, chunk: int, *arguments) -> None:
     pieces = [(first, min(first + chunk, count)) for first in range(0, count, chunk)]
     if not pieces:
         return
-    if hasattr(kernel, "compile") and _holds_functions(arguments):  # no `compile` if compilation by numba is disabled
-        kernel = kernel.compile(tuple(numba.typeof(argument) for argument in (*arguments, *pieces[0])))
+    if hasattr(kernel, "resolved") and _holds_functions(arguments):  # not if compilation by numba is disabled
+        kernel = kernel.resolved(*arguments, *pieces[0])
     threads = min(numba.get_num_threads(), len(pieces))
     if threads == 1:
         for piece in pieces:

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 import numba
+import numpy as np
 from llvmlite import binding
 from numba import _dynfunc
 from numba.core.codegen import JITCodeLibrary
@@ -196,6 +197,7 @@ class Kernel(CPUDispatcher):
         self._inner_compiler = _InnerCompiler(*given_to_compiler)
         self._parts: set[tuple] = set()  # argument types for which the function is a part of others only
         self._kept = False
+        self._resolved: dict = {}
 
     def enable_caching(self) -> None:
         """Store compiled code on disk if possible; the folder is determined at the first compilation from Python."""
@@ -222,6 +224,17 @@ class Kernel(CPUDispatcher):
                 if isinstance(self._cache, KernelCache):
                     self._cache.release()
 
+    def resolved(self, *arguments):
+        """Return the compiled function that a call with arguments of these types runs.
+
+        numba determines the types of nested tuples anew in every call, which takes milliseconds. A call of the returned
+        function does not, but all its arguments must have the same types.
+        """
+        form = tuple(map(_form, arguments))
+        if form not in self._resolved:
+            self._resolved[form] = self.compile(tuple(map(numba.typeof, arguments)))
+        return self._resolved[form]
+
     def _compile_part(self, sig):
         """Compile the function as a part of the kernel that is currently compiled."""
         args, return_type = normalize_signature(sig)
@@ -234,6 +247,16 @@ class Kernel(CPUDispatcher):
             self.overloads[args] = result
             self._parts.add(args)
         return self.overloads[args].entry_point
+
+
+def _form(argument):
+    """Return a hashable value that differs between arguments whose types differ for numba."""
+    if isinstance(argument, tuple):
+        return type(argument), *map(_form, argument)
+    if isinstance(argument, np.ndarray):
+        flags = argument.flags
+        return argument.dtype, argument.ndim, flags.c_contiguous, flags.f_contiguous, flags.writeable, flags.aligned
+    return type(argument) if isinstance(argument, int | float | np.generic) else numba.typeof(argument)
 
 
 class _Part:

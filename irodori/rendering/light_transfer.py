@@ -340,12 +340,13 @@ class LightTransfer:
         towards : (n, 3) float
             Direction towards each of them, unit.
         """
-        key = environment.basis.tobytes() + lamps.tobytes()
+        key, lit = environment.basis.tobytes() + lamps.tobytes(), (lamps, towards)
+        light, sent = self.light(environment, angle_deg, *lit)
         if key not in self._bases:
-            found = [self.light(environment, angle, lamps, towards)[0] for angle in _ANGLES_DEG]
+            others = {angle: self.light(environment, angle, *lit)[0] for angle in _ANGLES_DEG if angle != angle_deg}
+            found = [others.get(angle, light) for angle in _ANGLES_DEG]
             self._bases = {key: spectral_basis([one.astype(np.float64) for one in found])}
         basis = self._bases[key]
-        light, sent = self.light(environment, angle_deg, lamps, towards)
         coefficients, stored = light @ basis.astype(np.float32), []
         for index, (layout, size) in enumerate(zip(self.layouts, self.sizes, strict=True)):
             own = slice(self.first[index], self.first[index + 1])

@@ -12,6 +12,8 @@ from irodori.geometry.embree import Tracer
 from irodori.geometry.rig_frame import rotation_z
 from irodori.geometry.shapes.placement import Placement
 from irodori.light.environment_file import Environment
+from irodori.light.gloss.gloss_maps import GlossMaps
+from irodori.light.gloss.point_sources import PointLights
 from irodori.rendering.interactive.cube_maps import face_directions, fill_borders, look_up_cube
 from irodori.rendering.interactive.frame_renderer import CollimatedLamp, Prepared, light_of, prepare_scene, render_frame
 from irodori.rendering.interactive.prepared_scene import gloss_for, indices, joined, padded
@@ -20,6 +22,9 @@ from irodori.rendering.light_transfer import LightTransfer
 from irodori.rendering.scene_arrays import Objects, View, under_coats
 from irodori.spectra.grid import SAMPLES
 from irodori.viewer.scene_data import BORDER, HALVED_FROM, LightMaps, finer
+
+#: For a scene whose blurred light a payload replaces.
+_NO_GLOSS = GlossMaps(0, (), PointLights(np.zeros((0, 3)), np.zeros((0, 0))))
 
 
 @dataclass(frozen=True)
@@ -91,12 +96,19 @@ def prepared(parts: FrameParts, decoded: Decoded | None = None) -> Prepared:
     """
     maps = None if decoded is None else decoded.maps
     # The coefficients of decoded light are on the basis vectors of the maps.
-    light = parts.environment if maps is None else replace(parts.environment, basis=maps.basis.T)
+    environment = parts.environment if maps is None else replace(parts.environment, basis=maps.basis.T)
     objects = parts.objects if decoded is None else decoded.objects
+    light, gloss = light_of(environment), None
+    if not parts.has_maps:
+        light = under_coats(light, environment, objects)
+    if maps is not None and maps.sky is not None:  # its light replaces that of the environment
+        pixels = np.zeros((0, light.pixels.shape[1]), np.float32)
+        light = light._replace(pixels=pixels, size=np.array([(0, 0)]))
+        gloss = _NO_GLOSS
     found = prepare_scene(
         objects,
-        light_of(light) if parts.has_maps else under_coats(light_of(light), light, objects),
-        gloss_for(parts.environment, objects),
+        light,
+        gloss or gloss_for(parts.environment, objects),
         Tracer(parts.placements),
         "spectral",
         np.ones(SAMPLES),
@@ -105,8 +117,8 @@ def prepared(parts: FrameParts, decoded: Decoded | None = None) -> Prepared:
         least_throughput=parts.least_throughput,
         maps=parts.light_maps(0.0),
     )
-    if decoded is not None and decoded.maps.sky is not None:
-        found.world = found.world._replace(**_fields(found, decoded.maps))
+    if maps is not None and maps.sky is not None:
+        found.world = found.world._replace(**_fields(found, maps))
     return found
 
 

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 from scenes import fresnel
 
+from irodori.jit.compilation import njit
+
 ROOT = Path(__file__).resolve().parents[2]
 #: Fits of a lobe from outside, for which no other test compiles the fit: every texel's own geometry, and one for all.
 _FIT = """
@@ -71,3 +73,20 @@ def test_every_compiled_loop_is_told_to_keep_its_copies():
         assert not re.search(r"numba\.(njit|jit|guvectorize|vectorize|cfunc)\b", source), file
         if re.search(r"@(njit|uncounted|cfunc)\b", source):
             assert re.search(r"^from irodori\.jit\.(native|compilation) import", source, re.MULTILINE), file
+
+
+def test_a_resolved_loop_is_that_of_the_types_of_its_arguments():
+    @njit
+    def weighted(parts):
+        values, weight = parts
+        total = 0 * weight
+        for index in range(values.size):
+            total += values[index] * weight
+        return total // 2
+
+    numbers = np.arange(1, 9)
+    given = [(numbers, 3), (numbers[::2], 3), (numbers, 2.5), (numbers.astype(np.float32), 3), (numbers > 4, 3)]
+    loops = [weighted.resolved(parts) for parts in given]
+    assert len(set(loops)) == len(given)
+    assert weighted.resolved((numbers[:2] + 5, 9)) is loops[0]
+    assert [loop(parts) for loop, parts in zip(loops, given, strict=True)] == [54, 24, 45.0, 54.0, 6]

@@ -277,7 +277,7 @@ def test_an_interrupted_picture_goes_on_where_it_stopped(tmp_path, monkeypatch):
 
     monkeypatch.setattr(module.Renderer, "fill", counted)
     with pytest.raises(KeyboardInterrupt):
-        still_life(16, tile_rows=6, tiles=FinishedTiles(tmp_path / "t", "a"))
+        still_life(16, tile_rows=6, tiles=FinishedTiles(tmp_path / "t", "a", after_s=0.0))
     assert made == [(0, 6), (6, 12)]
     made.clear()
     tiles = FinishedTiles(tmp_path / "t", "a")
@@ -288,10 +288,19 @@ def test_an_interrupted_picture_goes_on_where_it_stopped(tmp_path, monkeypatch):
     # Tiles of another picture are none of this one's.
     made.clear()
     with pytest.raises(KeyboardInterrupt):
-        still_life(16, tile_rows=6, tiles=FinishedTiles(tmp_path / "t", "b"))
+        still_life(16, tile_rows=6, tiles=FinishedTiles(tmp_path / "t", "b", after_s=0.0))
     assert made == [(0, 6), (6, 12)]
     tiles.remove()
     assert {p.name for p in (tmp_path / "t").iterdir()} == {"b-0-6.npz", "b-6-12.npz"}
+    # A quick picture stores none, a longer one also those that it had finished before.
+    made.clear()
+    clock = iter([0.0, 50.0, 61.0])
+    monkeypatch.setattr(module.time, "monotonic", lambda: next(clock, 61.0))
+    late = FinishedTiles(tmp_path / "l", "c")
+    for rows in ((0, 6), (6, 12)):
+        assert not any((tmp_path / "l").iterdir())
+        late.get(rows, lambda: whole)
+    assert {p.name for p in (tmp_path / "l").iterdir()} == {"c-0-6.npz", "c-6-12.npz"}
 
 
 @pytest.mark.parametrize("samples", [0, 7, 20])

@@ -185,10 +185,10 @@ def test_frames_of_a_scene_without_frames_are_refused(scenes):
 
 
 def test_a_large_picture_gets_a_second_thread(root, scenes):
-    assert scenes.threads_of_view(job(scene="still-life", view="front")) == 2
-    edit(root, "scenes/still-life.yaml", "image", {"width": 640, "height": 480})
-    small = SceneFiles(PhotographSets(load(root)))
-    assert small.threads_of_view(job(scene="still-life", view="front")) == 1
+    assert scenes.threads_of_view(job(scene="still-life", view="front")) == 1
+    edit(root, "scenes/still-life.yaml", "image", {"width": 1920, "height": 1080})
+    large = SceneFiles(PhotographSets(load(root)))
+    assert large.threads_of_view(job(scene="still-life", view="front")) == 2
 
 
 def test_pictures_are_those_that_scenes_ask_for(root):

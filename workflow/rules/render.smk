@@ -92,6 +92,8 @@ rule render_view:
         "results/logs/render_view/{scene}_{view}.log",
     benchmark:
         "results/benchmarks/render_view/{scene}_{view}.tsv"
+    # Page, errors and report wait for it, and it takes long.
+    priority: 20
     conda:
         "../../envs/irodori.yaml"
     threads: scenes.threads_of_view
@@ -124,7 +126,7 @@ use rule render_view as render_truth with:
         "results/logs/render_truth/{scene}_{view}.log",
     benchmark:
         "results/benchmarks/render_truth/{scene}_{view}.tsv"
-    priority: 20
+    priority: 0
     # The plan is that of the measured materials, whose picture is checked: the same light is seen in both.
     params:
         scene=lookup(within=config["scenes"], dpath="{scene}"),

@@ -10,6 +10,8 @@ rule encode_viewer:
         "results/logs/encode_viewer/{scene}.log",
     benchmark:
         "results/benchmarks/encode_viewer/{scene}.tsv"
+    # The longest of those that only the page or the report waits for.
+    priority: 5
     conda:
         "../../envs/irodori.yaml"
     threads: 1

@@ -1,6 +1,7 @@
 """Reference integrator: path-traced pictures with standard errors, resumable tile by tile."""
 
 import hashlib
+import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -39,6 +40,7 @@ REPLICATES = 2
 _NEIGHBOURS = 7  # pixels along the side of the square over which `pooled` takes its mean
 #: Height above a surface at which rays start, relative to its size and to its coordinates, for single precision.
 _OFFSET, _STEPS = 3e-7, 1e-6
+_QUICK_S = 60.0  # time that a picture may take without its tiles being stored
 _CHUNKS = 8  # that a band of rows is divided into for the threads
 
 
@@ -269,34 +271,46 @@ def picture_key(scene: TracedScene, view: View, samples: int, seed: int) -> str:
 class FinishedTiles:
     """Folder of the finished tiles of one picture.
 
+    Tiles take half a kilobyte a pixel. Those of a picture that is quickly rendered again are not worth the writing.
+
     Parameters
     ----------
     folder : path
         Created if it does not exist.
     key : str
         Hash of everything on which the picture depends; tiles with another key are not read.
+    after_s : float
+        Time, s, after which finished tiles are stored, also those that were finished before.
     """
 
-    def __init__(self, folder, key: str) -> None:
+    def __init__(self, folder, key: str, after_s: float = _QUICK_S) -> None:
         self.folder, self.key = Path(folder), key
         self.folder.mkdir(parents=True, exist_ok=True)
+        self._stored_from = time.monotonic() + after_s
+        self._unstored: list[tuple[Path, Picture]] = []
 
     def get(self, rows: tuple[int, int], make: Callable[[], Picture]) -> Picture:
-        """Return a tile from the folder, or call ``make`` and store its result there."""
+        """Return a tile from the folder, or call ``make`` and store its result there, at once or later."""
         path = self.folder / f"{self.key}-{rows[0]}-{rows[1]}.npz"
         if path.is_file():
             with np.load(path) as kept:
                 radiance, error = kept["radiance"], kept["standard_error"]
                 halves = Halves(radiance, kept["difference"], kept["seen"]) if "seen" in kept else None
                 return Picture(radiance, error, int(kept["cut"]), int(kept["paths"]), halves)
-        part = make()
+        self._unstored.append((path, part := make()))
+        if time.monotonic() >= self._stored_from:
+            while self._unstored:
+                self._store(*self._unstored.pop())
+        return part
+
+    @staticmethod
+    def _store(path: Path, part: Picture) -> None:
         with written_whole(path) as temporary:
             counts = {"cut": np.array(part.cut), "paths": np.array(part.paths)}
             named = {"standard_error": part.standard_error, **counts}
             if part.halves is not None:
                 named |= {"difference": part.halves.difference, "seen": part.halves.seen}
             np.savez(temporary, allow_pickle=False, radiance=part.radiance, **named)
-        return part
 
     def remove(self) -> None:
         """Remove the tiles, and the folder if nothing else is in it."""
