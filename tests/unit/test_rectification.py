@@ -22,6 +22,7 @@ from irodori.geometry.interpolation import keys_weights
 from irodori.geometry.rig_frame import rig_from_object, to_light
 from irodori.geometry.shapes.placement import Placement
 from irodori.geometry.shapes.shape import Shape
+from irodori.material import tile_strips
 from irodori.material.angle_errors import REGISTERED, AngleErrors, registered_errors
 from irodori.material.observed_angles import read_angles
 from irodori.rectification.stage import RigSetup, _sample, _Window, observe, rectify_object
@@ -135,6 +136,15 @@ def test_texels_take_their_own_place_in_the_picture(tmp_path, definition, mosaic
         off = found["response"][seen, j].astype(np.float64) - expected[seen]
         rounding = 0.5 * np.spacing(expected[seen].astype(np.float16)).astype(np.float64)
         assert (np.abs(off) - rounding).max() <= 5e-3 / 512 and np.abs(off.mean(axis=0)).max() <= 0.03 / 512
+
+
+def test_strips_of_a_tile_change_nothing(tmp_path, monkeypatch):
+    whole = rectify(tmp_path, SPHERE, PLATE_POSES)
+    width, height = (SPHERE["texels"][side] for side in ("width", "height"))
+    monkeypatch.setattr(tile_strips, "MOST_OBSERVATIONS", 5 * width * len(PLATE_POSES))
+    assert len(tile_strips.strips((0, height), width, len(PLATE_POSES))) > 2
+    for name, found in rectify(tmp_path, SPHERE, PLATE_POSES, name="strips.h5").items():
+        np.testing.assert_array_equal(found, whole[name])
 
 
 @given(light=st.floats(35, 89), camera=st.floats(0, 70), tilt=st.floats(0, 19))
