@@ -2,8 +2,9 @@
 
 ``python -m benchmarks.ten_megapixels [--megapixels 10.1] [--poses 24] [--folder DIR] [--output ten_megapixels.csv]``,
 at the top of the repository. The virtual rig photographs a plate in two shots per pose; that takes long and is timed
-separately, because a camera would do it. Then Snakemake makes the material, its 61-band picture and its PNG. All
-figures come from the benchmark files that Snakemake writes for each job of this run.
+separately, because a camera would do it. Then Snakemake makes the material, its 61-band picture and its PNG. Times and
+memory come from the benchmark files that Snakemake writes for each job of this run; the space on the disk, photographs
+included, is looked at every second.
 """
 
 import argparse
@@ -11,9 +12,11 @@ import csv
 import math
 import os
 import shutil
+import stat
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -180,9 +183,13 @@ def disk_mb(folder: Path) -> dict[str, float]:
     """Return the disk space of the results by kind of file, MB, the largest first."""
     found: dict[str, float] = {}
     for path in (folder / "results").rglob("*"):
-        if path.is_file() and not path.is_symlink():
+        try:
+            size = path.lstat()
+        except FileNotFoundError:
+            continue  # a job has just removed or renamed it
+        if stat.S_ISREG(size.st_mode):
             kind = path.parent.name if path.parent.name in ("captures", "linear", "observations", "brdf") else path.name
-            found[kind] = found.get(kind, 0.0) + path.stat().st_size / 1e6
+            found[kind] = found.get(kind, 0.0) + size.st_size / 1e6
     return dict(sorted(found.items(), key=lambda item: -item[1]))
 
 
@@ -217,6 +224,24 @@ def report(found: list[Cost], disk: dict[str, float], size: Size, rig_s: float, 
 
 
 @contextmanager
+def largest_disk_mb(folder: Path) -> Iterator[list[float]]:
+    """Yield a list that gets the largest disk space of the results while the block runs, MB, photographs included."""
+    largest, ended = [0.0], threading.Event()
+
+    def look() -> None:
+        while not ended.wait(1.0):
+            largest[0] = max(largest[0], sum(disk_mb(folder).values()))
+
+    watcher = threading.Thread(target=look)
+    watcher.start()
+    try:
+        yield largest
+    finally:
+        ended.set()
+        watcher.join()
+
+
+@contextmanager
 def working_folder(folder: Path | None) -> Iterator[Path]:
     """Yield a new folder for a project: the user's, which is kept, or a temporary one, which is removed at the end.
 
@@ -238,7 +263,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--megapixels", type=float, default=10.1, help="of a mosaic and of the texture (default 10.1)")
     parser.add_argument("--poses", type=int, default=24)
-    parser.add_argument("--tile-texels", type=int, default=400_000)
+    parser.add_argument("--tile-texels", type=int, default=1_300_000)
     parser.add_argument("--cores", type=int, default=2)
     parser.add_argument("--folder", type=Path, help="where to make the project and leave it; otherwise it is removed")
     parser.add_argument("--output", type=Path, help="CSV to write")
@@ -247,8 +272,11 @@ def main() -> None:
     with working_folder(options.folder) as folder:
         make_project(folder, size)
         rig_s = photograph(folder, options.cores)
-        chain_s = make_pictures(folder, options.cores)
+        photographs_mb = sum(disk_mb(folder).values())
+        with largest_disk_mb(folder) as largest:
+            chain_s = make_pictures(folder, options.cores)
         report(costs(folder), disk_mb(folder), size, rig_s, chain_s, options.output)
+        print(f"most on the disk at a time: {largest[0]:.0f} MB, of which photographs {photographs_mb:.0f} MB")
 
 
 if __name__ == "__main__":

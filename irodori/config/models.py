@@ -90,7 +90,7 @@ class Placing(Definition):
 class Rectify(Definition):
     """From pictures to observations of each texel."""
 
-    #: Texels in one tile, the unit of work and the bound of memory (count).
+    #: Texels in one tile, the unit of work (count).
     tile_texels: int = 40000
 
     #: Observations lit or seen at a larger angle carry no weight in the fit, in degrees.

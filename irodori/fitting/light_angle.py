@@ -142,7 +142,8 @@ class LightSearch:
         def readings(offset_deg: float) -> Readings:
             found = observe_captures(self.linear, shape, texels, lit_from(offset_deg), self.max_angle_deg)
             angles, coupled = found.geometry.astype(np.float64), self.options.is_coupled
-            return Readings(found.response[..., GREEN], found.weight, angles, noise, n, k, coupled)
+            weight = found.weight.astype(np.float32)
+            return Readings(found.response[..., GREEN], weight, angles, noise, n, k, coupled)
 
         def geometry(offset_deg: float) -> np.ndarray:
             return angles_in_captures(self.linear, shape, texels, lit_from(offset_deg))

@@ -127,6 +127,13 @@ class MirrorImages:
         row = np.stack([weight, weight**2, _GLOSS_ERROR * gloss * scale, np.ones_like(weight)], axis=-1)
         np.add.at(self._sums, capture, row)
 
+    def join(self, other: "MirrorImages") -> None:
+        """Add the sums over other texels of the object."""
+        if self._sums is None:
+            self._sums, self._clipped = other._sums, other._clipped
+        elif other._sums is not None:
+            self._sums, self._clipped = self._sums + other._sums, self._clipped + other._clipped
+
     def measured(self) -> MirrorWeight:
         """Return the weight that the photographs tell."""
         if self._sums is None:

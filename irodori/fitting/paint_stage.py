@@ -2,9 +2,12 @@
 
 import math
 import time
-from collections.abc import Iterator, Sequence
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple, TypeVar
 
 import numba
 import numpy as np
@@ -41,61 +44,88 @@ from irodori.fitting.stage import (
 )
 from irodori.material.fitted_tiles import SPEED
 from irodori.material.material_file import Status
+from irodori.material.tile_strips import strips, texels_of
 from irodori.spectra.coordinates import require_bands, write_bands
 
+Result = TypeVar("Result")
 _RESPONSE = "diffuse_response", "diffuse_variance"
 _OWN = 0.5  # smallest share of a texel's own information on its gloss with which it keeps the status OK
 
 
-def _colours(tiles: list) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Yield diffuse responses and variances, (rows, width, bands), and whether they are reliable, for each tile."""
-    for path in tiles:
-        with store.open_file(path) as file:
-            response, variance, status = (file.read(name) for name in (*_RESPONSE, "status"))
-            shape = -1, file.attribute("width", int)
+class _Piece(NamedTuple):
+    """Strip of a tile: files of its observations and of its texels' separate fits, its rows, and its texels in both."""
+
+    observations: Path
+    fitted: Path
+    rows: tuple[int, int]
+    texels: slice
+
+
+def _pieces(observations: Sequence, tiles: Sequence) -> list[_Piece]:
+    """Return the strips of all tiles of an object.
+
+    Raises
+    ------
+    InputError
+        If a fit has another number of texels than its observations.
+    """
+    found = []
+    for seen, own in zip(observations, tiles, strict=True):
+        with store.open_file(seen) as file:
+            file.require_axes({"weight": "texel,capture"})
+            texels, captures = file.layout("weight").shape
+        with store.open_file(own) as file:
+            rows, width = file.attribute("rows", list), file.attribute("width", int)
+            file.require_axes({"status": "texel"})
+            fitted = file.layout("status").shape[0]
+        if fitted != texels:
+            raise InputError(own, "status", f"{fitted} texels", f"{texels}, as in {seen}")
+        pairs = [(strip, texels_of(strip, rows, width)) for strip in strips(rows, width, captures)]
+        found += [_Piece(seen, own, strip, chosen) for strip, chosen in pairs]
+    return found
+
+
+def _colours(pieces: list[_Piece], width: int) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Yield diffuse responses and variances, (rows, width, bands), and whether they are reliable, for each strip."""
+    for piece in pieces:
+        maps = _read_maps(piece, (*_RESPONSE, "status"))
+        response, variance, status = maps.values()
         told = np.isin(status, BELIEVED) & np.isfinite(response).all(axis=1)
-        yield (
-            response.reshape(*shape, response.shape[1]),
-            variance.reshape(*shape, response.shape[1]),
-            told.reshape(shape),
-        )
+        shape = -1, width, response.shape[1]
+        yield response.reshape(shape), variance.reshape(shape), told.reshape(shape[:2])
 
 
-def _find_colours(tiles: list) -> Colours:
+def _find_colours(pieces: list[_Piece], width: int) -> Colours:
     """Find the paints of an object by the colours in its fitted tiles."""
-    most, found = max(MOST_CORES // len(tiles), 200), []
-    floors = [noise_floor(variance[told], response[told]) for response, variance, told in _colours(tiles) if told.any()]
-    floor = np.median(floors, axis=0) if floors else np.ones(next(_colours(tiles))[0].shape[-1])
-    for response, _, told in _colours(tiles):
+    most, found, floors = max(MOST_CORES // len(pieces), 200), [], []
+    for response, variance, told in _colours(pieces, width):
+        if told.any():
+            floors.append(noise_floor(variance[told], response[told]))
+    floor = np.median(floors, axis=0) if floors else np.ones(response.shape[-1])
+    for response, _, told in _colours(pieces, width):
         core = response[cores(response, floor, told)]
         found.append(core[:: max(1, -(-len(core) // most))])
     return find_colours(np.concatenate(found), floor)
 
 
-def _read_fit(fitted) -> tuple[dict[str, np.ndarray], dict]:
-    """Read the maps of a tile's fit, and the attributes that are passed on."""
-    with store.open_file(fitted) as file:
-        lobes = tuple(file.attribute("lobes", list))
-        maps = {name: file.read(name) for name in fitted_maps(lobes)}
-        attributes = {name: file.attribute(name, kind) for name, kind in CARRIED.items()}
-        attributes |= {name: file.attribute(name) for name in SPEED}
-    require_bands(attributes["filters"], maps["diffuse_response"].shape[-1], fitted)
-    return maps, attributes
+def _read_maps(piece: _Piece, names: Iterable[str]) -> dict[str, np.ndarray]:
+    """Read maps of the separate fits of a strip."""
+    with store.open_file(piece.fitted) as file:
+        return {name: file.read(name, piece.texels) for name in names}
 
 
-def _seen(observations, fitted, texels: int) -> np.ndarray:
-    """Return which texels of a tile have an observation, (texels,) bool.
-
-    Raises
-    ------
-    InputError
-        If the fit has another number of texels.
-    """
-    with store.open_file(observations) as file:
-        weight = file.read("weight")
-    if len(weight) != texels:
-        raise InputError(fitted, "status", f"{texels} texels", f"{len(weight)}, as in {observations}")
-    return np.any(weight > 0.0, axis=1)
+def _carried(tiles: Sequence) -> tuple[dict, int]:
+    """Return the attributes of an object's fit that its tiles state, their speeds added, and the number of bands."""
+    attributes: dict = {}
+    rows, sums, bands = [], dict.fromkeys(SPEED, 0), 0
+    for own in tiles:
+        with store.open_file(own) as file:
+            attributes = {name: file.attribute(name, kind) for name, kind in CARRIED.items()}
+            sums = {name: total + file.attribute(name) for name, total in sums.items()}
+            bands = file.layout("diffuse_response").shape[-1]
+        require_bands(attributes["filters"], bands, own)
+        rows += attributes["rows"]
+    return attributes | sums | {"rows": [min(rows), max(rows)]}, bands
 
 
 def _tile(observed: Observed, maps: dict, optics: GlossModel, chosen=slice(None)) -> Tile:
@@ -105,20 +135,19 @@ def _tile(observed: Observed, maps: dict, optics: GlossModel, chosen=slice(None)
     return Tile(observed, index, status, *colour)
 
 
-def _ahead(observations: Sequence, tiles: Sequence, levels: Sequence) -> Iterator[tuple[Observed, dict]]:
-    """Yield the observations of each tile, and the maps of its fit, while the next one is read."""
-
-    def read(pair):
-        return read_observations(pair[0], levels), _read_fit(pair[1])[0]
-
-    pairs = list(zip(observations, tiles, strict=True))
-    with ThreadPoolExecutor(1, initializer=numba.set_num_threads, initargs=(1,)) as pool:
-        coming = pool.submit(read, pairs[0])
-        for pair in [*pairs[1:], None]:
-            now = coming.result()
-            if pair is not None:
-                coming = pool.submit(read, pair)
-            yield now
+def _abreast(work: Callable[[_Piece], Result], pieces: list[_Piece]) -> Iterator[Result]:
+    """Yield what a function makes of each strip; every thread of numba works on a strip of its own."""
+    threads = min(numba.get_num_threads(), len(pieces))
+    if threads <= 1:
+        yield from map(work, pieces)
+        return
+    with ThreadPoolExecutor(threads, initializer=numba.set_num_threads, initargs=(1,)) as pool:
+        # No more than that: the results of a strip take space until they are written.
+        coming = deque(pool.submit(work, piece) for piece in pieces[:threads])
+        for piece in [*pieces[threads:], *[None] * threads]:
+            yield coming.popleft().result()
+            if piece is not None:
+                coming.append(pool.submit(work, piece))
 
 
 def share_gloss(
@@ -153,43 +182,47 @@ def share_gloss(
     number of texels in the fit. The attribute ``mirror_weight`` is a `MirrorWeight`.
     """
     options = for_object(options, observations, levels)
-    colours = _find_colours(tiles) if len(options.lobes) == 1 else None
-    samples, optics, seconds = [], None, 0.0
-    parts, carried, fitted = [], {}, 0
-    for seen, own in zip(observations, tiles, strict=True):
-        maps, attributes = _read_fit(own)
-        optics = optics or GlossModel(options, fresnel_of(n, k, calibration, maps["diffuse_response"].shape[1]))
-        if colours:
-            paint = by_colour(maps["diffuse_response"], maps["diffuse_variance"], colours)
-            with_light = _seen(seen, own, len(maps["status"]))
-            chosen = sample_of(paint, with_light, colours, attributes["width"], len(tiles))
-            observed = without_images(read_observations(seen, levels, chosen), options)
-            samples.append(_tile(observed, maps, optics, chosen))
-        parts.append(attributes["rows"])
-        seconds, fitted = seconds + attributes["fit_seconds"], fitted + attributes["texels_fitted"]
-        carried = attributes
-    assert optics is not None  # an object has a tile
-    start = time.perf_counter()
-    paints = find_paints(samples, colours, optics) if colours else None
-    width, shared, images = carried["width"], 0, MirrorImages(options, optics.fresnel.k, GREEN)
+    pieces, (attributes, bands) = _pieces(observations, tiles), _carried(tiles)
+    width, height, start = attributes["width"], attributes["rows"][1], time.perf_counter()
+    optics = GlossModel(options, fresnel_of(n, k, calibration, bands))
+    colours = _find_colours(pieces, width) if len(options.lobes) == 1 else None
+
+    def sampled(piece: _Piece) -> Tile:
+        assert colours is not None
+        maps = _read_maps(piece, ("refractive_index", "status", *_RESPONSE))
+        paint = by_colour(maps["diffuse_response"], maps["diffuse_variance"], colours)
+        with store.open_file(piece.observations) as file:
+            with_light = np.any(file.read("weight", piece.texels) > 0, axis=1)
+        chosen = sample_of(paint, with_light, colours, width, len(pieces))
+        texels = chosen + piece.texels.start
+        return _tile(
+            without_images(read_observations(piece.observations, levels, texels), options), maps, optics, chosen
+        )
+
+    paints = find_paints(list(_abreast(sampled, pieces)), colours, optics) if colours else None
+
+    def shared_by(piece: _Piece) -> tuple[dict[str, np.ndarray], int, MirrorImages]:
+        maps, images = _read_maps(piece, fitted_maps(options.lobes)), MirrorImages(options, optics.fresnel.k, GREEN)
+        if not paints:
+            return maps, 0, images
+        own = _tile(read_observations(piece.observations, levels, piece.texels), maps, optics)
+        count = _share_tile(replace(own, observed=without_images(own.observed, options)), maps, paints, width, optics)
+        images.add(own.observed, own.index, maps)
+        return maps, count, images
+
+    shared, images = 0, MirrorImages(options, optics.fresnel.k, GREEN)
+    datasets: dict = {}
     with store.create(output, provenance) as out:
-        write_bands(out, carried["filters"])
-        datasets: dict = {}
-        for (observed, maps), (first, last) in zip(_ahead(observations, tiles, levels), parts, strict=True):
-            if paints:
-                own_tile = _tile(observed, maps, optics)
-                fitted_tile = replace(own_tile, observed=without_images(observed, options))
-                shared += _share_tile(fitted_tile, maps, paints, width, optics)
-                images.add(observed, own_tile.index, maps)
-                del own_tile, fitted_tile
-            del observed  # before the next one comes
-            datasets = datasets or _reserve(out, maps, max(map(max, parts)) * width, options.lobes)
+        write_bands(out, attributes["filters"])
+        for piece, (maps, count, seen) in zip(pieces, _abreast(shared_by, pieces), strict=True):
+            shared += count
+            images.join(seen)
+            datasets = datasets or _reserve(out, maps, height * width, options.lobes)
             for name, dataset in datasets.items():
-                dataset[first * width : last * width] = maps[name]
+                dataset[piece.rows[0] * width : piece.rows[1] * width] = maps[name]
         if paints:
             _write_paints(out, paints)
-        attributes = {**carried, "rows": [min(map(min, parts)), max(map(max, parts))], "parts": parts}
-        for name, value in {**attributes, "fit_seconds": seconds, "texels_fitted": fitted}.items():
+        for name, value in {**attributes, "parts": [piece.rows for piece in pieces]}.items():
             out.attribute(name, value)
         out.attribute("paint_seconds", time.perf_counter() - start)
         out.attribute("lobes", list(options.lobes))

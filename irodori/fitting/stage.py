@@ -22,8 +22,9 @@ from irodori.jit.chunks import run_chunks
 from irodori.jit.compilation import njit
 from irodori.material.angle_errors import registered_errors
 from irodori.material.material_file import NloptResult, Status, gloss_maps
-from irodori.material.observed_angles import STORED, read_angles
+from irodori.material.observed_angles import STORED, read_angles, read_texels
 from irodori.material.photograph_levels import common_error, levels_of
+from irodori.material.tile_strips import strips, texels_of
 from irodori.reflection.lobes import Lobes
 from irodori.spectra.coordinates import require_bands, write_bands
 
@@ -400,8 +401,8 @@ def read_observations(path, levels: Sequence = (), texels=slice(None)) -> Observ
     levels : sequence of path
         File of the lamp's level in every photograph, see `irodori.material.photograph_levels`, by which responses are
         divided. If empty, responses stay as they are.
-    texels : index
-        Texels to return, as any NumPy index; all by default.
+    texels : slice or (n,) int, sorted
+        Texels to return; all by default.
 
     Raises
     ------
@@ -411,12 +412,15 @@ def read_observations(path, levels: Sequence = (), texels=slice(None)) -> Observ
     """
     with store.open_file(path) as file:
         file.require_axes(_AXES, coefficient=2)
-        weight, noise = file.read("weight"), file.read("noise_model")
+        noise = file.read("noise_model")
         if "light_gain" in file:
             file.require_axes(_AXES | {"light_gain": "texel,capture"})
-            noise = _of_near_light(noise, file.read("light_gain"), weight)
-        response, clipped, geometry = file.read("response")[texels], file.read("clipped"), read_angles(file, texels)
-        weight, clipped = weight[texels], clipped[texels]
+            around = texels if isinstance(texels, slice) else slice(None)
+            noise = _of_near_light(noise, file.read("light_gain", around), file.read("weight", around))
+        response, weight = (
+            read_texels(file, name, texels).astype(np.float32, copy=False) for name in ("response", "weight")
+        )
+        clipped, geometry = read_texels(file, "clipped", texels), read_angles(file, texels)
         if geometry.shape[:2] != weight.shape:
             found, accepted = f"angles of {geometry.shape[:2]} texels and captures", f"those of {weight.shape} weights"
             raise InputError(path, STORED, found, accepted)
@@ -472,15 +476,39 @@ def fit_brdf(
     tells the errors of the angles that were used, in degrees, and their source.
     """
     options = for_object(options, [observations], levels)
-    observed = without_images(read_observations(observations, levels), options)
     with store.open_file(observations) as file:
-        texel = file.read("texel")
+        file.require_axes(_AXES, coefficient=2)
+        texel, (_, captures, bands) = file.read("texel"), file.layout("response").shape
         carried = {name: file.attribute(name, kind) for name, kind in CARRIED.items()}
-    require_bands(carried["filters"], observed.response.shape[2], observations)
+    first, last = carried["rows"]
+    if (last - first) * carried["width"] != len(texel):
+        found = f"rows {first} to {last} of {carried['width']} texels"
+        raise InputError(observations, "rows", found, f"rows of {len(texel)} texels together")
+    require_bands(carried["filters"], bands, observations)
+    fresnel, seconds, parts = fresnel_of(n, k, calibration, bands), 0.0, []
+    of_tile = strips(carried["rows"], carried["width"], captures)
+    for strip in of_tile:
+        chosen = texels_of(strip, carried["rows"], carried["width"])
+        observed = without_images(read_observations(observations, levels, chosen), options)
+        maps, took = _fit_strip(observed, fresnel, options)
+        parts.append({name: narrowed(values) for name, values in maps.items()})
+        seconds += took
+    maps = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    fitted = int((maps["evaluations"] > 0).sum())
+    other = {"texel": texel, "paint": np.full(len(texel), -1, dtype=np.int16)}
+    carried |= {"parts": of_tile}
+    attributes = carried | {"fit_seconds": seconds, "texels_fitted": fitted, "common_error": options.level_error}
+    attributes |= {"angle_errors": options.angles.plain(), "coat": options.coat}
+    write_fitted(output, maps | other, attributes, options.lobes, provenance)
+    counts = np.bincount(maps["status"], minlength=len(Status))
+    LOGGER.info("fitted %d texels in %.2f s (%.0f texels/s)", fitted, seconds, fitted / max(seconds, 1e-9))
+    LOGGER.info("%s", ", ".join(f"{s.name.lower()}: {counts[s]}" for s in Status))
+
+
+def _fit_strip(observed: Observed, fresnel: BandGloss, options: FitOptions) -> tuple[dict[str, np.ndarray], float]:
+    """Return the maps of a fit of some texels, without ``texel`` and ``paint``, and the seconds that it took."""
     response, geometry, weight = observed.response, observed.geometry, observed.weight
-    clipped, noise = observed.clipped, observed.noise
-    fresnel = fresnel_of(n, k, calibration, response.shape[2])
-    n, k = fresnel.n, fresnel.k
+    clipped, noise, n, k = observed.clipped, observed.noise, fresnel.n, fresnel.k
     if options.weights == "noise" and not np.isfinite(noise[:, GREEN]).all():
         LOGGER.info("the camera's noise is not known in every capture: observations have equal weights")
     green, of_green = response[..., GREEN], noise[:, GREEN]
@@ -488,19 +516,11 @@ def fit_brdf(
     fit(green[:2], geometry[:2], weight[:2], n, k, options, noise=of_green, clipped=clipped[:2])
     start = time.perf_counter()
     result = fit(green, geometry, weight, n, k, options, noise=of_green, clipped=clipped)
-    seconds = time.perf_counter() - start
-    fitted = int((result.evaluations > 0).sum())
-    error = options.model_error
+    seconds, error = time.perf_counter() - start, options.model_error
     diffuse, diffuse_variance = diffuse_response(
         response, geometry, weight, result, fresnel, noise, model_error=error, coupled=options.is_coupled
     )
-    index = {"refractive_index": result.index, "refractive_index_error": result.index_error}
-    other = {"texel": texel, "diffuse_response": diffuse, "diffuse_variance": diffuse_variance}
-    other["paint"] = np.full(len(texel), -1, dtype=np.int16)
-    own = {name: getattr(result, name) for name in fitted_maps(result.lobes) if name not in index | other}
-    attributes = carried | {"fit_seconds": seconds, "texels_fitted": fitted, "common_error": options.level_error}
-    attributes |= {"angle_errors": options.angles.plain(), "coat": options.coat}
-    write_fitted(output, own | index | other, attributes, result.lobes, provenance)
-    counts = np.bincount(result.status, minlength=len(Status))
-    LOGGER.info("fitted %d texels in %.2f s (%.0f texels/s)", fitted, seconds, fitted / max(seconds, 1e-9))
-    LOGGER.info("%s", ", ".join(f"{s.name.lower()}: {counts[s]}" for s in Status))
+    maps = {"refractive_index": result.index, "refractive_index_error": result.index_error}
+    maps |= {"diffuse_response": diffuse, "diffuse_variance": diffuse_variance}
+    told = fitted_maps(result.lobes)
+    return maps | {name: getattr(result, name) for name in told if name not in {*maps, "texel", "paint"}}, seconds

@@ -65,7 +65,7 @@ def sample_texels(tiles: list, most: int, enough: int) -> Observed:
     total = sum(int((count >= least).sum()) for count in counts)
     step = max(1, -(-total // most))
     parts = [
-        read_observations(path)[np.flatnonzero(count >= least)[::step]]
+        read_observations(path, texels=np.flatnonzero(count >= least)[::step])
         for path, count in zip(tiles, counts, strict=True)
     ]
     return Observed(
@@ -80,4 +80,4 @@ def sample_texels(tiles: list, most: int, enough: int) -> Observed:
 def _observations(path) -> np.ndarray:
     """Count the observations with a positive weight of each texel of a tile."""
     with store.open_file(path) as file:
-        return (file.read("weight") > 0.0).sum(axis=1)
+        return (file.read("weight") > 0).sum(axis=1)

@@ -105,7 +105,7 @@ def write_surroundings(out: store.Writer, around: Surroundings) -> None:
 
 
 def read_angles(file: store.Reader, texels=slice(None)) -> np.ndarray:
-    """Return θ_i, θ_r, θ_H and φ of a tile's observations, (n, J, 4) float32 rad; ``texels`` is a NumPy index.
+    """Return θ_i, θ_r, θ_H and φ of a tile's observations, (n, J, 4) float32 rad, of texels as in `read_texels`.
 
     Raises
     ------
@@ -114,8 +114,17 @@ def read_angles(file: store.Reader, texels=slice(None)) -> np.ndarray:
     """
     if STORED in file:
         file.require_axes({STORED: "texel,capture,angle"}, angle=4)
-        return file.read(STORED)[texels]
+        return read_texels(file, STORED, texels)
     file.require_axes(AXES, component=3)
-    places = {name: file.read(name).astype(np.float64, copy=False) for name in AXES}
-    places |= {name: places[name][texels] for name in ("position", "normal")}
-    return angles_of(Surroundings(**places, is_near=bool(file.attribute(_NEAR))))
+    places = {name: file.read(name) for name in ("light", "camera")}
+    places |= {name: read_texels(file, name, texels) for name in ("position", "normal")}
+    doubled = {name: values.astype(np.float64, copy=False) for name, values in places.items()}
+    return angles_of(Surroundings(**doubled, is_near=bool(file.attribute(_NEAR))))
+
+
+def read_texels(file: store.Reader, name: str, texels=slice(None)) -> np.ndarray:
+    """Return a dataset at some texels, a slice or sorted numbers; only what lies between them is read."""
+    if isinstance(texels, slice):
+        return file.read(name, texels)
+    first, last = (texels[0], texels[-1] + 1) if len(texels) else (0, 0)
+    return file.read(name, slice(first, last))[texels - first]

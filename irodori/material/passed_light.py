@@ -5,6 +5,7 @@ of the band and the angle θ of the light to the normal on the far side.
 """
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 
@@ -37,27 +38,28 @@ class PassedLight:
     """
 
     def __init__(self, observations: Sequence, levels: Sequence) -> None:
-        self._files, self._levels, seen = {}, levels, False
+        self._files: list[tuple[int, int, int, Path]] = []
+        self._levels, seen = levels, False
         for path in observations:
             with store.open_file(path) as file:
-                first, last = file.attribute("rows", list)
-                self._files[first, last] = path
+                self._files.append((*file.attribute("rows", list), file.attribute("width", int), path))
                 seen |= "passed" in file and bool(file.read("passed").any())
         if not seen:
             accepted = "a photograph of the sheet with the light behind it, or sheet.transmittance in its definition"
             raise InputError(observations[0], "passed", "no texel that shows light from behind", accepted)
 
     def of(self, rows: slice) -> tuple[np.ndarray, np.ndarray]:
-        """Return transmittances of the bands in a tile's rows, and their variances by noise, (texels, bands) each.
+        """Return transmittances of the bands in rows of a tile, and their variances by noise, (texels, bands) each.
 
         Both are NaN where no photograph shows light from behind; variances also where the camera's noise is not known.
         """
-        path = self._files[rows.start, rows.stop]
+        first, _, width, path = next(one for one in self._files if one[0] <= rows.start and rows.stop <= one[1])
+        here = slice((rows.start - first) * width, (rows.stop - first) * width)
         with store.open_file(path) as file:
             file.require_axes(_AXES, coefficient=2)
-            response, passed = file.read("response").astype(np.float64), file.read("passed").astype(np.float64)
-            cosine, noise = np.cos(np.pi - read_angles(file)[..., 0].astype(np.float64)), file.read("noise_model")
-            gain = file.read("light_gain") if "light_gain" in file else np.ones(passed.shape)
+            response, passed = (file.read(name, here).astype(np.float64) for name in ("response", "passed"))
+            cosine, noise = np.cos(np.pi - read_angles(file, here)[..., 0].astype(np.float64)), file.read("noise_model")
+            gain = file.read("light_gain", here) if "light_gain" in file else np.ones(passed.shape)
             captures = file.read("capture").astype(str).tolist()
         for name in self._levels:
             level = levels_of(name, captures, response.shape[2], path)

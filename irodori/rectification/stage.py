@@ -28,6 +28,7 @@ from irodori.jit.chunks import run_chunks
 from irodori.jit.compilation import njit
 from irodori.material.angle_errors import ANGLES, write_registered
 from irodori.material.observed_angles import Surroundings, write_surroundings
+from irodori.material.tile_strips import strips, texels_of
 from irodori.rectification.placement_correction import AS_TYPED, Correction
 from irodori.reflection.angle_kernels import angles_between, unit
 from irodori.reflection.equation5 import angles_from_directions
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
 
 _ANGLES_OF_POSE = tuple(field.name for field in fields(Pose) if field.name != "placement")
 _CHUNK = 8192  # texels that a thread takes at a time
+_LARGEST = float(np.finfo(np.float16).max)
 
 
 @dataclass(frozen=True)
@@ -382,11 +384,17 @@ def observe_captures(
     max_angle_deg: float,
     *,
     is_sheet: bool = False,
-    angles: bool = True,
+    stored: bool = False,
 ) -> Observations:
     """Return the observations of texels in files of linear responses; arguments as in `rectify_object`.
 
-    Without ``angles``, the geometry is empty: it takes as much memory as four bands.
+    ``stored`` is for what is written to a file: responses are float16, and the geometry is empty, because it takes as
+    much memory as four bands.
+
+    Raises
+    ------
+    InputError
+        If a response is too large for float16.
     """
     limit, paths = np.radians(max_angle_deg), list(linear)
     covered = slice(None) if texels.covered.all() else np.flatnonzero(texels.covered)
@@ -396,19 +404,25 @@ def observe_captures(
         incidence, reflection = found.geometry[:, 0], found.geometry[:, 1]
         frontal = (incidence <= limit) & (reflection <= limit)
         behind = (np.pi - incidence <= limit) & (reflection <= limit)
-        geometry = found.geometry if angles else np.empty((len(frontal), 0))
+        geometry = np.empty((len(frontal), 0)) if stored else found.geometry
         found = found._replace(weight=found.weight & frontal, geometry=geometry, passed=found.passed & behind)
         if several is None:
-            several = _nothing_seen(texels.covered.size, len(paths), found)
-        for whole, values in zip(several, found, strict=True):
-            whole[covered, number] = values
+            several = _nothing_seen(texels.covered.size, len(paths), found, np.float16 if stored else np.float32)
+        try:
+            with np.errstate(over="raise"):
+                for whole, values in zip(several, found, strict=True):
+                    whole[covered, number] = values
+        except FloatingPointError:
+            largest, accepted = f"{found.response.max():.6g} times a perfect diffuser", f"at most {_LARGEST:g} times"
+            raise InputError(path, "response", largest, accepted) from None
     assert several is not None  # there is a capture
     return several
 
 
-def _nothing_seen(texels: int, captures: int, like: Observations) -> Observations:
+def _nothing_seen(texels: int, captures: int, like: Observations, precision: type) -> Observations:
     """Return observations of texels in captures that are all 0, with the axes of those of one capture."""
-    kinds = {"shadowed": np.bool_, "clipped": np.uint8, "passed": np.uint8}
+    marks = dict.fromkeys(("weight", "clipped", "passed"), np.uint8)
+    kinds = {"response": precision, "shadowed": np.bool_, **marks}
     return Observations(
         *(
             np.zeros((texels, captures, *values.shape[1:]), kinds.get(name, np.float32))
@@ -565,14 +579,14 @@ def rectify_object(
     ------
     InputError
         If captures differ in their filter states, their bands do not fit the filter states, the shape is a mesh that is
-        refused, or a near lamp stands within the reach of the object.
+        refused, a response is beyond the range of float16, or a near lamp stands within the reach of the object.
 
     Notes
     -----
-    Datasets: ``/response`` (texel, J, bands) float32; what determines the angles, which
+    Datasets: ``/response`` (texel, J, bands) float16, rounded by at most 0.05 %; what determines the angles, which
     `irodori.material.observed_angles.read_angles` computes, in the frame of the object: ``/position`` (texel, 3) mm,
     ``/normal`` (texel, 3), ``/light`` (J, 3) and ``/camera`` (J, 3) mm;
-    ``/weight`` (texel, J) float32, 1 where the texel is seen, lit and validly measured, else 0; ``/shadowed`` (texel,
+    ``/weight`` (texel, J) uint8, 1 where the texel is seen, lit and validly measured, else 0; ``/shadowed`` (texel,
     J) uint8, 1 where the texel faces the light but another surface blocks it; ``/clipped`` (texel, J) uint8, 1 where
     the texel is seen and a sample under it clips in every exposure, which distinguishes a highlight from a hot pixel or
     the edge of the picture; ``/texel`` (texel,) uint8, 0 outside the UV charts of a mesh: such an entry is zero in all
@@ -590,16 +604,10 @@ def rectify_object(
     shape = Shape.from_definition(definition.shape)
     width = definition.texels.width
     if setup.lamp.distance_mm <= shape.reach_mm:
-        near = f"{setup.lamp.distance_mm:g} mm, within the reach of the object, {shape.reach_mm:.4g} mm"
-        raise InputError("rig", "light.distance_mm", near, "a lamp outside the object, or no such key for a far one")
-    texels = shape.atlas(width, definition.texels.height, (rows[0], rows[1]))
+        found = f"{setup.lamp.distance_mm:g} mm, within the reach of the object, {shape.reach_mm:.4g} mm"
+        raise InputError("rig", "light.distance_mm", found, "a lamp outside the object, or no such key for a far one")
     poses, filters = _poses_and_filters(linear)
-    tracked, is_sheet = track(linear, f"rectify rows {rows[0]}-{rows[1]}"), definition.sheet is not None
-    observed = observe_captures(tracked, shape, texels, setup, max_angle_deg, is_sheet=is_sheet, angles=False)
-    require_bands(filters, observed.response.shape[2], linear[0])
-    unseen = ~(observed.weight > 0).any(axis=1) & texels.covered.ravel()
-    if unseen.any():
-        LOGGER.info("%d of %d texels have no observation", unseen.sum(), texels.covered.sum())
+    is_sheet, near = definition.sheet is not None, setup.lamp.is_near
     with store.create(output, provenance) as out:
         out.coordinate("capture", [Path(path).stem for path in linear], units="1", quantity="name of the capture")
         for name in _ANGLES_OF_POSE:
@@ -612,11 +620,29 @@ def rectify_object(
             write_registered(out, angle_error_deg)
         write_bands(out, filters)
         out.coordinate("term", ["c0", "c1"], units="1", quantity="coefficient of the variance")
-        for name, (values, units, quantity) in _maps(observed, texels, setup.lamp.is_near, is_sheet).items():
-            dims = ",".join(["texel_number", "capture", "band"][: values.ndim])
-            packing = "fast" if name == "response" else "small"
-            out.write(name, values, units=units, dims=dims, quantity=quantity, compression=packing)
-        write_surroundings(out, _surroundings(linear, shape, texels, setup))
+        datasets: dict = {}
+        around, unseen, covered = [], 0, 0
+        for strip in strips(rows, width, len(linear)):
+            texels = shape.atlas(width, definition.texels.height, strip)
+            tracked = track(linear, f"rectify rows {strip[0]}-{strip[1]}")
+            observed = observe_captures(tracked, shape, texels, setup, max_angle_deg, is_sheet=is_sheet, stored=True)
+            require_bands(filters, observed.response.shape[2], linear[0])
+            covered += int(texels.covered.sum())
+            unseen += int((~(observed.weight > 0).any(axis=1) & texels.covered.ravel()).sum())
+            for name, (values, units, quantity) in _maps(observed, texels, near, is_sheet).items():
+                if name not in datasets:
+                    size = ((rows[1] - rows[0]) * width, *values.shape[1:])
+                    dims = ",".join(["texel_number", "capture", "band"][: values.ndim])
+                    packing = "fast" if name == "response" else "small"
+                    datasets[name] = out.reserve(
+                        name, size, values.dtype, units=units, dims=dims, quantity=quantity, compression=packing
+                    )
+                datasets[name][texels_of(strip, rows, width)] = values
+            around.append(_surroundings(linear, shape, texels, setup))
+        position, normal = (np.concatenate([getattr(one, name) for one in around]) for name in ("position", "normal"))
+        write_surroundings(out, around[0]._replace(position=position, normal=normal))
+        if unseen:
+            LOGGER.info("%d of %d texels have no observation", unseen, covered)
         noise = noise_models(linear)
         out.write("noise_model", noise, units="1", dims="capture,band,term", quantity="variance c0 + c1 rho")
         out.attribute("rows", list(rows))

@@ -458,7 +458,8 @@ class _Reference(Renderer):
             error_by_band=False,
             halves=scene.integrator.denoise,
         )
-        seconds = filled_s + time.perf_counter() - start
+        seconds, cached = filled_s + time.perf_counter() - start, len(prepared.world.cache.least_mm2)
+        del prepared  # the filter needs the memory
         radiance, errors = _finished(picture)
         _tell_unsteady(errors, scene.integrator.max_relative_standard_error)
         if tiles is not None:
@@ -468,7 +469,7 @@ class _Reference(Renderer):
         return radiance, {
             "seconds": filled_s + time.perf_counter() - start,
             "samples": samples,
-            "cache": {"texels": len(prepared.world.cache.least_mm2), "seconds": filled_s},
+            "cache": {"texels": cached, "seconds": filled_s},
             "paths": picture.paths,
             "paths_per_second": picture.paths / seconds,
             "paths_cut": picture.cut,

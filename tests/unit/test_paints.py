@@ -16,6 +16,7 @@ from irodori.fitting.paint_stage import share_gloss
 from irodori.fitting.paints import GlossModel, Tile, believed, find_paints, sample, share_by_paint
 from irodori.fitting.solvers import FitOptions, fit
 from irodori.fitting.stage import GREEN, Observed, diffuse_response, fit_brdf
+from irodori.material import tile_strips
 from irodori.material.fitted_tiles import FittedTiles
 from irodori.material.material_file import Status
 from irodori.reflection.equation5 import angles_from_directions
@@ -264,12 +265,12 @@ def write_tile(path, seen: Observed, rows) -> None:
             out.attribute(name, value)
 
 
-def test_paints_know_no_borders_of_tiles(tmp_path):
+def test_paints_know_no_borders_of_tiles(tmp_path, monkeypatch):
     paint = halves()
     colour, beta, mu = np.array([VERMILION, CREAM])[paint], np.array([2.0, 0.6])[paint], np.array([0.15, 0.3])[paint]
     seen = photographed(colour, beta, mu, sphere())
     maps = {}
-    for borders in ([0, SIDE], [0, 8, SIDE]):
+    for borders in ([0, SIDE], [0, SIDE // 2, SIDE]):
         observations, tiles = [], []
         for first, last in pairwise(borders):
             observations.append(tmp_path / f"seen-{first}-{last}.h5")
@@ -288,6 +289,15 @@ def test_paints_know_no_borders_of_tiles(tmp_path):
         assert np.nanmax(np.abs(found["beta"].ravel() / beta - 1)) < 0.1
     both = (maps[1]["paint"] >= 0) & (maps[2]["paint"] >= 0)
     np.testing.assert_allclose(maps[1]["mu"][both], maps[2]["mu"][both], rtol=0.01)
+    # A tile that is read in two strips is as good as two tiles.
+    monkeypatch.setattr(tile_strips, "MOST_OBSERVATIONS", SIDE // 2 * SIDE * seen.weight.shape[1])
+    files = [tmp_path / f"seen-0-{SIDE}.h5"], [tmp_path / "own.h5"], tmp_path / "surface.h5"
+    fit_brdf(files[0][0], files[1][0], OPTICS.options, N, K, provenance=PROVENANCE)
+    share_gloss(*files, OPTICS.options, N, K, provenance=PROVENANCE)
+    parts = [one for _, one in FittedTiles([files[2]], SIDE, SIDE).read(*maps[2])]
+    assert len(parts) == 2
+    for name, of_tiles in maps[2].items():
+        np.testing.assert_array_equal(np.concatenate([one[name] for one in parts]), of_tiles)
 
 
 def test_an_object_that_no_photograph_sees_has_no_paints_and_passes(tmp_path):

@@ -14,7 +14,8 @@ rule compress_reflectance:
         "results/benchmarks/compress_reflectance/{object}.tsv"
     conda:
         "../../envs/irodori.yaml"
-    threads: 1
+    # Of a large object, nothing else can run meanwhile.
+    threads: lambda wildcards: min(2, len(sets.tiles_of(wildcards.object)))
     resources:
         mem_mb=lambda wildcards, attempt: 2000 * attempt,
     params:

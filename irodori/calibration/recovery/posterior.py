@@ -19,6 +19,7 @@ import numpy as np
 from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.calibration.response_model import smooth_covariance
 from irodori.colour.colorimetry import delta_e, lab_from_xyz, xyz_from_reflectance
+from irodori.jit.chunks import run_chunks
 from irodori.spectra.grid import SAMPLES, WAVELENGTH_NM
 
 #: Correlation length of the part of a spectrum that the bands miss, nm.
@@ -119,11 +120,14 @@ class Posterior:
         flat, shape = response.reshape(-1, response.shape[-1]), response.shape[:-1]
         noise = None if variance is None else np.broadcast_to(variance, response.shape).reshape(flat.shape)
         deviation, colour = np.empty((len(flat), len(ERROR_NM)), np.float32), np.empty(len(flat), np.float32)
-        for first in range(0, len(flat), _BATCH):
-            part = slice(first, first + _BATCH)
+
+        def fill(first: int, last: int) -> None:
+            part = slice(first, last)
             weights, root, xyz_root = self._roots(flat[part], None if noise is None else noise[part], stated)
             deviation[part] = np.sqrt(np.vecdot(root, root))
             colour[part] = _delta_e(weights @ self._xyz_basis.T, xyz_root, self._white)
+
+        run_chunks(fill, len(flat), _BATCH)
         rms = np.sqrt(deviation**2 @ (self._hat.sum(axis=1) / SAMPLES).astype(np.float32))
         return Uncertainty(deviation.reshape(*shape, -1), rms.reshape(shape), colour.reshape(shape))
 

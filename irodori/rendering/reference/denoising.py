@@ -46,7 +46,7 @@ _SAME_NORMAL, _SAME_ALBEDO, _SAME_SHINE = 0.3, 0.3, 0.2
 _DARK = 1e-3  # share of the picture's mean below which differences are not visible
 _NOISE_SIDE = 7  # side, in pixels, of the square over which the noise is averaged
 _ERROR_SIDE = 31  # the same for squared errors, whose single values are inaccurate and may be negative
-_TILE_PIXELS = 1 << 17  # filtered together, which takes 1 kB of memory each
+_TILE_PIXELS = 1 << 16  # filtered together, which takes 1 kB of memory each
 #: Side, in pixels, of the blocks whose means are compared before and after filtering, because means have little noise.
 BLOCK_PX = 16
 
