@@ -123,15 +123,15 @@ def _refuse_elsewhere(clearest: Look, linear: Sequence, *, is_found: bool) -> No
 
 def _too_far(found: "Registered", linear: Sequence, most_px: float) -> InputError | None:
     """Return an error that names the photograph with the largest residual if that exceeds ``most_px`` superpixels."""
-    if np.isnan(found.residual_px).all():
+    if np.isnan(found.least_residual_px).all():
         return None
-    worst = int(np.nanargmax(found.residual_px))
-    residual = found.residual_px[worst]
+    worst = int(np.nanargmax(found.least_residual_px))
+    residual = found.least_residual_px[worst]
     if residual <= most_px:
         return None
     angle, off = found.suspects[worst]
     apart = f"{residual:.2g} superpixels ({residual * found.mm_per_px:.2g} mm)"
-    is_sheet = found.sheet is not None and found.sheet.residual_px[worst] == residual
+    is_sheet = found.sheet is not None and found.sheet.residual_px[worst] >= residual
     thing = "the printed sheet" if is_sheet else "the object"
     where = f"{thing} {apart} from its expected place; most likely {angle} is off by {off:+.1f}"
     accepted = f"at most {most_px:g} superpixels (place.max_residual_px), and a pose as it was"

@@ -60,6 +60,7 @@ from irodori.rectification.texture_agreement import (
     without_levels,
 )
 from irodori.rectification.told_values import (
+    CONTRADICTED,
     diagonal_of_inverse,
     inverse,
     only_what_is_told,
@@ -154,6 +155,8 @@ class Registered:
         Root-mean-square distance, superpixels, of the object in each photograph from the place that its pose and the
         common correction predict, or that of the sheet if it is larger; NaN if nothing could be measured in the
         photograph.
+    least_residual_px : (J,) float64
+        The same, or that from the most probable place where all numbers are corrected, if it is smaller.
     mm_per_px : float
         Millimetres per superpixel at the distance of the object.
     outline_points : (J,) int
@@ -173,6 +176,7 @@ class Registered:
     estimate: Estimate
     own_camera_deg: np.ndarray
     residual_px: np.ndarray
+    least_residual_px: np.ndarray
     mm_per_px: float
     outline_points: np.ndarray
     suspects: tuple[tuple[str, float], ...]
@@ -426,7 +430,11 @@ def _registered(
     problem.unknowns, problem.sigma = only_what_is_told(problem.unknowns, matrix, sigma)
     _settle(problem, _FINEST_REACH, _LAST_STEPS)
     own, problem.unknowns[problem.own] = problem.unknowns[problem.own].copy(), 0.0
-    residual, points, suspects = _residuals(problem, max(0.5 * first, 2.0 * _FINEST_REACH))
+    reach = max(0.5 * first, 2.0 * _FINEST_REACH)
+    residual, points, suspects = _residuals(problem, reach)
+    least = residual
+    if np.any(residual > placing.max_residual_px):
+        least = _least_residuals(problem, residual, probable, sigma, reach)
     shown = light(setup.corrected(setup.correction.by(problem.unknowns[:COUNT]))) if light else None
     if shown is not None:
         # Nothing else depends on the light's angles: before, they were as typed, and known as well as that.
@@ -444,6 +452,7 @@ def _registered(
         estimate,
         own,
         residual,
+        least,
         problem.mm_per_px,
         points,
         suspects,
@@ -919,6 +928,27 @@ def _residuals(problem: _Problem, reach: float) -> tuple[np.ndarray, np.ndarray,
             residual[number] = np.fmax(residual[number], view.sheet_residual_px)
         suspects.append(_suspect(problem, number, distance, found, shift, off))
     return residual, count, tuple(suspects)
+
+
+def _least_residuals(
+    problem: _Problem, residual: np.ndarray, probable: np.ndarray, sigma: np.ndarray, reach: float
+) -> np.ndarray:
+    """Return the residuals, (J,) in superpixels, or those with all common unknowns at their most probable values.
+
+    A few points of an outline may show that an object is displaced without determining how: its place then stays as
+    typed, and is no contradiction. The smaller of both counts, and NaN if the photograph does not tell that it is far
+    from the most probable place. If that place is itself unlikely, it explains nothing.
+    """
+    if (np.abs(probable[:COUNT]) > CONTRADICTED * sigma[:COUNT]).any():
+        return residual
+    used, problem.unknowns = problem.unknowns, probable.copy()
+    problem.unknowns[problem.own] = 0.0
+    of_sheet = [view.sheet_residual_px for view in problem.views]
+    least = np.minimum(residual, _residuals(problem, reach)[0])
+    problem.unknowns = used
+    for view, one in zip(problem.views, of_sheet, strict=True):
+        view.sheet_residual_px = one
+    return least
 
 
 def _within(mask: np.ndarray, chosen: np.ndarray) -> np.ndarray:

@@ -254,6 +254,7 @@ def test_the_sentence_of_an_object_without_a_sheet_does_not_speak_of_one():
         Estimate(np.zeros(COUNT), np.eye(COUNT), np.ones(COUNT), np.zeros(COUNT)),
         np.zeros(2),
         np.zeros(2),
+        np.zeros(2),
         0.2,
         np.zeros(2),
         (("turn_deg", 0.0),) * 2,
