@@ -368,6 +368,9 @@ def test_the_photograph_that_is_furthest_off_is_refused():
     assert fault_of(found, ["a.h5", "b.h5"], Placing(max_residual_px=3.0)) is None
     silent = registered(np.zeros(COUNT), np.ones(COUNT), (math.nan, math.nan))
     assert fault_of(silent, ["a.h5", "b.h5"], Placing()) is None
+    # The most probable place, some numbers of which are not told and stay as typed, explains what is seen.
+    explained = replace(found, least_residual_px=np.array([0.1, np.nan]))
+    assert fault_of(explained, ["a.h5", "b.h5"], Placing()) is None
 
 
 # All of it, on a plate whose pictures are drawn by hand.
