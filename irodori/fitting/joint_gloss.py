@@ -26,6 +26,7 @@ _LONGEST = 0.3  # longest step of log β or log μ
 _FIRST_VEIL = 0.01  # initial size of the veil, of the rms response
 _LEAST_VEIL = 1e-3  # smallest size, of the first
 _TOLD = 0.5  # number of photographs that tell their veil below which its size stays
+_CONTRADICTED = 4.0  # standard deviations of χ² beyond which the errors of photographs are larger than expected
 _LEAST_PHOTOGRAPHS = 4  # fewest photographs for a jackknife
 
 
@@ -60,6 +61,19 @@ def _growth(veils: np.ndarray, variances: np.ndarray, least: float) -> float:
     return min(max(float(np.sqrt(np.sum(veils**2) / told)), 0.1, least), 10.0)
 
 
+def _contradiction(errors: np.ndarray, variances: np.ndarray) -> float:
+    """Return the factor by which the squares of the photographs' errors exceed what is expected, at least 1.
+
+    Of each kind of error, the squares should sum to the number of photographs that tell theirs. Far larger sums show
+    that something else is wrong with the photographs, such as highlights that clip without a flag. The size of the veil
+    follows the photographs itself.
+    """
+    squares, told = np.sum(errors**2, axis=0), np.sum(1.0 - variances, axis=0)
+    beyond = squares > told + _CONTRADICTED * np.sqrt(2.0 * told)
+    beyond[VEIL] = False
+    return float(np.max(squares[beyond] / np.maximum(told[beyond], 1.0), initial=1.0))
+
+
 def _joint(paints: list[SeparateGloss]) -> _Solution:
     """Search the most probable gloss of all paints and errors of all photographs by Newton's method."""
     count, photographs = len(paints), paints[0].surface.blocks.shape[2]
@@ -87,7 +101,14 @@ def _joint(paints: list[SeparateGloss]) -> _Solution:
         veil, errors[:, VEIL] = veil * growth, errors[:, VEIL] / growth
     else:
         LOGGER.warning("the joint fit of gloss has not settled in %d steps; the last one counts", _STEPS)
-    return _Solution(place, errors, veil, covariance)
+    excess = _contradiction(errors, np.diag(covariance)[first:].reshape(-1, SHARED))
+    if excess > 1.0:
+        LOGGER.warning(
+            "photographs contradict the gloss of the paints: their levels and angles seem off by %.1f times what is "
+            "expected, as where highlights clip without a flag or a pose is wrong; gloss is stated with larger errors",
+            np.sqrt(excess),
+        )
+    return _Solution(place, errors, veil, excess * covariance)
 
 
 def _of_photographs(surface: SearchedTexels, place: np.ndarray) -> np.ndarray:

@@ -73,6 +73,7 @@ def sum_of_squares(result, response) -> np.ndarray:
     return np.sum((model(result.alpha, result.beta, result.mu) - response) ** 2, axis=1)
 
 
+@pytest.mark.stability(stage="fit", case="a metal", n=0.2)
 @pytest.mark.parametrize(("n", "k"), [(1.5, 0.0), (0.2, 3.2)], ids=["lacquer", "gold"])
 @pytest.mark.parametrize("solver", ["varpro", "nlopt", "nlopt-reference"])
 def test_recovers_known_materials_without_noise(solver, n, k):
@@ -218,6 +219,7 @@ def test_gloss_that_no_observation_comes_near_is_unknown():
     assert result.alpha == pytest.approx(0.4, abs=1e-3)
 
 
+@pytest.mark.stability(stage="fit", case="1 observation", observations=1)
 @pytest.mark.stability(stage="fit", case="2 or 3 observations", observations=(2, 3))
 @pytest.mark.parametrize("observations", [1, 2, 3])
 @pytest.mark.parametrize("solver", ["varpro", "nlopt", "nlopt-reference"])

@@ -160,9 +160,10 @@ def test_no_diffuse_light_is_gloss_alone():
 
 
 @pytest.mark.stability(stage="fit", case="all observations at one geometry")
-@pytest.mark.parametrize("distinct", [1, 2, 3])
-def test_a_repeated_geometry_determines_no_more_than_once(distinct):
-    geometry = np.tile(in_plane([45.0, 30.0, 60.0], [40.0, 20.0, 58.0])[:distinct], (4, 1))
+@pytest.mark.stability(stage="fit", case="48 observations at one geometry", distinct=1, times=48)
+@pytest.mark.parametrize(("distinct", "times"), [(1, 4), (1, 48), (2, 4), (3, 4)])
+def test_a_repeated_geometry_determines_no_more_than_once(distinct, times):
+    geometry = np.tile(in_plane([45.0, 30.0, 60.0], [40.0, 20.0, 58.0])[:distinct], (times, 1))
     rng = np.random.default_rng(2)
     result = run(model(0.3, 4.0, 0.1, geometry) * (1 + 0.01 * rng.normal(size=(20, len(geometry)))), geometry)
     assert (result.status == Status.TOO_FEW_OBSERVATIONS).all()

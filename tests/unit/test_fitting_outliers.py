@@ -86,6 +86,27 @@ def test_two_lobes_that_are_fitted_as_one_are_not_ok_where_the_readings_tell():
     assert np.isfinite(result.beta[denied]).mean() > 0.9
 
 
+@pytest.mark.stability(stage="fit", case="a retro-reflector")
+@pytest.mark.parametrize("strength", [0.02, 0.1, 0.2, 1.0])
+def test_a_retro_reflector_is_not_ok_where_the_readings_tell(strength):
+    """Light goes back to the lamp as well, in a lobe of 10 degrees that four photographs of 25 see."""
+    near_the_lamp = in_plane([30, 45, 60, 20], [-26, -38, -50, -20])
+    poses, (alpha, beta, mu) = np.concatenate([POSES, near_the_lamp]), materials(TEXELS, 26)
+    noise = np.tile(CAMERA[:1], (len(poses), 1))
+    same_side = poses[:, 2] < poses[:, 3]  # then the angle between light and view is 2 θ_H
+    returned = strength * np.exp(-((2.0 * poses[:, 2] / np.radians(10.0)) ** 2)) * np.cos(poses[:, 0]) * same_side
+    clean = model(alpha, beta, mu, poses) + returned
+    spread = np.sqrt(noise[:, 0] + noise[:, 1] * clean + (0.005 * clean) ** 2)
+    response = clean + spread * np.random.default_rng(29).normal(size=clean.shape)
+    result = fit(response, poses, np.ones(clean.shape), N, K, FitOptions(), noise=noise)
+    ok = stated(result)
+    if strength >= 0.2:
+        assert ok.mean() < 0.3
+    for name, truth in (("alpha", alpha), ("beta", beta), ("mu", mu)):
+        right = np.abs(getattr(result, name) - truth) < 2.0 * getattr(result, f"{name}_error")
+        assert right[ok].sum() >= 0.93 * ok.sum()
+
+
 @pytest.mark.stability(stage="fit", case="μ above its bound")
 @pytest.mark.parametrize("rougher", [1.05, 1.2, 2.0])
 def test_a_surface_rougher_than_its_bound_is_not_ok(rougher):

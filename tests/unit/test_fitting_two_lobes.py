@@ -136,6 +136,7 @@ def test_of_two_lobes_of_a_kind_the_broader_stands_first():
     np.testing.assert_allclose(found.beta, broad[0], rtol=ROUNDED)
 
 
+@pytest.mark.stability(stage="fit", case="a transparent varnish")
 @pytest.mark.parametrize("lobes", PAIRS)
 def test_error_bars_of_two_lobes_are_honest(lobes):
     rng = np.random.default_rng(8)

@@ -26,6 +26,7 @@ CAMERA = (1e-6, 2e-5)
 OPTICS = GlossModel(FitOptions(pose_error_deg=0.0, model_error=0.002, level_error=0.0), uniform(N, K, BANDS))
 DEFAULT = GlossModel(FitOptions(), uniform(N, K, BANDS))
 VERMILION, CREAM = (0.52, 0.19, 0.09), (0.84, 0.66, 0.38)
+TWO_BETA, TWO_MU = np.array([2.0, 0.6]), np.array([0.15, 0.30])  # gloss of the two
 
 
 def direction(angle_deg, side):
@@ -183,6 +184,87 @@ def test_a_veil_over_one_photograph_is_not_taken_for_gloss():
     assert np.sqrt((off(found, "mu", mu) ** 2).mean()) < 0.005
 
 
+def within(paints, beta=TWO_BETA, mu=TWO_MU) -> np.ndarray:
+    """Return how many standard errors log β and log μ of two paints are off, (paints, 2)."""
+    found = sorted((paints.gloss[number] for number in paints.known), key=lambda gloss: -gloss.log_gloss[0])
+    exact = np.log(np.column_stack([beta, mu]))
+    return np.array([(one.log_gloss - two) / np.sqrt(np.diag(one.error)) for one, two in zip(found, exact, strict=True)])
+
+
+@pytest.mark.stability(stage="fit", case="five per cent of readings clipped, unflagged", share=0.05)
+@pytest.mark.parametrize("share", [0.05, 0.1])
+@pytest.mark.parametrize(("dark", "beta"), [(0.3, (8.0, 4.0)), (0.3, (2.0, 0.6)), (0.4, (5.0, 2.0))])
+def test_highlights_that_clip_unflagged_are_in_the_errors_of_their_paint(share, dark, beta, caplog):
+    paint = halves()
+    colour, beta = dark * np.array([VERMILION, CREAM])[paint], np.array(beta)
+    seen = photographed(colour, beta[paint], TWO_MU[paint], sphere())
+    limit = np.quantile(seen.response[..., GREEN], 1.0 - share)
+    assert limit > (colour[:, None, GREEN] * np.cos(seen.geometry[..., 0])).max()  # only highlights clip
+    clipped = Observed(np.minimum(seen.response, limit), seen.geometry, seen.weight, seen.clipped, seen.noise)
+    _, paints, _ = painted(clipped, optics=DEFAULT)
+    assert len(paints.known) == 2 and np.abs(within(paints, beta)).max() < 2.5
+    assert "photographs contradict the gloss of the paints" in caplog.text
+
+
+@pytest.mark.stability(stage="fit", case="a texel on a seam")
+def test_a_mixture_at_a_seam_has_its_colour_within_the_error():
+    paint, column = halves(), np.arange(SIDE * SIDE) % SIDE
+    colour = np.array([VERMILION, CREAM])[paint]
+    seen = photographed(colour, TWO_BETA[paint], TWO_MU[paint], sphere())
+    pure = [photographed(np.tile(colour, (SIDE * SIDE, 1)), beta, mu, sphere(), seed)
+            for colour, beta, mu, seed in zip((VERMILION, CREAM), TWO_BETA, TWO_MU, (1, 2), strict=True)]  # fmt: skip
+    seam = np.flatnonzero(np.isin(column, (SIDE // 2 - 1, SIDE // 2)))
+    share = np.random.default_rng(3).random(len(seam))
+    mixed = seen.response.copy()
+    mixed[seam] = (
+        share[:, None, None] * pure[0].response[seam] + (1.0 - share)[:, None, None] * pure[1].response[seam]
+    )
+    own, paints, found = painted(Observed(mixed, seen.geometry, seen.weight, seen.clipped, seen.noise), optics=DEFAULT)
+    assert len(paints.known) == 2
+    alpha, error = own.alpha.copy(), own.alpha_error.copy()
+    alpha[found.texel], error[found.texel] = found.shared.alpha, found.shared.alpha_error
+    truth = share * VERMILION[GREEN] + (1.0 - share) * CREAM[GREEN]
+    told = np.isfinite(alpha[seam])
+    assert told.mean() > 0.9
+    assert (np.abs(alpha[seam] - truth) < 2.0 * error[seam])[told].mean() > 0.9
+    assert np.median(np.abs(alpha[seam] / truth - 1.0)[told]) < 0.01
+
+
+@pytest.mark.stability(stage="fit", case="a paint seen only from the flank")
+@pytest.mark.parametrize("nearest", [1.5, 1.8])
+def test_the_gloss_of_a_paint_that_is_seen_only_from_the_flank_is_not_stated(nearest):
+    """No reading of the second paint lies nearer to the mirror direction than so many of its roughnesses."""
+    paint = halves()
+    colour = np.array([VERMILION, CREAM])[paint]
+    seen = photographed(colour, TWO_BETA[paint], np.array([0.15, 0.1])[paint], sphere(28))
+    weight = seen.weight.copy()
+    weight[(paint == 1)[:, None] & (seen.geometry[..., 3] < nearest * 0.1)] = 0.0
+    seen = Observed(seen.response, seen.geometry, weight, seen.clipped, seen.noise)
+    own, paints, found = painted(seen, optics=DEFAULT)
+    (gloss,) = (paints.gloss[number] for number in paints.known)
+    assert np.exp(gloss.log_gloss) == pytest.approx([2.0, 0.15], rel=0.02)  # the first paint's
+    alpha, error = own.alpha.copy(), own.alpha_error.copy()
+    alpha[found.texel], error[found.texel] = found.shared.alpha, found.shared.alpha_error
+    flank = paint == 1
+    assert np.isfinite(alpha[flank]).mean() > 0.95 and not (own.status[flank] == Status.OK).any()
+    assert (np.abs(alpha - colour[:, GREEN]) < 2.0 * error)[flank].mean() > 0.93
+
+
+@pytest.mark.stability(stage="fit", case="a photograph whose pose is wrong by 2°")
+@pytest.mark.parametrize("which", [3, 6, 10])
+def test_a_photograph_whose_pose_is_wrong_is_in_the_errors_of_paints(which):
+    paint = halves()
+    turned = np.zeros(14)
+    turned[which] = 2.0
+    colour, beta, mu = np.array([VERMILION, CREAM])[paint], TWO_BETA[paint], TWO_MU[paint]
+    real = photographed(colour, beta, mu, sphere(off_deg=(turned, 0.0)))
+    _, paints, found = painted(Observed(real.response, sphere(), real.weight, real.clipped, real.noise), optics=DEFAULT)
+    assert len(paints.known) == 2
+    assert np.abs(within(paints)).max() < 2.5
+    for name, truth, most in (("alpha", colour[:, GREEN], 0.01), ("beta", beta, 0.04), ("mu", mu, 0.02)):
+        assert np.sqrt((off(found, name, truth) ** 2).mean()) < most
+
+
 def test_a_photograph_that_is_wrong_is_in_the_error_of_its_paint():
     paint = halves()
     colour, beta, mu = np.array([VERMILION, CREAM])[paint], np.array([2.0, 0.6])[paint], np.array([0.15, 0.3])[paint]
@@ -210,6 +292,7 @@ def test_paints_are_counted_from_their_colours(count):
         assert len(set(paint[found == number])) == 1
 
 
+@pytest.mark.stability(stage="fit", case="1 observation")
 def test_one_reading_tells_the_colour_of_a_known_paint():
     paint = halves()
     colour = np.array([VERMILION, CREAM])[paint]
