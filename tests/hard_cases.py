@@ -110,7 +110,7 @@ _TABLE = {
         "one gross outlier in 20": _RIGHT,
         "one dark reading": _RIGHT + ", α, gloss and colour",
         "one doubled reading": _RIGHT,
-        "five per cent of readings clipped, unflagged": "β and μ of paints right within the errors",
+        "five per cent of readings clipped, unflagged": "β and μ of paints " + _RIGHT + " from the other readings",
         "clipping at 60 % of the peak, unflagged": "right within the errors or flagged, 9 times in 10",
         "a texel on a seam": "α of the mixture right within the error",
         "a paint seen only from the flank": "its gloss is not stated, its α right within the error",

@@ -312,6 +312,27 @@ def without_errors(surface, gloss, errors, veil):
 
 
 @njit(cache=True, error_model="numpy")
+def described(surface, gloss):
+    """Return the responses that a common gloss and each texel's own α describe, (texels, P); 0 without weight."""
+    blocks = surface.blocks
+    out = np.zeros((blocks.shape[0], blocks.shape[2]))
+    part, room = np.empty(PARTS), np.empty((_ROOM, blocks.shape[2]))
+    for t in range(blocks.shape[0]):
+        _take_part(blocks[t], surface.lobes, surface.rules, gloss, room, part)
+        for j in range(blocks.shape[2]):
+            if part[ALPHA_WEIGHT] > 0.0 and blocks[t, _W, j] > 0.0:
+                out[t, j] = part[ALPHA] * blocks[t, _C, j] + room[_GLOSS, j]
+    return out
+
+
+def without_brightest(surface: SearchedTexels, gloss: np.ndarray, share: float) -> SearchedTexels:
+    """Return packed texels without a share of their readings: those that a common gloss describes as the brightest."""
+    level, blocks = described(surface, np.ascontiguousarray(gloss)), surface.blocks.copy()
+    blocks[:, _W][level > np.quantile(level[level > 0.0], 1.0 - share)] = 0.0
+    return surface._replace(blocks=blocks)
+
+
+@njit(cache=True, error_model="numpy")
 def _without_each(surface, gloss):
     """Return gradient and normal matrix of log β and log μ without each photograph, (P, 5), with each α re-fitted."""
     blocks, rules = surface.blocks, surface.rules

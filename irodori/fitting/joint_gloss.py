@@ -27,6 +27,8 @@ _FIRST_VEIL = 0.01  # initial size of the veil, of the rms response
 _LEAST_VEIL = 1e-3  # smallest size, of the first
 _TOLD = 0.5  # number of photographs that tell their veil below which its size stays
 _CONTRADICTED = 4.0  # standard deviations of χ² beyond which the errors of photographs are larger than expected
+_BRIGHTEST = 0.25  # share of a paint's readings that is left out where highlights seem to clip
+_AROUND, _NODES = 1.0, 33  # largest change of log μ that is tried without them, and number of values
 _LEAST_PHOTOGRAPHS = 4  # fewest photographs for a jackknife
 
 
@@ -34,13 +36,15 @@ class _Solution(NamedTuple):
     """Unknowns of all paints and photographs, and their covariance.
 
     ``log_gloss`` (paints, 2) has log β and log μ; ``errors`` (P, SHARED) those of the photographs, in their expected
-    sizes; ``veil`` is the expected size of the veil. In the covariance, paints come first.
+    sizes; ``veil`` is the expected size of the veil. In the covariance, paints come first. ``excess`` is the factor by
+    which the squares of the errors exceed what is expected, at least 1; the covariance has it.
     """
 
     log_gloss: np.ndarray
     errors: np.ndarray
     veil: float
     covariance: np.ndarray
+    excess: float
 
 
 def _rms_response(surface: SearchedTexels) -> float:
@@ -65,8 +69,7 @@ def _contradiction(errors: np.ndarray, variances: np.ndarray) -> float:
     """Return the factor by which the squares of the photographs' errors exceed what is expected, at least 1.
 
     Of each kind of error, the squares should sum to the number of photographs that tell theirs. Far larger sums show
-    that something else is wrong with the photographs, such as highlights that clip without a flag. The size of the veil
-    follows the photographs itself.
+    that something else is wrong with the photographs. The size of the veil follows the photographs itself.
     """
     squares, told = np.sum(errors**2, axis=0), np.sum(1.0 - variances, axis=0)
     beyond = squares > told + _CONTRADICTED * np.sqrt(2.0 * told)
@@ -102,13 +105,42 @@ def _joint(paints: list[SeparateGloss]) -> _Solution:
     else:
         LOGGER.warning("the joint fit of gloss has not settled in %d steps; the last one counts", _STEPS)
     excess = _contradiction(errors, np.diag(covariance)[first:].reshape(-1, SHARED))
-    if excess > 1.0:
+    return _Solution(place, errors, veil, excess * covariance, excess)
+
+
+def _without_highlights(paints: list[SeparateGloss]) -> list[SeparateGloss]:
+    """Return paints fitted without their brightest readings; empty if one of them is not determined so."""
+    found = []
+    for paint in paints:
+        dimmer = sums.without_brightest(paint.surface, paint.log_gloss, _BRIGHTEST)
+        one = separate_gloss(dimmer, paint.log_gloss[1] + np.linspace(-_AROUND, _AROUND, _NODES))
+        if one is None:
+            return []
+        found.append(one)
+    return found
+
+
+def _consistent(paints: list[SeparateGloss]) -> tuple[list[SeparateGloss], _Solution]:
+    """Return paints and their joint solution, without the brightest readings where these contradict the others.
+
+    Highlights that clip without a flag look like lamps and angles that are far off. They are found by what the other
+    readings say: without the brightest ones, errors of photographs have their expected sizes.
+    """
+    joint = _joint(paints)
+    if joint.excess == 1.0:
+        return paints, joint
+    much = f"photographs contradict the gloss of the paints: they seem off by {np.sqrt(joint.excess):.1f} times what is"
+    dimmer = _without_highlights(paints)
+    other = _joint(dimmer) if dimmer else None
+    if other is not None and other.excess == 1.0:
         LOGGER.warning(
-            "photographs contradict the gloss of the paints: their levels and angles seem off by %.1f times what is "
-            "expected, as where highlights clip without a flag or a pose is wrong; gloss is stated with larger errors",
-            np.sqrt(excess),
+            "%s expected, but not without the brightest readings, which perhaps clip without a flag; gloss is fitted "
+            "without them",
+            much,
         )
-    return _Solution(place, errors, veil, excess * covariance)
+        return dimmer, other
+    LOGGER.warning("%s expected, as where a pose is wrong; gloss is stated with larger errors", much)
+    return paints, joint
 
 
 def _of_photographs(surface: SearchedTexels, place: np.ndarray) -> np.ndarray:
@@ -168,14 +200,12 @@ def gloss_of_paints(surfaces: Sequence[SearchedTexels | None], nodes: np.ndarray
     paints = [paint for paint in found if paint is not None]
     if not paints:
         return [None] * len(found)
-    glosses: list[PaintGloss | None] = []
-    joint, number = _joint(paints), 0
-    for paint in found:
-        if paint is None:
-            glosses.append(None)
-            continue
-        own = slice(2 * number, 2 * number + 2)
-        covariance = joint.covariance[own, own]
-        glosses.append(_with_error(paint, joint.log_gloss[number], covariance, joint.errors, joint.veil))
-        number += 1
-    return glosses
+    paints, joint = _consistent(paints)
+    covariances = (joint.covariance[first : first + 2, first : first + 2] for first in range(0, 2 * len(paints), 2))
+    glosses = iter(
+        [
+            _with_error(paint, place, covariance, joint.errors, joint.veil)
+            for paint, place, covariance in zip(paints, joint.log_gloss, covariances, strict=True)
+        ]
+    )
+    return [None if paint is None else next(glosses) for paint in found]

@@ -188,13 +188,15 @@ def within(paints, beta=TWO_BETA, mu=TWO_MU) -> np.ndarray:
     """Return how many standard errors log β and log μ of two paints are off, (paints, 2)."""
     found = sorted((paints.gloss[number] for number in paints.known), key=lambda gloss: -gloss.log_gloss[0])
     exact = np.log(np.column_stack([beta, mu]))
-    return np.array([(one.log_gloss - two) / np.sqrt(np.diag(one.error)) for one, two in zip(found, exact, strict=True)])
+    return np.array(
+        [(one.log_gloss - two) / np.sqrt(np.diag(one.error)) for one, two in zip(found, exact, strict=True)]
+    )
 
 
 @pytest.mark.stability(stage="fit", case="five per cent of readings clipped, unflagged", share=0.05)
 @pytest.mark.parametrize("share", [0.05, 0.1])
 @pytest.mark.parametrize(("dark", "beta"), [(0.3, (8.0, 4.0)), (0.3, (2.0, 0.6)), (0.4, (5.0, 2.0))])
-def test_highlights_that_clip_unflagged_are_in_the_errors_of_their_paint(share, dark, beta, caplog):
+def test_paints_keep_their_gloss_where_highlights_clip_unflagged(share, dark, beta, caplog):
     paint = halves()
     colour, beta = dark * np.array([VERMILION, CREAM])[paint], np.array(beta)
     seen = photographed(colour, beta[paint], TWO_MU[paint], sphere())
@@ -203,7 +205,9 @@ def test_highlights_that_clip_unflagged_are_in_the_errors_of_their_paint(share, 
     clipped = Observed(np.minimum(seen.response, limit), seen.geometry, seen.weight, seen.clipped, seen.noise)
     _, paints, _ = painted(clipped, optics=DEFAULT)
     assert len(paints.known) == 2 and np.abs(within(paints, beta)).max() < 2.5
-    assert "photographs contradict the gloss of the paints" in caplog.text
+    found = sorted(np.exp(paints.gloss[number].log_gloss).tolist() for number in paints.known)
+    np.testing.assert_allclose(found, sorted(zip(beta, TWO_MU, strict=True)), rtol=0.015)
+    assert "which perhaps clip without a flag; gloss is fitted without them" in caplog.text
 
 
 @pytest.mark.stability(stage="fit", case="a texel on a seam")
@@ -216,9 +220,7 @@ def test_a_mixture_at_a_seam_has_its_colour_within_the_error():
     seam = np.flatnonzero(np.isin(column, (SIDE // 2 - 1, SIDE // 2)))
     share = np.random.default_rng(3).random(len(seam))
     mixed = seen.response.copy()
-    mixed[seam] = (
-        share[:, None, None] * pure[0].response[seam] + (1.0 - share)[:, None, None] * pure[1].response[seam]
-    )
+    mixed[seam] = share[:, None, None] * pure[0].response[seam] + (1.0 - share)[:, None, None] * pure[1].response[seam]
     own, paints, found = painted(Observed(mixed, seen.geometry, seen.weight, seen.clipped, seen.noise), optics=DEFAULT)
     assert len(paints.known) == 2
     alpha, error = own.alpha.copy(), own.alpha_error.copy()
@@ -252,7 +254,7 @@ def test_the_gloss_of_a_paint_that_is_seen_only_from_the_flank_is_not_stated(nea
 
 @pytest.mark.stability(stage="fit", case="a photograph whose pose is wrong by 2°")
 @pytest.mark.parametrize("which", [3, 6, 10])
-def test_a_photograph_whose_pose_is_wrong_is_in_the_errors_of_paints(which):
+def test_a_photograph_whose_pose_is_wrong_is_in_the_errors_of_paints(which, caplog):
     paint = halves()
     turned = np.zeros(14)
     turned[which] = 2.0
@@ -260,7 +262,8 @@ def test_a_photograph_whose_pose_is_wrong_is_in_the_errors_of_paints(which):
     real = photographed(colour, beta, mu, sphere(off_deg=(turned, 0.0)))
     _, paints, found = painted(Observed(real.response, sphere(), real.weight, real.clipped, real.noise), optics=DEFAULT)
     assert len(paints.known) == 2
-    assert np.abs(within(paints)).max() < 2.5
+    assert np.abs(within(paints)).max() < 2.0
+    assert "as where a pose is wrong" in caplog.text
     for name, truth, most in (("alpha", colour[:, GREEN], 0.01), ("beta", beta, 0.04), ("mu", mu, 0.02)):
         assert np.sqrt((off(found, name, truth) ** 2).mean()) < most
 
