@@ -112,7 +112,7 @@ _TABLE = {
         "one doubled reading": _RIGHT,
         "five per cent of readings clipped, unflagged": "β and μ of paints " + _RIGHT + " from the other readings",
         "clipping at 60 % of the peak, unflagged": "right within the errors or flagged, 9 times in 10",
-        "a texel on a seam": "α of the mixture right within the error",
+        "a texel on a seam": "α of the mixture within twice its error, six times in seven",
         "a paint seen only from the flank": "its gloss is not stated, its α right within the error",
         "a photograph whose pose is wrong by 2°": "errors of paints cover the truth",
         "a metal": _RIGHT,

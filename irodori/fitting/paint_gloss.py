@@ -237,6 +237,9 @@ def share(surface: SearchedTexels, gloss: PaintGloss) -> TexelGloss:
         alpha, used = part[:, sums.ALPHA], part[:, sums.USED]
         free = np.maximum(used - 1.0, 1.0)
         misfit = part[:, sums.SQUARES] / max(gloss.excess, 1.0)
+        agrees = (used > 0.0) & np.isfinite(alpha) & (misfit <= free + 5.0 * np.sqrt(2.0 * free))
+        # A mixture of paints has neither's gloss: its residuals tell how far α may be off.
+        variance = np.where(agrees, variance, variance * np.maximum(misfit / free, 1.0))
         beta, mu = np.exp(own).T
         return TexelGloss(
             alpha=alpha,
@@ -248,5 +251,5 @@ def share(surface: SearchedTexels, gloss: PaintGloss) -> TexelGloss:
             residual_rms=np.sqrt(part[:, sums.SQUARES] / part[:, sums.TOTAL]),
             relative_residual=np.sqrt(part[:, sums.SQUARES] / part[:, sums.POWER]),
             own=1.0 - 0.5 * np.trace(kept, axis1=1, axis2=2),
-            agrees=(used > 0.0) & np.isfinite(alpha) & (misfit <= free + 5.0 * np.sqrt(2.0 * free)),
+            agrees=agrees,
         )

@@ -286,10 +286,8 @@ def share_by_paint(tile: Tile, paints: Paints, width: int, optics: GlossModel) -
         assert gloss is not None
         pieces = in_pieces(functools.partial(_share_piece, tile, gloss, optics), here)
         one = TexelGloss.joined(pieces)
-        # A mixture that contradicts the paint's gloss keeps its own if it has one.
-        good = (one.agrees | (mixed[here] & (tile.status[here] != Status.OK))) & (
-            one.alpha_error <= np.maximum(_WORTH * one.alpha, _DARK)
-        )
+        # A mixture may fit badly without having a gloss of its own.
+        good = (one.agrees | mixed[here]) & (one.alpha_error <= np.maximum(_WORTH * one.alpha, _DARK))
         paint[here[good]] = number
         texels.append(here[good])
         columns.append(one[good])

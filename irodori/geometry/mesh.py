@@ -12,11 +12,14 @@ import numpy as np
 from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER
 from irodori.geometry.normals import corner_normals
+from irodori.jit.compilation import njit
 
 #: Twice the area of a triangle, relative to the squared extent of the mesh, below which it has no normal.
 _NO_AREA = 1e-15
 #: Texture coordinates may exceed 0..1 by this much because of rounding.
 _UV_ROUNDING = 1e-6
+#: Odd factors by which the bits of three coordinates make a hash.
+_HASH = (np.uint64(0x9E3779B97F4A7C15), np.uint64(0xC2B2AE3D27D4EB4F), np.uint64(0x165667B19E3779F9))
 ACCEPTED_UV = "one UV atlas over the whole surface (unwrap it in the program that made it, and export with UV)"
 
 
@@ -129,13 +132,39 @@ def _weld(corners) -> tuple[np.ndarray, np.ndarray]:
     So a seam of the texture is not a boundary of the surface.
     """
     points = corners.reshape(-1, 3) + 0.0  # -0.0 becomes 0.0
-    order = np.lexsort(points.T)
-    ordered = points[order]
-    new = np.ones(len(points), dtype=bool)
-    new[1:] = (ordered[1:] != ordered[:-1]).any(axis=1)
-    index = np.empty(len(points), dtype=np.int32)
-    index[order] = np.cumsum(new) - 1
-    return np.ascontiguousarray(ordered[new]), index.reshape(-1, 3)
+    slots = np.full(1 << max(len(points), 1).bit_length() + 1, -1, dtype=np.int32)
+    number = np.empty(len(points), dtype=np.int32)
+    places = points[_number_places(points, points.view(np.uint64), slots, number)]
+    order = np.lexsort(places.T)
+    rank = np.empty(len(order), dtype=np.int32)
+    rank[order] = np.arange(len(order))
+    return places[order], rank[number].reshape(-1, 3)
+
+
+@njit(cache=True)
+def _number_places(points, bits, slots, number):
+    """Fill ``number`` with the number of each point's position, and return the first point of each position.
+
+    ``slots``, a power of two of entries of -1, becomes a table of these points by a hash of the bits of their
+    coordinates.
+    """
+    first, count = np.empty(points.shape[0], dtype=np.int32), 0
+    last = np.uint64(slots.size - 1)
+    for i in range(points.shape[0]):
+        key = bits[i, 0] * _HASH[0] + bits[i, 1] * _HASH[1] + bits[i, 2] * _HASH[2]
+        slot = (key ^ (key >> np.uint64(32))) & last
+        while True:
+            known = slots[slot]
+            if known < 0:
+                slots[slot] = i
+                first[count], number[i] = i, count
+                count += 1
+                break
+            if points[known, 0] == points[i, 0] and points[known, 1] == points[i, 1] and points[known, 2] == points[i, 2]:
+                number[i] = number[known]
+                break
+            slot = (slot + np.uint64(1)) & last
+    return first[:count].copy()
 
 
 def _check_winding(vertices, faces, file) -> None:

@@ -59,8 +59,8 @@ def read_mesh(path, unit: str, up: str = "z", pivot_mm=None, crease_deg: float =
     if uv is None and _is_gltf(path):
         accepted = f"{ACCEPTED_UV}; a glTF needs a material too, without which its UV coordinates are not read"
         raise InputError(path, "UV", "no texture coordinates", accepted)
-    corners = MM_IN[unit] * (corners @ _Z_FROM[up].T)
-    normals = None if normals is None else normals @ _Z_FROM[up].T
+    corners = MM_IN[unit] * _turned(corners, _Z_FROM[up])
+    normals = None if normals is None else _turned(normals, _Z_FROM[up])
     if (np.abs(corners) > _FARTHEST_MM).any():
         found = f"coordinates up to {np.nanmax(np.abs(corners)):g} mm"
         raise InputError(path, "vertices", found, f"an object within {_FARTHEST_MM:g} mm, of the unit that is stated")
@@ -83,9 +83,11 @@ def _parts(path, files: list[str], held: int) -> tuple[np.ndarray, np.ndarray | 
         Texture coordinates with v from the top.
     normals : (m, 3, 3) float64 or None
     """
-    scene = _load(path, files)
+    is_ply = Path(path).suffix.lower() == ".ply"
     # trimesh sorts the vertices of a PLY by texture coordinates and leaves the normals in the old order.
-    unsorted = _load(path, files, fix_texture=False) if Path(path).suffix.lower() == ".ply" else scene
+    unsorted = _load(path, files, **({"fix_texture": False} if is_ply else {}))
+    # Only texture coordinates of triangles need vertices of their own: those of vertices fit as they are.
+    scene = _load(path, files) if is_ply and _has_uv_by_triangle(path) else unsorted
     corners, uvs, normals = [], [], []
     count = 0
     for node in scene.graph.nodes_geometry:
@@ -104,7 +106,7 @@ def _parts(path, files: list[str], held: int) -> tuple[np.ndarray, np.ndarray | 
         uv = getattr(part.visual, "uv", None)
         uvs.append(None if uv is None or len(uv) != len(part.vertices) else np.asarray(uv, dtype=np.float64)[faces])
         normals.append(_normals(original, world))
-        corners.append(np.asarray(part.vertices, dtype=np.float64)[faces] @ world[:3, :3].T + world[:3, 3])
+        corners.append((np.asarray(part.vertices, dtype=np.float64) @ world[:3, :3].T + world[:3, 3])[faces])
         if np.linalg.det(world[:3, :3]) < 0:  # a mirrored part is wound the other way round
             for part_list in (corners, uvs, normals):
                 part_list[-1] = None if part_list[-1] is None else part_list[-1][:, ::-1]
@@ -114,6 +116,23 @@ def _parts(path, files: list[str], held: int) -> tuple[np.ndarray, np.ndarray | 
     if uv is not None:
         uv = np.stack([uv[..., 0], 1.0 - uv[..., 1]], axis=-1)
     return np.concatenate(corners), uv, _joined(normals)
+
+
+def _turned(corners: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+    """Return vectors (m, 3, 3) turned by a matrix (3, 3)."""
+    return (corners.reshape(-1, 3) @ rotation.T).reshape(corners.shape)
+
+
+def _has_uv_by_triangle(path) -> bool:
+    """Return whether the header of a PLY names texture coordinates of triangles."""
+    with open(path, "rb") as file:
+        for line in iter(file.readline, b""):
+            words = line.split()
+            if words[:1] == [b"end_header"]:
+                break
+            if words[:1] == [b"property"] and words[-1] == b"texcoord":
+                return True
+    return False
 
 
 def _joined(parts: list[np.ndarray | None]) -> np.ndarray | None:
@@ -130,7 +149,7 @@ def _normals(part, world) -> np.ndarray | None:
     normals = np.asarray(part._cache.cache["vertex_normals"], dtype=np.float64)
     if len(normals) != len(part.vertices):
         return None
-    return normals[np.asarray(part.faces)] @ np.linalg.inv(world[:3, :3])
+    return (normals @ np.linalg.inv(world[:3, :3]))[np.asarray(part.faces)]
 
 
 def _is_gltf(path) -> bool:

@@ -11,17 +11,22 @@ from irodori.jit.compilation import njit
 
 
 @njit(cache=True, forceinline=True)
+def _edge(vertices, start, end):
+    """Return the vector from one vertex to another."""
+    return (
+        vertices[end, 0] - vertices[start, 0],
+        vertices[end, 1] - vertices[start, 1],
+        vertices[end, 2] - vertices[start, 2],
+    )
+
+
+@njit(cache=True, forceinline=True)
 def _corner_angle(vertices, faces, face, corner):
     """Return the angle of a triangle at one of its corners, rad."""
     a, b, c = faces[face, corner], faces[face, (corner + 1) % 3], faces[face, (corner + 2) % 3]
-    ab, ac, cross = np.empty(3), np.empty(3), np.empty(3)
-    for i in range(3):
-        ab[i], ac[i] = vertices[b, i] - vertices[a, i], vertices[c, i] - vertices[a, i]
-    cross[0] = ab[1] * ac[2] - ab[2] * ac[1]
-    cross[1] = ab[2] * ac[0] - ab[0] * ac[2]
-    cross[2] = ab[0] * ac[1] - ab[1] * ac[0]
-    sine = math.sqrt(cross[0] ** 2 + cross[1] ** 2 + cross[2] ** 2)
-    return math.atan2(sine, ab[0] * ac[0] + ab[1] * ac[1] + ab[2] * ac[2])
+    (ux, uy, uz), (vx, vy, vz) = _edge(vertices, a, b), _edge(vertices, a, c)
+    x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    return math.atan2(math.sqrt(x**2 + y**2 + z**2), ux * vx + uy * vy + uz * vz)
 
 
 @njit(cache=True)
