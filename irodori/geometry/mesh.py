@@ -160,7 +160,11 @@ def _number_places(points, bits, slots, number):
                 first[count], number[i] = i, count
                 count += 1
                 break
-            if points[known, 0] == points[i, 0] and points[known, 1] == points[i, 1] and points[known, 2] == points[i, 2]:
+            if (
+                points[known, 0] == points[i, 0]
+                and points[known, 1] == points[i, 1]
+                and points[known, 2] == points[i, 2]
+            ):
                 number[i] = number[known]
                 break
             slot = (slot + np.uint64(1)) & last
