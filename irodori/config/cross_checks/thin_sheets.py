@@ -11,17 +11,26 @@ _UNLIKE = 0.02
 
 
 def check_thin_sheet(definition: Object, file) -> None:
-    """Refuse an object that is a sheet and has a closed or endless shape."""
+    """Refuse an object that is a sheet and has a closed or endless shape, or a coat that cannot let light through."""
     if definition.sheet is not None:
         _check_shape(definition.shape.kind, file, "sheet")
+        if _lets_light_through(definition) and definition.coat != "sum":
+            raise InputError(file, "coat", f"{definition.coat} on a sheet that lets light through", "sum, the default")
 
 
 def check_thin_sheets(loaded: Loaded, scene: Scene, file) -> None:
-    """Refuse sheets of a scene with a closed or endless shape, and backs whose object has another shape or size."""
+    """Refuse sheets of a scene with a closed or endless shape, and backs whose object has another shape, size or coat.
+
+    A coat that lets light through to the ground would have to count what passes from the other side, too.
+    """
     for index, item in enumerate(scene.objects):
         if item.back is None:
             continue
-        front, back = (loaded.objects[name].shape for name in (item.object, item.back))
+        definition, behind = (loaded.objects[name] for name in (item.object, item.back))
+        if _lets_light_through(definition) and behind.coat != "sum":
+            found = f"{item.back}, whose coat is {behind.coat}, on a sheet that lets light through"
+            raise InputError(file, f"objects[{index}].back", found, "an object with the coat sum")
+        front, back = definition.shape, behind.shape
         _check_shape(front.kind, file, f"objects[{index}].back")
         if front.kind != back.kind:
             found = f"{item.back}, a {back.kind}, on the back of a {front.kind}"
@@ -32,6 +41,10 @@ def check_thin_sheets(loaded: Loaded, scene: Scene, file) -> None:
         for key in ("back", "transmittance"):
             if getattr(body, key) is not None:
                 _check_shape(body.shape.kind, file, f"bodies[{index}].{key}")
+
+
+def _lets_light_through(definition: Object) -> bool:
+    return definition.sheet is not None and definition.sheet.transmittance != 0.0
 
 
 def _check_sizes(front: PlateShape, back: PlateShape, file, field: str) -> None:
