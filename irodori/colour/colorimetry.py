@@ -127,6 +127,50 @@ def delta_e(lab_a: np.ndarray, lab_b: np.ndarray) -> np.ndarray:
     h_mean = np.where(is_far, h_mean + np.where(h_1 + h_2 < 2 * np.pi, np.pi, -np.pi), h_mean)
     turn = np.where(is_far, turn - np.copysign(2 * np.pi, turn), turn)
     c_mean, from_middle = (c_1 + c_2) / 2, ((l_1 + l_2) / 2 - 50) ** 2
+    t, rotation = _hue_terms(h_mean, c_mean)
+    lightness = (l_2 - l_1) / (1 + 0.015 * from_middle / np.sqrt(20 + from_middle))
+    chroma = (c_2 - c_1) / (1 + 0.045 * c_mean)
+    hue = 2 * np.sqrt(c_1 * c_2) * np.sin(turn / 2) / (1 + 0.015 * c_mean * t)
+    return np.sqrt(np.maximum(lightness**2 + chroma**2 + hue**2 + rotation * chroma * hue, 0.0))
+
+
+def delta_e_metric(lab: np.ndarray) -> np.ndarray:
+    """Return the metric of CIEDE2000: the matrix M with which small differences d of CIELAB have the square dᵀ M d.
+
+    It is the formula of `delta_e` for two colours that approach each other.
+
+    Parameters
+    ----------
+    lab : (..., 3) float
+
+    Returns
+    -------
+    (..., 3, 3) float64
+    """
+    lightness, a, b = np.moveaxis(np.asarray(lab, dtype=np.float64), -1, 0)
+    stretch = 1.5 - 0.5 * _saturation(np.hypot(a, b))
+    a = stretch * a
+    chroma = np.hypot(a, b)
+    is_grey = chroma == 0.0
+    cosine, sine = np.where(is_grey, 1.0, a / np.where(is_grey, 1.0, chroma)), b / np.where(is_grey, 1.0, chroma)
+    t, rotation = _hue_terms(np.arctan2(b, a) % (2 * np.pi), chroma)
+    from_middle = (lightness - 50) ** 2
+    of_lightness = 1 / (1 + 0.015 * from_middle / np.sqrt(20 + from_middle))
+    of_chroma, of_hue = 1 / (1 + 0.045 * chroma), 1 / (1 + 0.015 * chroma * t)
+    mixed = 0.5 * rotation * of_chroma * of_hue
+    # Along chroma and hue, which are turned into a and b.
+    cc, hh = of_chroma**2, of_hue**2
+    aa = cc * cosine**2 + hh * sine**2 - 2 * mixed * cosine * sine
+    bb = cc * sine**2 + hh * cosine**2 + 2 * mixed * cosine * sine
+    ab = (cc - hh) * cosine * sine + mixed * (cosine**2 - sine**2)
+    out = np.zeros((*lightness.shape, 3, 3))
+    out[..., 0, 0], out[..., 1, 1], out[..., 2, 2] = of_lightness**2, stretch**2 * aa, bb
+    out[..., 1, 2] = out[..., 2, 1] = stretch * ab
+    return out
+
+
+def _hue_terms(h_mean: np.ndarray, c_mean: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the terms T and R_T of CIEDE2000 for mean hues, rad, and mean chromas."""
     t = (
         1
         - 0.17 * np.cos(h_mean - np.pi / 6)
@@ -134,12 +178,8 @@ def delta_e(lab_a: np.ndarray, lab_b: np.ndarray) -> np.ndarray:
         + 0.32 * np.cos(3 * h_mean + np.pi / 30)
         - 0.20 * np.cos(4 * h_mean - np.radians(63))
     )
-    lightness = (l_2 - l_1) / (1 + 0.015 * from_middle / np.sqrt(20 + from_middle))
-    chroma = (c_2 - c_1) / (1 + 0.045 * c_mean)
-    hue = 2 * np.sqrt(c_1 * c_2) * np.sin(turn / 2) / (1 + 0.015 * c_mean * t)
     blue = np.radians(30) * np.exp(-(((np.degrees(h_mean) - 275) / 25) ** 2))
-    rotation = -2 * _saturation(c_mean) * np.sin(2 * blue)
-    return np.sqrt(np.maximum(lightness**2 + chroma**2 + hue**2 + rotation * chroma * hue, 0.0))
+    return t, -2 * _saturation(c_mean) * np.sin(2 * blue)
 
 
 def _saturation(chroma: np.ndarray) -> np.ndarray:

@@ -10,6 +10,7 @@ from hypothesis.extra.numpy import arrays
 from irodori.colour.colorimetry import (
     colour_matching_weights,
     delta_e,
+    delta_e_metric,
     delta_e_reflectance,
     goodness_of_fit,
     lab_from_xyz,
@@ -192,6 +193,18 @@ SHARMA = np.array(
 def test_ciede2000_agrees_with_the_published_pairs_both_ways():
     assert delta_e(SHARMA[:, :3], SHARMA[:, 3:6]) == pytest.approx(SHARMA[:, 6], abs=5.1e-5)
     assert delta_e(SHARMA[:, 3:6], SHARMA[:, :3]) == pytest.approx(SHARMA[:, 6], abs=5.1e-5)
+
+
+def test_the_metric_of_ciede2000_is_that_of_small_differences():
+    """By the library, greys, the blue rotation and the hue 0 among the colours."""
+    rng = np.random.default_rng(3)
+    lab = rng.uniform([1, -90, -90], [99, 90, 90], (2000, 3))
+    lab[:50, 1:] = 0.0
+    lab[50:100, 2] = rng.uniform(-1e-3, 1e-3, 50)
+    step = 1e-2 * rng.normal(size=lab.shape)
+    expected = colour.delta_E(lab - 0.5 * step, lab + 0.5 * step, method="CIE 2000")
+    found = np.sqrt(np.einsum("ni,nij,nj->n", step, delta_e_metric(lab), step))
+    np.testing.assert_allclose(found, expected, rtol=1e-3)
 
 
 @given(lab=LAB, other=LAB)

@@ -18,7 +18,7 @@ import numpy as np
 
 from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.calibration.response_model import smooth_covariance
-from irodori.colour.colorimetry import delta_e, lab_from_xyz, xyz_from_reflectance
+from irodori.colour.colorimetry import delta_e_metric, lab_from_xyz, xyz_from_reflectance
 from irodori.jit.chunks import run_chunks
 from irodori.spectra.grid import SAMPLES, WAVELENGTH_NM
 
@@ -36,7 +36,6 @@ _STRIDE = 4  # of the grid, between wavelengths at which errors are stated, clos
 #: Wavelengths, nm, at which errors are stated.
 ERROR_NM = WAVELENGTH_NM[::_STRIDE]
 _BATCH = 2048  # responses whose factors of (16, 30) numbers are held at a time
-_STEP = 1e-2  # of CIELAB, in which CIEDE2000 is taken as a quadratic form
 #: 0.6827 of the normal distribution lie below so many of its standard deviations.
 _WITHIN_ONE = 0.4752
 
@@ -191,14 +190,7 @@ def _delta_e(xyz: np.ndarray, root: np.ndarray, white: np.ndarray) -> np.ndarray
         Square roots of the covariances of XYZ: each is the product of a matrix with its transpose.
     white : (3,) float
     """
-    lab = lab_from_xyz(xyz, white)
-    form = np.empty((len(lab), 3, 3))
-    steps = _STEP * np.eye(3)
-    for i in range(3):
-        form[:, i, i] = (delta_e(lab, lab + steps[i]) / _STEP) ** 2
-    for i, j in ((0, 1), (0, 2), (1, 2)):
-        both = (delta_e(lab, lab + steps[i] + steps[j]) / _STEP) ** 2
-        form[:, i, j] = form[:, j, i] = 0.5 * (both - form[:, i, i] - form[:, j, j])
+    form = delta_e_metric(lab_from_xyz(xyz, white))
     moved = _lab_slopes(xyz / white) @ (root / white[:, None])
     product = form @ moved @ np.swapaxes(moved, 1, 2)
     mean = np.trace(product, axis1=1, axis2=2)
