@@ -312,24 +312,45 @@ def without_errors(surface, gloss, errors, veil):
 
 
 @njit(cache=True, error_model="numpy")
-def described(surface, gloss):
-    """Return the responses that a common gloss and each texel's own α describe, (texels, P); 0 without weight."""
+def _described(surface, gloss):
+    """Return the responses that a common gloss and each texel's own α describe, (texels, P); 0 without an α."""
     blocks = surface.blocks
     out = np.zeros((blocks.shape[0], blocks.shape[2]))
     part, room = np.empty(PARTS), np.empty((_ROOM, blocks.shape[2]))
     for t in range(blocks.shape[0]):
         _take_part(blocks[t], surface.lobes, surface.rules, gloss, room, part)
-        for j in range(blocks.shape[2]):
-            if part[ALPHA_WEIGHT] > 0.0 and blocks[t, _W, j] > 0.0:
+        if part[ALPHA_WEIGHT] > 0.0:
+            for j in range(blocks.shape[2]):
                 out[t, j] = part[ALPHA] * blocks[t, _C, j] + room[_GLOSS, j]
     return out
 
 
 def without_brightest(surface: SearchedTexels, gloss: np.ndarray, share: float) -> SearchedTexels:
     """Return packed texels without a share of their readings: those that a common gloss describes as the brightest."""
-    level, blocks = described(surface, np.ascontiguousarray(gloss)), surface.blocks.copy()
-    blocks[:, _W][level > np.quantile(level[level > 0.0], 1.0 - share)] = 0.0
+    level, blocks = _described(surface, np.ascontiguousarray(gloss)), surface.blocks.copy()
+    told = blocks[:, _W] > 0.0
+    blocks[:, _W][level > np.quantile(level[told], 1.0 - share)] = 0.0
     return surface._replace(blocks=blocks)
+
+
+def left_out_gain(surface: SearchedTexels, kept: SearchedTexels, gloss: np.ndarray) -> float:
+    """Return by how much the readings that were left out are brighter than the kept ones and a gloss describe them.
+
+    Parameters
+    ----------
+    surface, kept : SearchedTexels
+        Packed texels with all readings, and the same without some.
+    gloss : (2,) float64
+        log β and log μ fitted to the kept readings.
+
+    Returns
+    -------
+    float
+        Relative; below 0 if they are darker.
+    """
+    level = _described(kept, np.ascontiguousarray(gloss))
+    weight = np.where(kept.blocks[:, _W] > 0.0, 0.0, surface.blocks[:, _W])
+    return float(np.sum(weight * level * surface.blocks[:, _R]) / np.sum(weight * level**2)) - 1.0
 
 
 @njit(cache=True, error_model="numpy")

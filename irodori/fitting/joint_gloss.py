@@ -109,15 +109,20 @@ def _joint(paints: list[SeparateGloss]) -> _Solution:
 
 
 def _without_highlights(paints: list[SeparateGloss]) -> list[SeparateGloss]:
-    """Return paints fitted without their brightest readings; empty if one of them is not determined so."""
-    found = []
+    """Return paints fitted without their brightest readings; empty unless these are too dark for the other readings.
+
+    Highlights that clip are too dark. If the lobe has another form than the fitted one, such as a longer tail, they are
+    too bright, and the other readings would tell less of them.
+    """
+    found, gains = [], []
     for paint in paints:
         dimmer = sums.without_brightest(paint.surface, paint.log_gloss, _BRIGHTEST)
         one = separate_gloss(dimmer, paint.log_gloss[1] + np.linspace(-_AROUND, _AROUND, _NODES))
         if one is None:
             return []
         found.append(one)
-    return found
+        gains.append(sums.left_out_gain(paint.surface, dimmer, one.log_gloss))
+    return found if -min(gains) > max(*gains, 0.0) else []
 
 
 def _consistent(paints: list[SeparateGloss]) -> tuple[list[SeparateGloss], _Solution]:
@@ -139,7 +144,9 @@ def _consistent(paints: list[SeparateGloss]) -> tuple[list[SeparateGloss], _Solu
             much,
         )
         return dimmer, other
-    LOGGER.warning("%s expected, as where a pose is wrong; gloss is stated with larger errors", much)
+    LOGGER.warning(
+        "%s expected, as where a pose is wrong or the lobe has another form; gloss is stated with larger errors", much
+    )
     return paints, joint
 
 

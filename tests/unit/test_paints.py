@@ -19,7 +19,7 @@ from irodori.fitting.stage import GREEN, Observed, diffuse_response, fit_brdf
 from irodori.material import tile_strips
 from irodori.material.fitted_tiles import FittedTiles
 from irodori.material.material_file import Status
-from irodori.reflection.equation5 import angles_from_directions
+from irodori.reflection.equation5 import angles_from_directions, reflect
 
 SIDE, BANDS = 32, 3
 CAMERA = (1e-6, 2e-5)
@@ -208,6 +208,21 @@ def test_paints_keep_their_gloss_where_highlights_clip_unflagged(share, dark, be
     found = sorted(np.exp(paints.gloss[number].log_gloss).tolist() for number in paints.known)
     np.testing.assert_allclose(found, sorted(zip(beta, TWO_MU, strict=True)), rtol=0.015)
     assert "which perhaps clip without a flag; gloss is fitted without them" in caplog.text
+
+
+def test_highlights_of_another_lobe_are_not_taken_for_clipped_ones(caplog):
+    """GGX has a longer tail: fitted with equation (5), its highlights are too bright for what surrounds them."""
+    paint, geometry = halves(), sphere()
+    colour = np.array([VERMILION, CREAM])[paint]
+    gloss = zip(colour[:, GREEN], TWO_BETA[paint], TWO_MU[paint], geometry, strict=True)
+    green = np.array([reflect(a, 1.0, b, m, angles, n=N, k=K, lobe="ggx") for a, b, m, angles in gloss])
+    lit = np.clip(np.cos(geometry[..., 0]), 0.0, None)
+    clean = green[..., None] + lit[..., None] * (colour - colour[:, GREEN, None])[:, None]
+    plain = photographed(colour, 0.0, 0.1, geometry)
+    noise = np.sqrt(CAMERA[0] + CAMERA[1] * clean) * np.random.default_rng(4).normal(size=clean.shape)
+    _, paints, _ = painted(Observed(clean + noise, geometry, plain.weight, plain.clipped, plain.noise), optics=DEFAULT)
+    assert "the lobe has another form; gloss is stated with larger errors" in caplog.text
+    assert "without them" not in caplog.text and len(paints.known) == 2
 
 
 @pytest.mark.stability(stage="fit", case="a texel on a seam")
