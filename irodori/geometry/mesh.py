@@ -186,11 +186,22 @@ def _check_winding(vertices, faces, file) -> None:
     if against:
         accepted = "triangles counter-clockwise seen from outside (recalculate the outside of the mesh)"
         raise InputError(file, "faces", f"{against} edges whose two triangles look to opposite sides", accepted)
-    if (count == 2).all():
-        a, b, c = (vertices[faces[:, corner]] - vertices.mean(axis=0) for corner in range(3))
-        if np.sum(a * np.cross(b, c)) < 0:
-            accepted = "triangles counter-clockwise seen from outside (flip the faces)"
-            raise InputError(file, "faces", "a closed surface that looks inward", accepted)
+    if (count == 2).all() and _volume(vertices, faces, vertices.mean(axis=0)) < 0.0:
+        accepted = "triangles counter-clockwise seen from outside (flip the faces)"
+        raise InputError(file, "faces", "a closed surface that looks inward", accepted)
+
+
+@njit(cache=True)
+def _volume(vertices, faces, centre):
+    """Return six times the volume within a closed surface; below 0 if it looks inward."""
+    total = 0.0
+    for face in range(faces.shape[0]):
+        a, b, c = faces[face, 0], faces[face, 1], faces[face, 2]
+        ax, ay, az = vertices[a, 0] - centre[0], vertices[a, 1] - centre[1], vertices[a, 2] - centre[2]
+        bx, by, bz = vertices[b, 0] - centre[0], vertices[b, 1] - centre[1], vertices[b, 2] - centre[2]
+        cx, cy, cz = vertices[c, 0] - centre[0], vertices[c, 1] - centre[1], vertices[c, 2] - centre[2]
+        total += ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
+    return total
 
 
 def _unit(normals, vertices, faces, file) -> np.ndarray:

@@ -4,10 +4,23 @@ Source: Thürmer and Wüthrich, *Computing vertex normals from polygonal facets*
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
+from irodori.jit.chunks import run_chunks
 from irodori.jit.compilation import njit
+
+_CHUNK = 16384  # vertices that a thread takes at a time
+
+
+class _Corners(NamedTuple):
+    """Corners of triangles by vertex, and what their triangles contribute."""
+
+    first: np.ndarray  # (vertices + 1,) index in ``members`` of the first corner at each vertex
+    members: np.ndarray  # (corners,) three times the triangle, plus the corner
+    facets: np.ndarray  # (triangles, 3) unit normals
+    angle: np.ndarray  # (triangles, 3) rad
 
 
 @njit(cache=True, forceinline=True)
@@ -20,27 +33,39 @@ def _edge(vertices, start, end):
     )
 
 
-@njit(cache=True, forceinline=True)
-def _corner_angle(vertices, faces, face, corner):
-    """Return the angle of a triangle at one of its corners, rad."""
-    a, b, c = faces[face, corner], faces[face, (corner + 1) % 3], faces[face, (corner + 2) % 3]
-    (ux, uy, uz), (vx, vy, vz) = _edge(vertices, a, b), _edge(vertices, a, c)
-    x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-    return math.atan2(math.sqrt(x**2 + y**2 + z**2), ux * vx + uy * vy + uz * vz)
-
-
 @njit(cache=True)
-def _angles(vertices, faces, out):
+def _measure(vertices, faces, facets, angle):
+    """Fill the unit normals of triangles and the angles at their corners, rad."""
     for face in range(faces.shape[0]):
         for corner in range(3):
-            out[face, corner] = _corner_angle(vertices, faces, face, corner)
+            a, b, c = faces[face, corner], faces[face, (corner + 1) % 3], faces[face, (corner + 2) % 3]
+            (ux, uy, uz), (vx, vy, vz) = _edge(vertices, a, b), _edge(vertices, a, c)
+            x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+            across = math.sqrt(x**2 + y**2 + z**2)
+            angle[face, corner] = math.atan2(across, ux * vx + uy * vy + uz * vz)
+            if corner == 0:
+                facets[face, 0], facets[face, 1], facets[face, 2] = x / across, y / across, z / across
 
 
 @njit(cache=True)
-def _gather(first, members, facets, angle, cosine, out):
-    """Fill the normals of all corners; ``members`` lists the corners at vertex i from the index ``first[i]`` on."""
-    total = np.empty(3)
+def _list_members(faces, first, members):
+    """List the corners at every vertex; ``first`` has those of vertex i counted at i + 1, and becomes the sums."""
     for vertex in range(first.size - 1):
+        first[vertex + 1] += first[vertex]
+    filled = first[:-1].copy()
+    for face in range(faces.shape[0]):
+        for corner in range(3):
+            vertex = faces[face, corner]
+            members[filled[vertex]] = 3 * face + corner
+            filled[vertex] += 1
+
+
+@njit(cache=True, nogil=True)
+def _gather(corners, cosine, out, start, end):
+    """Fill the normals of the corners at the vertices from ``start`` to before ``end``, see `_Corners`."""
+    first, members, facets, angle = corners
+    total = np.empty(3)
+    for vertex in range(start, end):
         for i in range(first[vertex], first[vertex + 1]):
             mine = members[i] // 3
             total[:] = 0.0
@@ -69,14 +94,13 @@ def corner_normals(vertices, faces, crease_deg: float) -> np.ndarray:
     crease_deg : float
         Largest angle, degrees, between the normals of two triangles at a vertex that enter a common mean.
     """
-    corners = vertices[faces]
-    facets = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    facets /= np.linalg.norm(facets, axis=1, keepdims=True)
-    angle = np.empty(faces.shape)
-    _angles(vertices, faces, angle)
-    members = np.argsort(faces.ravel(), kind="stable")
-    first = np.searchsorted(faces.ravel()[members], np.arange(len(vertices) + 1))
+    facets, angle = np.empty((len(faces), 3)), np.empty(faces.shape)
+    _measure(vertices, faces, facets, angle)
+    first, members = np.zeros(len(vertices) + 1, np.int64), np.empty(faces.size, np.int64)
+    first[1:] = np.bincount(faces.ravel(), minlength=len(vertices))
+    _list_members(faces, first, members)
     out = np.empty((*faces.shape, 3))
     # With rounding, the scalar product of two equal normals may be below the cosine of 0 degrees.
-    _gather(first, members, facets, angle, math.cos(math.radians(crease_deg)) - 1e-9, out)
+    cosine = math.cos(math.radians(crease_deg)) - 1e-9
+    run_chunks(_gather, len(vertices), _CHUNK, _Corners(first, members, facets, angle), cosine, out)
     return out
