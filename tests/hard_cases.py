@@ -114,7 +114,7 @@ _TABLE = {
         "clipping at 60 % of the peak, unflagged": "right within the errors or flagged, 9 times in 10",
         "a texel on a seam": "α of the mixture within twice its error, six times in seven",
         "a paint seen only from the flank": "its gloss is not stated, its α right within the error",
-        "a photograph whose pose is wrong by 2°": "errors of paints cover the truth",
+        "a photograph whose pose is wrong by 2°": "β and μ of paints " + _RIGHT + " from the other photographs",
         "a metal": _RIGHT,
         "a retro-reflector": "not OK where the readings tell, else α right within the errors",
         "a transparent varnish": "both lobes recovered",

@@ -333,7 +333,14 @@ def without_brightest(surface: SearchedTexels, gloss: np.ndarray, share: float) 
     return surface._replace(blocks=blocks)
 
 
-def left_out_gain(surface: SearchedTexels, kept: SearchedTexels, gloss: np.ndarray) -> float:
+def without_photograph(surface: SearchedTexels, photograph: int) -> SearchedTexels:
+    """Return packed texels without the readings of a photograph, by its number from 0."""
+    blocks = surface.blocks.copy()
+    blocks[:, _W, photograph] = 0.0
+    return surface._replace(blocks=blocks)
+
+
+def left_out_gain(surface: SearchedTexels, kept: SearchedTexels, gloss: np.ndarray) -> tuple[float, float]:
     """Return by how much the readings that were left out are brighter than the kept ones and a gloss describe them.
 
     Parameters
@@ -345,12 +352,15 @@ def left_out_gain(surface: SearchedTexels, kept: SearchedTexels, gloss: np.ndarr
 
     Returns
     -------
-    float
-        Relative; below 0 if they are darker.
+    gain, error : float
+        Relative, below 0 if they are darker, and its standard error by the noise; 0 and infinity without any.
     """
     level = _described(kept, np.ascontiguousarray(gloss))
     weight = np.where(kept.blocks[:, _W] > 0.0, 0.0, surface.blocks[:, _W])
-    return float(np.sum(weight * level * surface.blocks[:, _R]) / np.sum(weight * level**2)) - 1.0
+    power = float(np.sum(weight * level**2))
+    if not power > 0.0:
+        return 0.0, math.inf
+    return float(np.sum(weight * level * surface.blocks[:, _R])) / power - 1.0, power**-0.5
 
 
 @njit(cache=True, error_model="numpy")

@@ -71,7 +71,7 @@ def _contradiction(errors: np.ndarray, variances: np.ndarray) -> float:
     Of each kind of error, the squares should sum to the number of photographs that tell theirs. Far larger sums show
     that something else is wrong with the photographs. The size of the veil follows the photographs itself.
     """
-    squares, told = np.sum(errors**2, axis=0), np.sum(1.0 - variances, axis=0)
+    squares, told = np.sum(errors**2, axis=0), np.maximum(np.sum(1.0 - variances, axis=0), 0.0)
     beyond = squares > told + _CONTRADICTED * np.sqrt(2.0 * told)
     beyond[VEIL] = False
     return float(np.max(squares[beyond] / np.maximum(told[beyond], 1.0), initial=1.0))
@@ -108,44 +108,61 @@ def _joint(paints: list[SeparateGloss]) -> _Solution:
     return _Solution(place, errors, veil, excess * covariance, excess)
 
 
-def _without_highlights(paints: list[SeparateGloss]) -> list[SeparateGloss]:
-    """Return paints fitted without their brightest readings; empty unless these are too dark for the other readings.
+def _refitted(paints: list[SeparateGloss], surfaces: list[SearchedTexels]) -> list[SeparateGloss]:
+    """Return paints fitted to fewer readings; a paint whose gloss these do not determine stays as it is."""
+    near = np.linspace(-_AROUND, _AROUND, _NODES)
+    pairs = zip(paints, surfaces, strict=True)
+    return [separate_gloss(surface, paint.log_gloss[1] + near) or paint for paint, surface in pairs]
 
-    Highlights that clip are too dark. If the lobe has another form than the fitted one, such as a longer tail, they are
-    too bright, and the other readings would tell less of them.
+
+def _are_too_dark(paints: list[SeparateGloss], dimmer: list[SeparateGloss], joint: _Solution) -> bool:
+    """Return whether the readings that were left out are darker than the others say, as where they clip.
+
+    If the lobe has another form than the fitted one, such as a longer tail, they are too bright. The errors of
+    photographs, which the other readings tell, are subtracted.
+
+    Parameters
+    ----------
+    paints, dimmer : list of SeparateGloss
+        Paints with all readings, and without their brightest ones.
+    joint : _Solution
+        Joint fit of ``dimmer``.
     """
-    found, gains = [], []
-    for paint in paints:
-        dimmer = sums.without_brightest(paint.surface, paint.log_gloss, _BRIGHTEST)
-        one = separate_gloss(dimmer, paint.log_gloss[1] + np.linspace(-_AROUND, _AROUND, _NODES))
-        if one is None:
-            return []
-        found.append(one)
-        gains.append(sums.left_out_gain(paint.surface, dimmer, one.log_gloss))
-    return found if -min(gains) > max(*gains, 0.0) else []
+    gains = [0.0]
+    for paint, kept, place in zip(paints, dimmer, joint.log_gloss, strict=True):
+        whole = paint.surface._replace(blocks=sums.without_errors(paint.surface, place, joint.errors, joint.veil))
+        few = sums.without_brightest(whole, paint.log_gloss, _BRIGHTEST)
+        gain, error = sums.left_out_gain(whole, few, place)
+        if kept is not paint and abs(gain) > _CONTRADICTED * error * np.sqrt(max(kept.excess, 1.0)):
+            gains.append(gain)
+    return -min(gains) > max(gains)
 
 
 def _consistent(paints: list[SeparateGloss]) -> tuple[list[SeparateGloss], _Solution]:
-    """Return paints and their joint solution, without the brightest readings where these contradict the others.
+    """Return paints and their joint solution, without those readings that seem to contradict all others.
 
-    Highlights that clip without a flag look like lamps and angles that are far off. They are found by what the other
-    readings say: without the brightest ones, errors of photographs have their expected sizes.
+    A photograph with a wrong pose has errors far larger than expected. Highlights that clip without a flag look like
+    lamps and angles that are far off in several photographs. Each is told by what the other readings say: without a
+    wrong photograph, or without the brightest readings, the errors of photographs have their expected sizes.
     """
     joint = _joint(paints)
     if joint.excess == 1.0:
         return paints, joint
-    much = f"photographs contradict the gloss of the paints: they seem off by {np.sqrt(joint.excess):.1f} times what is"
-    dimmer = _without_highlights(paints)
-    other = _joint(dimmer) if dimmer else None
-    if other is not None and other.excess == 1.0:
-        LOGGER.warning(
-            "%s expected, but not without the brightest readings, which perhaps clip without a flag; gloss is fitted "
-            "without them",
-            much,
-        )
+    worst = int(np.argmax(np.sum(np.delete(joint.errors, VEIL, axis=1) ** 2, axis=1)))
+    found = f"photographs contradict the gloss of paints by {np.sqrt(joint.excess):.1f} times the expected errors"
+    named = f"photograph {worst + 1} of {len(joint.errors)}"
+    dimmer = _refitted(paints, [sums.without_brightest(paint.surface, paint.log_gloss, _BRIGHTEST) for paint in paints])
+    other = _joint(dimmer)
+    if other.excess == 1.0 and _are_too_dark(paints, dimmer, other):
+        LOGGER.warning("%s, but not without highlights, which perhaps clip without a flag and are not fitted", found)
         return dimmer, other
+    others = _refitted(paints, [sums.without_photograph(paint.surface, worst) for paint in paints])
+    other = _joint(others)
+    if other.excess == 1.0:
+        LOGGER.warning("%s, but not without %s, whose pose is perhaps wrong and which is not fitted", found, named)
+        return others, other
     LOGGER.warning(
-        "%s expected, as where a pose is wrong or the lobe has another form; gloss is stated with larger errors", much
+        "%s, most of all %s; perhaps the lobe has another form; the errors of gloss are larger", found, named
     )
     return paints, joint
 
@@ -188,7 +205,9 @@ def _with_error(paint: SeparateGloss, place, covariance, errors, veil: float) ->
     return PaintGloss(place, error, paint.varying, paint.excess, len(surface.blocks)) if known else None
 
 
-def gloss_of_paints(surfaces: Sequence[SearchedTexels | None], nodes: np.ndarray) -> list[PaintGloss | None]:
+def gloss_of_paints(
+    surfaces: Sequence[SearchedTexels | None], nodes: np.ndarray, *, checked: bool = True
+) -> list[PaintGloss | None]:
     """Fit the gloss of all paints of an object.
 
     Parameters
@@ -197,6 +216,9 @@ def gloss_of_paints(surfaces: Sequence[SearchedTexels | None], nodes: np.ndarray
         Texels of each paint, all of the same photographs; None for a paint without texels.
     nodes : (nodes,) float
         Values of log μ for the initial scan.
+    checked : bool
+        Whether photographs that contradict the gloss are searched for; they cannot be told if angles or noise are
+        unknown.
 
     Returns
     -------
@@ -207,7 +229,7 @@ def gloss_of_paints(surfaces: Sequence[SearchedTexels | None], nodes: np.ndarray
     paints = [paint for paint in found if paint is not None]
     if not paints:
         return [None] * len(found)
-    paints, joint = _consistent(paints)
+    paints, joint = _consistent(paints) if checked else (paints, _joint(paints))
     covariances = (joint.covariance[first : first + 2, first : first + 2] for first in range(0, 2 * len(paints), 2))
     glosses = iter(
         [

@@ -80,7 +80,9 @@ def fit_one_gloss(response, geometry, weight, options: FitOptions, n: float, k: 
     told = np.flatnonzero((weight > 0.0).sum(axis=1) > 3)
     chosen = told[:: max(1, len(told) // _MOST)]
     (gloss,) = (
-        gloss_of_paints([surface._replace(blocks=surface.blocks[chosen])], options.nodes()) if len(chosen) else [None]
+        gloss_of_paints([surface._replace(blocks=surface.blocks[chosen])], options.nodes(), checked=False)
+        if len(chosen)
+        else [None]
     )
     if gloss is None:
         return matt(response, geometry, weight, lobe, n, k)

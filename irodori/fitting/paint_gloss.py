@@ -238,8 +238,9 @@ def share(surface: SearchedTexels, gloss: PaintGloss) -> TexelGloss:
         free = np.maximum(used - 1.0, 1.0)
         misfit = part[:, sums.SQUARES] / max(gloss.excess, 1.0)
         agrees = (used > 0.0) & np.isfinite(alpha) & (misfit <= free + 5.0 * np.sqrt(2.0 * free))
-        # A mixture of paints has neither's gloss: its residuals tell how far α may be off.
-        variance = np.where(agrees, variance, variance * np.maximum(misfit / free, 1.0))
+        # A mixture of paints has neither's gloss: its residuals tell how far the parameters may be off.
+        larger = np.where(agrees, 1.0, np.maximum(part[:, sums.SQUARES] / free / gloss.excess, 1.0))
+        variance, covariance = larger * variance, larger[:, None, None] * covariance
         beta, mu = np.exp(own).T
         return TexelGloss(
             alpha=alpha,

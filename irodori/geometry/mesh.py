@@ -152,7 +152,8 @@ def _number_places(points, bits, slots, number):
     last = np.uint64(slots.size - 1)
     for i in range(points.shape[0]):
         key = bits[i, 0] * _HASH[0] + bits[i, 1] * _HASH[1] + bits[i, 2] * _HASH[2]
-        slot = (key ^ (key >> np.uint64(32))) & last
+        key = (key ^ (key >> np.uint64(32))) * _HASH[0]  # round coordinates have few bits that are not 0
+        slot = (key ^ (key >> np.uint64(29))) & last
         while True:
             known = slots[slot]
             if known < 0:

@@ -346,6 +346,44 @@ def test_a_sphere_of_triangles_has_the_texels_of_the_sphere(rings):
     assert np.linalg.norm(normal - direction, axis=-1)[known].max() < 1.5 * bound
 
 
+@pytest.mark.parametrize("by", ["triangle", "vertex"])
+def test_a_ply_has_texture_coordinates_by_triangle_or_by_vertex(tmp_path, by):
+    """With those by triangle, one vertex has several; its normal is one."""
+    corners, uv, _ = body()
+    vertices, index = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
+    if by == "vertex":
+        vertices, index = corners.reshape(-1, 3), np.arange(3 * len(corners))
+    normals = unit(vertices - corners.mean(axis=(0, 1)))
+    stored = uv.reshape(-1, 2) * [1.0, -1.0] + [0.0, 1.0]
+    of_vertex = ["s", "t"] if by == "vertex" else []
+    header = ["ply", "format ascii 1.0", f"element vertex {len(vertices)}"]
+    header += [f"property double {name}" for name in ["x", "y", "z", "nx", "ny", "nz", *of_vertex]]
+    header += [f"element face {len(corners)}", "property list uchar int vertex_indices"]
+    header += ["property list uchar double texcoord"] * (by == "triangle") + ["end_header"]
+    columns = [vertices, normals, stored] if by == "vertex" else [vertices, normals]
+    rows = [" ".join(map(repr, row.tolist())) for row in np.hstack(columns)]
+    for triangle, pairs in zip(index.reshape(-1, 3), stored.reshape(-1, 6), strict=True):
+        line = ["3", *map(str, triangle.tolist())]
+        rows.append(" ".join([*line, "6", *map(repr, pairs.tolist())] if by == "triangle" else line))
+    (tmp_path / "body.ply").write_text("\n".join([*header, *rows, ""]))
+    found = read_mesh(tmp_path / "body.ply", "mm", pivot_mm=(0.0, 0.0, 0.0))
+    expected = make_mesh(corners, uv, normals[index].reshape(-1, 3, 3))
+    for one, other in ((found.vertices_mm[found.faces], expected.vertices_mm[expected.faces]),
+                       (found.uv, expected.uv), (found.normals, expected.normals)):  # fmt: skip
+        np.testing.assert_allclose(one, other, atol=1e-9)
+
+
+def test_vertices_with_round_coordinates_are_kept_apart():
+    """A grid of whole millimetres, whose coordinates have few bits that are not 0, keeps its vertices apart."""
+    x, y = np.meshgrid(np.arange(-64.0, 64.0), np.arange(-64.0, 64.0))
+    low, high = np.stack([x, y, 0 * x], axis=-1).reshape(-1, 3), np.stack([x + 1, y + 1, 0 * x], axis=-1).reshape(-1, 3)
+    side = np.stack([x + 1, y, 0 * x], axis=-1).reshape(-1, 3)
+    mesh = make_mesh(
+        np.stack([low, side, high], axis=1), np.tile([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]], (len(low), 1, 1))
+    )
+    assert len(mesh.vertices_mm) == 129**2 - 1 and len(np.unique(mesh.vertices_mm, axis=0)) == len(mesh.vertices_mm)
+
+
 @pytest.mark.heavy
 def test_a_million_triangles_are_a_mesh_like_any_other():
     rings, segments = 500, 1000

@@ -207,7 +207,7 @@ def test_paints_keep_their_gloss_where_highlights_clip_unflagged(share, dark, be
     assert len(paints.known) == 2 and np.abs(within(paints, beta)).max() < 2.5
     found = sorted(np.exp(paints.gloss[number].log_gloss).tolist() for number in paints.known)
     np.testing.assert_allclose(found, sorted(zip(beta, TWO_MU, strict=True)), rtol=0.015)
-    assert "which perhaps clip without a flag; gloss is fitted without them" in caplog.text
+    assert "which perhaps clip without a flag" in caplog.text
 
 
 def test_highlights_of_another_lobe_are_not_taken_for_clipped_ones(caplog):
@@ -221,7 +221,7 @@ def test_highlights_of_another_lobe_are_not_taken_for_clipped_ones(caplog):
     plain = photographed(colour, 0.0, 0.1, geometry)
     noise = np.sqrt(CAMERA[0] + CAMERA[1] * clean) * np.random.default_rng(4).normal(size=clean.shape)
     _, paints, _ = painted(Observed(clean + noise, geometry, plain.weight, plain.clipped, plain.noise), optics=DEFAULT)
-    assert "the lobe has another form; gloss is stated with larger errors" in caplog.text
+    assert "perhaps the lobe has another form" in caplog.text
     assert "without them" not in caplog.text and len(paints.known) == 2
 
 
@@ -268,32 +268,34 @@ def test_the_gloss_of_a_paint_that_is_seen_only_from_the_flank_is_not_stated(nea
 
 
 @pytest.mark.stability(stage="fit", case="a photograph whose pose is wrong by 2°")
-@pytest.mark.parametrize("which", [3, 6, 10])
-def test_a_photograph_whose_pose_is_wrong_is_in_the_errors_of_paints(which, caplog):
+@pytest.mark.parametrize(
+    ("which", "off_deg"), [(3, 2.0), (6, 2.0), (10, 2.0), (3, 0.7), (10, 1.0), (0, -1.0), (2, -1.0)]
+)
+def test_a_photograph_whose_pose_is_wrong_does_not_change_the_gloss_of_paints(which, off_deg, caplog):
     paint = halves()
     turned = np.zeros(14)
-    turned[which] = 2.0
+    turned[which] = off_deg
     colour, beta, mu = np.array([VERMILION, CREAM])[paint], TWO_BETA[paint], TWO_MU[paint]
     real = photographed(colour, beta, mu, sphere(off_deg=(turned, 0.0)))
     _, paints, found = painted(Observed(real.response, sphere(), real.weight, real.clipped, real.noise), optics=DEFAULT)
     assert len(paints.known) == 2
     assert np.abs(within(paints)).max() < 2.0
-    assert "as where a pose is wrong" in caplog.text
-    for name, truth, most in (("alpha", colour[:, GREEN], 0.01), ("beta", beta, 0.04), ("mu", mu, 0.02)):
+    if off_deg > 0.0:
+        assert f"not without photograph {which + 1} of " in caplog.text
+    for name, truth, most in (("alpha", colour[:, GREEN], 0.01), ("beta", beta, 0.01), ("mu", mu, 0.01)):
         assert np.sqrt((off(found, name, truth) ** 2).mean()) < most
 
 
-def test_a_photograph_that_is_wrong_is_in_the_error_of_its_paint():
+def test_a_photograph_of_another_level_is_left_out_of_the_gloss_of_paints(caplog):
     paint = halves()
-    colour, beta, mu = np.array([VERMILION, CREAM])[paint], np.array([2.0, 0.6])[paint], np.array([0.15, 0.3])[paint]
-    seen = photographed(colour, beta, mu, sphere())
-    errors = []
-    for gain in (1.0, 1.2):
-        response = seen.response.copy()
-        response[:, 6] *= gain
-        _, paints, _ = painted(Observed(response, seen.geometry, seen.weight, seen.clipped, seen.noise))
-        errors.append([np.sqrt(np.diag(paints.gloss[number].error)) for number in paints.known])
-    assert (np.array(errors[1]) > 1.5 * np.array(errors[0])).any(axis=1).all()
+    colour = np.array([VERMILION, CREAM])[paint]
+    seen = photographed(colour, TWO_BETA[paint], TWO_MU[paint], sphere())
+    seen.response[:, 6] *= 1.2
+    _, paints, _ = painted(seen, optics=DEFAULT)
+    assert "not without photograph 7 of " in caplog.text
+    found = sorted(np.exp(paints.gloss[number].log_gloss).tolist() for number in paints.known)
+    np.testing.assert_allclose(found, sorted(zip(TWO_BETA, TWO_MU, strict=True)), rtol=0.015)
+    assert np.abs(within(paints)).max() < 2.0
 
 
 @pytest.mark.parametrize("count", [1, 2, 16])

@@ -11,11 +11,9 @@ _UNLIKE = 0.02
 
 
 def check_thin_sheet(definition: Object, file) -> None:
-    """Refuse an object that is a sheet and has a closed or endless shape, or a coat that cannot let light through."""
+    """Refuse an object that is a sheet and has a closed or endless shape."""
     if definition.sheet is not None:
         _check_shape(definition.shape.kind, file, "sheet")
-        if _lets_light_through(definition) and definition.coat != "sum":
-            raise InputError(file, "coat", f"{definition.coat} on a sheet that lets light through", "sum, the default")
 
 
 def check_thin_sheets(loaded: Loaded, scene: Scene, file) -> None:
