@@ -220,9 +220,15 @@ def test_highlights_of_another_lobe_are_not_taken_for_clipped_ones(caplog):
     clean = green[..., None] + lit[..., None] * (colour - colour[:, GREEN, None])[:, None]
     plain = photographed(colour, 0.0, 0.1, geometry)
     noise = np.sqrt(CAMERA[0] + CAMERA[1] * clean) * np.random.default_rng(4).normal(size=clean.shape)
-    _, paints, _ = painted(Observed(clean + noise, geometry, plain.weight, plain.clipped, plain.noise), optics=DEFAULT)
+    seen = Observed(clean + noise, geometry, plain.weight, plain.clipped, plain.noise)
+    _, right, _ = painted(seen, optics=GlossModel(FitOptions(lobes=("ggx",)), uniform(N, K, BANDS)))
+    assert not caplog.records
+    _, wrong, _ = painted(seen, optics=DEFAULT)
     assert "perhaps the lobe has another form" in caplog.text
-    assert "without them" not in caplog.text and len(paints.known) == 2
+    assert "but not without" not in caplog.text  # no reading is left out
+    assert len(right.known) == len(wrong.known) == 2
+    errors = [[np.sqrt(np.diag(paints.gloss[n].error)) for n in paints.known] for paints in (right, wrong)]
+    assert (np.array(errors[1]) > 1.5 * np.array(errors[0])).all()
 
 
 @pytest.mark.stability(stage="fit", case="a texel on a seam")
