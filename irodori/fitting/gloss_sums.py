@@ -25,6 +25,7 @@ from irodori.reflection.lobes import Lobes
 
 PACKED = 8
 _C, _G, _F0, _F1, _F2, _R, _W, _SIDE = range(PACKED)
+READING_WEIGHT = _W
 #: Columns of a texel's contribution to a fit of log β and log μ: the negative gradient of half its sum of squares; the
 #: matrix of the normal equations; the sum of squares; α, its slopes along log β and log μ, and its inverse variance;
 #: the largest share of the lobe's peak in the observations; Σ w ρ², Σ w, and the number of observations with weight.

@@ -17,7 +17,7 @@ from irodori.core.progress import LOGGER
 from irodori.fitting import gloss_sums as sums
 from irodori.fitting.gloss_sums import SHARED, VEIL, SearchedTexels
 from irodori.fitting.judge import MAX_RELATIVE_ERROR
-from irodori.fitting.paint_gloss import PaintGloss, SeparateGloss, matrices, separate_gloss
+from irodori.fitting.paint_gloss import PaintGloss, SeparateGloss, confirmed_variation, matrices, separate_gloss
 
 _STEPS = 40
 _SETTLED = 1e-5  # change of log β and log μ that ends the search
@@ -29,6 +29,8 @@ _TOLD = 0.5  # number of photographs that tell their veil below which its size s
 _CONTRADICTED = 4.0  # standard deviations of χ² beyond which the errors of photographs are larger than expected
 _BRIGHTEST = 0.25  # share of a paint's readings that is left out where highlights seem to clip
 _AROUND, _NODES = 1.0, 33  # largest change of log μ that is tried without them, and number of values
+_NUDGE = 1e-3  # change of log β or log μ for numerical derivatives
+_FLATTEST = 0.1  # smallest curvature of the sum of squares that is believed, relative to the normal matrix
 _LEAST_PHOTOGRAPHS = 4  # fewest photographs for a jackknife
 
 
@@ -167,13 +169,33 @@ def _consistent(paints: list[SeparateGloss]) -> tuple[list[SeparateGloss], _Solu
     return paints, joint
 
 
-def _of_photographs(surface: SearchedTexels, place: np.ndarray) -> np.ndarray:
+def _stretch(surface: SearchedTexels, place: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """Return how far log β and log μ really move when a Gauss-Newton step says how far, (2, 2).
+
+    The two agree if the lobe has the right form. The residuals of another form change with the parameters, which the
+    normal matrix ignores: the minimum is then flatter.
+    """
+    inverse = np.linalg.inv(np.linalg.cholesky(normal))
+    moved = np.empty((2, 2))
+    for number, step in enumerate(_NUDGE * np.eye(2)):
+        down = [
+            matrices(sums.parts(surface, np.tile(place + side * step, (len(surface.blocks), 1))))[0].sum(axis=0)
+            for side in (-1.0, 1.0)
+        ]
+        moved[:, number] = (down[0] - down[1]) / (2.0 * _NUDGE)
+    size, along = np.linalg.eigh(inverse @ (0.5 * (moved + moved.T)) @ inverse.T)
+    axes = inverse.T @ along
+    return axes / np.clip(size, _FLATTEST, 1.0) @ axes.T @ normal
+
+
+def _of_photographs(surface: SearchedTexels, place: np.ndarray, stretch: np.ndarray) -> np.ndarray:
     """Return the covariance of log β and log μ by the jackknife over photographs, (2, 2).
 
     It tells what neither the errors of photographs nor those of texels describe, such as a lobe of another form. Zero
-    if there are too few photographs.
+    if there are too few photographs. ``stretch`` is from `_stretch`.
     """
     moved, told = sums.without_each(surface, place)
+    moved = moved @ stretch.T
     count = int(told.sum())
     if count < _LEAST_PHOTOGRAPHS:
         return np.zeros((2, 2))
@@ -196,13 +218,16 @@ def _with_error(paint: SeparateGloss, place, covariance, errors, veil: float) ->
     if not (rules.low_log_mu < place[1] < rules.high_log_mu and place[0] < np.log(rules.high_beta)):
         return None
     surface = surface._replace(blocks=sums.without_errors(surface, place, errors, veil))
-    _, normal = matrices(sums.parts(surface, np.tile(place, (len(surface.blocks), 1))))
-    inverse = np.linalg.inv(normal.sum(axis=0))
-    spread = np.einsum("tij,jk,tkl->il", normal, paint.varying, normal)
-    error = _larger(covariance + inverse @ spread @ inverse, _of_photographs(surface, place))
+    slope, normal = matrices(sums.parts(surface, np.tile(place, (len(surface.blocks), 1))))
+    total = normal.sum(axis=0)
+    inverse, stretch = np.linalg.inv(total), _stretch(surface, place, total)
+    varying, scatter = confirmed_variation(surface, place, paint.varying, paint.excess)
+    spread = inverse @ np.einsum("tij,jk,tkl->il", normal, varying + scatter, normal) @ inverse
+    of_texels = stretch @ inverse @ slope.T @ slope @ inverse @ stretch.T
+    error = _larger(_larger(covariance + spread, of_texels), _of_photographs(surface, place, stretch))
     error += np.diag([rules.level_error**2, 0.0])
     known = np.sqrt(error[0, 0]) < MAX_RELATIVE_ERROR["beta"] and np.sqrt(error[1, 1]) < MAX_RELATIVE_ERROR["mu"]
-    return PaintGloss(place, error, paint.varying, paint.excess, len(surface.blocks)) if known else None
+    return PaintGloss(place, error, varying, paint.excess, len(surface.blocks), scatter) if known else None
 
 
 def gloss_of_paints(

@@ -23,6 +23,8 @@ _ROUNDS = 300  # largest number of rounds of expectation maximisation
 _FIRST, _ANY = 0.1**2, 0.5**2  # initial variance of log β and log μ, and a variance that hardly constrains them
 _LEAST_FREE = 0.5  # fewest degrees of freedom of a texel to compare its misfit
 _LEAST_VARYING = 1e-8  # smallest variance of log β and log μ: a standard deviation of 0.01 %
+_DIVISIONS = 8  # ways in which photographs are divided into halves
+_MISSED = 2.0  # standard errors by which halves must show less than the whole of a variation to contradict it
 
 
 @dataclass(frozen=True)
@@ -33,8 +35,10 @@ class SeparateGloss:
     ----------
     surface : SearchedTexels
         Texels in the fit.
-    log_gloss, varying, excess
+    log_gloss, excess
         As in `PaintGloss`.
+    varying : (2, 2) float64
+        Covariance of the texels' log β and log μ about the common ones, whatever it comes from.
     """
 
     surface: SearchedTexels
@@ -59,6 +63,9 @@ class PaintGloss:
         Factor on the variances of observations that explains the residuals of the paint's texels.
     texels : int
         Number of texels in the fit.
+    scatter : (2, 2) float64
+        Covariance of the errors in what a texel's photographs tell about its log β and log μ, beyond those by noise: a
+        lobe of another form makes them differ from texel to texel, though the gloss does not.
     """
 
     log_gloss: np.ndarray
@@ -66,6 +73,7 @@ class PaintGloss:
     varying: np.ndarray
     excess: float
     texels: int
+    scatter: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -113,9 +121,9 @@ def matrices(part: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _inverse(matrix: np.ndarray) -> np.ndarray:
-    """Return the inverses of symmetric, positive definite matrices, (..., 2, 2)."""
-    a, b, d = matrix[..., 0, 0], matrix[..., 0, 1], matrix[..., 1, 1]
-    return np.stack([d, -b, -b, a], axis=-1).reshape(matrix.shape) / (a * d - b * b)[..., None, None]
+    """Return the inverses of matrices (..., 2, 2)."""
+    a, b, c, d = matrix[..., 0, 0], matrix[..., 0, 1], matrix[..., 1, 0], matrix[..., 1, 1]
+    return np.stack([d, -b, -c, a], axis=-1).reshape(matrix.shape) / (a * d - b * c)[..., None, None]
 
 
 def _start(surface: SearchedTexels, nodes: np.ndarray) -> tuple[np.ndarray, float] | None:
@@ -166,6 +174,69 @@ def _is_told(part: np.ndarray, varying: np.ndarray, excess: float) -> bool:
     gain = np.einsum("ti,tij,tj->", slope, _inverse(normal + np.linalg.inv(varying)), slope)
     cost = np.log(np.linalg.det(np.eye(2) + varying @ normal)).sum()
     return bool(gain - cost > 3.0 * np.log(len(part)))
+
+
+def _without_half(surface: SearchedTexels, place: np.ndarray, half: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return gradients and normal matrices without a half of the photographs, at the best common gloss of the others."""
+    blocks = surface.blocks.copy()
+    blocks[:, sums.READING_WEIGHT, half] = 0.0
+    slope, normal = matrices(sums.parts(surface._replace(blocks=blocks), np.tile(place, (len(blocks), 1))))
+    return slope - normal @ np.linalg.lstsq(normal.sum(axis=0), slope.sum(axis=0), rcond=None)[0], normal
+
+
+def _share_in_halves(surface: SearchedTexels, place: np.ndarray, varying: np.ndarray, excess: float) -> float:
+    """Return which part of a variation of gloss among texels both halves of the photographs show, 0 to 1.
+
+    It is 1 unless less is significant. The covariance of what the two halves tell about a texel's difference from its
+    paint is compared with the expected one, for several divisions into halves.
+    """
+    precision, count = np.linalg.inv(varying), surface.blocks.shape[2]
+    seen, expected, draws = np.zeros(len(surface.blocks)), np.zeros(len(surface.blocks)), np.random.default_rng(0)
+    for _ in range(_DIVISIONS):
+        half = draws.permutation(count) < count // 2
+        told = []
+        for slope, normal in (_without_half(surface, place, half), _without_half(surface, place, ~half)):
+            after = _inverse(normal / excess + precision)
+            own = np.einsum("tij,tj->ti", after, slope) / excess
+            told.append((own - own.mean(axis=0), after @ normal / excess))
+        (one, first), (other, second) = told
+        seen += np.einsum("ti,ij,tj->t", one, precision, other)
+        expected += np.einsum("ij,tjk,kl,til->t", precision, first, varying, second)
+    total = float(expected.sum())
+    if not total > 0.0:
+        return 1.0
+    share = float(seen.sum()) / total
+    error = float(np.sqrt(np.sum((seen - share * expected) ** 2))) / total
+    return max(share, 0.0) if share + _MISSED * error < 1.0 else 1.0
+
+
+def confirmed_variation(
+    surface: SearchedTexels, place: np.ndarray, varying: np.ndarray, excess: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Divide a variation of gloss within a paint into what both halves of the photographs show, and the rest.
+
+    A texel that differs from its paint does so in all photographs. What comes from a lobe of another form, or from
+    errors of single photographs, differs between them.
+
+    Parameters
+    ----------
+    surface : SearchedTexels
+        Texels of the paint, without the errors of their photographs.
+    place : (2,) float64
+        log β and log μ of the paint.
+    varying, excess
+        As in `SeparateGloss`.
+
+    Returns
+    -------
+    varying, scatter : (2, 2) float64
+        As in `PaintGloss`.
+    """
+    nothing = _LEAST_VARYING * np.eye(2)
+    if np.trace(varying) <= 2.0 * np.trace(nothing):
+        return varying, np.zeros((2, 2))
+    share = _share_in_halves(surface, place, varying, excess)
+    return share * varying + (1.0 - share) * nothing, (1.0 - share) * varying
 
 
 def separate_gloss(surface: SearchedTexels, nodes: np.ndarray) -> SeparateGloss | None:
@@ -219,15 +290,17 @@ def share(surface: SearchedTexels, gloss: PaintGloss) -> TexelGloss:
     own = np.tile(place, (count, 1))
     for _ in range(3):
         part = sums.parts(surface, own)
-        slope, normal = (one / gloss.excess for one in matrices(part))
-        pull = slope - (own - place) @ precision
-        step = np.einsum("tij,tj->ti", _inverse(normal + precision), pull)
+        slope, normal = matrices(part)
+        weight = _inverse(gloss.excess * np.eye(2) + normal @ gloss.scatter)
+        pull = np.einsum("tij,tj->ti", weight, slope) - (own - place) @ precision
+        step = np.einsum("tij,tj->ti", _inverse(weight @ normal + precision), pull)
         own = own + np.clip(step, -_LONGEST, _LONGEST)
         if np.abs(step).max(initial=0.0) < _CLOSE:
             break
     part = sums.parts(surface, own)
-    _, normal = matrices(part)
-    after = _inverse(normal / gloss.excess + precision)
+    slope, normal = matrices(part)
+    weight = _inverse(gloss.excess * np.eye(2) + normal @ gloss.scatter)
+    after = _inverse(weight @ normal + precision)
     kept = after @ precision  # share of an error of the paint's gloss that remains in the texel's gloss
     covariance = after + kept @ gloss.error @ np.swapaxes(kept, 1, 2)
     rules = surface.rules
@@ -236,10 +309,12 @@ def share(surface: SearchedTexels, gloss: PaintGloss) -> TexelGloss:
         variance = gloss.excess / part[:, sums.ALPHA_WEIGHT] + np.einsum("ti,tij,tj->t", by, covariance, by)
         alpha, used = part[:, sums.ALPHA], part[:, sums.USED]
         free = np.maximum(used - 1.0, 1.0)
-        misfit = part[:, sums.SQUARES] / max(gloss.excess, 1.0)
+        # Without what the scatter of gloss explains of the residuals.
+        squares = part[:, sums.SQUARES] - np.einsum("ti,ij,tjk,tk->t", slope, gloss.scatter, weight, slope)
+        misfit = squares / max(gloss.excess, 1.0)
         agrees = (used > 0.0) & np.isfinite(alpha) & (misfit <= free + 5.0 * np.sqrt(2.0 * free))
         # A mixture of paints has neither's gloss: its residuals tell how far the parameters may be off.
-        larger = np.where(agrees, 1.0, np.maximum(part[:, sums.SQUARES] / free / gloss.excess, 1.0))
+        larger = np.where(agrees, 1.0, np.maximum(squares / free / gloss.excess, 1.0))
         variance, covariance = larger * variance, larger[:, None, None] * covariance
         beta, mu = np.exp(own).T
         return TexelGloss(

@@ -178,7 +178,8 @@ def share_gloss(
 
     With one lobe there are further datasets with one entry for each paint: ``/paints/log_gloss``, log β and log μ, NaN
     if unknown; ``/paints/error``, the covariance of their errors; ``/paints/varying``, the covariance of the texels'
-    log β and log μ about them; ``/paints/excess``, the factor on the variance of observations; ``/paints/texels``, the
+    log β and log μ about them; ``/paints/scatter``, the covariance of what photographs tell about a texel's, beyond
+    noise; ``/paints/excess``, the factor on the variance of observations; ``/paints/texels``, the
     number of texels in the fit. The attribute ``mirror_weight`` is a `MirrorWeight`.
     """
     options = for_object(options, observations, levels)
@@ -277,7 +278,7 @@ def _share_tile(tile: Tile, maps: dict[str, np.ndarray], paints: Paints, width: 
 
 def _write_paints(out: store.Writer, paints: Paints) -> None:
     unknown = np.full((2, 2), np.nan)
-    nothing = PaintGloss(unknown[0], unknown, unknown, math.nan, 0)
+    nothing = PaintGloss(unknown[0], unknown, unknown, math.nan, 0, unknown)
     gloss, pairs = [one or nothing for one in paints.gloss], "paint_number,parameter,other_parameter"
     out.coordinate(
         "paint_number", np.arange(len(gloss)), units="1", quantity="number of the paint, as in the map paint"
@@ -288,6 +289,7 @@ def _write_paints(out: store.Writer, paints: Paints) -> None:
         ("log_gloss", (2,), "paint_number,parameter", "logarithms of beta and mu"),
         ("error", (2, 2), pairs, "their covariance"),
         ("varying", (2, 2), pairs, "covariance of the texels' about them"),
+        ("scatter", (2, 2), pairs, "covariance of what a texel's photographs tell about them, beyond noise"),
         ("excess", (), "paint_number", "factor of the variance of observations"),
         ("texels", (), "paint_number", "texels that the gloss comes from"),
     ):
