@@ -12,7 +12,8 @@ directions, and how well all candidates fit that half and predict the other, for
 outliers of the laboratory begin.
 
 ``--halves`` simulates surfaces with 16 to 64 photographs, half of them within 25° of the mirror direction, with the
-noise of a camera. Two disjoint halves of the photographs are fitted, and if both have the status OK, they are compared.
+noise of a camera. Two disjoint halves of the photographs are fitted, and if both have the status OK, they are compared;
+each surface alone, and many of one wavelength as texels of one paint.
 
 Values above 20 sr⁻¹ are considered outliers, left out and counted; the figures with them are printed too.
 
@@ -32,8 +33,12 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import least_squares, minimize_scalar
 
+from irodori.fitting import gloss_sums
+from irodori.fitting.joint_gloss import gloss_of_paints
 from irodori.fitting.lobe_choice import candidates, choose, predicted
-from irodori.fitting.solvers import FitOptions, FitResult, fit
+from irodori.fitting.paint_gloss import share
+from irodori.fitting.paints import MOST_TEXELS
+from irodori.fitting.solvers import FitOptions, FitResult, fit, problem_of
 from irodori.fitting.texel_sample import Readings
 from irodori.material.material_file import Status
 from irodori.reflection.coat import COATS
@@ -55,6 +60,10 @@ _STEEPEST_DEG = 70.0
 _SEEN_TO_DEG, _NEAR_DEG, _CAMERA = 75.0, 25.0, (1e-6, 1e-5)
 _SURFACES, _SEED = 1500, 2
 _VISIBLE_UM = (0.4, 0.7)
+_HALVES = slice(0, None, 2), slice(1, None, 2)
+_PAINTS_NM, _DRAWS = (450.0, 550.0, 650.0), 4
+CALLED_OK = (Status.OK, Status.PAINT)
+_COMPARED = ("status", "alpha", "beta", "mu", "alpha_error", "beta_error", "mu_error")
 
 
 class Measured(NamedTuple):
@@ -286,12 +295,12 @@ def _off(sample: Readings, result: FitResult, fitted: Readings, options: FitOpti
     return relative_rms, float(np.median(np.abs(off) / np.maximum(sample.response, np.finfo(float).tiny)))
 
 
-def halves(name: str, lobe: str, photographs: int, surfaces: int, seed: int, folder: Path = DATA) -> dict[str, float]:
-    """Return the share of surfaces with status OK in both halves of the photographs, and how many of these agree.
+def _surfaces(name: str, photographs: int, surfaces: int, rng, folder: Path, wavelength_nm: float | None = None):
+    """Return simulated responses and angles of surfaces of a material, (surfaces, photographs) and the same by 4.
 
-    For each parameter, halves agree if they differ by less than two standard errors of the difference.
+    Each surface has one of the measured wavelengths, or all the one nearest to ``wavelength_nm``.
     """
-    (measured, *_), rng = read(name, folder), np.random.default_rng(seed)
+    measured, *_ = read(name, folder)
     kept = measured.trusted.all(axis=0) & (measured.geometry[:, :2] < np.radians(_SEEN_TO_DEG)).all(axis=1)
     every, near = np.flatnonzero(kept), np.flatnonzero(kept & (measured.geometry[:, 3] < np.radians(_NEAR_DEG)))
     chosen = np.empty((surfaces, photographs), dtype=int)
@@ -300,23 +309,69 @@ def halves(name: str, lobe: str, photographs: int, surfaces: int, seed: int, fol
         rest = np.setdiff1d(every, row[: photographs // 2])
         row[photographs // 2 :] = rng.choice(rest, photographs - photographs // 2, replace=False)
         rng.shuffle(row)
-    clean = measured.response[rng.integers(len(measured.wavelength_nm), size=(surfaces, 1)), chosen]
+    band = rng.integers(len(measured.wavelength_nm), size=(surfaces, 1))
+    if wavelength_nm is not None:
+        band = np.argmin(np.abs(measured.wavelength_nm - wavelength_nm))
+    clean = measured.response[band, chosen]
     response = clean + np.sqrt(_CAMERA[0] + _CAMERA[1] * np.abs(clean)) * rng.normal(size=clean.shape)
-    response = response.astype(np.float32)
-    noise, options = np.tile(_CAMERA, (photographs // 2, 1)), FitOptions(lobes=(lobe,))
-    one, other = (
-        fit(response[:, half], measured.geometry[chosen[:, half]], np.ones(response[:, half].shape), N, K, options,
-            noise=noise)
-        for half in (slice(0, None, 2), slice(1, None, 2))
-    )  # fmt: skip
-    both = (one.status == Status.OK) & (other.status == Status.OK)
+    return response.astype(np.float32), measured.geometry[chosen]
+
+
+def _agreement(one: dict, other: dict) -> dict[str, float]:
+    """Return the share of surfaces that are OK in both halves, and how many of these agree within 2σ.
+
+    Both have status, parameters and their standard errors by name.
+    """
+    both = np.isin(one["status"], CALLED_OK) & np.isin(other["status"], CALLED_OK)
     out = {"ok": float(both.mean())}
-    for parameter in ("alpha", "beta", "mu"):
-        apart = getattr(one, parameter)[both] - getattr(other, parameter)[both]
-        error = np.hypot(*(getattr(half, f"{parameter}_error")[both] for half in (one, other)))
+    for name in ("alpha", "beta", "mu"):
+        apart = one[name][both] - other[name][both]
+        error = np.hypot(one[f"{name}_error"][both], other[f"{name}_error"][both])
         told = np.isfinite(error)
-        out[parameter] = float(np.mean(np.abs(apart[told]) < 2.0 * error[told])) if told.any() else math.nan
+        out[name] = float(np.mean(np.abs(apart[told]) < 2.0 * error[told])) if told.any() else math.nan
     return out
+
+
+def halves(name: str, lobe: str, photographs: int, surfaces: int, seed: int, folder: Path = DATA) -> dict[str, float]:
+    """Return the share of surfaces with status OK in both halves of the photographs, and how many of these agree.
+
+    For each parameter, halves agree if they differ by less than two standard errors of the difference.
+    """
+    response, geometry = _surfaces(name, photographs, surfaces, np.random.default_rng(seed), folder)
+    noise, options = np.tile(_CAMERA, (photographs // 2, 1)), FitOptions(lobes=(lobe,))
+    return _agreement(
+        *(
+            vars(
+                fit(response[:, half], geometry[:, half], np.ones(response[:, half].shape), N, K, options, noise=noise)
+            )
+            for half in _HALVES
+        )
+    )
+
+
+def halves_of_paint(
+    name: str, lobe: str, photographs: int, wavelength_nm: float, seed: int, folder: Path = DATA
+) -> dict[str, float]:
+    """Return the same as `halves` for the texels of one paint, which are fitted with the paint's gloss.
+
+    Texels that contradict it keep their own fit. The halves share the light level, so its error is left out.
+    """
+    rng = np.random.default_rng(seed)
+    response, geometry = _surfaces(name, photographs, MOST_TEXELS, rng, folder, wavelength_nm)
+    noise, options = np.tile(_CAMERA, (photographs // 2, 1)), FitOptions(lobes=(lobe,), level_error=0.0)
+    fits = []
+    for half in _HALVES:
+        weight, index = np.ones(response[:, half].shape), np.full(len(response), N)
+        own = vars(fit(response[:, half], geometry[:, half], weight, N, K, options, noise=noise))
+        surface = gloss_sums.pack(
+            *problem_of(response[:, half], geometry[:, half], weight, index, K, options, noise=noise)
+        )
+        (gloss,), _ = gloss_of_paints([surface], options.nodes())
+        if gloss is not None:
+            shared = share(surface, gloss)
+            own = {key: np.where(shared.agrees, getattr(shared, key, Status.PAINT), own[key]) for key in _COMPARED}
+        fits.append(own)
+    return _agreement(*fits)
 
 
 def main() -> None:
@@ -350,6 +405,12 @@ def main() -> None:
             found = halves(name, lobe, count, _SURFACES, _SEED, arguments.data)
             text = "{:>22} {:>9} {:>3} photographs: both OK {ok:.3f}; agree α {alpha:.2f}, β {beta:.2f}, μ {mu:.2f}"
             print(text.format(name, lobe, count, **found))
+            draws = [
+                halves_of_paint(name, lobe, count, wavelength, _SEED + draw, arguments.data)
+                for wavelength, draw in product(_PAINTS_NM, range(_DRAWS))
+            ]
+            mean = {key: np.nanmean([draw[key] for draw in draws]) for key in draws[0]}
+            print(text.replace("photographs:", "photographs, by paint:").format(name, lobe, count, **mean))
     if arguments.lobes:
         for row in (row for name in MATERIALS for row in choices(name, arguments.data)):
             print(

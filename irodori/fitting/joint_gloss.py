@@ -9,6 +9,7 @@ photographs (empirical Bayes).
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +20,8 @@ from irodori.fitting.gloss_sums import SHARED, VEIL, SearchedTexels
 from irodori.fitting.judge import MAX_RELATIVE_ERROR
 from irodori.fitting.paint_gloss import PaintGloss, SeparateGloss, confirmed_variation, matrices, separate_gloss
 
+#: What is left out of the fit where photographs contradict the gloss of paints; see `Contradiction`.
+HIGHLIGHTS, PHOTOGRAPH, NOTHING = "highlights", "photograph", "nothing"
 _STEPS = 40
 _SETTLED = 1e-5  # change of log β and log μ that ends the search
 _STEADY = 0.02  # change of the logarithm of the veil's size that does, too
@@ -28,10 +31,35 @@ _LEAST_VEIL = 1e-3  # smallest size, of the first
 _TOLD = 0.5  # number of photographs that tell their veil below which its size stays
 _CONTRADICTED = 4.0  # standard deviations of χ² beyond which the errors of photographs are larger than expected
 _BRIGHTEST = 0.25  # share of a paint's readings that is left out where highlights seem to clip
+_PEAKS = 0.03  # share of the brightest of them
 _AROUND, _NODES = 1.0, 33  # largest change of log μ that is tried without them, and number of values
+_SEPARATE = 1e-10  # relative determinant below which β and μ cannot be separated
 _NUDGE = 1e-3  # change of log β or log μ for numerical derivatives
 _FLATTEST = 0.1  # smallest curvature of the sum of squares that is believed, relative to the normal matrix
 _LEAST_PHOTOGRAPHS = 4  # fewest photographs for a jackknife
+
+
+@dataclass(frozen=True)
+class Contradiction:
+    """Photographs whose errors of level and angles, as the gloss of paints tells them, are larger than expected.
+
+    Parameters
+    ----------
+    times : float
+        Errors found, in those expected (root mean square).
+    left_out : str
+        What is not part of the fit because of it, `HIGHLIGHTS`, `PHOTOGRAPH` or `NOTHING`.
+    photograph : int
+        Number of the photograph that contradicts most, from 0.
+    """
+
+    times: float
+    left_out: str
+    photograph: int
+
+    def told(self, captures: Sequence[str]) -> dict:
+        """Return the fields by name, with the name of the photograph among those of all."""
+        return {"times": self.times, "left_out": self.left_out, "photograph": captures[self.photograph]}
 
 
 class _Solution(NamedTuple):
@@ -120,8 +148,9 @@ def _refitted(paints: list[SeparateGloss], surfaces: list[SearchedTexels]) -> li
 def _are_too_dark(paints: list[SeparateGloss], dimmer: list[SeparateGloss], joint: _Solution) -> bool:
     """Return whether the readings that were left out are darker than the others say, as where they clip.
 
-    If the lobe has another form than the fitted one, such as a longer tail, they are too bright. The errors of
-    photographs, which the other readings tell, are subtracted.
+    If the lobe has another form than the fitted one, such as a longer tail, they are too bright, or at least the
+    brightest of them: of two lobes, only the wider is seen without them. The errors of photographs, which the other
+    readings tell, are subtracted.
 
     Parameters
     ----------
@@ -133,14 +162,15 @@ def _are_too_dark(paints: list[SeparateGloss], dimmer: list[SeparateGloss], join
     gains = [0.0]
     for paint, kept, place in zip(paints, dimmer, joint.log_gloss, strict=True):
         whole = paint.surface._replace(blocks=sums.without_errors(paint.surface, place, joint.errors, joint.veil))
-        few = sums.without_brightest(whole, paint.log_gloss, _BRIGHTEST)
-        gain, error = sums.left_out_gain(whole, few, place)
-        if kept is not paint and abs(gain) > _CONTRADICTED * error * np.sqrt(max(kept.excess, 1.0)):
-            gains.append(gain)
+        for left_out in (_BRIGHTEST, _PEAKS) if kept is not paint else ():
+            few = sums.without_brightest(whole, paint.log_gloss, left_out)
+            gain, error = sums.left_out_gain(whole, few, place)
+            if abs(gain) > _CONTRADICTED * error * np.sqrt(max(kept.excess, 1.0)):
+                gains.append(gain)
     return -min(gains) > max(gains)
 
 
-def _consistent(paints: list[SeparateGloss]) -> tuple[list[SeparateGloss], _Solution]:
+def _consistent(paints: list[SeparateGloss]) -> tuple[list[SeparateGloss], _Solution, Contradiction | None]:
     """Return paints and their joint solution, without those readings that seem to contradict all others.
 
     A photograph with a wrong pose has errors far larger than expected. Highlights that clip without a flag look like
@@ -149,24 +179,18 @@ def _consistent(paints: list[SeparateGloss]) -> tuple[list[SeparateGloss], _Solu
     """
     joint = _joint(paints)
     if joint.excess == 1.0:
-        return paints, joint
+        return paints, joint, None
     worst = int(np.argmax(np.sum(np.delete(joint.errors, VEIL, axis=1) ** 2, axis=1)))
-    found = f"photographs contradict the gloss of paints by {np.sqrt(joint.excess):.1f} times the expected errors"
-    named = f"photograph {worst + 1} of {len(joint.errors)}"
+    times = float(np.sqrt(joint.excess))
     dimmer = _refitted(paints, [sums.without_brightest(paint.surface, paint.log_gloss, _BRIGHTEST) for paint in paints])
     other = _joint(dimmer)
     if other.excess == 1.0 and _are_too_dark(paints, dimmer, other):
-        LOGGER.warning("%s, but not without highlights, which perhaps clip without a flag and are not fitted", found)
-        return dimmer, other
+        return dimmer, other, Contradiction(times, HIGHLIGHTS, worst)
     others = _refitted(paints, [sums.without_photograph(paint.surface, worst) for paint in paints])
     other = _joint(others)
     if other.excess == 1.0:
-        LOGGER.warning("%s, but not without %s, whose pose is perhaps wrong and which is not fitted", found, named)
-        return others, other
-    LOGGER.warning(
-        "%s, most of all %s; perhaps the lobe has another form; the errors of gloss are larger", found, named
-    )
-    return paints, joint
+        return others, other, Contradiction(times, PHOTOGRAPH, worst)
+    return paints, joint, Contradiction(times, NOTHING, worst)
 
 
 def _stretch(surface: SearchedTexels, place: np.ndarray, normal: np.ndarray) -> np.ndarray:
@@ -220,6 +244,8 @@ def _with_error(paint: SeparateGloss, place, covariance, errors, veil: float) ->
     surface = surface._replace(blocks=sums.without_errors(surface, place, errors, veil))
     slope, normal = matrices(sums.parts(surface, np.tile(place, (len(surface.blocks), 1))))
     total = normal.sum(axis=0)
+    if not np.linalg.det(total) > _SEPARATE * total[0, 0] * total[1, 1]:
+        return None
     inverse, stretch = np.linalg.inv(total), _stretch(surface, place, total)
     varying, scatter = confirmed_variation(surface, place, paint.varying, paint.excess)
     spread = inverse @ np.einsum("tij,jk,tkl->il", normal, varying + scatter, normal) @ inverse
@@ -232,7 +258,7 @@ def _with_error(paint: SeparateGloss, place, covariance, errors, veil: float) ->
 
 def gloss_of_paints(
     surfaces: Sequence[SearchedTexels | None], nodes: np.ndarray, *, checked: bool = True
-) -> list[PaintGloss | None]:
+) -> tuple[list[PaintGloss | None], Contradiction | None]:
     """Fit the gloss of all paints of an object.
 
     Parameters
@@ -247,14 +273,16 @@ def gloss_of_paints(
 
     Returns
     -------
-    list of PaintGloss or None
+    gloss : list of PaintGloss or None
         None for a paint whose texels show no gloss, or do not determine it.
+    contradiction : Contradiction or None
+        None if there is none, or if it was not searched for.
     """
     found = [None if surface is None else separate_gloss(surface, nodes) for surface in surfaces]
     paints = [paint for paint in found if paint is not None]
     if not paints:
-        return [None] * len(found)
-    paints, joint = _consistent(paints) if checked else (paints, _joint(paints))
+        return [None] * len(found), None
+    paints, joint, contradiction = _consistent(paints) if checked else (paints, _joint(paints), None)
     covariances = (joint.covariance[first : first + 2, first : first + 2] for first in range(0, 2 * len(paints), 2))
     glosses = iter(
         [
@@ -262,4 +290,4 @@ def gloss_of_paints(
             for paint, place, covariance in zip(paints, joint.log_gloss, covariances, strict=True)
         ]
     )
-    return [None if paint is None else next(glosses) for paint in found]
+    return [None if paint is None else next(glosses) for paint in found], contradiction

@@ -79,11 +79,8 @@ def fit_one_gloss(response, geometry, weight, options: FitOptions, n: float, k: 
     )  # fmt: skip
     told = np.flatnonzero((weight > 0.0).sum(axis=1) > 3)
     chosen = told[:: max(1, len(told) // _MOST)]
-    (gloss,) = (
-        gloss_of_paints([surface._replace(blocks=surface.blocks[chosen])], options.nodes(), checked=False)
-        if len(chosen)
-        else [None]
-    )
+    some = surface._replace(blocks=surface.blocks[chosen])
+    (gloss,), _ = gloss_of_paints([some if len(chosen) else None], options.nodes(), checked=False)
     if gloss is None:
         return matt(response, geometry, weight, lobe, n, k)
     own = share(surface, gloss)

@@ -24,6 +24,7 @@ _FIRST, _ANY = 0.1**2, 0.5**2  # initial variance of log β and log μ, and a va
 _LEAST_FREE = 0.5  # fewest degrees of freedom of a texel to compare its misfit
 _LEAST_VARYING = 1e-8  # smallest variance of log β and log μ: a standard deviation of 0.01 %
 _DIVISIONS = 8  # ways in which photographs are divided into halves
+_OPEN = 1e-6  # relative singular value below which halves do not tell a direction
 _MISSED = 2.0  # standard errors by which halves must show less than the whole of a variation to contradict it
 
 
@@ -177,37 +178,42 @@ def _is_told(part: np.ndarray, varying: np.ndarray, excess: float) -> bool:
 
 
 def _without_half(surface: SearchedTexels, place: np.ndarray, half: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return gradients and normal matrices without a half of the photographs, at the best common gloss of the others."""
+    """Return gradients and normal matrices without a half of the photographs, about the best gloss for the others."""
     blocks = surface.blocks.copy()
     blocks[:, sums.READING_WEIGHT, half] = 0.0
     slope, normal = matrices(sums.parts(surface._replace(blocks=blocks), np.tile(place, (len(blocks), 1))))
     return slope - normal @ np.linalg.lstsq(normal.sum(axis=0), slope.sum(axis=0), rcond=None)[0], normal
 
 
-def _share_in_halves(surface: SearchedTexels, place: np.ndarray, varying: np.ndarray, excess: float) -> float:
-    """Return which part of a variation of gloss among texels both halves of the photographs show, 0 to 1.
+def _share_in_halves(surface: SearchedTexels, place: np.ndarray, root: np.ndarray, excess: float) -> np.ndarray:
+    """Return which part of a variation of gloss among texels both halves of the photographs show, (2, 2).
 
-    It is 1 unless less is significant. The covariance of what the two halves tell about a texel's difference from its
-    paint is compared with the expected one, for several divisions into halves.
+    What the halves tell about a texel's difference from its paint is compared, for several divisions into halves. The
+    covariance of the two is that of the real differences, as far as each half determines them. The result is in the
+    space where the variation is a unit matrix, ``root`` being its root; its eigenvalues are 1 unless less is
+    significant.
     """
-    precision, count = np.linalg.inv(varying), surface.blocks.shape[2]
-    seen, expected, draws = np.zeros(len(surface.blocks)), np.zeros(len(surface.blocks)), np.random.default_rng(0)
+    count, draws, products, linear = surface.blocks.shape[2], np.random.default_rng(0), [], []
     for _ in range(_DIVISIONS):
         half = draws.permutation(count) < count // 2
         told = []
         for slope, normal in (_without_half(surface, place, half), _without_half(surface, place, ~half)):
-            after = _inverse(normal / excess + precision)
-            own = np.einsum("tij,tj->ti", after, slope) / excess
-            told.append((own - own.mean(axis=0), after @ normal / excess))
+            slope, normal = slope @ root / excess, root.T @ normal @ root / excess
+            after = _inverse(normal + np.eye(2))
+            own = np.einsum("tij,tj->ti", after, slope)
+            told.append((own - own.mean(axis=0), after @ normal))
         (one, first), (other, second) = told
-        seen += np.einsum("ti,ij,tj->t", one, precision, other)
-        expected += np.einsum("ij,tjk,kl,til->t", precision, first, varying, second)
-    total = float(expected.sum())
-    if not total > 0.0:
-        return 1.0
-    share = float(seen.sum()) / total
-    error = float(np.sqrt(np.sum((seen - share * expected) ** 2))) / total
-    return max(share, 0.0) if share + _MISSED * error < 1.0 else 1.0
+        products.append(np.einsum("ti,tj->tij", one, other).reshape(-1, 4))
+        linear.append(np.einsum("tik,tjl->tijkl", first, second).reshape(-1, 4, 4))
+    product, each = np.mean(products, axis=0), np.mean(linear, axis=0)
+    inverse = np.linalg.pinv(each.sum(axis=0), rcond=_OPEN)
+    share = inverse @ product.sum(axis=0)
+    off = (product - each @ share) @ inverse.T
+    share = share.reshape(2, 2)
+    size, axes = np.linalg.eigh(0.5 * (share + share.T))
+    error = np.sqrt(np.sum((np.einsum("ik,tij,jk->tk", axes, off.reshape(-1, 2, 2), axes)) ** 2, axis=0))
+    size = np.where(size + _MISSED * error < 1.0, np.maximum(size, 0.0), 1.0)
+    return axes * size @ axes.T
 
 
 def confirmed_variation(
@@ -235,8 +241,9 @@ def confirmed_variation(
     nothing = _LEAST_VARYING * np.eye(2)
     if np.trace(varying) <= 2.0 * np.trace(nothing):
         return varying, np.zeros((2, 2))
-    share = _share_in_halves(surface, place, varying, excess)
-    return share * varying + (1.0 - share) * nothing, (1.0 - share) * varying
+    root = np.linalg.cholesky(varying)
+    real = root @ _share_in_halves(surface, place, root, excess) @ root.T
+    return real + nothing, varying - real
 
 
 def separate_gloss(surface: SearchedTexels, nodes: np.ndarray) -> SeparateGloss | None:

@@ -15,6 +15,7 @@ import numpy as np
 from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER
+from irodori.fitting.joint_gloss import HIGHLIGHTS, NOTHING, PHOTOGRAPH
 from irodori.fitting.mirror_image import MirrorImages, without_images
 from irodori.fitting.paint_colours import MOST_CORES, Colours, cores, find_colours, noise_floor
 from irodori.fitting.paint_gloss import PaintGloss
@@ -49,6 +50,14 @@ from irodori.spectra.coordinates import require_bands, write_bands
 
 Result = TypeVar("Result")
 _RESPONSE = "diffuse_response", "diffuse_variance"
+_CONTRADICTED = "photographs contradict the gloss of paints by %.1f times the expected errors, "
+#: Warnings about a `Contradiction`, with its size and its photograph.
+_WARNINGS = {
+    HIGHLIGHTS: _CONTRADICTED
+    + "most of all %s, but not without highlights, which perhaps clip without a flag and are not fitted",
+    PHOTOGRAPH: _CONTRADICTED + "but not without %s, whose pose is perhaps wrong and which is not fitted",
+    NOTHING: _CONTRADICTED + "most of all %s; perhaps the lobe has another form; the errors of gloss are larger",
+}
 _OWN = 0.5  # smallest share of a texel's own information on its gloss with which it keeps the status OK
 
 
@@ -180,7 +189,8 @@ def share_gloss(
     if unknown; ``/paints/error``, the covariance of their errors; ``/paints/varying``, the covariance of the texels'
     log β and log μ about them; ``/paints/scatter``, the covariance of what photographs tell about a texel's, beyond
     noise; ``/paints/excess``, the factor on the variance of observations; ``/paints/texels``, the
-    number of texels in the fit. The attribute ``mirror_weight`` is a `MirrorWeight`.
+    number of texels in the fit. The attribute ``mirror_weight`` is a `MirrorWeight`; ``gloss_contradiction`` is what
+    `Contradiction.told` returns, or empty.
     """
     options = for_object(options, observations, levels)
     pieces, (attributes, bands) = _pieces(observations, tiles), _carried(tiles)
@@ -231,8 +241,15 @@ def share_gloss(
         out.attribute("common_error", options.level_error)
         out.attribute("angle_errors", options.angles.plain())
         out.attribute("mirror_weight", images.measured().plain())
+        contradiction = {}
+        if paints and paints.contradiction:
+            with store.open_file(observations[0]) as file:
+                contradiction = paints.contradiction.told(file.read("capture").astype(str).tolist())
+        out.attribute("gloss_contradiction", contradiction)
     if paints:
         _log(paints, shared)
+        if contradiction:
+            LOGGER.warning(_WARNINGS[contradiction["left_out"]], contradiction["times"], contradiction["photograph"])
     else:
         LOGGER.info("two lobes: every texel keeps gloss of its own")
 

@@ -19,7 +19,7 @@ import numpy as np
 from irodori.fitting import gloss_sums
 from irodori.fitting.band_fresnel import BandGloss
 from irodori.fitting.gloss_sums import SearchedTexels
-from irodori.fitting.joint_gloss import gloss_of_paints
+from irodori.fitting.joint_gloss import Contradiction, gloss_of_paints
 from irodori.fitting.paint_colours import NEAR, Colours
 from irodori.fitting.paint_gloss import PaintGloss, TexelGloss, share
 from irodori.fitting.solvers import FitOptions, problem_of
@@ -47,10 +47,13 @@ class Paints:
     colours : Colours
     gloss : list of PaintGloss or None
         Gloss of each paint; None if it shows none or does not determine it.
+    contradiction : Contradiction or None
+        Photographs that contradict the gloss of the paints.
     """
 
     colours: Colours
     gloss: list[PaintGloss | None]
+    contradiction: Contradiction | None
 
     @property
     def known(self) -> list[int]:
@@ -236,7 +239,7 @@ def _with_gloss(samples: list[Tile], labels: list[np.ndarray], colours: Colours,
         packed = [part.surface(optics) for part in parts if len(part.status)]
         blocks = np.concatenate([surface.blocks for surface in packed]) if packed else None
         surfaces.append(None if blocks is None else packed[0]._replace(blocks=blocks))
-    return Paints(colours, gloss_of_paints(surfaces, optics.options.nodes()))
+    return Paints(colours, *gloss_of_paints(surfaces, optics.options.nodes()))
 
 
 @dataclass(frozen=True)

@@ -206,7 +206,9 @@ def _searched(matt: UnknownShape, response, usable, lamps: Lamps) -> PaintGloss 
     matt = replace(matt, facets=fit_facets(response, usable, lamps.light))
     best, found = matt._loss(response, usable, lamps), None
     for beta, mu in product(_BETAS, _MUS):
-        gloss = PaintGloss(np.log([beta * typical, mu]), np.eye(2), np.zeros((2, 2)), 1.0, len(response), np.zeros((2, 2)))
+        gloss = PaintGloss(
+            np.log([beta * typical, mu]), np.eye(2), np.zeros((2, 2)), 1.0, len(response), np.zeros((2, 2))
+        )
         loss = replace(matt, gloss=gloss)._converged(response, usable, lamps)._loss(response, usable, lamps)
         if loss < best:
             best, found = loss, gloss

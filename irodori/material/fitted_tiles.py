@@ -57,6 +57,9 @@ class FittedTiles:
     mirror_weight : dict
         Measured weight of the mirror term, as `irodori.fitting.mirror_image.MirrorWeight.plain`; empty if the tiles do
         not state it.
+    gloss_contradiction : dict
+        Photographs that contradict the gloss of paints, as `irodori.fitting.joint_gloss.Contradiction.told`; empty if
+        none do.
     angle_errors : dict
         Errors of the angles that the fit used, as `irodori.material.angle_errors.AngleErrors.plain`; empty if the tiles
         do not state them.
@@ -75,6 +78,7 @@ class FittedTiles:
         self.common_error = math.nan
         self.angle_errors: dict = {}
         self.mirror_weight: dict = {}
+        self.gloss_contradiction: dict = {}
         covered, tiles = np.zeros(height, dtype=int), []
         for path in paths:
             with store.open_file(path) as file:
@@ -96,6 +100,8 @@ class FittedTiles:
                     self.common_error = file.attribute("common_error", float)
                 if file.has_attribute("mirror_weight"):
                     self.mirror_weight = file.attribute("mirror_weight", dict)
+                if file.has_attribute("gloss_contradiction"):
+                    self.gloss_contradiction = file.attribute("gloss_contradiction", dict)
                 if file.has_attribute("angle_errors"):
                     self.angle_errors = file.attribute("angle_errors", dict)
                 whole = file.attribute("rows", list)

@@ -230,6 +230,7 @@ def compress_reflectance(
             "angle_errors": fitted.angle_errors or None,
             "lobe_choice": [asdict(one) for one in lobe_choice],
             "mirror": mirror,
+            "gloss_contradiction": fitted.gloss_contradiction,
         }
         if sheet is not None:
             errors["transmittance"] = gathered.transmittance(sheet)

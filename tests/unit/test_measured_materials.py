@@ -89,3 +89,14 @@ def test_halves_of_the_photographs_of_a_measured_paint_are_seldom_called_ok_and_
     # Equation (5) denies these paints, and says so.
     assert materials.halves(name, "gaussian", 16, 1500, seed=5)["ok"] < 0.02
     assert materials.halves(name, "gaussian", 64, 300, seed=5)["ok"] < 0.005
+
+
+@needs_data
+@pytest.mark.heavy
+@pytest.mark.parametrize("lobe", ["gaussian", "ggx"])
+@pytest.mark.parametrize("name", materials.CORNELL[1:])
+def test_halves_of_the_photographs_agree_on_the_texels_of_a_measured_paint(name, lobe):
+    found = [materials.halves_of_paint(name, lobe, photographs, 600.0, seed=50) for photographs in (16, 32)]
+    for parameter in ("alpha", "beta", "mu"):
+        assert np.mean([half[parameter] for half in found]) > 0.9, parameter
+    assert min(half["ok"] for half in found) > 0.6
