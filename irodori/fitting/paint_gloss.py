@@ -24,7 +24,8 @@ _FIRST, _ANY = 0.1**2, 0.5**2  # initial variance of log β and log μ, and a va
 _LEAST_FREE = 0.5  # fewest degrees of freedom of a texel to compare its misfit
 _LEAST_VARYING = 1e-8  # smallest variance of log β and log μ: a standard deviation of 0.01 %
 _DIVISIONS = 8  # ways in which photographs are divided into halves
-_OPEN = 1e-6  # relative singular value below which halves do not tell a direction
+_FEWEST = 50  # texels from which halves of photographs are compared: of fewer, chance decides
+_TELLING = 1e6  # condition number up to which halves tell both directions of a variation
 _MISSED = 2.0  # standard errors by which halves must show less than the whole of a variation to contradict it
 
 
@@ -206,7 +207,9 @@ def _share_in_halves(surface: SearchedTexels, place: np.ndarray, root: np.ndarra
         products.append(np.einsum("ti,tj->tij", one, other).reshape(-1, 4))
         linear.append(np.einsum("tik,tjl->tijkl", first, second).reshape(-1, 4, 4))
     product, each = np.mean(products, axis=0), np.mean(linear, axis=0)
-    inverse = np.linalg.pinv(each.sum(axis=0), rcond=_OPEN)
+    if not np.linalg.cond(each.sum(axis=0)) < _TELLING:
+        return np.eye(2)
+    inverse = np.linalg.inv(each.sum(axis=0))
     share = inverse @ product.sum(axis=0)
     off = (product - each @ share) @ inverse.T
     share = share.reshape(2, 2)
@@ -239,7 +242,7 @@ def confirmed_variation(
         As in `PaintGloss`.
     """
     nothing = _LEAST_VARYING * np.eye(2)
-    if np.trace(varying) <= 2.0 * np.trace(nothing):
+    if len(surface.blocks) < _FEWEST or np.trace(varying) <= 2.0 * np.trace(nothing):
         return varying, np.zeros((2, 2))
     root = np.linalg.cholesky(varying)
     real = root @ _share_in_halves(surface, place, root, excess) @ root.T
@@ -290,6 +293,19 @@ def separate_gloss(surface: SearchedTexels, nodes: np.ndarray) -> SeparateGloss 
     return SeparateGloss(surface, place, varying, float(excess))
 
 
+def _weighed(part: np.ndarray, gloss: PaintGloss) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return gradients and normal matrices divided by the variance of what they come from, noise and scatter.
+
+    The third array is the part of each texel's sum of squares that the scatter explains, (texels,).
+    """
+    slope, normal = matrices(part)
+    if not gloss.scatter.any():
+        return slope / gloss.excess, normal / gloss.excess, np.zeros(len(part))
+    weight = _inverse(gloss.excess * np.eye(2) + normal @ gloss.scatter)
+    weighed = np.einsum("tij,tj->ti", weight, slope)
+    return weighed, weight @ normal, np.einsum("ti,ij,tj->t", slope, gloss.scatter, weighed)
+
+
 def share(surface: SearchedTexels, gloss: PaintGloss) -> TexelGloss:
     """Fit the texels of a paint with the gloss of the paint as prior."""
     count, place = len(surface.blocks), gloss.log_gloss
@@ -297,17 +313,14 @@ def share(surface: SearchedTexels, gloss: PaintGloss) -> TexelGloss:
     own = np.tile(place, (count, 1))
     for _ in range(3):
         part = sums.parts(surface, own)
-        slope, normal = matrices(part)
-        weight = _inverse(gloss.excess * np.eye(2) + normal @ gloss.scatter)
-        pull = np.einsum("tij,tj->ti", weight, slope) - (own - place) @ precision
-        step = np.einsum("tij,tj->ti", _inverse(weight @ normal + precision), pull)
+        slope, normal, _ = _weighed(part, gloss)
+        step = np.einsum("tij,tj->ti", _inverse(normal + precision), slope - (own - place) @ precision)
         own = own + np.clip(step, -_LONGEST, _LONGEST)
         if np.abs(step).max(initial=0.0) < _CLOSE:
             break
     part = sums.parts(surface, own)
-    slope, normal = matrices(part)
-    weight = _inverse(gloss.excess * np.eye(2) + normal @ gloss.scatter)
-    after = _inverse(weight @ normal + precision)
+    _, normal, explained = _weighed(part, gloss)
+    after = _inverse(normal + precision)
     kept = after @ precision  # share of an error of the paint's gloss that remains in the texel's gloss
     covariance = after + kept @ gloss.error @ np.swapaxes(kept, 1, 2)
     rules = surface.rules
@@ -316,8 +329,7 @@ def share(surface: SearchedTexels, gloss: PaintGloss) -> TexelGloss:
         variance = gloss.excess / part[:, sums.ALPHA_WEIGHT] + np.einsum("ti,tij,tj->t", by, covariance, by)
         alpha, used = part[:, sums.ALPHA], part[:, sums.USED]
         free = np.maximum(used - 1.0, 1.0)
-        # Without what the scatter of gloss explains of the residuals.
-        squares = part[:, sums.SQUARES] - np.einsum("ti,ij,tjk,tk->t", slope, gloss.scatter, weight, slope)
+        squares = part[:, sums.SQUARES] - explained
         misfit = squares / max(gloss.excess, 1.0)
         agrees = (used > 0.0) & np.isfinite(alpha) & (misfit <= free + 5.0 * np.sqrt(2.0 * free))
         # A mixture of paints has neither's gloss: its residuals tell how far the parameters may be off.

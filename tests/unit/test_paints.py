@@ -14,6 +14,7 @@ from irodori.fitting import gloss_sums
 from irodori.fitting.band_fresnel import uniform
 from irodori.fitting.joint_gloss import HIGHLIGHTS, NOTHING, PHOTOGRAPH, gloss_of_paints
 from irodori.fitting.paint_colours import cores, find_colours, noise_floor
+from irodori.fitting.paint_gloss import confirmed_variation
 from irodori.fitting.paint_stage import share_gloss
 from irodori.fitting.paints import GlossModel, Tile, believed, find_paints, sample, share_by_paint
 from irodori.fitting.solvers import FitOptions, fit, problem_of
@@ -496,3 +497,15 @@ def test_gloss_that_varies_is_shown_by_both_halves_of_the_photographs():
     (gloss,), _ = gloss_of_paints([packed(slice(None))], nodes)
     assert np.sqrt(np.diag(gloss.varying)) == pytest.approx([0.2, 0.0], abs=0.01)
     assert np.sqrt(np.diag(gloss.scatter)).max() < 0.1
+
+
+def test_halves_that_cannot_tell_contradict_no_variation():
+    packed, _ = one_paint("gaussian", varying=0.2)
+    surface = packed(slice(None))
+    place, varying = np.log([8.0, 0.2]), np.diag([0.04, 0.01])
+    only_one = surface.blocks.copy()
+    only_one[:, gloss_sums.READING_WEIGHT, 1:] = 0.0
+    for blocks in (only_one, surface.blocks[:10]):
+        real, scatter = confirmed_variation(surface._replace(blocks=blocks), place, varying, 1.0)
+        np.testing.assert_allclose(real, varying, atol=1e-7)
+        np.testing.assert_allclose(scatter, 0.0, atol=1e-12)
