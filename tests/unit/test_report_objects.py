@@ -1,4 +1,4 @@
-"""What the report says of an object's fit."""
+"""Report on the fit of an object: photographs that contradict the gloss of its paints."""
 
 import pytest
 
