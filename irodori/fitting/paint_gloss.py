@@ -25,8 +25,8 @@ _LEAST_FREE = 0.5  # fewest degrees of freedom of a texel to compare its misfit
 _LEAST_VARYING = 1e-8  # smallest variance of log β and log μ: a standard deviation of 0.01 %
 _DIVISIONS = 8  # ways in which photographs are divided into halves
 _FEWEST = 50  # texels from which halves of photographs are compared: of fewer, chance decides
-_TELLING = 1e6  # condition number up to which halves tell both directions of a variation
-_MISSED = 2.0  # standard errors by which halves must show less than the whole of a variation to contradict it
+_UNTOLD = 1e-6  # relative size of what halves tell of a direction below which they do not tell it
+_MISSED = 3.0  # standard errors by which halves must show less than the whole of a variation to contradict it
 
 
 @dataclass(frozen=True)
@@ -207,10 +207,13 @@ def _share_in_halves(surface: SearchedTexels, place: np.ndarray, root: np.ndarra
         products.append(np.einsum("ti,tj->tij", one, other).reshape(-1, 4))
         linear.append(np.einsum("tik,tjl->tijkl", first, second).reshape(-1, 4, 4))
     product, each = np.mean(products, axis=0), np.mean(linear, axis=0)
-    if not np.linalg.cond(each.sum(axis=0)) < _TELLING:
+    # A direction that the halves do not tell keeps its share of 1.
+    total = each.sum(axis=0)
+    least = _UNTOLD * np.linalg.norm(total)
+    if not least > 0.0:
         return np.eye(2)
-    inverse = np.linalg.inv(each.sum(axis=0))
-    share = inverse @ product.sum(axis=0)
+    inverse = np.linalg.inv(total + least * np.eye(4))
+    share = inverse @ (product.sum(axis=0) + least * np.eye(2).ravel())
     off = (product - each @ share) @ inverse.T
     share = share.reshape(2, 2)
     size, axes = np.linalg.eigh(0.5 * (share + share.T))
@@ -245,7 +248,10 @@ def confirmed_variation(
     if len(surface.blocks) < _FEWEST or np.trace(varying) <= 2.0 * np.trace(nothing):
         return varying, np.zeros((2, 2))
     root = np.linalg.cholesky(varying)
-    real = root @ _share_in_halves(surface, place, root, excess) @ root.T
+    share = _share_in_halves(surface, place, root, excess)
+    if np.allclose(share, np.eye(2), rtol=0.0, atol=1e-9):
+        return varying, np.zeros((2, 2))
+    real = root @ share @ root.T
     return real + nothing, varying - real
 
 
@@ -326,7 +332,9 @@ def share(surface: SearchedTexels, gloss: PaintGloss) -> TexelGloss:
     rules = surface.rules
     with np.errstate(invalid="ignore", divide="ignore"):
         by = part[:, [sums.ALPHA_BY_BETA, sums.ALPHA_BY_MU]]
-        variance = gloss.excess / part[:, sums.ALPHA_WEIGHT] + np.einsum("ti,tij,tj->t", by, covariance, by)
+        variance = gloss.excess / part[:, sums.ALPHA_WEIGHT] + np.einsum(
+            "ti,tij,tj->t", by, covariance + gloss.scatter, by
+        )
         alpha, used = part[:, sums.ALPHA], part[:, sums.USED]
         free = np.maximum(used - 1.0, 1.0)
         squares = part[:, sums.SQUARES] - explained

@@ -56,7 +56,8 @@ _WARNINGS = {
     HIGHLIGHTS: _CONTRADICTED
     + "most of all %s, but not without highlights, which perhaps clip without a flag and are not fitted",
     PHOTOGRAPH: _CONTRADICTED + "but not without %s, whose pose is perhaps wrong and which is not fitted",
-    NOTHING: _CONTRADICTED + "most of all %s; perhaps the lobe has another form; the errors of gloss are larger",
+    NOTHING: _CONTRADICTED
+    + "most of all %s; perhaps gloss varies within a paint, or the lobe has another form; its errors are larger",
 }
 _OWN = 0.5  # smallest share of a texel's own information on its gloss with which it keeps the status OK
 

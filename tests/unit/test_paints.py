@@ -1,5 +1,6 @@
 """Gloss by paint: paints are found from colours, their gloss from all texels, and a texel keeps what is its own."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -14,7 +15,7 @@ from irodori.fitting import gloss_sums
 from irodori.fitting.band_fresnel import uniform
 from irodori.fitting.joint_gloss import HIGHLIGHTS, NOTHING, PHOTOGRAPH, gloss_of_paints
 from irodori.fitting.paint_colours import cores, find_colours, noise_floor
-from irodori.fitting.paint_gloss import confirmed_variation
+from irodori.fitting.paint_gloss import PaintGloss, confirmed_variation, share
 from irodori.fitting.paint_stage import share_gloss
 from irodori.fitting.paints import GlossModel, Tile, believed, find_paints, sample, share_by_paint
 from irodori.fitting.solvers import FitOptions, fit, problem_of
@@ -461,7 +462,10 @@ def test_whatever_the_data_gloss_by_paint_is_finite(response, weight):
 
 
 def one_paint(lobe, varying=0.0, texels=500, poses=24, seed=4):
-    """Surfaces of one gloss in photographs of their own angles, half of them near the mirror direction, packed."""
+    """Surfaces in photographs of their own angles, half of them near the mirror direction: packed, and their α.
+
+    ``varying`` is the standard deviation of log β.
+    """
     rng = np.random.default_rng(seed)
     incidence, azimuth, around = rng.uniform(0.1, 1.1, (3, texels, poses)) * np.array([1, 6, 6]).reshape(3, 1, 1)
     away = np.where(np.arange(poses) // 2 % 2, 0.35, 1.0) * rng.uniform(0.0, 1.0, incidence.shape)
@@ -478,12 +482,12 @@ def one_paint(lobe, varying=0.0, texels=500, poses=24, seed=4):
         seen = response[:, chosen], geometry[:, chosen], np.ones_like(response[:, chosen]), np.full(texels, N), K
         return gloss_sums.pack(*problem_of(*seen, options, noise=np.tile(CAMERA, (seen[0].shape[1], 1))))
 
-    return packed, options.nodes()
+    return packed, options.nodes(), alpha[:, 0]
 
 
 @pytest.mark.stability(stage="fit", case="a lobe of another form, taken for gloss that varies")
 def test_a_lobe_of_another_form_is_no_gloss_that_varies_from_texel_to_texel():
-    packed, nodes = one_paint("ggx")
+    packed, nodes, _ = one_paint("ggx")
     first, second = (gloss_of_paints([packed(slice(start, None, 2))], nodes)[0][0] for start in (0, 1))
     for gloss in (first, second):
         assert np.trace(gloss.scatter) > 0.04**2 and np.trace(gloss.varying) < 0.3 * np.trace(gloss.scatter)
@@ -493,14 +497,26 @@ def test_a_lobe_of_another_form_is_no_gloss_that_varies_from_texel_to_texel():
 
 
 def test_gloss_that_varies_is_shown_by_both_halves_of_the_photographs():
-    packed, nodes = one_paint("gaussian", varying=0.2)
+    packed, nodes, _ = one_paint("gaussian", varying=0.2)
     (gloss,), _ = gloss_of_paints([packed(slice(None))], nodes)
     assert np.sqrt(np.diag(gloss.varying)) == pytest.approx([0.2, 0.0], abs=0.01)
     assert np.sqrt(np.diag(gloss.scatter)).max() < 0.1
 
 
+def test_scatter_is_in_the_errors_of_colour_and_explains_the_residuals():
+    """Photographs of each texel show another β than that of the paint, which the texel has."""
+    packed, _, alpha = one_paint("gaussian", varying=0.2)
+    surface, nothing = packed(slice(None)), 1e-8 * np.eye(2)
+    gloss = PaintGloss(np.log([8.0, 0.2]), nothing, nothing, 1.0, len(alpha), np.diag([0.04, 1e-6]))
+    found, without = share(surface, gloss), share(surface, replace(gloss, scatter=np.zeros((2, 2))))
+    np.testing.assert_allclose(found.beta, 8.0, rtol=0.005)
+    off = np.abs(found.alpha - alpha)
+    assert (off < 2.0 * found.alpha_error).mean() > 0.93 and (off < 2.0 * without.alpha_error).mean() < 0.5
+    assert found.agrees.mean() > 0.99 and without.agrees.mean() < 0.5
+
+
 def test_halves_that_cannot_tell_contradict_no_variation():
-    packed, _ = one_paint("gaussian", varying=0.2)
+    packed, _, _ = one_paint("gaussian", varying=0.2)
     surface = packed(slice(None))
     place, varying = np.log([8.0, 0.2]), np.diag([0.04, 0.01])
     only_one = surface.blocks.copy()
