@@ -409,8 +409,10 @@ def main() -> None:
                 halves_of_paint(name, lobe, count, wavelength, _SEED + draw, arguments.data)
                 for wavelength, draw in product(_PAINTS_NM, range(_DRAWS))
             ]
+            told = sum(not math.isnan(draw["mu"]) for draw in draws)
             mean = {key: np.nanmean([draw[key] for draw in draws]) for key in draws[0]}
-            print(text.replace("photographs:", "photographs, by paint:").format(name, lobe, count, **mean))
+            by_paint = text.replace("photographs:", f"photographs, by paint, {told} of {len(draws)} draws told:")
+            print(by_paint.format(name, lobe, count, **mean))
     if arguments.lobes:
         for row in (row for name in MATERIALS for row in choices(name, arguments.data)):
             print(

@@ -25,7 +25,6 @@ from irodori.reflection.lobes import Lobes
 
 PACKED = 8
 _C, _G, _F0, _F1, _F2, _R, _W, _SIDE = range(PACKED)
-READING_WEIGHT = _W
 #: Columns of a texel's contribution to a fit of log β and log μ: the negative gradient of half its sum of squares; the
 #: matrix of the normal equations; the sum of squares; α, its slopes along log β and log μ, and its inverse variance;
 #: the largest share of the lobe's peak in the observations; Σ w ρ², Σ w, and the number of observations with weight.
@@ -334,10 +333,10 @@ def without_brightest(surface: SearchedTexels, gloss: np.ndarray, share: float) 
     return surface._replace(blocks=blocks)
 
 
-def without_photograph(surface: SearchedTexels, photograph: int) -> SearchedTexels:
-    """Return packed texels without the readings of a photograph, by its number from 0."""
+def without_photographs(surface: SearchedTexels, photographs: int | np.ndarray) -> SearchedTexels:
+    """Return packed texels without the readings of photographs, given by a number from 0 or by a mask (P,)."""
     blocks = surface.blocks.copy()
-    blocks[:, _W, photograph] = 0.0
+    blocks[:, _W, photographs] = 0.0
     return surface._replace(blocks=blocks)
 
 

@@ -31,7 +31,7 @@ _LEAST_VEIL = 1e-3  # smallest size, of the first
 _TOLD = 0.5  # number of photographs that tell their veil below which its size stays
 _CONTRADICTED = 4.0  # standard deviations of χ² beyond which the errors of photographs are larger than expected
 _BRIGHTEST = 0.25  # share of a paint's readings that is left out where highlights seem to clip
-_PEAKS = 0.03  # share of the brightest of them
+_PEAKS = 0.03  # share of them that are its brightest highlights
 _AROUND, _NODES = 1.0, 33  # largest change of log μ that is tried without them, and number of values
 _SEPARATE = 1e-10  # relative determinant below which β and μ cannot be separated
 _NUDGE = 1e-3  # change of log β or log μ for numerical derivatives
@@ -186,7 +186,7 @@ def _consistent(paints: list[SeparateGloss]) -> tuple[list[SeparateGloss], _Solu
     other = _joint(dimmer)
     if other.excess == 1.0 and _are_too_dark(paints, dimmer, other):
         return dimmer, other, Contradiction(times, HIGHLIGHTS, worst)
-    others = _refitted(paints, [sums.without_photograph(paint.surface, worst) for paint in paints])
+    others = _refitted(paints, [sums.without_photographs(paint.surface, worst) for paint in paints])
     other = _joint(others)
     if other.excess == 1.0:
         return others, other, Contradiction(times, PHOTOGRAPH, worst)
@@ -198,6 +198,14 @@ def _stretch(surface: SearchedTexels, place: np.ndarray, normal: np.ndarray) -> 
 
     The two agree if the lobe has the right form. The residuals of another form change with the parameters, which the
     normal matrix ignores: the minimum is then flatter.
+
+    Parameters
+    ----------
+    surface : SearchedTexels
+    place : (2,) float64
+        log β and log μ.
+    normal : (2, 2) float64
+        Normal matrix of all texels there.
     """
     inverse = np.linalg.inv(np.linalg.cholesky(normal))
     moved = np.empty((2, 2))

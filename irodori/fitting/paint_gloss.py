@@ -25,7 +25,7 @@ _LEAST_FREE = 0.5  # fewest degrees of freedom of a texel to compare its misfit
 _LEAST_VARYING = 1e-8  # smallest variance of log β and log μ: a standard deviation of 0.01 %
 _DIVISIONS = 8  # ways in which photographs are divided into halves
 _FEWEST = 50  # texels from which halves of photographs are compared: of fewer, chance decides
-_UNTOLD = 1e-6  # relative size of what halves tell of a direction below which they do not tell it
+_UNTOLD = 1e-6  # size of what halves tell of a direction, relative to the whole, below which it does not count
 _MISSED = 3.0  # standard errors by which halves must show less than the whole of a variation to contradict it
 
 
@@ -178,27 +178,43 @@ def _is_told(part: np.ndarray, varying: np.ndarray, excess: float) -> bool:
     return bool(gain - cost > 3.0 * np.log(len(part)))
 
 
-def _without_half(surface: SearchedTexels, place: np.ndarray, half: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return gradients and normal matrices without a half of the photographs, about the best gloss for the others."""
-    blocks = surface.blocks.copy()
-    blocks[:, sums.READING_WEIGHT, half] = 0.0
-    slope, normal = matrices(sums.parts(surface._replace(blocks=blocks), np.tile(place, (len(blocks), 1))))
+def _without(surface: SearchedTexels, place: np.ndarray, photographs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return gradients, (texels, 2), and normal matrices without photographs, about the best gloss for the others.
+
+    ``place`` is log β and log μ, (2,); ``photographs`` is a mask, (P,).
+    """
+    rest = sums.without_photographs(surface, photographs)
+    slope, normal = matrices(sums.parts(rest, np.tile(place, (len(rest.blocks), 1))))
     return slope - normal @ np.linalg.lstsq(normal.sum(axis=0), slope.sum(axis=0), rcond=None)[0], normal
 
 
-def _share_in_halves(surface: SearchedTexels, place: np.ndarray, root: np.ndarray, excess: float) -> np.ndarray:
-    """Return which part of a variation of gloss among texels both halves of the photographs show, (2, 2).
+def _shares_in_halves(
+    surface: SearchedTexels, place: np.ndarray, root: np.ndarray, excess: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return which part of a variation of gloss among texels both halves of the photographs show.
 
     What the halves tell about a texel's difference from its paint is compared, for several divisions into halves. The
-    covariance of the two is that of the real differences, as far as each half determines them. The result is in the
-    space where the variation is a unit matrix, ``root`` being its root; its eigenvalues are 1 unless less is
-    significant.
+    covariance of the two is that of the real differences, as far as each half determines them.
+
+    Parameters
+    ----------
+    surface, place, excess
+        As in `confirmed_variation`.
+    root : (2, 2) float64
+        Root of the variation, which is a unit matrix in the space of the result.
+
+    Returns
+    -------
+    shares : (2,) float64
+        0 to 1; 1 unless less is significant.
+    axes : (2, 2) float64
+        Their directions, in columns.
     """
     count, draws, products, linear = surface.blocks.shape[2], np.random.default_rng(0), [], []
     for _ in range(_DIVISIONS):
         half = draws.permutation(count) < count // 2
         told = []
-        for slope, normal in (_without_half(surface, place, half), _without_half(surface, place, ~half)):
+        for slope, normal in (_without(surface, place, half), _without(surface, place, ~half)):
             slope, normal = slope @ root / excess, root.T @ normal @ root / excess
             after = _inverse(normal + np.eye(2))
             own = np.einsum("tij,tj->ti", after, slope)
@@ -211,15 +227,14 @@ def _share_in_halves(surface: SearchedTexels, place: np.ndarray, root: np.ndarra
     total = each.sum(axis=0)
     least = _UNTOLD * np.linalg.norm(total)
     if not least > 0.0:
-        return np.eye(2)
+        return np.ones(2), np.eye(2)
     inverse = np.linalg.inv(total + least * np.eye(4))
-    share = inverse @ (product.sum(axis=0) + least * np.eye(2).ravel())
-    off = (product - each @ share) @ inverse.T
-    share = share.reshape(2, 2)
-    size, axes = np.linalg.eigh(0.5 * (share + share.T))
-    error = np.sqrt(np.sum((np.einsum("ik,tij,jk->tk", axes, off.reshape(-1, 2, 2), axes)) ** 2, axis=0))
-    size = np.where(size + _MISSED * error < 1.0, np.maximum(size, 0.0), 1.0)
-    return axes * size @ axes.T
+    covariance = inverse @ (product.sum(axis=0) + least * np.eye(2).ravel())
+    off = ((product - each @ covariance) @ inverse.T).reshape(-1, 2, 2)
+    covariance = covariance.reshape(2, 2)
+    shares, axes = np.linalg.eigh(0.5 * (covariance + covariance.T))
+    error = np.sqrt(np.sum(np.einsum("ik,tij,jk->tk", axes, off, axes) ** 2, axis=0))
+    return np.where(shares + _MISSED * error < 1.0, np.maximum(shares, 0.0), 1.0), axes
 
 
 def confirmed_variation(
@@ -248,11 +263,11 @@ def confirmed_variation(
     if len(surface.blocks) < _FEWEST or np.trace(varying) <= 2.0 * np.trace(nothing):
         return varying, np.zeros((2, 2))
     root = np.linalg.cholesky(varying)
-    share = _share_in_halves(surface, place, root, excess)
-    if np.allclose(share, np.eye(2), rtol=0.0, atol=1e-9):
+    shares, axes = _shares_in_halves(surface, place, root, excess)
+    if (shares == 1.0).all():
         return varying, np.zeros((2, 2))
-    real = root @ share @ root.T
-    return real + nothing, varying - real
+    along = root @ axes
+    return along * shares @ along.T + nothing, along * (1.0 - shares) @ along.T
 
 
 def separate_gloss(surface: SearchedTexels, nodes: np.ndarray) -> SeparateGloss | None:

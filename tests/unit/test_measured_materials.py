@@ -100,3 +100,10 @@ def test_halves_of_the_photographs_agree_on_the_texels_of_a_measured_paint(name,
     for parameter in ("alpha", "beta", "mu"):
         assert np.mean([half[parameter] for half in found]) > 0.9, parameter
     assert min(half["ok"] for half in found) > 0.6
+
+
+@needs_data
+@pytest.mark.heavy
+def test_a_narrow_lobe_on_a_broad_one_is_not_left_out_as_clipped_highlights():
+    found = [materials.halves_of_paint("cornell_acryl_blue", "gaussian", 32, 650.0, seed) for seed in (3, 4, 5)]
+    assert min(half["mu"] for half in found) > 0.8
