@@ -36,7 +36,7 @@ from scipy.optimize import least_squares, minimize_scalar
 from irodori.fitting import gloss_sums
 from irodori.fitting.joint_gloss import gloss_of_paints
 from irodori.fitting.lobe_choice import candidates, choose, predicted
-from irodori.fitting.paint_gloss import share
+from irodori.fitting.paint_gloss import PaintGloss, share
 from irodori.fitting.paints import MOST_TEXELS
 from irodori.fitting.solvers import FitOptions, FitResult, fit, problem_of
 from irodori.fitting.texel_sample import Readings
@@ -349,24 +349,35 @@ def halves(name: str, lobe: str, photographs: int, surfaces: int, seed: int, fol
     )
 
 
+def gloss_of_halves(
+    name: str, lobe: str, photographs: int, wavelength_nm: float, seed: int, folder: Path = DATA
+) -> list[tuple[FitResult, gloss_sums.SearchedTexels, PaintGloss | None]]:
+    """Return, for two halves of the photographs of one paint, fits of its texels alone, packed texels, and their gloss.
+
+    The halves share the light level, so its error is left out.
+    """
+    rng = np.random.default_rng(seed)
+    response, geometry = _surfaces(name, photographs, MOST_TEXELS, rng, folder, wavelength_nm)
+    noise, options = np.tile(_CAMERA, (photographs // 2, 1)), FitOptions(lobes=(lobe,), level_error=0.0)
+    index, out = np.full(len(response), N), []
+    for half in _HALVES:
+        seen = response[:, half], geometry[:, half], np.ones(response[:, half].shape)
+        surface = gloss_sums.pack(*problem_of(*seen, index, K, options, noise=noise))
+        (gloss,), _ = gloss_of_paints([surface], options.nodes())
+        out.append((fit(*seen, N, K, options, noise=noise), surface, gloss))
+    return out
+
+
 def halves_of_paint(
     name: str, lobe: str, photographs: int, wavelength_nm: float, seed: int, folder: Path = DATA
 ) -> dict[str, float]:
     """Return the same as `halves` for the texels of one paint, which are fitted with the paint's gloss.
 
-    Texels that contradict it keep their own fit. The halves share the light level, so its error is left out.
+    Texels that contradict it keep their own fit.
     """
-    rng = np.random.default_rng(seed)
-    response, geometry = _surfaces(name, photographs, MOST_TEXELS, rng, folder, wavelength_nm)
-    noise, options = np.tile(_CAMERA, (photographs // 2, 1)), FitOptions(lobes=(lobe,), level_error=0.0)
     fits = []
-    for half in _HALVES:
-        weight, index = np.ones(response[:, half].shape), np.full(len(response), N)
-        own = vars(fit(response[:, half], geometry[:, half], weight, N, K, options, noise=noise))
-        surface = gloss_sums.pack(
-            *problem_of(response[:, half], geometry[:, half], weight, index, K, options, noise=noise)
-        )
-        (gloss,), _ = gloss_of_paints([surface], options.nodes())
+    for alone, surface, gloss in gloss_of_halves(name, lobe, photographs, wavelength_nm, seed, folder):
+        own = vars(alone)
         if gloss is not None:
             shared = share(surface, gloss)
             own = {key: np.where(shared.agrees, getattr(shared, key, Status.PAINT), own[key]) for key in _COMPARED}
