@@ -217,9 +217,114 @@ def _fill_changes(block, alpha, rules, veil, room, out):
         out[VEIL, j] = veil
 
 
+@uncounted(error_model="numpy")
+def _unknown_part(n00, n01, n11, varying):
+    """Return V (1 + N V)⁻¹: the covariance of a texel's own log β and log μ, from the normal matrix N and prior V."""
+    v00, v01, v11 = varying[0, 0], varying[0, 1], varying[1, 1]
+    a00, a01 = 1.0 + n00 * v00 + n01 * v01, n00 * v01 + n01 * v11
+    a10, a11 = n01 * v00 + n11 * v01, 1.0 + n01 * v01 + n11 * v11
+    determinant = a00 * a11 - a01 * a10
+    return (
+        (v00 * a11 - v01 * a10) / determinant,
+        (v01 * a00 - v00 * a01) / determinant,
+        (v11 * a00 - v01 * a01) / determinant,
+    )
+
+
 @njit(cache=True, error_model="numpy")
-def add_equations(surface, gloss, errors, veil, normal, down):
-    """Add a paint's normal equations of its log β and log μ and of the errors of photographs; every α is eliminated.
+def areas(surface, gloss):
+    """Return the number of the photograph in which each texel shines most, (texels,) int64: neighbours share theirs."""
+    blocks = surface.blocks
+    out = np.zeros(blocks.shape[0], dtype=np.int64)
+    part, room = np.empty(PARTS), np.empty((_ROOM, blocks.shape[2]))
+    for t in range(blocks.shape[0]):
+        _take_part(blocks[t], surface.lobes, surface.rules, gloss, room, part)
+        out[t] = room[_SHARE].argmax()
+    return out
+
+
+class Differences(NamedTuple):
+    """Normally distributed differences of the texels' log β and log μ from those of their paint.
+
+    Parameters
+    ----------
+    own : (2, 2) float64
+        Covariance of what each texel has to itself.
+    common : (2, 2) float64
+        Covariance of what the texels of an area have in common.
+    area : (texels,) int64
+        Area of each texel, from `areas`.
+    """
+
+    own: np.ndarray
+    common: np.ndarray
+    area: np.ndarray
+
+    @property
+    def of_mean(self) -> float:
+        """Standard deviation of the mean difference of all texels in log β."""
+        return float(np.sqrt(self.own[0, 0] / self.area.size + self.common[0, 0] / np.unique(self.area).size))
+
+    def over(self, excess: float) -> "Differences":
+        """Return the covariances in units of a variance of observations that is larger by a factor."""
+        return self._replace(own=self.own / excess, common=self.common / excess)
+
+
+class PhotographErrors(NamedTuple):
+    """Errors that all texels of a photograph share.
+
+    Parameters
+    ----------
+    sizes : (P, SHARED) float64
+        Each in its expected size.
+    veil : float
+        Expected size of veiling glare, in the unit of responses.
+    """
+
+    sizes: np.ndarray
+    veil: float
+
+
+@njit(cache=True, error_model="numpy")
+def _eliminate(rows, pull, columns, varying, normal, down):
+    """Eliminate a difference of log β and log μ that some texels share from normal equations.
+
+    Parameters
+    ----------
+    rows : (2, unknowns) float64
+        Rows of the difference in the equations of its texels; those of log β and log μ themselves are the same. In
+        place: what remains of the latter.
+    pull : (2,) float64
+        Negative gradient along the difference; in place as ``rows``.
+    columns : (used,) int64
+        Ascending numbers of the unknowns on which the texels depend.
+    varying : (2, 2) float64
+        Covariance of the difference.
+    normal, down
+        Output: the equations of all other unknowns, as in `add_equations`.
+    """
+    n00, n01, n11 = rows[0, 0], rows[0, 1], rows[1, 1]
+    w00, w01, w11 = _unknown_part(n00, n01, n11, varying)
+    if w00 == 0.0 and w11 == 0.0:
+        return
+    for n in range(columns.size):
+        a = columns[n]
+        first, second = w00 * rows[0, a] + w01 * rows[1, a], w01 * rows[0, a] + w11 * rows[1, a]
+        down[a] -= first * pull[0] + second * pull[1]
+        for b in columns[n:]:
+            normal[a, b] -= first * rows[0, b] + second * rows[1, b]
+    k00, k01 = 1.0 - n00 * w00 - n01 * w01, -n00 * w01 - n01 * w11
+    k10, k11 = -n01 * w00 - n11 * w01, 1.0 - n01 * w01 - n11 * w11
+    for a in columns:
+        rows[0, a], rows[1, a] = k00 * rows[0, a] + k01 * rows[1, a], k10 * rows[0, a] + k11 * rows[1, a]
+    pull[0], pull[1] = k00 * pull[0] + k01 * pull[1], k10 * pull[0] + k11 * pull[1]
+
+
+@njit(cache=True, error_model="numpy")
+def add_equations(surface, gloss, differences, photographs, normal, down):
+    """Add a paint's normal equations of its log β and log μ and of the errors of photographs.
+
+    The α of every texel and the differences of texels from their paint are eliminated.
 
     Parameters
     ----------
@@ -227,34 +332,44 @@ def add_equations(surface, gloss, errors, veil, normal, down):
         Texels of one paint.
     gloss : (2,) float64
         log β and log μ.
-    errors : (P, SHARED) float64
-        Present errors of the photographs, in their expected sizes.
-    veil : float
-        Expected size of veiling glare, in the unit of responses.
+    differences : Differences
+        Their covariances may be zero.
+    photographs : PhotographErrors
+        Present errors of the photographs.
     normal : (2 + P SHARED, 2 + P SHARED) float64
         Output: the upper triangle is added to.
     down : (2 + P SHARED,) float64
         Output: the negative gradient of half the sum of squares is added to.
     """
-    blocks, count = surface.blocks, surface.blocks.shape[2]
+    blocks, count, errors, area = surface.blocks, surface.blocks.shape[2], photographs.sizes, differences.area
     part, room, changes = np.empty(PARTS), np.empty((_ROOM, count)), np.empty((SHARED, count))
-    along, used = np.zeros(down.size), np.empty(count, dtype=np.int64)
-    for t in range(blocks.shape[0]):
+    # Products of the columns with cosθ_i, and with the slopes along log β and log μ: of a texel and of an area.
+    along, own, pull = np.zeros(down.size), np.zeros((2, down.size)), np.empty(2)
+    common, common_pull = np.zeros((2, down.size)), np.zeros(2)
+    every, columns, used = np.arange(down.size), np.arange(down.size), np.empty(count, dtype=np.int64)
+    order = np.argsort(area, kind="mergesort")
+    for place in range(order.size):
+        t = order[place]
+        if place > 0 and area[t] != area[order[place - 1]]:
+            _eliminate(common, common_pull, every, differences.common, normal, down)
+            common[:], common_pull[:] = 0.0, 0.0
         _take_part(blocks[t], surface.lobes, surface.rules, gloss, room, part)
         if not part[ALPHA_WEIGHT] > 0.0:
             continue
-        _fill_changes(blocks[t], part[ALPHA], surface.rules, veil, room, changes)
-        many, cc, cr, along[0], along[1] = 0, part[ALPHA_WEIGHT], 0.0, 0.0, 0.0
+        _fill_changes(blocks[t], part[ALPHA], surface.rules, photographs.veil, room, changes)
+        many, cc, cr, along[:2], own[:, :2], pull[:] = 0, part[ALPHA_WEIGHT], 0.0, 0.0, 0.0, 0.0
         for j in range(count):
             w = room[_KNOWN, j]
             if not w > 0.0:
                 continue
             used[many] = j
-            many += 1
             c, left = w * blocks[t, _C, j], blocks[t, _R, j] - room[_GLOSS, j]
             for i in range(SHARED):
+                column = 2 + j * SHARED + i
+                columns[2 + many * SHARED + i] = column
                 left -= errors[j, i] * changes[i, j]
-                along[2 + j * SHARED + i] = c * changes[i, j]
+                along[column] = c * changes[i, j]
+            many += 1
             cr += c * left
             along[0] += c * room[_GLOSS, j]
             along[1] += c * room[_SLOPE, j]
@@ -264,46 +379,51 @@ def add_equations(surface, gloss, errors, veil, normal, down):
             left = blocks[t, _R, j] - g - cr / cc * blocks[t, _C, j]
             for i in range(SHARED):
                 left -= errors[j, i] * changes[i, j]
-            down[0] += w * g * left
-            down[1] += w * s * left
-            normal[0, 0] += w * g * g
-            normal[0, 1] += w * g * s
-            normal[1, 1] += w * s * s
+            pull[0] += w * g * left
+            pull[1] += w * s * left
+            own[0, 0] += w * g * g
+            own[0, 1] += w * g * s
+            own[1, 1] += w * s * s
             for i in range(SHARED):
                 change = w * changes[i, j]
                 down[first + i] += change * left
-                normal[0, first + i] += change * g
-                normal[1, first + i] += change * s
+                own[0, first + i] = change * g
+                own[1, first + i] = change * s
                 for k in range(i, SHARED):
                     normal[first + i, first + k] += change * changes[k, j]
+        own[1, 0] = own[0, 1]
+        present = columns[: 2 + many * SHARED]
         # With α eliminated, the unknowns of all photographs that see the texel depend on each other.
-        for a in range(2):
+        for n in range(present.size):
+            a = present[n]
             share = along[a] / cc
-            for b in range(a, 2):
-                normal[a, b] -= share * along[b]
-            for n in range(many):
-                for b in range(2 + used[n] * SHARED, 2 + (used[n] + 1) * SHARED):
+            own[0, a] -= share * along[0]
+            own[1, a] -= share * along[1]
+            if n >= 2:
+                for b in present[n:]:
                     normal[a, b] -= share * along[b]
-        for n in range(many):
-            for a in range(2 + used[n] * SHARED, 2 + (used[n] + 1) * SHARED):
-                share = along[a] / cc
-                for b in range(a, 2 + (used[n] + 1) * SHARED):
-                    normal[a, b] -= share * along[b]
-                for m in range(n + 1, many):
-                    for b in range(2 + used[m] * SHARED, 2 + (used[m] + 1) * SHARED):
-                        normal[a, b] -= share * along[b]
+        for k in range(2):
+            down[k] += pull[k]
+            for b in present[k:]:
+                normal[k, b] += own[k, b]
+        _eliminate(own, pull, present, differences.own, normal, down)
+        for a in present:
+            common[0, a] += own[0, a]
+            common[1, a] += own[1, a]
+        common_pull += pull
+    _eliminate(common, common_pull, every, differences.common, normal, down)
 
 
 @njit(cache=True, error_model="numpy")
-def without_errors(surface, gloss, errors, veil):
+def without_errors(surface, gloss, photographs):
     """Return packed texels without the errors of their photographs, (texels, PACKED, P); see `add_equations`."""
-    blocks, count = surface.blocks.copy(), surface.blocks.shape[2]
+    blocks, count, errors = surface.blocks.copy(), surface.blocks.shape[2], photographs.sizes
     part, room, changes = np.empty(PARTS), np.empty((_ROOM, count)), np.empty((SHARED, count))
     for t in range(blocks.shape[0]):
         _take_part(blocks[t], surface.lobes, surface.rules, gloss, room, part)
         if not part[ALPHA_WEIGHT] > 0.0:
             continue
-        _fill_changes(blocks[t], part[ALPHA], surface.rules, veil, room, changes)
+        _fill_changes(blocks[t], part[ALPHA], surface.rules, photographs.veil, room, changes)
         for j in range(count):
             if blocks[t, _W, j] > 0.0:
                 for i in range(SHARED):

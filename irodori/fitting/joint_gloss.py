@@ -16,12 +16,13 @@ import numpy as np
 
 from irodori.core.progress import LOGGER
 from irodori.fitting import gloss_sums as sums
-from irodori.fitting.gloss_sums import SHARED, VEIL, SearchedTexels
+from irodori.fitting.gloss_sums import SHARED, VEIL, PhotographErrors, SearchedTexels
 from irodori.fitting.judge import MAX_RELATIVE_ERROR
-from irodori.fitting.paint_gloss import PaintGloss, SeparateGloss, confirmed_variation, matrices, separate_gloss
+from irodori.fitting.paint_gloss import PaintGloss, SeparateGloss, matrices, separate_gloss, with_variation
 
 #: What is left out of the fit where photographs contradict the gloss of paints; see `Contradiction`.
 HIGHLIGHTS, PHOTOGRAPH, NOTHING = "highlights", "photograph", "nothing"
+
 _STEPS = 40
 _SETTLED = 1e-5  # change of log β and log μ that ends the search
 _STEADY = 0.02  # change of the logarithm of the veil's size that does, too
@@ -65,14 +66,12 @@ class Contradiction:
 class _Solution(NamedTuple):
     """Unknowns of all paints and photographs, and their covariance.
 
-    ``log_gloss`` (paints, 2) has log β and log μ; ``errors`` (P, SHARED) those of the photographs, in their expected
-    sizes; ``veil`` is the expected size of the veil. In the covariance, paints come first. ``excess`` is the factor by
-    which the squares of the errors exceed what is expected, at least 1; the covariance has it.
+    ``log_gloss`` (paints, 2) has log β and log μ. In the covariance, paints come first. ``excess`` is the factor by
+    which the squares of the photographs' errors exceed what is expected, at least 1; the covariance has it.
     """
 
     log_gloss: np.ndarray
-    errors: np.ndarray
-    veil: float
+    photographs: PhotographErrors
     covariance: np.ndarray
     excess: float
 
@@ -118,7 +117,8 @@ def _joint(paints: list[SeparateGloss]) -> _Solution:
         matrix, down = np.zeros((first + size - 2,) * 2), np.zeros(first + size - 2)
         for number, paint in enumerate(paints):
             normal, slope = np.zeros((size, size)), np.zeros(size)
-            sums.add_equations(paint.surface, place[number], errors, veil, normal, slope)
+            apart, shared = paint.differences.over(paint.excess), PhotographErrors(errors, veil)
+            sums.add_equations(paint.surface, place[number], apart, shared, normal, slope)
             here = np.r_[2 * number : 2 * number + 2, first : len(matrix)]
             matrix[np.ix_(here, here)] += (np.triu(normal) + np.triu(normal, 1).T) / paint.excess
             down[here] += slope / paint.excess
@@ -135,7 +135,23 @@ def _joint(paints: list[SeparateGloss]) -> _Solution:
     else:
         LOGGER.warning("the joint fit of gloss has not settled in %d steps; the last one counts", _STEPS)
     excess = _contradiction(errors, np.diag(covariance)[first:].reshape(-1, SHARED))
-    return _Solution(place, errors, veil, excess * covariance, excess)
+    return _Solution(place, PhotographErrors(errors, veil), excess * covariance, excess)
+
+
+def _settled(paints: list[SeparateGloss]) -> tuple[list[SeparateGloss], _Solution]:
+    """Fit all paints jointly, with gloss that varies within a paint as far as halves of the photographs confirm it.
+
+    Errors of photographs look like gloss that varies, and the reverse. So the variation is estimated again after the
+    errors that a fit has found are subtracted.
+    """
+    joint = _joint(paints)
+    if not any(paint.varies for paint in paints):
+        return paints, joint
+    paints = [
+        with_variation(paint, sums.without_errors(paint.surface, place, joint.photographs), place)
+        for paint, place in zip(paints, joint.log_gloss, strict=True)
+    ]
+    return paints, _joint(paints)
 
 
 def _refitted(paints: list[SeparateGloss], surfaces: list[SearchedTexels]) -> list[SeparateGloss]:
@@ -150,7 +166,7 @@ def _are_too_dark(paints: list[SeparateGloss], dimmer: list[SeparateGloss], join
 
     If the lobe has another form than the fitted one, such as a longer tail, they are too bright, or at least the
     brightest of them: of two lobes, only the wider is seen without them. The errors of photographs, which the other
-    readings tell, are subtracted.
+    readings tell, are subtracted; gloss that varies from place to place may explain the difference, too.
 
     Parameters
     ----------
@@ -161,11 +177,11 @@ def _are_too_dark(paints: list[SeparateGloss], dimmer: list[SeparateGloss], join
     """
     gains = [0.0]
     for paint, kept, place in zip(paints, dimmer, joint.log_gloss, strict=True):
-        whole = paint.surface._replace(blocks=sums.without_errors(paint.surface, place, joint.errors, joint.veil))
+        whole = paint.surface._replace(blocks=sums.without_errors(paint.surface, place, joint.photographs))
         for left_out in (_BRIGHTEST, _PEAKS) if kept is not paint else ():
             few = sums.without_brightest(whole, paint.log_gloss, left_out)
             gain, error = sums.left_out_gain(whole, few, place)
-            if abs(gain) > _CONTRADICTED * error * np.sqrt(max(kept.excess, 1.0)):
+            if abs(gain) > _CONTRADICTED * np.hypot(error * np.sqrt(max(kept.excess, 1.0)), kept.differences.of_mean):
                 gains.append(gain)
     return -min(gains) > max(gains)
 
@@ -177,17 +193,17 @@ def _consistent(paints: list[SeparateGloss]) -> tuple[list[SeparateGloss], _Solu
     lamps and angles that are far off in several photographs. Each is told by what the other readings say: without a
     wrong photograph, or without the brightest readings, the errors of photographs have their expected sizes.
     """
-    joint = _joint(paints)
+    paints, joint = _settled(paints)
     if joint.excess == 1.0:
         return paints, joint, None
-    worst = int(np.argmax(np.sum(np.delete(joint.errors, VEIL, axis=1) ** 2, axis=1)))
+    worst = int(np.argmax(np.sum(np.delete(joint.photographs.sizes, VEIL, axis=1) ** 2, axis=1)))
     times = float(np.sqrt(joint.excess))
     dimmer = _refitted(paints, [sums.without_brightest(paint.surface, paint.log_gloss, _BRIGHTEST) for paint in paints])
-    other = _joint(dimmer)
+    dimmer, other = _settled(dimmer)
     if other.excess == 1.0 and _are_too_dark(paints, dimmer, other):
         return dimmer, other, Contradiction(times, HIGHLIGHTS, worst)
     others = _refitted(paints, [sums.without_photographs(paint.surface, worst) for paint in paints])
-    other = _joint(others)
+    others, other = _settled(others)
     if other.excess == 1.0:
         return others, other, Contradiction(times, PHOTOGRAPH, worst)
     return paints, joint, Contradiction(times, NOTHING, worst)
@@ -244,24 +260,23 @@ def _larger(expected: np.ndarray, seen: np.ndarray) -> np.ndarray:
     return axes * np.maximum(size, 1.0) @ axes.T
 
 
-def _with_error(paint: SeparateGloss, place, covariance, errors, veil: float) -> PaintGloss | None:
+def _with_error(paint: SeparateGloss, place, covariance, photographs: PhotographErrors) -> PaintGloss | None:
     """Return the gloss of a paint with its errors; None if they are too large, or if it is beyond its bounds."""
     surface, rules = paint.surface, paint.surface.rules
     if not (rules.low_log_mu < place[1] < rules.high_log_mu and place[0] < np.log(rules.high_beta)):
         return None
-    surface = surface._replace(blocks=sums.without_errors(surface, place, errors, veil))
+    surface = surface._replace(blocks=sums.without_errors(surface, place, photographs))
     slope, normal = matrices(sums.parts(surface, np.tile(place, (len(surface.blocks), 1))))
     total = normal.sum(axis=0)
     if not np.linalg.det(total) > _SEPARATE * total[0, 0] * total[1, 1]:
         return None
     inverse, stretch = np.linalg.inv(total), _stretch(surface, place, total)
-    varying, scatter = confirmed_variation(surface, place, paint.varying, paint.excess)
-    spread = inverse @ np.einsum("tij,jk,tkl->il", normal, varying + scatter, normal) @ inverse
+    spread = inverse @ np.einsum("tij,jk,tkl->il", normal, paint.scatter + paint.unweighed, normal) @ inverse
     of_texels = stretch @ inverse @ slope.T @ slope @ inverse @ stretch.T
     error = _larger(_larger(covariance + spread, of_texels), _of_photographs(surface, place, stretch))
     error += np.diag([rules.level_error**2, 0.0])
     known = np.sqrt(error[0, 0]) < MAX_RELATIVE_ERROR["beta"] and np.sqrt(error[1, 1]) < MAX_RELATIVE_ERROR["mu"]
-    return PaintGloss(place, error, varying, paint.excess, len(surface.blocks), scatter) if known else None
+    return PaintGloss(place, error, paint.varying, paint.excess, len(surface.blocks), paint.scatter) if known else None
 
 
 def gloss_of_paints(
@@ -290,11 +305,11 @@ def gloss_of_paints(
     paints = [paint for paint in found if paint is not None]
     if not paints:
         return [None] * len(found), None
-    paints, joint, contradiction = _consistent(paints) if checked else (paints, _joint(paints), None)
+    paints, joint, contradiction = _consistent(paints) if checked else (*_settled(paints), None)
     covariances = (joint.covariance[first : first + 2, first : first + 2] for first in range(0, 2 * len(paints), 2))
     glosses = iter(
         [
-            _with_error(paint, place, covariance, joint.errors, joint.veil)
+            _with_error(paint, place, covariance, joint.photographs)
             for paint, place, covariance in zip(paints, joint.log_gloss, covariances, strict=True)
         ]
     )

@@ -6,7 +6,7 @@ gradients and normal equations of the texels. It determines how strongly the glo
 its paint (empirical Bayes; Efron and Morris, JASA 70, 1975).
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -22,10 +22,12 @@ _FOREIGN = 4.0  # multiple of the median misfit beyond which a texel is left out
 _ROUNDS = 300  # largest number of rounds of expectation maximisation
 _FIRST, _ANY = 0.1**2, 0.5**2  # initial variance of log β and log μ, and a variance that hardly constrains them
 _LEAST_FREE = 0.5  # fewest degrees of freedom of a texel to compare its misfit
-_LEAST_VARYING = 1e-8  # smallest variance of log β and log μ: a standard deviation of 0.01 %
+LEAST_VARYING = 1e-8  # smallest variance of log β and log μ: a standard deviation of 0.01 %
 _DIVISIONS = 8  # ways in which photographs are divided into halves
 _FEWEST = 50  # texels from which halves of photographs are compared: of fewer, chance decides
 _UNTOLD = 1e-6  # size of what halves tell of a direction, relative to the whole, below which it does not count
+_SHARES = np.linspace(0.0, 0.95, 20)  # shares of a variation that texels may have in common with their neighbours
+_UNDESCRIBED = 2.0  # excess from which on the lobe has another form, so that its differences are not weighed
 _MISSED = 3.0  # standard errors by which halves must show less than the whole of a variation to contradict it
 
 
@@ -41,12 +43,28 @@ class SeparateGloss:
         As in `PaintGloss`.
     varying : (2, 2) float64
         Covariance of the texels' log β and log μ about the common ones, whatever it comes from.
+    scatter : (2, 2) float64
+        As in `PaintGloss`; zero unless the variation has been divided by `confirmed_variation`.
+    differences : Differences
+        How the texels differ from the paint in the joint fit of all paints.
     """
 
     surface: SearchedTexels
     log_gloss: np.ndarray
     varying: np.ndarray
     excess: float
+    scatter: np.ndarray
+    differences: sums.Differences
+
+    @property
+    def varies(self) -> bool:
+        """Whether the texels differ significantly."""
+        return bool(np.trace(self.varying) > 2.0 * LEAST_VARYING)
+
+    @property
+    def unweighed(self) -> np.ndarray:
+        """Part of the variation that the joint fit of all paints leaves out, (2, 2)."""
+        return self.varying - self.differences.own - self.differences.common
 
 
 @dataclass(frozen=True)
@@ -170,12 +188,30 @@ def _minimum(surface: SearchedTexels, start: np.ndarray) -> np.ndarray | None:
     return place if inside else None
 
 
-def _is_told(part: np.ndarray, varying: np.ndarray, excess: float) -> bool:
-    """Return whether the variation of gloss among texels is significant, by Schwarz's criterion for 3 parameters."""
-    slope, normal = (one / max(excess, 1.0) for one in matrices(part))
+def _variation(surface: SearchedTexels, place: np.ndarray) -> tuple[np.ndarray, float]:
+    """Estimate how far the texels of a paint differ in gloss from the paint, beyond noise.
+
+    Parameters
+    ----------
+    surface : SearchedTexels
+        Texels of the paint.
+    place : (2,) float64
+        log β and log μ of the paint.
+
+    Returns
+    -------
+    varying : (2, 2) float64
+        As in `SeparateGloss`; negligible if it is not significant by Schwarz's criterion for 3 parameters.
+    excess : float
+        As in `PaintGloss`.
+    """
+    part = sums.parts(surface, np.tile(place, (len(surface.blocks), 1)))
+    part = part[(part[:, sums.BETA_BETA] > 0.0) & (part[:, sums.MU_MU] > 0.0)]
+    varying, excess = sums.varying(part, _FIRST, LEAST_VARYING, _ROUNDS)
+    slope, normal = (one / excess for one in matrices(part))
     gain = np.einsum("ti,tij,tj->", slope, _inverse(normal + np.linalg.inv(varying)), slope)
     cost = np.log(np.linalg.det(np.eye(2) + varying @ normal)).sum()
-    return bool(gain - cost > 3.0 * np.log(len(part)))
+    return varying if gain - cost > 3.0 * np.log(len(part)) else LEAST_VARYING * np.eye(2), float(excess)
 
 
 def _without(surface: SearchedTexels, place: np.ndarray, photographs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -259,7 +295,7 @@ def confirmed_variation(
     varying, scatter : (2, 2) float64
         As in `PaintGloss`.
     """
-    nothing = _LEAST_VARYING * np.eye(2)
+    nothing = LEAST_VARYING * np.eye(2)
     if len(surface.blocks) < _FEWEST or np.trace(varying) <= 2.0 * np.trace(nothing):
         return varying, np.zeros((2, 2))
     root = np.linalg.cholesky(varying)
@@ -268,6 +304,55 @@ def confirmed_variation(
         return varying, np.zeros((2, 2))
     along = root @ axes
     return along * shares @ along.T + nothing, along * (1.0 - shares) @ along.T
+
+
+def _likelihood(area, slope, normal, varying, share: float) -> float:
+    """Return twice the logarithm of the likelihood that a share of a variation is common to the texels of an area.
+
+    Gradients and normal matrices are in units of the variance of observations; the result has an unknown constant.
+    """
+    least = LEAST_VARYING * np.eye(2)
+    own, common = (1.0 - share) * varying + least, share * varying + least
+    after = _inverse(np.eye(2) + normal @ own)
+    gain = np.einsum("ti,ij,tjk,tk->", slope, own, after, slope) + np.log(np.linalg.det(after)).sum()
+    slopes, normals = np.zeros((area.max() + 1, 2)), np.zeros((area.max() + 1, 2, 2))
+    np.add.at(slopes, area, np.einsum("tij,tj->ti", after, slope))
+    np.add.at(normals, area, after @ normal)
+    gain += np.einsum("ti,tij,tj->", slopes, _inverse(normals + np.linalg.inv(common)), slopes)
+    return float(gain - np.log(np.linalg.det(np.eye(2) + common @ normals)).sum())
+
+
+def _differences(surface: SearchedTexels, place, varying, excess) -> sums.Differences:
+    """Divide a variation of gloss within a paint into what texels have to themselves and in common with neighbours.
+
+    Wear makes gloss vary from place to place, not from texel to texel. Many texels that differ together tell less about
+    their paint, and about the photograph in which they shine, than as many independent ones. Parameters as in
+    `confirmed_variation`.
+    """
+    area, varying = sums.areas(surface, place), varying - LEAST_VARYING * np.eye(2)
+    slope, normal = (one / excess for one in matrices(sums.parts(surface, np.tile(place, (len(surface.blocks), 1)))))
+    share = max(_SHARES, key=lambda one: _likelihood(area, slope, normal, varying, one))
+    return sums.Differences((1.0 - share) * varying, share * varying, area)
+
+
+def with_variation(paint: SeparateGloss, blocks: np.ndarray, place: np.ndarray) -> SeparateGloss:
+    """Return a paint with the variation of gloss among its texels that halves of the photographs confirm.
+
+    Parameters
+    ----------
+    paint : SeparateGloss
+    blocks : (texels, PACKED, P) float64
+        Its packed texels without the errors of their photographs.
+    place : (2,) float64
+        log β and log μ from the joint fit of all paints.
+    """
+    surface = paint.surface._replace(blocks=blocks)
+    if paint.excess >= _UNDESCRIBED:
+        varying, scatter = confirmed_variation(surface, place, paint.varying, paint.excess)
+        return replace(paint, varying=varying, scatter=scatter)
+    varying, excess = _variation(surface, place)
+    varying, scatter = confirmed_variation(surface, place, varying, excess)
+    return replace(paint, varying=varying, scatter=scatter, differences=_differences(surface, place, varying, excess))
 
 
 def separate_gloss(surface: SearchedTexels, nodes: np.ndarray) -> SeparateGloss | None:
@@ -304,14 +389,13 @@ def separate_gloss(surface: SearchedTexels, nodes: np.ndarray) -> SeparateGloss 
     if found is None or place is None:
         return None
     part = sums.parts(surface, np.tile(place, (len(surface.blocks), 1)))
-    tells = (part[:, sums.BETA_BETA] > 0.0) & (part[:, sums.MU_MU] > 0.0)
-    varying, excess = sums.varying(part[tells], _FIRST, _LEAST_VARYING, _ROUNDS)
-    if not _is_told(part[tells], varying, excess):
-        varying = _LEAST_VARYING * np.eye(2)
+    varying, excess = _variation(surface, place)
     observations = part[:, sums.USED].sum()
     if not found[1] / max(excess, 1.0) > 2.0 * np.log(observations) or not part[:, sums.SEEN].max() >= LEAST_SEEN:
         return None  # gloss is not significant by Schwarz's criterion, or no texel sees the lobe near its peak
-    return SeparateGloss(surface, place, varying, float(excess))
+    nothing, area = np.zeros((2, 2)), np.zeros(len(surface.blocks), dtype=np.int64)
+    weighed = varying - LEAST_VARYING * np.eye(2) if excess < _UNDESCRIBED else nothing
+    return SeparateGloss(surface, place, varying, excess, nothing, sums.Differences(weighed, nothing, area))
 
 
 def _weighed(part: np.ndarray, gloss: PaintGloss) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -515,6 +515,64 @@ def test_scatter_is_in_the_errors_of_colour_and_explains_the_residuals():
     assert found.agrees.mean() > 0.99 and without.agrees.mean() < 0.5
 
 
+@pytest.mark.stability(stage="fit", case="gloss that varies from place to place within a paint")
+def test_gloss_that_varies_within_a_paint_is_no_error_of_photographs():
+    """Wear: log β varies by 0.2 (standard deviation), from texel to texel or smoothly, under lamps that drift."""
+    x, y = np.tile(np.linspace(0, 1, SIDE), SIDE), np.repeat(np.linspace(0, 1, SIDE), SIDE)
+    paint, told = halves(), {"nothing": 0, "something": 0}
+    colour, beta_off, mu_off, within_error = np.array([VERMILION, CREAM])[paint], [], [], []
+    for seed in range(6):
+        rng = np.random.default_rng([5, seed])
+        turns = ((1, 0), (0, 1), (1, 1))
+        waves = (rng.normal() * np.cos(2 * np.pi * (a * x + b * y) + rng.uniform(0, 6)) for a, b in turns)
+        field = sum(waves) if seed % 2 else rng.normal(size=paint.size)
+        beta = TWO_BETA[paint] * np.exp(0.2 * field / field.std())
+        real = photographed(colour, beta, TWO_MU[paint], sphere(off_deg=0.05 * rng.normal(size=(2, 14))), seed)
+        gain = 1 + 0.005 * rng.normal(size=14)
+        seen = Observed(real.response * gain[:, None], sphere(), real.weight, real.clipped, real.noise)
+        _, paints, found = painted(seen, optics=DEFAULT)
+        assert len(paints.known) == 2
+        told["nothing" if paints.contradiction is None else "something"] += 1
+        beta_off.append(off(found, "beta", beta))
+        mu_off.append(off(found, "mu", TWO_MU[paint]))
+        within_error.append(np.abs(found.shared.beta - beta[found.texel]) < 2.0 * found.shared.beta_error)
+    assert told["nothing"] >= 5
+    assert np.sqrt((np.concatenate(beta_off) ** 2).mean()) < 0.09
+    assert np.sqrt((np.concatenate(mu_off) ** 2).mean()) < 0.04
+    assert np.concatenate(within_error).mean() > 0.85
+
+
+def test_differences_are_eliminated_as_if_each_were_an_unknown():
+    """The same equations with every texel's and every area's difference as unknowns, solved by elimination."""
+    packed, _, _ = one_paint("gaussian", texels=12, poses=6)
+    surface, gloss, rng = packed(slice(None)), np.log([8.0, 0.2]), np.random.default_rng(1)
+    size, area = 2 + 6 * gloss_sums.SHARED, np.arange(12) % 3
+    photographs = gloss_sums.PhotographErrors(0.3 * rng.normal(size=(6, gloss_sums.SHARED)), 0.01)
+    own, common = np.array([[0.04, 0.01], [0.01, 0.02]]), np.array([[0.03, -0.01], [-0.01, 0.05]])
+
+    def equations(some, differences):
+        normal, down = np.zeros((size, size)), np.zeros(size)
+        gloss_sums.add_equations(some, gloss, differences, photographs, normal, down)
+        return np.triu(normal) + np.triu(normal, 1).T, down
+
+    nothing, unknowns = np.zeros((2, 2)), size + 2 * 12 + 2 * 3
+    matrix, pull = np.zeros((unknowns, unknowns)), np.zeros(unknowns)
+    for texel in range(12):
+        alone = gloss_sums.Differences(nothing, nothing, np.zeros(1, dtype=np.int64))
+        normal, down = equations(surface._replace(blocks=surface.blocks[texel : texel + 1]), alone)
+        every = np.eye(size, unknowns)
+        for first in (size + 2 * texel, size + 24 + 2 * area[texel]):
+            every[0, first] = every[1, first + 1] = 1.0
+        matrix, pull = matrix + every.T @ normal @ every, pull + every.T @ down
+    for first, prior in [(size + 2 * n, own) for n in range(12)] + [(size + 24 + 2 * n, common) for n in range(3)]:
+        matrix[first : first + 2, first : first + 2] += np.linalg.inv(prior)
+    rest = matrix[:size, size:] @ np.linalg.inv(matrix[size:, size:])
+    normal, down = equations(surface, gloss_sums.Differences(own, common, area))
+    expected = matrix[:size, :size] - rest @ matrix[size:, :size]
+    np.testing.assert_allclose(normal, expected, atol=1e-9 * np.abs(expected).max())
+    np.testing.assert_allclose(down, pull[:size] - rest @ pull[size:], atol=1e-9 * np.abs(pull).max())
+
+
 def test_halves_that_cannot_tell_contradict_no_variation():
     packed, _, _ = one_paint("gaussian", varying=0.2)
     surface = packed(slice(None))
