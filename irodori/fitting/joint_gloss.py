@@ -22,7 +22,6 @@ from irodori.fitting.paint_gloss import PaintGloss, SeparateGloss, matrices, sep
 
 #: What is left out of the fit where photographs contradict the gloss of paints; see `Contradiction`.
 HIGHLIGHTS, PHOTOGRAPH, NOTHING = "highlights", "photograph", "nothing"
-
 _STEPS = 40
 _SETTLED = 1e-5  # change of log β and log μ that ends the search
 _STEADY = 0.02  # change of the logarithm of the veil's size that does, too
@@ -291,8 +290,8 @@ def gloss_of_paints(
     nodes : (nodes,) float
         Values of log μ for the initial scan.
     checked : bool
-        Whether photographs that contradict the gloss are searched for; they cannot be told if angles or noise are
-        unknown.
+        Whether photographs that contradict the gloss are searched for, and gloss that varies is part of the fit.
+        Neither can be told if angles or noise are unknown.
 
     Returns
     -------
@@ -301,7 +300,7 @@ def gloss_of_paints(
     contradiction : Contradiction or None
         None if there is none, or if it was not searched for.
     """
-    found = [None if surface is None else separate_gloss(surface, nodes) for surface in surfaces]
+    found = [None if surface is None else separate_gloss(surface, nodes, weighed=checked) for surface in surfaces]
     paints = [paint for paint in found if paint is not None]
     if not paints:
         return [None] * len(found), None

@@ -47,6 +47,9 @@ class SeparateGloss:
         As in `PaintGloss`; zero unless the variation has been divided by `confirmed_variation`.
     differences : Differences
         How the texels differ from the paint in the joint fit of all paints.
+    weighed : bool
+        Whether the joint fit knows of the variation. It must not where angles are unknown or the lobe has another form,
+        because the variation comes from these.
     """
 
     surface: SearchedTexels
@@ -55,6 +58,7 @@ class SeparateGloss:
     excess: float
     scatter: np.ndarray
     differences: sums.Differences
+    weighed: bool
 
     @property
     def varies(self) -> bool:
@@ -347,7 +351,7 @@ def with_variation(paint: SeparateGloss, blocks: np.ndarray, place: np.ndarray) 
         log β and log μ from the joint fit of all paints.
     """
     surface = paint.surface._replace(blocks=blocks)
-    if paint.excess >= _UNDESCRIBED:
+    if not paint.weighed:
         varying, scatter = confirmed_variation(surface, place, paint.varying, paint.excess)
         return replace(paint, varying=varying, scatter=scatter)
     varying, excess = _variation(surface, place)
@@ -355,7 +359,7 @@ def with_variation(paint: SeparateGloss, blocks: np.ndarray, place: np.ndarray) 
     return replace(paint, varying=varying, scatter=scatter, differences=_differences(surface, place, varying, excess))
 
 
-def separate_gloss(surface: SearchedTexels, nodes: np.ndarray) -> SeparateGloss | None:
+def separate_gloss(surface: SearchedTexels, nodes: np.ndarray, *, weighed: bool = True) -> SeparateGloss | None:
     """Fit the common gloss of the texels of one paint by itself.
 
     Parameters
@@ -364,6 +368,8 @@ def separate_gloss(surface: SearchedTexels, nodes: np.ndarray) -> SeparateGloss 
         Texels of the paint.
     nodes : (nodes,) float
         Values of log μ for the initial scan.
+    weighed : bool
+        As in `SeparateGloss`, if the lobe has the right form.
 
     Returns
     -------
@@ -394,8 +400,9 @@ def separate_gloss(surface: SearchedTexels, nodes: np.ndarray) -> SeparateGloss 
     if not found[1] / max(excess, 1.0) > 2.0 * np.log(observations) or not part[:, sums.SEEN].max() >= LEAST_SEEN:
         return None  # gloss is not significant by Schwarz's criterion, or no texel sees the lobe near its peak
     nothing, area = np.zeros((2, 2)), np.zeros(len(surface.blocks), dtype=np.int64)
-    weighed = varying - LEAST_VARYING * np.eye(2) if excess < _UNDESCRIBED else nothing
-    return SeparateGloss(surface, place, varying, excess, nothing, sums.Differences(weighed, nothing, area))
+    weighed = weighed and excess < _UNDESCRIBED
+    own = varying - LEAST_VARYING * np.eye(2) if weighed else nothing
+    return SeparateGloss(surface, place, varying, excess, nothing, sums.Differences(own, nothing, area), weighed)
 
 
 def _weighed(part: np.ndarray, gloss: PaintGloss) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
