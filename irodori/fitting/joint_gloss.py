@@ -4,8 +4,8 @@ Between one photograph and the next, the lamp's brightness drifts, the angles ar
 a lamp in a glossy surface spreads a veil of stray light over the picture. The texels of one paint cannot distinguish
 such an error from a wider or stronger gloss, as all of them see it alike. Paints that differ in colour and gloss can.
 The unknowns are therefore log β and log μ of every paint, and four errors of every photograph, each with a prior of its
-expected size; the α of every texel are eliminated. The expected size of the veil is itself estimated from all
-photographs (empirical Bayes).
+expected size. The α of every texel is eliminated, and so is the texel's difference from its paint where gloss varies.
+The expected size of the veil is itself estimated from all photographs (empirical Bayes).
 """
 
 from collections.abc import Sequence
@@ -150,7 +150,7 @@ def _settled(paints: list[SeparateGloss]) -> tuple[list[SeparateGloss], _Solutio
         with_variation(paint, sums.without_errors(paint.surface, place, joint.photographs), place)
         for paint, place in zip(paints, joint.log_gloss, strict=True)
     ]
-    return paints, _joint(paints)
+    return paints, _joint(paints) if any(paint.weighed for paint in paints) else joint
 
 
 def _refitted(paints: list[SeparateGloss], surfaces: list[SearchedTexels]) -> list[SeparateGloss]:
