@@ -112,7 +112,14 @@ def compress(typingctx, array, place, mask, value):
         function = ir.FunctionType(ir.VoidType(), [llvm_type(value), at.type, llvm_type(mask)])
         name = f"llvm.masked.compressstore.{suffix(value)}"
         target = cgutils.get_or_insert_function(builder.module, function, name)
-        builder.call(target, [args[3], at, args[2]])
+        bits = ir.IntType(mask.count)
+        # Most masks select all lanes. Without AVX-512 each lane of the others is stored after a branch of its own.
+        whole = builder.icmp_unsigned("==", builder.bitcast(args[2], bits), ir.Constant(bits, -1))
+        with builder.if_else(whole, likely=True) as (all_lanes, some):
+            with all_lanes:
+                store_vector(builder, args[3], at, value)
+            with some:
+                builder.call(target, [args[3], at, args[2]])
         return context.get_dummy_value()
 
     return types.void(array, types.intp, mask, value), codegen
