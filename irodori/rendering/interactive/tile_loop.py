@@ -211,10 +211,7 @@ def start_tile(frame, left, top, paths):
         py = (as_float(y) + (0.5 - 0.5 * frame.height)) * frame.pixel
         _start_packet(frame, paths, count, inside, (px, py), 1.0)
         compress(paths.slot, count, inside, number + block * RAYS)
-        bits = mask_bits(inside)
-        while bits:
-            bits &= bits - 1
-            count += 1
+        count += bits_set(mask_bits(inside))
     return count
 
 
@@ -385,9 +382,10 @@ def _note_around(job, scratch, left, top):
 def _follow(job, scratch, count, visibility, kept, notes):
     """Follow the paths of a tile through mirrors until none is left or the limit of bounces is reached.
 
-    With ``notes``, what the first rays meet is noted in ``scratch.met``.
+    With ``notes``, what the first rays meet is noted in ``scratch.met``. Returns, as bits, the packets of first rays of
+    which any meets an object.
     """
-    layout, figures, packets = job.layout, scratch.figures, 0
+    layout, figures, packets, lit = job.layout, scratch.figures, 0, np.int64(0)
     for bounce in range(job.limits.max_bounces + 1):
         after = np.int64(0)  # for a literal 0, `_shade_packet` would be compiled a second time
         for base in range(0, count, RAYS):
@@ -402,16 +400,21 @@ def _follow(job, scratch, count, visibility, kept, notes):
                 shade_sky(job, scratch, base, missed)
                 since = _count(layout, figures, _SKY, since)
             if met:
+                lit |= np.int64(bounce == 0) << (base // RAYS)
                 after = _shade_packet(job, scratch, base, count, bounce, after)
         figures[_RAYS] += count
         count = after
         if count == 0:
             break
+    return lit
 
 
 @uncounted(forceinline=True)
-def _write_pixel(job, sums, slot, at, target):
-    """Convert the light accumulated at a slot to the channels of the picture, written at ``at``, and clear it."""
+def _write_pixel(job, sums, slot, at, lit, target):
+    """Convert the light accumulated at a slot to the channels of the picture, written at ``at``, and clear it.
+
+    Unless ``lit``, the sum of its colours is black.
+    """
     world, layout, image, channels = job.world, job.layout, target.image, target.channels
     surface, light = surface_lanes(layout), light_lanes(layout)
     if channels != 3:
@@ -421,13 +424,13 @@ def _write_pixel(job, sums, slot, at, target):
         return
     # No matrix has a column for the last two numbers, which are not channels.
     first = slot * surface
-    xyz = sums.colour[first] * load(world.xyz_from_colour, 0, 4)
-    odd = sums.colour[first + 1] * load(world.xyz_from_colour, 4, 4)
-    for number in range(2, surface - 2, 2):  # in two sums, which need not wait for each other
-        xyz = xyz + sums.colour[first + number] * load(world.xyz_from_colour, 4 * number, 4)
-        odd = odd + sums.colour[first + number + 1] * load(world.xyz_from_colour, 4 * number + 4, 4)
-    xyz = xyz + odd
-    store(sums.colour, slot * surface, surface_black(layout))
+    xyz = odd = spread(np.float32(0.0), 4)
+    if lit:
+        for number in range(0, surface - 2, 2):  # in two sums, which need not wait for each other
+            xyz = xyz + sums.colour[first + number] * load(world.xyz_from_colour, 4 * number, 4)
+            odd = odd + sums.colour[first + number + 1] * load(world.xyz_from_colour, 4 * number + 4, 4)
+        xyz = xyz + odd
+        store(sums.colour, slot * surface, surface_black(layout))
     if not is_coloured(layout):
         direct = sums.light[slot * light] * load(world.xyz_from_light, 0, 4)
         for number in range(1, light):
@@ -439,14 +442,18 @@ def _write_pixel(job, sums, slot, at, target):
 
 
 @uncounted()
-def _finish_tile(job, sums, left, top, target):
-    """Write the pixels of a tile to the picture, and clear their sums."""
-    frame = job.frame
+def _finish_tile(job, sums, corner, lit, target):
+    """Write the pixels of a tile to the picture, and clear their sums.
+
+    ``lit`` has the bits of the blocks that show objects; the colours of others are black.
+    """
+    frame, (left, top) = job.frame, corner
     for block in range(PATHS // RAYS):
+        shown = (lit >> block) & 1
         for place in range(RAYS):
             x, y = left + (block & 3) * 4 + (place & 3), top + (block >> 2) * 4 + (place >> 2)
             if x < frame.width and y < frame.height:
-                _write_pixel(job, sums, block * RAYS + place, (y * frame.width + x) * target.channels, target)
+                _write_pixel(job, sums, block * RAYS + place, (y * frame.width + x) * target.channels, shown, target)
 
 
 @uncounted()
@@ -468,7 +475,7 @@ def _finish_parts(job, scratch, count, corner, target):
         if not is_coloured(layout):
             store(sums.light, first * light, direct)
         x, y = corner[0] + pixel % TILE, corner[1] + pixel // TILE
-        _write_pixel(job, sums, first, (y * frame.width + x) * target.channels, target)
+        _write_pixel(job, sums, first, (y * frame.width + x) * target.channels, 1, target)
         first = path
 
 
@@ -492,12 +499,14 @@ def _render_tile(job, scratch, tile, target):
     while count > 0:
         _clear_throughput(layout, scratch.sums)
         # The only call, so that it is compiled once.
-        _follow(job, scratch, count, visibility, target.kept[tile * numbers :], refines and not again)
+        lit = _follow(job, scratch, count, visibility, target.kept[tile * numbers :], refines and not again)
         since = cycles() if is_profiled(layout) else 0
         if again:
             _finish_parts(job, scratch, count, (left, top), target)
         else:
-            _finish_tile(job, scratch.sums, left, top, target)
+            # Only those of a whole tile are its blocks, and light is summed apart from colours only without coloured paths.
+            whole = count == PATHS and not listed and not is_coloured(layout)
+            _finish_tile(job, scratch.sums, (left, top), lit if whole else np.int64(-1), target)
         since = _count(layout, scratch.figures, _COLOUR, since)
         if refines and not again:
             visibility, again, found = TRACED, True, _list_outlines(job, scratch, left, top)
