@@ -23,7 +23,7 @@ from irodori.jit.functions import (
     with_sign,
 )
 from irodori.jit.table_sums import Place, Tables, lanes_times_tables
-from irodori.jit.vector_memory import lane, largest, load, mask_bits, spread, store, total, zeros_like
+from irodori.jit.vector_memory import compress, lane, largest, load, mask_bits, spread, store, total, zeros_like
 
 EIGHT = st.lists(st.floats(2.0**-60, 2.0**60, width=32), min_size=8, max_size=8)
 PRECISIONS = pytest.mark.parametrize("dtype", [np.float32, np.float64])
@@ -180,6 +180,22 @@ def test_numbers_are_spread_over_as_many_lanes_as_are_asked_for():
     out = np.zeros(17, np.float32)
     assert _sixteen(out) == -3
     assert (out[:16] == 5.0).all() and out[16] == 0.0
+
+
+@numba.njit
+def _selected(values, chosen, out):
+    compress(out, 3, load(chosen, 0, 16) > 0.5, load(values, 0, 16))
+
+
+@PRECISIONS
+@given(chosen=st.one_of(st.just([True] * 16), st.just([False] * 16), st.lists(st.booleans(), min_size=16, max_size=16)))
+@settings(deadline=None)
+def test_the_lanes_of_a_mask_are_stored_without_gaps_and_no_others(dtype, chosen):
+    values, out = np.arange(1.0, 17.0, dtype=dtype), np.full(24, -1.0, dtype)
+    _selected(values, np.array(chosen, dtype), out)
+    kept = values[np.array(chosen)]
+    assert_array_equal(out[3 : 3 + len(kept)], kept)
+    assert (np.delete(out, np.arange(3, 3 + len(kept))) == -1.0).all()
 
 
 @numba.njit

@@ -66,14 +66,24 @@ LINKS = 3
 _MIX, _SEEN, _SEEN_X, _SEEN_Y = TAPS * _FIELDS, TAPS * _FIELDS + 1, TAPS * _FIELDS + 5, TAPS * _FIELDS + 6
 _SEEN_CELL = TAPS * _NUMBERS
 LOOK_FIELDS, LOOK_NUMBERS = TAPS * _FIELDS + 7, TAPS * _NUMBERS + 2
+# Fields of a packet's look-ups of the sky, each sixteen wide: weights of four texels in each of two levels; and whole
+# numbers: two texels in each level, then the pixels of the tile.
+SKY_FIELDS, SKY_NUMBERS = 2 * 4, 2 * _NUMBERS + 1
+_SKY_SLOT = 2 * _NUMBERS
 #: Share of the next level below which it is left out.
 _LEAST_MIX = 0.01
 
 
 @uncounted(forceinline=True)
 def _corners(hits, tap):
-    """Return where the texels of a lobe, or of one of the sky's two levels, are kept."""
+    """Return where the texels of a lobe are kept."""
     return Corners(hits.look, tap * _FIELDS * RAYS, hits.look_i, tap * _NUMBERS * RAYS)
+
+
+@uncounted(forceinline=True)
+def _sky_corners(sky, step):
+    """Return where the texels of one of the sky's two levels are kept."""
+    return Corners(sky.f, step * 4 * RAYS, sky.i, step * _NUMBERS * RAYS)
 
 
 @uncounted(forceinline=True)
@@ -107,10 +117,11 @@ def logarithm(x):
 
 
 @uncounted(forceinline=True)
-def find_sky(job, paths, base, hits, missed):
+def find_sky(job, paths, base, sky, missed):
     """Compute where sixteen paths from ``base`` on look up the sky, in the two levels nearest to their cones' width.
 
-    Returns whether any of them looks the second one up. Weights include the throughput unless paths are coloured.
+    The texels are asked for, and kept with the paths' pixels until `sky_at` reads them. Returns whether any of them
+    looks the second level up. Weights include the throughput unless paths are coloured.
     """
     dx, dy, dz = (
         load(paths.f, DIRECTION * STRIDE + base, 16),
@@ -136,20 +147,21 @@ def find_sky(job, paths, base, hits, missed):
             side = gather(world.environment_side, chosen)
             cell, x, y = cell_of(face, u, v, as_float(side))
             cell = cell + gather(world.environment_first, chosen)
-            keep_corners(_corners(hits, step), cell, side + 2, (x, y), weight * (mix if step else 1.0 - mix))
+            keep_corners(_sky_corners(sky, step), cell, side + 2, (x, y), weight * (mix if step else 1.0 - mix))
             for ray in range(RAYS):
                 if (missed >> ray) & 1:
-                    prefetch_corners(world.environment, _corners(hits, step), ray, light_lanes(layout))
+                    prefetch_corners(world.environment, _sky_corners(sky, step), ray, light_lanes(layout))
+    store(sky.i, _SKY_SLOT * RAYS, load(paths.slot, base, 16))
     return blends
 
 
 @uncounted(forceinline=True)
-def sky_at(world, layout, hits, ray, blends):
-    """Return the sky's light, in stored form, for one ray of the packet, times the weight of `find_sky`."""
-    found = at_corners(world.environment, _corners(hits, 0), ray, light_black(layout))
+def sky_at(world, layout, sky, ray, blends):
+    """Return a ray's pixel and the sky's light, in stored form, times the weight of `find_sky`."""
+    found = at_corners(world.environment, _sky_corners(sky, 0), ray, light_black(layout))
     if blends:
-        found = found + at_corners(world.environment, _corners(hits, 1), ray, found)
-    return found
+        found = found + at_corners(world.environment, _sky_corners(sky, 1), ray, found)
+    return np.int64(sky.i[_SKY_SLOT * RAYS + ray]), found
 
 
 @uncounted(forceinline=True)

@@ -34,7 +34,6 @@ from irodori.rendering.interactive.look_ups import (
     decoded,
     entry_at,
     find_entries,
-    find_sky,
     lobe_at,
     lobe_incidence,
     lobe_weight,
@@ -93,6 +92,13 @@ class Sums(NamedTuple):
     gloss: np.ndarray  # (FURTHER,) buffer: power and roughness coordinate of the second component, the third, ...
 
 
+class Sky(NamedTuple):
+    """Buffers of a packet's look-ups of the sky, see `irodori.rendering.interactive.look_ups`."""
+
+    f: np.ndarray
+    i: np.ndarray
+
+
 class Hits(NamedTuple):
     """Buffers of a packet's hits and look-ups, see `packets` and `look_ups` in `irodori.rendering.interactive`."""
 
@@ -105,14 +111,15 @@ class Hits(NamedTuple):
 
 
 @uncounted(forceinline=True)
-def shade_sky(job, scratch, base, missed):
-    """Add the environment's radiance to the pixels of the rays that missed all objects, given as bits."""
-    world, layout, paths, hits, sums = job.world, job.layout, scratch.paths, scratch.hits, scratch.sums
-    blends = find_sky(job, paths, base, hits, missed)
+def shade_sky(job, scratch, missed, blends):
+    """Add the environment's radiance to the pixels of the rays that missed all objects, given as bits.
+
+    ``blends`` is the result of `irodori.rendering.interactive.look_ups.find_sky`.
+    """
+    world, layout, sums = job.world, job.layout, scratch.sums
     for ray in range(RAYS):
         if (missed >> ray) & 1:
-            slot = np.int64(paths.slot[base + ray])
-            light = sky_at(world, layout, hits, ray, blends)
+            slot, light = sky_at(world, layout, scratch.sky, ray, blends)
             if is_coloured(layout):
                 _add_coloured(layout, sums, slot, decoded(world, layout, light))
             else:
@@ -256,6 +263,8 @@ def shade_surfaces(job, scratch, base, seen):
             prefetch_corners(world.texels, corners, ray, width)
             if world.baked_maps > 0:
                 prefetch_corners(world.baked, light_corners(hits), ray, width)
+            elif world.irradiance_side > 0:
+                prefetch_corners(world.irradiance, light_corners(hits), ray, width)
     for ray in range(RAYS):
         if not (seen >> ray) & 1:
             continue

@@ -18,7 +18,14 @@ from irodori.jit.vector_memory import (
     store,
 )
 from irodori.rendering.interactive.hard_shadows import light_hits
-from irodori.rendering.interactive.look_ups import LOOK_FIELDS, LOOK_NUMBERS, find_lobes
+from irodori.rendering.interactive.look_ups import (
+    LOOK_FIELDS,
+    LOOK_NUMBERS,
+    SKY_FIELDS,
+    SKY_NUMBERS,
+    find_lobes,
+    find_sky,
+)
 from irodori.rendering.interactive.packets import (
     CONE,
     DIRECTION,
@@ -64,6 +71,7 @@ from irodori.rendering.interactive.round_lobes import ENTRY
 from irodori.rendering.interactive.shading import (
     FURTHER,
     Hits,
+    Sky,
     Sums,
     advance,
     bits_set,
@@ -133,6 +141,7 @@ class Scratch(NamedTuple):
     packet: Packet
     paths: TilePaths
     hits: Hits
+    sky: Sky
     sums: Sums
     figures: np.ndarray  # (FIGURES,) int64, counters of the thread
     met: Met
@@ -147,7 +156,8 @@ def _singles(layout, lamps):
     entries = gloss_components(layout) * gloss_parts(layout) * ENTRY
     fixed = PACKET_SINGLES + (PATH_FIELDS + 1) * STRIDE + (HIT_FIELDS + HIT_NUMBERS + entries + LOOK_FIELDS) * RAYS
     lanes = (2 * PATHS + 1) * surface_lanes(layout) + PATHS * light_lanes(layout)
-    return fixed + (LOOK_NUMBERS + max(lamps, 1)) * RAYS + lanes + FURTHER + 2 * MET + 3 * PATHS + RAYS
+    looks = (LOOK_NUMBERS + SKY_FIELDS + SKY_NUMBERS + max(lamps, 1)) * RAYS
+    return fixed + looks + lanes + FURTHER + 2 * MET + 3 * PATHS + RAYS
 
 
 @uncounted()
@@ -167,6 +177,8 @@ def scratch_in(job, singles, doubles, figures):
         look[(LOOK_FIELDS + LOOK_NUMBERS) * RAYS :],
     )
     at = look[(LOOK_FIELDS + LOOK_NUMBERS + max(lamps, 1)) * RAYS :]
+    sky = Sky(at, at[SKY_FIELDS * RAYS :].view(np.int32))
+    at = at[(SKY_FIELDS + SKY_NUMBERS) * RAYS :]
     colour, light = PATHS * surface_lanes(layout), PATHS * light_lanes(layout)
     texel = at[2 * colour + light :]
     gloss = texel[surface_lanes(layout) :]
@@ -175,7 +187,7 @@ def scratch_in(job, singles, doubles, figures):
     met = Met(at.view(np.int32), at[MET:])
     at = at[2 * MET :]
     outlines, pixels = at.view(np.int32), at[PATHS:].view(np.int32)
-    return Scratch(packet, paths, hits, sums, figures, met, outlines, pixels, at[2 * PATHS :])
+    return Scratch(packet, paths, hits, sky, sums, figures, met, outlines, pixels, at[2 * PATHS :])
 
 
 @uncounted(forceinline=True)
@@ -388,17 +400,23 @@ def _follow(job, scratch, count, visibility, kept, notes):
     layout, figures, packets, lit = job.layout, scratch.figures, 0, np.int64(0)
     for bounce in range(job.limits.max_bounces + 1):
         after = np.int64(0)  # for a literal 0, `_shade_packet` would be compiled a second time
-        for base in range(0, count, RAYS):
-            since = cycles() if is_profiled(layout) else 0
-            met, missed = _meet(job, scratch, base, count, bounce, (visibility, kept[packets * KEPT :]))
-            packets += 1
-            if notes and bounce == 0:
-                _note(job.world, scratch, base, count)
-            figures[_MISSES] += bits_set(missed)
-            since = _count(layout, figures, _TRACE, since)
-            if missed and job.world.environment_levels > 0:
-                shade_sky(job, scratch, base, missed)
-                since = _count(layout, figures, _SKY, since)
+        # Rays of the packet before whose light is looked up in the sky, and has had time to come from memory.
+        waiting, blends = np.int64(0), False
+        for base in range(0, count + RAYS, RAYS):
+            met, missed, since = np.int64(0), np.int64(0), cycles() if is_profiled(layout) else 0
+            if base < count:
+                met, missed = _meet(job, scratch, base, count, bounce, (visibility, kept[packets * KEPT :]))
+                packets += 1
+                if notes and bounce == 0:
+                    _note(job.world, scratch, base, count)
+                figures[_MISSES] += bits_set(missed)
+                since = _count(layout, figures, _TRACE, since)
+            if waiting:
+                shade_sky(job, scratch, waiting, blends)
+            waiting = missed if job.world.environment_levels > 0 else np.int64(0)
+            if waiting:
+                blends = find_sky(job, scratch.paths, base, scratch.sky, waiting)
+            since = _count(layout, figures, _SKY, since)
             if met:
                 lit |= np.int64(bounce == 0) << (base // RAYS)
                 after = _shade_packet(job, scratch, base, count, bounce, after)
@@ -504,7 +522,7 @@ def _render_tile(job, scratch, tile, target):
         if again:
             _finish_parts(job, scratch, count, (left, top), target)
         else:
-            # Only those of a whole tile are its blocks, and light is summed apart from colours only without coloured paths.
+            # Only a whole tile's packets are its blocks, and coloured paths add the sky's light to colours.
             whole = count == PATHS and not listed and not is_coloured(layout)
             _finish_tile(job, scratch.sums, (left, top), lit if whole else np.int64(-1), target)
         since = _count(layout, scratch.figures, _COLOUR, since)
