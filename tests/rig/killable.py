@@ -42,22 +42,33 @@ class Killable:
         self._process.stdout.close()
         self._process.wait(patience.LONG_S)
 
-    def run(self, folder: Path, kill_after_s: float | None = None) -> float:
-        """Hold a session; SIGKILL it after a time where one is given. Return how long it ran, s."""
+    def run(self, folder: Path, kill_after_s: float | None = None, photographs: int = 0) -> float:
+        """Hold a session, and return how long it ran, s.
+
+        Where a time is given, SIGKILL it so long after so many photographs stand: a host that others share may be many
+        times slower than it was when the session was timed.
+        """
         self._process.stdin.write(json.dumps([str(folder), self.motion, self.slow_s]) + "\n")
         self._process.stdin.flush()
         pid = int(self._process.stdout.readline())
-        begun = time.monotonic()
-        timer = threading.Timer(kill_after_s or 0.0, os.kill, (pid, 9))
+        begun, ended = time.monotonic(), threading.Event()
+
+        def kill() -> None:
+            while len(list(folder.glob("*.dng"))) < photographs and not ended.wait(0.002):
+                pass
+            if not ended.wait(kill_after_s):
+                os.kill(pid, 9)
+
+        killer = threading.Thread(target=kill)
         if kill_after_s is not None:
-            timer.start()
+            killer.start()
         status = int(self._process.stdout.readline())
         took = time.monotonic() - begun
-        timer.cancel()
+        ended.set()
         assert status in ((0,) if kill_after_s is None else (0, -9)), status
-        # The process is not waited for until the timer can no longer hit another one of its number.
+        # The process is not waited for until the thread can no longer hit another one of its number.
         if kill_after_s is not None:
-            timer.join()
+            killer.join()
         self._process.stdin.write("\n")
         self._process.stdin.flush()
         return took

@@ -1,6 +1,7 @@
 """A session killed at any moment, and continued: nothing is lost or doubled, and every byte is that of a quiet one."""
 
 import csv
+import math
 import random
 from pathlib import Path
 
@@ -41,8 +42,10 @@ def kill_and_continue(tmp_path: Path, sessions: Killable, kills: int, seed: int)
     for number in range(kills):
         folder = tmp_path / f"{number}"
         folder.mkdir()
-        # One moment in each part of the run, so that they spread over the whole of it.
-        sessions.run(folder, whole_s * (number + rng.random()) / kills)
+        # One moment in each part of the run, so that they spread over the whole of it, from before the first photograph
+        # to after the last.
+        part, stand = math.modf((number + rng.random()) / kills * (len(planned) + 1))
+        sessions.run(folder, part * whole_s / (len(planned) + 1), int(stand))
         stood.add(len(list(folder.glob("*.dng"))))
         capture(folder, sessions.motion)
         assert_same(contents(folder), expected, f"kill {number}")
