@@ -124,7 +124,7 @@ def chart_under(seen: Seen, lamp: np.ndarray, seed: int = 0, name: str = "chart"
     chart = chart_spectra(CHART)[1]
     response = (chart * lamp) @ seen.sensitivity.T
     noise = NOISE * np.random.default_rng(seed).standard_normal(response.shape)
-    return ChartResponses(name, name, response * (1.0 + noise), chart)
+    return ChartResponses(name, name, response * (1.0 + noise), chart, np.square(NOISE * response))
 
 
 def given(variant: str, lamp: np.ndarray, seed: int = 0) -> np.ndarray:

@@ -18,11 +18,12 @@ from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.colour.colorimetry import colour_matching_weights
 from irodori.config.models import Chart
 from irodori.core.errors import InputError
+from irodori.core.progress import LOGGER
 from irodori.light.light_prior import LightPrior, families_with_errors
 from irodori.light.light_recovery import Directions, LightRecovery, ResponseModel, principal_errors
 from irodori.spectra.published import chart_spectra
 
-_NOISE = 2e-3  # relative error of the response of a patch due to shadows, gloss and noise
+_NOISE = 2e-3  # relative error of the response of a patch due to shadows and gloss, in addition to that by noise
 #: Shares in the prior of a room: its own lamps; published lamps; any mixture of these, for light not on the charts.
 _OWN, _PUBLISHED, _ANY = 0.5, 0.02, 0.48
 _OF_OWN_LAMPS = 0.005  # relative standard deviation of lamps of the room, in addition to their posterior covariance
@@ -48,16 +49,26 @@ class ChartResponses:
     response : (patches, bands) float64
         Responses under uniform light, in any unit.
     reflectance : (patches, 61) float64
+    variance : (patches, bands) float64
+        Variance of the responses due to noise and to what is not known of uneven light.
     """
 
     name: str
     file: object
     response: np.ndarray
     reflectance: np.ndarray
+    variance: np.ndarray
+
+    def relative_variance(self) -> np.ndarray:
+        """Return the variance over the square of the largest response of each band, (patches, bands); 0 if that is."""
+        largest = np.square(self.response).max(axis=0)
+        return np.divide(self.variance, largest, out=np.zeros_like(self.variance), where=largest > 0.0)
 
 
 def read_room_charts(files: Mapping[str, tuple[object, Chart]], calibration: Calibration) -> list[ChartResponses]:
     """Read the responses to charts in a room, from the linear file and definition of each, by name.
+
+    A warning is logged if it cannot be told how uneven the light on a chart is.
 
     Raises
     ------
@@ -75,7 +86,12 @@ def read_room_charts(files: Mapping[str, tuple[object, Chart]], calibration: Cal
         if whole.mean() < _LEAST_WHOLE:
             found = f"{np.count_nonzero(~whole)} of {len(whole)} patches saturated or masked"
             raise InputError(file, f"room_charts.{name}", found, f"{1 - _LEAST_WHOLE:.0%} at most: shorter exposures")
-        charts.append(ChartResponses(name, file, reading.mean[whole].astype(float), spectra[whole]))
+        variance, light = reading.mean_variance[whole].astype(float), photograph.light
+        if light is not None and not light.correctable:
+            LOGGER.warning("room chart %s: its light is taken as even: %s", name, light.reason)
+        elif light is not None:
+            variance += np.square(np.nan_to_num(light.standard_error) * reading.mean[whole])
+        charts.append(ChartResponses(name, file, reading.mean[whole].astype(float), spectra[whole], variance))
     return charts
 
 
@@ -138,8 +154,10 @@ def light_on(chart: ChartResponses, model: ResponseModel, prior: LightPrior) -> 
     bands, (patches, count) = len(model.mean), chart.reflectance.shape
     # Responses are ordered by band, so that errors of the response model, common to all patches, are blocks.
     seen = (model.mean[:, None] * chart.reflectance).reshape(bands * patches, -1)
-    answer = chart.response.T.ravel()
+    answer, noise = chart.response.T.ravel(), chart.relative_variance().T
     of_all, (one, other) = np.arange(len(answer)), np.tril_indices(bands)
+    # The scale of the light is unknown: noise is in units of the expected response to the brightest patch of its band.
+    brightest = np.arange(bands) * patches + chart.response.argmax(axis=0)
     # Second moments of the response to a wavelength in one band, and to another in another, (61, pairs, 61).
     of_bands = model.mean[:, :, None, None] * model.mean + model.covariance
     of_pairs = np.ascontiguousarray(of_bands.transpose(1, 0, 2, 3)[:, one, other])
@@ -152,7 +170,8 @@ def light_on(chart: ChartResponses, model: ResponseModel, prior: LightPrior) -> 
         # The lower triangle is all that the factor needs.
         second[one, :, other] = of_both.reshape(patches, -1, patches).swapaxes(0, 1)
         responses = second.reshape(len(answer), -1).copy()
-        responses[of_all, of_all] *= 1.0 + _NOISE**2
+        expected = responses[of_all, of_all]
+        responses[of_all, of_all] += _NOISE**2 * expected + (noise * expected[brightest][:, None]).ravel()
         factor = np.linalg.cholesky(responses)
         turned = solve_triangular(factor, np.column_stack([answer, cross]), lower=True)
         square = turned[:, 0] @ turned[:, 0] / len(answer)
@@ -180,7 +199,7 @@ def lights_on(
     lights = np.stack([mean for mean, _ in alone])
     before = block_diag(model.covariance.reshape(states, states), *(moment for _, moment in alone))
     answer = np.concatenate([chart.response.T.ravel() for chart in charts])
-    noise = np.diag((_NOISE * answer) ** 2)
+    noise = np.diag((_NOISE * answer) ** 2 + np.concatenate([chart.variance.T.ravel() for chart in charts]))
     response = model.mean
     for _ in range(_STEPS):
         of_response = [

@@ -39,6 +39,7 @@ from irodori.spectra.published import spectrum
 #: The most different test colours of CIE 224; if colours on these are preserved, those on other surfaces are too.
 SURFACES = ("TCS2", "TCS56", "TCS77")
 _WHOLE = CapturesSource()
+_STRIPS = 32  # of a mirror ball, from each of which directions are drawn; as many as a panorama of 1000 rows has
 _KEPT = 8  # largest number of weights per pixel that are kept in memory; pictures with more are read twice
 _READERS = {"rgb": rgb_picture, "spectral": spectral_picture}
 
@@ -130,8 +131,9 @@ def _mirror_ball(
     with store.open_file(linear) as file:
         response = file.read("response")
     response = np.where(valid[..., None], response, 0.0)
-    # For a distant camera, equal areas of the image of the ball show equal solid angles.
-    drawn = draw_directions([(response[ball(*valid.shape)], 1.0)])
+    # For a distant camera, equal areas of the image of the ball show equal solid angles. Of each strip as many
+    # directions are drawn as of each part of a panorama, so that small lamps are among them.
+    drawn = draw_directions((strip, 1.0) for strip in np.array_split(response[ball(*valid.shape)], _STRIPS))
     recovery = recovery_of(drawn)
     return unwrapped(source, image, response, valid, recovery, linear)
 

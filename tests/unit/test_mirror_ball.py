@@ -17,7 +17,7 @@ from irodori.core.errors import InputError
 from irodori.light.environment_file import Environment, directions
 from irodori.light.mirror_ball import RIM, ball_places, ball_reflectance, inverse_reflectance, unwrapped
 from irodori.light.placed_lights import direction_of
-from irodori.light.stage import prepare_environment
+from irodori.light.stage import _mirror_ball, prepare_environment
 from irodori.material.principal_components.basis_count import CompressOptions
 from irodori.spectra.published import refractive_index, spectrum
 
@@ -179,6 +179,24 @@ def test_a_ball_that_is_not_in_the_picture_or_masked_is_refused():
     one[80:100, 90:110] = False
     with pytest.raises(InputError, match="all masked"):
         _ = unwrapped(made(MirrorBallSource, BALL), made(Size, size), weights, one, as_it_is(basis), "ball.h5").weights
+
+
+def test_a_small_lamp_on_a_ball_is_among_the_directions_that_tell_what_lamps_there_are(tmp_path):
+    """It has a hundredth of the light, in one band alone."""
+    response, drawn = photograph(smooth, BALL).astype(np.float32), []
+    response[60:64, 60:64] = 0.0
+    response[60:64, 60:64, 2] = 0.01 * response.sum() / 16.0
+    calibration = Calibration(np.eye(61)[:, [10, 30, 50]], LinearMapping(np.eye(3)), np.full(61, 2.0), ("out",))
+    write_inputs(tmp_path, response, np.ones(response.shape[:2], np.uint8), calibration)
+
+    def recovery_of(found):
+        drawn.append(found)
+        return as_it_is(np.eye(61)[:, :3])
+
+    size = made(Size, {"width": 64, "height": 32})
+    _mirror_ball(tmp_path / "linear.h5", calibration, made(MirrorBallSource, BALL), size, recovery_of)
+    of_lamp = drawn[0].response[:, 0] == 0.0
+    assert of_lamp.sum() > 5 and drawn[0].share[of_lamp].sum() == pytest.approx(0.01, rel=0.5)
 
 
 def test_the_stage_unwraps_a_ball_and_minds_saturation_on_it_alone(tmp_path):

@@ -229,7 +229,8 @@ def test_the_light_on_a_chart_and_the_moment_of_its_families_are_those_of_the_mi
     model = ResponseModel(mean, np.einsum("bc,bi,cj->bicj", 2e-3 * share, mean, mean))
     # As likely of one family as of another, so that both the means and their distance have a say.
     answer = np.abs(rng.normal(1.0, 0.3, (3, 3)))
-    found = light_on(ChartResponses("desk", "c.h5", answer, patches), model, prior)
+    variance = rng.uniform(0.0, 1e-4, (3, 3))
+    found = light_on(ChartResponses("desk", "c.h5", answer, patches, variance), model, prior)
     rows = np.array([mean[band] * patch for band in range(3) for patch in patches])
     y = np.array([answer[patch, band] for band in range(3) for patch in range(3)])
     parts = []
@@ -238,7 +239,12 @@ def test_the_light_on_a_chart_and_the_moment_of_its_families_are_those_of_the_mi
         for i, j in itertools.product(range(9), repeat=2):
             # An error of the sensitivities is common to all patches.
             second[i, j] += patches[i % 3] @ (model.covariance[i // 3, :, j // 3] * moment) @ patches[j % 3]
-        second[np.arange(9), np.arange(9)] *= 1.0 + 2e-3**2
+        # Noise counts in units of the brightest patch, since the scale of the light is unknown.
+        expected = np.diag(second).copy()
+        for i in range(9):
+            band, brightest = i // 3, answer[:, i // 3].argmax()
+            noise = variance[i % 3, band] / answer[brightest, band] ** 2 * expected[3 * band + brightest]
+            second[i, i] += 2e-3**2 * expected[i] + noise
         inverse, gain = np.linalg.inv(second), moment @ rows.T @ np.linalg.inv(second)
         square = y @ inverse @ y / 9.0
         density = share / np.sqrt(np.linalg.det(second)) * square ** (-9 / 2)
@@ -316,7 +322,8 @@ def test_lights_on_charts_and_the_response_are_the_likeliest_together(seen, unit
     for name in ("desk", "window"):
         light = lamp("D50") * (1.0 + 0.05 * np.linalg.cholesky(smooth + 1e-9 * np.eye(61)) @ rng.standard_normal(61))
         answer = (patches * light) @ true.T * (1.0 + 1e-3 * rng.normal(size=(8, 2)))
-        charts.append(ChartResponses(name, name, unit * answer, patches))
+        variance = unit**2 * rng.uniform(0.0, 1e-2, answer.shape) ** 2 * answer.max(axis=0) ** 2
+        charts.append(ChartResponses(name, name, unit * answer, patches, variance))
     refined, lights = lights_on(charts, model, prior)
     values, vectors = np.linalg.eigh(covariance.reshape(122, 122))
     of_response = vectors * np.sqrt(np.maximum(values, 0.0))
@@ -331,7 +338,7 @@ def test_lights_on_charts_and_the_response_are_the_likeliest_together(seen, unit
     def misfit(x):
         response, spectra = parted(x)
         off = [
-            ((patches * one) @ response.T - chart.response) / (2e-3 * chart.response)
+            ((patches * one) @ response.T - chart.response) / np.sqrt((2e-3 * chart.response) ** 2 + chart.variance)
             for chart, one in zip(charts, spectra, strict=True)
         ]
         return np.concatenate([x, np.ravel(off)])
@@ -341,6 +348,22 @@ def test_lights_on_charts_and_the_response_are_the_likeliest_together(seen, unit
     np.testing.assert_allclose(refined.mean, response, rtol=1e-3, atol=1e-3 * mean.max())
     for found, one in zip(lights, spectra, strict=True):
         np.testing.assert_allclose(found.mean, one / luminance(one), atol=2e-3 * found.mean.max())
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_noise_in_the_reading_of_a_chart_is_in_the_errors_of_its_light(seen, told):
+    """Noise of half a per cent of the brightest patch is much of the light of a black one. Untold, it is missed."""
+    patches, true, matching, ratios = chart_spectra(CHART)[1], lamp("D65"), colour_matching_weights()[[0, 2]], []
+    for seed in range(8):
+        answer = (patches * true) @ seen.sensitivity.T
+        noise = 5e-3 * answer.max(axis=0) * np.ones_like(answer)
+        answer = answer + noise * np.random.default_rng(seed).standard_normal(answer.shape)
+        chart = ChartResponses("desk", "c.h5", answer, patches, np.square(noise if told else 0.0 * noise))
+        _, (found,) = lights_on([chart], seen.model, prior_without())
+        off = matching @ (found.mean - true / luminance(true))
+        ratios.append(off / np.linalg.norm(found.errors @ matching.T, axis=0))
+    rms = np.sqrt(np.mean(np.square(ratios)))
+    assert rms < 1.5 if told else rms > 2.0
 
 
 def drawn_place(model: ResponseModel, rng) -> tuple[np.ndarray, np.ndarray]:
