@@ -116,7 +116,7 @@ _TABLE = {
         "a paint seen only from the flank": "its gloss is not stated, its α right within the error",
         "a photograph whose pose is wrong by 2°": "β and μ of paints " + _RIGHT + " from the other photographs",
         "a lobe of another form, taken for gloss that varies": "the paint keeps one gloss, on which halves agree",
-        "gloss that varies from place to place within a paint": "texels keep it; photographs are seldom blamed",
+        "gloss that varies from place to place within a paint": "texels keep it; smooth wear may blame photographs",
         "a metal": _RIGHT,
         "a retro-reflector": "not OK where the readings tell, else α right within the errors",
         "a transparent varnish": "both lobes recovered",

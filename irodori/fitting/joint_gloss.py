@@ -106,7 +106,11 @@ def _contradiction(errors: np.ndarray, variances: np.ndarray) -> float:
 
 
 def _joint(paints: list[SeparateGloss]) -> _Solution:
-    """Search the most probable gloss of all paints and errors of all photographs by Newton's method."""
+    """Search the most probable gloss of all paints and errors of all photographs by Newton's method.
+
+    The differences of texels are eliminated as if they were small: the β of a paint is the mean of its texels' β, which
+    exceeds that of log β by half the variance of log β.
+    """
     count, photographs = len(paints), paints[0].surface.blocks.shape[2]
     first, size = 2 * count, 2 + photographs * SHARED
     place, errors = np.array([paint.log_gloss for paint in paints]), np.zeros((photographs, SHARED))
@@ -177,7 +181,7 @@ def _are_too_dark(paints: list[SeparateGloss], dimmer: list[SeparateGloss], join
     gains = [0.0]
     for paint, kept, place in zip(paints, dimmer, joint.log_gloss, strict=True):
         whole = paint.surface._replace(blocks=sums.without_errors(paint.surface, place, joint.photographs))
-        for left_out in (_BRIGHTEST, _PEAKS) if kept is not paint else ():
+        for left_out in (_BRIGHTEST, _PEAKS) if kept.surface is not paint.surface else ():
             few = sums.without_brightest(whole, paint.log_gloss, left_out)
             gain, error = sums.left_out_gain(whole, few, place)
             if abs(gain) > _CONTRADICTED * np.hypot(error * np.sqrt(max(kept.excess, 1.0)), kept.differences.of_mean):
@@ -238,8 +242,9 @@ def _stretch(surface: SearchedTexels, place: np.ndarray, normal: np.ndarray) -> 
 def _of_photographs(surface: SearchedTexels, place: np.ndarray, stretch: np.ndarray) -> np.ndarray:
     """Return the covariance of log β and log μ by the jackknife over photographs, (2, 2).
 
-    It tells what neither the errors of photographs nor those of texels describe, such as a lobe of another form. Zero
-    if there are too few photographs. ``stretch`` is from `_stretch`.
+    It tells what neither the errors of photographs nor those of texels describe, such as a lobe of another form; gloss
+    that varies from place to place is in it again. Zero if there are too few photographs. ``stretch`` is from
+    `_stretch`.
     """
     moved, told = sums.without_each(surface, place)
     moved = moved @ stretch.T

@@ -33,7 +33,7 @@ _MISSED = 3.0  # standard errors by which halves must show less than the whole o
 
 @dataclass(frozen=True)
 class SeparateGloss:
-    """Gloss fitted to the texels of one paint as if no photograph had errors of its own.
+    """Gloss fitted to the texels of one paint as if no photograph had errors, and how the joint fit treats them.
 
     Parameters
     ----------
@@ -42,7 +42,8 @@ class SeparateGloss:
     log_gloss, excess
         As in `PaintGloss`.
     varying : (2, 2) float64
-        Covariance of the texels' log β and log μ about the common ones, whatever it comes from.
+        Covariance of the texels' log β and log μ about the common ones: whatever it comes from, or, after
+        `with_variation`, as far as halves of the photographs confirm it.
     scatter : (2, 2) float64
         As in `PaintGloss`; zero unless the variation has been divided by `confirmed_variation`.
     differences : Differences
@@ -352,7 +353,8 @@ def with_variation(paint: SeparateGloss, blocks: np.ndarray, place: np.ndarray) 
     """
     surface = paint.surface._replace(blocks=blocks)
     if not paint.weighed:
-        varying, scatter = confirmed_variation(surface, place, paint.varying, paint.excess)
+        # A paint may come here again, if fewer readings did not determine its gloss.
+        varying, scatter = confirmed_variation(surface, place, paint.varying + paint.scatter, paint.excess)
         return replace(paint, varying=varying, scatter=scatter)
     varying, excess = _variation(surface, place)
     varying, scatter = confirmed_variation(surface, place, varying, excess)

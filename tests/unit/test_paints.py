@@ -11,7 +11,7 @@ from hypothesis.extra import numpy as npst
 from test_fitting import K, N, model
 
 from irodori.core import store
-from irodori.fitting import gloss_sums
+from irodori.fitting import gloss_sums, paint_gloss
 from irodori.fitting.band_fresnel import uniform
 from irodori.fitting.joint_gloss import HIGHLIGHTS, NOTHING, PHOTOGRAPH, gloss_of_paints
 from irodori.fitting.paint_colours import cores, find_colours, noise_floor
@@ -517,7 +517,7 @@ def test_scatter_is_in_the_errors_of_colour_and_explains_the_residuals():
 
 @pytest.mark.stability(stage="fit", case="gloss that varies from place to place within a paint")
 @pytest.mark.parametrize(("worn", "blamed", "beta", "mu"), [(False, 0, 0.08, 0.02), (True, 3, 0.13, 0.06)])
-def test_gloss_that_varies_within_a_paint_is_no_error_of_photographs(worn, blamed, beta, mu):
+def test_gloss_that_varies_within_a_paint_stays_that_of_its_texels(worn, blamed, beta, mu):
     """log β varies by 0.2 (standard deviation), from texel to texel or smoothly as by wear, in sittings that drift."""
     x, y = np.tile(np.linspace(0, 1, SIDE), SIDE), np.repeat(np.linspace(0, 1, SIDE), SIDE)
     beta_off, mu_off, contradicted = [], [], 0
@@ -539,6 +539,9 @@ def test_differences_are_eliminated_as_if_each_were_an_unknown():
     """The same equations with every texel's and every area's difference as unknowns, solved by elimination."""
     packed, _, _ = one_paint("gaussian", texels=12, poses=6)
     surface, gloss, rng = packed(slice(None)), np.log([8.0, 0.2]), np.random.default_rng(1)
+    # Each texel lacks other photographs, and one of them all.
+    for texel, block in enumerate(surface.blocks):
+        block[gloss_sums._W, np.arange(6) if texel == 7 else [texel % 6, (texel + texel // 6 + 1) % 6]] = 0.0
     size, area = 2 + 6 * gloss_sums.SHARED, np.arange(12) % 3
     photographs = gloss_sums.PhotographErrors(0.3 * rng.normal(size=(6, gloss_sums.SHARED)), 0.01)
     own, common = np.array([[0.04, 0.01], [0.01, 0.02]]), np.array([[0.03, -0.01], [-0.01, 0.05]])
@@ -564,6 +567,39 @@ def test_differences_are_eliminated_as_if_each_were_an_unknown():
     expected = matrix[:size, :size] - rest @ matrix[size:, :size]
     np.testing.assert_allclose(normal, expected, atol=1e-9 * np.abs(expected).max())
     np.testing.assert_allclose(down, pull[:size] - rest @ pull[size:], atol=1e-9 * np.abs(pull).max())
+
+
+def test_variation_is_common_to_areas_as_far_as_a_normal_distribution_says():
+    """The likelihood with a covariance written out, of which a share is common to the texels of an area."""
+    rng, texels = np.random.default_rng(2), 7
+    area = np.array([0, 0, 0, 1, 1, 2, 2])
+    half = rng.normal(size=(texels, 2, 2))
+    normal, varying = half @ np.swapaxes(half, 1, 2) + 0.1 * np.eye(2), np.array([[0.5, 0.2], [0.2, 0.3]])
+    slope, noise = rng.normal(size=(texels, 2)), np.kron(np.eye(texels), np.ones((2, 2))) > 0
+    precision = np.zeros((2 * texels, 2 * texels))
+    precision[noise] = normal.ravel()
+
+    def expected(share):
+        own, common = ((1 - share) * varying, share * varying)
+        same = np.kron(area[:, None] == area, np.ones((2, 2)))
+        covariance = np.linalg.inv(precision) + np.kron(np.eye(texels), own)
+        covariance += same * np.tile(common, (texels, texels))
+        found = np.linalg.solve(precision, slope.ravel())
+        return -found @ np.linalg.solve(covariance, found) - np.linalg.slogdet(covariance)[1]
+
+    told = [paint_gloss._likelihood(area, slope, normal, varying, share) for share in (0.0, 0.3, 1.0)]
+    np.testing.assert_allclose(np.diff(told), np.diff([expected(share) for share in (0.0, 0.3, 1.0)]), atol=1e-5)
+
+
+def test_a_variation_that_is_divided_again_keeps_what_is_no_gloss():
+    """As for a paint that fewer readings do not determine, so that it goes through the joint fit a second time."""
+    packed, nodes, _ = one_paint("ggx")
+    paint = paint_gloss.separate_gloss(packed(slice(None)), nodes, weighed=False)
+    once = paint_gloss.with_variation(paint, paint.surface.blocks, paint.log_gloss)
+    again = paint_gloss.with_variation(once, paint.surface.blocks, paint.log_gloss)
+    assert np.trace(once.scatter) > 0.04**2
+    np.testing.assert_allclose(again.scatter, once.scatter, rtol=1e-3, atol=1e-6)
+    np.testing.assert_allclose(again.varying, once.varying, rtol=1e-3, atol=1e-6)
 
 
 def test_halves_that_cannot_tell_contradict_no_variation():
