@@ -493,7 +493,7 @@ def _finish_parts(job, scratch, count, corner, target):
         if not is_coloured(layout):
             store(sums.light, first * light, direct)
         x, y = corner[0] + pixel % TILE, corner[1] + pixel // TILE
-        _write_pixel(job, sums, first, (y * frame.width + x) * target.channels, 1, target)
+        _write_pixel(job, sums, first, (y * frame.width + x) * target.channels, np.int64(1), target)
         first = path
 
 

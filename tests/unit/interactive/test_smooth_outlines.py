@@ -98,6 +98,25 @@ def test_outlines_show_each_shape_by_its_share_and_all_else_stays_as_it_was(repr
     assert several < 0.2 * one
 
 
+def test_sky_beside_and_after_outlines_is_that_of_rays_of_its_own():
+    """A ball in the corner of the picture: whole tiles of sky follow tiles whose pixels were rendered again."""
+    light, view = sky_of(smooth_light, 64), view_of((20, -250, 130), target=(30, 0, -30), fov=24, size=(80, 64))
+    plain, fine = (
+        prepared([BALL], [material(0.3, beta=3.0, mu=0.2, mirror=0.6)], light, smooth_outlines=smooth)
+        for smooth in (False, True)
+    )
+    found = render_frame(fine, view)
+    pixels = np.stack(np.meshgrid(np.arange(view.width), np.arange(view.height)), axis=-1).reshape(-1, 2) + 0.5
+    alone = render_rays(plain, view, rays_through(view, pixels)).reshape(found.shape)
+    met = Tracer(plain.owned[0].placements).intersect(*middle_rays(view, pixels))[1].reshape(found.shape[:2]) >= 0
+    sky = ~met
+    for axis, step in ((0, 1), (0, -1), (1, 1), (1, -1)):
+        sky &= ~np.roll(met, step, axis=axis)
+    tiles = met.reshape(4, 16, 5, 16).any(axis=(1, 3)).ravel()
+    assert met.sum() > 100 and (~tiles[tiles.argmax() :]).sum() > 5
+    np.testing.assert_allclose(found[sky], alone[sky], rtol=1e-5)
+
+
 def test_the_edge_between_two_faces_of_a_shape_is_an_outline_but_no_flat_or_round_place():
     lamp = (CollimatedLamp(np.array([1.0, -0.3, 0.4])),), np.ones((1, 61))
     cube, ground = box(20.0, outward=True), Plane()
