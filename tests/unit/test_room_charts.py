@@ -198,6 +198,20 @@ def test_the_responses_to_a_chart_on_a_wall_are_those_of_its_whole_patches_under
     assert read_room_charts({}, seen.calibration) == []
 
 
+def test_noise_and_unevenness_that_cannot_be_told_are_known_of_a_chart_on_a_wall(tmp_path, seen, caplog):
+    noise = np.exp(0.05 * np.random.default_rng(1).standard_normal((100, 140)))
+    file, chart = photographed(tmp_path, seen, lamp("D65"), noise)
+    (found,) = read_room_charts({"desk": (file, chart)}, seen.calibration)
+    expected = (chart_spectra(CHART)[1] * lamp("D65")) @ seen.sensitivity.T
+    off = found.response / expected
+    # Noise of 5 % in each sample, the same in all bands, and what it leaves unknown of the light.
+    square = np.mean(np.square(off / off.mean(axis=0) - 1.0)) / np.mean(found.variance / found.response**2)
+    assert 0.5 < square < 2.0 and not caplog.records
+    small = made(Chart, ON_WALL | {"patch_px": 3})
+    assert len(read_room_charts({"desk": (file, small)}, seen.calibration)) == 1
+    assert "room chart desk: its light is taken as even: not correctable" in caplog.text
+
+
 def test_a_chart_on_a_wall_that_is_mostly_spoilt_or_seen_through_other_filters_is_refused(tmp_path, seen):
     file, chart = photographed(tmp_path, seen, lamp("D65"), spoilt=[0.1] * 7)
     with pytest.raises(InputError, match=r"7 of 24 patches saturated or masked.*25% at most") as caught:
