@@ -17,13 +17,13 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.written_pictures import loss_stated_in, spectra_in
 from irodori.colour.colorimetry import delta_e, delta_e_reflectance, lab_from_xyz, xyz_from_radiance
 from irodori.config.definitions import load_definitions
 from irodori.core.atomic_files import written_whole
 from irodori.core.yaml_files import read_yaml
 from irodori.export.export_command import command_parser, export_named
 from irodori.export.loss import Loss, Losses
-from irodori.export.pictures import read_layers, stated_loss
 from irodori.light.environment_file import Environment
 from irodori.light.omnidirectional import to_panorama
 from irodori.material.material_file import Material
@@ -92,7 +92,7 @@ def measured(call: str, folder: Path) -> list[dict]:
     seconds = processor_s() - start
     if given.to in ("spectral-exr", "envi"):
         layers = "S0" if given.source == LIGHT else "T"
-        read = (lambda: read_layers(path, layers)[1]) if given.to == "spectral-exr" else (lambda: envi_spectra(path))
+        read = (lambda: spectra_in(path, layers)[1]) if given.to == "spectral-exr" else (lambda: envi_spectra(path))
         if given.source == LIGHT:
             light = Environment.load(f"results/environments/{LIGHT}.h5")
             losses = {"light of every direction, read back": of_light(read, light)}
@@ -108,13 +108,13 @@ def pictures(folder: Path) -> list[dict]:
     rows = []
     for kind in ("exr", "png"):
         path = run / f"{VIEW}.{kind}"
-        rows += _rows(str(path), {_PICTURE: Loss.parse(stated_loss(path) or "")}, path, None)
+        rows += _rows(str(path), {_PICTURE: loss_stated_in(path)}, path, None)
     scene = load_definitions(read_yaml("config/config.yaml") | {"make": {"scenes": [SCENE]}}, Path()).scenes[SCENE]
     for kind, write in ON_REQUEST.items():
         path, start = folder / f"{VIEW}.{kind}", processor_s()
         write(scene, run / f"{VIEW}.exr", f"results/environments/{scene.environment}.h5", path)
         seconds = processor_s() - start
-        rows += _rows(f"{run}/{VIEW}.{kind}", {_PICTURE: Loss.parse(stated_loss(path) or "")}, path, seconds)
+        rows += _rows(f"{run}/{VIEW}.{kind}", {_PICTURE: loss_stated_in(path)}, path, seconds)
     return rows
 
 

@@ -15,12 +15,12 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from benchmarks.published_tables import FIGURES
+from benchmarks.written_pictures import spectra_in
 from irodori.colour.colorimetry import delta_e, lab_from_xyz, xyz_from_radiance, xyz_from_reflectance
 from irodori.colour.display import rgb_from_xyz, srgb
 from irodori.core import store
 from irodori.core.atomic_files import written_whole
 from irodori.core.errors import PlainError
-from irodori.export.pictures import read_spectral_exr
 from irodori.material.coefficients import read_coefficients
 from irodori.material.material_file import Material
 from irodori.material.observed_angles import read_angles
@@ -251,7 +251,7 @@ def recovered_light(results: Path) -> Figure:
 def picture_error(results: Path) -> Figure:
     """Return a figure of the rendered picture and of its difference to that of the true materials in the true light."""
     folder = results / SCENE
-    pictures = [read_spectral_exr(folder / part / f"{VIEW}.exr") for part in (".", "truth")]
+    pictures = [spectra_in(folder / part / f"{VIEW}.exr")[1] for part in (".", "truth")]
     # The white of the scene only sets the scale of CIELAB: a diffuser as bright as the 99th percentile of the picture.
     matrix = xyz_from_radiance(np.ones(len(WAVELENGTH_NM)))
     xyz = [picture @ matrix.T for picture in pictures]

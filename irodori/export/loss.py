@@ -1,7 +1,6 @@
 """Colour differences, in CIEDE2000, between the content of a file and the values that Irodori computed."""
 
 import math
-import re
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -34,20 +33,6 @@ class Loss(NamedTuple):
         """Return the loss from the JSON object that `figures` made."""
         values = (figures[name] for name in ("mean", "p95", "max"))
         return cls(figures["count"], *(np.nan if value is None else value for value in values))
-
-    @classmethod
-    def parse(cls, text: str) -> "Loss":
-        """Parse the loss at the beginning of a text in the form of `text`.
-
-        Raises
-        ------
-        ValueError
-            If the text does not begin with such figures.
-        """
-        match = re.match(r"CIEDE2000 mean (\S+), p95 (\S+), max (\S+), of (\d+)", text)
-        if match is None:
-            raise ValueError(f"a loss without figures: {text!r}; accepted: CIEDE2000 mean, p95 and max")
-        return cls(int(match[4]), *map(float, match.groups()[:3]))
 
     @property
     def text(self) -> str:

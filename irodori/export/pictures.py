@@ -244,23 +244,6 @@ def stored_samples(path, accepted: str) -> tuple[np.ndarray, dict[str, object]]:
     return samples, {attribute.name: attribute.value for attribute in spec.extra_attribs}
 
 
-def stated_loss(path) -> str | None:
-    """Read the loss stated in the attributes or the description of a picture file; None if there is none.
-
-    Raises
-    ------
-    InputError
-        If OpenImageIO cannot open the file.
-    """
-    source = _open(path, "a picture")
-    spec = source.spec()
-    source.close()
-    listed = dict(
-        part.split(" ", 1) for part in spec.get_string_attribute("ImageDescription").split("; ") if " " in part
-    )
-    return spec.getattribute(LOSS) or listed.get(LOSS)
-
-
 def picture_bands(path, rows: int) -> Iterator[tuple[int, np.ndarray]]:
     """Read a picture file in groups of rows; yield each with the index of its first row.
 
@@ -344,44 +327,6 @@ def layers_of(names: list[str], kind: str, path) -> tuple[np.ndarray, list[int]]
     if twice.size:
         raise InputError(path, "channels", f"{wavelength_nm[twice[0]]:g} nm twice", "each wavelength once")
     return wavelength_nm, [index for _, index in found]
-
-
-def read_layers(path, kind: str) -> tuple[np.ndarray, np.ndarray]:
-    """Read the layers of one kind of a spectral EXR (Fichet et al. 2021) with any wavelengths.
-
-    Parameters
-    ----------
-    path : path
-    kind : {"S0", "T"}
-        Emissive radiance without polarisation, or reflectance.
-
-    Returns
-    -------
-    wavelength_nm : (n,) float64, increasing
-    pixels : (height, width, n) float32
-
-    Raises
-    ------
-    InputError
-        If the file is missing or truncated, has no such layers, or has two for the same wavelength.
-    """
-    header = picture_header(path)
-    height = header.size[0]
-    wavelength_nm, channels = layers_of(header.channels, kind, path)
-    return wavelength_nm, np.concatenate([band[..., channels] for _, band in picture_bands(path, height)])
-
-
-def read_spectral_exr(path) -> np.ndarray:
-    """Read the S0 layers of a spectral EXR at the 61 wavelengths 400 to 700 nm, (height, width, 61) float32.
-
-    Raises
-    ------
-    InputError
-        If the file is missing, truncated, or lacks a wavelength; `read_layers` reads files with other wavelengths.
-    """
-    header = picture_header(path)
-    channels = _grid_channels(header, path)
-    return np.concatenate([band[..., channels] for _, band in picture_bands(path, header.size[0])])
 
 
 def _grid_channels(header: Header, path) -> list[int]:

@@ -9,13 +9,14 @@ from PIL import Image
 from scenes import material
 from spectral.io import envi
 
+from benchmarks.written_pictures import spectra_in
 from irodori.colour.colorimetry import delta_e, delta_e_reflectance, lab_from_xyz, xyz_from_radiance
 from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.export.export_command import main
 from irodori.export.loss import Loss
 from irodori.export.material_pictures import export_picture
-from irodori.export.pictures import layer_names, read_layers
+from irodori.export.pictures import layer_names
 from irodori.light.environment_file import Environment
 from irodori.light.light_files import spectral_picture
 from irodori.light.omnidirectional import from_panorama
@@ -47,7 +48,7 @@ def files(tmp_path):
 def test_a_material_comes_back_from_a_spectral_exr(files):
     folder, paint, _ = files
     export_picture(folder / "material.h5", folder / "out.exr")
-    wavelength, reflectance = read_layers(folder / "out.exr", "T")
+    wavelength, reflectance = spectra_in(folder / "out.exr", "T")
     assert np.array_equal(wavelength, WAVELENGTH_NM)
     assert np.allclose(reflectance, paint.spectra(), rtol=1e-6)
     spec, pixels = read(folder / "out.exr")
@@ -66,7 +67,7 @@ def stated_and_read(path, layers):
     spec, pixels = read(path)
     if path.suffix == ".tif":
         return spec.getattribute("ImageDescription"), pixels[..., 3:64]
-    return f"irodori:loss {spec.getattribute('irodori:loss')}", read_layers(path, layers)[1]
+    return f"irodori:loss {spec.getattribute('irodori:loss')}", spectra_in(path, layers)[1]
 
 
 @pytest.mark.parametrize("suffix", [".exr", ".tif", ".img"])

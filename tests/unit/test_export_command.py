@@ -12,13 +12,13 @@ from exported import painted
 from PIL import Image
 from scenes import smooth_sky
 
+from benchmarks.written_pictures import loss_stated_in
 from irodori.colour.colorimetry import xyz_from_radiance
 from irodori.colour.display import standard_display
 from irodori.core import store
 from irodori.export.export_command import TARGETS, command_parser, export_named, main
 from irodori.export.gltf_loss import EVEN, HIGHLIGHT, LAMP, SPECTRA, ParsedGltf
-from irodori.export.loss import Loss
-from irodori.export.pictures import stated_loss, write_display_picture, write_spectral_exr
+from irodori.export.pictures import write_display_picture, write_spectral_exr
 from irodori.rendering.stage import write_picture
 
 OBJECTS = ("tile-plate", "vermilion-sphere", "indigo-sphere", "leaf-sphere")
@@ -108,7 +108,7 @@ def test_a_light_is_exported_by_its_name(project):
     export_named("classroom", root / "room.exr", given("classroom", "--to", "spectral-exr"))
     with Image.open(root / "room.exr.png") as preview:
         assert preview.size == (64, 32)
-    assert Loss.parse(stated_loss(root / "room.exr")).compared == 64 * 32
+    assert loss_stated_in(root / "room.exr").compared == 64 * 32
 
 
 def test_every_picture_of_a_view_has_its_row_in_the_table_of_losses(project, tmp_path):

@@ -11,11 +11,12 @@ from hypothesis import strategies as st
 from made import made
 from scenes import DATA
 
+from benchmarks.written_pictures import spectra_in
 from irodori.colour.colorimetry import colour_matching_weights, delta_e, lab_from_xyz, spectral_rmse
 from irodori.config.models import IrradianceMap, LightsSource, PlacedLight, RgbSource, Size, SpectralSource
 from irodori.core import store
 from irodori.core.errors import InputError
-from irodori.export.pictures import read_layers, write_spectral_exr
+from irodori.export.pictures import write_spectral_exr
 from irodori.light.environment_file import Environment, directions
 from irodori.light.gloss import look_up_errors
 from irodori.light.irradiance import Integrator
@@ -237,7 +238,7 @@ def test_spectral_pictures_that_are_no_light_are_refused(tmp_path):
     with pytest.raises(InputError, match="kind S0 among T"):
         spectral_picture(write_exr(tmp_path / "t.exr", np.ones((2, 4, 2)), ["T.400,0nm", "T.700,0nm"]))
     with pytest.raises(InputError, match="500 nm twice"):
-        read_layers(write_exr(tmp_path / "d.exr", np.ones((2, 4, 2)), ["S0.500,0nm", "S0.500nm"]), "S0")
+        spectral_picture(write_exr(tmp_path / "d.exr", np.ones((2, 4, 2)), ["S0.500,0nm", "S0.500nm"]))
     names = [f"S0.{w},0nm" for w in range(450, 651, 10)]
     with pytest.raises(InputError, match="400"):
         spectral_picture(write_exr(tmp_path / "s.exr", np.ones((2, 4, len(names))), names))
@@ -247,7 +248,7 @@ def test_another_programs_chart_is_read_and_brought_to_the_grid():
     path = DATA / "spectral" / "macbeth_chart_36_bands.exr"
     if not path.is_file():
         pytest.skip(f"no picture at {path}")
-    wavelength, pixels = read_layers(path, "T")
+    wavelength, pixels = spectra_in(path, "T")
     assert len(wavelength) == 36 and wavelength[0] == 380 and wavelength[-1] == 730
     out = resample_picture(wavelength, pixels, path)
     assert out.shape == (400, 600, 61) and out.min() >= 0 and out.max() < 1

@@ -11,24 +11,20 @@ from made import made
 from PIL import Image
 from scenes import DATA, OPTIONS, constant_light, material
 
+from benchmarks.written_pictures import loss_stated_in, spectra_in
 from irodori.colour.colorimetry import delta_e, lab_from_xyz, xyz_from_radiance
 from irodori.colour.display import srgb
 from irodori.config.models import ObjectShape, Render, Scene
 from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.export.loss import Loss
-from irodori.export.pictures import (
-    layer_names,
-    read_spectral_exr,
-    stated_loss,
-    write_display_picture,
-    write_spectral_exr,
-)
+from irodori.export.pictures import layer_names, read_xyz, write_display_picture, write_spectral_exr
 from irodori.rendering.stage import render_view, write_picture, write_tiff, write_xyz
 from irodori.report.html_page import fragment
 from irodori.report.page import rendered_views
 from irodori.spectra.grid import WAVELENGTH_NM
 
+TO_XYZ = xyz_from_radiance(np.ones(61))
 DISPLAY = {"exposure": "auto", "device": {"kind": "standard", "name": "sRGB"}}
 
 
@@ -41,7 +37,7 @@ def spectral_picture(path, seed=2, size=(24, 32), storage="half"):
 
 def test_a_spectral_exr_in_single_precision_keeps_every_bit(tmp_path):
     radiance = spectral_picture(tmp_path / "a.exr", storage="single")
-    assert np.array_equal(read_spectral_exr(tmp_path / "a.exr"), radiance)
+    assert np.array_equal(spectra_in(tmp_path / "a.exr")[1], radiance)
     assert [file.name for file in tmp_path.iterdir()] == ["a.exr"]
 
 
@@ -64,9 +60,9 @@ def test_a_spectral_exr_states_the_loss_of_its_numbers(tmp_path, storage, bright
     white = brightest * np.linspace(0.5, 1.5, 61)
     write_spectral_exr(tmp_path / "a.exr", radiance, radiance[..., :3], {}, storage=storage, white=white)
     matrix = xyz_from_radiance(white)
-    pictures = (radiance.astype(np.float64), read_spectral_exr(tmp_path / "a.exr").astype(np.float64))
+    pictures = (radiance.astype(np.float64), spectra_in(tmp_path / "a.exr")[1].astype(np.float64))
     off = Loss.of(delta_e(*(lab_from_xyz(one @ matrix.T, matrix @ white) for one in pictures)))
-    assert stated_loss(tmp_path / "a.exr") == off.text
+    assert loss_stated_in(tmp_path / "a.exr").text == off.text
     assert off.compared == 630 and (off.largest < 0.1 if storage == "half" else off.largest == 0.0)
     assert storage == "single" or off.largest > 1e-4
 
@@ -85,7 +81,7 @@ def test_a_picture_for_a_display_states_what_rounding_and_the_gamut_take(tmp_pat
         exact = display.linear_rgb(xyz, white)
         labs = [lab_from_xyz(one @ display.xyz_from_rgb.T, display.white_xyz) for one in (exact, shown)]
         off = Loss.of(delta_e(*labs))
-        assert stated_loss(path) == off.text
+        assert loss_stated_in(path).text == off.text
         assert off.mean > 3.0 if name == "outside" else off.mean < (0.5 if bits == 8 else 0.002)
 
 
@@ -104,18 +100,18 @@ def test_a_truncated_exr_is_refused(tmp_path, keep):
     content = path.read_bytes()
     path.write_bytes(content[: keep if isinstance(keep, int) else int(keep * len(content))])
     with pytest.raises(InputError, match=r"a\.exr"):
-        read_spectral_exr(path)
+        read_xyz(path, TO_XYZ)
 
 
 def test_an_exr_that_is_missing_or_lacks_a_wavelength_is_refused(tmp_path):
     with pytest.raises(InputError, match=r"missing\.exr"):
-        read_spectral_exr(tmp_path / "missing.exr")
+        read_xyz(tmp_path / "missing.exr", TO_XYZ)
     spec = oiio.ImageSpec(4, 4, 3, "float")
     output = oiio.ImageOutput.create(str(tmp_path / "rgb.exr"))
     assert output.open(str(tmp_path / "rgb.exr"), spec) and output.write_image(np.ones((4, 4, 3), np.float32))
     output.close()
     with pytest.raises(InputError, match="400 nm"):
-        read_spectral_exr(tmp_path / "rgb.exr")
+        read_xyz(tmp_path / "rgb.exr", TO_XYZ)
 
 
 def test_another_programs_exr_of_other_wavelengths_is_refused_by_name():
@@ -123,7 +119,7 @@ def test_another_programs_exr_of_other_wavelengths_is_refused_by_name():
     if not path.is_file():
         pytest.skip(f"no picture at {path}")
     with pytest.raises(InputError, match="no layer for 4"):
-        read_spectral_exr(path)
+        read_xyz(path, TO_XYZ)
 
 
 def test_a_png_keeps_its_pixels_and_carries_srgb(tmp_path):
@@ -167,7 +163,7 @@ def test_a_view_in_files_shows_a_white_diffuser_as_white(tmp_path):
         **outputs_of(tmp_path, "v"),
         options=made(Render, OPTIONS),
     )
-    radiance = read_spectral_exr(tmp_path / "v.exr")
+    radiance = spectra_in(tmp_path / "v.exr")[1]
     assert np.allclose(radiance[2, 2], np.linspace(0.3, 3.0, 61), rtol=2e-3)
     with Image.open(tmp_path / "v.png") as image:
         pixels = np.asarray(image).astype(int)
@@ -188,7 +184,7 @@ def _check_further_outputs(scene, folder, pixels):
     xyz, white = source.read_image("float"), source.spec().getattribute("irodori:whiteXYZ")
     source.close()
     # Half precision in the spectra, 8 bits in the PNG, 32 bits in the XYZ.
-    means = [float(stated_loss(folder / name).split()[2][:-1]) for name in ("v.exr", "v.png", "v.xyz.exr")]
+    means = [loss_stated_in(folder / name).mean for name in ("v.exr", "v.png", "v.xyz.exr")]
     assert 0.0 < means[0] < 0.02 and 0.02 < means[1] < 0.5 and means[2] < 1e-4
     assert xyz[15, 15] == pytest.approx(0.2 * np.array(list(map(float, white.split()))), rel=0.01)
     write_tiff(made(Scene, scene), folder / "v.exr", folder / "e.h5", folder / "v.tif")
@@ -283,7 +279,7 @@ def test_an_interactive_view_in_files_has_the_light_of_its_lamp(tmp_path):
     from irodori.light.placed_lights import unit_luminance
 
     expected = np.linspace(0.3, 3.0, 61) + 4.0 * 0.5 * unit_luminance("A")
-    np.testing.assert_allclose(read_spectral_exr(outputs["exr"])[2, 3], expected, rtol=3e-3)
+    np.testing.assert_allclose(spectra_in(outputs["exr"])[1][2, 3], expected, rtol=3e-3)
     with Image.open(outputs["png"]) as image:
         assert (np.asarray(image) >= 252).all()
     figures = json.loads(outputs["figures_file"].read_text())
@@ -330,7 +326,7 @@ def test_a_body_is_rendered_from_its_names_alone(tmp_path, integrator):
             **outputs_of(tmp_path, name),
             options=OPTIONS,
         )
-    left, right = (read_spectral_exr(tmp_path / f"{name}.exr")[0, 1] for name in ("left", "right"))
+    left, right = (spectra_in(tmp_path / f"{name}.exr")[1][0, 1] for name in ("left", "right"))
     # Each sees nothing but the light; the second adds its mirror term to its diffuse one.
     assert np.allclose(left, 2.0 * np.maximum(spectrum("TCS12"), 0), rtol=2e-3)
     n = 0.2 + WAVELENGTH_NM / 1e3

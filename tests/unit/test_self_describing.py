@@ -9,12 +9,13 @@ import xarray as xr
 from made_up_camera import training
 from scenes import material, sky
 
+from benchmarks.written_pictures import spectra_in
 from irodori.calibration.estimators import fit
 from irodori.core import store
 from irodori.core.custody import accept
 from irodori.core.errors import InputError
 from irodori.core.units import require_unit
-from irodori.export.pictures import read_layers, read_spectral_exr, write_spectral_exr
+from irodori.export.pictures import read_xyz, write_spectral_exr
 from irodori.light.gloss.gloss_maps import GlossMaps
 from irodori.light.gloss.lobe_table import path_of
 from irodori.material.coefficients import read_coefficients, write_coefficients
@@ -182,7 +183,7 @@ def test_a_picture_of_any_brightness_is_rounded_to_a_part_in_2048(tmp_path, top)
     radiance = (top * 10.0 ** rng.uniform(-6, 0, (9, 7, 61))).astype(np.float32)
     radiance[0, 0] = top
     write_spectral_exr(tmp_path / "a.exr", radiance, radiance[..., :3], {})
-    found = read_spectral_exr(tmp_path / "a.exr")
+    found = spectra_in(tmp_path / "a.exr")[1]
     assert np.isfinite(found).all()
     assert np.abs(found.astype(float) - radiance).max() <= 2.0**-11 * top
     within = radiance > 1e-4 * top
@@ -194,14 +195,14 @@ def test_a_picture_that_half_precision_cannot_span_is_stored_whole(tmp_path):
     radiance = np.full((4, 4, 61), 1e-3, np.float32)
     radiance[0, 0] = 1e12
     write_spectral_exr(tmp_path / "a.exr", radiance, radiance[..., :3], {})
-    assert np.array_equal(read_spectral_exr(tmp_path / "a.exr"), radiance)
+    assert np.array_equal(spectra_in(tmp_path / "a.exr")[1], radiance)
 
 
 def test_what_is_no_number_stays_none_and_nothing_else_becomes_one(tmp_path):
     radiance = np.full((4, 4, 61), 1e7, np.float32)
     radiance[1, 1], radiance[2, 2] = np.nan, np.inf
     write_spectral_exr(tmp_path / "a.exr", radiance, radiance[..., :3], {})
-    found = read_spectral_exr(tmp_path / "a.exr")
+    found = spectra_in(tmp_path / "a.exr")[1]
     assert np.array_equal(np.isnan(found), np.isnan(radiance)) and np.array_equal(np.isinf(found), np.isinf(radiance))
     usual = np.isfinite(radiance)
     assert found[usual] == pytest.approx(radiance[usual], rel=2.0**-11)
@@ -212,7 +213,7 @@ def test_a_scale_that_is_no_power_of_two_is_refused(tmp_path, scale):
     radiance = np.ones((4, 4, 61), np.float32)
     write_spectral_exr(tmp_path / "a.exr", radiance, radiance[..., :3], {"irodori:scale": scale})
     with pytest.raises(InputError, match=r"irodori:scale: found .*accepted: a power of two"):
-        read_layers(tmp_path / "a.exr", "S0")
+        read_xyz(tmp_path / "a.exr", np.ones((3, 61)))
 
 
 def test_blurred_light_in_half_precision_is_what_its_errors_were_judged_by(tmp_path):

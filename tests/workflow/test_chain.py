@@ -13,12 +13,12 @@ from accessibility import violations
 from project import ROOT, edit, planned, small_project, snakemake
 from written_files import KINDS, PAGE, of_page, of_results, tables
 
+from benchmarks.written_pictures import spectra_in
 from irodori.calibration.verdict import TOLERANCES
 from irodori.core.store import open_file
 from irodori.core.units import require_unit
 from irodori.evaluation.registration_errors import summarise
 from irodori.evaluation.result_tables import RegistrationRow, read_rows
-from irodori.export.pictures import read_spectral_exr
 from irodori.material.material_file import Material
 from irodori.report.page import typical_gloss_text
 from irodori.viewer.browser import browser_command
@@ -47,7 +47,7 @@ def errors(folder) -> dict[tuple[str, str, str], dict]:
 
 
 def test_one_command_leaves_pictures_report_and_errors(finished):
-    radiance = read_spectral_exr(finished / "results/still-life/front.exr")
+    radiance = spectra_in(finished / "results/still-life/front.exr")[1]
     assert radiance.shape == (36, 48, 61)
     assert np.isfinite(radiance).all() and (radiance >= 0).all() and radiance.max() > 0.1
     assert (finished / "results/still-life/front.png").read_bytes().startswith(b"\x89PNG")
