@@ -27,7 +27,7 @@ import yaml
 
 from benchmarks.table import COLUMNS, arguments_of, least_processor_s, medians_s, own_peak_mb, report
 from irodori.calibration.best_response import NOTHING, Given
-from irodori.calibration.estimators import fit_checked
+from irodori.calibration.estimators import fit
 from irodori.calibration.filter_table import read_filter
 from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.calibration.response_model import smooth_covariance
@@ -83,7 +83,7 @@ def camera(seed: int = 0, table: bool = False) -> Seen:
     if table and (known := definition.comb_filter) is not None:
         given = Given(read_filter(CAMERA.parents[2] / known.transmittance, known.name, known.shift_nm))
     training = Training(chart @ response.T * noise, chart, light, given=given)
-    return Seen(fit_checked("pinv", training, 6, np.inf), response / light)
+    return Seen(fit("pinv", training, 6, np.inf), response / light)
 
 
 def unlike(lamps: np.ndarray, *others: np.ndarray) -> np.ndarray:

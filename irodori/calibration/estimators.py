@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from irodori.calibration.conditioning import MAX_CONDITION, check_brightest, check_responses
+from irodori.calibration.conditioning import MAX_CONDITION
 from irodori.calibration.paper_estimator import calibrate, spectral_basis
 from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.calibration.recovery.mappings import (
@@ -176,24 +176,13 @@ def fit_mapping(name: str, training: Training) -> Mapping:
 def fit(name: str, training: Training, bases: int, max_condition: float = MAX_CONDITION) -> Calibration:
     """Return a calibration by an estimator on a number of bases; ``pinv`` is the paper's formula.
 
+    The responses have passed the checks of `irodori.calibration.conditioning`.
+
     Raises
     ------
     ValueError
-        For an unknown estimator, an impossible number of bases, or responses that determine no calibration.
+        For an unknown estimator or an impossible number of bases.
     """
-    response = np.asarray(training.response, dtype=np.float64)
-    if response is not training.response:  # otherwise it keeps what has been computed from it
-        training = replace(training, response=response)
-    if name not in ESTIMATORS:
-        raise ValueError(f"unknown estimator {name!r}; accepted: {', '.join(ESTIMATORS)}")
-    check_responses(response, max_condition, training.noise.patch)
-    with threadpool_limits(1):
-        check_brightest(training)
-    return fit_checked(name, training, bases, max_condition)
-
-
-def fit_checked(name: str, training: Training, bases: int, max_condition: float = MAX_CONDITION) -> Calibration:
-    """Return a calibration as `fit` does, for responses that have passed its checks."""
     with threadpool_limits(1):  # small matrices, and the same sums whatever the threads
         if name == "pinv":
             found = calibrate(training.response, training.spectra, bases, training.light, max_condition)

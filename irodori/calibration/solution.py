@@ -6,7 +6,7 @@ import numpy as np
 
 from irodori.calibration.conditioning import condition_number, noise_amplification
 from irodori.calibration.estimator_choice import BASES, SelectionRow, choose, cross_validate, safest
-from irodori.calibration.estimators import ESTIMATORS, fit_checked
+from irodori.calibration.estimators import ESTIMATORS, fit
 from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.calibration.training import Training
 from irodori.config.models import CalibrationOptions
@@ -46,7 +46,7 @@ def solve(
     bases = _bases_of(settings, training.response.shape[1])
     rows, recovered, by_chart = _judge(training, (settings.estimator, bases), lights, timed, charts)
     chosen = choose(rows, settings.estimator, bases, safest(training))
-    calibration = replace(fit_checked(chosen[0], training, chosen[1], settings.max_condition), filters=filters)
+    calibration = replace(fit(chosen[0], training, chosen[1], settings.max_condition), filters=filters)
     numbers = {
         "condition_number": condition_number(training.response),
         "noise_amplification": noise_amplification(calibration),

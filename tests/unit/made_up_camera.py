@@ -4,6 +4,9 @@ from functools import lru_cache
 
 import numpy as np
 
+from irodori.calibration.conditioning import check_brightest, check_responses
+from irodori.calibration.estimators import fit
+from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.calibration.training import ResponseNoise, Training
 from irodori.spectra.grid import TRAPEZOID_NM, WAVELENGTH_NM
 from irodori.spectra.published import chart_spectra, spectrum
@@ -36,3 +39,10 @@ def training(noise: float = 0.0, seed: int = 0, known: bool = True, patch_share:
     return Training(
         response, patches(), LIGHT, ResponseNoise(patch_share**2 * variance, variance) if known else ResponseNoise()
     )
+
+
+def checked_fit(name: str, chart: Training, bases: int) -> Calibration:
+    """Return a calibration by an estimator, or refuse the chart, as the stage does."""
+    check_responses(chart.response, patch_variance=chart.noise.patch)
+    check_brightest(chart)
+    return fit(name, chart, bases)

@@ -14,7 +14,7 @@ from hard_scenes import SCENES, brightest_of, hard_scene
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from made import made
-from made_up_camera import LIGHT, system, training
+from made_up_camera import LIGHT, checked_fit, system, training
 from path_scenes import traced
 from sky_draws import densities, shares
 from test_estimators import PROBES
@@ -22,7 +22,7 @@ from test_fitting import GEOMETRY, K, N, model
 from test_fitting_hard import assert_sound, in_plane, stated
 from test_principal_components import line, observers, picture
 
-from irodori.calibration.estimators import ESTIMATORS, fit
+from irodori.calibration.estimators import ESTIMATORS
 from irodori.calibration.training import Training
 from irodori.config.models import IrradianceMap
 from irodori.core import store
@@ -159,7 +159,7 @@ def test_a_chart_with_several_faults_is_recovered_from_or_refused(
     if dead is not None:
         response[:, dead] = 0.0
     try:
-        solved = fit(name, Training(response.astype(kind), chart.spectra[rows], LIGHT), bases)
+        solved = checked_fit(name, Training(response.astype(kind).astype(float), chart.spectra[rows], LIGHT), bases)
     except ValueError as refusal:
         assert "accepted" in str(refusal)
         return
@@ -176,7 +176,8 @@ def test_a_population_whose_spread_rounding_makes_indefinite_is_fitted(name):
     """Twice 15 patches, all responses too dark by 0.05, no noise: eigenvalues of -1e-7 of their sum."""
     chart = training(0.0)
     rows = np.tile(np.random.default_rng(4).permutation(24)[:15], 2)
-    solved = fit(name, Training((chart.response[rows] - 0.05).astype(np.float32), chart.spectra[rows], LIGHT), 3)
+    response = (chart.response[rows] - 0.05).astype(np.float32).astype(float)
+    solved = checked_fit(name, Training(response, chart.spectra[rows], LIGHT), 3)
     found = solved.spectra(PROBES @ system().T - 0.05)
     assert np.isfinite(found).all() and np.abs(found).max() < 2.0
 
