@@ -33,6 +33,7 @@ from irodori.core import store
 from irodori.core.threads import use_threads
 from irodori.material.coefficients import read_coefficients
 from irodori.material.principal_components.basis_count import Compression, CompressOptions, analyse
+from irodori.material.principal_components.pixel_tiles import TILE_BYTES
 from irodori.material.principal_components.repeated_reflection import colour_error
 from irodori.spectra.coordinates import write_wavelength
 from irodori.spectra.published import spectrum
@@ -115,16 +116,31 @@ def observers() -> dict:
     return {name: (matrix := xyz_from_reflectance(name), matrix.sum(axis=1)) for name in LIGHTS[:2]}
 
 
+class Picture:
+    """A contiguous dataset (height, width, bands) of float32, read as memory maps of some rows each."""
+
+    def __init__(self, dataset) -> None:
+        self._file, self._first_byte, self._shape = dataset.file.filename, dataset.id.get_offset(), dataset.shape
+
+    def __iter__(self) -> Iterator[np.ndarray]:
+        height, *row = self._shape
+        row_bytes = 4 * int(np.prod(row))
+        rows = max(1, TILE_BYTES // row_bytes)
+        for first in range(0, height, rows):
+            shape = (min(rows, height - first), *row)
+            yield np.memmap(self._file, np.float32, "r", self._first_byte + first * row_bytes, shape)
+
+
 def pca(folder: Path, variant: str) -> Compression:
     """Compress the picture's file into another file and return the compression."""
     name, options, bases = PCA[variant]
     with store.open_file(folder / f"{name}.h5") as file:
-        source = file.dataset("radiance")
+        source, size = Picture(file.dataset("radiance")), file.dataset("radiance").shape[:2]
         basis = file.read("basis") if "basis" in file else None
         made = analyse(source, basis, observers(), options, bases=bases)
         with store.create(folder / f"{variant}.h5", PROVENANCE) as out:
             names = {"quantity": "coefficients of the radiance", "codec": options.codec}
-            made.write(out, "coefficients", source, source.shape[:2], **names)
+            made.write(out, "coefficients", source, size, **names)
             write_wavelength(out)
             out.write("basis", made.basis, units="1", dims="wavelength,component", quantity="basis")
     return made

@@ -19,7 +19,6 @@ from irodori.material.principal_components.pixel_tiles import Tiles
 from irodori.material.principal_components.second_moments import second_moments
 from irodori.material.stage import compress_maps
 from irodori.report.html_page import fragment
-from irodori.spectra.coordinates import write_wavelength
 from irodori.spectra.grid import WAVELENGTH_NM
 from irodori.spectra.published import spectrum
 
@@ -78,32 +77,18 @@ def test_second_moments_are_those_of_the_sum_in_higher_precision(seed, bands, pi
     assert moments.largest_norm == pytest.approx(np.linalg.norm(rows.astype(float), axis=1).max(), rel=1e-12)
 
 
-@pytest.mark.default_cases(4)
-@pytest.mark.parametrize("kind", ["array", "flat", "memmap", "tiles", "hdf5", "hdf5 long row", "chunked", "long row"])
-def test_any_source_gives_the_same_basis_in_tiles_of_any_size(tmp_path, kind):
+@pytest.mark.parametrize("kind", ["array", "flat", "tiles", "long row"])
+def test_any_source_gives_the_same_basis_in_tiles_of_any_size(kind):
     values = picture(1)
     height, width, _ = values.shape
-    with store.create(tmp_path / "p.h5", PROVENANCE) as out:
-        names = {"units": "1", "dims": "row,column,wavelength", "quantity": "reflectance"}
-        write_wavelength(out)
-        out.write("whole", values, compression="none", **names)
-        out.write("packed", values, compression="fast", **names)
-        out.write("long", values.reshape(1, -1, 61), compression="none", **(names | {"dims": "one,pixel,wavelength"}))
-    mapped = np.memmap(tmp_path / "raw", np.float32, "w+", shape=values.shape)
-    mapped[:] = values
-    with store.open_file(tmp_path / "p.h5") as file:
-        source = {
-            "array": lambda: Tiles(values, 100_000),
-            "flat": lambda: Tiles(values.reshape(-1, 61), 100_000),
-            "memmap": lambda: Tiles(mapped, 100_000),
-            "tiles": lambda: [values[:7], values[7:8].reshape(-1, 61), values[8:]],
-            "hdf5": lambda: Tiles(file.dataset("whole"), 100_000),
-            "hdf5 long row": lambda: Tiles(file.dataset("long"), 100_000),
-            "chunked": lambda: Tiles(file.dataset("packed"), 100_000),
-            "long row": lambda: Tiles(values.reshape(1, -1, 61), 100_000),
-        }[kind]()
-        found = analyse(source, None, observers(), EXACT, bases=5)
-        coefficients = np.concatenate(list(found.tiles(source)))
+    source = {
+        "array": lambda: Tiles(values, 100_000),
+        "flat": lambda: Tiles(values.reshape(-1, 61), 100_000),
+        "tiles": lambda: [values[:7], values[7:8].reshape(-1, 61), values[8:]],
+        "long row": lambda: Tiles(values.reshape(1, -1, 61), 100_000),
+    }[kind]()
+    found = analyse(source, None, observers(), EXACT, bases=5)
+    coefficients = np.concatenate(list(found.tiles(source)))
     best = np.linalg.svd(values.reshape(-1, 61).astype(float), full_matrices=False)[2][:5].T
     assert np.degrees(subspace_angles(found.basis, best)).max() < 1e-4
     assert found.pixels == height * width and found.masked == 0
