@@ -28,24 +28,16 @@ class Jitter:
         Error with the patches in place.
     moved : (8,) float64
         Error with all patches moved by `step_px` times SHIFTS.
-    limit : float
-        Largest change that is accepted.
     """
 
     step_px: float
     in_place: float
     moved: np.ndarray
-    limit: float = LIMIT
 
     @property
     def worst(self) -> float:
         """Largest change of the error, absolute."""
         return float(np.abs(self.moved - self.in_place).max())
-
-    @property
-    def passed(self) -> bool:
-        """Whether the largest change is within the limit."""
-        return self.worst <= self.limit
 
 
 def jitter(

@@ -196,7 +196,7 @@ def _jitter(charts: Charts, error) -> dict[str, float]:
     except InputError as refused:
         LOGGER.warning("the patches cannot be moved for the jitter test: %s", refused)
         return {"step_px": STEP_PX, "in_place": math.nan, "worst": math.nan, "limit": LIMIT}
-    return {"step_px": found.step_px, "in_place": found.in_place, "worst": found.worst, "limit": found.limit}
+    return {"step_px": found.step_px, "in_place": found.in_place, "worst": found.worst, "limit": LIMIT}
 
 
 def _clipped(names, invalid_share) -> dict[str, float]:

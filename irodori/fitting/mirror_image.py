@@ -47,11 +47,6 @@ class MirrorWeight:
     photographs: int = 0
     clipped: int = 0
 
-    @property
-    def is_measured(self) -> bool:
-        """Whether the photographs measure the weight."""
-        return math.isfinite(self.weight)
-
     def plain(self) -> dict:
         """Return the fields by name, None in place of NaN."""
         return {name: None if value != value else value for name, value in asdict(self).items()}

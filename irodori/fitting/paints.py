@@ -145,12 +145,6 @@ def seams(paint: np.ndarray) -> np.ndarray:
     return ndimage.maximum_filter(paint, **size) > lowest
 
 
-def sample(tile: Tile, colours: Colours, width: int, tiles: int) -> Tile:
-    """Return the texels of a tile that `sample_of` chooses."""
-    paint = by_colour(tile.response, tile.variance, colours)
-    return tile[sample_of(paint, np.any(tile.observed.weight > 0.0, axis=1), colours, width, tiles)]
-
-
 def sample_of(paint: np.ndarray, seen: np.ndarray, colours: Colours, width: int, tiles: int) -> np.ndarray:
     """Draw a sample of texels away from seams for the fit of gloss, of limited size for each paint and for no paint.
 
@@ -219,7 +213,7 @@ def find_paints(samples: list[Tile], colours: Colours, optics: GlossModel) -> Pa
     Parameters
     ----------
     samples : list of Tile
-        Texels from `sample`, for each tile.
+        Texels from `sample_of`, for each tile.
     """
     first = [by_colour(tile.response, tile.variance, colours) for tile in samples]
     paints = _with_gloss(samples, first, colours, optics)

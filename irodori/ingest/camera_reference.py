@@ -13,7 +13,7 @@ from irodori.core.progress import LOGGER, track
 from irodori.ingest.dark_frames import Dark, measure_dark
 from irodori.ingest.develop import develop
 from irodori.ingest.exposure_settings import filter_states, known_settings, settle, settle_set
-from irodori.ingest.flat_field import evaluate_flat, fit_flat
+from irodori.ingest.flat_field import fit_flat
 from irodori.ingest.ingest_options import IngestOptions
 from irodori.ingest.linearity import measure_linearity
 from irodori.ingest.mosaic import decode
@@ -65,11 +65,6 @@ class Reference:
             alignment = Alignment.read(file) if "registration" in file else None
             size = tuple(file.attribute("size_px"))
             return cls(dark, dict(zip(states, white, strict=True)), noise, size, file.attribute("known"), alignment)
-
-    def flat(self, state: str) -> np.ndarray:
-        """Evaluate the flat field of a filter state at the superpixels, (height, width, 3) float32."""
-        width, height = self.size_px
-        return evaluate_flat(self.white[state], height // 2, width // 2)
 
 
 def _load_dark(file: store.Reader) -> Dark | None:

@@ -51,7 +51,7 @@ def see(definitions, pose: Pose, plate: Registration, state: int) -> np.ndarray:
 @pytest.fixture(scope="module")
 def unfiltered(definitions):
     """Return a function that returns the mosaic of a pose without the plate, computed once."""
-    return cache(lambda pose: see(definitions, pose, Registration.identity(), 0))
+    return cache(lambda pose: see(definitions, pose, Registration(0.0, 0.0, 0.0, 1.0, 0.0, 0.0), 0))
 
 
 def found_error_px(definitions, unfiltered, pose: Pose, plate) -> float:

@@ -10,7 +10,7 @@ from scipy import stats
 from shortcuts import read_patches
 
 from irodori.calibration.chart import Located
-from irodori.calibration.jitter import SHIFTS, jitter
+from irodori.calibration.jitter import LIMIT, SHIFTS, jitter
 from irodori.config.models import Chart
 from irodori.core.errors import InputError
 
@@ -154,7 +154,7 @@ def test_jitter_moves_all_patches_to_eight_sides():
 @pytest.mark.stability(stage="calibrate", case="patches moved by 3 pixels")
 def test_patches_that_hold_the_moved_squares_pass():
     found = jitter(picture(), np.ones((140, 200), bool), located(picture()), np.mean, "x.h5")
-    assert found.worst <= 1e-12 and found.passed, "patches of 50 hold squares of 40 moved by 3"
+    assert found.worst <= 1e-12, "patches of 50 hold squares of 40 moved by 3"
 
 
 @pytest.mark.stability(stage="calibrate", case="patches moved by 3 pixels")
@@ -162,7 +162,7 @@ def test_jitter_tells_patches_read_over_their_edge_and_dirt_beside_them():
     image = picture()
     valid = np.ones((140, 200), bool)
     far = jitter(image, valid, located(image), np.sum, "x.h5", step_px=12.0)
-    assert not far.passed and far.worst > 0.05
+    assert far.worst > LIMIT
     image[8:20] = 5.0  # a bright band above the squares of the first row, of which the moved ones hold a fifth
     found = jitter(image, valid, located(image), np.sum, "x.h5", step_px=8.0)
     up = [dy < 0 for _, dy in SHIFTS]

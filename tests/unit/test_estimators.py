@@ -332,6 +332,11 @@ def test_noise_goes_into_the_covariance_as_repeated_photographs_scatter(solved, 
     assert np.abs(rms[0] / rms[1] - 1.0).max() <= 0.1
 
 
+def roots(posterior: Posterior, response: np.ndarray, variance: np.ndarray | None = None) -> np.ndarray:
+    """Return square roots of the covariances of reflectances, (n, 16, r)."""
+    return posterior._roots(response, variance, False)[1]
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_twice_the_light_gives_twice_the_standard_deviation_and_a_covariance_that_is_its_factor(solved, name):
     response = PROBES @ system().T
@@ -339,7 +344,7 @@ def test_twice_the_light_gives_twice_the_standard_deviation_and_a_covariance_tha
     posterior = Posterior(solved[name])
     found, twice = posterior.of(response, variance), posterior.of(2.0 * response, 4.0 * variance)
     assert np.allclose(twice.standard_deviation, 2.0 * found.standard_deviation, rtol=1e-3)
-    root = posterior.factor(response, variance).astype(float)
+    root = roots(posterior, response, variance).astype(float)
     assert np.allclose((root**2).sum(axis=2), found.standard_deviation.astype(float) ** 2, rtol=1e-4)
 
 
@@ -350,7 +355,7 @@ def whole(root: np.ndarray) -> np.ndarray:
 
 def test_what_the_bands_see_is_not_in_the_covariance(solved):
     # Without noise the responses are explained up to what the chart leaves open of the camera; the spectra are not.
-    root = Posterior(solved["wiener"]).factor(PROBES @ system().T)
+    root = roots(Posterior(solved["wiener"]), PROBES @ system().T)
     root = whole(root)
     seen = np.sqrt(np.mean(np.einsum("bw,nwr->nbr", system(), root) ** 2 * root.shape[2]))
     narrow = np.eye(61)[10:51:10]  # single wavelengths weigh as much as a band does
@@ -361,7 +366,7 @@ def test_the_colour_error_is_the_quantile_of_draws_from_the_covariance(solved):
     response, rng = PROBES @ system().T, np.random.default_rng(3)
     variance = np.full(response.shape, 1e-6)
     posterior = Posterior(solved["wiener"])
-    root = whole(posterior.factor(response, variance))
+    root = whole(roots(posterior, response, variance))
     spectra = solved["wiener"].spectra(response)
     drawn = spectra + np.einsum("nwr,dnr->dnw", root, rng.standard_normal((3000, len(root), root.shape[2])))
     within = (
@@ -390,7 +395,7 @@ def test_an_error_that_bands_share_goes_into_the_covariance_as_cameras_drawn_fro
     errors = rng.normal(0.0, 0.02, (3, 6, 1)) * shape[:, None] * system().max()
     calibration = replace(solved["pinv"], band_response_covariance=np.einsum("kbi,kcj->bicj", errors, errors))
     exact = replace(calibration, band_response_covariance=np.zeros((6, 61, 6, 61)))
-    stated, without = (Posterior(one).factor(response).astype(float) for one in (calibration, exact))
+    stated, without = (roots(Posterior(one), response).astype(float) for one in (calibration, exact))
     spectra = calibration.spectra(response)
     drawn = np.einsum("dk,kbw,nw->dnb", rng.standard_normal((4000, 3)), errors, spectra)
     recovered = (drawn @ calibration.weights_from_response @ calibration.basis.T)[..., ::4]

@@ -17,7 +17,7 @@ from irodori.fitting.joint_gloss import HIGHLIGHTS, NOTHING, PHOTOGRAPH, gloss_o
 from irodori.fitting.paint_colours import cores, find_colours, noise_floor
 from irodori.fitting.paint_gloss import PaintGloss, confirmed_variation, share
 from irodori.fitting.paint_stage import share_gloss
-from irodori.fitting.paints import GlossModel, Tile, believed, find_paints, sample, share_by_paint
+from irodori.fitting.paints import GlossModel, Tile, believed, by_colour, find_paints, sample_of, share_by_paint
 from irodori.fitting.solvers import FitOptions, fit, problem_of
 from irodori.fitting.stage import GREEN, Observed, diffuse_response, fit_brdf
 from irodori.material import tile_strips
@@ -85,7 +85,9 @@ def painted(seen: Observed, width=SIDE, optics=OPTICS):
     """The texels' own fit, the paints, and what the texels have of them."""
     tile, own = fitted(seen, optics)
     colours = colours_of(tile, width)
-    paints = find_paints([sample(tile, colours, width, 1)], colours, optics)
+    seen_at_all = np.any(tile.observed.weight > 0.0, axis=1)
+    sample = sample_of(by_colour(tile.response, tile.variance, colours), seen_at_all, colours, width, 1)
+    paints = find_paints([tile[sample]], colours, optics)
     return own, paints, share_by_paint(tile, paints, width, optics)
 
 

@@ -26,7 +26,7 @@ GOOD = np.ones((HEIGHT, WIDTH), dtype=bool)
 
 def test_the_identity_gives_the_picture_back():
     image = np.random.default_rng(0).random((HEIGHT, WIDTH, 3), dtype=np.float32)
-    out, valid = resample(image, GOOD, Registration.identity())
+    out, valid = resample(image, GOOD, Registration(0.0, 0.0, 0.0, 1.0, 0.0, 0.0))
     assert np.array_equal(out, image) and valid.all()
 
 

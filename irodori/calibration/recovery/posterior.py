@@ -96,25 +96,17 @@ class Posterior:
         self._pairs = np.tril_indices(len(system))
         self._open = of_pairs[self._pairs].reshape(len(self._pairs[0]), -1).T
 
-    def factor(self, response: np.ndarray, variance: np.ndarray | None = None, stated: bool = False) -> np.ndarray:
-        """Return square roots Z of the covariances Σ = Z Zᵀ of recovered reflectances at `ERROR_NM`.
+    def of(self, response: np.ndarray, variance: np.ndarray | None = None, stated: bool = False) -> Uncertainty:
+        """Return the uncertainty of recovered reflectances.
 
         Parameters
         ----------
-        response : (n, bands) float
-        variance : (n, bands) float, optional
+        response : (..., bands) float
+        variance : (..., bands) float, optional
             Variance of the response; zero if absent.
         stated : bool
             Whether the calibration uses the variance when it recovers spectra.
-
-        Returns
-        -------
-        (n, 16, 24 + bands) float32; NaN where the response is not finite or its variance not 0 or more
         """
-        return self._roots(np.asarray(response, dtype=np.float64), variance, stated)[1]
-
-    def of(self, response: np.ndarray, variance: np.ndarray | None = None, stated: bool = False) -> Uncertainty:
-        """Return the uncertainty of reflectances recovered from responses (..., bands); parameters as in `factor`."""
         response = np.asarray(response, dtype=np.float64)
         flat, shape = response.reshape(-1, response.shape[-1]), response.shape[:-1]
         noise = None if variance is None else np.broadcast_to(variance, response.shape).reshape(flat.shape)
@@ -131,7 +123,10 @@ class Posterior:
         return Uncertainty(deviation.reshape(*shape, -1), rms.reshape(shape), colour.reshape(shape))
 
     def _roots(self, response: np.ndarray, variance, stated: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the weights (n, k) of responses, and square roots of the covariances of reflectance and of XYZ."""
+        """Return the weights (n, k) of responses, and square roots of the covariances of reflectance and of XYZ.
+
+        Each covariance Σ = Z Zᵀ; Z is (n, 16, 24 + bands), at `ERROR_NM`, and (n, 3, 24 + bands).
+        """
         variance = np.zeros_like(response) if variance is None else np.asarray(variance, dtype=np.float64)
         variance = np.where(variance >= 0.0, variance, np.nan)
         told = variance if stated else None

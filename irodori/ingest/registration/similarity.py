@@ -91,11 +91,6 @@ class Registration:
     sigma_px: float
     centre_px: tuple[float, float] = (0.0, 0.0)
 
-    @classmethod
-    def identity(cls) -> "Registration":
-        """Return the identity transform, with an error of 0; it needs no centre."""
-        return cls(0.0, 0.0, 0.0, 1.0, 0.0, 0.0)
-
     def affine(self, centre_px=None) -> np.ndarray:
         """Return the (2, 3) matrix moving_from_fixed, about ``centre_px`` if given, else about the picture's centre."""
         centre = complex(*(self.centre_px if centre_px is None else centre_px))
