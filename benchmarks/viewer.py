@@ -29,6 +29,8 @@ from irodori.viewer.stage import SceneSources, export_viewer
 
 _ROOT = Path(__file__).resolve().parents[1]
 _LEAST_THROUGHPUT = 1e-3
+#: Milliseconds until the first frame was drawn, and those for linking the shader programs.
+_MILLISECONDS = "[performance.now(), Irodori.renderer.figures().programs_linked_ms]"
 SIZES = {"small": (500, Size(width=64, height=48)), "full": (2000, Size(width=320, height=240))}
 
 
@@ -66,12 +68,12 @@ def measured(folder: Path, width: int, size: Size, runs: int) -> list[dict]:
         return [*_rows(medians_s(work, runs), size, float("nan")), *rows]
     for _ in range(runs):
         with opened(file, cold=True) as page:
-            milliseconds.append(page.milliseconds())
+            milliseconds.append(page.page.evaluate(_MILLISECONDS))
     with opened(file) as page:
         state = page.default_state()
         seconds = medians_s(work | {"page, frame": lambda: page.read_xyz(state, size.width, size.height)}, runs)
-    seconds["page, first frame"] = float(np.median([one["to_first_frame"] for one in milliseconds])) / 1e3
-    seconds["page, programs"] = float(np.median([one["programs_linked"] for one in milliseconds])) / 1e3
+    seconds["page, first frame"] = float(np.median([frame for frame, _ in milliseconds])) / 1e3
+    seconds["page, programs"] = float(np.median([programs for _, programs in milliseconds])) / 1e3
     return _rows(seconds, size, stated["cpu"]["mean"])
 
 

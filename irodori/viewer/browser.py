@@ -86,11 +86,6 @@ class OpenPage:
         if not self.page.evaluate(loop, _PATIENCE_MS):
             raise PlainError(f"The page was not ready within {_PATIENCE_MS / 1000:g} s; waited for {condition}.")
 
-    def milliseconds(self) -> dict[str, float]:
-        """Return the times until the first frame was drawn and for linking the shader programs, ms."""
-        found = self.page.evaluate("[performance.now(), Irodori.renderer.figures().programs_linked_ms]")
-        return dict(zip(("to_first_frame", "programs_linked"), found, strict=True))
-
 
 @lru_cache(maxsize=1)
 def client():

@@ -104,10 +104,6 @@ class Prepared:
         baked = joined(stored_maps(maps, placements, channels))
         self.world = self.world._replace(baked=baked, **make_seen(maps, placements, channels))
 
-    def forget(self) -> None:
-        """Discard the hits that are kept between frames, and free their memory."""
-        self._seen, self._kept = None, np.zeros((1, 0), np.float32)
-
 
 def light_of(environment: Environment) -> Light:
     """Return an environment as a `Light` of one level, without copying its coefficients."""
