@@ -17,6 +17,7 @@ from irodori.export.export_sources import Item, Source
 from irodori.geometry.mesh import make_mesh
 from irodori.geometry.shapes.placement import Placement
 from irodori.geometry.shapes.shape import Shape
+from irodori.geometry.shapes.triangle_mesh import TriangleMesh
 from irodori.rendering.scene_arrays import make_placements
 from irodori.spectra.published import spectrum
 
@@ -27,7 +28,7 @@ BLOCKS = {one["kind"]: one for one in [*FLAT, {"kind": "sphere", "radius_mm": 20
 
 def shape(kind: str) -> Shape:
     if kind == "mesh":
-        return Shape.from_mesh(make_mesh(*lathe(LID_MM, 24, 1 / 64)))
+        return TriangleMesh(make_mesh(*lathe(LID_MM, 24, 1 / 64)))
     return Shape.from_definition(made(ObjectShape | BodyShape, BLOCKS[kind]))
 
 

@@ -17,6 +17,7 @@ from irodori.config.models import (
 from irodori.geometry.mesh import Mesh
 from irodori.geometry.shapes.placement import Placement
 from irodori.geometry.shapes.shape import Shape
+from irodori.geometry.shapes.triangle_mesh import TriangleMesh
 from irodori.rendering.reference.converging_picture import Picture, make_scene, render
 from irodori.rendering.scene_arrays import make_objects, make_view
 
@@ -56,7 +57,7 @@ def facetted_sphere(radius_mm: float, subdivisions: int, inward: bool = False) -
     # One triangle has the whole texture, which is of one colour, for texels have one place each.
     uv = np.full((len(faces), 3, 2), 0.5)
     uv[0] = [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]
-    return Shape.from_mesh(Mesh(vertices, faces, uv, np.repeat(normal[:, None], 3, axis=1)))
+    return TriangleMesh(Mesh(vertices, faces, uv, np.repeat(normal[:, None], 3, axis=1)))
 
 
 def deviations(picture: Picture, expected) -> np.ndarray:

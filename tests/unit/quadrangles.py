@@ -4,6 +4,7 @@ import numpy as np
 
 from irodori.geometry.mesh import Mesh, make_mesh
 from irodori.geometry.shapes.shape import Shape
+from irodori.geometry.shapes.triangle_mesh import TriangleMesh
 
 
 def squares(*corners) -> Shape:
@@ -14,7 +15,7 @@ def squares(*corners) -> Shape:
     unit = np.array([[0.1, 0.1], [0.9, 0.1], [0.9, 0.9], [0.1, 0.9]])
     uv = (where[:, None] + unit) / side
     turn = np.array([[0, 1, 2], [0, 2, 3]])
-    return Shape.from_mesh(make_mesh(corners[:, turn].reshape(-1, 3, 3), uv[:, turn].reshape(-1, 3, 2)))
+    return TriangleMesh(make_mesh(corners[:, turn].reshape(-1, 3, 3), uv[:, turn].reshape(-1, 3, 2)))
 
 
 def box(half: float, outward: bool) -> Shape:
@@ -32,4 +33,4 @@ def box(half: float, outward: bool) -> Shape:
     # `make_mesh` refuses closed surfaces that look inward.
     mesh = found.mesh
     turned = Mesh(mesh.vertices_mm, mesh.faces[:, ::-1].copy(), mesh.uv[:, ::-1].copy(), -mesh.normals[:, ::-1])
-    return Shape.from_mesh(turned)
+    return TriangleMesh(turned)

@@ -10,7 +10,7 @@ from irodori.core.errors import InputError
 from irodori.geometry.enclosure import encloses, winding_number
 from irodori.geometry.rig_frame import rotation_xyz
 from irodori.geometry.shapes.placement import Placement
-from irodori.geometry.shapes.shape import Shape
+from irodori.geometry.shapes.triangle_mesh import TriangleMesh
 from irodori.rendering.eyes import refuse_enclosed_eye
 
 CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
@@ -31,7 +31,7 @@ def test_a_cube_winds_once_about_its_points_and_an_open_box_by_the_rest_of_the_s
 
 def test_a_placed_ball_and_its_triangles_enclose_the_same_points():
     ball = STUDIO[0][1]
-    mesh, turn, rng = Shape.from_mesh(ball.facetted(20.0)), rotation_xyz([20.0, 50.0, -70.0]), np.random.default_rng(4)
+    mesh, turn, rng = TriangleMesh(ball.facetted(20.0)), rotation_xyz([20.0, 50.0, -70.0]), np.random.default_rng(4)
     for distance, inside in ((0.0, True), (37.0, True), (41.0, False), (90.0, False)):
         for shape in (ball, mesh):
             thing = Placement(shape, turn, np.array([5.0, -9.0, 70.0]), 2.0)

@@ -7,7 +7,7 @@ from shortcuts import ball
 from test_meshes import SEEDS, body, in_order
 
 from irodori.geometry.mesh import make_mesh
-from irodori.geometry.shapes.shape import Shape
+from irodori.geometry.shapes.triangle_mesh import TriangleMesh
 
 
 def cube(seed):
@@ -44,7 +44,7 @@ def test_size_changes_nothing_but_size(scale, seed):
     small, plain = make_mesh(scale * corners, uv), make_mesh(corners, uv)
     order = [in_order(m.vertices_mm[m.faces] / k, m.normals) for m, k in ((small, scale), (plain, 1.0))]
     assert np.abs(order[0][0] - order[1][0]).max() < 1e-9 and np.abs(order[0][1] - order[1][1]).max() < 1e-9
-    assert np.array_equal(Shape.from_mesh(small).is_covered(32, 32), Shape.from_mesh(plain).is_covered(32, 32))
+    assert np.array_equal(TriangleMesh(small).is_covered(32, 32), TriangleMesh(plain).is_covered(32, 32))
 
 
 @given(crease=st.floats(1.0, 60.0), rings=st.integers(4, 60))

@@ -28,6 +28,7 @@ from irodori.geometry.shapes.placement import Placement, on_table
 from irodori.geometry.shapes.plate import Plate
 from irodori.geometry.shapes.shape import Shape
 from irodori.geometry.shapes.sphere import Sphere
+from irodori.geometry.shapes.triangle_mesh import TriangleMesh
 from irodori.rectification.stage import observe
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -45,11 +46,11 @@ def unit(vectors):
 
 def vase(scale=1.0, segments=36):
     corners, uv = lathe(np.array(VASE_MM) - [0.0, 33.9], segments, margin=1 / 64)
-    return Shape.from_mesh(make_mesh(scale * corners, uv))
+    return TriangleMesh(make_mesh(scale * corners, uv))
 
 
 def sphere_of_triangles(radius=25.0, rings=96):
-    return Shape.from_mesh(make_mesh(*ball(radius, rings, 2 * rings)))
+    return TriangleMesh(make_mesh(*ball(radius, rings, 2 * rings)))
 
 
 def placed(rng, shape, spread=50.0):
@@ -160,7 +161,7 @@ def test_meshes_spheres_and_plates_hide_each_other():
 def test_a_convex_mesh_neither_hides_nor_shadows_itself_at_any_size(exponent, seed):
     rng = np.random.default_rng(seed)
     scale = 10.0**exponent
-    shape = Shape.from_mesh(make_mesh(*(lambda c, t: (scale * c, t))(*ball(1.0, 24, 48))))
+    shape = TriangleMesh(make_mesh(*(lambda c, t: (scale * c, t))(*ball(1.0, 24, 48))))
     texels = shape.atlas(96, 48)
     pose = Pose(rng.uniform(35, 125), rng.uniform(0, 140), rng.uniform(0, 45), rng.uniform(0, 360))
     rotation = rig_from_object(pose)
@@ -330,7 +331,7 @@ def test_nothing_bleeds_into_a_chart_from_beside_it(observed):
     place = np.array([[-40, -40, 0], [40, -40, 0], [40, 40, 0], [-40, 40, 0]], dtype=float)
     chart = np.array([[0.25, 0.75], [0.75, 0.75], [0.75, 0.25], [0.25, 0.25]])
     faces = [[0, 1, 2], [0, 2, 3]]
-    shape = Shape.from_mesh(make_mesh(place[faces], chart[faces]))
+    shape = TriangleMesh(make_mesh(place[faces], chart[faces]))
     values = np.full((32, 32), np.nan if observed == "all" else 77.0)
     values[8:24, 8:24] = 0.4
     if observed == "gaps":
@@ -350,7 +351,7 @@ def test_a_mesh_reads_its_texture_as_its_file_says():
     place = np.array([[-50, -50, 0], [50, -50, 0], [50, 50, 0], [-50, 50, 0]], dtype=float)
     chart = np.array([[0, 1], [1, 1], [1, 0], [0, 0]], dtype=float)  # v from the top, as on a plate
     faces = [[0, 1, 2], [0, 2, 3]]
-    shape = Shape.from_mesh(make_mesh(place[faces], chart[faces]))
+    shape = TriangleMesh(make_mesh(place[faces], chart[faces]))
     view = {"position": (0, -0.001, 500), "fov": 11, "size": (40, 40)}
     flat, found = (render([s], [textured(32, 32)], constant_light(), **view) for s in (plate(100.0), shape))
     assert np.abs(found - flat).max() < 1e-5
@@ -359,7 +360,7 @@ def test_a_mesh_reads_its_texture_as_its_file_says():
 def test_the_back_of_a_mesh_is_black_and_hides_what_is_behind_it():
     place = np.array([[-50, -50, 0], [50, -50, 0], [50, 50, 0], [-50, 50, 0]], dtype=float)
     faces = [[0, 2, 1], [0, 3, 2]]  # face down
-    shape = Shape.from_mesh(make_mesh(place[faces], np.array([[0, 1], [1, 1], [1, 0], [0, 0.0]])[faces]))
+    shape = TriangleMesh(make_mesh(place[faces], np.array([[0, 1], [1, 1], [1, 0], [0, 0.0]])[faces]))
     picture = render([shape], [material(1.0)], constant_light(), position=(0, -0.001, 500), fov=11, size=(20, 20))
     assert picture[5:-5, 5:-5].max() == 0.0
 

@@ -17,6 +17,7 @@ from irodori.geometry.mesh_files import MM_IN, read_mesh
 from irodori.geometry.mesh_sources import mesh_files
 from irodori.geometry.shapes.placement import on_table
 from irodori.geometry.shapes.shape import Shape
+from irodori.geometry.shapes.triangle_mesh import TriangleMesh
 
 trimesh = pytest.importorskip("trimesh")
 SEEDS = st.integers(0, 2**32 - 1)
@@ -107,7 +108,7 @@ def test_unit_up_and_pivot_place_the_mesh(tmp_path_factory, seed, unit_name, up,
     found, expected = in_order(mesh.vertices_mm[mesh.faces])[0], in_order(expected)[0]
     assert np.abs(found - expected).max() < 1e-6 * MM_IN[unit_name] * 50
     # It stands on the table with its lowest point.
-    _, top = on_table(Shape.from_mesh(mesh), np.eye(3), 50.0)
+    _, top = on_table(TriangleMesh(mesh), np.eye(3), 50.0)
     assert top.corners()[:, 2] == pytest.approx(np.full(4, expected[..., 2].min()), abs=1e-4 * MM_IN[unit_name])
 
 
@@ -259,7 +260,7 @@ def test_three_sheets_that_share_an_edge_are_a_surface_like_any_other():
         sheets.append(np.concatenate([edge, tip]))
         charts.append(np.array([[0.0, 0], [0, 1], [1, 0.5]]) * [0.3, 0.9] + [index / 3, 0.05])
     mesh = make_mesh(np.array(sheets), np.array(charts))
-    shape = Shape.from_mesh(mesh)
+    shape = TriangleMesh(mesh)
     found = shape.atlas(90, 60)
     assert all(found.covered[:, 30 * i : 30 * i + 30].sum() > 300 for i in range(3))
     assert np.isfinite(found.normal[found.covered]).all()
@@ -302,7 +303,7 @@ def test_every_texel_centre_of_a_partition_has_one_triangle_and_its_own_place(se
 def test_a_chart_holds_the_centres_inside_it_and_no_others():
     # Edges of charts on texel borders: 6 x 3 texels of 16 x 8, the rest none.
     mesh = make_mesh(*square(4 / 16, 2 / 8, 10 / 16, 5 / 8))
-    found = Shape.from_mesh(mesh).atlas(16, 8)
+    found = TriangleMesh(mesh).atlas(16, 8)
     expected = np.zeros((8, 16), bool)
     expected[2:5, 4:10] = True
     assert np.array_equal(found.covered, expected)
@@ -313,14 +314,14 @@ def test_a_chart_holds_the_centres_inside_it_and_no_others():
 def test_a_mirrored_chart_is_as_good():
     corners, uv = square()
     mesh = make_mesh(corners, uv * [-1, 1] + [1, 0])
-    found = Shape.from_mesh(mesh).atlas(8, 8)
+    found = TriangleMesh(mesh).atlas(8, 8)
     assert found.covered.all() and (found.facet == [0, 0, 1]).all()
     assert found.position[0, 0] == pytest.approx([10 - 10 / 16, 10 - 10 / 16, 0])
 
 
 def test_rows_of_the_atlas_are_those_of_the_whole():
     corners, uv, _ = body()
-    shape = Shape.from_mesh(make_mesh(corners, uv))
+    shape = TriangleMesh(make_mesh(corners, uv))
     whole = shape.atlas(40, 30)
     for name in ("position", "normal", "facet", "covered"):
         parts = [getattr(shape.atlas(40, 30, rows), name) for rows in ((0, 1), (1, 17), (17, 30))]
@@ -330,7 +331,7 @@ def test_rows_of_the_atlas_are_those_of_the_whole():
 
 @pytest.mark.parametrize("rings", [32, 128])
 def test_a_sphere_of_triangles_has_the_texels_of_the_sphere(rings):
-    shape = Shape.from_mesh(make_mesh(*ball(25.0, rings, 2 * rings)))
+    shape = TriangleMesh(make_mesh(*ball(25.0, rings, 2 * rings)))
     position, normal = shape.texels(64, 32)
     exact, direction = Shape.from_definition(
         made(ObjectShape | BodyShape, {"kind": "sphere", "radius_mm": 25.0})
@@ -387,7 +388,7 @@ def test_vertices_with_round_coordinates_are_kept_apart():
 @pytest.mark.heavy
 def test_a_million_triangles_are_a_mesh_like_any_other():
     rings, segments = 500, 1000
-    shape = Shape.from_mesh(make_mesh(*ball(30.0, rings, segments)))
+    shape = TriangleMesh(make_mesh(*ball(30.0, rings, segments)))
     assert len(shape.mesh.faces) == 2 * segments * (rings - 1)
     found = shape.atlas(512, 256, (100, 140))
     assert found.covered.all()

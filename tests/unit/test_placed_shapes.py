@@ -23,6 +23,7 @@ from irodori.geometry.shapes.plane import Plane
 from irodori.geometry.shapes.plate import Plate
 from irodori.geometry.shapes.shape import Shape
 from irodori.geometry.shapes.sphere import Sphere
+from irodori.geometry.shapes.triangle_mesh import TriangleMesh
 from irodori.light.environment_file import Environment
 from irodori.material.material_file import Material
 from irodori.rendering.integrators import render_image
@@ -38,7 +39,7 @@ def quadrangles(corners: np.ndarray) -> Shape:
     square = np.array([[0.1, 0.1], [0.9, 0.1], [0.9, 0.9], [0.1, 0.9]])
     uv = np.array([(square + np.divmod(i, 3)) / 3 for i in range(len(corners))])
     halves = np.array([[0, 1, 2], [0, 2, 3]])
-    return Shape.from_mesh(make_mesh(corners[:, halves].reshape(-1, 3, 3), uv[:, halves].reshape(-1, 3, 2)))
+    return TriangleMesh(make_mesh(corners[:, halves].reshape(-1, 3, 3), uv[:, halves].reshape(-1, 3, 2)))
 
 
 def corner(scale: float) -> Shape:

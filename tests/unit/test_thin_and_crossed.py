@@ -15,6 +15,7 @@ from irodori.core.errors import InputError
 from irodori.geometry.mesh import make_mesh
 from irodori.geometry.rig_frame import rotation_x
 from irodori.geometry.shapes.shape import Shape
+from irodori.geometry.shapes.triangle_mesh import TriangleMesh
 from irodori.rendering.energy_gain import load_materials
 from irodori.rendering.integrators import render_image
 
@@ -132,7 +133,7 @@ def test_of_meshes_that_interpenetrate_the_nearer_surface_is_seen(integrator):
 @pytest.mark.stability(stage="render", case="a million triangles")
 def test_a_ball_of_a_million_triangles_looks_like_a_ball():
     light = sky(lambda d: 1.0 + 0.6 * d[..., 2:] + 0.3 * d[..., :1])
-    mesh = Shape.from_mesh(make_mesh(*ball(20.0, 500, 1000)))
+    mesh = TriangleMesh(make_mesh(*ball(20.0, 500, 1000)))
     assert len(mesh.mesh.faces) > 990_000
     glossy = material(0.5, beta=1.0, mu=0.2, mirror=0.3)
     for integrator in INTEGRATORS:

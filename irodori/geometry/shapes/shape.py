@@ -180,13 +180,6 @@ class Shape(ABC):
             raise ValueError(f"unknown shape {shape.kind!r}; accepted: {', '.join(known)}")
         return known[shape.kind].from_block(shape)
 
-    @classmethod
-    def from_mesh(cls, mesh: Mesh, file: str = "mesh") -> "Shape":
-        """Return the shape of a triangle mesh."""
-        from irodori.geometry.shapes.triangle_mesh import TriangleMesh
-
-        return TriangleMesh(mesh, str(file))
-
     @property
     def triangles(self) -> Mesh | None:
         """Triangles that ``surface_at`` reads; None if it needs none."""

@@ -23,6 +23,7 @@ from irodori.geometry.shapes import mesh_nodes
 from irodori.geometry.shapes.placement import Placement
 from irodori.geometry.shapes.plane import Plane
 from irodori.geometry.shapes.shape import Shape
+from irodori.geometry.shapes.triangle_mesh import TriangleMesh
 from irodori.light.environment_file import Environment
 from irodori.light.gloss.gloss_maps import GlossMaps
 from irodori.light.irradiance import fitted_irradiance_map
@@ -175,7 +176,7 @@ def test_with_light_maps_a_picture_of_dull_objects_is_near_the_path_traced_one(l
 @pytest.mark.heavy
 def test_with_light_maps_a_mesh_on_an_endless_plane_is_near_the_path_traced_picture_also_from_a_file(tmp_path):
     floor = {"shape": {"kind": "plane"}, "position_mm": [0.0, 0.0, 0.0], "material": {"spectrum": "TCS11"}}
-    mesh, materials, file = [Shape.from_mesh(octahedron(20.0, 3))], [material(COLOURED[1])], tmp_path / "m.h5"
+    mesh, materials, file = [TriangleMesh(octahedron(20.0, 3))], [material(COLOURED[1])], tmp_path / "m.h5"
 
     def scene(integrator) -> Scene:
         made = scene_of(integrator, bodies=[floor])
@@ -260,8 +261,8 @@ def test_the_key_of_maps_follows_what_they_depend_on_and_nothing_else():
     own = key()
     assert own == key(scene_of(MAPS, max_bounces=2))
     other_light = replace(LIGHT, coefficients=LIGHT.coefficients * np.float32(1.0001))
-    mesh = Shape.from_mesh(BALL.facetted(1.0))
-    raised = Shape.from_mesh(replace(mesh.mesh, vertices_mm=mesh.mesh.vertices_mm + 0.1))
+    mesh = TriangleMesh(BALL.facetted(1.0))
+    raised = TriangleMesh(replace(mesh.mesh, vertices_mm=mesh.mesh.vertices_mm + 0.1))
     others = [key(scene_of(MAPS, [LAMP])), key(paint=0.51), key(light=other_light), key(shapes=[plate(121.0), BALL])]
     others += [key(shapes=[TABLE, mesh]), key(shapes=[TABLE, raised])]
     assert len({own, *others}) == 7
@@ -296,7 +297,7 @@ def test_under_a_black_ball_an_endless_plane_is_dark_by_the_ball_s_form_factor_n
 def test_a_ball_of_triangles_has_the_light_of_an_exact_ball(mesh):
     """Large triangles are divided for texels; where they are small, their corners are texels."""
     seen = []
-    for shape in (BALL, Shape.from_mesh(mesh)):
+    for shape in (BALL, TriangleMesh(mesh)):
         there = [placements()[0], replace(placements()[1], shape=shape)]
         found, x, y = seen_from_above(there, (0.3, 0.8), LIGHT, span_mm=50.0, size=48)
         seen.append(found[np.hypot(x, y) < 17.0])
@@ -324,7 +325,7 @@ def test_of_a_mesh_of_many_corners_some_are_traced_and_all_have_light(monkeypatc
     """Light is spread from a quarter of the corners of a fine ball: the picture is that of an exact ball."""
     seen = []
     monkeypatch.setattr(light_transfer, "_MOST_TEXELS", 2048)
-    for shape in (BALL, Shape.from_mesh(BALL.facetted(1.0))):
+    for shape in (BALL, TriangleMesh(BALL.facetted(1.0))):
         there = [placements()[0], replace(placements()[1], shape=shape)]
         found, x, y = seen_from_above(there, (0.3, 0.8), LIGHT, span_mm=50.0, size=48)
         seen.append(found[np.hypot(x, y) < 17.0])
@@ -336,7 +337,7 @@ def block(half_mm: float, low_mm: float, high_mm: float):
     x = np.array([[sx * half_mm, sy * half_mm, z] for z in (low_mm, high_mm) for sy in (-1, 1) for sx in (-1, 1)])
     sides = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]]
     faces = np.array([[a, b, c] for a, b, c, _ in sides] + [[a, c, d] for a, _, c, d in sides])
-    return Shape.from_mesh(make_mesh(x[faces], charts(12)))
+    return TriangleMesh(make_mesh(x[faces], charts(12)))
 
 
 def test_no_darkness_leaks_out_under_a_box_that_stands_in_a_table():
@@ -389,7 +390,7 @@ GLOSSY = {"beta": 4.0, "mu": 0.15}
 def test_gloss_of_white_neighbours_in_even_light_is_that_of_the_sky(is_mesh):
     """A white furnace: what neighbours hide from a lobe they send back, for every surface is as bright as the sky."""
     light = constant_light(2.0)
-    shapes = [Shape.from_mesh(octahedron(20.0, 4)) if is_mesh and shape.wraps else shape for shape in SHAPES]
+    shapes = [TriangleMesh(octahedron(20.0, 4)) if is_mesh and shape.wraps else shape for shape in SHAPES]
     matt, glossy, blind = (
         make_renderer(scene_of(MAPS), shapes, [material(1.0, **gloss)] * 2, light, OPTIONS)
         for gloss in ({}, GLOSSY, GLOSSY)

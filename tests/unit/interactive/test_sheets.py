@@ -19,6 +19,7 @@ from irodori.geometry.embree import Tracer
 from irodori.geometry.mesh import Mesh
 from irodori.geometry.rig_frame import rotation_xyz
 from irodori.geometry.shapes.shape import Shape
+from irodori.geometry.shapes.triangle_mesh import TriangleMesh
 from irodori.material.material_file import Material
 from irodori.rendering import light_transfer
 from irodori.rendering.energy_gain import body_fault, load_materials
@@ -138,7 +139,7 @@ def open_mesh(bend=4.0) -> Shape:
     across = np.cross(corners[faces[:, 1]] - corners[faces[:, 0]], corners[faces[:, 2]] - corners[faces[:, 0]])
     normals = np.repeat((across / np.linalg.norm(across, axis=1, keepdims=True))[:, None], 3, axis=1)
     uv = (corners[:, :2] / 30.0 + 0.5)[faces]
-    return Shape.from_mesh(Mesh(corners, faces, np.ascontiguousarray(uv), np.ascontiguousarray(normals)))
+    return TriangleMesh(Mesh(corners, faces, np.ascontiguousarray(uv), np.ascontiguousarray(normals)))
 
 
 @pytest.mark.parametrize(
