@@ -1,4 +1,4 @@
-"""What other programs read in pictures that Irodori wrote: their spectra, and the loss that they state."""
+"""Readers of pictures that Irodori wrote, as other programs read them: spectra, and the loss that a file states."""
 
 import re
 from pathlib import Path
