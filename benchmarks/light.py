@@ -72,18 +72,22 @@ class Seen:
         return ResponseModel.of(self.calibration)
 
 
-def camera(seed: int = 0, table: bool = False) -> Seen:
-    """Return the default camera calibrated on a chart, if requested also with the table of its filter."""
-    light, chart = spectrum(RIG_LIGHT), chart_spectra(CHART)[1]
+def camera(seed: int = 0, table: bool = False, light: np.ndarray | None = None) -> Seen:
+    """Return the default camera calibrated on a chart, if requested also with the table of its filter.
+
+    ``light`` is the spectrum of the rig's lamp, (61,), by default illuminant A.
+    """
+    chart, light = chart_spectra(CHART)[1], spectrum(RIG_LIGHT) if light is None else light
     definition = Camera.of(yaml.safe_load(CAMERA.read_text(encoding="utf-8")))
-    response = band_weights(definition, light)
-    response = response / response.sum(axis=1, keepdims=True)
+    sensitivity = band_weights(definition, np.ones(len(light)))
+    sensitivity = sensitivity / (sensitivity @ light)[:, None]
+    response = sensitivity * light
     noise = 1.0 + NOISE * np.random.default_rng(seed).standard_normal((len(chart), len(response)))
     given = NOTHING
     if table and (known := definition.comb_filter) is not None:
         given = Given(read_filter(CAMERA.parents[2] / known.transmittance, known.name, known.shift_nm))
     training = Training(chart @ response.T * noise, chart, light, given=given)
-    return Seen(fit("pinv", training, 6, np.inf), response / light)
+    return Seen(fit("pinv", training, 6, np.inf), sensitivity)
 
 
 def unlike(lamps: np.ndarray, *others: np.ndarray) -> np.ndarray:

@@ -167,6 +167,8 @@ _TABLE = {
         "two lamps of different kind": "better than as the rig's lamp, better still with a chart in two places",
         "a lamp outside the frame": "no disagreement with a chart that it lights",
         "black room": "black",
+        "rig's lamp unlike its name": _RIGHT + ", and the difference is part of the stated error",
+        "rig's lamp without power at some wavelengths": _RIGHT + " elsewhere, and stated as unknown there",
         "saturated window": "refused with the count",
     },
     ("E", "store"): {

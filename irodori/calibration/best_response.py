@@ -10,7 +10,7 @@ import numpy as np
 
 from irodori.calibration.filter_fit import FILTERED, FilterFit, fit_filter
 from irodori.calibration.filter_table import FilterTable
-from irodori.calibration.sensitivity_prior import BandPrior, Posteriors, prior_about, prior_of_chart
+from irodori.calibration.sensitivity_prior import BandPrior, Posteriors, prior_about, prior_of_chart, with_least_power
 from irodori.spectra.grid import TRAPEZOID_NM
 
 #: Smallest error of a patch's response, relative to the rms over the patches: no chart is closer to published spectra.
@@ -94,7 +94,7 @@ def best_response(
         requires exactly six bands: these three without the filter, then with it.
     """
     # Responses are integrals by the trapezoidal rule [eq. 1]: the first and the last sample count half.
-    light = light * (TRAPEZOID_NM / TRAPEZOID_NM.max())
+    light = with_least_power(light) * (TRAPEZOID_NM / TRAPEZOID_NM.max())
     variance = np.maximum(variance, _LEAST_NOISE**2 * np.mean(response**2, axis=0))
     chart = [prior_of_chart(own, spectra, light, v) for own, v in zip(response.T, variance, strict=True)]
     priors: dict[tuple[str, ...], list[BandPrior]] = {(CHART,): chart}

@@ -43,6 +43,14 @@ _KNOWN_NM, _KNOWN_LEAST = 5.0, 0.005
 _LEAST_POWER = 1e-3  # smallest power of a lamp, relative to its mean
 
 
+def with_least_power(light: np.ndarray) -> np.ndarray:
+    """Return a light, (61,), with a thousandth of its mean power where it has less.
+
+    At wavelengths without light, a chart does not determine a sensitivity, which is the response divided by the light.
+    """
+    return np.maximum(light, _LEAST_POWER * light.mean())
+
+
 @dataclass(frozen=True)
 class Posterior:
     """Posterior of one band's response per unit reflectance, given the responses to a chart.
@@ -187,12 +195,11 @@ def prior_of_chart(response: np.ndarray, spectra: np.ndarray, light: np.ndarray,
     ----------
     response : (m,) float64
     spectra : (m, 61) float64
-    light : (61,) float64
+    light : (61,) float64, > 0; see `with_least_power`
     variance : float
         Variance of the responses; 0 if unknown.
     """
-    # At wavelengths without light, the chart does not determine a sensitivity.
-    power = np.maximum(light / light.mean(), _LEAST_POWER)
+    power = light / light.mean()
     envelope, nothing = np.ones(len(light)), np.zeros(len(light))
     for left in reversed(range(_ROUNDS + 1)):
         extent = power * envelope

@@ -4,6 +4,7 @@ import csv
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -28,7 +29,7 @@ from irodori.core import store
 from irodori.core.atomic_files import written_whole
 from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER
-from irodori.spectra.published import camera_sensitivities, light
+from irodori.spectra.published import OF_MEASURED, OF_TYPE, camera_sensitivities, is_measured, light
 
 _MAX_INVALID_SHARE = 0.05  # of a patch, beyond which the report names it
 
@@ -96,7 +97,8 @@ def calibrate_camera(
             check_amplification(amplification, settings.max_noise_amplification, solved.calibration)
         checks = _checks(charts, training, solved, lights) | {"likelier_charts": likelier}
         checks |= {"response_model": _response_model(training.best_response)}
-    _write_calibration(output, solved.calibration, errors, solved.numbers | checks, provenance)
+    calibration = replace(solved.calibration, light_error=OF_MEASURED if is_measured(light_name) else OF_TYPE)
+    _write_calibration(output, calibration, errors, solved.numbers | checks, provenance)
     _write_errors(table, charts.patches, errors)
     if selection is not None:
         write_selection(selection, solved.rows, solved.chosen)

@@ -11,19 +11,10 @@ import numpy as np
 from irodori.core.errors import InputError
 from irodori.light.light_prior import LightPrior, light_prior, of_luminance_one
 from irodori.light.light_recovery import Directions, ResponseModel, evidence
-from irodori.spectra.published import light
-from irodori.spectra.spectral_files import SUFFIXES
+from irodori.spectra.published import OF_MEASURED, OF_TYPE, is_measured, light
 
-#: Standard deviations of smooth relative differences in spectrum: of a lamp from the published one of its type, and of
-#: a measurement with a field spectroradiometer from the true spectrum.
-_OF_TYPE, _OF_MEASURED = 0.05, 0.02
 #: Accepted log evidence ratio of published over given lamps; being many, published lamps can also fit some noise.
 _ODDS = np.log(1e4)
-
-
-def is_measured(lamp: str) -> bool:
-    """Return whether a lamp is given by the file of a measured spectrum instead of a published name."""
-    return lamp.lower().endswith(SUFFIXES)
 
 
 def told_by(lamps: Sequence[str]) -> str:
@@ -51,7 +42,7 @@ def given_prior(spectra: np.ndarray, measured: np.ndarray) -> LightPrior:
 
     ``measured``, (lamps,) bool, states whether each is a measured spectrum or that of a published type of lamp.
     """
-    return light_prior(of_luminance_one(spectra), np.where(measured, _OF_MEASURED, _OF_TYPE))
+    return light_prior(of_luminance_one(spectra), np.where(measured, OF_MEASURED, OF_TYPE))
 
 
 def require_lamps_seen(

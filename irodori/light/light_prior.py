@@ -230,6 +230,13 @@ def _near(deviation: np.ndarray) -> np.ndarray:
     return 1.0 + np.square(deviation)[:, None, None] * smooth_covariance(_LENGTH_NM)
 
 
+def differences_from(lamp: np.ndarray, deviation: float) -> np.ndarray:
+    """Return the covariance, (61, 61), of smooth relative differences from a lamp, (61,), at constant luminance."""
+    visible = colour_matching_weights()[1] * lamp
+    of_spectrum = np.eye(len(lamp)) - visible / visible.sum()
+    return of_spectrum @ _spread((deviation, _LENGTH_NM)) @ of_spectrum.T
+
+
 def _families(bare: np.ndarray, coloured: np.ndarray, kinds: np.ndarray) -> np.ndarray:
     """Return values of all families from those of lamps and of lamps on surfaces, (lamps, ...) each.
 

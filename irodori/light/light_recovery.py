@@ -10,14 +10,16 @@ directions by expectation maximisation.
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from irodori.calibration.recovery.calibration_file import Calibration
+from irodori.calibration.sensitivity_prior import with_least_power
 from irodori.core.errors import InputError
-from irodori.light.light_prior import CommonErrors, LightPrior, prior_of_any_lamp, seen_moment
+from irodori.light.light_prior import CommonErrors, LightPrior, differences_from, prior_of_any_lamp, seen_moment
 from irodori.light.recovery_loops import mixture_weights
+from irodori.spectra.grid import SAMPLES
 
 #: Factor on the variance of the response model in densities. Its errors are common to all directions, but the densities
 #: are multiplied as if they were independent. Chosen in simulated rooms with lamps of the CIE.
@@ -50,11 +52,16 @@ class ResponseModel:
     errors : (k, bands, 61) float64, optional
         Independent errors, each for one standard deviation, that make up the covariance; by default its principal
         components.
+    rig_lamp_errors : (m, 61) float64, optional
+        Independent relative errors, each for one standard deviation, of the light under which the camera was
+        calibrated; by default none. All bands and all recovered light have them in common. They are part of the stated
+        errors alone: with them in the covariance, lights were recovered no better.
     """
 
     mean: np.ndarray
     covariance: np.ndarray
     errors: np.ndarray = None  # type: ignore[assignment]  # set below
+    rig_lamp_errors: np.ndarray = field(default_factory=lambda: np.zeros((0, SAMPLES)))
 
     def __post_init__(self) -> None:
         if self.errors is None:
@@ -74,8 +81,9 @@ class ResponseModel:
         if model is None or covariance is None:
             lacking = "band_response" if model is None else "band_response_covariance"
             raise InputError(path, lacking, "no such dataset", "a calibration that this version wrote")
-        light = calibration.light
-        return cls(model / light, covariance / (light[:, None, None] * light))
+        light = with_least_power(calibration.light)
+        of_lamp = principal_errors(differences_from(light, calibration.light_error))
+        return cls(model / light, covariance / (light[:, None, None] * light), rig_lamp_errors=of_lamp)
 
 
 def principal_errors(covariance: np.ndarray) -> np.ndarray:
@@ -348,11 +356,11 @@ class LightRecovery:
         known = _Families.seen(prior, model)
         index, shares = known.of_room(directions, prior.broad)
         families = known.chosen(index, shares)
-        return cls._solved(families, families.errors(index, prior, model), directions)
+        return cls._solved(families, families.errors(index, prior, model), model.rig_lamp_errors, directions)
 
     @classmethod
-    def _solved(cls, families: _Families, errors, directions: Directions) -> "LightRecovery":
-        """Determine the mapping from families, and their errors as `_Families.errors` returns them."""
+    def _solved(cls, families: _Families, errors, rig_lamp_errors, directions: Directions) -> "LightRecovery":
+        """Determine the mapping from families, their errors as `_Families.errors` returns them, and the rig lamp's."""
         left_open, common = errors
         response, shares = directions.response, families.shares(directions.response)
         by_family = np.einsum("nlb,mb->mnl", families.light_from_response, response, optimize=True)
@@ -380,6 +388,7 @@ class LightRecovery:
                 (roots[:, :, :, None] * of_scale[:, None, None]).reshape(-1, *basis.shape),
                 of_apart.reshape(-1, *basis.shape),
                 of_common,
+                rig_lamp_errors[:, :, None] * basis,
             ]
         )
         flat = errors.reshape(len(errors), -1)

@@ -218,7 +218,7 @@ def lights_on(
     response_errors = errors[:, :states].reshape(-1, bands, count)
     covariance = np.einsum("kbi,kcj->bicj", response_errors, response_errors, optimize=True)
     of_lights = errors[:, states:].reshape(len(errors), -1, count).swapaxes(0, 1)
-    refined = ResponseModel(response, covariance, response_errors)
+    refined = ResponseModel(response, covariance, response_errors, model.rig_lamp_errors)
     return refined, [RoomLight.of(*each) for each in zip(lights, of_lights, strict=True)]
 
 

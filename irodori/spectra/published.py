@@ -19,7 +19,7 @@ from irodori.spectra.published_names import (
 )
 from irodori.spectra.published_tables import published_table
 from irodori.spectra.resampling import is_finer_than_grid, resample
-from irodori.spectra.spectral_files import SpectralTable, check_power, check_reflectance, spectral_table
+from irodori.spectra.spectral_files import SUFFIXES, SpectralTable, check_power, check_reflectance, spectral_table
 from irodori.spectra.tables import MAX_INDEX_GAP_NM, index_table
 
 if TYPE_CHECKING:
@@ -27,6 +27,10 @@ if TYPE_CHECKING:
 
 _TCS_NAME = re.compile(r"TCS(\d{1,2})")
 _PATCH_NAME = re.compile(r"[A-Z]\d+")
+
+#: Standard deviations of smooth relative differences in spectrum: of a lamp from the published one of its type, and of
+#: a measurement with a field spectroradiometer from the true spectrum.
+OF_TYPE, OF_MEASURED = 0.05, 0.02
 
 
 def read_spectra(path) -> tuple[list[str], np.ndarray]:
@@ -100,6 +104,11 @@ def spectrum(name: str) -> np.ndarray:
         f"P{BLACKBODY_K[1]} (blackbody), or an illuminant of: {known}"
     )
     raise InputError("spectrum", name, repr(name), accepted)
+
+
+def is_measured(lamp: str) -> bool:
+    """Return whether a lamp is given by the file of a measured spectrum instead of a published name."""
+    return lamp.lower().endswith(SUFFIXES)
 
 
 def light(name: str) -> np.ndarray:

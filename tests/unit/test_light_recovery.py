@@ -291,6 +291,11 @@ def test_light_and_its_error_are_the_mean_and_covariance_of_the_mixture_written_
         for (one, first, _, gain), (other, second, _, other_gain) in itertools.product(parts, repeat=2):
             of_response = np.einsum("bicj,i,j->bc", covariance, first, second)
             spread += one * other * gain @ of_response @ other_gain.T
+        # The lamp of the rig is known by name: it may differ by 5 % over 20 nm, at the same luminance.
+        share = colour_matching_weights()[1] * light / (colour_matching_weights()[1] @ light)
+        unlike_name = 0.05**2 * np.exp(-0.5 * ((WAVELENGTH_NM[:, None] - WAVELENGTH_NM) / 20.0) ** 2)
+        level = unlike_name @ share
+        spread += (unlike_name - level[:, None] - level + share @ level) * np.outer(mean, mean)
         drawn = recovery.errors @ own
         np.testing.assert_allclose(drawn.T @ drawn, spread, atol=2e-3 * spread.max())
 
@@ -416,6 +421,22 @@ def test_the_prior_is_that_of_the_published_lamps_where_none_is_given(seen, prio
     room = one_direction(seen.sensitivity @ spectrum("FL4"))
     found, given = LightRecovery.of_room(seen.model, room), LightRecovery.of_room(seen.model, room, prior)
     np.testing.assert_array_equal(found.weights(room.response), given.weights(room.response))
+
+
+@pytest.mark.stability(stage="light", case="rig's lamp without power at some wavelengths")
+def test_a_camera_calibrated_without_light_at_some_wavelengths_states_that_it_does_not_know_them(prior):
+    """An LED of the rig emits nothing below 430 nm: what D65 has there is left open, and elsewhere it is recovered."""
+    dark = WAVELENGTH_NM < 430.0
+    rig_lamp = np.where(dark, 0.0, spectrum("LED-B3"))
+    seen, plain = camera(light=rig_lamp), camera(light=spectrum("LED-B3"))
+    room = one_direction(plain.sensitivity @ spectrum("D65"))
+    found = LightRecovery.of_room(seen.model, room, prior)
+    assert np.isfinite(found.errors).all()
+    weights = found.weights(room.response)[0]
+    light, stated = found.basis @ weights, np.linalg.norm(found.errors @ weights, axis=0)
+    true = spectrum("D65") * (light @ colour_matching_weights()[1]) / (spectrum("D65") @ colour_matching_weights()[1])
+    assert adapted_errors(true, light) < 0.5
+    assert (np.abs(light - true)[dark] < 2.5 * stated[dark]).all() and (stated[dark] > 0.05 * light[dark]).all()
 
 
 @pytest.mark.parametrize("lacking", ["band_response", "band_response_covariance"])

@@ -42,6 +42,7 @@ from irodori.config.parts import CalibratedCamera
 from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.light.light_prior import prior_of_any_lamp
+from irodori.light.light_recovery import ResponseModel
 from irodori.report.calibration_part import camera_calibrations
 from irodori.report.html_page import fragment
 from irodori.simulation.virtual_rig.sensor import comb_transmittance
@@ -346,7 +347,7 @@ def test_the_table_of_the_default_camera_is_its_filter_as_a_data_sheet_could_hav
 # ---- the stage
 
 
-def calibrated(folder: Path, filters: list[str], **known) -> tuple[dict, Calibration]:
+def calibrated(folder: Path, filters: list[str], light: str = "A", **known) -> tuple[dict, Calibration]:
     """Return what the stage tells of the response model of a chart photographed in some filter states, and it."""
     whole = photographed(COMB, 0.001).chart()[0][:, : 3 * len(filters)]
     picture = np.kron(whole.reshape(4, 6, -1), np.ones((10, 10, 1))).astype(np.float32)
@@ -359,7 +360,8 @@ def calibrated(folder: Path, filters: list[str], **known) -> tuple[dict, Calibra
     chart = {"spectra": "BabelColor Average", "rows": 4, "columns": 6, "patch_px": 6, "centres_px": corners}
     camera_file = {"chart": chart, "calibration": {"estimator": "pinv", "bases": len(whole[0])}, **known}
     outputs = folder / "c.h5", folder / "c.csv"
-    calibrate_camera(folder / "chart.h5", made(CalibratedCamera, camera_file), "A", *outputs, store.Provenance("test"))
+    camera = made(CalibratedCamera, camera_file)
+    calibrate_camera(folder / "chart.h5", camera, light, *outputs, store.Provenance("test"))
     with store.open_file(outputs[0]) as file:
         return file.attribute("response_model"), Calibration.load(outputs[0])
 
@@ -385,6 +387,14 @@ def test_the_stage_says_what_the_response_model_rests_on_and_what_it_did_not_use
     assert f"{FILTER} not used" in caplog.text
     # The estimator does not depend on it.
     assert np.array_equal(other.weights_from_response, solved.weights_from_response)
+
+
+def test_the_rigs_lamp_is_known_better_by_its_measured_spectrum_than_by_a_name(tmp_path):
+    rows = [f"{at:g},{power:.4f}" for at, power in zip(WAVELENGTH_NM, spectrum("A"), strict=True)]
+    (tmp_path / "lamp.csv").write_text("\n".join(["wavelength_nm,power", *rows]), encoding="utf-8")
+    named, measured = (calibrated(tmp_path, ["out"], light)[1] for light in ("A", str(tmp_path / "lamp.csv")))
+    stated = [ResponseModel.of(one).rig_lamp_errors.std() for one in (named, measured)]
+    assert stated[0] / stated[1] == pytest.approx(0.05 / 0.02, rel=1e-3)
 
 
 def test_the_stage_refuses_a_filter_of_a_chart_that_was_not_photographed_with_it(tmp_path):

@@ -9,6 +9,7 @@ from made import made
 from scipy.optimize import least_squares
 
 from benchmarks.light import CHART, adapted_errors, camera, chart_under, errors, recovered, unlike
+from irodori.calibration.response_model import smooth_covariance
 from irodori.colour.colorimetry import colour_matching_weights
 from irodori.config.models import CapturesSource, Chart, IrradianceMap, MirrorBallSource
 from irodori.core import store
@@ -84,6 +85,33 @@ def test_charts_in_two_places_tell_two_lamps_that_light_both_from_each_other(see
     alone, helped, stated = np.mean(found, axis=0)
     assert helped < min(0.5, 0.9 * alone)
     assert 0.5 < stated / helped < 2.0
+
+
+@pytest.mark.stability(stage="light", case="rig's lamp unlike its name")
+@pytest.mark.parametrize("unlike_name", ["smoothly, by 5 %", "50 K warmer or colder"])
+def test_what_the_rigs_lamp_may_differ_from_its_name_is_in_the_errors_of_recovered_light(unlike_name):
+    """Over three draws and the lamps, each with a chart under it."""
+    found = []
+    for draw in range(3):
+        rng = np.random.default_rng(20 + draw)
+        if unlike_name == "smoothly, by 5 %":
+            covariance = 0.05**2 * smooth_covariance(40.0)
+            true = lamp("A") * (1.0 + rng.multivariate_normal(np.zeros(61), covariance, method="eigh"))
+        else:
+            true = lamp("P2806" if draw % 2 else "P2906")
+        own = camera(draw)
+        own = replace(own, sensitivity=own.sensitivity * lamp("A") / true)
+        for name in LAMPS:
+            light, prior = lamp(name), prior_without(name)
+            room = room_of(own, light[None])
+            helped = recovery_with([chart_under(own, light)], own.model, room, prior)
+            weights = helped.weights(room.response)[0]
+            recovered_ = helped.basis @ weights
+            drawn = np.tensordot(rng.standard_normal((8, len(helped.errors))), helped.errors, axes=1) + helped.basis
+            stated = np.sqrt(np.mean([adapted_errors(recovered_, basis @ weights) ** 2 for basis in drawn]))
+            found.append([adapted_errors(light, recovered_), stated])
+    true, stated = np.sqrt(np.mean(np.square(found), axis=0))
+    assert 0.6 < true / stated < 1.5
 
 
 def test_no_chart_is_the_recovery_without_charts(seen):
@@ -386,7 +414,8 @@ def drawn_place(model: ResponseModel, rng) -> tuple[np.ndarray, np.ndarray]:
     distance = np.subtract.outer(np.arange(61), np.arange(61)) * 5.0 / 20.0
     near = np.linalg.cholesky(0.05**2 * np.exp(-0.5 * distance**2) + 1e-12 * np.eye(61))
     lamps = np.stack([lamp(name) * (1.0 + near @ rng.standard_normal(61)) for name in ("D65", "FL2")])
-    return model.mean + off, np.maximum(lamps, 0.0)
+    rig_lamp = 1.0 + rng.standard_normal(len(model.rig_lamp_errors)) @ model.rig_lamp_errors
+    return (model.mean + off) / rig_lamp, np.maximum(lamps, 0.0)
 
 
 @pytest.mark.default_cases(1)
@@ -394,8 +423,7 @@ def drawn_place(model: ResponseModel, rng) -> tuple[np.ndarray, np.ndarray]:
 def test_the_errors_that_a_recovered_light_states_are_those_of_its_tristimulus_values(seen, shares):
     """Over draws of camera and lamps from the model; most errors of a spectrum, and the largest, cannot be seen.
 
-    With charts, the ratio of true to stated errors is 1.25 in the geometric mean of 64 draws, and scatters by a factor
-    of 1.5 from draw to draw.
+    The root mean square of the ratio of true to stated errors over 64 draws is 1.04 without charts and 1.05 with them.
     """
     matching, paints, ratios = colour_matching_weights(), chart_spectra(CHART)[1][::4], []
     model, prior = seen.model, prior_without()
@@ -411,7 +439,7 @@ def test_the_errors_that_a_recovered_light_states_are_those_of_its_tristimulus_v
         off = (weights @ recovery.basis.T - lights) @ matching.T / luminance_
         drawn = np.einsum("qlr,mr,cl->qmc", recovery.errors, weights, matching) / luminance_
         ratios.append(np.sqrt(np.mean(off**2) / np.mean(np.sum(drawn**2, axis=0))))
-    assert 0.7 < np.exp(np.mean(np.log(ratios))) < 1.7
+    assert 0.6 < np.sqrt(np.mean(np.square(ratios))) < 1.5
 
 
 def place(folder, seen, name="FL11") -> None:

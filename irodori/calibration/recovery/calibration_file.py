@@ -10,6 +10,7 @@ from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.spectra.coordinates import write_bands, write_wavelength
 from irodori.spectra.grid import SAMPLES
+from irodori.spectra.published import OF_TYPE
 
 _UNITS = {"units": "1", "quantity": "parameter of the mapping from responses to weights"}
 _AXES = {
@@ -48,6 +49,8 @@ class Calibration:
         Response per unit reflectance at each wavelength, estimated from the chart.
     band_response_covariance : (bands, 61, bands, 61) float, optional
         Posterior covariance of the band response.
+    light_error : float
+        Standard deviation of smooth relative differences of the real light from ``light``.
     """
 
     basis: np.ndarray
@@ -58,6 +61,7 @@ class Calibration:
     training: np.ndarray | None = None
     band_response: np.ndarray | None = None
     band_response_covariance: np.ndarray | None = None
+    light_error: float = OF_TYPE
 
     @property
     def weights_from_response(self) -> np.ndarray | None:
@@ -108,6 +112,7 @@ class Calibration:
                 known.get("chart_response"),
                 known.get("band_response"),
                 known.get(_COVARIANCE),
+                file.attribute("light_error", float) if file.has_attribute("light_error") else OF_TYPE,
             )
 
     def write(self, out: store.Writer) -> None:
@@ -139,6 +144,7 @@ class Calibration:
         if self.band_response_covariance is not None:
             quantity, dims = "covariance of the response per unit reflectance", _OPTIONAL[_COVARIANCE]
             out.write(_COVARIANCE, self.band_response_covariance, units="1", dims=dims, quantity=quantity)
+        out.attribute("light_error", self.light_error)
         out.attribute("filters", list(self.filters))
         out.attribute("estimator", self.estimator)
         out.attribute("mapping", self.mapping.kind)
