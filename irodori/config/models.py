@@ -2317,6 +2317,18 @@ class PoseError(Definition):
 
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
+class LampSpectrum(Definition):
+    """The lamp's light is warmer or colder than the spectrum of its definition."""
+
+    #: Whether the rig has this fault (true or false).
+    enabled: bool = False
+
+    #: By how much it is warmer, as the reciprocal of a black body's temperature, in mired (a million over kelvin); 5 is
+    #: 2816 K in place of 2856 K.
+    shift_mired: float = 5.0
+
+
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class LaidOff(Definition):
     """The object does not lie exactly at the place and with the turn of its definition."""
 
@@ -2397,6 +2409,9 @@ class Imperfections(Definition):
 
     #: Light and camera do not stand exactly where they were sent.
     pose_error: PoseError = PoseError()
+
+    #: The lamp's light is warmer or colder than the spectrum of its definition.
+    lamp_spectrum: LampSpectrum = LampSpectrum()
 
     #: The object does not lie exactly at the place and with the turn of its definition.
     laid_off: LaidOff = LaidOff()

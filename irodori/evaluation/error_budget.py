@@ -49,7 +49,7 @@ _LONG_SHARE, _LONG_SAMPLES = 2, 512
 _SEAM_TEXELS = 2  # on either side, see `irodori.evaluation.truth_errors.interior`
 _LIGHT = "D65"
 _SEED = 8
-_HOLES, _LIGHTS = 2, 3  # random draws over which the predictions for coverage and for light are averaged
+_HOLES, _LIGHTS = 2, 6  # random draws over which the predictions for coverage and for light are averaged
 
 
 @dataclass(frozen=True)

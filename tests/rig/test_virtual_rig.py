@@ -10,6 +10,7 @@ from made import made
 
 from irodori.calibration.chart import patch_centres
 from irodori.capture.shot_list import camera_shots, object_shots
+from irodori.colour.colorimetry import colour_matching_weights
 from irodori.config.capture_table import Pose, Shot
 from irodori.config.definitions import load_definitions, read_yaml
 from irodori.config.models import (
@@ -33,7 +34,7 @@ from irodori.reflection.equation5 import angles_from_directions, reflect
 from irodori.simulation.virtual_rig.bench import Bench
 from irodori.simulation.virtual_rig.classroom import light_on_chart, room_coefficients, source_spectra, trace_room
 from irodori.simulation.virtual_rig.ground_truth import true_material
-from irodori.simulation.virtual_rig.imperfections import Faults
+from irodori.simulation.virtual_rig.imperfections import Faults, lamp_light
 from irodori.simulation.virtual_rig.samples import Sample
 from irodori.simulation.virtual_rig.sensor import band_weights
 from irodori.simulation.virtual_rig.subjects import object_mosaic, room_mosaic
@@ -42,7 +43,8 @@ from irodori.spectra.published import spectrum
 
 ROOT = Path(__file__).resolve().parents[2]
 NO_FAULTS = (
-    "light_drift", "vignetting", "stray_light", "pose_error", "laid_off", "focal_length", "filter_plate", "hot_pixels",
+    "light_drift", "vignetting", "stray_light", "pose_error", "lamp_spectrum", "laid_off", "focal_length",
+    "filter_plate", "hot_pixels",
 )  # fmt: skip
 STRAIGHT = np.eye(2, 3)
 
@@ -258,6 +260,22 @@ def test_faults_can_be_switched_off_one_by_one(definitions):
         assert (seen.max() > 1.0) == (name == "stray_light")
         assert (faults.ideal_from_seen(shots[0], 800, 600) != np.eye(2, 3)).any() == (name == "filter_plate")
         assert (faults.hot_rate_e_per_s(600, 800) > 0).any() == (name == "hot_pixels")
+
+
+@pytest.mark.parametrize(("shift_mired", "temperature_k"), [(5.0, 2816), (-20.0, 3029)])
+def test_a_lamp_that_is_warmer_or_colder_than_its_name_is_as_a_black_body_of_that_temperature(
+    definitions, shift_mired, temperature_k
+):
+    rig = copy.deepcopy(definitions["rigs"]["virtual"])
+    rig["light"]["spectrum"] = "A"
+    rig["virtual"]["imperfections"]["lamp_spectrum"] = {"enabled": True, "shift_mired": shift_mired}
+    ratio = lamp_light(made(Rig, rig)) / spectrum("A")
+    black_bodies = spectrum(f"P{temperature_k}") / spectrum("P2856")
+    np.testing.assert_allclose(ratio / ratio.mean(), black_bodies / black_bodies.mean(), rtol=2e-3)
+    luminance = colour_matching_weights()[1]
+    assert luminance @ lamp_light(made(Rig, rig)) == pytest.approx(luminance @ spectrum("A"))
+    rig["virtual"]["imperfections"]["lamp_spectrum"]["enabled"] = False
+    np.testing.assert_array_equal(lamp_light(made(Rig, rig)), spectrum("A"))
 
 
 def test_the_light_drifts_by_its_rms_and_slowly(definitions):

@@ -19,8 +19,8 @@ from irodori.material.material_file import Material
 from irodori.material.principal_components.basis_count import CompressOptions
 from irodori.simulation.virtual_rig.ground_truth import true_material
 
-FAULTS = ["light drift", "vignetting", "stray light", "pose error", "laid off", "focal length", "filter plate",
-          "hot pixels"]  # fmt: skip
+FAULTS = ["light drift", "vignetting", "stray light", "pose error", "lamp spectrum", "laid off", "focal length",
+          "filter plate", "hot pixels"]  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -131,8 +131,8 @@ def test_a_row_says_how_far_the_chain_is_off_away_from_seams_and_holes(chain, mo
     monkeypatch.setattr(module, "true_material", lambda *_: truth)
     measure_imperfections(chain, tmp_path / "costs.csv")
     rows = read_rows(tmp_path / "costs.csv", CostRow)
-    assert len(set(folders)) == 11 and not any(folder.exists() for folder in folders)
-    assert len(rows) == 2 * 11 and [row.light for row in rows[:2]] == ["D65", "A"]
+    assert len(set(folders)) == 12 and not any(folder.exists() for folder in folders)
+    assert len(rows) == 2 * 12 and [row.light for row in rows[:2]] == ["D65", "A"]
     assert rows[0].faults == "none" and rows[-1].faults.startswith("all, and GGX")
     chosen = inside & (side < 11)
     for row in rows:

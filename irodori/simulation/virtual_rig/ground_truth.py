@@ -8,9 +8,9 @@ from irodori.light.irradiance import fitted_irradiance_map
 from irodori.material.material_file import Material
 from irodori.reflection.coat import COUPLED, SUM
 from irodori.simulation.virtual_rig.classroom import room_coefficients, source_spectra
+from irodori.simulation.virtual_rig.imperfections import lamp_light
 from irodori.simulation.virtual_rig.samples import Sample
 from irodori.simulation.virtual_rig.sensor import band_weights
-from irodori.spectra.published import light
 
 _GREEN = 1
 
@@ -25,7 +25,7 @@ def true_material(definition: Object, camera: Camera, rig: Rig) -> Material:
     sample = Sample.from_definition(definition)
     width, height = definition.texels.width, definition.texels.height
     index = sample.material_index(width, height)
-    weights = band_weights(camera, light(rig.light.spectrum))[_GREEN]
+    weights = band_weights(camera, lamp_light(rig))[_GREEN]
     green = sample.reflectance @ weights / weights.sum()
     lobes, gloss, typical = _gloss(sample)
     (beta, mu), *further = [(beta[index], mu[index]) for beta, mu in gloss]
@@ -87,7 +87,7 @@ def true_environment(definition: EnvironmentDefinition, rig: Rig, irradiance_opt
     image, room = definition.image, definition.virtual
     if image is None or room is None:
         raise ValueError("an environment without the blocks image and virtual; accepted: a room of the virtual rig")
-    spectra = source_spectra(room, light(rig.light.spectrum))[1]
+    spectra = source_spectra(room, lamp_light(rig))[1]
     coefficients = room_coefficients(room, image.width, image.height)
     irradiance, _ = fitted_irradiance_map(coefficients, **vars(irradiance_options))
     return Environment(coefficients, spectra.T, irradiance)

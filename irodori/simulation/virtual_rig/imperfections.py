@@ -1,4 +1,4 @@
-"""Switchable imperfections of the virtual rig: drift, optics, poses, filter plate, sensor.
+"""Switchable imperfections of the virtual rig: lamp, optics, poses, filter plate, sensor.
 
 All random numbers depend only on the seed and on the place of a photograph in its session, never on the photographs
 taken before. A session that was interrupted and continued therefore gives the same files as one that was not.
@@ -12,7 +12,24 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from irodori.config.capture_table import Pose, Shot
-from irodori.config.models import Imperfections
+from irodori.config.models import Imperfections, Rig
+from irodori.simulation.virtual_rig.classroom import equal_luminance
+from irodori.spectra.grid import WAVELENGTH_NM
+from irodori.spectra.published import light
+
+_C2_NM_PER_MIRED = 14.38777  # second radiation constant of Planck's law
+
+
+def lamp_light(rig: Rig) -> np.ndarray:
+    """Return the spectrum of the light of a virtual rig's lamp, (61,), of the luminance of the one in its definition.
+
+    Another temperature changes it as an ideal conversion filter would, in Wien's approximation of Planck's law.
+    """
+    stated = light(rig.light.spectrum)
+    if rig.virtual is None or not rig.virtual.imperfections.lamp_spectrum.enabled:
+        return stated
+    shift_mired = rig.virtual.imperfections.lamp_spectrum.shift_mired
+    return equal_luminance(stated * np.exp(-_C2_NM_PER_MIRED * shift_mired / WAVELENGTH_NM), stated)
 
 
 @dataclass(frozen=True)

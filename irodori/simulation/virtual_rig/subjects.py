@@ -38,9 +38,9 @@ from irodori.light.omnidirectional import to_panorama
 from irodori.simulation.virtual_rig.aperture import gather_rows, place_in_cell
 from irodori.simulation.virtual_rig.classroom import light_on_chart, room_coefficients, source_spectra
 from irodori.simulation.virtual_rig.imaging import RigView, expose_object
+from irodori.simulation.virtual_rig.imperfections import lamp_light
 from irodori.simulation.virtual_rig.samples import Sample
 from irodori.spectra.published import chart_spectra
-from irodori.spectra.published import light as spectrum_of_light
 from irodori.spectra.white_reference import white_reflectance
 
 _PATCH_FILL = 0.42  # half of a patch's side, as a fraction of the pitch between patches
@@ -255,7 +255,7 @@ def room_chart_mosaic(
 
     ``name`` is one of the definition's ``room_charts``; other parameters are as in `object_mosaic`.
     """
-    room, light = definition.virtual, spectrum_of_light(rig.light.spectrum)
+    room, light = definition.virtual, lamp_light(rig)
     assert room is not None and camera.poses is not None  # checked: the rig is virtual
     relative = light_on_chart(room, room.charts[name], light) / light
     pose = Pose(**vars(camera.poses.chart))

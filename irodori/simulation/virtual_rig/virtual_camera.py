@@ -13,7 +13,7 @@ from irodori.config.models import Camera, Chart, EnvironmentDefinition, Object, 
 from irodori.config.parts import PhotographedObject, SceneRadiance
 from irodori.simulation.virtual_rig.bench import Bench
 from irodori.simulation.virtual_rig.dng_writer import write_dng
-from irodori.simulation.virtual_rig.imperfections import Faults
+from irodori.simulation.virtual_rig.imperfections import Faults, lamp_light
 from irodori.simulation.virtual_rig.mishaps import Mishap
 from irodori.simulation.virtual_rig.samples import Sample
 from irodori.simulation.virtual_rig.scene_view import scene_mosaic, scene_radiance
@@ -25,7 +25,6 @@ from irodori.simulation.virtual_rig.subjects import (
     room_mosaic,
     white_mosaic,
 )
-from irodori.spectra.published import light
 
 Photographed: TypeAlias = Object | PhotographedObject | EnvironmentDefinition | SceneRadiance
 
@@ -73,7 +72,7 @@ class VirtualCamera(CameraDevice):
         self.camera, self.rig, self.bench, self.subject = camera, rig, bench, subject
         self.optics = camera.optics
         self.sensor = Sensor(**vars(camera.virtual.sensor))
-        self.light = light(rig.light.spectrum)
+        self.light = lamp_light(rig)
         self.band_weights = band_weights(camera, self.light)
         self.faults = Faults(rig.virtual.imperfections, rig.virtual.seed, session, shots)
         self._known = seen
