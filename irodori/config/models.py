@@ -2325,7 +2325,7 @@ class LampSpectrum(Definition):
 
     #: By how much it is warmer, as the reciprocal of a black body's temperature, in mired (a million over kelvin); 5 is
     #: 2816 K in place of 2856 K.
-    shift_mired: float = 5.0
+    shift_mired: float = 2.0
 
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)

@@ -231,7 +231,7 @@ def test_the_defaults_of_the_configuration_are_the_repository_s_own():
     assert short == validate(own, "config", "x")
     rig = example(*RIG)
     # The faults of the repository's own rig that no rig has unless it says so.
-    faults = {name: {"enabled": True} for name in ("laid_off", "focal_length")}
+    faults = {name: {"enabled": True} for name in ("lamp_spectrum", "laid_off", "focal_length")}
     short = put(rig, "virtual", {"seed": rig["virtual"]["seed"], "imperfections": faults})
     assert validate(short, "rig", "x") == validate(rig, "rig", "x")
 
