@@ -204,6 +204,7 @@ def prepare_environment(
     sources = [f"charts in the room ({', '.join(room_charts)})"] if room_charts else []
     picture.origin["lamps"] = " and ".join([*sources, *([told_by(lamps)] if lamps else [])]) or "published lamps"
     LOGGER.info("source of the lamps' spectra: %s", picture.origin["lamps"])
+    LOGGER.info("the rig's lamp is known to %g %%, and all recovered light with it", 100.0 * calibration.light_error)
     # Colour errors of the light are computed with the light of the rig as white.
     write_environment(
         picture, calibration.light, output, options, irradiance_options, provenance, gloss_lobes=gloss_lobes
