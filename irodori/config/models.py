@@ -2318,13 +2318,13 @@ class PoseError(Definition):
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class LampSpectrum(Definition):
-    """The lamp's light is warmer or colder than the spectrum of its definition."""
+    """The lamp's light is redder or bluer than the spectrum of its definition."""
 
     #: Whether the rig has this fault (true or false).
     enabled: bool = False
 
-    #: By how much it is warmer, as the reciprocal of a black body's temperature, in mired (a million over kelvin); 5 is
-    #: 2816 K in place of 2856 K.
+    #: By how much it is redder, as a change of the reciprocal colour temperature, in mired (a million over kelvin); 2
+    #: is 2840 K in place of 2856 K.
     shift_mired: float = 2.0
 
 
@@ -2410,7 +2410,7 @@ class Imperfections(Definition):
     #: Light and camera do not stand exactly where they were sent.
     pose_error: PoseError = PoseError()
 
-    #: The lamp's light is warmer or colder than the spectrum of its definition.
+    #: The lamp's light is redder or bluer than the spectrum of its definition.
     lamp_spectrum: LampSpectrum = LampSpectrum()
 
     #: The object does not lie exactly at the place and with the turn of its definition.

@@ -263,7 +263,7 @@ def test_faults_can_be_switched_off_one_by_one(definitions):
 
 
 @pytest.mark.parametrize(("shift_mired", "temperature_k"), [(5.0, 2816), (-20.0, 3029)])
-def test_a_lamp_that_is_warmer_or_colder_than_its_name_is_as_a_black_body_of_that_temperature(
+def test_a_lamp_that_is_redder_or_bluer_than_its_name_is_as_a_black_body_of_that_temperature(
     definitions, shift_mired, temperature_k
 ):
     rig = copy.deepcopy(definitions["rigs"]["virtual"])

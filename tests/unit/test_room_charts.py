@@ -88,7 +88,7 @@ def test_charts_in_two_places_tell_two_lamps_that_light_both_from_each_other(see
 
 
 @pytest.mark.stability(stage="light", case="rig's lamp unlike its name")
-@pytest.mark.parametrize("unlike_name", ["smoothly, by 5 %", "50 K warmer or colder"])
+@pytest.mark.parametrize("unlike_name", ["smoothly, by 5 %", "50 K more or less"])
 def test_what_the_rigs_lamp_may_differ_from_its_name_is_in_the_errors_of_recovered_light(unlike_name):
     """Over three draws and the lamps, each with a chart under it."""
     found = []
