@@ -165,7 +165,11 @@ def test_the_other_directions_of_a_room_tell_of_its_lamps():
 @pytest.mark.heavy
 @pytest.mark.parametrize("lamps", [1, 2])
 def test_the_stated_error_is_the_error_of_lamps_that_the_prior_does_not_know(seen, lamps):
-    """Of all lamps alone, and of a mix of each second one with another; half or twice the statement would fail."""
+    """Of all lamps alone, and of a mix of each second one with another; half or twice the statement would fail.
+
+    The lamp of the rig is what it is said to be, and known to be so.
+    """
+    model = replace(seen.model, rig_lamp_errors=np.zeros((0, 61)))
     ratios, sums, rng = [], np.zeros(2), np.random.default_rng(6)
     published = published_lamps()
     for first in range(0, len(CIE), lamps):
@@ -173,7 +177,7 @@ def test_the_stated_error_is_the_error_of_lamps_that_the_prior_does_not_know(see
         true = np.average(some, axis=0, weights=[1.0, 0.6][:lamps])
         response = seen.sensitivity @ true
         prior = prior_of_any_lamp(unlike(published, *some))
-        recovery = LightRecovery.of_room(seen.model, one_direction(response), prior)
+        recovery = LightRecovery.of_room(model, one_direction(response), prior)
         weights = recovery.weights(response)
         own = recovery.basis @ weights
         drawn = rng.standard_normal((8, len(recovery.errors)))
