@@ -177,6 +177,11 @@ def test_tables_of_a_camera_and_an_object_are_inputs_of_their_jobs(root):
     assert asked.tables_of_white(job(camera="d5100-comb")) == ["white.csv"]
     assert asked.tables_of_index(job(object="tile-plate")) == ["n.csv"]
     assert asked.calibration_of_index(job(object="tile-plate")) == ["results/cameras/d5100-comb/calibration.h5"]
+    # The rig's lamp lights all that the virtual camera photographs, and their truth.
+    lamp = "config/lamps/halogen-measured.csv"
+    assert lamp in asked.tables_of_calibration(job(camera="d5100-comb"))
+    for subject in ({"object": "tile-plate"}, {"environment": "classroom"}):
+        assert lamp in asked.files_of_session(job(**subject)), subject
 
 
 def test_frames_of_a_scene_without_frames_are_refused(scenes):

@@ -1,6 +1,6 @@
 rule write_truth:
     input:
-        user_files=ancient(sets.mesh),
+        user_files=ancient(sets.files_of_session),
     output:
         truth="results/{object}/truth.h5",
     log:
@@ -17,13 +17,15 @@ rule write_truth:
         definition=lookup(within=config["objects"], dpath="{object}"),
         camera=sets.camera,
         rig=sets.rig,
-        user_files=ledger.content(sets.mesh),
+        user_files=ledger.content(sets.files_of_session),
         code=code_hash("irodori.simulation.virtual_rig.ground_truth"),
     script:
         "../scripts/write_truth.py"
 
 
 rule write_true_environment:
+    input:
+        user_files=ancient(sets.files_of_session),
     output:
         truth="results/environments/{environment}/truth.h5",
     log:
@@ -41,6 +43,7 @@ rule write_true_environment:
         definition=lookup(within=config["environments"], dpath="{environment}"),
         rig=sets.rig,
         irradiance=lookup(within=config["environment"], dpath="irradiance"),
+        user_files=ledger.content(sets.files_of_session),
         code=code_hash("irodori.simulation.virtual_rig.ground_truth"),
     script:
         "../scripts/write_true_environment.py"
