@@ -134,6 +134,7 @@ class SmallChain:
         """Plain values of what an ideal camera would see of the object in a pose of the rig."""
         return {
             "definition": self.definition.plain(),
+            "lamp_spectrum": self.faults.lamp_spectrum.plain(),
             "laid_off": self.faults.laid_off.plain(),
             "focal_length": self.faults.focal_length.plain(),
         }

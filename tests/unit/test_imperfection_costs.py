@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 from definitions import ROOT
 
+from irodori.capture.shot_list import object_shots
 from irodori.colour.colorimetry import delta_e_reflectance
 from irodori.config.capture_table import expand_poses
 from irodori.config.definitions import read_yaml
 from irodori.config.models import Camera, Object, Placing, PoseGroup, Rectify, Rig, Size
+from irodori.core.provenance import config_hash
 from irodori.evaluation import imperfection_costs as module
 from irodori.evaluation.imperfection_costs import Settings, SmallChain, measure_imperfections, run_chain
 from irodori.evaluation.result_tables import CostRow, read_rows
@@ -106,6 +108,19 @@ def two_paints(side=12) -> Material:
     return Material(alpha=green, beta=np.full((side, side), 2.0), mu=np.full((side, side), 0.1), green_response=green,
                     coefficients=np.eye(2, dtype=np.float32)[index], basis=spectra, n=np.full(61, 1.5),
                     k=np.zeros(61), mirror=0.0, typical_gloss=(2.0, 0.1))  # fmt: skip
+
+
+def test_pictures_that_runs_share_change_no_photograph(chain, tmp_path):
+    small, seen = chain.halved(), {}
+    shots = object_shots(small.definition, small.camera, ".dng")[:1]
+    for label, variant in small.variants():
+        taken = []
+        for kept in ({}, seen.setdefault(config_hash(variant.sight), {})):
+            folder = tmp_path / f"{label} {len(taken)}"
+            module._photograph(shots, variant, "plate", variant.definition, folder, kept)
+            taken.append((folder / shots[0].file).read_bytes())
+        assert taken[0] == taken[1], label
+    assert 1 < len(seen) < len(FAULTS)
 
 
 def test_a_row_says_how_far_the_chain_is_off_away_from_seams_and_holes(chain, monkeypatch, tmp_path):

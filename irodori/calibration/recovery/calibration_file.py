@@ -100,6 +100,9 @@ class Calibration:
                     values[field.name] = (
                         file.read_within(name) if in_dataset else file.attribute(field.name, (float, int))
                     )
+            light_error = file.attribute("light_error", float) if file.has_attribute("light_error") else OF_TYPE
+            if not 0.0 <= light_error < 1.0:
+                raise InputError(path, "light_error", f"{light_error:g}", "a number from 0 to 1")
             known = {name: file.read_within(name) for name in optional}
             if optional.get(_COVARIANCE) == _OF_EACH_BAND:
                 known[_COVARIANCE] = of_independent_bands(list(known[_COVARIANCE]))
@@ -112,7 +115,7 @@ class Calibration:
                 known.get("chart_response"),
                 known.get("band_response"),
                 known.get(_COVARIANCE),
-                file.attribute("light_error", float) if file.has_attribute("light_error") else OF_TYPE,
+                light_error,
             )
 
     def write(self, out: store.Writer) -> None:

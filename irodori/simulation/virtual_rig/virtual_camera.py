@@ -45,8 +45,8 @@ class VirtualCamera(CameraDevice):
     subject : Object, PhotographedObject, EnvironmentDefinition or SceneRadiance, optional
         Definition of the subject; none for the session of a camera's reference photographs.
     seen : dict, optional
-        Cache of pictures of objects without optics and noise, filled by this camera. Cameras that differ only in
-        imperfections may share one, so that pictures that no imperfection changes are computed once.
+        Cache of pictures of objects without optics and noise, filled by this camera. Cameras of one definition may
+        share it if their objects and lenses are as far off and their lamps have one spectrum.
     """
 
     suffix = ".dng"
