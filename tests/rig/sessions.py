@@ -40,6 +40,7 @@ def definitions(poses=POSES, motion: bool = False) -> tuple[dict, dict, dict]:
     rig = found["rigs"]["virtual"]
     definition["poses"] = poses
     camera["optics"].update(width_px=120, height_px=80, pixel_pitch_um=66.0, principal_point_px=[60.0, 40.0])
+    rig["light"]["spectrum"] = str(ROOT / rig["light"]["spectrum"])  # some sessions run in folders of their own
     if not motion:
         del rig["motion"]
     return definition, camera, rig
