@@ -14,6 +14,7 @@ from shortcuts import leave_one_out, read_patches
 from irodori.calibration.chart import patch_centres
 from irodori.calibration.paper_estimator import calibrate, spectral_basis
 from irodori.calibration.recovery.calibration_file import Calibration
+from irodori.calibration.recovery.mappings import LinearMapping
 from irodori.calibration.stage import calibrate_camera
 from irodori.colour.colorimetry import spectral_rmse
 from irodori.config.models import Camera, Chart
@@ -348,3 +349,12 @@ def test_hot_pixels_in_a_patch_do_not_count():
     hot = rng.uniform(size=picture.shape[:2]) < 0.1
     picture[hot] = 50.0
     assert np.allclose(read_patches(picture, ~hot, made(Chart, definition["chart"]), "a.h5").mean, expected)
+
+
+@pytest.mark.parametrize("error", [np.nan, -0.1, 1.0])
+def test_an_error_of_the_light_that_is_no_share_is_refused(tmp_path, error):
+    solved = Calibration(np.eye(61)[:, :3], LinearMapping(np.eye(3)), np.ones(61), ("out",), light_error=error)
+    with store.create(tmp_path / "c.h5", store.Provenance("test")) as out:
+        solved.write(out)
+    with pytest.raises(InputError, match="light_error"):
+        Calibration.load(tmp_path / "c.h5")

@@ -48,6 +48,11 @@ def prior_without(*names: str):
     return prior_of_any_lamp(unlike(published_lamps(), *(lamp(name) for name in names)) if names else None)
 
 
+def with_exact_rig_lamp(model: ResponseModel) -> ResponseModel:
+    """The model of a camera whose rig's lamp is known exactly, so that other errors are not lost beside its own."""
+    return replace(model, rig_lamp_errors=np.zeros((0, 61)))
+
+
 def room_of(seen, lights: np.ndarray) -> Directions:
     """A room that shows some lights, (n, 61), each as much as the others."""
     return Directions(lights @ seen.sensitivity.T, np.full(len(lights), 1 / len(lights)))
@@ -74,7 +79,8 @@ def test_charts_in_two_places_tell_two_lamps_that_light_both_from_each_other(see
     for own in (seen, camera(1), camera(2)):
         room = room_of(own, lights)
         charts = [chart_under(own, np.array(share) @ pair, seed) for seed, share in enumerate([(0.8, 0.2), (0.3, 0.7)])]
-        alone, helped = (recovery_with(some, own.model, room, prior) for some in ([], charts))
+        model = with_exact_rig_lamp(own.model)
+        alone, helped = (recovery_with(some, model, room, prior) for some in ([], charts))
         # What the recovery states of itself, drawn as it is for the picture's errors.
         weights = helped.weights(room.response)
         recovered_ = weights @ helped.basis.T
@@ -418,15 +424,17 @@ def drawn_place(model: ResponseModel, rng) -> tuple[np.ndarray, np.ndarray]:
     return (model.mean + off) / rig_lamp, np.maximum(lamps, 0.0)
 
 
-@pytest.mark.default_cases(1)
+@pytest.mark.default_cases(2)
+@pytest.mark.parametrize("rig_lamp", ["exact", "known by name"])
 @pytest.mark.parametrize("shares", [(), ((0.8, 0.2), (0.3, 0.7))], ids=["without charts", "with charts"])
-def test_the_errors_that_a_recovered_light_states_are_those_of_its_tristimulus_values(seen, shares):
+def test_the_errors_that_a_recovered_light_states_are_those_of_its_tristimulus_values(seen, shares, rig_lamp):
     """Over draws of camera and lamps from the model; most errors of a spectrum, and the largest, cannot be seen.
 
-    The root mean square of the ratio of true to stated errors over 64 draws is 1.04 without charts and 1.05 with them.
+    With charts and an exact lamp of the rig, the ratio of true to stated errors is 1.25 in the geometric mean of 64
+    draws, and scatters by a factor of 1.5 from draw to draw. With one known by name, its root mean square is 1.05.
     """
     matching, paints, ratios = colour_matching_weights(), chart_spectra(CHART)[1][::4], []
-    model, prior = seen.model, prior_without()
+    model, prior = with_exact_rig_lamp(seen.model) if rig_lamp == "exact" else seen.model, prior_without()
     for seed in range(8):
         rng = np.random.default_rng(seed)
         true, lamps = drawn_place(model, rng)
@@ -439,7 +447,10 @@ def test_the_errors_that_a_recovered_light_states_are_those_of_its_tristimulus_v
         off = (weights @ recovery.basis.T - lights) @ matching.T / luminance_
         drawn = np.einsum("qlr,mr,cl->qmc", recovery.errors, weights, matching) / luminance_
         ratios.append(np.sqrt(np.mean(off**2) / np.mean(np.sum(drawn**2, axis=0))))
-    assert 0.6 < np.sqrt(np.mean(np.square(ratios))) < 1.5
+    if rig_lamp == "exact":
+        assert 0.7 < np.exp(np.mean(np.log(ratios))) < 1.7
+    else:
+        assert 0.6 < np.sqrt(np.mean(np.square(ratios))) < 1.5
 
 
 def place(folder, seen, name="FL11") -> None:
