@@ -29,7 +29,7 @@ from irodori.core import store
 from irodori.core.atomic_files import written_whole
 from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER
-from irodori.spectra.published import OF_MEASURED, OF_TYPE, camera_sensitivities, is_measured, light
+from irodori.spectra.published import MEASURED_LAMP_ERROR, NAMED_LAMP_ERROR, camera_sensitivities, is_measured, light
 
 _MAX_INVALID_SHARE = 0.05  # of a patch, beyond which the report names it
 
@@ -97,7 +97,8 @@ def calibrate_camera(
             check_amplification(amplification, settings.max_noise_amplification, solved.calibration)
         checks = _checks(charts, training, solved, lights) | {"likelier_charts": likelier}
         checks |= {"response_model": _response_model(training.best_response)}
-    calibration = replace(solved.calibration, light_error=OF_MEASURED if is_measured(light_name) else OF_TYPE)
+    light_error = MEASURED_LAMP_ERROR if is_measured(light_name) else NAMED_LAMP_ERROR
+    calibration = replace(solved.calibration, light_error=light_error)
     _write_calibration(output, calibration, errors, solved.numbers | checks, provenance)
     _write_errors(table, charts.patches, errors)
     if selection is not None:

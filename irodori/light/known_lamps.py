@@ -11,7 +11,7 @@ import numpy as np
 from irodori.core.errors import InputError
 from irodori.light.light_prior import LightPrior, light_prior, of_luminance_one
 from irodori.light.light_recovery import Directions, ResponseModel, evidence
-from irodori.spectra.published import OF_MEASURED, OF_TYPE, is_measured, light
+from irodori.spectra.published import MEASURED_LAMP_ERROR, NAMED_LAMP_ERROR, is_measured, light
 
 #: Accepted log evidence ratio of published over given lamps; being many, published lamps can also fit some noise.
 _ODDS = np.log(1e4)
@@ -42,7 +42,7 @@ def given_prior(spectra: np.ndarray, measured: np.ndarray) -> LightPrior:
 
     ``measured``, (lamps,) bool, states whether each is a measured spectrum or that of a published type of lamp.
     """
-    return light_prior(of_luminance_one(spectra), np.where(measured, OF_MEASURED, OF_TYPE))
+    return light_prior(of_luminance_one(spectra), np.where(measured, MEASURED_LAMP_ERROR, NAMED_LAMP_ERROR))
 
 
 def require_lamps_seen(

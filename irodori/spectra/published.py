@@ -30,7 +30,7 @@ _PATCH_NAME = re.compile(r"[A-Z]\d+")
 
 #: Standard deviations of smooth relative differences in spectrum: of a lamp from the published one of its type, and of
 #: a measurement with a field spectroradiometer from the true spectrum.
-OF_TYPE, OF_MEASURED = 0.05, 0.02
+NAMED_LAMP_ERROR, MEASURED_LAMP_ERROR = 0.05, 0.02
 
 
 def read_spectra(path) -> tuple[list[str], np.ndarray]:

@@ -10,7 +10,7 @@ from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.spectra.coordinates import write_bands, write_wavelength
 from irodori.spectra.grid import SAMPLES
-from irodori.spectra.published import OF_TYPE
+from irodori.spectra.published import NAMED_LAMP_ERROR
 
 _UNITS = {"units": "1", "quantity": "parameter of the mapping from responses to weights"}
 _AXES = {
@@ -61,7 +61,7 @@ class Calibration:
     training: np.ndarray | None = None
     band_response: np.ndarray | None = None
     band_response_covariance: np.ndarray | None = None
-    light_error: float = OF_TYPE
+    light_error: float = NAMED_LAMP_ERROR
 
     @property
     def weights_from_response(self) -> np.ndarray | None:
@@ -100,7 +100,9 @@ class Calibration:
                     values[field.name] = (
                         file.read_within(name) if in_dataset else file.attribute(field.name, (float, int))
                     )
-            light_error = file.attribute("light_error", float) if file.has_attribute("light_error") else OF_TYPE
+            light_error = (
+                file.attribute("light_error", float) if file.has_attribute("light_error") else NAMED_LAMP_ERROR
+            )
             if not 0.0 <= light_error < 1.0:
                 raise InputError(path, "light_error", f"{light_error:g}", "a number from 0 to 1")
             known = {name: file.read_within(name) for name in optional}
