@@ -54,6 +54,7 @@ from irodori.geometry.mesh import Mesh
 from irodori.geometry.rig_frame import rotation_x, rotation_xyz, rotation_y
 from irodori.geometry.shapes.placement import Placement
 from irodori.geometry.shapes.shape import Shape
+from irodori.geometry.shapes.triangle_mesh import TriangleMesh
 from irodori.light.environment_file import Environment, directions
 from irodori.light.placed_lights import unit_luminance
 from irodori.material.material_file import Material
@@ -396,7 +397,7 @@ def flat_mesh(mesh: trimesh.Trimesh) -> Shape:
 def _mesh(mesh: trimesh.Trimesh, normals: np.ndarray) -> Shape:
     uv = np.full((len(mesh.faces), 3, 2), 0.5)
     uv[0] = [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]  # one triangle has the whole texture, which is of one colour
-    return Shape.from_mesh(Mesh(np.asarray(mesh.vertices), np.asarray(mesh.faces, dtype=np.int32), uv, normals))
+    return TriangleMesh(Mesh(np.asarray(mesh.vertices), np.asarray(mesh.faces, dtype=np.int32), uv, normals), "mesh")
 
 
 def growth(runs: int) -> None:
