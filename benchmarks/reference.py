@@ -17,8 +17,9 @@ the error ``--target`` is read, and the seconds are those of that count, on stra
 scenes are the same.
 
 Mitsuba's kernels are compiled before the measurement. Seconds are processor time of all threads divided by their
-number, the least of the runs; other work on the machine disturbs them less than wall-clock time. Mitsuba's default
-sampler is ``independent``; ``multijitter``, the default here, is its best.
+number, the least of the runs; other work on the machine disturbs them less than wall-clock time, and the renderers
+take turns, so that it disturbs all of them alike. Mitsuba's default sampler is ``independent``; ``multijitter``, the
+default here, is its best.
 
 Mitsuba's variant ``llvm_ad_spectral`` needs a recent LLVM: it runs with Debian's package ``libllvm19`` and
 ``DRJIT_LIBLLVM_PATH=/usr/lib/x86_64-linux-gnu/libLLVM.so.19.1``, while LLVM 15 ends the process at the first picture.
@@ -338,12 +339,23 @@ def try_variant(variant: str, sampler: str) -> None:
         raise SystemExit(f"{variant}: a picture that is not finite")
 
 
-def line_of(renderer, samples: tuple, truth: np.ndarray, white_xyz: np.ndarray, runs: int) -> Line:
-    """Measure error and time of a renderer at several numbers of samples."""
-    renderer.xyz(samples[0], 1)  # compile
-    errors = [np.mean([mean_error(renderer.xyz(n, seed), truth, white_xyz) for seed in (11, 12)]) for n in samples]
-    process = [least_processor_s(lambda n=n: renderer.xyz(n, 21), runs) for n in samples]
-    return Line(np.array(samples), np.array(errors), np.array(process))
+def errors_of(renderer, truth: np.ndarray, white_xyz: np.ndarray) -> np.ndarray:
+    """Return the error of a renderer at each of its numbers of samples; its loops are compiled then."""
+    pictures = [[renderer.xyz(n, seed) for seed in (11, 12)] for n in renderer.samples]
+    return np.array([np.mean([mean_error(one, truth, white_xyz) for one in pair]) for pair in pictures])
+
+
+def times_s(renderers: list, runs: int) -> list[np.ndarray]:
+    """Return the processor time of each renderer at each of its numbers of samples, s, the least of the runs.
+
+    Runs alternate between the renderers, so that other load on the machine affects all.
+    """
+    least = [np.full(len(renderer.samples), np.inf) for renderer in renderers]
+    for _ in range(runs):
+        for renderer, found in zip(renderers, least, strict=True):
+            for at, n in enumerate(renderer.samples):
+                found[at] = min(found[at], least_processor_s(lambda r=renderer, n=n: r.xyz(n, 21), 1))
+    return least
 
 
 def compare(name: str, stage: Stage, arguments) -> list[dict]:
@@ -355,14 +367,17 @@ def compare(name: str, stage: Stage, arguments) -> list[dict]:
     renderers = [OursByDefault(stage, size, white), Ours(stage, size, white)]
     renderers += [Theirs(variant, arguments.sampler, stage, size, white) for variant in arguments.variants]
     truths: dict[str, np.ndarray] = {}
-    lines = []
+    errors = []
     truths["reference"] = renderers[1].xyz(arguments.converged, 99)
     for renderer in renderers:
         kind = renderer.name.split("-")[0]
         if kind not in truths:  # the variants of Mitsuba share their limit
             truths[kind] = renderer.xyz(arguments.converged, 99)
-        lines.append(line_of(renderer, renderer.samples, truths[kind], white_xyz, arguments.runs))
-        text = ", ".join(f"{n}: {e:.3f}" for n, e in zip(lines[-1].samples, lines[-1].errors, strict=True))
+        errors.append(errors_of(renderer, truths[kind], white_xyz))
+    lines = []
+    for renderer, error, seconds in zip(renderers, errors, times_s(renderers, arguments.runs), strict=True):
+        lines.append(Line(np.array(renderer.samples), error, seconds))
+        text = ", ".join(f"{n}: {e:.3f}" for n, e in zip(renderer.samples, error, strict=True))
         speed = 1e-6 * pixels / lines[-1].path_s
         print(f"{name} {renderer.name}: CIEDE2000 at samples {text}; {speed:.2f} million paths/s a core", flush=True)
     if len(truths) == 2:

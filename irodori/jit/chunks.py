@@ -1,6 +1,8 @@
 """Execution of kernels in chunks on several threads."""
 
-from concurrent.futures import ThreadPoolExecutor
+import os
+from concurrent.futures import ThreadPoolExecutor, wait
+from functools import lru_cache
 
 import numba
 from numba.core.dispatcher import Dispatcher
@@ -10,6 +12,19 @@ def _holds_functions(argument) -> bool:
     if isinstance(argument, tuple):
         return any(map(_holds_functions, argument))
     return isinstance(argument, Dispatcher)
+
+
+@lru_cache(maxsize=1)
+def _pool(threads: int) -> ThreadPoolExecutor:
+    """Return threads that stay for the next call: to start new ones takes a tenth of a millisecond each time.
+
+    A chunk that itself calls `run_chunks` gets one thread: it would wait for ever for those that wait for it.
+    """
+    return ThreadPoolExecutor(threads, "chunks", numba.set_num_threads, (1,))
+
+
+# A process that was forked has none of its parent's threads.
+os.register_at_fork(after_in_child=_pool.cache_clear)
 
 
 def run_chunks(kernel, count: int, chunk: int, *arguments) -> None:
@@ -34,6 +49,13 @@ def run_chunks(kernel, count: int, chunk: int, *arguments) -> None:
         for piece in pieces:
             kernel(*arguments, *piece)
         return
-    with ThreadPoolExecutor(threads) as pool:
-        for done in [pool.submit(kernel, *arguments, *piece) for piece in pieces]:
-            done.result()
+    pool = _pool(threads)
+    begun = [pool.submit(kernel, *arguments, *piece) for piece in pieces]
+    try:
+        for one in begun:
+            one.result()
+    finally:
+        # After an error or an interrupt, nothing goes on writing to the arguments.
+        for one in begun:
+            one.cancel()
+        wait(begun)

@@ -7,12 +7,14 @@ over numbers that use these functions. They are for nopython code only.
 
 import math
 
+import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 from numba.core.errors import TypingError
 from numba.extending import intrinsic
 
+from irodori.jit.compilation import njit
 from irodori.jit.vectors import FLAGS, Vector, common, constant, llvm_type, scalar_of, widened
 
 #: Number of bits of the mantissa, and bias of the exponent.
@@ -28,6 +30,9 @@ _SMALLEST_EXPONENT = {types.float32: -80.0, types.float64: -170.0}
 _SQUARE_ROOT_OF_HALF = {types.float32: 0x3F3504F3, types.float64: 0x3FE6A09E667F3BCD}  # bits
 _EXP_DEGREE = {types.float32: 7, types.float64: 13}
 _LOG_TERMS = {types.float32: 5, types.float64: 10}
+#: Taylor series of sin(x) / x and cos(x) in x², from the highest power.
+_SINE = tuple((-1.0) ** k / math.factorial(2 * k + 1) for k in range(8, -1, -1))
+_COSINE = tuple((-1.0) ** k / math.factorial(2 * k) for k in range(9, -1, -1))
 
 
 def _elementwise(arguments: int, codegen, about: str):
@@ -203,3 +208,23 @@ truncated = _conversion(types.float32, types.int32, "fptosi", "Return float32 as
 as_float = _conversion(types.int32, types.float32, "sitofp", "Return int32 as float32.")
 bits_as_int = _conversion(types.float32, types.int32, "bitcast", "Return the bits of float32 as int32.")
 bits_as_float = _conversion(types.int32, types.float32, "bitcast", "Return float32 of the bits in int32.")
+
+
+@njit(cache=True, forceinline=True)
+def circle_point(turns):
+    """Return cosine and sine of an angle in turns, at most 2³⁰, with errors below 1e-15.
+
+    Half the time of the mathematical library, whose functions reduce angles in radians of any size.
+    """
+    quarter = np.int64(np.floor(4.0 * turns + 0.5))
+    x = (turns - 0.25 * quarter) * (2.0 * math.pi)  # from -π/4 to π/4
+    y = x * x
+    sine, cosine = 0.0, 0.0
+    for factor in _SINE:
+        sine = sine * y + factor
+    for factor in _COSINE:
+        cosine = cosine * y + factor
+    sine *= x
+    if quarter & 1:
+        sine, cosine = cosine, -sine
+    return (-cosine, -sine) if quarter & 2 else (cosine, sine)

@@ -15,6 +15,7 @@ from irodori.geometry.shapes.placement import Placement
 from irodori.geometry.shapes.plate import Plate
 from irodori.geometry.shapes.sphere import Sphere
 from irodori.jit.compilation import uncounted
+from irodori.jit.functions import circle_point
 from irodori.light.placed_lights import direction_of, unit_luminance
 from irodori.rendering.surface_hits import frame
 
@@ -205,12 +206,11 @@ def _rectangle(lights, light, point):
 def _draw_rectangle(seen, u, v):
     """Sample a point on a `_Rectangle`, uniform in solid angle, mm from its corner of least coordinates."""
     x, y, z, width, height, first, second, rest, solid_angle = seen
-    angle = rest + u * solid_angle
-    sine = math.sin(angle)
-    slope = (math.cos(angle) * first - second) / sine
-    cosine = math.copysign(1.0 / math.sqrt(slope * slope + first * first), slope)
-    cosine = min(max(cosine, -1.0), 1.0)
-    at_x = min(max(-cosine * z / math.sqrt(max(1.0 - cosine * cosine, 1e-30)), x), x + width)
+    cosine, sine = circle_point((rest + u * solid_angle) / (2.0 * math.pi))
+    # The place on the plane at distance 1 is cot(arccos(1 / √(slope² + first²))).
+    slope, off = cosine * first - second, sine * sine * (1.0 - first * first)
+    at_x = -z * sine / math.sqrt(max(slope * slope - off, 1e-30 * sine * sine))
+    at_x = min(max(math.copysign(at_x, slope * sine), x), x + width)
     squared = at_x * at_x + z * z
     low, high = y / math.sqrt(squared + y * y), (y + height) / math.sqrt(squared + (y + height) ** 2)
     rise = low + v * (high - low)
@@ -271,8 +271,8 @@ def sample_towards(lights, light, point, u, v, direction):
             direction[axis] = (lights.position_mm[light, axis] - point[axis]) / distance
         tangent, bitangent = frame(direction)
         rise = u * _cap(lights, light, squared)
-        sine, angle = math.sqrt(rise * (2.0 - rise)), 2.0 * math.pi * v
-        a, b = sine * math.cos(angle), sine * math.sin(angle)
+        sine, (east, north) = math.sqrt(rise * (2.0 - rise)), circle_point(v)
+        a, b = sine * east, sine * north
         for axis in range(3):
             direction[axis] = (1.0 - rise) * direction[axis] + a * tangent[axis] + b * bitangent[axis]
         return density_towards(lights, light, point, direction)

@@ -11,6 +11,7 @@ from numba.core.errors import TypingError
 from numpy.testing import assert_allclose, assert_array_equal
 
 from irodori.jit.functions import (
+    circle_point,
     exp,
     log,
     lower_of,
@@ -135,6 +136,25 @@ def test_the_logarithm_errs_by_at_most_two_units(dtype, loop):
     loop(x, out)
     assert units(out, np.log(x.astype(finer))) <= 2.0
     assert (out[-8:] == 0.0).all()
+
+
+@numba.njit
+def _circle_points(turns, out):
+    for number in range(turns.size):
+        out[number] = circle_point(turns[number])
+
+
+@given(st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=30))
+def test_points_on_a_circle_are_those_of_the_mathematical_library(turns):
+    turns = np.concatenate([turns, np.arange(-16, 17) / 8, np.linspace(0.0, 1.0, 1000, endpoint=False)])
+    out = np.empty((len(turns), 2))
+    _circle_points(turns, out)
+    angle = 2.0 * np.pi * (turns - np.round(turns))  # exact, and small enough that an angle in radians keeps its digits
+    assert_allclose(out, np.stack([np.cos(angle), np.sin(angle)], axis=1), rtol=0.0, atol=1.5e-15)
+    exact = {0.0: (1.0, 0.0), 0.25: (0.0, 1.0), 0.5: (-1.0, 0.0), 0.75: (0.0, -1.0)}
+    for turn, point in exact.items():
+        _circle_points(np.array([turn]), out[:1])
+        assert tuple(out[0]) == point
 
 
 def test_not_a_number_is_the_first_to_give_way():

@@ -21,7 +21,7 @@ from irodori.jit.compilation import njit
 from irodori.jit.functions import exp, lower_of, select, upper_of
 from irodori.jit.vector_memory import load, spread, store, total, zeros_like
 from irodori.rendering.reference.world import ALBEDO, NORMAL, PLACE, SEEN, SHINE
-from irodori.rendering.scene_lights import PADDED
+from irodori.rendering.scene_lights import BANDS, PADDED
 
 #: Pixels to each side that a pixel is filtered over, and pixels to each side of a patch that is compared.
 RADIUS, PATCH = 5, 2
@@ -278,22 +278,48 @@ def _combine(sets, at, weights, out, to):
     store(out, to + 3 * _LANES, upper_of(four, np.float32(0.0)))
 
 
-@njit(cache=True, nogil=True)
-def _filter_some_rows(sets, guides, starts, filtered, first, last):
-    """Fill bands ``first`` to ``last`` of `_ROWS` rows in ``filtered`` (2 sets, rows, width, 64).
+class _Results(NamedTuple):
+    """Results of filtered rows; arrays without rows are not filled."""
 
-    ``starts`` has the first row of ``sets``, and that of ``filtered``.
+    halves: np.ndarray  # (2 sets, rows, width, 61) float32, both sets
+    radiance: np.ndarray  # (rows, width, 61) float32, their mean
+    squares: np.ndarray  # (2, rows, width), see `_fill_squares`
+
+
+@njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz"})
+def _fill_squares(one, other, first, second, out, row, x):
+    """Fill ``out[:, row, x]`` with `squared_error` of a pixel and with the noise of the filtered sets alone.
+
+    Both are mean squares over the bands. ``one`` and ``other`` are the unfiltered sets, (61 or more,), the other two
+    the filtered ones.
     """
-    read, start = starts
-    width, count = guides.surface.shape[1], filtered.shape[1]
+    crossed, own, between = 0.0, 0.0, 0.0
+    for c in range(BANDS):
+        a, b = np.float64(one[c]), np.float64(other[c])
+        of_first, of_second = np.float64(first[c]), np.float64(second[c])
+        crossed += (of_first - b) ** 2 + (of_second - a) ** 2
+        own += (a - b) ** 2
+        between += (of_first - of_second) ** 2
+    out[1, row, x] = 0.25 * between / BANDS
+    out[0, row, x] = 0.5 * (crossed - own) / BANDS - out[1, row, x]
+
+
+@njit(cache=True, nogil=True)
+def _filter_some_rows(sets, guides, starts, out, first, last):
+    """Fill bands ``first`` to ``last`` of `_ROWS` rows of the results.
+
+    ``starts`` has the first row of ``sets``, that of the results, and the one after the last of these.
+    """
+    read, start, stop = starts
+    width = guides.surface.shape[1]
     compared = (
         np.empty((_ROWS + 2 * PATCH, width + 2 * _LANES), np.float32),
         np.empty(width + 2 * _LANES, np.float32),
     )
     weights, scratch = np.empty((_WINDOW, _ROWS, width + _LANES), np.float32), _new_scratch()
-    own = np.zeros(_PLACES, np.float32)
+    own, filtered = np.zeros(_PLACES, np.float32), np.empty((2, _ROWS, width, PADDED), np.float32)
     for band in range(first, last):
-        top, bottom = start + band * _ROWS, min(start + (band + 1) * _ROWS, start + count)
+        top, bottom = start + band * _ROWS, min(start + (band + 1) * _ROWS, stop)
         left, end = width, 0
         for row in range(top, bottom):
             for x in range(width):
@@ -307,14 +333,35 @@ def _filter_some_rows(sets, guides, starts, filtered, first, last):
                 for x in range(width):
                     if not guides.surface[row, x]:
                         for c in range(PADDED):
-                            filtered[which, row - start, x, c] = sets[which, row - read, x, c]
+                            filtered[which, row - top, x, c] = sets[which, row - read, x, c]
                         continue
                     for offset in range(_WINDOW):
                         own[offset] = weights[offset, row - top, x]
                     _regress(guides, row, x, own, scratch)
                     at = ((which * sets.shape[1] + row - read) * width + x) * PADDED
-                    to = ((which * count + row - start) * width + x) * PADDED
+                    to = ((which * _ROWS + row - top) * width + x) * PADDED
                     _combine(sets, (at, width * PADDED), own, filtered, to)
+        for row in range(top, bottom):
+            for x in range(width):
+                one, other, to = filtered[0, row - top, x], filtered[1, row - top, x], row - start
+                if out.halves.shape[1] > 0:
+                    for c in range(BANDS):
+                        out.halves[0, to, x, c], out.halves[1, to, x, c] = one[c], other[c]
+                if out.radiance.shape[0] > 0:
+                    for c in range(BANDS):
+                        out.radiance[to, x, c] = np.float32(0.5) * (one[c] + other[c])
+                    _fill_squares(sets[0, row - read, x], sets[1, row - read, x], one, other, out.squares, to, x)
+
+
+def _filter_rows(halves: Halves, guides: Guides, rows: tuple[int, int], out: _Results) -> None:
+    """Filter rows of both sets, on all threads of numba; ``rows`` are counted within ``halves``."""
+    count, (height, width, bands) = rows[1] - rows[0], halves.mean.shape
+    read = max(rows[0] - RADIUS, 0), min(rows[1] + RADIUS, height)
+    mean, half = halves.mean[slice(*read)], halves.difference[slice(*read)]
+    sets = np.zeros((2, *mean.shape[:2], PADDED), dtype=np.float32)
+    np.add(mean, half, out=sets[0, ..., :bands])
+    np.subtract(mean, half, out=sets[1, ..., :bands])
+    run_chunks(_filter_some_rows, math.ceil(count / _ROWS), 1, sets, guides, (read[0], *rows), out)
 
 
 def filtered_halves(halves: Halves, guides: Guides, rows: tuple[int, int]) -> np.ndarray:
@@ -329,15 +376,9 @@ def filtered_halves(halves: Halves, guides: Guides, rows: tuple[int, int]) -> np
     rows : (int, int)
         First and last-plus-one filtered row, counted within ``halves``.
     """
-    count, (height, width, bands) = rows[1] - rows[0], halves.mean.shape
-    read = max(rows[0] - RADIUS, 0), min(rows[1] + RADIUS, height)
-    mean, half = halves.mean[slice(*read)], halves.difference[slice(*read)]
-    sets = np.zeros((2, *mean.shape[:2], PADDED), dtype=np.float32)
-    np.add(mean, half, out=sets[0, ..., :bands])
-    np.subtract(mean, half, out=sets[1, ..., :bands])
-    filtered = np.empty((2, count, width, PADDED), dtype=np.float32)
-    run_chunks(_filter_some_rows, math.ceil(count / _ROWS), 1, sets, guides, (read[0], rows[0]), filtered)
-    return filtered[..., :bands]
+    filtered = np.empty((2, rows[1] - rows[0], *halves.mean.shape[1:]), dtype=np.float32)
+    _filter_rows(halves, guides, rows, _Results(filtered, filtered[0, :0], np.empty((2, 0, 0))))
+    return filtered
 
 
 def squared_error(distance, first: np.ndarray, second: np.ndarray, filtered: np.ndarray) -> np.ndarray:
@@ -360,27 +401,6 @@ def squared_error(distance, first: np.ndarray, second: np.ndarray, filtered: np.
     return 0.5 * crossed - 0.5 * own - 0.25 * np.square(distance(*filtered))
 
 
-@njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz"})
-def _square_some_rows(halves, filtered, start, out, first, last):
-    """Fill rows of ``out``, (2, rows, width), with `squared_error` and with the noise of the filtered sets alone.
-
-    Both are mean squares over the bands. ``start`` is the row of ``halves`` with which ``filtered`` and ``out`` begin.
-    """
-    bands = halves.mean.shape[2]
-    for row in range(first, last):
-        for x in range(halves.mean.shape[1]):
-            crossed, own, between = 0.0, 0.0, 0.0
-            for c in range(bands):
-                mean = np.float64(halves.mean[start + row, x, c])
-                half = np.float64(halves.difference[start + row, x, c])
-                one, two = np.float64(filtered[0, row, x, c]), np.float64(filtered[1, row, x, c])
-                crossed += (one - mean + half) ** 2 + (two - mean - half) ** 2
-                own += half * half
-                between += (one - two) ** 2
-            out[1, row, x] = 0.25 * between / bands
-            out[0, row, x] = (0.5 * crossed - 2.0 * own) / bands - out[1, row, x]
-
-
 def _band_distance(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     apart = np.subtract(one, other, dtype=np.float64)
     return np.sqrt(np.einsum("...c,...c->...", apart, apart) / apart.shape[-1])
@@ -388,20 +408,18 @@ def _band_distance(one: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 def denoise(halves: Halves) -> Denoised:
     """Filter a picture and estimate its error; the temporary memory is that of a few rows."""
-    guides, (height, width, _) = make_guides(halves), halves.mean.shape
-    radiance, squares, least = np.empty_like(halves.mean), np.empty((height, width)), np.empty((height, width))
+    guides, (height, width, bands) = make_guides(halves), halves.mean.shape
+    radiance, squares = np.empty_like(halves.mean), np.empty((2, height, width))
+    none = np.empty((2, 0, width, bands), dtype=np.float32)
     count = max(_TILE_PIXELS // width // _ROWS, 1) * _ROWS
     for first in range(0, height, count):
-        rows = (first, min(first + count, height))
-        filtered = filtered_halves(halves, guides, rows)
-        part = slice(*rows)
-        radiance[part] = 0.5 * (filtered[0] + filtered[1])
-        own = np.empty((2, *filtered.shape[1:3]))
-        run_chunks(_square_some_rows, filtered.shape[1], _ROWS, halves, filtered, first, own)
-        squares[part], least[part] = own
+        part = slice(first, min(first + count, height))
+        own = _Results(none, radiance[part], np.empty((2, part.stop - first, width)))
+        _filter_rows(halves, guides, (first, part.stop), own)
+        squares[:, part] = own.squares
     # The remaining noise of the filtered sets is a lower limit, if the estimate is lost in the original noise.
-    squares = np.maximum(_averaged(squares, _ERROR_SIDE), _averaged(least, _ERROR_SIDE))
-    return Denoised(radiance, np.sqrt(squares).astype(np.float32))
+    whole, least = (_averaged(one, _ERROR_SIDE) for one in squares)
+    return Denoised(radiance, np.sqrt(np.maximum(whole, least)).astype(np.float32))
 
 
 def distance_to_unbiased(halves: Halves, radiance: np.ndarray) -> dict[str, float]:

@@ -4,6 +4,7 @@ import math
 from typing import NamedTuple
 
 from irodori.jit.compilation import uncounted
+from irodori.jit.functions import circle_point
 from irodori.reflection.lobes import Lobes, draw
 from irodori.rendering.surface_hits import frame
 
@@ -58,7 +59,7 @@ def draw_gloss(gloss, normal, view, u, v, out):
 def draw_cosine(normal, u, v, out):
     """Sample a direction around a normal with the probability density cosθ / π."""
     tangent, bitangent = frame(normal)
-    radius, angle = math.sqrt(u), 2.0 * math.pi * v
-    a, b, c = radius * math.cos(angle), radius * math.sin(angle), math.sqrt(1.0 - u)
+    radius, (cosine, sine) = math.sqrt(u), circle_point(v)
+    a, b, c = radius * cosine, radius * sine, math.sqrt(1.0 - u)
     for axis in range(3):
         out[axis] = a * tangent[axis] + b * bitangent[axis] + c * normal[axis]

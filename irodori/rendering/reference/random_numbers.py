@@ -102,11 +102,13 @@ def _scrambled_sobol(sets: int, count: int, generator: np.random.Generator) -> t
     directions <<= places[::-1]
     shift = generator.integers(1 << 32, size=(sets, 1, 2), dtype=np.uint32)
     drawn = generator.integers(2, size=(sets, 2, 32, 32), dtype=np.uint8)
-    matrices = (np.tril(drawn, -1) | np.eye(32, dtype=np.uint8)).astype(np.float32)
-    bits = directions[:, None, :] >> places[::-1, None] & np.uint64(1)  # (dimension, bit from the highest, column)
-    # Sums of 32 bits are exact in single precision, whose products of matrices are fast.
-    sums = (matrices @ bits.astype(np.float32)).astype(np.uint32) & np.uint32(1)
-    scrambled = np.bitwise_or.reduce(sums << places[::-1, None].astype(np.uint32), axis=2)
+    # Each row of a matrix is the bits of a number, whose product with a direction number is the parity of their common
+    # bits.
+    rows = np.packbits(drawn, axis=3).view(">u4")[..., 0].astype(np.uint32)
+    bit = np.uint32(1) << places[::-1].astype(np.uint32)
+    rows = rows & ~(2 * bit - 1) | bit
+    parity = np.bitwise_count(rows[..., :, None] & directions.astype(np.uint32)[:, None, :]) & np.uint8(1)
+    scrambled = np.bitwise_or.reduce(parity * bit[:, None], axis=2)
     # In Gray code each point differs from the one before by the direction of the lowest bit set in its number.
     number = np.arange(1, count)
     steps = np.zeros((sets, count, 2), dtype=np.uint32)
