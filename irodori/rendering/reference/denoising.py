@@ -355,7 +355,7 @@ def _filter_some_rows(sets, guides, starts, out, first, last):
 
 def _filter_rows(halves: Halves, guides: Guides, rows: tuple[int, int], out: _Results) -> None:
     """Filter rows of both sets, on all threads of numba; ``rows`` are counted within ``halves``."""
-    count, (height, width, bands) = rows[1] - rows[0], halves.mean.shape
+    count, (height, _, bands) = rows[1] - rows[0], halves.mean.shape
     read = max(rows[0] - RADIUS, 0), min(rows[1] + RADIUS, height)
     mean, half = halves.mean[slice(*read)], halves.difference[slice(*read)]
     sets = np.zeros((2, *mean.shape[:2], PADDED), dtype=np.float32)
