@@ -24,11 +24,13 @@ from irodori.config.models import (
     Markers,
     Object,
     ObjectShape,
+    Optics,
     PlacedObject,
     PoseGroup,
     PosePlan,
     RefractiveIndex,
     Rig,
+    RigPose,
     SceneLight,
     SensorOptions,
     Sheet,
@@ -142,6 +144,15 @@ class RigGeometry(Definition):
             table_radius_mm=rig.table_radius_mm,
             lamp_distance_mm=rig.light.distance_mm,
         )
+
+
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
+class NearLamp(Definition):
+    """Near lamp of a rig, with the pose of the white reference that it lit and the optics of the camera."""
+
+    optics: Optics
+    rig: RigGeometry
+    white_pose: RigPose
 
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)

@@ -282,6 +282,19 @@ class PhotographSets:
         whites = [shot.pose for shot in read_captures(camera.captures.table) if shot.role == "white"]
         return whites[0].by_angle if whites else None
 
+    def near_lamp(self, wildcards) -> dict | None:
+        """Return the plain `NearLamp` that lit the white reference, for photographs that it does not light; or None.
+
+        It lights objects and charts on the rig, but no place and no scene. A panorama that was stitched has its own
+        pixels, and counts only the middle of the white reference.
+        """
+        kind, _ = self._set(wildcards)
+        pose = self.white_pose(wildcards) if kind in ("environments", "photographs") else None
+        optics = self.loaded.cameras[self.camera_of(wildcards)].optics
+        if pose is None or optics is None:
+            return None
+        return {"optics": as_plain(optics), "rig": self.rig_geometry(wildcards), "white_pose": pose}
+
     def optics(self, wildcards) -> dict:
         """Return the optics of a set's camera."""
         return as_plain(self.loaded.cameras[self.camera_of(wildcards)].optics)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from irodori.config.capture_table import Shot, check_unchanged, read_captures
+from irodori.config.parts import NearLamp
 from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER
@@ -12,6 +13,7 @@ from irodori.ingest.camera_reference import Reference
 from irodori.ingest.develop import Developed, Frame, empty_response, load_frames, merge_frames
 from irodori.ingest.exposure_settings import filter_states, known_settings, settle_set
 from irodori.ingest.ingest_options import IngestOptions
+from irodori.ingest.near_lamp import evenly_lit
 from irodori.ingest.shot_alignment import Alignment, align_states, move
 from irodori.spectra.coordinates import write_bands
 
@@ -20,7 +22,15 @@ _ENVIRONMENT = "environment"
 
 
 def ingest_raw(
-    table, folder, capture: str, reference, output, provenance: store.Provenance, *, options: IngestOptions
+    table,
+    folder,
+    capture: str,
+    reference,
+    output,
+    provenance: store.Provenance,
+    *,
+    options: IngestOptions,
+    near_lamp: NearLamp | None = None,
 ) -> None:
     """Compute linear responses from the RAW files of one capture, and write them.
 
@@ -33,6 +43,8 @@ def ingest_raw(
     reference : path
         File of `ingest_reference`, made with the same camera.
     options : IngestOptions
+    near_lamp : NearLamp, optional
+        Near lamp that lit the white reference, for a capture that it does not light.
 
     Raises
     ------
@@ -72,7 +84,10 @@ def ingest_raw(
             raise InputError(group[0].shot.file, "size", found, f"{frames[0].mosaic.size}, as the other filter state")
         # A picture that will be resampled needs its own memory; the result goes into ``response``.
         out = None if align and number else response[..., _BANDS * number : _BANDS * (number + 1)]
-        developed.append(merge_frames(camera, group, options, camera.white.get(state), out))
+        white = camera.white.get(state)
+        if white is not None and near_lamp is not None:
+            white = evenly_lit(white, camera.size_px, near_lamp)
+        developed.append(merge_frames(camera, group, options, white, out))
     alignment = None
     if align:
         alignment = align_states(developed[0], developed[1], camera.alignment, options, table, capture)

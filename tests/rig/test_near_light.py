@@ -2,7 +2,9 @@
 
 import copy
 import math
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -23,7 +25,8 @@ from irodori.config.models import (
     Rig,
     RigPose,
 )
-from irodori.config.parts import PhotographedObject, RigGeometry, TexturedObject
+from irodori.config.parts import NearLamp, PhotographedObject, RigGeometry, TexturedObject
+from irodori.config.photograph_sets import PhotographSets
 from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.fitting.solvers import FitOptions
@@ -35,6 +38,7 @@ from irodori.geometry.rig_frame import rig_from_object, to_light
 from irodori.geometry.shapes.placement import Placement
 from irodori.geometry.shapes.shape import Shape
 from irodori.ingest.flat_field import evaluate_flat, fit_flat
+from irodori.ingest.near_lamp import evenly_lit
 from irodori.rectification.stage import RigSetup, observe, rectify_object
 from irodori.simulation.virtual_rig.ground_truth import true_material
 from irodori.simulation.virtual_rig.samples import Sample
@@ -178,6 +182,50 @@ def test_a_material_under_a_near_lamp_is_recovered_and_is_not_where_the_lamp_is_
     # What is left on the sphere is the optical low-pass filter's blur over its curvature.
     assert max(near) < (0.003 if shape is PLATE else 0.03), near
     assert wrong[0] > 0.05 and wrong[0] > 5 * near[0], wrong
+
+
+def test_what_a_near_lamp_does_not_light_is_divided_by_the_vignetting_alone(definitions):
+    """The white reference without the lamp's fall-off is that under a far lamp."""
+    camera, near = small(definitions)
+    far = copy.deepcopy(near)
+    del far["light"]["distance_mm"]
+    pose, weights = Pose(**camera["poses"]["white"]), band_weights(made(Camera, camera), spectrum("A"))[:3]
+    x, y = np.linspace(-1.0, 1.0, 200), np.linspace(-0.75, 0.75, 150)[:, None]
+    vignetting, whites = 1.0 - 0.1 * (x - 0.1) ** 2 - 0.1 * y**2, []
+    for rig in (near, far):
+        white = superpixels(white_mosaic(made(Camera, camera), made(Rig, rig), pose, STRAIGHT, weights))
+        white = white * vignetting[..., None]
+        whites.append(fit_flat(white, np.ones(white.shape[:2], dtype=bool)))
+    geometry = RigGeometry.of_rig(made(Rig, near))
+    lamp = NearLamp(
+        optics=made(Optics, camera["optics"]), rig=geometry, white_pose=made(RigPose, camera["poses"]["white"])
+    )
+    size = camera["optics"]["width_px"], camera["optics"]["height_px"]
+    found = evaluate_flat(evenly_lit(whites[0], size, lamp), 75, 100)
+    uneven, even = (evaluate_flat(white, 75, 100) for white in whites)
+    assert np.abs(uneven / even - 1.0).max() > 0.1
+    off = np.abs(found / even - 1.0).max(axis=(0, 1))
+    # Red and blue lie a quarter of these large superpixels beside the middle.
+    assert off[1] < 2e-4 and off.max() < 2e-3
+
+
+def test_only_what_a_near_lamp_does_not_light_is_ingested_without_its_fall_off():
+    config = read_yaml(ROOT / "config/config.yaml")
+    asked = {
+        "far": SimpleNamespace(environment="classroom"), "place": SimpleNamespace(environment="classroom"),
+        "object": SimpleNamespace(object="tile-plate"), "chart": SimpleNamespace(camera="d5100-comb"),
+    }  # fmt: skip
+    found = {}
+    for name, wildcards in asked.items():
+        loaded = load_definitions(config, ROOT)
+        if name != "far":
+            rig = loaded.rigs["virtual"]
+            near = replace(rig, light=replace(rig.light, distance_mm=NEAR_MM))
+            loaded = replace(loaded, rigs={**loaded.rigs, "virtual": near})
+        found[name] = PhotographSets(loaded).near_lamp(wildcards)
+    assert found["far"] is found["object"] is found["chart"] is None
+    lamp = NearLamp.of(found["place"])
+    assert lamp.rig.lamp_distance_mm == NEAR_MM and lamp.optics.width_px > 0
 
 
 @pytest.mark.heavy

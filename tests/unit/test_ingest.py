@@ -8,12 +8,30 @@ import yaml
 from dng_files import write_any_dng
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from raw_studio import ANGLE, BALANCE, BLACK, PROVENANCE, ROOT, SENSOR, SIZE, SUPERPIXELS, WHITE, Studio, dng, scene
+from raw_studio import (
+    ANGLE,
+    BALANCE,
+    BLACK,
+    PROVENANCE,
+    REFLECTANCE,
+    ROOT,
+    SENSOR,
+    SIZE,
+    SUPERPIXELS,
+    WHITE,
+    Studio,
+    dng,
+    scene,
+)
 
 from irodori.config.capture_table import Pose, Shot, read_captures, write_captures
+from irodori.config.models import Optics, RigPose
+from irodori.config.parts import NearLamp, RigGeometry
 from irodori.core import store
 from irodori.core.custody import content_sha256
 from irodori.core.errors import InputError
+from irodori.geometry.lamp import Lamp
+from irodori.geometry.pinhole import Pinhole
 from irodori.ingest.camera_reference import Reference, ingest_reference
 from irodori.ingest.develop import _noise_model
 from irodori.ingest.flat_field import evaluate_flat, fit_flat
@@ -134,6 +152,31 @@ def test_an_environment_of_another_size_keeps_the_scale(tmp_path):
     response = studio.ingest("environment")[0]
     assert response.shape == (height, width, 6)
     assert np.allclose(response.mean(axis=(0, 1)), 0.8, rtol=0.01)
+
+
+def test_a_place_is_not_divided_by_the_fall_off_of_a_near_lamp(tmp_path):
+    """The white reference was lit unevenly, the place was not."""
+    optics = Optics(focal_length_mm=50.0, pixel_pitch_um=100.0, width_px=SIZE[1], height_px=SIZE[0],
+                    principal_point_px=(SIZE[1] / 2, SIZE[0] / 2))  # fmt: skip
+    rig, pose = RigGeometry(camera_distance_mm=900.0, lamp_distance_mm=600.0), RigPose(light_deg=ANGLE, camera_deg=0.0)
+    y, x = np.indices(SIZE)
+    places = np.stack([x + 0.5, y + 0.5], axis=-1)
+    power = Lamp.at(600.0).on_white(places, Pinhole.from_optics(optics), 900.0, Pose(ANGLE, 0.0))
+    studio, even = Studio(tmp_path, seed=16), np.full((*SIZE, 6), 0.8)
+    for _ in range(4):
+        studio.shoot("dark", np.zeros((*SIZE, 6)))
+        studio.shoot("white", REFLECTANCE * np.cos(np.radians(ANGLE)) * np.repeat(power[..., None], 6, axis=2))
+    studio.shoot("environment", even)
+    reference, linear, table = studio.reference(), tmp_path / "linear.h5", tmp_path / "captures.csv"
+    found = {}
+    for near in (None, NearLamp(optics=optics, rig=rig, white_pose=pose)):
+        ingest_raw(table, tmp_path, "environment", reference, linear, PROVENANCE, options=SUPERPIXELS, near_lamp=near)
+        with store.open_file(linear) as file:
+            response = file.read("response")
+        whole = response[:80, :120].reshape(4, 20, 6, 20, -1).mean(axis=(1, 3))
+        found[near is not None] = np.abs(whole / 0.8 - 1.0).max()
+    assert found[False] > 0.1
+    assert found[True] < 0.01
 
 
 @pytest.mark.parametrize("demosaic", ["superpixel", "linear"])

@@ -93,6 +93,7 @@ rule ingest_chart:
     params:
         folder=sets.folder,
         options=sets.ingest_options,
+        near_lamp=sets.near_lamp,
         code=code_hash("irodori.ingest.stage"),
     script:
         "../scripts/ingest_raw.py"
@@ -133,6 +134,7 @@ for part in sets.ingest_parts():
         params:
             folder=sets.folder,
             options=sets.ingest_options,
+            near_lamp=sets.near_lamp,
             code=code_hash("irodori.ingest.stage"),
         script:
             "../scripts/ingest_raw.py"

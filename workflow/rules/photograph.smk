@@ -74,6 +74,7 @@ rule ingest_photograph:
         table=sets.table,
         folder=sets.folder,
         options=sets.ingest_options,
+        near_lamp=sets.near_lamp,
         user_files=ledger.content(sets.own_photographs),
         altered=ledger.altered(sets.photographs_of_session),
         code=code_hash("irodori.ingest.stage"),
