@@ -25,7 +25,7 @@ import rawpy
 import tifffile
 import yaml
 
-from benchmarks.plate_pictures import leaves_scene, render
+from benchmarks.plate_pictures import AT_REST, leaves_scene, render
 from benchmarks.table import COLUMNS, arguments_of, medians_s, own_peak_mb, report, row_without_figures, why_it_fails
 from irodori.config.capture_table import Pose, Shot, write_captures
 from irodori.core import store
@@ -59,7 +59,7 @@ def views(size_px: tuple[int, int]) -> Views:
     """Return the responses of both shots, with and without the shift by the filter plate."""
     width, height = size_px[0] // 2, size_px[1] // 2
     scene = leaves_scene(width, height, np.random.default_rng(1), size_px=(6, 120), cover=2.5)
-    still = {state: render(scene, width, height, i, Registration.identity()) for i, state in enumerate(EXPOSURE_S)}
+    still = {state: render(scene, width, height, i, AT_REST) for i, state in enumerate(EXPOSURE_S)}
     return Views({"out": still["out"], "in": render(scene, width, height, 1, PLATE)}, still)
 
 

@@ -53,8 +53,8 @@ def scenes(studio: Studio) -> dict[str, SceneParts]:
     lights = [typed(SceneLight, _LAMP)]
     made, _ = make_lights(lights, 0)
     lamp = made.rotation[:, :, 2].copy(), made.spectrum[:, :61].astype(np.float64)
-    matte, mirrors = objects._replace(texels=matte, mirror=0 * objects.mirror), objects._replace(texels=mirrors)
-    mirrors = mirrors._replace(mirror=np.maximum(objects.mirror, 0.9))
+    of_matte = objects._replace(texels=matte, mirror=0 * objects.mirror)
+    of_mirrors = objects._replace(texels=mirrors, mirror=np.maximum(objects.mirror, 0.9))
 
     def parts(objects: Objects, room: Environment, lights=(), lamps=nobody, white=white) -> SceneParts:
         maps = bake_maps(studio.tracer, objects, room, lights)
@@ -62,8 +62,8 @@ def scenes(studio: Studio) -> dict[str, SceneParts]:
 
     return {
         "still-life": parts(objects, room),
-        "matte": parts(matte, room),
-        "mirrors": parts(mirrors, room),
+        "matte": parts(of_matte, room),
+        "mirrors": parts(of_mirrors, room),
         "one-lamp": parts(objects, black, lights, lamp, upward_radiance(made)),
     }
 

@@ -25,6 +25,8 @@ from irodori.spectra.published import spectrum
 
 CAMERA = yaml.safe_load((Path(__file__).resolve().parents[1] / "config/cameras/d5100-comb.yaml").read_text())
 SATURATION = 0.98
+#: No shift of the picture.
+AT_REST = Registration(0.0, 0.0, 0.0, 1.0, 0.0, 0.0)
 _EXPOSURE_S = (0.02, 0.05)
 _CELL_PX = 16.0
 _MARGIN_PX = 48.0

@@ -9,7 +9,7 @@ hand: a test compares it with ``docs/figures``.
 import argparse
 import csv
 import shutil
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from irodori.core.errors import InputError
@@ -149,7 +149,7 @@ def exports_block(folder: Path) -> str:
 
 
 #: Document -> its blocks.
-DOCUMENTS = {
+DOCUMENTS: dict[str, dict[str, Callable[[Path], str]]] = {
     "README.md": {"figures": figures_block},
     "docs/exports.md": {"exports": exports_block},
     "README.ja.md": {"figures": japanese_figures_block},

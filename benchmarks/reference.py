@@ -396,7 +396,7 @@ def compare(name: str, stage: Stage, arguments) -> list[dict]:
     return rows
 
 
-def ball_of(triangles: int) -> Shape:
+def ball_of(triangles: int) -> TriangleMesh:
     """Return a mesh of a sphere with about ``triangles`` triangles."""
     rows = max(3, round((triangles / 4) ** 0.5))
     sphere = trimesh.creation.uv_sphere(radius=30.0, count=[rows, 2 * rows])
@@ -404,12 +404,12 @@ def ball_of(triangles: int) -> Shape:
     return _mesh(sphere, corners / np.linalg.norm(corners, axis=-1, keepdims=True))
 
 
-def flat_mesh(mesh: trimesh.Trimesh) -> Shape:
+def flat_mesh(mesh: trimesh.Trimesh) -> TriangleMesh:
     """Return a mesh whose triangles have the normals of their planes."""
     return _mesh(mesh, np.repeat(np.asarray(mesh.face_normals)[:, None], 3, axis=1))
 
 
-def _mesh(mesh: trimesh.Trimesh, normals: np.ndarray) -> Shape:
+def _mesh(mesh: trimesh.Trimesh, normals: np.ndarray) -> TriangleMesh:
     uv = np.full((len(mesh.faces), 3, 2), 0.5)
     uv[0] = [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]  # one triangle has the whole texture, which is of one colour
     return TriangleMesh(Mesh(np.asarray(mesh.vertices), np.asarray(mesh.faces, dtype=np.int32), uv, normals), "mesh")

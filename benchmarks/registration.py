@@ -13,10 +13,11 @@ import time
 
 import numpy as np
 
-from benchmarks.plate_pictures import errors_px, leaves_scene, photograph, random_truth, render
+from benchmarks.plate_pictures import AT_REST, errors_px, leaves_scene, photograph, random_truth, render
 from benchmarks.table import COLUMNS
+from irodori.geometry.pinhole import bayer_offsets_px
 from irodori.ingest.registration import similarity
-from irodori.ingest.registration.similarity import Registration, bayer_offsets_px, register, resample
+from irodori.ingest.registration.similarity import register, resample
 
 WIDTH, HEIGHT, RUNS = 1944, 1296, 5
 # name -> finest level's pixels, places compared there, elsewhere and in the search, whether the bands' places are given
@@ -33,7 +34,7 @@ VARIANTS = {
 def _pair(seed: int):
     rng = np.random.default_rng(seed)
     scene, truth = leaves_scene(WIDTH, HEIGHT, rng, size_px=(6, 120), cover=2.5), random_truth(rng)
-    fixed, fixed_valid = photograph(render(scene, WIDTH, HEIGHT, 0, Registration.identity()), 0, rng)
+    fixed, fixed_valid = photograph(render(scene, WIDTH, HEIGHT, 0, AT_REST), 0, rng)
     moving, moving_valid = photograph(render(scene, WIDTH, HEIGHT, 1, truth), 1, rng)
     return (fixed, moving, fixed_valid, moving_valid), truth
 

@@ -287,8 +287,8 @@ class _Results(NamedTuple):
 
 
 @njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz"})
-def _fill_squares(one, other, first, second, out, row, x):
-    """Fill ``out[:, row, x]`` with `squared_error` of a pixel and with the noise of the filtered sets alone.
+def _fill_squares(one, other, first, second, out):
+    """Fill ``out``, (2,), with `squared_error` of a pixel and with the noise of the filtered sets alone.
 
     Both are mean squares over the bands. ``one`` and ``other`` are the unfiltered sets, (61 or more,), the other two
     the filtered ones.
@@ -300,8 +300,8 @@ def _fill_squares(one, other, first, second, out, row, x):
         crossed += (of_first - b) ** 2 + (of_second - a) ** 2
         own += (a - b) ** 2
         between += (of_first - of_second) ** 2
-    out[1, row, x] = 0.25 * between / BANDS
-    out[0, row, x] = 0.5 * (crossed - own) / BANDS - out[1, row, x]
+    out[1] = 0.25 * between / BANDS
+    out[0] = 0.5 * (crossed - own) / BANDS - out[1]
 
 
 @njit(cache=True, nogil=True)
@@ -350,7 +350,8 @@ def _filter_some_rows(sets, guides, starts, out, first, last):
                 if out.radiance.shape[0] > 0:
                     for c in range(BANDS):
                         out.radiance[to, x, c] = np.float32(0.5) * (one[c] + other[c])
-                    _fill_squares(sets[0, row - read, x], sets[1, row - read, x], one, other, out.squares, to, x)
+                    first_set, second_set = sets[0, row - read, x], sets[1, row - read, x]
+                    _fill_squares(first_set, second_set, one, other, out.squares[:, to, x])
 
 
 def _filter_rows(halves: Halves, guides: Guides, rows: tuple[int, int], out: _Results) -> None:
