@@ -22,6 +22,7 @@ from raw_studio import (
     Studio,
     dng,
     scene,
+    vignetting,
 )
 
 from irodori.config.capture_table import Pose, Shot, read_captures, write_captures
@@ -38,6 +39,7 @@ from irodori.ingest.flat_field import evaluate_flat, fit_flat
 from irodori.ingest.ingest_options import IngestOptions
 from irodori.ingest.merge import ExposureBracket
 from irodori.ingest.mosaic import ALGORITHMS
+from irodori.ingest.near_lamp import evenly_lit
 from irodori.ingest.stage import ingest_raw
 
 
@@ -168,8 +170,11 @@ def test_a_place_is_not_divided_by_the_fall_off_of_a_near_lamp(tmp_path):
         studio.shoot("white", REFLECTANCE * np.cos(np.radians(ANGLE)) * np.repeat(power[..., None], 6, axis=2))
     studio.shoot("environment", even)
     reference, linear, table = studio.reference(), tmp_path / "linear.h5", tmp_path / "captures.csv"
-    found = {}
-    for near in (None, NearLamp(optics=optics, rig=rig, white_pose=pose)):
+    found, lamp = {}, NearLamp(optics=optics, rig=rig, white_pose=pose)
+    white = evenly_lit(Reference.load(reference).white["out"], (SIZE[1], SIZE[0]), lamp)
+    flat = evaluate_flat(white, SIZE[0] // 2, SIZE[1] // 2) / vignetting()[::2, ::2, None]
+    assert np.ptp(flat / flat.mean(axis=(0, 1)), axis=(0, 1)).max() < 0.03
+    for near in (None, lamp):
         ingest_raw(table, tmp_path, "environment", reference, linear, PROVENANCE, options=SUPERPIXELS, near_lamp=near)
         with store.open_file(linear) as file:
             response = file.read("response")

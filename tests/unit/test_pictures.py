@@ -60,7 +60,8 @@ def test_a_spectral_exr_states_the_loss_of_its_numbers(tmp_path, storage, bright
     white = brightest * np.linspace(0.5, 1.5, 61)
     write_spectral_exr(tmp_path / "a.exr", radiance, radiance[..., :3], {}, storage=storage, white=white)
     matrix = xyz_from_radiance(white)
-    pictures = (radiance.astype(np.float64), spectra_in(tmp_path / "a.exr")[1].astype(np.float64))
+    # In one order in memory: otherwise a product of matrices may be added up in two.
+    pictures = [np.ascontiguousarray(one, dtype=np.float64) for one in (radiance, spectra_in(tmp_path / "a.exr")[1])]
     off = Loss.of(delta_e(*(lab_from_xyz(one @ matrix.T, matrix @ white) for one in pictures)))
     assert loss_stated_in(tmp_path / "a.exr").text == off.text
     assert off.compared == 630 and (off.largest < 0.1 if storage == "half" else off.largest == 0.0)
