@@ -290,10 +290,9 @@ class PhotographSets:
         """
         kind, _ = self._set(wildcards)
         pose = self.white_pose(wildcards) if kind in ("environments", "photographs") else None
-        optics = self.loaded.cameras[self.camera_of(wildcards)].optics
-        if pose is None or optics is None:
+        if pose is None:
             return None
-        return {"optics": as_plain(optics), "rig": self.rig_geometry(wildcards), "white_pose": pose}
+        return {"optics": self.optics(wildcards), "rig": self.rig_geometry(wildcards), "white_pose": pose}
 
     def optics(self, wildcards) -> dict:
         """Return the optics of a set's camera."""

@@ -97,6 +97,19 @@ def test_photographs_of_the_sheet_through_the_filter_or_of_a_camera_without_opti
     assert error.field == "optics" and "photographs of the role lens" in error.found
 
 
+def test_a_place_needs_optics_where_a_near_lamp_lit_the_white_reference(studio):
+    """Without them nobody knows by how much, pixel by pixel."""
+    second = "cameras/second.yaml"  # objects need optics anyway
+    shutil.copy(studio / "config" / CAMERA_FILE, studio / "config" / second)
+    edit(studio, second, "optics", ...)
+    edit(studio, ROOM_FILE, "camera", "second")
+    load(studio)
+    edit(studio, "rigs/copy-stand.yaml", "light.distance_mm", 600.0)
+    error = fault(studio)
+    assert (error.file, error.field) == (f"config/{ROOM_FILE}", "camera")
+    assert "'second' without optics" in error.found and "second.yaml" in error.accepted
+
+
 @pytest.mark.parametrize(
     ("file", "path", "value", "field", "found"),
     [

@@ -173,11 +173,22 @@ class _Checks:
             self._check_exposures("environments", name)
         else:
             self._check_photographs("environments", name)
+        self._check_white_of_place(environment.camera, file)
         for chart, definition in environment.room_charts.items():
             check_chart(definition, self.root, file, f"room_charts.{chart}")
         if environment.virtual is not None:
             check_placed_charts(environment, environment.virtual, file)
         check_spectra(environment, (), self.root, file)
+
+    def _check_white_of_place(self, name: str | None, file: str) -> None:
+        """Refuse a place whose white reference was lit by a near lamp, if no optics tell how much at each pixel."""
+        assert name is not None  # of a place that is photographed
+        camera = self.all.cameras[name]
+        near = self.all.rigs[camera.rig].light.distance_mm is not None
+        if near and camera.white is not None and camera.optics is None:
+            found = f"the camera {name!r} without optics, whose white reference a near lamp (light.distance_mm) lit"
+            accepted = f"a camera whose file gives optics ({self.file('cameras', name)})"
+            raise InputError(file, "camera", found, accepted)
 
     def object(self, name: str) -> None:
         file, definition = self.file("objects", name), self.all.objects[name]
