@@ -212,9 +212,9 @@ bits_as_float = _conversion(types.int32, types.float32, "bitcast", "Return float
 
 @njit(cache=True, forceinline=True)
 def circle_point(turns):
-    """Return cosine and sine of an angle in turns, at most 2³⁰, with errors below 1e-15.
+    """Return cosine and sine of an angle in turns, at most 2³⁰, with errors below 1e-15; of numbers only, in float64.
 
-    Half the time of the mathematical library, whose functions reduce angles in radians of any size.
+    This takes half the time of the mathematical library, whose functions reduce angles in radians of any size.
     """
     quarter = np.int64(np.floor(4.0 * turns + 0.5))
     x = (turns - 0.25 * quarter) * (2.0 * math.pi)  # from -π/4 to π/4

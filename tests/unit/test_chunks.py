@@ -68,7 +68,8 @@ def test_after_an_error_nothing_is_written_any_more():
     run_chunks(fill, len(written), 7, written)  # and the next call has its threads
 
 
-@pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")  # of Python 3.12: this is what is tested
+# From Python 3.12 on, any fork of a process with threads is warned of; that its child does not wait for them is tested.
+@pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
 def test_a_forked_process_has_threads_of_its_own():
     out = np.zeros(20)
     run_chunks(fill, len(out), 3, out)

@@ -112,8 +112,7 @@ def test_a_documented_benchmark_measures(name, tmp_path, monkeypatch, capsys):
     output = tmp_path / "table.csv"
     documented = [words_of(c)[1:] for c in of_kind("benchmark") if words_of(c)[0] == f"benchmarks.{name}"]
     printing = [words for words in documented if _PRINTED & set(words)]
-    # A benchmark that `snakemake benchmark` alone is to run has no command of its own.
-    others = [words for words in documented if words not in printing] or ([] if printing else [[]])
+    others = [words for words in documented if words not in printing]
     for words in [*printing, *([max(others, key=len)] if others else [])]:
         if words not in printing:
             words = ["--output", str(output), *words]
@@ -204,5 +203,4 @@ def test_the_documented_tables_and_figures_are_made_of_a_finished_run(again, tmp
 
 def test_every_documented_benchmark_is_run_here():
     here = {*_TINY, "exports", "published_tables", "scaling", "site_figures", "ten_megapixels"}
-    documented = {words_of(command)[0].removeprefix("benchmarks.") for command in of_kind("benchmark")}
-    assert documented | {"ingest"} == here  # which `snakemake benchmark` alone runs
+    assert {words_of(command)[0].removeprefix("benchmarks.") for command in of_kind("benchmark")} == here

@@ -43,8 +43,8 @@ class Sky(NamedTuple):
     basis: np.ndarray  # (1, k, 64) float32
     rows: np.ndarray  # (1, height + 1) from 0 to 1
     columns: np.ndarray  # (height, width + 1), each row from 0 to 1
-    row_guides: np.ndarray  # (1, n + 1) int32, see `_guides`
-    column_guides: np.ndarray  # (height, m + 1) int32
+    row_guides: np.ndarray  # (1, height / _PER_GUIDE + 1) int32, see `_guides`
+    column_guides: np.ndarray  # (height, width / _PER_GUIDE + 1) int32
     power: float
     whole: float  # power of all light
     suns: np.ndarray  # (suns, 3) row, column and probability
@@ -122,7 +122,10 @@ def _cumulative(power: np.ndarray, solid_angle: np.ndarray) -> tuple[np.ndarray,
 
 
 def _guides(cumulative: np.ndarray) -> np.ndarray:
-    """Return start indices for the search in each row: the entry containing i / n for i from 0 to n, (rows, n + 1)."""
+    """Return start indices for the search in each row: the entry containing i / n for i from 0 to n, (rows, n + 1).
+
+    There is one for `_PER_GUIDE` entries.
+    """
     rows, count = cumulative.shape[0], cumulative.shape[1] - 1
     number = -(-count // _PER_GUIDE)
     even = np.arange(number + 1) / number
