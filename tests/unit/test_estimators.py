@@ -15,7 +15,8 @@ from irodori.calibration.estimators import ESTIMATORS, fit, monomials
 from irodori.calibration.paper_estimator import calibrate
 from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.calibration.recovery.mappings import LinearMapping, LocalMapping, PolynomialMapping
-from irodori.calibration.recovery.posterior import ERROR_NM, Posterior
+from irodori.calibration.recovery.posterior import ERROR_NM, RANK, Posterior
+from irodori.calibration.recovery.posterior_loops import Errors
 from irodori.calibration.response_model import fit_response_model, smooth_covariance, smooth_priors
 from irodori.calibration.training import ResponseNoise, Training, mix_paints
 from irodori.colour.colorimetry import delta_e_reflectance, spectral_rmse
@@ -334,7 +335,11 @@ def test_noise_goes_into_the_covariance_as_repeated_photographs_scatter(solved, 
 
 def roots(posterior: Posterior, response: np.ndarray, variance: np.ndarray | None = None) -> np.ndarray:
     """Return square roots of the covariances of reflectances, (n, 16, r)."""
-    return posterior._roots(response, variance, False)[1]
+    count, wavelengths = len(response), len(ERROR_NM)
+    sizes = (count, wavelengths), count, count, (count, wavelengths, RANK + response.shape[1])
+    errors = Errors(*(np.empty(size, np.float32) for size in sizes))
+    posterior.fill(response, variance, False, errors)
+    return errors.root
 
 
 @pytest.mark.parametrize("name", NAMES)

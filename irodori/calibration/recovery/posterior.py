@@ -17,16 +17,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from irodori.calibration.recovery.calibration_file import Calibration
+from irodori.calibration.recovery.posterior_loops import ErrorModel, Errors, Recovered, fill_errors
 from irodori.calibration.response_model import smooth_covariance
 from irodori.colour.colorimetry import delta_e_metric, lab_from_xyz, xyz_from_reflectance
 from irodori.jit.chunks import run_chunks
-from irodori.spectra.grid import SAMPLES, WAVELENGTH_NM
+from irodori.spectra.grid import WAVELENGTH_NM
 
 #: Correlation length of the part of a spectrum that the bands miss, nm.
 _LENGTH_NM = 25.0
 #: Relative size of an additional missed part at both ends of the range, and the lengths of its decay, nm.
 _ENDS, _REACH_NM = 1.8, (15.0, 30.0)
-_RANK = 24  # of the covariance; what is beyond has under 1e-3 of the variance
+#: Rank of the covariance, a multiple of 4; what is beyond has under 1e-3 of the variance.
+RANK = 24
 #: Coefficients of the missed part's variance: of the squared level, of the mean squared slope, and of the local one.
 _LEVEL, _SLOPE, _NEARBY = 5e-4, 3e-3, 0.1
 #: Factor of the missed part: the mean of those that fit six measured sets.
@@ -35,9 +37,7 @@ _SLOPE_NM, _NEAR_NM = 50.0, 30.0  # interval of a slope, and width of the local 
 _STRIDE = 4  # of the grid, between wavelengths at which errors are stated, closer than their correlation length
 #: Wavelengths, nm, at which errors are stated.
 ERROR_NM = WAVELENGTH_NM[::_STRIDE]
-_BATCH = 2048  # responses whose factors of (16, 30) numbers are held at a time
-#: 0.6827 of the normal distribution lie below so many of its standard deviations.
-_WITHIN_ONE = 0.4752
+_BATCH = 2048  # texels that a thread takes at a time
 
 
 @dataclass(frozen=True)
@@ -79,22 +79,28 @@ class Posterior:
         if system is None or open_part is None:
             raise ValueError("a calibration without a response model; accepted: one that an estimator was fitted for")
         self.calibration = calibration
-        self._basis = calibration.basis[::_STRIDE].astype(np.float32)
+        basis = calibration.basis
         missed, xyz = size * _missed(), xyz_from_reflectance("D65")
-        # The size of the missed part is linear between the wavelengths at which errors are stated.
-        self._hat = np.stack([np.interp(WAVELENGTH_NM, ERROR_NM, row) for row in np.eye(len(ERROR_NM))])
-        self._missed = missed[::_STRIDE].astype(np.float32)
-        self._seen, self._coloured = (
-            np.einsum("bw,ew,wr->ebr", rows, self._hat, missed).astype(np.float32) for rows in (system, xyz)
-        )
-        self._xyz_basis = (xyz @ calibration.basis).astype(np.float32)
         self._white = xyz.sum(axis=1)
+        xyz /= self._white[:, None]
+        # The size of the missed part is linear between the wavelengths at which errors are stated.
+        hat = np.stack([np.interp(WAVELENGTH_NM, ERROR_NM, row) for row in np.eye(len(ERROR_NM))])
+        seen, coloured = (
+            np.einsum("bw,ew,wr->bre", rows, hat, missed).reshape(-1, len(ERROR_NM)) for rows in (system, xyz)
+        )
+        self._ratio_basis = basis.T @ xyz.T
         near = smooth_covariance(_NEAR_NM)
-        self._near = (near / near.sum(axis=1, keepdims=True))[::_STRIDE].T
-        # Of every pair of bands once, since it is symmetric.
-        of_pairs = np.einsum("wk,bwcv,vl->bckl", calibration.basis, open_part, calibration.basis, optimize=True)
-        self._pairs = np.tril_indices(len(system))
-        self._open = of_pairs[self._pairs].reshape(len(self._pairs[0]), -1).T
+        near = _NEARBY * (near / near.sum(axis=1, keepdims=True))[::_STRIDE]
+        single = (basis[::_STRIDE].T, missed[::_STRIDE], seen, self._ratio_basis, coloured, hat.mean(axis=1))
+        self._model = ErrorModel(
+            np.ascontiguousarray(basis),
+            np.ascontiguousarray(near),
+            _LEVEL,
+            _SLOPE,
+            _SLOPE_NM / (WAVELENGTH_NM[1] - WAVELENGTH_NM[0]),
+            _pairs_of(np.einsum("wk,bwcv,vl->bckl", basis, open_part, basis, optimize=True)),
+            *(np.ascontiguousarray(one, np.float32) for one in single),
+        )
 
     def of(self, response: np.ndarray, variance: np.ndarray | None = None, stated: bool = False) -> Uncertainty:
         """Return the uncertainty of recovered reflectances.
@@ -108,58 +114,42 @@ class Posterior:
             Whether the calibration uses the variance when it recovers spectra.
         """
         response = np.asarray(response, dtype=np.float64)
-        flat, shape = response.reshape(-1, response.shape[-1]), response.shape[:-1]
-        noise = None if variance is None else np.broadcast_to(variance, response.shape).reshape(flat.shape)
-        deviation, colour = np.empty((len(flat), len(ERROR_NM)), np.float32), np.empty(len(flat), np.float32)
+        shape, count = response.shape[:-1], response.size // response.shape[-1]
+        sizes = (count, len(ERROR_NM)), (count,), (count,), (0, 0, 0)
+        errors = Errors(*(np.empty(size, np.float32) for size in sizes))
+        self.fill(response, variance, stated, errors)
+        return Uncertainty(errors.deviation.reshape(*shape, -1), *(one.reshape(shape) for one in errors[1:3]))
+
+    def fill(self, response: np.ndarray, variance: np.ndarray | None, stated: bool, errors: Errors) -> None:
+        """Fill the `Errors` of n recovered reflectances; other arguments as in `of`."""
+        flat = response.reshape(-1, response.shape[-1])
+        noise = np.broadcast_to(0.0 if variance is None else variance, response.shape).reshape(flat.shape)
 
         def fill(first: int, last: int) -> None:
             part = slice(first, last)
-            weights, root, xyz_root = self._roots(flat[part], None if noise is None else noise[part], stated)
-            deviation[part] = np.sqrt(np.vecdot(root, root))
-            colour[part] = _delta_e(weights @ self._xyz_basis.T, xyz_root, self._white)
+            told = np.where(noise[part] >= 0.0, noise[part], np.nan)
+            used = told if stated else None
+            weights = self.calibration.weights(flat[part], used)
+            slopes = np.ascontiguousarray(self.calibration.mapping.slopes(flat[part], used), np.float32)
+            ratio = weights @ self._ratio_basis
+            metric = delta_e_metric(lab_from_xyz(ratio, np.ones(3)))
+            here = Errors(*(one[part] for one in errors))
+            fill_errors(self._model, Recovered(weights, slopes, told, ratio, metric), here)
 
         run_chunks(fill, len(flat), _BATCH)
-        rms = np.sqrt(deviation**2 @ (self._hat.sum(axis=1) / SAMPLES).astype(np.float32))
-        return Uncertainty(deviation.reshape(*shape, -1), rms.reshape(shape), colour.reshape(shape))
 
-    def _roots(self, response: np.ndarray, variance, stated: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the weights (n, k) of responses, and square roots of the covariances of reflectance and of XYZ.
 
-        Each covariance Σ = Z Zᵀ; Z is (n, 16, 24 + bands), at `ERROR_NM`, and (n, 3, 24 + bands).
-        """
-        variance = np.zeros_like(response) if variance is None else np.asarray(variance, dtype=np.float64)
-        variance = np.where(variance >= 0.0, variance, np.nan)
-        told = variance if stated else None
-        weights = self.calibration.weights(response, told)
-        back = np.swapaxes(self.calibration.mapping.slopes(response, told), 1, 2).astype(np.float32)
-        spectrum = weights @ self.calibration.basis.T
-        squared = np.mean(spectrum**2, axis=1, keepdims=True)
-        slope = (np.gradient(spectrum, WAVELENGTH_NM, axis=1) * _SLOPE_NM) ** 2
-        size = np.sqrt(_LEVEL * squared + _SLOPE * slope.mean(axis=1, keepdims=True) + _NEARBY * slope @ self._near)
-        size = size.astype(np.float32)
-        spread = self._response_roots(weights, variance)
-        seen, coloured = (np.tensordot(size, each, axes=1) for each in (self._seen, self._coloured))
-        roots = []
-        for basis, missed in ((self._basis, size[:, :, None] * self._missed), (self._xyz_basis, coloured)):
-            derivative = basis @ back
-            roots.append(np.concatenate([missed - derivative @ seen, derivative @ spread], axis=2))
-        return weights, roots[0], roots[1]
+def _pairs_of(covariance: np.ndarray) -> np.ndarray:
+    """Return a covariance (bands, bands, k, k) for every pair of bands, and of weights, once; both are symmetric.
 
-    def _response_roots(self, weights: np.ndarray, variance: np.ndarray) -> np.ndarray:
-        """Return Cholesky factors (n, bands, bands) of V + U: covariances of responses to spectra with weights (n, k).
-
-        A pivot that rounding has made negative counts as zero.
-        """
-        products = (weights[:, :, None] * weights[:, None, :]).reshape(len(weights), -1) @ self._open
-        bands = variance.shape[1]
-        root = np.zeros((bands, bands, len(weights)))
-        root[self._pairs] = products.T
-        root[np.arange(bands), np.arange(bands)] += variance.T
-        for band in range(bands):
-            rest = root[band:, band] - np.einsum("ikn,kn->in", root[band:, :band], root[band, :band])
-            pivot = np.sqrt(np.maximum(rest[0], 0.0))
-            root[band:, band] = rest / np.where(pivot == 0.0, np.inf, pivot)
-        return np.moveaxis(root, -1, 0).astype(np.float32)
+    Returns
+    -------
+    (bands (bands + 1) / 2, k (k + 1) / 2) float64
+        Of different weights, the sum of both orders.
+    """
+    of_pairs = covariance[np.tril_indices(len(covariance))]
+    k, other = np.tril_indices(of_pairs.shape[-1])
+    return of_pairs[:, k, other] + np.where(k == other, 0.0, of_pairs[:, other, k])
 
 
 def _missed() -> np.ndarray:
@@ -168,36 +158,4 @@ def _missed() -> np.ndarray:
     ends = _ENDS * np.exp(-away / np.array(_REACH_NM)[:, None]).sum(axis=0)
     smooth = smooth_covariance(_LENGTH_NM)
     values, vectors = np.linalg.eigh(smooth + ends[:, None] * smooth * ends)
-    return vectors[:, -_RANK:] * np.sqrt(values[-_RANK:])
-
-
-def _delta_e(xyz: np.ndarray, root: np.ndarray, white: np.ndarray) -> np.ndarray:
-    """Return the CIEDE2000 that normal errors of XYZ do not exceed with a probability of 0.68, (n,).
-
-    Near a colour the square of CIEDE2000 is a quadratic form of the errors. It is approximated by a scaled χ² variable
-    with the same mean and variance (Satterthwaite 1946); the quantile follows by the cube root (Wilson and Hilferty
-    1931).
-
-    Parameters
-    ----------
-    xyz : (n, 3) float
-    root : (n, 3, r) float
-        Square roots of the covariances of XYZ: each is the product of a matrix with its transpose.
-    white : (3,) float
-    """
-    form = delta_e_metric(lab_from_xyz(xyz, white))
-    moved = _lab_slopes(xyz / white) @ (root / white[:, None])
-    product = form @ moved @ np.swapaxes(moved, 1, 2)
-    mean = np.trace(product, axis1=1, axis2=2)
-    square = np.trace(product @ product, axis1=1, axis2=2)
-    relative = np.divide(2.0 * square, 9.0 * mean**2, out=np.zeros_like(mean), where=mean > 0.0)
-    return np.sqrt(mean * (1.0 - relative + _WITHIN_ONE * np.sqrt(relative)) ** 3)
-
-
-def _lab_slopes(ratio: np.ndarray) -> np.ndarray:
-    """Return the derivatives of CIELAB with respect to XYZ divided by the white, (n, 3, 3), at such ratios (n, 3)."""
-    linear = ratio <= (6 / 29) ** 3
-    x, y, z = np.where(linear, (29 / 6) ** 2 / 3, np.where(linear, 1.0, ratio) ** (-2.0 / 3.0) / 3.0).T
-    none = np.zeros_like(x)
-    rows = [[none, 116.0 * y, none], [500.0 * x, -500.0 * y, none], [none, 200.0 * y, -200.0 * z]]
-    return np.moveaxis(np.array(rows), -1, 0)
+    return vectors[:, -RANK:] * np.sqrt(values[-RANK:])
