@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 #: Margin around the picture that must have view directions too, because of blur and of shifts by a filter, mosaic
 #: pixels.
 _MARGIN_PX = 16
+#: Distance from the camera's plane within which a point has no image, mm.
+NEAREST_MM = 1e-6
 
 
 #: Corrected cameras, of which there are thousands, have the distortion of the one that is typed.
@@ -155,7 +157,7 @@ class Pinhole:
             model is not valid.
         """
         local = (np.asarray(points, dtype=np.float64) - position) @ world_from_camera
-        plane = local[..., :2] / np.where(local[..., 2:] > 1e-6, local[..., 2:], np.nan)
+        plane = local[..., :2] / np.where(local[..., 2:] > NEAREST_MM, local[..., 2:], np.nan)
         if self.is_distorted:
             plane = self._through(distort_all, plane)
         plane *= self.focal_px

@@ -18,11 +18,13 @@ from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER, track
 from irodori.geometry.atlas import Texels
-from irodori.geometry.embree import Tracer
+from irodori.geometry.distortion import distort
+from irodori.geometry.embree import Tracer, is_blocked, new_ray, trace
 from irodori.geometry.interpolation import KEYS_NOISE_SHARE, keys_weights
 from irodori.geometry.lamp import FAR, Lamp
-from irodori.geometry.pinhole import Pinhole, bayer_offsets_px, samples_from_superpixels
+from irodori.geometry.pinhole import NEAREST_MM, Pinhole, bayer_offsets_px, samples_from_superpixels
 from irodori.geometry.rig_frame import rig_from_camera, to_camera, to_light
+from irodori.geometry.shapes.placement import Placement
 from irodori.geometry.shapes.shape import Shape
 from irodori.jit.chunks import run_chunks
 from irodori.jit.compilation import njit
@@ -30,7 +32,7 @@ from irodori.material.angle_errors import ANGLES, write_registered
 from irodori.material.observed_angles import Surroundings, write_surroundings
 from irodori.material.tile_strips import strips, texels_of
 from irodori.rectification.placement_correction import AS_TYPED, Correction
-from irodori.reflection.angle_kernels import angles_between, unit
+from irodori.reflection.angle_kernels import angle_between, angles_between, unit
 from irodori.reflection.equation5 import angles_from_directions
 from irodori.spectra.coordinates import require_bands, write_bands
 
@@ -224,33 +226,104 @@ def _sample(window, xy, out, marks, first, last):
                 out[t, b] = 0.0
 
 
+class _Seen(NamedTuple):
+    """Surface of n texels in the frame of the object, and where it lies in the frame of the rig."""
+
+    position: np.ndarray  # (n, 3) mm
+    normal: np.ndarray  # (n, 3) unit vectors
+    facet: np.ndarray  # (n, 3) unit vectors, normals of the facets
+    rotation: np.ndarray  # (3, 3) rig_from_object
+    translation_mm: np.ndarray  # (3,)
+    scale: float
+
+
+class _Around(NamedTuple):
+    """Lamp and camera in the frame of the rig."""
+
+    lamp: np.ndarray  # (3,) place of a near one, mm, or direction of a far one
+    near: float  # 1 or 0
+    lamp_mm: float  # distance from the origin
+    camera: np.ndarray  # (3,) centre of projection, mm
+    world_from_camera: np.ndarray  # (3, 3)
+    distortion: np.ndarray  # (8,)
+    fold: float
+    focal_px: float
+    centre_px: tuple
+    offset_mm: float  # between a texel and the beginning of a ray
+    is_sheet: bool
+
+
 class _Looked(NamedTuple):
     """Arrays that `_look` fills for n texels."""
 
-    geometry: np.ndarray  # (n, 4) angles, rad
-    light: np.ndarray  # (n, 3) unit vectors to the light
-    view: np.ndarray  # (n, 3) unit vectors to the camera
-    distance: np.ndarray  # (2, n) to the light and to the camera, mm
-    facing: np.ndarray  # (2, n) cosines between the facet and these directions
+    geometry: np.ndarray  # (n, 2) θ_i and θ_r, or (n, 4) with θ_H and φ, rad
+    xy: np.ndarray  # (n, 2) superpixels
+    visible: np.ndarray  # (n,) bool
+    lit: np.ndarray  # (n,) bool
+    power: np.ndarray  # (n,) irradiance normal to the beam, 1 at the origin
+    lit_behind: np.ndarray  # (n,) bool
+
+
+@njit(cache=True, forceinline=True)
+def _turned(matrix, x, y, z):
+    """Return the product of a matrix and a vector."""
+    return (
+        matrix[0, 0] * x + matrix[0, 1] * y + matrix[0, 2] * z,
+        matrix[1, 0] * x + matrix[1, 1] * y + matrix[1, 2] * z,
+        matrix[2, 0] * x + matrix[2, 1] * y + matrix[2, 2] * z,
+    )
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _look(surface, places, near, looked, first, last):
-    """Fill angles and directions of texels; ``places`` has light and camera, of which a far light is a direction."""
-    (position, normal, facet), (source, camera) = surface, places
-    geometry, light, view, distance, facing = looked
+def _project(around, point):
+    """Return where a point of the rig is in the picture, superpixels; see `Pinhole.project`."""
+    x, y, z = point[0] - around.camera[0], point[1] - around.camera[1], point[2] - around.camera[2]
+    across, down, depth = _turned(around.world_from_camera.T, x, y, z)
+    if not depth > NEAREST_MM:
+        return math.nan, math.nan
+    u, v = distort(around.distortion, around.fold, across / depth, down / depth)
+    (x0, y0), focal = around.centre_px, around.focal_px
+    return (u * focal + x0) * 0.5 - 0.5, (v * focal + y0) * 0.5 - 0.5
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _look(surface, around, occluded, scene, looked, first, last):
+    """Fill angles, visibility and places in the picture of texels; a ray is traced only where a facet faces its end."""
+    rotation, (tx, ty, tz), scale = surface.rotation, surface.translation_mm, surface.scale
+    geometry, ray, offset = looked.geometry, new_ray(), around.offset_mm
     for t in range(first, last):
-        px, py, pz = position[t, 0], position[t, 1], position[t, 2]
-        lx, ly, lz, light_mm = unit(source[0] - near * px, source[1] - near * py, source[2] - near * pz)
-        vx, vy, vz, camera_mm = unit(camera[0] - px, camera[1] - py, camera[2] - pz)
-        nx, ny, nz = normal[t, 0], normal[t, 1], normal[t, 2]
-        angles = angles_between((nx, ny, nz), (lx, ly, lz), (vx, vy, vz))
-        geometry[t, 0], geometry[t, 1], geometry[t, 2], geometry[t, 3] = angles
-        light[t, 0], light[t, 1], light[t, 2] = lx, ly, lz
-        view[t, 0], view[t, 1], view[t, 2] = vx, vy, vz
-        distance[0, t], distance[1, t] = light_mm, camera_mm
-        fx, fy, fz = facet[t, 0], facet[t, 1], facet[t, 2]
-        facing[0, t], facing[1, t] = fx * lx + fy * ly + fz * lz, fx * vx + fy * vy + fz * vz
+        x, y, z = _turned(rotation, surface.position[t, 0], surface.position[t, 1], surface.position[t, 2])
+        x, y, z = scale * x + tx, scale * y + ty, scale * z + tz
+        normal = _turned(rotation, surface.normal[t, 0], surface.normal[t, 1], surface.normal[t, 2])
+        fx, fy, fz = _turned(rotation, surface.facet[t, 0], surface.facet[t, 1], surface.facet[t, 2])
+        lamp, camera, near = around.lamp, around.camera, around.near
+        lx, ly, lz, light_mm = unit(lamp[0] - near * x, lamp[1] - near * y, lamp[2] - near * z)
+        vx, vy, vz, camera_mm = unit(camera[0] - x, camera[1] - y, camera[2] - z)
+        if geometry.shape[1] == 4:
+            angles = angles_between(normal, (lx, ly, lz), (vx, vy, vz))
+            geometry[t, 2], geometry[t, 3] = angles[2], angles[3]
+            incidence, reflection = angles[0], angles[1]
+        else:
+            incidence, reflection = angle_between(normal, (lx, ly, lz)), angle_between(normal, (vx, vy, vz))
+        geometry[t, 0], geometry[t, 1] = incidence, reflection
+        looked.xy[t, 0], looked.xy[t, 1] = _project(around, (x, y, z))
+        looked.power[t] = (around.lamp_mm / light_mm) ** 2 if near > 0.0 else 1.0
+        far = light_mm if near > 0.0 else math.inf
+        start = x + offset * fx, y + offset * fy, z + offset * fz
+        visible = reflection < 0.5 * math.pi and fx * vx + fy * vy + fz * vz > 0.0
+        if visible:
+            trace(occluded, scene, ray, start, (vx, vy, vz), camera_mm)
+            visible = not is_blocked(ray)
+        to_lamp = fx * lx + fy * ly + fz * lz
+        lit = incidence < 0.5 * math.pi and to_lamp > 0.0
+        if lit:
+            trace(occluded, scene, ray, start, (lx, ly, lz), far)
+            lit = not is_blocked(ray)
+        behind = around.is_sheet and incidence > 0.5 * math.pi and to_lamp < 0.0
+        if behind:
+            trace(occluded, scene, ray, (x - offset * fx, y - offset * fy, z - offset * fz), (lx, ly, lz), far)
+            behind = not is_blocked(ray)
+        looked.visible[t], looked.lit[t], looked.lit_behind[t] = visible, lit, behind
 
 
 class Sight(NamedTuple):
@@ -288,27 +361,49 @@ def observe(
     is_sheet : bool
         Whether to trace on which texels the light falls from behind.
     """
-    facet = normal if facet is None else facet
-    count, near, camera = len(position), setup.lamp.is_near, setup.camera_distance_mm * to_camera(pose)
-    looked = _Looked(np.empty((count, 4)), *np.empty((2, count, 3)), *np.empty((2, 2, count)))
-    source = to_light(pose) * (setup.lamp.distance_mm if near else 1.0)
-    surface = tuple(np.ascontiguousarray(one, dtype=np.float64) for one in (position, normal, facet))
-    run_chunks(_look, count, _CHUNK, surface, (source, camera), float(near), looked)
-    geometry, (light_mm, camera_mm), (to_lamp, to_eye) = looked.geometry, looked.distance, looked.facing
-    power = (setup.lamp.distance_mm / light_mm) ** 2 if near else np.ones(count)
-    far = light_mm if near else np.inf
-    offset = tracer.placements[0].shape.ray_offset_mm * facet
-    start = position + offset
-    visible = (geometry[:, 1] < np.pi / 2) & (to_eye > 0)
-    visible &= ~tracer.occluded(start, looked.view, far=camera_mm)
-    lit = (geometry[:, 0] < np.pi / 2) & (to_lamp > 0)
-    lit &= ~tracer.occluded(start, looked.light, far=far)
-    lit_behind = np.zeros(count, dtype=bool)
-    if is_sheet:
-        lit_behind = (geometry[:, 0] > np.pi / 2) & (to_lamp < 0)
-        lit_behind &= ~tracer.occluded(position - offset, looked.light, far=far)
-    xy = setup.pinhole.project(position, camera, rig_from_camera(pose))
-    return Sight(xy, geometry, visible, lit, power, lit_behind)
+    texels = _Surface(position, normal, normal if facet is None else facet)
+    return _sight(texels, Placement(tracer.placements[0].shape), tracer, pose, setup, angles=4, is_sheet=is_sheet)
+
+
+class _Surface(NamedTuple):
+    """Positions (n, 3), mm, unit normals and unit normals of the facets of n texels."""
+
+    position: np.ndarray
+    normal: np.ndarray
+    facet: np.ndarray
+
+    @classmethod
+    def of(cls, texels: Texels) -> "_Surface":
+        """Return the texels on the surface."""
+        return cls(*(values[texels.covered] for values in (texels.position, texels.normal, texels.facet)))
+
+
+def _sight(
+    surface: _Surface, placed: Placement, tracer: Tracer, pose: Pose, setup: RigSetup, *, angles: int, is_sheet: bool
+) -> Sight:
+    """Return the `Sight` of texels in the frame of a placed shape, with its first two angles or all four."""
+    count, near, pinhole = len(surface.position), setup.lamp.is_near, setup.pinhole
+    position, normal, facet, rotation, translation_mm = (
+        np.ascontiguousarray(one, dtype=np.float64) for one in (*surface, placed.rotation, placed.translation_mm)
+    )
+    around = _Around(
+        to_light(pose) * (setup.lamp.distance_mm if near else 1.0),
+        float(near),
+        float(setup.lamp.distance_mm),
+        setup.camera_distance_mm * to_camera(pose),
+        np.ascontiguousarray(rig_from_camera(pose), dtype=np.float64),
+        np.array(pinhole.distortion, dtype=np.float64),
+        float(pinhole.fold),
+        float(pinhole.focal_px),
+        (float(pinhole.centre_px[0]), float(pinhole.centre_px[1])),
+        float(tracer.placements[0].shape.ray_offset_mm),
+        is_sheet,
+    )
+    visible, lit, behind = np.empty((3, count), dtype=np.bool_)
+    looked = _Looked(np.empty((count, angles)), np.empty((count, 2)), visible, lit, np.empty(count), behind)
+    seen = _Seen(position, normal, facet, rotation, translation_mm, float(placed.scale))
+    run_chunks(_look, count, _CHUNK, seen, around, tracer.occluded_address, tracer.scene, looked)
+    return Sight(looked.xy, looked.geometry, visible, lit, looked.power, behind)
 
 
 @njit(cache=True, nogil=True)
@@ -398,9 +493,9 @@ def observe_captures(
     """
     limit, paths = np.radians(max_angle_deg), list(linear)
     covered = slice(None) if texels.covered.all() else np.flatnonzero(texels.covered)
-    several: Observations | None = None
+    surface, several = _Surface.of(texels), None
     for number, path in enumerate(paths):
-        found = _observe_file(path, shape, texels, setup, is_sheet)
+        found = _observe_file(path, shape, surface, setup, angles=2 if stored else 4, is_sheet=is_sheet)
         incidence, reflection = found.geometry[:, 0], found.geometry[:, 1]
         frontal = (incidence <= limit) & (reflection <= limit)
         behind = (np.pi - incidence <= limit) & (reflection <= limit)
@@ -449,17 +544,16 @@ def angles_in_captures(linear: Iterable, shape: Shape, texels: Texels, setup: Ri
     return np.stack(captures, axis=1)
 
 
-def _observe_file(path, shape: Shape, texels: Texels, setup: RigSetup, is_sheet: bool) -> Observations:
-    """Return the observations of the texels on the surface in the capture of one file of linear responses."""
+def _observe_file(
+    path, shape: Shape, surface: _Surface, setup: RigSetup, *, angles: int, is_sheet: bool
+) -> Observations:
+    """Return the observations of texels in the capture of one file of linear responses; ``angles`` as in `_sight`."""
     with store.open_file(path) as file:
         typed = Pose.of_file(file)
         setup = setup.of(typed)
         pose = setup.correction.pose(typed)
         placements = setup.correction.placements(shape, pose, setup.table_radius_mm)
-        tracer = Tracer(placements)
-        position = placements[0].points(texels.position[texels.covered])
-        normal, facet = (v[texels.covered] @ placements[0].rotation.T for v in (texels.normal, texels.facet))
-        sight = observe(position, normal, tracer, pose, setup, facet, is_sheet=is_sheet)
+        sight = _sight(surface, placements[0], Tracer(placements), pose, setup, angles=angles, is_sheet=is_sheet)
         visible = sight.visible
         xy = samples_from_superpixels(sight.xy, file.attribute("sample_px"))
         sampled, good, clips = sample_picture(file, xy, visible)

@@ -40,7 +40,8 @@ def _arc(y, x):
 
 
 @njit(cache=True, forceinline=True, error_model="numpy")
-def _between(a, b):
+def angle_between(a, b):
+    """Return the angle between unit vectors, rad, three components each."""
     (ax, ay, az), (bx, by, bz) = a, b
     x, y, z = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
     return _arc(math.sqrt(x * x + y * y + z * z), ax * bx + ay * by + az * bz)
@@ -60,4 +61,9 @@ def angles_between(normal, light, view):
     # Between opposite directions, the normal stands for the half vector.
     is_half = hx * hx + hy * hy + hz * hz > _LEAST * _LEAST
     half = hx if is_half else normal[0], hy if is_half else normal[1], hz if is_half else normal[2]
-    return _between(normal, light), _between(normal, view), _between(half, light), _between(normal, half)
+    return (
+        angle_between(normal, light),
+        angle_between(normal, view),
+        angle_between(half, light),
+        angle_between(normal, half),
+    )
