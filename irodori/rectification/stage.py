@@ -287,10 +287,10 @@ def _project(around, point):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _look(surface, around, occluded, scene, looked, first, last):
+def _look(surface, around, tracing, looked, first, last):
     """Fill angles, visibility and places in the picture of texels; a ray is traced only where a facet faces its end."""
     rotation, (tx, ty, tz), scale = surface.rotation, surface.translation_mm, surface.scale
-    geometry, ray, offset = looked.geometry, new_ray(), around.offset_mm
+    (occluded, scene), geometry, ray, offset = tracing, looked.geometry, new_ray(), around.offset_mm
     for t in range(first, last):
         x, y, z = _turned(rotation, surface.position[t, 0], surface.position[t, 1], surface.position[t, 2])
         x, y, z = scale * x + tx, scale * y + ty, scale * z + tz
@@ -402,7 +402,7 @@ def _sight(
     visible, lit, behind = np.empty((3, count), dtype=np.bool_)
     looked = _Looked(np.empty((count, angles)), np.empty((count, 2)), visible, lit, np.empty(count), behind)
     seen = _Seen(position, normal, facet, rotation, translation_mm, float(placed.scale))
-    run_chunks(_look, count, _CHUNK, seen, around, tracer.occluded_address, tracer.scene, looked)
+    run_chunks(_look, count, _CHUNK, seen, around, (tracer.occluded_address, tracer.scene), looked)
     return Sight(looked.xy, looked.geometry, visible, lit, looked.power, behind)
 
 

@@ -195,7 +195,7 @@ def _times_sizes(table, row, size):
 
 
 @njit(cache=True, nogil=True)
-def _less_explained(moved, derivative, at, step, seen, r, rank):
+def _less_explained(moved, derivative, at, seen, r):
     """Return four numbers of the missed part less what the response to it explains.
 
     Parameters
@@ -203,13 +203,14 @@ def _less_explained(moved, derivative, at, step, seen, r, rank):
     moved : tuple of four vectors
         Missed part.
     derivative : (bands, n, TEXELS) float32
-    at, step : int
-        Row of the derivative for the first band, and the number of rows n for each.
-    seen : (bands, r, TEXELS) float32
-    r, rank : int
-        First of the four, and number of all.
+    at : int
+        Row of the derivative for each band, below n.
+    seen : (bands, rank, TEXELS) float32
+    r : int
+        First of the four, below the rank.
     """
     one, two, three, four = moved
+    step, rank = derivative.shape[1], seen.shape[1]
     for b in range(derivative.shape[0]):
         factor = load(derivative, (at + b * step) * TEXELS, TEXELS)
         place = (b * rank + r) * TEXELS
@@ -220,9 +221,9 @@ def _less_explained(moved, derivative, at, step, seen, r, rank):
 
 
 @njit(cache=True, nogil=True)
-def _by_response(derivative, at, step, lower, band):
+def _by_response(derivative, at, lower, band):
     """Return the part of a root that comes from one of the factors of the response's covariance."""
-    bands = derivative.shape[0]
+    bands, step = derivative.shape[:2]
     found = load(derivative, (at + band * step) * TEXELS, TEXELS) * load(lower, (band * bands + band) * TEXELS, TEXELS)
     for b in range(band + 1, bands):
         factor = load(lower, (b * bands + band) * TEXELS, TEXELS)
@@ -259,7 +260,7 @@ def _fill_deviations(model, rows, first, count, errors):
                 size * model.missed[e, r + 2],
                 size * model.missed[e, r + 3],
             )
-            one, two, three, four = _less_explained(missed, rows.derivative, e, stated, rows.seen, r, rank)
+            one, two, three, four = _less_explained(missed, rows.derivative, e, rows.seen, r)
             squares = squares + ((one * one + two * two) + (three * three + four * four))
             if wanted:
                 store(row, 0, one)
@@ -268,7 +269,7 @@ def _fill_deviations(model, rows, first, count, errors):
                 store(row, 3 * TEXELS, four)
                 errors.root[first : first + count, e, r : r + 4] = row[:, :count].T
         for b in range(bands):
-            noise = _by_response(rows.derivative, e, stated, rows.lower, b)
+            noise = _by_response(rows.derivative, e, rows.lower, b)
             squares = squares + noise * noise
             if wanted:
                 store(row, 0, noise)
@@ -290,13 +291,13 @@ def _fill_colours(model, rows):
         for r in range(0, rank, 4):
             missed = _times_sizes(model.coloured, x * rank + r, rows.size)
             place = (x * (rank + bands) + r) * TEXELS
-            one, two, three, four = _less_explained(missed, rows.colour, x, 3, rows.seen, r, rank)
+            one, two, three, four = _less_explained(missed, rows.colour, x, rows.seen, r)
             store(rows.moved, place, one)
             store(rows.moved, place + TEXELS, two)
             store(rows.moved, place + 2 * TEXELS, three)
             store(rows.moved, place + 3 * TEXELS, four)
         for b in range(bands):
-            noise = _by_response(rows.colour, x, 3, rows.lower, b)
+            noise = _by_response(rows.colour, x, rows.lower, b)
             store(rows.moved, (x * (rank + bands) + rank + b) * TEXELS, noise)
     for x in range(3):
         for y in range(x + 1):
