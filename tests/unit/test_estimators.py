@@ -19,7 +19,7 @@ from irodori.calibration.recovery.posterior import ERROR_NM, RANK, Posterior
 from irodori.calibration.recovery.posterior_loops import Errors
 from irodori.calibration.response_model import fit_response_model, smooth_covariance, smooth_priors
 from irodori.calibration.training import ResponseNoise, Training, mix_paints
-from irodori.colour.colorimetry import delta_e_reflectance, spectral_rmse
+from irodori.colour.colorimetry import delta_e_reflectance, spectral_rmse, xyz_from_reflectance
 from irodori.core import store
 from irodori.spectra.coordinates import write_wavelength
 from irodori.spectra.grid import WAVELENGTH_NM
@@ -378,6 +378,11 @@ def test_the_colour_error_is_the_quantile_of_draws_from_the_covariance(solved):
         delta_e_reflectance(np.broadcast_to(spectra, drawn.shape), drawn) <= posterior.of(response, variance).delta_e
     )
     assert np.abs(within.mean(axis=0) - 0.683).max() <= 0.05
+
+
+def test_a_posterior_leaves_the_matrix_to_xyz_that_others_use_as_it_is(solved):
+    Posterior(solved["wiener"])
+    assert abs(xyz_from_reflectance("D65")[1].sum() - 100.0) <= 1e-9  # Y of a perfect diffuser
 
 
 def test_no_number_is_stated_where_there_is_none(solved):

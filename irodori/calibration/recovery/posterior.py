@@ -81,8 +81,7 @@ class Posterior:
         self.calibration = calibration
         basis = calibration.basis
         missed, xyz = size * _missed(), xyz_from_reflectance("D65")
-        self._white = xyz.sum(axis=1)
-        xyz /= self._white[:, None]
+        xyz = xyz / xyz.sum(axis=1, keepdims=True)  # in those of the white
         # The size of the missed part is linear between the wavelengths at which errors are stated.
         hat = np.stack([np.interp(WAVELENGTH_NM, ERROR_NM, row) for row in np.eye(len(ERROR_NM))])
         seen, coloured = (
