@@ -5,10 +5,11 @@ from pathlib import Path
 import numpy as np
 
 from irodori.core import store
+from irodori.fitting.diffuse_response import GREEN
 from irodori.fitting.level_estimate import MOST_TEXELS, estimate_levels
 from irodori.fitting.mirror_image import without_images
 from irodori.fitting.solvers import FitOptions
-from irodori.fitting.stage import GREEN, for_object, fresnel_of
+from irodori.fitting.stage import for_object, fresnel_of
 from irodori.fitting.texel_sample import Readings, sample_texels
 from irodori.material.photograph_levels import BANDS_OF_STATE, NOTHING, TEXELS, PhotographLevels
 

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from irodori.config.parts import typed_index
+from irodori.fitting.diffuse_response import GREEN
 from irodori.fitting.level_estimate import MOST_TEXELS, adjust, describe, predict
 from irodori.fitting.solvers import FitOptions
-from irodori.fitting.stage import GREEN
 from irodori.fitting.texel_sample import Readings
 from irodori.geometry.atlas import are_alike
 from irodori.geometry.shapes.shape import Shape

@@ -3,10 +3,11 @@
 from irodori.config.cross_checks.object_lobes import AUTO
 from irodori.core import store
 from irodori.core.progress import LOGGER
+from irodori.fitting.diffuse_response import GREEN
 from irodori.fitting.lobe_choice import ENOUGH_OBSERVATIONS, MOST_TEXELS, candidates, choose
 from irodori.fitting.mirror_image import without_images
 from irodori.fitting.solvers import FitOptions
-from irodori.fitting.stage import GREEN, for_object, fresnel_of
+from irodori.fitting.stage import for_object, fresnel_of
 from irodori.fitting.texel_sample import Readings, sample_texels
 from irodori.material.lobe_choices import model_text, write_choice
 from irodori.reflection.coat import COATS, SUM

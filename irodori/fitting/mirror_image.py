@@ -19,7 +19,7 @@ from irodori.reflection.fresnel import fresnel_array
 from irodori.reflection.lobe_arrays import evaluate
 
 if TYPE_CHECKING:
-    from irodori.fitting.stage import Observed
+    from irodori.fitting.diffuse_response import Observed
 
 _LEAST_TEXELS = 4  # of a photograph that is to measure the weight
 _DEVIATIONS = 2.0  # of the angle to the half vector, by which texels must lie within the image

@@ -15,6 +15,7 @@ import numpy as np
 from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER
+from irodori.fitting.diffuse_response import GREEN, Observed, without_gloss
 from irodori.fitting.joint_gloss import HIGHLIGHTS, NOTHING, PHOTOGRAPH
 from irodori.fitting.mirror_image import MirrorImages, without_images
 from irodori.fitting.paint_colours import MOST_CORES, Colours, cores, find_colours, noise_floor
@@ -31,18 +32,7 @@ from irodori.fitting.paints import (
     share_by_paint,
 )
 from irodori.fitting.solvers import FitOptions
-from irodori.fitting.stage import (
-    CARRIED,
-    FITTED_AXES,
-    GREEN,
-    Model,
-    Observed,
-    fitted_maps,
-    for_object,
-    fresnel_of,
-    read_observations,
-    without_gloss,
-)
+from irodori.fitting.stage import CARRIED, FITTED_AXES, Model, fitted_maps, for_object, fresnel_of, read_observations
 from irodori.material.fitted_tiles import SPEED
 from irodori.material.material_file import Status
 from irodori.material.tile_strips import strips, texels_of

@@ -18,12 +18,12 @@ import numpy as np
 
 from irodori.fitting import gloss_sums
 from irodori.fitting.band_fresnel import BandGloss
+from irodori.fitting.diffuse_response import GREEN, Observed, without_gloss
 from irodori.fitting.gloss_sums import SearchedTexels
 from irodori.fitting.joint_gloss import Contradiction, gloss_of_paints
 from irodori.fitting.paint_colours import NEAR, Colours
 from irodori.fitting.paint_gloss import PaintGloss, TexelGloss, share
 from irodori.fitting.solvers import FitOptions, problem_of
-from irodori.fitting.stage import GREEN, Observed, without_gloss
 from irodori.material.material_file import Status
 
 Result = TypeVar("Result")

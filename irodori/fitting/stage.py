@@ -1,11 +1,9 @@
 """Fit stage: reads the observations of a tile; writes fitted parameters and diffuse responses."""
 
-import math
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from enum import IntEnum
-from typing import NamedTuple
 
 import numpy as np
 
@@ -15,27 +13,16 @@ from irodori.core.progress import LOGGER
 from irodori.core.store import Units
 from irodori.fitting import judge
 from irodori.fitting.band_fresnel import BandGloss, band_gloss, uniform, varies
+from irodori.fitting.diffuse_response import GREEN, Observed, diffuse_response
 from irodori.fitting.mirror_image import without_images
-from irodori.fitting.solvers import FitOptions, FitResult, fit
-from irodori.fitting.texel_rows import COSINE, LOBE, SPOILED, WEIGHT, fill_lobe, new_rows, pack_geometry
-from irodori.jit.chunks import run_chunks
-from irodori.jit.compilation import njit
+from irodori.fitting.solvers import FitOptions, fit
 from irodori.material.angle_errors import registered_errors
 from irodori.material.material_file import NloptResult, Status, gloss_maps
 from irodori.material.observed_angles import STORED, read_angles, read_texels
 from irodori.material.photograph_levels import common_error, levels_of
 from irodori.material.tile_strips import strips, texels_of
-from irodori.reflection.lobes import Lobes
 from irodori.spectra.coordinates import require_bands, write_bands
 
-GREEN = 1  # green without the filter, the band of equation (7)
-_RESPONSE_NOISE = 0.01  # standard deviation of a response if the camera's noise is unknown
-_LEAST_VARIANCE = 1e-12
-_GLOSS_MODEL_ERROR = 0.1
-_FAR, _AN_OUTLIER_IN = 6.0, 8  # distance of an outlier in standard deviations; at most one observation in 8 is one
-
-
-_CHUNK = 2048  # texels that a thread takes at a time
 #: Datasets of a tile of observations that every fit reads.
 _AXES = {
     "response": "texel,capture,band",
@@ -57,250 +44,6 @@ class Model(IntEnum):
     DIFFUSE_ALONE = judge.DIFFUSE_ALONE
     GLOSS_ALONE = judge.GLOSS_ALONE
     BOTH = judge.BOTH
-
-
-@dataclass(frozen=True)
-class Observed:
-    """Observations of texels in all bands.
-
-    Parameters
-    ----------
-    response : (texels, J, bands) float
-    geometry : (texels, J, 4) float
-        θ_i, θ_r, θ_H, φ in rad.
-    weight : (texels, J) float
-    clipped : (texels, J) uint8
-    noise : (J, bands, 2) float64
-        c0 and c1 of the variance c0 + c1 ρ of a response ρ by the camera's noise.
-    """
-
-    response: np.ndarray
-    geometry: np.ndarray
-    weight: np.ndarray
-    clipped: np.ndarray
-    noise: np.ndarray
-
-    def __getitem__(self, chosen) -> "Observed":
-        """Return the observations of selected texels; ``chosen`` is any NumPy index."""
-        response, geometry, weight = self.response[chosen], self.geometry[chosen], self.weight[chosen]
-        return Observed(response, geometry, weight, self.clipped[chosen], self.noise)
-
-
-class Fitted(NamedTuple):
-    """Observations of texels in all bands, and the gloss fitted to them.
-
-    Parameters
-    ----------
-    response : (texels, J, bands) float
-    geometry : (texels, J, 4) float
-        θ_i, θ_r, θ_H, φ in rad.
-    weight : (texels, J) float
-    noise : (J, bands, 2) float64
-        c0 and c1 of the variance c0 + c1 ρ of a response ρ by the camera's noise.
-    model_error : float
-        Relative error of an observation apart from noise.
-    lobes : tuple of Lobes
-        Lobe of each component.
-    gloss : (texels, 2 or 4) float64
-        β and μ of each component.
-    n : (texels,) float64
-    k : float
-        Complex refractive index of the fit.
-    coupled : bool
-        Whether the coat reduces the diffuse term.
-    ratio : (bands, angles) float64
-        Fresnel reflectance of each band divided by that of the fit, at equally spaced θ_H from 0 to π/2.
-    """
-
-    response: np.ndarray
-    geometry: np.ndarray
-    weight: np.ndarray
-    noise: np.ndarray
-    model_error: float
-    lobes: tuple[Lobes, ...]
-    gloss: np.ndarray
-    n: np.ndarray
-    k: float
-    coupled: bool
-    ratio: np.ndarray
-
-
-@njit(cache=True, error_model="numpy")
-def _expected(given, j, b, gloss, fitted):
-    """Return the variance of an observation j in band b from noise, light and the error of the gloss.
-
-    The noise is that at the ``fitted`` response. If it is unknown, a constant is used.
-    """
-    noise = given.noise
-    own = noise[j, b, 0] + noise[j, b, 1] * max(fitted, 0.0) + (given.model_error * fitted) ** 2
-    own = max(own, _LEAST_VARIANCE) if math.isfinite(own) else _RESPONSE_NOISE**2
-    return own + (_GLOSS_MODEL_ERROR * gloss) ** 2
-
-
-@njit(cache=True, error_model="numpy")
-def _leave_out(t, given, rows, fitted):
-    """Set the weights of the valid observations of a texel to 1, and those of invalid ones and of outliers to 0.
-
-    An outlier is more than `_FAR` standard deviations away from the prediction by the other observations, in green. At
-    most one observation in eight is left out.
-    """
-    response, weight, used, b = given.response[t], given.weight[t], 0, min(GREEN, given.response.shape[2] - 1)
-    for j in range(response.shape[0]):
-        fine = weight[j] > 0.0 and math.isfinite(response[j, b]) and rows[SPOILED, j] == 0.0
-        rows[WEIGHT, j] = 1.0 if fine else 0.0
-        used += fine
-    for _ in range(used // _AN_OUTLIER_IN):
-        top, bottom = 0.0, 0.0
-        for j in range(response.shape[0]):
-            if rows[WEIGHT, j] > 0.0:
-                w = weight[j] * rows[COSINE, j] / _expected(given, j, b, fitted[j], max(response[j, b], fitted[j]))
-                top, bottom = top + w * (response[j, b] - fitted[j]), bottom + w * rows[COSINE, j]
-        worst, furthest = -1, _FAR * _FAR
-        for j in range(response.shape[0]):
-            cosine = rows[COSINE, j]
-            if not rows[WEIGHT, j] > 0.0 or not cosine > 0.0:
-                continue
-            w = weight[j] * cosine / _expected(given, j, b, fitted[j], max(response[j, b], fitted[j]))
-            rest = bottom - w * cosine
-            if not rest > 0.0:
-                continue
-            told = (top - w * (response[j, b] - fitted[j])) / rest * cosine + fitted[j]
-            off = (response[j, b] - told) ** 2 / _expected(given, j, b, fitted[j], told)
-            if off > furthest:
-                worst, furthest = j, off
-        if worst < 0:
-            return
-        rows[WEIGHT, worst] = 0.0
-
-
-@njit(cache=True, error_model="numpy")
-def _combine_texel(t, given, rows, fitted, out, variance):
-    """Fill diffuse responses and variances of a texel, (bands,) each; ``fitted`` is its gloss in green, (P,)."""
-    response, weight, noise, ratio = given.response[t], given.weight[t], given.noise, given.ratio
-    theta_h = given.geometry[t, :, 2]
-    step = 0.5 * math.pi / (ratio.shape[1] - 1)
-    _leave_out(t, given, rows, fitted)
-    for b in range(response.shape[1]):
-        diffuse = np.nan  # unknown in the first of two rounds
-        for _ in range(2):
-            top, bottom, spread = 0.0, 0.0, 0.0
-            for j in range(response.shape[0]):
-                rho, cosine = response[j, b], rows[COSINE, j]
-                if not rows[WEIGHT, j] > 0.0 or not math.isfinite(rho):
-                    continue
-                place = min(max(theta_h[j] / step, 0.0), ratio.shape[1] - 1.0)
-                i = min(int(place), ratio.shape[1] - 2)
-                gloss = fitted[j] * (ratio[b, i] + (place - i) * (ratio[b, i + 1] - ratio[b, i]))
-                expected = _expected(given, j, b, gloss, diffuse * cosine + gloss)
-                w = weight[j] * cosine / expected
-                top += w * (rho - gloss)
-                bottom += w * cosine
-                spread += w * w * (noise[j, b, 0] + noise[j, b, 1] * max(rho, 0.0))
-            diffuse = top / bottom if bottom > 0.0 else np.nan
-        out[b] = diffuse
-        variance[b] = spread / bottom**2 if bottom > 0.0 else np.nan
-
-
-@njit(cache=True, error_model="numpy")
-def _add_gloss(t, given, component, lobes, rows, fitted):
-    """Fill the rows of a texel's geometry, and add the gloss of a component to ``fitted``, (P,)."""
-    beta, mu = given.gloss[t, 2 * component], given.gloss[t, 2 * component + 1]
-    pack_geometry(given.geometry[t], lobes, given.n[t], given.k, given.coupled, rows)
-    if beta > 0.0:
-        fill_lobe(rows, lobes, math.log(mu))
-        for j in range(fitted.size):
-            fitted[j] += beta * rows[LOBE, j]
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _combine_chunk(given, out, variance, first, last):
-    rows, gloss = new_rows(given.response.shape[1]), given.gloss
-    fitted = np.empty(rows.shape[1])
-    for t in range(first, last):
-        fitted[:] = 0.0
-        _add_gloss(t, given, 0, given.lobes[0], rows, fitted)
-        if gloss.shape[1] > 2 and gloss[t, 2] > 0.0:
-            _add_gloss(t, given, 1, given.lobes[1], rows, fitted)
-        _combine_texel(t, given, rows, fitted, out[t], variance[t])
-
-
-def diffuse_response(
-    response,
-    geometry,
-    weight,
-    result: FitResult,
-    fresnel: BandGloss,
-    noise,
-    *,
-    model_error: float = 0.01,
-    coupled: bool = False,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Combine the observations of each texel to its diffuse response, without gloss, in every band.
-
-    The fitted gloss is subtracted from every observation. The remainder, divided by cosθ_i, is averaged with inverse
-    variances as weights and without outliers. Observations with strong gloss have less weight because of the error of
-    the gloss model.
-
-    Parameters
-    ----------
-    response : (texels, J, bands) float
-    geometry : (texels, J, 4) float, rad
-    weight : (texels, J) float
-    result : FitResult
-    fresnel : BandGloss
-        n and k of the fit, and the Fresnel reflectance of each band.
-    noise : (J, bands, 2) float
-        c0 and c1 of the variance c0 + c1 ρ of a response ρ by the camera's noise.
-    model_error : float
-        Relative error of an observation apart from noise.
-    coupled : bool
-        Whether the coat reduces the diffuse term, see `irodori.reflection.coat`.
-
-    Returns
-    -------
-    response : (texels, bands) float64
-        NaN where there is no observation.
-    variance : (texels, bands) float64
-        Variance by the camera's noise alone; NaN where the noise is unknown or there is no observation.
-    """
-    observed = Observed(response, geometry, weight, np.empty((0, 0), np.uint8), noise)
-    index = np.where(np.isfinite(result.index), result.index, fresnel.n)
-    return without_gloss(observed, result.gloss, index, result.lobes, fresnel, model_error=model_error, coupled=coupled)
-
-
-def without_gloss(
-    observed: Observed,
-    gloss,
-    index,
-    lobes: tuple[str, ...],
-    fresnel: BandGloss,
-    *,
-    model_error: float,
-    coupled: bool = False,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Compute diffuse responses and variances as `diffuse_response` does, for a given gloss.
-
-    Parameters
-    ----------
-    observed : Observed
-    gloss : (texels, 2 or 4) float64
-        β and μ of each component.
-    index : (texels,) float64
-        Real refractive index.
-    lobes : tuple of str
-        Lobe of each component.
-    fresnel, model_error, coupled
-        As in `diffuse_response`.
-    """
-    out, variance = np.empty((2, len(observed.response), observed.response.shape[2]))
-    noise = np.ascontiguousarray(observed.noise, dtype=np.float64)
-    alone = tuple(Lobes((name,)) for name in (lobes if len(lobes) > 1 else lobes * 2))
-    given = Fitted(
-        observed.response, observed.geometry, observed.weight, noise, float(model_error), alone, gloss, index,
-        fresnel.k, coupled, fresnel.ratio,
-    )  # fmt: skip
-    run_chunks(_combine_chunk, len(out), _CHUNK, given, out, variance)
-    return out, variance
 
 
 def _of_near_light(noise, gain, weight) -> np.ndarray:

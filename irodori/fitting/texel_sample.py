@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from irodori.core import store
-from irodori.fitting.stage import Observed, read_observations
+from irodori.fitting.diffuse_response import Observed
+from irodori.fitting.stage import read_observations
 from irodori.reflection.coat import diffuse_cosine
 
 _MOST_TILES = 16  # evenly over the object: of ten million texels one tile in sixteen

@@ -12,10 +12,11 @@ from test_near_light import definitions as definitions
 from irodori.config.capture_table import Pose
 from irodori.config.models import Camera, Object, Rig
 from irodori.core import store
+from irodori.fitting.diffuse_response import GREEN
 from irodori.fitting.mirror_image import MirrorImages
 from irodori.fitting.paint_stage import share_gloss
 from irodori.fitting.solvers import FitOptions
-from irodori.fitting.stage import GREEN, read_observations
+from irodori.fitting.stage import read_observations
 from irodori.simulation.virtual_rig.ground_truth import true_material
 
 #: Three of them look where the lamp's mirror image is.

@@ -14,8 +14,9 @@ from irodori.config.models import CalibrationOptions
 from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.fitting.band_fresnel import band_gloss, uniform
+from irodori.fitting.diffuse_response import diffuse_response
 from irodori.fitting.solvers import fit
-from irodori.fitting.stage import _of_near_light, diffuse_response, fresnel_of
+from irodori.fitting.stage import _of_near_light, fresnel_of
 from irodori.material.material_file import Status
 from irodori.spectra.grid import WAVELENGTH_NM
 

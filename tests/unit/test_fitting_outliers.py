@@ -6,8 +6,8 @@ from test_fitting import GEOMETRY, K, N, materials, model
 from test_fitting_hard import CAMERA, in_plane, stated
 
 from irodori.fitting.band_fresnel import uniform
+from irodori.fitting.diffuse_response import diffuse_response
 from irodori.fitting.solvers import FitOptions, fit
-from irodori.fitting.stage import diffuse_response
 from irodori.material.material_file import Status
 from irodori.reflection.equation5 import reflect
 

@@ -13,13 +13,14 @@ from test_fitting import K, N, model
 from irodori.core import store
 from irodori.fitting import gloss_sums, paint_gloss
 from irodori.fitting.band_fresnel import uniform
+from irodori.fitting.diffuse_response import GREEN, Observed, diffuse_response
 from irodori.fitting.joint_gloss import HIGHLIGHTS, NOTHING, PHOTOGRAPH, gloss_of_paints
 from irodori.fitting.paint_colours import cores, find_colours, noise_floor
 from irodori.fitting.paint_gloss import PaintGloss, confirmed_variation, share
 from irodori.fitting.paint_stage import share_gloss
 from irodori.fitting.paints import GlossModel, Tile, believed, by_colour, find_paints, sample_of, share_by_paint
 from irodori.fitting.solvers import FitOptions, fit, problem_of
-from irodori.fitting.stage import GREEN, Observed, diffuse_response, fit_brdf
+from irodori.fitting.stage import fit_brdf
 from irodori.material import tile_strips
 from irodori.material.fitted_tiles import FittedTiles
 from irodori.material.material_file import Status
