@@ -362,7 +362,7 @@ def gloss_of_halves(
     index, out = np.full(len(response), N), []
     for half in _HALVES:
         seen = response[:, half], geometry[:, half], np.ones(response[:, half].shape)
-        surface = gloss_sums.pack(*problem_of(*seen, index, K, options, noise=noise))
+        surface = gloss_sums.pack(*problem_of(*seen, index, K, options, noise=noise), sides=True)
         (gloss,), _ = gloss_of_paints([surface], options.nodes())
         out.append((fit(*seen, N, K, options, noise=noise), surface, gloss))
     return out

@@ -524,7 +524,7 @@ def _opened(path) -> Iterator[h5py.File]:
         yield file
 
 
-def write_maps(writer: Writer, maps: dict, dims: str) -> None:
+def write_maps(writer: Writer, maps: dict, dims: str, compression: str = "small") -> None:
     """Write several datasets with common axes.
 
     Parameters
@@ -533,7 +533,9 @@ def write_maps(writer: Writer, maps: dict, dims: str) -> None:
         {name: (values, units, quantity)}.
     dims : str
         Names of the axes, separated by commas; a dataset with fewer dimensions has the first of them.
+    compression : str
+        As in `Writer.write`.
     """
     for name, (values, units, quantity) in maps.items():
-        write_dims = ",".join(dims.split(",")[: np.ndim(values)])
-        writer.write(name, values, units=units, dims=write_dims, quantity=quantity)
+        axes = ",".join(dims.split(",")[: np.ndim(values)])
+        writer.write(name, values, units=units, dims=axes, quantity=quantity, compression=compression)

@@ -15,10 +15,24 @@ from typing import NamedTuple
 import numpy as np
 
 from irodori.fitting.observations import Rules, load_one
-from irodori.fitting.texel_rows import COSINE, F0, GLOSS, RESPONSE, VARIANCE, WEIGHT, folded, get, new_rows, vectors_of
+from irodori.fitting.texel_rows import (
+    COSINE,
+    F0,
+    GLOSS,
+    RESPONSE,
+    VARIANCE,
+    WEIGHT,
+    folded,
+    get,
+    highest,
+    new_rows,
+    put,
+    vectors_of,
+)
 from irodori.fitting.texels import Problem, pack_texel
 from irodori.jit.chunks import run_chunks
 from irodori.jit.compilation import njit, uncounted
+from irodori.jit.functions import select, upper_of
 from irodori.jit.vector_memory import spread
 from irodori.reflection import lobes as lobe_kernels
 from irodori.reflection.lobes import Lobes
@@ -63,7 +77,7 @@ class SearchedTexels(NamedTuple):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _pack_chunk(problem, rules, blocks, first, last):
+def _pack_chunk(problem, rules, blocks, sides, first, last):
     rows = new_rows(problem.response.shape[1])
     for t in range(first, last):
         pack_texel(t, problem, rows)
@@ -74,7 +88,7 @@ def _pack_chunk(problem, rules, blocks, first, last):
                 blocks[t, _F0 + i, j] = rows[F0 + i, j]
             w = rows[WEIGHT, j]
             blocks[t, _W, j] = w if rules.weighted or not w > 0.0 else w / rows[VARIANCE, j]
-        for j in range(problem.response.shape[1]):
+        for j in range(problem.response.shape[1] if sides else 0):
             angles = problem.geometry[t, j]
             apart = 2.0 * math.sin(angles[2]) * math.sin(angles[3])
             # (V - L)·N = 2 sinθ_H times the component of N along the motion of the half vector.
@@ -82,16 +96,18 @@ def _pack_chunk(problem, rules, blocks, first, last):
             blocks[t, _SIDE, j] = min(max(side, -1.0), 1.0)
 
 
-def pack(problem: Problem, rules: Rules) -> SearchedTexels:
+def pack(problem: Problem, rules: Rules, *, sides: bool) -> SearchedTexels:
     """Pack the texels of a problem, with inverse variances as weights.
 
     Parameters
     ----------
     problem : Problem
     rules : Rules
+    sides : bool
+        Whether to fill the side of the highlight, which only a fit of photographs' errors reads; otherwise it is 0.
     """
     blocks = np.zeros((len(problem.response), PACKED, problem.noise.shape[1]))
-    run_chunks(_pack_chunk, len(blocks), _CHUNK, problem, rules, blocks)
+    run_chunks(_pack_chunk, len(blocks), _CHUNK, problem, rules, blocks, sides)
     return SearchedTexels(blocks, problem.lobes, rules)
 
 
@@ -129,49 +145,59 @@ def parabolas(surface: SearchedTexels, nodes: np.ndarray) -> np.ndarray:
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@uncounted(error_model="numpy")
 def _take_part(block, lobes, rules, gloss, room, out):
     """Compute the contribution of a texel to a fit of log β and log μ, with pose errors in the weights.
 
     Fills ``out``, (PARTS,), and the rows of ``room`` with, for each observation, the gloss, its slope along log μ, the
     squared slope of its logarithm along φ, the share of the lobe's peak, and the weight.
     """
-    constant, beta, cc, cr = lobe_kernels.constants(lobes, gloss[1]), math.exp(gloss[0]), 0.0, 0.0
-    for j in range(block.shape[1]):
-        f0, f1, f2 = block[_F0, j], block[_F1, j], block[_F2, j]
+    constant, beta, zero = lobe_kernels.constants(lobes, gloss[1]), math.exp(gloss[0]), spread(0.0)
+    for i in range(PARTS):
+        out[i] = 0.0
+    cc, cr = zero, zero
+    for j in range(vectors_of(block)):
+        f0, f1, f2, bare = get(block, _F0, j), get(block, _F1, j), get(block, _F2, j), get(block, _G, j)
         value, slope, _ = lobe_kernels.derivatives(lobes, constant, f0, f1, f2)
-        share, room[_STEEP, j] = lobe_kernels.flank(lobes, constant, f0, f1, f2)
-        g, c, w = beta * block[_G, j] * value, block[_C, j], block[_W, j]
-        room[_GLOSS, j], room[_SLOPE, j] = g, beta * block[_G, j] * slope
-        room[_SHARE, j] = share if w > 0.0 and block[_G, j] > 0.0 else 0.0
-        cc, cr = cc + w * c * c, cr + w * c * (block[_R, j] - g)
-    out[:] = 0.0
-    if not cc > 0.0:
+        share, steep = lobe_kernels.flank(lobes, constant, f0, f1, f2)
+        g, c, w = beta * bare * value, get(block, _C, j), get(block, _W, j)
+        put(room, _GLOSS, j, g)
+        put(room, _SLOPE, j, beta * bare * slope)
+        put(room, _STEEP, j, zero + steep)
+        put(room, _SHARE, j, select((w > 0.0) & (bare > 0.0), share, 0.0))
+        cc, cr = cc + w * c * c, cr + w * c * (get(block, _R, j) - g)
+    power = folded(cc, 0.0)
+    if not power > 0.0:
         out[ALPHA] = np.nan
         return
-    alpha = min(max(cr / cc, rules.low_alpha), rules.high_alpha)
-    cc, cr, cg, cs = 0.0, 0.0, 0.0, 0.0
-    for j in range(block.shape[1]):
-        c, g, w = block[_C, j], room[_GLOSS, j], block[_W, j]
-        pose = rules.phi_variance * room[_STEEP, j] * g * g
-        w /= 1.0 + w * (pose + rules.incidence_variance * alpha * alpha * (1.0 - c * c))
-        room[_KNOWN, j] = w
-        cc, cr, cg, cs = cc + w * c * c, cr + w * c * block[_R, j], cg + w * c * g, cs + w * c * room[_SLOPE, j]
-    alpha = min(max((cr - cg) / cc, rules.low_alpha), rules.high_alpha)
-    out[ALPHA], out[ALPHA_BY_BETA], out[ALPHA_BY_MU], out[ALPHA_WEIGHT] = alpha, -cg / cc, -cs / cc, cc
-    for j in range(block.shape[1]):
-        c, g, w = block[_C, j], room[_GLOSS, j], room[_KNOWN, j]
-        jb, jm, r = g - c * cg / cc, room[_SLOPE, j] - c * cs / cc, block[_R, j] - alpha * c - g
-        out[DOWN_BETA] += w * jb * r
-        out[DOWN_MU] += w * jm * r
-        out[BETA_BETA] += w * jb * jb
-        out[BETA_MU] += w * jb * jm
-        out[MU_MU] += w * jm * jm
-        out[SQUARES] += w * r * r
-        out[POWER] += w * block[_R, j] ** 2
-        out[TOTAL] += w
-        out[USED] += w > 0.0
-        out[SEEN] = max(out[SEEN], room[_SHARE, j])
+    alpha = min(max(folded(cr, 0.0) / power, rules.low_alpha), rules.high_alpha)
+    cc, cr, cg, cs = zero, zero, zero, zero
+    for j in range(vectors_of(block)):
+        c, g, w = get(block, _C, j), get(room, _GLOSS, j), get(block, _W, j)
+        pose = rules.phi_variance * get(room, _STEEP, j) * g * g
+        w = w / (1.0 + w * (pose + rules.incidence_variance * alpha * alpha * (1.0 - c * c)))
+        put(room, _KNOWN, j, w)
+        wc = w * c
+        cc, cr, cg, cs = cc + wc * c, cr + wc * get(block, _R, j), cg + wc * g, cs + wc * get(room, _SLOPE, j)
+    power, of_gloss, of_slope = folded(cc, 0.0), folded(cg, 0.0), folded(cs, 0.0)
+    alpha = min(max((folded(cr, 0.0) - of_gloss) / power, rules.low_alpha), rules.high_alpha)
+    out[ALPHA], out[ALPHA_BY_BETA], out[ALPHA_BY_MU] = alpha, -of_gloss / power, -of_slope / power
+    out[ALPHA_WEIGHT] = power
+    down_beta, down_mu, beta_beta, beta_mu, mu_mu = zero, zero, zero, zero, zero
+    squares, responses, weights, used, seen = zero, zero, zero, zero, zero
+    for j in range(vectors_of(block)):
+        c, g, w, r = get(block, _C, j), get(room, _GLOSS, j), get(room, _KNOWN, j), get(block, _R, j)
+        left = r - alpha * c - g
+        along_beta, along_mu = g - c * (of_gloss / power), get(room, _SLOPE, j) - c * (of_slope / power)
+        wb, wm = w * along_beta, w * along_mu
+        down_beta, down_mu, squares = down_beta + wb * left, down_mu + wm * left, squares + w * left * left
+        beta_beta, beta_mu, mu_mu = beta_beta + wb * along_beta, beta_mu + wb * along_mu, mu_mu + wm * along_mu
+        responses, weights, used = responses + w * r * r, weights + w, used + select(w > 0.0, 1.0, 0.0)
+        seen = upper_of(seen, get(room, _SHARE, j))
+    out[DOWN_BETA], out[DOWN_MU] = folded(down_beta, 0.0), folded(down_mu, 0.0)
+    out[BETA_BETA], out[BETA_MU], out[MU_MU] = folded(beta_beta, 0.0), folded(beta_mu, 0.0), folded(mu_mu, 0.0)
+    out[SQUARES], out[SEEN], out[POWER] = folded(squares, 0.0), highest(seen, 0.0), folded(responses, 0.0)
+    out[TOTAL], out[USED] = folded(weights, 0.0), folded(used, 0.0)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -28,6 +28,7 @@ from irodori.fitting.paints import (
     by_colour,
     find_paints,
     in_pieces,
+    looked_at,
     sample_of,
     share_by_paint,
 )
@@ -35,6 +36,7 @@ from irodori.fitting.solvers import FitOptions
 from irodori.fitting.stage import CARRIED, FITTED_AXES, Model, fitted_maps, for_object, fresnel_of, read_observations
 from irodori.material.fitted_tiles import SPEED
 from irodori.material.material_file import Status
+from irodori.material.observed_angles import read_texels
 from irodori.material.tile_strips import strips, texels_of
 from irodori.spectra.coordinates import require_bands, write_bands
 
@@ -49,6 +51,7 @@ _WARNINGS = {
     NOTHING: _CONTRADICTED
     + "most of all %s; perhaps gloss varies within a paint, or the lobe has another form; its errors are larger",
 }
+_OF_FLOOR = 8  # strips, evenly spread, that tell an object's noise
 _OWN = 0.5  # smallest share of a texel's own information on its gloss with which it keeps the status OK
 
 
@@ -98,7 +101,7 @@ def _colours(pieces: list[_Piece], width: int) -> Iterator[tuple[np.ndarray, np.
 def _find_colours(pieces: list[_Piece], width: int) -> Colours:
     """Find the paints of an object by the colours in its fitted tiles."""
     most, found, floors = max(MOST_CORES // len(pieces), 200), [], []
-    for response, variance, told in _colours(pieces, width):
+    for response, variance, told in _colours(pieces[:: max(1, len(pieces) // _OF_FLOOR)], width):
         if told.any():
             floors.append(noise_floor(variance[told], response[told]))
     floor = np.median(floors, axis=0) if floors else np.ones(response.shape[-1])
@@ -193,8 +196,9 @@ def share_gloss(
         assert colours is not None
         maps = _read_maps(piece, ("refractive_index", "status", *_RESPONSE))
         paint = by_colour(maps["diffuse_response"], maps["diffuse_variance"], colours)
+        here, with_light = looked_at(len(paint), width), np.zeros(len(paint), dtype=bool)
         with store.open_file(piece.observations) as file:
-            with_light = np.any(file.read("weight", piece.texels) > 0, axis=1)
+            with_light[here] = np.any(read_texels(file, "weight", here + piece.texels.start) > 0, axis=1)
         chosen = sample_of(paint, with_light, colours, width, len(pieces))
         texels = chosen + piece.texels.start
         return _tile(
@@ -251,7 +255,8 @@ def _reserve(out: store.Writer, maps: dict[str, np.ndarray], texels: int, lobes:
     for name, (units, quantity) in fitted_maps(lobes).items():
         values, dims = maps[name], ",".join(FITTED_AXES[: maps[name].ndim])
         size = (texels, *values.shape[1:])
-        found[name] = out.reserve(name, size, values.dtype, units=units, quantity=quantity, dims=dims)
+        described = {"units": units, "quantity": quantity, "dims": dims}
+        found[name] = out.reserve(name, size, values.dtype, **described, compression="fast")
     return found
 
 

@@ -30,6 +30,7 @@ Result = TypeVar("Result")
 _PIECE = 16384  # texels that a thread takes at a time
 MOST_TEXELS = 600  # largest number of texels from which the gloss of a paint is fitted
 _LEAST_OF_TILE = 100  # texels of one paint that are taken from a tile, if it has as many
+_LOOKED_AT = 8192  # texels of a tile, in whole rows, from which they are taken: all others need not be read
 _SEAM = 5  # width of a seam in texels, within which a picture shows a mixture
 _WORTH = 0.3  # a colour is not stated if the relative standard error of α exceeds this
 _DARK = 0.01  # and its standard error exceeds this
@@ -94,14 +95,17 @@ class Tile:
         index, status, response = self.index[chosen], self.status[chosen], self.response[chosen]
         return Tile(self.observed[chosen], index, status, response, self.variance[chosen])
 
-    def surface(self, optics: GlossModel, chosen=slice(None)) -> SearchedTexels:
-        """Pack the observations of the green band for the joint fit of gloss; ``chosen`` is any NumPy index."""
+    def surface(self, optics: GlossModel, chosen=slice(None), *, sides: bool = True) -> SearchedTexels:
+        """Pack the observations of the green band for a fit of gloss; ``chosen`` is any NumPy index.
+
+        ``sides`` as in `irodori.fitting.gloss_sums.pack`.
+        """
         seen, k = self.observed, optics.fresnel.k
         problem = problem_of(
             seen.response[chosen, :, GREEN], seen.geometry[chosen], seen.weight[chosen], self.index[chosen], k,
             optics.options, noise=seen.noise[:, GREEN],
         )  # fmt: skip
-        return gloss_sums.pack(*problem)
+        return gloss_sums.pack(*problem, sides=sides)
 
     def under(self, log_gloss: np.ndarray, optics: GlossModel) -> tuple[np.ndarray, np.ndarray]:
         """Return diffuse responses and their variances, (texels, bands) each, assuming a gloss (log β, log μ)."""
@@ -145,6 +149,13 @@ def seams(paint: np.ndarray) -> np.ndarray:
     return ndimage.maximum_filter(paint, **size) > lowest
 
 
+def looked_at(texels: int, width: int) -> np.ndarray:
+    """Return the texels from which the sample of a tile is drawn, (n,) int, sorted: whole rows at equal distances."""
+    step = max(1, texels // _LOOKED_AT)
+    rows = np.arange(step // 2, texels // width, step)
+    return (rows[:, None] * width + np.arange(width)).ravel()
+
+
 def sample_of(paint: np.ndarray, seen: np.ndarray, colours: Colours, width: int, tiles: int) -> np.ndarray:
     """Draw a sample of texels away from seams for the fit of gloss, of limited size for each paint and for no paint.
 
@@ -153,7 +164,7 @@ def sample_of(paint: np.ndarray, seen: np.ndarray, colours: Colours, width: int,
     paint : (texels,) int
         Paints from `by_colour`, of texels in rows of ``width``.
     seen : (texels,) bool
-        Whether a texel has an observation.
+        Whether a texel is among `looked_at` and has an observation.
     tiles : int
         Number of tiles of the object.
 
@@ -256,7 +267,7 @@ class Painted:
 
 
 def _share_piece(tile: Tile, gloss: PaintGloss, optics: GlossModel, texels: np.ndarray) -> TexelGloss:
-    return share(tile.surface(optics, texels), gloss)
+    return share(tile.surface(optics, texels, sides=False), gloss)
 
 
 def share_by_paint(tile: Tile, paints: Paints, width: int, optics: GlossModel) -> Painted:

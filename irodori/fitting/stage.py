@@ -129,7 +129,8 @@ def write_fitted(output, maps: dict, attributes: dict, lobes: tuple[str, ...], p
     maps = {name: narrowed(values) for name, values in maps.items()}
     with store.create(output, provenance) as out:
         write_bands(out, attributes["filters"])
-        store.write_maps(out, {name: (maps[name], *described[name]) for name in described}, ",".join(FITTED_AXES))
+        kept = {name: (maps[name], *described[name]) for name in described}
+        store.write_maps(out, kept, ",".join(FITTED_AXES), compression="fast")
         for name, value in {**attributes, "lobes": list(lobes)}.items():
             out.attribute(name, value)
 

@@ -5,13 +5,6 @@ from concurrent.futures import ThreadPoolExecutor, wait
 from functools import lru_cache
 
 import numba
-from numba.core.dispatcher import Dispatcher
-
-
-def _holds_functions(argument) -> bool:
-    if isinstance(argument, tuple):
-        return any(map(_holds_functions, argument))
-    return isinstance(argument, Dispatcher)
 
 
 @lru_cache(maxsize=1)
@@ -30,9 +23,9 @@ os.register_at_fork(after_in_child=_pool.cache_clear)
 def run_chunks(kernel, count: int, chunk: int, *arguments) -> None:
     """Run ``kernel(*arguments, first, last)`` for chunks of the range from 0 to ``count``, on the threads of numba.
 
-    This is used instead of parallel loops of numba, which take a third longer to compile. If compiled functions are
-    among the arguments, the loop for their types is looked up once for all chunks, see
-    `irodori.jit.compilation.Kernel.resolved`. Otherwise numba recognises the types of a call in microseconds.
+    This is used instead of parallel loops of numba, which take a third longer to compile. If arguments are tuples, the
+    loop for their types is looked up once for all chunks, see `irodori.jit.compilation.Kernel.resolved`: numba would
+    determine these types anew in every call.
 
     Parameters
     ----------
@@ -42,7 +35,8 @@ def run_chunks(kernel, count: int, chunk: int, *arguments) -> None:
     pieces = [(first, min(first + chunk, count)) for first in range(0, count, chunk)]
     if not pieces:
         return
-    if hasattr(kernel, "resolved") and _holds_functions(arguments):  # not if compilation by numba is disabled
+    # Without `resolved`, compilation by numba is disabled.
+    if hasattr(kernel, "resolved") and any(isinstance(argument, tuple) for argument in arguments):
         kernel = kernel.resolved(*arguments, *pieces[0])
     threads = min(numba.get_num_threads(), len(pieces))
     if threads == 1:

@@ -25,6 +25,7 @@ AXES = {
 STORED = "geometry"
 _NEAR = "near_light"
 _CHUNK = 4096  # texels that a thread takes at a time
+_FAR = 4096  # texels that are skipped rather than read: about those of a packed piece of responses
 
 
 class Surroundings(NamedTuple):
@@ -123,8 +124,9 @@ def read_angles(file: store.Reader, texels=slice(None)) -> np.ndarray:
 
 
 def read_texels(file: store.Reader, name: str, texels=slice(None)) -> np.ndarray:
-    """Return a dataset at some texels, a slice or sorted numbers; only what lies between them is read."""
+    """Return a dataset at some texels, a slice or sorted numbers; what lies far from all of them is not read."""
     if isinstance(texels, slice):
         return file.read(name, texels)
-    first, last = (texels[0], texels[-1] + 1) if len(texels) else (0, 0)
-    return file.read(name, slice(first, last))[texels - first]
+    runs = np.split(texels, np.flatnonzero(np.diff(texels) > _FAR) + 1)
+    spans = [(run, slice(run[0], run[-1] + 1)) for run in runs if len(run)] or [(texels, slice(0, 0))]
+    return np.concatenate([file.read(name, span)[run - span.start] for run, span in spans])

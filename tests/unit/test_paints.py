@@ -483,7 +483,7 @@ def one_paint(lobe, varying=0.0, texels=500, poses=24, seed=4):
 
     def packed(chosen) -> gloss_sums.SearchedTexels:
         seen = response[:, chosen], geometry[:, chosen], np.ones_like(response[:, chosen]), np.full(texels, N), K
-        return gloss_sums.pack(*problem_of(*seen, options, noise=np.tile(CAMERA, (seen[0].shape[1], 1))))
+        return gloss_sums.pack(*problem_of(*seen, options, noise=np.tile(CAMERA, (seen[0].shape[1], 1))), sides=True)
 
     return packed, options.nodes(), alpha[:, 0]
 
