@@ -33,7 +33,8 @@ from irodori.export.loss import Loss
 from irodori.geometry.mesh import Mesh
 from irodori.geometry.rig_frame import look_at
 from irodori.geometry.shapes.placement import reaches
-from irodori.material.coefficients import rounded_to_half, scale_of
+from irodori.jit.half_precision import half_from_single
+from irodori.material.coefficients import scale_of
 from irodori.reflection.coat import SUM
 from irodori.spectra.grid import WAVELENGTH_NM
 
@@ -207,7 +208,7 @@ def _spectra(item: Item) -> dict:
     basis = np.array([[float(f"{value:.6g}") for value in vector] for vector in item.material.basis.T])
     coefficients = (item.material.coefficients * item.material.spectrum_scale[..., None]).astype(np.float32)
     scale = scale_of(coefficients)
-    packed = zlib.compress(rounded_to_half(coefficients / scale).astype("<f2").tobytes(), 9)
+    packed = zlib.compress(half_from_single(coefficients / scale).astype("<f2").tobytes(), 9)
     known = {"file": item.file, "sha256": item.sha256} if item.file else {}
     return {
         "quantity": "diffuse reflectance factor: the sum over the basis of coefficient times scale times vector",

@@ -13,7 +13,8 @@ from irodori.colour.colorimetry import xyz_from_radiance
 from irodori.core.atomic_files import written_whole
 from irodori.core.errors import InputError
 from irodori.export.loss import LOSS, stored_loss
-from irodori.material.coefficients import require_storage, rounded_to_half
+from irodori.jit.half_precision import half_from_single
+from irodori.material.coefficients import require_storage
 from irodori.spectra.grid import WAVELENGTH_NM
 
 
@@ -106,7 +107,7 @@ def write_spectral_exr(
         if scale != 1.0:
             own[_SCALE] = f"{scale:.17g}"
             pixels *= np.float32(scale)
-        pixels = rounded_to_half(pixels)
+        pixels = half_from_single(pixels)
     if white is not None:
         matrix, divisor = xyz_from_radiance(white), np.float32(scale or 1.0)
 

@@ -16,6 +16,7 @@ from irodori.fitting.band_fresnel import BandGloss, band_gloss, uniform, varies
 from irodori.fitting.diffuse_response import GREEN, Observed, diffuse_response
 from irodori.fitting.mirror_image import without_images
 from irodori.fitting.solvers import FitOptions, fit
+from irodori.jit.half_precision import single_from_half
 from irodori.material.angle_errors import registered_errors
 from irodori.material.material_file import NloptResult, Status, gloss_maps
 from irodori.material.observed_angles import STORED, read_angles, read_texels
@@ -161,9 +162,10 @@ def read_observations(path, levels: Sequence = (), texels=slice(None)) -> Observ
             file.require_axes(_AXES | {"light_gain": "texel,capture"})
             around = texels if isinstance(texels, slice) else slice(None)
             noise = _of_near_light(noise, file.read("light_gain", around), file.read("weight", around))
-        response, weight = (
-            read_texels(file, name, texels).astype(np.float32, copy=False) for name in ("response", "weight")
-        )
+        response, weight = (read_texels(file, name, texels) for name in ("response", "weight"))
+        if response.dtype == np.float16:  # but not in tiles of the first version
+            response = single_from_half(response)
+        response, weight = response.astype(np.float32, copy=False), weight.astype(np.float32, copy=False)
         clipped, geometry = read_texels(file, "clipped", texels), read_angles(file, texels)
         if geometry.shape[:2] != weight.shape:
             found, accepted = f"angles of {geometry.shape[:2]} texels and captures", f"those of {weight.shape} weights"

@@ -15,7 +15,7 @@ from irodori.jit.compilation import njit
 from irodori.jit.functions import suffix
 from irodori.jit.vectors import FLAGS, LANES, SCALARS, Vector, constant, llvm_type, widened
 
-#: Types that are converted when loaded; uint16 contains the bits of half-precision numbers.
+#: Types that are converted when loaded and stored; uint16 contains the bits of half-precision numbers.
 _READ_AS = {types.uint16: types.float32}
 
 
@@ -72,12 +72,17 @@ def load_like(typingctx, array, place, like):
 
 @intrinsic
 def store(typingctx, array, place, value):
-    """Store a vector in an array of the same type, starting at a flat index."""
-    if not isinstance(value, Vector) or _dtype_of(array) != value.dtype or array.dtype in _READ_AS:
+    """Store a vector in an array of the type that `load` reads from it, starting at a flat index."""
+    if not isinstance(value, Vector) or _dtype_of(array) != value.dtype:
         raise TypingError(f"store found {value} for {array}; accepted: a vector of the array's type")
 
     def codegen(context, builder, sig, args):
-        store_vector(builder, args[2], pointer(context, builder, sig.args[0], args[0], args[1]), value)
+        at = pointer(context, builder, sig.args[0], args[0], args[1])
+        if array.dtype == types.uint16:
+            half = ir.VectorType(ir.HalfType(), value.count)
+            builder.store(builder.fptrunc(args[2], half), builder.bitcast(at, half.as_pointer()), align=2)
+        else:
+            store_vector(builder, args[2], at, value)
         return context.get_dummy_value()
 
     return types.void(array, types.intp, value), codegen

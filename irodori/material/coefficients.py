@@ -6,15 +6,15 @@ brighter than its shadows therefore loses nothing in the shadows. Scales are pow
 decoding and encoding again changes nothing.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from functools import lru_cache
 
 import h5py
 import numpy as np
 
 from irodori.core import store
 from irodori.core.errors import InputError
+from irodori.jit.half_precision import half_from_single, single_from_half
 
 STORAGES = ("half", "single")
 #: The codecs of the configuration and how `irodori.core.store` calls them.
@@ -66,31 +66,6 @@ def half_scale(largest: np.ndarray) -> np.ndarray:
     return np.exp2(np.clip(exponent, -126, 127)).astype(np.float32)
 
 
-@lru_cache(maxsize=1)
-def _converters() -> tuple[Callable, Callable]:
-    """Return two functions that convert flat arrays from single to half precision and back.
-
-    They call OpenCV if it can be imported, else NumPy. Both give the same bits, NumPy at a tenth of the speed. OpenCV
-    needs the library libGL, which a minimal system does not have.
-    """
-    try:
-        import cv2
-    except ImportError:
-        return lambda values: values.astype(np.float16), lambda half: half.astype(np.float32)
-    return (
-        lambda values: cv2.convertFp16(values).view(np.float16).reshape(-1),
-        lambda half: cv2.convertFp16(half.view(np.int16)).reshape(-1),
-    )
-
-
-def rounded_to_half(values: np.ndarray) -> np.ndarray:
-    """Return single-precision numbers rounded to the nearest half, (...) float16; NaN stays NaN."""
-    if not values.size:
-        return values.astype(np.float16)
-    with np.errstate(under="ignore"):
-        return _converters()[0](np.ascontiguousarray(values, dtype=np.float32).reshape(-1)).reshape(values.shape)
-
-
 def scale_of(coefficients: np.ndarray) -> np.ndarray:
     """Return the scales of `half_scale` for the coefficients of a whole picture, (..., k) float; NaN are ignored."""
     last = coefficients.shape[-1]
@@ -107,7 +82,7 @@ def scale_of(coefficients: np.ndarray) -> np.ndarray:
 def to_half(coefficients: np.ndarray, scale: np.ndarray) -> np.ndarray:
     """Return coefficients divided by their scale, rounded to half precision, (..., k) float16; NaN stays NaN."""
     with np.errstate(under="ignore"):
-        return rounded_to_half((coefficients * (1.0 / scale)).astype(np.float32, copy=False))
+        return half_from_single((coefficients * (1.0 / scale)).astype(np.float32, copy=False))
 
 
 def from_half(stored: np.ndarray, scale: np.ndarray) -> np.ndarray:
@@ -119,12 +94,12 @@ def from_half(stored: np.ndarray, scale: np.ndarray) -> np.ndarray:
 
 def _decode(stored: np.ndarray, scale: np.ndarray, out: np.ndarray) -> None:
     """Decode the coefficients of pixels (n, k) into ``out``, in flat pieces that fit the processor's cache."""
-    pixels, to_single = max(1, _CACHED_VALUES // max(scale.size, 1)), _converters()[1]
+    pixels = max(1, _CACHED_VALUES // max(scale.size, 1))
     scales = np.tile(scale, min(pixels, len(stored)))
     for first in range(0, len(stored), pixels):
         piece = out[first : first + pixels].reshape(-1)
-        half = np.ascontiguousarray(stored[first : first + pixels]).reshape(-1)
-        np.multiply(to_single(half), scales[: piece.size], out=piece)
+        half = stored[first : first + pixels].reshape(-1)
+        np.multiply(single_from_half(half), scales[: piece.size], out=piece)
 
 
 def write_coefficients(

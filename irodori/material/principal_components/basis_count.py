@@ -9,12 +9,12 @@ import numpy as np
 
 from irodori.colour.colorimetry import summary
 from irodori.core import store
+from irodori.jit.half_precision import half_from_single
 from irodori.material.coefficients import (
     from_half,
     half_scale,
     require_storage,
     reserve_coefficients,
-    rounded_to_half,
 )
 from irodori.material.principal_components.decomposition import WEIGHTINGS, Decomposition, decompose
 from irodori.material.principal_components.negative_spectra import Negative, count_negative
@@ -119,7 +119,7 @@ class Compression:
         finite = np.isfinite(out)
         if not finite.all():
             out[~finite.all(axis=1)] = np.nan
-        return rounded_to_half(out) if self.storage == "half" else out
+        return half_from_single(out) if self.storage == "half" else out
 
     def decode(self, stored: np.ndarray) -> np.ndarray:
         """Return stored coefficients (n, k) as float32."""
