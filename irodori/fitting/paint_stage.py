@@ -2,14 +2,11 @@
 
 import math
 import time
-from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from irodori.core import store
@@ -34,13 +31,13 @@ from irodori.fitting.paints import (
 )
 from irodori.fitting.solvers import FitOptions
 from irodori.fitting.stage import CARRIED, FITTED_AXES, Model, fitted_maps, for_object, fresnel_of, read_observations
+from irodori.jit.chunks import parallel_map
 from irodori.material.fitted_tiles import SPEED
 from irodori.material.material_file import Status
 from irodori.material.observed_angles import read_texels
 from irodori.material.tile_strips import strips, texels_of
 from irodori.spectra.coordinates import require_bands, write_bands
 
-Result = TypeVar("Result")
 _RESPONSE = "diffuse_response", "diffuse_variance"
 _CONTRADICTED = "photographs contradict the gloss of paints by %.1f times the expected errors, "
 #: Warnings about a `Contradiction`, with its size and its photograph.
@@ -138,21 +135,6 @@ def _tile(observed: Observed, maps: dict, optics: GlossModel, chosen=slice(None)
     return Tile(observed, index, status, *colour)
 
 
-def _abreast(work: Callable[[_Piece], Result], pieces: list[_Piece]) -> Iterator[Result]:
-    """Yield what a function makes of each strip; every thread of numba works on a strip of its own."""
-    threads = min(numba.get_num_threads(), len(pieces))
-    if threads <= 1:
-        yield from map(work, pieces)
-        return
-    with ThreadPoolExecutor(threads, initializer=numba.set_num_threads, initargs=(1,)) as pool:
-        # No more than that: the results of a strip take space until they are written.
-        coming = deque(pool.submit(work, piece) for piece in pieces[:threads])
-        for piece in [*pieces[threads:], *[None] * threads]:
-            yield coming.popleft().result()
-            if piece is not None:
-                coming.append(pool.submit(work, piece))
-
-
 def share_gloss(
     observations: list,
     tiles: list,
@@ -205,7 +187,7 @@ def share_gloss(
             without_images(read_observations(piece.observations, levels, texels), options), maps, optics, chosen
         )
 
-    paints = find_paints(list(_abreast(sampled, pieces)), colours, optics) if colours else None
+    paints = find_paints(list(parallel_map(sampled, pieces)), colours, optics) if colours else None
 
     def shared_by(piece: _Piece) -> tuple[dict[str, np.ndarray], int, MirrorImages]:
         maps, images = _read_maps(piece, fitted_maps(options.lobes)), MirrorImages(options, optics.fresnel.k, GREEN)
@@ -220,7 +202,7 @@ def share_gloss(
     datasets: dict = {}
     with store.create(output, provenance) as out:
         write_bands(out, attributes["filters"])
-        for piece, (maps, count, seen) in zip(pieces, _abreast(shared_by, pieces), strict=True):
+        for piece, (maps, count, seen) in zip(pieces, parallel_map(shared_by, pieces), strict=True):
             shared += count
             images.join(seen)
             datasets = datasets or _reserve(out, maps, height * width, options.lobes)
@@ -255,8 +237,9 @@ def _reserve(out: store.Writer, maps: dict[str, np.ndarray], texels: int, lobes:
     for name, (units, quantity) in fitted_maps(lobes).items():
         values, dims = maps[name], ",".join(FITTED_AXES[: maps[name].ndim])
         size = (texels, *values.shape[1:])
-        described = {"units": units, "quantity": quantity, "dims": dims}
-        found[name] = out.reserve(name, size, values.dtype, **described, compression="fast")
+        found[name] = out.reserve(
+            name, size, values.dtype, units=units, quantity=quantity, dims=dims, compression="fast"
+        )
     return found
 
 

@@ -9,11 +9,8 @@ colour of a texel.
 
 import functools
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import TypeVar
 
-import numba
 import numpy as np
 
 from irodori.fitting import gloss_sums
@@ -24,9 +21,9 @@ from irodori.fitting.joint_gloss import Contradiction, gloss_of_paints
 from irodori.fitting.paint_colours import NEAR, Colours
 from irodori.fitting.paint_gloss import PaintGloss, TexelGloss, share
 from irodori.fitting.solvers import FitOptions, problem_of
+from irodori.jit.chunks import Result, parallel_map
 from irodori.material.material_file import Status
 
-Result = TypeVar("Result")
 _PIECE = 16384  # texels that a thread takes at a time
 MOST_TEXELS = 600  # largest number of texels from which the gloss of a paint is fitted
 _LEAST_OF_TILE = 100  # texels of one paint that are taken from a tile, if it has as many
@@ -127,12 +124,7 @@ def in_pieces(work: Callable[[np.ndarray], Result], texels: np.ndarray) -> list[
 
     A piece is small, because packed observations take four times the space of a tile's.
     """
-    pieces = [texels[first : first + _PIECE] for first in range(0, max(len(texels), 1), _PIECE)]
-    threads = min(numba.get_num_threads(), len(pieces))
-    if threads <= 1:
-        return [work(piece) for piece in pieces]
-    with ThreadPoolExecutor(threads, initializer=numba.set_num_threads, initargs=(1,)) as pool:
-        return list(pool.map(work, pieces))
+    return list(parallel_map(work, [texels[first : first + _PIECE] for first in range(0, max(len(texels), 1), _PIECE)]))
 
 
 def believed(tile: Tile) -> np.ndarray:

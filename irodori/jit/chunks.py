@@ -1,10 +1,16 @@
 """Execution of kernels in chunks on several threads."""
 
 import os
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from functools import lru_cache
+from typing import TypeVar
 
 import numba
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 
 
 @lru_cache(maxsize=1)
@@ -53,3 +59,21 @@ def run_chunks(kernel, count: int, chunk: int, *arguments) -> None:
         for one in begun:
             one.cancel()
         wait(begun)
+
+
+def parallel_map(work: Callable[[Item], Result], items: Sequence[Item]) -> Iterator[Result]:
+    """Yield what a function makes of each item, in order; every thread of numba works on an item of its own.
+
+    At most as many results as there are threads wait to be taken, because they take space.
+    """
+    threads = min(numba.get_num_threads(), len(items))
+    if threads <= 1:
+        yield from map(work, items)
+        return
+    with ThreadPoolExecutor(threads, initializer=numba.set_num_threads, initargs=(1,)) as pool:
+        coming = deque(pool.submit(work, item) for item in items[:threads])
+        for item in items[threads:]:
+            yield coming.popleft().result()
+            coming.append(pool.submit(work, item))
+        for one in coming:
+            yield one.result()

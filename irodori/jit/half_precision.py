@@ -17,14 +17,14 @@ def _convert_chunk(given, out, first, last):
         store(out, group * _GROUP, load(given, group * _GROUP, 16))
 
 
-def _converted(given: np.ndarray, kind: type) -> np.ndarray:
+def _converted(given: np.ndarray, kind: type[np.generic]) -> np.ndarray:
     """Return flat numbers as another type; halves are uint16."""
-    out, whole = np.empty(given.size, dtype=kind), given.size // _GROUP
+    out: np.ndarray = np.empty(given.size, dtype=kind)
+    whole = given.size // _GROUP
     run_chunks(_convert_chunk, whole, _CHUNK, given, out)
     if rest := given.size - whole * _GROUP:
-        padded, last = np.zeros(_GROUP, dtype=given.dtype), np.empty(_GROUP, dtype=kind)
-        padded[:rest] = given[-rest:]
-        _convert_chunk(padded, last, 0, 1)
+        last: np.ndarray = np.empty(_GROUP, dtype=kind)
+        _convert_chunk(np.resize(given[-rest:], _GROUP), last, 0, 1)
         out[-rest:] = last[:rest]
     return out
 

@@ -1,7 +1,9 @@
 """Fitted tiles of an object as one texture, read tile by tile."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -31,6 +33,14 @@ def columns(lobes: tuple[str, ...]) -> dict[str, tuple[store.Units, str]]:
     """Return units and quantities of the maps `COLUMNS` and of the errors of β and μ: name -> (units, quantity)."""
     errors = {f"{name}_error": (units, f"standard error of {name}") for name, (units, _) in gloss_maps(lobes).items()}
     return COLUMNS | errors
+
+
+class FittedTile(NamedTuple):
+    """A tile, or a part of one: its file, its first and last-plus-one texture row, and its first row in the file."""
+
+    path: Path
+    rows: tuple[int, int]
+    start: int
 
 
 class FittedTiles:
@@ -108,20 +118,24 @@ class FittedTiles:
                 # A file of all tiles names them; its texels begin with the first row of the first.
                 for first, last in file.attribute("parts", list) if file.has_attribute("parts") else [whole]:
                     covered[first:last] += 1
-                    tiles.append((first, last, path, first - whole[0]))
+                    tiles.append(FittedTile(path, (first, last), first - whole[0]))
         if not (covered == 1).all():
             found = f"{int((covered != 1).sum())} rows missing or doubled"
             raise InputError(self.first, "rows", found, f"tiles that cover {height} rows once")
-        self._tiles = sorted(tiles, key=lambda tile: tile[:2])
+        self.tiles = sorted(tiles, key=lambda tile: tile.rows)
 
     def read(self, *names: str) -> Iterator[tuple[slice, dict[str, np.ndarray]]]:
-        """Yield, for every tile, the slice of its texture rows and its maps of the given names, (rows, width, ...)."""
-        for first, last, path, start in self._tiles:
-            shape = last - first, self.width
-            part = slice(start * self.width, (start + last - first) * self.width)
-            with store.open_file(path) as file:
-                maps = {name: file.read(name, part) for name in names}
-            yield slice(first, last), {name: one.reshape(*shape, *one.shape[1:]) for name, one in maps.items()}
+        """Yield, for every tile, the slice of its texture rows and its maps of the given names."""
+        for tile in self.tiles:
+            yield slice(*tile.rows), self.maps(tile, names)
+
+    def maps(self, tile: FittedTile, names: Iterable[str]) -> dict[str, np.ndarray]:
+        """Read the maps of a tile, (rows, width, ...) each."""
+        first, last = tile.rows
+        part = slice(tile.start * self.width, (tile.start + last - first) * self.width)
+        with store.open_file(tile.path) as file:
+            found = {name: file.read(name, part) for name in names}
+        return {name: one.reshape(last - first, self.width, *one.shape[1:]) for name, one in found.items()}
 
     def typical_gloss(self) -> tuple[float, ...]:
         """Return β and μ of each gloss component in turn: their medians over the half of texels that know μ best.

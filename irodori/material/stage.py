@@ -18,9 +18,10 @@ from irodori.config.parts import Surface
 from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER
+from irodori.jit.chunks import parallel_map
 from irodori.material.coefficients import reserve_coefficients
 from irodori.material.energy import ALBEDO, ERROR, AlbedoModel, Energy, Errors, Reflecting
-from irodori.material.fitted_tiles import FittedTiles, columns
+from irodori.material.fitted_tiles import FittedTile, FittedTiles, columns
 from irodori.material.lobe_choices import LeftOut
 from irodori.material.material_file import (
     BASIS,
@@ -123,12 +124,13 @@ class _Gathered:
     passed: list = field(default_factory=list)
     passed_error: list = field(default_factory=list)
 
-    def add(self, maps: dict, values: dict, observed: np.ndarray) -> None:
+    def add(self, maps: dict[str, tuple], observed: np.ndarray) -> None:
+        """Add a tile, of whose maps the first entries are the values; ``observed`` has its texels with a colour."""
         self.observed += int(observed.sum())
-        self.texels += int(maps["texel"].sum())
-        self.error.append(values["reflectance_error"][observed])
-        self.colour.append(values["delta_e_error"][observed])
-        self.ratio.append((values["alpha"][observed] / values["green_response"][observed]).astype(np.float32))
+        self.texels += int(maps["texel"][0].sum())
+        self.error.append(maps["reflectance_error"][0][observed])
+        self.colour.append(maps["delta_e_error"][0][observed])
+        self.ratio.append((maps["alpha"][0][observed] / maps["green_response"][0][observed]).astype(np.float32))
 
     def errors(self) -> dict:
         return {
@@ -290,6 +292,31 @@ def _sheet_of(definition: Object | Surface, calibration: Calibration, observatio
     return _Sheet(calibration, values[:, None], None)
 
 
+@dataclass(frozen=True)
+class _Written:
+    """Computed parts of the material in a tile.
+
+    Parameters
+    ----------
+    coefficients : (rows, width, bases) float16 or float32
+        As they are stored.
+    maps : dict
+        {name: (values, units, dims, quantity)}.
+    passed : (rows, width, parts) float32 or None
+        Coefficients of a sheet's transmittance.
+    weights : (rows, width, r) float
+        Coefficients of the spectra on the recovery basis.
+    albedo : array
+        As `AlbedoModel.of` returns.
+    """
+
+    coefficients: np.ndarray
+    maps: dict[str, tuple]
+    passed: np.ndarray | None
+    weights: np.ndarray
+    albedo: np.ndarray
+
+
 def _write_maps(
     out: store.Writer,
     reflectance: _Reflectance,
@@ -299,7 +326,7 @@ def _write_maps(
     *,
     sheet: _Sheet | None,
 ) -> _Gathered:
-    """Write all maps of the material, a tile at a time."""
+    """Write all maps of the material, while threads compute those of the next tiles."""
     fitted, posterior, gathered = reflectance.fitted, Posterior(reflectance.calibration), _Gathered()
     size, half = (fitted.height, fitted.width), compression.storage == "half"
     shape, scale = (*size, compression.bases), compression.scale if half else None
@@ -319,39 +346,47 @@ def _write_maps(
             basis=SENT_BASIS,
         )
     out.coordinate("error_wavelength", ERROR_NM, units="nm", quantity="wavelength of a standard deviation")
-    datasets = {}
     described_maps: dict[str, tuple] = MAPS | gloss_maps(fitted.lobes)
     kept = columns(fitted.lobes)
     own_names = ("alpha", *gloss_maps(fitted.lobes))
-    for rows, maps in fitted.read(*own_names, *_RESPONSE, *kept):
+
+    def made(tile: FittedTile) -> _Written:
+        maps = fitted.maps(tile, (*own_names, *_RESPONSE, *kept))
         weights, response = reflectance.of(maps), maps["diffuse_response"]
-        stored = compression.encode(weights.reshape(-1, weights.shape[-1]))
-        coefficients[rows] = stored.reshape(*weights.shape[:2], -1)
         own = {name: maps[name] for name in own_names} | {"green_response": response[..., _GREEN]}
         described = {n: (v, (what := described_maps[n])[0], "row,column", what[1]) for n, v in own.items()}
         described |= {n: (maps[n], units, "row,column", quantity) for n, (units, quantity) in kept.items()}
         described |= confidence(posterior, response, reflectance.variance(maps))
         through = None
         if sheet is not None:
-            passed[rows], error = sheet.of(rows, weights.shape[:2], posterior)
-            through = passed[rows], sheet.basis
-            gathered.passed.append(through[0].reshape(-1, sheet.basis.shape[1]))
+            let_through, error = sheet.of(slice(*tile.rows), weights.shape[:2], posterior)
+            through = let_through, sheet.basis
             if error is not None:
-                gathered.passed_error.append(error.ravel())
                 described["transmittance_error"] = (error, "1", "row,column", "standard deviation of the transmittance")
         basis, reflectance_error = reflectance.calibration.basis, described["reflectance_error"][0]
         albedo = sent.of(maps, weights, basis, reflectance_error, through)
         for name, column, quantity in _ALBEDO_MAPS:
             texels = albedo[:, column].astype(np.float32).reshape(weights.shape[:2])
             described[name] = (texels, "1", "row,column", quantity)
-        for name, (texels, units, dims, quantity) in described.items():
+        stored = compression.encode(weights.reshape(-1, weights.shape[-1])).reshape(*weights.shape[:2], -1)
+        return _Written(stored, described, through[0] if through else None, weights, albedo)
+
+    datasets = {}
+    for tile, one in zip(fitted.tiles, parallel_map(made, fitted.tiles), strict=True):
+        rows = slice(*tile.rows)
+        coefficients[rows] = one.coefficients
+        if one.passed is not None:
+            passed[rows] = one.passed
+            gathered.passed.append(one.passed.reshape(-1, one.passed.shape[-1]))
+            if "transmittance_error" in one.maps:
+                gathered.passed_error.append(one.maps["transmittance_error"][0].ravel())
+        for name, (texels, units, dims, quantity) in one.maps.items():
             if name not in datasets:
                 names = {"units": units, "dims": dims, "quantity": quantity}
                 datasets[name] = out.reserve(name, (*size, *texels.shape[2:]), texels.dtype, **names)
             datasets[name][rows] = texels
-        values = {name: one[0] for name, one in described.items()}
-        gathered.add(maps, values, np.isfinite(weights).all(axis=-1))
-        gathered.energy = gathered.energy.joined(Energy.of(albedo))
+        gathered.add(one.maps, np.isfinite(one.weights).all(axis=-1))
+        gathered.energy = gathered.energy.joined(Energy.of(one.albedo))
     return gathered
 
 
