@@ -31,8 +31,10 @@ _DAMAGED = ".damaged"
 #: Results that must have a record even where no other result names them; single frames have none.
 _RECORDED = (".h5", ".exr", ".png", ".tif")
 _FRAMES = ("frames", "frames.part")
-#: Folders of an object's results that the workflow removes after their last use, if the configuration says so.
+#: Folders with results of an object, a camera or a place that the workflow removes after their last use, if the
+#: configuration says so.
 _INTERMEDIATE = ("linear", "observations", "brdf")
+_SETS = ("cameras", "environments")
 
 
 @dataclass(frozen=True)
@@ -318,8 +320,8 @@ def _name(path: Path) -> str:
 
 def _may_be_removed(path: Path) -> bool:
     """Return whether a missing file is of a kind that the workflow removes without `keep_intermediate`."""
-    of_object = path.parent.name in _INTERMEDIATE and path.parent.parent.parent.name == _RESULTS
-    return of_object and path.suffix == ".h5" and not path.is_file()
+    is_intermediate = path.parent.name in _INTERMEDIATE and path.parent.parent.parent.name in (_RESULTS, *_SETS)
+    return is_intermediate and path.suffix == ".h5" and not path.is_file()
 
 
 class Chain:

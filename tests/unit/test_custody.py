@@ -153,8 +153,9 @@ def test_a_users_file_that_changed_breaks_the_first_link(project, capsys, change
     assert status == 1 and f"brdf.h5: found a result of jar.csv, which {what}" in said
 
 
-def test_intermediate_files_that_were_removed_break_no_link_but_are_counted(project, capsys):
-    tile, picture = "results/jar/observations/tile-000.h5", "results/scene/front.png"
+@pytest.mark.parametrize("tile", ["jar/observations/tile-000.h5", "cameras/one/linear/chart.h5"])
+def test_intermediate_files_that_were_removed_break_no_link_but_are_counted(project, capsys, tile):
+    tile, picture = f"results/{tile}", "results/scene/front.png"
     make(tile, ["jar.csv"], alpha=0.4)
     make(MATERIAL, ["results/jar/brdf.h5", tile], alpha=0.4)
     write_record(picture, picture, hashes(MATERIAL))

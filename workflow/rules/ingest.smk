@@ -78,7 +78,7 @@ rule ingest_chart:
         table=sets.checked_table,
         reference=sets.camera_file("results/cameras/{camera}/reference.h5"),
     output:
-        linear="results/cameras/{camera}/linear/{capture}.h5",
+        linear=intermediate("results/cameras/{camera}/linear/{capture}.h5"),
     log:
         "results/logs/ingest_raw/cameras-{camera}_{capture}.log",
     benchmark:
@@ -101,7 +101,7 @@ rule ingest_chart:
 
 use rule ingest_chart as ingest_environment with:
     output:
-        linear="results/environments/{environment}/linear/{capture}.h5",
+        linear=intermediate("results/environments/{environment}/linear/{capture}.h5"),
     log:
         "results/logs/ingest_raw/environments-{environment}_{capture}.log",
     benchmark:
@@ -126,6 +126,8 @@ for part in sets.ingest_parts():
             f"results/benchmarks/ingest_raw/{{object}}_{part.number}.tsv"
         wildcard_constraints:
             object=part.object_name,
+        # Registration, which one core does, follows; the light can be recovered beside it.
+        priority: 40
         conda:
             "../../envs/irodori.yaml"
         threads: 1

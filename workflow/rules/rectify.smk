@@ -11,6 +11,7 @@ rule register_object:
         "results/logs/register_object/{object}.log",
     benchmark:
         "results/benchmarks/register_object/{object}.tsv"
+    priority: 40
     conda:
         "../../envs/irodori.yaml"
     threads: 1
@@ -65,6 +66,7 @@ for units in sets.together():
             f"results/logs/combine_registrations/{units[0].object_name}.log",
         benchmark:
             f"results/benchmarks/combine_registrations/{units[0].object_name}.tsv"
+        priority: 40
         conda:
             "../../envs/irodori.yaml"
         threads: 1
