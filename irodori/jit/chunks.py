@@ -64,7 +64,7 @@ def run_chunks(kernel, count: int, chunk: int, *arguments) -> None:
 def parallel_map(work: Callable[[Item], Result], items: Sequence[Item]) -> Iterator[Result]:
     """Yield what a function makes of each item, in order; every thread of numba works on an item of its own.
 
-    At most as many results as there are threads wait to be taken, because they take space.
+    Besides the result that was taken last, there are at most as many as threads, because they take space.
     """
     threads = min(numba.get_num_threads(), len(items))
     if threads <= 1:
@@ -73,7 +73,8 @@ def parallel_map(work: Callable[[Item], Result], items: Sequence[Item]) -> Itera
     with ThreadPoolExecutor(threads, initializer=numba.set_num_threads, initargs=(1,)) as pool:
         coming = deque(pool.submit(work, item) for item in items[:threads])
         for item in items[threads:]:
-            yield coming.popleft().result()
-            coming.append(pool.submit(work, item))
+            done = coming.popleft().result()
+            coming.append(pool.submit(work, item))  # before the result is used, so that no thread waits meanwhile
+            yield done
         for one in coming:
             yield one.result()
