@@ -263,7 +263,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--megapixels", type=float, default=10.1, help="of a mosaic and of the texture (default 10.1)")
     parser.add_argument("--poses", type=int, default=24)
-    parser.add_argument("--tile-texels", type=int, default=1_300_000)
+    parser.add_argument("--tile-texels", type=int, default=2_600_000)
     parser.add_argument("--cores", type=int, default=2)
     parser.add_argument("--folder", type=Path, help="where to make the project and leave it; otherwise it is removed")
     parser.add_argument("--output", type=Path, help="CSV to write")

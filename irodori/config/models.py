@@ -90,8 +90,9 @@ class Placing(Definition):
 class Rectify(Definition):
     """From pictures to observations of each texel."""
 
-    #: Texels in one tile, the unit of work (count).
-    tile_texels: int = 40000
+    #: Texels in one tile, the unit of work (count). Each job of a tile reads all photographs of the object once to
+    #: check them, so that small tiles take longer; a core works on one tile at a time.
+    tile_texels: int = 400000
 
     #: Observations lit or seen at a larger angle carry no weight in the fit, in degrees.
     max_angle_deg: float = 80.0
