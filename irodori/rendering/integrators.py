@@ -85,8 +85,25 @@ def render_image(
     irodori.rendering.planning.planned_check.ToleranceError
         If the error of a picture rendered by a plan exceeds the scene's tolerance.
     """
-    scene = with_planned_samples(scene, plan)
-    renderer = make_renderer(scene, shapes, materials, environment, options, maps_file=maps_file)
+    renderer = make_renderer(
+        with_planned_samples(scene, plan), shapes, materials, environment, options, maps_file=maps_file
+    )
+    return render_prepared(renderer, view_name, tiles_folder=tiles_folder, plan=plan, check=check, distance=distance)
+
+
+def render_prepared(
+    renderer: "Renderer",
+    view_name: str,
+    *,
+    tiles_folder=None,
+    plan: ScenePlan | None = None,
+    check: bool = True,
+    distance: bool = False,
+) -> tuple[np.ndarray, dict]:
+    """Render a view as `render_image` does, by a renderer of the scene with the plan's samples.
+
+    The materials that the renderer was made of, which take as much space as its own textures, need not be kept.
+    """
     if plan is None or renderer.kind == "reference":
         picture, figures = renderer.picture(view_name, tiles_folder=tiles_folder)
     else:

@@ -18,7 +18,14 @@ from irodori.geometry.shapes.shape import Shape
 from irodori.light.environment_file import Environment
 from irodori.rendering.energy_gain import load_materials
 from irodori.rendering.eyes import refuse_enclosed_eye, tell_black_backs
-from irodori.rendering.integrators import InteractiveRenderer, body_material, make_renderer, render_image
+from irodori.rendering.integrators import (
+    InteractiveRenderer,
+    Renderer,
+    body_material,
+    make_renderer,
+    render_prepared,
+    with_planned_samples,
+)
 from irodori.rendering.planning.scene_plan import read_plan
 from irodori.rendering.scene_white import scene_white, shown_white
 
@@ -52,23 +59,19 @@ def render_view(
     display = make_display(scene.display.device)
     placed = [Shape.from_definition(shape) for shape in shapes]
     refuse_enclosed_eye(scene, view_name, placed)
-    materials = load_materials(scene, placed, material_files)
-    two_sided = [material.is_sheet for material in materials]
-    tell_black_backs(scene, view_name, placed, two_sided + [body_material(body).is_sheet for body in scene.bodies])
     environment = Environment.load(environment_file)
     white, exposure = shown_white(scene, environment, environment_file)
-    radiance, figures = render_image(
-        scene,
-        view_name,
-        placed,
-        materials,
-        environment,
-        options,
-        tiles_folder=Path(exr).with_suffix(".tiles"),
-        maps_file=maps_file,
-        plan=plan,
-        check=check,
-        distance=check,
+
+    def prepared() -> Renderer:
+        materials = load_materials(scene, placed, material_files)
+        two_sided = [material.is_sheet for material in materials]
+        tell_black_backs(scene, view_name, placed, two_sided + [body_material(body).is_sheet for body in scene.bodies])
+        return make_renderer(
+            with_planned_samples(scene, plan), placed, materials, environment, options, maps_file=maps_file
+        )
+
+    radiance, figures = render_prepared(
+        prepared(), view_name, tiles_folder=Path(exr).with_suffix(".tiles"), plan=plan, check=check, distance=check
     )
     matrix = xyz_from_radiance(white)
     white_xyz = matrix @ white
