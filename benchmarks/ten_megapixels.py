@@ -2,15 +2,17 @@
 
 ``python -m benchmarks.ten_megapixels [--megapixels 10.1] [--poses 24] [--folder DIR] [--output ten_megapixels.csv]``,
 at the top of the repository. The virtual rig photographs a plate in two shots per pose; that takes long and is timed
-separately, because a camera would do it. Then Snakemake makes the material, its 61-band picture and its PNG. Times and
-memory come from the benchmark files that Snakemake writes for each job of this run; the space on the disk, photographs
-included, is looked at every second.
+separately, because a camera would do it. Then Snakemake makes the material, its 61-band picture and its PNG. Times come
+from the benchmark files that Snakemake writes for each job of this run. Twice a second, the largest memory that each
+job has had so far and the space on the disk, photographs included, are looked at: Snakemake looks at memory every
+thirty seconds, which is longer than most jobs reach their largest.
 """
 
 import argparse
 import csv
 import math
 import os
+import re
 import shutil
 import stat
 import subprocess
@@ -20,9 +22,10 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
+import psutil
 import yaml
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -144,8 +147,10 @@ def make_pictures(folder: Path, cores: int) -> float:
     return run_chain(folder, cores, *(f"results/{SCENE}/{VIEW}.{suffix}" for suffix in ("exr", "png")))
 
 
-def costs(folder: Path) -> list[Cost]:
+def costs(folder: Path, peaks_mb: dict[str, float] | None = None) -> list[Cost]:
     """Return the costs of each rule's jobs, the most expensive rule first; parts of ``ingest_raw`` are one rule.
+
+    ``peaks_mb`` has the largest memory of a rule's jobs where it was looked at.
 
     Raises
     ------
@@ -167,7 +172,7 @@ def costs(folder: Path) -> list[Cost]:
             len(rows),
             sum(float(row["s"]) for row in rows),
             sum(_number(row["cpu_time"]) for row in rows),
-            max(_number(row["max_rss"]) for row in rows),
+            max((peaks_mb or {}).get(rule, 0.0), *(_number(row["max_rss"]) for row in rows)),
         )
         for rule, rows in jobs.items()
     ]
@@ -223,14 +228,34 @@ def report(found: list[Cost], disk: dict[str, float], size: Size, rig_s: float, 
             writer.writerows(rows)
 
 
+@dataclass
+class Largest:
+    """Largest space of the results on the disk, MB, and largest memory of each rule's jobs, MB, so far."""
+
+    disk_mb: float = 0.0
+    memory_mb: dict[str, float] = field(default_factory=dict)
+
+    def look(self, folder: Path) -> None:
+        """Take what the disk and the running jobs hold now into account."""
+        self.disk_mb = max(self.disk_mb, sum(disk_mb(folder).values()))
+        for process in psutil.Process().children(recursive=True):
+            try:
+                script = re.search(r"\.(\w+)\.py$", " ".join(process.cmdline()))
+                status = Path(f"/proc/{process.pid}/status").read_text()
+            except (psutil.Error, OSError):
+                continue  # it has just ended
+            if script and (told := re.search(r"VmHWM:\s+(\d+) kB", status)):
+                self.memory_mb[script[1]] = max(self.memory_mb.get(script[1], 0.0), int(told[1]) * 1024 / 1e6)
+
+
 @contextmanager
-def largest_disk_mb(folder: Path) -> Iterator[list[float]]:
-    """Yield a list that gets the largest disk space of the results while the block runs, MB, photographs included."""
-    largest, ended = [0.0], threading.Event()
+def looked_at(folder: Path) -> Iterator[Largest]:
+    """Yield what becomes the `Largest` of the run while the block runs."""
+    largest, ended = Largest(), threading.Event()
 
     def look() -> None:
-        while not ended.wait(1.0):
-            largest[0] = max(largest[0], sum(disk_mb(folder).values()))
+        while not ended.wait(0.5):
+            largest.look(folder)
 
     watcher = threading.Thread(target=look)
     watcher.start()
@@ -273,10 +298,11 @@ def main() -> None:
         make_project(folder, size)
         rig_s = photograph(folder, options.cores)
         photographs_mb = sum(disk_mb(folder).values())
-        with largest_disk_mb(folder) as largest:
+        with looked_at(folder) as largest:
             chain_s = make_pictures(folder, options.cores)
-        report(costs(folder), disk_mb(folder), size, rig_s, chain_s, options.output)
-        print(f"most on the disk at a time: {largest[0]:.0f} MB, of which photographs {photographs_mb:.0f} MB")
+        found = costs(folder, largest.memory_mb)
+        report(found, disk_mb(folder), size, rig_s, chain_s, options.output)
+        print(f"most on the disk at a time: {largest.disk_mb:.0f} MB, of which photographs {photographs_mb:.0f} MB")
 
 
 if __name__ == "__main__":

@@ -1,9 +1,12 @@
 """Summary of Snakemake's benchmark files for the ten-megapixel run, and the project that it writes."""
 
+import subprocess
+import sys
+
 import pytest
 import yaml
 
-from benchmarks.ten_megapixels import Size, costs, disk_mb, is_of_the_rig, make_project
+from benchmarks.ten_megapixels import Largest, Size, costs, disk_mb, is_of_the_rig, make_project
 
 _HEADER = "s\th:m:s\tmax_rss\tmax_vms\tmax_uss\tmax_pss\tio_in\tio_out\tmean_load\tcpu_time"
 
@@ -21,6 +24,20 @@ def test_jobs_of_a_rule_are_added_their_memory_is_the_largest_and_the_costliest_
     rectify, fit = costs(tmp_path)
     assert (rectify.rule, rectify.seconds, rectify.peak_mb) == ("rectify_object", 9.0, 0.0)
     assert (fit.rule, fit.jobs, fit.seconds, fit.cpu_seconds, fit.peak_mb) == ("fit_brdf", 2, 6.0, 10.0, 700.0)
+    assert costs(tmp_path, {"rectify_object": 60.0, "fit_brdf": 600.0})[0].peak_mb == 60.0
+    assert costs(tmp_path, {"fit_brdf": 900.0})[1].peak_mb == 900.0
+
+
+def test_the_largest_memory_of_a_job_is_seen_though_it_is_free_again(tmp_path):
+    script = tmp_path / "tmp1.render_view.py"
+    script.write_text("import sys\nlarge = b'1' * 200_000_000\ndel large\nprint(flush=True)\nsys.stdin.read()\n")
+    job = subprocess.Popen([sys.executable, script], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    job.stdout.readline()
+    (tmp_path / "results").mkdir()
+    largest = Largest()
+    largest.look(tmp_path)
+    job.communicate(b"")
+    assert set(largest.memory_mb) == {"render_view"} and 200.0 < largest.memory_mb["render_view"] < 250.0
 
 
 def test_a_project_that_did_not_run_or_was_broken_off_has_no_figures(tmp_path):
