@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -85,27 +85,33 @@ def _pieces(observations: Sequence, tiles: Sequence) -> list[_Piece]:
     return found
 
 
-def _colours(pieces: list[_Piece], width: int) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Yield diffuse responses and variances, (rows, width, bands), and whether they are reliable, for each strip."""
-    for piece in pieces:
-        maps = _read_maps(piece, (*_RESPONSE, "status"))
-        response, variance, status = maps.values()
-        told = np.isin(status, BELIEVED) & np.isfinite(response).all(axis=1)
-        shape = -1, width, response.shape[1]
-        yield response.reshape(shape), variance.reshape(shape), told.reshape(shape[:2])
-
-
 def _find_colours(pieces: list[_Piece], width: int) -> Colours:
     """Find the paints of an object by the colours in its fitted tiles."""
-    most, found, floors = max(MOST_CORES // len(pieces), 200), [], []
-    for response, variance, told in _colours(pieces[:: max(1, len(pieces) // _OF_FLOOR)], width):
-        if told.any():
-            floors.append(noise_floor(variance[told], response[told]))
-    floor = np.median(floors, axis=0) if floors else np.ones(response.shape[-1])
-    for response, _, told in _colours(pieces, width):
+    most = max(MOST_CORES // len(pieces), 200)
+
+    def colours(piece: _Piece) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return diffuse responses and variances, (rows, width, bands), and whether they are reliable."""
+        response, variance, status = _read_maps(piece, (*_RESPONSE, "status")).values()
+        told = np.isin(status, BELIEVED) & np.isfinite(response).all(axis=1)
+        shape = -1, width, response.shape[1]
+        return response.reshape(shape), variance.reshape(shape), told.reshape(shape[:2])
+
+    def floor_of(piece: _Piece) -> np.ndarray:
+        """Return the noise floor, (1, bands), or (0, bands) without a reliable texel."""
+        response, variance, told = colours(piece)
+        return noise_floor(variance[told], response[told])[None][: told.any()]
+
+    def cores_of(piece: _Piece) -> np.ndarray:
+        response, _, told = colours(piece)
         core = response[cores(response, floor, told)]
-        found.append(core[:: max(1, -(-len(core) // most))])
-    return find_colours(np.concatenate(found), floor)
+        return core[:: max(1, -(-len(core) // most))]
+
+    for some in (pieces[:: max(1, len(pieces) // _OF_FLOOR)], pieces):
+        floors = np.concatenate(list(parallel_map(floor_of, some)))
+        if len(floors):
+            break
+    floor = np.median(floors, axis=0) if len(floors) else np.ones(floors.shape[1])
+    return find_colours(np.concatenate(list(parallel_map(cores_of, pieces))), floor)
 
 
 def _read_maps(piece: _Piece, names: Iterable[str]) -> dict[str, np.ndarray]:
