@@ -99,7 +99,7 @@ def _find_colours(pieces: list[_Piece], width: int) -> Colours:
     def floor_of(piece: _Piece) -> np.ndarray:
         """Return the noise floor, (1, bands), or (0, bands) without a reliable texel."""
         response, variance, told = colours(piece)
-        return noise_floor(variance[told], response[told])[None][: told.any()]
+        return noise_floor(variance[told], response[told])[None][: int(told.any())]
 
     def cores_of(piece: _Piece) -> np.ndarray:
         response, _, told = colours(piece)
