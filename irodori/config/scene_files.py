@@ -186,9 +186,15 @@ class SceneFiles:
         return self.pictured(wildcards)
 
     def threads_of_view(self, wildcards) -> int:
-        """Return the threads for a picture: 2 if it is large enough to be worth the wait for a second core, else 1."""
-        image = self._scene(wildcards).image
-        return 1 if image.width * image.height < _LARGE_PICTURE_PX else 2
+        """Return the threads for a picture: 2 if it is large enough to be worth the wait for a second core, else 1.
+
+        The only picture of a large object does not wait: the jobs of the object end with it, as with those of
+        `share_gloss` and `compress_reflectance`, which have two threads for the same reason.
+        """
+        scene = self._scene(wildcards)
+        is_large = scene.image.width * scene.image.height >= _LARGE_PICTURE_PX
+        is_alone = len(scene.views) == 1 and any(len(self.sets.tiles_of(name)) > 1 for name in materials_of(scene))
+        return 2 if is_large or is_alone else 1
 
     def memory_of_frames_mb(self, wildcards) -> int:
         """Return the memory for the pictures of a sequence, MB: they are joined in memory."""

@@ -484,8 +484,8 @@ def observe_captures(
 ) -> Observations:
     """Return the observations of texels in files of linear responses; arguments as in `rectify_object`.
 
-    ``stored`` is for what is written to a file: responses are float16, and the geometry is empty, because it takes as
-    much memory as four bands.
+    ``stored`` is for what is written to a file: responses are float16, and what is not written is empty, such as the
+    geometry, which takes as much memory as four bands.
 
     Raises
     ------
@@ -500,8 +500,12 @@ def observe_captures(
         incidence, reflection = found.geometry[:, 0], found.geometry[:, 1]
         frontal = (incidence <= limit) & (reflection <= limit)
         behind = (np.pi - incidence <= limit) & (reflection <= limit)
-        geometry = np.empty((len(frontal), 0)) if stored else found.geometry
-        found = found._replace(weight=found.weight & frontal, geometry=geometry, passed=found.passed & behind)
+        found = found._replace(weight=found.weight & frontal, passed=found.passed & behind)
+        if stored:
+            kept = {"geometry": False, "gain": setup.lamp.is_near, "passed": is_sheet}
+            found = found._replace(
+                **{name: np.empty((len(frontal), 0)) for name, is_kept in kept.items() if not is_kept}
+            )
         if several is None:
             several = _nothing_seen(texels.covered.size, len(paths), found, np.float16 if stored else np.float32)
         if stored:

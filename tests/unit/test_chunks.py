@@ -8,7 +8,7 @@ import numba
 import numpy as np
 import pytest
 
-from irodori.jit.chunks import run_chunks
+from irodori.jit.chunks import parallel_map, run_chunks
 
 
 @pytest.fixture(autouse=True)
@@ -96,3 +96,29 @@ def test_the_number_of_threads_may_change():
         numba.set_num_threads(threads)
         run_chunks(fill, len(out), 4, out)
     assert np.array_equal(out, 3 * np.arange(30))
+
+
+def test_items_are_done_at_the_same_time_and_come_in_order():
+    both, begun = threading.Barrier(2, timeout=30), []
+
+    def square(number):
+        begun.append(number)
+        if number < 2:
+            both.wait()
+        time.sleep(0.001 * (number % 3))
+        return number**2, numba.get_num_threads()
+
+    found = []
+    for number, threads in parallel_map(square, range(20)):
+        found.append(number)
+        assert threads == 1 and len(begun) <= len(found) + 2
+    assert found == [number**2 for number in range(20)]
+    assert list(parallel_map(square, [5])) == [(25, 2)] and list(parallel_map(square, [])) == []
+
+
+def test_an_error_of_an_item_is_raised_after_those_before_it():
+    found = []
+    with pytest.raises(ZeroDivisionError):
+        for one in parallel_map(lambda number: 1 / (number - 3), range(10)):
+            found.append(one)
+    assert len(found) == 3

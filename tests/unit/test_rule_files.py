@@ -196,6 +196,18 @@ def test_a_large_picture_gets_a_second_thread(root, scenes):
     assert large.threads_of_view(job(scene="still-life", view="front")) == 2
 
 
+def test_the_only_picture_of_a_large_object_gets_a_second_thread(root):
+    edit(root, "config.yaml", "rectify.tile_texels", 10_000)
+    alone = SceneFiles(PhotographSets(load(root)))
+    assert alone.threads_of_view(job(scene="still-life", view="front")) == 2
+    views = {
+        name: {"position_mm": [0.0, -300.0, y], "target_mm": [0.0, 0.0, 0.0]} for name, y in (("a", 90), ("b", 190))
+    }
+    edit(root, "scenes/still-life.yaml", "views", views)
+    several = SceneFiles(PhotographSets(load(root)))
+    assert several.threads_of_view(job(scene="still-life", view="a")) == 1
+
+
 def test_pictures_are_those_that_scenes_ask_for(root):
     edit(root, "scenes/still-life.yaml", "further_outputs", ["tiff"])
     edit(root, "scenes/still-life.yaml", "frames", {"kind": "turntable", "count": 4})
