@@ -503,9 +503,8 @@ def observe_captures(
         found = found._replace(weight=found.weight & frontal, passed=found.passed & behind)
         if stored:
             kept = {"geometry": False, "gain": setup.lamp.is_near, "passed": is_sheet}
-            found = found._replace(
-                **{name: np.empty((len(frontal), 0)) for name, is_kept in kept.items() if not is_kept}
-            )
+            nothing = np.empty((len(frontal), 0))
+            found = found._replace(**{name: nothing for name, is_kept in kept.items() if not is_kept})
         if several is None:
             several = _nothing_seen(texels.covered.size, len(paths), found, np.float16 if stored else np.float32)
         if stored:

@@ -200,12 +200,10 @@ def test_the_only_picture_of_a_large_object_gets_a_second_thread(root):
     edit(root, "config.yaml", "rectify.tile_texels", 10_000)
     alone = SceneFiles(PhotographSets(load(root)))
     assert alone.threads_of_view(job(scene="still-life", view="front")) == 2
-    views = {
-        name: {"position_mm": [0.0, -300.0, y], "target_mm": [0.0, 0.0, 0.0]} for name, y in (("a", 90), ("b", 190))
-    }
-    edit(root, "scenes/still-life.yaml", "views", views)
+    side = {"position_mm": [330.0, 0.0, 190.0], "target_mm": [0.0, 0.0, 22.0], "field_of_view_deg": 34.0}
+    edit(root, "scenes/still-life.yaml", "views.side", side)
     several = SceneFiles(PhotographSets(load(root)))
-    assert several.threads_of_view(job(scene="still-life", view="a")) == 1
+    assert several.threads_of_view(job(scene="still-life", view="side")) == 1
 
 
 def test_pictures_are_those_that_scenes_ask_for(root):
