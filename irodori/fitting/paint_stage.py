@@ -184,7 +184,7 @@ def share_gloss(
         assert colours is not None
         maps = _read_maps(piece, ("refractive_index", "status", *_RESPONSE))
         paint = by_colour(maps["diffuse_response"], maps["diffuse_variance"], colours)
-        here, with_light = looked_at(len(paint), width), np.zeros(len(paint), dtype=bool)
+        here, with_light = looked_at(len(paint), width, len(pieces)), np.zeros(len(paint), dtype=bool)
         with store.open_file(piece.observations) as file:
             with_light[here] = np.any(read_texels(file, "weight", here + piece.texels.start) > 0, axis=1)
         chosen = sample_of(paint, with_light, colours, width, len(pieces))

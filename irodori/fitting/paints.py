@@ -27,7 +27,7 @@ from irodori.material.material_file import Status
 _PIECE = 16384  # texels that a thread takes at a time
 MOST_TEXELS = 600  # largest number of texels from which the gloss of a paint is fitted
 _LEAST_OF_TILE = 100  # texels of one paint that are taken from a tile, if it has as many
-_LOOKED_AT = 8192  # texels of a tile, in whole rows, from which they are taken: all others need not be read
+_LOOKED_AT = 400_000  # texels of an object, in whole rows, from which they are taken: all others need not be read
 _SEAM = 5  # width of a seam in texels, within which a picture shows a mixture
 _WORTH = 0.3  # a colour is not stated if the relative standard error of α exceeds this
 _DARK = 0.01  # and its standard error exceeds this
@@ -141,9 +141,12 @@ def seams(paint: np.ndarray) -> np.ndarray:
     return ndimage.maximum_filter(paint, **size) > lowest
 
 
-def looked_at(texels: int, width: int) -> np.ndarray:
-    """Return the texels from which the sample of a tile is drawn, (n,) int, sorted: whole rows at equal distances."""
-    step = max(1, texels // _LOOKED_AT)
+def looked_at(texels: int, width: int, tiles: int) -> np.ndarray:
+    """Return the texels from which the sample of a tile is drawn, (n,) int, sorted: whole rows at equal distances.
+
+    ``tiles`` is the number of such tiles of the object; of a small object, all texels are looked at.
+    """
+    step = max(1, texels * tiles // _LOOKED_AT)
     rows = np.arange(step // 2, texels // width, step)
     return (rows[:, None] * width + np.arange(width)).ravel()
 

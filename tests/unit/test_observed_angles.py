@@ -5,7 +5,7 @@ import pytest
 
 from irodori.core import store
 from irodori.core.errors import InputError
-from irodori.material.observed_angles import Surroundings, angles_of, read_angles, write_surroundings
+from irodori.material.observed_angles import Surroundings, angles_of, read_angles, read_texels, write_surroundings
 from irodori.reflection.equation5 import angles_from_directions
 
 MADE = store.Provenance("rectify_object")
@@ -59,3 +59,13 @@ def test_a_tile_without_what_determines_the_angles_is_refused(tmp_path):
         out.write("normal", np.zeros((5, 3)), units="1", dims="texel_number,component", quantity="normal")
     with store.open_file(tmp_path / "tile.h5") as file, pytest.raises(InputError, match="position"):
         read_angles(file)
+
+
+@pytest.mark.parametrize("chosen", [[], [7], [0, 1, 4097, 8194, 8195, 29_999], list(range(0, 30_000, 5000))])
+def test_texels_far_apart_are_read_as_if_all_between_them_were_read(tmp_path, chosen):
+    values = np.random.default_rng(3).random((30_000, 3)).astype(np.float16)
+    with store.create(tmp_path / "tile.h5", MADE) as out:
+        out.write("response", values, units="1", dims="texel_number,band", quantity="numbers", compression="fast")
+    with store.open_file(tmp_path / "tile.h5") as file:
+        found = read_texels(file, "response", np.array(chosen, dtype=np.int64))
+    assert found.dtype == values.dtype and np.array_equal(found, values[chosen])

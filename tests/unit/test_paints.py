@@ -18,7 +18,16 @@ from irodori.fitting.joint_gloss import HIGHLIGHTS, NOTHING, PHOTOGRAPH, gloss_o
 from irodori.fitting.paint_colours import cores, find_colours, noise_floor
 from irodori.fitting.paint_gloss import PaintGloss, confirmed_variation, share
 from irodori.fitting.paint_stage import share_gloss
-from irodori.fitting.paints import GlossModel, Tile, believed, by_colour, find_paints, sample_of, share_by_paint
+from irodori.fitting.paints import (
+    GlossModel,
+    Tile,
+    believed,
+    by_colour,
+    find_paints,
+    looked_at,
+    sample_of,
+    share_by_paint,
+)
 from irodori.fitting.solvers import FitOptions, fit, problem_of
 from irodori.fitting.stage import fit_brdf
 from irodori.material import tile_strips
@@ -614,3 +623,10 @@ def test_halves_that_cannot_tell_contradict_no_variation():
         real, scatter = confirmed_variation(few, place, varying, 1.0)
         np.testing.assert_array_equal(real, varying)
         assert not scatter.any()
+
+
+def test_of_a_small_object_all_texels_are_looked_at_and_of_a_large_one_rows_of_all_parts():
+    assert np.array_equal(looked_at(120, 12, 4), np.arange(120))
+    rows = looked_at(250_000, 2500, 40) // 2500
+    assert len(rows) <= 12_000 and np.array_equal(np.unique(rows, return_counts=True)[1] % 2500, np.zeros(4))
+    assert (np.diff(np.unique(rows)) == 25).all()
