@@ -144,10 +144,11 @@ def seams(paint: np.ndarray) -> np.ndarray:
 def looked_at(texels: int, width: int, tiles: int) -> np.ndarray:
     """Return the texels from which the sample of a tile is drawn, (n,) int, sorted: whole rows at equal distances.
 
-    ``tiles`` is the number of such tiles of the object; of a small object, all texels are looked at.
+    ``tiles`` is the number of such tiles of the object; of a small object, all texels are looked at. Every tile has at
+    least one such row.
     """
-    step = max(1, texels * tiles // _LOOKED_AT)
-    rows = np.arange(step // 2, texels // width, step)
+    step, rows_of_tile = max(1, texels * tiles // _LOOKED_AT), texels // width
+    rows = np.arange(min(step, rows_of_tile) // 2, rows_of_tile, step)
     return (rows[:, None] * width + np.arange(width)).ravel()
 
 

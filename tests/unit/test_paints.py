@@ -630,3 +630,5 @@ def test_of_a_small_object_all_texels_are_looked_at_and_of_a_large_one_rows_of_a
     rows = looked_at(250_000, 2500, 40) // 2500
     assert len(rows) <= 12_000 and np.array_equal(np.unique(rows, return_counts=True)[1] % 2500, np.zeros(4))
     assert (np.diff(np.unique(rows)) == 25).all()
+    assert (looked_at(120_000, 10_000, 900) // 10_000 == 6).all()  # tiles of fewer rows than the distance
+    assert (looked_at(10_000, 10_000, 9000) == np.arange(10_000)).all()
