@@ -1,4 +1,4 @@
-"""Conversion between single and half precision by the processor's own instructions: four to six times as fast as NumPy."""
+"""Conversion between single and half precision by instructions of the processor: four to six times NumPy's speed."""
 
 import numpy as np
 
