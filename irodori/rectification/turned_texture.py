@@ -3,8 +3,9 @@
 An outline tells how a mesh is turned, but not how a ball or a vase is turned about its axis. The paints tell: a point
 of the surface that photographs of two placements show has the same diffuse colour in both. The rotation about the
 table's three axes under which the two textures agree best is found by Gauss-Newton steps from coarse to fine pictures.
-On a ball, which looks alike however it is turned, the steps begin at the best of many rotations, and a typed rotation
-is refused if the textures agree far better under one that is far from it.
+On a ball, which looks alike however it is turned, the steps begin at the best of many rotations. A typed rotation is
+refused if the textures agree far better under one that is far from it, and under no other: small parts of two textures
+agree by chance under some of thousands of rotations.
 """
 
 from collections.abc import Sequence
@@ -46,6 +47,7 @@ _AT_ONCE = 200
 _LEAST_COMMON = 0.2  # share of these points, at least, that both placements show
 #: Misfit, as a share of the scatter of the paints, below which two textures agree; and the ratio of two that tells.
 _AGREES, _CLEARER = 0.3, 3.0
+_APART_DEG = 30.0  # between rotations of which one must be far clearer than the other
 
 
 class Texture(NamedTuple):
@@ -257,26 +259,32 @@ def _nearest_turn(first: Side, own: Side, sigma_deg: float) -> Side:
     near = np.stack(np.meshgrid(reach, reach, reach), axis=-1).reshape(-1, 3)
     near = near[np.argsort(np.linalg.norm(near, axis=1), kind="stable")]
     at = own.problem.setup.correction.by(own.values).table_from_object
-    best, misfit = _best(first.problem, here, there, at, np.stack([rotation_xyz(one) for one in near]))
-    anywhere = Rotation.random(_ROTATIONS, random_state=1).as_matrix()
-    other, clearest = _best(first.problem, here, there, at, anywhere)
+    typed = _misfits(first.problem, here, there, at, np.stack([rotation_xyz(one) for one in near]))
+    anywhere = Rotation.random(_ROTATIONS, random_state=1)
+    misfits = _misfits(first.problem, here, there, at, anywhere.as_matrix())
+    best = int(np.argmin(misfits))
+    clearest = anywhere[best]
+    others = misfits[(anywhere * clearest.inv()).magnitude() > np.radians(_APART_DEG)]
     contrast = np.std(here.value[here.weight > 0.0], axis=0).mean() if (here.weight > 0.0).any() else 0.0
-    if contrast > _SURE_CONTRAST and clearest < _AGREES and _CLEARER * clearest < misfit:
-        is_far = Rotation.from_matrix(anywhere[other]).magnitude() > np.radians(_NEAR * max(sigma_deg, 1.0))
-        if is_far:
-            said = Rotation.from_matrix(anywhere[other] @ at).as_euler("xyz", degrees=True)
-            angles = ", ".join(f"{angle:.0f}" for angle in said)
-            typed = ", ".join(f"{angle:g}" for angle in own.problem.setup.correction.rotation_deg)
-            found = f"[{typed}], though the photographs of placement {own.number} show the object turned by [{angles}]"
-            field = f"placements[{own.number - 2}].rotation_deg"
-            raise InputError(own.linear[0], field, found, "the rotation by which it was turned, roughly")
-    if not np.isfinite(misfit):
+    is_clear = misfits[best] < _AGREES and _CLEARER * misfits[best] < min(typed.min(), others.min())
+    is_far = clearest.magnitude() > np.radians(_NEAR * max(sigma_deg, 1.0))
+    if contrast > _SURE_CONTRAST and is_clear and is_far:
+        said = Rotation.from_matrix(clearest.as_matrix() @ at).as_euler("xyz", degrees=True)
+        angles = ", ".join(f"{angle:.0f}" for angle in said)
+        stated = ", ".join(f"{angle:g}" for angle in own.problem.setup.correction.rotation_deg)
+        found = f"[{stated}], though the photographs of placement {own.number} show the object turned by [{angles}]"
+        field = f"placements[{own.number - 2}].rotation_deg"
+        raise InputError(own.linear[0], field, found, "the rotation by which it was turned, roughly")
+    if not np.isfinite(typed.min()):
         return own
-    return own._replace(values=np.concatenate([own.values[:3], own.values[TURN] + near[best], own.values[6:]]))
+    turn = near[np.argmin(typed)]
+    return own._replace(values=np.concatenate([own.values[:3], own.values[TURN] + turn, own.values[6:]]))
 
 
-def _best(problem: "Problem", here: Texture, there: Texture, at: np.ndarray, turns: np.ndarray) -> tuple[int, float]:
-    """Return which of many further turns about the table's axes makes two textures of a ball agree best, and how well.
+def _misfits(problem: "Problem", here: Texture, there: Texture, at: np.ndarray, turns: np.ndarray) -> np.ndarray:
+    """Return how badly two textures of a ball agree under each of many further turns about the table's axes, (m,).
+
+    The measure is that of `_misfit`; infinite for turns under which too few points are seen in both placements.
 
     Parameters
     ----------
@@ -308,8 +316,7 @@ def _best(problem: "Problem", here: Texture, there: Texture, at: np.ndarray, tur
         misfit = ((a - b) ** 2).sum(axis=(1, 2)) / count[:, 0] / value.shape[1]
         enough = (count[:, 0] >= _LEAST_COMMON * len(shown)) & (scatter > 2.0 * _LEAST_CONTRAST**2)
         found[first : first + _AT_ONCE] = np.where(enough, misfit / np.maximum(scatter, 1e-12), np.inf)
-    best = int(np.argmin(found))
-    return best, float(found[best])
+    return found
 
 
 def _refuse_wrong_side(first: Side, own: Side) -> None:

@@ -70,8 +70,8 @@ ROOMS = {
          "unit/test_contradicted_definitions.py", "unit/test_outline_search.py", "unit/test_ball_outline.py",
          "unit/test_level_patch_parts.py", "unit/test_marker_sheet.py", "unit/test_inner_brightness.py",
          "unit/test_angle_errors.py", "unit/test_photometric_stereo.py", "unit/test_dome.py",
-         "unit/test_shared_camera.py", "rig/test_level_patch.py", "rig/test_object_registration.py",
-         "rig/test_plate_registration.py", "rig/test_placements.py"),
+         "unit/test_shared_camera.py", "unit/test_turned_texture.py", "rig/test_level_patch.py",
+         "rig/test_object_registration.py", "rig/test_plate_registration.py", "rig/test_placements.py"),
     ),
     "light": (
         ("light",),

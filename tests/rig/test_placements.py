@@ -1,15 +1,14 @@
 """A ball that was turned over and laid down again, somewhat otherwise than typed, is put together on one texture."""
 
-import math
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from laid_balls import OVER, POSES, angle_deg
 from made import made
 from test_object_registration import PROVENANCE, SPHERE, an_object, as_typed, photographs
 
-from irodori.config.capture_table import Pose
 from irodori.config.definitions import load_definitions, read_yaml
 from irodori.config.models import LaidOff, Object, Placing
 from irodori.config.parts import PhotographedObject
@@ -23,9 +22,6 @@ from irodori.rectification.placement_correction import Correction
 from irodori.simulation.virtual_rig.subjects import _laid_off
 
 ROOT = Path(__file__).resolve().parents[2]
-#: Beside the camera, a lamp lights what it sees of the ball's lower half too: placements have their sides in common.
-POSES = [Pose(45.0, 25.0)] + [Pose(75.0, 80.0, 0.0, turn, 145.0) for turn in (0.0, 90.0, 180.0, 270.0)]
-OVER = (180.0, 0.0, 0.0)
 
 
 @pytest.fixture(scope="module")
@@ -74,10 +70,6 @@ def real_turn(definitions, number) -> np.ndarray:
     off = made(LaidOff, {"enabled": True, "rotation_deg": [0.2, -0.3, 0.4]})
     lain = Placement(Sphere(30.0), np.eye(3) if number == 1 else rotation_xyz(OVER))
     return _laid_off(lain, np.eye(3), off, rig["seed"], number).rotation
-
-
-def angle_deg(rotation) -> float:
-    return math.degrees(math.acos(min(1.0, (np.trace(rotation) - 1.0) / 2.0)))
 
 
 @pytest.mark.heavy

@@ -21,6 +21,7 @@ from irodori.material.angle_errors import DATASET
 from irodori.rectification.object_registration import register, register_object
 from irodori.rectification.placement_correction import COUNT, LIGHT, Correction
 from irodori.rectification.registration_covariance import (
+    RegisteredAngleErrors,
     Rows,
     _angle_changes,
     _directions,
@@ -29,6 +30,7 @@ from irodori.rectification.registration_covariance import (
     angle_errors,
     reduced_chi_square,
 )
+from irodori.rectification.registration_file import AngleChanges
 from irodori.reflection.equation5 import angles_from_directions, reflect
 
 MADE = store.Provenance("test")
@@ -129,6 +131,25 @@ def test_without_anything_to_contradict_variances_are_as_expected():
     assert reduced_chi_square(rows, tight, 0.0)[1] == 1.0
     assert reduced_chi_square(rows, np.full(4, 1e3), 12.0)[1] == 1.0
     assert reduced_chi_square([], tight, 0.0)[1] == 1.0
+
+
+def test_texels_amid_others_are_all_of_a_plate_but_those_of_its_border():
+    problem = problem_without_pictures(Plate(60.0, 50.0), POSES)
+    texels = problem.texels
+    row, column = np.divmod(texels.number, texels.columns)
+    inner = (row > 0) & (row < texels.rows - 1) & (column > 0) & (column < texels.columns - 1)
+    np.testing.assert_array_equal(_is_amid(problem), inner)
+
+
+def test_errors_of_angles_are_said_of_incidence_and_half_vector_or_why_they_are_not_known():
+    rms, spread = np.array([0.1, 0.2, 0.3, 0.4]), np.array([[0.01, 0.11], [0.02, 0.12], [0.03, 0.13], [0.04, 0.14]])
+    changes = AngleChanges(np.zeros((1, 4, COUNT + 1, COUNT + 1)), np.zeros(1, dtype=int))
+    assert str(RegisteredAngleErrors(rms, rms[None], spread, changes)) == (
+        "errors of the angles, degrees: incidence 0.100 (90 % from 0.010 to 0.110), "
+        "between normal and half vector 0.400 (90 % from 0.040 to 0.140)"
+    )
+    unknown = RegisteredAngleErrors(np.full(4, np.nan), rms[None], spread, changes)
+    assert "not told, because no texel amid others is seen and lit" in str(unknown)
 
 
 # From the photographs to the fit

@@ -19,13 +19,15 @@ from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.geometry.embree import Tracer
 from irodori.geometry.interpolation import keys_weights
-from irodori.geometry.rig_frame import rig_from_object, to_light
+from irodori.geometry.rig_frame import rig_from_object, rotation_xyz, to_light
 from irodori.geometry.shapes.placement import Placement
 from irodori.geometry.shapes.shape import Shape
+from irodori.geometry.shapes.sphere import Sphere
 from irodori.material import tile_strips
 from irodori.material.angle_errors import REGISTERED, AngleErrors, registered_errors
 from irodori.material.observed_angles import read_angles
-from irodori.rectification.stage import RigSetup, _sample, _Window, observe, rectify_object
+from irodori.rectification.placement_correction import COUNT
+from irodori.rectification.stage import RigSetup, _sample, _Window, angles_in_captures, observe, rectify_object
 from irodori.rectification.texture_tiles import tile_rows
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -95,6 +97,8 @@ def linear_file(path, pose, *, response=None, valid=None, clipped=None, sample_p
         out.attribute("sample_px", sample_px)
         out.attribute("mosaic", mosaic)
         out.attribute("pose_deg", list(pose.angles_deg))
+        if pose.placement > 1:
+            out.attribute("placement", pose.placement)
         out.attribute("filters", list(filters))
     return path
 
@@ -596,3 +600,36 @@ def test_a_texel_on_a_sample_does_not_depend_on_the_window_that_is_read():
     for other in found[1:]:
         for one, two in zip(found[0], other, strict=True):
             np.testing.assert_array_equal(one, two)
+
+
+def test_angles_of_captures_are_those_of_their_placements_as_registered(tmp_path):
+    """Of texels of a sphere, by vectors that are written out, whether the camera sees them or not."""
+    sphere = made(Object | TexturedObject, SPHERE | {"placements": [{"rotation_deg": [180.0, 0.0, 0.0]}]})
+    poses, shape = [Pose(45.0, 10.0, 20.0, 30.0), Pose(50.0, 25.0, placement=2)], Sphere(25.0)
+    files = [linear_file(tmp_path / f"{number}.h5", pose) for number, pose in enumerate(poses)]
+    corrections = np.zeros((2, COUNT))
+    corrections[0, :6], corrections[1, :6] = (2.0, -1.0, 0.5, 3.0, -2.0, 1.0), (-3.0, 1.0, 0.2, 1.0, 2.0, -4.0)
+    corrections[:, COUNT - 2 :] = [0.7, -0.4]
+    corrections[0, 6] = 25.0
+    for number, values in enumerate(corrections):
+        with store.create(tmp_path / f"registration-{number}.h5", PROVENANCE) as out:
+            out.write("correction", values, units="1", dims="quantity", quantity="correction")
+    setup = setup_of().registered(shape, sphere.placements, [tmp_path / f"registration-{n}.h5" for n in (0, 1)])
+    texels = shape.atlas(6, 4)
+    found = angles_in_captures(files, shape, texels, setup)
+    assert found.shape == (24, 2, 4)
+    for number, (pose, values, typed) in enumerate(zip(poses, corrections, ((0, 0, 0), (180, 0, 0)), strict=True)):
+        rotation = rig_from_object(pose) @ rotation_xyz(values[3:6]) @ rotation_xyz(typed)
+        position = texels.position[texels.covered] @ rotation.T + rig_from_object(pose) @ values[:3]
+        camera, light = np.radians(pose.camera_deg + 0.7), np.radians(pose.light_deg - 0.4)
+        view = (DISTANCE + values[6]) * np.array([-math.sin(camera), 0.0, math.cos(camera)]) - position
+        view /= np.linalg.norm(view, axis=1)[:, None]
+        lit = np.array([math.sin(light), 0.0, math.cos(light)])
+        half = lit + view
+        half /= np.linalg.norm(half, axis=1)[:, None]
+        normal = texels.normal[texels.covered] @ rotation.T
+        cosines = [normal @ lit, np.sum(normal * view, axis=1), half @ lit, np.sum(normal * half, axis=1)]
+        np.testing.assert_allclose(np.cos(found[:, number]), np.stack(cosines, axis=1), atol=1e-6)
+    as_typed = setup_of().registered(shape, sphere.placements)
+    assert as_typed.of(poses[1]).correction.rotation_deg == (180.0, 0.0, 0.0)
+    assert not any(as_typed.correction.values) and as_typed.of(poses[0]) is as_typed

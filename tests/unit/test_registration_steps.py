@@ -24,9 +24,11 @@ from irodori.rectification.object_registration import (
     _displacement,
     _equations,
     _first_reach,
+    _is_clearer,
     _Outline,
     _outline,
     _outline_scale,
+    _outline_variance,
     _prepare,
     _Problem,
     _problem,
@@ -755,3 +757,37 @@ def test_of_a_texture_without_outline_the_residual_is_its_shift(tmp_path):
     assert not points.any()
     assert residual[2] == pytest.approx(math.hypot(0.6, 0.3) / MM_PER_PX, rel=0.1)
     assert residual[:2].max() < 0.6 * residual[2] and len(suspects) == 3
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.25])
+def test_an_outline_is_clearer_elsewhere_by_a_twentieth_a_few_samples_beside_it(scale):
+    """A disc, in pictures of full and of a quarter of the resolution: the outline of 40 superpixels is expected."""
+    around = np.linspace(0.0, 2.0 * np.pi, 200, endpoint=False)
+    outward = np.stack([np.cos(around), np.sin(around)], axis=1)
+    view = problem_without_pictures(Plate(60.0, 50.0), [Pose(45.0, 0.0)]).views[0]
+    x, y = np.meshgrid(*(np.arange(int(200 * scale)),) * 2)
+    place = np.stack([x, y], axis=-1) / scale + 0.5 / scale - 0.5
+    xy = 100.0 + 40.0 * outward
+    for radius, is_clearer in ((40.0, False), (52.0, True)):
+        level = np.where(np.hypot(*np.moveaxis(place - 100.0, -1, 0)) < radius, 0.6, 0.1)
+        view.picture = picture(np.repeat(level[..., None], 3, axis=2), scale=scale)
+        assert _is_clearer(view, xy, outward, np.full(200, 12.0)) == is_clearer
+        assert not _is_clearer(view, xy, outward, np.where(np.arange(200) % 2, 12.0, -30.0))
+    # Brightness is read one and a half samples beside an outline: a ring that is narrower than that is not seen.
+    distance = np.hypot(*np.moveaxis(place - 100.0, -1, 0))
+    level = np.where(np.abs(distance - 52.0) < 0.7 / scale, 0.6, 0.1)
+    view.picture = picture(np.repeat(level[..., None], 3, axis=2), scale=scale)
+    assert not _is_clearer(view, xy, outward, np.full(200, 12.0 - 4.0 / scale))
+
+
+def test_points_of_an_outline_share_their_doubt_with_a_side_and_with_photographs_under_the_same_angles():
+    poses = [Pose(45.0, 10.0), Pose(45.0, 10.0, 0.0, 90.0), Pose(60.0, 20.0)]
+    problem = problem_without_pictures(Plate(60.0, 50.0), poses)
+    for count in (3, 40):
+        doubt = np.linspace(0.0, 0.8, count)
+        outline = _Outline(np.zeros(count), doubt, np.zeros((count, COUNT)), np.ones(count, dtype=bool))
+        for number, alike in ((0, 2), (1, 2), (2, 1)):
+            found = _outline_variance(problem, number, outline, 0.3)
+            # Five neighbouring points err as one; four sides of an object err each by itself.
+            expected = 5.0 * 0.3 * 0.3 + doubt * doubt * max(1.0, count / 4.0) * alike
+            np.testing.assert_allclose(found, expected, rtol=1e-12)
