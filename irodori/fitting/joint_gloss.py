@@ -32,7 +32,7 @@ _TOLD = 0.5  # number of photographs that tell their veil below which its size s
 _CONTRADICTED = 4.0  # standard deviations of χ² beyond which the errors of photographs are larger than expected
 _BRIGHTEST = 0.25  # share of a paint's readings that is left out where highlights seem to clip
 _PEAKS = 0.03  # share of them that are its brightest highlights
-_AROUND, _NODES = 1.0, 33  # largest change of log μ that is tried without them, and number of values
+_AROUND, _NODES = 1.0, 33  # largest change of log μ without them, and number of values that are tried
 _SEPARATE = 1e-10  # relative determinant below which β and μ cannot be separated
 _NUDGE = 1e-3  # change of log β or log μ for numerical derivatives
 _FLATTEST = 0.1  # smallest curvature of the sum of squares that is believed, relative to the normal matrix
@@ -158,10 +158,19 @@ def _settled(paints: list[SeparateGloss]) -> tuple[list[SeparateGloss], _Solutio
 
 
 def _refitted(paints: list[SeparateGloss], surfaces: list[SearchedTexels]) -> list[SeparateGloss]:
-    """Return paints fitted to fewer readings; a paint whose gloss these do not determine stays as it is."""
+    """Return paints fitted to fewer readings.
+
+    A paint stays as it is if these do not determine its gloss, or show a lobe far wider or narrower: what is left of a
+    mirror without its highlights is the faint gleam around them.
+    """
     near = np.linspace(-_AROUND, _AROUND, _NODES)
-    pairs = zip(paints, surfaces, strict=True)
-    return [separate_gloss(surface, paint.log_gloss[1] + near) or paint for paint, surface in pairs]
+    out = []
+    for paint, surface in zip(paints, surfaces, strict=True):
+        found = separate_gloss(surface, paint.log_gloss[1] + near)
+        if found is None or abs(found.log_gloss[1] - paint.log_gloss[1]) > _AROUND:
+            found = paint
+        out.append(found)
+    return out
 
 
 def _are_too_dark(paints: list[SeparateGloss], dimmer: list[SeparateGloss], joint: _Solution) -> bool:
