@@ -14,9 +14,9 @@ from irodori.core import store
 from irodori.fitting import gloss_sums, paint_gloss
 from irodori.fitting.band_fresnel import uniform
 from irodori.fitting.diffuse_response import GREEN, Observed, diffuse_response
-from irodori.fitting.joint_gloss import HIGHLIGHTS, NOTHING, PHOTOGRAPH, gloss_of_paints
+from irodori.fitting.joint_gloss import HIGHLIGHTS, NOTHING, PHOTOGRAPH, _refitted, gloss_of_paints
 from irodori.fitting.paint_colours import cores, find_colours, noise_floor
-from irodori.fitting.paint_gloss import PaintGloss, confirmed_variation, share
+from irodori.fitting.paint_gloss import PaintGloss, confirmed_variation, separate_gloss, share
 from irodori.fitting.paint_stage import share_gloss
 from irodori.fitting.paints import (
     GlossModel,
@@ -244,6 +244,33 @@ def test_highlights_of_another_lobe_are_not_taken_for_clipped_ones():
     assert len(right.known) == len(wrong.known) == 2
     errors = [[np.sqrt(np.diag(paints.gloss[n].error)) for n in paints.known] for paints in (right, wrong)]
     assert (np.array(errors[1]) > 1.5 * np.array(errors[0])).all()
+
+
+def test_what_is_left_of_a_mirror_without_its_highlights_is_not_its_gloss():
+    """A narrow lobe amid a faint wide one, seen by half of the photographs within 40 degrees of the mirror's angle."""
+    rng, shape = np.random.default_rng(1), (300, 16)
+    incidence, around = rng.uniform(0.1, 1.2, shape), rng.normal(size=(*shape, 3))
+    light = np.stack([np.sin(incidence), 0.0 * incidence, np.cos(incidence)], axis=-1)
+    mirrored = light * [-1.0, 1.0, 1.0]
+    aside = around - np.sum(around * mirrored, axis=-1, keepdims=True) * mirrored
+    off = np.radians(rng.uniform(0.0, 1.0, shape) * np.where(np.arange(16) < 8, 40.0, 70.0))
+    view = np.cos(off)[..., None] * mirrored
+    view += np.sin(off)[..., None] * aside / np.linalg.norm(aside, axis=-1, keepdims=True)
+    view[..., 2] = np.abs(view[..., 2]) + 0.05
+    view /= np.linalg.norm(view, axis=-1, keepdims=True)
+    geometry = angles_from_directions(np.broadcast_to([0.0, 0.0, 1.0], light.shape), light, view)
+    narrow, wide = (reflect(a, 1.0, b, m, geometry.reshape(-1, 4), n=N, k=K, lobe="ggx").reshape(shape)
+                    for a, b, m in ((0.03, 200.0, 0.01), (0.0, 0.15, 0.56)))  # fmt: skip
+    seen = narrow + wide
+    response = (seen + np.sqrt(CAMERA[0] + CAMERA[1] * seen) * rng.normal(size=shape)).astype(np.float32)
+    options = FitOptions(lobes=("ggx",), level_error=0.0)
+    given = (response, geometry, np.ones(shape), np.full(len(response), N), K, options)
+    surface = gloss_sums.pack(*problem_of(*given, noise=np.tile(CAMERA, (16, 1))), sides=True)
+    paint = separate_gloss(surface, options.nodes())
+    dimmer = gloss_sums.without_brightest(paint.surface, paint.log_gloss, 0.25)
+    alone = separate_gloss(dimmer, options.nodes())
+    assert np.exp(paint.log_gloss[1]) < 0.015 and np.exp(alone.log_gloss[1]) > 0.3
+    assert _refitted([paint], [dimmer])[0] is paint
 
 
 @pytest.mark.stability(stage="fit", case="a texel on a seam")
