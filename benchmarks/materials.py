@@ -24,7 +24,7 @@ of the repository.
 import argparse
 import csv
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
@@ -318,9 +318,10 @@ def _surfaces(name: str, photographs: int, surfaces: int, rng, folder: Path, wav
 
 
 def _agreement(one: dict, other: dict) -> dict[str, float]:
-    """Return the share of surfaces that are OK in both halves, and how many of these agree within 2σ.
+    """Return the share of surfaces that are OK in both halves, and how many of these agree within 2σ, by parameter.
 
-    Both have status, parameters and their standard errors by name.
+    Both have status, parameters and their standard errors by name. A parameter's ``told`` is the share of all surfaces
+    that are OK and for which both halves state it.
     """
     both = np.isin(one["status"], CALLED_OK) & np.isin(other["status"], CALLED_OK)
     out = {"ok": float(both.mean())}
@@ -329,6 +330,17 @@ def _agreement(one: dict, other: dict) -> dict[str, float]:
         error = np.hypot(one[f"{name}_error"][both], other[f"{name}_error"][both])
         told = np.isfinite(error)
         out[name] = float(np.mean(np.abs(apart[told]) < 2.0 * error[told])) if told.any() else math.nan
+        out[f"{name}_told"] = float(told.sum() / len(both))
+    return out
+
+
+def together(draws: Sequence[dict[str, float]]) -> dict[str, float]:
+    """Return what `_agreement` gives for the surfaces of several draws together."""
+    out = {"ok": float(np.mean([draw["ok"] for draw in draws]))}
+    for name in ("alpha", "beta", "mu"):
+        told = np.array([draw[f"{name}_told"] for draw in draws])
+        agree = np.nan_to_num([draw[name] for draw in draws]) @ told
+        out[name] = float(agree / told.sum()) if told.any() else math.nan
     return out
 
 
@@ -421,9 +433,8 @@ def main() -> None:
                 for wavelength, draw in product(_PAINTS_NM, range(_DRAWS))
             ]
             told = sum(not math.isnan(draw["mu"]) for draw in draws)
-            mean = {key: np.nanmean([draw[key] for draw in draws]) for key in draws[0]}
             by_paint = text.replace("photographs:", f"photographs, by paint, {told} of {len(draws)} draws told:")
-            print(by_paint.format(name, lobe, count, **mean))
+            print(by_paint.format(name, lobe, count, **together(draws)))
     if arguments.lobes:
         for row in (row for name in MATERIALS for row in choices(name, arguments.data)):
             print(
