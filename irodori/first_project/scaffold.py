@@ -299,7 +299,8 @@ class Scaffold:
             kind = said.shape["kind"] if said.shape else "plate"
             texels = dict(zip(("width", "height"), _TEXELS[kind], strict=True))
             shape = {"shape": _known(said.shape), "texels": texels, "refractive_index": _GLASS}
-            yield files.object, {"camera": camera, **shape, "captures": captures}
+            # Nobody knows yet how the object reflects: left-out photographs decide.
+            yield files.object, {"camera": camera, **shape, "lobes": ["auto"], "coat": "auto", "captures": captures}
             lamp = {"image": {"width": 256, "height": 128}, "source": {"kind": "lights", "lights": [_LAMP, _SKY]}}
             yield files.environment, lamp
             yield files.scene, self._scene()

@@ -131,7 +131,8 @@ def test_few_answers_make_the_table_that_a_person_would_have_written(seen, taken
             assert shot.pose == real.pose, shot.file
     loaded = load_definitions(read_yaml("config/my-plate.yaml"), tmp_path, "config/my-plate.yaml")
     assert loaded.cameras["my-plate-camera"].optics.width_px == 400
-    assert loaded.objects["my-plate"].shape.height_mm == 90.0
+    plate = loaded.objects["my-plate"]
+    assert plate.shape.height_mm == 90.0 and (plate.lobes, plate.coat) == (("auto",), "auto")
     # What nobody said is printed, and stands in the file that it concerns.
     for file, words in (
         ("cameras/my-plate-camera.yaml", "white.reflectance_factor: 0.99"),
