@@ -6,17 +6,24 @@ without some of the photographs, which are then predicted. The errors of a photo
 photographs are left out as a whole, and only photographs count as independent. The choice is the simplest candidate
 with predictions within one standard error of the best (Breiman et al., *Classification and Regression Trees*, 1984;
 here the standard error of the difference between the two).
+
+Each candidate is tried as it would be fitted: one lobe with the gloss of paints, a sum of two with that of each texel.
+A texel of a round object hardly sees a peak twice. If the photograph that shows it is left out, the texel alone says
+nothing of the peak, and a lobe with long tails predicts it less badly, whatever the surface is.
 """
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from itertools import combinations_with_replacement
+from typing import NamedTuple
 
 import numpy as np
 
 from irodori.config.cross_checks.object_lobes import SETTINGS_WITH_TWO_LOBES
-from irodori.fitting.solvers import MAX_LOBES, FitOptions, FitResult, fit
+from irodori.fitting.gloss_sums import pack
+from irodori.fitting.paint_gloss import separate_gloss
+from irodori.fitting.solvers import MAX_LOBES, FitOptions, FitResult, fit, problem_of
 from irodori.fitting.texel_sample import Readings
 from irodori.material.lobe_choices import Candidate, LeftOut
 from irodori.reflection.coat import SUM
@@ -24,7 +31,8 @@ from irodori.reflection.fresnel import fresnel_array
 from irodori.reflection.lobe_arrays import evaluate
 from irodori.reflection.registry import DEFAULT_LOBES, names
 
-MOST_TEXELS = 256  # size of the sample; the choice takes about a millisecond of processor time for each texel
+MOST_TEXELS = 256  # for which readings are predicted, which takes about a millisecond of processor time for each
+_MOST_OF_PAINT = 256  # texels from which the gloss of a paint is found
 ENOUGH_OBSERVATIONS = 8  # observations that a texel of the sample should have, to distinguish lobes
 _FOLDS = 8
 _LEAST_VARIANCE = 1e-8  # smallest variance, relative to the mean square response of a texel
@@ -53,7 +61,36 @@ def candidates(
     return [Candidate(chosen, coat) for group in several_of for chosen in group for coat in coats]
 
 
-def choose(sample: Readings, options: FitOptions, tried: Iterable[Candidate]) -> tuple[Candidate, list[LeftOut]]:
+class PaintedTexels(NamedTuple):
+    """Texels of one paint: indices of those in a sample, and readings from which their common gloss is found."""
+
+    texels: np.ndarray
+    readings: Readings
+
+
+def painted(readings: Readings, paint: np.ndarray, sample: np.ndarray) -> list[PaintedTexels]:
+    """Return the paints of a sample of texels.
+
+    Parameters
+    ----------
+    readings : Readings
+        Of the sample and of further texels.
+    paint : (texels,) int
+        Paint of each of them; -1 for none.
+    sample : (sample,) int
+        Indices of the sample.
+    """
+    found = []
+    for number in range(paint.max(initial=-1) + 1):
+        here = np.flatnonzero(paint == number)
+        few = readings[here[:: max(1, -(-len(here) // _MOST_OF_PAINT))]]
+        found.append(PaintedTexels(np.flatnonzero(paint[sample] == number), few))
+    return found
+
+
+def choose(
+    sample: Readings, options: FitOptions, tried: Iterable[Candidate], paints: Sequence[PaintedTexels] = ()
+) -> tuple[Candidate, list[LeftOut]]:
     """Choose a candidate; return it, and for every candidate how well it predicts left-out photographs.
 
     Parameters
@@ -63,9 +100,11 @@ def choose(sample: Readings, options: FitOptions, tried: Iterable[Candidate]) ->
         Options of the fit; its lobes and coat are ignored, and the refractive index is fixed.
     tried : iterable of Candidate
         The simplest first.
+    paints : sequence of PaintedTexels
+        As in `left_out_errors`.
     """
     tried = list(tried)
-    errors = [left_out_errors(sample, replace(options, **one._asdict())) for one in tried]
+    errors = [left_out_errors(sample, replace(options, **one._asdict()), paints) for one in tried]
     deviations = [_deviation(error) for error in errors]
     scale = max(1.0, min((one for one in deviations if one > 0.0), default=1.0))
     losses = np.array([_by_photograph(error / scale) for error in errors])
@@ -93,10 +132,11 @@ def _deviation(errors: np.ndarray) -> float:
     return float(np.median(known)) / _NORMAL_MEDIAN if known.size else math.nan
 
 
-def left_out_errors(sample: Readings, options: FitOptions) -> np.ndarray:
+def left_out_errors(sample: Readings, options: FitOptions, paints: Sequence[PaintedTexels] = ()) -> np.ndarray:
     """Return the error of each response predicted from other photographs, in expected standard deviations, (texels, J).
 
-    NaN where an observation has no weight.
+    NaN where an observation has no weight. With one lobe, the texels of ``paints`` have the gloss that the other
+    photographs tell of their paint.
     """
     fixed, sample = replace(options, refractive_index="fixed"), replace(sample, coupled=options.is_coupled)
     weight, out = np.asarray(sample.weight), np.full(sample.response.shape, np.nan)
@@ -105,11 +145,30 @@ def left_out_errors(sample: Readings, options: FitOptions) -> np.ndarray:
         here = fold == number
         kept = np.where(here, 0.0, weight).astype(weight.dtype)
         result = fit(sample.response, sample.geometry, kept, sample.n, sample.k, fixed, noise=sample.noise)
+        if len(fixed.lobes) == 1:
+            result = replace(result, gloss=_with_paints(result.gloss, paints, here, fixed))
         expected = predicted(sample, result, replace(sample, weight=kept), fixed)
         errors = (sample.response - expected) / np.sqrt(_variance(sample, np.fmax(expected, sample.response), fixed))
         held = here & (weight > 0.0) & np.isfinite(errors)
         out[held] = errors[held]
     return out
+
+
+def _with_paints(
+    gloss: np.ndarray, paints: Sequence[PaintedTexels], left_out: np.ndarray, options: FitOptions
+) -> np.ndarray:
+    """Return β and μ of texels, (texels, 2), with those of their paints where the other photographs tell them.
+
+    ``left_out`` is a mask of photographs, (J,).
+    """
+    gloss = gloss.copy()
+    for texels, seen in paints:
+        weight = np.where(left_out, 0.0, seen.weight).astype(seen.weight.dtype)
+        given = seen.response, seen.geometry, weight, np.full(len(weight), seen.n), seen.k, options
+        found = separate_gloss(pack(*problem_of(*given, noise=seen.noise), sides=False), options.nodes())
+        if found is not None:
+            gloss[texels] = np.exp(found.log_gloss)
+    return gloss
 
 
 def _variance(sample: Readings, response: np.ndarray, options: FitOptions) -> np.ndarray:

@@ -1,6 +1,6 @@
 """Samples of an object's texels, for estimates that are made once for the whole object."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -43,9 +43,28 @@ class Readings:
         response, noise = observed.response[..., band], observed.noise[:, band]
         return cls(response, observed.weight, observed.geometry, noise, n, k, coupled)
 
+    def __getitem__(self, texels) -> "Readings":
+        """Return the observations of some texels; ``texels`` is any NumPy index."""
+        response, weight, geometry = self.response[texels], self.weight[texels], self.geometry[texels]
+        return replace(self, response=response, weight=weight, geometry=geometry)
+
     def diffuse(self, geometry: np.ndarray) -> np.ndarray:
         """Return the diffuse term for α = 1 under any angles, (...) of (..., 4)."""
         return diffuse_cosine(geometry, self.n, self.k, self.coupled)
+
+
+def evenly(observations: np.ndarray, most: int, enough: int) -> np.ndarray:
+    """Return indices of some texels, evenly spread: of those with enough observations, or else with the most.
+
+    Parameters
+    ----------
+    observations : (texels,) int
+        Number of observations of each.
+    most, enough : int
+        As in `sample_texels`.
+    """
+    found = np.flatnonzero(observations >= max(min(enough, observations.max(initial=0)), 1))
+    return found[:: max(1, -(-len(found) // most))]
 
 
 def sample_texels(tiles: list, most: int, enough: int) -> Observed:

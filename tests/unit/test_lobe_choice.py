@@ -7,24 +7,35 @@ import pytest
 from test_fitting import K, N
 from test_fitting_two_lobes import ANGLES, COSINE, NOISE, responses, two_components
 from test_measured_materials import needs_data
-from test_paints import OPTICS, PROVENANCE, SIDE, photographed, sphere, write_tile
+from test_paints import CREAM, OPTICS, PROVENANCE, SIDE, VERMILION, photographed, sphere, write_tile
 
 from benchmarks import materials
+from irodori.config.capture_table import Pose
+from irodori.fitting.diffuse_response import Observed
 from irodori.fitting.lobe_choice import candidates, choose, left_out_errors
 from irodori.fitting.lobe_stage import choose_lobes
 from irodori.fitting.paint_stage import share_gloss
 from irodori.fitting.solvers import FitOptions
 from irodori.fitting.stage import fit_brdf
 from irodori.fitting.texel_sample import Readings
+from irodori.geometry.rig_frame import rig_from_object, to_camera, to_light
 from irodori.material.fitted_tiles import FittedTiles
 from irodori.material.lobe_choices import Candidate, LeftOut, chosen_model, read_choice
 from irodori.reflection import registry
+from irodori.reflection.equation5 import angles_from_directions
 from irodori.reflection.fresnel import fresnel_array
 from irodori.reflection.lobe_arrays import evaluate
 from irodori.report import html_page
 
 TEXELS, POSES = 24, slice(0, 60, 2)
 OPTIONS = FitOptions(model_error=0.005)
+#: Those of the default spheres.
+SIXTEEN = [
+    *(Pose(60.0, 60.0, 0.0, turn, 150.0) for turn in (45.0, 135.0, 225.0, 315.0)),
+    *(Pose(90.0, 90.0, 0.0, turn, 210.0) for turn in (0.0, 90.0, 180.0, 270.0)),
+    *(Pose(90.0, 90.0, 0.0, turn, 150.0) for turn in (45.0, 135.0, 225.0, 315.0)),
+    *(Pose(80.0, 30.0, 0.0, turn) for turn in (0.0, 90.0, 180.0, 270.0)),
+]
 #: The package's own: the lobe that other tests register may stand beside them in this process.
 ALL = [one for one in candidates(OPTIONS) if "toy" not in one.lobes]
 
@@ -135,6 +146,45 @@ def test_the_choice_of_an_object_is_one_for_its_tiles_and_is_kept(tmp_path):
         chosen_model(["gaussian"], "coupled", []) == {"lobes": ("gaussian",), "coat": "coupled"}
         and read_choice([]) == []
     )
+
+
+def round_object(lobe, beta, mu, seed) -> Observed:
+    """A sphere of two paints under sixteen poses, four of them opposite the lamp: texels see a peak once, if at all."""
+    around, down = np.meshgrid((np.arange(64) + 0.5) / 32.0 * np.pi, (np.arange(SIDE) + 0.5) / SIDE * np.pi)
+    normal = [np.sin(down) * np.cos(around), np.sin(down) * np.sin(around), np.cos(down)]
+    normal = np.stack(normal, axis=-1).reshape(-1, 3)
+    geometry = np.stack(
+        [
+            angles_from_directions(normal @ rig_from_object(pose).T, *(np.broadcast_to(to(pose), normal.shape)
+                                                                       for to in (to_light, to_camera)))
+            for pose in SIXTEEN
+        ],
+        axis=1,
+    )  # fmt: skip
+    weight = (geometry[..., :2] < np.radians(80.0)).all(axis=-1).astype(float)
+    paint = np.repeat(np.arange(SIDE) // 6 % 2, 64)
+    colour, (beta, mu) = 0.5 * np.array([VERMILION, CREAM])[paint], (np.array(one)[paint] for one in (beta, mu))
+    with np.errstate(invalid="ignore"):
+        seen = photographed(colour, 0.0, 0.15, geometry, seed)
+        shape = np.stack([evaluate(lobe, m, angles) for m, angles in zip(mu, geometry, strict=True)])
+    gloss = beta[:, None] * shape * fresnel_array(np.cos(geometry[..., 2]), N, K)
+    drift = 1.0 + 0.01 * np.random.default_rng(seed).normal(size=len(SIXTEEN))
+    lit = np.where(weight[..., None] > 0.0, (seen.response + gloss[..., None]) * drift[:, None], 0.0)
+    return replace(seen, response=lit.astype(np.float32), weight=weight.astype(np.float32))
+
+
+@pytest.mark.default_cases(3)
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize(("beta", "mu"), [((1.0, 2.5), (0.25, 0.12)), ((2.0, 0.6), (0.15, 0.3)),
+                                          ((4.0, 1.5), (0.1, 0.2))])  # fmt: skip
+@pytest.mark.parametrize("lobe", ["gaussian", "ggx"])
+def test_the_lobe_of_a_round_object_is_told_by_its_paints_though_a_texel_hardly_sees_it(tmp_path, lobe, beta, mu, seed):
+    write_tile(tmp_path / "seen.h5", round_object(lobe, beta, mu, seed), [0, SIDE])
+    choice = tmp_path / "lobes.h5"
+    choose_lobes([tmp_path / "seen.h5"], choice, FitOptions(), N, K, provenance=PROVENANCE)
+    assert chosen_model(["auto"], "sum", [choice])["lobes"] == (lobe,)
+    other = next(one for one in read_choice([choice]) if one.lobes == ("ggx" if lobe == "gaussian" else "gaussian",))
+    assert other.behind > 2.0 * other.behind_error
 
 
 def test_two_lobes_that_were_chosen_keep_each_texels_own_gloss(tmp_path):
