@@ -1,4 +1,4 @@
-"""How often true values lie within stated errors: the shares, the lamp's drift, and the materials of a finished run."""
+"""Benchmark of stated errors: its shares, the drift of a rig's lamp, and the materials of a finished run."""
 
 import csv
 import shutil
