@@ -151,17 +151,40 @@ def best_pair(cosine: np.ndarray, lobe: np.ndarray, response: np.ndarray) -> tup
     return *map(float, found[best]), sums[best]
 
 
-def scan(cosine, lobe: Callable, response, limits: tuple[float, float]) -> tuple[float, float, float, float]:
-    """Fit α, β and roughness by a scan over roughness and bounded minimisation; return them and the sum of squares."""
-    grid = np.linspace(*np.log(limits), _SCAN)
-    sums = [best_pair(cosine, lobe(math.exp(t)), response)[2] for t in grid]
+def least_squares_of(cosine: np.ndarray, lobes: np.ndarray, response: np.ndarray) -> np.ndarray:
+    """Return the sums of squares of `best_pair` for many lobes, (n,) of (n, J)."""
+    cc, cr, rr = cosine @ cosine, cosine @ response, response @ response
+    cg, gr, gg = lobes @ cosine, lobes @ response, np.sum(lobes**2, axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        determinant = cc * gg - cg * cg
+        a, b = (gg * cr - cg * gr) / determinant, (cc * gr - cg * cr) / determinant
+        both = np.where((a >= 0.0) & (b >= 0.0), rr - a * cr - b * gr, np.inf)
+        alone = np.where(gg > 0.0, rr - np.maximum(gr, 0.0) ** 2 / gg, np.inf)
+    return np.fmin(np.fmin(both, alone), rr - max(cr, 0.0) ** 2 / cc)
+
+
+def scan(cosine, lobe: Callable, response, grid: np.ndarray, lobes: np.ndarray) -> tuple[float, float, float, float]:
+    """Fit α, β and roughness by a scan over roughness and bounded minimisation; return them and the sum of squares.
+
+    Parameters
+    ----------
+    cosine, response : (J,) float
+    lobe : callable
+        The lobe as a function of its roughness, (J,).
+    grid : (n,) float
+        Logarithms of the roughnesses of the scan.
+    lobes : (n, J) float
+        The lobe there.
+    """
+    sums = least_squares_of(cosine, lobes, response)
     best = int(np.argmin(sums))
-    bracket = grid[max(best - 1, 0)], grid[min(best + 1, _SCAN - 1)]
+    bracket = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
     found = minimize_scalar(
         lambda t: best_pair(cosine, lobe(math.exp(t)), response)[2],
         bounds=bracket, method="bounded", options={"xatol": 1e-9},
     )  # fmt: skip
-    roughness = math.exp(found.x if found.fun <= sums[best] else grid[best])
+    at_node = best_pair(cosine, lobes[best], response)[2]
+    roughness = math.exp(found.x if found.fun <= at_node else grid[best])
     alpha, beta, squares = best_pair(cosine, lobe(roughness), response)
     return alpha, beta, roughness, squares
 
@@ -186,9 +209,10 @@ def fit_all(measured: Measured, keep_outliers: bool = False) -> dict[str, Fitted
     parameters = np.column_stack([result.alpha, result.gloss])
     a, b, m = (parameters[:, i, None] for i in range(3))
     out["equation 5"] = Fitted(parameters, reflect(a, 1.0, b, m, geometry[None], n=N, k=K))
-    lobe, rows = ggx(geometry), []
-    for w, rho in enumerate(response):
-        rows.append(scan(cosine[kept[w]], _only(lobe, kept[w]), rho[kept[w]], _GGX_ALPHA)[:3])
+    lobe, grid, rows = ggx(geometry), np.linspace(*np.log(_GGX_ALPHA), _SCAN), []
+    lobes = np.stack([lobe(math.exp(t)) for t in grid])  # the same at all wavelengths
+    for here, rho in zip(kept, response, strict=True):
+        rows.append(scan(cosine[here], _only(lobe, here), rho[here], grid, lobes[:, here])[:3])
     predicted = np.stack([a * cosine + b * lobe(r) for a, b, r in rows])
     out["ggx"] = Fitted(np.array(rows), predicted)
     return out
