@@ -35,7 +35,9 @@ from irodori.simulation.virtual_rig.imperfections import Faults
 OBJECTS = ("tile-plate", "vermilion-sphere", "indigo-sphere", "leaf-sphere")
 CAMERA = "d5100-comb"
 _RIG = Path("config/rigs/virtual.yaml")
-_COLUMNS = ("object", "quantity", "rigs", "values", "within_1_sigma", "within_2_sigma")
+_SHARES = ("within_1_sigma", "within_2_sigma")
+_COLUMNS = ("object", "quantity", "rigs", "values", *_SHARES)
+_ERRORS = ("error_of_1_sigma", "error_of_2_sigma")
 
 
 class Drift(NamedTuple):
@@ -73,32 +75,48 @@ def shares(off: np.ndarray, spread: np.ndarray, stated: np.ndarray) -> tuple[flo
     return found[0], found[1]
 
 
+def errors_of(
+    found: Material, truth: Material, stated: dict[str, np.ndarray], bands: np.ndarray, lamp: Drift
+) -> dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Return errors without the lamp's drift, the standard deviation that drifts add, and the stated errors.
+
+    Parameters
+    ----------
+    found, truth : Material
+    stated : dict
+        ``alpha``, ``beta`` and ``mu``, (height, width) each, and ``reflectance``, (height, width, n).
+    bands : (n,) int
+        Indices of the wavelengths at which errors of reflectance are stated.
+    lamp : Drift
+    """
+    inner, (beta, mu) = interior(truth), comparable_gloss(found, truth)[0]
+    coloured = found.observed & inner & (truth.alpha > 0.0)
+    estimate, exact = (m.coefficients[coloured] @ m.basis.T[:, bands] for m in (found, truth))
+    none = Drift(1.0, 0.0)
+    pairs = {
+        "alpha": (found.alpha[coloured], truth.alpha[coloured], stated["alpha"][coloured], lamp),
+        "beta": (found.beta[inner], beta[inner], stated["beta"][inner], lamp),
+        "mu": (found.mu[inner], mu[inner], stated["mu"][inner], none),
+        "reflectance": (estimate, exact, stated["reflectance"][coloured], lamp),
+    }
+    out = {}
+    for quantity, (value, true, error, one) in pairs.items():
+        known = np.isfinite(value) & np.isfinite(true) & np.isfinite(error)
+        if known.any():
+            out[quantity] = (value / one.ratio - true)[known], one.sigma * np.abs(true[known]), error[known]
+    return out
+
+
 def measured(folder: Path, name: str, lamp: Drift) -> dict[str, tuple[int, float, float]]:
     """Return the number of values of each quantity, and their shares within one and two stated errors, of an object."""
     files = {kind: folder / f"results/{name}/{kind}.h5" for kind in ("material", "truth")}
     found, truth = (Material.load(path) for path in files.values())
     with store.open_file(files["material"]) as file:
-        stated = {key: file.read(key) for key in ("alpha_error", "beta_error", "mu_error", "spectral_error")}
+        stated = {key: file.read(f"{key}_error") for key in ("alpha", "beta", "mu")}
+        stated["reflectance"] = file.read("spectral_error")
         bands = np.searchsorted(file.read("wavelength"), file.read("error_wavelength"))
-    inner, (beta, mu) = interior(truth), comparable_gloss(found, truth)[0]
-    of_colour = found.observed & inner & (truth.alpha > 0.0)
-    estimate, exact = (m.coefficients[of_colour] @ m.basis.T[:, bands] for m in (found, truth))
-    pairs = {
-        "alpha": (found.alpha, truth.alpha, stated["alpha_error"], of_colour, True),
-        "beta": (found.beta, beta, stated["beta_error"], inner, True),
-        "mu": (found.mu, mu, stated["mu_error"], inner, False),
-        "reflectance": (estimate, exact, stated["spectral_error"][of_colour], np.ones(len(exact), dtype=bool), True),
-    }
-    out = {}
-    for quantity, (value, true, error, chosen, drifts) in pairs.items():
-        value, true, error = value[chosen], true[chosen], error[chosen]
-        known = np.isfinite(value) & np.isfinite(true) & np.isfinite(error)
-        if not known.any():
-            continue
-        scale, spread = (lamp.ratio, lamp.sigma) if drifts else (1.0, 0.0)
-        off = value[known] / scale - true[known]
-        out[quantity] = (int(known.sum()), *shares(off, spread * np.abs(true[known]), error[known]))
-    return out
+    errors = errors_of(found, truth, stated, bands, lamp)
+    return {quantity: (len(one[0].ravel()), *shares(*one)) for quantity, one in errors.items()}
 
 
 def with_seed(folder: Path, seed: int) -> None:
@@ -122,13 +140,14 @@ def rows_of(folder: Path, seed: int, objects: Sequence[str]) -> list[dict]:
 
 
 def together(rows: Sequence[dict]) -> list[dict]:
-    """Return the mean over rigs for each object and quantity, in the order in which they first occur."""
+    """Return the mean over rigs and its standard error for each object and quantity, in order of first occurrence."""
     out = []
     for name, quantity in dict.fromkeys((row["object"], row["quantity"]) for row in rows):
         same = [row for row in rows if (row["object"], row["quantity"]) == (name, quantity)]
-        shares_of = (float(np.mean([row[key] for row in same])) for key in _COLUMNS[-2:])
-        count = sum(row["values"] for row in same)
-        out.append(dict(zip(_COLUMNS, (name, quantity, len(same), count, *shares_of), strict=True)))
+        each = np.array([[row[key] for key in _SHARES] for row in same])
+        apart = each.std(axis=0, ddof=1) / math.sqrt(len(same)) if len(same) > 1 else np.full(2, math.nan)
+        figures = len(same), sum(row["values"] for row in same), *each.mean(axis=0).tolist(), *apart.tolist()
+        out.append(dict(zip((*_COLUMNS, *_ERRORS), (name, quantity, *figures), strict=True)))
     return out
 
 
@@ -152,11 +171,15 @@ def main() -> None:
             rows += rows_of(folder, seed, given.objects)
     found = together(rows)
     for row in found:
-        text = "{object:>17} {quantity:>12}: {values:>9} values on {rigs} rigs, within 1σ {0:.1%}, 2σ {1:.1%}"
-        print(text.format(row["within_1_sigma"], row["within_2_sigma"], **row))
+        text = "{object:>17} {quantity:>12}: {values:>9} values on {rigs} rigs, within 1σ {0:.1%} ± {1:.1%}, "
+        print(
+            (text + "2σ {2:.1%} ± {3:.1%}").format(
+                *(row[k] for pair in zip(_SHARES, _ERRORS, strict=True) for k in pair), **row
+            )
+        )
     if given.output:
         with given.output.open("w", newline="", encoding="utf-8") as stream:
-            writer = csv.DictWriter(stream, _COLUMNS, lineterminator="\n")
+            writer = csv.DictWriter(stream, (*_COLUMNS, *_ERRORS), lineterminator="\n")
             writer.writeheader()
             writer.writerows(found)
 

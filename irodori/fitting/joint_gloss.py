@@ -157,17 +157,19 @@ def _settled(paints: list[SeparateGloss]) -> tuple[list[SeparateGloss], _Solutio
     return paints, _joint(paints) if any(paint.weighed for paint in paints) else joint
 
 
-def _refitted(paints: list[SeparateGloss], surfaces: list[SearchedTexels]) -> list[SeparateGloss]:
-    """Return paints fitted to fewer readings.
+def _refitted(
+    paints: list[SeparateGloss], surfaces: list[SearchedTexels], *, without_highlights: bool
+) -> list[SeparateGloss]:
+    """Return paints fitted to fewer readings; a paint whose gloss these do not determine stays as it is.
 
-    A paint stays as it is if these do not determine its gloss, or show a lobe far wider or narrower: what is left of a
-    mirror without its highlights is the faint gleam around them.
+    So does one that shows a far wider lobe without its highlights, or a far narrower one: what is left of a mirror is
+    the faint gleam around them.
     """
     near = np.linspace(-_AROUND, _AROUND, _NODES)
     out = []
     for paint, surface in zip(paints, surfaces, strict=True):
         found = separate_gloss(surface, paint.log_gloss[1] + near)
-        if found is None or abs(found.log_gloss[1] - paint.log_gloss[1]) > _AROUND:
+        if found is None or (without_highlights and abs(found.log_gloss[1] - paint.log_gloss[1]) > _AROUND):
             found = paint
         out.append(found)
     return out
@@ -210,11 +212,13 @@ def _consistent(paints: list[SeparateGloss]) -> tuple[list[SeparateGloss], _Solu
         return paints, joint, None
     worst = int(np.argmax(np.sum(np.delete(joint.photographs.sizes, VEIL, axis=1) ** 2, axis=1)))
     times = float(np.sqrt(joint.excess))
-    dimmer = _refitted(paints, [sums.without_brightest(paint.surface, paint.log_gloss, _BRIGHTEST) for paint in paints])
+    dim = [sums.without_brightest(paint.surface, paint.log_gloss, _BRIGHTEST) for paint in paints]
+    dimmer = _refitted(paints, dim, without_highlights=True)
     dimmer, other = _settled(dimmer)
     if other.excess == 1.0 and _are_too_dark(paints, dimmer, other):
         return dimmer, other, Contradiction(times, HIGHLIGHTS, worst)
-    others = _refitted(paints, [sums.without_photographs(paint.surface, worst) for paint in paints])
+    fewer = [sums.without_photographs(paint.surface, worst) for paint in paints]
+    others = _refitted(paints, fewer, without_highlights=False)
     others, other = _settled(others)
     if other.excess == 1.0:
         return others, other, Contradiction(times, PHOTOGRAPH, worst)

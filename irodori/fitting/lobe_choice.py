@@ -13,9 +13,10 @@ nothing of the peak, and a lobe with long tails predicts it less badly, whatever
 """
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations_with_replacement
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -89,7 +90,10 @@ def painted(readings: Readings, paint: np.ndarray, sample: np.ndarray) -> list[P
 
 
 def choose(
-    sample: Readings, options: FitOptions, tried: Iterable[Candidate], paints: Sequence[PaintedTexels] = ()
+    sample: Readings,
+    options: FitOptions,
+    tried: Iterable[Candidate],
+    paints: Mapping[str, Sequence[PaintedTexels]] = MappingProxyType({}),
 ) -> tuple[Candidate, list[LeftOut]]:
     """Choose a candidate; return it, and for every candidate how well it predicts left-out photographs.
 
@@ -100,11 +104,11 @@ def choose(
         Options of the fit; its lobes and coat are ignored, and the refractive index is fixed.
     tried : iterable of Candidate
         The simplest first.
-    paints : sequence of PaintedTexels
-        As in `left_out_errors`.
+    paints : mapping of str to sequence of PaintedTexels
+        As in `left_out_errors`, by the coat under which their colours were found.
     """
     tried = list(tried)
-    errors = [left_out_errors(sample, replace(options, **one._asdict()), paints) for one in tried]
+    errors = [left_out_errors(sample, replace(options, **one._asdict()), paints.get(one.coat, ())) for one in tried]
     deviations = [_deviation(error) for error in errors]
     scale = max(1.0, min((one for one in deviations if one > 0.0), default=1.0))
     losses = np.array([_by_photograph(error / scale) for error in errors])

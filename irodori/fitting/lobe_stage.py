@@ -15,12 +15,14 @@ from irodori.fitting.paint_colours import find_colours, noise_floor
 from irodori.fitting.paints import BELIEVED, by_colour
 from irodori.fitting.solvers import FitOptions, fit
 from irodori.fitting.stage import for_object, fresnel_of
-from irodori.fitting.texel_sample import Readings, evenly, sample_texels
-from irodori.material.lobe_choices import model_before_choice, model_text, write_choice
+from irodori.fitting.texel_sample import Readings, drawn, sample_texels
+from irodori.material.lobe_choices import model_text, write_choice
 from irodori.reflection.coat import COATS, SUM
+from irodori.reflection.registry import DEFAULT_LOBES
 
 #: Texels from which paints are found, at most, and the observations that each should have, fewer than to tell lobes.
 _MOST_SEEN, _ENOUGH_FOR_PAINT = 8192, 4
+_LEAST_PAINTED = 0.5  # share of the sample below which a choice of one lobe is said to rest on single texels
 
 
 def choose_lobes(
@@ -47,26 +49,39 @@ def choose_lobes(
     fresnel, options = fresnel_of(n, k, calibration, bands), for_object(options, observations)
     seen = without_images(sample_texels(observations, _MOST_SEEN, _ENOUGH_FOR_PAINT), options)
     every = Readings.of_band(seen, GREEN, fresnel.n, fresnel.k)
-    few = evenly(np.count_nonzero(every.weight > 0.0, axis=1), MOST_TEXELS, ENOUGH_OBSERVATIONS)
-    sample, paints = every[few], []
+    few = drawn(np.count_nonzero(every.weight > 0.0, axis=1), MOST_TEXELS, ENOUGH_OBSERVATIONS)
+    sample, tried = every[few], candidates(options, None if AUTO in lobes else tuple(lobes), coats_of(coat))
+    paints = {}
     if options.gloss_by_paint:
-        paints = painted(every, _paint_of(seen, every, options, fresnel), few)
-    tried = candidates(options, None if AUTO in lobes else tuple(lobes), COATS if coat == AUTO else (coat,))
+        lobe = next((one.lobes for one in tried if len(one.lobes) == 1), DEFAULT_LOBES)
+        for name in coats_of(coat):
+            own = replace(options, lobes=lobe, coat=name, solver="varpro", refractive_index="fixed")
+            paints[name] = painted(every, _paint_of(seen, every, own, fresnel), few)
     chosen, found = choose(sample, options, tried, paints)
-    write_choice(output, chosen, found, len(sample.response), provenance)
+    share = sum(len(paint.texels) for paint in paints.get(chosen.coat, ())) / max(len(few), 1)
+    write_choice(output, chosen, found, len(few), provenance, share)
     for one in found:
         stated = (one.text, one.deviation, one.behind, one.behind_error)
         LOGGER.info("%s: left-out readings off by %.2f stated errors; behind the best by %.3f +- %.3f", *stated)
-    said = len(sample.response), len(paints), sample.response.shape[1], model_text(*chosen)
-    LOGGER.info("model from %d texels and %d paints in %d photographs: %s", *said)
+    said = *sample.response.shape, len(paints.get(chosen.coat, ())), 100.0 * share, model_text(*chosen)
+    LOGGER.info("model from %d texels of %d photographs, %d paints on %.0f %% of them: %s", *said)
+    if share < _LEAST_PAINTED and len(chosen.lobes) == 1 and AUTO in lobes:
+        LOGGER.warning("few texels have the colour of a paint; by single texels, lobes with long tails are favoured")
+
+
+def coats_of(coat: str) -> tuple[str, ...]:
+    """Return the coats that an object's definition leaves open, or the one that it names."""
+    return COATS if coat == AUTO else (coat,)
 
 
 def _paint_of(seen: Observed, green: Readings, options: FitOptions, fresnel: BandGloss) -> np.ndarray:
-    """Return the paint of each texel of a sample, (texels,) int; -1 where its colour is not that of a paint."""
-    plain = replace(options, **model_before_choice([AUTO], AUTO))
-    own = fit(green.response, green.geometry, green.weight, green.n, green.k, plain, noise=green.noise)
+    """Return the paint of each texel of a sample, (texels,) int; -1 where its colour is not that of a paint.
+
+    The colours are those that texels have by their own fit with the lobe and the coat of the options.
+    """
+    own = fit(green.response, green.geometry, green.weight, green.n, green.k, options, noise=green.noise)
     given = seen.response, seen.geometry, seen.weight, own, fresnel, seen.noise
-    response, variance = diffuse_response(*given, model_error=options.model_error)
+    response, variance = diffuse_response(*given, model_error=options.model_error, coupled=options.is_coupled)
     told = np.isin(own.status, BELIEVED) & np.isfinite(response).all(axis=1)
     colours = find_colours(response[told], noise_floor(variance[told], response[told]))
     return by_colour(response, variance, colours)

@@ -53,8 +53,8 @@ class Readings:
         return diffuse_cosine(geometry, self.n, self.k, self.coupled)
 
 
-def evenly(observations: np.ndarray, most: int, enough: int) -> np.ndarray:
-    """Return indices of some texels, evenly spread: of those with enough observations, or else with the most.
+def drawn(observations: np.ndarray, most: int, enough: int) -> np.ndarray:
+    """Return indices of some texels, drawn at random: of those with enough observations, or else with the most.
 
     Parameters
     ----------
@@ -64,7 +64,8 @@ def evenly(observations: np.ndarray, most: int, enough: int) -> np.ndarray:
         As in `sample_texels`.
     """
     found = np.flatnonzero(observations >= max(min(enough, observations.max(initial=0)), 1))
-    return found[:: max(1, -(-len(found) // most))]
+    # Every nth would be a few columns of a texture whose width n divides.
+    return np.sort(np.random.default_rng(1).permutation(found)[:most])
 
 
 def sample_texels(tiles: list, most: int, enough: int) -> Observed:

@@ -62,7 +62,9 @@ def model_text(lobes: tuple[str, ...] | list[str], coat: str) -> str:
     return " + ".join(lobes) + (f", {coat} coat" if coat != SUM else "")
 
 
-def write_choice(output, chosen: Candidate, found: list[LeftOut], texels: int, provenance: store.Provenance) -> None:
+def write_choice(
+    output, chosen: Candidate, found: list[LeftOut], texels: int, provenance: store.Provenance, painted: float
+) -> None:
     """Write the choice (attributes ``lobes`` and ``coat``) and the prediction errors of every candidate in order.
 
     Parameters
@@ -74,6 +76,8 @@ def write_choice(output, chosen: Candidate, found: list[LeftOut], texels: int, p
     texels : int
         Number of texels that the prediction errors come from.
     provenance : Provenance
+    painted : float
+        Share of these texels that were compared with the gloss of a paint.
     """
     with store.create(output, provenance) as out:
         out.coordinate("candidate", [one.text for one in found], units="1", quantity="lobes, as a sum, and coat")
@@ -81,7 +85,7 @@ def write_choice(output, chosen: Candidate, found: list[LeftOut], texels: int, p
             values = np.array([getattr(one, name) for one in found])
             out.write(name, values, units="1", dims="candidate", quantity=quantity)
         tried = {"candidates": [list(one.lobes) for one in found], "coats": [one.coat for one in found]}
-        attributes = {"lobes": list(chosen.lobes), "coat": chosen.coat, **tried, "texels": texels}
+        attributes = {"lobes": list(chosen.lobes), "coat": chosen.coat, **tried, "texels": texels, "painted": painted}
         for name, value in attributes.items():
             out.attribute(name, value)
 

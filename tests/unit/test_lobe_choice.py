@@ -11,6 +11,7 @@ from test_paints import CREAM, OPTICS, PROVENANCE, SIDE, VERMILION, photographed
 
 from benchmarks import materials
 from irodori.config.capture_table import Pose
+from irodori.core import store
 from irodori.fitting.diffuse_response import Observed
 from irodori.fitting.lobe_choice import candidates, choose, left_out_errors
 from irodori.fitting.lobe_stage import choose_lobes
@@ -22,6 +23,7 @@ from irodori.geometry.rig_frame import rig_from_object, to_camera, to_light
 from irodori.material.fitted_tiles import FittedTiles
 from irodori.material.lobe_choices import Candidate, LeftOut, chosen_model, read_choice
 from irodori.reflection import registry
+from irodori.reflection.coat import diffuse_cosine
 from irodori.reflection.equation5 import angles_from_directions
 from irodori.reflection.fresnel import fresnel_array
 from irodori.reflection.lobe_arrays import evaluate
@@ -148,7 +150,7 @@ def test_the_choice_of_an_object_is_one_for_its_tiles_and_is_kept(tmp_path):
     )
 
 
-def round_object(lobe, beta, mu, seed) -> Observed:
+def round_object(lobe, beta, mu, seed, coat="sum", grain=0.0) -> Observed:
     """A sphere of two paints under sixteen poses, four of them opposite the lamp: texels see a peak once, if at all."""
     around, down = np.meshgrid((np.arange(64) + 0.5) / 32.0 * np.pi, (np.arange(SIDE) + 0.5) / SIDE * np.pi)
     normal = [np.sin(down) * np.cos(around), np.sin(down) * np.sin(around), np.cos(down)]
@@ -168,23 +170,45 @@ def round_object(lobe, beta, mu, seed) -> Observed:
         seen = photographed(colour, 0.0, 0.15, geometry, seed)
         shape = np.stack([evaluate(lobe, m, angles) for m, angles in zip(mu, geometry, strict=True)])
     gloss = beta[:, None] * shape * fresnel_array(np.cos(geometry[..., 2]), N, K)
-    drift = 1.0 + 0.01 * np.random.default_rng(seed).normal(size=len(SIXTEEN))
-    lit = np.where(weight[..., None] > 0.0, (seen.response + gloss[..., None]) * drift[:, None], 0.0)
+    rng = np.random.default_rng(seed)
+    drift, grains = 1.0 + 0.01 * rng.normal(size=(len(SIXTEEN), 1)), np.exp(grain * rng.normal(size=(len(paint), 1, 3)))
+    with np.errstate(invalid="ignore"):
+        under = diffuse_cosine(geometry, N, K, coat == "coupled") / diffuse_cosine(geometry, N, K, False)
+    diffuse = seen.response * grains * under[..., None]
+    lit = np.where(weight[..., None] > 0.0, (diffuse + gloss[..., None]) * drift, 0.0)
     return replace(seen, response=lit.astype(np.float32), weight=weight.astype(np.float32))
 
 
-@pytest.mark.default_cases(3)
+@pytest.mark.default_cases(4)
 @pytest.mark.parametrize("seed", [1, 2])
-@pytest.mark.parametrize(("beta", "mu"), [((1.0, 2.5), (0.25, 0.12)), ((2.0, 0.6), (0.15, 0.3)),
-                                          ((4.0, 1.5), (0.1, 0.2))])  # fmt: skip
+@pytest.mark.parametrize(
+    ("beta", "mu"), [((1.0, 2.5), (0.25, 0.12)), ((2.0, 0.6), (0.15, 0.3)), ((4.0, 1.5), (0.1, 0.2))]
+)
 @pytest.mark.parametrize("lobe", ["gaussian", "ggx"])
-def test_the_lobe_of_a_round_object_is_told_by_its_paints_though_a_texel_hardly_sees_it(tmp_path, lobe, beta, mu, seed):
-    write_tile(tmp_path / "seen.h5", round_object(lobe, beta, mu, seed), [0, SIDE])
+@pytest.mark.parametrize("coat", ["sum", "coupled"])
+def test_the_lobe_of_a_round_object_is_told_by_its_paints_though_a_texel_hardly_sees_it(
+    tmp_path, coat, lobe, beta, mu, seed
+):
+    write_tile(tmp_path / "seen.h5", round_object(lobe, beta, mu, seed, coat), [0, SIDE])
     choice = tmp_path / "lobes.h5"
-    choose_lobes([tmp_path / "seen.h5"], choice, FitOptions(), N, K, provenance=PROVENANCE)
-    assert chosen_model(["auto"], "sum", [choice])["lobes"] == (lobe,)
-    other = next(one for one in read_choice([choice]) if one.lobes == ("ggx" if lobe == "gaussian" else "gaussian",))
-    assert other.behind > 2.0 * other.behind_error
+    choose_lobes([tmp_path / "seen.h5"], choice, FitOptions(), N, K, provenance=PROVENANCE, coat="auto")
+    assert chosen_model(["auto"], "auto", [choice])["lobes"] == (lobe,)
+    wrong = "ggx" if lobe == "gaussian" else "gaussian"
+    others = [one for one in read_choice([choice]) if one.lobes == (wrong,)]
+    assert len(others) == 2 and all(one.behind > 2.0 * one.behind_error for one in others)
+    with store.open_file(choice) as file:
+        assert file.attribute("painted", float) > 0.9
+
+
+def test_without_paints_the_choice_says_on_what_it_rests(tmp_path, caplog):
+    seen = round_object("gaussian", (1.0, 2.5), (0.25, 0.12), 1, grain=0.25)
+    write_tile(tmp_path / "seen.h5", seen, [0, SIDE])
+    choice = tmp_path / "lobes.h5"
+    with caplog.at_level("WARNING"):
+        choose_lobes([tmp_path / "seen.h5"], choice, FitOptions(), N, K, provenance=PROVENANCE)
+    assert "few texels have the colour of a paint" in caplog.text
+    with store.open_file(choice) as file:
+        assert file.attribute("painted", float) < 0.5
 
 
 def test_two_lobes_that_were_chosen_keep_each_texels_own_gloss(tmp_path):

@@ -131,6 +131,20 @@ def test_a_rotation_that_was_typed_wrong_is_refused_with_that_which_the_paints_s
     assert angle_deg(rotation_xyz(said) @ rotation_xyz(OVER).T) < 12.0
 
 
+def test_a_wrong_rotation_of_a_symmetric_ball_is_not_refused_but_warned_of(caplog):
+    """Turned by 180 degrees about its axis, this ball looks the same: two rotations agree equally well."""
+
+    def symmetric(point):
+        return 0.5 * (paints(point) + paints(point * [-1.0, -1.0, 1.0]))
+
+    own = side(2, typed=(90.0, 0.0, 0.0))
+    for view in own.problem.views:
+        view.picture = photograph(view.pose, Correction.laid(BALL, OVER), symmetric)
+    with caplog.at_level("WARNING"):
+        turned(side(1, colours=symmetric), own, 5.0)
+    assert "placement 2: the photographs agree better with several other rotations" in caplog.text
+
+
 @pytest.mark.parametrize("number", [1, 2])
 def test_a_photograph_of_the_other_placement_is_refused_by_its_name(first, number):
     there = Correction.laid(BALL, OVER) if number == 1 else Correction()

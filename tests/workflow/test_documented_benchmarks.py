@@ -6,6 +6,7 @@ options ``--size`` choose from, are replaced by one tiny size.
 
 import functools
 import importlib
+import csv
 import shutil
 import sys
 import timeit
@@ -13,10 +14,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import yaml
 from documented import of_kind, words_of
 from project import ROOT, planned, snakemake
 
-from benchmarks import exports, published_tables, render, scaling, site_figures, ten_megapixels
+from benchmarks import coverage, exports, published_tables, render, scaling, site_figures, ten_megapixels
 from irodori.config.models import Size
 
 _FRAME = {"environment": 64, "width": 16, "height": 12}
@@ -201,6 +203,30 @@ def test_the_documented_tables_and_figures_are_made_of_a_finished_run(again, tmp
     assert {path.name for path in (tmp_path / "docs/figures").iterdir()} >= {*drawn, "viewer.png"}
 
 
+@pytest.mark.heavy
+def test_the_benchmark_counts_the_materials_that_each_rig_makes(finished, tmp_path, monkeypatch, capsys):
+    seeds = []
+
+    def run_chain(folder, cores, *targets):
+        seeds.append(yaml.safe_load((folder / "config/rigs/virtual.yaml").read_text())["virtual"]["seed"])
+        assert "results/tile-plate/material.h5" in targets
+        shutil.copytree(finished / "results", folder / "results")
+        return 1.0
+
+    monkeypatch.setattr(coverage, "run_chain", run_chain)
+    output = tmp_path / "coverage.csv"
+    arguments = ["coverage", "--rigs", "2", "--objects", "tile-plate", "leaf-sphere", "--output", str(output)]
+    monkeypatch.setattr("sys.argv", arguments)
+    coverage.main()
+    assert seeds == [1, 2] and "tile-plate" in capsys.readouterr().out
+    with output.open(newline="") as stream:
+        rows = {(row["object"], row["quantity"]): row for row in csv.DictReader(stream)}
+    assert {name for name, _ in rows} == {"tile-plate", "leaf-sphere"}
+    alpha = rows["tile-plate", "alpha"]
+    assert int(alpha["rigs"]) == 2 and int(alpha["values"]) > 2 * 50
+    assert 0.4 < float(alpha["within_1_sigma"]) < float(alpha["within_2_sigma"]) <= 1.0
+
+
 def test_every_documented_benchmark_is_run_here():
-    here = {*_TINY, "exports", "published_tables", "scaling", "site_figures", "ten_megapixels"}
+    here = {*_TINY, "coverage", "exports", "published_tables", "scaling", "site_figures", "ten_megapixels"}
     assert {words_of(command)[0].removeprefix("benchmarks.") for command in of_kind("benchmark")} == here

@@ -1,18 +1,17 @@
-"""Benchmark of stated errors: its shares, the drift of a rig's lamp, and the materials of a finished run."""
+"""Benchmark of stated errors: its shares, the drift of a rig's lamp, and errors of materials without it."""
 
-import csv
-import shutil
 from dataclasses import replace
 
 import numpy as np
 import pytest
-import yaml
 from hypothesis import given
 from hypothesis import strategies as st
+from test_report_errors import checks
 
 from benchmarks import coverage
 from irodori.config.capture_table import Pose, Shot
 from irodori.config.models import Imperfections
+from irodori.evaluation.truth_errors import interior
 from irodori.simulation.virtual_rig.imperfections import Faults
 
 FAULTS = Imperfections.of(
@@ -54,25 +53,36 @@ def test_the_drift_of_a_rig_is_the_ratio_of_what_its_lamp_gave_and_scatters_as_s
     assert coverage.drift(still, 7, white, "plate", subject) == (1.0, 0.0)
 
 
-@pytest.mark.heavy
-def test_the_benchmark_counts_the_materials_that_each_rig_makes(finished, tmp_path, monkeypatch, capsys):
-    seeds = []
+def test_the_drift_is_taken_out_of_all_that_it_scales_and_of_nothing_else():
+    truth, lamp = checks(20, 20, 5), coverage.Drift(1.04, 0.013)
+    found = replace(truth, alpha=1.04 * truth.alpha, beta=1.04 * truth.beta, mu=truth.mu + 0.01,
+                    coefficients=1.04 * truth.coefficients)  # fmt: skip
+    bands = np.array([0, 30, 60])
+    stated = {key: np.full(truth.alpha.shape, 0.01) for key in ("alpha", "beta", "mu")}
+    stated["reflectance"] = np.full((*truth.alpha.shape, 3), 0.01)
+    stated["alpha"][:4] = np.nan
+    errors = coverage.errors_of(found, truth, stated, bands, lamp)
+    inner = interior(truth)
+    for quantity, exact in (("alpha", truth.alpha[inner & np.isfinite(stated["alpha"])]), ("beta", truth.beta[inner])):
+        off, spread, error = errors[quantity]
+        np.testing.assert_allclose(off, 0.0, atol=1e-6)
+        np.testing.assert_allclose(spread, 0.013 * exact)
+        assert (error == 0.01).all()
+    off, spread, _ = errors["mu"]
+    np.testing.assert_allclose(off, 0.01, atol=1e-6)
+    assert (spread == 0.0).all() and len(off) == inner.sum()
+    off, spread, _ = errors["reflectance"]
+    assert off.size == 3 * inner.sum()
+    np.testing.assert_allclose(off, 0.0, atol=1e-6)
+    np.testing.assert_allclose(spread, 0.013 * (truth.coefficients[inner] @ truth.basis.T[:, bands]).ravel(), rtol=1e-5)
 
-    def run_chain(folder, cores, *targets):
-        seeds.append(yaml.safe_load((folder / "config/rigs/virtual.yaml").read_text())["virtual"]["seed"])
-        assert "results/tile-plate/material.h5" in targets
-        shutil.copytree(finished / "results", folder / "results")
-        return 1.0
 
-    monkeypatch.setattr(coverage, "run_chain", run_chain)
-    output = tmp_path / "coverage.csv"
-    arguments = ["coverage", "--rigs", "2", "--objects", "tile-plate", "leaf-sphere", "--output", str(output)]
-    monkeypatch.setattr("sys.argv", arguments)
-    coverage.main()
-    assert seeds == [1, 2] and "tile-plate" in capsys.readouterr().out
-    with output.open(newline="") as stream:
-        rows = {(row["object"], row["quantity"]): row for row in csv.DictReader(stream)}
-    assert {name for name, _ in rows} == {"tile-plate", "leaf-sphere"}
-    alpha = rows["tile-plate", "alpha"]
-    assert int(alpha["rigs"]) == 2 and int(alpha["values"]) > 2 * 50
-    assert 0.4 < float(alpha["within_1_sigma"]) < float(alpha["within_2_sigma"]) <= 1.0
+def test_rigs_are_averaged_and_their_scatter_tells_the_error():
+    shares = [(0.6, 0.9), (0.7, 1.0), (0.8, 0.95)]
+    rows = [dict(zip(("object", "quantity", "rigs", "values", "within_1_sigma", "within_2_sigma"),
+                     ("tile", "mu", 1, 10, one, two), strict=True)) for one, two in shares]  # fmt: skip
+    (found,) = coverage.together(rows)
+    assert (found["rigs"], found["values"]) == (3, 30)
+    assert found["within_1_sigma"] == pytest.approx(0.7) and found["within_2_sigma"] == pytest.approx(0.95)
+    assert found["error_of_1_sigma"] == pytest.approx(0.1 / np.sqrt(3.0))
+    assert np.isnan(coverage.together(rows[:1])[0]["error_of_1_sigma"])
