@@ -4,9 +4,9 @@ What a benchmark takes from measured results it takes from those that the tests 
 options ``--size`` choose from, are replaced by one tiny size.
 """
 
+import csv
 import functools
 import importlib
-import csv
 import shutil
 import sys
 import timeit
