@@ -112,8 +112,8 @@ LONGEST_S = 4.0
 TOGETHER_S = 6.0  # of the tests that one mutant is put to
 EXAMPLES = 10  # of a property-based test, at most
 PATIENCE_S = 4.0
-QUIET_S = 40.0
-QUIET_SHARE = 0.02
+QUIET_S = 30.0
+QUIET_SHARE = 0.1
 HANGS_S = 1500.0
 PR_SET_PDEATHSIG = 1  # of linux/prctl.h
 
