@@ -48,9 +48,17 @@ class Drift(NamedTuple):
 
 
 def drift(faults: Imperfections, seed: int, camera: Sequence[Shot], name: str, shots: Sequence[Shot]) -> Drift:
-    """Return the lamp's drift on a virtual rig, from the tables of photographs of its camera and of an object.
+    """Return the lamp's drift on a virtual rig during the photographs without the filter, which tell α and β.
 
-    Of the photographs without the filter, which tell α and β.
+    Parameters
+    ----------
+    faults : Imperfections
+    seed : int
+        Of the rig.
+    camera, shots : sequence of Shot
+        Tables of photographs of its camera and of an object.
+    name : str
+        Of the object.
     """
     means, variance = [], 0.0
     memory, rms = math.exp(-1.0 / faults.light_drift.correlation_shots), faults.light_drift.relative_rms
@@ -171,12 +179,11 @@ def main() -> None:
             rows += rows_of(folder, seed, given.objects)
     found = together(rows)
     for row in found:
-        text = "{object:>17} {quantity:>12}: {values:>9} values on {rigs} rigs, within 1σ {0:.1%} ± {1:.1%}, "
-        print(
-            (text + "2σ {2:.1%} ± {3:.1%}").format(
-                *(row[k] for pair in zip(_SHARES, _ERRORS, strict=True) for k in pair), **row
-            )
+        text = "{object:>17} {quantity:>12}: {values:>9} values on {rigs} rigs, "
+        text += (
+            "within 1σ {within_1_sigma:.1%} ± {error_of_1_sigma:.1%}, 2σ {within_2_sigma:.1%} ± {error_of_2_sigma:.1%}"
         )
+        print(text.format(**row))
     if given.output:
         with given.output.open("w", newline="", encoding="utf-8") as stream:
             writer = csv.DictWriter(stream, (*_COLUMNS, *_ERRORS), lineterminator="\n")

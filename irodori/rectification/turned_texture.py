@@ -266,12 +266,13 @@ def _nearest_turn(first: Side, own: Side, sigma_deg: float) -> Side:
     clearest = anywhere[best]
     others = misfits[(anywhere * clearest.inv()).magnitude() > np.radians(_APART_DEG)]
     contrast = np.std(here.value[here.weight > 0.0], axis=0).mean() if (here.weight > 0.0).any() else 0.0
-    is_clear = misfits[best] < _AGREES and _CLEARER * misfits[best] < typed.min()
+    limit = _CLEARER * misfits[best]
     is_far = clearest.magnitude() > np.radians(_NEAR * max(sigma_deg, 1.0))
-    if contrast > _SURE_CONTRAST and is_clear and is_far and not _CLEARER * misfits[best] < others.min():
+    contradicts = contrast > _SURE_CONTRAST and misfits[best] < _AGREES and limit < typed.min() and is_far
+    if contradicts and limit >= others.min():
         said = "placement %d: the photographs agree better with several other rotations than with the typed one, %s"
         LOGGER.warning(said, own.number, list(own.problem.setup.correction.rotation_deg))
-    elif contrast > _SURE_CONTRAST and is_clear and is_far:
+    elif contradicts:
         said = Rotation.from_matrix(clearest.as_matrix() @ at).as_euler("xyz", degrees=True)
         angles = ", ".join(f"{angle:.0f}" for angle in said)
         stated = ", ".join(f"{angle:g}" for angle in own.problem.setup.correction.rotation_deg)
