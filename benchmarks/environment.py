@@ -1,27 +1,22 @@
-"""Benchmark of the maps of an environment: irradiance, light blurred for gloss, and look-ups.
+"""Benchmark of the maps of an environment: irradiance, and light blurred for gloss.
 
 ``python -m benchmarks.environment [--size small] [--height 3000] [--runs 5] [--output speed_error.csv]``. The light is
 a bright sky that varies smoothly on four bases, without and with a sun of half a degree that is 50000 times as bright;
 6000 x 3000 px, or small 256 x 128 px. The maps of an environment are made in three steps: ``quadtree`` sorts the light,
 ``irradiance`` fits the irradiance map to 0.2 % of its largest value, or as well as 512 rows allow (128 in small), and
-``gloss`` blurs the light and collects its point lights. Look-ups use random normals and views in one light. The
-reference is ``irradiance`` without the sun. Full also prints the error of look-ups against the sum over the true lobe.
+``gloss`` blurs the light. The reference is ``irradiance`` without the sun.
 """
 
 import numpy as np
 
 from benchmarks.table import COLUMNS, arguments_of, medians_s, own_peak_mb, report
 from irodori.core.threads import use_threads
-from irodori.light.gloss.gloss_maps import GlossMaps, gloss_radiance
-from irodori.light.gloss.look_up_errors import gloss_errors, places
+from irodori.light.gloss_maps import GlossMaps
 from irodori.light.irradiance import Integrator, fitted_irradiance_map
-from irodori.reflection.registry import names
 
 MAX_ERROR = 0.002
 SUN, SUN_RAD = 5e4, 0.0093
 HEIGHTS, MAX_HEIGHTS = {"small": 128, "full": 3000}, {"small": 128, "full": 512}
-LOOKUPS, VIEW_RAD = {"small": 5000, "full": 20_000}, 0.9
-LOOKUP_MU_RAD = (0.02, 0.1, 0.3, 0.8)
 
 
 def sky(height: int, with_sun: bool) -> np.ndarray:
@@ -44,9 +39,7 @@ def main() -> None:
     use_threads(arguments.threads)
     lights = {"": sky(arguments.height, False), "-sun": sky(arguments.height, True)}
     integrators = {name: Integrator(light) for name, light in lights.items()}
-    maps = GlossMaps.of(lights["-sun"])
-    lookups, max_height = LOOKUPS[arguments.size], MAX_HEIGHTS[arguments.size]
-    tables, (normal, view) = maps.tables(), places(VIEW_RAD, lookups)
+    max_height = MAX_HEIGHTS[arguments.size]
     work, errors = {}, {}
     for name, light in lights.items():
         work[f"quadtree{name}"] = lambda light=light: Integrator(light)
@@ -55,23 +48,16 @@ def main() -> None:
         )
         work[f"gloss{name}"] = lambda light=light: GlossMaps.of(light)
         errors[f"irradiance{name}"] = work[f"irradiance{name}"]()[1]["max_error"]
-    for mu in LOOKUP_MU_RAD:
-        work[f"look-up-{mu:g}"] = lambda mu=mu: gloss_radiance(tables, normal, view, 1.0, mu, (1.5, 0.0))
     seconds = medians_s(work, arguments.runs)
     rows = []
     for name, median in seconds.items():
-        count = lookups / 1e6 if name.startswith("look-up") else lights[""].shape[0] * lights[""].shape[1] / 1e6
-        unit = "million look-ups" if name.startswith("look-up") else "megapixels"
+        count = lights[""].shape[0] * lights[""].shape[1] / 1e6
         metric = "largest error over the largest irradiance" if name in errors else ""
-        values = ("environment", name, f"{count:.4g}", unit, f"{median:.4f}", f"{count / median:.3f}", metric,
+        values = ("environment", name, f"{count:.4g}", "megapixels", f"{median:.4f}", f"{count / median:.3f}", metric,
                   f"{errors.get(name, float('nan')):.5f}", f"{own_peak_mb():.0f}", "irradiance",
                   f"{median / seconds['irradiance']:.3f}")  # fmt: skip
         rows.append(dict(zip(COLUMNS, values, strict=True)))
     report(rows, arguments.threads, arguments.output)
-    for lobe in names() if arguments.size == "full" else ():
-        for row in gloss_errors(integrators["-sun"], maps, lobe):
-            place = f"mu {row['mu']:g}, view {row['theta_r_deg']:g}"
-            print(f"gloss, {lobe}, {place}: rms {row['rms']:.3f}, max {row['max']:.3f}")
 
 
 if __name__ == "__main__":

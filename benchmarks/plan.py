@@ -22,7 +22,7 @@ from irodori.config.definition import typed
 from irodori.config.models import PlanOverrides, SceneLight
 from irodori.core.threads import use_threads
 from irodori.light.environment_file import Environment
-from irodori.light.gloss.gloss_maps import GlossMaps
+from irodori.light.gloss_maps import GlossMaps
 from irodori.rendering.interactive.frame_renderer import CollimatedLamp, light_of, prepare_scene, render_frame
 from irodori.rendering.interactive.pixel_rays import render_pixels
 from irodori.rendering.planning.choices import choose

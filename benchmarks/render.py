@@ -31,7 +31,7 @@ from irodori.geometry.embree import Tracer
 from irodori.geometry.rig_frame import rotation_xyz
 from irodori.geometry.shapes.shape import Shape
 from irodori.light.environment_file import Environment
-from irodori.light.gloss.gloss_maps import GlossMaps
+from irodori.light.gloss_maps import GlossMaps
 from irodori.light.irradiance import fitted_irradiance_map
 from irodori.material.material_file import Material
 from irodori.rendering.interactive.frame_renderer import CollimatedLamp, light_of, prepare_scene, profiled, render_frame
@@ -107,7 +107,7 @@ def make_inputs(width: int, folder: Path) -> None:
     gloss = GlossMaps.of(room.coefficients)
     for number, level in enumerate(gloss.levels):
         np.save(folder / f"gloss-{number}.npy", level)
-    blurred = (gloss.first, len(gloss.levels), gloss.points)
+    blurred = (gloss.first, len(gloss.levels))
     shapes = [loaded.objects[item.object].shape for item in scene.objects]
     with (folder / "scene.pickle").open("wb") as out:
         pickle.dump((scene, shapes, materials, room.basis, room.irradiance, blurred), out)
@@ -118,9 +118,9 @@ class Studio:
 
     def __init__(self, folder: Path, width: int, height: int) -> None:
         with (folder / "scene.pickle").open("rb") as source:
-            self.scene, shapes, materials, basis, irradiance, (first, count, points) = pickle.load(source)
+            self.scene, shapes, materials, basis, irradiance, (first, count) = pickle.load(source)
         levels = (np.load(folder / f"gloss-{number}.npy", mmap_mode="r") for number in range(count))
-        self.gloss = GlossMaps(first, tuple(levels), points)
+        self.gloss = GlossMaps(first, tuple(levels))
         placements = make_placements(self.scene, [Shape.from_definition(shape) for shape in shapes])
         self.tracer = Tracer(placements)
         self.objects, _ = make_objects(placements, materials)
@@ -158,7 +158,7 @@ class Studio:
         light_in_bands = decoded(self.environment.coefficients), decoded(self.environment.irradiance)
         environment = Environment(light_in_bands[0], np.eye(len(self.environment.basis)), light_in_bands[1])
         levels = tuple(decoded(level) for level in self.gloss.levels)
-        return environment, GlossMaps(self.gloss.first, levels, self.gloss.points)
+        return environment, GlossMaps(self.gloss.first, levels)
 
     def traced_view(self) -> tuple[TracedScene, View, np.ndarray]:
         """Return the scene prepared for path tracing, the view of the first frame, and pixels that show its objects."""

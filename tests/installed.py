@@ -14,8 +14,6 @@ import irodori
 from irodori.config.definitions import load_definitions, read_yaml
 from irodori.config.validation import SCHEMAS, load_schema
 from irodori.core.provenance import code_hash
-from irodori.light.gloss.lobe_table import fitted_lobes
-from irodori.reflection.registry import names
 
 
 def main(repository: Path) -> None:
@@ -34,8 +32,6 @@ def main(repository: Path) -> None:
         raise SystemExit(f"not installed: {', '.join(missing)}")
     for schema in SCHEMAS:
         load_schema(schema)
-    for lobe in names():
-        fitted_lobes(lobe)
     definitions = load_definitions(read_yaml(repository / "config/config.yaml"), repository)
     for module in ("irodori.fitting.stage", "irodori.rendering.stage"):
         if code_hash(module) != code_hash(module, root=repository):

@@ -211,8 +211,7 @@ class EnvironmentMaps(Definition):
     #: (no unit).
     codec: Literal["gzip", "lzf"] = "gzip"
 
-    #: Whether light blurred for rough reflection is stored too, for the integrator interactive, with the errors of its
-    #: look-up for the report (no unit).
+    #: Whether light blurred for rough reflection is stored too, for the integrator interactive (no unit).
     gloss_maps: bool = True
 
     #: The irradiance map, which is as fine as its light needs.

@@ -449,10 +449,6 @@ class PhotographSets:
         """Return the observation files of the object in the wildcards, one for each tile."""
         return self.tile_files(wildcards.object, "observations")
 
-    def lobes(self) -> list[str]:
-        """Return the lobes with which the objects' gloss is fitted, sorted; ``auto`` among them stands for any lobe."""
-        return sorted({name for definition in self.loaded.objects.values() for name in definition.lobes})
-
     def lobe_choice(self, wildcards) -> list[str]:
         """Return, as a list, the file with the choice of an object's lobes and coat; empty if both are named."""
         definition = self.loaded.objects[wildcards.object]

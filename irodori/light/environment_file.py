@@ -82,7 +82,7 @@ class Environment:
         path : path
         provenance : Provenance
         errors : dict, optional
-        gloss : irodori.light.gloss.gloss_maps.GlossMaps, optional
+        gloss : irodori.light.gloss_maps.GlossMaps, optional
             Blurred light for rough reflection.
         origin : dict, optional
             Source of the light, and assumptions about it.

@@ -20,9 +20,8 @@ from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER
 from irodori.light.environment_file import QUANTITY, Environment, directions
-from irodori.light.gloss.gloss_maps import GlossMaps
-from irodori.light.gloss.look_up_errors import gloss_errors
-from irodori.light.irradiance import Integrator, fitted_irradiance_map
+from irodori.light.gloss_maps import GlossMaps
+from irodori.light.irradiance import fitted_irradiance_map
 from irodori.light.known_lamps import known_prior, require_lamps_seen, told_by
 from irodori.light.light_files import rgb_picture, spectral_picture
 from irodori.light.light_prior import LightPrior, prior_of_any_lamp
@@ -148,7 +147,7 @@ def prepare_environment(
     *,
     source: CapturesSource | MirrorBallSource = _WHOLE,
     image: Size | None = None,
-    gloss_lobes: Sequence[str] = (),
+    gloss_maps: bool = False,
     prior: LightPrior | None = None,
     room_charts: Mapping[str, tuple[object, Chart]] | None = None,
     lamps: Sequence[str] = (),
@@ -161,7 +160,7 @@ def prepare_environment(
     Parameters
     ----------
     linear, calibration_file : path
-    output, options, irradiance_options, provenance, gloss_lobes : see `write_environment`
+    output, options, irradiance_options, provenance, gloss_maps : see `write_environment`
     source : CapturesSource or MirrorBallSource
         By default a panorama with its centre at azimuth 0.
     image : Size, optional
@@ -207,7 +206,7 @@ def prepare_environment(
     LOGGER.info("the rig's lamp is known to %g %%, and all recovered light with it", 100.0 * calibration.light_error)
     # Colour errors of the light are computed with the light of the rig as white.
     write_environment(
-        picture, calibration.light, output, options, irradiance_options, provenance, gloss_lobes=gloss_lobes
+        picture, calibration.light, output, options, irradiance_options, provenance, gloss_maps=gloss_maps
     )
 
 
@@ -219,7 +218,7 @@ def make_environment(
     irradiance_options: IrradianceMap,
     provenance: store.Provenance,
     *,
-    gloss_lobes: Sequence[str] = (),
+    gloss_maps: bool = False,
 ) -> None:
     """Write the file of an environment from a file of another program or from lights in given directions.
 
@@ -228,7 +227,7 @@ def make_environment(
     source : RgbSource, SpectralSource or LightsSource
     image : Size or None
         Size of the picture of placed lights.
-    output, options, irradiance_options, provenance, gloss_lobes : see `write_environment`
+    output, options, irradiance_options, provenance, gloss_maps : see `write_environment`
 
     Raises
     ------
@@ -243,7 +242,7 @@ def make_environment(
         raise ValueError("placed lights without the size of their picture; accepted: image")
     else:
         picture = lights_picture(source.lights, image.width, image.height)
-    write_environment(picture, None, output, options, irradiance_options, provenance, gloss_lobes=gloss_lobes)
+    write_environment(picture, None, output, options, irradiance_options, provenance, gloss_maps=gloss_maps)
 
 
 def observers(white: np.ndarray) -> dict:
@@ -265,7 +264,7 @@ def write_environment(
     irradiance_options: IrradianceMap,
     provenance: store.Provenance,
     *,
-    gloss_lobes: Sequence[str] = (),
+    gloss_maps: bool = False,
 ) -> None:
     """Compress an omnidirectional picture, compute its maps and write the file of the environment.
 
@@ -282,14 +281,13 @@ def write_environment(
     irradiance_options : IrradianceMap
         See `irodori.light.irradiance.fitted_irradiance_map`.
     provenance : Provenance
-    gloss_lobes : sequence of str
-        Lobes of `irodori.reflection.registry` for which gloss is looked up: gloss maps are made, and their errors are
-        determined for each lobe. If empty, none are made.
+    gloss_maps : bool
+        Whether light blurred for rough reflection is stored, too.
 
     Raises
     ------
     InputError
-        If a pixel of the picture is not finite, or a lobe has no table.
+        If a pixel of the picture is not finite.
     """
     mean, (height, width), bases = MeanLight(picture.size), picture.size, picture.basis.shape[1]
     kept = np.empty((height, width, bases), dtype=np.float32) if bases <= _KEPT else None
@@ -309,27 +307,23 @@ def write_environment(
         compression.write(
             out, "coefficients", second, picture.size, quantity=QUANTITY, codec=options.codec, decoded=coefficients
         )
-        integrator = Integrator(coefficients)
-        irradiance, of_irradiance = fitted_irradiance_map(
-            coefficients, **vars(irradiance_options), integrate=integrator
-        )
-        gloss = GlossMaps.of(coefficients).write(out, options.storage) if gloss_lobes else None
+        irradiance, of_irradiance = fitted_irradiance_map(coefficients, **vars(irradiance_options))
+        if gloss_maps:
+            GlossMaps.of(coefficients).write(out, options.storage)
         errors = {
             "delta_e": compression.errors,
             "negative_fraction": compression.negative.fraction,
             "compression": compression.summary(),
             "irradiance": of_irradiance,
         }
-        if gloss is not None:
-            errors["gloss"] = [row for lobe in gloss_lobes for row in gloss_errors(integrator, gloss, lobe)]
         light = Environment(
             coefficients, compression.basis, irradiance, basis_errors=picture.errors_on(compression.basis)
         )
         light.write_rest(out, errors, picture.origin)
-    _log(compression, errors)
+    _log(compression)
 
 
-def _log(compression: Compression, errors: dict) -> None:
+def _log(compression: Compression) -> None:
     if not compression.budget_met:
         LOGGER.warning("the colour error stays above its target with all bases; see the errors in the file")
     of_light = compression.errors["light"]
@@ -341,6 +335,3 @@ def _log(compression: Compression, errors: dict) -> None:
         of_light["p99"],
         100 * compression.negative.fraction,
     )
-    for row in errors.get("gloss", []):
-        told = (row["lobe"], row["mu"], row["theta_r_deg"], row["rms"])
-        LOGGER.info("gloss by look-up, %s of roughness %.2f, view %.0f degrees: rms error %.3f", *told)

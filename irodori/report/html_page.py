@@ -8,7 +8,6 @@ from pathlib import Path
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from irodori.core.atomic_files import written_whole
-from irodori.reflection.registry import lobe
 
 
 def number(value: str | float) -> str:
@@ -39,7 +38,6 @@ _TEMPLATES = Environment(
     lstrip_blocks=True,
 )
 _TEMPLATES.filters |= {"number": number, "show": format, "grouped": _grouped}
-_TEMPLATES.globals["lobe_named"] = lobe
 
 
 def fragment(template: str, **context) -> str:

@@ -12,8 +12,7 @@ from irodori.geometry.embree import Tracer
 from irodori.geometry.rig_frame import rotation_z
 from irodori.geometry.shapes.placement import Placement
 from irodori.light.environment_file import Environment
-from irodori.light.gloss.gloss_maps import GlossMaps
-from irodori.light.gloss.point_sources import PointLights
+from irodori.light.gloss_maps import GlossMaps
 from irodori.rendering.interactive.cube_maps import face_directions, fill_borders, look_up_cube
 from irodori.rendering.interactive.frame_renderer import CollimatedLamp, Prepared, light_of, prepare_scene, render_frame
 from irodori.rendering.interactive.prepared_scene import gloss_for, indices, joined, padded
@@ -24,7 +23,7 @@ from irodori.spectra.grid import SAMPLES
 from irodori.viewer.scene_data import BORDER, HALVED_FROM, LightMaps, finer
 
 #: For a scene whose blurred light a payload replaces.
-_NO_GLOSS = GlossMaps(0, (), PointLights(np.zeros((0, 3)), np.zeros((0, 0))))
+_NO_GLOSS = GlossMaps(0, ())
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from irodori.config.models import (
 )
 from irodori.geometry.shapes.shape import Shape
 from irodori.light.environment_file import Environment, directions
-from irodori.light.gloss.gloss_maps import GlossMaps
+from irodori.light.gloss_maps import GlossMaps
 from irodori.material.material_file import Material
 from irodori.rendering.integrators import render_image
 

@@ -14,8 +14,6 @@ from documented import ROOT, of_kind, words_of
 
 from irodori.calibration import filters
 from irodori.config import write_models
-from irodori.core.store import open_file
-from irodori.light.gloss import make_lobe_table
 from irodori.spectra import write_published_tables
 
 
@@ -47,16 +45,6 @@ def write_anew(words, folder, monkeypatch, capsys):
         assert (folder / copy).read_text(encoding="utf-8") == (ROOT / stored).read_text(encoding="utf-8")
 
 
-def fit_lobes(words, folder, monkeypatch, capsys):
-    """Fit two entries; `test_gloss` compares such with the stored table."""
-    for name in ("MU", "THETA_R_RAD"):
-        monkeypatch.setattr(make_lobe_table, name, getattr(make_lobe_table, name)[2:3])
-    monkeypatch.setattr(make_lobe_table, "path_of", lambda name: folder / f"{name}.h5")
-    make_lobe_table.main([word.replace("<lobe>", "gaussian") for word in words])
-    with open_file(folder / "gaussian.h5") as made:
-        assert 0.0 <= made.read("rest")[0, 0] < 0.1
-
-
 def write_tables(words, folder, monkeypatch, capsys):
     """Write the published tables elsewhere: they hold what is stored."""
     write_published_tables.write_published_tables(folder / "tables.h5")
@@ -86,7 +74,6 @@ def make_environment(words, folder, monkeypatch, capsys):
 _RUNS = {
     "irodori.calibration.filters": rank_filters,
     "irodori.config.write_models": write_anew,
-    "irodori.light.gloss.make_lobe_table": fit_lobes,
     "irodori.spectra.write_published_tables": write_tables,
     "tests/lathe.py": turn_a_lid,
     "venv": make_environment,

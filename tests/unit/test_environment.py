@@ -22,7 +22,6 @@ from irodori.core import store
 from irodori.core.custody import accept
 from irodori.core.errors import InputError
 from irodori.light.environment_file import Environment, directions
-from irodori.light.gloss import look_up_errors
 from irodori.light.irradiance import irradiance_at
 from irodori.light.omnidirectional import MeanLight, OmnidirectionalPicture, to_panorama
 from irodori.light.stage import SURFACES, fill_masked, observers, prepare_environment, write_environment
@@ -355,26 +354,20 @@ def test_stage_refuses_bands_that_the_chart_did_not_have(tmp_path):
         stage(tmp_path)
 
 
-def test_an_environments_errors_are_those_of_its_light_its_map_and_the_gloss_that_is_asked_for(
-    tmp_path, caplog, monkeypatch
-):
-    monkeypatch.setattr(look_up_errors, "MU", (0.1, 0.8))
-    monkeypatch.setattr(look_up_errors, "THETA_R_DEG", (0.0, 60.0))
+def test_an_environments_errors_are_those_of_its_light_and_its_map_and_gloss_is_blurred_if_asked_for(tmp_path, caplog):
     sky = np.random.default_rng(5).uniform(0.2, 1.0, (16, 32, 3)).astype(np.float32)
     picture = OmnidirectionalPicture((16, 32), np.eye(61)[:, [10, 30, 50]], lambda: iter([sky]))
     irradiance = made(IrradianceMap, {"max_error": 0.002, "max_height": 64})
-    for name, lobes in (("plain", ()), ("glossy", ("ggx",))):
+    for name, glossy in (("plain", False), ("glossy", True)):
         file = tmp_path / f"{name}.h5"
         with caplog.at_level("INFO", logger="irodori"):
             write_environment(
-                picture, None, file, options(0.0, 3), irradiance, store.Provenance("test"), gloss_lobes=lobes
+                picture, None, file, options(0.0, 3), irradiance, store.Provenance("test"), gloss_maps=glossy
             )
         with store.open_file(file) as found:
             errors = found.attribute("errors")
-            assert ("gloss/width" in found) == bool(lobes)
-        assert {"delta_e", "negative_fraction", "compression", "irradiance"} <= set(errors)
-        assert [row["lobe"] for row in errors.get("gloss", [])] == [lobe for lobe in lobes for _ in range(4)]
-        assert caplog.text.count("gloss by look-up") == 4 * len(lobes)
+            assert ("gloss/width" in found) == glossy
+        assert {"delta_e", "negative_fraction", "compression", "irradiance"} == set(errors)
         assert errors["irradiance"]["height"] == 64 and 0.0 < errors["irradiance"]["max_error"] < 0.01
         assert "3 bases of 3" in caplog.text and "above its target" in caplog.text
 

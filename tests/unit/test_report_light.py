@@ -12,16 +12,13 @@ from irodori.evaluation.coefficient_storage import storage_sentence
 from irodori.light.stage import make_environment
 from irodori.material.coefficients import write_coefficients
 from irodori.material.principal_components.basis_count import CompressOptions
-from irodori.reflection.registry import lobe
 from irodori.report.html_page import fragment
 from irodori.report.page import environments
 
-LOBES = ["gaussian", "ggx"]
 LIGHTS = [{"spectrum": "A", "azimuth_deg": 20.0, "elevation_deg": 50.0, "diameter_deg": 30.0, "irradiance": 1.0}]
 
 
-@pytest.mark.parametrize("with_gloss", [False, True])
-def test_every_figure_of_the_gloss_table_is_the_files(tmp_path, with_gloss):
+def test_a_light_is_told_with_its_source_and_the_rows_of_its_map(tmp_path):
     path = tmp_path / "room.h5"
     make_environment(
         made(RgbSource | SpectralSource | LightsSource, {"kind": "lights", "lights": LIGHTS}),
@@ -30,21 +27,12 @@ def test_every_figure_of_the_gloss_table_is_the_files(tmp_path, with_gloss):
         CompressOptions(),
         made(IrradianceMap, {"max_error": 0.01, "max_height": 64}),
         store.Provenance("test"),
-        gloss_lobes=LOBES if with_gloss else (),
     )
     page = fragment("light.html.j2", environments=environments(["room & hall"], [path]))
     assert "room &amp; hall" in page and "Source: lights." in page
     with store.open_file(path) as file:
         errors = file.attribute("errors")
     assert f"map of {errors['irradiance']['height']} rows" in page
-    assert ("θ_r" in page) == with_gloss
-    # The unit of a roughness is its lobe's.
-    assert ("<th>μ, rad</th>" in page) == ("<th>μ</th>" in page) == with_gloss
-    assert {row["lobe"] for row in errors.get("gloss", [])} == set(LOBES if with_gloss else ())
-    for row in errors.get("gloss", []):
-        part = page[page.index(lobe(row["lobe"]).title) :]
-        line = re.search(rf"<tr><td>{row['mu']:g}</td>(.*?)</tr>", part)[1]
-        assert f"<td>{row['rms']:.1%} ({row['max']:.1%})</td>" in line
 
 
 def test_the_size_told_is_that_of_the_packed_numbers(tmp_path):

@@ -16,8 +16,7 @@ from irodori.core.custody import accept
 from irodori.core.errors import InputError
 from irodori.core.units import require_unit
 from irodori.export.pictures import read_xyz, write_spectral_exr
-from irodori.light.gloss.gloss_maps import GlossMaps
-from irodori.light.gloss.lobe_table import path_of
+from irodori.light.gloss_maps import GlossMaps
 from irodori.material.coefficients import read_coefficients, write_coefficients
 from irodori.material.material_file import Material, NloptResult, Status
 from irodori.spectra.coordinates import write_wavelength
@@ -45,7 +44,6 @@ WRITERS = {
     "environment": write_light,
     "calibration": lambda path: write_calibration(path, "pinv"),
     "calibration-local": lambda path: write_calibration(path, "local"),
-    "lobe table": lambda path: path.write_bytes(path_of("ggx").read_bytes()),
 }
 
 
@@ -59,7 +57,7 @@ def test_xarray_names_every_axis_of_every_group(tmp_path, name):
                 assert one.attrs["units"] and one.attrs["quantity"]
                 one.load()
         spectral = [group for group in tree.subtree if "wavelength" in group.dims]
-        assert bool(spectral) == (name != "lobe table")
+        assert spectral
         for group in spectral:
             assert np.array_equal(group.coords["wavelength"], WAVELENGTH_NM)
         assert tree.attrs["units_vocabulary"].startswith("UCUM")

@@ -253,7 +253,7 @@ def test_a_sun_of_one_texel_and_one_line_at_the_pole_in_the_smallest_sky(
         CompressOptions(storage=storage),
         made(IrradianceMap, {"max_error": 0.01, "max_height": 16}),
         store.Provenance("test"),
-        gloss_lobes=["gaussian"] if gloss else (),
+        gloss_maps=gloss,
     )
     found = Environment.load(path)
     radiance, expected = found.coefficients @ found.basis.T, weights @ basis.T

@@ -22,8 +22,7 @@ rule prepare_environment:
         photographed=sets.is_photographed,
         room_charts=lookup(within=config["environments"], dpath="{environment}/room_charts", default={}),
         lamps=lookup(within=config["environments"], dpath="{environment}/lamps", default=[]),
-        lobes=sets.lobes(),
         user_files=ledger.content(sets.files_of_light),
-        code=code_hash("irodori.light.stage", "irodori.config.cross_checks.object_lobes"),
+        code=code_hash("irodori.light.stage"),
     script:
         "../scripts/prepare_environment.py"

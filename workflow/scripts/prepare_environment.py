@@ -1,16 +1,13 @@
-from irodori.config.cross_checks.object_lobes import AUTO
 from irodori.config.models import Chart, IrradianceMap, Size
 from irodori.config.parts import typed_source
 from irodori.core.run_rule import run_rule
 from irodori.light.stage import make_environment, prepare_environment
 from irodori.material.principal_components.basis_count import CompressOptions
-from irodori.reflection.registry import names
 
 with run_rule(snakemake) as provenance:
     options = dict(snakemake.params.compress)
     irradiance = IrradianceMap.of(options.pop("irradiance"))
-    lobes = names() if AUTO in snakemake.params.lobes else snakemake.params.lobes
-    gloss = lobes if options.pop("gloss_maps") else ()
+    gloss_maps = options.pop("gloss_maps")
     common = snakemake.output.environment, CompressOptions(**options), irradiance, provenance
     source = typed_source(snakemake.params.source)
     image = Size.of(snakemake.params.image) if snakemake.params.image else None
@@ -23,6 +20,6 @@ with run_rule(snakemake) as provenance:
             )
         }
         told = {"room_charts": charts, "lamps": snakemake.params.lamps}
-        prepare_environment(*files, *common, source=source, image=image, gloss_lobes=gloss, **told)
+        prepare_environment(*files, *common, source=source, image=image, gloss_maps=gloss_maps, **told)
     else:
-        make_environment(source, image, *common, gloss_lobes=gloss)
+        make_environment(source, image, *common, gloss_maps=gloss_maps)

@@ -8,7 +8,7 @@ from irodori.colour.colorimetry import xyz_from_radiance
 from irodori.geometry.embree import Tracer
 from irodori.jit.chunks import run_chunks
 from irodori.light.environment_file import Environment
-from irodori.light.gloss.gloss_maps import GlossMaps
+from irodori.light.gloss_maps import GlossMaps
 from irodori.rendering.compiled_calls import resolved
 from irodori.rendering.interactive.channels import (
     REPRESENTATIONS,

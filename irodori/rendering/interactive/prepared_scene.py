@@ -14,7 +14,7 @@ from irodori.geometry.shapes.shape_rows import BEHIND, COLUMNS, MIRROR, ROWS, TH
 from irodori.geometry.surfaces import Surfaces, make_surfaces
 from irodori.light.blurred_light import WIDTHS_RAD
 from irodori.light.environment_file import Environment
-from irodori.light.gloss.gloss_maps import GlossMaps
+from irodori.light.gloss_maps import GlossMaps
 from irodori.reflection.lobes import Lobes
 from irodori.rendering.interactive.channels import Channels
 from irodori.rendering.interactive.cube_maps import (

@@ -1,7 +1,6 @@
 """Gloss lobes as rows of four round lobes, tabulated for look-up at every hit.
 
-`irodori.light.gloss.lobe_table` has up to forty lobes in each entry of a table, and a look-up mixes four entries. Here,
-the lobe D G / cosθ_r of any registered kind is approximated by one to three rows of four spherical Gaussians in the
+The lobe D G / cosθ_r of any registered kind is approximated by one to three rows of four spherical Gaussians in the
 plane of incidence; those of a row have the same width and equal spacing. A lobe with a nearly Gaussian distribution of
 facets needs one row; a lobe with long tails is split by φ into nearly Gaussian parts, each with its own row (`split`).
 Mean direction, spread along the plane and spread across it of each row equal those of its part of the true lobe; if
@@ -23,7 +22,6 @@ from irodori.core.provenance import code_hash
 from irodori.jit.compilation import njit
 from irodori.jit.kernel_cache import cache_folder
 from irodori.light.blurred_light import WIDTHS_RAD
-from irodori.light.gloss.make_lobe_table import grid_cells, unit
 from irodori.reflection.fresnel import fresnel
 from irodori.reflection.lobes import Lobes, constants, features, strength, value
 from irodori.reflection.registry import lobe
@@ -132,6 +130,17 @@ def _fill_values(lobes, t, cos_r, angles, out):
         if cos_i[i] > 0.0 and cos_phi[i] > 0.0 and cos_h[i] > 1e-9:
             factor, f0, f1, f2 = features(lobes, cos_i[i], cos_r, cos_phi[i], cos_h[i], phi[i])
             out[i] = factor * value(lobes, constant, f0, f1, f2)
+
+
+def unit(along: np.ndarray, across: np.ndarray) -> np.ndarray:
+    """Return unit vectors, (..., 3), at angles ``along`` from +z to +x and ``across`` out of the x-z plane (rad)."""
+    return np.stack([np.cos(across) * np.sin(along), np.sin(across), np.cos(across) * np.cos(along)], axis=-1)
+
+
+def grid_cells(scale: float, low: float, high: float, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return centres and widths of ``count`` cells between ``low`` and ``high`` that are narrowest around 0."""
+    edges = scale * np.sinh(np.linspace(math.asinh(low / scale), math.asinh(high / scale), count + 1))
+    return 0.5 * (edges[1:] + edges[:-1]), np.diff(edges)
 
 
 def samples_about_mirror(name: str, mu: float, theta_r: float, grid: tuple[int, int] = _NODES) -> Samples:

@@ -8,8 +8,7 @@ from irodori.geometry.embree import Tracer
 from irodori.jit.vectors import width_of
 from irodori.light.blurred_light import WIDTHS_RAD, first_level, level_height, prefiltered
 from irodori.light.environment_file import Environment
-from irodori.light.gloss.gloss_maps import GlossMaps
-from irodori.light.gloss.point_sources import PointLights
+from irodori.light.gloss_maps import GlossMaps
 from irodori.rendering.interactive.channels import coefficient_width, spectral_light_width
 from irodori.rendering.interactive.cube_maps import FACES, environment_side
 from irodori.rendering.interactive.frame_renderer import Prepared, light_of, prepare_scene
@@ -209,11 +208,9 @@ def _light(light: Light, model: Model) -> Light:
 
 def _gloss(parts: SceneParts, model: Model) -> GlossMaps:
     """Return the blurred light of a model on its basis, without levels if the model does not look it up."""
-    count = model.light_bases
-    nothing = PointLights(np.zeros((0, 3)), np.zeros((0, count)))
     if model.gloss_levels[0] == model.gloss_levels[1]:
-        return GlossMaps(0, (), nothing)
-    coefficients = parts.environment.coefficients
+        return GlossMaps(0, ())
+    coefficients, count = parts.environment.coefficients, model.light_bases
     to = None
     if count < coefficients.shape[2]:
         to, _ = leading_basis(light_of(parts.environment), count)
@@ -222,7 +219,7 @@ def _gloss(parts: SceneParts, model: Model) -> GlossMaps:
         first, levels = prefiltered(_on_basis(coefficients, to), model.gloss_levels)
     else:
         first, levels = stored.first, [_on_basis(level, to) for level in stored.levels]
-    return GlossMaps(first, tuple(levels), nothing)
+    return GlossMaps(first, tuple(levels))
 
 
 def _on_basis(coefficients: np.ndarray, to: np.ndarray | None) -> np.ndarray:

@@ -25,7 +25,7 @@ from irodori.geometry.shapes.plane import Plane
 from irodori.geometry.shapes.shape import Shape
 from irodori.geometry.shapes.triangle_mesh import TriangleMesh
 from irodori.light.environment_file import Environment
-from irodori.light.gloss.gloss_maps import GlossMaps
+from irodori.light.gloss_maps import GlossMaps
 from irodori.light.irradiance import fitted_irradiance_map
 from irodori.light.light_files import rgb_picture
 from irodori.rendering import light_transfer

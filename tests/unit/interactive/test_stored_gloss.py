@@ -11,7 +11,7 @@ from studio import BASIS
 from irodori.config.models import Render, Scene
 from irodori.core.store import Provenance
 from irodori.light.environment_file import Environment
-from irodori.light.gloss.gloss_maps import GlossMaps
+from irodori.light.gloss_maps import GlossMaps
 from irodori.rendering.frame_state import STILL
 from irodori.rendering.integrators import render_image
 from irodori.rendering.planning.scene_plan import ScenePlan
