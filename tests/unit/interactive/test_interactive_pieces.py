@@ -224,7 +224,7 @@ def test_cells_fill_their_range_and_are_narrowest_about_zero(low, high, count):
 
 
 @pytest.mark.parametrize("index", [(1.5, 0.0), (2.2, 0.0), (0.2, 3.4)], ids=["lacquer", "zircon", "metal"])
-@pytest.mark.parametrize(("place", "tolerance"), [(6, 6e-3), (10, 1e-2), (12, 1.5e-2), (14, 2e-2), (16, 2e-2)])
+@pytest.mark.parametrize(("place", "tolerance"), [(6, 7e-3), (10, 1e-2), (12, 1.5e-2), (14, 2e-2), (16, 2e-2)])
 def test_a_row_reflects_even_light_as_its_lobe_does(place, tolerance, index):
     """At every view angle: what Fresnel makes of a lobe is not what it makes of the lobe's middle."""
     table, mu = lobe_table().entries[0, place], float(roughness_at(place))
