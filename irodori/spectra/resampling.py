@@ -28,6 +28,21 @@ METHODS = ("auto", "average", "linear", "sprague")
 _UNIFORM_NM = 1e-3
 #: Sprague's fifth-order polynomial takes three neighbours on either side.
 _MIN_SPRAGUE = 6
+#: Coefficients of the polynomial, from the two values before, the value at its beginning, and the three after it.
+_SPRAGUE = np.array(
+    [
+        [0.0, 0.0, 24.0, 0.0, 0.0, 0.0],
+        [2.0, -16.0, 0.0, 16.0, -2.0, 0.0],
+        [-1.0, 16.0, -30.0, 16.0, -1.0, 0.0],
+        [-9.0, 39.0, -70.0, 66.0, -33.0, 7.0],
+        [13.0, -64.0, 126.0, -124.0, 61.0, -12.0],
+        [-5.0, 25.0, -50.0, 50.0, -25.0, 5.0],
+    ]
+) / 24.0  # fmt: skip
+#: The two values that are added before the first, from the first six; those after the last are their mirror image.
+_SPRAGUE_ENDS = (
+    np.array([[884.0, -1960.0, 3033.0, -2648.0, 1080.0, -180.0], [508.0, -540.0, 488.0, -367.0, 144.0, -24.0]]) / 209.0
+)
 
 
 def resample(
@@ -150,18 +165,23 @@ def _without_overshoot(out: np.ndarray, wavelength_nm: np.ndarray, rows: np.ndar
 
 @lru_cache(maxsize=16)
 def _sprague_matrix(wavelength_nm: tuple[float, ...]) -> np.ndarray:
-    """Return the matrix of Sprague's interpolation, which is linear in the values, (61, n)."""
-    from colour import SpragueInterpolator
+    """Return the matrix of Sprague's interpolation, which is linear in the values, (61, n).
 
-    # The interpolator assumes uniform wavelengths: rounded ones are replaced by exactly uniform ones.
-    nodes = np.linspace(wavelength_nm[0], wavelength_nm[-1], len(wavelength_nm))
-    at = np.clip(WAVELENGTH_NM, nodes[0], nodes[-1])
-    matrix = np.stack([SpragueInterpolator(nodes, unit)(at) for unit in np.eye(nodes.size)], axis=1)
-    # At wavelengths that grid and source have in common, the source's values are kept without rounding.
-    near = np.abs(nodes[:, None] - WAVELENGTH_NM) < 1e-9
-    shared = near.any(axis=0)
-    matrix[shared] = near.T[shared]
-    return matrix
+    CIE 167:2005, equations 13 to 15; written here because the library colour-science takes a second to load.
+    """
+    count, span = len(wavelength_nm), wavelength_nm[-1] - wavelength_nm[0]
+    # Uniform wavelengths may be rounded: their places count in whole steps.
+    place = np.clip((WAVELENGTH_NM - wavelength_nm[0]) / span, 0.0, 1.0) * (count - 1)
+    # Grid and source share these wavelengths: their values are kept without rounding.
+    whole = np.rint(place)
+    place = np.where(np.abs(place - whole) * span / (count - 1) < 1e-9, whole, place)
+    first = np.minimum(place.astype(int), count - 2)
+    extended = np.zeros((count + 4, count))
+    extended[2:-2] = np.eye(count)
+    extended[:2, :_MIN_SPRAGUE], extended[-2:, -_MIN_SPRAGUE:] = _SPRAGUE_ENDS, _SPRAGUE_ENDS[::-1, ::-1]
+    powers = (place - first)[:, None] ** np.arange(len(_SPRAGUE))
+    around = extended[first[:, None] + np.arange(_MIN_SPRAGUE)]
+    return np.einsum("sp,pk,skn->sn", powers, _SPRAGUE, around)
 
 
 @lru_cache(maxsize=16)

@@ -4,6 +4,7 @@ import math
 import re
 from pathlib import Path
 
+import colour
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -110,6 +111,20 @@ def test_the_chosen_method_makes_no_negative_value_and_keeps_measured_ones(seed,
     shared, ours, theirs = np.intersect1d(WAVELENGTH_NM, wavelengths, return_indices=True)
     assert shared.size > 3
     assert result[:, ours] == pytest.approx(values[:, theirs], abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    "wavelengths",
+    [np.arange(380.0, 731.0, 10.0), np.arange(400.0, 701.0, 20.0), np.arange(390.0, 731.0, 4.0),
+     np.linspace(398.7, 702.1, 37), np.arange(360.0, 831.0), np.arange(400.0, 701.0, 60.0)],
+    ids=["10 nm", "20 nm", "4 nm", "uneven places", "1 nm", "as few as it takes"],
+)  # fmt: skip
+def test_sprague_is_that_of_colour_science(wavelengths):
+    values = np.random.default_rng(len(wavelengths)).normal(size=wavelengths.size)
+    expected = colour.SpragueInterpolator(wavelengths, values)(WAVELENGTH_NM)
+    gap = float(np.diff(wavelengths).max())
+    found = resample(wavelengths, values, "made up", max_gap_nm=gap, method="sprague")
+    assert found == pytest.approx(expected, abs=1e-12)
 
 
 def test_uneven_steps_are_interpolated_linearly_and_refused_by_sprague():
