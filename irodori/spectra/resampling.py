@@ -172,16 +172,18 @@ def _sprague_matrix(wavelength_nm: tuple[float, ...]) -> np.ndarray:
     count, span = len(wavelength_nm), wavelength_nm[-1] - wavelength_nm[0]
     # Uniform wavelengths may be rounded: their places count in whole steps.
     place = np.clip((WAVELENGTH_NM - wavelength_nm[0]) / span, 0.0, 1.0) * (count - 1)
-    # Grid and source share these wavelengths: their values are kept without rounding.
-    whole = np.rint(place)
-    place = np.where(np.abs(place - whole) * span / (count - 1) < 1e-9, whole, place)
     first = np.minimum(place.astype(int), count - 2)
     extended = np.zeros((count + 4, count))
     extended[2:-2] = np.eye(count)
     extended[:2, :_MIN_SPRAGUE], extended[-2:, -_MIN_SPRAGUE:] = _SPRAGUE_ENDS, _SPRAGUE_ENDS[::-1, ::-1]
     powers = (place - first)[:, None] ** np.arange(len(_SPRAGUE))
-    around = extended[first[:, None] + np.arange(_MIN_SPRAGUE)]
-    return np.einsum("sp,pk,skn->sn", powers, _SPRAGUE, around)
+    around = extended[first[:, None] + np.arange(len(_SPRAGUE))]
+    matrix = np.einsum("sp,pk,skn->sn", powers, _SPRAGUE, around)
+    # At wavelengths that grid and source have in common, the source's values are kept without rounding.
+    nearest = np.rint(place).astype(int)
+    shared = np.abs(place - nearest) * span / (count - 1) < 1e-9
+    matrix[shared] = np.eye(count)[nearest[shared]]
+    return matrix
 
 
 @lru_cache(maxsize=16)
