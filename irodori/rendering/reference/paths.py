@@ -523,7 +523,7 @@ def follow(world, ray, work, drawn, seldom, weight):
     """
     for band in range(PADDED):
         work.throughput[band] = np.float32(weight)
-    return _go_on(world, ray, work, drawn, seldom, (-1.0, 0))
+    return _trace_path(world, ray, work, drawn, seldom, (-1, False))
 
 
 @uncounted(forceinline=True)
@@ -534,75 +534,82 @@ def gather(world, ray, work, numbers, stream, start):
     and says whether direct light of the scene's own lights, other than the environment, is added. Returns the number of
     paths that were cut.
     """
-    (index, lamps), count, lit = start, world.lights.kind.size, world.sky.power > 0.0
     for band in range(PADDED):
         work.throughput[band] = work.diffuse[band] = np.float32(1.0)
     for axis in range(3):
         work.to_eye[axis] = work.normal[axis]
-    for light in range(count):
-        work.share[light] = 0.0
-    work.share[count] = 1.0 if lit else 0.0
-    own = Stream(numbers, stream, VERTEX)
-    for axis in range(3):
         work.origin[axis] = work.point[axis]
-    if has_images(world.images):
-        _look_for_images(world, work)
-    if lamps:
-        lit = _fill_shares(world, work.origin, work.share)
-    if lit:
-        _add_chosen_light(world, ray, work, index, (1.0, 0.0, 0.0), own)
-    density = _turn(world, work, index, (1.0, 0.0, 0.0, 0.0, 0.0), own)
-    return _go_on(world, ray, work, (numbers, stream), 0.0, (density, 1)) if density != 0.0 else 0
+    return _trace_path(world, ray, work, (numbers, stream), 0.0, start)
 
 
 @uncounted(forceinline=True)
-def _go_on(world, ray, work, drawn, seldom, begun):
-    """Follow a path from the ray in ``work`` to its end; see `follow`.
+def _fill_own_shares(world, point, lamps, share):
+    """Fill the probabilities of choosing each light at a place of `gather`; return if any is lit."""
+    if lamps:
+        return _fill_shares(world, point, share)
+    count = world.lights.kind.size
+    for light in range(count):
+        share[light] = 0.0
+    share[count] = 1.0 if world.sky.power > 0.0 else 0.0
+    return world.sky.power > 0.0
 
-    ``drawn`` has the random numbers and the stream of the path; ``begun`` has the density of the ray's direction, as
-    `_turn` returns it, and the number of surfaces that the path has hit.
+
+@uncounted(forceinline=True)
+def _trace_path(world, ray, work, drawn, seldom, begun):
+    """Follow a path to its end, from the ray in ``work`` or from a place of `gather`.
+
+    ``drawn`` has the random numbers and the stream of the path; ``begun`` has the side of the place, -1 for a path that
+    begins with the ray, and whether the scene's lamps light the place.
     """
-    numbers, stream = drawn
-    density, vertex = begun
-    cut, kept, start = 0, False, float(work.throughput[0])
-    work.aimed[2] = max(1.0, 1.0 / start) if vertex == 0 else work.aimed[2]
+    (numbers, stream), (place, lamps) = drawn, begun
+    density, vertex = -1.0, 0
+    cut, kept, start, at_place = 0, False, float(work.throughput[0]), place >= 0
+    work.aimed[2] = max(1.0, 1.0 / start)
     work.spread[0] = work.spread[1] = 0.0
-    _spread(work, density)
     while True:
-        goes_on = False
-        trace(world.intersect, world.scene, ray, work.origin, work.direction, np.inf)
-        index = np.int64(hit_shape(ray))
-        if index < 0 or index >= world.placed:
+        goes_on, lit, index = False, False, np.int64(place)
+        if not at_place:
+            trace(world.intersect, world.scene, ray, work.origin, work.direction, np.inf)
+            index = np.int64(hit_shape(ray))
+        if not at_place and (index < 0 or index >= world.placed):
             _meet_light(world, work, index, density)
             if vertex == 0:
                 _see(work, work.radiance, 0.0, start)
         else:
-            cos_r, index = _arrive(world, work, ray, index)
-            terms = (0.0, 0.0, 0.0, 0.0, 0.0)
-            if cos_r > 0.0:
-                terms = _shares_of_terms(world, work, index, cos_r)
-            if vertex == 0:
-                _see(work, work.diffuse, terms[1] + terms[2], start)
-                if terms[4] > 0.0:
-                    _see(work, work.through, 0.0, start)
-                for axis in range(3):
-                    work.seen[NORMAL + axis] += start * work.normal[axis]
-                    work.seen[PLACE + axis] += start * work.point[axis]
             own = Stream(numbers, stream, VERTEX + vertex * PER_VERTEX)
-            if work.spread[1] > 0.0:
-                terms = _add_cached(world, ray, work, index, terms, own)
-            if terms[0] + terms[1] + terms[2] + terms[4] > 0.0:
-                _leave(world, work, index, 1.0)
+            terms = (1.0, 0.0, 0.0, 0.0, 0.0)
+            if not at_place:
+                cos_r, index = _arrive(world, work, ray, index)
+                terms = (0.0, 0.0, 0.0, 0.0, 0.0)
+                if cos_r > 0.0:
+                    terms = _shares_of_terms(world, work, index, cos_r)
                 if vertex == 0:
-                    terms, kept = _keep_mirror(world, work, index, terms, seldom)
+                    _see(work, work.diffuse, terms[1] + terms[2], start)
+                    if terms[4] > 0.0:
+                        _see(work, work.through, 0.0, start)
+                    for axis in range(3):
+                        work.seen[NORMAL + axis] += start * work.normal[axis]
+                        work.seen[PLACE + axis] += start * work.point[axis]
+                if work.spread[1] > 0.0:
+                    terms = _add_cached(world, ray, work, index, terms, own)
+            if terms[0] + terms[1] + terms[2] + terms[4] > 0.0:
+                if not at_place:
+                    _leave(world, work, index, 1.0)
+                    if vertex == 0:
+                        terms, kept = _keep_mirror(world, work, index, terms, seldom)
                 if has_images(world.images) and terms[0] + terms[1] > 0.0:
                     _look_for_images(world, work)
                     terms = _favour_sun(world, work, terms)
-                if terms[0] + terms[1] + terms[4] > 0.0 and _fill_shares(world, work.origin, work.share):
+                if at_place:
+                    lit = _fill_own_shares(world, work.origin, lamps, work.share)
+                elif terms[0] + terms[1] + terms[4] > 0.0:
+                    lit = _fill_shares(world, work.origin, work.share)
+                if lit:
                     _add_chosen_light(world, ray, work, index, (terms[0], terms[1], terms[4]), own)
                 density = _turn(world, work, index, terms, own)
                 _spread(work, density)
                 goes_on = density != 0.0 and (vertex < _ROULETTE_FROM or _survives(world, work, own))
+        at_place = False
         vertex += 1
         if goes_on and vertex < LONGEST:
             continue
