@@ -22,7 +22,8 @@ from irodori.reflection.registry import DEFAULT_LOBES
 
 #: Texels from which paints are found, at most, and the observations that each should have, fewer than to tell lobes.
 _MOST_SEEN, _ENOUGH_FOR_PAINT = 8192, 4
-_LEAST_PAINTED = 0.5  # share of the sample below which a choice of one lobe is said to rest on single texels
+#: Share of the sample below which a choice of one lobe is said to rest on single texels, here and in the report.
+_LEAST_PAINTED = 0.5
 
 
 def choose_lobes(

@@ -50,6 +50,17 @@ class LeftOut:
         return model_text(self.lobes, self.coat)
 
 
+class Comparison(NamedTuple):
+    """Candidates for the reflection model of an object."""
+
+    candidates: tuple[LeftOut, ...] = ()  # the simplest first
+    painted: float = 1.0  # share of the compared texels that had the gloss of a paint; the others were tried singly
+
+
+#: That of an object whose definition names lobes and coat.
+NOTHING_COMPARED = Comparison()
+
+
 class Candidate(NamedTuple):
     """Form of the reflection model that an object may have: the lobe of each gloss component, and the coat."""
 
@@ -112,15 +123,16 @@ def model_before_choice(lobes: list[str], coat: str) -> dict:
     return {"lobes": DEFAULT_LOBES if AUTO in lobes else tuple(lobes), "coat": SUM if coat == AUTO else coat}
 
 
-def read_choice(choices: list) -> list[LeftOut]:
-    """Return the prediction errors of all candidates in a choice's file, the simplest first; none without a file."""
-    found = []
-    for path in choices:
-        with store.open_file(path) as file:
-            tried, coats = file.attribute("candidates", list), file.attribute("coats", list)
-            figures = np.transpose([file.read(name) for name in _FIGURES])
-        found += [
-            LeftOut(tuple(lobes), float(row[0]), float(row[1]), float(row[2]), coat)
-            for lobes, coat, row in zip(tried, coats, figures, strict=True)
-        ]
-    return found
+def read_choice(choices: list) -> Comparison:
+    """Return the comparison in a choice's file; an empty one without a file."""
+    if not choices:
+        return NOTHING_COMPARED
+    with store.open_file(choices[0]) as file:
+        tried, coats = file.attribute("candidates", list), file.attribute("coats", list)
+        figures = np.transpose([file.read(name) for name in _FIGURES])
+        painted = file.attribute("painted", float)
+    found = [
+        LeftOut(tuple(lobes), float(row[0]), float(row[1]), float(row[2]), coat)
+        for lobes, coat, row in zip(tried, coats, figures, strict=True)
+    ]
+    return Comparison(tuple(found), painted)

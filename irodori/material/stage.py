@@ -22,7 +22,7 @@ from irodori.jit.chunks import parallel_map
 from irodori.material.coefficients import reserve_coefficients
 from irodori.material.energy import ALBEDO, ERROR, AlbedoModel, Energy, Errors, Reflecting
 from irodori.material.fitted_tiles import FittedTile, FittedTiles, columns
-from irodori.material.lobe_choices import LeftOut
+from irodori.material.lobe_choices import NOTHING_COMPARED, Comparison
 from irodori.material.material_file import (
     BASIS,
     COEFFICIENTS,
@@ -185,7 +185,7 @@ def compress_reflectance(
     options: CompressOptions,
     lights: list[str],
     provenance: store.Provenance,
-    lobe_choice: Sequence[LeftOut] = (),
+    lobe_choice: Comparison = NOTHING_COMPARED,
     observations: Sequence = (),
     levels: Sequence = (),
 ) -> None:
@@ -199,9 +199,8 @@ def compress_reflectance(
     options : CompressOptions
     lights : list of str
         Names of the lights under which colours are compared to choose the number of basis vectors.
-    lobe_choice : sequence of LeftOut
-        Prediction errors of the candidates if the object's lobes were chosen by cross-validation; empty if the
-        definition names the lobes.
+    lobe_choice : Comparison
+        Prediction errors of the candidates if the object's lobes were chosen by cross-validation.
     observations, levels : sequence of path
         Of a thin sheet whose transmittance is measured, see `irodori.material.passed_light`.
     """
@@ -230,7 +229,8 @@ def compress_reflectance(
             **fitted.speed,
             "common_error": None if math.isnan(fitted.common_error) else fitted.common_error,
             "angle_errors": fitted.angle_errors or None,
-            "lobe_choice": [asdict(one) for one in lobe_choice],
+            "lobe_choice": [asdict(one) for one in lobe_choice.candidates],
+            "lobe_choice_painted": lobe_choice.painted,
             "mirror": mirror,
             "gloss_contradiction": fitted.gloss_contradiction,
         }

@@ -142,11 +142,11 @@ def test_the_choice_of_an_object_is_one_for_its_tiles_and_is_kept(tmp_path):
     choice = tmp_path / "lobes.h5"
     choose_lobes(files["observations"], choice, OPTICS.options, N, K, provenance=PROVENANCE)
     assert chosen_model(["auto"], "sum", [choice]) == {"lobes": ("ggx",), "coat": "sum"}
-    assert [Candidate(one.lobes, one.coat) for one in read_choice([choice])] == candidates(OPTICS.options)
-    assert next(one for one in read_choice([choice]) if one.lobes == ("ggx",)).deviation < 1.5
+    assert [Candidate(one.lobes, one.coat) for one in read_choice([choice]).candidates] == candidates(OPTICS.options)
+    assert next(one for one in read_choice([choice]).candidates if one.lobes == ("ggx",)).deviation < 1.5
     assert (
         chosen_model(["gaussian"], "coupled", []) == {"lobes": ("gaussian",), "coat": "coupled"}
-        and read_choice([]) == []
+        and read_choice([]).candidates == ()
     )
 
 
@@ -194,7 +194,7 @@ def test_the_lobe_of_a_round_object_is_told_by_its_paints_though_a_texel_hardly_
     choose_lobes([tmp_path / "seen.h5"], choice, FitOptions(), N, K, provenance=PROVENANCE, coat="auto")
     assert chosen_model(["auto"], "auto", [choice])["lobes"] == (lobe,)
     wrong = "ggx" if lobe == "gaussian" else "gaussian"
-    others = [one for one in read_choice([choice]) if one.lobes == (wrong,)]
+    others = [one for one in read_choice([choice]).candidates if one.lobes == (wrong,)]
     assert len(others) == 2 and all(one.behind > 2.0 * one.behind_error for one in others)
     with store.open_file(choice) as file:
         assert file.attribute("painted", float) > 0.9
@@ -223,17 +223,21 @@ def test_two_lobes_that_were_chosen_keep_each_texels_own_gloss(tmp_path):
         np.testing.assert_array_equal(own[name], shared[name])
 
 
+@pytest.mark.parametrize("painted", [0.25, 0.75])
 @pytest.mark.parametrize("figures", [[], [LeftOut(("gaussian",), 2.5, 0.25, 0.125), LeftOut(("ggx",), 1.25, 0.0, 0.0)]])
-def test_the_report_shows_a_choice_and_no_table_without_one(figures):
+def test_the_report_shows_a_choice_and_no_table_without_one(figures, painted):
     source = html_page._TEMPLATES.loader.get_source(html_page._TEMPLATES, "objects.html.j2")[0]
     template = html_page._TEMPLATES.from_string(source.replace('{% include "compression.html.j2" %}', ""))
     numbers = ("texels_fitted", "fit_seconds", "observed_fraction", "negative_fraction", "reflectance_error_median")
     errors = dict.fromkeys((*numbers, "delta_e_error_median"), 1.0)
     errors |= {"compression": {}, "lobe_choice": [{**vars(one), "lobes": list(one.lobes)} for one in figures]}
+    errors["lobe_choice_painted"] = painted
     shown = {"name": "jar", "errors": errors, "stored": "", "maps": "", "spectra": "", "bases": 3, "gloss": ""}
     shown["placement"] = "confirmed as typed: every camera angle" if figures else ""
     shown["mirror"], shown["angles"], errors["energy"] = 0.0, "0.09 deg by registration" if figures else "", {}
     page = template.render(objects=[shown | {"lobes": ["ggx"], "coat": "sum"}])
+    assert (f"{painted:.0%} of the compared texels" in page) == bool(figures)
+    assert ("by single texels" in page) == (bool(figures) and painted < 0.5)
     assert ("Standard errors of the angles: 0.09 deg by registration." in page) == bool(figures)
     assert ("Standard errors of the angles" in page) == bool(figures)
     assert ("Registration: confirmed as typed: every camera angle." in page) == bool(figures)

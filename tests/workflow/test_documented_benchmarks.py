@@ -56,7 +56,7 @@ _TINY = {
         ),
     },
     "compress": {"SIZES": {"small": (120, 240)}, "VARIANTS": {"small": ("pca-4", "decode-pca-4")}},
-    "environment": {"HEIGHTS": {"small": 16}, "MAX_HEIGHTS": {"small": 16}, "LOOKUPS": {"small": 50}},
+    "environment": {"HEIGHTS": {"small": 16}, "MAX_HEIGHTS": {"small": 16}},
     "fit": {
         "TEXELS": {"small": {"varpro": 500, "nlopt": 40, "nlopt-reference": 10}},
         "CHECKED": {"small": 20},
@@ -72,10 +72,16 @@ _TINY = {
         "VARIANTS": {name: _LIGHT.VARIANTS[name] for name in ("rig-lamp", "mixture")},
         "published_lamps": lambda: _LIGHT_LAMPS[:6],
     },
-    "materials": {"MATERIALS": ("nist_ptfe",), "CORNELL": _MATERIALS.CORNELL[:1], "_SURFACES": 20},
+    "materials": {
+        "MATERIALS": ("nist_ptfe",),
+        "CORNELL": _MATERIALS.CORNELL[:1],
+        "_SURFACES": 20,
+        "_PAINTS_NM": (550.0,),
+        "_DRAWS": 1,
+    },
     "plan": {"SIZES": {"small": _FRAME}},
     "reference": {"SIZES": {"small": {"pixels": "8x6", "converged": 64, "scenes": ["spheres"], "no_growth": True}}},
-    "render": {"SIZES": {"small": _FRAME | {"variants": ["rgb"]}}},
+    "render": {"SIZES": {"small": _FRAME | {"variants": ["spectral"]}}},
     # Without the page: a browser takes seconds to compile its shaders, and the viewer has tests of its own.
     "viewer": {"SIZES": {"small": (64, Size(width=16, height=12))}, "browser_command": lambda: None},
 }
