@@ -2,6 +2,8 @@
 
 import math
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import colour
@@ -25,6 +27,7 @@ from irodori.spectra.published import (
 from irodori.spectra.resampling import resample
 from irodori.spectra.tables import wide_table
 
+ROOT = Path(__file__).resolve().parents[2]
 COEFFICIENT = st.floats(-10.0, 10.0)
 GRID = list(range(380, 721, 10))
 
@@ -125,6 +128,14 @@ def test_sprague_is_that_of_colour_science(wavelengths):
     gap = float(np.diff(wavelengths).max())
     found = resample(wavelengths, values, "made up", max_gap_nm=gap, method="sprague")
     assert found == pytest.approx(expected, abs=1e-12)
+
+
+def test_a_measured_lamp_is_read_without_the_library_of_colours():
+    """It takes a second to load, in each of the jobs that read one."""
+    code = "import sys; from irodori.spectra.published import light; light(sys.argv[1]); print(*sys.modules)"
+    lamp = ROOT / "config/lamps/halogen-measured.csv"
+    loaded = subprocess.run([sys.executable, "-c", code, lamp], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert "irodori.spectra.resampling" in loaded.stdout.split() and not {"colour", "pandas"} & {*loaded.stdout.split()}
 
 
 def test_uneven_steps_are_interpolated_linearly_and_refused_by_sprague():
