@@ -1,6 +1,7 @@
 """Reports of a configuration: one for each scene and camera, which covers its own scene and nothing of another."""
 
 import json
+import shutil
 from types import SimpleNamespace
 
 import pytest
@@ -21,6 +22,16 @@ def of_scene(name) -> SimpleNamespace:
 
 
 CAMERA = SimpleNamespace(camera="d5100-comb")
+
+
+def test_a_report_shows_experiments_only_if_they_are_asked_for(tmp_path):
+    shutil.copytree(ROOT / "config", tmp_path / "config")
+    for asked, names in ((False, []), (True, ["tile-plate"])):
+        edit(tmp_path / "config/config.yaml", {"report.experiments": asked})
+        found = reports(load(tmp_path, scenes=["still-life"]))
+        assert found.plates("{object}")(of_scene("still-life")) == names
+        assert found.imperfect("{object}")(of_scene("still-life")) == names
+        assert len(found.objects("{object}")(of_scene("still-life"))) == 4
 
 
 @pytest.fixture(scope="module")
