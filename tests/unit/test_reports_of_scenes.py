@@ -1,7 +1,7 @@
 """Reports of a configuration: one for each scene and camera, which covers its own scene and nothing of another."""
 
 import json
-import shutil
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -17,6 +17,13 @@ def reports(loaded) -> Reports:
     return Reports(SceneFiles(PhotographSets(loaded)))
 
 
+def with_experiments(**make) -> Reports:
+    """Return the reports of a configuration whose reports show experiments."""
+    loaded = load(ROOT, **make)
+    shown = replace(loaded.config.report, experiments=True)
+    return reports(replace(loaded, config=replace(loaded.config, report=shown)))
+
+
 def of_scene(name) -> SimpleNamespace:
     return SimpleNamespace(scene=name)
 
@@ -24,19 +31,16 @@ def of_scene(name) -> SimpleNamespace:
 CAMERA = SimpleNamespace(camera="d5100-comb")
 
 
-def test_a_report_shows_experiments_only_if_they_are_asked_for(tmp_path):
-    shutil.copytree(ROOT / "config", tmp_path / "config")
-    for asked, names in ((False, []), (True, ["tile-plate"])):
-        edit(tmp_path / "config/config.yaml", {"report.experiments": asked})
-        found = reports(load(tmp_path, scenes=["still-life"]))
-        assert found.plates("{object}")(of_scene("still-life")) == names
-        assert found.imperfect("{object}")(of_scene("still-life")) == names
-        assert len(found.objects("{object}")(of_scene("still-life"))) == 4
+def test_a_report_shows_experiments_only_if_they_are_asked_for():
+    lid = of_scene("lid")
+    for found, names in ((reports(load(ROOT, scenes=["lid"])), []), (with_experiments(scenes=["lid"]), ["tile-plate"])):
+        assert found.plates("{object}")(lid) == found.imperfect("{object}")(lid) == names
+        assert len(found.objects("{object}")(lid)) == 2
 
 
 @pytest.fixture(scope="module")
 def three():
-    return reports(load(ROOT, scenes=["still-life", "lid", "turntable"], cameras=["d5100-comb"]))
+    return with_experiments(scenes=["still-life", "lid", "turntable"], cameras=["d5100-comb"])
 
 
 def test_every_scene_and_every_camera_asked_for_has_a_folder_of_its_own(three):
@@ -52,7 +56,7 @@ def test_every_scene_and_every_camera_asked_for_has_a_folder_of_its_own(three):
 
 @pytest.mark.parametrize("scene", ["still-life", "lid", "turntable"])
 def test_a_report_is_the_same_whichever_scenes_are_made_beside_it(three, scene):
-    alone, asked = reports(load(ROOT, scenes=[scene], cameras=[])), of_scene(scene)
+    alone, asked = with_experiments(scenes=[scene], cameras=[]), of_scene(scene)
     for name in ("errors", "title", "light", "light_name", "scene", "shapes", "sessions", "pages", "jobs"):
         answer = getattr(three, name)(asked)
         assert answer == getattr(alone, name)(asked), name
