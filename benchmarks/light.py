@@ -45,7 +45,7 @@ from irodori.light.room_charts import ChartResponses, recovery_with
 from irodori.light.stage import fill_masked, prepare_environment, write_environment
 from irodori.material.principal_components.basis_count import CompressOptions
 from irodori.simulation.virtual_rig.sensor import band_weights
-from irodori.spectra.published import chart_spectra, spectrum
+from irodori.spectra.published import MEASURED_LAMP_ERROR, NAMED_LAMP_ERROR, chart_spectra, spectrum
 from irodori.spectra.published_names import ILLUMINANTS
 
 CAMERA = Path(__file__).resolve().parents[1] / "config/cameras/d5100-comb.yaml"
@@ -116,8 +116,8 @@ VARIANTS: dict[str, Callable[[np.ndarray], LightPrior] | None] = {
     "mixture": prior_of_any_lamp,
     "filter-table": prior_of_any_lamp,
     "room-chart": prior_of_any_lamp,
-    "named": partial(given_prior, measured=np.array(False)),
-    "measured": partial(given_prior, measured=np.array(True)),
+    "named": partial(given_prior, error=NAMED_LAMP_ERROR),
+    "measured": partial(given_prior, error=MEASURED_LAMP_ERROR),
 }
 #: Errors of given spectra: relative standard deviation of a smooth error, its correlation length in nm, and noise.
 GIVEN = {"named": (0.05, 40.0, 0.0), "measured": (0.02, 100.0, 0.005)}

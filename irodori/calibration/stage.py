@@ -29,7 +29,7 @@ from irodori.core import store
 from irodori.core.atomic_files import written_whole
 from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER
-from irodori.spectra.published import MEASURED_LAMP_ERROR, NAMED_LAMP_ERROR, camera_sensitivities, is_measured, light
+from irodori.spectra.published import camera_sensitivities, lamp_error, light
 
 _MAX_INVALID_SHARE = 0.05  # of a patch, beyond which the report names it
 
@@ -42,6 +42,7 @@ def calibrate_camera(
     table,
     provenance: store.Provenance,
     *,
+    light_error_percent: float | None = None,
     lights=("D65", "A"),
     selection=None,
     noise: ResponseNoise | None = None,
@@ -56,6 +57,8 @@ def calibrate_camera(
         Definition of the camera. Without a white reference, uneven light is estimated from each chart itself.
     light_name : str
         Spectrum of the light on the charts.
+    light_error_percent : float, optional
+        How far the light may differ from this spectrum; by default as `irodori.spectra.published.lamp_error` says.
     output : path of the HDF5 file
     table : path of the CSV of errors, one row for each patch; with several charts also with whole charts left out
     lights : sequence of str
@@ -97,8 +100,7 @@ def calibrate_camera(
             check_amplification(amplification, settings.max_noise_amplification, solved.calibration)
         checks = _checks(charts, training, solved, lights) | {"likelier_charts": likelier}
         checks |= {"response_model": _response_model(training.best_response)}
-    light_error = MEASURED_LAMP_ERROR if is_measured(light_name) else NAMED_LAMP_ERROR
-    calibration = replace(solved.calibration, light_error=light_error)
+    calibration = replace(solved.calibration, light_error=lamp_error(light_name, light_error_percent))
     _write_calibration(output, calibration, errors, solved.numbers | checks, provenance)
     _write_errors(table, charts.patches, errors)
     if selection is not None:

@@ -2071,6 +2071,10 @@ class EnvironmentDefinition(Definition):
     #: panorama that other lamps explain far better is refused.
     lamps: tuple[str, ...] = ()
 
+    #: By how much each of the lamps may differ from its spectrum (one standard deviation), in percent; where absent, 5
+    #: of a named lamp and 2 of a measured one.
+    lamps_error_percent: float | None = None
+
     #: The room that the virtual rig photographs; needed where the camera's rig is of kind virtual.
     virtual: VirtualRoom | None = None
 
@@ -2114,9 +2118,12 @@ class RigLimits(Definition):
 class RigLight(Definition):
     """The lamp."""
 
-    #: Spectral power of the lamp; the name of a CIE illuminant or the path of a file. A lamp of a name may differ from
-    #: it by 5 %, a measured one by 2 %, and so may recovered light.
+    #: Spectral power of the lamp; the name of a CIE illuminant or the path of a file.
     spectrum: str
+
+    #: By how much the lamp may differ from its spectrum (one standard deviation), and with it recovered light, in
+    #: percent; where absent, 5 of a named lamp and 2 of a measured one.
+    error_percent: float | None = None
 
     #: From the origin of the rig to the lamp, in mm; its direction and power then differ from point to point, by the
     #: inverse square of the distance. If absent, the light is far away.

@@ -312,6 +312,10 @@ class PhotographSets:
         """Return the name or file of the spectrum of the light of a set's rig."""
         return self.loaded.rigs[self.rig_of(wildcards)].light.spectrum
 
+    def light_error_percent(self, wildcards) -> float | None:
+        """Return how far the light of a set's rig may differ from its spectrum, in percent; None where nobody says."""
+        return self.loaded.rigs[self.rig_of(wildcards)].light.error_percent
+
     def charts(self, wildcards) -> list[str]:
         """Return the linear files of a camera's charts, the first chart's first."""
         charts = self.captures["cameras"][wildcards.camera]

@@ -195,11 +195,12 @@ def _calibrate(chain: SmallChain, folder: Path, calibrated: dict[str, list[bytes
         for path, content in zip((reference, calibration), calibrated[photographs], strict=True):
             path.write_bytes(content)
         return reference, calibration
-    options, light = chain.settings.ingest, chain.rig.light.spectrum
+    options, light = chain.settings.ingest, chain.rig.light
     white = chain.camera.white.reflectance_factor if chain.camera.white else 1.0
     ingest_reference(table, table.parent, reference, _MADE, white, options)
     ingest_raw(table, table.parent, "chart", reference, chart, _MADE, options=options)
-    calibrate_camera(chart, chain.camera, light, calibration, folder / "chart.csv", _MADE)
+    files, unsure = (calibration, folder / "chart.csv"), light.error_percent
+    calibrate_camera(chart, chain.camera, light.spectrum, *files, _MADE, light_error_percent=unsure)
     calibrated[photographs] = [reference.read_bytes(), calibration.read_bytes()]
     return reference, calibration
 

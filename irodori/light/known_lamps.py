@@ -11,7 +11,7 @@ import numpy as np
 from irodori.core.errors import InputError
 from irodori.light.light_prior import LightPrior, light_prior, of_luminance_one
 from irodori.light.light_recovery import Directions, ResponseModel, evidence
-from irodori.spectra.published import MEASURED_LAMP_ERROR, NAMED_LAMP_ERROR, is_measured, light
+from irodori.spectra.published import is_measured, lamp_error, light
 
 #: Accepted log evidence ratio of published over given lamps; being many, published lamps can also fit some noise.
 _ODDS = np.log(1e4)
@@ -26,23 +26,24 @@ def told_by(lamps: Sequence[str]) -> str:
     return " and ".join(f"{words} ({', '.join(some)})" for words, some in kinds if some)
 
 
-def known_prior(lamps: Sequence[str]) -> LightPrior:
+def known_prior(lamps: Sequence[str], error_percent: float | None = None) -> LightPrior:
     """Return the prior for a place lit only by the given lamps, each a published name or the path of a spectrum.
+
+    ``error_percent`` is how far a lamp may differ from its spectrum, by default as
+    `irodori.spectra.published.lamp_error` says.
 
     Raises
     ------
     InputError
         For an unknown name, or a file without the spectrum of a light.
     """
-    return given_prior(np.stack([light(lamp) for lamp in lamps]), np.array([is_measured(lamp) for lamp in lamps]))
+    errors = np.array([lamp_error(lamp, error_percent) for lamp in lamps])
+    return given_prior(np.stack([light(lamp) for lamp in lamps]), errors)
 
 
-def given_prior(spectra: np.ndarray, measured: np.ndarray) -> LightPrior:
-    """Return the prior from spectra of lamps, (lamps, 61).
-
-    ``measured``, (lamps,) bool, states whether each is a measured spectrum or that of a published type of lamp.
-    """
-    return light_prior(of_luminance_one(spectra), np.where(measured, MEASURED_LAMP_ERROR, NAMED_LAMP_ERROR))
+def given_prior(spectra: np.ndarray, error: float | np.ndarray) -> LightPrior:
+    """Return the prior from spectra of lamps, (lamps, 61), that may differ from these by relative errors, (lamps,)."""
+    return light_prior(of_luminance_one(spectra), error)
 
 
 def require_lamps_seen(

@@ -151,6 +151,7 @@ def prepare_environment(
     prior: LightPrior | None = None,
     room_charts: Mapping[str, tuple[object, Chart]] | None = None,
     lamps: Sequence[str] = (),
+    lamps_error_percent: float | None = None,
 ) -> None:
     """Write the file of an environment from linear responses of its omnidirectional picture or of a mirror ball.
 
@@ -171,6 +172,8 @@ def prepare_environment(
         Linear file and definition of each chart in the place, by name.
     lamps : sequence of str
         All lamps of the place, as published names or paths of measured spectra; if empty, any published lamps.
+    lamps_error_percent : float, optional
+        How far each may differ from its spectrum; by default as `irodori.spectra.published.lamp_error` says.
 
     Raises
     ------
@@ -187,7 +190,7 @@ def prepare_environment(
     charts = read_room_charts(room_charts or {}, calibration)
     model = ResponseModel.of(calibration, calibration_file)
     published = prior_of_any_lamp() if prior is None else prior
-    known = known_prior(lamps) if lamps else published
+    known = known_prior(lamps, lamps_error_percent) if lamps else published
 
     def recovery_of(drawn: Directions) -> LightRecovery:
         if lamps:

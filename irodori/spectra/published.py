@@ -29,7 +29,7 @@ _TCS_NAME = re.compile(r"TCS(\d{1,2})")
 _PATCH_NAME = re.compile(r"[A-Z]\d+")
 
 #: Standard deviations of smooth relative differences in spectrum: of a lamp from the published one of its type, and of
-#: a measurement with a field spectroradiometer from the true spectrum.
+#: a measurement with a field spectroradiometer from the true spectrum, for definitions that state none.
 NAMED_LAMP_ERROR, MEASURED_LAMP_ERROR = 0.05, 0.02
 
 
@@ -109,6 +109,13 @@ def spectrum(name: str) -> np.ndarray:
 def is_measured(lamp: str) -> bool:
     """Return whether a lamp is given by the file of a measured spectrum instead of a published name."""
     return lamp.lower().endswith(SUFFIXES)
+
+
+def lamp_error(lamp: str, error_percent: float | None = None) -> float:
+    """Return how far a lamp may differ from its spectrum, relative: as stated, or else by how the spectrum is given."""
+    if error_percent is not None:
+        return error_percent / 100.0
+    return MEASURED_LAMP_ERROR if is_measured(lamp) else NAMED_LAMP_ERROR
 
 
 def light(name: str) -> np.ndarray:

@@ -62,6 +62,11 @@ HEAD_DOWN = named(first="last", row_end="column_end", column_end="row_end", last
 MIRRORED = named(first="row_end", row_end="first", column_end="last", last="column_end")
 
 
+@pytest.mark.parametrize(("said", "kept"), [({}, 0.05), ({"light_error_percent": 1.5}, 0.015)])
+def test_how_far_the_lamp_may_differ_is_what_is_said_or_what_a_name_allows(tmp_path, said, kept):
+    assert calibrate(tmp_path, picture(), **said).light_error == pytest.approx(kept)
+
+
 @pytest.mark.stability(stage="calibrate", case="chart read in another order")
 @pytest.mark.parametrize(
     ("changes", "said"),

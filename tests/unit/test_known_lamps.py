@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks.light import CIE, VARIANTS, WALLS, adapted_errors, camera, errors, given, recovered
+from benchmarks.light import CIE, GIVEN, VARIANTS, WALLS, adapted_errors, camera, errors, given, recovered
 from irodori.core.errors import InputError
 from irodori.light.known_lamps import given_prior, known_prior, require_lamps_seen, told_by
 from irodori.light.light_prior import prior_of_any_lamp
@@ -55,7 +55,7 @@ def test_off_coloured_walls_too(seen):
 @pytest.mark.parametrize("names", [("FL11",), ("LED-B2",), ("D65", "LED-B3"), ("A", "HP4"), ("FL4", "D50")])
 def test_the_lamps_of_a_room_are_accepted_though_they_are_not_quite_as_said(seen, published, names, variant):
     spectra = np.stack([given(variant, spectrum(name), seed) for seed, name in enumerate(names, start=40)])
-    known = given_prior(spectra, np.full(len(names), variant == "measured"))
+    known = given_prior(spectra, GIVEN[variant][0])
     for seed in range(3):
         require_lamps_seen(names, room(seen, *names, seed=seed), seen.model, known, published, "p.h5")
 
@@ -91,9 +91,14 @@ def written(path, power) -> str:
 @pytest.mark.parametrize("suffix", [".csv", ".ti3"])
 def test_a_measured_spectrum_is_the_lamp_in_any_unit_and_is_trusted_more_than_a_name(tmp_path, suffix):
     found = known_prior([written(tmp_path / f"lamp{suffix}", 1e-3 * spectrum("FL11"))])
-    exact, named = given_prior(spectrum("FL11")[None], np.array([True])), known_prior(["FL11"])
+    exact, named = given_prior(spectrum("FL11")[None], 0.02), known_prior(["FL11"])
     np.testing.assert_allclose(found.moment, exact.moment, rtol=1e-6)
     assert (np.diagonal(found.moment[0]) < np.diagonal(named.moment[0])).all()
+    # What the definition says of its error counts, however the spectrum is given.
+    for lamp in (named_file := written(tmp_path / f"lamp{suffix}", spectrum("FL11"))), "FL11":
+        stated = known_prior([lamp], 2.0)
+        np.testing.assert_allclose(stated.moment, exact.moment, rtol=1e-6)
+    assert (np.diagonal(known_prior([named_file], 9.0).moment[0]) > np.diagonal(named.moment[0])).all()
 
 
 def test_what_told_of_the_lamps_is_said_in_words():

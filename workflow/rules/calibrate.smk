@@ -40,6 +40,7 @@ rule calibrate_camera:
         comb_filter=lookup(within=config["cameras"], dpath="{camera}/comb_filter", default=None),
         sensitivities=lookup(within=config["cameras"], dpath="{camera}/sensitivities", default=None),
         light=sets.light,
+        light_error_percent=sets.light_error_percent,
         lights=lookup(within=config["report"], dpath="lights"),
         user_files=ledger.content(sets.tables_of_calibration),
         code=code_hash("irodori.calibration.stage"),

@@ -22,6 +22,9 @@ rule prepare_environment:
         photographed=sets.is_photographed,
         room_charts=lookup(within=config["environments"], dpath="{environment}/room_charts", default={}),
         lamps=lookup(within=config["environments"], dpath="{environment}/lamps", default=[]),
+        lamps_error_percent=lookup(
+            within=config["environments"], dpath="{environment}/lamps_error_percent", default=None
+        ),
         user_files=ledger.content(sets.files_of_light),
         code=code_hash("irodori.light.stage"),
     script:

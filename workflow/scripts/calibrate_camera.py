@@ -12,6 +12,7 @@ with run_rule(snakemake) as provenance:
         snakemake.output.calibration,
         snakemake.output.errors,
         provenance,
+        light_error_percent=snakemake.params.light_error_percent,
         lights=snakemake.params.lights,
         selection=snakemake.output.selection,
     )

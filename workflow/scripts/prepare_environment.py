@@ -20,6 +20,7 @@ with run_rule(snakemake) as provenance:
             )
         }
         told = {"room_charts": charts, "lamps": snakemake.params.lamps}
+        told["lamps_error_percent"] = snakemake.params.lamps_error_percent
         prepare_environment(*files, *common, source=source, image=image, gloss_maps=gloss_maps, **told)
     else:
         make_environment(source, image, *common, gloss_maps=gloss_maps)
