@@ -62,6 +62,14 @@ def test_a_scene_of_a_real_rig_loads(studio):
     assert definitions.captures_of("objects", "tile-plate", studio) == captures
 
 
+def test_how_far_the_lamp_of_a_rig_may_differ_from_its_spectrum_is_what_its_definition_says(studio, monkeypatch):
+    monkeypatch.chdir(studio)
+    camera = SimpleNamespace(camera="d5100-comb")
+    assert PhotographSets(load(studio)).light_error_percent(camera) is None
+    edit(studio, f"rigs/{load(studio).cameras['d5100-comb'].rig}.yaml", "light.error_percent", 1.5)
+    assert PhotographSets(load(studio)).light_error_percent(camera) == 1.5
+
+
 def add_sheets(studio, *states) -> None:
     """Photograph the printed sheet with the camera, all photographs with the same exposure time."""
     table = studio / "camera/captures.csv"
