@@ -141,8 +141,15 @@ class PhotographSets:
         return self.loaded.cameras[self.camera_of(wildcards)].plain()
 
     def rig(self, wildcards) -> dict:
-        """Return the definition of a set's rig."""
-        return self.loaded.rigs[self.rig_of(wildcards)].plain()
+        """Return the definition of a set's rig, without the error of its lamp, on which no photograph depends."""
+        found = self.loaded.rigs[self.rig_of(wildcards)].plain()
+        found["light"].pop("error_percent", None)
+        return found
+
+    def place(self, wildcards) -> dict:
+        """Return the definition of an environment, without its lamps, on which no photograph depends."""
+        found = self.loaded.environments[wildcards.environment].plain()
+        return {key: part for key, part in found.items() if key not in ("lamps", "lamps_error_percent")}
 
     def camera_file(self, pattern: str) -> Callable[[Any], str]:
         """Return a function that fills ``{camera}`` in a pattern with the camera of the set in the wildcards."""

@@ -16,14 +16,13 @@ from irodori.fitting.paints import BELIEVED, by_colour
 from irodori.fitting.solvers import FitOptions, fit
 from irodori.fitting.stage import for_object, fresnel_of
 from irodori.fitting.texel_sample import Readings, drawn, sample_texels
-from irodori.material.lobe_choices import model_text, write_choice
+from irodori.material.lobe_choices import Comparison, model_text, write_choice
 from irodori.reflection.coat import COATS, SUM
 from irodori.reflection.registry import DEFAULT_LOBES
 
 #: Texels from which paints are found, at most, and the observations that each should have, fewer than to tell lobes.
 _MOST_SEEN, _ENOUGH_FOR_PAINT = 8192, 4
-#: Share of the sample below which a choice of one lobe is said to rest on single texels, here and in the report.
-_LEAST_PAINTED = 0.5
+_LEAST_PAINTED = 0.5  # share of the sample below which a choice of one lobe is said to rest on single texels
 
 
 def choose_lobes(
@@ -60,13 +59,16 @@ def choose_lobes(
             paints[name] = painted(every, _paint_of(seen, every, own, fresnel), few)
     chosen, found = choose(sample, options, tried, paints)
     share = sum(len(paint.texels) for paint in paints.get(chosen.coat, ())) / max(len(few), 1)
-    write_choice(output, chosen, found, len(few), provenance, share)
+    is_single = any(len(one.lobes) == 1 for one in tried)
+    favours_tails = share < _LEAST_PAINTED and len(chosen.lobes) == 1 and AUTO in lobes
+    compared = Comparison(tuple(found), share if is_single else None, favours_tails)
+    write_choice(output, chosen, compared, len(few), provenance)
     for one in found:
         stated = (one.text, one.deviation, one.behind, one.behind_error)
         LOGGER.info("%s: left-out readings off by %.2f stated errors; behind the best by %.3f +- %.3f", *stated)
     said = *sample.response.shape, len(paints.get(chosen.coat, ())), 100.0 * share, model_text(*chosen)
     LOGGER.info("model from %d texels of %d photographs, %d paints on %.0f %% of them: %s", *said)
-    if share < _LEAST_PAINTED and len(chosen.lobes) == 1 and AUTO in lobes:
+    if favours_tails:
         LOGGER.warning("few texels have the colour of a paint; by single texels, lobes with long tails are favoured")
 
 

@@ -1,10 +1,8 @@
 """Bilinear look-up in equirectangular pictures, continuous across the seam and the poles."""
 
 import math
-from typing import NamedTuple
 
 import numba
-import numpy as np
 
 from irodori.jit.compilation import njit
 
@@ -28,52 +26,29 @@ def _row_and_shift(row, height, width):
     return row, 0
 
 
-class StackedPicture(NamedTuple):
-    """One of several pictures stored after each other in an array."""
-
-    pixels: np.ndarray  # (all pixels, k) float
-    first: int  # index of the first pixel of this picture
-    width: int
-    height: int
-
-
 @njit(cache=True)
-def add_interpolated(picture, direction, scale, out):
-    """Add ``scale`` times the bilinear value of an equirectangular picture in a direction.
+def _interpolate(picture, direction, out):
+    """Fill ``out``, (k,), with the bilinear value of an equirectangular picture in a direction, a unit vector.
 
-    Parameters
-    ----------
-    picture : StackedPicture
-        Rows start at the zenith; with an even width the picture is continuous over the poles.
-    direction : tuple of 3 float
-        Unit vector.
-    scale : float
-    out : (k,) float
-        Array to which the value is added.
+    Rows start at the zenith; with an even width the picture is continuous over the poles.
     """
-    pixels, first, width, height = picture
+    height, width, _ = picture.shape
     u, v = direction_uv(direction[0], direction[1], direction[2])
     column, row = u * width - 0.5, v * height - 0.5
     c0, r0 = math.floor(column), math.floor(row)
     fx, fy = column - c0, row - r0
     upper, upper_shift = _row_and_shift(r0, height, width)
     lower, lower_shift = _row_and_shift(r0 + 1, height, width)
-    a = first + upper * width + (c0 + upper_shift) % width
-    b = first + upper * width + (c0 + 1 + upper_shift) % width
-    c = first + lower * width + (c0 + lower_shift) % width
-    d = first + lower * width + (c0 + 1 + lower_shift) % width
-    wa, wb = scale * (1.0 - fx) * (1.0 - fy), scale * fx * (1.0 - fy)
-    wc, wd = scale * (1.0 - fx) * fy, scale * fx * fy
+    a, b = (c0 + upper_shift) % width, (c0 + 1 + upper_shift) % width
+    c, d = (c0 + lower_shift) % width, (c0 + 1 + lower_shift) % width
+    wa, wb, wc, wd = (1.0 - fx) * (1.0 - fy), fx * (1.0 - fy), (1.0 - fx) * fy, fx * fy
     for i in range(out.size):
-        out[i] += wa * pixels[a, i] + wb * pixels[b, i] + wc * pixels[c, i] + wd * pixels[d, i]
+        above = wa * picture[upper, a, i] + wb * picture[upper, b, i]
+        out[i] = above + wc * picture[lower, c, i] + wd * picture[lower, d, i]
 
 
 @njit(cache=True, parallel=True, nogil=True)
 def look_up(picture, directions, out):
     """Fill ``out``, (n, k), with the values of an equirectangular picture, (height, width, k), in directions (n, 3)."""
-    height, width, bases = picture.shape
-    pixels = picture.reshape(height * width, bases)
     for i in numba.prange(directions.shape[0]):
-        out[i] = 0.0
-        direction = directions[i, 0], directions[i, 1], directions[i, 2]
-        add_interpolated(StackedPicture(pixels, 0, width, height), direction, 1.0, out[i])
+        _interpolate(picture, (directions[i, 0], directions[i, 1], directions[i, 2]), out[i])

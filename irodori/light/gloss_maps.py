@@ -32,15 +32,11 @@ class GlossMaps:
         first, levels = prefiltered(coefficients)
         return cls(first, tuple(levels))
 
-    def write(self, out, storage: str = "single") -> "GlossMaps":
-        """Write ``/gloss`` into an open file of `irodori.core.store`; return the maps as they will be read from it.
-
-        ``storage`` is described in `irodori.material.coefficients`.
-        """
+    def write(self, out, storage: str = "single") -> None:
+        """Write ``/gloss`` into an open file of `irodori.core.store`, as `irodori.material.coefficients` describes."""
         widths = WIDTHS_RAD[self.first :]
         out.write("gloss/width", widths, units="rad", dims="level", quantity="width 1/√κ of the blurring lobe")
-        levels = tuple(np.empty(level.shape, dtype=np.float32) for level in self.levels)
-        for number, (level, decoded) in enumerate(zip(self.levels, levels, strict=True), start=self.first):
+        for number, level in enumerate(self.levels, start=self.first):
             write_coefficients(
                 out,
                 f"gloss/level-{number:02d}",
@@ -49,9 +45,7 @@ class GlossMaps:
                 storage=storage,
                 codec="lzf",
                 dims=f"theta_{number:02d},azimuth_{number:02d},component",
-                decoded=decoded,
             )
-        return GlossMaps(self.first, levels)
 
     @classmethod
     def stored(cls, environment: Environment, levels: tuple[int, int] | None = None) -> "GlossMaps | None":

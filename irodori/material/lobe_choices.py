@@ -54,7 +54,8 @@ class Comparison(NamedTuple):
     """Candidates for the reflection model of an object."""
 
     candidates: tuple[LeftOut, ...] = ()  # the simplest first
-    painted: float = 1.0  # share of the compared texels that had the gloss of a paint; the others were tried singly
+    painted: float | None = None  # share of the compared texels with the colour of a paint; None without single lobes
+    favours_tails: bool = False  # whether too few had: by single texels, lobes with long tails are favoured
 
 
 #: That of an object whose definition names lobes and coat.
@@ -74,7 +75,11 @@ def model_text(lobes: tuple[str, ...] | list[str], coat: str) -> str:
 
 
 def write_choice(
-    output, chosen: Candidate, found: list[LeftOut], texels: int, provenance: store.Provenance, painted: float
+    output,
+    chosen: Candidate,
+    compared: Comparison,
+    texels: int,
+    provenance: store.Provenance,
 ) -> None:
     """Write the choice (attributes ``lobes`` and ``coat``) and the prediction errors of every candidate in order.
 
@@ -82,21 +87,22 @@ def write_choice(
     ----------
     output : path
     chosen : Candidate
-    found : list of LeftOut
-        Prediction errors of all candidates.
+    compared : Comparison
     texels : int
         Number of texels that the prediction errors come from.
     provenance : Provenance
-    painted : float
-        Share of these texels that were compared with the gloss of a paint.
     """
+    found = compared.candidates
     with store.create(output, provenance) as out:
         out.coordinate("candidate", [one.text for one in found], units="1", quantity="lobes, as a sum, and coat")
         for name, quantity in _FIGURES.items():
             values = np.array([getattr(one, name) for one in found])
             out.write(name, values, units="1", dims="candidate", quantity=quantity)
         tried = {"candidates": [list(one.lobes) for one in found], "coats": [one.coat for one in found]}
-        attributes = {"lobes": list(chosen.lobes), "coat": chosen.coat, **tried, "texels": texels, "painted": painted}
+        attributes = {"lobes": list(chosen.lobes), "coat": chosen.coat, **tried, "texels": texels}
+        attributes["favours_tails"] = compared.favours_tails
+        if compared.painted is not None:
+            attributes["painted"] = compared.painted
         for name, value in attributes.items():
             out.attribute(name, value)
 
@@ -130,9 +136,10 @@ def read_choice(choices: list) -> Comparison:
     with store.open_file(choices[0]) as file:
         tried, coats = file.attribute("candidates", list), file.attribute("coats", list)
         figures = np.transpose([file.read(name) for name in _FIGURES])
-        painted = file.attribute("painted", float)
+        painted = file.attribute("painted", float) if file.has_attribute("painted") else None
+        favours_tails = file.attribute("favours_tails", bool)
     found = [
         LeftOut(tuple(lobes), float(row[0]), float(row[1]), float(row[2]), coat)
         for lobes, coat, row in zip(tried, coats, figures, strict=True)
     ]
-    return Comparison(tuple(found), painted)
+    return Comparison(tuple(found), painted, favours_tails)

@@ -231,6 +231,7 @@ def compress_reflectance(
             "angle_errors": fitted.angle_errors or None,
             "lobe_choice": [asdict(one) for one in lobe_choice.candidates],
             "lobe_choice_painted": lobe_choice.painted,
+            "lobe_choice_favours_tails": lobe_choice.favours_tails,
             "mirror": mirror,
             "gloss_contradiction": fitted.gloss_contradiction,
         }

@@ -1,12 +1,21 @@
 """Surface data at a ray's hit: interpolated texel, normals and tangent frame."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from irodori.geometry.surfaces import surface_at
 from irodori.jit.compilation import njit
-from irodori.light.equirectangular import StackedPicture
+
+
+class StackedPicture(NamedTuple):
+    """One of several pictures stored after each other in an array."""
+
+    pixels: np.ndarray  # (all pixels, k) float
+    first: int  # index of the first pixel of this picture
+    width: int
+    height: int
 
 
 @njit(cache=True, forceinline=True)

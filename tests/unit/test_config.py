@@ -404,6 +404,14 @@ def test_a_lamp_of_a_room_that_is_at_fault_is_named(root, lamps, field, found):
     assert error.field == field and found in error.found
 
 
+def test_an_error_of_lamps_needs_lamps_and_a_place_that_is_photographed(root):
+    edit(root, ROOM_FILE, "lamps_error_percent", 1.5)
+    error = fault(root)
+    assert (error.field, error.found) == ("lamps_error_percent", "a key without lamps")
+    edit(root, ROOM_FILE, "lamps", ["FL11"])
+    assert load(root).environments["classroom"].lamps_error_percent == 1.5
+
+
 @pytest.mark.parametrize(
     ("key", "value", "field", "found"),
     [

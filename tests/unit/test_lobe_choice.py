@@ -223,7 +223,7 @@ def test_two_lobes_that_were_chosen_keep_each_texels_own_gloss(tmp_path):
         np.testing.assert_array_equal(own[name], shared[name])
 
 
-@pytest.mark.parametrize("painted", [0.25, 0.75])
+@pytest.mark.parametrize("painted", [None, 0.25, 0.75])
 @pytest.mark.parametrize("figures", [[], [LeftOut(("gaussian",), 2.5, 0.25, 0.125), LeftOut(("ggx",), 1.25, 0.0, 0.0)]])
 def test_the_report_shows_a_choice_and_no_table_without_one(figures, painted):
     source = html_page._TEMPLATES.loader.get_source(html_page._TEMPLATES, "objects.html.j2")[0]
@@ -231,13 +231,14 @@ def test_the_report_shows_a_choice_and_no_table_without_one(figures, painted):
     numbers = ("texels_fitted", "fit_seconds", "observed_fraction", "negative_fraction", "reflectance_error_median")
     errors = dict.fromkeys((*numbers, "delta_e_error_median"), 1.0)
     errors |= {"compression": {}, "lobe_choice": [{**vars(one), "lobes": list(one.lobes)} for one in figures]}
-    errors["lobe_choice_painted"] = painted
+    errors |= {"lobe_choice_painted": painted, "lobe_choice_favours_tails": painted == 0.25}
     shown = {"name": "jar", "errors": errors, "stored": "", "maps": "", "spectra": "", "bases": 3, "gloss": ""}
     shown["placement"] = "confirmed as typed: every camera angle" if figures else ""
     shown["mirror"], shown["angles"], errors["energy"] = 0.0, "0.09 deg by registration" if figures else "", {}
     page = template.render(objects=[shown | {"lobes": ["ggx"], "coat": "sum"}])
-    assert (f"{painted:.0%} of the compared texels" in page) == bool(figures)
-    assert ("by single texels" in page) == (bool(figures) and painted < 0.5)
+    assert ("of the compared texels" in page) == (bool(figures) and painted is not None)
+    assert painted is None or (f"{painted:.0%} of the compared texels" in page) == bool(figures)
+    assert ("long tails may be favoured" in page) == (bool(figures) and painted == 0.25)
     assert ("Standard errors of the angles: 0.09 deg by registration." in page) == bool(figures)
     assert ("Standard errors of the angles" in page) == bool(figures)
     assert ("Registration: confirmed as typed: every camera angle." in page) == bool(figures)

@@ -25,7 +25,7 @@ def data_files() -> list[Path]:
 
 def test_every_data_file_of_the_package_is_installed_with_it():
     files = data_files()
-    assert {"config.schema.yaml", "lobe_table-gaussian.h5", "lobe_table-ggx.h5"} <= {file.name for file in files}
+    assert {"config.schema.yaml", "published_tables.h5"} <= {file.name for file in files}
     patterns = PYPROJECT["tool"]["setuptools"]["package-data"]["*"]
     for file in files:
         package = file.parent

@@ -15,6 +15,7 @@ from irodori.config.models import CapturesSource, Chart, IrradianceMap, MirrorBa
 from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.light.environment_file import Environment
+from irodori.light.known_lamps import known_prior
 from irodori.light.light_prior import LightPrior, light_prior, prior_of_any_lamp, published_lamps
 from irodori.light.light_recovery import Directions, LightRecovery, ResponseModel
 from irodori.light.room_charts import (
@@ -499,6 +500,13 @@ def test_the_lamps_of_a_place_are_told_by_charts_by_what_is_named_or_by_what_is_
     walls = WALLS[np.random.default_rng(4).integers(len(WALLS), size=(8, 16))][:, ::-1] * lamp("FL2")
     off = {name: np.linalg.norm(np.roll(one, 8, axis=1) - walls) / np.linalg.norm(walls) for name, one in found.items()}
     assert off["charts"] < 0.9 * off["published"] and max(off["named"], off["both"]) < 0.8 * off["published"]
+
+
+def test_lamps_are_as_uncertain_as_their_definition_says(tmp_path, seen):
+    place(tmp_path, seen, "FL2")
+    said = {error: prepared(tmp_path, lamps=["FL2"], lamps_error_percent=error)[0] for error in (None, 5.0, 1.0)}
+    assert np.array_equal(said[None], said[5.0]) and not np.allclose(said[5.0], said[1.0], rtol=1e-4)
+    assert np.array_equal(said[1.0], prepared(tmp_path, prior=known_prior(["FL2"], 1.0))[0])
 
 
 def test_charts_and_lamps_of_another_place_are_refused_by_the_stage(tmp_path, seen):

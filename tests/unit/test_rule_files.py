@@ -50,6 +50,19 @@ def test_a_set_is_found_by_its_wildcard(sets):
     assert sets.camera_of(scene) == "d5100-comb" and not sets.own_photographs(scene)
 
 
+def test_photographs_do_not_depend_on_what_is_known_of_spectra(definitions):
+    """Editing it does not take them again."""
+    rig, room = definitions.rigs["virtual"], definitions.environments["classroom"]
+    lamp = dataclasses.replace(rig.light, error_percent=1.0)
+    rigs = definitions.rigs | {"virtual": dataclasses.replace(rig, light=lamp)}
+    known = dataclasses.replace(room, lamps=("FL11",), lamps_error_percent=1.0)
+    told = dataclasses.replace(definitions, rigs=rigs, environments=definitions.environments | {"classroom": known})
+    before, after, here = PhotographSets(definitions), PhotographSets(told), job(environment="classroom")
+    assert after.rig(here) == before.rig(here) and after.place(here) == before.place(here)
+    assert models.EnvironmentDefinition.of(after.place(here)).plain() == dataclasses.replace(room, lamps=()).plain()
+    assert after.light_error_percent(job(camera="d5100-comb")) == 1.0
+
+
 def test_parameters_are_plain_and_as_the_files_say(sets, scenes, definitions):
     plate = job(object="tile-plate", tile="001")
     asked = {

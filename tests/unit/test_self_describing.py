@@ -214,17 +214,12 @@ def test_a_scale_that_is_no_power_of_two_is_refused(tmp_path, scale):
         read_xyz(tmp_path / "a.exr", np.ones((3, 61)))
 
 
-def test_blurred_light_in_half_precision_is_what_its_errors_were_judged_by(tmp_path):
+def test_blurred_light_is_kept_in_half_precision(tmp_path):
     light = sky(lambda d: 1e6 * (2 + d[..., 2:]), 64, 32)
     gloss = GlossMaps.of(light.coefficients)
     light.save(tmp_path / "e.h5", PROVENANCE, gloss=gloss, storage="half")
-    found = GlossMaps.load(tmp_path / "e.h5")
-    with store.create(tmp_path / "again.h5", PROVENANCE) as out:
-        write_wavelength(out)
-        returned = gloss.write(out, "half")
-    for level, rounded, original in zip(found.levels, returned.levels, gloss.levels, strict=True):
-        assert level.dtype == np.float32 and np.array_equal(level, rounded)
-        assert np.abs(level - original).max() <= 2.0**-11 * np.abs(original).max()
+    for level, original in zip(GlossMaps.load(tmp_path / "e.h5").levels, gloss.levels, strict=True):
+        assert level.dtype == np.float32 and 0.0 < np.abs(level - original).max() <= 2.0**-11 * np.abs(original).max()
 
 
 def test_an_axis_beyond_three_is_read_as_it_was_written(tmp_path):

@@ -73,7 +73,7 @@ rule capture_environment:
     resources:
         mem_mb=lambda wildcards, attempt: 2000 * attempt,
     params:
-        definition=lookup(within=config["environments"], dpath="{environment}"),
+        definition=sets.place,
         camera=sets.camera,
         rig=sets.rig,
         table=sets.table,

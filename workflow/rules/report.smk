@@ -40,7 +40,7 @@ rule write_true_environment:
     resources:
         mem_mb=lambda wildcards, attempt: 1500 * attempt,
     params:
-        definition=lookup(within=config["environments"], dpath="{environment}"),
+        definition=sets.place,
         rig=sets.rig,
         irradiance=lookup(within=config["environment"], dpath="irradiance"),
         user_files=ledger.content(sets.files_of_session),

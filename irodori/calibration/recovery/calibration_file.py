@@ -104,7 +104,7 @@ class Calibration:
                 file.attribute("light_error", float) if file.has_attribute("light_error") else NAMED_LAMP_ERROR
             )
             if not 0.0 <= light_error < 1.0:
-                raise InputError(path, "light_error", f"{light_error:g}", "a number from 0 to 1")
+                raise InputError(path, "light_error", f"{light_error:g}", "a number from 0 to below 1")
             known = {name: file.read_within(name) for name in optional}
             if optional.get(_COVARIANCE) == _OF_EACH_BAND:
                 known[_COVARIANCE] = of_independent_bands(list(known[_COVARIANCE]))

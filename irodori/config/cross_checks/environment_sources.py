@@ -14,7 +14,7 @@ from irodori.config.models import (
 )
 from irodori.core.errors import InputError, is_file
 
-_OF_A_CAMERA = ("camera", "captures", "exposure_s", "room_charts", "lamps", "virtual")
+_OF_A_CAMERA = ("camera", "captures", "exposure_s", "room_charts", "lamps", "lamps_error_percent", "virtual")
 
 
 def is_photographed(environment: EnvironmentDefinition) -> bool:
@@ -40,6 +40,8 @@ def check_source(environment: EnvironmentDefinition, root: Path, file) -> None:
         if given.get(key):
             found = f"a key that a source of kind {kind} does not use"
             raise InputError(file, key, found, "to leave it out")
+    if environment.lamps_error_percent is not None and not environment.lamps:
+        raise InputError(file, "lamps_error_percent", "a key without lamps", "lamps, or to leave it out")
     if isinstance(source, RgbSource | SpectralSource) and not is_file(root / source.file):
         raise InputError(file, "source.file", f"no such file: {source.file}", "a picture of the light")
     if isinstance(source, MirrorBallSource):

@@ -77,7 +77,7 @@ _SHARE, _BETA, _MU, _CONSTANT = 0, 1, 2, 3
 
 @uncounted(forceinline=True)
 def _fill_shares(world, point, share):
-    """Fill the probabilities of choosing each light at a point, by its approximate irradiance; return if any is lit."""
+    """Fill the probabilities of choosing each light at a point, by its rough irradiance; return whether any is lit."""
     total = 0.0
     count = world.lights.kind.size
     for light in range(count):
@@ -544,7 +544,7 @@ def gather(world, ray, work, numbers, stream, start):
 
 @uncounted(forceinline=True)
 def _fill_own_shares(world, point, lamps, share):
-    """Fill the probabilities of choosing each light at a place of `gather`; return if any is lit."""
+    """Fill the probabilities of choosing each light at a place of `gather`; return whether any is lit."""
     if lamps:
         return _fill_shares(world, point, share)
     count = world.lights.kind.size
@@ -556,10 +556,11 @@ def _fill_own_shares(world, point, lamps, share):
 
 @uncounted(forceinline=True)
 def _trace_path(world, ray, work, drawn, seldom, begun):
-    """Follow a path to its end, from the ray in ``work`` or from a place of `gather`.
+    """Follow a path to its end, from the ray in ``work`` or from a place; return the number of branches that were cut.
 
     ``drawn`` has the random numbers and the stream of the path; ``begun`` has the side of the place, -1 for a path that
-    begins with the ray, and whether the scene's lamps light the place.
+    begins with the ray, and whether the scene's lamps light the place. For a place, ``work`` has its point as the
+    origin, its normals, and spectrum and direction of a perfect diffuser seen from above in ``diffuse``, ``to_eye``.
     """
     (numbers, stream), (place, lamps) = drawn, begun
     density, vertex = -1.0, 0
