@@ -146,7 +146,7 @@ class PhotographSets:
         found["light"].pop("error_percent", None)
         return found
 
-    def place(self, wildcards) -> dict:
+    def photographed_place(self, wildcards) -> dict:
         """Return the definition of an environment, without its lamps, on which no photograph depends."""
         found = self.loaded.environments[wildcards.environment].plain()
         return {key: part for key, part in found.items() if key not in ("lamps", "lamps_error_percent")}

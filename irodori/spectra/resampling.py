@@ -167,7 +167,8 @@ def _without_overshoot(out: np.ndarray, wavelength_nm: np.ndarray, rows: np.ndar
 def _sprague_matrix(wavelength_nm: tuple[float, ...]) -> np.ndarray:
     """Return the matrix of Sprague's interpolation, which is linear in the values, (61, n).
 
-    CIE 167:2005, equations 13 to 15; written here because the library colour-science takes a second to load.
+    The polynomial and the values beyond the ends are those of CIE 167:2005, with the coefficients that the library
+    colour-science has; it is written here because the library takes a second to load.
     """
     count, span = len(wavelength_nm), wavelength_nm[-1] - wavelength_nm[0]
     # Uniform wavelengths may be rounded: their places count in whole steps.

@@ -323,6 +323,7 @@ BALL = {"kind": "mirror_ball", "centre_px": [50, 50], "radius_px": 40, "reflecta
     [
         ({"source": LIGHTS}, "image", "no such key"),
         ({"source": LIGHTS, "image": SIZE, "camera": "d5100-comb"}, "camera", "does not use"),
+        ({"source": LIGHTS, "image": SIZE, "lamps_error_percent": 1.5}, "lamps_error_percent", "does not use"),
         ({"source": {"kind": "rgb", "file": "no.exr"}}, "source.file", "no such file: no.exr"),
         ({"source": {"kind": "rgb", "file": "no.exr"}, "image": SIZE}, "image", "does not use"),
         ({"source": {"kind": "captures"}, "image": SIZE}, "camera", "no such key"),
@@ -404,7 +405,7 @@ def test_a_lamp_of_a_room_that_is_at_fault_is_named(root, lamps, field, found):
     assert error.field == field and found in error.found
 
 
-def test_an_error_of_lamps_needs_lamps_and_a_place_that_is_photographed(root):
+def test_an_error_of_lamps_needs_lamps(root):
     edit(root, ROOM_FILE, "lamps_error_percent", 1.5)
     error = fault(root)
     assert (error.field, error.found) == ("lamps_error_percent", "a key without lamps")

@@ -73,7 +73,7 @@ rule capture_environment:
     resources:
         mem_mb=lambda wildcards, attempt: 2000 * attempt,
     params:
-        definition=sets.place,
+        definition=sets.photographed_place,
         camera=sets.camera,
         rig=sets.rig,
         table=sets.table,

@@ -40,7 +40,7 @@ rule write_true_environment:
     resources:
         mem_mb=lambda wildcards, attempt: 1500 * attempt,
     params:
-        definition=sets.place,
+        definition=sets.photographed_place,
         rig=sets.rig,
         irradiance=lookup(within=config["environment"], dpath="irradiance"),
         user_files=ledger.content(sets.files_of_session),
