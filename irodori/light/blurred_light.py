@@ -23,6 +23,8 @@ _FINEST_OF_PITCH = 0.6  # smallest width of a lobe relative to a pixel: a narrow
 _PARTS_PER_WIDTH = 4.0  # smallest number of source rows per width after division
 _ROWS_AT_A_TIME = 64
 _NARROW = 300.0  # κ sinθ sinθ' above which a row's lobe is narrow enough for the asymptotic series
+#: Terms of a row's lobe beyond this many standard deviations of its series, and a few more, are below 1e-7 of the first.
+_SERIES_CUT, _MORE_TERMS = 5.7, 12
 
 
 def level_height(width_rad: float) -> int:
@@ -127,29 +129,32 @@ def _level(series: np.ndarray, source: np.ndarray, width_rad: float, pool: Threa
     kappa = _concentration(width_rad, np.pi / height)
     scale = kappa / (2 * np.pi * -np.expm1(-2 * kappa))
     terms = min(series.shape[1], height)
-    samples = fft.next_fast_len(2 * terms, real=True)
-    cosine = np.cos(2 * np.pi * np.arange(samples) / samples)
     target = np.pi * (np.arange(height) + 0.5) / height
     reach = _CUT / np.sqrt(kappa)
     # Real and imaginary parts are columns: the kernel is real.
     numbers = np.ascontiguousarray(series).view(np.float32)
-    spectrum = np.empty((height, terms, numbers.shape[2]), dtype=np.float32)
+    spectrum = np.zeros((height, terms, numbers.shape[2]), dtype=np.float32)
 
     def fill(row: int) -> None:
         first, last = np.searchsorted(source, [target[row] - reach, target[row] + reach])
         theta = source[first:last, None]
         meridian = kappa * (np.cos(target[row] - theta) - 1.0)
         parallel = kappa * np.sin(target[row]) * np.sin(theta)
+        kept = min(terms, int(_SERIES_CUT * np.sqrt(parallel.max())) + _MORE_TERMS)
         if parallel.min() > _NARROW:
-            kernel = scale * _bessel_series(meridian, parallel, terms)
+            kernel = scale * _bessel_series(meridian, parallel, kept)
         else:
+            samples = fft.next_fast_len(2 * kept, real=True)
+            cosine = np.cos(2 * np.pi * np.arange(samples) / samples)
             lobe = meridian + parallel * (cosine - 1.0)
-            kernel = fft.rfft(np.exp(lobe), axis=1).real[:, :terms] * (scale / samples)
-        spectrum[row] = np.einsum("rm,rmk->mk", kernel.astype(np.float32), numbers[first:last, :terms])
+            kernel = fft.rfft(np.exp(lobe), axis=1).real[:, :kept] * (scale / samples)
+        spectrum[row, :kept] = np.einsum("rm,rmk->mk", kernel.astype(np.float32), numbers[first:last, :kept])
 
     list(pool.map(fill, range(height)))
-    turn = np.exp(1j * np.pi * np.arange(terms) / (2 * height))[:, None]
-    return (fft.irfft(spectrum.view(np.complex64) * turn, n=2 * height, axis=1) * (2 * height)).astype(np.float32)
+    turn = (2 * height) * np.exp(1j * np.pi * np.arange(terms) / (2 * height))[:, None]
+    # In double precision: beside a sun, single precision would round by more than the light of a shadow.
+    blurred = fft.irfft(spectrum.view(np.complex64) * turn, n=2 * height, axis=1, workers=numba.get_num_threads())
+    return blurred.astype(np.float32)
 
 
 def prefiltered(coefficients: np.ndarray, levels: tuple[int, int] | None = None) -> tuple[int, list[np.ndarray]]:

@@ -142,6 +142,7 @@ def visit(context_of, page_file, idle_pages):
         visits.append((opened, context, listeners))
         for event, listener in listeners.items():
             opened.page.on(event, listener)
+        opened.page.bring_to_front()
         opened.page.goto(file.as_uri() + hash_)
         if ready:
             opened.page.wait_for_selector("body[data-ready]")
