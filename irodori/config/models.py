@@ -661,9 +661,9 @@ class Object(Definition):
     #: Complex refractive index n + ik of the surface.
     refractive_index: RefractiveIndex = ConstantIndex(n=1.5, k=0.0)
 
-    #: Models of the rough gloss that the fit uses; a second one applies only where the data call for it. With auto, the
-    #: fit takes the simplest that predict left-out photographs within one standard error of the best.
-    lobes: tuple[str, ...] = ("gaussian",)
+    #: Models of the rough gloss that the fit uses. With auto, it takes the simplest that predict left-out photographs
+    #: within one standard error of the best. Of two, the second applies only where the data call for it.
+    lobes: tuple[str, ...] = ("auto",)
 
     #: Whether the surface takes from the light of the diffuse ground what it reflects. With sum, diffuse light and
     #: gloss are added, as in equation (5). With coupled, the diffuse light passes the surface on its way in and out and

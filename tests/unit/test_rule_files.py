@@ -120,7 +120,6 @@ def test_options_of_stages_have_the_defaults_of_the_configuration():
         for field in dataclasses.fields(own):
             if field.name not in ("bounds", "coat", "lamp_radius_deg", "lobes", "registered"):
                 assert getattr(own, field.name) == getattr(block, field.name), field.name
-    assert FitOptions().lobes == models.Object.__dataclass_fields__["lobes"].default
     assert {name: FitOptions().limits(name) for name in vars(models.FitBounds())} == vars(models.FitBounds())
 
 

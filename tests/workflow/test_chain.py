@@ -201,11 +201,10 @@ def test_the_page_of_files_lists_every_dataset_as_the_files_say(finished):
     for line in tables(found).splitlines():
         assert line in page, line
     unlisted = [title for number, (_, _, title) in enumerate(KINDS) if number not in found]
-    # No patch is in a frame, objects name their lobes, and the scene has no light maps.
+    # No patch is in a frame, and the scene has no light maps.
     patch = "The lamp's level in every photograph, by a patch in the frame"
-    chosen = "The form of gloss, chosen by photographs that were left out"
     baked = "Light that falls on the objects of a scene, baked"
-    assert unlisted == [patch, chosen, baked]
+    assert unlisted == [patch, baked]
 
 
 def test_texels_that_nothing_determines_are_marked_and_not_invented(finished):
@@ -333,9 +332,9 @@ def test_a_library_edit_reruns_the_stages_that_use_it(again, tmp_path):
     module.write_text(module.read_text() + "\n# a changed line\n")
     rules = {rule for rule, _ in planned(snakemake(again, "--dry-run", snakefile=code / "Snakefile"))}
     # The page draws the fit's outcomes with the fit's own names, so it uses the module too; registration fits texels to
-    # find the light.
+    # find the light, and lobes are compared by fitting them.
     placing = {"register_object", "register_placement", "combine_registrations_leaf_sphere", "rectify_object"}
-    assert rules == STAGES_AFTER_FIT | placing
+    assert rules == STAGES_AFTER_FIT | placing | {"choose_lobes"}
 
 
 def test_a_job_for_every_capture_but_none_for_a_tiny_tile():

@@ -41,7 +41,7 @@ def _check_names(definition: Object, file) -> None:
             named[f"virtual.materials[{m}].lobe"] = material.lobe
             for c, further in enumerate(material.further_gloss):
                 named[f"virtual.materials[{m}].further_gloss[{c}].lobe"] = further.lobe
-    if set(named.values()) <= set(Object.lobes):  # the default, which is registered
+    if set(named.values()) <= {ModelledMaterial.lobe}:  # the default, which is registered
         return
     from irodori.reflection.registry import names  # imports the compiler, which most configurations do not need
 
