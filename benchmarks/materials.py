@@ -395,10 +395,10 @@ def gloss_of_halves(
     rng = np.random.default_rng(seed)
     response, geometry = _surfaces(name, photographs, MOST_TEXELS, rng, folder, wavelength_nm)
     noise, options = np.tile(_CAMERA, (photographs // 2, 1)), FitOptions(lobes=(lobe,), level_error=0.0)
-    index, out = np.full(len(response), N), []
+    out: list = []
     for half in _HALVES:
         seen = response[:, half], geometry[:, half], np.ones(response[:, half].shape)
-        surface = gloss_sums.pack(*problem_of(*seen, index, K, options, noise=noise), sides=True)
+        surface = gloss_sums.pack(*problem_of(*seen, N, K, options, noise=noise), sides=True)
         (gloss,), _ = gloss_of_paints([surface], options.nodes())
         out.append((fit(*seen, N, K, options, noise=noise), surface, gloss))
     return out

@@ -112,9 +112,6 @@ class FitBounds(Definition):
     #: defined for is left out.
     mu_rad: tuple[float, float] = (0.005, 1.2)
 
-    #: Smallest and largest refractive index where it is fitted (ratio).
-    n: tuple[float, float] = (1.2, 2.5)
-
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class Fit(Definition):
@@ -139,9 +136,6 @@ class Fit(Definition):
 
     #: Whether the lamp's level in every photograph is estimated jointly with the materials.
     level_by_photograph: bool = False
-
-    #: Whether the real refractive index is the one of the object's definition or fitted texel by texel.
-    refractive_index: Literal["fixed", "fitted"] = "fixed"
 
     #: Whether the texels of one paint share its gloss.
     gloss_by_paint: bool = True

@@ -95,8 +95,7 @@ class Fitted(NamedTuple):
         Lobe of each component.
     gloss : (texels, 2 or 4) float64
         β and μ of each component.
-    n : (texels,) float64
-    k : float
+    n, k : float
         Complex refractive index of the fit.
     coupled : bool
         Whether the coat reduces the diffuse term.
@@ -113,7 +112,7 @@ class Fitted(NamedTuple):
     model_error: float
     lobes: tuple[Lobes, ...]
     gloss: np.ndarray
-    n: np.ndarray
+    n: float
     k: float
     coupled: bool
     coloured: bool
@@ -233,7 +232,7 @@ def _combine_texel(t, given, rows, out, variance):
 def _add_gloss(t, given, component, lobes, rows):
     """Fill the rows of a texel's geometry, and add the gloss of a component in green."""
     beta, mu = given.gloss[t, 2 * component], given.gloss[t, 2 * component + 1]
-    pack_geometry(given.geometry[t], lobes, given.n[t], given.k, given.coupled, rows)
+    pack_geometry(given.geometry[t], lobes, given.n, given.k, given.coupled, rows)
     if beta > 0.0:
         fill_lobe(rows, lobes, math.log(mu))
         for j in range(vectors_of(rows)):
@@ -292,14 +291,12 @@ def diffuse_response(
         Variance by the camera's noise alone; NaN where the noise is unknown or there is no observation.
     """
     observed = Observed(response, geometry, weight, np.empty((0, 0), np.uint8), noise)
-    index = np.where(np.isfinite(result.index), result.index, fresnel.n)
-    return without_gloss(observed, result.gloss, index, result.lobes, fresnel, model_error=model_error, coupled=coupled)
+    return without_gloss(observed, result.gloss, result.lobes, fresnel, model_error=model_error, coupled=coupled)
 
 
 def without_gloss(
     observed: Observed,
     gloss,
-    index,
     lobes: tuple[str, ...],
     fresnel: BandGloss,
     *,
@@ -313,8 +310,6 @@ def without_gloss(
     observed : Observed
     gloss : (texels, 2 or 4) float64
         β and μ of each component.
-    index : (texels,) float64
-        Real refractive index.
     lobes : tuple of str
         Lobe of each component.
     fresnel, model_error, coupled
@@ -326,7 +321,7 @@ def without_gloss(
     noise[..., :captures] = np.moveaxis(observed.noise, 0, -1)
     alone = tuple(Lobes((name,)) for name in (lobes if len(lobes) > 1 else lobes * 2))
     given = Fitted(
-        observed.response, observed.geometry, observed.weight, noise, float(model_error), alone, gloss, index,
+        observed.response, observed.geometry, observed.weight, noise, float(model_error), alone, gloss, fresnel.n,
         fresnel.k, coupled, bool((fresnel.ratio != 1.0).any()), fresnel.ratio,
     )  # fmt: skip
     run_chunks(_combine_chunk, len(out), _CHUNK, given, out, variance)

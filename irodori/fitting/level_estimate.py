@@ -234,13 +234,12 @@ def estimate_levels(readings: Readings, options: FitOptions) -> EstimatedLevels 
     if not options.model_error > 0.0:
         return None  # levels that cannot differ
     readings = replace(readings, geometry=np.asarray(readings.geometry, dtype=np.float64))
-    fixed = replace(options, refractive_index="fixed")
     level, error, told = np.ones(readings.response.shape[1]), np.empty(0), 0
     for _ in range(_STEPS):
-        texels = describe(readings, fixed, level)
+        texels = describe(readings, options, level)
         if texels is None:
             return None
-        level, error, *_ = adjust(texels, fixed, level)
+        level, error, *_ = adjust(texels, options, level)
         told = len(texels.seen)
     if np.sqrt(np.mean(error**2)) > _KNOWN * options.model_error:
         return None

@@ -72,9 +72,8 @@ def estimate_light_angle(sight: Sight, options: FitOptions) -> LightAngle | None
     """
     if not options.model_error > 0.0:
         return None
-    fixed = replace(options, refractive_index="fixed")
     level = np.ones(sight.readings(0.0).response.shape[1])
-    starts = ((start, describe(sight.readings(start), fixed, level)) for start in _STARTS_DEG)
+    starts = ((start, describe(sight.readings(start), options, level)) for start in _STARTS_DEG)
     offset, texels = next((found for found in starts if found[1] is not None), (0.0, None))
     for _ in range(_STEPS):
         if texels is None or abs(offset) > _LARGEST_DEG:
@@ -82,11 +81,11 @@ def estimate_light_angle(sight: Sight, options: FitOptions) -> LightAngle | None
         before = offset
         aside = [predict(texels, sight.geometry(offset + way * _ASIDE_DEG)[texels.chosen]) for way in (1.0, -1.0)]
         slope = (aside[0] - aside[1]) * (_FREE_DEG / (2.0 * _ASIDE_DEG))
-        step = adjust(texels, fixed, level, slope[..., None], (offset / _FREE_DEG,))
+        step = adjust(texels, options, level, slope[..., None], (offset / _FREE_DEG,))
         level, offset, error = step.level, _FREE_DEG * float(step.further[0]), _FREE_DEG * float(step.further_error[0])
         if abs(offset - before) < _STILL * error:
             return LightAngle(offset, error) if error <= _MOST_ERROR_DEG else None
-        texels = describe(sight.readings(offset), fixed, level)
+        texels = describe(sight.readings(offset), options, level)
     return None
 
 

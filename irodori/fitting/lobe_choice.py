@@ -101,7 +101,7 @@ def choose(
     ----------
     sample : Readings
     options : FitOptions
-        Options of the fit; its lobes and coat are ignored, and the refractive index is fixed.
+        Options of the fit; its lobes and coat are ignored.
     tried : iterable of Candidate
         The simplest first.
     paints : mapping of str to sequence of PaintedTexels
@@ -142,17 +142,17 @@ def left_out_errors(sample: Readings, options: FitOptions, paints: Sequence[Pain
     NaN where an observation has no weight. With one lobe, the texels of ``paints`` have the gloss that the other
     photographs tell of their paint.
     """
-    fixed, sample = replace(options, refractive_index="fixed"), replace(sample, coupled=options.is_coupled)
+    sample = replace(sample, coupled=options.is_coupled)
     weight, out = np.asarray(sample.weight), np.full(sample.response.shape, np.nan)
     fold = np.arange(weight.shape[1]) % min(_FOLDS, weight.shape[1])
     for number in range(fold.max(initial=-1) + 1):
         here = fold == number
         kept = np.where(here, 0.0, weight).astype(weight.dtype)
-        result = fit(sample.response, sample.geometry, kept, sample.n, sample.k, fixed, noise=sample.noise)
-        if len(fixed.lobes) == 1:
-            result = replace(result, gloss=_with_paints(result.gloss, paints, here, fixed))
-        expected = predicted(sample, result, replace(sample, weight=kept), fixed)
-        errors = (sample.response - expected) / np.sqrt(_variance(sample, np.fmax(expected, sample.response), fixed))
+        result = fit(sample.response, sample.geometry, kept, sample.n, sample.k, options, noise=sample.noise)
+        if len(options.lobes) == 1:
+            result = replace(result, gloss=_with_paints(result.gloss, paints, here, options))
+        expected = predicted(sample, result, replace(sample, weight=kept), options)
+        errors = (sample.response - expected) / np.sqrt(_variance(sample, np.fmax(expected, sample.response), options))
         held = here & (weight > 0.0) & np.isfinite(errors)
         out[held] = errors[held]
     return out
@@ -168,7 +168,7 @@ def _with_paints(
     gloss = gloss.copy()
     for texels, seen in paints:
         weight = np.where(left_out, 0.0, seen.weight).astype(seen.weight.dtype)
-        given = seen.response, seen.geometry, weight, np.full(len(weight), seen.n), seen.k, options
+        given = seen.response, seen.geometry, weight, seen.n, seen.k, options
         found = separate_gloss(pack(*problem_of(*given, noise=seen.noise), sides=False), options.nodes())
         if found is not None:
             gloss[texels] = np.exp(found.log_gloss)

@@ -55,7 +55,7 @@ def choose_lobes(
     if options.gloss_by_paint:
         lobe = next((one.lobes for one in tried if len(one.lobes) == 1), DEFAULT_LOBES)
         for name in coats_of(coat):
-            own = replace(options, lobes=lobe, coat=name, solver="varpro", refractive_index="fixed")
+            own = replace(options, lobes=lobe, coat=name, solver="varpro")
             paints[name] = painted(every, _paint_of(seen, every, own, fresnel), few)
     chosen, found = choose(sample, options, tried, paints)
     share = sum(len(paint.texels) for paint in paints.get(chosen.coat, ())) / max(len(few), 1)

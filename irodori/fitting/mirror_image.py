@@ -78,26 +78,25 @@ class MirrorImages:
     ----------
     options : FitOptions
         Options of the fit, with one lobe; they tell the angular radius of the lamp, or nothing is measured.
-    k : float
-        Imaginary part of the refractive index.
+    n, k : float
+        Complex refractive index.
     band : int
         Band of the fit.
     """
 
-    def __init__(self, options: FitOptions, k: float, band: int) -> None:
-        self._options, self._k, self._band, self._within = options, k, band, _zone(options)[0]
+    def __init__(self, options: FitOptions, n: float, k: float, band: int) -> None:
+        self._options, self._n, self._k, self._band = options, n, k, band
+        self._within = _zone(options)[0]
         self._area = math.sin(math.radians(options.lamp_radius_deg or 0.0)) ** 2
         self._sums: np.ndarray | None = None  # (J, 4): weight, its square, error of the gloss, texels
         self._clipped = np.zeros(0, dtype=np.int64)
 
-    def add(self, observed: "Observed", index: np.ndarray, maps: dict[str, np.ndarray]) -> None:
+    def add(self, observed: "Observed", maps: dict[str, np.ndarray]) -> None:
         """Add the texels of a tile.
 
         Parameters
         ----------
         observed : Observed
-        index : (texels,) float
-            Real refractive index.
         maps : dict
             ``alpha``, ``beta`` and ``mu`` of the texels, NaN where unknown.
         """
@@ -113,10 +112,9 @@ class MirrorImages:
             return
         angles = observed.geometry[texel, capture].astype(np.float64)
         alpha, beta, mu = (maps[name][texel].astype(np.float64) for name in ("alpha", "beta", "mu"))
-        n = float(np.median(index[texel]))
-        reflectance = fresnel_array(np.cos(angles[:, 2]), n, self._k)
+        reflectance = fresnel_array(np.cos(angles[:, 2]), self._n, self._k)
         gloss = beta * reflectance * evaluate(self._options.lobes[0], mu, angles)
-        ground = alpha * diffuse_cosine(angles, n, self._k, self._options.is_coupled)
+        ground = alpha * diffuse_cosine(angles, self._n, self._k, self._options.is_coupled)
         scale = self._area / reflectance
         weight = (observed.response[texel, capture, self._band] - ground - gloss) * scale
         row = np.stack([weight, weight**2, _GLOSS_ERROR * gloss * scale, np.ones_like(weight)], axis=-1)

@@ -72,10 +72,9 @@ def fit_one_gloss(response, geometry, weight, options: FitOptions, n: float, k: 
         Complex refractive index.
     """
     (lobe,) = options.lobes
-    count, captures = response.shape
-    unknown = np.full((captures, 2), np.nan)
+    unknown = np.full((response.shape[1], 2), np.nan)
     surface = gloss_sums.pack(
-        *problem_of(response, geometry, weight, np.full(count, n), k, options, noise=unknown), sides=True
+        *problem_of(response, geometry, weight, n, k, options, noise=unknown), sides=True
     )  # fmt: skip
     told = np.flatnonzero((weight > 0.0).sum(axis=1) > 3)
     chosen = told[:: max(1, len(told) // _MOST)]

@@ -134,11 +134,9 @@ def _carried(tiles: Sequence) -> tuple[dict, int]:
     return attributes | sums | {"rows": [min(rows), max(rows)]}, bands
 
 
-def _tile(observed: Observed, maps: dict, optics: GlossModel, chosen=slice(None)) -> Tile:
-    """Return texels with their observations and fits; those with an unknown refractive index get the nominal one."""
-    index, status, *colour = (maps[name][chosen] for name in ("refractive_index", "status", *_RESPONSE))
-    index = np.where(np.isfinite(index), index, optics.fresnel.n).astype(np.float64)
-    return Tile(observed, index, status, *colour)
+def _tile(observed: Observed, maps: dict, chosen=slice(None)) -> Tile:
+    """Return texels with their observations and fits."""
+    return Tile(observed, *(maps[name][chosen] for name in ("status", *_RESPONSE)))
 
 
 def share_gloss(
@@ -182,29 +180,30 @@ def share_gloss(
 
     def sampled(piece: _Piece) -> Tile:
         assert colours is not None
-        maps = _read_maps(piece, ("refractive_index", "status", *_RESPONSE))
+        maps = _read_maps(piece, ("status", *_RESPONSE))
         paint = by_colour(maps["diffuse_response"], maps["diffuse_variance"], colours)
         here, with_light = looked_at(len(paint), width, len(pieces)), np.zeros(len(paint), dtype=bool)
         with store.open_file(piece.observations) as file:
             with_light[here] = np.any(read_texels(file, "weight", here + piece.texels.start) > 0, axis=1)
         chosen = sample_of(paint, with_light, colours, width, len(pieces))
         texels = chosen + piece.texels.start
-        return _tile(
-            without_images(read_observations(piece.observations, levels, texels), options), maps, optics, chosen
-        )
+        return _tile(without_images(read_observations(piece.observations, levels, texels), options), maps, chosen)
 
     paints = find_paints(list(parallel_map(sampled, pieces)), colours, optics) if colours else None
 
+    def no_images() -> MirrorImages:
+        return MirrorImages(options, optics.fresnel.n, optics.fresnel.k, GREEN)
+
     def shared_by(piece: _Piece) -> tuple[dict[str, np.ndarray], int, MirrorImages]:
-        maps, images = _read_maps(piece, fitted_maps(options.lobes)), MirrorImages(options, optics.fresnel.k, GREEN)
+        maps, images = _read_maps(piece, fitted_maps(options.lobes)), no_images()
         if not paints:
             return maps, 0, images
-        own = _tile(read_observations(piece.observations, levels, piece.texels), maps, optics)
+        own = _tile(read_observations(piece.observations, levels, piece.texels), maps)
         count = _share_tile(replace(own, observed=without_images(own.observed, options)), maps, paints, width, optics)
-        images.add(own.observed, own.index, maps)
+        images.add(own.observed, maps)
         return maps, count, images
 
-    shared, images = 0, MirrorImages(options, optics.fresnel.k, GREEN)
+    shared, images = 0, no_images()
     datasets: dict = {}
     with store.create(output, provenance) as out:
         write_bands(out, attributes["filters"])
@@ -267,7 +266,6 @@ def _share_tile(tile: Tile, maps: dict[str, np.ndarray], paints: Paints, width: 
         maps["diffuse_response"][texels], maps["diffuse_variance"][texels] = without_gloss(
             some.observed,
             gloss[piece],
-            some.index,
             options.lobes,
             optics.fresnel,
             model_error=options.model_error,

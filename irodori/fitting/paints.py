@@ -74,33 +74,29 @@ class Tile:
     Parameters
     ----------
     observed : Observed
-    index : (texels,) float64
-        Real refractive index.
     status : (texels,) int8
     response, variance : (texels, bands) float64
         Diffuse responses from the separate fits, and their variance by the camera's noise.
     """
 
     observed: Observed
-    index: np.ndarray
     status: np.ndarray
     response: np.ndarray
     variance: np.ndarray
 
     def __getitem__(self, chosen) -> "Tile":
         """Return a tile with selected texels; ``chosen`` is any NumPy index."""
-        index, status, response = self.index[chosen], self.status[chosen], self.response[chosen]
-        return Tile(self.observed[chosen], index, status, response, self.variance[chosen])
+        return Tile(self.observed[chosen], self.status[chosen], self.response[chosen], self.variance[chosen])
 
     def surface(self, optics: GlossModel, chosen=slice(None), *, sides: bool = True) -> SearchedTexels:
         """Pack the observations of the green band for a fit of gloss; ``chosen`` is any NumPy index.
 
         ``sides`` as in `irodori.fitting.gloss_sums.pack`.
         """
-        seen, k = self.observed, optics.fresnel.k
+        seen = self.observed
         problem = problem_of(
-            seen.response[chosen, :, GREEN], seen.geometry[chosen], seen.weight[chosen], self.index[chosen], k,
-            optics.options, noise=seen.noise[:, GREEN],
+            seen.response[chosen, :, GREEN], seen.geometry[chosen], seen.weight[chosen], optics.fresnel.n,
+            optics.fresnel.k, optics.options, noise=seen.noise[:, GREEN],
         )  # fmt: skip
         return gloss_sums.pack(*problem, sides=sides)
 
@@ -111,7 +107,6 @@ class Tile:
         return without_gloss(
             self.observed,
             gloss,
-            self.index,
             options.lobes,
             optics.fresnel,
             model_error=options.model_error,

@@ -1,7 +1,6 @@
 """Solvers of equation (7), with a common interface and result type."""
 
 import ctypes
-import math
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from functools import lru_cache
@@ -12,8 +11,6 @@ import numpy as np
 
 from irodori.config.cross_checks.object_lobes import SETTINGS_WITH_TWO_LOBES
 from irodori.fitting import judge, nlopt_loop, texels, two_lobes
-from irodori.fitting.index_errors import index_errors
-from irodori.fitting.index_search import fit_index
 from irodori.fitting.observations import Minimum, Rules, camera_noise
 from irodori.fitting.reported_parameters import report_parameters
 from irodori.fitting.shared_geometry import no_shared
@@ -28,8 +25,8 @@ from irodori.reflection.registry import DEFAULT_LOBES, lobe, names
 _ALGORITHM, _XTOL_REL, _MAX_EVALUATIONS = nlopt.LD_LBFGS, 1e-8, 400
 MAX_LOBES = 2
 _SETTINGS = ("objective", "algorithm", "xtol_rel", "max_evaluations")
-_BOUNDS = {"alpha": (0.0, 2.0), "beta": (0.0, 1e4), "mu_rad": (0.005, 1.2), "n": (1.2, 2.5)}
-_CHOICES = {"coat": COATS, "weights": ("noise", "equal"), "refractive_index": ("fixed", "fitted")}
+_BOUNDS = {"alpha": (0.0, 2.0), "beta": (0.0, 1e4), "mu_rad": (0.005, 1.2)}
+_CHOICES = {"coat": COATS, "weights": ("noise", "equal")}
 
 
 @dataclass(frozen=True)
@@ -54,13 +51,11 @@ class FitOptions:
     level_by_photograph : bool
         Whether the lamp's level in every photograph is estimated, see `irodori.fitting.level_estimate`; `fit` ignores
         it and takes responses as they are.
-    refractive_index : str
-        ``fixed``: as given; ``fitted``: the real part n is fitted to each texel within its bounds.
     gloss_by_paint : bool
         Whether the texels of an object share the gloss of their paints, see `irodori.fitting.paints`; `fit` ignores it
         and treats texels separately.
     bounds : dict
-        Lower and upper bound by name: ``alpha``, ``beta``, ``mu_rad``, ``n``.
+        Lower and upper bound by name: ``alpha``, ``beta``, ``mu_rad``.
     lobes : tuple of str
         Lobes of the gloss, one or two, see `irodori.reflection.registry`. The bounds of μ are in the unit of the lobe.
     registered : AngleErrors, optional
@@ -78,7 +73,6 @@ class FitOptions:
     pose_error_deg: Literal["auto"] | float = AUTO
     level_error: float = 0.014
     level_by_photograph: bool = False
-    refractive_index: str = "fixed"
     gloss_by_paint: bool = True
     bounds: dict | None = None
     lobes: tuple[str, ...] = DEFAULT_LOBES
@@ -160,9 +154,6 @@ class FitResult:
     gloss : (n, 2) float64
         β and μ that explain the observations best, determined or not; β is 0 where gloss explains nothing. With two
         lobes (n, 4): those of the first, then of the second.
-    index, index_error : (n,) float64
-        Real refractive index and its standard error; NaN where it was fitted but is not determined. The error is NaN
-        where the index was given.
     lobes : tuple of str
         Lobe of each component.
     beta_2, mu_2, beta_2_error, mu_2_error : (n,) float64
@@ -183,8 +174,6 @@ class FitResult:
     evaluations: np.ndarray
     nlopt_result: np.ndarray
     gloss: np.ndarray
-    index: np.ndarray
-    index_error: np.ndarray
     lobes: tuple[str, ...] = DEFAULT_LOBES
     beta_2: np.ndarray | None = None
     mu_2: np.ndarray | None = None
@@ -306,7 +295,7 @@ SOLVERS = {"varpro": _solve_varpro, "nlopt": _solve_nlopt, "nlopt-reference": _s
 def problem_of(
     response, geometry, weight, n, k, options: FitOptions, *, noise, clipped=None
 ) -> tuple[texels.Problem, Rules]:
-    """Convert the arguments of `fit` to the `Problem` and `Rules` of the compiled loops; n may also be (texels,).
+    """Convert the arguments of `fit` to the `Problem` and `Rules` of the compiled loops.
 
     Raises
     ------
@@ -319,18 +308,17 @@ def problem_of(
     geometry = geometry[None] if geometry.ndim == 2 else geometry
     clipped = np.zeros((1, 0), dtype=np.uint8) if clipped is None else np.asarray(clipped, dtype=np.uint8)
     count, captures = response.shape
-    n = np.atleast_1d(np.asarray(n, dtype=np.float64))
     fits = geometry.shape in ((count, captures, 4), (1, captures, 4)) and weight.shape == response.shape
-    fits &= clipped.shape in ((1, 0), response.shape) and n.shape in ((1,), (count,))
+    fits &= clipped.shape in ((1, 0), response.shape)
     if not fits or (noise is not None and np.shape(noise) != (captures, 2)):
         raise ValueError(
             f"response {response.shape}, geometry {geometry.shape}, weight {weight.shape}, clipped {clipped.shape}, "
-            f"n {n.shape}, noise {np.shape(noise)}; accepted: (n, J), (n, J, 4) or (J, 4), (n, J), (n, J), (n,), (J, 2)"
+            f"noise {np.shape(noise)}; accepted: (n, J), (n, J, 4) or (J, 4), (n, J), (n, J), (J, 2)"
         )
     nodes = options.nodes()
     camera, known = camera_noise(noise, captures)
     problem = texels.Problem(
-        response, weight, geometry, np.require(clipped, requirements=["C", "W"]), n, float(k), camera, nodes,
+        response, weight, geometry, np.require(clipped, requirements=["C", "W"]), float(n), float(k), camera, nodes,
         Lobes((options.lobes[0],)), options.is_coupled,
     )  # fmt: skip
     rules = Rules(
@@ -381,25 +369,13 @@ def fit(
     """
     options = options or FitOptions()
     problem, rules = problem_of(response, geometry, weight, n, k, options, noise=noise, clipped=clipped)
-    solve = SOLVERS[options.solver]
     if len(options.lobes) > 1:
         return _fit_two(problem, rules, options)
-    if options.refractive_index == "fixed":
-        return _result(solve(problem, rules, options), problem)
-
-    def at(index: np.ndarray) -> texels.Output:
-        return solve(problem._replace(n=index), rules, options)
-
-    def errors_at(index: np.ndarray, found: np.ndarray) -> np.ndarray:
-        return index_errors(problem, rules, index, found)
-
-    found = fit_index(at, errors_at, len(problem.response), options.limits("n"), problem.n)
-    return replace(_result(found.output, problem), index=found.index, index_error=found.error)
+    return _result(SOLVERS[options.solver](problem, rules, options), problem)
 
 
 def _result(out: texels.Output, problem: texels.Problem) -> FitResult:
     """Convert the output of the loops to a `FitResult`."""
-    count = len(out.status)
     stated, gloss = report_parameters(out)
     return FitResult(
         **stated,
@@ -408,8 +384,6 @@ def _result(out: texels.Output, problem: texels.Problem) -> FitResult:
         evaluations=out.evaluations,
         nlopt_result=out.result,
         gloss=gloss,
-        index=np.broadcast_to(problem.n, out.status.shape).copy(),
-        index_error=np.full(count, math.nan),
         lobes=problem.lobes.names,
     )
 

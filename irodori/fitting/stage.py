@@ -107,8 +107,6 @@ def fitted_maps(lobes: tuple[str, ...]) -> dict[str, tuple[Units, str]]:
         "relative_residual": ("1", "residual over root mean square response"),
         "status": (Status, "outcome of the fit"),
         "model": (Model, "terms of the model that the observations tell"),
-        "refractive_index": ("1", "real refractive index; NaN where fitted and not determined"),
-        "refractive_index_error": ("1", "its standard error where it was fitted"),
         "evaluations": ("1", "evaluations of the objective"),
         "paint": ("1", "number of the texel's paint, -1 where not known"),
         "nlopt_result": (NloptResult, "return code of NLopt"),
@@ -215,17 +213,19 @@ def fit_brdf(
     -----
     Datasets, one entry for each texel: ``/alpha``, ``/beta``, ``/mu`` (in the unit of the lobe), with a second lobe
     ``/beta_2`` and ``/mu_2``, their ``*_error``, ``/residual_rms``, ``/relative_residual``, ``/status`` (see `Status`),
-    ``/model``, ``/paint``, ``/evaluations``, ``/nlopt_result``, ``/refractive_index`` and ``/refractive_index_error``
-    (NaN where the index was given), ``/diffuse_response`` (texel, bands) and ``/diffuse_variance``, its variance by the
-    camera's noise; ``/texel``, 0 where the texture shows no surface. The attribute ``common_error`` is the relative
-    error of α and β that all texels share; the stated errors of the texels include it. The attribute ``angle_errors``
-    tells the errors of the angles that were used, in degrees, and their source.
+    ``/model``, ``/paint``, ``/evaluations``, ``/nlopt_result``, ``/diffuse_response`` (texel, bands) and
+    ``/diffuse_variance``, its variance by the camera's noise; ``/texel``, 0 where the texture shows no surface. The
+    attribute ``common_error`` is the relative error of α and β that all texels share; the stated errors of the
+    texels include it. The attribute ``angle_errors`` tells the errors of the angles that were used, in degrees, and
+    their source.
     """
     options = for_object(options, [observations], levels)
     with store.open_file(observations) as file:
         file.require_axes(_AXES, coefficient=2)
         texel, (_, captures, bands) = file.read("texel"), file.layout("response").shape
         carried = {name: file.attribute(name, kind) for name, kind in CARRIED.items()}
+    if [type(row) for row in carried["rows"]] != [int, int]:
+        raise InputError(observations, "rows", str(carried["rows"]), "the first row and the one after the last")
     first, last = carried["rows"]
     if (last - first) * carried["width"] != len(texel):
         found = f"rows {first} to {last} of {carried['width']} texels"
@@ -266,7 +266,6 @@ def _fit_strip(observed: Observed, fresnel: BandGloss, options: FitOptions) -> t
     diffuse, diffuse_variance = diffuse_response(
         response, geometry, weight, result, fresnel, noise, model_error=error, coupled=options.is_coupled
     )
-    maps = {"refractive_index": result.index, "refractive_index_error": result.index_error}
-    maps |= {"diffuse_response": diffuse, "diffuse_variance": diffuse_variance}
+    maps = {"diffuse_response": diffuse, "diffuse_variance": diffuse_variance}
     told = fitted_maps(result.lobes)
     return maps | {name: getattr(result, name) for name in told if name not in {*maps, "texel", "paint"}}, seconds

@@ -200,14 +200,13 @@ def pack_geometry(geometry, lobes, n, k, coupled, rows):
 @uncounted(error_model="numpy")
 def pack_eight(problem, first, last, rows):
     """Fill the rows of eight texels that depend on their geometries; beyond the end, the last texel is repeated."""
-    captures, many = problem.geometry.shape[1], problem.n.size > 1
+    captures = problem.geometry.shape[1]
     for i in range(LANES):
         t = min(first + i, last - 1)
         for j in range(captures):
             for angle in range(4):
                 rows[_ANGLES + angle, j * LANES + i] = problem.geometry[t, j, angle]
-        rows[LOBE, i] = problem.n[t if many else 0]
-    _fill_geometry(rows, problem.lobes, get(rows, LOBE, 0), problem.k, problem.coupled)
+    _fill_geometry(rows, problem.lobes, spread(problem.n), problem.k, problem.coupled)
 
 
 @uncounted()

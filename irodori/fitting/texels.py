@@ -44,8 +44,8 @@ class Problem(NamedTuple):
     response, weight : (texels, J) float
     geometry : (texels, J, 4) or (1, J, 4) float
     clipped : (texels, J) or (1, 0) uint8
-    n : (texels,) or (1,) float64
-    k : float
+    n, k : float
+        Complex refractive index.
     noise : (2, P) float64
         c0 and c1 of the variance c0 + c1 ρ of a response ρ by the camera's noise, for each capture.
     nodes : (nodes,) float64
@@ -60,7 +60,7 @@ class Problem(NamedTuple):
     weight: np.ndarray
     geometry: np.ndarray
     clipped: np.ndarray
-    n: np.ndarray
+    n: float
     k: float
     noise: np.ndarray
     nodes: np.ndarray
@@ -75,7 +75,7 @@ class Problem(NamedTuple):
             return np.require(array[texels] if len(array) == count else array, dtype, ["C", "W"])
 
         observed = {name: of_texels(getattr(self, name), np.float64) for name in ("response", "weight", "geometry")}
-        return self._replace(**observed, clipped=of_texels(self.clipped), n=of_texels(self.n))
+        return self._replace(**observed, clipped=of_texels(self.clipped))
 
 
 class Output(NamedTuple):
@@ -315,9 +315,8 @@ def load_texel(t, problem, rules, rows):
 @uncounted(error_model="numpy")
 def pack_texel(t, problem, rows):
     """Fill the rows that depend on the geometry of texel t."""
-    n = problem.n[t if problem.n.size > 1 else 0]
     geometry = problem.geometry[t if problem.geometry.shape[0] > 1 else 0]
-    pack_geometry(geometry, problem.lobes, n, problem.k, problem.coupled, rows)
+    pack_geometry(geometry, problem.lobes, problem.n, problem.k, problem.coupled, rows)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -368,7 +367,7 @@ def _common_rows(problem):
 def fit_texels(problem: Problem, rules: Rules, out: Output) -> None:
     """Fit every texel by variable projection, with separate geometries or a shared one; fills ``out``."""
     shared = no_shared()
-    if problem.geometry.shape[0] == 1 and problem.n.size == 1:
+    if problem.geometry.shape[0] == 1:
         rows = _common_rows(problem)
         shared = tabulate(rows, problem.lobes, problem.nodes)
     run_chunks(_fit_chunk, len(problem.response), _CHUNK, problem, rules, shared, out)

@@ -648,10 +648,9 @@ def _search(room, given, fixed):
 def _fit_texel(t, given, room, out):
     """Fit two components to a texel, and choose between two and one."""
     rows, other, problem, rules, one = room.rows, room.other, given.problem, given.rules, given.one
-    n = problem.n[t if problem.n.size > 1 else 0]
     geometry = problem.geometry[t if problem.geometry.shape[0] > 1 else 0]
-    pack_geometry(geometry, problem.lobes, n, problem.k, problem.coupled, rows)
-    pack_geometry(geometry, given.second, n, problem.k, problem.coupled, other)
+    pack_geometry(geometry, problem.lobes, problem.n, problem.k, problem.coupled, rows)
+    pack_geometry(geometry, given.second, problem.n, problem.k, problem.coupled, other)
     used, floor = load_texel(t, problem, rules, rows)
     evidence = Evidence(used, floor, weigh(rows, 0.0))
     if is_noisy(evidence, rules):

@@ -23,7 +23,7 @@ _FINEST_OF_PITCH = 0.6  # smallest width of a lobe relative to a pixel: a narrow
 _PARTS_PER_WIDTH = 4.0  # smallest number of source rows per width after division
 _ROWS_AT_A_TIME = 64
 _NARROW = 300.0  # κ sinθ sinθ' above which a row's lobe is narrow enough for the asymptotic series
-#: Terms of a row's lobe beyond this many standard deviations of its series, and a few more, are below 1e-7 of the first.
+#: Beyond this many standard deviations of a row's series, and a few terms more, all are below 1e-7 of the first.
 _SERIES_CUT, _MORE_TERMS = 5.7, 12
 
 

@@ -46,7 +46,7 @@ def cell_vectors() -> np.ndarray:
 def cell_of(unit: np.ndarray) -> np.ndarray:
     """Return the cells of directions, (n, 3), (n,) int."""
     row = np.minimum(np.arccos(np.clip(unit[:, 2], -1.0, 1.0)) / np.pi * ROWS, ROWS - 1).astype(int)
-    column = (np.arctan2(unit[:, 1], unit[:, 0]) / (2.0 * np.pi) * COLUMNS).astype(int) % COLUMNS
+    column = np.floor(np.arctan2(unit[:, 1], unit[:, 0]) / (2.0 * np.pi) * COLUMNS).astype(int) % COLUMNS
     return row * COLUMNS + column
 
 

@@ -64,9 +64,9 @@ def test_a_clipped_image_and_a_lamp_of_unknown_size_tell_nothing(tmp_path, defin
     observed = read_observations(tmp_path / "tile.h5")
     bright = observed.geometry[..., 3] < 0.4 * math.radians(RADIUS_DEG)
     clipped = replace(observed, clipped=bright.astype(np.uint8), weight=np.where(bright, 0.0, observed.weight))
-    images = MirrorImages(FitOptions(**definitions["config"]["fit"], lamp_radius_deg=RADIUS_DEG), 0.0, GREEN)
+    images = MirrorImages(FitOptions(**definitions["config"]["fit"], lamp_radius_deg=RADIUS_DEG), 1.5, 0.0, GREEN)
     with store.open_file(tmp_path / "surface.h5") as file:
         maps = {name: file.read(name) for name in ("alpha", "beta", "mu")}
-    images.add(clipped, np.full(len(bright), 1.5), maps)
+    images.add(clipped, maps)
     found = images.measured()
     assert math.isnan(found.weight) and found.clipped == found.photographs == 3

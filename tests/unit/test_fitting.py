@@ -317,7 +317,6 @@ def test_order_of_observations_does_not_matter():
     [
         ({"solver": "levmar"}, ["varpro", "nlopt", "nlopt-reference"]),
         ({"weights": "inverse"}, ["noise", "equal"]),
-        ({"refractive_index": "free"}, ["fixed", "fitted"]),
     ],
 )
 def test_an_unknown_choice_lists_the_valid_ones(option, accepted):

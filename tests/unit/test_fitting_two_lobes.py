@@ -247,10 +247,6 @@ def test_matt_and_unseen_texels_are_as_with_one_lobe():
     [
         ({"lobes": ("gausian",)}, "lobe 'gausian'; did you mean 'gaussian'"),
         ({"lobes": ()}, "0 lobes; accepted: 1 to 2"),
-        (
-            {"lobes": ("ggx", "ggx"), "refractive_index": "fitted"},
-            "fit.refractive_index 'fitted' of an object with two",
-        ),
         ({"lobes": ("ggx", "ggx"), "solver": "nlopt"}, "fit.solver 'nlopt' of an object with two lobes"),
     ],
 )
@@ -265,7 +261,7 @@ def test_what_cannot_be_fitted_is_refused(options, message):
         (["ggxx"], {}, r"lobes\[0\].*did you mean 'ggx'"),
         (["autos"], {}, r"lobes\[0\].*did you mean 'auto'"),
         (["auto", "ggx"], {}, "auto beside a lobe.*auto alone"),
-        (["gaussian", "ggx"], {"refractive_index": "fitted"}, "two lobes with fit.refractive_index: fitted"),
+        (["gaussian", "ggx"], {"solver": "nlopt"}, "two lobes with fit.solver: nlopt"),
     ],
 )
 def test_a_definition_is_checked_before_anything_is_fitted(lobes, changed, message):

@@ -80,7 +80,7 @@ def fitted(seen: Observed, optics=OPTICS) -> tuple[Tile, object]:
     own = fit(seen.response[..., GREEN], seen.geometry, seen.weight, N, K, optics.options, noise=noise)
     given = (seen.response, seen.geometry, seen.weight, own, optics.fresnel, seen.noise)
     response, variance = diffuse_response(*given, model_error=optics.options.model_error)
-    return Tile(seen, np.full(len(response), N), own.status, response, variance), own
+    return Tile(seen, own.status, response, variance), own
 
 
 def colours_of(tile: Tile, width=SIDE):
@@ -264,7 +264,7 @@ def test_what_is_left_of_a_mirror_without_its_highlights_is_not_its_gloss():
     seen = narrow + wide
     response = (seen + np.sqrt(CAMERA[0] + CAMERA[1] * seen) * rng.normal(size=shape)).astype(np.float32)
     options = FitOptions(lobes=("ggx",), level_error=0.0)
-    given = (response, geometry, np.ones(shape), np.full(len(response), N), K, options)
+    given = (response, geometry, np.ones(shape), N, K, options)
     surface = gloss_sums.pack(*problem_of(*given, noise=np.tile(CAMERA, (16, 1))), sides=True)
     paint = separate_gloss(surface, options.nodes())
     dimmer = gloss_sums.without_brightest(paint.surface, paint.log_gloss, 0.25)
@@ -518,7 +518,7 @@ def one_paint(lobe, varying=0.0, texels=500, poses=24, seed=4):
     options = FitOptions(pose_error_deg=0.0, level_error=0.0)
 
     def packed(chosen) -> gloss_sums.SearchedTexels:
-        seen = response[:, chosen], geometry[:, chosen], np.ones_like(response[:, chosen]), np.full(texels, N), K
+        seen = response[:, chosen], geometry[:, chosen], np.ones_like(response[:, chosen]), N, K
         return gloss_sums.pack(*problem_of(*seen, options, noise=np.tile(CAMERA, (seen[0].shape[1], 1))), sides=True)
 
     return packed, options.nodes(), alpha[:, 0]

@@ -8,8 +8,10 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from irodori.fitting import judge
 from irodori.fitting.shared_geometry import no_shared
-from irodori.fitting.solvers import SOLVERS, FitOptions, problem_of
+from irodori.fitting.solvers import SOLVERS, FitOptions, _empty_output, problem_of
+from irodori.fitting.texels import _fit_chunk
 from irodori.fitting.vectorised_texels import fit_eight, new_eight
+from irodori.jit.chunks import run_chunks
 from irodori.jit.compilation import njit
 from irodori.reflection.equation5 import reflect
 
@@ -19,27 +21,20 @@ ANGLES = np.stack([LIGHT, np.abs(CAMERA), np.abs(LIGHT + CAMERA) / 2, np.abs(LIG
 NOISE = np.tile([1e-6, 1e-5], (len(ANGLES), 1))
 
 
-def _alone(problem, rules, options):
-    """Fit texel by texel: an index a texel and one geometry for all is a problem that goes no other way."""
-    count = len(problem.response)
-    if len(problem.geometry) == 1:
-        problem = problem._replace(n=np.full(count, problem.n[0]))
-        return SOLVERS["varpro"](problem, rules, options)
-    parts = [
-        SOLVERS["varpro"](
-            problem._replace(
-                response=problem.response[t : t + 1],
-                weight=problem.weight[t : t + 1],
-                geometry=problem.geometry[t : t + 1],
-                n=np.full(1, problem.n[0]).repeat(2),
-                clipped=problem.clipped[t : t + 1] if len(problem.clipped) > 1 else problem.clipped,
-            ),
-            rules,
-            options,
+def _alone(problem, rules):
+    """Fit texel by texel: one geometry for all without its tables is a problem that goes no other way."""
+    outputs = []
+    for t in range(len(problem.response)):
+        here = slice(t, t + 1)
+        one = problem._replace(
+            response=problem.response[here],
+            weight=problem.weight[here],
+            geometry=problem.geometry[here] if len(problem.geometry) > 1 else problem.geometry,
+            clipped=problem.clipped[here] if len(problem.clipped) > 1 else problem.clipped,
         )
-        for t in range(count)
-    ]
-    return type(parts[0])(*(np.concatenate([getattr(p, name) for p in parts]) for name in parts[0]._fields))
+        outputs.append(_empty_output(1))
+        run_chunks(_fit_chunk, 1, 1, one, rules, no_shared(), outputs[-1])
+    return type(outputs[0])(*(np.concatenate([getattr(o, name) for o in outputs]) for name in outputs[0]._fields))
 
 
 def _same(together, alone):
@@ -90,7 +85,7 @@ def test_eight_at_once_are_as_each_alone(shared, noise, seed, level, scale, hole
     options = FitOptions()
     variance = None if noise is None else noise * [scale**2, scale]
     problem, rules = problem_of(response, geometry, weight, 1.5, 0.0, options, noise=variance, clipped=clipped)
-    _same(SOLVERS["varpro"](problem, rules, options), _alone(problem, rules, options))
+    _same(SOLVERS["varpro"](problem, rules, options), _alone(problem, rules))
 
 
 @njit(cache=True)
@@ -119,4 +114,4 @@ def test_repeated_geometries_are_no_new_observations():
     response = np.tile(reflect(0.5, 1.0, 2.0, 0.1, few), (8, 1))
     options = FitOptions()
     problem, rules = problem_of(response, few, np.ones_like(response), 1.5, 0.0, options, noise=None)
-    _same(SOLVERS["varpro"](problem, rules, options), _alone(problem, rules, options))
+    _same(SOLVERS["varpro"](problem, rules, options), _alone(problem, rules))

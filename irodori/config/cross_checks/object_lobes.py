@@ -7,7 +7,7 @@ from irodori.core.errors import InputError
 #: Value in place of lobes: the lobes that predict left-out photographs best are chosen.
 AUTO = "auto"
 #: Values that settings of the fit must have for an object with two lobes.
-SETTINGS_WITH_TWO_LOBES = {"solver": "varpro", "refractive_index": "fixed"}
+SETTINGS_WITH_TWO_LOBES = {"solver": "varpro"}
 
 
 def check_lobes(definition: Object, fit: Fit, file) -> None:
