@@ -91,7 +91,8 @@ def _best(definition: Object | PlannedObject, rig: Rig, count: int | None, fitte
     try:
         return plan_best(definition, rig, count, **fitted)
     except ValueError as error:
-        raise InputError("--best", "", str(definition.plan.count if count is None else count), str(error)) from None
+        found, _, accepted = str(error).partition("; accepted: ")
+        raise InputError("--best", "", found, accepted) from None
 
 
 def _states(camera: Camera) -> set[str]:

@@ -1,14 +1,13 @@
 """The subcommand ``check``: all checks of a project that are possible before any long job."""
 
 import argparse
-import os
 import sys
 from itertools import chain
 
 from irodori.check.findings import Finding
 from irodori.check.photographs import PhotographCheck
 from irodori.check.scenes import of_scene
-from irodori.config.project import DEFAULT_FILE, load_project, project_faults
+from irodori.config.project import DEFAULT_FILE, enter, load_project, project_faults
 from irodori.core.errors import InputError
 
 
@@ -19,12 +18,16 @@ def main(arguments: list[str] | None = None, prog: str = "irodori check") -> int
     is an error, and 0 if there are only warnings or none.
     """
     parser = argparse.ArgumentParser(prog=prog, description=main.__doc__)
-    parser.add_argument("--directory", default=".", help="where the paths of definitions start, as that of snakemake")
+    parser.add_argument("--directory", default=".", help="where all paths start, those of configurations too")
     parser.add_argument(
         "config", nargs="*", help=f"configurations on top of {DEFAULT_FILE}, as snakemake --configfile has them"
     )
     asked = parser.parse_args(arguments)
-    os.chdir(asked.directory)
+    try:
+        enter(asked.directory)
+    except InputError as error:
+        print(Finding(True, str(error)))
+        return 1
     try:
         loaded = load_project(asked.config)
     except InputError as error:

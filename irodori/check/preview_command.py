@@ -1,7 +1,6 @@
 """The subcommand ``preview``: one page that shows every photograph of a project before any long job."""
 
 import argparse
-import os
 import sys
 from itertools import chain
 from pathlib import Path
@@ -11,7 +10,7 @@ from irodori.check.findings import Finding
 from irodori.check.photographs import PhotographCheck
 from irodori.check.scenes import of_scene
 from irodori.config.models import Optics
-from irodori.config.project import load_project
+from irodori.config.project import enter, load_project
 from irodori.core.errors import InputError
 
 
@@ -23,15 +22,15 @@ def main(arguments: list[str] | None = None, prog: str = "irodori preview") -> i
     that are still to be taken are skipped. The exit status is 1 if there is an error.
     """
     parser = argparse.ArgumentParser(prog=prog, description=main.__doc__)
-    parser.add_argument("--directory", default=".", help="where the paths of definitions start, as that of snakemake")
+    parser.add_argument("--directory", default=".", help="where all paths start, those of configurations too")
     parser.add_argument(
         "--configfile", nargs="+", default=[], help="configurations on top of config/config.yaml, as snakemake has them"
     )
     parser.add_argument("-o", "--output", default="contact_sheet.html", help="page to write (contact_sheet.html)")
     asked = parser.parse_args(arguments)
     output = Path(asked.output).absolute()
-    os.chdir(asked.directory)
     try:
+        enter(asked.directory)
         if not output.parent.is_dir():
             raise InputError(output, "", "a folder that is not there", "a page in a folder that exists")
         loaded = load_project(asked.configfile)

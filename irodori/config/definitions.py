@@ -64,10 +64,7 @@ def load_definitions(config: dict, root: Path, file=_CONFIG_FILE) -> Loaded:
     try:
         return _load_definitions(config, Path(root), files[0])
     except InputError as error:
-        if error.file != str(files[0]):
-            raise
-        source = _source(error.field, files, contents)
-        raise InputError(source, error.field, error.found, error.accepted) from None
+        raise _of_its_file(error, files, contents) from None
 
 
 def definition_faults(config: dict, root: Path, file=_CONFIG_FILE) -> list[InputError]:
@@ -76,12 +73,18 @@ def definition_faults(config: dict, root: Path, file=_CONFIG_FILE) -> list[Input
     Contradictions between files are left to `load_definitions`, which raises an error for the first: they mean little
     while single files have faults. Parameters as in `load_definitions`.
     """
-    first = file if isinstance(file, str | Path) else next(iter(file), _CONFIG_FILE)
+    files = [file] if isinstance(file, str | Path) else list(file) or [_CONFIG_FILE]
+    contents = [read_yaml(Path(root) / path) if is_file(Path(root) / path) else {} for path in files]
+    return [_of_its_file(fault, files, contents) for fault in _definition_faults(config, Path(root), files[0])]
+
+
+def _definition_faults(config: dict, root: Path, first) -> list[InputError]:
+    """Return the faults; those of the configuration name its first file."""
     faults = schema_faults(config, "config", first)
     if faults:
         return faults
     given = Config.of(validate(config, "config", first))
-    finder = _FaultFinder(Path(root), Path(given.definitions), first)
+    finder = _FaultFinder(root, Path(given.definitions), first)
     for index, name in enumerate(given.make.scenes):
         finder.scene(name, first, ("make", "scenes", index))
     for index, name in enumerate(given.make.cameras):
@@ -132,6 +135,13 @@ def _load_definitions(
     loaded = Loaded(config=config, **loader.found)
     check_agreement(loaded, root, file, loader.file, photographs=photographs)
     return loaded
+
+
+def _of_its_file(error: InputError, files: list, contents: list[dict]) -> InputError:
+    """Return a fault that names the first of the merged files as one of the file that has the key in question."""
+    if error.file != str(files[0]):
+        return error
+    return InputError(_source(error.field, files, contents), error.field, error.found, error.accepted)
 
 
 def _source(field: str, files: list, contents: list[dict]):

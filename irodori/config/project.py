@@ -1,5 +1,6 @@
 """Configuration of a project: the default file, overridden by further files as Snakemake merges them."""
 
+import os
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -8,7 +9,7 @@ from irodori.config.loaded import Loaded
 from irodori.core.errors import InputError
 from irodori.core.yaml_files import read_yaml
 
-__all__ = ["DEFAULT_FILE", "configuration_files", "load_project", "project_faults"]
+__all__ = ["DEFAULT_FILE", "configuration_files", "enter", "load_project", "project_faults"]
 
 #: The default configuration, which further files override.
 DEFAULT_FILE = "config/config.yaml"
@@ -43,11 +44,25 @@ def project_faults(files: list[str]) -> list[InputError]:
 
 def _project(files: list[str]) -> tuple[dict, list[str]]:
     """Return a project's configuration, merged, and the files that it is merged from."""
-    names = configuration_files(files)
+    names = configuration_files(files) or [DEFAULT_FILE]
     config: dict = {}
     for name in names:
         config = _merged(config, read_yaml(Path(name)))
     return config, names
+
+
+def enter(directory: str) -> None:
+    """Make a project's folder the working directory.
+
+    Raises
+    ------
+    InputError
+        If there is no such folder.
+    """
+    try:
+        os.chdir(directory)
+    except OSError as error:
+        raise InputError(directory, "", error.strerror or str(error), "the folder of a project") from None
 
 
 def _merged(old: Mapping, new: Mapping) -> dict:

@@ -1,5 +1,7 @@
 """Reader of all YAML files, which refuses a file with aliases that would expand to too many values."""
 
+import re
+
 import yaml
 
 from irodori.core.errors import InputError
@@ -15,6 +17,9 @@ _LONGEST_NUMBER = 64
 #: Key that makes Snakemake read a configuration as a template of yte, which may contain Python.
 _TEMPLATE = "__use_yte__"
 _MERGE, _TEXT = "tag:yaml.org,2002:merge", "tag:yaml.org,2002:str"
+_NUMBERS = "tag:yaml.org,2002:int", "tag:yaml.org,2002:float"
+#: Numbers that YAML reads in base 8 or 60, although nobody means that in a definition: 045 is 37, and 10:40 is 640.
+_OTHER_BASE = re.compile(r"[-+]?0[0-9_]+|.*:.*")
 _ENDLESS = "blocks that unfold without end"
 
 
@@ -67,6 +72,10 @@ class _BoundedLoader(
     def construct_object(self, node, deep=False):
         if isinstance(node, yaml.ScalarNode) and node.tag != _TEXT and len(node.value) > _LONGEST_NUMBER:
             found = f"a number or a date of {len(node.value)} letters"
+            raise yaml.constructor.ConstructorError(None, None, found, node.start_mark)
+        if isinstance(node, yaml.ScalarNode) and node.tag in _NUMBERS and _OTHER_BASE.fullmatch(node.value):
+            value = super().construct_object(node, deep)
+            found = f"{node.value}, which YAML reads as {value:g}; without a leading zero or colon it is what it says"
             raise yaml.constructor.ConstructorError(None, None, found, node.start_mark)
         try:
             return super().construct_object(node, deep)

@@ -7,7 +7,7 @@ import shutil
 import zipfile
 from pathlib import Path
 
-from irodori.config.project import DEFAULT_FILE
+from irodori.config.project import DEFAULT_FILE, enter
 from irodori.core.atomic_files import written_whole
 from irodori.core.errors import InputError, PlainError
 from irodori.export.run_crate import METADATA, RunFiles, run_crate
@@ -69,7 +69,9 @@ def main(arguments: list[str] | None = None, prog: str = "irodori crate") -> int
     --output the description is written into the project's folder, as ro-crate-metadata.json.
     """
     parser = argparse.ArgumentParser(prog=prog, description=main.__doc__)
-    parser.add_argument("--directory", default=".", help="where the run's paths start, as that of snakemake")
+    parser.add_argument(
+        "--directory", default=".", help="where all paths of the run start, those of configurations too"
+    )
     parser.add_argument(
         "--configfile", nargs="+", default=[], help=f"configurations on top of {DEFAULT_FILE}, as snakemake has them"
     )
@@ -79,7 +81,8 @@ def main(arguments: list[str] | None = None, prog: str = "irodori crate") -> int
     asked = parser.parse_args(arguments)
     output = asked.output and asked.output.absolute()
     try:
-        with contextlib.chdir(asked.directory):
+        with contextlib.chdir("."):  # back to it at the end
+            enter(asked.directory)
             print(write_crate(asked.configfile, output))
     except (PlainError, OSError) as error:
         print(error)

@@ -75,10 +75,10 @@ def write_spectral_exr(
 ) -> None:
     """Write a spectral radiance image (Fichet et al. 2021, *An OpenEXR Layout for Spectral Images*).
 
-    Half precision rounds to one part in 2048 between 6e-5 and 65504. If the largest number is above 65504 or below 1,
-    all numbers are multiplied by a power of two, which brings the largest to between 16384 and 32768 and is stored as
+    Half precision rounds to one part in 2048 between 6e-5 and 65504. If the largest radiance is above 65504 or below 1,
+    the spectra are multiplied by a power of two, which brings the largest to between 16384 and 32768 and is stored as
     the attribute ``irodori:scale``; `picture_bands` divides by it again. If more than half of the positive numbers
-    would still be below 6e-5, the picture is written in single precision.
+    would still be below 6e-5, the picture is written in single precision. Red, green and blue are never scaled.
 
     Parameters
     ----------
@@ -102,11 +102,13 @@ def write_spectral_exr(
     names = ["R", "G", "B", *layer_names("S0")]
     own = {"compression": "zip", "spectralLayoutVersion": "1.0", "emissiveUnits": "relative spectral radiance"}
     pixels = np.concatenate([rgb, radiance], axis=-1).astype(np.float32, copy=False)
-    scale = _half_scale(pixels) if storage == "half" else None
+    scale = _half_scale(radiance) if storage == "half" else None
     if scale is not None:
         if scale != 1.0:
             own[_SCALE] = f"{scale:.17g}"
-            pixels *= np.float32(scale)
+            pixels[..., 3:] *= np.float32(scale)
+        # What is not finite stays so.
+        np.clip(pixels[..., :3], -_HALF_LARGEST, _HALF_LARGEST, out=pixels[..., :3], where=np.isfinite(pixels[..., :3]))
         pixels = half_from_single(pixels)
     if white is not None:
         matrix, divisor = xyz_from_radiance(white), np.float32(scale or 1.0)
@@ -119,16 +121,16 @@ def write_spectral_exr(
     write_picture_file(path, specification(radiance.shape[:2], names, own | attributes, kind), [pixels])
 
 
-#: Text attribute of a picture: the power of two by which its numbers were multiplied.
+#: Text attribute of a picture: the power of two by which its spectra were multiplied.
 _SCALE = "irodori:scale"
 _HALF_LARGEST, _HALF_SMALLEST_NORMAL = 65504.0, 2.0**-14
 _HALF_TOP = 15  # after scaling, the largest number of a picture is below 2 to this power
 _MOST_DOUBLINGS = 126  # largest exponent of the scale, so that single precision can represent it
 
 
-def _half_scale(pixels: np.ndarray) -> float | None:
-    """Return the power of two that brings a picture into the range of half precision; None if there is none."""
-    size = np.abs(pixels)
+def _half_scale(radiance: np.ndarray) -> float | None:
+    """Return the power of two that brings spectra into the range of half precision; None if there is none."""
+    size = np.abs(radiance)
     largest = float(size.max(initial=0.0, where=np.isfinite(size)))
     if largest == 0.0 or 1.0 <= largest <= _HALF_LARGEST:
         return 1.0
@@ -268,7 +270,7 @@ def picture_bands(path, rows: int) -> Iterator[tuple[int, np.ndarray]]:
     try:
         spec = source.spec()
         together = spec.tile_height or rows
-        scale = _stored_scale(spec, path)
+        scale, spectral = _stored_scale(spec, path), list(map(bool, map(_LAYER.fullmatch, spec.channelnames)))
         for first in range(0, spec.height, together):
             top, bottom = spec.y + first, spec.y + min(first + together, spec.height)
             if spec.tile_height:
@@ -281,7 +283,7 @@ def picture_bands(path, rows: int) -> Iterator[tuple[int, np.ndarray]]:
                 raise InputError(path, "", found, f"a whole picture of {spec.height} rows")
             band = band.reshape(bottom - top, spec.width, spec.nchannels)
             if scale != 1.0:
-                band = band / np.float32(scale)
+                band = band / np.where(spectral, np.float32(scale), np.float32(1.0))
             for start in range(0, len(band), rows):
                 yield first + start, band[start : start + rows]
     finally:
@@ -289,7 +291,7 @@ def picture_bands(path, rows: int) -> Iterator[tuple[int, np.ndarray]]:
 
 
 def _stored_scale(spec: oiio.ImageSpec, path) -> float:
-    """Return the power of two by which the numbers of a picture were multiplied; 1 if the file states none."""
+    """Return the power of two by which the spectra of a picture were multiplied; 1 if the file states none."""
     stated = spec.getattribute(_SCALE)
     if stated is None:
         return 1.0

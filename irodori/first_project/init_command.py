@@ -1,6 +1,7 @@
 """The subcommand ``init``: a project from a folder of photographs."""
 
 import argparse
+import shlex
 import sys
 from collections import Counter
 from collections.abc import Callable
@@ -27,7 +28,7 @@ def main(arguments: list[str] | None = None, prog: str = "irodori init") -> int:
 
     What cannot be found in the files and pictures is asked on the terminal, or read from a file of answers. An empty
     answer leaves a gap, marked ?, and irodori check lists these. Existing files are never overwritten. The exit status
-    is 1 if gaps are left, and 2 if nothing was written.
+    is 1 if gaps are left or a definition has to be corrected, and 2 if nothing was written.
     """
     parser = argparse.ArgumentParser(prog=prog, description=main.__doc__)
     parser.add_argument("photographs", help="folder of the RAW files, or one photograph of a colour chart")
@@ -72,11 +73,16 @@ def _write(asked: argparse.Namespace) -> int:
         print(f"  {gap}: replace ? by {_SHAPE if gap.endswith('.yaml: shape') else 'the value'}")
     if len(gaps) > _SHOWN_GAPS:
         print(f"  and {len(gaps) - _SHOWN_GAPS} more")
-    if not gaps:
+    if gaps:
+        return 1
+    try:
         load_definitions(read_yaml(scaffold.configuration), Path(), scaffold.configuration)
-        target = "" if scaffold.has_object else " calibrate"
-        print(f"next: snakemake --cores 2 --configfile={scaffold.configuration}{target}")
-    return 1 if gaps else 0
+    except InputError as error:
+        print(f"written, and to be corrected: {error}", file=sys.stderr)
+        return 1
+    target = "" if scaffold.has_object else " calibrate"
+    print(f"next: snakemake --cores 2 --configfile={shlex.quote(str(scaffold.configuration))}{target}")
+    return 0
 
 
 def _told(recognised: list[Recognised], timed: bool) -> str:

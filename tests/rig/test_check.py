@@ -87,6 +87,23 @@ def test_a_sound_project_has_no_findings(project, capsys, monkeypatch):
     assert said(project, capsys) == (0, ["6 photographs looked at: 0 errors, 0 warnings"])
 
 
+def test_a_mistake_of_a_configuration_on_top_names_its_file(project, tmp_path, capsys, monkeypatch):
+    folder = shutil.copytree(project, tmp_path / "project")
+    monkeypatch.chdir(folder)
+    write(folder, {"top.yaml": {"make": {"scenes": ["dusk"]}}})
+    assert main(["check", "config/top.yaml"]) == 1
+    assert "config/top.yaml: make.scenes[0]: found 'dusk'" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("command", ["check", "preview", "crate"])
+def test_a_folder_without_a_project_is_named(command, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main([command]) == 1
+    assert "config/config.yaml: found no such file" in capsys.readouterr().out
+    assert main([command, "--directory", "nowhere"]) == 1
+    assert "nowhere: found No such file or directory; accepted: the folder of a project" in capsys.readouterr().out
+
+
 def test_all_mistakes_are_listed_at_once(project, tmp_path, capsys, monkeypatch):
     folder = shutil.copytree(project, tmp_path / "project")
     monkeypatch.chdir(folder)

@@ -430,6 +430,18 @@ def test_a_chart_in_a_room_that_is_at_fault_is_named(root, key, value, field, fo
     assert error.field == field and found in error.found
 
 
+def test_corners_of_a_chart_on_a_line_are_refused(root):
+    corners = {"first": [100.0, 80.0], "row_end": [200.0, 80.0], "column_end": [100.0, 140.0], "last": [200.0, 140.0]}
+    file = "cameras/d5100-comb.yaml"
+    edit(root, file, "chart.find", "edges")
+    edit(root, file, "chart.centres_px", corners)
+    load(root)
+    for wrong in ([100.0, 80.0], [200.0, 20.0], [300.0, 80.01]):
+        edit(root, file, "chart.centres_px", corners | {"column_end": wrong})
+        error = fault(root)
+        assert error.field == "chart.centres_px" and error.found.endswith("on a line")
+
+
 @pytest.mark.parametrize(
     "file, key, value, field, said",
     [

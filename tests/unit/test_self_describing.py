@@ -4,6 +4,7 @@ import re
 
 import h5py
 import numpy as np
+import OpenImageIO as oiio
 import pytest
 import xarray as xr
 from made_up_camera import training
@@ -15,7 +16,7 @@ from irodori.core import store
 from irodori.core.custody import accept
 from irodori.core.errors import InputError
 from irodori.core.units import require_unit
-from irodori.export.pictures import read_xyz, write_spectral_exr
+from irodori.export.pictures import picture_bands, read_xyz, write_spectral_exr
 from irodori.light.gloss_maps import GlossMaps
 from irodori.material.coefficients import read_coefficients, write_coefficients
 from irodori.material.material_file import Material, NloptResult, Status
@@ -204,6 +205,23 @@ def test_what_is_no_number_stays_none_and_nothing_else_becomes_one(tmp_path):
     assert np.array_equal(np.isnan(found), np.isnan(radiance)) and np.array_equal(np.isinf(found), np.isinf(radiance))
     usual = np.isfinite(radiance)
     assert found[usual] == pytest.approx(radiance[usual], rel=2.0**-11)
+
+
+@pytest.mark.parametrize("level", [1e-8, 1e9])
+def test_colours_beside_scaled_spectra_are_not_scaled(tmp_path, level):
+    """Programs that know of no scale show red, green and blue, and dark spectra keep their digits beside them."""
+    rng = np.random.default_rng(3)
+    radiance = (level * rng.uniform(0.1, 1.0, (8, 8, 61))).astype(np.float32)
+    rgb = rng.uniform(0.0, 1.1, (8, 8, 3))
+    rgb[0, 0] = 1e6
+    write_spectral_exr(tmp_path / "a.exr", radiance, rgb, {})
+    kept = np.where(rgb > 1e5, 65504.0, rgb)
+    # As any program reads it, and as this package does.
+    stored = oiio.ImageBuf(str(tmp_path / "a.exr")).get_pixels(oiio.FLOAT)[..., :3]
+    own = np.concatenate([band[..., :3] for _, band in picture_bands(tmp_path / "a.exr", 4)])
+    for found in (stored, own):
+        np.testing.assert_allclose(found, kept, rtol=2.0**-11, atol=1e-7)
+    np.testing.assert_allclose(spectra_in(tmp_path / "a.exr")[1], radiance, rtol=2.0**-11)
 
 
 @pytest.mark.parametrize("scale", ["3", "0", "-2", "nan", "inf", "much"])

@@ -1,7 +1,9 @@
 """Checks of the spectra that definitions name: published names, or complete tables of the right quantity."""
 
 import difflib
-from collections.abc import Mapping
+import itertools
+import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from irodori.config.definition import Definition
@@ -23,6 +25,8 @@ from irodori.spectra.tables import index_table
 #: Rows and columns of the charts that can be detected without corners, and the same as text.
 FOUND_LAYOUTS = ((4, 6), (10, 14), (14, 10))
 FOUND_WORDS = "4 x 6 patches, a ColorChecker Classic, or 14 x 10 (letter by letter) or 10 x 14, a Digital SG"
+#: Height of a triangle over its longest side below which its corners are on a line.
+_FLAT = 1e-3
 _BANDS = (("r", "red"), ("g", "green"), ("b", "blue"))
 
 #: Published names of each kind of spectrum, and the same as text.
@@ -73,6 +77,9 @@ def check_index(index: RefractiveIndex, root: Path, file, field: str) -> None:
         if not is_file(root / index.file):
             raise InputError(file, f"{field}.file", f"no such file: {index.file}", "a CSV of wavelength_nm, n, k")
         index_table(root / index.file)
+    elif index.n == 1.0 and index.k == 0.0:
+        found = "1, that of air, from which nothing is reflected"
+        raise InputError(file, f"{field}.n", found, "the refractive index of the surface, such as 1.5")
 
 
 def check_filter(given: GivenFilter, root: Path, file) -> None:
@@ -108,10 +115,23 @@ def _check_places(chart: Chart, file, key: str) -> None:
     if not given:
         found = f"no corners where {key}.find is {find}"
         raise InputError(file, f"{key}.centres_px", found, "the centres of the four corner patches, or find: chart")
+    if chart.rows > 1 and chart.columns > 1:
+        corners = vars(chart.centres_px)
+        for three in itertools.combinations(corners, 3):
+            if _are_on_a_line([corners[name] for name in three]):
+                accepted = "the centres of the four corner patches, around the chart"
+                raise InputError(file, f"{key}.centres_px", f"{', '.join(three)} on a line", accepted)
     if find == "nothing" and chart.patch_px is None:
         raise InputError(
             file, f"{key}.patch_px", "no side of the patches", "a side in superpixels, or find: edges or chart"
         )
+
+
+def _are_on_a_line(three: Sequence[tuple[float, float]]) -> bool:
+    """Return whether three points are on a line, or two of them in one place."""
+    (x0, y0), (x1, y1), (x2, y2) = three
+    area = abs((x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0))
+    return area <= _FLAT * max(math.dist(one, other) for one, other in itertools.combinations(three, 2)) ** 2
 
 
 def _kind(path: tuple) -> str | None:
