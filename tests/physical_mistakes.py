@@ -47,6 +47,14 @@ MISTAKES = (
         (f"{_ON_RIG}::test_lengths_in_another_unit_are_refused",),
     ),
     Mistake(
+        "mesh in another unit", DEFINITIONS, REFUSED, "pixels in the picture", _UNITS,
+        (f"{_CHECK}::test_a_mesh_in_another_unit_is_a_speck",),
+    ),
+    Mistake(
+        "distance of a near lamp in metres", DEFINITIONS, REFUSED, "and so within it", _UNITS,
+        (f"{_ON_RIG}::test_a_lamp_within_the_object_is_refused",),
+    ),
+    Mistake(
         "object outside the frame", DEFINITIONS, REFUSED, "lies in the frame", _UNITS,
         (f"{_ON_RIG}::test_lengths_in_another_unit_are_refused",),
     ),
@@ -64,7 +72,7 @@ MISTAKES = (
     ),
     # What the table of photographs says.
     Mistake(
-        "angles in radians", TABLE, REFUSED, "in radians", _UNITS,
+        "angles in radians, with three decimals or more", TABLE, REFUSED, "in radians", _UNITS,
         (f"{_ON_RIG}::test_tables_of_a_real_rig_agree",),
     ),
     Mistake(

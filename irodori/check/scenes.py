@@ -7,8 +7,9 @@ from itertools import combinations
 import numpy as np
 
 from irodori.check.findings import Finding
+from irodori.config.cross_checks.plausible_units import check_mesh_in_frame
 from irodori.config.loaded import Loaded
-from irodori.config.models import Body, OrthographicView, PerspectiveView, PlacedObject, Scene, Size, View
+from irodori.config.models import Body, MeshShape, OrthographicView, PerspectiveView, PlacedObject, Scene, Size, View
 from irodori.core.errors import InputError
 from irodori.geometry.enclosure import encloses
 from irodori.geometry.rig_frame import look_at, rotation_xyz
@@ -61,7 +62,12 @@ def _placed(loaded: Loaded, scene: Scene) -> dict[str, Placement]:
 
     found = {}
     for index, item in enumerate(scene.objects):
-        shape = Shape.from_definition(loaded.objects[item.object].shape)
+        definition = loaded.objects[item.object]
+        shape, camera = Shape.from_definition(definition.shape), loaded.cameras[definition.camera]
+        if isinstance(definition.shape, MeshShape) and camera.optics is not None:
+            focal_px = 1000.0 * camera.optics.focal_length_mm / camera.optics.pixel_pitch_um
+            distance_mm = loaded.rigs[camera.rig].camera_distance_mm
+            check_mesh_in_frame(definition.shape, shape.reach_mm, focal_px, distance_mm)
         found[f"objects[{index}] ({item.object})"] = stand(shape, item)
     for index, body in enumerate(scene.bodies):
         found[f"bodies[{index}] ({body.shape.kind})"] = stand(Shape.from_definition(body.shape), body)

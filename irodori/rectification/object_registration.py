@@ -17,6 +17,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from irodori.config.capture_table import Pose, placement_of
+from irodori.config.cross_checks.plausible_units import check_mesh_in_frame
+from irodori.config.models import MeshShape
 from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.core.progress import LOGGER, track
@@ -1107,7 +1109,8 @@ def register_object(
     Raises
     ------
     InputError
-        If no photograph shows the sheet, or its size contradicts the typed one; if photographs contradict what was
+        If a mesh is a speck in the pictures, or contains the camera, as in another unit; if no photograph shows the
+        sheet, or its size contradicts the typed one; if photographs contradict what was
         typed, see `irodori.rectification.contradicted_definitions` and `irodori.rectification.turned_texture`. If the
         object has several placements, the message names this one.
 
@@ -1133,6 +1136,8 @@ def register_object(
     if first is not None:
         placing = replace(placing, rotation_deg=placing.turned_deg)
     number, shape = placement_of(Path(linear[0]).stem), Shape.from_definition(definition.shape)
+    if isinstance(definition.shape, MeshShape):
+        check_mesh_in_frame(definition.shape, shape.reach_mm, setup.pinhole.focal_px, setup.camera_distance_mm)
     typed, setup = setup, setup.laid(shape, definition.placements, number)
     found, problem = _registered(linear, definition, setup, placing, markers, light)
 

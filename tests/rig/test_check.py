@@ -104,6 +104,24 @@ def test_a_folder_without_a_project_is_named(command, tmp_path, capsys, monkeypa
     assert "nowhere: found No such file or directory; accepted: the folder of a project" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize(
+    ("unit", "words"),
+    [("mm", "mm, in which it is 0.127 mm wide and 0.2"), ("inch", "and 5.4 pixels"), ("m", None)],
+)
+def test_a_mesh_in_another_unit_is_a_speck(project, tmp_path, capsys, monkeypatch, unit, words):
+    folder = shutil.copytree(project, tmp_path / "project")
+    monkeypatch.chdir(folder)
+    corners = "v -0.045 -0.045 0\nv 0.045 -0.045 0\nv 0.045 0.045 0\nv -0.045 0.045 0\n"
+    (folder / "square.obj").write_text(corners + "vt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nf 1/1 2/2 3/3\nf 1/1 3/3 4/4\n")
+    plate = yaml.safe_load((folder / "config/objects/plate.yaml").read_text())
+    plate["shape"] = {"kind": "mesh", "file": "square.obj", "unit": unit}
+    write(folder, {"objects/plate.yaml": plate})
+    lines = said(folder, capsys)[1]
+    specks = [line for line in lines if line.startswith("error: square.obj: shape.unit")]
+    assert len(specks) == (words is not None), lines
+    assert all(words in line and "pixels in the picture" in line for line in specks)
+
+
 def test_all_mistakes_are_listed_at_once(project, tmp_path, capsys, monkeypatch):
     folder = shutil.copytree(project, tmp_path / "project")
     monkeypatch.chdir(folder)

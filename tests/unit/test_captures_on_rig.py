@@ -164,6 +164,16 @@ def test_lengths_in_another_unit_are_refused(studio, file, path, value, found):
     assert found in error.found and "lengths in mm" in error.accepted
 
 
+@pytest.mark.parametrize("distance_mm", [0.9, 45.0])
+def test_a_lamp_within_the_object_is_refused(studio, distance_mm):
+    edit(studio, "rigs/copy-stand.yaml", "light.distance_mm", distance_mm)
+    error = fault(studio)
+    assert error.file.endswith("rigs/copy-stand.yaml") and error.field == "light.distance_mm"
+    assert error.found == f"{distance_mm:g} mm from the middle of a plate 90 x 90 mm, and so within it"
+    edit(studio, "rigs/copy-stand.yaml", "light.distance_mm", 900.0)
+    load(studio)
+
+
 AROUND = [
     ("exposure_s\n", "exposure_s,light_azimuth_deg\n"), ("out,0.02", "out,0.02,120"), ("in,0.02", "in,0.02,120"),
 ]  # fmt: skip

@@ -25,7 +25,7 @@ from irodori.config.cross_checks.named_spectra import check_chart, check_filter,
 from irodori.config.cross_checks.object_lobes import check_coat, check_lobes
 from irodori.config.cross_checks.object_placements import check_all_placed, check_not_flat, check_placements
 from irodori.config.cross_checks.plan_overrides import check_plan
-from irodori.config.cross_checks.plausible_units import check_in_frame
+from irodori.config.cross_checks.plausible_units import check_in_frame, check_lamp_outside
 from irodori.config.cross_checks.rig_motion import check_motion
 from irodori.config.cross_checks.scene_photographs import check_aim, check_photograph
 from irodori.config.cross_checks.thin_sheets import check_thin_sheet, check_thin_sheets
@@ -199,6 +199,9 @@ class _Checks:
             raise InputError(file, "camera", found, accepted)
         distance_mm, rig_file = self.all.rigs[camera.rig].camera_distance_mm, self.file("rigs", camera.rig)
         check_in_frame(definition.shape, camera.optics, distance_mm, file, rig_file)
+        lamp_distance_mm = self.all.rigs[camera.rig].light.distance_mm
+        if lamp_distance_mm is not None:
+            check_lamp_outside(definition.shape, lamp_distance_mm, rig_file)
         check_not_flat(definition, file)
         self._check_keys("objects", name)
         if self._is_taken_here("objects", name):

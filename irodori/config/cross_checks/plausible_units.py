@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from irodori.config.capture_table import Shot
-from irodori.config.models import Optics
+from irodori.config.models import MeshShape, Optics
 from irodori.core.errors import InputError
 
 _AXES = ("light_deg", "camera_deg", "tilt_deg", "turn_deg", "light_azimuth_deg")
@@ -46,7 +46,7 @@ def _is_multiple(value: float, step: float, tolerance: float) -> bool:
 def check_in_frame(shape: Any, optics: Optics, distance_mm: float, file, rig_file) -> None:
     """Refuse an object that contains the camera, is a speck in its picture, or lies mostly outside the frame.
 
-    Meshes are not checked, because their size is in their file.
+    Meshes, whose size is in their file, are left to `check_mesh_in_frame`.
 
     Parameters
     ----------
@@ -61,11 +61,9 @@ def check_in_frame(shape: Any, optics: Optics, distance_mm: float, file, rig_fil
     ------
     InputError
     """
-    radius = getattr(shape, "radius_mm", None)
-    sides = (2.0 * radius,) * 2 if radius else (getattr(shape, "width_mm", 0.0), getattr(shape, "height_mm", 0.0))
+    sides, size = _size(shape)
     if not all(sides):
         return
-    size = f"{sides[0]:g} mm across" if radius else f"{sides[0]:g} x {sides[1]:g} mm"
     lengths = f"lengths in mm (pixel_pitch_um in micrometres; {rig_file}, camera_distance_mm {distance_mm:g})"
     if max(sides) / 2.0 >= distance_mm:
         found = f"a {shape.kind} {size}, in which a camera at {distance_mm:g} mm would stand"
@@ -82,3 +80,51 @@ def check_in_frame(shape: Any, optics: Optics, distance_mm: float, file, rig_fil
         width, height = (count / px_per_mm for count in (optics.width_px, optics.height_px))
         found = f"a {shape.kind} {size}, of which {inside:.0%} lies in the frame of {width:.3g} x {height:.3g} mm"
         raise InputError(file, "shape", found, f"{_LEAST_INSIDE:.0%} or more; {lengths}")
+
+
+def check_lamp_outside(shape: Any, lamp_distance_mm: float, rig_file) -> None:
+    """Refuse a lamp within an object, as where its distance is in metres; parameters as in `check_in_frame`.
+
+    Raises
+    ------
+    InputError
+    """
+    sides, size = _size(shape)
+    if lamp_distance_mm <= max(sides) / 2.0:
+        found = f"{lamp_distance_mm:g} mm from the middle of a {shape.kind} {size}, and so within it"
+        raise InputError(rig_file, "light.distance_mm", found, "the distance of the lamp, in mm")
+
+
+def _size(shape: Any) -> tuple[tuple[float, float], str]:
+    """Return width and height of a shape, mm, and both as text; zeros for a mesh, whose size is in its file."""
+    if radius := getattr(shape, "radius_mm", 0.0):
+        return (2.0 * radius, 2.0 * radius), f"{2.0 * radius:g} mm across"
+    width, height = getattr(shape, "width_mm", 0.0), getattr(shape, "height_mm", 0.0)
+    return (width, height), f"{width:g} x {height:g} mm"
+
+
+def check_mesh_in_frame(shape: MeshShape, reach_mm: float, focal_px: float, distance_mm: float) -> None:
+    """Refuse a mesh that contains the camera or is a speck in its picture, as with another unit of its file.
+
+    Parameters
+    ----------
+    shape : MeshShape
+    reach_mm : float
+        Radius about its origin.
+    focal_px : float
+        Focal length of the camera, pixels.
+    distance_mm : float
+        As in `check_in_frame`.
+
+    Raises
+    ------
+    InputError
+        That names the file of the mesh.
+    """
+    seen_px = 2.0 * reach_mm * focal_px / distance_mm
+    if reach_mm < distance_mm and seen_px >= _FEWEST_PX:
+        return
+    found = f"{shape.unit}, in which it is {2.0 * reach_mm:.3g} mm wide"
+    found += f" and {seen_px:.2g} pixels in the picture" if reach_mm < distance_mm else " and contains the camera"
+    accepted = f"the unit of its coordinates: at least {_FEWEST_PX} pixels, with the camera at {distance_mm:g} mm"
+    raise InputError(shape.file, "shape.unit", found, accepted)
