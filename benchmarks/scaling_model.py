@@ -1,6 +1,6 @@
 """Model of the workflow's duration on a cluster, from measured costs of tiles, files and job starts.
 
-The workflow of an object has three phases of jobs: ingestion, tiles (rectified and fitted, many in one job), and
+The workflow of an object has four phases of jobs: ingestion, rectification and fit of tiles (many in one job), and
 compression. Each phase waits for the last job of the one before; the jobs of all objects run in parallel. A phase lasts
 as long as its jobs need, in waves that fill the nodes' cores, or as long as the shared storage needs to read and write
 their files, whichever is longer. Before that, jobs are submitted one after the other; after it, there is the wait until
@@ -172,18 +172,21 @@ def phases(work: Work, cluster: Cluster, constants: Constants) -> list[Phase]:
             work.objects * (raw_mb + linear_mb),
         ),
         Phase(
-            "tiles",
+            "rectify",
             work.objects * tile_jobs,
             cluster.nodes * (cluster.cores_per_node // job_cores),
-            2 * layers * constants.start_s,
-            layers * (linear_mb / constants.hash_mb_per_s + tile_poses * (constants.rectify_s + constants.fit_s)),
+            layers * constants.start_s,
             # Each tile reads all captures completely to verify their hashes.
-            work.objects
-            * (
-                tiles * linear_mb
-                + 2 * texel_poses * constants.observations_mb
-                + work.million_texels * constants.brdf_mb
-            ),
+            layers * (linear_mb / constants.hash_mb_per_s + tile_poses * constants.rectify_s),
+            work.objects * (tiles * linear_mb + texel_poses * constants.observations_mb),
+        ),
+        Phase(
+            "fit",
+            work.objects * tile_jobs,
+            cluster.nodes * (cluster.cores_per_node // job_cores),
+            layers * constants.start_s,
+            layers * tile_poses * constants.fit_s,
+            work.objects * (texel_poses * constants.observations_mb + work.million_texels * constants.brdf_mb),
         ),
         Phase(
             "compress",

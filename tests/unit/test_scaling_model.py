@@ -38,7 +38,7 @@ def test_one_job_more_than_there_are_slots_is_a_second_wave():
 
 
 def test_storage_bounds_a_phase_only_where_it_is_slower_than_the_jobs():
-    phase = Phase("tiles", jobs=1, slots=1, job_start_s=0.0, job_compute_s=10.0, moved_mb=400.0)
+    phase = Phase("fit", jobs=1, slots=1, job_start_s=0.0, job_compute_s=10.0, moved_mb=400.0)
     assert phase.lasts_s(replace(FREE, storage_mb_per_s=50.0)) == 10.0
     slow = replace(FREE, storage_mb_per_s=20.0)
     assert phase.lasts_s(slow) == 20.0 and phase.binds(slow) == "storage"
@@ -47,29 +47,31 @@ def test_storage_bounds_a_phase_only_where_it_is_slower_than_the_jobs():
 def test_the_work_of_one_object_is_cut_as_the_profile_cuts_it():
     work = Work(objects=1, megapixels=10.0, million_texels=10.0, poses=48, tile_texels=40_000)
     cluster = Cluster(nodes=1, cores_per_node=6)
-    ingest, tiles, compress = phases(work, cluster, COSTS)
-    assert (ingest.jobs, tiles.jobs, compress.jobs) == (6, 5, 1)
-    assert tiles.slots == 2 and ingest.slots == 6
-    # 50 tiles, three abreast: 17 layers, each of a rectification and a fit.
-    assert tiles.job_start_s == pytest.approx(17 * 2 * 3.0)
+    ingest, rectify, fit, compress = phases(work, cluster, COSTS)
+    assert (ingest.jobs, rectify.jobs, fit.jobs, compress.jobs) == (6, 5, 5, 1)
+    assert rectify.slots == fit.slots == 2 and ingest.slots == 6
+    # 50 tiles, three abreast: 17 layers.
+    assert rectify.job_start_s == fit.job_start_s == pytest.approx(17 * 3.0)
     # Each reads 48 captures of 60 MB to compare them with their hashes.
-    assert tiles.job_compute_s == pytest.approx(17 * (48 * 60.0 / 1000.0 + 0.04 * 48 * 0.22))
+    assert rectify.job_compute_s == pytest.approx(17 * (48 * 60.0 / 1000.0 + 0.04 * 48 * 0.2))
+    assert fit.job_compute_s == pytest.approx(17 * 0.04 * 48 * 0.02)
     assert ingest.job_compute_s == pytest.approx(8 * 10 * 0.05)
     # Every one of 250 tiles reads the 48 captures.
-    assert tiles.moved_mb == pytest.approx(250 * 10 * 48 * 6.0 + 2 * 480 * 20.0 + 10 * 60.0)
+    assert rectify.moved_mb == pytest.approx(250 * 10 * 48 * 6.0 + 480 * 20.0)
+    assert fit.moved_mb == pytest.approx(480 * 20.0 + 10 * 60.0)
 
 
 def test_larger_tiles_read_the_captures_less_often():
-    small, large = (of("tiles", Work(tile_texels=t), Cluster(), COSTS) for t in (40_000, 400_000))
+    small, large = (of("rectify", Work(tile_texels=t), Cluster(), COSTS) for t in (40_000, 400_000))
     assert small.moved_mb > 5 * large.moved_mb
 
 
 def test_what_costs_everything_is_what_binds():
     work, cluster = Work(), Cluster()
     for change, wanted in (
-        ({"start_s": 1e4}, "starting jobs in tiles"),
+        ({"start_s": 1e4}, "starting jobs in rectify"),
         ({"compress_s": 1e5}, "computing in compress"),
-        ({"storage_mb_per_s": 1e-3}, "storage in tiles"),
+        ({"storage_mb_per_s": 1e-3}, "storage in rectify"),
         ({"submit_s": 1e5}, "scheduler in ingest"),
     ):
         constants = replace(COSTS, **change)

@@ -34,17 +34,21 @@ def counted(said: str) -> dict[str, int]:
 def test_an_object_of_ten_megapixels_and_48_poses_is_at_most_200_jobs_of_the_cluster(dry_run):
     rules = counted(dry_run)
     assert rules["rectify_object"] == rules["fit_brdf"] > 250
-    groups = dry_run.count("Group job tiles")
+    groups = dry_run.count("Group job rectified") + dry_run.count("Group job fitted")
     alone = rules["total"] - rules["rectify_object"] - rules["fit_brdf"]
-    assert groups + alone <= 200 and groups + alone == 22
+    assert groups + alone <= 200 and groups + alone == 29
 
 
 @pytest.mark.heavy
-def test_every_tile_is_fitted_where_it_was_rectified(dry_run):
-    for group in dry_run.split("Group job tiles")[1:]:
-        made = re.findall(r"^    +output: results/tile-plate/(observations|brdf)/tile-(\d+)\.h5", group, re.MULTILINE)
-        rectified, fitted = ({tile for kind, tile in made if kind == wanted} for wanted in ("observations", "brdf"))
-        assert rectified == fitted and 0 < len(fitted) <= 50
+@pytest.mark.parametrize(("name", "folder"), [("rectified", "observations"), ("fitted", "brdf")])
+def test_fifty_tiles_share_a_job(dry_run, name, folder):
+    counts = []
+    for group in re.split("Group job (?:rectified|fitted)", dry_run)[1:]:
+        of_group = group.partition("\n\n\n")[0]
+        counts.append(
+            len(set(re.findall(rf"^    +output: results/tile-plate/{folder}/tile-\d+\.h5", of_group, re.MULTILINE)))
+        )
+    assert sorted(filter(None, counts), reverse=True)[:5] == [50] * 5 and sum(counts) == counted(dry_run)["fit_brdf"]
 
 
 @pytest.mark.heavy
@@ -69,16 +73,17 @@ def test_no_job_asks_for_more_memory_than_the_profile_lets_one_have(dry_run):
 def test_the_models_cluster_cuts_the_work_as_the_profile_and_the_configuration_do(dry_run):
     config = yaml.safe_load((ROOT / "config/config.yaml").read_text())
     cluster = Cluster()
-    assert PROFILE["group-components"] == [f"tiles={cluster.tiles_per_job}"]
+    assert PROFILE["group-components"] == [f"{name}={cluster.tiles_per_job}" for name in ("rectified", "fitted")]
     assert cluster.captures_per_job == config["ingest"]["captures_per_job"]
     assert cluster.tiles_abreast == PROFILE["resources"]["mem_mb"] // 2000
     free = Constants(**dict.fromkeys(Constants.__dataclass_fields__, 1.0))
     work = Work(objects=1, megapixels=10.1, million_texels=Size(10.1, 48, 40_000).texels_side ** 2 / 1e6,
                 tile_texels=40_000)  # fmt: skip
-    ingest, tiles, compress = phases(work, cluster, free)
+    ingest, rectify, fit, compress = phases(work, cluster, free)
     rules = counted(dry_run)
     assert ingest.jobs == sum(number for rule, number in rules.items() if rule.startswith("ingest_raw_tile_plate"))
-    assert tiles.jobs == dry_run.count("Group job tiles") and compress.jobs == rules["compress_reflectance"]
+    assert rectify.jobs == dry_run.count("Group job rectified") and fit.jobs == dry_run.count("Group job fitted")
+    assert compress.jobs == rules["compress_reflectance"]
 
 
 @pytest.mark.parametrize("count", [6, 7, 24, 48])
