@@ -178,7 +178,7 @@ def test_what_is_no_angle_is_refused_with_an_example(capsys, board, word):
         (["plan", "tile-palte"], "did you mean 'tile-plate'"),
         (["capture", "--camera", "powershot-s40"], "of kind files, whose photographs somebody else takes"),
         (["shoot", "d5100-comb", "a.dng", "--exposure", "0.02"], "d5100-comb.yaml: driver: found no such key"),
-        (["plan", "tile-plate", "--best", "2"], "--best: found 2; accepted: "),
+        (["plan", "tile-plate", "--best", "2"], "--best: found 2 poses; accepted: 4 or more, for 3 parameters."),
         (["plan", "d5100-comb", "--camera", "--best", "6"], "--best: found a camera"),
         (["capture", "tile-plate", "--port", "0"], "--port: found no --page that it belongs to"),
         (["capture", "tile-plate", "--page", "--address", "0.0.0.0"], "0.0.0.0, which stands for many; accepted: one"),

@@ -152,8 +152,11 @@ def test_a_shape_is_planned_without_any_definition_but_the_rigs(project, capsys)
         (["stand", "--shape", "egg 30"], "--shape: found 'egg 30'; accepted: plate WIDTH HEIGHT"),
         (["stand", "--shape", "mesh no.obj"], "no.obj"),
         (["stand", "--shape", "plate 90", "--camera"], "--shape: found --camera beside it"),
-        (["stand", "--shape", "plate 90", "--best", "3"], "--best: found 3; accepted: "),
-        (["plate", "--best", "2"], "--best: found 2; accepted: "),
+        (
+            ["stand", "--shape", "plate 90", "--best", "3"],
+            "--best: found 3 poses; accepted: 4 or more, for 3 parameters.",
+        ),
+        (["plate", "--best", "2"], "--best: found 2 poses; accepted: 4 or more, for 3 parameters."),
         (["own", "--camera"], "of kind files, whose photographs somebody else takes"),
         (["plat"], "did you mean 'plate'"),
     ],
