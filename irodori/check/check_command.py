@@ -7,7 +7,7 @@ from itertools import chain
 from irodori.check.findings import Finding
 from irodori.check.photographs import PhotographCheck
 from irodori.check.scenes import of_scene
-from irodori.config.project import DEFAULT_FILE, enter, load_project, project_faults
+from irodori.config.project import DEFAULT_FILE, inside, load_project, project_faults
 from irodori.core.errors import InputError
 
 
@@ -24,14 +24,19 @@ def main(arguments: list[str] | None = None, prog: str = "irodori check") -> int
     )
     asked = parser.parse_args(arguments)
     try:
-        enter(asked.directory)
+        with inside(asked.directory):
+            return _check(asked.config)
     except InputError as error:
         print(Finding(True, str(error)))
         return 1
+
+
+def _check(files: list[str]) -> int:
+    """Print what is found of the project in the working directory; return the exit status."""
     try:
-        loaded = load_project(asked.config)
+        loaded = load_project(files)
     except InputError as error:
-        faults = project_faults(asked.config) or [error]
+        faults = project_faults(files) or [error]
         for fault in faults:
             print(Finding(True, str(fault)))
         # Photographs are checked only if the definitions state correctly what they should show.

@@ -10,7 +10,7 @@ from irodori.check.findings import Finding
 from irodori.check.photographs import PhotographCheck
 from irodori.check.scenes import of_scene
 from irodori.config.models import Optics
-from irodori.config.project import enter, load_project
+from irodori.config.project import inside, load_project
 from irodori.core.errors import InputError
 
 
@@ -30,13 +30,18 @@ def main(arguments: list[str] | None = None, prog: str = "irodori preview") -> i
     asked = parser.parse_args(arguments)
     output = Path(asked.output).absolute()
     try:
-        enter(asked.directory)
-        if not output.parent.is_dir():
-            raise InputError(output, "", "a folder that is not there", "a page in a folder that exists")
-        loaded = load_project(asked.configfile)
+        with inside(asked.directory):
+            return _preview(asked.configfile, output)
     except InputError as error:
         print(Finding(True, str(error)))
         return 1
+
+
+def _preview(files: list[str], output: Path) -> int:
+    """Write the page of the project in the working directory; return the exit status."""
+    if not output.parent.is_dir():
+        raise InputError(output, "", "a folder that is not there", "a page in a folder that exists")
+    loaded = load_project(files)
     optics: dict[str, Optics] = {}
     sheet = ContactSheet(loaded, optics)
     check = PhotographCheck(loaded, sheet.add, optics)

@@ -1,7 +1,8 @@
 """Configuration of a project: the default file, overridden by further files as Snakemake merges them."""
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 
 from irodori.config.definitions import definition_faults, load_definitions
@@ -9,7 +10,7 @@ from irodori.config.loaded import Loaded
 from irodori.core.errors import InputError
 from irodori.core.yaml_files import read_yaml
 
-__all__ = ["DEFAULT_FILE", "configuration_files", "enter", "load_project", "project_faults"]
+__all__ = ["DEFAULT_FILE", "configuration_files", "inside", "load_project", "project_faults"]
 
 #: The default configuration, which further files override.
 DEFAULT_FILE = "config/config.yaml"
@@ -51,18 +52,24 @@ def _project(files: list[str]) -> tuple[dict, list[str]]:
     return config, names
 
 
-def enter(directory: str) -> None:
-    """Make a project's folder the working directory.
+@contextmanager
+def inside(directory: str) -> Iterator[None]:
+    """Make a project's folder the working directory within the context.
 
     Raises
     ------
     InputError
         If there is no such folder.
     """
+    before = os.getcwd()
     try:
         os.chdir(directory)
     except OSError as error:
         raise InputError(directory, "", error.strerror or str(error), "the folder of a project") from None
+    try:
+        yield
+    finally:
+        os.chdir(before)
 
 
 def _merged(old: Mapping, new: Mapping) -> dict:

@@ -1,13 +1,12 @@
 """The command ``irodori crate``: describe a finished run as a Workflow Run RO-Crate."""
 
 import argparse
-import contextlib
 import json
 import shutil
 import zipfile
 from pathlib import Path
 
-from irodori.config.project import DEFAULT_FILE, enter
+from irodori.config.project import DEFAULT_FILE, inside
 from irodori.core.atomic_files import written_whole
 from irodori.core.errors import InputError, PlainError
 from irodori.export.run_crate import METADATA, RunFiles, run_crate
@@ -81,8 +80,7 @@ def main(arguments: list[str] | None = None, prog: str = "irodori crate") -> int
     asked = parser.parse_args(arguments)
     output = asked.output and asked.output.absolute()
     try:
-        with contextlib.chdir("."):  # back to it at the end
-            enter(asked.directory)
+        with inside(asked.directory):
             print(write_crate(asked.configfile, output))
     except (PlainError, OSError) as error:
         print(error)

@@ -334,6 +334,7 @@ def _fit_chunk(problem, rules, shared, out, first, last):
 def _fit_range(task, room, eight, out, first, last):
     """Fit texels eight at a time, and singly those for which that is not possible."""
     problem, rules, shared = task
+    # One geometry without its tables, with which tests compare, goes the way of single texels.
     together = problem.geometry.shape[0] > 1 or shared.nodes.shape[1] > 0
     for batch in range(first, last, LANES):
         done = fit_eight(problem, shared, rules, batch, last, eight) if together else 0

@@ -150,6 +150,15 @@ def test_few_answers_make_the_table_that_a_person_would_have_written(seen, taken
     assert (tmp_path / "config/my-plate.yaml").read_bytes() == before
 
 
+def test_a_definition_that_must_be_corrected_is_named_after_it_is_written(taken, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    answers = written(tmp_path / "answers.yaml", ANSWERS | {"lamp": "halogen"})
+    assert init(taken[0], "--into", "my config", "--answers", answers) == 1
+    said = capsys.readouterr()
+    assert "written, and to be corrected: " in said.err and "'halogen'" in said.err and "next:" not in said.out
+    assert list((tmp_path / "my config").glob("*.yaml"))
+
+
 def test_a_project_that_exists_is_refused_before_a_photograph_is_read(seen, taken, tmp_path, monkeypatch, capsys):
     folder = taken[0]
     assert init(folder, "--answers", written(tmp_path / "answers.yaml", ANSWERS)) == 0

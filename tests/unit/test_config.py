@@ -430,6 +430,14 @@ def test_a_chart_in_a_room_that_is_at_fault_is_named(root, key, value, field, fo
     assert error.field == field and found in error.found
 
 
+def test_a_surface_that_reflects_nothing_is_refused(root):
+    edit(root, PLATE_FILE, "refractive_index", {"n": 1.0, "k": 0.0})
+    error = fault(root)
+    assert error.field == "refractive_index.n" and "from which nothing is reflected" in error.found
+    edit(root, PLATE_FILE, "refractive_index", {"n": 1.0, "k": 0.5})
+    load(root)
+
+
 def test_corners_of_a_chart_on_a_line_are_refused(root):
     corners = {"first": [100.0, 80.0], "row_end": [200.0, 80.0], "column_end": [100.0, 140.0], "last": [200.0, 140.0]}
     file = "cameras/d5100-comb.yaml"
