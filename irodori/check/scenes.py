@@ -64,10 +64,12 @@ def _placed(loaded: Loaded, scene: Scene) -> dict[str, Placement]:
     for index, item in enumerate(scene.objects):
         definition = loaded.objects[item.object]
         shape, camera = Shape.from_definition(definition.shape), loaded.cameras[definition.camera]
-        if isinstance(definition.shape, MeshShape) and camera.optics is not None:
-            focal_px = 1000.0 * camera.optics.focal_length_mm / camera.optics.pixel_pitch_um
-            distance_mm = loaded.rigs[camera.rig].camera_distance_mm
-            check_mesh_in_frame(definition.shape, shape.reach_mm, focal_px, distance_mm)
+        if isinstance(definition.shape, MeshShape):
+            if camera.optics is not None:
+                focal_px = 1000.0 * camera.optics.focal_length_mm / camera.optics.pixel_pitch_um
+                distance_mm = loaded.rigs[camera.rig].camera_distance_mm
+                check_mesh_in_frame(definition.shape, shape.reach_mm, focal_px, distance_mm)
+            shape.atlas(definition.texels.width, definition.texels.height, rows=(0, 1))  # refuses charts that overlap
         found[f"objects[{index}] ({item.object})"] = stand(shape, item)
     for index, body in enumerate(scene.bodies):
         found[f"bodies[{index}] ({body.shape.kind})"] = stand(Shape.from_definition(body.shape), body)

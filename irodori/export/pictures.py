@@ -1,5 +1,7 @@
 """Picture files through OpenImageIO: spectral EXR, XYZ EXR, and PNG and TIFF with an ICC profile."""
 
+import atexit
+import gc
 import math
 import re
 from collections.abc import Iterable, Iterator
@@ -16,6 +18,10 @@ from irodori.export.loss import LOSS, stored_loss
 from irodori.jit.half_precision import half_from_single
 from irodori.material.coefficients import require_storage
 from irodori.spectra.grid import WAVELENGTH_NM
+
+# OpenImageIO tells at the end of a process, on the terminal, of each of its objects that the garbage collector has not
+# taken apart; it would not look at those that have been set aside for it, as `irodori.core.run_rule` does.
+atexit.register(gc.unfreeze)
 
 
 def layer_names(kind: str) -> list[str]:

@@ -1,5 +1,6 @@
 """Stage that chooses lobes and coat of an object from its observations, and writes the comparison behind the choice."""
 
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -16,7 +17,8 @@ from irodori.fitting.paints import BELIEVED, by_colour
 from irodori.fitting.solvers import FitOptions, fit
 from irodori.fitting.stage import for_object, fresnel_of
 from irodori.fitting.texel_sample import Readings, drawn, sample_texels
-from irodori.material.lobe_choices import Comparison, model_text, write_choice
+from irodori.jit.kernel_cache import unclaimed_first
+from irodori.material.lobe_choices import Candidate, Comparison, model_text, write_choice
 from irodori.reflection.coat import COATS, SUM
 from irodori.reflection.registry import DEFAULT_LOBES
 
@@ -51,6 +53,7 @@ def choose_lobes(
     every = Readings.of_band(seen, GREEN, fresnel.n, fresnel.k)
     few = drawn(np.count_nonzero(every.weight > 0.0, axis=1), MOST_TEXELS, ENOUGH_OBSERVATIONS)
     sample, tried = every[few], candidates(options, None if AUTO in lobes else tuple(lobes), coats_of(coat))
+    _compile_fits(sample[:2], options, tried)
     paints = {}
     if options.gloss_by_paint:
         lobe = next((one.lobes for one in tried if len(one.lobes) == 1), DEFAULT_LOBES)
@@ -75,6 +78,17 @@ def choose_lobes(
 def coats_of(coat: str) -> tuple[str, ...]:
     """Return the coats that an object's definition leaves open, or the one that it names."""
     return COATS if coat == AUTO else (coat,)
+
+
+def _compile_fits(two: Readings, options: FitOptions, tried: Iterable[Candidate]) -> None:
+    """Fit two texels with the lobes of every candidate, those last that the job of another object is compiling.
+
+    Without this, the jobs of a first run wait for each other at every fit. One texel would be of shared geometry.
+    """
+    by_name = {"-".join(("fit", *candidate.lobes)): candidate.lobes for candidate in tried}
+    for name in unclaimed_first(by_name):
+        own = replace(options, lobes=by_name[name])
+        fit(two.response, two.geometry, two.weight, two.n, two.k, own, noise=two.noise)
 
 
 def _paint_of(seen: Observed, green: Readings, options: FitOptions, fresnel: BandGloss) -> np.ndarray:

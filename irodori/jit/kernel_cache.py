@@ -16,6 +16,8 @@ import shutil
 import stat
 import sys
 import time
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import llvmlite
@@ -192,6 +194,47 @@ class _Implementation(CompileResultCacheImpl):
         if b"_numba_hashsecret" in machine_code:
             target_context.refresh()
         return super().rebuild(target_context, payload)
+
+
+def unclaimed_first(names: Iterable[str]) -> Iterator[str]:
+    """Yield the names of kernels, those first that no other process of this kind has before it.
+
+    Processes that need the same kernels then compile different ones at the same time, and do not wait for each other
+    until none is left. A name is claimed until the next one is asked for, by a lock in the folder of kernels.
+    """
+    remaining, folder = list(names), cache_folder()
+    while remaining:
+        for name in remaining:
+            with _claim(None if folder is None else folder / f"{name}.claim") as is_mine:
+                if is_mine or name == remaining[-1]:
+                    # With all of them claimed the first is as good as any: another process is nearest to its end.
+                    taken = name if is_mine else remaining[0]
+                    remaining.remove(taken)
+                    yield taken
+                    break
+
+
+@contextmanager
+def _claim(file: Path | None) -> Iterator[bool]:
+    """Lock a file within the context; False if another process has it, True also where files cannot be locked."""
+    try:
+        descriptor = None if file is None else os.open(file, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    except OSError:
+        descriptor = None
+    if descriptor is None:
+        yield True
+        return
+    try:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            yield False
+            return
+        except OSError:  # a file system without locks
+            pass
+        yield True
+    finally:
+        os.close(descriptor)
 
 
 class KernelCache(FunctionCache):

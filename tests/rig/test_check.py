@@ -122,6 +122,18 @@ def test_a_mesh_in_another_unit_is_a_speck(project, tmp_path, capsys, monkeypatc
     assert all(words in line and "pixels in the picture" in line for line in specks)
 
 
+def test_charts_that_overlap_are_found_before_anything_is_photographed(project, tmp_path, capsys, monkeypatch):
+    folder = shutil.copytree(project, tmp_path / "project")
+    monkeypatch.chdir(folder)
+    corners = "v -45 -45 0\nv 45 -45 0\nv 45 45 0\nv -45 45 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0.9 0.1\n"
+    (folder / "folded.obj").write_text(corners + "f 1/1 2/2 3/3\nf 1/1 3/3 4/4\n")
+    plate = yaml.safe_load((folder / "config/objects/plate.yaml").read_text())
+    plate["shape"] = {"kind": "mesh", "file": "folded.obj", "unit": "mm"}
+    write(folder, {"objects/plate.yaml": plate})
+    lines = said(folder, capsys)[1]
+    assert any("folded.obj: UV: found charts that overlap" in line for line in lines), lines
+
+
 def test_all_mistakes_are_listed_at_once(project, tmp_path, capsys, monkeypatch):
     folder = shutil.copytree(project, tmp_path / "project")
     monkeypatch.chdir(folder)

@@ -150,6 +150,17 @@ def test_a_damaged_file_is_refused(tmp_path, suffix):
         read_mesh(path, "mm")
 
 
+@pytest.mark.parametrize("face", ["f 0/1 1/2 2/3", "f 1/1\t2/0 3/3", "\tf 1/1/1 2/2/2 3/3/0", "f 1 2 00"])
+def test_an_obj_that_counts_from_zero_is_refused_with_the_face(tmp_path, face):
+    path = tmp_path / "zero.obj"
+    corners = "v 0 0 0\nv 10 0 0\nv 10 10 0\nvt 0.1 0.1\nvt 0.9 0.1\nvt 0.9 0.9\n"
+    path.write_text(f"{corners}f 1/1 2/2 3/3\r\n{face}\n")
+    with pytest.raises(
+        InputError, match=rf"faces: found the face '{face.strip()}'.*, with an index of 0".replace("\t", ".*")
+    ):
+        read_mesh(path, "mm")
+
+
 def test_unknown_kinds_units_and_axes_list_the_known_ones(tmp_path):
     (tmp_path / "a.stl").write_text("solid")
     with pytest.raises(InputError, match=r"\.stl.*\.obj, \.ply, \.glb, \.gltf"):

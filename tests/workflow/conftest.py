@@ -26,6 +26,7 @@ def finished(tmp_path_factory) -> Path:
             shutil.rmtree(folder, ignore_errors=True)  # of a run that failed
             run = snakemake(small_project(folder))
             assert run.returncode == 0, run.stderr[-4000:]
+            (folder / "terminal.txt").write_text(run.stderr)
             done.touch()
     return folder
 

@@ -90,6 +90,17 @@ def test_what_measuring_speed_takes_is_not_counted_as_time_of_the_results(tmp_pa
     assert len(kept) == 12 and not [path for path in kept if path.startswith("results/benchmarks/")]
 
 
+def test_the_terminal_shows_what_snakemake_says_and_the_result_and_nothing_of_libraries(finished):
+    (log,) = (finished / ".snakemake/log").glob("*.log")
+    expected = (
+        "Using workflow specific profile ",
+        "Assuming unrestricted shared filesystem",
+        "Pictures, errors and times",
+    )
+    other = set((finished / "terminal.txt").read_text().splitlines()) - set(log.read_text().splitlines())
+    assert [line for line in other if not line.startswith(expected)] == []
+
+
 def test_a_photograph_is_compared_with_its_view_and_the_report_shows_it(finished):
     folder = finished / "results/still-life/photographs/front"
     found = json.loads((folder / "comparison.json").read_text())
