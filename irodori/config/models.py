@@ -1892,7 +1892,8 @@ class PlacedLight(Definition):
     #: Direction over the horizon, in degrees.
     elevation_deg: float
 
-    #: Angular diameter, in degrees; a disc smaller than a pixel becomes one pixel of the same energy.
+    #: Angular diameter, in degrees; a disc smaller than a pixel becomes the four pixels around its middle, with the
+    #: same energy and mean direction.
     diameter_deg: float = 0.0
 
     #: Radiance of the disc (ratio to the luminance of D65 as tabulated).

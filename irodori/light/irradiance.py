@@ -17,7 +17,7 @@ import numpy as np
 from irodori.core.progress import LOGGER
 from irodori.jit.chunks import run_chunks
 from irodori.jit.compilation import njit
-from irodori.light.environment_file import directions
+from irodori.light.environment_file import directions, row_solid_angles
 from irodori.light.equirectangular import look_up
 
 _BLOCK = 8  # pixels along each side of the smallest cell that is stored
@@ -66,8 +66,7 @@ class Pixels(NamedTuple):
 def make_pixels(coefficients: np.ndarray) -> Pixels:
     """Make the tables of a picture, (height, width, k); directions are those of pixel centres."""
     height, width = coefficients.shape[:2]
-    edges = np.linspace(0.0, np.pi, height + 1)
-    theta = 0.5 * (edges[1:] + edges[:-1])
+    theta = np.pi * (np.arange(height) + 0.5) / height
     azimuth = 2 * np.pi * (np.arange(width) + 0.5) / width
     return Pixels(
         np.ascontiguousarray(coefficients, dtype=np.float32),
@@ -75,8 +74,7 @@ def make_pixels(coefficients: np.ndarray) -> Pixels:
         np.cos(theta),
         np.cos(azimuth),
         np.sin(azimuth),
-        # The difference of cosines, in a form without cancellation at the poles.
-        2.0 * np.sin(theta) * np.sin(0.5 * np.pi / height) * (2 * np.pi / width),
+        row_solid_angles(width, height),
     )
 
 

@@ -1,12 +1,13 @@
-"""Environments made of lights with known spectra in given directions, each a disc or a single pixel."""
+"""Environments made of lights with known spectra in given directions, each a disc or a point."""
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from irodori.colour.colorimetry import colour_matching_weights
-from irodori.light.environment_file import directions
+from irodori.light.environment_file import directions, row_solid_angles
 from irodori.light.omnidirectional import OmnidirectionalPicture, bands
 from irodori.spectra.published import light
 
@@ -29,10 +30,21 @@ def direction_of(azimuth_deg: float, elevation_deg: float) -> np.ndarray:
     return np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
 
 
-def _texel(towards: np.ndarray, width: int, height: int) -> tuple[int, int]:
+def _pixels_around(towards: np.ndarray, width: int, height: int) -> list[tuple[int, int, float]]:
+    """Return row, column and share of the four pixels between whose centres a direction lies; shares sum to 1.
+
+    Their mean direction, weighted by the shares, is that of the light. Beyond a pole is the opposite meridian.
+    """
     theta = np.arctan2(np.hypot(towards[0], towards[1]), towards[2])
-    turn = np.arctan2(towards[1], towards[0]) % (2 * np.pi) / (2 * np.pi)
-    return min(int(theta / np.pi * height), height - 1), min(int(turn * width), width - 1)
+    turn = np.arctan2(towards[1], towards[0]) / (2 * np.pi)
+    row, column = theta / np.pi * height - 0.5, turn * width - 0.5
+    found = []
+    for r in (math.floor(row), math.floor(row) + 1):
+        for c in (math.floor(column), math.floor(column) + 1):
+            inside = min(max(r, 0), height - 1)
+            over = 0 if inside == r else width // 2
+            found.append((inside, (c + over) % width, (1.0 - abs(row - r)) * (1.0 - abs(column - c))))
+    return found
 
 
 def _coverage(towards: np.ndarray, radius: float, size: tuple[int, int], rows: slice) -> np.ndarray:
@@ -64,7 +76,8 @@ def raster(definition: "PlacedLight", size: tuple[int, int]) -> Callable[[slice]
         Light with either ``radiance`` or ``irradiance``. The latter is that on a surface that faces the light, and is 1
         if a perfect diffuser there has radiance 1.
     size : (height, width)
-        Size of the picture, px. A disc smaller than a pixel is replaced by one pixel of the same energy.
+        Size of the picture, px. A disc smaller than a pixel is replaced by the four pixels around its middle, with its
+        energy and its mean direction.
     """
     height, width = size
     towards = direction_of(definition.azimuth_deg, definition.elevation_deg)
@@ -73,17 +86,16 @@ def raster(definition: "PlacedLight", size: tuple[int, int]) -> Callable[[slice]
     def disc(rows: slice) -> np.ndarray:
         return _coverage(towards, radius, size, rows)
 
-    def texel(rows: slice) -> np.ndarray:
+    def point(rows: slice) -> np.ndarray:
         shape = np.zeros((len(range(height)[rows]), width))
-        if rows.start <= row < rows.stop:
-            shape[row - rows.start, column] = 1.0
+        for row, column, share in around:
+            if rows.start <= row < rows.stop:
+                shape[row - rows.start, column] += share / of_row[row]
         return shape
 
-    row, column = _texel(towards, width, height)
+    around, of_row = _pixels_around(towards, width, height), row_solid_angles(width, height)
     is_disc = radius >= 0.5 * max(np.pi / height, 2 * np.pi / width) and any(disc(r).any() for r in bands(height))
-    shape = disc if is_disc else texel
-    if not is_disc:
-        towards = directions(width, height, slice(row, row + 1))[0][0, column]
+    shape = disc if is_disc else point
     power = facing = 0.0
     for rows in bands(height):
         part = shape(rows)

@@ -6,6 +6,7 @@ import numpy as np
 
 from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.colour.colorimetry import xyz_from_radiance
+from irodori.config.cross_checks.environment_sources import check_size
 from irodori.config.models import (
     CapturesSource,
     Chart,
@@ -38,8 +39,6 @@ from irodori.spectra.published import spectrum
 #: The most different test colours of CIE 224; if colours on these are preserved, those on other surfaces are too.
 SURFACES = ("TCS2", "TCS56", "TCS77")
 _WHOLE = CapturesSource()
-#: Rows from which irradiance is right to 0.5 % under even light: all of a pixel's light comes from its centre.
-_FEWEST_ROWS = 16
 _STRIPS = 32  # of a mirror ball, from each of which directions are drawn; as many as a panorama of 1000 rows has
 _KEPT = 8  # largest number of weights per pixel that are kept in memory; pictures with more are read twice
 _READERS = {"rgb": rgb_picture, "spectral": spectral_picture}
@@ -244,9 +243,7 @@ def make_environment(
     if isinstance(source, RgbSource | SpectralSource):
         picture = _READERS[source.kind](source.file, source.scale, source.centre_azimuth_deg)
         height, width = picture.size
-        if height < _FEWEST_ROWS:
-            accepted = f"{2 * _FEWEST_ROWS} x {_FEWEST_ROWS} pixels or more, so that light comes from where it is"
-            raise InputError(source.file, "", f"{width} x {height} pixels", accepted)
+        check_size(width, height, source.file)
     elif image is None:
         raise ValueError("placed lights without the size of their picture; accepted: image")
     else:

@@ -29,7 +29,6 @@ BANDS, PADDED = 61, 64
 _LEAST_COSINE = 0.05
 #: Least solid angle, sr, at which a rectangle is sampled by solid angle; below, the difference of angles is inaccurate.
 _LEAST_SOLID_ANGLE = 1e-4
-_PARTS = 64  # parts along each side of a rectangle in the sum for the picture's white
 
 
 class Lights(NamedTuple):
@@ -96,25 +95,61 @@ def _placement(light: "RectangleLight | SphereLight") -> Placement:
 def upward_radiance(lights: Lights) -> np.ndarray:
     """Return the radiance of an unobstructed perfect diffuser at the scene's origin that faces up, (61,).
 
-    A sphere with its centre below the horizon and the part of a rectangle below it contribute nothing.
+    Of lights that cross the diffuser's horizon only the part above it counts.
     """
     total = np.zeros(BANDS)
-    steps = (np.arange(_PARTS) + 0.5) / _PARTS - 0.5
     for i, kind in enumerate(lights.kind):
-        shines, centre, size = lights.rotation[i, :, 2], lights.position_mm[i], lights.size_mm[i]
+        centre, axes, size = lights.position_mm[i], lights.rotation[i].T, lights.size_mm[i]
         if kind == COLLIMATED:
-            factor = max(shines[2], 0.0)
+            factor = max(axes[2, 2], 0.0)
         elif kind == BALL:
-            squared = max(float(centre @ centre), size[0] ** 2)
-            factor = math.pi * size[0] ** 2 / squared * max(centre[2], 0.0) / math.sqrt(squared)
+            factor = _irradiance_of_ball(centre, size[0])
         else:
-            a, b = np.meshgrid(steps * size[0], steps * size[1])
-            place = centre + a[..., None] * lights.rotation[i, :, 0] + b[..., None] * lights.rotation[i, :, 1]
-            squared = np.maximum(np.sum(place**2, axis=-1), 1e-12 * size.max() ** 2)
-            cosines = np.maximum(place[..., 2], 0.0) * np.maximum(-place @ shines, 0.0) / squared
-            factor = float(np.mean(cosines / squared)) * size[0] * size[1]
+            across, along = 0.5 * size[0] * axes[0], 0.5 * size[1] * axes[1]
+            corners = [centre + x * across + y * along for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+            factor = _irradiance_of_polygon(corners) if centre @ axes[2] < 0.0 else 0.0
         total += factor * lights.spectrum[i, :BANDS]
     return total / math.pi
+
+
+def _irradiance_of_ball(centre: np.ndarray, radius: float) -> float:
+    """Return the irradiance of a surface at the origin that faces +z, of a sphere of radiance 1 (0 to π).
+
+    Snyder, *Radiant energy transfer from spheres* (NASA TN D-4883, 1968), in the form of Lagarde and de Rousiers,
+    *Moving Frostbite to physically based rendering* (SIGGRAPH course, 2014). Within the sphere it is that on its surface.
+    """
+    distance = max(float(np.linalg.norm(centre)), radius)
+    up = centre[2] / distance
+    sine_squared = (radius / distance) ** 2
+    if up**2 > sine_squared:
+        return math.pi * sine_squared * max(up, 0.0)
+    aside = max(math.sqrt(max(1.0 - up**2, 0.0)), 1e-12)
+    cotangent = math.sqrt(max(1.0 / sine_squared - 1.0, 0.0))
+    edge = min(max(-cotangent * up / aside, -1.0), 1.0)
+    chord = aside * math.sqrt(1.0 - edge**2)
+    seen = (up * math.acos(edge) - cotangent * chord) * sine_squared + math.atan2(chord, cotangent)
+    return max(seen, 0.0)
+
+
+def _irradiance_of_polygon(corners: Sequence[np.ndarray]) -> float:
+    """Return the irradiance of a surface at the origin that faces +z, of a flat polygon of radiance 1 (0 to π).
+
+    Lambert's formula: the sum, over the edges of the part above the horizon, of the angle of an edge times the cosine
+    between +z and the normal of the plane through edge and origin.
+    """
+    above = []
+    for here, there in zip(corners, [*corners[1:], corners[0]], strict=True):
+        if here[2] >= 0.0:
+            above.append(here)
+        if (here[2] < 0.0) != (there[2] < 0.0):
+            above.append(here + (there - here) * (here[2] / (here[2] - there[2])))
+    total = 0.0
+    for here, there in zip(above, [*above[1:], *above[:1]], strict=True):
+        normal = np.cross(here, there)
+        length = float(np.linalg.norm(normal))
+        if length > 0.0:  # an edge that meets the origin has no plane with it
+            total += normal[2] / length * math.atan2(length, float(here @ there))
+    return 0.5 * abs(total)
 
 
 @uncounted(forceinline=True)

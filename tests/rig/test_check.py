@@ -24,7 +24,7 @@ CORNERS = {"first": (-0.5, -0.3), "row_end": (0.5, -0.3), "column_end": (-0.5, 0
 LIMITS = {axis: {"min": 0.0, "max": 140.0, "step": 0.1} for axis in ("light_deg", "camera_deg", "tilt_deg", "turn_deg")}
 RIG = {"kind": "files", "limits": LIMITS, "camera_distance_mm": 900.0, "light": {"spectrum": "A"}}
 LAMP = {"spectrum": "D65", "azimuth_deg": -90, "elevation_deg": 45, "irradiance": 1.0}
-LIGHT = {"image": {"width": 16, "height": 8}, "source": {"kind": "lights", "lights": [LAMP]}}
+LIGHT = {"image": {"width": 32, "height": 16}, "source": {"kind": "lights", "lights": [LAMP]}}
 SCENE = {
     "environment": "lamp",
     "image": {"width": 40, "height": 30},

@@ -14,6 +14,8 @@ from irodori.config.models import (
 )
 from irodori.core.errors import InputError, is_file
 
+#: Rows from which irradiance is right to 0.7 % under even light: all of a pixel's light comes from its centre.
+FEWEST_ROWS = 16
 _OF_A_CAMERA = ("camera", "captures", "exposure_s", "room_charts", "lamps", "lamps_error_percent", "virtual")
 
 
@@ -40,6 +42,8 @@ def check_source(environment: EnvironmentDefinition, root: Path, file) -> None:
         if given.get(key):
             found = f"a key that a source of kind {kind} does not use"
             raise InputError(file, key, found, "to leave it out")
+    if (size := environment.image) is not None:
+        check_size(size.width, size.height, file, "image")
     if environment.lamps_error_percent is not None and not environment.lamps:
         raise InputError(file, "lamps_error_percent", "a key without lamps", "lamps, or to leave it out")
     if isinstance(source, RgbSource | SpectralSource) and not is_file(root / source.file):
@@ -54,6 +58,18 @@ def check_source(environment: EnvironmentDefinition, root: Path, file) -> None:
         if light.radiance is not None and light.diameter_deg == 0.0:
             field = f"source.lights[{index}].diameter_deg"
             raise InputError(file, field, "0, whose radiance gives no light", "irradiance, or a diameter above 0")
+
+
+def check_size(width: int, height: int, file, field: str = "") -> None:
+    """Refuse an omnidirectional picture with so few pixels that its light comes from elsewhere.
+
+    Raises
+    ------
+    InputError
+    """
+    if height < FEWEST_ROWS or width < 2 * FEWEST_ROWS:
+        accepted = f"{2 * FEWEST_ROWS} x {FEWEST_ROWS} pixels or more, so that light comes from where it is"
+        raise InputError(file, field, f"{width} x {height} pixels", accepted)
 
 
 def check_placed_charts(environment: EnvironmentDefinition, room: VirtualRoom, file) -> None:
