@@ -1,11 +1,15 @@
 """Lights in the scenes of the path tracer, and the tracer against itself: error bars, seeds, threads, tiles."""
 
+from collections.abc import Sequence
+
 import numba
 import numpy as np
 import pytest
+from made import made
 from path_scenes import DARK, ball, traced
 from scenes import (
     BALL,
+    irradiance_map,
     material,
     pixel_rays,
     plate,
@@ -13,6 +17,9 @@ from scenes import (
     smooth_light,
 )
 
+from irodori.config.models import PlacedLight
+from irodori.light.environment_file import Environment
+from irodori.light.placed_lights import lights_picture
 from irodori.reflection.equation5 import angles_from_directions, reflect
 from irodori.rendering.reference.converging_picture import FinishedTiles, pooled
 from irodori.spectra.published import light as spectrum_of
@@ -44,6 +51,19 @@ def test_collimated_light_falls_by_the_cosine_and_casts_a_hard_shadow():
         region &= ~behind
         assert region.sum() > 8
         assert np.allclose(picture.radiance[region], value, rtol=1e-4)
+
+
+@pytest.mark.parametrize("elevation_deg", [90.0, 89.5, 80.0, 45.0])
+@pytest.mark.parametrize("size", [(64, 32), (512, 256)])
+def test_a_white_diffuser_is_white_under_a_small_light_also_at_the_zenith(elevation_deg, size):
+    """A picture of light is interpolated, and a pixel at a pole has more of it than its own area."""
+    sun = {"spectrum": "D65", "azimuth_deg": 30.0, "elevation_deg": elevation_deg, "irradiance": 1.0}
+    made_of = lights_picture(made(Sequence[PlacedLight], [sun]), *size)
+    light = Environment(made_of.weights, made_of.basis, irradiance_map(made_of.weights, 64, 32))
+    picture = traced([plate(40.0)], [material(1.0)], light, 256, position=(0, -1, 200), fov=5.0, size=(9, 9))
+    found = picture.radiance.mean(axis=(0, 1)) / spectrum_of("D65")
+    assert found == pytest.approx(np.sin(np.radians(elevation_deg)), rel=4e-3)
+    assert light.upward_white() / spectrum_of("D65") == pytest.approx(np.sin(np.radians(elevation_deg)), rel=4e-3)
 
 
 def test_a_rectangle_lights_a_plate_by_its_form_factor():

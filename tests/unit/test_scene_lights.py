@@ -10,7 +10,8 @@ from scipy.stats import qmc
 
 from irodori.config.models import SceneLight
 from irodori.jit.compilation import njit
-from irodori.rendering.scene_lights import density_towards, make_lights, sample_towards
+from irodori.light.placed_lights import unit_luminance
+from irodori.rendering.scene_lights import density_towards, make_lights, sample_towards, upward_radiance
 
 POINTS = qmc.Sobol(2, seed=1).random_base2(14)
 
@@ -40,6 +41,49 @@ def edges_sum(corners) -> np.ndarray:
         sine = np.linalg.norm(across)
         total += 0.5 * math.atan2(sine, a @ b) * across / sine
     return total
+
+
+#: Directions of the upper half by the cosine to the zenith: their share that meets a light is its form factor.
+_U, _TURN = qmc.Sobol(2, seed=3).random_base2(18).T
+UPWARD = np.stack(
+    [np.sqrt(_U) * np.cos(2 * np.pi * _TURN), np.sqrt(_U) * np.sin(2 * np.pi * _TURN), np.sqrt(1 - _U)], axis=-1
+)
+
+
+def white_of(light) -> float:
+    """Return the radiance of a diffuser at the origin under a light of radiance 1, relative to that of the light."""
+    found = upward_radiance(make_lights(made(Sequence[SceneLight], [light]), 0)[0])
+    assert np.allclose(found / unit_luminance("D65"), found[30] / unit_luminance("D65")[30], rtol=1e-6)
+    return float(found[30] / unit_luminance("D65")[30])
+
+
+@pytest.mark.parametrize(
+    ("centre", "radius"),
+    [((0, -500, 100), 300), ((0, -300, 200), 350), ((0, -500, 0), 300), ((0, -100, 0), 90), ((0, -500, -100), 300),
+     ((10, 20, 200), 50), ((0, 0, 100), 99), ((0, -500, -400), 300), ((0, 0, -100), 99)],
+)  # fmt: skip
+def test_the_white_of_a_ball_is_its_part_above_the_horizon(centre, radius):
+    along = UPWARD @ np.array(centre, dtype=np.float64)
+    is_met = (along > 0) & (along**2 > float(np.dot(centre, centre)) - radius**2)
+    ball = {"kind": "sphere", "spectrum": "D65", "radiance": 1.0, "position_mm": list(centre), "radius_mm": radius}
+    assert white_of(ball) == pytest.approx(is_met.mean(), abs=2e-4)
+
+
+@pytest.mark.parametrize(
+    ("place", "turn_deg"),
+    [((0, 0, 5), (180, 0, 0)), ((0, 0, 20), (180, 0, 0)), ((100, 30, 500), (180, 0, 20)), ((0, -200, -10), (-90, 0, 0)),
+     ((50, -300, 20), (-120, 20, 0)), ((0, 0, 20), (0, 0, 0)), ((0, 0, -20), (0, 0, 0))],
+)  # fmt: skip
+def test_the_white_of_a_panel_is_its_part_above_the_horizon(place, turn_deg):
+    panel = {"kind": "rectangle", "spectrum": "D65", "radiance": 1.0, "rotation_deg": list(turn_deg),
+             "position_mm": list(place), "width_mm": 1000, "height_mm": 400}  # fmt: skip
+    lights, _ = make_lights(made(Sequence[SceneLight], [panel]), 0)
+    centre, turn = lights.position_mm[0], lights.rotation[0]
+    facing = UPWARD @ turn[:, 2]
+    distance = (centre @ turn[:, 2]) / np.where(facing == 0.0, 1.0, facing)
+    across = (UPWARD * distance[:, None] - centre) @ turn
+    is_met = (facing < 0) & (distance > 0) & (np.abs(across[:, 0]) < 500) & (np.abs(across[:, 1]) < 200)
+    assert white_of(panel) == pytest.approx(is_met.mean(), abs=2e-4)
 
 
 @pytest.mark.parametrize("scale", [1e-2, 1.0, 1e4])
