@@ -75,6 +75,7 @@ _TABLE = {
         "patches exchanged": "refused with both patches",
         "all patches dirty": "refused with the count",
         "spectra of no such chart": "refused with the mean error",
+        "white reference in other light than the chart": "refused with the level of the bands",
         "spectra of another published chart": "named",
         "chart of 140 patches without corners": _RIGHT + ", or refused",
         "patches moved by 3 pixels": "the error moves by no more than its limit, or the chart is flagged",

@@ -62,7 +62,7 @@ def check_responses(
         without signal, negative or saturated patches, and nearly proportional bands. The message names a remedy.
     """
     patches, bands = response.shape
-    names = [_band_name(band, filters) for band in range(bands)]
+    names = [band_name(band, filters) for band in range(bands)]
     if patches < bands:
         raise ValueError(f"{patches} patches for {bands} bands; accepted: at least as many patches as bands")
     if not np.isfinite(response).all():
@@ -99,7 +99,7 @@ def check_brightest(training: Training, filters: tuple[str, ...] = ()) -> None:
     ValueError
         The message names the patch and the band, and by how much it is below the prediction.
     """
-    names = [_band_name(band, filters) for band in range(training.response.shape[1])]
+    names = [band_name(band, filters) for band in range(training.response.shape[1])]
     known = np.zeros(len(names)) if training.noise.patch is None else training.noise.patch / training.scale**2
     brightest = np.argmax(training.scaled, axis=0)
     for patch in np.unique(brightest):
@@ -147,12 +147,13 @@ def check_amplification(amplification: float, limit: float, calibration: Calibra
     band = int(np.argmax(_gains(calibration).max(axis=0)))
     raise ValueError(
         f"{calibration.estimator} with {calibration.basis.shape[1]} bases amplifies the noise of "
-        f"{_band_name(band, calibration.filters)} {amplification:.3g} times; accepted: up to {limit:.3g} (fewer bases, "
+        f"{band_name(band, calibration.filters)} {amplification:.3g} times; accepted: up to {limit:.3g} (fewer bases, "
         "wiener or local in place of pinv, or a filter that makes the bands differ more)"
     )
 
 
-def _band_name(band: int, filters: tuple[str, ...]) -> str:
+def band_name(band: int, filters: tuple[str, ...]) -> str:
+    """Return the number of a band with its colour and its filter state, as far as the filter states tell them."""
     if 3 * len(filters) > band:
         return f"band {band} ({('red', 'green', 'blue')[band % 3]}, filter {filters[band // 3]})"
     return f"band {band}"

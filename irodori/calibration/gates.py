@@ -1,11 +1,13 @@
-"""Checks that the photograph of a chart agrees with its spectra, by predicting each patch from all others."""
+"""Checks that the photograph of a chart agrees with its spectra and with the white reference."""
 
 import numpy as np
 
 from irodori.calibration.charts import Charts
+from irodori.calibration.conditioning import band_name
 from irodori.calibration.patch_order import is_telling, predicted_by_others
 from irodori.colour.colorimetry import delta_e_reflectance
 from irodori.core.errors import InputError
+from irodori.core.progress import LOGGER
 from irodori.spectra.published import chart_spectra
 from irodori.spectra.published_names import CHART_PATCHES
 
@@ -13,6 +15,7 @@ _PATCH_LIMIT = 1.5  # of the limit of the mean: a patch with a larger error is a
 _PATCH_RATIO = 4.0  # of the median error of the other patches, which a faulty patch must exceed too
 _MOST_AT_FAULT = 0.25  # of the patches: if more are at fault, the cause is not in the patches
 _CURED = 0.5  # of the error of two patches: below that their exchange explains it
+_WARNED = 1.0 / 3.0  # of the limit of the level: from here on the difference is said
 _LIKELIER = 0.7  # of the error with the spectra given: a published chart below that is likelier
 
 
@@ -87,6 +90,39 @@ def check_mean(charts: Charts, error: np.ndarray, limit: float, light: str, like
     found += "".join(f"; {field} agrees better with {name}" for field, name in likelier.items())
     accepted = f"up to calibration.max_leave_one_out_error, {limit:g}: the spectra of this very chart, under the light "
     accepted += "that is named, and its corners"
+    raise InputError(charts.photographs[0].path, ", ".join(charts.fields), found, accepted)
+
+
+def check_level(charts: Charts, level: np.ndarray, limit: float) -> None:
+    """Refuse a chart whose spectra contradict the level of the white reference, and warn of a smaller difference.
+
+    Responses are relative to a perfect diffuser in the light of the white reference, so that a response model from the
+    chart's spectra gives such a diffuser 1 in every band. Another value means that the light, the aperture, the place
+    or a reflectance differs between the two photographs; which of them is wrong is not told.
+
+    Parameters
+    ----------
+    charts : Charts
+    level : (bands,) float
+        Response of a perfect diffuser according to the chart.
+    limit : float
+        Largest accepted difference from 1.
+
+    Raises
+    ------
+    InputError
+        The message has the band that differs most, and the smallest and the largest level.
+    """
+    worst = int(np.argmax(np.abs(level - 1.0)))
+    if abs(level[worst] - 1.0) <= _WARNED * limit:
+        return
+    found = f"a chart {level[worst]:.3f} times as bright in {band_name(worst, charts.filters)} as its spectra and the "
+    found += f"white reference say (all bands: {level.min():.3f} to {level.max():.3f})"
+    if abs(level[worst] - 1.0) <= limit:
+        LOGGER.warning("%s: %s; gloss or colours are wrong by as much", charts.photographs[0].path, found)
+        return
+    accepted = f"{1 - limit:g} to {1 + limit:g} (calibration.max_level_difference): chart and white reference in one "
+    accepted += "place, light and aperture, and white.reflectance_factor of that white"
     raise InputError(charts.photographs[0].path, ", ".join(charts.fields), found, accepted)
 
 

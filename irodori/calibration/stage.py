@@ -14,7 +14,7 @@ from irodori.calibration.charts import Charts
 from irodori.calibration.conditioning import check_amplification, check_brightest, check_responses
 from irodori.calibration.estimator_choice import KINDS, SelectionRow, best_of
 from irodori.calibration.filter_table import DEPARTURES, read_filter
-from irodori.calibration.gates import check_mean, check_patches, likelier_charts
+from irodori.calibration.gates import check_level, check_mean, check_patches, likelier_charts
 from irodori.calibration.jitter import LIMIT, STEP_PX
 from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.calibration.solution import Solution, solve
@@ -98,7 +98,10 @@ def calibrate_camera(
         with _refusing(charts):
             amplification = solved.numbers["noise_amplification"]
             check_amplification(amplification, settings.max_noise_amplification, solved.calibration)
-        checks = _checks(charts, training, solved, lights) | {"likelier_charts": likelier}
+        level = _level_beside_white(charts, training)
+        if level.size:
+            check_level(charts, level, settings.max_level_difference)
+        checks = _checks(charts, training, solved, lights) | {"level": level.tolist()} | {"likelier_charts": likelier}
         checks |= {"response_model": _response_model(training.best_response)}
     calibration = replace(solved.calibration, light_error=lamp_error(light_name, light_error_percent))
     _write_calibration(output, calibration, errors, solved.numbers | checks, provenance)
@@ -130,6 +133,13 @@ def _given(camera: Camera | CalibratedCamera, charts: Charts) -> Given:
             raise InputError(file, "", "a band that sees nothing", "sensitivities of red, green and blue")
         sensitivities = CameraSensitivities(values, camera.sensitivities.error_percent / 100.0)
     return Given(table, sensitivities)
+
+
+def _level_beside_white(charts: Charts, training: Training) -> np.ndarray:
+    """Return the response of a perfect diffuser in each band, (bands,); empty without a white reference."""
+    if any(photograph.light is not None for photograph in charts.photographs):
+        return np.zeros(0)
+    return training.best_response.mean.sum(axis=1) * training.scale
 
 
 def _response_model(best: BestResponse) -> dict:
@@ -294,6 +304,8 @@ def _log(solved: Solution, errors: dict, checks: dict) -> None:
             LOGGER.info("CIEDE2000 under %s: mean %.2f p95 %.2f max %.2f", light_name, s["mean"], s["p95"], s["max"])
     LOGGER.info("condition number %.4g, noise amplification %.4g", *solved.numbers.values())
     LOGGER.info("light on the chart: %s", checks["light_on_chart"])
+    if checks["level"]:
+        LOGGER.info("level beside the white reference: %s", " ".join(f"{value:.3f}" for value in checks["level"]))
     _log_response_model(checks["response_model"])
     moved = checks["jitter"]
     LOGGER.info("patches moved by %g superpixels: CIEDE2000 changes by %.3f", moved["step_px"], moved["worst"])

@@ -1581,6 +1581,10 @@ class CalibrationOptions(Definition):
     #: report.lights); a chart beyond is refused.
     max_leave_one_out_error: float = 10.0
 
+    #: Largest difference of a band's level between the chart and the white reference (ratio); a chart beyond is
+    #: refused, and a third of it is warned of.
+    max_level_difference: float = 0.1
+
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class GivenFilter(Definition):

@@ -24,6 +24,11 @@ from irodori.reflection.registry import DEFAULT_LOBES
 
 #: Texels from which paints are found, at most, and the observations that each should have, fewer than to tell lobes.
 _MOST_SEEN, _ENOUGH_FOR_PAINT = 8192, 4
+_MISFIT = (
+    "no form of gloss predicts left-out readings better than within %.0f of their stated errors: lamp, aperture or a "
+    "pose differ between photographs from what was typed, or highlights clip; colours are stated with larger errors, "
+    "and gloss is not to be believed"
+)
 _LEAST_PAINTED = 0.5  # share of the sample below which a choice of one lobe is said to rest on single texels
 
 
@@ -71,6 +76,8 @@ def choose_lobes(
         LOGGER.info("%s: left-out readings off by %.2f stated errors; behind the best by %.3f +- %.3f", *stated)
     said = *sample.response.shape, len(paints.get(chosen.coat, ())), 100.0 * share, model_text(*chosen)
     LOGGER.info("model from %d texels of %d photographs, %d paints on %.0f %% of them: %s", *said)
+    if (times := compared.misfit(*chosen)) > 1.0:
+        LOGGER.warning(_MISFIT, times)
     if favours_tails:
         LOGGER.warning("few texels have the colour of a paint; by single texels, lobes with long tails are favoured")
 

@@ -116,7 +116,8 @@ def _irradiance_of_ball(centre: np.ndarray, radius: float) -> float:
     """Return the irradiance of a surface at the origin that faces +z, of a sphere of radiance 1 (0 to π).
 
     Snyder, *Radiant energy transfer from spheres* (NASA TN D-4883, 1968), in the form of Lagarde and de Rousiers,
-    *Moving Frostbite to physically based rendering* (SIGGRAPH course, 2014). Within the sphere it is that on its surface.
+    *Moving Frostbite to physically based rendering* (SIGGRAPH course, 2014). Within the sphere it is that on its
+    surface.
     """
     distance = max(float(np.linalg.norm(centre)), radius)
     up = centre[2] / distance

@@ -8,9 +8,9 @@ from irodori.core import store
 from irodori.report.figures import selection_figure
 
 _ATTRIBUTES = (
-    "best_estimators", "charts", "clipped_patches", "condition_number", "estimator", "jitter", "light_on_chart",
-    "likelier_charts",
-    "noise_amplification", "patches_found", "response_model", "uneven_patches", "verdicts",
+    "best_estimators", "charts", "clipped_patches", "condition_number", "estimator", "jitter", "level",
+    "light_on_chart", "likelier_charts", "noise_amplification", "patches_found", "response_model",
+    "uneven_patches", "verdicts",
 )  # fmt: skip
 _WAYS = {"leave_one_out": "left out patch by patch", "leave_one_chart_out": "left out chart by chart"}
 

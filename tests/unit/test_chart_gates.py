@@ -132,7 +132,28 @@ def test_a_large_error_of_patches_left_out_is_refused_beyond_the_limit(tmp_path)
     assert "in the mean over patches left out (D65)" in error.found
     assert "calibration.max_leave_one_out_error, 10:" in error.accepted
     lenient = PINV | {"max_leave_one_out_error": 100.0, "max_noise_amplification": 1000.0}
-    assert calibrate(tmp_path, unlike, settings=lenient).estimator == "pinv"
+    assert "calibration.max_level_difference" in refusal(tmp_path, unlike, settings=lenient).accepted
+
+
+@pytest.mark.stability(stage="calibrate", case="white reference in other light than the chart")
+@pytest.mark.parametrize("level", [0.7, 1.43])
+@pytest.mark.parametrize(("bands", "named"), [(slice(0, 6), "filter"), (slice(3, 6), "filter in")])
+def test_a_chart_that_contradicts_the_white_reference_is_refused(tmp_path, level, bands, named):
+    """No patch contradicts the others then: gloss weights, or colours, would be wrong by as much, and nothing else."""
+    responses = patches() @ system().T
+    responses[:, bands] *= level
+    error = refusal(tmp_path, picture(responses))
+    assert error.field == "chart" and f"a chart {level:.2f}" in error.found and named in error.found
+    assert "the white reference say" in error.found and "calibration.max_level_difference" in error.accepted
+    calibrate(tmp_path, picture(responses), settings=PINV | {"max_level_difference": 0.5})
+
+
+@pytest.mark.parametrize(("level", "is_said"), [(1.0, False), (1.02, False), (0.95, True)])
+def test_the_level_of_the_chart_is_kept_and_a_small_difference_is_said(tmp_path, caplog, level, is_said):
+    calibrate(tmp_path, picture(level * patches() @ system().T))
+    with store.open_file(tmp_path / "c.h5") as file:
+        assert file.attribute("level") == pytest.approx([level] * 6, rel=0.01)
+    assert ("gloss or colours are wrong by as much" in caplog.text) == is_said
 
 
 def test_the_limit_of_the_error_is_the_configured_one(tmp_path):

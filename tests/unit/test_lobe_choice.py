@@ -210,6 +210,20 @@ def test_without_paints_the_choice_says_on_what_it_rests(tmp_path, caplog):
         assert file.attribute("painted", float) < 0.5
 
 
+def test_a_lamp_that_fails_between_photographs_is_told_by_what_no_form_of_gloss_predicts(tmp_path, caplog):
+    level = np.where(np.arange(len(SIXTEEN)) < 8, 1.0, 0.6).astype(np.float32)
+    for name, levels in (("steady", np.ones_like(level)), ("failing", level)):
+        seen = round_object("gaussian", (1.0, 2.5), (0.25, 0.12), 1)
+        write_tile(tmp_path / "seen.h5", replace(seen, response=seen.response * levels[:, None]), [0, SIDE])
+        caplog.clear()
+        with caplog.at_level("WARNING"):
+            choose_lobes([tmp_path / "seen.h5"], tmp_path / name, FitOptions(), N, K, provenance=PROVENANCE)
+        choice = read_choice([tmp_path / name])
+        misfit = choice.misfit(**chosen_model(["auto"], "sum", [tmp_path / name]))
+        assert ("lamp, aperture or a pose differ between photographs" in caplog.text) == (name == "failing")
+        assert (misfit > 3.0) if name == "failing" else (misfit == 1.0)
+
+
 def test_two_lobes_that_were_chosen_keep_each_texels_own_gloss(tmp_path):
     seen, options = ggx_sphere(), replace(OPTICS.options, lobes=("gaussian", "ggx"))
     write_tile(tmp_path / "seen.h5", seen, [0, SIDE])
@@ -231,6 +245,7 @@ def test_the_report_shows_a_choice_and_no_table_without_one(figures, painted):
     errors = dict.fromkeys((*numbers, "delta_e_error_median"), 1.0)
     errors |= {"compression": {}, "lobe_choice": [{**vars(one), "lobes": list(one.lobes)} for one in figures]}
     errors |= {"lobe_choice_painted": painted, "lobe_choice_favours_tails": painted == 0.25}
+    errors["lobe_choice_misfit"] = 7.2 if painted == 0.75 else 1.0
     shown = {"name": "jar", "errors": errors, "stored": "", "maps": "", "spectra": "", "bases": 3, "gloss": ""}
     shown["placement"] = "confirmed as typed: every camera angle" if figures else ""
     shown["mirror"], shown["angles"], errors["energy"] = 0.0, "0.09 deg by registration" if figures else "", {}
@@ -238,6 +253,7 @@ def test_the_report_shows_a_choice_and_no_table_without_one(figures, painted):
     assert ("of the compared texels" in page) == (bool(figures) and painted is not None)
     assert painted is None or (f"{painted:.0%} of the compared texels" in page) == bool(figures)
     assert ("long tails may be favoured" in page) == (bool(figures) and painted == 0.25)
+    assert ("are off by\n7 of their stated errors" in page) == (bool(figures) and painted == 0.75)
     assert ("Standard errors of the angles: 0.09 deg by registration." in page) == bool(figures)
     assert ("Standard errors of the angles" in page) == bool(figures)
     assert ("Registration: confirmed as typed: every camera angle." in page) == bool(figures)

@@ -19,6 +19,7 @@ from irodori.core.custody import accept
 from irodori.core.errors import InputError
 from irodori.material.energy import energy_of
 from irodori.material.fitted_tiles import FittedTiles, columns
+from irodori.material.lobe_choices import Comparison, LeftOut
 from irodori.material.material_file import Material, gloss_maps
 from irodori.material.principal_components.basis_count import CompressOptions
 from irodori.material.stage import compress_reflectance
@@ -121,6 +122,20 @@ def test_every_texel_of_every_tile_is_in_its_place(tmp_path, calibration, storag
     assert errors["observed_fraction"] == pytest.approx(29 / 30)
     assert errors["compression"]["masked_pixels"] == 20 and errors["compression"]["pixels"] == 600
     assert errors["reflectance_error_median"] == pytest.approx(float(np.median(reliability[found.observed])))
+
+
+def test_where_no_model_predicts_the_photographs_colours_are_stated_with_errors_as_much_larger(tmp_path, calibration):
+    tile = write_tile(tmp_path / "tile.h5", (0, 8), 30, 1, noise=1e-4)
+    for deviation, times in ((1.4, 1.0), (8.0, 8.0)):
+        choice = Comparison((LeftOut(("gaussian",), deviation, 0.0, 0.0),))
+        size, output = made(Object | Surface, definition(8, 30)), tmp_path / f"{times:g}.h5"
+        compress_reflectance([tmp_path / "tile.h5"], calibration, size, output, lobe_choice=choice,
+                             options=CompressOptions(), lights=["D65"], provenance=PROVENANCE)  # fmt: skip
+        variance = np.float32(times**2) * tile["diffuse_variance"]
+        expected = Posterior(Calibration.load(calibration)).of(tile["diffuse_response"], variance, stated=True).delta_e
+        with store.open_file(output) as file:
+            assert np.allclose(file.read("delta_e_error"), expected, rtol=1e-3, equal_nan=True)
+            assert file.attribute("errors")["lobe_choice_misfit"] == times
 
 
 def test_every_gloss_component_has_its_maps_its_unit_and_its_typical_values(tmp_path, calibration):
