@@ -71,7 +71,9 @@ def result(path: Path) -> Path:
         If it does not exist yet.
     """
     if not path.is_file():
-        raise InputError(path, "", "no file", f"what 'snakemake --cores 2 {path}' makes")
+        raise InputError(
+            path, "", "no file", f"what 'snakemake --cores 2 {path}' makes, with its scene under make.scenes"
+        )
     return path
 
 

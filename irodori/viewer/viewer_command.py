@@ -66,7 +66,9 @@ def write_scene(name: str, output: Path | None) -> Path:
     lights = [Path(f"results/environments/{room}.h5") for room in page_rooms(scene)]
     missing = next((file for file in [*files, *lights] if not file.is_file()), None)
     if missing is not None:
-        raise InputError(missing, "", "no file", f"what 'snakemake --cores 2 {missing}' makes")
+        raise InputError(
+            missing, "", "no file", f"what 'snakemake --cores 2 {missing}' makes, with its scene under make.scenes"
+        )
     sources = SceneSources(
         name,
         scene,

@@ -30,6 +30,14 @@ def test_an_unknown_key_names_the_one_that_was_meant(project):
     assert "config/objects/leaf-sphere.yaml" in said and "mirror_wieght" in said and "mirror_weight" in said
 
 
+@pytest.mark.parametrize(
+    "target",
+    ["results/celadon-lid/material.h5", "results/cameras/eos-40d/calibration.h5", "results/still-life/top.png"],
+)
+def test_a_result_of_nothing_that_the_configuration_makes_is_refused_without_a_traceback(project, target):
+    assert f"No rule to produce {target}" in refusal(project, target)
+
+
 @pytest.mark.heavy
 @pytest.mark.stability(stage="workflow", case="object names an unknown camera")
 def test_an_unknown_camera_lists_those_that_exist(project):

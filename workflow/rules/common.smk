@@ -27,6 +27,11 @@ ledger = Ledger("results/inputs.json")
 BENCHMARKS = ["ingest", "calibrate", "fit", "compress", "light", "environment", "render", "reference", "plan", "viewer"]
 
 
+def any_of(names):
+    """Return the regular expression of some names; of none, one that nothing matches."""
+    return "|".join(dict.fromkeys(names)) or "(?!)"
+
+
 def tests_of_stability(wildcards):
     """Return the tests, of which the hard cases are tried."""
     return sorted(map(str, Path(REPOSITORY, "tests").rglob("*.py")))
