@@ -63,7 +63,8 @@ def size_mb(path: Path) -> float:
 
 def of_spectra(read: Callable[[], np.ndarray], material: Material) -> Loss:
     """Return the loss of a material's spectra (h, w, 61) that were read back from an export."""
-    return Loss.of(delta_e_reflectance(material.spectra().astype(np.float64), read())[material.observed])
+    diffuse = material.spectrum_scale[..., None] * material.spectra().astype(np.float64)
+    return Loss.of(delta_e_reflectance(diffuse, read())[material.observed])
 
 
 def of_light(read: Callable[[], np.ndarray], light: Environment) -> Loss:
@@ -79,7 +80,9 @@ def envi_spectra(path: Path) -> np.ndarray:
     """Return the spectra in an ENVI file, (h, w, 61)."""
     from spectral.io import envi
 
-    return np.asarray(envi.open(str(path.with_suffix(".hdr")), str(path)).load(), dtype=np.float64)
+    return np.asarray(
+        envi.open(str(path.with_suffix(".hdr")), str(path)).open_memmap(interleave="bip"), dtype=np.float64
+    )
 
 
 def measured(call: str, folder: Path) -> list[dict]:

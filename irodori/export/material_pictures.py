@@ -49,9 +49,11 @@ def _attributes(units: str, names: list[str], loss: str) -> dict:
 
 
 def export_material(source, path, interleave: str = "bsq") -> Loss:
-    """Write the reflectance factor of a material, and its maps of α and of β and μ of every gloss component.
+    """Write the diffuse reflectance of a material, and its maps of α and of β and μ of every gloss component.
 
-    The description in the file states the loss by 32-bit numbers.
+    The reflectance is α S(λ) / S_G, as it is rendered: that of the diffuse term with its level in the green band fitted
+    to all photographs. It is not to be multiplied by α again. The description in the file states the loss by 32-bit
+    numbers.
 
     Parameters
     ----------
@@ -66,7 +68,8 @@ def export_material(source, path, interleave: str = "bsq") -> Loss:
     Returns
     -------
     Loss
-        Colour differences under D65 between the spectra as written and those of the material in double precision.
+        Colour differences under D65 between the spectra as written and the diffuse colours of the material in double
+        precision.
     """
     material = Material.load(source)
     own = ["alpha", *gloss_maps(material.lobes)]
@@ -74,8 +77,10 @@ def export_material(source, path, interleave: str = "bsq") -> Loss:
     to_xyz = xyz_from_reflectance("D65")
     to_rgb = rgb_from_xyz(to_xyz.sum(axis=1)) @ to_xyz
 
+    scale = material.spectrum_scale[..., None]
+
     def decoded(part: slice) -> np.ndarray:
-        return material.coefficients[part] @ material.basis.T
+        return scale[part].astype(np.float32) * (material.coefficients[part] @ material.basis.T)
 
     def maps(part: slice) -> np.ndarray:
         gloss = [values[part] for _, *pair in material.gloss for values in pair]
@@ -88,7 +93,7 @@ def export_material(source, path, interleave: str = "bsq") -> Loss:
     exact_basis = material.basis.astype(np.float64)
 
     def exact(part: slice) -> np.ndarray:
-        spectra = material.coefficients[part].astype(np.float64) @ exact_basis.T
+        spectra = scale[part] * (material.coefficients[part].astype(np.float64) @ exact_basis.T)
         return np.where(material.observed[part, :, None], spectra, np.nan)
 
     def stored(part: slice) -> np.ndarray:
@@ -96,7 +101,7 @@ def export_material(source, path, interleave: str = "bsq") -> Loss:
 
     loss = stored_loss(to_xyz, to_xyz.sum(axis=1), exact, stored, len(material.coefficients))
     stated = f"{loss.text}, spectra under D65"
-    reflectance = "reflectance factor, 1 = perfect diffuser"
+    reflectance = "diffuse reflectance factor as rendered (alpha is in it), 1 = perfect diffuser"
     units_of = {
         name: "a ratio" if units == "1" else f"in {units}" for name, (units, _) in gloss_maps(material.lobes).items()
     }
