@@ -258,8 +258,10 @@ def fit_row(name: str, mu: float, theta_r: float, mixture: tuple[np.ndarray, np.
     lacquer = _reflectance()
     reflected = np.interp(cos_h, _COSINES, lacquer)
     mean = pieces.T @ reflected / np.maximum(pieces.sum(axis=0), 1e-300)
-    mean = np.where(weight > 0.0, mean * float(share @ reflected) / float(weight @ mean), lacquer[-1])
+    mean = mean * float(share @ reflected) / float(weight @ mean)
     incidence = np.interp(mean, lacquer[::-1], _COSINES[::-1])
+    # A lobe without weight has weight in the next entry of the table: it reflects as facets towards its axis do.
+    incidence = np.where(weight > 0.0, incidence, np.cos(0.5 * (angles.ravel() + theta_r)))
     return Row(width, angles, weight.reshape(parts, TAPS), incidence.reshape(parts, TAPS), power, distance)
 
 
