@@ -1,7 +1,7 @@
 """Statements in the header of a Radiance HDR picture that OpenImageIO leaves out: exposure and primaries.
 
-The format is described in Ward, *Radiance File Formats* (1991; "Picture File Format"): lines ``VARIABLE=value`` up to an
-empty line. Lines that begin with a space are those of the pictures from which this one was made, and do not count.
+The format is described in Ward, *Radiance File Formats* (1991; "Picture File Format"): lines ``VARIABLE=value`` up to
+an empty line. Lines that begin with a space are those of the pictures from which this one was made, and do not count.
 """
 
 from pathlib import Path

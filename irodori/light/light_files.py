@@ -104,8 +104,8 @@ def rgb_picture(path, scale: float = 1.0, centre_azimuth_deg: float = 0.0) -> Om
     ----------
     path : path
         EXR, Radiance HDR or TIFF with half or float samples; linear sRGB primaries; seen from inside, zenith at the
-        top. An orientation that the file states (Radiance HDR from below, ``Orientation`` 2 to 4) is taken into account,
-        and values of a Radiance HDR are divided by its ``EXPOSURE`` and ``COLORCORR``.
+        top. It is mirrored as the file states (a Radiance HDR from below, ``Orientation`` 2 to 4), and values of a
+        Radiance HDR are divided by its ``EXPOSURE`` and ``COLORCORR``.
     scale : float
         Radiance of RGB (1, 1, 1), relative: 1 has the luminance of D65 as tabulated, 100 at 560 nm.
     centre_azimuth_deg : float, degrees

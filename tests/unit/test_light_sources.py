@@ -451,7 +451,7 @@ def test_placed_lights_in_a_file(tmp_path):
 def write_hdr(path, pixels, lines=(), size=None):
     """Write values (height, width, 3) as an uncompressed Radiance HDR, whose channels share the exponent of a pixel."""
     height, width = pixels.shape[:2]
-    mantissa, exponent = np.frexp(pixels.max(axis=-1))
+    _, exponent = np.frexp(pixels.max(axis=-1))
     bytes_of = np.concatenate([pixels / np.ldexp(1.0, exponent)[..., None] * 256.0, exponent[..., None] + 128], axis=-1)
     header = "\n".join(["#?RADIANCE", "FORMAT=32-bit_rle_rgbe", *lines, "", size or f"-Y {height} +X {width}", ""])
     path.write_bytes(header.encode() + bytes_of.astype(np.uint8).tobytes())
