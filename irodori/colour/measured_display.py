@@ -51,7 +51,8 @@ def measured_display(path) -> tuple[np.ndarray, tuple[SampledCurve, ...], np.nda
     ------
     InputError
         If the file has neither format, black or a channel's full value is missing, a channel has fewer than five levels
-        or gets darker as its code grows, or the sum of the channels differs from the measured white by more than 5 %.
+        or gets darker as its code grows, the channels do not have their colours, or their sum differs from the measured
+        white by more than 5 %.
     """
     code, xyz = _read(path)
     dark = (code == 0.0).all(axis=1)
@@ -77,7 +78,24 @@ def measured_display(path) -> tuple[np.ndarray, tuple[SampledCurve, ...], np.nda
     white = matrix.sum(axis=1)[1] + black[1]
     if abs(np.linalg.det(matrix / white)) < 1e-6:
         raise InputError(path, "X", "primaries that lie on one line", "three primaries of different colours")
+    _check_colours(matrix, path)
     return matrix / white, tuple(curves), black / white
+
+
+def _check_colours(matrix: np.ndarray, path) -> None:
+    """Refuse primaries of which red has not the largest x, green the largest y, and blue the largest z.
+
+    This is so on every display; exchanged columns of code values or of X, Y and Z make it false.
+    """
+    if not (matrix.sum(axis=0) > 0.0).all():
+        raise InputError(path, "X, Y, Z", "a channel whose light is not positive", "light that grows from black")
+    xyz = matrix / matrix.sum(axis=0)
+    for axis, name in enumerate(_CHANNELS):
+        other = int(xyz[axis].argmax())
+        if other != axis:
+            found = f"a larger {'xyz'[axis]} of {_CHANNELS[other]}, {xyz[axis, other]:.3f}, than {xyz[axis, axis]:.3f}"
+            accepted = "red with the largest x, green with the largest y, blue with the largest z (columns exchanged?)"
+            raise InputError(path, name, found, accepted)
 
 
 def _read(path) -> tuple[np.ndarray, np.ndarray]:

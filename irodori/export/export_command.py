@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from irodori.colour.display import STANDARD, standard_display
+from irodori.config.cross_checks.named_spectra import check_light
 from irodori.core.atomic_files import written_whole
 from irodori.core.errors import InputError, PlainError
 from irodori.export.diffuse_picture import (
@@ -130,8 +131,8 @@ def export_named(name: str, output: Path | None, given: argparse.Namespace) -> t
     Raises
     ------
     PlainError
-        For an unknown target, a name without definition, a result that does not exist yet, or a target that does not
-        accept this kind of source.
+        For an unknown target, a name without definition, a result that does not exist yet, a target that does not
+        accept this kind of source, or an illuminant that is no light.
     """
     if given.to not in TARGETS:
         raise PlainError(f"--to: found {given.to!r}; accepted: {', '.join(TARGETS)}.")
@@ -141,6 +142,8 @@ def export_named(name: str, output: Path | None, given: argparse.Namespace) -> t
     if source.kind not in target.takes:
         accepted = " or ".join(target.takes)
         raise PlainError(f"--to {given.to}: found the {source.kind} {source.name!r}; accepted: {accepted}.")
+    for light in given.illuminant or ():
+        check_light(light, Path(), "--illuminant")
     path = output or Path(f"exports/{source.name}{target.suffix or '-mitsuba'}")
     if target.suffix and path.suffix.lower() != target.suffix:
         raise InputError(path, "", f"the suffix {path.suffix!r}", f"{target.suffix}, of --to {given.to}")

@@ -15,6 +15,7 @@ from irodori.colour.colorimetry import xyz_from_radiance
 from irodori.core.atomic_files import written_whole
 from irodori.core.errors import InputError
 from irodori.export.loss import LOSS, stored_loss
+from irodori.export.radiance_header import radiance_header
 from irodori.jit.half_precision import half_from_single
 from irodori.material.coefficients import require_storage
 from irodori.spectra.grid import WAVELENGTH_NM
@@ -155,6 +156,10 @@ _MOST_UNFOLDED = 1 << 16
 _LONGEST_REASON = 200
 #: Number of chromaticity coordinates: x, y of red, green, blue and white.
 _PRIMARIES = 8
+#: OpenImageIO's name of the format Radiance HDR.
+_RADIANCE = "hdr"
+#: Orientations of TIFF and Exif: whether rows are stored from below, and columns from the right.
+_MIRRORED = {1: (False, False), 2: (False, True), 3: (True, True), 4: (True, False)}
 #: Largest width or height, in pixels.
 _LONGEST_SIDE = 1 << 17
 #: Rows whose spectra are converted together.
@@ -208,6 +213,7 @@ class Header(NamedTuple):
     depth: str  # type of the samples
     shown: tuple[int, int]  # (height, width) of the display window; the file may contain only a part of it
     chromaticities: tuple[float, ...] | None  # x, y of red, green, blue and white, where the file states them
+    colour_space: str | None  # name of the colour space, where the file states it; see `_colour_space`
 
 
 def picture_header(path) -> Header:
@@ -216,18 +222,47 @@ def picture_header(path) -> Header:
     Raises
     ------
     InputError
-        If OpenImageIO cannot open the file, its text is not UTF-8, it declares more data than it can contain, or its
-        chromaticities are malformed.
+        If OpenImageIO cannot open the file, its text is not UTF-8, it declares more data than it can contain, its
+        chromaticities or its exposure are malformed, or its columns are stored as rows.
     """
     source = _open(path, "an HDR or EXR picture")
-    spec = source.spec()
+    spec, is_radiance = source.spec(), source.format_name() == _RADIANCE
     source.close()
+    _mirrored(spec, path)  # refuses before reading
     shown = (spec.full_height, spec.full_width)
-    chromaticities = spec.getattribute("chromaticities")
+    chromaticities = radiance_header(path).primaries if is_radiance else spec.getattribute("chromaticities")
     if chromaticities is not None and (not isinstance(chromaticities, tuple) or len(chromaticities) != _PRIMARIES):
         found = "something else than eight numbers"
         raise InputError(path, "chromaticities", found, "x and y of red, green, blue and white")
-    return Header((spec.height, spec.width), list(spec.channelnames), str(spec.format), shown, chromaticities)
+    size, names = (spec.height, spec.width), list(spec.channelnames)
+    return Header(size, names, str(spec.format), shown, chromaticities, _colour_space(spec))
+
+
+def _colour_space(spec: oiio.ImageSpec) -> str | None:
+    """Return the name of the colour space that a file states, one of the Color Interop Forum's; None if it states none.
+
+    OpenImageIO reports the attribute ``colorInteropID`` of an EXR as ``oiio:ColorSpace``, and derives a name from the
+    line ``GAMMA`` of a Radiance HDR.
+    """
+    stated = spec.getattribute("colorInteropID") or spec.getattribute("oiio:ColorSpace")
+    return None if stated is None else str(stated)
+
+
+def _mirrored(spec: oiio.ImageSpec, path) -> tuple[bool, bool]:
+    """Return whether the rows of a picture are stored from below, and its columns from the right.
+
+    Raises
+    ------
+    InputError
+        If columns are stored as rows.
+    """
+    stated = spec.getattribute("Orientation")
+    if stated is None:
+        return False, False
+    if stated not in _MIRRORED:
+        accepted = f"rows that are stored as rows: {', '.join(map(str, _MIRRORED))}"
+        raise InputError(path, "Orientation", str(stated), accepted)
+    return _MIRRORED[stated]
 
 
 def stored_samples(path, accepted: str) -> tuple[np.ndarray, dict[str, object]]:
@@ -254,7 +289,10 @@ def stored_samples(path, accepted: str) -> tuple[np.ndarray, dict[str, object]]:
 
 
 def picture_bands(path, rows: int) -> Iterator[tuple[int, np.ndarray]]:
-    """Read a picture file in groups of rows; yield each with the index of its first row.
+    """Read a picture file in groups of rows from the top; yield each with the index of its first row.
+
+    The picture is mirrored as the file states (``Orientation``), its spectra are divided by ``irodori:scale``, and the
+    values of a Radiance HDR by its exposure.
 
     Parameters
     ----------
@@ -270,30 +308,54 @@ def picture_bands(path, rows: int) -> Iterator[tuple[int, np.ndarray]]:
     Raises
     ------
     InputError
-        If the file cannot be opened or is truncated, or its ``irodori:scale`` is not a power of two.
+        If the file cannot be opened or is truncated, its ``irodori:scale`` is not a power of two, or for an orientation
+        or exposure that `picture_header` refuses.
     """
     source = _open(path, "an HDR or EXR picture")
     try:
         spec = source.spec()
         together = spec.tile_height or rows
-        scale, spectral = _stored_scale(spec, path), list(map(bool, map(_LAYER.fullmatch, spec.channelnames)))
-        for first in range(0, spec.height, together):
-            top, bottom = spec.y + first, spec.y + min(first + together, spec.height)
-            if spec.tile_height:
-                right = spec.x + spec.width
-                band = source.read_tiles(0, 0, spec.x, right, top, bottom, 0, 1, 0, spec.nchannels, "float")
-            else:
-                band = source.read_scanlines(0, 0, top, bottom, 0, 0, spec.nchannels, "float")
-            if band is None:
-                found = f"a picture that ends within rows {first} to {bottom - spec.y - 1}"
-                raise InputError(path, "", found, f"a whole picture of {spec.height} rows")
-            band = band.reshape(bottom - top, spec.width, spec.nchannels)
-            if scale != 1.0:
-                band = band / np.where(spectral, np.float32(scale), np.float32(1.0))
+        divisor, (from_below, from_right) = _divisor(source, path), _mirrored(spec, path)
+        starts = range(0, spec.height, together)
+        for first in reversed(starts) if from_below else starts:
+            band = _stored_rows(source, first, min(first + together, spec.height), path)
+            if divisor is not None:
+                with np.errstate(over="ignore"):
+                    band = band / divisor
+            if from_below:
+                first, band = spec.height - first - len(band), band[::-1]
+            if from_right:
+                band = band[:, ::-1]
             for start in range(0, len(band), rows):
                 yield first + start, band[start : start + rows]
     finally:
         source.close()
+
+
+def _stored_rows(source: oiio.ImageInput, first: int, end: int, path) -> np.ndarray:
+    """Read the rows from ``first`` to before ``end`` as they are stored, (rows, width, channels) float32."""
+    spec = source.spec()
+    top, bottom = spec.y + first, spec.y + end
+    if spec.tile_height:
+        right = spec.x + spec.width
+        band = source.read_tiles(0, 0, spec.x, right, top, bottom, 0, 1, 0, spec.nchannels, "float")
+    else:
+        band = source.read_scanlines(0, 0, top, bottom, 0, 0, spec.nchannels, "float")
+    if band is None:
+        found = f"a picture that ends within rows {first} to {end - 1}"
+        raise InputError(path, "", found, f"a whole picture of {spec.height} rows")
+    return band.reshape(end - first, spec.width, spec.nchannels)
+
+
+def _divisor(source: oiio.ImageInput, path) -> np.ndarray | None:
+    """Return the number by which each channel was multiplied, (channels,) float32; None if all are 1."""
+    spec = source.spec()
+    if source.format_name() == _RADIANCE:
+        divisor = np.array(radiance_header(path).exposure, np.float32)
+    else:
+        spectral = list(map(bool, map(_LAYER.fullmatch, spec.channelnames)))
+        divisor = np.where(spectral, np.float32(_stored_scale(spec, path)), np.float32(1.0))
+    return None if (divisor == 1.0).all() else divisor
 
 
 def _stored_scale(spec: oiio.ImageSpec, path) -> float:

@@ -1,6 +1,6 @@
 """Environments from files of other programs: high-dynamic-range RGB pictures and spectral EXR."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
@@ -21,6 +21,8 @@ _RGB_ASSUMPTION = (
 #: Chromaticities x, y of red, green, blue and white of linear sRGB (ITU-R BT.709).
 _SRGB = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
 _CHROMATICITY_ROUNDING = 2e-3
+#: Names of its colour space, as files state it, and names that say nothing of the colours.
+_LINEAR, _UNSPECIFIC = "lin_rec709_scene", ("data", "unknown")
 #: Accepted deviation of the width from twice the height, relative to the width; rescaling can cut pixels off.
 _ODD_SHARE = 0.01
 
@@ -43,13 +45,27 @@ def _panorama_header(path) -> Header:
     return header
 
 
+def _with_light(read: Callable[[], Iterator[np.ndarray]], path) -> Callable[[], Iterator[np.ndarray]]:
+    """Return a function that reads the same bands, and raises an error after the last if none has a positive value."""
+
+    def bands() -> Iterator[np.ndarray]:
+        lit = False
+        for band in read():
+            lit = lit or bool((band > 0.0).any())
+            yield band
+        if not lit:
+            raise InputError(path, "", "no pixel with a positive value", "a panorama with light")
+
+    return bands
+
+
 def _panorama(size: tuple[int, int], basis: np.ndarray, read, path, origin: dict) -> OmnidirectionalPicture:
     """Make the picture of a file; raise an error if its size is not that of a full equirectangular panorama."""
     height, width = size
     if abs(width - 2 * height) > _ODD_SHARE * width:
         accepted = "an equirectangular panorama of all directions, twice as wide as high"
         raise InputError(path, "", f"{width} x {height} pixels", accepted)
-    return OmnidirectionalPicture(size, basis, read, path, origin)
+    return OmnidirectionalPicture(size, basis, _with_light(read, path), path, origin)
 
 
 def _finite(band: np.ndarray, first: int, path) -> np.ndarray:
@@ -88,7 +104,8 @@ def rgb_picture(path, scale: float = 1.0, centre_azimuth_deg: float = 0.0) -> Om
     ----------
     path : path
         EXR, Radiance HDR or TIFF with half or float samples; linear sRGB primaries; seen from inside, zenith at the
-        top.
+        top. It is mirrored as the file states (a Radiance HDR from below, ``Orientation`` 2 to 4), and values of a
+        Radiance HDR are divided by its ``EXPOSURE`` and ``COLORCORR``.
     scale : float
         Radiance of RGB (1, 1, 1), relative: 1 has the luminance of D65 as tabulated, 100 at 560 nm.
     centre_azimuth_deg : float, degrees
@@ -97,9 +114,9 @@ def rgb_picture(path, scale: float = 1.0, centre_azimuth_deg: float = 0.0) -> Om
     Raises
     ------
     InputError
-        If the file cannot be read, lacks R, G or B, states other primaries, contains only a part of the picture, is not
-        twice as wide as high, or has integer samples. While the bands are read: if the file is truncated or a pixel is
-        not finite.
+        If the file cannot be read, lacks R, G or B, states other primaries or another colour space, contains only a
+        part of the picture, is not twice as wide as high, has columns stored as rows, or has integer samples. While the
+        bands are read: if the file is truncated, a pixel is not finite, or none is positive.
 
     Notes
     -----
@@ -118,6 +135,9 @@ def rgb_picture(path, scale: float = 1.0, centre_azimuth_deg: float = 0.0) -> Om
     if stated is not None and np.abs(np.array(stated) - _SRGB).max() > _CHROMATICITY_ROUNDING:
         found = ", ".join(f"{value:g}" for value in stated)
         raise InputError(path, "chromaticities", found, f"those of linear sRGB: {', '.join(map(str, _SRGB))}")
+    if header.colour_space not in (None, _LINEAR, *_UNSPECIFIC):
+        accepted = f"{_LINEAR}, linear light of the primaries of sRGB, or no statement"
+        raise InputError(path, "colour space", str(header.colour_space), accepted)
     origin = {"kind": "rgb", "assumption": _RGB_ASSUMPTION}
     not_negative, channels = _NotNegative(origin), [names.index(name) for name in "RGB"]
 
@@ -145,8 +165,8 @@ def spectral_picture(path, scale: float = 1.0, centre_azimuth_deg: float = 0.0) 
     ------
     InputError
         If the file cannot be read, has no emissive layers (as a picture of reflectances), contains only a part of the
-        picture, is not twice as wide as high, or does not cover the wavelengths. While the bands are read: if the file
-        is truncated or a value is not finite.
+        picture, is not twice as wide as high, has columns stored as rows, or does not cover the wavelengths. While the
+        bands are read: if the file is truncated, a value is not finite, or none is positive.
     """
     header = _panorama_header(path)
     wavelength_nm, channels = layers_of(header.channels, "S0", path)

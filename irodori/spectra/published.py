@@ -131,8 +131,11 @@ def light(name: str) -> np.ndarray:
     Raises
     ------
     InputError
-        If the spectrum is zero everywhere, or negative by more than a hundredth of its peak.
+        If the spectrum is zero everywhere, or negative by more than a hundredth of its peak, or that of a surface; if
+        the file states another quantity than power.
     """
+    if _TCS_NAME.fullmatch(name):
+        raise InputError("light", name, "the reflectance of a test colour", "the name of a light, such as D65")
     if not is_file(name):
         return spectrum(name)
     table = _one_spectrum(name)

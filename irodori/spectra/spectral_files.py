@@ -9,6 +9,7 @@
 """
 
 import re
+from collections import Counter
 from pathlib import Path
 from typing import NamedTuple
 from xml.etree import ElementTree
@@ -34,6 +35,11 @@ REFLECTANCE = (-0.01, 1.2)
 TRANSMITTANCE = (-0.01, 1.02)
 #: Noise of a spectroradiometer under 0, as a fraction of the largest power.
 _POWER_NOISE = 0.01
+#: Quantities as IES TM-27-14 names them, of surfaces and of lights, and adjectives that may stand before them.
+_TRANSMITTANCES = frozenset({"transmittance", "t-factor"})
+_FACTORS = _TRANSMITTANCES | {"reflectance", "r-factor"}
+_POWERS = frozenset({"flux", "power", "intensity", "irradiance", "radiance", "exitance", "relative"})
+_ADJECTIVES = frozenset({"relative", "spectral", "radiant"})
 _NAMED = 8  # spectra of a table that a message names
 
 _WAVELENGTH = re.compile(r"(wave[ _-]?length|lambda|λ|wl|nm)\b.*|wavelength_.*", re.IGNORECASE)
@@ -58,12 +64,15 @@ class SpectralTable(NamedTuple):
         Values of each spectrum.
     is_power : bool
         Whether the format is one for spectral power: SPD text, Argyll's .sp, TM-27 of a source.
+    quantity : str
+        Name of the quantity, if the file states it, as TM-27 does; else empty.
     """
 
     names: list[str]
     wavelength_nm: list[float]
     values: list[list[float]]
     is_power: bool = False
+    quantity: str = ""
 
 
 def spectral_table(path) -> SpectralTable:
@@ -72,9 +81,9 @@ def spectral_table(path) -> SpectralTable:
     Raises
     ------
     InputError
-        For an unknown suffix, content in no format of its suffix, a missing or non-finite value, or wavelengths that do
-        not increase or do not cover 400..700 nm. The message names file, line or field, what was found and what is
-        accepted.
+        For an unknown suffix, content in no format of its suffix, a missing or non-finite value, two spectra of one
+        name, or wavelengths that do not increase or do not cover 400..700 nm. The message names file, line or field,
+        what was found and what is accepted.
     """
     suffix = Path(path).suffix.lower()
     if suffix not in SUFFIXES:
@@ -88,16 +97,23 @@ def spectral_table(path) -> SpectralTable:
     else:
         table = _csv_table(path, suffix)
     check_wavelengths(table.wavelength_nm, path)
+    names = [name.strip() for name in table.names]
+    twice = next((name for name, count in Counter(names).items() if count > 1), None)
+    if twice is not None:
+        raise InputError(path, "", f"two spectra of the name {twice!r}", "each name once")
     return table
 
 
 def check_reflectance(table: SpectralTable, path) -> None:
     """Raise an error for values outside the range of reflectance factors, -0.01 to 1.2, such as percentages.
 
+    A quantity that the file states must be a reflectance or a transmittance.
+
     Raises
     ------
     InputError
     """
+    _check_quantity(table, _FACTORS, "reflectance", path)
     low, high = REFLECTANCE
     accepted = f"reflectance factors from {low:g} to {high:g}, where 1 is a perfect diffuser, not percent"
     _check_range(table, REFLECTANCE, accepted, path)
@@ -106,12 +122,24 @@ def check_reflectance(table: SpectralTable, path) -> None:
 def check_transmittance(table: SpectralTable, path) -> None:
     """Raise an error for values outside the range of transmittances with measurement noise, -0.01 to 1.02.
 
+    A quantity that the file states must be a transmittance.
+
     Raises
     ------
     InputError
     """
+    _check_quantity(table, _TRANSMITTANCES, "transmittance", path)
     low, high = TRANSMITTANCE
     _check_range(table, TRANSMITTANCE, f"transmittances from {low:g} to {high:g}, not percent", path)
+
+
+def _check_quantity(table: SpectralTable, names: frozenset[str], accepted: str, path) -> None:
+    """Raise an error if a file states a quantity of another name, such as "spectral irradiance" or "R-Factor"."""
+    words = table.quantity.lower().replace("_", " ").split()
+    while len(words) > 1 and words[0] in _ADJECTIVES:
+        del words[0]
+    if words and " ".join(words) not in names:
+        raise InputError(path, "SpectralQuantity", table.quantity, accepted)
 
 
 def _check_range(table: SpectralTable, limits: tuple[float, float], accepted: str, path) -> None:
@@ -138,7 +166,8 @@ def filter_row(table: SpectralTable, name: str | None, path) -> list[float]:
     if name is not None and name not in table.names:
         raise InputError(path, name, "no spectrum of this name", f"one of: {', '.join(table.names[:_NAMED])}")
     row = table.values[table.names.index(name) if name else 0]
-    check_transmittance(SpectralTable([name or table.names[0]], table.wavelength_nm, [row]), path)
+    one = table._replace(names=[name or table.names[0]], values=[row])
+    check_transmittance(one, path)
     if max(row) <= 0.0:
         raise InputError(path, name or "", "no transmittance at any wavelength", "a filter that passes light")
     return row
@@ -147,10 +176,14 @@ def filter_row(table: SpectralTable, name: str | None, path) -> list[float]:
 def check_power(table: SpectralTable, path) -> None:
     """Raise an error for a light without power, or negative by more than a spectroradiometer's noise, 1 % of the peak.
 
+    A quantity that the file states must be one of power, not of photons.
+
     Raises
     ------
     InputError
     """
+    accepted = "the power of a light: flux, irradiance, radiance, intensity, exitance or relative"
+    _check_quantity(table, _POWERS, accepted, path)
     for name, row in zip(table.names, table.values, strict=True):
         peak = max(row)
         if peak <= 0.0:
@@ -235,5 +268,6 @@ def _tm27_table(path) -> SpectralTable:
     wavelength = [number(e.get("wavelength", ""), path, f"SpectralData {i}") for i, e in enumerate(data, start=1)]
     values = [number(e.text or "", path, f"SpectralData, {at:g} nm") for e, at in zip(data, wavelength, strict=True)]
     quantity = next((e.text for e in root.iter() if e.tag.split("}")[-1] == "SpectralQuantity"), None)
-    is_power = (quantity or "").strip().lower() not in ("reflectance", "transmittance", "absorptance")
-    return SpectralTable([Path(path).stem], wavelength, [values], is_power)
+    quantity = " ".join((quantity or "").split())
+    is_power = quantity.lower() not in (*_FACTORS, "absorptance")
+    return SpectralTable([Path(path).stem], wavelength, [values], is_power, quantity)

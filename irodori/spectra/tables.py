@@ -171,6 +171,7 @@ def number(text: str, path, field: str) -> float:
         value = float(text)
     except ValueError:
         value = math.nan
-    if not math.isfinite(value):
+    # float() also takes 1_000, which no spreadsheet writes.
+    if not math.isfinite(value) or "_" in text:
         raise InputError(path, field, repr(text) if text.strip() else "nothing", "a finite number")
     return value

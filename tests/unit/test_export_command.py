@@ -11,6 +11,7 @@ import tifffile
 from exported import painted
 from PIL import Image
 from scenes import smooth_sky
+from tm27_files import tm27
 
 from benchmarks.written_pictures import loss_stated_in
 from irodori.colour.colorimetry import xyz_from_radiance
@@ -181,6 +182,8 @@ def test_a_loss_that_cannot_be_measured_is_told_with_its_reason(project, capsys,
         (["tile-plate", "--to", "tiff", "config/config.yaml/a.tif"], "config/config.yaml: cannot be written: "),
         (["tile-plate", "--to", "gltf", "a.obj"], "a.obj: found the suffix '.obj'; accepted: .glb, of --to gltf."),
         (["tile-plate", "--to", "gltf", "--illuminant", "D6"], "found 'D6'; accepted:"),
+        (["tile-plate", "--to", "tiff", "--illuminant", "TCS3"], "--illuminant: found 'TCS3'; accepted: "),
+        (["tile-plate", "--to", "gltf", "--illuminant", "A", "no.csv"], "--illuminant: found no such file: no.csv;"),
         (["tile-plate", "--to", "tiff", "--illuminant", "A", "D65"], "--illuminant: found 2 lights; accepted: one"),
         (["tile-plate", "--to", "spectral-exr", "--interleave", "bil"], "with the suffix .img"),
         (["tile-plate"], "tile-plate: found neither --to nor a file to write; accepted: one of them."),
@@ -193,6 +196,16 @@ def test_what_cannot_be_exported_is_refused_in_one_sentence(project, capsys, wor
     assert said in err and err.count("\n") == 1 and not out
     exports = root / "exports"
     assert not exports.exists() or not [file for file in exports.iterdir() if file.suffix in (".glb", ".tif", ".exr")]
+
+
+@pytest.mark.parametrize("to", ["tiff", "gltf"])
+def test_a_reflectance_is_refused_as_illuminant(project, capsys, to):
+    root, _ = project
+    (root / "refl.spdx").write_text(tm27("reflectance"))
+    assert main(["tile-plate", "--to", to, "--illuminant", "refl.spdx"]) == 2
+    err = capsys.readouterr().err
+    assert err.startswith("refl.spdx: SpectralQuantity: found reflectance; accepted: the power of a light")
+    assert err.count("\n") == 1 and not (root / "exports").exists()
 
 
 def test_a_folder_that_is_a_file_is_refused_before_anything_is_written(project, capsys):

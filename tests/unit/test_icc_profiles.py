@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from made import made
 from PIL import Image, ImageCms
 
-from irodori.colour.display import gamut, make_display, srgb, standard_display
+from irodori.colour.display import STANDARD, gamut, make_display, srgb, standard_display
 from irodori.colour.icc import D50_XYZ, Profile, bradford, read_profile, write_profile
 from irodori.colour.tone_curves import SRGB, ParametricCurve, SampledCurve
 from irodori.config.cross_checks.display_files import check_display
@@ -229,6 +229,32 @@ def test_a_faulty_measurement_is_refused_by_name(tmp_path, change, said):
     path.write_text(change(path.read_text()))
     with pytest.raises(InputError, match=rf"m\.csv.*{said}"):
         make_display(made(DisplayDevice, {"kind": "measured", "file": str(path)}))
+
+
+@pytest.mark.parametrize(("columns", "said"), [
+    ("red,green,blue,Y,X,Z", r"red: found a larger x of green"),
+    ("red,green,blue,X,Z,Y", r"green: found a larger y of blue"),
+    ("red,green,blue,Z,Y,X", r"red: found a larger x of blue"),
+    ("blue,green,red,X,Y,Z", r"red: found a larger x of blue"),
+    ("green,red,blue,X,Y,Z", r"red: found a larger x of green"),
+    ("red,blue,green,X,Y,Z", r"green: found a larger y of blue"),
+])  # fmt: skip
+def test_a_display_measured_with_exchanged_columns_is_refused(tmp_path, columns, said):
+    path = patches(tmp_path / "m.csv", np.array([[41.0, 35.8, 18.0], [21.3, 71.5, 7.2], [1.9, 11.9, 95.0]]))
+    header, *rows = path.read_text().splitlines()
+    places = [header.split(",").index(name) for name in columns.split(",")]
+    exchanged = [",".join(row.split(",")[place] for place in places) for row in rows]
+    path.write_text("\n".join([header, *exchanged]))
+    with pytest.raises(InputError, match=rf"m\.csv: {said}.*columns exchanged"):
+        make_display(made(DisplayDevice, {"kind": "measured", "file": str(path)}))
+
+
+@pytest.mark.parametrize("name", STANDARD)
+def test_a_measured_display_of_any_standard_is_accepted(tmp_path, name):
+    matrix = 100.0 * standard_display(name).xyz_from_rgb
+    path = patches(tmp_path / "m.csv", matrix, black=np.zeros(3))
+    found = make_display(made(DisplayDevice, {"kind": "measured", "file": str(path)}))
+    assert found.xyz_from_rgb == pytest.approx(matrix / matrix[1].sum(), abs=1e-6)
 
 
 def test_what_a_display_cannot_show_is_counted_on_each_side():

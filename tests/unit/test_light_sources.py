@@ -16,7 +16,7 @@ from irodori.colour.colorimetry import colour_matching_weights, delta_e, lab_fro
 from irodori.config.models import IrradianceMap, LightsSource, PlacedLight, RgbSource, Size, SpectralSource
 from irodori.core import store
 from irodori.core.errors import InputError
-from irodori.export.pictures import write_spectral_exr
+from irodori.export.pictures import layer_names, write_spectral_exr
 from irodori.light.environment_file import Environment, directions
 from irodori.light.irradiance import Integrator
 from irodori.light.light_files import mallett_basis, rgb_picture, spectral_picture
@@ -443,3 +443,109 @@ def test_placed_lights_in_a_file(tmp_path):
     found = Environment.load(tmp_path / "e.h5")
     radiance = found.basis @ (found.coefficients * directions(64, 32)[1][..., None]).sum(axis=(0, 1))
     assert np.allclose(radiance / np.pi, unit_luminance("FL11"), rtol=1e-4)
+
+
+# --- what a file states of itself ----------------------------------------------------------------------------------
+
+
+def write_hdr(path, pixels, lines=(), size=None):
+    """Write values (height, width, 3) as an uncompressed Radiance HDR, whose channels share the exponent of a pixel."""
+    height, width = pixels.shape[:2]
+    _, exponent = np.frexp(pixels.max(axis=-1))
+    bytes_of = np.concatenate([pixels / np.ldexp(1.0, exponent)[..., None] * 256.0, exponent[..., None] + 128], axis=-1)
+    header = "\n".join(["#?RADIANCE", "FORMAT=32-bit_rle_rgbe", *lines, "", size or f"-Y {height} +X {width}", ""])
+    path.write_bytes(header.encode() + bytes_of.astype(np.uint8).tobytes())
+    return path
+
+
+def powers_of_two(height, width):
+    return np.ldexp(1.0, np.random.default_rng(8).integers(-6, 6, (height, width, 3)))
+
+
+@pytest.mark.parametrize(("axes", "turned"), [
+    ("-Y +X", np.s_[:, :]), ("+Y +X", np.s_[::-1, :]), ("-Y -X", np.s_[:, ::-1]), ("+Y -X", np.s_[::-1, ::-1])
+])  # fmt: skip
+def test_a_radiance_picture_stored_from_below_or_from_the_right_is_turned(tmp_path, axes, turned):
+    seen = np.broadcast_to(powers_of_two(75, 150).max(axis=-1, keepdims=True), (75, 150, 3))
+    size = "{} 75 {} 150".format(*axes.split())
+    picture = rgb_picture(write_hdr(tmp_path / "a.hdr", seen[turned], size=size))
+    # The format stores 8 bits of each number, and OpenImageIO returns the middle of the step.
+    assert picture.weights == pytest.approx(from_panorama(seen), rel=0.01)
+    assert max(len(band) for band in picture) <= BAND_ROWS
+
+
+@pytest.mark.parametrize("tiled", [0, 16])
+@pytest.mark.parametrize("reader", [rgb_picture, spectral_picture])
+def test_an_exr_is_turned_as_its_orientation_states(tmp_path, reader, tiled):
+    names = ["R", "G", "B"] if reader is rgb_picture else layer_names("S0")
+    seen = np.random.default_rng(7).uniform(0, 1, (40, 80, len(names))).astype(np.float32)
+    spec = oiio.ImageSpec(80, 40, len(names), "float")
+    spec.channelnames, spec.tile_width, spec.tile_height = names, tiled, tiled
+    spec.attribute("Orientation", 3)
+    output = oiio.ImageOutput.create(str(tmp_path / "a.exr"))
+    assert output.open(str(tmp_path / "a.exr"), spec)
+    assert output.write_image(np.ascontiguousarray(seen[::-1, ::-1])) and output.close()
+    assert np.array_equal(reader(tmp_path / "a.exr").weights, from_panorama(seen))
+
+
+def test_columns_stored_as_rows_are_refused(tmp_path):
+    path = write_hdr(tmp_path / "a.hdr", np.ones((8, 16, 3)), size="+X 16 +Y 8")
+    with pytest.raises(InputError, match=r"a\.hdr: Orientation: found 6; accepted: rows .*1, 2, 3, 4\."):
+        rgb_picture(path)
+
+
+def test_the_exposure_of_a_radiance_picture_is_taken_out(tmp_path):
+    pixels = powers_of_two(8, 16)
+    plain = rgb_picture(write_hdr(tmp_path / "a.hdr", pixels)).weights
+    lines = ["EXPOSURE=4.0", "pfilt -1", "EXPOSURE= 0.5", "\tEXPOSURE=1000", "COLORCORR= 1 2 0.25"]
+    exposed = rgb_picture(write_hdr(tmp_path / "b.hdr", pixels, lines)).weights
+    assert exposed == pytest.approx(plain / [2.0, 4.0, 0.5])
+
+
+@pytest.mark.parametrize(("line", "said"), [
+    ("EXPOSURE=", "EXPOSURE: found 0 numbers; accepted: one number"),
+    ("EXPOSURE=bright", "EXPOSURE: found 'bright'; accepted: a finite number"),
+    ("EXPOSURE=-1", "EXPOSURE: found -1; accepted: a positive factor"),
+    ("EXPOSURE=1e-300", "EXPOSURE: found 1e-300; accepted: a positive factor"),
+    ("COLORCORR=1 2", "COLORCORR: found 2 numbers; accepted: 3 numbers"),
+    ("PRIMARIES=0.64 0.33", "PRIMARIES: found 2 numbers; accepted: 8 numbers"),
+    ("PRIMARIES= 0.7 0.3 0.17 0.79 0.13 0.05 0.3127 0.329", "chromaticities: found 0.7, 0.3, 0.17"),
+    ("PRIMARIES= 0.64 0.33 0.29 0.6 0.15 0.06 0.333 0.333", "linear sRGB: 0.64, 0.33"),
+    ("GAMMA=2.2", "colour space: found g[0-9]+_rec709_scene; accepted: lin_rec709_scene"),
+])  # fmt: skip
+def test_what_a_radiance_header_states_and_is_not_linear_srgb_is_refused(tmp_path, line, said):
+    with pytest.raises(InputError, match=said):
+        _ = rgb_picture(write_hdr(tmp_path / "a.hdr", np.ones((8, 16, 3)), [line])).weights
+
+
+def test_a_radiance_header_that_states_srgb_is_accepted(tmp_path):
+    lines = ["PRIMARIES= 0.7 0.3 0.17 0.79 0.13 0.05 0.3127 0.329", "PRIMARIES=.64 .33 .3 .6 .15 .06 .3127 .329"]
+    assert rgb_picture(write_hdr(tmp_path / "a.hdr", np.ones((8, 16, 3)), lines)).size == (8, 16)
+
+
+@pytest.mark.parametrize(("space", "accepted"), [
+    ("lin_rec709_scene", True), ("data", True), ("unknown", True), ("lin_ap1_scene", False),
+    ("srgb_rec709_scene", False), ("lin_rec2020_scene", False),
+])  # fmt: skip
+def test_an_exr_of_another_colour_space_is_refused(tmp_path, space, accepted):
+    spec = oiio.ImageSpec(16, 8, 3, "half")
+    spec.attribute("colorInteropID", space)
+    output = oiio.ImageOutput.create(str(tmp_path / "a.exr"))
+    assert output.open(str(tmp_path / "a.exr"), spec) and output.write_image(np.ones((8, 16, 3), np.float32))
+    output.close()
+    if accepted:
+        assert rgb_picture(tmp_path / "a.exr").weights.max() == 1.0
+    else:
+        with pytest.raises(InputError, match=rf"colour space: found {space}; accepted: lin_rec709_scene"):
+            rgb_picture(tmp_path / "a.exr")
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0])
+def test_a_picture_without_a_positive_value_is_refused(tmp_path, value):
+    for reader, names in ((rgb_picture, ("R", "G", "B")), (spectral_picture, layer_names("S0"))):
+        path = write_exr(tmp_path / "a.exr", np.full((40, 80, len(names)), value), names)
+        with pytest.raises(InputError, match=r"a\.exr: found no pixel with a positive value"):
+            _ = reader(path).weights
+        pixels = np.full((40, 80, len(names)), value)
+        pixels[3, 4] = 1.0
+        assert reader(write_exr(tmp_path / "b.exr", pixels, names)).weights.max() == 1.0

@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tm27_files import tm27
 
 from irodori.core.errors import InputError
 from irodori.spectra.grid import WAVELENGTH_NM
 from irodori.spectra.published import chart_spectra, light, read_spectra, spectrum
-from irodori.spectra.spectral_files import SUFFIXES, spectral_table
+from irodori.spectra.spectral_files import SUFFIXES, filter_row, spectral_table
 
 GRID = [float(w) for w in range(380, 731, 10)]
 VALUES = st.lists(st.floats(0.0, 1.0), min_size=len(GRID), max_size=len(GRID))
@@ -209,6 +210,13 @@ def test_an_unknown_suffix_is_refused_with_the_accepted_ones(tmp_path, suffix):
         ("a.ti3", ti3([HALF]).replace("SETS 1", "SETS 2"), "BEGIN_DATA", "1 samples where", "as many"),
         ("a.ti3", ti3([HALF]).replace("9.5 50.0", "9.5"), "line 15", "38 values", "39 values"),
         ("a.ti3", ti3([HALF]).replace("9.5 50.0", "9.5 -"), "line 15, 380 nm", "'-'", "finite"),
+        ("a.csv", wide([HALF]).replace("A1,0.5", "A1,1_0.5"), "line 2, 380 nm", "'1_0.5'", "finite"),
+        ("a.csv", columns([HALF]).replace("400.0,", "4_00.0,"), "line 4, wavelength_nm", "'4_00.0'", "finite"),
+        ("a.spd", spd(HALF).replace("500.0\t0.5", "500.0\t0_5"), "line 16, 500 nm", "'0_5'", "finite"),
+        ("a.ti3", ti3([HALF]).replace("100.000000", "1_00"), "line 5, SPECTRAL_NORM", "'1_00'", "finite"),
+        ("a.csv", columns([HALF, HALF]).replace("A2", "A1"), "", "two spectra of the name 'A1'", "once"),
+        ("a.csv", wide([HALF, HALF]).replace("A2", " A1 "), "", "two spectra of the name 'A1'", "once"),
+        ("a.ti3", ti3([HALF, HALF]).replace("A2", "A1"), "", "two spectra of the name 'A1'", "once"),
         ("a.spdx", "<a>", "", "broken XML", "TM-27"),
         ("a.spdx", "<a/>", "", "'a'", "TM-27"),
     ],
@@ -219,6 +227,32 @@ def test_a_fault_is_refused_with_its_place(tmp_path, name, text, field, found, a
     assert error.field == field
     assert found in error.found
     assert accepted in error.accepted
+
+
+@pytest.mark.parametrize(("quantity", "is_light", "is_reflectance"), [
+    ("flux", True, False), ("irradiance", True, False), ("Spectral Radiance", True, False), ("relative", True, False),
+    ("intensity", True, False), ("exitance", True, False), ("", True, True), ("reflectance", False, True),
+    ("R-Factor", False, True), ("transmittance", False, True), ("spectral transmittance", False, True),
+    ("absorptance", False, False), ("photonflux", False, False), ("photon irradiance", False, False),
+    ("luminous flux", False, False), ("other", False, False),
+])  # fmt: skip
+def test_a_file_that_states_its_quantity_is_used_for_no_other(tmp_path, quantity, is_light, is_reflectance):
+    path = str(write(tmp_path, "a.spdx", tm27(quantity)))
+    for reader, accepted, said in ((light, is_light, "power of a light"), (chart_spectra, is_reflectance, "reflect")):
+        if accepted:
+            reader(path)
+        else:
+            error = refusal(reader, path)
+            assert error.field == "SpectralQuantity" and error.found == quantity and said in error.accepted
+    table = spectral_table(path)
+    if "transmittance" in quantity or not quantity:
+        assert filter_row(table, None, path) == table.values[0]
+    else:
+        assert refusal(filter_row, table, None, path).accepted == "transmittance"
+
+
+def test_a_test_colour_is_no_light():
+    assert "TCS3" in str(refusal(light, "TCS3")) and spectrum("TCS3").shape == (61,)
 
 
 @pytest.mark.parametrize("value", [-0.02, 1.21, 50.0])

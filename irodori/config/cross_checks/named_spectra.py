@@ -71,6 +71,24 @@ def check_spectra(value, path: tuple, root: Path, file) -> None:
         _check_one(kind, value, root, file, dotted(path))
 
 
+def check_light(name: str, root: Path, file, field: str = "") -> None:
+    """Refuse a light that is neither a published illuminant nor a file of one spectrum of power.
+
+    Parameters
+    ----------
+    name : str
+        Name of the light, or the path of a file.
+    root : path
+        Folder at which relative paths start.
+    file, field : origin of the name, for the error message
+
+    Raises
+    ------
+    InputError
+    """
+    _check_one("light", name, root, file, field)
+
+
 def check_index(index: RefractiveIndex, root: Path, file, field: str) -> None:
     """Refuse a table of refractive indices that does not exist or is not valid."""
     if isinstance(index, IndexTable):
