@@ -157,11 +157,11 @@ class Environment:
 
 
 def row_solid_angles(width: int, height: int) -> np.ndarray:
-    """Return the solid angle, sr, for which a pixel of each row of an equirectangular picture counts, (height,).
+    """Return the solid angle, sr, for which a pixel of each row of an interpolated picture counts, (height,).
 
-    Pictures are interpolated between the centres of their pixels (`irodori.light.equirectangular`), so a pixel counts
-    with the integral of its share in them. It is the area of the pixel, but for rows at the poles, where it is a
-    twelfth more: beyond the last centre there is no other row to share with. The integrals sum to 4π.
+    Pictures are interpolated between the centres of their pixels (`irodori.light.equirectangular`), so the light of a
+    pixel is its value times the integral of its share. That is the area of the pixel, but for rows at the poles, where
+    it is a twelfth more: beyond the last centre there is no other row to share with. The integrals sum to 4π.
     """
     step = np.pi / height
     shares = 4.0 * np.sin(np.pi * (np.arange(height) + 0.5) / height) * np.sin(0.5 * step) ** 2 / step
@@ -173,8 +173,9 @@ def row_solid_angles(width: int, height: int) -> np.ndarray:
 def directions(width: int, height: int, rows: slice = slice(None)) -> tuple[np.ndarray, np.ndarray]:
     """Return unit vectors, (height, width, 3), and solid angles in sr, (height, width), of the pixels of some rows.
 
-    The solid angles are those of `row_solid_angles`.
+    Solid angles are exact: the difference of the cosines of a row's edges times the width of a pixel in azimuth.
     """
+    edges = np.cos(np.pi * np.arange(height + 1) / height)
     theta = np.pi * ((np.arange(height) + 0.5) / height)[rows]
     azimuth = 2 * np.pi * (np.arange(width) + 0.5) / width
     unit = np.stack(
@@ -185,4 +186,5 @@ def directions(width: int, height: int, rows: slice = slice(None)) -> tuple[np.n
         ],
         axis=-1,
     )
-    return unit, np.repeat(row_solid_angles(width, height)[rows, None], width, axis=1)
+    of_row = (edges[:-1] - edges[1:])[rows] * (2 * np.pi / width)
+    return unit, np.repeat(of_row[:, None], width, axis=1)

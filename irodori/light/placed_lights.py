@@ -101,8 +101,8 @@ def raster(definition: "PlacedLight", size: tuple[int, int]) -> Callable[[slice]
         part = shape(rows)
         if not part.any():
             continue
-        unit, solid_angle = directions(width, height, rows)
-        part = part * solid_angle
+        unit, _ = directions(width, height, rows)
+        part = part * of_row[rows, None]
         power, facing = power + part.sum(), facing + (part * np.maximum(unit @ towards, 0.0)).sum()
     if definition.irradiance is not None:
         # Σ L cosψ dΩ on a surface that faces the light is π times the radiance of a perfect diffuser.

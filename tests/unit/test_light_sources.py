@@ -17,7 +17,7 @@ from irodori.config.models import IrradianceMap, LightsSource, PlacedLight, RgbS
 from irodori.core import store
 from irodori.core.errors import InputError
 from irodori.export.pictures import layer_names, write_spectral_exr
-from irodori.light.environment_file import Environment, directions
+from irodori.light.environment_file import Environment, directions, row_solid_angles
 from irodori.light.irradiance import Integrator
 from irodori.light.light_files import mallett_basis, rgb_picture, spectral_picture
 from irodori.light.omnidirectional import BAND_ROWS, OmnidirectionalPicture, bands, from_panorama, to_panorama
@@ -352,7 +352,7 @@ def test_a_light_of_a_million_to_one_keeps_its_shadows_in_the_file(tmp_path, sto
 def test_placed_lights_keep_their_energy(diameter, where):
     one = {"spectrum": "A", "azimuth_deg": where[0], "elevation_deg": where[1], "diameter_deg": diameter}
     width, height = 120, 60
-    unit, solid_angle = directions(width, height)
+    unit, solid_angle = directions(width, height)[0], row_solid_angles(width, height)[:, None]
     facing = lights_picture(made(Sequence[PlacedLight], [{**one, "irradiance": 2.0}]), width, height)
     found = Integrator(facing.weights)(direction_of(*where)[None])[0, 0]
     assert found / np.pi == pytest.approx(2.0, rel=0.002)  # a diffuser of radiance 2
@@ -381,7 +381,7 @@ def test_a_disc_is_every_pixels_share_of_it(size, diameter, where):
     share = ((cosine > np.cos(np.radians(diameter / 2))) * weight).sum(axis=(2, 3)) / weight.sum(axis=(2, 3))
     light = {"spectrum": "A", "azimuth_deg": where[0], "elevation_deg": where[1], "diameter_deg": diameter}
     found = lights_picture(made(Sequence[PlacedLight], [{**light, "radiance": 3.0}]), width, height).weights[..., 0]
-    solid_angle = directions(width, height)[1]
+    solid_angle = row_solid_angles(width, height)[:, None]
     disc = 4.0 * np.pi * np.sin(np.radians(diameter / 4)) ** 2
     assert found == pytest.approx(share * 3.0 * disc / (share * solid_angle).sum(), rel=1e-5, abs=1e-6)
 
@@ -391,7 +391,8 @@ def test_a_disc_is_every_pixels_share_of_it(size, diameter, where):
 def test_a_point_has_its_direction_and_the_irradiance_of_a_surface_at_any_angle(azimuth, elevation, size):
     light = {"spectrum": "A", "azimuth_deg": azimuth, "elevation_deg": elevation, "diameter_deg": 0.0}
     picture = lights_picture(made(Sequence[PlacedLight], [{**light, "irradiance": 2.0}]), *size)
-    (unit, solid_angle), weights = directions(*size), picture.weights[..., 0].astype(np.float64)
+    unit, solid_angle = directions(*size)[0], row_solid_angles(*size)[:, None]
+    weights = picture.weights[..., 0].astype(np.float64)
     assert 1 <= np.count_nonzero(weights) <= 4
     towards, moment = direction_of(azimuth, elevation), ((weights * solid_angle)[..., None] * unit).sum(axis=(0, 1))
     step = np.pi / size[1]
@@ -405,7 +406,7 @@ def test_a_disc_smaller_than_a_pixel_is_a_point_and_a_larger_one_is_spread():
         found = lights_picture(one, 128, 64).weights[..., 0]
         assert least <= np.count_nonzero(found) <= most
         disc = 2.0 * np.pi * (1.0 - np.cos(np.radians(factor * 180.0 / 128)))
-        assert (found * directions(128, 64)[1]).sum() == pytest.approx(3.0 * disc, rel=1e-5)
+        assert (found * row_solid_angles(128, 64)[:, None]).sum() == pytest.approx(3.0 * disc, rel=1e-5)
 
 
 @pytest.mark.parametrize("size", [(64, 32), (16, 128)])
@@ -441,8 +442,10 @@ def test_placed_lights_in_a_file(tmp_path):
         *OPTIONS,
     )
     found = Environment.load(tmp_path / "e.h5")
-    radiance = found.basis @ (found.coefficients * directions(64, 32)[1][..., None]).sum(axis=(0, 1))
-    assert np.allclose(radiance / np.pi, unit_luminance("FL11"), rtol=1e-4)
+    radiance = found.basis @ (found.coefficients * row_solid_angles(64, 32)[:, None, None]).sum(axis=(0, 1))
+    # Of the four pixels together; a surface that faces their middle is not faced by each.
+    assert np.allclose(radiance / np.pi, unit_luminance("FL11"), rtol=3e-3)
+    assert np.allclose(radiance / radiance.sum(), unit_luminance("FL11") / unit_luminance("FL11").sum(), rtol=1e-4)
 
 
 # --- what a file states of itself ----------------------------------------------------------------------------------
