@@ -78,7 +78,7 @@ def claimed(table, folder, owner: str) -> Iterator[None]:
                 except BlockingIOError:
                     raise DeviceError(f"{mark.parent}: another session is at work there; let it end first") from None
                 file.seek(0)
-                known = file.read().strip()
+                known = _subject(file.buffer.read(), mark, owner)
                 if not known:
                     file.write(f"{owner}\n")
                     file.flush()
@@ -87,6 +87,20 @@ def claimed(table, folder, owner: str) -> Iterator[None]:
                 accepted = f"a folder and a table for the {owner} alone, or {mark} removed where it was renamed"
                 raise InputError(mark.parent, "", found, accepted)
         yield
+
+
+def _subject(content: bytes, mark: Path, owner: str) -> str:
+    """Return the subject in a file ``.session``; an empty string for an empty file.
+
+    Raises
+    ------
+    InputError
+        If the content is no text, or has several lines.
+    """
+    known = content.decode("utf-8", "replace").strip()
+    if "\N{REPLACEMENT CHARACTER}" in known or not known.isprintable():
+        raise InputError(mark, "", "something else than the name of a subject", f"{owner}, or no such file")
+    return known
 
 
 def _sync_folder(folder: Path) -> None:
@@ -230,13 +244,15 @@ class Journal:
         """Return {file: line} of ``captures-retired.csv``, a log that may have lines of several plans."""
         if not self.retired.exists():
             return {}
+        accepted = "the log as it was written, or no such file"
         try:
             with open(self.retired, encoding="utf-8", newline="") as file:
                 rows = [[row.get(name) or "" for name in _NAMES] for row in csv.DictReader(file)]
                 return {row[0]: row for row in rows}
         except (UnicodeDecodeError, csv.Error) as error:
-            accepted = "the log as it was written, or no such file"
             raise InputError(self.retired, "", f"unreadable text ({error})", accepted) from None
+        except OSError as error:
+            raise InputError(self.retired, "", f"no file that can be read ({error.strerror})", accepted) from None
 
     def retire(self, planned: Sequence[Shot]) -> list[Shot]:
         """Move the lines of photographs that a plan does not require to ``captures-retired.csv``; keep their files.

@@ -48,9 +48,9 @@ def test_a_subcommand_does_its_work_and_returns_its_status(tmp_path, capsys):
     result.parent.mkdir(parents=True)
     result.write_text("1\n")
     assert main(["verify", "--accept", str(result)]) == 0
-    assert main(["verify", str(tmp_path)]) == 0
+    assert main(["verify", str(tmp_path / "results")]) == 0
     result.write_text("2\n")
-    assert main(["verify", str(tmp_path)]) == 1
+    assert main(["verify", str(tmp_path / "results")]) == 1
     assert str(result) in capsys.readouterr().out
 
 
