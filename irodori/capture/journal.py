@@ -72,15 +72,15 @@ def claimed(table, folder, owner: str) -> Iterator[None]:
         for mark in marks:
             with storing(mark):
                 mark.parent.mkdir(parents=True, exist_ok=True)
-                file = stack.enter_context(open(mark, "a+", encoding="utf-8"))
+                file = stack.enter_context(open(mark, "a+b"))
                 try:
                     fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 except BlockingIOError:
                     raise DeviceError(f"{mark.parent}: another session is at work there; let it end first") from None
                 file.seek(0)
-                known = _subject(file.buffer.read(), mark, owner)
+                known = _subject(file.read(), mark, owner)
                 if not known:
-                    file.write(f"{owner}\n")
+                    file.write(f"{owner}\n".encode())
                     file.flush()
             if known not in ("", owner):
                 found = f"the photographs of the {known}"
