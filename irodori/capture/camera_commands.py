@@ -17,7 +17,7 @@ from irodori.capture.shot_list import camera_shots, object_shots
 from irodori.capture.shot_planner.fisher_information import Weighting
 from irodori.capture.shot_planner.planner import Plan, default_noise, plan_best
 from irodori.capture.stage import Target, capture_camera, capture_object
-from irodori.config.capture_table import Pose, Shot, read_captures
+from irodori.config.capture_table import LONGEST_S, Pose, Shot, read_captures
 from irodori.config.definition import as_plain, typed
 from irodori.config.definitions import load_one
 from irodori.config.loaded import Loaded
@@ -34,6 +34,8 @@ from irodori.geometry.mesh_sources import shape_files
 
 def shoot(options) -> None:
     """Take one photograph with a real camera, and verify it."""
+    if not 0.0 < options.exposure <= LONGEST_S:
+        raise InputError("--exposure", "", str(options.exposure), f"above 0 and up to {LONGEST_S} s")
     camera = load_one("cameras", options.camera).cameras[options.camera]
     if camera.driver is None:
         raise InputError(f"config/cameras/{options.camera}.yaml", "driver", "no such key", "a camera that is driven")

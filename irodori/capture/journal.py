@@ -72,21 +72,35 @@ def claimed(table, folder, owner: str) -> Iterator[None]:
         for mark in marks:
             with storing(mark):
                 mark.parent.mkdir(parents=True, exist_ok=True)
-                file = stack.enter_context(open(mark, "a+", encoding="utf-8"))
+                file = stack.enter_context(open(mark, "a+b"))
                 try:
                     fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 except BlockingIOError:
                     raise DeviceError(f"{mark.parent}: another session is at work there; let it end first") from None
                 file.seek(0)
-                known = file.read().strip()
+                known = _subject(file.read(), mark, owner)
                 if not known:
-                    file.write(f"{owner}\n")
+                    file.write(f"{owner}\n".encode())
                     file.flush()
             if known not in ("", owner):
                 found = f"the photographs of the {known}"
                 accepted = f"a folder and a table for the {owner} alone, or {mark} removed where it was renamed"
                 raise InputError(mark.parent, "", found, accepted)
         yield
+
+
+def _subject(content: bytes, mark: Path, owner: str) -> str:
+    """Return the subject in a file ``.session``; an empty string for an empty file.
+
+    Raises
+    ------
+    InputError
+        If the content is no text, or has several lines.
+    """
+    known = content.decode("utf-8", "replace").strip()
+    if "\N{REPLACEMENT CHARACTER}" in known or not known.isprintable():
+        raise InputError(mark, "", "something else than the name of a subject", f"{owner}, or no such file")
+    return known
 
 
 def _sync_folder(folder: Path) -> None:
@@ -230,13 +244,15 @@ class Journal:
         """Return {file: line} of ``captures-retired.csv``, a log that may have lines of several plans."""
         if not self.retired.exists():
             return {}
+        accepted = "the log as it was written, or no such file"
         try:
             with open(self.retired, encoding="utf-8", newline="") as file:
                 rows = [[row.get(name) or "" for name in _NAMES] for row in csv.DictReader(file)]
                 return {row[0]: row for row in rows}
         except (UnicodeDecodeError, csv.Error) as error:
-            accepted = "the log as it was written, or no such file"
             raise InputError(self.retired, "", f"unreadable text ({error})", accepted) from None
+        except OSError as error:
+            raise InputError(self.retired, "", f"no file that can be read ({error.strerror})", accepted) from None
 
     def retire(self, planned: Sequence[Shot]) -> list[Shot]:
         """Move the lines of photographs that a plan does not require to ``captures-retired.csv``; keep their files.

@@ -242,8 +242,9 @@ def _start_over_if_changed(table: Path, record: Path, provenance: Provenance) ->
     confined(table.parent.parent, table.parent.name, table, "")
     mark = table.with_name(_MADE_FROM)
     wanted = f"{provenance.config_hash} {provenance.code_hash} {provenance.input_sha256}\n"
-    if mark.is_file() and mark.read_text(encoding="utf-8") == wanted:
-        return
+    with storing(mark):
+        if mark.is_file() and mark.read_bytes() == wanted.encode():
+            return
     with storing(table.parent):
         for path in (
             table,
@@ -261,15 +262,18 @@ def _earlier_checks(record: Path) -> list[dict]:
     Raises
     ------
     InputError
-        If the record is not valid JSON.
+        If the record is not valid JSON, or its comparisons are no list of JSON objects.
     """
     if not record.is_file():
         return []
     try:
-        return json.loads(record.read_text(encoding="utf-8")).get("position", [])
+        checks = json.loads(record.read_text(encoding="utf-8")).get("position", [])
     except (ValueError, AttributeError):
+        checks = None
+    if not isinstance(checks, list) or not all(isinstance(check, dict) for check in checks):
         accepted = "the record of a session, or no such file"
-        raise InputError(record, "", "something else than such a record", accepted) from None
+        raise InputError(record, "", "something else than such a record", accepted)
+    return checks
 
 
 def _write_record(path: Path, content: Mapping) -> None:

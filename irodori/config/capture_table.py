@@ -37,6 +37,8 @@ ROLES = (*SUBJECTS, DRIFT, LENS)
 #: In a table, the role of a chart in a room, or of a camera's further chart, is followed by its name (``chart-sg``).
 _NAMED_CHART = re.compile(r"(room-chart|chart)-([a-z0-9-]+)")
 FILTERS = ("out", "in")
+#: Longest exposure time, s.
+LONGEST_S = 3600
 COLUMNS = ("file", "role", "light_deg", "camera_deg", "tilt_deg", "turn_deg", "filter", "exposure_s")
 
 _ANGLES = ("light_deg", "camera_deg", "tilt_deg", "turn_deg")
@@ -397,8 +399,8 @@ class _Shots:
         state = self._choice(line, row, "filter", FILTERS)
         pose = self._pose(line, row)
         exposure = self._number(line, "exposure_s", row["exposure_s"])
-        if not 0 < exposure <= 3600:
-            raise self._error(line, "exposure_s", row["exposure_s"].strip(), "above 0 and up to 3600 s")
+        if not 0 < exposure <= LONGEST_S:
+            raise self._error(line, "exposure_s", row["exposure_s"].strip(), f"above 0 and up to {LONGEST_S} s")
         iso, f_number = (self._optional(line, column, row.get(column, "")) for column in ("iso", "f_number"))
         linear = self._choice(line, {_LINEAR: row.get(_LINEAR, "").strip() or "no"}, _LINEAR, ("yes", "no")) == "yes"
         light_level = self._optional(line, _LIGHT_LEVEL, row.get(_LIGHT_LEVEL, "")) or 1.0

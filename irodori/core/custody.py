@@ -31,6 +31,10 @@ _DAMAGED = ".damaged"
 #: Results that must have a record even where no other result names them; single frames have none.
 _RECORDED = (".h5", ".exr", ".png", ".tif")
 _FRAMES = ("frames", "frames.part")
+#: Tables and descriptions, which rules read too; `irodori verify` does not look for their records.
+_READ = (".csv", ".json")
+#: Record of a session, which lies beside the photographs that a virtual rig took.
+_SESSION = "session.json"
 #: Folders with results of an object, a camera or a place that the workflow removes after their last use, if the
 #: configuration says so.
 _INTERMEDIATE = ("linear", "observations", "brdf")
@@ -203,18 +207,32 @@ def verified(path, *, set_aside: bool = False) -> Record:
     path = Path(path)
     record = read_record(path)
     if record is None:
-        raise InputError(path, "", "no hash of its content", f"{_as_written(path)}; {_REMOVED}")
+        found = _empty_or_missing(path) or "no hash of its content"
+        raise InputError(path, "", found, f"{_as_written(path)}; {_REMOVED}")
     if content_sha256(path) != record.sha256:
-        found = "content that its rule did not write"
-        raise InputError(path, "", f"{found} ({_set_aside(path)})" if set_aside else found, _as_written(path))
+        found = _empty_or_missing(path) or "content that its rule did not write"
+        accepted = _as_written(path)
+        raise InputError(path, "", f"{found} ({_set_aside(path)})" if set_aside else found, accepted)
     return record
 
 
 _REMOVED = "without the file, the next run makes it again"
+_PRESENT = "a result of the files as they are now"
+_EMPTY = "an empty file"
+
+
+def _empty_or_missing(path: Path) -> str | None:
+    """Return a phrase for a file that is empty or missing; None for one with content."""
+    if not path.is_file():
+        return "no such file"
+    return None if path.stat().st_size else _EMPTY
 
 
 def _as_written(path: Path) -> str:
-    return f"the file as its rule wrote it; to take it as it is: irodori verify --accept {path}"
+    written = "the file as its rule wrote it"
+    if _unacceptable(path) is not None:
+        return written
+    return f"{written}; to take it as it is: irodori verify --accept {path}"
 
 
 def received(path, known: dict[str, Record | None]) -> str:
@@ -274,33 +292,66 @@ def _set_aside(path: Path) -> str:
     return f"set aside as {aside.name}, so that the next run makes it again; renamed back, it can be accepted as it is"
 
 
-def accept(path) -> None:
+def _unacceptable(path: Path) -> InputError | None:
+    """Return the reason why a file cannot be taken as it is; None for a result with content."""
+    if (found := _empty_or_missing(path)) is not None:
+        return InputError(path, "", found, f"a complete file; {_REMOVED}" if found == _EMPTY else "a result")
+    if _data_start(path) is None and (_has_head(path) or path.suffix == ".h5"):
+        found = "nothing but the head of an HDF5 file" if _has_head(path) else "no data of an HDF5 file"
+        return InputError(path, "", found, "a complete file")
+    if read_record(path) is None and not _may_lack_record(path):
+        return InputError(path, "", "no record of a result", "a result, which has a record")
+    return None
+
+
+def _may_lack_record(path: Path) -> bool:
+    """Return whether a file without a record is of a kind that rules write and read: its record has been lost."""
+    top = _results_folder(path.parent)
+    return top is not None and (_needs_record(path) or (path.suffix in _READ and path.parent.absolute() != top))
+
+
+def _needs_record(path: Path) -> bool:
+    """Return whether a file in the folder ``results`` must have a record even where no other result names it."""
+    return path.suffix in _RECORDED and path.parent.name not in _FRAMES
+
+
+def accept(path) -> bool:
     """Accept a changed result: write a record of its present content, with the inputs of its earlier record.
 
-    Its modification time becomes the present, so that Snakemake reruns what depends on it.
+    Its modification time becomes the present, so that Snakemake reruns what depends on it. A result that has not
+    changed stays as it is.
+
+    Returns
+    -------
+    bool
+        Whether the result had changed.
 
     Raises
     ------
     InputError
-        If there is no such file, or an HDF5 file has lost its data.
+        If there is no such file, if it is empty or no result, or if an HDF5 file has lost its data.
+    OSError
+        If it cannot be read or written.
     """
     path = Path(path)
-    if not path.is_file():
-        raise InputError(path, "", "no such file", "a result")
+    if (fault := _unacceptable(path)) is not None:
+        raise fault
     known, start = read_record(path), _data_start(path)
-    if start is None and _has_head(path):
-        raise InputError(path, "", "nothing but the head of an HDF5 file", "a complete file")
     name, inputs = _name(path), known.inputs if known else {}
+    in_place = _results_folder(path.parent) is None or (known is not None and known.name == name)
+    if known is not None and in_place and content_sha256(path) == known.sha256:
+        return False
     if start is None:
         write_record(path, name, inputs, accepted=True)
         os.utime(path)
-        return
+        return True
     with written_whole(path) as temporary:
         with open(path, "rb") as file, open(temporary, "wb") as out:
             out.write(bytes(head_size(name, inputs)))
             file.seek(start)
             shutil.copyfileobj(file, out, 1 << 20)
         write_head(temporary, name, inputs, accepted=True)
+    return True
 
 
 # ---- all records of a project
@@ -346,6 +397,8 @@ class Chain:
         self.accepted: list[Path] = []
         self.removed: set[Path] = set()
         self._seen: set[Path] = set()
+        #: Files that are missing or damaged, or in another's place: what was made from them is not to blame.
+        self._wrong: set[Path] = set()
 
     def __len__(self) -> int:
         return len(self._seen)
@@ -362,7 +415,7 @@ class Chain:
                 result = path.with_name(path.name[1:].removesuffix(".sha256"))
                 if path.suffix == ".sha256" and result.is_file():
                     yield result
-            elif path.suffix in _RECORDED and path.parent.name not in _FRAMES:
+            elif _needs_record(path) and not path.is_dir():
                 yield path
 
     def broken(self, paths: Iterable[Path] | None = None) -> Iterator[str]:
@@ -414,37 +467,78 @@ class Chain:
         if path in self._seen:
             return
         self._seen.add(path)
-        record = read_record(path)
-        hashes: dict[str, str | None] = {}
-        for name in record.inputs if record else ():
-            behind = self._place(name)
-            known = read_record(behind)
-            if known is not None:
-                yield from self._broken_before(behind)
-            if _may_be_removed(behind):
-                self.removed.add(behind)
-                continue
-            hashes[name] = known.sha256 if known else content_sha256(behind) if behind.is_file() else None
-        try:
-            record = verified(path)
-        except InputError as error:
-            yield str(error)
+        record = _readable_record(path)
+        behind = {name: self._place(name) for name in record.inputs} if record else {}
+        for file in behind.values():
+            if _may_be_removed(file):
+                self.removed.add(file)
+            elif _readable_record(file) is not None or (self._top in file.parents and _needs_record(file)):
+                yield from self._broken_before(file)
+        if (fault := self._fault(path, record)) is not None:
+            self._wrong.add(path)
+            yield str(fault)
             return
+        assert record is not None  # `_fault` returns one for a file without
         if record.accepted:
             self.accepted.append(path)
         if self._place(record.name) != path:
+            self._wrong.add(path)
             yield str(InputError(path, "", f"a result that was written as {record.name}", _as_written(path)))
-        for name, found in hashes.items():
-            if found != record.inputs[name]:
-                what = "which is gone" if found is None else "which has changed since"
-                accepted = "a result of the files as they are now: run snakemake"
-                yield str(InputError(path, "", f"a result of {name}, {what}", accepted))
+        for name, file in behind.items():
+            if file in self._wrong or file in self.removed:
+                continue
+            if _present_sha256(file) != record.inputs[name]:
+                yield str(self._changed_behind(path, record, name))
+
+    def _fault(self, path: Path, record: Record | None) -> InputError | None:
+        """Return what is wrong with the content of a result; None if it is as its rule wrote it."""
+        if not path.exists():
+            accepted = f"{_PRESENT}: run snakemake {record.name if record else _name(path)}"
+            return InputError(path, "", "no such file", accepted)
+        try:
+            verified(path)
+        except InputError as error:
+            return error
+        except OSError as error:
+            return InputError(path, "", f"no file that can be read ({error.strerror})", _as_written(path))
+        return None
+
+    def _changed_behind(self, path: Path, record: Record, name: str) -> InputError:
+        """Return the sentence on a result's input that has changed or is gone: it names the one that is to blame."""
+        behind = self._place(name)
+        found = _empty_or_missing(behind)
+        if path.name == _SESSION and behind.parent == path.parent:  # a photograph that the program took
+            self._wrong.add(behind)
+            accepted = f"the photograph as it was taken: a copy, or a new one by snakemake --forcerun {record.name}"
+            return InputError(behind, "", found or f"content that does not match its hash in {record.name}", accepted)
+        if found == _EMPTY:
+            self._wrong.add(behind)
+            return InputError(behind, "", found, f"the file that {record.name} was made from")
+        what = "which has changed since" if found is None else "which is gone"
+        return InputError(path, "", f"a result of {name}, {what}", f"{_PRESENT}: run snakemake")
+
+
+def _readable_record(path: Path) -> Record | None:
+    """Return the record of a file; None also if there is a folder, or a file that cannot be read."""
+    try:
+        return read_record(path)
+    except OSError:
+        return None
+
+
+def _present_sha256(path: Path) -> str | None:
+    """Return the hash in a file's record, or that of the content of a file without; None if it cannot be read."""
+    try:
+        record = read_record(path)
+        return content_sha256(path) if record is None else record.sha256
+    except OSError:
+        return None
 
 
 def main(arguments: list[str] | None = None, prog: str = "irodori verify") -> int:
     """Compare every result with its recorded hash and with the files that it was made from, back to your own files.
 
-    If something differs, the first difference is printed and the exit status is 1.
+    Everything that differs is printed, one line each, and the exit status is 1.
     """
     parser = argparse.ArgumentParser(prog=prog, description=main.__doc__)
     parser.add_argument("folder", nargs="?", help="the folder of results, or one in it")
@@ -452,15 +546,19 @@ def main(arguments: list[str] | None = None, prog: str = "irodori verify") -> in
     asked = parser.parse_args(arguments)
     try:
         if asked.accept is not None:
-            accept(asked.accept)
+            if not accept(asked.accept):
+                print(f"{asked.accept}: unchanged, nothing to accept")
             if asked.folder is None:
                 return 0
         chain = Chain(asked.folder or _RESULTS)
-        said = next(chain.broken(), "")
+        differs = False
+        for said in chain.broken():
+            differs = True
+            print(said)
     except (InputError, OSError) as error:
-        said = str(error)
-    if said:
-        print(said)
+        print(error)
+        return 1
+    if differs:
         return 1
     print("".join(f"{path}: taken as it is\n" for path in chain.accepted), end="")
     removed = f"; {len(chain.removed)} intermediate files are not kept" if chain.removed else ""

@@ -265,6 +265,32 @@ def test_capture_resumes_with_what_is_missing(capsys, monkeypatch):
     assert_whole(folder, read_captures(folder / "captures.csv"))
 
 
+def test_files_of_a_session_that_somebody_damaged_are_named(capsys):
+    folder = Path("results/rig/bench/tile-plate")
+    run(capsys, "capture", "tile-plate")
+    for name, content, said in (
+        (".session", b"\xff\xfe\x80", "found something else than the name of a subject; accepted: object tile-plate"),
+        (".session", b"object a\nobject b\n", "found something else than the name of a subject"),
+        ("captures.json", b'{"position": null}', "found something else than such a record"),
+        ("captures.json", b'{"position": [1]}', "found something else than such a record"),
+        ("captures-retired.csv", None, "found no file that can be read (Is a directory); accepted: the log as it was"),
+    ):
+        path = folder / name
+        before = path.read_bytes() if path.exists() else b""
+        path.mkdir() if content is None else path.write_bytes(content)
+        _, err = run(capsys, "capture", "tile-plate", code=1)
+        assert err[-1].startswith(f"{path}: {said}") and "Traceback" not in "".join(err)
+        path.rmdir() if content is None else path.write_bytes(before)
+    _, err = run(capsys, "capture", "tile-plate")
+    assert any("0 of 8 photographs to take" in line for line in err)
+    # What does not say that the photographs are of this definition means that they are of another: they are computed
+    # again.
+    (folder / ".made-from").write_bytes(b"\xff\xfe\x80")
+    _, err = run(capsys, "capture", "tile-plate")
+    assert any("8 of 8 photographs to take" in line for line in err)
+    assert_whole(folder, read_captures(folder / "captures.csv"))
+
+
 def observed(*words: str) -> dict:
     """Hold a session with a page, of which an observer reads the address; return what it saw before it finished it."""
 
@@ -319,6 +345,12 @@ def test_shoot_takes_one_photograph_and_verifies_it(capsys, monkeypatch):
     assert "not on offer" in err[-1]
     _, err = run(capsys, "shoot", CAMERA, "nowhere/one.cr2", "--exposure", "0.02", code=1)
     assert len(err) == 1 and "nowhere/one.cr2: cannot be stored: No such file or directory" in err[0]
+
+
+@pytest.mark.parametrize("exposure", ["-1", "0", "nan", "inf", "3600.5"])
+def test_shoot_refuses_a_time_that_no_exposure_has_before_it_opens_the_camera(capsys, exposure):
+    _, err = run(capsys, "shoot", CAMERA, "one.cr2", "--exposure", exposure, code=1)
+    assert err == [f"--exposure: found {float(exposure)}; accepted: above 0 and up to 3600 s."]
 
 
 def test_ctrl_c_returns_130_and_says_that_the_rig_stands_still(capsys, monkeypatch):

@@ -44,12 +44,13 @@ def test_python_m_irodori_is_the_same_command():
 
 
 def test_a_subcommand_does_its_work_and_returns_its_status(tmp_path, capsys):
-    result = tmp_path / "result.csv"
+    result = tmp_path / "results/jar/result.csv"
+    result.parent.mkdir(parents=True)
     result.write_text("1\n")
     assert main(["verify", "--accept", str(result)]) == 0
-    assert main(["verify", str(tmp_path)]) == 0
+    assert main(["verify", str(tmp_path / "results")]) == 0
     result.write_text("2\n")
-    assert main(["verify", str(tmp_path)]) == 1
+    assert main(["verify", str(tmp_path / "results")]) == 1
     assert str(result) in capsys.readouterr().out
 
 

@@ -128,8 +128,65 @@ def test_no_rule_reads_what_is_not_what_its_rule_wrote(project, attack):
 def test_verify_names_the_broken_link_and_leaves_the_file(project, capsys, attack):
     attack()
     status, said = verify(capsys)
-    assert status == 1 and said.count("\n") == 1 and "/results/jar/" in said
+    assert status == 1 and "/results/jar/" in said and "front.png" not in said
+    assert said.count("\n") == (3 if attack is renamed else 1), "each broken link on a line, and nothing else"
     assert os.path.exists(MATERIAL)
+
+
+@pytest.mark.parametrize("lost", ["results/scene/front.png", MATERIAL, "results/jar/brdf.h5"])
+def test_a_missing_result_is_named_and_the_rest_is_looked_at(project, capsys, lost):
+    report = "results/scene/report.html"
+    Path(report).write_text("<html>")
+    write_record(report, report, hashes("results/scene/front.png"))
+    halve("results/lid/brdf.h5")
+    (project / lost).unlink()
+    status, said = verify(capsys)
+    accepted = f"a result of the files as they are now: run snakemake {lost}."
+    assert status == 1 and f"{project / lost}: found no such file; accepted: {accepted}\n" in said
+    assert "results/lid/brdf.h5: found content that its rule did not write" in said
+    assert said.count("\n") == 2, "what was made from either is not to blame"
+
+
+def test_a_folder_in_the_place_of_a_result_is_named(project, capsys):
+    Path(MATERIAL).unlink()
+    Path(MATERIAL).mkdir()
+    status, said = verify(capsys)
+    assert status == 1 and said.count("\n") == 1
+    assert "results/jar/material.h5: found no file that can be read (Is a directory)" in said
+
+
+def test_an_emptied_result_is_named_itself_and_cannot_be_accepted(project, capsys):
+    os.truncate(MATERIAL, 0)
+    status, said = verify(capsys)
+    accepted = "the file as its rule wrote it; without the file, the next run makes it again"
+    assert (status, said) == (1, f"{project / MATERIAL}: found an empty file; accepted: {accepted}.\n")
+    status, said = verify(capsys, "--accept", MATERIAL)
+    assert status == 1 and f"{MATERIAL}: found an empty file; accepted: a complete file" in said
+
+
+@pytest.mark.parametrize("change", ["emptied", "edited", "removed"])
+def test_a_sessions_photograph_is_named_itself_with_the_way_to_take_it_again(project, capsys, change):
+    raw, session = Path("results/jar/captures/one.dng"), "results/jar/captures/session.json"
+    raw.parent.mkdir()
+    raw.write_bytes(b"light")
+    Path(session).write_text("{}")
+    write_record(session, session, hashes("jar.csv") | {str(raw): accepted_hash(raw)})
+    make("results/jar/linear.h5", [session], alpha=0.4)
+    assert verify(capsys)[0] == 0
+    if change == "removed":
+        raw.unlink()
+    else:
+        raw.write_bytes(b"dark" if change == "edited" else b"")
+    found = {"emptied": "an empty file", "removed": "no such file"}.get(change, "content that does not match its hash")
+    status, said = verify(capsys)
+    assert status == 1 and said.startswith(f"{project / raw}: found {found}") and said.count("\n") == 1
+    assert f"a copy, or a new one by snakemake --forcerun {session}." in said
+
+
+def test_an_emptied_file_of_the_user_is_named_once(project, capsys):
+    os.truncate("jar.csv", 0)
+    accepted = "the file that results/jar/brdf.h5 was made from"
+    assert verify(capsys) == (1, f"{project / 'jar.csv'}: found an empty file; accepted: {accepted}.\n")
 
 
 def test_a_picture_of_an_older_material_is_found(project, capsys):
@@ -209,6 +266,24 @@ def test_an_accepted_file_is_read_and_told_of(project, capsys, attack):
     if attack not in (head_edited,):
         assert received(MATERIAL, {})
         assert verify(capsys) == (0, f"{project / MATERIAL}: taken as it is\nevery link holds (4 results)\n")
+
+
+def test_an_unchanged_result_stays_as_it_is_when_it_is_accepted(project, capsys):
+    for path in (MATERIAL, "results/scene/front.png"):
+        before = Path(path).read_bytes(), os.stat(path).st_mtime_ns, read_record(path)
+        assert verify(capsys, "--accept", path) == (0, f"{path}: unchanged, nothing to accept\n")
+        assert (Path(path).read_bytes(), os.stat(path).st_mtime_ns, read_record(path)) == before
+
+
+@pytest.mark.parametrize("name", ["jar.csv", "results/notes.json", "results/logs/jar.log", "results/jar/one.dng"])
+def test_a_file_that_is_no_result_is_not_accepted(project, capsys, name):
+    path = Path(name)
+    path.parent.mkdir(exist_ok=True)
+    path.write_text("file,exposure_s\n")
+    os.utime(path, (1, 1))
+    accepted = "a result, which has a record"
+    assert verify(capsys, "--accept", name) == (1, f"{name}: found no record of a result; accepted: {accepted}.\n")
+    assert not beside(path).exists() and os.stat(path).st_mtime == 1
 
 
 def test_what_is_not_there_cannot_be_accepted_nor_verified(project, capsys):
