@@ -1,6 +1,6 @@
 """Mistakes that people make at the table, with the camera or in a table of photographs, in one place.
 
-Each is noticed before the fit. A row says where, what becomes of the photographs, words that the message contains, the
+A row says where, what becomes of the photographs, words that the message contains, the
 module that writes them, and the tests that make the mistake. `test_physical_mistakes` fails where a test is missing,
 where neither test nor module has the words, and where the table in `docs/troubleshooting.md` says something else.
 """
@@ -12,6 +12,7 @@ REFUSED, WARNED, CORRECTED = "refused", "warning", "corrected"
 #: Where a mistake is noticed. `irodori check` and the first job of a run look at the same things in the first three.
 DEFINITIONS, TABLE, FIRST_LOOK = "definitions", "table", "first look at the photographs"
 CHART, INGEST, REGISTRATION = "chart", "ingest", "registration"
+LOBES, COLOURS = "choice of lobes", "colours"
 
 
 class Mistake(NamedTuple):
@@ -142,6 +143,11 @@ MISTAKES = (
         "spectra of another chart", CHART, REFUSED, "in the mean over patches left out", "irodori/calibration/gates.py",
         ("tests/unit/test_chart_gates.py::test_a_large_error_of_patches_left_out_is_refused_beyond_the_limit",),
     ),
+    Mistake(
+        "lamp, aperture or place of the white reference other than the chart's, by more than 10 %", CHART, REFUSED,
+        "white reference say", "irodori/calibration/gates.py",
+        ("tests/unit/test_chart_gates.py::test_a_chart_that_contradicts_the_white_reference_is_refused",),
+    ),
     # What the two photographs of a pose show together.
     Mistake(
         "part of the picture moved between the photographs of a pose", INGEST, REFUSED, "max_registration_px",
@@ -188,7 +194,8 @@ MISTAKES = (
          "tests/unit/test_light_angle.py::test_angles_that_the_photographs_contradict_are_corrected_and_others_stay_as_typed"),
     ),
     Mistake(
-        "two poses exchanged in both filter states, flat object", REGISTRATION, REFUSED, "the object in the pose of ",
+        "two poses of different camera angles exchanged in both filter states, flat object", REGISTRATION, REFUSED,
+        "the object in the pose of ",
         _OUTLINES, (f"{_REGISTRATION}::test_two_exchanged_lines_of_a_table_are_named",),
     ),
     Mistake(
@@ -208,5 +215,17 @@ MISTAKES = (
         "camera refocused between objects that are said to be photographed together", REGISTRATION, WARNED,
         "left apart from ", "irodori/rectification/shared_camera.py",
         ("tests/unit/test_shared_camera.py::test_an_object_before_another_camera_is_left_apart_and_named",),
+    ),
+    # What no form of gloss, and no colour, explains.
+    Mistake(
+        "lamp that fails or drifts between the poses of an object", LOBES, WARNED,
+        "no form of gloss predicts left-out readings", "irodori/fitting/lobe_stage.py",
+        ("tests/unit/test_lobe_choice.py::"
+         "test_a_lamp_that_fails_between_photographs_is_told_by_what_no_form_of_gloss_predicts",),
+    ),
+    Mistake(
+        "all photographs of an object through the filter at another level, 16 paints", COLOURS, WARNED,
+        "as white reference and chart let expect", "irodori/material/stage.py",
+        ("tests/unit/test_material_stage.py::test_photographs_through_the_filter_at_another_level_are_said_to_be",),
     ),
 )  # fmt: skip

@@ -21,6 +21,7 @@ from irodori.core.progress import LOGGER
 from irodori.jit.chunks import parallel_map
 from irodori.material.coefficients import reserve_coefficients
 from irodori.material.energy import ALBEDO, ERROR, AlbedoModel, Energy, Errors, Reflecting
+from irodori.material.filter_level import level_of_object
 from irodori.material.fitted_tiles import FittedTile, FittedTiles, columns
 from irodori.material.lobe_choices import NOTHING_COMPARED, Comparison
 from irodori.material.material_file import (
@@ -47,6 +48,10 @@ from irodori.spectra.grid import SAMPLES
 from irodori.spectra.published import refractive_index, spectrum
 
 _GREEN = 1
+_OTHER_LEVEL = (
+    "photographs through the filter are %.2f times as bright as white reference and chart let expect of %d paints "
+    "(+- %.2f): was the lamp, the aperture or the exposure time another one? Colours are wrong"
+)
 _RESPONSE = ("diffuse_response", "diffuse_variance")
 _ALBEDO_MAPS = (
     ("albedo", ALBEDO, "largest share of light that is sent back, in even light or up to 60 degrees from the normal"),
@@ -223,6 +228,9 @@ def compress_reflectance(
     mirror = _mirror_weight(fitted, definition.mirror_weight)
     sent = _Sent(AlbedoModel(fitted.lobes, n, k, mirror["weight"], fitted.coat), fitted.lobes, typical_gloss)
     sheet = _sheet_of(definition, calibration, observations, levels)
+    level = level_of_object(calibration.filters, calibration.training, fitted.read("diffuse_response", "paint"))
+    if level is not None and level.is_other:
+        LOGGER.warning(_OTHER_LEVEL, level.ratio, level.paints, level.error)
     with store.create(output, provenance) as out:
         gathered = _write_maps(out, reflectance, compression, options.codec, sent, sheet=sheet)
         if sheet is not None:
@@ -238,6 +246,7 @@ def compress_reflectance(
             "lobe_choice_painted": lobe_choice.painted,
             "lobe_choice_favours_tails": lobe_choice.favours_tails,
             "lobe_choice_misfit": misfit,
+            "filter_level": level._asdict() | {"is_other": bool(level.is_other)} if level else None,
             "mirror": mirror,
             "gloss_contradiction": fitted.gloss_contradiction,
         }

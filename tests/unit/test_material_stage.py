@@ -7,6 +7,7 @@ import h5py
 import numpy as np
 import pytest
 from made import made
+from made_up_camera import patches, system
 
 from irodori.calibration.recovery.calibration_file import Calibration
 from irodori.calibration.recovery.mappings import LinearMapping
@@ -136,6 +137,25 @@ def test_where_no_model_predicts_the_photographs_colours_are_stated_with_errors_
         with store.open_file(output) as file:
             assert np.allclose(file.read("delta_e_error"), expected, rtol=1e-3, equal_nan=True)
             assert file.attribute("errors")["lobe_choice_misfit"] == times
+
+
+@pytest.mark.parametrize("level", [1.0, 0.7])
+def test_photographs_through_the_filter_at_another_level_are_said_to_be(tmp_path, calibration, caplog, level):
+    chart, paint = patches() @ system().T, np.arange(8 * 32) % 16
+    write_tile(tmp_path / "tile.h5", (0, 8), 32, 1)
+    with h5py.File(tmp_path / "tile.h5", "r+") as file:
+        file["diffuse_response"][:] = chart[paint + 2] * np.repeat([1.0, level], 3)
+        file["paint"][:] = paint
+    with h5py.File(calibration, "r+") as file:
+        file["chart_response"][:] = chart
+    accept(tmp_path / "tile.h5")
+    accept(calibration)
+    with caplog.at_level("WARNING"):
+        compress([tmp_path / "tile.h5"], calibration, (8, 32), tmp_path / "m.h5")
+    assert ("as white reference and chart let expect of 16 paints" in caplog.text) == (level != 1.0)
+    with store.open_file(tmp_path / "m.h5") as file:
+        found = file.attribute("errors")["filter_level"]
+    assert found["is_other"] == (level != 1.0) and found["ratio"] == pytest.approx(level, rel=0.07)
 
 
 def test_every_gloss_component_has_its_maps_its_unit_and_its_typical_values(tmp_path, calibration):
