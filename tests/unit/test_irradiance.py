@@ -6,14 +6,33 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from shortcuts import irradiance_map
 
-from irodori.light.environment_file import directions
+from irodori.light.environment_file import directions, row_solid_angles
+from irodori.light.equirectangular import look_up
 from irodori.light.irradiance import Integrator, fitted_irradiance_map, irradiance_at, midpoints
 from irodori.reflection.coat import passed_array
 
 
+def interpolated(width, height):
+    """Return the directions of pixels, and the solid angles for which they count in an interpolated picture."""
+    return directions(width, height)[0], np.repeat(row_solid_angles(width, height)[:, None], width, axis=1)
+
+
+def test_a_pixel_counts_with_the_integral_of_its_share_in_the_interpolated_picture():
+    """By the mean over many directions of a picture with one bright pixel, at a pole and elsewhere."""
+    rng, (width, height) = np.random.default_rng(5), (12, 6)
+    towards = rng.normal(size=(2_000_000, 3))
+    towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+    for row in range(height):
+        picture, out = np.zeros((height, width, 1)), np.empty((len(towards), 1))
+        picture[row, 4] = 1.0
+        look_up(picture, towards, out)
+        assert 4.0 * np.pi * out.mean() == pytest.approx(row_solid_angles(width, height)[row], rel=0.02)
+    assert row_solid_angles(width, height).sum() * width == pytest.approx(4.0 * np.pi, rel=1e-12)
+
+
 def exact(coefficients, normals):
     """Σ max(N·ω, 0) L dΩ over all pixels, and the same of |L|."""
-    unit, solid_angle = directions(coefficients.shape[1], coefficients.shape[0])
+    unit, solid_angle = interpolated(coefficients.shape[1], coefficients.shape[0])
     light = coefficients.reshape(-1, coefficients.shape[2]) * solid_angle.reshape(-1, 1)
     cosine = np.maximum(normals.reshape(-1, 3) @ unit.reshape(-1, 3).T, 0.0)
     power = cosine @ np.linalg.norm(light, axis=1)
@@ -56,7 +75,7 @@ def test_light_that_passes_a_coat_counts_by_its_angle(n):
     sun[40, 70] = 500.0
     uneven = np.exp(2.0 * np.random.default_rng(4).normal(size=(128, 256, 2))).astype(np.float32)
     for coefficients in (np.ones((128, 256, 1), np.float32), uneven, sun):
-        unit, solid_angle = directions(256, 128)
+        unit, solid_angle = interpolated(256, 128)
         cosine = np.maximum(normals @ unit.reshape(-1, 3).T, 0.0)
         expected = (cosine * passed_array(cosine, n, 0.0)) @ (coefficients * solid_angle[..., None]).reshape(
             cosine.shape[1], -1
@@ -100,7 +119,7 @@ def test_cells_of_every_level_hold_their_pixels_closely_and_all_their_light(size
     """Cells that are too narrow would lose light at the horizon, and too wide ones cost the time that they save."""
     coefficients = np.random.default_rng(3).uniform(-1.0, 2.0, (*size, 2)).astype(np.float32)
     cells = Integrator(coefficients).cells
-    (height, width), (unit, solid_angle) = size, directions(size[1], size[0])
+    (height, width), (unit, solid_angle) = size, interpolated(size[1], size[0])
     light = coefficients * solid_angle[..., None]
     length, side, end = np.linalg.norm(light, axis=-1), 8, 0
     for first, rows, columns in zip(cells.first, cells.rows, cells.columns, strict=True):

@@ -145,7 +145,7 @@ def test_a_run_that_cannot_be_vouched_for_has_no_crate(project, capsys):
     photograph = next((project / "results/tile-plate/captures").glob("*.dng"))
     before = photograph.read_bytes()
     photograph.write_bytes(before[:-1] + b"x")
-    assert f"{photograph.name}, which has changed since" in said()
+    assert f"{photograph.name}: found" in said()
     photograph.write_bytes(before)
     edit(project / "config/config.yaml", {"publication": {"photographer_orcid": "0000-0002-1825-0098"}})
     assert "publication.photographer_orcid: found 0000-0002-1825-0098, a last digit of 8" in said()

@@ -198,7 +198,7 @@ rule measure_error_budget:
     priority: -10
     conda:
         "../../envs/irodori.yaml"
-    threads: 1
+    threads: 2
     resources:
         mem_mb=lambda wildcards, attempt: 3000 * attempt,
     params:
